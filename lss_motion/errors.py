@@ -1,0 +1,111 @@
+"""Every exception of the package. Exit codes are those of `lss-play`.
+
+    LssMotionError                     exit
+     ├── InputError(ValueError)          2   change your files or arguments
+     ├── PlanningError                   3   legal input, but no plan
+     │    └── LineLoadError              3   the bus cannot carry the plan
+     ├── ProtocolError(ValueError)       2   a command that cannot be expressed on the wire
+     ├── BusError(OSError)               4   the port or the servos cannot be reached
+     └── PlaybackError                   5   the robot did not follow
+
+Nothing below `BusError` can come from a bad file, and nothing above it from the robot.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+EXIT_FINISHED = 0
+EXIT_INPUT = 2
+EXIT_NO_PLAN = 3
+EXIT_UNREACHABLE = 4
+EXIT_NOT_FOLLOWED = 5
+EXIT_INTERRUPTED = 130
+EXIT_TERMINATED = 143
+
+
+class LssMotionError(Exception):
+    """Base of everything that this package raises on purpose."""
+
+    exit_code: ClassVar[int] = EXIT_INPUT
+
+
+class InputError(LssMotionError, ValueError):
+    """Your files or arguments must change. `path` and `line` say where, when it is a file.
+
+    `more` holds further problems of the same file, so that one run shows all of them.
+    """
+
+    def __init__(
+        self,
+        reason: str,
+        *,
+        path: Path | str | None = None,
+        line: int | None = None,
+        more: Sequence[InputError] = (),
+    ) -> None:
+        self.reason = reason
+        self.path = path
+        self.line = line
+        self.more = tuple(more)
+        super().__init__(str(self))
+
+    def __str__(self) -> str:
+        place = "" if self.path is None else f"{self.path}:"
+        if place and self.line is not None:
+            place += f"{self.line}:"
+        own = f"{place} {self.reason}".lstrip()
+        return "\n".join([own, *map(str, self.more)])
+
+
+class PlanningError(LssMotionError):
+    """The input is legal, but no motion of this robot fulfils it."""
+
+    exit_code = EXIT_NO_PLAN
+
+    def __init__(
+        self, reason: str, *, joint: str | None = None, time_s: float | None = None
+    ) -> None:
+        super().__init__(reason)
+        self.reason = reason
+        self.joint = joint
+        self.time_s = time_s
+
+
+class LineLoadError(PlanningError):
+    """The serial line cannot carry the commands. The message says what would help."""
+
+    def __init__(self, reason: str, *, bus: str, utilisation_ratio: float) -> None:
+        super().__init__(reason)
+        self.bus = bus
+        self.utilisation_ratio = utilisation_ratio
+
+
+class ProtocolError(LssMotionError, ValueError):
+    """A command that has no form on the wire: value out of range or not representable."""
+
+
+class BusError(LssMotionError, OSError):
+    """The port failed, or no servo answered."""
+
+    exit_code = EXIT_UNREACHABLE
+
+    def __init__(self, reason: str, *, url: str | None = None) -> None:
+        super().__init__(reason)
+        self.reason = reason
+        self.url = url
+
+
+class PlaybackError(LssMotionError):
+    """The robot did not follow: stalled, in safe mode, silent, or out of tolerance."""
+
+    exit_code = EXIT_NOT_FOLLOWED
+
+    def __init__(self, reason: str, *, joint: str | None = None) -> None:
+        super().__init__(reason)
+        self.reason = reason
+        self.joint = joint

@@ -1,0 +1,148 @@
+"""Codes and fixed numbers of the bus that are no command: ids, colours, states, baud rates."""
+
+from __future__ import annotations
+
+from enum import Enum, IntEnum, IntFlag
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.protocol.family import Family
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+ID_MIN: Final = 0
+ID_MAX: Final = 250
+"""000:167: ids that a servo may be given."""
+BROADCAST_ID: Final = 254
+"""000:167: every servo acts on it."""
+BUTTON_ID: Final = 255
+"""000:437: what a servo answers to after its button was held at power-up."""
+
+GROUP_FIRMWARE: Final = 370
+"""First LSS firmware with group lines, reply slots, `QID<delay>` and a reply to a broadcast QID
+that names its sender, `*5QID5` (facts 2.2, 2.3, 4)."""
+
+RESET_S: Final = 1.25
+"""How long a servo is deaf after RESET (facts 4)."""
+
+DEG_S_PER_RPM: Final = 6.0
+"""One turn a minute."""
+
+PULSE_MIN_US: Final = 500
+PULSE_MAX_US: Final = 2500
+"""000:287, 004:40."""
+
+BAUD_RATES_BPS: Final[Mapping[int, int]] = {
+    9600: 0,
+    19200: 0,
+    38400: 0,
+    57600: 0,
+    115200: 0,
+    230400: 0,
+    250000: 0,
+    460800: 0,
+    500000: 0,
+    750000: 369,
+    921600: 369,
+}
+"""Rate → first firmware. 000:447 and, above 500000, facts 3 (369 experimental, 370 released)."""
+
+
+class Led(IntEnum):
+    """LED colours of all families: 000:165, 001:185, 004:15. 000:397 shifts them by mistake."""
+
+    OFF = 0
+    RED = 1
+    GREEN = 2
+    BLUE = 3
+    YELLOW = 4
+    CYAN = 5
+    MAGENTA = 6
+    WHITE = 7
+
+
+class Blink(IntFlag):
+    """When the LED blinks: 000:663-670."""
+
+    LIMP = 1
+    HOLDING = 2
+    ACCELERATING = 4
+    DECELERATING = 8
+    FREE = 16
+    TRAVELING = 32
+
+
+class Gyre(IntEnum):
+    """Which way positive angles turn: 000:166."""
+
+    CLOCKWISE = 1
+    COUNTERCLOCKWISE = -1
+
+
+class Status(Enum):
+    """What a servo is doing, whatever number its firmware gives it."""
+
+    UNKNOWN = "unknown"
+    LIMP = "limp"
+    FREE_MOVING = "free moving"
+    ACCELERATING = "accelerating"
+    TRAVELING = "traveling"
+    DECELERATING = "decelerating"
+    HOLDING = "holding"
+    OUTSIDE_LIMITS = "outside limits"
+    STUCK = "stuck"
+    BLOCKED = "blocked"
+    SAFE_MODE = "safe mode"
+    ERROR = "error"
+
+
+class SafeModeCause(IntEnum):
+    """The answer to `Q1`: 001:411-415, facts 4."""
+
+    NONE = 0
+    CURRENT = 1
+    INPUT_VOLTAGE = 2
+    TEMPERATURE = 3
+
+
+STATUS_CODES: Final = (
+    Status.UNKNOWN,
+    Status.LIMP,
+    Status.FREE_MOVING,
+    Status.ACCELERATING,
+    Status.TRAVELING,
+    Status.DECELERATING,
+    Status.HOLDING,
+    Status.OUTSIDE_LIMITS,
+    Status.STUCK,
+    Status.BLOCKED,
+    Status.SAFE_MODE,
+)
+"""000:520-530, 001:393-403. 000:530 prints `*5Q9` for 10, a misprint."""
+
+PRO_STATUS_CODES: Final = (
+    Status.UNKNOWN,
+    Status.LIMP,
+    Status.ACCELERATING,
+    Status.TRAVELING,
+    Status.DECELERATING,
+    Status.HOLDING,
+    Status.ERROR,
+)
+"""Newer LSS-PRO firmware (facts 3, maker's driver of December 2024)."""
+
+PRO_STATUS_FIRMWARE: Final = 781
+"""First LSS-PRO firmware with the newer codes. Assumed: 001:122 documents the older for 780."""
+
+
+def status_codes(family: Family, firmware: int) -> tuple[Status, ...]:
+    """Return the states in the order of their numbers."""
+    if family is Family.LSS_PRO and firmware >= PRO_STATUS_FIRMWARE:
+        return PRO_STATUS_CODES
+    return STATUS_CODES
+
+
+def status_from(code: int, family: Family, firmware: int) -> Status:
+    """Return the state that a reply to `Q` names; unknown numbers are `UNKNOWN`."""
+    codes = status_codes(family, firmware)
+    return codes[code] if 0 <= code < len(codes) else Status.UNKNOWN

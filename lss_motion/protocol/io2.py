@@ -1,0 +1,123 @@
+"""The rows of the 2IO board's language in its 2RC mode: document 004 and the published sketch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.protocol.constants import BAUD_RATES_BPS
+from lss_motion.protocol.family import Family
+from lss_motion.protocol.lss import LSS_TABLE
+from lss_motion.protocol.table import Device, Outside, Row, Suffix, make_table
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+SECTION_MAX_CHARS: Final = 15
+"""Longest `#…` without its CR that may pass a 2IO, whoever it is for: the board's line buffer
+is 16 bytes, fed by every byte on the bus, and is not checked (facts 3)."""
+
+BAUD_MAX_BPS: Final = 500000
+"""004:129; so a 2IO cannot join a faster bus."""
+
+PIN_IDS: Final[Mapping[str, int]] = {
+    "MASTER": 207,
+    "A3": 203,
+    "A4": 204,
+    "A5": 205,
+    "D9": 209,
+    "D10": 210,
+    "D11": 211,
+}
+"""004:117-123. `QMS` of the master is `LSS-2IO-LED`, of the others `LSS-2IO-<pin>` (facts 3)."""
+
+_LSS: Final = LSS_TABLE.row
+
+ROWS: Final = (
+    replace(
+        _LSS("L"),
+        meaning="no more pulses: the servo is limp",
+        source="004:12, 30-34",
+        devices=(Device.SERVO,),
+    ),
+    replace(
+        _LSS("P"),
+        meaning="pulse width",
+        source="004:13, 36-46",
+        modifiers=(),
+        devices=(Device.SERVO,),
+        note="QP answers the last command.",
+    ),
+    replace(
+        _LSS("D"),
+        source="004:18, 48-58, facts 3",
+        step=10,
+        minimum=-900,
+        maximum=900,
+        outside=Outside.CLAMPED,
+        modifiers=(),
+        devices=(Device.SERVO,),
+        note="Tenths on the wire, whole degrees in the board, clamped: #209D1456 ends at 90. The"
+        " servo jumps; T is ignored. QD answers the last command.",
+    ),
+    replace(
+        _LSS("LED"),
+        source="004:19, 60-76, facts 3",
+        suffixes=None,
+        outside=Outside.ZEROED,
+        default=0,
+        devices=(Device.MASTER,),
+        note="004 lets QLED be broadcast; the sketch never answers a broadcast.",
+    ),
+    replace(
+        _LSS("G"),
+        source="004:20, 78-96, facts 3",
+        suffixes=None,
+        devices=(Device.SERVO, Device.ANALOG),
+        note="An analog pin at -1 answers 1024 minus its value.",
+    ),
+    replace(
+        _LSS("QID"),
+        source="004:21, 98-112",
+        queries=(),
+        default=None,
+        needs_reset=False,
+        sets_session=True,
+        suffix_is_delay=False,
+        note="Each pin has its own default: PIN_IDS. At once (assumed: no RESET is asked for).",
+    ),
+    replace(
+        _LSS("QB"),
+        source="004:22, 127-143",
+        choices={rate: since for rate, since in BAUD_RATES_BPS.items() if rate <= BAUD_MAX_BPS},
+        sets_session=True,
+        needs_reset=False,
+        devices=(Device.MASTER,),
+        note="Acts at once.",
+    ),
+    replace(_LSS("QMS"), source="004:23, 145-153"),
+    replace(_LSS("RESET"), source="004:24, 155-159", actions=("RESET",), devices=(Device.MASTER,)),
+    replace(
+        _LSS("DEFAULT"),
+        meaning="factory values, at once",
+        source="004:25, 161-165",
+        devices=(Device.MASTER,),
+        note="There is no CONFIRM.",
+    ),
+    Row(
+        name="A",
+        meaning="value of an analog pin, raw or as the distance of a sensor",
+        source="004:26, 167-187, facts 3",
+        queries=("QA",),
+        suffixes={
+            1: Suffix.GP2Y0A41SK0F,
+            2: Suffix.GP2Y0A21YK0F,
+            3: Suffix.GP2Y0A02YK0F,
+        },
+        devices=(Device.ANALOG,),
+        note="The suffix is not echoed: *203QA50 is 50 mm of sensor 1. Clamped by the board to 30"
+        " to 310, 90 to 810 and 190 to 1510 mm (facts 3).",
+    ),
+)
+
+IO2_TABLE: Final = make_table(Family.IO2, ROWS, firmware=0, answers_broadcast=False)

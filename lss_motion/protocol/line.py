@@ -1,0 +1,256 @@
+"""The grammar that all three bus languages share: one command or one reply is one line.
+
+    command   # <id> <KEYWORD> [<value>] { <MODIFIER> <value> } CR        #5D1443T500
+    reply     * [<id>] <KEYWORD> [<value>] CR                             *5QD1443
+    group     several of them before one CR                               #0QD0QC0#5QD0
+
+What a keyword means, and which values it takes, is said by the tables of the families.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from itertools import groupby
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+LINE_MAX_BYTES: Final = 64
+"""Longest section (`#…` or `*…`) that is read. Chosen: twice the longest that the documents can
+form, `#254MD-32768T65535SD65535CH65535`. Of a group line only each section is bounded."""
+
+TEXT_REPLIES: Final = ("QMS", "QN")
+"""Queries answered with text that runs into the keyword (`*5QMSLSS-HS1`): seed 000 lines 497, 503.
+A serial number keeps its leading zeros and may hold letters (lss_facts 4)."""
+
+DISABLED: Final = "DIS"
+"""The value of a first position that is not set: seed 000 line 471."""
+
+TEXT_COMMAND: Final = "CRC"
+"""The one command whose value may be no number (`#5CRC*`): seed 000 line 557."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What the host says. `keyword` is upper case. The suffix of a query is its value (`QSD2`)."""
+
+    servo_id: int
+    keyword: str
+    value: int | str | None = None
+    modifiers: tuple[tuple[str, int], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """What a servo says. `servo_id` is None in `*QID5`; `value` is None in `*5QDT`."""
+
+    servo_id: int | None
+    keyword: str
+    value: int | str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Garbage:
+    """Bytes that are no line of ours. Never raised, only counted."""
+
+    data: bytes
+
+
+def encode(item: Command | Reply) -> bytes:
+    """Return the exact bytes of one line, CR included; `codec` is what checks the values."""
+    return _section(item) + b"\r"
+
+
+def encode_move(servo_id: int, position_wire: int, duration_ms: int | None) -> bytes:
+    """Return what `encode` does for a `D` with or without `T`, for the player's inner loop."""
+    if duration_ms is None:
+        return b"#%dD%d\r" % (servo_id, position_wire)
+    return b"#%dD%dT%d\r" % (servo_id, position_wire, duration_ms)
+
+
+def encode_group(items: Sequence[Command] | Sequence[Reply]) -> bytes:
+    """Return one line of many sections (firmware 370: lss_facts 2.3).
+
+    Neighbouring queries to one servo share a section, and a `0` keeps their keywords apart.
+    """
+    return b"".join(_joined(list(run)) for _, run in groupby(items, _sharing)) + b"\r"
+
+
+class CommandParser:
+    """Bytes from a host → commands, in any chunks. Never raises and keeps at most one section.
+
+    `#` always starts anew. With `grouped` (firmware 370) the section before it counts; without
+    (older firmware, 2IO) what is not one command before a CR is garbage.
+    """
+
+    def __init__(self, *, grouped: bool = True) -> None:
+        self._grouped = grouped
+        self._rest = b""
+
+    def feed(self, chunk: bytes) -> list[Command | Garbage]:
+        """Return what `chunk` completes, in order; the same bytes cut elsewhere give the same."""
+        data = self._rest + chunk
+        self._rest = b""
+        items: list[Command | Garbage] = []
+        for match in _COMMAND_PIECE.finditer(data):
+            servo_id, keyword, value, duration_ms = match.groups()
+            if servo_id is not None:
+                items.append(
+                    Command(
+                        int(servo_id),
+                        str(keyword, "ascii").upper(),
+                        None if value is None else int(value),
+                        () if duration_ms is None else (("T", int(duration_ms)),),
+                    )
+                )
+                continue
+            piece, end = match.group(), match.end()
+            if end == len(data) and not piece.endswith(b"\r"):
+                self._rest = piece
+                break
+            is_ended = piece.endswith(b"\r") or (self._grouped and data.startswith(b"#", end))
+            found = _commands(piece) if is_ended else []
+            is_group = len(found) > 1
+            items.extend(found if found and (self._grouped or not is_group) else [Garbage(piece)])
+        return items
+
+
+class ReplyParser:
+    """Bytes from the servos → replies, in any chunks. Never raises and keeps at most one section.
+
+    `*` always starts anew, so noise never hides the reply after it. With `grouped` the section
+    before a `*` counts, and a section may hold several replies (lss_facts 2.3). Pass False where
+    no group was asked: then replies that ran into each other are garbage, not wrong numbers.
+    """
+
+    def __init__(self, *, grouped: bool = True) -> None:
+        self._grouped = grouped
+        self._rest = b""
+
+    def feed(self, chunk: bytes) -> list[Reply | Garbage]:
+        """Return what `chunk` completes, in order; the same bytes cut elsewhere give the same."""
+        data = self._rest + chunk
+        self._rest = b""
+        items: list[Reply | Garbage] = []
+        for match in _REPLY_PIECE.finditer(data):
+            servo_id, keyword, value = match.groups()
+            if servo_id is not None:
+                items.append(Reply(int(servo_id), str(keyword, "ascii"), int(value)))
+                continue
+            piece, end = match.group(), match.end()
+            if end == len(data) and not piece.endswith(b"\r"):
+                self._rest = piece
+                break
+            is_ended = piece.endswith(b"\r") or (self._grouped and data.startswith(b"*", end))
+            found = _replies(piece) if is_ended else []
+            is_group = len(found) > 1
+            items.extend(found if found and (self._grouped or not is_group) else [Garbage(piece)])
+        return items
+
+
+# A piece ends before the next start byte, after a CR, or at the bound. The first alternative of
+# each pattern is the common line, read in one go; the others only cut.
+_COMMAND_PIECE: Final = re.compile(
+    rb"#([0-9]{1,5})([A-Za-z]{1,10})(-?[0-9]{1,11})?(?:[Tt]([0-9]{1,11}))?\r"
+    rb"|#[^#\r]{0,%d}\r?|[^#\r]{1,%d}\r?|\r" % (LINE_MAX_BYTES - 2, LINE_MAX_BYTES - 1)
+)
+_REPLY_PIECE: Final = re.compile(
+    rb"\*([0-9]{1,5})((?!%b)[A-Z]{1,10})(-?[0-9]{1,11})\r"
+    rb"|\*[^*\r]{0,%d}\r?|[^*\r]{1,%d}\r?|\r"
+    % ("|".join(TEXT_REPLIES).encode(), LINE_MAX_BYTES - 2, LINE_MAX_BYTES - 1)
+)
+
+_COMMAND_SECTION: Final = re.compile(rb"#([0-9]+)((?:[A-Z]+-?[0-9]+)*(?:[A-Z]+)?)\r?")
+_COMMAND_PART: Final = re.compile(rb"([A-Z]+)(-?[0-9]+)?")
+_COMMAND_TEXT: Final = re.compile(rb"#([0-9]+)%b([!-~]+)\r?" % TEXT_COMMAND.encode())
+
+_REPLY_SECTION: Final = re.compile(rb"\*([0-9]*)([ -~]+)\r?")
+_REPLY_TEXT: Final = re.compile(rb"(%b)([ -~]*)" % "|".join(TEXT_REPLIES).encode())
+_REPLY_DISABLED: Final = re.compile(rb"(Q[A-Z]+)(%b)" % DISABLED.encode())
+_REPLY_PART: Final = re.compile(rb"([A-Z]+)(-?[0-9]+(?:\.[0-9]+)*)?")
+
+
+def _commands(piece: bytes) -> list[Command]:
+    """Return the commands of one section; none if it is not one."""
+    piece = piece.upper()
+    match = _COMMAND_SECTION.fullmatch(piece)
+    if match is None:
+        text = _COMMAND_TEXT.fullmatch(piece)
+        return [] if text is None else [Command(int(text[1]), TEXT_COMMAND, text[2].decode())]
+    servo_id = int(match[1])
+    commands: list[Command] = []
+    for letters, digits in _COMMAND_PART.findall(match[2]):
+        keyword, value = letters.decode(), int(digits) if digits else None
+        if not commands or keyword.startswith("Q"):
+            commands.append(Command(servo_id, keyword, value))
+        elif value is None:
+            return []  # A modifier without its value changes the meaning of the whole command.
+        else:
+            last = commands[-1]
+            modifiers = (*last.modifiers, (keyword, value))
+            commands[-1] = Command(servo_id, last.keyword, last.value, modifiers)
+    return commands
+
+
+def _replies(piece: bytes) -> list[Reply]:
+    """Return the replies of one section; none if it is not one."""
+    section = _REPLY_SECTION.fullmatch(piece)
+    if section is None:
+        return []
+    servo_id = int(section[1]) if section[1] else None
+    body = section[2]
+    replies: list[Reply] = []
+    position = 0
+    while position < len(body):
+        match = (
+            _REPLY_TEXT.match(body, position)
+            or _REPLY_DISABLED.match(body, position)
+            or _REPLY_PART.match(body, position)
+        )
+        if match is None:
+            return []
+        keyword = match[1].decode()
+        if replies and not keyword.startswith("Q"):
+            keyword = "Q" + keyword  # `*15QD960T400` answers QD and QT (lss_facts 2.3).
+        replies.append(Reply(servo_id, keyword, _reply_value(keyword, match[2])))
+        position = match.end()
+    return replies
+
+
+def _reply_value(keyword: str, value: bytes | None) -> int | str | None:
+    if not value:
+        return None
+    is_text = keyword in TEXT_REPLIES or value == DISABLED.encode() or b"." in value
+    return value.decode() if is_text else int(value)
+
+
+def _section(item: Command | Reply) -> bytes:
+    servo_id = "" if item.servo_id is None else item.servo_id
+    start = "#" if isinstance(item, Command) else "*"
+    return f"{start}{servo_id}{_body(item)}".encode("ascii")
+
+
+def _body(item: Command | Reply) -> str:
+    value = "" if item.value is None else item.value
+    if isinstance(item, Reply) or not item.modifiers:
+        return f"{item.keyword}{value}"
+    return f"{item.keyword}{value}" + "".join(f"{name}{given}" for name, given in item.modifiers)
+
+
+def _sharing(item: Command | Reply) -> tuple[int | None, bool]:
+    """Neighbours with the same key share a section, where they are queries or their replies."""
+    return item.servo_id, item.keyword.startswith("Q")
+
+
+def _joined(run: Sequence[Command | Reply]) -> bytes:
+    if len(run) == 1 or not run[0].keyword.startswith("Q"):
+        return b"".join(map(_section, run))
+    first, *others = (
+        Command(item.servo_id, item.keyword, 0, item.modifiers)
+        if isinstance(item, Command) and item.value is None
+        else item
+        for item in run
+    )
+    return _section(first) + "".join(map(_body, others)).encode("ascii")

@@ -1,0 +1,43 @@
+"""Every conversion between units, and the only powers of ten in the package."""
+
+from __future__ import annotations
+
+from typing import Final
+
+NS_PER_S: Final = 1_000_000_000
+NS_PER_MS: Final = 1_000_000
+NS_PER_US: Final = 1_000
+US_PER_S: Final = 1_000_000
+MS_PER_S: Final = 1_000
+
+LINE_BITS_PER_BYTE: Final = 10
+"""Start bit, eight data bits, stop bit (8N1; seed 000 gives no other frame)."""
+
+
+def ns_from_s(duration_s: float) -> int:
+    return round(duration_s * NS_PER_S)
+
+
+def s_from_ns(duration_ns: int) -> float:
+    return duration_ns / NS_PER_S
+
+
+def us_from_s(duration_s: float) -> int:
+    return round(duration_s * US_PER_S)
+
+
+def s_from_us(duration_us: float) -> float:
+    return duration_us / US_PER_S
+
+
+def ms_from_s(duration_s: float) -> int:
+    return round(duration_s * MS_PER_S)
+
+
+def s_from_ms(duration_ms: float) -> float:
+    return duration_ms / MS_PER_S
+
+
+def line_time_ns(size_bytes: int, baud_bps: int) -> int:
+    """How long `size_bytes` occupy a line of `baud_bps`, rounded up."""
+    return -(-size_bytes * LINE_BITS_PER_BYTE * NS_PER_S // baud_bps)
