@@ -1,0 +1,165 @@
+"""The keys of a robot file: names, units, plain bounds. What they mean together is `robot.load`'s.
+
+Importing this module imports pydantic, so it is imported where a file is read.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal
+
+from pydantic import AfterValidator, Field
+
+from lss_motion.robot.models import BAUD_FIRMWARE_MIN, NOT_DRIVEN_YET, SERVO_ID_MAX, SERVO_MODELS
+from lss_motion.spelling import known_names
+from lss_motion.validation import FileModel, Name, Text
+
+ANGLE_MAX_DEG: Final = 36_000.0
+"""A hundred turns: more than any winch, and a slip of the key is still noticed."""
+
+SPEED_MIN_DEG_S: Final = 0.1
+"""The unit of SD on the wire (seed 000, table row SD: tenths of a degree per second)."""
+
+ACCEL_MIN_DEG_S2: Final = 0.1
+"""Three orders below the smallest ramp of a servo; less is a typing error."""
+
+
+def _check_model(name: str) -> str:
+    if name in NOT_DRIVEN_YET:
+        raise ValueError(f"is not driven yet; {known_names(name, SERVO_MODELS)}")
+    if name not in SERVO_MODELS:
+        raise ValueError(f"is not a known model; {known_names(name, SERVO_MODELS)}")
+    return name
+
+
+def _check_direction(direction: int) -> int:
+    if direction not in {1, -1}:
+        raise ValueError("must be 1 or -1")
+    return direction
+
+
+def _check_baud(baud_bps: int) -> int:
+    if baud_bps not in BAUD_FIRMWARE_MIN:
+        raise ValueError(f"must be one of {', '.join(map(str, BAUD_FIRMWARE_MIN))}")
+    return baud_bps
+
+
+AngleDeg = Annotated[float, Field(ge=-ANGLE_MAX_DEG, le=ANGLE_MAX_DEG)]
+
+
+class BusEntry(FileModel, title="bus"):
+    """One serial line with servos on it."""
+
+    port: Text = Field(
+        default="sim://",
+        description="Device name or pyserial URL; sim:// is the built-in simulated bus.",
+        examples=["sim://", "/dev/ttyUSB0", "COM3"],
+    )
+    baud_bps: Annotated[int, AfterValidator(_check_baud)] = Field(
+        default=115200,
+        description="What the servos are set to. 750000 and 921600 need firmware 369 or later.",
+        json_schema_extra={"enum": list(BAUD_FIRMWARE_MIN)},
+    )
+    firmware: int = Field(default=370, ge=1, le=999, description="Firmware of the servos (QF).")
+
+
+class ResponseEntry(FileModel, title="response"):
+    """What is assumed of a servo between the command and the horn; measure before changing."""
+
+    lag_s: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=1.0,
+        description="The horn follows the servo's profile this much later.",
+    )
+    loop_s: float | None = Field(
+        default=None, gt=0.0, le=0.1, description="Period of the servo's control loop."
+    )
+    retarget: Literal["keep_speed", "from_rest"] | None = Field(
+        default=None, description="How a command in mid-move starts."
+    )
+    t_law: Literal["cruise", "exact"] | None = Field(
+        default=None,
+        description="cruise: the travel speed is distance / T, ramps come on top. "
+        "exact: the whole move takes T.",
+    )
+
+
+class JointDefaults(FileModel, title="joint defaults"):
+    """Fields that joints share; a joint's own value wins, key by key in settings and response."""
+
+    bus: Name | None = Field(
+        default=None, description="Name of the bus; may be left out where there is only one."
+    )
+    model: Annotated[str, AfterValidator(_check_model)] | None = Field(
+        default=None, description="Servo model.", json_schema_extra={"enum": list(SERVO_MODELS)}
+    )
+    range_deg: Annotated[list[AngleDeg], Field(min_length=2, max_length=2)] | None = Field(
+        default=None,
+        description="Least and largest joint angle that the mechanics allow.",
+        examples=[[-90, 90]],
+    )
+    speed_max_deg_s: float | None = Field(
+        default=None, ge=SPEED_MIN_DEG_S, description="Never move faster, in degrees per second."
+    )
+    accel_max_deg_s2: float | None = Field(
+        default=None,
+        ge=ACCEL_MIN_DEG_S2,
+        description="Never speed up or brake harder; at most 1000, which is all that the servo's "
+        "own ramps (AA, AD) can express.",
+    )
+    direction: Annotated[int, AfterValidator(_check_direction)] | None = Field(
+        default=None,
+        description="-1 where the servo turns the other way: "
+        "servo angle = zero_deg + direction * joint angle. Default 1.",
+        json_schema_extra={"enum": [1, -1]},
+    )
+    zero_deg: AngleDeg | None = Field(
+        default=None, description="Servo angle where the joint angle is 0. Default 0."
+    )
+    following_deg: float | None = Field(
+        default=None,
+        gt=0.0,
+        le=360.0,
+        description="The show is stopped when the horn strays further. Default 10.",
+    )
+    settings: dict[str, int] | None = Field(
+        default=None,
+        description="Session settings sent before playing, as wire values.",
+        examples=[{"AS": -2, "AH": 3}],
+    )
+    response: ResponseEntry | None = None
+
+
+class JointEntry(JointDefaults, title="joint"):
+    """One servo as the robot sees it."""
+
+    id: int = Field(ge=0, le=SERVO_ID_MAX, description="Id of the servo on its bus (QID).")
+
+
+class RobotFile(FileModel, title="robot file"):
+    """A robot: its buses, its joints with their limits, and named poses."""
+
+    robot: Text = Field(description="Name of the robot, as shown on screen and in reports.")
+    buses: Annotated[dict[Name, BusEntry], Field(min_length=1)] = Field(
+        default_factory=lambda: {"main": BusEntry()},
+        description="Serial lines by name. Left out: one simulated bus called main.",
+    )
+    defaults: JointDefaults = Field(
+        default_factory=JointDefaults, description="Fields that all joints share."
+    )
+    joints: Annotated[dict[Name, JointEntry], Field(min_length=1)] = Field(
+        description="Joints by name, in the order in which tables and plots show them."
+    )
+    poses: dict[Name, Annotated[dict[Name, AngleDeg], Field(min_length=1)]] = Field(
+        default={},
+        description="Joint angles in degrees by name; a pose need not name all joints.",
+    )
+    approach_speed_deg_s: float = Field(
+        default=30.0,
+        ge=SPEED_MIN_DEG_S,
+        description="How fast the robot goes from where it is to where the show starts.",
+    )
+    end: Literal["hold", "limp"] = Field(
+        default="hold",
+        description="What the servos do after the show: keep their position, or let go.",
+    )

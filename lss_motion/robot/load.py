@@ -1,0 +1,246 @@
+"""robot.yaml → Robot: defaults are merged, and everything that must agree is checked here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from lss_motion.robot.model import Bus, Joint, Response, Robot
+from lss_motion.robot.models import BAUD_FIRMWARE_MIN, FAMILIES, SERVO_MODELS
+from lss_motion.spelling import known_names
+from lss_motion.yaml_source import Location, Problem, read_yaml
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from lss_motion.robot.file import JointDefaults, JointEntry, RobotFile
+
+SIMULATED_PORT: Final = "sim://"
+"""Every simulated bus is its own, so several may have this port; a real port carries one bus."""
+
+_NEEDED: Final = ("model", "range_deg", "speed_max_deg_s", "accel_max_deg_s2")
+
+
+def load_robot(path: Path | str) -> Robot:
+    """Return the robot of a robot file.
+
+    Joints keep the order of the file. Raises `InputError` with file, line, value and remedy;
+    its `more` holds all further problems of the file.
+    """
+    from lss_motion.robot.file import RobotFile
+    from lss_motion.validation import validate
+
+    source = read_yaml(Path(path))
+    content, problems, left_out = validate(RobotFile, source)
+    if content is not None:
+        loader = _Loader(content, left_out)
+        robot = loader.robot(source.path)
+        problems += loader.problems
+        if not problems:
+            return robot
+    raise source.error(problems)
+
+
+def robot_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a robot file."""
+    from lss_motion.json_schema import json_schema
+    from lss_motion.robot.file import RobotFile
+
+    return json_schema(RobotFile)
+
+
+@dataclass(slots=True)
+class _Merged:
+    """The fields of one joint, its own before the defaults, and where each of them stands."""
+
+    fields: dict[str, Any]
+    places: dict[str, Location]
+
+    def place(self, name: str) -> Location:
+        return self.places[name]
+
+
+def _merge(name: str, defaults: JointDefaults, entry: JointEntry) -> _Merged:
+    merged = _Merged({}, {})
+    for owner, location in ((defaults, ("defaults",)), (entry, ("joints", name))):
+        for key in owner.model_fields_set:
+            value = getattr(owner, key)
+            if value is None:  # A key without a value: a problem that is known already.
+                continue
+            if key == "response":
+                value = merged.fields.get(key, {}) | value.model_dump(exclude_none=True)
+            elif key == "settings":
+                value = merged.fields.get(key, {}) | value
+                merged.places |= {f"settings.{k}": (*location, key, k) for k in getattr(owner, key)}
+            merged.fields[key] = value
+            merged.places[key] = (*location, key)
+    return merged
+
+
+@dataclass(slots=True)
+class _Loader:
+    """Builds the values of one file and notes what does not fit; parts left out are not judged."""
+
+    content: RobotFile
+    left_out: frozenset[Location]
+    problems: list[Problem] = field(default_factory=list)
+
+    def robot(self, path: Path) -> Robot:
+        content = self.content
+        buses = {
+            name: Bus(name=name, port=b.port, baud_bps=b.baud_bps, firmware=b.firmware)
+            for name, b in content.buses.items()
+        }
+        self._check_buses(buses)
+        built = {name: self._joint(name, entry) for name, entry in content.joints.items()}
+        joints = {name: joint for name, joint in built.items() if joint is not None}
+        self._check_ids(joints)
+        self._check_poses(joints)
+        return Robot(
+            name=content.robot,
+            path=path,
+            buses=buses,
+            joints=joints,
+            poses=content.poses,
+            approach_speed_deg_s=content.approach_speed_deg_s,
+            end=content.end,
+        )
+
+    def _note(self, location: Location, reason: str) -> None:
+        self.problems.append(Problem(location, reason))
+
+    def _is_judged(self, *location: str) -> bool:
+        return not any(self.left_out & {location[:1], location[:2]})
+
+    def _check_buses(self, buses: Mapping[str, Bus]) -> None:
+        ports: dict[str, str] = {}
+        for name, bus in buses.items():
+            firmware_min = BAUD_FIRMWARE_MIN[bus.baud_bps]
+            if bus.firmware < firmware_min:
+                self._note(
+                    ("buses", name, "baud_bps"),
+                    f"{bus.baud_bps} bps needs firmware {firmware_min} or later, but bus "
+                    f"{name!r} has {bus.firmware}; lower baud_bps or update the servos",
+                )
+            if bus.port == SIMULATED_PORT:
+                continue
+            if bus.port in ports:
+                self._note(
+                    ("buses", name, "port"),
+                    f"port {bus.port!r} already carries bus {ports[bus.port]!r}; "
+                    "give each bus its own port",
+                )
+            ports.setdefault(bus.port, name)
+
+    def _joint(self, name: str, entry: JointEntry) -> Joint | None:
+        merged = _merge(name, self.content.defaults, entry)
+        fields = merged.fields
+        missing = [key for key in _NEEDED if key not in fields and self._is_judged("defaults", key)]
+        for key in missing:
+            self._note(
+                ("joints", name, key),
+                f"joint {name!r} has no {key!r}; give it here or under 'defaults'",
+            )
+        bus = self._bus(name, merged)
+        if bus is None or any(key not in fields for key in _NEEDED):
+            return None
+        joint = Joint(
+            name=name,
+            servo_id=entry.id,
+            bus=bus,
+            model=SERVO_MODELS[fields["model"]],
+            position_min_deg=fields["range_deg"][0],
+            position_max_deg=fields["range_deg"][1],
+            settings=fields.get("settings", {}),
+            response=Response(**fields.get("response", {})),
+            **{key: fields[key] for key in _PLAIN if key in fields},
+        )
+        for location, reason in _joint_problems(joint, merged):
+            self._note(location, reason)
+        return joint
+
+    def _bus(self, name: str, merged: _Merged) -> str | None:
+        buses = self.content.buses
+        if not self._is_judged("buses") or any(place[0] == "buses" for place in self.left_out):
+            return None
+        if "bus" not in merged.fields:
+            if len(buses) == 1:
+                return next(iter(buses))
+            self._note(
+                ("joints", name, "bus"),
+                f"joint {name!r} has no 'bus', and there are several: {', '.join(buses)}",
+            )
+            return None
+        bus = str(merged.fields["bus"])
+        if bus not in buses:
+            self._note(merged.place("bus"), f"unknown bus {bus!r}; {known_names(bus, buses)}")
+            return None
+        return bus
+
+    def _check_ids(self, joints: Mapping[str, Joint]) -> None:
+        owners: dict[tuple[str, int], str] = {}
+        for name, joint in joints.items():
+            owner = owners.setdefault((joint.bus, joint.servo_id), name)
+            if owner != name:
+                self._note(
+                    ("joints", name, "id"),
+                    f"joints {owner!r} and {name!r} both have id {joint.servo_id} on bus "
+                    f"{joint.bus!r}; every servo of a bus needs its own id",
+                )
+
+    def _check_poses(self, joints: Mapping[str, Joint]) -> None:
+        named = [
+            *self.content.joints,
+            *(str(place[1]) for place in self.left_out if place[0] == "joints" and len(place) > 1),
+        ]
+        for pose, angles in self.content.poses.items():
+            for name, angle_deg in angles.items():
+                if name not in named:
+                    reason = f"pose {pose!r}: unknown joint {name!r}; {known_names(name, named)}"
+                    self._note(("poses", pose, name), reason)
+                elif name in joints and (reason := range_problem(joints[name], angle_deg)):
+                    self._note(("poses", pose, name), f"pose {pose!r}: {reason}")
+
+
+_PLAIN: Final = ("speed_max_deg_s", "accel_max_deg_s2", "direction", "zero_deg", "following_deg")
+
+
+def range_problem(joint: Joint, angle_deg: float) -> str:
+    """Return why the joint may not stand at `angle_deg`, or nothing if it may."""
+    if joint.position_min_deg <= angle_deg <= joint.position_max_deg:
+        return ""
+    return (
+        f"joint {joint.name!r} at {angle_deg:g} deg is outside its range, "
+        f"{joint.position_min_deg:g} to {joint.position_max_deg:g} deg"
+    )
+
+
+def _joint_problems(joint: Joint, merged: _Merged) -> Iterator[tuple[Location, str]]:
+    model, facts = joint.model, FAMILIES[joint.model.family]
+    if joint.position_min_deg >= joint.position_max_deg:
+        yield (
+            merged.place("range_deg"),
+            f"joint {joint.name!r}: range_deg must rise, but goes from "
+            f"{joint.position_min_deg:g} to {joint.position_max_deg:g}",
+        )
+    if joint.speed_max_deg_s > model.speed_max_deg_s:
+        yield (
+            merged.place("speed_max_deg_s"),
+            f"joint {joint.name!r}: {joint.speed_max_deg_s:g} deg/s is faster than a "
+            f"{model.name} can turn without load, {model.speed_max_deg_s:g} deg/s",
+        )
+    if joint.accel_max_deg_s2 > facts.accel_max_deg_s2:
+        yield (
+            merged.place("accel_max_deg_s2"),
+            f"joint {joint.name!r}: {joint.accel_max_deg_s2:g} deg/s² is more than the ramps of "
+            f"the servo (AA, AD) can express, {facts.accel_max_deg_s2:g} deg/s²",
+        )
+    for keyword, value in joint.settings.items():
+        place = merged.place(f"settings.{keyword}")
+        if keyword not in facts.settings:
+            known = known_names(keyword, facts.settings)
+            yield place, f"joint {joint.name!r}: unknown setting {keyword!r}; {known}"
+        elif not facts.settings[keyword][0] <= value <= facts.settings[keyword][1]:
+            least, most = facts.settings[keyword]
+            yield place, f"joint {joint.name!r}: {keyword} {value} must be {least} to {most}"

@@ -1,0 +1,95 @@
+"""What a robot is: buses, joints, limits and poses. Values only; `robot.load` makes them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+from lss_motion.protocol.family import Family  # noqa: TC001 (importable from here)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Response:
+    """What is assumed of a servo between the command and the horn. Every field is an assumption.
+
+    `lag_s`        the horn follows the servo's own profile this much later
+    `loop_s`       the servo takes up a command at its next control tick (5 ms: maker's staff)
+    `retarget`     a new `D…T…` in mid-move starts from the profile's position and speed
+                   (`keep_speed`) or from rest (`from_rest`); no document says (design 11)
+    `t_law`        `cruise`: travel speed = distance / T, so the ramps come on top;
+                   `exact`: the whole move takes T
+    """
+
+    lag_s: float = 0.02
+    loop_s: float = 0.005
+    retarget: Literal["keep_speed", "from_rest"] = "keep_speed"
+    t_law: Literal["cruise", "exact"] = "cruise"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoModel:
+    """One row of the table of servo models (`robot.models`)."""
+
+    name: str
+    family: Family
+    speed_max_deg_s: float
+    """No-load top speed; a joint's configured limit must not exceed it."""
+    wire_per_deg: int
+    """Position units on the wire per degree: 10 (LSS, tenths), 100 (LSS-PRO, hundredths)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bus:
+    """One serial line. `port` is a pyserial URL, a device name, or `sim://`."""
+
+    name: str
+    port: str
+    baud_bps: int
+    firmware: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Joint:
+    """One servo as the robot sees it: named, bounded, turning the right way.
+
+    Joint angle and servo angle: `servo_deg = zero_deg + direction * joint_deg`.
+    """
+
+    name: str
+    servo_id: int
+    bus: str
+    model: ServoModel
+    position_min_deg: float
+    position_max_deg: float
+    speed_max_deg_s: float
+    accel_max_deg_s2: float
+    direction: Literal[1, -1] = 1
+    zero_deg: float = 0.0
+    following_deg: float = 10.0
+    """How far the horn may stray before the show is stopped."""
+    settings: Mapping[str, int] = field(default_factory=dict)
+    """Session settings to send before playing, such as `{"AS": -2}`; wire values."""
+    response: Response = field(default_factory=Response)
+
+    def servo_deg(self, joint_deg: float) -> float:
+        return self.zero_deg + self.direction * joint_deg
+
+    def joint_deg(self, servo_deg: float) -> float:
+        return self.direction * (servo_deg - self.zero_deg)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Robot:
+    """Buses and joints by name, in the order of the file, and the named poses."""
+
+    name: str
+    path: Path | None
+    buses: Mapping[str, Bus]
+    joints: Mapping[str, Joint]
+    poses: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    approach_speed_deg_s: float = 30.0
+    end: Literal["hold", "limp"] = "hold"

@@ -1,0 +1,97 @@
+"""The table of servo models, and what each family can do that playing needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.protocol.family import Family
+from lss_motion.robot.model import ServoModel
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+PRO_SPEED_MAX_ASSUMED_DEG_S: Final = 180.0
+"""Assumption: no document gives the top speed of an LSS-PRO. Twice what real arms use (90 deg/s,
+lss_facts section 3), so that a sober setting is never refused."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FamilyFacts:
+    """What all models of a family have in common.
+
+    `accel_max_deg_s2` is what the ramps AA and AD can express; a timed joint cannot follow more.
+    `settings` are the session settings that a robot file may set, with their least and largest
+    value. EM, AA, AD and SD are not among them: the player sets those to what the plan needs.
+    """
+
+    wire_per_deg: int
+    accel_step_deg_s2: float
+    accel_max_deg_s2: float
+    settings: Mapping[str, tuple[int, int]]
+
+
+_STIFFNESS: Final = (-10, 10)
+"""AS and AH: -4..4 is sensible, -10..10 is accepted (lss_facts section 4, out of range)."""
+
+_LED: Final = (0, 7)
+"""0 off to 7 white, all families (design 11)."""
+
+FAMILIES: Final[Mapping[Family, FamilyFacts]] = MappingProxyType(
+    {
+        Family.LSS: FamilyFacts(
+            wire_per_deg=10,  # seed 000, table row D: 1/10 deg
+            accel_step_deg_s2=10.0,  # design 4; lss_facts 1.3: steps of 10 deg/s², 1..100
+            accel_max_deg_s2=1000.0,
+            settings=MappingProxyType({"AS": _STIFFNESS, "AH": _STIFFNESS, "LED": _LED}),
+        ),
+        Family.LSS_PRO: FamilyFacts(
+            wire_per_deg=100,  # seed 001 line 132, table row D: 1/100 deg
+            accel_step_deg_s2=10.0,  # seed 001 lines 489 and 514: 1..100, increments of 10 deg/s²
+            accel_max_deg_s2=1000.0,
+            settings=MappingProxyType({"LED": _LED}),  # its tables have no AS and AH
+        ),
+    }
+)
+
+
+def _model(name: str, family: Family, speed_max_deg_s: float) -> ServoModel:
+    return ServoModel(
+        name=name,
+        family=family,
+        speed_max_deg_s=speed_max_deg_s,
+        wire_per_deg=FAMILIES[family].wire_per_deg,
+    )
+
+
+SERVO_MODELS: Final[Mapping[str, ServoModel]] = MappingProxyType(
+    {
+        model.name: model
+        for model in (
+            # No-load speeds of the LSS: lss_facts section 3 (datasheets, certainty C).
+            _model("LSS-ST1", Family.LSS, 360.0),
+            _model("LSS-HS1", Family.LSS, 600.0),
+            _model("LSS-HT1", Family.LSS, 360.0),
+            _model("LSS-P-S1", Family.LSS_PRO, PRO_SPEED_MAX_ASSUMED_DEG_S),
+            _model("LSS-P-M1", Family.LSS_PRO, PRO_SPEED_MAX_ASSUMED_DEG_S),
+            _model("LSS-P-L1", Family.LSS_PRO, PRO_SPEED_MAX_ASSUMED_DEG_S),
+        )
+    }
+)
+
+NOT_DRIVEN_YET: Final = frozenset({"LSS-2IO"})
+"""Models that are known but have no drive; a robot file that names one is refused."""
+
+BAUD_FIRMWARE_MIN: Final[Mapping[int, int]] = MappingProxyType(
+    {
+        # Seed 000 line 443: the rates of every firmware.
+        **dict.fromkeys([9600, 19200, 38400, 57600, 115200, 230400, 250000, 460800, 500000], 0),
+        # lss_facts section 3: firmware 369 added these.
+        **dict.fromkeys([750000, 921600], 369),
+    }
+)
+"""The baud rates that a servo recognises, and from which firmware; no others exist."""
+
+SERVO_ID_MAX: Final = 250
+"""Ids 0 to 250 are usable (lss_facts section 4); this also bounds the joints of one bus to 251."""

@@ -1,0 +1,48 @@
+"""Files as people give them: bounded, and refused in words with the line."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.errors import InputError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+FILE_MAX_BYTES: Final = 16_000_000
+"""10,000 keyframes of 40 joints are 8 MB; twice that, and an endless device still ends."""
+
+
+def read_data(path: Path) -> bytes:
+    """Return the content of a file, or raise `InputError`."""
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(FILE_MAX_BYTES + 1)
+    except FileNotFoundError:
+        raise InputError("file not found; check the name", path=path) from None
+    except IsADirectoryError:
+        raise InputError("is a folder; name a file in it", path=path) from None
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have.
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"cannot be read: {reason}", path=path) from error
+    if len(data) > FILE_MAX_BYTES:
+        most = f"{FILE_MAX_BYTES // 1_000_000} MB"
+        raise InputError(f"is larger than {most}, the most that is read", path=path)
+    return data
+
+
+def text_of(data: bytes, path: Path) -> str:
+    """Return UTF-8 text without its byte-order mark, or raise `InputError`."""
+    if b"\0" in data:
+        raise InputError("is a binary file (or UTF-16); a text file in UTF-8 is needed", path=path)
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        reason = f"byte 0x{data[error.start]:02x} is not UTF-8; save the file as UTF-8"
+        raise InputError(reason, path=path, line=line) from error
+
+
+def read_text(path: Path) -> str:
+    """Return the UTF-8 text of a file, or raise `InputError`."""
+    return text_of(read_data(path), path)

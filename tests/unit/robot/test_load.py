@@ -1,0 +1,210 @@
+"""robot.yaml → Robot: what is merged, what is defaulted, what is refused and where."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from lss_motion.errors import InputError
+from lss_motion.robot import load_robot
+from lss_motion.robot.model import Bus, Response, Robot
+
+ROOT = Path(__file__).resolve().parents[3]
+
+START = """\
+robot: test
+defaults: {model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 180, accel_max_deg_s2: 600}
+joints:
+"""
+
+
+@pytest.fixture
+def robot_path(tmp_path: Path) -> Path:
+    return tmp_path / "robot.yaml"
+
+
+def load(path: Path, text: str) -> Robot:
+    path.write_text(text, encoding="utf-8")
+    return load_robot(path)
+
+
+def refusals(path: Path, text: str) -> list[tuple[int | None, str]]:
+    with pytest.raises(InputError) as caught:
+        load(path, text)
+    return [(error.line, error.reason) for error in (caught.value, *caught.value.more)]
+
+
+def test_the_desk_arm_reads_as_it_is_written() -> None:
+    robot = load_robot(ROOT / "sequences/robots/desk_arm.yaml")
+    assert robot.name == "desk_arm"
+    assert list(robot.joints) == ["base", "shoulder", "elbow", "wrist", "gripper"]
+    assert robot.buses == {"main": Bus(name="main", port="sim://", baud_bps=115200, firmware=370)}
+    shoulder = robot.joints["shoulder"]
+    assert (shoulder.servo_id, shoulder.bus, shoulder.direction) == (2, "main", -1)
+    assert shoulder.model.name == "LSS-HT1"
+    assert (shoulder.position_min_deg, shoulder.position_max_deg) == (-90.0, 90.0)
+    assert (shoulder.speed_max_deg_s, shoulder.accel_max_deg_s2) == (180.0, 600.0)
+    assert robot.poses["home"]["elbow"] == -60.0
+    assert robot.end == "hold"
+
+
+def test_a_robot_needs_no_more_than_joints(robot_path: Path) -> None:
+    robot = load(
+        robot_path,
+        "robot: one\njoints:\n  a: {id: 0, model: LSS-P-S1, range_deg: [-1, 1], "
+        "speed_max_deg_s: 5, accel_max_deg_s2: 7}\n",
+    )
+    assert robot.path == robot_path
+    assert robot.buses["main"].port == "sim://"
+    assert robot.joints["a"].bus == "main"
+    assert robot.joints["a"].model.wire_per_deg == 100
+    assert robot.joints["a"].following_deg == 10.0
+    assert robot.joints["a"].response == Response()
+    assert robot.approach_speed_deg_s == 30.0
+
+
+def test_a_joint_wins_over_defaults_key_by_key(robot_path: Path) -> None:
+    robot = load(
+        robot_path,
+        "robot: two\n"
+        "defaults:\n"
+        "  {model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 180, accel_max_deg_s2: 600,\n"
+        "   direction: -1, zero_deg: 5, settings: {AS: -2, AH: 3}, response: {lag_s: 0.1}}\n"
+        "joints:\n"
+        "  a: {id: 1, direction: 1, settings: {AH: 0}, response: {t_law: exact}}\n"
+        "  b: {id: 2}\n",
+    )
+    a, b = robot.joints["a"], robot.joints["b"]
+    assert (a.direction, b.direction) == (1, -1)
+    assert (a.settings, b.settings) == ({"AS": -2, "AH": 0}, {"AS": -2, "AH": 3})
+    assert a.response == Response(lag_s=0.1, t_law="exact")
+    assert b.response == Response(lag_s=0.1)
+    assert (a.servo_deg(10.0), b.servo_deg(10.0)) == (15.0, -5.0)
+
+
+@pytest.mark.parametrize(
+    ("joints", "line", "reason"),
+    [
+        ("  a: {id: 1, range_deg: [9, -9]}", 4, "range_deg must rise, but goes from 9 to -9"),
+        ("  a: {id: 1, range_deg: [5, 5]}", 4, "range_deg must rise, but goes from 5 to 5"),
+        ("  a: {id: 1, range_deg: [1, 2, 3]}", 4, "must have 2 or fewer entries"),
+        ("  a: {id: 1, range_deg: [0, .nan]}", 4, "must be a finite number"),
+        ("  a: {id: 1, range_deg: [0, .inf]}", 4, "must be a finite number"),
+        ("  a: {id: 1, range_deg: [0, 1e6]}", 4, "must be 36000 or less"),
+        ("  a: {id: '1'}", 4, "joints.a.id ('1'): must be a whole number"),
+        ("  a: {id: true}", 4, "joints.a.id (true): must be a whole number"),
+        ("  a: {id: 251}", 4, "must be 250 or less"),
+        ("  a: {id: -1}", 4, "must be 0 or more"),
+        ("  a: {}", 4, "'id' is missing"),
+        ("  a: 3", 4, "must hold keys and values"),
+        ("  a: {id: 1, direction: 0}", 4, "must be 1 or -1"),
+        ("  a: {id: 1, direction: true}", 4, "must be a whole number"),
+        ("  a: {id: 1, speed_max_deg_s: '9'}", 4, "must be a number"),
+        ("  a: {id: 1, speed_max_deg_s: true}", 4, "must be a number"),
+        ("  a: {id: 1, speed_max_deg_s: 0}", 4, "must be 0.1 or more"),
+        ("  a: {id: 1, speed_max_deg_s: servo}", 4, "must be a number"),
+        ("  a: {id: 1, speed_max_deg_s: 361}", 4, "faster than a LSS-ST1 can turn"),
+        ("  a: {id: 1, accel_max_deg_s2: 1001}", 4, "more than the ramps of the servo (AA, AD)"),
+        ("  a: {id: 1, model: LSS-2IO}", 4, "is not driven yet"),
+        ("  a: {id: 1, model: LSS-ST2}", 4, "did you mean 'LSS-ST1'?"),
+        ("  a: {id: 1, drive: streamed}", 4, "unknown key 'drive'"),
+        ("  a: {id: 1, sped_max_deg_s: 9}", 4, "did you mean 'speed_max_deg_s'?"),
+        ("  a: {id: 1, bus: man}", 4, "unknown bus 'man'; did you mean 'main'?"),
+        ("  a: {id: 1, settings: {AX: 1}}", 4, "unknown setting 'AX'"),
+        ("  a: {id: 1, settings: {AS: 11}}", 4, "AS 11 must be -10 to 10"),
+        ("  a: {id: 1, settings: {AS: 1.5}}", 4, "must be a whole number"),
+        ("  a: {id: 1, model: LSS-P-S1, settings: {AS: 1}}", 4, "unknown setting 'AS'"),
+        ("  a: {id: 1, response: {retarget: fly}}", 4, "there are: keep_speed, from_rest"),
+        ("  a: {id: 1, response: {lag_s: -1}}", 4, "must be 0 or more"),
+        ("  a: {id: 1, following_deg: 0}", 4, "must be more than 0"),
+        ("  a b: {id: 1}", 4, "a name has no blanks"),
+        ('  "a\\x1b": {id: 1}', 4, "U+001B"),
+        ("  a: {id: 1}\nposes: {p: {b: 1}}", 5, "unknown joint 'b'"),
+        ("  a: {id: 1}\nposes: {p: {a: 90.1}}", 5, "joint 'a' at 90.1 deg is outside its range"),
+        ("  a: {id: 1}\nposes: {p: {}}", 5, "must have 1 or more entries"),
+        ("  a: {id: 1}\nbuses: {}", 5, "must have 1 or more entries"),
+        ("  a: {id: 1}\nbuses: {x: {baud_bps: 100}}", 5, "must be one of 9600, 19200"),
+        (
+            "  a: {id: 1}\nbuses: {x: {baud_bps: 921600, firmware: 368}}",
+            5,
+            "needs firmware 369 or later",
+        ),
+        (
+            "  a: {id: 1, bus: x}\nbuses:\n  x: {port: COM1}\n  y: {port: COM1}",
+            7,
+            "port 'COM1' already carries bus 'x'",
+        ),
+        ("  a: {id: 1}\nbuses: {x: {}, y: {}}", 4, "has no 'bus', and there are several: x, y"),
+        ("  a: {id: 1}\nsensors: {}", 5, "unknown key 'sensors'"),
+        ("  a: {id: 1}\nend: float", 5, "there are: hold, limp"),
+        ("  a: {id: 1}\nrobot: again", 5, "'robot' is given twice, first in line 1"),
+        ("  a: {id: 1}\napproach_speed_deg_s:", 5, "has no value"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_line_and_reason(
+    robot_path: Path, joints: str, line: int, reason: str
+) -> None:
+    ((found_line, found_reason),) = refusals(robot_path, START + joints + "\n")
+    assert found_line == line
+    assert reason in found_reason
+
+
+def test_two_joints_with_one_id_on_one_bus_are_both_named(robot_path: Path) -> None:
+    ((line, reason),) = refusals(robot_path, START + "  a: {id: 7}\n  b: {id: 7}\n")
+    assert line == 5
+    assert "joints 'a' and 'b' both have id 7 on bus 'main'" in reason
+
+
+def test_one_id_on_two_buses_is_two_servos(robot_path: Path) -> None:
+    text = START + "  a: {id: 7, bus: x}\n  b: {id: 7, bus: y}\nbuses: {x: {}, y: {}}\n"
+    assert [joint.bus for joint in load(robot_path, text).joints.values()] == ["x", "y"]
+
+
+def test_a_joint_without_a_limit_is_refused_and_told_where_to_give_it(robot_path: Path) -> None:
+    found = refusals(robot_path, "robot: x\njoints:\n  a: {id: 1, model: LSS-ST1}\n")
+    assert [line for line, _ in found] == [3, 3, 3]
+    missing = ("range_deg", "speed_max_deg_s", "accel_max_deg_s2")
+    for (_, reason), key in zip(found, missing, strict=True):
+        assert reason == f"joint 'a' has no {key!r}; give it here or under 'defaults'"
+
+
+def test_a_wrong_default_is_reported_once_at_its_own_line(robot_path: Path) -> None:
+    text = START.replace("180", "400") + "  a: {id: 1}\n  b: {id: 2}\n"
+    ((line, reason),) = refusals(robot_path, text)
+    assert line == 2
+    assert "faster than a LSS-ST1" in reason
+
+
+def test_an_unreadable_default_is_not_also_called_missing(robot_path: Path) -> None:
+    text = START.replace("180", "fast") + "  a: {id: 1}\n  b: {id: 2}\n"
+    ((line, reason),) = refusals(robot_path, text)
+    assert line == 2
+    assert reason == "defaults.speed_max_deg_s ('fast'): must be a number"
+
+
+def test_all_problems_of_a_file_come_in_one_run(robot_path: Path) -> None:
+    found = refusals(
+        robot_path,
+        START
+        + "  a: {id: 1, sped: 3}\n"
+        + "  b: {id: 2, speed_max_deg_s: 999}\n"
+        + "  c: {id: 2}\n"
+        + "poses:\n"
+        + "  p: {a: 3, z: 1}\n"
+        + "  q: {b: fast}\n"
+        + "end: never\n",
+    )
+    assert [line for line, _ in found] == [4, 5, 6, 8, 9, 10]
+
+
+def test_a_fault_in_one_joint_does_not_make_others_unknown(robot_path: Path) -> None:
+    text = START + "  a: {id: one}\n  b: {id: 2}\nposes: {p: {a: 1, b: 1}}\n"
+    assert [line for line, _ in refusals(robot_path, text)] == [4]
+
+
+@pytest.mark.parametrize("key", ["robot", "joints"])
+def test_name_and_joints_cannot_be_left_out(robot_path: Path, key: str) -> None:
+    parts = {"robot": "robot: x\n", "joints": "joints: {a: {id: 1}}\n"}
+    del parts[key]
+    assert (1, f"{key!r} is missing") in refusals(robot_path, "".join(parts.values()))
