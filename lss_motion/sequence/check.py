@@ -1,0 +1,96 @@
+"""What must hold between a sequence and the robot that plays it, and within a loop."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.errors import InputError
+from lss_motion.robot.load import range_problem
+from lss_motion.spelling import known_names
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from collections.abc import Sequence as SequenceOf
+
+    from lss_motion.robot.model import Robot
+    from lss_motion.sequence.model import Keyframe, Sequence
+
+SEAM_TOLERANCE_DEG: Final = 1e-6
+"""Far below the finest unit of a servo (0.01 deg), far above the error of adding decimals."""
+
+SAME_TIME_S: Final = 1e-6
+"""Times closer than this are the same: far below a millisecond, above the error of sums."""
+
+
+def check_sequence(sequence: Sequence, robot: Robot) -> None:
+    """Raise `InputError`, one for all problems, unless `robot` knows and allows every key."""
+    errors = [
+        InputError(reason, path=sequence.path, line=sequence.keyframes[index].line)
+        for index, _, reason in joint_problems(sequence.keyframes, robot)
+    ]
+    if errors:
+        top = errors[0]
+        raise InputError(top.reason, path=top.path, line=top.line, more=errors[1:])
+
+
+def joint_problems(keyframes: SequenceOf[Keyframe], robot: Robot) -> Iterator[tuple[int, str, str]]:
+    """Yield keyframe index, joint and reason of every key that `robot` cannot take."""
+    for index, keyframe in enumerate(keyframes):
+        for name, angle_deg in keyframe.deg.items():
+            joint = robot.joints.get(name)
+            if joint is None:
+                yield index, name, f"unknown joint {name!r}; {known_names(name, robot.joints)}"
+            elif reason := range_problem(joint, angle_deg):
+                yield index, name, reason
+
+
+def jumps(keyframes: SequenceOf[Keyframe]) -> Iterator[tuple[int, str]]:
+    """Yield index and reason of keyframes that move a joint in no time: a hold ends right there."""
+    for index in range(1, len(keyframes)):
+        before, here = keyframes[index - 1], keyframes[index]
+        if before.at_s is None or here.at_s is None:
+            continue
+        if abs(here.at_s - (before.at_s + before.hold_s)) >= SAME_TIME_S:
+            continue
+        for name, angle_deg in here.deg.items():
+            start_deg = before.deg.get(name, angle_deg)
+            if abs(angle_deg - start_deg) > SEAM_TOLERANCE_DEG:
+                yield (
+                    index,
+                    f"joint {name!r} would have to go from {start_deg:g} to {angle_deg:g} deg in "
+                    f"no time, because the keyframe before ends at {here.at_s:g} s; "
+                    "shorten its hold_s or come later",
+                )
+
+
+def loop_problem(keyframes: SequenceOf[Keyframe]) -> str:
+    """Return why these keyframes cannot be played again and again, or nothing if they can."""
+    first: dict[str, float] = {}
+    last: dict[str, float] = {}
+    for keyframe in keyframes:
+        first = {**keyframe.deg, **first}
+        last = {**last, **keyframe.deg}
+    open_joints = [
+        f"{name} starts at {first[name]:g} and ends at {angle_deg:g} deg"
+        for name, angle_deg in last.items()
+        if abs(angle_deg - first[name]) > SEAM_TOLERANCE_DEG
+    ]
+    if open_joints:
+        return (
+            f"a loop must end where it began, but {', '.join(open_joints)}; "
+            "add a final keyframe that returns to the first"
+        )
+    if not _takes_time(keyframes):
+        return "a loop must take time; give more than one keyframe, or a hold_s"
+    return ""
+
+
+def _takes_time(keyframes: SequenceOf[Keyframe]) -> bool:
+    if any(keyframe.hold_s > 0.0 or (keyframe.at_s or 0.0) > 0.0 for keyframe in keyframes):
+        return True
+    seen: dict[str, float] = {}
+    for keyframe in keyframes:
+        for name, angle_deg in keyframe.deg.items():
+            if seen.setdefault(name, angle_deg) != angle_deg:
+                return True
+    return False

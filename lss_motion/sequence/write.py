@@ -1,0 +1,115 @@
+"""Sequence → sequence.yaml that a person can read and edit, and that reads back as the same."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.errors import InputError
+from lss_motion.sequence.model import Interpolation
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from collections.abc import Sequence as SequenceOf
+
+    from lss_motion.sequence.model import Keyframe, Sequence
+
+SCHEMA: Final = Path("schema", "sequence.schema.json")
+"""Where the example sequences keep the schema; used by files written next to them or below."""
+
+_PLAIN: Final = re.compile(r"(\.\./)*[A-Za-z_][A-Za-z0-9_./-]*")
+_NOT_TEXT: Final = frozenset({"null", "true", "false"})
+
+
+def write_sequence(sequence: Sequence, path: Path | str, *, comments: SequenceOf[str] = ()) -> None:
+    """Write `sequence_text` over what is at `path`; raise `InputError` where that is impossible."""
+    path = Path(path)
+    text = sequence_text(sequence, path.parent, comments=comments)
+    try:
+        path.write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", path=path) from error
+
+
+def sequence_text(sequence: Sequence, folder: Path, *, comments: SequenceOf[str] = ()) -> str:
+    """Return a sequence file for `folder` that loads as `sequence` again.
+
+    Poses appear as the angles that they stand for. `comments` are put on top, a line each.
+    """
+    return "\n".join([*_head(sequence, folder, comments), *_body(sequence), ""])
+
+
+def _head(sequence: Sequence, folder: Path, comments: SequenceOf[str]) -> Iterator[str]:
+    schema = next((p / SCHEMA for p in _upwards(folder) if (p / SCHEMA).is_file()), None)
+    if schema is not None:
+        yield f"# yaml-language-server: $schema={_relative(schema, folder)}"
+    for comment in comments:
+        for line in comment.splitlines():
+            yield f"# {_shown(line)}".rstrip()
+    yield f"sequence: {_text(sequence.name)}"
+    if sequence.robot_path is not None:
+        yield f"robot: {_text(_relative(sequence.robot_path, folder))}"
+
+
+def _body(sequence: Sequence) -> Iterator[str]:
+    yield f"timing: {sequence.timing}"
+    if sequence.fit_duration_s is not None:
+        yield f"duration_s: {_number(sequence.fit_duration_s)}"
+    usual = Counter(keyframe.ease for keyframe in sequence.keyframes).most_common(1)[0][0]
+    if usual is not Interpolation.SMOOTH:
+        yield f"interpolation: {usual}"
+    if sequence.loop != 1:
+        yield f"loop: {'forever' if sequence.loop is None else sequence.loop}"
+    yield "keyframes:"
+    for keyframe in sequence.keyframes:
+        yield f"  - {{{', '.join(_keyframe(keyframe, usual))}}}"
+
+
+def _keyframe(keyframe: Keyframe, usual: Interpolation) -> Iterator[str]:
+    if keyframe.at_s is not None:
+        yield f"at_s: {_number(keyframe.at_s)}"
+    if keyframe.label:
+        yield f"label: {_text(keyframe.label)}"
+    yield f"deg: {_angles(keyframe.deg)}"
+    if keyframe.hold_s > 0.0:
+        yield f"hold_s: {_number(keyframe.hold_s)}"
+    if keyframe.is_anchor:
+        yield "anchor: true"
+    if keyframe.ease is not usual:
+        yield f"ease: {keyframe.ease}"
+
+
+def _angles(angles_deg: Mapping[str, float]) -> str:
+    return "{" + ", ".join(f"{_text(n)}: {_number(a)}" for n, a in angles_deg.items()) + "}"
+
+
+def _number(value: float) -> str:
+    """Return the shortest text that reads back as exactly this number."""
+    return str(int(value)) if value.is_integer() else repr(value)
+
+
+def _text(text: str) -> str:
+    if _PLAIN.fullmatch(text) and text.lower() not in _NOT_TEXT:
+        return text
+    return json.dumps(text, ensure_ascii=False)  # Of printable text, JSON is YAML.
+
+
+def _shown(line: str) -> str:
+    return "".join(char if char.isprintable() else "?" for char in line)
+
+
+def _upwards(folder: Path) -> list[Path]:
+    folder = folder.absolute()
+    return [folder, *folder.parents]
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """Return `path` as seen from `folder`, with forward slashes."""
+    try:
+        return Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:  # Another drive of Windows.
+        return path.absolute().as_posix()

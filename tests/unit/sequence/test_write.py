@@ -1,0 +1,77 @@
+"""Sequence → sequence.yaml: what a person finds in it. That it reads back is a property test."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from lss_motion.errors import InputError
+from lss_motion.sequence import load_sequence, sequence_text, write_sequence
+from lss_motion.sequence.model import Interpolation, Keyframe, Sequence
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.fixture
+def sequence(folder: Path) -> Sequence:
+    return Sequence(
+        name="two words",
+        robot_path=folder / "robot.yaml",
+        loop=None,
+        keyframes=(
+            Keyframe(at_s=0.0, deg={"base": 0.5, "elbow": -20.0}, label="true"),
+            Keyframe(at_s=1.25, deg={"base": 3.0}, hold_s=0.5, ease=Interpolation.LINEAR),
+            Keyframe(at_s=4.0, deg={"base": 0.5, "elbow": -20.0}, is_anchor=True),
+        ),
+    )
+
+
+def test_a_person_finds_one_line_a_keyframe_and_only_what_is_not_usual(
+    folder: Path, sequence: Sequence
+) -> None:
+    assert sequence_text(sequence, folder, comments=["From a\ntest.\x1b"]) == (
+        "# From a\n"
+        "# test.?\n"
+        'sequence: "two words"\n'
+        "robot: robot.yaml\n"
+        "timing: authored\n"
+        "loop: forever\n"
+        "keyframes:\n"
+        '  - {at_s: 0, label: "true", deg: {base: 0.5, elbow: -20}}\n'
+        "  - {at_s: 1.25, deg: {base: 3}, hold_s: 0.5, ease: linear}\n"
+        "  - {at_s: 4, deg: {base: 0.5, elbow: -20}, anchor: true}\n"
+    )
+
+
+def test_the_robot_is_named_relative_to_the_file(folder: Path, sequence: Sequence) -> None:
+    below = folder / "shows" / "mine"
+    below.mkdir(parents=True)
+    write_sequence(sequence, below / "s.yaml")
+    assert "robot: ../../robot.yaml" in (below / "s.yaml").read_text(encoding="utf-8")
+    back = load_sequence(below / "s.yaml")
+    assert back == sequence
+    assert back.robot_path is not None
+    assert back.robot_path.samefile(folder / "robot.yaml")
+
+
+def test_the_schema_is_named_where_one_lies_above(folder: Path, sequence: Sequence) -> None:
+    (folder / "schema").mkdir()
+    (folder / "schema" / "sequence.schema.json").write_text("{}")
+    (folder / "shows").mkdir()
+    first, _, _ = sequence_text(sequence, folder / "shows").partition("\n")
+    assert first == "# yaml-language-server: $schema=../schema/sequence.schema.json"
+
+
+def test_the_usual_way_to_travel_is_said_once(folder: Path, sequence: Sequence) -> None:
+    linear = Keyframe(at_s=5.0, deg={"base": 0.5}, ease=Interpolation.LINEAR)
+    keyframes = (linear, Keyframe(at_s=6.0, deg={"base": 1.0}, ease=Interpolation.LINEAR))
+    text = sequence_text(Sequence(name="s", keyframes=keyframes), folder)
+    assert text.count("linear") == 1
+    assert "interpolation: linear" in text
+
+
+def test_a_place_that_cannot_be_written_is_an_input_error(folder: Path, sequence: Sequence) -> None:
+    with pytest.raises(InputError, match="cannot be written"):
+        write_sequence(sequence, folder / "no such folder" / "s.yaml")
