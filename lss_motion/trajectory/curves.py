@@ -1,0 +1,291 @@
+"""The shape of the motion between keys: smooth, spline, linear and hold, as piecewise cubics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.sequence.model import Interpolation
+from lss_motion.trajectory.path import Path
+from lss_motion.trajectory.spacing import PATH_DECIMALS, least_move_s
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from lss_motion.robot.model import Joint, Robot
+    from lss_motion.trajectory.keys import Key
+    from lss_motion.trajectory.spacing import Spacing
+
+    FloatArray = NDArray[np.float64]
+
+ANGLE_DECIMALS: Final = 9
+"""Angles are rounded to this, so that what differs by rounding alone is no move."""
+
+LINEAR_RAMP_RATIO: Final = 0.25
+"""Each ramp of a `linear` move takes this share of it. Chosen: peak speed is 4/3 of the mean, and
+all joints share the law, so that the line stays straight."""
+
+_FLOWING: Final = (Interpolation.SMOOTH, Interpolation.SPLINE)
+"""What a joint may pass through a key in motion between; `linear` and `hold` stop there."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointKeys:
+    """The keys of one joint along the path: reached, left, angle, and the ease towards each."""
+
+    reached_s: FloatArray
+    left_s: FloatArray
+    deg: FloatArray
+    is_held: NDArray[np.bool_]
+    eases: tuple[Interpolation, ...]
+
+    @property
+    def lengths_s(self) -> FloatArray:
+        return self.reached_s[1:] - self.left_s[:-1]
+
+    @property
+    def secants_deg_s(self) -> FloatArray:
+        return np.diff(self.deg) / self.lengths_s
+
+    def are(self, *kinds: Interpolation) -> NDArray[np.bool_]:
+        """For each move whether its ease is one of `kinds`."""
+        return np.array([ease in kinds for ease in self.eases[1:]], dtype=np.bool_)
+
+
+def joint_keys(own: tuple[Key, ...], spacing: Spacing) -> JointKeys:
+    """Return the keys with positions; keys that repeat what holds anyway are merged."""
+    reached_s: list[float] = []
+    left_s: list[float] = []
+    is_held: list[bool] = []
+    kept: list[Key] = []
+    for key in own:
+        at_s, until_s = float(spacing.reached_s[key.index]), float(spacing.left_s[key.index])
+        if kept and at_s <= left_s[-1]:
+            left_s[-1] = max(left_s[-1], until_s)
+            is_held[-1] |= key.hold_s > 0.0
+        else:
+            reached_s.append(at_s)
+            left_s.append(until_s)
+            is_held.append(key.hold_s > 0.0)
+            kept.append(key)
+    angles_deg = np.array([key.deg for key in kept], dtype=np.float64)
+    return JointKeys(
+        np.array(reached_s),
+        np.array(left_s),
+        np.asarray(np.round(angles_deg, ANGLE_DECIMALS), dtype=np.float64),
+        np.array(is_held),
+        tuple(key.ease for key in kept),
+    )
+
+
+def seam_slope_deg_s(keys: JointKeys, length_s: float) -> float:
+    """Return the slope of a joint where one pass joins the next; 0 where the author rests."""
+    if (
+        len(keys.deg) < 2
+        or keys.reached_s[0] > 0.0
+        or keys.reached_s[-1] < length_s
+        or keys.is_held[[0, -1]].any()
+        or keys.eases[1] not in _FLOWING
+        or keys.eases[-1] not in _FLOWING
+    ):
+        return 0.0
+    lengths_s, secants = keys.lengths_s, keys.secants_deg_s
+    return float(_monotone_slopes(lengths_s[[-1, 0]], secants[[-1, 0]])[0])
+
+
+def build_path(
+    keys: Mapping[str, JointKeys],
+    robot: Robot,
+    length_s: float,
+    *,
+    start_slopes: Mapping[str, float] | None = None,
+    end_slopes: Mapping[str, float] | None = None,
+) -> Path:
+    """Return the path of one pass. Slopes are those at its ends, 0 where not given."""
+    pieces = [
+        _pieces(
+            own,
+            robot.joints[name],
+            length_s,
+            (start_slopes or {}).get(name, 0.0),
+            (end_slopes or {}).get(name, 0.0),
+        )
+        for name, own in keys.items()
+    ]
+    starts_s = np.unique(np.concatenate([starts for starts, _ in pieces]))
+    coefficients = np.empty((len(starts_s), 4, len(pieces)))
+    for column, (own_starts_s, cubics) in enumerate(pieces):
+        chosen = np.searchsorted(own_starts_s, starts_s, side="right") - 1
+        coefficients[:, :, column] = _shifted(cubics[chosen], starts_s - own_starts_s[chosen])
+    return Path(
+        knots_s=np.append(starts_s, max(length_s, float(starts_s[-1]))), coefficients=coefficients
+    )
+
+
+def _shifted(cubics: FloatArray, by_s: FloatArray) -> FloatArray:
+    """Return the same cubics around an origin that lies `by_s` later."""
+    constant, linear, square, cube = cubics.T
+    return np.stack(
+        [
+            constant + by_s * (linear + by_s * (square + by_s * cube)),
+            linear + by_s * (2.0 * square + by_s * 3.0 * cube),
+            square + by_s * 3.0 * cube,
+            cube,
+        ],
+        axis=1,
+    )
+
+
+def _pieces(
+    keys: JointKeys, joint: Joint, length_s: float, start_slope: float, end_slope: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return starts and cubics of one joint's pieces, in order, from 0 to `length_s`."""
+    slopes = _slopes(keys, start_slope, end_slope)
+    is_flowing = keys.are(*_FLOWING)
+    moving = [
+        _flowing(keys, slopes, np.flatnonzero(is_flowing)),
+        _linear(keys, np.flatnonzero(keys.are(Interpolation.LINEAR))),
+        _late(keys, joint, np.flatnonzero(keys.are(Interpolation.HOLD))),
+    ]
+    still = np.zeros((len(keys.deg) + 1, 4))
+    still[:, 0] = keys.deg[[0, *range(len(keys.deg))]]
+    still_starts_s = np.concatenate([[0.0], keys.reached_s])
+    still_ends_s = np.concatenate([keys.reached_s[:1], keys.left_s])
+    still_ends_s[-1] = max(length_s, still_ends_s[-1])
+    starts_s = np.concatenate([still_starts_s, *(starts for starts, _, _ in moving)])
+    ends_s = np.concatenate([still_ends_s, *(ends for _, ends, _ in moving)])
+    cubics = np.concatenate([still, *(cubics for _, _, cubics in moving)])
+    is_kept = ends_s > starts_s
+    if not is_kept.any():
+        return still_starts_s[:1], still[:1]
+    order = np.argsort(starts_s[is_kept], kind="stable")
+    return starts_s[is_kept][order], cubics[is_kept][order]
+
+
+def _slopes(keys: JointKeys, start_slope: float, end_slope: float) -> FloatArray:
+    """Return the slope at each key: 0 at holds, at corners and where the direction turns."""
+    slopes = np.zeros(len(keys.deg))
+    if len(slopes) < 2:
+        return slopes
+    is_flowing = keys.are(*_FLOWING)
+    is_passed = ~keys.is_held[1:-1] & is_flowing[1:] & is_flowing[:-1]
+    slopes[1:-1] = np.where(is_passed, _monotone_slopes(keys.lengths_s, keys.secants_deg_s), 0.0)
+    slopes[0], slopes[-1] = start_slope, end_slope
+    is_spline = keys.are(Interpolation.SPLINE)
+    inner = is_spline[1:] & is_spline[:-1] & is_passed
+    for first, last in _runs(inner):
+        knots = slice(first, last + 2)
+        slopes[knots] = _spline_slopes(
+            keys.lengths_s[first : last + 1], keys.secants_deg_s[first : last + 1], slopes[knots]
+        )
+    return slopes
+
+
+def _monotone_slopes(lengths_s: FloatArray, secants: FloatArray) -> FloatArray:
+    """Return slopes at inner knots that never overshoot, 0 where the secants differ in sign.
+
+    Fritsch and Butland's weighted harmonic mean (SIAM J. Sci. Stat. Comput. 5, 1984).
+    """
+    before_s, after_s = lengths_s[:-1], lengths_s[1:]
+    before, after = secants[:-1], secants[1:]
+    is_monotone = before * after > 0.0
+    before, after = np.where(is_monotone, before, 1.0), np.where(is_monotone, after, 1.0)
+    weight, other = 2.0 * after_s + before_s, after_s + 2.0 * before_s
+    mean = (weight + other) / (weight / before + other / after)
+    return np.where(is_monotone, mean, 0.0)
+
+
+def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return (first, end) of every run of set flags; `end` is the first index after it."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return list(zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def _spline_slopes(lengths_s: FloatArray, secants: FloatArray, slopes: FloatArray) -> FloatArray:
+    """Return slopes that make the second derivative continuous; those at both ends stay.
+
+    The tridiagonal system of a clamped cubic spline, by Thomas elimination.
+    """
+    inverse = (1.0 / lengths_s).tolist()
+    pulls = (3.0 * secants / lengths_s).tolist()
+    solved = slopes.tolist()
+    factors = [0.0]
+    partial = [solved[0]]
+    for knot in range(1, len(inverse)):
+        before, after = inverse[knot - 1], inverse[knot]
+        pivot = 2.0 * (before + after) - before * factors[-1]
+        right = pulls[knot - 1] + pulls[knot] - before * partial[-1]
+        factors.append(after / pivot)
+        partial.append(right / pivot)
+    for knot in range(len(solved) - 2, 0, -1):
+        solved[knot] = partial[knot] - factors[knot] * solved[knot + 1]
+    return np.array(solved)
+
+
+_Pieces = tuple["FloatArray", "FloatArray", "FloatArray"]
+
+
+def _flowing(keys: JointKeys, slopes: FloatArray, moves: NDArray[np.intp]) -> _Pieces:
+    """Hermite cubics between keys."""
+    length_s, secant = keys.lengths_s[moves], keys.secants_deg_s[moves]
+    before, after = slopes[moves], slopes[moves + 1]
+    square = (3.0 * secant - 2.0 * before - after) / length_s
+    cube = (before + after - 2.0 * secant) / length_s**2
+    cubics = np.stack([keys.deg[moves], before, square, cube], axis=1)
+    return keys.left_s[moves], keys.reached_s[moves + 1], cubics
+
+
+def _linear(keys: JointKeys, moves: NDArray[np.intp]) -> _Pieces:
+    ramps = np.full(len(moves), LINEAR_RAMP_RATIO)
+    return _trapezoids(keys, moves, keys.left_s[moves], ramps)
+
+
+def _late(keys: JointKeys, joint: Joint, moves: NDArray[np.intp]) -> _Pieces:
+    """Trapezoids at the joint's limits that end on the key; squeezed where there is no room."""
+    distance_deg = np.abs(keys.deg[moves + 1] - keys.deg[moves])
+    needed_s = least_move_s(distance_deg, joint.speed_max_deg_s, joint.accel_max_deg_s2)
+    start_s = np.maximum(keys.reached_s[moves + 1] - needed_s, keys.left_s[moves])
+    start_s = np.asarray(np.round(start_s, PATH_DECIMALS), dtype=np.float64)
+    ramp_s = joint.speed_max_deg_s / joint.accel_max_deg_s2
+    ramps = np.minimum(0.5, ramp_s / np.where(needed_s > 0.0, needed_s, 1.0))
+    waits = np.zeros((len(moves), 4))
+    waits[:, 0] = keys.deg[moves]
+    starts_s, ends_s, cubics = _trapezoids(keys, moves, start_s, ramps)
+    return (
+        np.concatenate([keys.left_s[moves], starts_s]),
+        np.concatenate([start_s, ends_s]),
+        np.concatenate([waits, cubics]),
+    )
+
+
+def _trapezoids(
+    keys: JointKeys, moves: NDArray[np.intp], starts_s: FloatArray, ramps: FloatArray
+) -> _Pieces:
+    """Rest-to-rest moves that end at the keys; each ramp takes its share `ramps` of the move."""
+    ends_s = keys.reached_s[moves + 1]
+    from_deg, to_deg = keys.deg[moves], keys.deg[moves + 1]
+    spent_s = ends_s - starts_s
+    first_s = np.round(starts_s + ramps * spent_s, PATH_DECIMALS)
+    second_s = np.round(ends_s - ramps * spent_s, PATH_DECIMALS)
+    second_s = np.maximum(first_s, second_s)
+    # From the rounded instants, so that the pieces meet exactly.
+    up_s, down_s = first_s - starts_s, ends_s - second_s
+    speed = _ratio(to_deg - from_deg, spent_s - 0.5 * (up_s + down_s))
+    nothing = np.zeros_like(speed)
+    up = np.stack([from_deg, nothing, 0.5 * _ratio(speed, up_s), nothing], axis=1)
+    cruise = np.stack([from_deg + 0.5 * speed * up_s, speed, nothing, nothing], axis=1)
+    slowing = -0.5 * _ratio(speed, down_s)
+    down = np.stack([to_deg - 0.5 * speed * down_s, speed, slowing, nothing], axis=1)
+    return (
+        np.concatenate([starts_s, first_s, second_s]),
+        np.concatenate([first_s, second_s, ends_s]),
+        np.concatenate([up, cruise, down]),
+    )
+
+
+def _ratio(value: FloatArray, by: FloatArray) -> FloatArray:
+    return np.divide(value, by, out=np.zeros_like(value), where=by > 0.0)

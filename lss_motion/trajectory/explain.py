@@ -1,0 +1,167 @@
+"""What planning did to the author's times: stretched spans, marks, anchors met or missed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
+
+from lss_motion.errors import PlanningError
+from lss_motion.trajectory.model import Mark, Stretch
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence as Items
+
+    from numpy.typing import NDArray
+
+    from lss_motion.sequence.model import Keyframe
+    from lss_motion.sequence.model import Sequence as Show
+    from lss_motion.trajectory.clock import Clock
+    from lss_motion.trajectory.path import Path
+    from lss_motion.trajectory.retime import Task, Window
+    from lss_motion.trajectory.spacing import Spacing
+
+    FloatArray = NDArray[np.float64]
+
+ANCHOR_TOLERANCE_S: Final = 0.001
+"""An anchor is met to the millisecond: the finest that a command can express."""
+
+STRETCH_MIN_S: Final = 1e-5
+"""Spans stretched by less are not worth a line: a hundredth of a millisecond."""
+
+
+def stretches(
+    task: Task,
+    joints: Sequence[str],
+    windows: Sequence[Window],
+    clock: Clock,
+    authored: Callable[[FloatArray], FloatArray],
+) -> tuple[Stretch, ...]:
+    """Return every span in which the path takes longer than authored, in planned time."""
+    found = []
+    for window in windows:
+        authored_s = authored(window.grid_s)
+        rates = np.sqrt(window.squares)
+        spent_s = 2.0 * np.diff(window.grid_s) / (rates[:-1] + rates[1:])
+        lost_s = spent_s - np.diff(authored_s)
+        is_slow = lost_s > 1e-6 * spent_s
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], is_slow, [False]]).astype(np.int8)))
+        for first, end in zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True):
+            by_s = float(lost_s[first:end].sum())
+            if by_s < STRETCH_MIN_S:
+                continue
+            cells = slice(first, end)
+            column, limit, wanted, allowed = _tightest(
+                task, window.grid_s[first : end + 1], spent_s[cells], lost_s[cells]
+            )
+            from_s, to_s = clock.times_of(window.grid_s[[first, end]]).tolist()
+            found.append(
+                Stretch(
+                    from_s=from_s,
+                    to_s=to_s,
+                    by_s=by_s,
+                    joint=joints[column],
+                    limit=limit,
+                    authored=wanted,
+                    allowed=allowed,
+                )
+            )
+    return tuple(found)
+
+
+def _tightest(
+    task: Task, grid_s: FloatArray, spent_s: FloatArray, lost_s: FloatArray
+) -> tuple[int, Literal["speed", "acceleration"], float, float]:
+    """Return joint, limit, what the authored times ask for and what is allowed, where it is worst.
+
+    Speed falls with the rate and acceleration with its square, so the root makes them comparable.
+    """
+    path: Path = task.path
+    steps_s = np.diff(grid_s)
+    authored_rates = (steps_s / np.maximum(spent_s - lost_s, 1e-9))[:, None]
+    # A hair inside of both ends: knots have two second derivatives.
+    at_s = np.concatenate([grid_s[:-1] + share * steps_s for share in (0.001, 0.5, 0.999)])
+    rates = np.tile(authored_rates, (3, 1))
+    speeds = np.abs(path.evaluate(at_s, 1)) * rates
+    accels = np.abs(path.evaluate(at_s, 2)) * rates**2
+    speed_ratios = (speeds / task.speed_max_deg_s).max(axis=0)
+    accel_ratios = np.sqrt((accels / task.accel_max_deg_s2).max(axis=0))
+    by_speed, by_accel = int(speed_ratios.argmax()), int(accel_ratios.argmax())
+    if speed_ratios[by_speed] >= accel_ratios[by_accel]:
+        wanted, allowed = speeds[:, by_speed].max(), task.speed_max_deg_s[by_speed]
+        return by_speed, "speed", float(wanted), float(allowed)
+    wanted, allowed = accels[:, by_accel].max(), task.accel_max_deg_s2[by_accel]
+    return by_accel, "acceleration", float(wanted), float(allowed)
+
+
+def marks(keyframes: Items[Keyframe], spacing: Spacing, clock: Clock) -> tuple[Mark, ...]:
+    """Return when each keyframe is wanted and when it is reached in the first pass."""
+    planned_s = clock.times_of(spacing.reached_s).tolist()
+    return tuple(
+        Mark(
+            label=keyframe.label,
+            authored_s=keyframe.at_s,
+            planned_s=at_s,
+            is_anchor=keyframe.is_anchor,
+        )
+        for keyframe, at_s in zip(keyframes, planned_s, strict=True)
+    )
+
+
+def check_anchors(
+    show: Show,
+    spacing: Spacing,
+    clock: Clock,
+    authored: Callable[[FloatArray], FloatArray],
+    stretched: Sequence[Stretch],
+) -> None:
+    """Raise `PlanningError` for the first anchor that is not met, in any pass that `clock` spans.
+
+    A show that is repeated without end must also end each pass on time.
+    """
+    anchors = [index for index, keyframe in enumerate(show.keyframes) if keyframe.is_anchor]
+    if not anchors:
+        return
+    length_s = spacing.length_s
+    passes = round(float(clock.path_s[-1]) / length_s) if length_s > 0.0 else 1
+    for count in range(passes):
+        at_s = spacing.reached_s[anchors] + count * length_s
+        wanted_s, planned_s = authored(at_s), clock.times_of(at_s)
+        for index, wanted, planned in zip(anchors, wanted_s, planned_s, strict=True):
+            if abs(planned - wanted) > ANCHOR_TOLERANCE_S:
+                raise _missed(show, index, float(wanted), float(planned), stretched)
+    late_s = clock.duration_s - float(authored(clock.path_s[-1:])[0])
+    if show.loop != 1 and late_s > ANCHOR_TOLERANCE_S:
+        raise _missed(show, anchors[0], 0.0, late_s, stretched, after=" in the passes after this")
+
+
+def _missed(
+    show: Show,
+    index: int,
+    wanted_s: float,
+    planned_s: float,
+    stretched: Sequence[Stretch],
+    *,
+    after: str = "",
+) -> PlanningError:
+    keyframe = show.keyframes[index]
+    place = "" if show.path is None or keyframe.line is None else f"{show.path}:{keyframe.line}: "
+    name = f" {keyframe.label!r}" if keyframe.label else ""
+    late_s = planned_s - wanted_s
+    earlier = [stretch for stretch in stretched if stretch.from_s < planned_s] or [*stretched]
+    why, joint = "", None
+    if earlier:
+        worst = max(earlier, key=lambda stretch: stretch.by_s)
+        unit = "deg/s" if worst.limit == "speed" else "deg/s²"
+        joint = worst.joint
+        why = (
+            f": joint {worst.joint!r} would need {worst.limit} {worst.authored:.4g} {unit} "
+            f"between {worst.from_s:.3f} s and {worst.to_s:.3f} s, allowed {worst.allowed:g} {unit}"
+        )
+    return PlanningError(
+        f"{place}anchor{name} at {keyframe.at_s:g} s cannot be met{after}, it would be "
+        f"{late_s:.3f} s late{why}. Give it {late_s:.3f} s more, or a smaller move",
+        joint=joint,
+        time_s=keyframe.at_s,
+    )

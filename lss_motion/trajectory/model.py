@@ -1,0 +1,157 @@
+"""Where every joint is at every instant: the result of planning."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from lss_motion.trajectory.clock import Clock
+    from lss_motion.trajectory.path import Path
+
+    FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stretch:
+    """A span that had to be slower than its author wanted. Times are planned times."""
+
+    from_s: float
+    to_s: float
+    by_s: float
+    joint: str
+    limit: Literal["speed", "acceleration"]
+    authored: float
+    """The largest speed (deg/s) or acceleration (deg/s²) that the authored times ask for."""
+    allowed: float
+    """The limit of the joint, in the same unit."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mark:
+    """A keyframe in the plan: when it was wanted (None: no time given) and when it is reached."""
+
+    label: str
+    authored_s: float | None
+    planned_s: float
+    is_anchor: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """One pass: a path and the clock that follows it."""
+
+    path: Path
+    clock: Clock
+
+    @property
+    def duration_s(self) -> float:
+        return self.clock.duration_s
+
+    @property
+    def knots_s(self) -> FloatArray:
+        """The instants between which every joint follows one polynomial, ends included."""
+        inner_s = self.clock.times_of(self.path.knots_s - self.path.knots_s[0])
+        return np.unique(np.concatenate([self.clock.times_s, inner_s]))
+
+    def sample(self, times_s: FloatArray, order: int = 0) -> FloatArray:
+        """Return deg, deg/s or deg/s² for order 0, 1, 2, (n, joints).
+
+        Outside of the pass the angle is that of the nearer end, and nothing moves.
+        """
+        times_s = np.asarray(times_s, dtype=np.float64)
+        inside_s = np.clip(times_s, 0.0, self.duration_s)
+        offset_s, rates, slopes = self.clock.positions(inside_s)
+        path_s = offset_s + self.path.knots_s[0]
+        match order:
+            case 0:
+                return self.path.evaluate(path_s)
+            case 1:
+                value = self.path.evaluate(path_s, 1) * rates[:, None]
+            case 2:
+                value = self.path.evaluate(path_s, 2) * (rates**2)[:, None]
+                value += self.path.evaluate(path_s, 1) * slopes[:, None]
+            case _:
+                raise ValueError(f"order {order} is not 0, 1 or 2")
+        value[(times_s < 0.0) | (times_s > self.duration_s)] = 0.0
+        return value
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trajectory:
+    """All passes of a sequence, from rest to rest, within the limits of the robot.
+
+    `first` is the pass that starts from rest, `last` the one that ends at rest and `middle` every
+    pass between them; where all joints rest between passes, the three are the same object, and
+    so they are when there is only one pass. `is_periodic`: the passes join in motion, with equal
+    velocity at the seam. `marks` are those of the first pass. `stretched` covers the first pass
+    and, where passes differ, one middle and the last pass after it, in show time.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    """The order of the columns: that of the robot, only joints that the sequence keys."""
+    first: Motion
+    middle: Motion
+    last: Motion
+    loop: int | None = 1
+    """How often it is played; None is forever, and then `last` is never reached."""
+    is_periodic: bool = False
+    stretched: tuple[Stretch, ...] = ()
+    marks: tuple[Mark, ...] = ()
+
+    @property
+    def motion(self) -> Motion:
+        """The pass that is repeated: `middle`."""
+        return self.middle
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of all passes; `math.inf` for a loop that never ends."""
+        return math.inf if self.loop is None else self.pass_start_s(self.loop)
+
+    def motion_of(self, index: int) -> Motion:
+        """Return what pass `index` does, counted from 0."""
+        if index == 0:
+            return self.first
+        return self.last if self.loop is not None and index == self.loop - 1 else self.middle
+
+    def pass_start_s(self, index: int) -> float:
+        """Return when pass `index` starts; `index == loop` gives the end of the show."""
+        if index == 0:
+            return 0.0
+        if self.loop is not None and index >= self.loop > 1:
+            middles = self.loop - 2
+            return self.first.duration_s + middles * self.middle.duration_s + self.last.duration_s
+        return self.first.duration_s + (index - 1) * self.middle.duration_s
+
+    def sample(self, times_s: FloatArray, order: int = 0) -> FloatArray:
+        """Return deg, deg/s or deg/s² for order 0, 1, 2, (n, joints), over all passes.
+
+        Outside of the show the angle is that of the nearer end, and nothing moves.
+        """
+        times_s = np.asarray(times_s, dtype=np.float64)
+        passes = self._passes_of(times_s)
+        values = np.empty((len(times_s), len(self.joints)))
+        for index in np.unique(passes):
+            chosen = passes == index
+            motion = self.motion_of(int(index))
+            local_s = times_s[chosen] - self.pass_start_s(int(index))
+            values[chosen] = motion.sample(np.clip(local_s, 0.0, motion.duration_s), order)
+        if order > 0:
+            values[(times_s < 0.0) | (times_s > self.duration_s)] = 0.0
+        return values
+
+    def _passes_of(self, times_s: FloatArray) -> NDArray[np.intp]:
+        """Return the pass of every instant; a seam belongs to the pass that it starts."""
+        later_s = times_s - self.first.duration_s
+        period_s = self.middle.duration_s
+        if period_s == 0.0:
+            return np.zeros(len(times_s), dtype=np.intp)
+        passes = np.where(later_s < 0.0, 0, 1 + np.floor(later_s / period_s)).astype(np.intp)
+        return passes if self.loop is None else np.minimum(passes, self.loop - 1)

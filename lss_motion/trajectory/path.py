@@ -1,0 +1,102 @@
+"""Where the joints are along a path: piecewise cubics over the path parameter, no time.
+
+The path parameter has the unit of seconds (`_s`): for authored shows it is the authored time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Path:
+    """Cubics of all joints over common knots.
+
+    `coefficients[k, p, j]` belongs to the power p of (path_s - knots_s[k]) of joint j in segment
+    k; degrees over seconds to the p. A segment at rest has exact zeros above power 0.
+    """
+
+    knots_s: FloatArray
+    coefficients: FloatArray
+
+    @property
+    def length_s(self) -> float:
+        return float(self.knots_s[-1] - self.knots_s[0])
+
+    @property
+    def segment_lengths_s(self) -> FloatArray:
+        return np.diff(self.knots_s)
+
+    @property
+    def rests(self) -> NDArray[np.bool_]:
+        """Which segments move no joint at all."""
+        return np.asarray(~np.any(self.coefficients[:, 1:, :], axis=(1, 2)), dtype=np.bool_)
+
+    def segments_of(self, path_s: FloatArray) -> NDArray[np.intp]:
+        """Return the segment of every position; a knot belongs to the segment that it starts."""
+        found = np.searchsorted(self.knots_s, path_s, side="right") - 1
+        return np.clip(found, 0, len(self.knots_s) - 2)
+
+    def evaluate(
+        self, path_s: FloatArray, order: int = 0, *, segments: NDArray[np.intp] | None = None
+    ) -> FloatArray:
+        """Return the derivative of that order, (n, joints).
+
+        `segments` chooses the cubics, for limits from the left of a knot.
+        """
+        chosen = self.segments_of(path_s) if segments is None else segments
+        local_s = (path_s - self.knots_s[chosen])[:, None]
+        cubics = self.coefficients[chosen]
+        match order:
+            case 0:
+                value = cubics[:, 3] * local_s
+                value += cubics[:, 2]
+                value *= local_s
+                value += cubics[:, 1]
+                value *= local_s
+                value += cubics[:, 0]
+                return value
+            case 1:
+                return (3.0 * cubics[:, 3] * local_s + 2.0 * cubics[:, 2]) * local_s + cubics[:, 1]
+            case 2:
+                return 6.0 * cubics[:, 3] * local_s + 2.0 * cubics[:, 2]
+            case _:
+                raise ValueError(f"order {order} is not 0, 1 or 2")
+
+
+def concatenate(paths: Sequence[Path]) -> Path:
+    """Return one path that runs through all of them; each starts where the last one ended."""
+    starts_s = np.cumsum([0.0] + [path.length_s for path in paths])
+    knots_s = [
+        path.knots_s[:-1] - path.knots_s[0] + start_s
+        for path, start_s in zip(paths, starts_s, strict=False)
+    ]
+    return Path(
+        knots_s=np.concatenate([*knots_s, starts_s[-1:]]),
+        coefficients=np.concatenate([path.coefficients for path in paths]),
+    )
+
+
+def peaks(path: Path) -> tuple[FloatArray, FloatArray]:
+    """Return the largest |first| and |second| derivative of each segment and joint, exactly."""
+    _, linear, square, cube = np.moveaxis(path.coefficients, 1, 0)
+    length_s = path.segment_lengths_s[:, None]
+    end_speed = (3.0 * cube * length_s + 2.0 * square) * length_s + linear
+    with np.errstate(divide="ignore", invalid="ignore"):
+        turn_s = -square / (3.0 * cube)
+    is_inside = (cube != 0.0) & (turn_s > 0.0) & (turn_s < length_s)
+    turn_s = np.where(is_inside, turn_s, 0.0)
+    turn_speed = (3.0 * cube * turn_s + 2.0 * square) * turn_s + linear
+    speed = np.maximum(np.abs(linear), np.maximum(np.abs(end_speed), np.abs(turn_speed)))
+    accel = np.maximum(np.abs(2.0 * square), np.abs(6.0 * cube * length_s + 2.0 * square))
+    return speed, accel

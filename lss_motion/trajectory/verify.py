@@ -1,0 +1,219 @@
+"""The last word on a trajectory: angles sampled and differenced, nothing taken on trust.
+
+Shares no code with the planner: it only asks for angles (`sample`, order 0), at 1 kHz and on both
+sides of every instant where the curve may change, and derives speed and acceleration itself.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.errors import PlanningError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from lss_motion.robot.model import Robot
+    from lss_motion.trajectory.model import Motion, Trajectory
+
+    FloatArray = NDArray[np.float64]
+
+SAMPLE_S: Final = 0.001
+"""Sampling at 1 kHz: design 6."""
+
+EXCESS_MAX_RATIO: Final = 1.001
+"""A limit may be exceeded by 0.1 %: design 6."""
+
+RANGE_SLACK_DEG: Final = 1e-6
+"""A joint may be this far outside of its range: rounding, far below the wire's unit."""
+
+BLOCK: Final = 8192
+"""Samples at a time. Chosen: 18 joints then stay in the processor's cache (measured)."""
+
+SEAM_S: Final = 0.004
+"""How far around a seam of two passes is sampled again: enough for second differences."""
+
+SIDE_STEP_S: Final = 2.5e-4
+"""Step of the one-sided differences at knots, where the polynomial is long enough for it."""
+
+SIDE_STEP_MIN_S: Final = 1e-5
+"""Shorter polynomials drown in rounding; the equal steps bound what they can do."""
+
+PASSES_MAX: Final = 4
+"""First, two middle passes and the last show every pass and every kind of seam."""
+
+ROUNDING: Final = 16.0 * np.finfo(np.float64).eps
+"""Relative error of a sampled time or angle: a few operations' worth."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verification:
+    """How close a trajectory comes to the limits: the largest share used, and where."""
+
+    samples: int
+    speed_ratio: float
+    speed_joint: str
+    speed_at_s: float
+    accel_ratio: float
+    accel_joint: str
+    accel_at_s: float
+
+
+@dataclass(slots=True)
+class _Worst:
+    """The largest share of a limit seen so far."""
+
+    ratio: float = 0.0
+    column: int = 0
+    at_s: float = 0.0
+
+    def look(self, ratios: FloatArray, times_s: FloatArray) -> None:
+        if ratios.size and (largest := float(ratios.max())) > self.ratio:
+            row, self.column = divmod(int(ratios.argmax()), ratios.shape[1])
+            self.ratio, self.at_s = largest, float(times_s[row])
+
+
+def verify(trajectory: Trajectory, robot: Robot) -> Verification:
+    """Return how far the limits are used.
+
+    Raises `PlanningError` naming joint, time and limit if an angle is not a number, leaves its
+    range, or if speed or acceleration exceed their limit by more than 0.1 %. Passes that repeat
+    one another are sampled once, and their seams.
+    """
+    checks = _Checks(trajectory, robot)
+    for times_s in _blocks(checks.trajectory):
+        checks.uniform(times_s)
+    for times_s, step_s in _sides(checks.trajectory):
+        checks.one_sided(times_s, step_s)
+    return checks.verdict()
+
+
+class _Checks:
+    def __init__(self, trajectory: Trajectory, robot: Robot) -> None:
+        joints = [robot.joints[name] for name in trajectory.joints]
+        self.trajectory = _shortened(trajectory)
+        self.low_deg = np.array([joint.position_min_deg for joint in joints])
+        self.high_deg = np.array([joint.position_max_deg for joint in joints])
+        self.speed_deg_s = np.array([joint.speed_max_deg_s for joint in joints])
+        self.accel_deg_s2 = np.array([joint.accel_max_deg_s2 for joint in joints])
+        self.speed, self.accel = _Worst(), _Worst()
+        self.samples = 0
+
+    def uniform(self, times_s: FloatArray) -> None:
+        """Check samples at equal steps: averages over a step can never exceed the limits."""
+        deg = self._sampled(times_s)
+        step_s = float(times_s[1] - times_s[0])
+        moves = np.abs(np.diff(deg, axis=0)) - self._noise_deg(times_s)
+        bends = np.abs(deg[2:] - 2.0 * deg[1:-1] + deg[:-2]) - 4.0 * self._noise_deg(times_s)
+        self.speed.look(moves / (self.speed_deg_s * step_s), times_s)
+        self.accel.look(bends / (self.accel_deg_s2 * step_s**2), times_s[1:])
+
+    def one_sided(self, times_s: FloatArray, step_s: FloatArray) -> None:
+        """Check three equal steps into each polynomial from its ends, a step apart."""
+        near, middle, far = (self._sampled(times_s + count * step_s) for count in (0.0, 1.0, 2.0))
+        width_s = np.abs(step_s)[:, None]
+        noise_deg = self._noise_deg(times_s)
+        speed = (np.abs(middle - near) - noise_deg) / (self.speed_deg_s * width_s)
+        bends = np.abs(far - 2.0 * middle + near) - 4.0 * noise_deg
+        self.speed.look(speed, times_s)
+        self.accel.look(bends / (self.accel_deg_s2 * width_s**2), times_s)
+
+    def verdict(self) -> Verification:
+        for worst, limits, what, unit in (
+            (self.speed, self.speed_deg_s, "speed", "deg/s"),
+            (self.accel, self.accel_deg_s2, "acceleration", "deg/s²"),
+        ):
+            if worst.ratio > EXCESS_MAX_RATIO:
+                joint, limit = self.trajectory.joints[worst.column], float(limits[worst.column])
+                raise PlanningError(
+                    f"joint {joint!r} would reach {what} {worst.ratio * limit:.6g} {unit} "
+                    f"at {worst.at_s:.3f} s, allowed {limit:g} {unit}",
+                    joint=joint,
+                    time_s=worst.at_s,
+                )
+        names = self.trajectory.joints
+        return Verification(
+            samples=self.samples,
+            speed_ratio=self.speed.ratio,
+            speed_joint=names[self.speed.column],
+            speed_at_s=self.speed.at_s,
+            accel_ratio=self.accel.ratio,
+            accel_joint=names[self.accel.column],
+            accel_at_s=self.accel.at_s,
+        )
+
+    def _sampled(self, times_s: FloatArray) -> FloatArray:
+        deg = self.trajectory.sample(times_s)
+        self.samples += len(times_s)
+        # Written so that NaN is outside as well.
+        is_inside = (deg >= self.low_deg - RANGE_SLACK_DEG) & (
+            deg <= self.high_deg + RANGE_SLACK_DEG
+        )
+        if not is_inside.all():
+            row, column = divmod(int(np.argmin(is_inside)), deg.shape[1])
+            joint, at_s = self.trajectory.joints[column], float(times_s[row])
+            raise PlanningError(
+                f"joint {joint!r} would be at {deg[row, column]:.3f} deg at {at_s:.3f} s, allowed "
+                f"{self.low_deg[column]:g} to {self.high_deg[column]:g} deg",
+                joint=joint,
+                time_s=at_s,
+            )
+        return deg
+
+    def _noise_deg(self, times_s: FloatArray) -> FloatArray:
+        """Return what rounding of times and angles can make of a difference."""
+        latest_s = max(1.0, float(np.abs(times_s).max()))
+        reach_deg = np.maximum(np.abs(self.low_deg), np.abs(self.high_deg))
+        return np.asarray(ROUNDING * (latest_s * self.speed_deg_s + reach_deg))
+
+
+def _shortened(trajectory: Trajectory) -> Trajectory:
+    """Return the trajectory with as few passes as show every pass and every kind of seam."""
+    if trajectory.loop is None or trajectory.loop > PASSES_MAX:
+        return replace(trajectory, loop=PASSES_MAX)
+    return trajectory
+
+
+def _spans(trajectory: Trajectory) -> Iterator[tuple[float, Motion, bool]]:
+    """Yield start, motion and whether it is new, for every pass."""
+    seen: list[Motion] = []
+    for index in range(trajectory.loop or 1):
+        motion = trajectory.motion_of(index)
+        is_new = not any(motion is earlier for earlier in seen)
+        yield trajectory.pass_start_s(index), motion, is_new
+        seen.append(motion)
+
+
+def _blocks(trajectory: Trajectory) -> Iterator[FloatArray]:
+    """Yield instants at equal steps that overlap by two, so that no difference is missed."""
+    for start_s, motion, is_new in _spans(trajectory):
+        first_s = start_s - SEAM_S
+        last_s = start_s + SEAM_S + (motion.duration_s if is_new else 0.0)
+        count = math.ceil((last_s - first_s) / SAMPLE_S)
+        for first in range(0, count, BLOCK):
+            steps = np.arange(first, min(first + BLOCK, count) + 2, dtype=np.float64)
+            yield first_s + SAMPLE_S * steps
+
+
+def _sides(trajectory: Trajectory) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield instants just inside both ends of every polynomial, and steps into it."""
+    for start_s, motion, is_new in _spans(trajectory):
+        if not is_new:
+            continue
+        knots_s = motion.knots_s
+        steps_s = np.minimum(SIDE_STEP_S, np.diff(knots_s) / 4.0)
+        is_long = steps_s > SIDE_STEP_MIN_S
+        steps_s = steps_s[is_long]
+        # A hair inside, because the knot itself may belong to the neighbour.
+        starts_s = knots_s[:-1][is_long] + 0.01 * steps_s
+        ends_s = knots_s[1:][is_long] - 0.01 * steps_s
+        times_s, both_s = np.append(starts_s, ends_s), np.append(steps_s, -steps_s)
+        for first in range(0, len(times_s), BLOCK):
+            block = slice(first, first + BLOCK)
+            yield start_s + times_s[block], both_s[block]

@@ -1,0 +1,61 @@
+"""Robots and sequences from a few words, and a cache of one's own for every test."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from lss_motion.robot.model import Bus, Family, Joint, Robot, ServoModel
+from lss_motion.sequence.model import Interpolation, Keyframe
+
+MODEL = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10)
+
+MakeRobot = Callable[..., Robot]
+MakeFrame = Callable[..., Keyframe]
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("LSS_MOTION_CACHE_DIR", str(tmp_path / "plans"))
+
+
+@pytest.fixture
+def make_robot() -> MakeRobot:
+    def make(count=2, speed=180.0, accel=600.0, reach=170.0, **limits) -> Robot:
+        """`limits` gives single joints their own (speed, accel)."""
+        joints = {}
+        for index, name in enumerate(
+            ["base", "elbow", *(f"j{n}" for n in range(2, count))][:count]
+        ):
+            own_speed, own_accel = limits.get(name, (speed, accel))
+            joints[name] = Joint(
+                name=name,
+                servo_id=index + 1,
+                bus="main",
+                model=MODEL,
+                position_min_deg=-reach,
+                position_max_deg=reach,
+                speed_max_deg_s=own_speed,
+                accel_max_deg_s2=own_accel,
+            )
+        bus = Bus(name="main", port="sim://", baud_bps=115200, firmware=370)
+        return Robot(name="arm", path=None, buses={"main": bus}, joints=joints)
+
+    return make
+
+
+@pytest.fixture
+def frame() -> MakeFrame:
+    def make(at_s=None, hold_s=0.0, ease="smooth", label="", line=None, anchor=False, **deg):
+        return Keyframe(
+            at_s=at_s,
+            hold_s=hold_s,
+            ease=Interpolation(ease),
+            label=label,
+            line=line,
+            is_anchor=anchor,
+            deg=deg,
+        )
+
+    return make

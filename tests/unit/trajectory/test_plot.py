@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lss_motion.errors import InputError
+from lss_motion.sequence.model import Sequence
+from lss_motion.trajectory.planner import plan
+from lss_motion.trajectory.plot import plot
+
+
+@pytest.fixture
+def trajectory(frame, make_robot):
+    frames = (
+        frame(0.0, base=0.0, elbow=0.0, label="rest"),
+        frame(0.2, base=90.0, label="up"),
+        frame(2.0, base=0.0, elbow=40.0, label="rest"),
+    )
+    return plan(Sequence(name="wave", keyframes=frames, loop=1), make_robot())
+
+
+@pytest.mark.parametrize(
+    ("suffix", "magic"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")]
+)
+def test_the_suffix_chooses_the_kind(trajectory, make_robot, tmp_path, suffix, magic):
+    target = tmp_path / f"plan.{suffix}"
+    plot(trajectory, make_robot(), target)
+    assert target.read_bytes().startswith(magic)
+
+
+def test_the_picture_names_joints_keyframes_and_what_was_stretched(
+    trajectory, make_robot, tmp_path, monkeypatch
+):
+    import matplotlib as mpl
+
+    monkeypatch.setitem(mpl.rcParams, "svg.fonttype", "none")
+    times_s = np.linspace(0.0, 2.0, 50)
+    plot(trajectory, make_robot(), tmp_path / "a.svg", horn=(times_s, trajectory.sample(times_s)))
+    text = (tmp_path / "a.svg").read_text()
+    for word in ("base", "elbow", "rest", "up", "stretched", "horn", "acceleration"):
+        assert word in text
+
+
+def test_an_unknown_suffix_is_refused_with_those_that_work(trajectory, make_robot, tmp_path):
+    with pytest.raises(InputError, match=r"\.png"):
+        plot(trajectory, make_robot(), tmp_path / "plan.doc")
+
+
+def test_a_folder_that_does_not_exist_is_an_input_error(trajectory, make_robot, tmp_path):
+    with pytest.raises(InputError, match="cannot be written"):
+        plot(trajectory, make_robot(), tmp_path / "no" / "plan.png")
