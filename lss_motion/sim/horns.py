@@ -1,0 +1,144 @@
+"""How horns follow their profiles: a first-order lag, exact in a phase, all in one numpy step."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lss_motion.sim.profile import Phase, rest_at
+from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from lss_motion.sim.physics import Physics, ServoSpec
+
+FOREVER_NS = 2**63 - 1
+
+SETTLED_DEG = 1e-4
+"""A horn this near to where it will end is at rest: a thousandth of the wire's resolution."""
+
+
+class Horns:
+    """Raw angles of all horns of a bus. Each has its own present phase and its own instant.
+
+    `lag * dh/dt = x - droop - h`: in a phase, where x is a parabola, h is another parabola
+    (`x` some way behind) and a gap that fades with `exp(-t / lag)`. So no step is too long,
+    unless the motor's top speed or a jam holds the horn back.
+    """
+
+    def __init__(self, specs: Sequence[ServoSpec], physics: Physics) -> None:
+        count = len(specs)
+        self.deg = np.array([spec.start_deg for spec in specs], dtype=float)
+        self.deg_s = np.zeros(count)
+        self.gap_deg = np.zeros(count)
+        self.droop_deg = np.zeros(count)
+        self.phases = [rest_at(spec.start_deg) for spec in specs]
+        self.end_ns = np.full(count, FOREVER_NS, dtype=np.int64)
+        self._began_ns = [0] * count
+        self._lags_s = [physics.lag_s] * count
+        self._lag_s = np.full(count, physics.lag_s)
+        self._is_jammed = np.zeros(count, dtype=bool)
+        self._ns = np.zeros(count, dtype=np.int64)
+        self._phase_ns = np.zeros(count, dtype=np.int64)
+        self._position_deg = self.deg.copy()
+        self._speed_deg_s = np.zeros(count)
+        self._accel_deg_s2 = np.zeros(count)
+        self._load_deg = np.array([spec.droop_deg for spec in specs], dtype=float)
+        self._level_deg = np.array([spec.level_deg for spec in specs], dtype=float)
+        self._is_loaded = bool(self._load_deg.any())
+        self.holding_ratio = np.ones(count)
+
+    def start(self, now_ns: int) -> None:
+        self._ns[:] = now_ns
+        self._phase_ns[:] = now_ns
+        self._began_ns = [now_ns] * len(self._began_ns)
+
+    def begin(self, index: int, now_ns: int, phase: Phase) -> None:
+        """Begin a phase at `now_ns`, to which the horn has been brought."""
+        self.phases[index] = phase
+        is_last = math.isinf(phase.duration_s)
+        self.end_ns[index] = FOREVER_NS if is_last else now_ns + ns_from_s(phase.duration_s)
+        self._began_ns[index] = now_ns
+        self._phase_ns[index] = now_ns
+        self._position_deg[index] = phase.position_deg
+        self._speed_deg_s[index] = phase.speed_deg_s
+        self._accel_deg_s2[index] = phase.accel_deg_s2
+        self.gap_deg[index] = self.deg[index] - self._final_deg(index, now_ns)
+
+    def coast(self, index: int, now_ns: int, top_deg_s: float) -> None:
+        """Bring one horn to `now_ns` within its phase."""
+        passed_s = s_from_ns(now_ns - int(self._ns[index]))
+        if passed_s <= 0.0:
+            return
+        final_deg = self._final_deg(index, now_ns)
+        deg = float(self.deg[index])
+        fading = math.exp(-passed_s / self._lags_s[index])
+        moved_deg = final_deg + float(self.gap_deg[index]) * fading - deg
+        reach_deg = 0.0 if self._is_jammed[index] else top_deg_s * passed_s
+        moved_deg = min(max(moved_deg, -reach_deg), reach_deg)
+        self.deg[index] = deg + moved_deg
+        self.deg_s[index] = moved_deg / passed_s
+        self.gap_deg[index] = deg + moved_deg - final_deg
+        self._ns[index] = now_ns
+
+    def step(self, now_ns: int, top_deg_s: NDArray[np.float64]) -> None:
+        """Bring all horns to `now_ns`; none of their phases ends before."""
+        phase_s = (now_ns - self._phase_ns) / NS_PER_S
+        passed_s = np.maximum(now_ns - self._ns, 1) / NS_PER_S
+        speed_deg_s = self._speed_deg_s + self._accel_deg_s2 * phase_s
+        final_deg = self._position_deg + 0.5 * (self._speed_deg_s + speed_deg_s) * phase_s
+        final_deg -= self._lag_s * (speed_deg_s - self._lag_s * self._accel_deg_s2)
+        final_deg -= self.droop_deg
+        moved_deg = final_deg + self.gap_deg * np.exp(-passed_s / self._lag_s) - self.deg
+        reach_deg = top_deg_s * passed_s
+        moved_deg = np.minimum(np.maximum(moved_deg, -reach_deg), reach_deg)
+        moved_deg[self._is_jammed] = 0.0
+        self.deg = self.deg + moved_deg
+        self.deg_s = moved_deg / passed_s
+        self.gap_deg = self.deg - final_deg
+        self._ns[:] = now_ns
+
+    def sag(self, is_powered: NDArray[np.bool_]) -> None:
+        """Let the loads pull as they do at the angles that the horns have now."""
+        if self._is_loaded:
+            level = np.cos(np.radians(self.deg - self._level_deg))
+            droop_deg = is_powered * self._load_deg * self.holding_ratio * level
+            self.gap_deg += droop_deg - self.droop_deg
+            self.droop_deg = droop_deg
+
+    def release(self, index: int) -> None:
+        """Take the motor's force away: friction alone keeps the horn where it is."""
+        self.droop_deg[index] = self.deg_s[index] = 0.0
+
+    def set_lag(self, index: int, now_ns: int, lag_s: float) -> None:
+        self._lags_s[index] = self._lag_s[index] = lag_s
+        self.gap_deg[index] = self.deg[index] - self._final_deg(index, now_ns)
+
+    def jam(self, index: int, *, is_jammed: bool) -> None:
+        """Keep a horn from turning whatever the motor does, or free it again."""
+        self._is_jammed[index] = is_jammed
+
+    def is_settled(self) -> bool:
+        return float(np.abs(self.gap_deg).max(initial=0.0)) < SETTLED_DEG
+
+    def profile_deg(self, index: int, now_ns: int) -> float:
+        """Return where the servo's own profile is."""
+        _, position_deg, speed_deg_s, accel_deg_s2 = self.phases[index]
+        passed_s = s_from_ns(now_ns - self._began_ns[index])
+        return position_deg + (speed_deg_s + 0.5 * accel_deg_s2 * passed_s) * passed_s
+
+    def profile_deg_s(self, index: int, now_ns: int) -> float:
+        _, _, speed_deg_s, accel_deg_s2 = self.phases[index]
+        return speed_deg_s + accel_deg_s2 * s_from_ns(now_ns - self._began_ns[index])
+
+    def _final_deg(self, index: int, now_ns: int) -> float:
+        """Return where the horn would be, had this phase lasted for ever."""
+        lag_s = self._lags_s[index]
+        accel_deg_s2 = self.phases[index].accel_deg_s2
+        behind_deg = lag_s * (self.profile_deg_s(index, now_ns) - lag_s * accel_deg_s2)
+        return self.profile_deg(index, now_ns) - behind_deg - float(self.droop_deg[index])

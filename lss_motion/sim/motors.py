@@ -1,0 +1,227 @@
+"""The motors of all servos of one bus through time: orders taken up, the grid, safe mode.
+
+All angles here are raw: from the factory's zero, clockwise, over many turns.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lss_motion.sim.drives import Drives
+from lss_motion.sim.horns import Horns
+from lss_motion.sim.orders import Halt, Limp, Motion, Order, SafeCause
+from lss_motion.sim.physics import TICK_NS
+from lss_motion.sim.power import Power
+from lss_motion.units import s_from_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from lss_motion.sim.physics import Physics, ServoSpec
+    from lss_motion.sim.truth import Truth
+
+
+class Motors:
+    """A pure function of time and of the orders.
+
+    A servo takes up an order at its own next control loop; loops run every 5 ms with a phase of
+    their own for each servo. Instants do not go back.
+    """
+
+    def __init__(
+        self, specs: Sequence[ServoSpec], physics: Physics, loop_phases_ns: Sequence[int]
+    ) -> None:
+        count = len(specs)
+        self.horns = Horns(specs, physics)
+        self.power = Power(physics, np.array([float(spec.model.speed_max_deg_s) for spec in specs]))
+        self.truth: Truth | None = None
+        self.gyre = np.ones(count)
+        self.origin_deg = np.zeros(count)
+        self.safe_cause = [SafeCause.NONE] * count
+        self.physics = physics
+        self._drives = Drives(self.horns, physics, loop_phases_ns)
+        self._limits_ma: list[tuple[float, Halt | Limp] | None] = [None] * count
+        self._orders: list[tuple[int, int, int, Order]] = []
+        self._order_count = 0
+        self._tick_ns = 0
+        self._is_quiet = True
+
+    # -- time and orders ------------------------------------------------------------------------
+
+    def start(self, now_ns: int) -> None:
+        """Put the power on at `now_ns`, the first instant of all."""
+        self._tick_ns = now_ns
+        self.horns.start(now_ns)
+        self._drives.start(now_ns)
+        self._record(now_ns)
+
+    def advance(self, now_ns: int) -> None:
+        """Bring all servos up to `now_ns`. What comes out does not depend on how often."""
+        while self._orders and self._orders[0][0] <= now_ns:
+            taken_ns, _, index, order = self._orders[0]
+            self._tick_until(taken_ns)
+            heapq.heappop(self._orders)
+            self._disturb(index, taken_ns)
+            if self.safe_cause[index] is SafeCause.NONE:
+                self._drives.take_up(index, taken_ns, order)
+        self._tick_until(now_ns)
+
+    def order(self, index: int, heard_ns: int, order: Order) -> None:
+        """Let servo `index` take up `order` at its first control loop from `heard_ns` on."""
+        self._order_count += 1
+        entry = (self.loop_ns(index, heard_ns), self._order_count, index, order)
+        heapq.heappush(self._orders, entry)
+
+    def loop_ns(self, index: int, heard_ns: int) -> int:
+        """Return when servo `index` takes up what it hears at `heard_ns`."""
+        return self._drives.loop_ns(index, heard_ns)
+
+    def reset(self, index: int, now_ns: int) -> None:
+        """Forget orders, safe mode and turns: the servo is limp, its position within ±180."""
+        self._disturb(index, now_ns)
+        self._orders = [entry for entry in self._orders if entry[2] != index]
+        heapq.heapify(self._orders)
+        self.horns.deg[index] = (self.horns.deg[index] + 180.0) % 360.0 - 180.0
+        self.safe_cause[index] = SafeCause.NONE
+        self.power.stuck_s[index] = 0.0
+        self._limits_ma[index] = None
+        self._drives.go_limp(index, now_ns)
+
+    def set_stiffness(
+        self, index: int, now_ns: int, *, lag_ratio: float, holding_ratio: float
+    ) -> None:
+        """Change how closely a horn follows, and how far its load pulls it."""
+        self._disturb(index, now_ns)
+        self.horns.set_lag(index, now_ns, self.physics.lag_s * lag_ratio)
+        self.horns.holding_ratio[index] = holding_ratio
+
+    def limit_current(self, index: int, limit: tuple[float, Halt | Limp] | None) -> None:
+        """Let a stalled motor above a current (mA) hold or go limp instead of pushing on."""
+        self._limits_ma[index] = limit
+
+    def jam(self, index: int, now_ns: int, *, is_jammed: bool) -> None:
+        self._disturb(index, now_ns)
+        self.horns.jam(index, is_jammed=is_jammed)
+
+    @property
+    def is_resting(self) -> bool:
+        return self._is_quiet and not self._orders
+
+    def weaken(self, index: int, now_ns: int, speed_ratio: float) -> None:
+        """Leave a motor that share of its top speed."""
+        self._disturb(index, now_ns)
+        self.power.strength_ratio[index] = speed_ratio
+
+    def heat(self, index: int, now_ns: int, temperature_c: float) -> None:
+        self._disturb(index, now_ns)
+        self.power.set_temperature(index, temperature_c)
+
+    # -- what a servo can measure of itself; `advance(now_ns)` has been called --------------------
+
+    def horn_deg(self, index: int, now_ns: int) -> float:
+        self._catch_up(index, now_ns)
+        return float(self.horns.deg[index])
+
+    def horn_deg_s(self, index: int, now_ns: int) -> float:
+        self._catch_up(index, now_ns)
+        return float(self.horns.deg_s[index])
+
+    def motion(self, index: int, now_ns: int) -> Motion:
+        """Return what the servo does: faults first, then the state of its profile."""
+        self._catch_up(index, now_ns)
+        if self.safe_cause[index] is not SafeCause.NONE:
+            return Motion.SAFE_MODE
+        motion = self._drives.motion(index, now_ns)
+        stuck_s = float(self.power.stuck_s[index])
+        if motion is Motion.LIMP or stuck_s <= 0.0:
+            return motion
+        return Motion.BLOCKED if stuck_s >= self.physics.blocked_s else Motion.STUCK
+
+    def target_deg(self, index: int, now_ns: int) -> float | None:
+        """Return the target; in EM0 what the filter has made of it so far (lss_facts 1.2)."""
+        self._catch_up(index, now_ns)
+        return self._drives.target_deg(index)
+
+    def travel_deg_s(self, index: int) -> float:
+        """Return the travel speed of the last move."""
+        return self._drives.travel_deg_s[index]
+
+    def current_ma(self, index: int) -> float:
+        return self.physics.idle_ma + float(self.power.motor_ma[index])
+
+    def temperature_c(self, index: int, now_ns: int) -> float:
+        return float(self.power.temperatures_c(s_from_ns(now_ns - self._tick_ns))[index])
+
+    def seen_deg(self, index: int, raw_deg: float) -> float:
+        """Return a raw angle as the host sees it: from the origin, in the gyre's direction."""
+        return float(self.gyre[index] * (raw_deg - self.origin_deg[index]))
+
+    def raw_deg(self, index: int, seen_deg: float) -> float:
+        return float(self.gyre[index] * seen_deg + self.origin_deg[index])
+
+    # -- the grid ---------------------------------------------------------------------------------
+
+    def _catch_up(self, index: int, now_ns: int) -> None:
+        """Bring one horn to `now_ns`, through the ends of its phases."""
+        top_deg_s = float(self.power.top_deg_s[index])
+        while (end_ns := int(self.horns.end_ns[index])) <= now_ns:
+            self.horns.coast(index, end_ns, top_deg_s)
+            self._drives.next_phase(index, end_ns)
+        self.horns.coast(index, now_ns, top_deg_s)
+
+    def _disturb(self, index: int, now_ns: int) -> None:
+        """Leave rest, if there is rest, and bring one servo to `now_ns`.
+
+        The grid, which stood still, is first put to its last point before `now_ns`.
+        """
+        skipped = (now_ns - self._tick_ns) // TICK_NS
+        if self._is_quiet and skipped > 0:
+            self._step(self._tick_ns + skipped * TICK_NS)
+        self._is_quiet = False
+        self._catch_up(index, now_ns)
+
+    def _tick_until(self, now_ns: int) -> None:
+        while not self._is_quiet and self._tick_ns + TICK_NS <= now_ns:
+            self._step(self._tick_ns + TICK_NS)
+
+    def _step(self, now_ns: int) -> None:
+        for index in np.flatnonzero(self.horns.end_ns <= now_ns).tolist():
+            self._catch_up(index, now_ns)
+        self.horns.sag(self._drives.is_powered)
+        self.horns.step(now_ns, self.power.top_deg_s)
+        self._feel(now_ns)
+        self._record(now_ns)
+        is_moving = any(
+            phase.speed_deg_s != 0.0 or phase.duration_s != math.inf for phase in self.horns.phases
+        )
+        self._is_quiet = not is_moving and self.horns.is_settled() and self.power.is_steady()
+
+    def _feel(self, now_ns: int) -> None:
+        """Let currents and heat act on the servos."""
+        horns, power = self.horns, self.power
+        passed_s = s_from_ns(now_ns - self._tick_ns)
+        self._tick_ns = now_ns
+        power.feel(passed_s, horns.deg_s, horns.gap_deg, horns.droop_deg, self._drives.is_powered)
+        for index in power.stuck():
+            limit = self._limits_ma[index]
+            if limit is not None and power.motor_ma[index] > limit[0]:
+                self._give_way(index, now_ns, limit[1])
+        for index, cause in power.safe_causes():
+            if self.safe_cause[index] is SafeCause.NONE:
+                self.safe_cause[index] = cause
+                self._give_way(index, now_ns, Limp())
+
+    def _give_way(self, index: int, now_ns: int, order: Halt | Limp) -> None:
+        self.power.stuck_s[index] = 0.0
+        if isinstance(order, Limp):
+            self._drives.go_limp(index, now_ns)
+        else:
+            self._drives.hold(index, now_ns, float(self.horns.deg[index]))
+
+    def _record(self, now_ns: int) -> None:
+        if self.truth is not None:
+            self.truth.append(now_ns, self.gyre * (self.horns.deg - self.origin_deg))

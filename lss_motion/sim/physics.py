@@ -1,0 +1,128 @@
+"""What simulated servos are made of: every physical number, with its source or as assumed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from lss_motion.robot.model import ServoModel
+
+TICK_NS = 5_000_000
+"""One control loop of a servo: 5 ms (lss_facts 1.2: "4 servo loops of 5 ms", maker's staff)."""
+
+FILTER_TICKS = 4
+"""The EM0 filter steps every 20 ms, four control loops (lss_facts 1.2)."""
+
+RESET_NS = 1_250_000_000
+"""How long a servo is deaf after RESET: 1.25 s (lss_facts 4, wiki-158)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Turnaround:
+    """Instants between the last byte of a query and the first byte of its reply.
+
+    `single_min_ns` … `single_max_ns`: uniform, for one query. The other three belong to the
+    ordered forms of firmware 370.
+    """
+
+    single_min_ns: int
+    single_max_ns: int
+    group_ns: int = 3_000_000
+    """Before the first reply to a group line: 3 ms measured at 921600 (lss_facts 2.2)."""
+    group_gap_ns: int = 150_000
+    """Between two servos of a group: 0.5 ms each, less its bytes (lss_facts 2.2)."""
+    broadcast_ns: int = 200_000
+    """Before slot 0 of an ordered broadcast: 200 µs + id times slot (lss_facts 2.2)."""
+    slot_ns: int = 1_000_000
+    """Width of a SLOT. Assumed; only the slot of QID is given in its command."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Physics:
+    """The numbers that every servo of a bus shares. An *assumed* default has no published source.
+
+    `lag_s`                 first-order lag of the horn behind the servo's own profile. Assumed.
+    `lag_per_stiffness_ratio`  one step of AS divides the lag by this. Assumed; the documents say
+                            only that a stiffer servo keeps closer to the position asked for.
+    `droop_per_stiffness_ratio`  one step of AH divides the droop under load by this. Assumed.
+    `retarget`, `t_law`     design 11: what a `D…T…` in mid-move starts from, and what T times.
+    `noise_deg`             half width of the uniform noise of a position reading (lss_facts 7.4:
+                            one tenth).
+    `supply_v`              battery without load: lss_facts 3 gives 12 V as nominal.
+    `supply_ohm`            resistance of battery and wiring. Assumed.
+    `nominal_v`             voltage at which a model's top speed holds; speed is proportional to
+                            voltage, as for any brushed motor. 12 V: lss_facts 3.
+    `idle_ma`               current of the electronics: 70 mA (lss_facts 3, ROS2ctl).
+    `running_ma`            more current at top speed without load. Assumed.
+    `load_ma_per_deg`       more current for each degree of droop that is held up. Assumed.
+    `stall_ma`              current of a motor that pushes and cannot turn. Assumed.
+    `ambient_c`             temperature of the room and of a servo at power-up. Assumed.
+    `heating_c_per_a2`      steady rise of temperature per squared ampere of motor current. Assumed
+                            so that 1.5 A, which users plan for (lss_facts 3), can be sustained.
+    `heating_s`             time constant of that rise. Assumed.
+    `temperature_max_c`     safe mode above it: 85 C (seed 000, QT).
+    `stall_deg`             a horn this far behind and not turning is stuck. Assumed.
+    `blocked_s`, `safe_s`   how long stuck until blocked (9), until safe mode (10). Assumed.
+    """
+
+    lag_s: float = 0.02
+    lag_per_stiffness_ratio: float = 1.1
+    droop_per_stiffness_ratio: float = 1.1
+    retarget: Literal["keep_speed", "from_rest"] = "keep_speed"
+    t_law: Literal["cruise", "exact"] = "cruise"
+    noise_deg: float = 0.1
+    supply_v: float = 12.0
+    supply_ohm: float = 0.05
+    nominal_v: float = 12.0
+    idle_ma: float = 70.0
+    running_ma: float = 130.0
+    load_ma_per_deg: float = 200.0
+    stall_ma: float = 1500.0
+    ambient_c: float = 25.0
+    heating_c_per_a2: float = 15.0
+    heating_s: float = 300.0
+    temperature_max_c: float = 85.0
+    stall_deg: float = 5.0
+    blocked_s: float = 0.5
+    safe_s: float = 2.0
+    turnaround: Turnaround | None = None
+    """None: that of the bus's firmware, `turnaround_of`."""
+
+    def __post_init__(self) -> None:
+        if self.lag_s <= 0.0:
+            raise ValueError(f"lag_s is {self.lag_s}; a horn needs a lag above 0")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoSpec:
+    """One servo on the bus when the power comes on.
+
+    `start_deg`   servo angle of the horn at power-up, within ±180 (lss_facts 3: turns are lost)
+    `droop_deg`   how far the load pulls the horn below a held position when its arm is level;
+                  the pull goes with the cosine of the angle from `level_deg` and is towards
+                  negative angles. 0: nothing hangs on it
+    `eeprom`      configured values that differ from the factory's, by keyword (`{"G": -1}`)
+    `baud_bps`    None: that of the bus
+    """
+
+    servo_id: int
+    model: ServoModel
+    start_deg: float = 0.0
+    droop_deg: float = 0.0
+    level_deg: float = 0.0
+    eeprom: Mapping[str, int] = field(default_factory=dict)
+    baud_bps: int | None = None
+
+
+FAST_REPLY_FIRMWARE = 369
+"""From here on queries are answered faster (lss_facts 4, firmware timeline)."""
+
+
+def turnaround_of(firmware: int) -> Turnaround:
+    """Default of a firmware: 0.2-1.0 ms, older ones 1.0-1.8 ms (lss_facts 2.2; not measured)."""
+    if firmware >= FAST_REPLY_FIRMWARE:
+        return Turnaround(single_min_ns=200_000, single_max_ns=1_000_000)
+    return Turnaround(single_min_ns=1_000_000, single_max_ns=1_800_000)

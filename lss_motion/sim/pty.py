@@ -1,0 +1,208 @@
+"""Simulated buses behind pseudo-terminals, in real time: any program that opens a port may talk."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import threading
+import time
+from random import Random
+from typing import TYPE_CHECKING, Self
+
+from lss_motion.errors import BusError, InputError
+from lss_motion.sim.build import bus_from_robot, servos_of
+from lss_motion.units import LINE_BITS_PER_BYTE, NS_PER_MS, NS_PER_S, line_time_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
+    from types import FrameType
+
+    from lss_motion.robot.model import Robot
+    from lss_motion.sim.bus import SimBus
+    from lss_motion.sim.faults import Fault
+
+FIFO_BYTES = 256
+"""What a USB adapter takes before it makes the host wait: the transmit buffer of an FT232R."""
+
+MOVING_POLL_NS = 20 * NS_PER_MS
+"""While horns move, time is simulated at least this often, so that no reply has to wait for it."""
+
+RESTING_POLL_NS = 200 * NS_PER_MS
+"""How soon `should_stop` is noticed when nothing else happens."""
+
+
+def serve(
+    robot: Robot,
+    link: Path | None,
+    *,
+    seed: int,
+    announce: Callable[[str], None],
+    faults: Sequence[Fault] = (),
+    should_stop: Callable[[], bool] = lambda: False,
+) -> int | None:
+    """Serve every bus of `robot` until SIGINT, SIGTERM or `should_stop()`; return the signal.
+
+    `link` becomes a symbolic link to the port, `LINK.<bus>` where there are several buses; it
+    is gone when this returns. A host may close and reopen a port as often as it likes.
+    """
+    with contextlib.ExitStack() as stack:
+        alarm_fd, received = stack.enter_context(_signals())
+        ports = []
+        for name, bus in robot.buses.items():
+            sim_bus = bus_from_robot(robot, name, seed=seed, faults=faults)
+            port = stack.enter_context(Port(sim_bus, seed=seed))
+            ports.append(port)
+            path = port.path
+            if link is not None:
+                linked = link if len(robot.buses) == 1 else link.with_name(f"{link.name}.{name}")
+                stack.enter_context(_linked(linked, port.path))
+                path = f"{linked} -> {port.path}"
+            servos = f"{len(servos_of(robot, name))} simulated servos"
+            announce(f"{name}: {path}, {bus.baud_bps} bps, {servos}")
+        while not received and not should_stop():
+            _turn(ports, alarm_fd)
+    return received[0] if received else None
+
+
+class Port:
+    """One bus behind one pseudo-terminal. The host's side is `path`."""
+
+    def __init__(self, bus: SimBus, *, seed: int) -> None:
+        try:
+            import termios
+            import tty
+        except ImportError as error:
+            raise BusError(
+                "this system has no pseudo-terminals; play in process with port sim://"
+            ) from error
+        self._termios = termios
+        self.bus = bus
+        self.master_fd, self._slave_fd = os.openpty()
+        self.path = os.ttyname(self._slave_fd)
+        self._noise = Random(f"{seed}/noise")
+        tty.setraw(self._slave_fd)
+        self._rates_bps = {
+            getattr(termios, name): int(name[1:])
+            for name in dir(termios)
+            if name[:1] == "B" and name[1:].isdigit()
+        }
+        self._set_rate()
+        os.set_blocking(self.master_fd, False)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self.master_fd)
+        os.close(self._slave_fd)
+
+    def is_open_to_host(self, now_ns: int) -> bool:
+        """Return whether the adapter has room; if not, the host's bytes wait in the system."""
+        return self.bus.backlog_ns(now_ns) < self._fifo_ns()
+
+    def wakeup_ns(self, now_ns: int) -> int:
+        """Return when there is something to do, if the host says nothing."""
+        poll_ns = RESTING_POLL_NS if self.bus.is_resting else MOVING_POLL_NS
+        wakeup_ns = now_ns + poll_ns
+        arrival_ns = self.bus.next_arrival_ns()
+        if arrival_ns is not None:
+            wakeup_ns = min(wakeup_ns, arrival_ns)
+        if not self.is_open_to_host(now_ns):
+            room_ns = now_ns + self.bus.backlog_ns(now_ns) - self._fifo_ns() + 1
+            wakeup_ns = min(wakeup_ns, room_ns)
+        return wakeup_ns
+
+    def take(self, now_ns: int) -> None:
+        """Take what the host has written, as far as the adapter has room."""
+        used_bytes = self.bus.backlog_ns(now_ns) * self.bus.baud_bps // NS_PER_S
+        room_bytes = max(FIFO_BYTES - used_bytes // LINE_BITS_PER_BYTE, 1)
+        with contextlib.suppress(BlockingIOError):
+            data = os.read(self.master_fd, room_bytes)
+            if self._is_other_rate():
+                data = self._noise.randbytes(len(data))
+            self.bus.write(data, now_ns)
+
+    def give(self, now_ns: int) -> None:
+        """Give the host what has arrived; bytes for which nobody has room are lost."""
+        data = self.bus.read(now_ns)
+        if data and not self._is_other_rate():
+            with contextlib.suppress(BlockingIOError):
+                os.write(self.master_fd, data)
+
+    def _fifo_ns(self) -> int:
+        return line_time_ns(FIFO_BYTES, self.bus.baud_bps)
+
+    def _set_rate(self) -> None:
+        """Start the terminal at the bus's rate, for hosts that do not set one."""
+        codes = {rate_bps: code for code, rate_bps in self._rates_bps.items()}
+        attributes = self._termios.tcgetattr(self._slave_fd)
+        code = codes.get(self.bus.baud_bps, attributes[5])
+        attributes[4] = attributes[5] = code
+        self._termios.tcsetattr(self._slave_fd, self._termios.TCSANOW, attributes)
+        self._own_code = code
+
+    def _is_other_rate(self) -> bool:
+        """Return whether the host has set a known rate that is not the bus's."""
+        code = self._termios.tcgetattr(self._slave_fd)[5]
+        return code != self._own_code and self._rates_bps.get(code, 0) not in (0, self.bus.baud_bps)
+
+
+def _turn(ports: list[Port], alarm_fd: int) -> None:
+    """Wait for a host or the next instant, then bring every port up to now."""
+    now_ns = time.monotonic_ns()
+    open_ports = {port.master_fd: port for port in ports if port.is_open_to_host(now_ns)}
+    wait_ns = min(port.wakeup_ns(now_ns) for port in ports) - now_ns
+    readable, _, _ = select.select([alarm_fd, *open_ports], [], [], max(wait_ns, 0) / NS_PER_S)
+    now_ns = time.monotonic_ns()
+    for port in ports:
+        if port.master_fd in readable:
+            port.take(now_ns)
+        port.give(now_ns)
+
+
+@contextlib.contextmanager
+def _linked(link: Path, target: str) -> Iterator[None]:
+    """Let `link` point to `target` meanwhile. It never points to nothing, and replaces no file."""
+    if link.exists() and not link.is_symlink():
+        raise InputError(f"{link} exists and is no symbolic link; choose another --link")
+    fresh = link.with_name(f".{link.name}.{os.getpid()}")
+    try:
+        fresh.symlink_to(target)
+        fresh.replace(link)
+    except OSError as error:
+        raise InputError(f"cannot make the link {link}: {error.strerror}") from error
+    try:
+        yield
+    finally:
+        if link.is_symlink() and str(link.readlink()) == target:
+            link.unlink()
+
+
+@contextlib.contextmanager
+def _signals() -> Iterator[tuple[int, list[int]]]:
+    """Collect SIGINT and SIGTERM, and make the yielded descriptor readable when one comes.
+
+    Outside the main thread, where Python delivers no signals, the list stays empty.
+    """
+    received: list[int] = []
+    alarm_fd, ring_fd = os.pipe()
+    os.set_blocking(ring_fd, False)
+
+    def ring(number: int, _frame: FrameType | None) -> None:
+        received.append(number)
+        with contextlib.suppress(BlockingIOError):
+            os.write(ring_fd, b"!")
+
+    is_main = threading.current_thread() is threading.main_thread()
+    numbers = (signal.SIGINT, signal.SIGTERM) if is_main else ()
+    previous = {number: signal.signal(number, ring) for number in numbers}
+    try:
+        yield alarm_fd, received
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+        os.close(alarm_fd)
+        os.close(ring_fd)

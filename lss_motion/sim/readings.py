@@ -1,0 +1,145 @@
+"""What a servo knows of itself and answers when asked, in wire units."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from lss_motion.protocol.constants import (
+    DEG_S_PER_RPM,
+    PULSE_MAX_US,
+    PULSE_MIN_US,
+    Status,
+    status_codes,
+)
+from lss_motion.protocol.table import Answer, Suffix
+from lss_motion.sim.orders import Motion
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from random import Random
+
+    from lss_motion.protocol.table import FamilyTable, Row
+    from lss_motion.robot.model import ServoModel
+    from lss_motion.sim.motors import Motors
+    from lss_motion.sim.settings import Settings
+
+PULSE_MID_US = 1500
+PULSE_HALF_US = 1000
+"""1500 µs is the middle and ±1000 µs the ends of the angular range (seed 000, P)."""
+
+STATUS_OF = {
+    Motion.LIMP: Status.LIMP,
+    Motion.ACCELERATING: Status.ACCELERATING,
+    Motion.TRAVELING: Status.TRAVELING,
+    Motion.DECELERATING: Status.DECELERATING,
+    Motion.HOLDING: Status.HOLDING,
+    Motion.STUCK: Status.STUCK,
+    Motion.BLOCKED: Status.BLOCKED,
+    Motion.SAFE_MODE: Status.SAFE_MODE,
+}
+
+
+class Readings:
+    """The answers of servo `index`. Positions scatter as its encoder does."""
+
+    def __init__(
+        self,
+        index: int,
+        motors: Motors,
+        settings: Settings,
+        *,
+        model: ServoModel,
+        firmware: int,
+        random: Random,
+    ) -> None:
+        self._index = index
+        self._motors = motors
+        self._settings = settings
+        self._table: FamilyTable = settings.table
+        self._model = model
+        self._firmware = firmware
+        self._random = random
+        self._serial_number = f"{random.randrange(10**7, 10**8)}"
+        self._last_target = 0
+        self._measured: dict[str, Callable[[int], int | str | None]] = {
+            "D": lambda now_ns: self._wire("D", self.position_deg(now_ns)),
+            "DT": self._target,
+            "P": self._pulse_us,
+            "WD": lambda now_ns: self._wire("WD", self._speed_deg_s(now_ns)),
+            "WR": lambda now_ns: round(self._speed_deg_s(now_ns) / DEG_S_PER_RPM),
+            "S": lambda now_ns: round(self._speed_deg_s(now_ns) * self.pulse_us_per_deg()),
+            "VT": lambda _: self._wire("VT", motors.travel_deg_s(index)),
+            "Q": self._status,
+            "V": lambda _: self._wire("V", motors.power.supply_v()),
+            "T": lambda now_ns: self._wire("T", motors.temperature_c(index, now_ns)),
+            "TP": lambda now_ns: self._wire("TP", motors.temperature_c(index, now_ns)),
+            "TM": lambda now_ns: self._wire("TM", motors.temperature_c(index, now_ns)),
+            "C": lambda _: self._wire("C", motors.current_ma(index) / 1000.0),
+            "MS": lambda _: self._model.name,
+            "N": lambda _: self._serial_number,
+            "F": lambda _: self._firmware,
+            "FR": lambda _: self._firmware,
+        }
+
+    def value(self, row: Row, suffix: Suffix | None, now_ns: int) -> int | str | None:
+        """Return what a query of `row` answers at `now_ns`; None: nothing after the keyword."""
+        match suffix:
+            case Suffix.CAUSE:
+                return int(self._motors.safe_cause[self._index])
+            case Suffix.FULL_VERSION:
+                return f"{self._firmware}.0.0"
+            case Suffix.INSTANTANEOUS:
+                return _speed_in(row, abs(self._speed_deg_s(now_ns)))
+            case Suffix.TARGET:
+                return _speed_in(row, self._motors.travel_deg_s(self._index))
+            case Suffix.CONFIGURED:
+                return self._settings.read(row, is_configured=True)
+            case _:
+                measure = self._measured.get(row.name)
+                if measure is not None:
+                    return measure(now_ns)
+                value = self._settings.read(row, is_configured=False)
+                return 0 if value is None and row.answer is Answer.INTEGER else value
+
+    def position_deg(self, now_ns: int) -> float:
+        """Return the angle that the encoder shows, as the host sees angles."""
+        raw_deg = self._motors.horn_deg(self._index, now_ns)
+        scatter_deg = self._random.uniform(-1.0, 1.0) * self._motors.physics.noise_deg
+        return self._motors.seen_deg(self._index, raw_deg) + scatter_deg
+
+    def pulse_us_per_deg(self) -> float:
+        range_deg = self._settings.physical("AR") or self._table.row("QAR").physical(1)
+        return PULSE_HALF_US / (range_deg / 2.0)
+
+    def _pulse_us(self, now_ns: int) -> int:
+        """Return the position as a pulse; a negative end point where it is outside (seed 000)."""
+        pulse_us = PULSE_MID_US + self.position_deg(now_ns) * self.pulse_us_per_deg()
+        if pulse_us < PULSE_MIN_US:
+            return -PULSE_MIN_US
+        return -PULSE_MAX_US if pulse_us > PULSE_MAX_US else round(pulse_us)
+
+    def _target(self, now_ns: int) -> int | None:
+        """Return the target; without one nothing, or what it last was where a number is due."""
+        target_deg = self._motors.target_deg(self._index, now_ns)
+        if target_deg is not None:
+            self._last_target = self._wire("D", self._motors.seen_deg(self._index, target_deg))
+        elif self._table.row("QDT").answer is Answer.OPTIONAL:
+            return None
+        return self._last_target
+
+    def _status(self, now_ns: int) -> int:
+        status = STATUS_OF[self._motors.motion(self._index, now_ns)]
+        codes = status_codes(self._table.family, self._firmware)
+        return codes.index(status if status in codes else Status.ERROR)
+
+    def _speed_deg_s(self, now_ns: int) -> float:
+        gyre = float(self._motors.gyre[self._index])
+        return gyre * self._motors.horn_deg_s(self._index, now_ns)
+
+    def _wire(self, name: str, physical: float) -> int:
+        return self._settings.row(name).wire(physical)
+
+
+def _speed_in(row: Row, speed_deg_s: float) -> int:
+    """Return a speed in the unit of `row`, which is SD's or, mirroring it, SR's."""
+    return row.wire(speed_deg_s if row.mirrors is None else speed_deg_s / DEG_S_PER_RPM)

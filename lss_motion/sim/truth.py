@@ -1,0 +1,49 @@
+"""What the horns really did: angles over time, kept beside the simulation and never shown to it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+FIRST_ROWS = 1024
+"""Rows of the first buffer; it doubles when full."""
+
+
+class Truth:
+    """A growing table of instants and servo angles, in order of time.
+
+    A horn that rests for long leaves no rows in between; it is straight there.
+    """
+
+    def __init__(self, servo_count: int) -> None:
+        self._count = 0
+        self._times_ns = np.zeros(FIRST_ROWS, dtype=np.int64)
+        self._angles_deg = np.zeros((FIRST_ROWS, servo_count))
+
+    def append(self, time_ns: int, angles_deg: NDArray[np.float64]) -> None:
+        assert not self._count or self._times_ns[self._count - 1] < time_ns, "time goes on"
+        if self._count == len(self._times_ns):
+            self._times_ns = np.concatenate([self._times_ns, np.zeros_like(self._times_ns)])
+            self._angles_deg = np.concatenate([self._angles_deg, np.zeros_like(self._angles_deg)])
+        self._times_ns[self._count] = time_ns
+        self._angles_deg[self._count] = angles_deg
+        self._count += 1
+
+    def horn_deg(self, times_ns: Iterable[int] | NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the angles at the given instants, (instants, servos), in the order of the specs.
+
+        Before the first row and after the last the horn stands still.
+        """
+        asked_ns = np.asarray(list(times_ns), dtype=np.int64)
+        start_ns = self._times_ns[0] if self._count else 0
+        asked_s = (asked_ns - start_ns).astype(np.float64)
+        known_s = (self._times_ns[: self._count] - start_ns).astype(np.float64)
+        known_deg = self._angles_deg[: self._count]
+        columns = [np.interp(asked_s, known_s, column) for column in known_deg.T]
+        return np.stack(columns, axis=1)

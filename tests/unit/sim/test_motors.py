@@ -1,0 +1,321 @@
+"""Judged against closed forms written here, never against the simulator's own profile."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lss_motion.sim.physics import TICK_NS, Physics
+
+CRISP = Physics(noise_deg=0.0, lag_s=1e-5, supply_ohm=0.0)
+
+
+def trapezoid_deg(time_s, distance_deg, travel_deg_s, accel_deg_s2, decel_deg_s2):
+    """Position over time of one move from rest; the textbook's three parabolas."""
+    reach_deg_s = math.sqrt(
+        2 * distance_deg * accel_deg_s2 * decel_deg_s2 / (accel_deg_s2 + decel_deg_s2)
+    )
+    top = min(travel_deg_s, reach_deg_s)
+    up_s, down_s = top / accel_deg_s2, top / decel_deg_s2
+    even_s = (distance_deg - top * (up_s + down_s) / 2) / top
+    if time_s < up_s:
+        return accel_deg_s2 * max(time_s, 0.0) ** 2 / 2
+    if time_s < up_s + even_s:
+        return top * (time_s - up_s / 2)
+    rest_s = max(up_s + even_s + down_s - time_s, 0.0)
+    return distance_deg - decel_deg_s2 * rest_s**2 / 2
+
+
+def taken_up_s(host, start_ns):
+    """Find when the horn began to move, to a tenth of a millisecond."""
+    times_ns = np.arange(start_ns, start_ns + 20_000_000, 100_000)
+    moved = host.bus.horn_deg(times_ns)[:, 0] != host.bus.horn_deg([start_ns])[0, 0]
+    return times_ns[np.argmax(moved)]
+
+
+@pytest.mark.parametrize(
+    ("command", "travel_deg_s"),
+    [("D450", 360.0), ("D450T500", 90.0), ("D1800T600", 300.0), ("D90T20", 360.0)],
+)
+def test_a_timed_move_is_a_trapezoid_within_a_tenth_of_a_degree(make_host, command, travel_deg_s):
+    host = make_host(physics=CRISP)
+    host.ask("#5AA30")
+    host.ask("#5AD60")
+    host.bus.write(f"#5{command}\r".encode(), host.now_ns)
+    heard_ns = host.now_ns + host.bus.backlog_ns(host.now_ns)
+    distance_deg = int(command[1:].split("T")[0]) / 10
+    host.wait_s(3.0)
+    start_ns = host.bus.motors.loop_ns(0, heard_ns)
+    times_ns = [start_ns + step * 1_000_000 for step in range(2000)]
+    expected_deg = [
+        trapezoid_deg((time_ns - start_ns) / 1e9, distance_deg, travel_deg_s, 300.0, 600.0)
+        for time_ns in times_ns
+    ]
+    error_deg = np.abs(host.bus.horn_deg(times_ns)[:, 0] - expected_deg)
+    assert error_deg.max() < 0.1
+    assert host.horn_deg() == pytest.approx(distance_deg, abs=1e-6)
+
+
+def test_the_horn_trails_a_steady_speed_by_the_lag(make_host):
+    host = make_host(physics=replace(CRISP, lag_s=0.03))
+    host.say("#5D3000T3000")
+    host.wait_s(1.0)
+    first_deg = host.horn_deg()
+    host.wait_s(0.5)
+    assert host.horn_deg() - first_deg == pytest.approx(50.0, abs=1e-6)
+    profile_deg = host.bus.motors.horns.profile_deg(0, host.now_ns)
+    assert profile_deg - host.horn_deg() == pytest.approx(100.0 * 0.03, abs=1e-6)
+
+
+def test_a_step_of_the_horns_equals_many_small_ones(make_host):
+    """The lag against its definition, dh/dt = (x - h) / lag, integrated here at 20 µs."""
+    host = make_host(physics=replace(CRISP, lag_s=0.02))
+    host.bus.write(b"#5D450T400\r", 0)
+    heard_ns = host.bus.backlog_ns(0)
+    start_ns = host.bus.motors.loop_ns(0, heard_ns)
+    host.wait_s(1.0)
+    horn_deg, worst_deg, step_s = 0.0, 0.0, 20e-6
+    for step in range(40_000):
+        profile_deg = trapezoid_deg((step + 0.5) * step_s, 45.0, 112.5, 1000.0, 1000.0)
+        horn_deg += (profile_deg - horn_deg) * step_s / 0.02
+        if step % 500 == 499:
+            truth_deg = host.bus.horn_deg([start_ns + round((step + 1) * step_s * 1e9)])[0, 0]
+            worst_deg = max(worst_deg, abs(truth_deg - horn_deg))
+    assert worst_deg < 0.02
+
+
+def test_a_new_target_in_mid_move_keeps_the_speed(make_host):
+    host = make_host(physics=CRISP)
+    host.say("#5D3600T3600")
+    host.wait_s(1.0)
+    host.say("#5D3000T2000")
+    first_deg = host.horn_deg()
+    host.wait_s(0.001)
+    assert (host.horn_deg() - first_deg) / 0.001 == pytest.approx(100.0, rel=0.05)
+
+
+def test_from_rest_a_new_target_begins_with_no_speed(make_host):
+    host = make_host(physics=replace(CRISP, retarget="from_rest"))
+    host.say("#5D3600T3600")
+    host.wait_s(1.0)
+    host.bus.write(b"#5D3000T2000\r", host.now_ns)
+    host.wait_s(0.007)
+    first_deg = host.horn_deg()
+    host.wait_s(0.001)
+    assert (host.horn_deg() - first_deg) / 0.001 < 20.0
+
+
+def test_the_filter_follows_its_law_every_20_ms(make_host):
+    host = make_host(physics=CRISP)
+    host.say("#5EM0")
+    host.say("#5FPC5")
+    host.say("#5D900")
+    seen = []
+    for _ in range(400):
+        reply = host.ask("#5QDT")
+        if not seen or seen[-1] != reply:
+            seen.append(reply)
+    seen_targets = [int(reply.removeprefix("*5QDT").removesuffix("|")) for reply in seen]
+    expected, value = [0], 0.0
+    while abs(value - 90.0) >= 0.05:
+        value = (value * 4 + 90.0) / 5
+        expected.append(900 if abs(value - 90.0) < 0.05 else round(value * 10))
+    assert seen_targets == list(dict.fromkeys(expected))
+    assert seen_targets[1:3] == [180, 324]  # the maker's own example
+
+
+def test_without_ipe_the_filter_steps_once_a_command(make_host):
+    host = make_host(physics=CRISP)
+    for line in ("#5EM0", "#5FPC2", "#5IPE0", "#5D800"):
+        host.say(line)
+    host.wait_s(0.2)
+    assert host.ask("#5QDT") == "*5QDT400|"
+    host.say("#5D800")
+    assert host.ask("#5QDT") == "*5QDT600|"
+
+
+def test_in_em0_nothing_is_timed_and_the_status_stays_holding(make_host):
+    host = make_host(physics=CRISP)
+    for line in ("#5EM0", "#5FPC0", "#5D900T5000"):
+        host.say(line)
+    host.wait_s(0.1)
+    assert host.ask("#5Q") == "*5Q6|"
+    host.wait_s(0.3)
+    assert host.ask("#5QD") == "*5QD900|"
+
+
+def test_no_horn_is_faster_than_its_model(make_host):
+    host = make_host()
+    for line in ("#5EM0", "#5FPC0", "#5D1800"):
+        host.say(line)
+    host.wait_s(1.0)
+    angles_deg = host.bus.horn_deg(range(0, host.now_ns, TICK_NS))[:, 0]
+    speed_deg_s = np.diff(angles_deg).max() / (TICK_NS / 1e9)
+    assert 340.0 < speed_deg_s <= 360.0
+
+
+def test_a_maker_test_holds_45_degrees_within_800_ms(host):
+    host.say("#5D450")
+    host.wait_s(0.8)
+    assert host.horn_deg() == pytest.approx(45.0, abs=1.5)
+
+
+@pytest.mark.parametrize(("command", "speed_deg_s"), [("WD900", 90.0), ("WR-20", -120.0)])
+def test_a_wheel_reaches_its_speed_within_half_a_second(make_host, command, speed_deg_s):
+    host = make_host()
+    host.say(f"#5{command}")
+    host.wait_s(0.5)
+    first_deg = host.horn_deg()
+    host.wait_s(1.0)
+    assert host.horn_deg() - first_deg == pytest.approx(speed_deg_s, rel=1e-3)
+    assert host.ask("#5QWD") == f"*5QWD{speed_deg_s * 10:.0f}|"
+    assert host.ask("#5QDT") == "*5QDT|"
+
+
+def test_halt_holds_where_the_profile_is_and_limp_where_the_horn_is(make_host):
+    host = make_host()
+    host.say("#5D1800T2000")
+    host.wait_s(1.0)
+    before_deg = host.horn_deg()
+    host.say("#5H")
+    host.wait_s(1.0)
+    assert before_deg < host.horn_deg() < before_deg + 90.0 * (0.02 + 0.006)
+    assert host.ask("#5Q") == "*5Q6|"
+    host.say("#5L")
+    rest_deg = host.horn_deg()
+    host.wait_s(1.0)
+    assert host.horn_deg() == rest_deg
+    assert host.ask("#5Q") == "*5Q1|"
+
+
+def test_the_status_follows_the_profile(make_host):
+    host = make_host()
+    assert host.ask("#5Q") == "*5Q1|"
+    host.say("#5D900T1000")
+    seen = []
+    for _ in range(120):
+        status = int(host.ask("#5Q")[3:-1])
+        if not seen or seen[-1] != status:
+            seen.append(status)
+        host.wait_s(0.01)
+    assert seen == [3, 4, 5, 6]
+
+
+def test_a_load_pulls_a_held_horn_down_and_costs_current(make_host, make_servo):
+    host = make_host(make_servo(droop_deg=2.0))
+    assert host.ask("#5QC") == "*5QC70|"
+    host.say("#5D0")
+    host.wait_s(1.0)
+    assert host.horn_deg() == pytest.approx(-2.0, abs=0.01)
+    assert host.ask("#5QC") == "*5QC470|"  # 70 + 2 deg * 200 mA
+    host.say("#5D900")
+    host.wait_s(2.0)
+    assert host.horn_deg() == pytest.approx(90.0, abs=0.01)  # upright: no lever
+
+
+def test_a_stiffer_servo_trails_less(make_host):
+    def behind_deg(stiffness):
+        host = make_host(physics=replace(CRISP, lag_s=0.03))
+        host.say(f"#5AS{stiffness}")
+        host.say("#5WD1000")
+        host.wait_s(1.0)
+        return host.bus.motors.horns.profile_deg(0, host.now_ns) - host.horn_deg()
+
+    assert behind_deg(0) == pytest.approx(3.0, abs=1e-3)
+    assert behind_deg(2) == pytest.approx(3.0 / 1.1**2, abs=1e-3)
+    assert behind_deg(-2) == pytest.approx(3.0 * 1.1**2, abs=1e-3)
+
+
+def test_a_firmer_hold_droops_less(make_host, make_servo):
+    host = make_host(make_servo(droop_deg=2.0))
+    host.say("#5AH6")  # two steps above the default of 4
+    host.say("#5D0")
+    host.wait_s(1.0)
+    assert host.horn_deg() == pytest.approx(-2.0 / 1.1**2, abs=0.01)
+
+
+def test_a_limited_duty_makes_em0_slower(make_host):
+    host = make_host()
+    for line in ("#5MMD256", "#5EM0", "#5FPC0", "#5D1800"):
+        host.say(line)
+    host.wait_s(1.0)
+    assert host.horn_deg() == pytest.approx(90.0, abs=4.0)  # a quarter of 360 deg/s
+
+
+def test_a_jammed_servo_is_stuck_then_blocked_then_in_safe_mode_until_reset(make_host):
+    host = make_host()
+    host.bus.motors.jam(0, host.now_ns, is_jammed=True)
+    host.say("#5D900")
+    seen = []
+    for _ in range(400):
+        status = int(host.ask("#5Q")[3:-1])
+        if not seen or seen[-1] != status:
+            seen.append(status)
+        host.wait_s(0.01)
+    assert seen[-3:] == [8, 9, 10]
+    assert host.ask("#5Q1") == "*5Q1|"
+    host.bus.motors.jam(0, host.now_ns, is_jammed=False)
+    host.say("#5D450")
+    host.wait_s(1.0)
+    assert host.horn_deg() == 0.0
+    host.say("#5RESET")
+    host.wait_s(1.3)
+    host.say("#5D450")
+    host.wait_s(1.0)
+    assert host.horn_deg() == pytest.approx(45.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("modifier", "status"), [("CH400", 6), ("CL400", 1)])
+def test_a_current_limit_ends_a_stall_without_safe_mode(make_host, modifier, status):
+    host = make_host()
+    host.bus.motors.jam(0, host.now_ns, is_jammed=True)
+    host.say(f"#5D900{modifier}")
+    host.wait_s(4.0)
+    assert host.ask("#5Q") == f"*5Q{status}|"
+
+
+def test_a_servo_above_85_degrees_goes_limp_and_says_why(make_host):
+    host = make_host()
+    host.say("#5D900")
+    host.bus.motors.power.set_temperature(0, 86.0)
+    host.wait_s(0.05)
+    assert host.ask("#5Q") == "*5Q10|"
+    assert host.ask("#5Q1") == "*5Q3|"
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(0, 300),
+            st.sampled_from(
+                ["#5D450T300", "#5D-900", "#6D1800T400", "#6WD300", "#5QD", "#6Q", "#254H", "#5L",
+                 "#5EM0", "#5EM1", "#6RESET", "#254QD", "#5AS-4"]
+            ),
+        ),
+        max_size=12,
+    ),
+    st.lists(st.integers(1, 700), max_size=40),
+)  # fmt: skip
+@settings(max_examples=40, deadline=None)
+def test_what_happens_does_not_depend_on_how_often_time_is_told(
+    make_host, make_servo, script, pauses_ms
+):
+
+    def play(extra_ns):
+        host = make_host(make_servo(5), make_servo(6), physics=Physics())
+        writes = sorted((at_ms * 1_000_000, f"{line}\r".encode()) for at_ms, line in script)
+        received = b""
+        for now_ns, data in sorted([*writes, *((at_ns, b"") for at_ns in extra_ns)]):
+            received += host.bus.read(now_ns)
+            host.bus.write(data, now_ns)
+            if now_ns % 3 == 0:
+                host.bus.next_arrival_ns()
+        received += host.bus.read(2_000_000_000)
+        return received, host.bus.horn_deg(range(0, 2_000_000_000, 7_000_000)).tolist()
+
+    lonely = play([])
+    watched = play([pause_ms * 1_000_003 for pause_ms in pauses_ms])
+    assert watched == lonely
