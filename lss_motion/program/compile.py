@@ -1,0 +1,224 @@
+"""Trajectory → Program: every joint's moves, on the lines that carry them."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.errors import InputError, LineLoadError
+from lss_motion.program.cone import GRID_S, Course, ServoLimits
+from lss_motion.program.fit import DURATION_MAX_MS, LATEST_ARRIVAL_S, Fitter
+from lss_motion.program.line import LineSchedule, LineUse, line_use
+from lss_motion.program.model import Move, Program, Repeat, ramp_deg_s2
+from lss_motion.protocol.line import encode_move
+from lss_motion.units import NS_PER_US, line_time_ns, s_from_us, us_from_s
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from lss_motion.robot.model import Joint, Robot
+    from lss_motion.trajectory.model import Trajectory
+
+TOLERANCE_DEG: Final = 0.2
+"""How far the predicted horn may be from the plan (design 7)."""
+RELAXED_RATIOS: Final = (1.0, 1.5, 2.5, 4.0, 6.0)
+"""By how much the tolerance is relaxed, step by step, when the line is too slow."""
+PREROLL_S: Final = 0.25
+"""The show clock starts this long before the plan, so that all first moves find a slot."""
+LATE_MAX_US: Final = us_from_s(LATEST_ARRIVAL_S) // 2
+"""A schedule that is later than this at any time is too tight: half of what a move's reach
+allows, so that the other half is left for the computer that plays it."""
+
+
+def compile_program(
+    trajectory: Trajectory, robot: Robot, *, tolerance_deg: float = TOLERANCE_DEG
+) -> Program:
+    """Return the program that makes `robot` follow `trajectory`.
+
+    Raises `LineLoadError` when the line cannot carry it even at the most relaxed tolerance, and
+    `InputError` when a joint of the trajectory is not one of the robot's.
+    """
+    if unknown := [name for name in trajectory.joints if name not in robot.joints]:
+        raise InputError(f"robot {robot.name!r} has no joint {unknown[0]!r}")
+    courses = _courses(trajectory, robot)
+    tight: _Attempt | None = None
+    for ratio in RELAXED_RATIOS:
+        attempt = _Attempt(courses, robot, tolerance_deg * ratio)
+        if attempt.late_max_us <= LATE_MAX_US:
+            return _program(trajectory, robot, courses, attempt)
+        tight = attempt
+    assert tight is not None
+    raise _overload(tight, robot)
+
+
+def _courses(trajectory: Trajectory, robot: Robot) -> dict[str, Course]:
+    """Return what each servo's profile has to do: the plan, earlier by what the servo lags."""
+    end_s = trajectory.duration_s
+    if trajectory.loop is None:
+        end_s = trajectory.first.duration_s + 2.0 * trajectory.middle.duration_s
+    courses = {}
+    steps = math.ceil((end_s + 2.0 * PREROLL_S) / GRID_S) + 1
+    for lead_s in {lead(robot.joints[name]) for name in trajectory.joints}:
+        times_s = -PREROLL_S + GRID_S * np.arange(steps, dtype=np.float64)
+        angles_deg = trajectory.sample(times_s + lead_s)
+        for column, name in enumerate(trajectory.joints):
+            joint = robot.joints[name]
+            if lead(joint) == lead_s:
+                servo_deg = joint.zero_deg + joint.direction * angles_deg[:, column]
+                courses[name] = Course(start_s=-PREROLL_S, position_deg=servo_deg)
+    return courses
+
+
+def lead(joint: Joint) -> float:
+    """Return by how much a joint's moves are sent earlier, in seconds.
+
+    That is its servo's lag, and half the control tick at which it takes up a command.
+    """
+    return joint.response.lag_s + 0.5 * joint.response.loop_s
+
+
+class _Attempt:
+    """All joints fitted at one tolerance, on the lines they share."""
+
+    def __init__(self, courses: Mapping[str, Course], robot: Robot, tolerance_deg: float) -> None:
+        self.tolerance_deg = tolerance_deg
+        self.late_max_us = 0
+        self.fitters = {
+            name: Fitter(course, servo_limits(robot.joints[name], tolerance_deg))
+            for name, course in courses.items()
+        }
+        self._lines = {bus: LineSchedule() for bus in robot.buses}
+        queue: list[tuple[float, str]] = []
+        for name, fitter in self.fitters.items():
+            if (wanted_s := fitter.wanted(None)) is not None:
+                heapq.heappush(queue, (self._grant(robot, name, wanted_s, -PREROLL_S), name))
+        while queue:
+            granted_s, name = heapq.heappop(queue)
+            wanted_s = self.fitters[name].wanted(granted_s)
+            if wanted_s is not None:
+                next_s = self._grant(robot, name, wanted_s, granted_s)
+                heapq.heappush(queue, (next_s, name))
+
+    def _grant(self, robot: Robot, name: str, wanted_s: float, after_s: float) -> float:
+        """Reserve the line for the next move of a joint; return when that move is heard."""
+        joint = robot.joints[name]
+        size_us = slot_us(joint, robot.buses[joint.bus].baud_bps)
+        wanted_us = us_from_s(wanted_s)
+        heard = self._lines[joint.bus].reserve(wanted_us, size_us, us_from_s(after_s))
+        self.late_max_us = max(self.late_max_us, heard - wanted_us)
+        self.fitters[name].grant(s_from_us(heard))
+        return s_from_us(heard)
+
+
+def servo_limits(joint: Joint, tolerance_deg: float) -> ServoLimits:
+    """Return the limits of a joint as its servo sees them."""
+    ends = sorted(
+        (joint.servo_deg(joint.position_min_deg), joint.servo_deg(joint.position_max_deg))
+    )
+    return ServoLimits(
+        position_min_deg=ends[0],
+        position_max_deg=ends[1],
+        speed_max_deg_s=joint.speed_max_deg_s,
+        ramp_deg_s2=ramp_deg_s2(joint),
+        wire_per_deg=joint.model.wire_per_deg,
+        tolerance_deg=tolerance_deg,
+        response=joint.response,
+    )
+
+
+def slot_us(joint: Joint, baud_bps: int) -> int:
+    """Return the line time of the longest move that the joint can be sent."""
+    ends = (joint.servo_deg(joint.position_min_deg), joint.servo_deg(joint.position_max_deg))
+    longest = max(
+        len(encode_move(joint.servo_id, round(end * joint.model.wire_per_deg), DURATION_MAX_MS))
+        for end in ends
+    )
+    return -(-line_time_ns(longest, baud_bps) // NS_PER_US)
+
+
+def _program(
+    trajectory: Trajectory, robot: Robot, courses: Mapping[str, Course], attempt: _Attempt
+) -> Program:
+    repeat = None
+    if trajectory.loop is None:
+        from_s = trajectory.first.duration_s
+        repeat = Repeat(
+            from_us=us_from_s(from_s), to_us=us_from_s(from_s + trajectory.middle.duration_s)
+        )
+    moves = []
+    for name, fitter in attempt.fitters.items():
+        joint = robot.joints[name]
+        for fitted in fitter.moves:
+            size = len(encode_move(joint.servo_id, fitted.target_wire, fitted.duration_ms))
+            sent_us = -(-line_time_ns(size, robot.buses[joint.bus].baud_bps) // NS_PER_US)
+            move = Move(
+                due_us=us_from_s(fitted.heard_s) - sent_us,
+                bus=joint.bus,
+                servo_id=joint.servo_id,
+                target_wire=fitted.target_wire,
+                duration_ms=fitted.duration_ms,
+            )
+            if repeat is None or move.due_us < repeat.to_us:
+                moves.append(move)
+    moves.sort(key=lambda move: (move.due_us, move.bus, move.servo_id))
+    start = trajectory.sample(np.zeros(1))[0]
+    return Program(
+        name=trajectory.name,
+        robot=robot.name,
+        robot_path=robot.path,
+        moves=tuple(moves),
+        duration_s=trajectory.duration_s,
+        start_deg={n: float(v) for n, v in zip(trajectory.joints, start, strict=True)},
+        tolerance_deg=attempt.tolerance_deg,
+        repeat=repeat,
+        marks=trajectory.marks,
+        stretched=trajectory.stretched,
+        line_use=lines_use(moves, robot),
+        error_max_deg={
+            name: _error_max_deg(fitter, courses[name]) for name, fitter in attempt.fitters.items()
+        },
+    )
+
+
+def lines_use(moves: list[Move], robot: Robot) -> dict[str, LineUse]:
+    """Return how the moves use each bus: the proof of the schedule, from the bytes alone."""
+    use = {}
+    for name, bus in robot.buses.items():
+        slots_us = [
+            (move.due_us, -(-line_time_ns(len(move.data), bus.baud_bps) // NS_PER_US))
+            for move in moves
+            if move.bus == name
+        ]
+        use[name] = line_use(name, bus.baud_bps, slots_us)
+    return use
+
+
+def _error_max_deg(fitter: Fitter, course: Course) -> float:
+    times_s = course.start_s + GRID_S * np.arange(len(course.position_deg), dtype=np.float64)
+    return float(np.abs(fitter.reference().sample(times_s) - course.position_deg).max())
+
+
+def _overload(attempt: _Attempt, robot: Robot) -> LineLoadError:
+    """Return the error that says how much is too much, and what would help."""
+    commands: dict[str, int] = dict.fromkeys(robot.buses, 0)
+    busy_us: dict[str, int] = dict.fromkeys(robot.buses, 0)
+    span_s = 1e-3
+    for name, fitter in attempt.fitters.items():
+        joint = robot.joints[name]
+        commands[joint.bus] += len(fitter.moves)
+        busy_us[joint.bus] += len(fitter.moves) * slot_us(joint, robot.buses[joint.bus].baud_bps)
+        span_s = max(span_s, fitter.moves[-1].heard_s if fitter.moves else 0.0)
+    worst = max(busy_us, key=lambda bus: busy_us[bus])
+    ratio = s_from_us(busy_us[worst]) / span_s
+    baud_bps = robot.buses[worst].baud_bps
+    return LineLoadError(
+        f"bus {worst!r} at {baud_bps} bps cannot carry the show: {commands[worst]} commands need "
+        f"{ratio:.0%} of the line and some would be {attempt.late_max_us / 1e3:.0f} ms late, even "
+        f"with a tolerance of {attempt.tolerance_deg:.1f} deg. What would help: a faster baud "
+        f"rate, joints on a second bus, or fewer joints moving at once",
+        bus=worst,
+        utilisation_ratio=ratio,
+    )

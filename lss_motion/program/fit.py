@@ -1,0 +1,353 @@
+"""Fits the fewest timed moves to the course of one joint: the heart of the `timed` drive.
+
+A move in mid-course is used for its travel speed: its target lies beyond the instant of the next
+move, so that the servo ramps to that speed and keeps it, and never brakes before its successor
+arrives. Only where the course comes to rest does a move end on its target.
+
+All angles are servo angles in degrees; instants are those at which the servo hears a move.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.program.cone import GRID_S, Cones, Course, ServoLimits, ramped
+from lss_motion.program.response import (
+    Piece,
+    Profile,
+    Reference,
+    expected_duration,
+    trapezoid,
+    travel_speed,
+)
+from lss_motion.units import MS_PER_S, s_from_ms
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from lss_motion.program.cone import FloatArray
+
+SEGMENT_MAX_S: Final = 1.5
+"""The longest that one move is relied on: a lost command is repaired by its successor."""
+SEGMENT_MIN_S: Final = 0.01
+"""The least between two moves of a joint: two control ticks of the servo."""
+LATEST_ARRIVAL_S: Final = 0.06
+"""A successor may be this late before the servo begins to brake. Chosen: three times the worst
+wait for a line on which 18 servos start at once at 115200 bps."""
+LANDING_RATIOS: Final = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2)
+"""Travel speeds tried for a landing, by the one that comes to rest together with the course."""
+AIM_TRIALS: Final = 12
+"""Neighbouring lattice targets tried for the one that hits the wanted speed best."""
+CUT_RATIOS: Final = (1.0, 0.93, 0.85, 0.75, 0.6, 0.45, 0.3)
+"""How much of the longest possible move is tried; what counts is how far its successor reaches."""
+CONE_RATIOS: Final = (0.5, 0.25, 0.75, 0.05, 0.95)
+"""Where in its cone the travel speed is tried."""
+BEND_RATIO: Final = 0.2
+"""A jump of the acceleration by this share of the ramp is worth a move of its own."""
+BEND_TRIALS: Final = 12
+RECOVERY_STEPS: Final = (2, 4, 7, 12, 20, 32, 48)
+"""Instants tried, in grid steps, where the tolerance is lost and must be won back."""
+WINDOW_STEPS: Final = 48
+"""Grid steps looked ahead at first; doubled while the cone stays open."""
+SPEED_LEAST_DEG_S: Final = 0.01
+"""Slower than this is standing still: a lattice step of 0.1° in ten seconds."""
+DURATION_MAX_MS: Final = 30_000
+"""The largest T sent; the documents name no limit, so this is a choice that keeps lines short."""
+STILL_ROUNDING_DEG: Final = 1e-6
+"""A course is where it was if it is nearest to the same wire value, up to rounding errors."""
+
+
+@dataclass(frozen=True, slots=True)
+class FittedMove:
+    """Move to `target_wire` in `duration_ms`, heard at `heard_s`."""
+
+    heard_s: float
+    target_wire: int
+    duration_ms: int
+
+
+class Fitter:
+    """Fits one joint, move by move, to instants that somebody else grants.
+
+    wanted_s = fitter.wanted(None)           when the first move is to be heard at the latest
+    while wanted_s is not None:
+        fitter.grant(granted_s)              it will be heard then, if possible not later
+        wanted_s = fitter.wanted(granted_s)  the same for its successor
+    """
+
+    def __init__(self, course: Course, limits: ServoLimits) -> None:
+        self._course = course
+        self._limits = limits
+        self._cones = Cones(course, limits)
+        self._rests = course.rests()
+        self._bends = course.bends(BEND_RATIO * limits.ramp_deg_s2)
+        self._profile = Profile(
+            self._lattice(float(course.position_deg[0])) / limits.wire_per_deg,
+            ramp_deg_s2=limits.ramp_deg_s2,
+            speed_max_deg_s=limits.speed_max_deg_s,
+            response=limits.response,
+        )
+        self._pending: tuple[Piece, float] | None = None
+        self.moves: list[FittedMove] = []
+
+    def wanted(self, granted_s: float | None) -> float | None:
+        """Return when the next move is to be heard at the latest; None when none is needed.
+
+        `granted_s` is when the pending move is heard; None when there is none yet.
+        """
+        if granted_s is None:
+            return self._departure(self._course.start_s)
+        state = self._profile.state(granted_s)
+        landed_s = self._land(state)
+        if landed_s is not None:
+            return self._departure(landed_s)
+        if granted_s >= self._course.end_s:
+            return None
+        return self._choose(state)
+
+    def grant(self, granted_s: float) -> None:
+        """Settle the pending move, now that its successor is known to be heard at `granted_s`."""
+        if self._pending is not None:
+            state, speed_deg_s = self._pending
+            self._pending = None
+            self._emit(state, *self._aim(state, speed_deg_s, granted_s))
+
+    def reference(self) -> Reference:
+        """Return the whole profile that the moves so far make."""
+        return Reference(self._profile.pieces())
+
+    def _emit(self, state: Piece, target_wire: int, duration_ms: int) -> None:
+        target_deg = target_wire / self._limits.wire_per_deg
+        self._profile.retarget(state.start_s, target_deg, s_from_ms(duration_ms))
+        self.moves.append(FittedMove(state.start_s, target_wire, duration_ms))
+
+    # ---- out of rest
+
+    def _departure(self, from_s: float) -> float | None:
+        """Return when the move that ends the standstill after `from_s` should be heard."""
+        course, grid = self._course, self._course.position_deg
+        position_deg, _ = self._profile.at(from_s)
+        first = course.index(from_s)
+        away = np.abs(grid[first:] - position_deg)
+        moved = np.flatnonzero(away > 0.5 / self._limits.wire_per_deg + STILL_ROUNDING_DEG)
+        if moved.size == 0:
+            return None
+        leaves = first + int(moved[0])
+        onset = max((last for _, last in self._rests if last <= leaves), default=leaves)
+        latest = min((a for a, _ in self._rests if a >= leaves), default=len(grid) - 1)
+        outside = np.flatnonzero(away > self._limits.tolerance_deg)
+        if outside.size:
+            latest = min(latest, first + int(outside[0]))
+        onset_s = max(from_s, course.time_s(onset))
+        start_s = min(max(self._start_s(onset), onset_s), course.time_s(latest))
+        if self._lands_from(start_s):
+            return start_s
+        trials_s = np.linspace(onset_s, max(course.time_s(latest), onset_s), len(CUT_RATIOS))
+        still = np.zeros_like(trials_s)
+        reach_s = self._cones.reach_s(
+            trials_s,
+            still + position_deg,
+            still,
+            WINDOW_STEPS,
+        )
+        return float(trials_s[int(np.argmax(reach_s))])
+
+    def _start_s(self, onset: int) -> float:
+        """Return when the course leaves its standstill, between two grid points, as a parabola."""
+        course, grid = self._course, self._course.position_deg
+        first, second = (
+            math.sqrt(abs(grid[min(onset + step, len(grid) - 1)] - grid[onset])) for step in (1, 2)
+        )
+        if second <= first:
+            return course.time_s(onset)
+        return course.time_s(onset + 1) - GRID_S * first / (second - first)
+
+    def _lands_from(self, start_s: float) -> bool:
+        """Return whether one move, heard at `start_s` at rest, is all the way to the next rest."""
+        state = self._profile.state(start_s)
+        rest = self._next_rest(state)
+        landing = None if rest is None else self._best_landing(state, rest)
+        return landing is not None and landing[0] <= self._limits.tolerance_deg
+
+    # ---- on the way
+
+    def _choose(self, state: Piece) -> float:
+        """Return the instant for the successor after which two moves reach furthest.
+
+        Only what the servo can follow from there is chosen: its excursion, with the ramp that the
+        course leaves it, must stay within the tolerance. Where that fails, the least excursion.
+        """
+        first = math.ceil((state.start_s - self._course.start_s) / GRID_S - 1e-9)
+        index, speeds, is_held = self._trials(state, first)
+        times_s = self._course.times_s(first + index)
+        positions, reached = ramped(
+            state.position_deg,
+            state.speed_deg_s,
+            speeds,
+            times_s - state.start_s,
+            self._limits.ramp_deg_s2,
+        )
+        excursion = self._cones.excursion_deg(first + index, positions, reached)
+        followable = excursion <= self._limits.tolerance_deg
+        if is_held and followable.any():
+            reach_s = self._cones.reach_s(times_s, positions, reached, WINDOW_STEPS)
+            merit = np.where(followable, reach_s + 1e-6 * index, -np.inf)
+        else:
+            merit = -excursion
+        best = int(np.argmax(merit))
+        self._pending = state, float(speeds[best])
+        return float(times_s[best])
+
+    def _trials(self, state: Piece, first: int) -> tuple[NDArray[np.intp], FloatArray, bool]:
+        """Return steps after `first` and speeds to try, and whether any keeps the tolerance.
+
+        Besides an even choice inside the cone, the course's own speed: where the course is at its
+        acceleration limit, only that leaves the servo in step with it.
+        """
+        least = math.ceil(SEGMENT_MIN_S / GRID_S)
+        lowest, highest, held = self._cone(state)
+        is_held = held > least
+        if is_held:
+            cuts = {max(least, round(ratio * (held - 1))) for ratio in CUT_RATIOS}
+            low, high = np.searchsorted(self._bends, (first + least, first + held))
+            cuts |= {int(bend) - first for bend in self._bends[low:high][:BEND_TRIALS]}
+        else:
+            cuts = set(RECOVERY_STEPS)
+        index = np.array(sorted(cuts), dtype=np.intp)
+        if is_held:
+            low_speed, high_speed = lowest[index], highest[index]
+        else:
+            gain = self._limits.ramp_deg_s2 * GRID_S * index
+            most = self._limits.speed_max_deg_s
+            low_speed = np.clip(state.speed_deg_s - gain, -most, most)
+            high_speed = np.clip(state.speed_deg_s + gain, -most, most)
+        own = np.clip(self._course.speed_deg_s(first + index), low_speed, high_speed)
+        spread = low_speed + np.outer(CONE_RATIOS, high_speed - low_speed)
+        speeds = np.concatenate((own, spread.ravel()))
+        return np.tile(index, 1 + len(CONE_RATIOS)), speeds, is_held
+
+    def _cone(self, state: Piece) -> tuple[FloatArray, FloatArray, int]:
+        """Return lowest and highest speed per grid step, and how many steps the cone is open."""
+        row = [np.array([v]) for v in (state.start_s, state.position_deg, state.speed_deg_s)]
+        steps, most = WINDOW_STEPS, round(SEGMENT_MAX_S / GRID_S)
+        while True:
+            lowest, highest = self._cones.open(row[0], row[1], row[2], steps)
+            held = int(np.logical_and.accumulate(lowest[0] <= highest[0]).sum())
+            if held < steps or steps >= most:
+                return lowest[0], highest[0], held
+            steps = min(2 * steps, most)
+
+    def _aim(self, state: Piece, speed_deg_s: float, next_s: float) -> tuple[int, int]:
+        """Return target and T that make the servo travel at `speed_deg_s` beyond `next_s`."""
+        limits = self._limits
+        sign = 1 if speed_deg_s >= 0.0 else -1
+        braking_deg = 0.5 * speed_deg_s * speed_deg_s / limits.ramp_deg_s2
+        reached_deg, _ = ramped(
+            state.position_deg,
+            state.speed_deg_s,
+            speed_deg_s,
+            next_s - state.start_s,
+            limits.ramp_deg_s2,
+        )
+        beyond_deg = float(reached_deg) + sign * (abs(speed_deg_s) * LATEST_ARRIVAL_S + braking_deg)
+        trials = []
+        for step in range(AIM_TRIALS):
+            wire = self._lattice(beyond_deg + sign * step / limits.wire_per_deg)
+            target = wire / limits.wire_per_deg
+            duration_ms = self._duration_ms(state, target, abs(speed_deg_s))
+            hit_deg_s = travel_speed(
+                state, target, s_from_ms(duration_ms), limits.ramp_deg_s2, limits.response
+            )
+            trials.append((abs(hit_deg_s - abs(speed_deg_s)), step, wire, duration_ms))
+        _, _, wire, duration_ms = min(trials)
+        return wire, duration_ms
+
+    # ---- to rest
+
+    def _land(self, state: Piece) -> float | None:
+        """Emit the move that ends on the next standstill, if that keeps the tolerance already.
+
+        Returns from when on the servo stands there; None when it is too early to land.
+        """
+        rest = self._next_rest(state)
+        if rest is None:
+            return None
+        rest_s = self._course.time_s(rest[0])
+        is_overdue = state.start_s + SEGMENT_MIN_S >= rest_s
+        braking_s = self._limits.speed_max_deg_s / self._limits.ramp_deg_s2
+        if rest_s - state.start_s > SEGMENT_MAX_S + braking_s and not is_overdue:
+            return None
+        error_deg, landed_s, duration_ms = self._best_landing(state, rest)
+        if error_deg > self._limits.tolerance_deg and not is_overdue:
+            return None
+        self._emit(state, self._rest_wire(rest), duration_ms)
+        return max(landed_s, rest_s)
+
+    def _next_rest(self, state: Piece) -> tuple[int, int] | None:
+        now = self._course.index(state.start_s)
+        return next((span for span in self._rests if span[1] > now), None)
+
+    def _rest_wire(self, rest: tuple[int, int]) -> int:
+        return self._lattice(float(self._course.position_deg[rest[0]]))
+
+    def _best_landing(self, state: Piece, rest: tuple[int, int]) -> tuple[float, float, int]:
+        wire, rest_s = self._rest_wire(rest), self._course.time_s(rest[0])
+        return min(
+            self._landing(state, wire, duration_ms, rest)
+            for duration_ms in self._landings_ms(state, wire, rest_s)
+        )
+
+    def _landings_ms(self, state: Piece, wire: int, rest_s: float) -> list[int]:
+        """Return the T to try: around the one that comes to rest with the course."""
+        limits, target = self._limits, wire / self._limits.wire_per_deg
+        distance_deg = abs(target - state.position_deg)
+        left_s = max(rest_s - state.start_s, SEGMENT_MIN_S)
+        low, high = 0.5 * max(distance_deg / left_s, SPEED_LEAST_DEG_S), limits.speed_max_deg_s
+        for _ in range(12):
+            middle = 0.5 * (low + high)
+            end_s = trapezoid(state, target, middle, limits.ramp_deg_s2)[-1].start_s
+            low, high = (middle, high) if end_s > rest_s else (low, middle)
+        return sorted({self._duration_ms(state, target, high * r) for r in LANDING_RATIOS})
+
+    def _landing(
+        self, state: Piece, wire: int, duration_ms: int, rest: tuple[int, int]
+    ) -> tuple[float, float, int]:
+        """Return the largest error until course and servo rest, when the servo does, and T."""
+        limits, course, target = self._limits, self._course, wire / self._limits.wire_per_deg
+        travel = travel_speed(
+            state, target, s_from_ms(duration_ms), limits.ramp_deg_s2, limits.response
+        )
+        travel = min(travel, limits.speed_max_deg_s)
+        pieces = trapezoid(state, target, travel, limits.ramp_deg_s2)
+        landed_s = pieces[-1].start_s
+        if landed_s > course.time_s(rest[1]) + SEGMENT_MIN_S:
+            return float("inf"), landed_s, duration_ms
+        last = max(course.index(landed_s), rest[0])
+        steps = np.arange(course.index(state.start_s), last + 1)
+        profile_deg = Reference(pieces).sample(course.times_s(steps))
+        return float(np.abs(profile_deg - course.position_deg[steps]).max()), landed_s, duration_ms
+
+    # ---- what the wire can say
+
+    def _duration_ms(self, state: Piece, target: float, speed_deg_s: float) -> int:
+        """Return T for a travel speed: rounded, but never so that it breaks the speed limit."""
+        limits = self._limits
+        speed_deg_s = max(speed_deg_s, SPEED_LEAST_DEG_S)
+        wanted_s = expected_duration(
+            state, target, speed_deg_s, limits.ramp_deg_s2, limits.response
+        )
+        duration_ms = min(max(1, round(MS_PER_S * wanted_s)), DURATION_MAX_MS)
+        if abs(target - state.position_deg) > limits.speed_max_deg_s * s_from_ms(duration_ms):
+            duration_ms += 1
+        return duration_ms
+
+    def _lattice(self, position_deg: float) -> int:
+        """Return the wire value nearest to `position_deg` inside the joint's range."""
+        limits = self._limits
+        low = math.ceil(limits.position_min_deg * limits.wire_per_deg - 1e-6)
+        high = math.floor(limits.position_max_deg * limits.wire_per_deg + 1e-6)
+        return min(max(round(position_deg * limits.wire_per_deg), low), high)

@@ -1,0 +1,101 @@
+"""Places commands on one serial line so that no two overlap, and proves it afterwards."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right, insort
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+WORST_WINDOW_US = 100_000
+"""Utilisation is also given for the busiest 100 ms (design 7)."""
+
+
+class LineSchedule:
+    """The transmit side of one bus: reserved slots, disjoint, in microseconds of show time."""
+
+    def __init__(self) -> None:
+        self._starts_us: list[int] = []
+        self._ends_us: list[int] = []
+
+    def reserve(self, latest_end_us: int, size_us: int, earliest_us: int) -> int:
+        """Reserve the latest free slot that ends by `latest_end_us`; return where it ends.
+
+        When nothing is free after `earliest_us`, take the first free slot beyond
+        `latest_end_us`: the caller sees that it is late.
+        """
+        end_us = self._latest_free_end(latest_end_us, size_us)
+        if end_us - size_us < earliest_us:
+            end_us = self._first_free_start(max(earliest_us, latest_end_us - size_us), size_us)
+            end_us += size_us
+        at = bisect_left(self._starts_us, end_us - size_us)
+        self._starts_us.insert(at, end_us - size_us)
+        self._ends_us.insert(at, end_us)
+        return end_us
+
+    def _latest_free_end(self, latest_end_us: int, size_us: int) -> int:
+        end_us = latest_end_us
+        index = bisect_left(self._starts_us, end_us) - 1
+        while index >= 0 and self._ends_us[index] > end_us - size_us:
+            end_us = min(end_us, self._starts_us[index])
+            index -= 1
+        return end_us
+
+    def _first_free_start(self, earliest_us: int, size_us: int) -> int:
+        start_us = earliest_us
+        index = bisect_right(self._ends_us, start_us)
+        while index < len(self._starts_us) and self._starts_us[index] < start_us + size_us:
+            start_us = self._ends_us[index]
+            index += 1
+        return start_us
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineUse:
+    """How one bus is used by a program: the result of checking its finished schedule."""
+
+    bus: str
+    baud_bps: int
+    commands: int
+    utilisation_ratio: float
+    """Share of the time from the first to the last byte in which the line sends commands."""
+    worst_100_ms_ratio: float
+    overlaps: int
+    """Commands that are due before their predecessor has left. A sound schedule has none."""
+    late_max_us: int
+    """The longest that a command has to wait for the line."""
+
+
+def line_use(bus: str, baud_bps: int, slots_us: Sequence[tuple[int, int]]) -> LineUse:
+    """Return the use of a line on which each `(due, size)` in microseconds is sent in order.
+
+    Independent of how the slots were found: it replays them on a queue.
+    """
+    free_us: int | None = None
+    overlaps = late_max_us = busy_us = 0
+    window: list[tuple[int, int]] = []
+    worst_us = in_window_us = 0
+    for due_us, size_us in sorted(slots_us):
+        if free_us is not None and free_us > due_us:
+            overlaps += 1
+            late_max_us = max(late_max_us, free_us - due_us)
+        free_us = max(due_us, free_us if free_us is not None else due_us) + size_us
+        busy_us += size_us
+        insort(window, (due_us, size_us))
+        in_window_us += size_us
+        while window[0][0] <= due_us - WORST_WINDOW_US:
+            in_window_us -= window.pop(0)[1]
+        worst_us = max(worst_us, in_window_us)
+    first_us = min((due for due, _ in slots_us), default=0)
+    length_us = max((free_us or 0) - first_us, WORST_WINDOW_US)
+    return LineUse(
+        bus=bus,
+        baud_bps=baud_bps,
+        commands=len(slots_us),
+        utilisation_ratio=busy_us / length_us,
+        worst_100_ms_ratio=min(1.0, worst_us / WORST_WINDOW_US),
+        overlaps=overlaps,
+        late_max_us=late_max_us,
+    )

@@ -1,0 +1,143 @@
+"""The compiled show: which bytes leave on which bus at which instant, as values and as text."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from lss_motion.program.response import Profile, Reference
+from lss_motion.protocol.line import encode_move
+from lss_motion.units import NS_PER_US, line_time_ns, s_from_ms, s_from_us
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+    from lss_motion.program.line import LineUse
+    from lss_motion.robot.model import Joint, Robot
+    from lss_motion.trajectory.model import Mark, Stretch
+
+RAMP_STEP_DEG_S2 = 10
+"""AA and AD count in tens of deg/s² (seed 000, rows A3 and A4; lss_facts 1.3)."""
+RAMP_STEPS_MAX = 100
+"""The largest AA and AD, and the default (lss_facts 1.3)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Move:
+    """One `D…T…` on its way: `due_us` is when its first byte leaves, in show time.
+
+    `target_wire` is in the wire unit of the servo's family. The move is to travel until
+    `duration_ms` after its last byte was heard.
+    """
+
+    due_us: int
+    bus: str
+    servo_id: int
+    target_wire: int
+    duration_ms: int
+
+    @property
+    def data(self) -> bytes:
+        return encode_move(self.servo_id, self.target_wire, self.duration_ms)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Repeat:
+    """A stretch of show time whose moves are played again and again until the show is stopped."""
+
+    from_us: int
+    to_us: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Program:
+    """Moves in order of `due_us`, and what the player must know to start and to judge them.
+
+    Show time 0 is the start of the plan; moves may be due before it, since they lead the horn.
+    """
+
+    name: str
+    robot: str
+    robot_path: Path | None = None
+    moves: tuple[Move, ...]
+    duration_s: float
+    """Until the last horn has arrived; `math.inf` with `repeat`."""
+    start_deg: Mapping[str, float]
+    """Joint angles at which every joint of the show must stand before it starts."""
+    tolerance_deg: float
+    repeat: Repeat | None = None
+    marks: tuple[Mark, ...] = ()
+    stretched: tuple[Stretch, ...] = ()
+    line_use: Mapping[str, LineUse] = field(default_factory=dict)
+    error_max_deg: Mapping[str, float] = field(default_factory=dict)
+    """Largest distance, per joint, between the predicted horn and the plan."""
+
+    @cached_property
+    def pass_s(self) -> float:
+        """Show time after which everything has been said once."""
+        if self.repeat is not None:
+            return s_from_us(self.repeat.to_us)
+        return self.duration_s
+
+    def within(self, show_s: float) -> float:
+        """Return the instant of the written program that is played at `show_s`."""
+        if self.repeat is None or show_s < s_from_us(self.repeat.to_us):
+            return show_s
+        start_s = s_from_us(self.repeat.from_us)
+        return start_s + math.fmod(show_s - start_s, s_from_us(self.repeat.to_us) - start_s)
+
+    def unrolled(self) -> Iterator[tuple[int, Move]]:
+        """Yield `(due_us, move)` in order of time, without end if the program repeats."""
+        yield from ((move.due_us, move) for move in self.moves)
+        if self.repeat is None:
+            return
+        again = [m for m in self.moves if self.repeat.from_us <= m.due_us < self.repeat.to_us]
+        period_us = self.repeat.to_us - self.repeat.from_us
+        shift_us = period_us
+        while again:
+            yield from ((move.due_us + shift_us, move) for move in again)
+            shift_us += period_us
+
+
+def ramp_deg_s2(joint: Joint) -> int:
+    """Return the ramp that a timed joint's servo is set to: the least that AA can express.
+
+    With AA and AD at the joint's own limit the servo itself never exceeds it, whatever it hears.
+    """
+    steps = math.ceil(round(joint.accel_max_deg_s2, 6) / RAMP_STEP_DEG_S2)
+    return min(max(steps, 1), RAMP_STEPS_MAX) * RAMP_STEP_DEG_S2
+
+
+def target_deg(joint: Joint, target_wire: int) -> float:
+    """Return the servo angle that `target_wire` means."""
+    return target_wire / joint.model.wire_per_deg
+
+
+def heard_us(move: Move, baud_bps: int) -> int:
+    """Return when the last byte of `move` reaches the servos, if it leaves when it is due."""
+    return move.due_us + line_time_ns(len(move.data), baud_bps) // NS_PER_US
+
+
+def profiles(program: Program, robot: Robot) -> dict[str, Reference]:
+    """Return where each servo's profile is at any show time, if every move is heard when due."""
+    by_address = {(j.bus, j.servo_id): j for j in robot.joints.values()}
+    running: dict[str, Profile] = {}
+    for name, joint_deg in program.start_deg.items():
+        joint = robot.joints[name]
+        running[name] = Profile(
+            round(joint.servo_deg(joint_deg) * joint.model.wire_per_deg) / joint.model.wire_per_deg,
+            ramp_deg_s2=ramp_deg_s2(joint),
+            speed_max_deg_s=joint.speed_max_deg_s,
+            response=joint.response,
+        )
+    for move in program.moves:
+        joint = by_address[move.bus, move.servo_id]
+        running[joint.name].retarget(
+            s_from_us(heard_us(move, robot.buses[move.bus].baud_bps)),
+            target_deg(joint, move.target_wire),
+            s_from_ms(move.duration_ms),
+        )
+    return {name: Reference(profile.pieces()) for name, profile in running.items()}

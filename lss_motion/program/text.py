@@ -1,0 +1,241 @@
+"""The text form of a program: stable, diffable, `due_us bus command` line by line.
+
+    # lss_motion program 1
+    # name: wave
+    # robot: desk_arm
+    # robot_file: robots/desk_arm.yaml
+    # duration_us: 12200000
+    # tolerance_deg: 0.2
+    # start_deg: base=0 shoulder=45
+    # mark: 1500000 hello
+    1477500 main #2D-612T384
+
+`due_us` is show time in microseconds; 0 is the start of the plan.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.errors import InputError
+from lss_motion.program.compile import lines_use
+from lss_motion.program.fit import DURATION_MAX_MS
+from lss_motion.program.model import Move, Program, Repeat
+from lss_motion.trajectory.model import Mark
+from lss_motion.units import s_from_us, us_from_s
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from lss_motion.robot.model import Robot
+
+FIRST_LINE: Final = "# lss_motion program 1"
+FOREVER: Final = "forever"
+TEXT_MAX_BYTES: Final = 256 * 1024 * 1024
+"""A program of ten hours and forty joints; more is not a program."""
+
+_HEADER = re.compile(r"# (\w+): (.*)")
+_MOVE = re.compile(r"(-?\d+) (\S+) #(\d{1,3})D(-?\d+)T(\d+)")
+_REQUIRED = ("name", "robot", "duration_us", "tolerance_deg", "start_deg")
+
+
+def to_text(program: Program, *, folder: Path | None = None) -> str:
+    """Return the text form. The robot's file is named relative to `folder`, if one is given."""
+    lines = [FIRST_LINE, f"# name: {program.name}", f"# robot: {program.robot}"]
+    if program.robot_path is not None:
+        shown = program.robot_path
+        if folder is not None:
+            shown = Path(os.path.relpath(program.robot_path, folder))
+        lines.append(f"# robot_file: {shown.as_posix()}")
+    if math.isinf(program.duration_s):
+        lines.append(f"# duration_us: {FOREVER}")
+    else:
+        lines.append(f"# duration_us: {us_from_s(program.duration_s)}")
+    if program.repeat is not None:
+        lines.append(f"# repeat_us: {program.repeat.from_us} {program.repeat.to_us}")
+    lines.append(f"# tolerance_deg: {program.tolerance_deg:g}")
+    start = " ".join(f"{name}={angle:.9g}" for name, angle in program.start_deg.items())
+    lines.append(f"# start_deg: {start}")
+    lines += [f"# mark: {us_from_s(mark.planned_s)} {mark.label}" for mark in program.marks]
+    lines += [f"{m.due_us} {m.bus} {m.data[:-1].decode('ascii')}" for m in program.moves]
+    return "\n".join(lines) + "\n"
+
+
+def load_program(
+    path: Path, load_robot: Callable[[Path], Robot], *, robot_path: Path | None = None
+) -> tuple[Program, Robot]:
+    """Return the program in the file at `path`, and the robot that it names or `robot_path`.
+
+    Raises `InputError` with file and line for anything that is not a program of that robot.
+    """
+    try:
+        if path.stat().st_size > TEXT_MAX_BYTES:
+            raise InputError(f"larger than {TEXT_MAX_BYTES} bytes, not a program", path=path)
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError("not a program: not UTF-8 text", path=path) from error
+    except OSError as error:
+        raise InputError(f"cannot read it: {error.strerror}", path=path) from error
+    _check_first_line(text, path)
+    if robot_path is None:
+        robot_file = re.search(r"^# robot_file: (.+)$", text, re.MULTILINE)
+        if robot_file is None:
+            raise InputError(
+                "names no robot: add a line `# robot_file: PATH`, or give --robot", path=path
+            )
+        robot_path = path.parent / robot_file[1]
+    robot = load_robot(robot_path)
+    return from_text(text, robot, path=path), robot
+
+
+def from_text(text: str, robot: Robot, *, path: Path | None = None) -> Program:
+    """Return the program that `to_text` wrote, for `robot`.
+
+    Raises `InputError` with the line for what is not of this form, out of order in time, or
+    addressed to a servo that the robot does not have.
+    """
+    _check_first_line(text, path)
+    reader = _Reader(robot, path)
+    for number, line in enumerate(text.splitlines()[1:], start=2):
+        reader.read(number, line)
+    return reader.program()
+
+
+def _check_first_line(text: str, path: Path | None) -> None:
+    first, _, _ = text.partition("\n")
+    if first.strip() != FIRST_LINE:
+        raise InputError(f"not a program: the first line must be `{FIRST_LINE}`", path=path, line=1)
+
+
+class _Reader:
+    """Collects the lines of one program."""
+
+    def __init__(self, robot: Robot, path: Path | None) -> None:
+        self._robot = robot
+        self._path = path
+        self._header: dict[str, str] = {}
+        self._marks: list[Mark] = []
+        self._moves: list[Move] = []
+        self._move_line = 1
+        self._joints = {(j.bus, j.servo_id): j for j in robot.joints.values()}
+
+    def read(self, number: int, line: str) -> None:
+        if not line.strip():
+            return
+        if match := _HEADER.fullmatch(line):
+            if match[1] == "mark":
+                due, _, label = match[2].partition(" ")
+                planned_s = s_from_us(self._whole(due, number))
+                self._marks.append(
+                    Mark(label=label, authored_s=None, planned_s=planned_s, is_anchor=False)
+                )
+            else:
+                self._header[match[1]] = match[2]
+        elif match := _MOVE.fullmatch(line.strip()):
+            self._moves.append(self._move(match, number))
+            self._move_line = number
+        elif not line.startswith("#"):
+            raise self._error(number, f"{line!r} is not of the form `due_us bus #<id>D<n>T<ms>`")
+
+    def _move(self, match: re.Match[str], number: int) -> Move:
+        bus, servo_id = match[2], int(match[3])
+        joint = self._joints.get((bus, servo_id))
+        if joint is None:
+            raise self._error(
+                number, f"robot {self._robot.name!r} has no servo {servo_id} on bus {bus!r}"
+            )
+        move = Move(
+            due_us=int(match[1]),
+            bus=bus,
+            servo_id=servo_id,
+            target_wire=int(match[4]),
+            duration_ms=int(match[5]),
+        )
+        angle_deg = joint.joint_deg(move.target_wire / joint.model.wire_per_deg)
+        slack_deg = 1.0 / joint.model.wire_per_deg
+        low, high = joint.position_min_deg - slack_deg, joint.position_max_deg + slack_deg
+        if not low <= angle_deg <= high:
+            raise self._error(
+                number,
+                f"joint {joint.name!r} would go to {angle_deg:.1f} deg, allowed "
+                f"{joint.position_min_deg:g} to {joint.position_max_deg:g} deg",
+            )
+        if not 1 <= move.duration_ms <= DURATION_MAX_MS:
+            raise self._error(number, f"T{match[5]} is not in 1 to {DURATION_MAX_MS} ms")
+        if self._moves and move.due_us < self._moves[-1].due_us:
+            raise self._error(number, "due before the line above; moves must be in order of time")
+        return move
+
+    def program(self) -> Program:
+        for key in _REQUIRED:
+            if key not in self._header:
+                raise self._error(1, f"the header line `# {key}: …` is missing")
+        header = self._header
+        repeat = self._repeat(header)
+        end_us = self._whole(header["duration_us"], 1) if repeat is None else repeat.to_us
+        if self._moves and self._moves[-1].due_us > end_us:
+            raise self._error(self._move_line, f"due after the end of the program at {end_us} us")
+        return Program(
+            name=header["name"],
+            robot=header["robot"],
+            robot_path=self._robot.path,
+            moves=tuple(self._moves),
+            duration_s=s_from_us(end_us) if repeat is None else math.inf,
+            start_deg=self._start_deg(header),
+            tolerance_deg=self._number(header["tolerance_deg"]),
+            repeat=repeat,
+            marks=tuple(self._marks),
+            line_use=lines_use(self._moves, self._robot),
+        )
+
+    def _repeat(self, header: Mapping[str, str]) -> Repeat | None:
+        if header["duration_us"] != FOREVER:
+            if "repeat_us" in header:
+                raise self._error(1, f"`# repeat_us:` needs `# duration_us: {FOREVER}`")
+            return None
+        edges = header.get("repeat_us", "").split()
+        if len(edges) != 2:
+            raise self._error(1, "a program that lasts forever needs `# repeat_us: FROM TO`")
+        repeat = Repeat(from_us=self._whole(edges[0], 1), to_us=self._whole(edges[1], 1))
+        if repeat.to_us <= repeat.from_us:
+            raise self._error(1, "`# repeat_us: FROM TO` needs FROM before TO")
+        return repeat
+
+    def _start_deg(self, header: Mapping[str, str]) -> dict[str, float]:
+        start = {}
+        for item in header["start_deg"].split():
+            name, _, angle = item.rpartition("=")
+            if name not in self._robot.joints:
+                raise self._error(1, f"robot {self._robot.name!r} has no joint {name!r}")
+            joint, start[name] = self._robot.joints[name], self._number(angle)
+            slack_deg = 1.0 / joint.model.wire_per_deg
+            low, high = joint.position_min_deg - slack_deg, joint.position_max_deg + slack_deg
+            if not low <= start[name] <= high:
+                raise self._error(1, f"start_deg: {name} at {angle} deg is outside of its range")
+        moved = {(m.bus, m.servo_id) for m in self._moves}
+        known = {(self._robot.joints[n].bus, self._robot.joints[n].servo_id) for n in start}
+        if missing := sorted(moved - known):
+            raise self._error(1, f"start_deg lacks the joint with id {missing[0][1]}")
+        return start
+
+    def _whole(self, text: str, number: int) -> int:
+        try:
+            return int(text)
+        except ValueError:
+            raise self._error(number, f"{text!r} is not a whole number") from None
+
+    def _number(self, text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise self._error(1, f"{text!r} is not a number")
+        return value
+
+    def _error(self, number: int, reason: str) -> InputError:
+        return InputError(reason, path=self._path, line=number)

@@ -1,0 +1,153 @@
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from lss_motion.errors import InputError
+from lss_motion.program.compile import compile_program
+from lss_motion.program.text import from_text, load_program, to_text
+from lss_motion.trajectory.model import Mark
+
+TEXT = """\
+# lss_motion program 1
+# name: wave
+# robot: bench
+# duration_us: 2000000
+# tolerance_deg: 0.2
+# start_deg: j0=0 a=b=1.5
+# mark: 500000 hello
+-20000 main #1D100T500
+-20000 main #2D15T40
+1500000 main #1D-900T1000
+"""
+
+
+@pytest.fixture
+def robot(kit):
+    return kit.robot(kit.joint(), kit.joint("a=b", 2))
+
+
+@pytest.mark.parametrize("loop", [1, None])
+def test_a_compiled_program_survives_its_text_form(kit, loop):
+    robot = kit.robot(kit.joint(), kit.joint("j1", 2, direction=-1, zero_deg=7.5))
+    rows = [(0.0, {"j0": 0.0, "j1": 3.3}), (1.0, {"j0": 50.0}), (3.0, {"j0": 0.0, "j1": 3.3})]
+    program = compile_program(kit.plan(kit.keys(*rows, loop=loop), robot), robot)
+    text = to_text(program)
+    again = from_text(text, robot)
+    assert to_text(again) == text
+    assert again.moves == program.moves
+    assert again.repeat == program.repeat
+    assert again.duration_s == program.duration_s
+    assert again.start_deg == pytest.approx(program.start_deg)
+    assert again.line_use == program.line_use
+
+
+def test_the_text_form_is_what_its_docstring_draws(robot):
+    program = from_text(TEXT, robot)
+    assert to_text(program) == TEXT
+    assert program.start_deg == {"j0": 0.0, "a=b": 1.5}
+    assert [mark.label for mark in program.marks] == ["hello"]
+    assert program.moves[-1].data == b"#1D-900T1000\r"
+
+
+def test_marks_keep_any_label_that_a_sequence_may_have(robot, tmp_path):
+    labels = ["", " spaced ", "Grüße 🤖", "a: b # c"]
+    marks = tuple(
+        Mark(label=label, authored_s=None, planned_s=float(index), is_anchor=False)
+        for index, label in enumerate(labels)
+    )
+    path = tmp_path / "marks.lss"
+    program = replace(from_text(TEXT, robot), marks=marks)
+    path.write_text(to_text(program), "utf-8")
+    again, _ = load_program(path, lambda _: robot, robot_path=tmp_path)
+    assert again.marks == marks
+
+
+def test_comments_and_blank_lines_are_passed_over(robot):
+    commented = TEXT.replace("-20000 main #2", "\n# slowly now\n   \n-20000 main #2")
+    assert from_text(commented, robot).moves == from_text(TEXT, robot).moves
+
+
+@pytest.mark.parametrize(
+    ("line", "wrong", "said"),
+    [
+        (1, "# something else", "the first line must be"),
+        (8, "-20000 main #1D100", "is not of the form"),
+        (8, "-20000 main #1D100T500 #2D5T5", "is not of the form"),
+        (8, "soon main #1D100T500", "is not of the form"),
+        (8, "-20000 other #1D100T500", "no servo 1 on bus 'other'"),
+        (8, "-20000 main #9D100T500", "no servo 9 on bus 'main'"),
+        (8, "-20000 main #1D950T500", "'j0' would go to 95.0 deg, allowed -90 to 90 deg"),
+        (8, "-20000 main #1D100T0", "T0 is not in 1 to"),
+        (8, "-20000 main #1D100T99999999", "T99999999 is not in 1 to"),
+        (9, "-20001 main #2D15T40", "in order of time"),
+        (10, "2000001 main #1D-900T1000", "due after the end"),
+        (7, "# mark: soon hello", "'soon' is not a whole number"),
+        (2, "", "`# name: …` is missing"),
+        (4, "# duration_us: long", "'long' is not a whole number"),
+        (4, "# duration_us: forever", "needs `# repeat_us: FROM TO`"),
+        (7, "# repeat_us: 0 1000", "needs `# duration_us: forever`"),
+        (5, "# tolerance_deg: nan", "'nan' is not a number"),
+        (6, "# start_deg: j0=0 elbow=1", "no joint 'elbow'"),
+        (6, "# start_deg: j0=0 a=b=91", "outside of its range"),
+        (6, "# start_deg: j0=0", "lacks the joint with id 2"),
+        (6, "# start_deg: j0=x a=b=1", "'x' is not a number"),
+    ],
+)
+def test_every_bad_line_is_named_with_its_place(robot, tmp_path, line, wrong, said):
+    lines = TEXT.splitlines()
+    lines[line - 1] = wrong
+    path = tmp_path / "bad.lss"
+    with pytest.raises(InputError, match=re.escape(said)) as caught:
+        from_text("\n".join(lines), robot, path=path)
+    is_header = 1 < line < 7 or wrong.startswith("# repeat")
+    assert str(caught.value).startswith(f"{path}:{1 if is_header else line}: ")
+
+
+@pytest.mark.parametrize(
+    ("edges", "said"), [("5 5", "FROM before TO"), ("5", "FROM TO"), ("a 9", "not a whole number")]
+)
+def test_a_repeat_must_be_a_stretch_of_time(robot, edges, said):
+    endless = TEXT.replace("_us: 2000000", f"_us: forever\n# repeat_us: {edges}")
+    with pytest.raises(InputError, match=said):
+        from_text(endless, robot)
+
+
+def test_the_robots_file_is_found_beside_the_program(robot, tmp_path):
+    robot = replace(robot, path=tmp_path / "robots" / "bench.yaml")
+    program = replace(from_text(TEXT, robot), robot_path=robot.path)
+    folder = tmp_path / "shows"
+    folder.mkdir()
+    path = folder / "wave.lss"
+    path.write_text(to_text(program, folder=folder))
+    assert "# robot_file: ../robots/bench.yaml\n" in path.read_text()
+    asked = []
+    again, found = load_program(path, lambda named: asked.append(named) or robot)
+    assert [named.resolve() for named in asked] == [robot.path]
+    assert found is robot
+    assert again.moves == program.moves
+
+
+def test_another_robot_may_be_given_and_a_nameless_one_must(robot, tmp_path):
+    path, other = tmp_path / "wave.lss", tmp_path / "other.yaml"
+    path.write_text(TEXT)
+    with pytest.raises(InputError, match="add a line `# robot_file: PATH`, or give --robot"):
+        load_program(path, lambda _: robot)
+    asked = []
+    load_program(path, lambda named: asked.append(named) or robot, robot_path=other)
+    assert asked == [other]
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"sequence: wave\n"])
+def test_what_is_no_program_is_refused_before_a_robot_is_looked_for(tmp_path, content):
+    path = tmp_path / "not.lss"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="not a program"):
+        load_program(path, lambda _: pytest.fail("asked for a robot"))
+
+
+def test_a_missing_file_is_an_input_error(tmp_path):
+    with pytest.raises(InputError, match="cannot read it"):
+        load_program(tmp_path / "none.lss", lambda _: pytest.fail("asked for a robot"))
