@@ -1,0 +1,85 @@
+"""Plans, compiles and plays multi-servo motion on Lynxmotion smart-servo buses.
+
+A human-written keyframe file becomes motion that a bus of smart servos really performs. Five
+steps, each a pure function of the one before, each usable alone:
+
+>>> import lss_motion as lss
+>>> robot = lss.load_robot("sequences/robots/desk_arm.yaml")
+>>> sequence = lss.load_sequence("sequences/fastest.yaml")
+>>> trajectory = lss.plan(sequence, robot)      # within every limit, or PlanningError
+>>> trajectory.sample([0.0, 1.0]).shape         # joint angles in degrees, (n, joints)
+(2, 5)
+>>> program = lss.compile(trajectory, robot)    # bytes at instants, or LineLoadError
+>>> program.moves[0].data.startswith(b"#")
+True
+>>> report = lss.play(program, robot, port="sim://", is_virtual=True)
+>>> report["outcome"], report["timing"]["missed"]
+('finished', 0)
+
+Every error is a `LssMotionError`; `lss_motion.errors` draws the tree. Angles are degrees of the
+joint, times are seconds, unless a name says otherwise.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from lss_motion.errors import (
+    BusError,
+    InputError,
+    LineLoadError,
+    LssMotionError,
+    PlanningError,
+    PlaybackError,
+    ProtocolError,
+)
+
+if TYPE_CHECKING:
+    from lss_motion.api import compile, load_robot, load_sequence, plan, play  # noqa: A004
+    from lss_motion.program.model import Program
+    from lss_motion.robot.model import Robot
+    from lss_motion.sequence.model import Keyframe, Sequence
+    from lss_motion.trajectory.model import Trajectory
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "BusError",
+    "InputError",
+    "Keyframe",
+    "LineLoadError",
+    "LssMotionError",
+    "PlanningError",
+    "PlaybackError",
+    "Program",
+    "ProtocolError",
+    "Robot",
+    "Sequence",
+    "Trajectory",
+    "compile",
+    "load_robot",
+    "load_sequence",
+    "plan",
+    "play",
+]
+
+_HOME = {
+    "Keyframe": "lss_motion.sequence.model",
+    "Program": "lss_motion.program.model",
+    "Robot": "lss_motion.robot.model",
+    "Sequence": "lss_motion.sequence.model",
+    "Trajectory": "lss_motion.trajectory.model",
+    "compile": "lss_motion.api",
+    "load_robot": "lss_motion.api",
+    "load_sequence": "lss_motion.api",
+    "plan": "lss_motion.api",
+    "play": "lss_motion.api",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import what is asked for, so that importing the package costs nothing."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'lss_motion' has no attribute {name!r}")
+    return getattr(import_module(_HOME[name]), name)

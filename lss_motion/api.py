@@ -1,0 +1,270 @@
+"""The five steps as functions: load, plan, compile, play. What `lss_motion` re-exports."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from lss_motion.errors import BusError, InputError, LssMotionError
+from lss_motion.player.player import Player
+from lss_motion.program.compile import compile_program as compile  # noqa: A004
+from lss_motion.robot.load import load_robot
+from lss_motion.runtime.clock import MonotonicClock, VirtualClock
+from lss_motion.runtime.report import make_report, run_seconds
+from lss_motion.runtime.runner import run
+from lss_motion.sequence.load import load_sequence
+from lss_motion.trajectory.planner import plan
+from lss_motion.units import NS_PER_MS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from lss_motion.player.events import Event
+    from lss_motion.program.model import Program
+    from lss_motion.robot.model import Robot
+    from lss_motion.runtime.port import Port
+    from lss_motion.runtime.runner import Controls, Tap
+    from lss_motion.sim.bus import SimBus
+    from lss_motion.trajectory.model import Trajectory
+
+__all__ = [
+    "Result",
+    "Truth",
+    "compile",
+    "load_robot",
+    "load_sequence",
+    "perform",
+    "plan",
+    "play",
+    "with_port",
+    "write_truth",
+]
+
+SIMULATED: Final = "sim://"
+TRUTH_STEP_S: Final = 0.01
+"""The truth is written at 100 Hz of show time (design 10)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """What the simulated horns did: joint degrees, (n, joints), at show times."""
+
+    times_s: NDArray[np.float64]
+    joints: tuple[str, ...]
+    horn_deg: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """A run that has ended: its report, the player as it ended, and, if simulated, the truth."""
+
+    report: dict[str, Any]
+    player: Player
+    truth: Truth | None = None
+    error: LssMotionError | None = None
+    """Why the run could not begin or go on: `BusError`, `InputError` or `PlaybackError`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observer:
+    """Who watches and steers a run. Nothing here may block: it runs between two commands."""
+
+    on_event: Callable[[Event], None] | None = None
+    on_turn: Callable[[Player, int], None] | None = None
+    controls: Controls[Player] | None = None
+    make_tap: Callable[[int], Tap] | None = None
+    """Given the instant at which the run began, makes what sees every byte."""
+
+
+def with_port(robot: Robot, port: str | None) -> Robot:
+    """Return the robot with `port` in place of that of its bus.
+
+    Raises `InputError` if it has several buses: then the robot file must say which is where.
+    """
+    if port is None:
+        return robot
+    if port != SIMULATED and len(robot.buses) > 1:
+        raise InputError(
+            f"robot {robot.name!r} has {len(robot.buses)} buses; --port names only one. Write the "
+            f"ports into the robot file",
+            path=robot.path,
+        )
+    buses = {name: dataclasses.replace(bus, port=port) for name, bus in robot.buses.items()}
+    return dataclasses.replace(robot, buses=buses)
+
+
+def is_simulated(robot: Robot) -> bool:
+    """Return whether every bus is simulated in process.
+
+    Raises `InputError` for a mixture: nobody could say what such a run shows.
+    """
+    simulated = [bus.port.startswith(SIMULATED) for bus in robot.buses.values()]
+    if any(simulated) and not all(simulated):
+        raise InputError(
+            "some buses are sim:// and some are not; give all or none", path=robot.path
+        )
+    return all(simulated)
+
+
+def play(
+    program: Program,
+    robot: Robot,
+    *,
+    port: str | None = None,
+    is_virtual: bool = False,
+    seed: int = 0,
+    has_feedback: bool = True,
+) -> dict[str, Any]:
+    """Play `program` on `robot` and return the report (design 10).
+
+    `port` overrides the robot file's. `is_virtual` needs a simulated robot: its time passes as
+    fast as the computer can, and the same `seed` gives the same bytes. Raises `BusError` when a
+    port or a servo cannot be reached, and `InputError` or `PlaybackError` when the robot is not
+    what the file says or not fit to move; however it ends, the last bytes are the safe state.
+    """
+    result = perform(
+        program,
+        with_port(robot, port),
+        is_virtual=is_virtual,
+        seed=seed,
+        has_feedback=has_feedback,
+    )
+    if result.error is not None:
+        raise result.error
+    return result.report
+
+
+def perform(
+    program: Program,
+    robot: Robot,
+    *,
+    is_virtual: bool = False,
+    seed: int = 0,
+    has_feedback: bool = True,
+    start_s: float | None = None,
+    trajectory: Trajectory | None = None,
+    observer: Observer | None = None,
+) -> Result:
+    """Play `program` on `robot` and return all that came of it, also when it failed on the way.
+
+    With `trajectory`, the report says how far the simulated horns were from it. Raises
+    `InputError` or `BusError` only for what stops it before the first byte.
+    """
+    simulated = is_simulated(robot)
+    if is_virtual and not simulated:
+        raise InputError("--virtual needs the simulated bus: use it with --port sim://")
+    clock = VirtualClock() if is_virtual else MonotonicClock()
+    ports, buses = _open(robot, clock, simulated=simulated, seed=seed)
+    started_ns = clock.now_ns()
+    player = Player(program, robot, has_feedback=has_feedback, start_s=start_s)
+    error: LssMotionError | None = None
+    observer = observer or Observer()
+    try:
+        run(
+            player,
+            ports,
+            clock,
+            on_event=observer.on_event,
+            on_turn=observer.on_turn,
+            controls=observer.controls,
+            tap=observer.make_tap(started_ns) if observer.make_tap is not None else None,
+        )
+    except BusError as lost:
+        error = lost
+    finally:
+        for opened in ports.values():
+            opened.close()
+    player.end_show(clock.now_ns())
+    truth = _truth(player, robot, buses) if buses else None
+    outcome = "lost" if error is not None else player.outcome or "stopped"
+    report = make_report(
+        player,
+        run_s=run_seconds(started_ns, clock.now_ns()),
+        is_simulated=simulated,
+        outcome=outcome,
+        horn_error_deg=_horn_error_deg(truth, trajectory),
+    )
+    return Result(report=report, player=player, truth=truth, error=error or player.error)
+
+
+def _open(
+    robot: Robot, clock: MonotonicClock | VirtualClock, *, simulated: bool, seed: int
+) -> tuple[dict[str, Port], dict[str, SimBus]]:
+    ports: dict[str, Port] = {}
+    if not simulated:
+        from lss_motion.runtime.port import SerialPort
+
+        try:
+            for name, bus in robot.buses.items():
+                ports[name] = SerialPort(bus.port, bus.baud_bps)
+        except BaseException:
+            for opened in ports.values():
+                opened.close()
+            raise
+        return ports, {}
+    from lss_motion.sim.build import bus_from_robot
+    from lss_motion.sim.port import SimPort
+
+    buses = {name: bus_from_robot(robot, name, seed=seed) for name in robot.buses}
+    for name, sim_bus in buses.items():
+        sim_bus.record()
+        ports[name] = SimPort(sim_bus, clock)
+    return ports, buses
+
+
+def _truth(player: Player, robot: Robot, buses: Mapping[str, SimBus]) -> Truth | None:
+    """Return the horns of the show's joints at every 10 ms of show time that was reached."""
+    from lss_motion.sim.build import servos_of
+
+    if player.show is None or player.show_ended_ns is None:
+        return None
+    knots = list(player.show.clock.knots(player.show_ended_ns, 10 * NS_PER_MS))
+    instants = np.array([instant for instant, _ in knots], dtype=np.int64)
+    shown_s = np.array([show_s for _, show_s in knots])
+    end_s = min(float(shown_s[-1]), player.program.duration_s)
+    times_s = TRUTH_STEP_S * np.arange(int(end_s / TRUTH_STEP_S + 1e-6) + 1, dtype=np.float64)
+    kept = np.concatenate(([True], np.diff(shown_s) > 0.0))
+    at_ns = np.interp(times_s, shown_s[kept], (instants - instants[0])[kept].astype(np.float64))
+    times_ns = instants[0] + at_ns.astype(np.int64)
+    names = tuple(player.program.start_deg)
+    horn = np.empty((len(times_s), len(names)))
+    for bus_name, bus in buses.items():
+        on_bus = servos_of(robot, bus_name)
+        servo_deg = bus.horn_deg(times_ns)
+        for column, name in enumerate(names):
+            if robot.joints[name].bus == bus_name:
+                joint = robot.joints[name]
+                angles = servo_deg[:, on_bus.index(name)]
+                horn[:, column] = joint.direction * (angles - joint.zero_deg)
+    return Truth(times_s=times_s, joints=names, horn_deg=horn)
+
+
+def _horn_error_deg(
+    truth: Truth | None, trajectory: Trajectory | None
+) -> dict[str, tuple[float, float]] | None:
+    if truth is None or trajectory is None or not len(truth.times_s):
+        return None
+    planned_deg = trajectory.sample(truth.times_s)
+    errors = {}
+    for column, name in enumerate(trajectory.joints):
+        if name in truth.joints:
+            error = truth.horn_deg[:, truth.joints.index(name)] - planned_deg[:, column]
+            errors[name] = (float(np.sqrt(np.mean(error**2))), float(np.abs(error).max()))
+    return errors
+
+
+def write_truth(truth: Truth, path: Path) -> None:
+    """Write `t_s,<joint>…` at 100 Hz of show time, joint degrees."""
+    header = ",".join(["t_s", *truth.joints])
+    table = np.column_stack([truth.times_s, truth.horn_deg])
+    formats = ["%.2f"] + ["%.3f"] * len(truth.joints)
+    try:
+        np.savetxt(path, table, fmt=formats, delimiter=",", header=header, comments="")
+    except OSError as error:
+        raise InputError(f"cannot write the truth: {error.strerror}", path=path) from error

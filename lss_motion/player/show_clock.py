@@ -1,0 +1,92 @@
+"""Show time: how far the show has come, as a function of the run clock. Its rate ramps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from lss_motion.units import NS_PER_S, ns_from_s
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+@dataclass(frozen=True, slots=True)
+class _Leg:
+    """From `start_ns` the rate goes evenly from `from_rate` to `to_rate` over `ramp_ns`."""
+
+    start_ns: int
+    start_s: float
+    from_rate: float
+    to_rate: float
+    ramp_ns: int
+
+    def show_s(self, now_ns: int) -> float:
+        elapsed_s = (now_ns - self.start_ns) / NS_PER_S
+        ramp_s = self.ramp_ns / NS_PER_S
+        if self.ramp_ns == 0 or elapsed_s >= ramp_s:
+            ramped_s = 0.5 * (self.from_rate + self.to_rate) * ramp_s
+            return self.start_s + ramped_s + self.to_rate * (elapsed_s - ramp_s)
+        change = 0.5 * (self.to_rate - self.from_rate) * elapsed_s * elapsed_s / ramp_s
+        return self.start_s + self.from_rate * elapsed_s + change
+
+
+class ShowClock:
+    """Show time in seconds at any instant since it was started. Rate 1 is as planned, 0 a pause."""
+
+    def __init__(self, start_ns: int, start_s: float, rate: float) -> None:
+        self._legs = [_Leg(start_ns, start_s, rate, rate, 0)]
+
+    def show_s(self, now_ns: int) -> float:
+        """Return the show time at `now_ns`, also for an instant in the past."""
+        for leg in reversed(self._legs):
+            if leg.start_ns <= now_ns:
+                return leg.show_s(now_ns)
+        return self._legs[0].show_s(now_ns)
+
+    def rate(self, now_ns: int) -> float:
+        leg = self._legs[-1]
+        if now_ns >= leg.start_ns + leg.ramp_ns:
+            return leg.to_rate
+        share = (now_ns - leg.start_ns) / leg.ramp_ns
+        return leg.from_rate + share * (leg.to_rate - leg.from_rate)
+
+    @property
+    def target_rate(self) -> float:
+        return self._legs[-1].to_rate
+
+    @property
+    def ramp_end_ns(self) -> int:
+        """When the rate is, or was, steady again."""
+        return self._legs[-1].start_ns + self._legs[-1].ramp_ns
+
+    def is_ramping(self, now_ns: int) -> bool:
+        return now_ns < self.ramp_end_ns
+
+    def ramp_to(self, rate: float, now_ns: int, over_s: float) -> None:
+        """Change the rate evenly from what it is now to `rate`, over `over_s`."""
+        leg = _Leg(now_ns, self.show_s(now_ns), self.rate(now_ns), rate, ns_from_s(over_s))
+        self._legs.append(leg)
+
+    def instant_ns(self, show_s: float) -> int | None:
+        """Return when the show reaches `show_s` if the rate stays as it is; None: never."""
+        leg = self._legs[-1]
+        if leg.to_rate <= 0.0:
+            return None
+        end_s = leg.show_s(self.ramp_end_ns)
+        return self.ramp_end_ns + ns_from_s((show_s - end_s) / leg.to_rate)
+
+    def knots(self, until_ns: int, step_ns: int) -> Iterator[tuple[int, float]]:
+        """Yield `(instant, show time)` between which show time may be interpolated.
+
+        These are every change of the rate, and steps of `step_ns` within its ramps.
+        """
+        for index, leg in enumerate(self._legs):
+            is_last = index + 1 == len(self._legs)
+            end_ns = until_ns if is_last else min(self._legs[index + 1].start_ns, until_ns)
+            ramp_end_ns = min(leg.start_ns + leg.ramp_ns, end_ns)
+            for instant_ns in range(leg.start_ns, ramp_end_ns, step_ns):
+                yield instant_ns, leg.show_s(instant_ns)
+            yield ramp_end_ns, leg.show_s(ramp_end_ns)
+            if end_ns > ramp_end_ns:
+                yield end_ns, leg.show_s(end_ns)

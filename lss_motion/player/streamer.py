@@ -1,0 +1,302 @@
+"""Plays one program: moves on time, questions in the gaps, corrections, and the show clock's rate.
+
+At rate 1, the moves of the program are sent as they fall due. While the rate ramps (a pause, a
+resume, a change of speed) or is steady below 1, moves made on the spot follow the same course at
+the rate of the moment, so that no joint leaves its path: the ramps of a servo do not slow down
+with the show, so the program's own moves would. When the rate is 1 again, every joint is sent the
+move of the program that is under way, with what is left of its time.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.player.readings import Reader
+from lss_motion.player.show_clock import ShowClock
+from lss_motion.player.statistics import Statistics
+from lss_motion.player.track import Track, make_track
+from lss_motion.program.fit import LATEST_ARRIVAL_S
+from lss_motion.program.model import Move, Program, heard_us, profiles
+from lss_motion.protocol.line import encode_move
+from lss_motion.units import (
+    MS_PER_S,
+    NS_PER_MS,
+    ns_from_s,
+    s_from_ms,
+    s_from_ns,
+    s_from_us,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from lss_motion.player.line import Line
+    from lss_motion.player.queries import Questioner
+    from lss_motion.protocol.line import Reply
+    from lss_motion.robot.model import Robot
+
+RAMP_TICK_NS: Final = 40 * NS_PER_MS
+"""At any rate but 1, every moving joint gets a move this often, if the line can carry it."""
+RAMP_LINE_RATIO: Final = 0.5
+"""Moves made on the spot take no more of the line than this."""
+RAMP_LEAST_S: Final = 0.3
+RAMP_ACCEL_RATIO: Final = 0.4
+"""A change of rate takes no more than this share of any joint's acceleration. Chosen: a course at
+its own limit leaves none, and is then left by 1 deg or 2 for the time of a ramp."""
+RAMP_LOOK_S: Final = (0.0, 0.1, 0.2, 0.3, 0.4)
+"""How far ahead the speeds of the course count for a ramp that begins now."""
+SETTLE_S: Final = 0.15
+"""After the last horn should have arrived: time for the servo's own settling."""
+ON_TIME_NS: Final = NS_PER_MS // 2
+"""Later than this, and T is computed anew; below, it would not change T."""
+
+
+class Streamer:
+    """One program from its first to its last move. Owns no port and no clock."""
+
+    def __init__(
+        self,
+        program: Program,
+        robot: Robot,
+        *,
+        lines: Mapping[str, Line],
+        questioners: Mapping[str, Questioner],
+        standing_deg: Mapping[str, float],
+        has_feedback: bool,
+        start_ns: int,
+        start_s: float | None = None,
+    ) -> None:
+        """Start `program` at `start_ns`. `standing_deg`: servo angles where the servos stand."""
+        self._program = program
+        self._robot = robot
+        self._lines = lines
+        references = profiles(program, robot)
+        self.tracks: dict[str, Track] = {
+            name: make_track(robot.joints[name], plan, standing_deg[name], program.tolerance_deg)
+            for name, plan in references.items()
+        }
+        self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in self.tracks.values()}
+        first_s = s_from_us(min((m.due_us for m in program.moves), default=0))
+        begin_s = min(0.0, first_s) if start_s is None else start_s
+        self.clock = ShowClock(start_ns, begin_s, 1.0)
+        self.statistics = Statistics()
+        self._upcoming: Iterator[tuple[int, Move]] = program.unrolled()
+        self._next: tuple[int, Move] | None = next(self._upcoming, None)
+        self._tick_ns: int | None = None
+        self._reader = Reader(self.tracks, questioners, lines) if has_feedback else None
+        if start_s is not None:
+            self._begin_at(start_ns)
+
+    @property
+    def reader(self) -> Reader | None:
+        return self._reader
+
+    def show_s(self, now_ns: int) -> float:
+        return self.clock.show_s(now_ns)
+
+    def is_finished(self, now_ns: int) -> bool:
+        """Return whether the show is over, or stands after a ramp to rate 0."""
+        if self.clock.target_rate == 0.0 and not self.clock.is_ramping(now_ns):
+            return False
+        return self.clock.show_s(now_ns) >= self._program.duration_s + SETTLE_S
+
+    def is_standing(self, now_ns: int) -> bool:
+        """Return whether a ramp to rate 0 has ended and every horn should have come to rest."""
+        settled_ns = self.clock.ramp_end_ns + ns_from_s(SETTLE_S)
+        return self.clock.target_rate == 0.0 and now_ns >= settled_ns
+
+    def set_rate(self, rate: float, now_ns: int) -> None:
+        """Ramp the show clock to `rate` (0 to 1), as gently as the joints' limits ask."""
+        change = abs(rate - self.clock.rate(now_ns))
+        show_s = self.clock.show_s(now_ns)
+        over_s = RAMP_LEAST_S
+        for track in self.tracks.values():
+            spare_deg_s2 = RAMP_ACCEL_RATIO * track.limits.ramp_deg_s2
+            for ahead_s in RAMP_LOOK_S:
+                _, speed_deg_s = track.plan.at(self._program.within(show_s + ahead_s))
+                over_s = max(over_s, abs(speed_deg_s) * change / spare_deg_s2)
+        self.clock.ramp_to(rate, now_ns, over_s)
+        self._tick_ns = now_ns
+
+    # ---- sending
+
+    def advance(self, now_ns: int) -> None:
+        """Hand over to the lines what must leave by now: moves first, then a question."""
+        if self._tick_ns is not None:
+            self._advance_ramp(now_ns)
+        elif self.clock.target_rate > 0.0:
+            while self._next is not None and (late_ns := now_ns - self._due_ns(self._next[0])) >= 0:
+                self._send_due(*self._next, now_ns, late_ns)
+                self._next = next(self._upcoming, None)
+        if self._reader is not None:
+            self._reader.ask(now_ns, self._quiet_ns(now_ns))
+
+    def next_wakeup_ns(self, now_ns: int) -> int | None:
+        """Return when `advance` must be called again at the latest."""
+        wakeups_ns: list[int] = []
+        if self._tick_ns is not None:
+            wakeups_ns.append(self._tick_ns)
+        elif self.clock.target_rate > 0.0:
+            if self._next is not None:
+                wakeups_ns.append(self._due_ns(self._next[0]))
+            elif not math.isinf(self._program.duration_s):
+                end_ns = self.clock.instant_ns(self._program.duration_s + SETTLE_S)
+                wakeups_ns += [] if end_ns is None else [end_ns]
+        else:
+            wakeups_ns.append(self.clock.ramp_end_ns + ns_from_s(SETTLE_S))
+        if self._reader is not None:
+            wakeups_ns += self._reader.wakeups_ns(now_ns)
+        return min((w for w in wakeups_ns if w > now_ns), default=None)
+
+    def receive(self, bus: str, reply: Reply, now_ns: int) -> None:
+        if self._reader is not None:
+            self._reader.receive(bus, reply, now_ns, self._planned_deg)
+
+    def _due_ns(self, due_us: int) -> int:
+        due_ns = self.clock.instant_ns(s_from_us(due_us))
+        assert due_ns is not None
+        return due_ns
+
+    def _quiet_ns(self, now_ns: int) -> int | None:
+        """Return until when the lines are free of moves; None: no move is planned."""
+        if self._tick_ns is not None:
+            return self._tick_ns
+        if self.clock.target_rate <= 0.0 or self._next is None:
+            return None
+        return max(self._due_ns(self._next[0]), now_ns)
+
+    def _send_due(self, due_us: int, move: Move, now_ns: int, late_ns: int) -> None:
+        track = self._by_address[move.bus, move.servo_id]
+        track.active = Move(
+            due_us=due_us,
+            bus=move.bus,
+            servo_id=move.servo_id,
+            target_wire=move.target_wire,
+            duration_ms=move.duration_ms,
+        )
+        wait_ns = max(0, self._lines[move.bus].free_ns - now_ns)
+        self.statistics.sent(late_ns + wait_ns)
+        left_s = None if late_ns + wait_ns <= ON_TIME_NS else self._left_s(track.active, now_ns)
+        self._send_active(track, left_s, now_ns)
+
+    def _left_s(self, move: Move, now_ns: int) -> float:
+        """Return how much run time is left to a move if it is sent now."""
+        line = self._lines[move.bus]
+        end_s = s_from_us(heard_us(move, line.bus.baud_bps)) + s_from_ms(move.duration_ms)
+        heard_ns = line.heard_ns(len(move.data), now_ns)
+        return (end_s - self.clock.show_s(heard_ns)) / self.clock.target_rate
+
+    def _send_active(self, track: Track, left_s: float | None, now_ns: int) -> None:
+        """Send the move under way, with its own T at rate 1 or with what is left of it."""
+        move = track.active
+        assert move is not None
+        if left_s is None:
+            left_s = s_from_ms(move.duration_ms) / self.clock.target_rate
+        self._send(track, move.target_wire / track.limits.wire_per_deg, left_s, now_ns)
+
+    def _send(self, track: Track, target_deg: float, left_s: float, now_ns: int) -> None:
+        joint, line = track.joint, self._lines[track.joint.bus]
+        target_wire = track.wire_for(target_deg)
+        guess = encode_move(joint.servo_id, target_wire, max(1, round(MS_PER_S * left_s)))
+        duration_ms = track.duration_for(target_wire, line.heard_ns(len(guess), now_ns), left_s)
+        heard_ns = line.send(encode_move(joint.servo_id, target_wire, duration_ms), now_ns)
+        track.moved(heard_ns, target_wire, duration_ms)
+
+    # ---- the rate ramps
+
+    def _advance_ramp(self, now_ns: int) -> None:
+        assert self._tick_ns is not None
+        if now_ns < self._tick_ns:
+            return
+        self._skip_due(now_ns)
+        late_ns = now_ns - self._tick_ns
+        if self.clock.is_ramping(now_ns) or 0.0 < self.clock.target_rate < 1.0:
+            period_ns = self._ramp_period_ns()
+            self._follow_course(now_ns, period_ns, late_ns)
+            self._tick_ns = now_ns + period_ns
+            if self.clock.is_ramping(now_ns):
+                self._tick_ns = min(self._tick_ns, self.clock.ramp_end_ns)
+            return
+        self._tick_ns = None
+        if self.clock.target_rate == 0.0:
+            self._follow_course(now_ns, RAMP_TICK_NS, late_ns)
+        else:
+            self._take_up(now_ns, late_ns)
+
+    def _begin_at(self, now_ns: int) -> None:
+        """Start in the middle of the program: from rest, with a ramp of the rate from 0."""
+        self.clock = ShowClock(now_ns, self.clock.show_s(now_ns), 0.0)
+        self._skip_due(now_ns)
+        self.set_rate(1.0, now_ns)
+
+    def _skip_due(self, now_ns: int) -> None:
+        """Take the moves that the show has passed as under way, without sending them."""
+        show_s = self.clock.show_s(now_ns)
+        while self._next is not None and s_from_us(self._next[0]) <= show_s:
+            due_us, move = self._next
+            track = self._by_address[move.bus, move.servo_id]
+            track.active = Move(
+                due_us=due_us,
+                bus=move.bus,
+                servo_id=move.servo_id,
+                target_wire=move.target_wire,
+                duration_ms=move.duration_ms,
+            )
+            self._next = next(self._upcoming, None)
+
+    def _take_up(self, now_ns: int, late_ns: int) -> None:
+        """Send every joint what is left of the move under way, now that the rate is steady."""
+        for track in self.tracks.values():
+            if track.active is None:
+                continue
+            left_s = self._left_s(track.active, now_ns)
+            target_deg = track.active.target_wire / track.limits.wire_per_deg
+            position_deg, speed_deg_s = track.place(now_ns)
+            unit_deg = 1.0 / track.limits.wire_per_deg
+            if left_s > 0.0 or abs(target_deg - position_deg) > unit_deg or speed_deg_s != 0.0:
+                self.statistics.sent(late_ns)
+                self._send_active(track, max(left_s, s_from_ns(RAMP_TICK_NS)), now_ns)
+
+    def _ramp_period_ns(self) -> int:
+        busiest_ns = max(
+            sum(
+                line.time_ns(len(encode_move(t.joint.servo_id, -18000, 1000)))
+                for t in self.tracks.values()
+                if t.joint.bus == bus
+            )
+            for bus, line in self._lines.items()
+        )
+        return max(RAMP_TICK_NS, round(busiest_ns / RAMP_LINE_RATIO))
+
+    def _follow_course(self, now_ns: int, period_ns: int, late_ns: int) -> None:
+        """Send every joint that is off its course a move that brings it there in one period."""
+        for track in self.tracks.values():
+            heard_ns = self._lines[track.joint.bus].heard_ns(0, now_ns)
+            ahead_ns = heard_ns + period_ns + ns_from_s(track.lead_s)
+            aim_deg = self._planned_deg(track, ahead_ns)
+            position_deg, speed_deg_s = track.place(heard_ns)
+            way_deg = aim_deg + track.following.offset_deg - position_deg
+            unit_deg = 1.0 / track.limits.wire_per_deg
+            if abs(way_deg) < unit_deg and abs(speed_deg_s) < 1.0:
+                continue
+            travel_deg_s = min(abs(way_deg) / s_from_ns(period_ns), track.limits.speed_max_deg_s)
+            is_last = ahead_ns >= self.clock.ramp_end_ns and self.clock.target_rate == 0.0
+            if not is_last:
+                beyond_deg = travel_deg_s * LATEST_ARRIVAL_S
+                beyond_deg += 0.5 * travel_deg_s * travel_deg_s / track.limits.ramp_deg_s2
+                aim_deg += math.copysign(beyond_deg, way_deg)
+                way_deg += math.copysign(beyond_deg, way_deg)
+            left_s = abs(way_deg) / max(travel_deg_s, 1.0)
+            self.statistics.sent(late_ns)
+            self._send(track, aim_deg, left_s, now_ns)
+
+    # ---- judging
+
+    def _planned_deg(self, track: Track, instant_ns: int) -> float:
+        """Return where the plan wants the horn at `instant_ns`, whatever the rate.
+
+        The profile of the plan is early by the lead of the joint, and so it is looked up.
+        """
+        show_s = self._program.within(self.clock.show_s(instant_ns) - track.lead_s)
+        return track.plan.at(show_s)[0]

@@ -1,0 +1,104 @@
+"""What the runner needs of a port, and the one that is real: pyserial."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from typing import TYPE_CHECKING, Final, Protocol
+
+from lss_motion.errors import BusError
+from lss_motion.units import NS_PER_MS
+
+if TYPE_CHECKING:
+    import serial
+
+READ_MAX_BYTES: Final = 4096
+"""Taken in one go; a 115200 line delivers that in a third of a second."""
+POLL_NS: Final = 2 * NS_PER_MS
+"""How often a port that cannot be waited on is looked at (Windows, `loop://`)."""
+
+
+class Port(Protocol):
+    """One open bus. Neither call blocks."""
+
+    url: str
+
+    def write(self, data: bytes) -> None:
+        """Hand `data` over. Raises `BusError` when the port is lost."""
+
+    def read(self) -> bytes:
+        """Return what has arrived. Raises `BusError` when the port is lost."""
+
+    def fileno(self) -> int | None:
+        """Return what to wait on for arrivals; None where there is no such thing."""
+
+    def next_arrival_ns(self) -> int | None:
+        """Return when to look for arrivals; None where waiting on `fileno` says it."""
+
+    def close(self) -> None: ...
+
+
+class SerialPort:
+    """A device or pyserial URL, opened exclusively, 8N1, without flow control."""
+
+    def __init__(self, url: str, baud_bps: int) -> None:
+        import serial
+
+        self.url = url
+        try:
+            self._serial: serial.Serial = serial.serial_for_url(
+                url, baudrate=baud_bps, timeout=0, write_timeout=None, do_not_open=True
+            )
+            with contextlib.suppress(ValueError, AttributeError, NotImplementedError):
+                self._serial.exclusive = True
+            self._serial.open()
+            self._serial.reset_input_buffer()
+        except (serial.SerialException, ValueError, OSError) as error:
+            raise BusError(f"cannot open port {url}: {_reason(error)}", url=url) from error
+
+    def write(self, data: bytes) -> None:
+        import serial
+
+        try:
+            self._serial.write(data)
+        except (serial.SerialException, OSError) as error:
+            raise BusError(f"lost port {self.url}: {_reason(error)}", url=self.url) from error
+
+    def read(self) -> bytes:
+        import serial
+
+        try:
+            return bytes(self._serial.read(READ_MAX_BYTES))
+        except (serial.SerialException, OSError) as error:
+            raise BusError(f"lost port {self.url}: {_reason(error)}", url=self.url) from error
+
+    def fileno(self) -> int | None:
+        try:
+            return int(self._serial.fileno())
+        except (AttributeError, OSError, NotImplementedError):
+            return None
+
+    def next_arrival_ns(self) -> int | None:
+        return None if self.fileno() is not None else time.monotonic_ns() + POLL_NS
+
+    def close(self) -> None:
+        """Wait until everything has left, then close."""
+        with contextlib.suppress(Exception):
+            self._serial.flush()
+        with contextlib.suppress(Exception):
+            self._serial.close()
+
+
+def _reason(error: Exception) -> str:
+    """Return what to tell a person about a failure to open or use a port."""
+    text = str(error)
+    if isinstance(error, OSError) and error.errno is not None:
+        hints = {
+            2: "there is no such device; is it plugged in?",
+            13: "no permission; on Linux join the group that owns it, usually `dialout`",
+            16: "another program has it open",
+            11: "another program has it open",
+        }
+        if hint := hints.get(error.errno):
+            return hint
+    return text

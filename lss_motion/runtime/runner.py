@@ -1,0 +1,172 @@
+"""The only loop in the package that waits."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import select
+import sys
+import time
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar
+
+from lss_motion.runtime.clock import VirtualClock
+from lss_motion.units import NS_PER_S, s_from_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from lss_motion.player.events import Event
+    from lss_motion.runtime.clock import Clock
+    from lss_motion.runtime.port import Port
+
+IDLE_NS: Final = NS_PER_S // 20
+"""The loop turns at least this often, so that keys and the display are never starved."""
+_PR_SET_TIMERSLACK: Final = 29
+
+
+class Driven(Protocol):
+    """What can be driven over ports: a `Player`, or a simpler conversation."""
+
+    def data_to_send(self, now_ns: int) -> Mapping[str, bytes]: ...
+
+    def receive_data(self, bus: str, data: bytes, now_ns: int) -> None: ...
+
+    def next_wakeup_ns(self) -> int | None:
+        """Return None when it is over."""
+
+    def next_event(self) -> Event | None: ...
+
+    def safe_bytes(self) -> Mapping[str, bytes]:
+        """Return what must be the last bytes on each bus if it all ends here."""
+
+
+D = TypeVar("D", bound=Driven)
+D_contra = TypeVar("D_contra", bound=Driven, contravariant=True)
+
+
+class Controls(Protocol[D_contra]):
+    """What a person does meanwhile: keys and signals."""
+
+    def filenos(self) -> Sequence[int]:
+        """Return what to wait on besides the ports."""
+
+    def act(self, driven: D_contra, now_ns: int) -> None:
+        """Apply what was asked for since the last call."""
+
+
+class Tap(Protocol):
+    """Sees every byte both ways; must return at once."""
+
+    def sent(self, bus: str, data: bytes, now_ns: int) -> None: ...
+
+    def received(self, bus: str, data: bytes, now_ns: int) -> None: ...
+
+
+def run(
+    driven: D,
+    ports: Mapping[str, Port],
+    clock: Clock,
+    *,
+    on_event: Callable[[Event], None] | None = None,
+    on_turn: Callable[[D, int], None] | None = None,
+    controls: Controls[D] | None = None,
+    tap: Tap | None = None,
+) -> None:
+    """Drive `driven` over `ports` until it is done.
+
+    However this ends, the last bytes are the safe state: its own, or, when something raises,
+    those sent here. Raises `BusError` when a port is lost.
+    """
+    try:
+        with _undisturbed():
+            while True:
+                now_ns = clock.now_ns()
+                if controls is not None:
+                    controls.act(driven, now_ns)
+                _write(driven, ports, clock.now_ns(), tap)
+                while (event := driven.next_event()) is not None:
+                    if on_event is not None:
+                        on_event(event)
+                wakeup_ns = driven.next_wakeup_ns()
+                if wakeup_ns is None:
+                    return
+                if on_turn is not None:
+                    on_turn(driven, now_ns)
+                _wait(ports, clock, wakeup_ns, controls)
+                _read(driven, ports, clock, tap)
+    except BaseException:
+        _make_safe(driven, ports, clock, tap)
+        raise
+
+
+def _write(driven: Driven, ports: Mapping[str, Port], now_ns: int, tap: Tap | None) -> None:
+    for bus, data in driven.data_to_send(now_ns).items():
+        ports[bus].write(data)
+        if tap is not None:
+            tap.sent(bus, data, now_ns)
+
+
+def _read(driven: Driven, ports: Mapping[str, Port], clock: Clock, tap: Tap | None) -> None:
+    for bus, port in ports.items():
+        if data := port.read():
+            now_ns = clock.now_ns()
+            driven.receive_data(bus, data, now_ns)
+            if tap is not None:
+                tap.received(bus, data, now_ns)
+
+
+def _make_safe(driven: Driven, ports: Mapping[str, Port], clock: Clock, tap: Tap | None) -> None:
+    """Send the safe state to every port that still takes it, whatever the others do."""
+    for bus, data in driven.safe_bytes().items():
+        with contextlib.suppress(Exception):
+            ports[bus].write(data)
+            if tap is not None:
+                tap.sent(bus, data, clock.now_ns())
+
+
+def _wait(
+    ports: Mapping[str, Port], clock: Clock, wakeup_ns: int, controls: Controls[D] | None
+) -> None:
+    """Wait until `wakeup_ns`, or until a port or a control has something."""
+    arrivals_ns = [a for port in ports.values() if (a := port.next_arrival_ns()) is not None]
+    until_ns = min([wakeup_ns, *arrivals_ns])
+    if isinstance(clock, VirtualClock):
+        clock.advance_to(max(until_ns, clock.now_ns()))
+        return
+    filenos = [f for port in ports.values() if (f := port.fileno()) is not None]
+    now_ns = clock.now_ns()
+    until_ns = min(until_ns, now_ns + IDLE_NS)
+    left_s = max(0.0, s_from_ns(until_ns - now_ns))
+    if controls is not None:
+        filenos += controls.filenos()
+    if filenos or sys.platform != "win32":
+        select.select(filenos, [], [], left_s)
+    else:
+        time.sleep(left_s)  # noqa: TID251 (the one place that waits)
+
+
+@contextlib.contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Freeze the garbage collector and ask for fine timers while a show runs."""
+    gc.collect()
+    gc.freeze()
+    was_enabled = gc.isenabled()
+    gc.disable()
+    _set_timer_slack(1)
+    try:
+        yield
+    finally:
+        _set_timer_slack(0)
+        gc.unfreeze()
+        if was_enabled:
+            gc.enable()
+
+
+def _set_timer_slack(slack_ns: int) -> None:
+    """Linux rounds a wait up to 50 µs unless asked not to; 0 asks for the default again."""
+    if not sys.platform.startswith("linux"):
+        return
+    import ctypes
+
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, slack_ns, 0, 0, 0)

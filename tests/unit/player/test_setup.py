@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import pytest
+
+from lss_motion.errors import BusError
+from lss_motion.player import setup
+from lss_motion.program.model import profiles
+from lss_motion.protocol.line import encode
+from lss_motion.robot.models import SERVO_MODELS
+
+ANSWERS = {"QMS": "LSS-ST1", "QF": 370, "Q": 1, "QSD": 3600, "QAA": 100, "QAD": 100, "QEM": 1}
+
+
+def answers(servo_id=1, **changed):
+    values = {**ANSWERS, "QD": 0, **changed}
+    return {("main", servo_id, key): value for key, value in values.items() if value != "silent"}
+
+
+def sent(items):
+    return [encode(item.command) for item in items]
+
+
+def test_good_answers_raise_nothing_and_warn_of_nothing(kit):
+    assert setup.check_answers([kit.joint()], answers(), kit.robot()) == []
+
+
+@pytest.mark.parametrize("said", ["silent", None, "DIS"])
+def test_a_servo_that_does_not_say_where_it_is_counts_as_silent(kit, said):
+    with pytest.raises(BusError, match=r"j0 \(id 1 on bus 'main'\)"):
+        setup.check_answers([kit.joint()], answers(QD=said), kit.robot())
+
+
+def test_a_servo_that_answers_little_but_its_place_is_taken_as_it_is(kit):
+    known = answers(**dict.fromkeys(ANSWERS, "silent"))
+    assert setup.check_answers([kit.joint()], known, kit.robot()) == []
+    assert setup.session_orders([kit.joint()], known) == []
+    assert setup.restoring_orders([kit.joint()], known) == []
+
+
+def test_the_session_gets_the_joints_own_limits(kit):
+    one = kit.joint(accel_max_deg_s2=455.0, speed_max_deg_s=123.4, settings={"AS": -2})
+    orders = setup.session_orders([one], answers())
+    assert sent(orders) == [b"#1EM1\r", b"#1AA46\r", b"#1AD46\r", b"#1SD1234\r", b"#1AS-2\r"]
+
+
+def test_what_was_read_is_given_back_to_the_letter(kit):
+    one = kit.joint(settings={"AS": -2})
+    had = answers(QEM=0, QAA=77, QAD=33, QSD=2000, QAS=4)
+    orders = setup.restoring_orders([one], had)
+    assert sent(orders) == [b"#1EM0\r", b"#1AA77\r", b"#1AD33\r", b"#1SD2000\r", b"#1AS4\r"]
+
+
+def test_the_settings_of_the_file_are_asked_for_first(kit):
+    one = kit.joint(settings={"AS": -2, "AH": 3})
+    assert sent(setup.settings_questions([one])) == [b"#1QAS\r", b"#1QAH\r"]
+
+
+def test_the_approach_brings_all_joints_home_together_at_the_slow_speed(kit):
+    robot = kit.robot(kit.joint(), kit.joint("j1", 2, direction=-1), approach_speed_deg_s=30.0)
+    program = setup.approach(robot, {"j0": 60.0, "j1": 10.0}, {"j0": 0.0, "j1": 10.0})
+    first, second = program.moves
+    assert (first.target_wire, second.target_wire) == (0, -100)
+    assert first.duration_ms == second.duration_ms == 2000
+    assert second.due_us > first.due_us
+    ends = {name: plan.at(program.duration_s) for name, plan in profiles(program, robot).items()}
+    assert ends == {"j0": (0.0, 0.0), "j1": (-10.0, 0.0)}
+
+
+def test_units_of_a_reading_belong_to_the_family(kit):
+    pro = kit.joint(model=SERVO_MODELS["LSS-P-S1"])
+    assert setup.stored(pro, answers(QD=1234), "QD") == 12.34
+    assert setup.stored(kit.joint(), answers(QD=1234), "QD") == 123.4
+    assert setup.stored(kit.joint(), answers(), "QT") is None
+
+
+def test_the_safe_state_goes_to_every_bus(kit):
+    assert setup.safe_bytes(kit.robot()) == {"main": b"#254H\r"}
+    assert setup.safe_bytes(kit.robot(), is_limp=True) == {"main": b"#254L\r"}

@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+
+from lss_motion.player.events import Faulted
+from lss_motion.player.player import Player
+from lss_motion.program.model import Move, Program, Repeat
+from lss_motion.robot.model import Bus, Joint, Robot
+from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.runtime.report import make_report, run_seconds
+from lss_motion.trajectory.model import Stretch
+
+JOINT = Joint(
+    name="j0",
+    servo_id=1,
+    bus="main",
+    model=SERVO_MODELS["LSS-ST1"],
+    position_min_deg=-90.0,
+    position_max_deg=90.0,
+    speed_max_deg_s=180.0,
+    accel_max_deg_s2=600.0,
+)
+BUS = Bus(name="main", port="sim://", baud_bps=115200, firmware=370)
+ROBOT = Robot(name="bench", path=None, buses={"main": BUS}, joints={"j0": JOINT})
+STRETCH = Stretch(
+    from_s=3.0, to_s=3.4, by_s=0.12, joint="j0", limit="speed", authored=300.0, allowed=180.0
+)
+
+
+def player(**fields) -> Player:
+    move = Move(due_us=0, bus="main", servo_id=1, target_wire=100, duration_ms=500)
+    base = {"duration_s": 1.5, "start_deg": {"j0": 0.0}, "stretched": (STRETCH,), **fields}
+    program = Program(name="wave", robot="bench", moves=(move,), tolerance_deg=0.2, **base)
+    return Player(program, ROBOT)
+
+
+def report(playing, **fields):
+    base = {"run_s": 2.0, "is_simulated": True, "outcome": "finished"}
+    return make_report(playing, **{**base, **fields})
+
+
+def test_a_run_without_a_show_still_has_every_field_of_the_report():
+    found = report(player())
+    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    assert found["schema"] == 1
+    assert (found["sequence"], found["robot"], found["simulated"]) == ("wave", "bench", True)
+    assert (found["planned_s"], found["played_s"], found["run_s"]) == (1.5, 0.0, 2.0)
+    assert found["timing"]["commands"] == 0
+    assert found["joints"] == {}
+    (stretch,) = found["stretched"]
+    assert (stretch["joint"], stretch["limit"], stretch["by_s"]) == ("j0", "speed", 0.12)
+
+
+def test_use_of_a_bus_is_its_bytes_over_the_run():
+    playing = player()
+    playing.lines["main"].send(b"#" * 1152, 0)
+    bus = report(playing)["buses"]["main"]
+    assert bus["tx_utilisation_ratio"] == pytest.approx(0.05)
+    assert (bus["queries"], bus["replies"], bus["timeouts"], bus["garbage"]) == (0, 0, 0, 0)
+
+
+def test_a_run_that_took_no_time_divides_by_nothing():
+    bus = report(player(), run_s=0.0)["buses"]["main"]
+    assert (bus["tx_utilisation_ratio"], bus["query_rate_hz"]) == (0.0, 0.0)
+
+
+def test_an_endless_show_has_no_planned_duration():
+    endless = player(duration_s=math.inf, repeat=Repeat(from_us=0, to_us=1_000_000))
+    assert report(endless)["planned_s"] is None
+
+
+def test_faults_are_named():
+    playing = player()
+    playing.faults.append(Faulted("j0", "is stuck"))
+    assert report(playing)["faults"] == [{"joint": "j0", "cause": "is stuck"}]
+
+
+def test_run_seconds_are_seconds():
+    assert run_seconds(1_000_000_000, 3_500_000_000) == 2.5

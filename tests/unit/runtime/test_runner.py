@@ -1,0 +1,153 @@
+"""The loop, with a player that only counts and ports that only remember."""
+
+from __future__ import annotations
+
+import gc
+
+import pytest
+
+from lss_motion.errors import BusError
+from lss_motion.runtime.clock import VirtualClock
+from lss_motion.runtime.runner import run
+
+BUSES = ("a", "b", "c")
+
+
+class Port:
+    """Remembers what is written, and fails when told to."""
+
+    def __init__(self, clock, *, arrivals=(), fails_at=None, error=None):
+        self.url = "test://"
+        self.written = []
+        self.arrivals = list(arrivals)
+        self._clock = clock
+        self._fails_at = fails_at
+        self._error = error or BusError("lost port test://", url="test://")
+
+    def write(self, data):
+        if self._fails_at is not None and self._clock.now_ns() >= self._fails_at:
+            raise self._error
+        self.written.append((self._clock.now_ns(), data))
+
+    def read(self):
+        if self.arrivals and self.arrivals[0][0] <= self._clock.now_ns():
+            return self.arrivals.pop(0)[1]
+        return b""
+
+    def fileno(self):
+        return None
+
+    def next_arrival_ns(self):
+        return self.arrivals[0][0] if self.arrivals else None
+
+    def close(self):
+        pass
+
+
+class Player:
+    """Says its number on every bus every 10 ns, ten times."""
+
+    def __init__(self):
+        self.received = []
+        self.events = ["first", "second"]
+        self._now_ns = 0
+        self._said = 0
+
+    def data_to_send(self, now_ns):
+        assert gc.isenabled() is False, "the collector must not interrupt a show"
+        self._now_ns = now_ns
+        if self._said > now_ns // 10:
+            return {}
+        self._said += 1
+        return dict.fromkeys(BUSES, b"%d" % self._said)
+
+    def receive_data(self, bus, data, now_ns):
+        self.received.append((now_ns, bus, data))
+
+    def next_wakeup_ns(self):
+        return None if self._said >= 10 else 10 * self._said
+
+    def safe_bytes(self):
+        return dict.fromkeys(BUSES, b"#254H\r")
+
+    def next_event(self):
+        return self.events.pop(0) if self.events else None
+
+
+class Tap:
+    def __init__(self):
+        self.seen = []
+
+    def sent(self, bus, data, now_ns):
+        self.seen.append((now_ns, bus, ">", data))
+
+    def received(self, bus, data, now_ns):
+        self.seen.append((now_ns, bus, "<", data))
+
+
+def ports_for(clock, **fields):
+    return {bus: Port(clock, **fields.get(bus, {})) for bus in BUSES}
+
+
+def test_what_is_due_is_written_at_its_instant_and_arrivals_are_read_at_theirs():
+    clock, player, tap, events = VirtualClock(), Player(), Tap(), []
+    ports = ports_for(clock, b={"arrivals": [(13, b"*1Q6\r"), (47, b"*2Q6\r")]})
+    run(player, ports, clock, on_event=events.append, tap=tap)
+    expected = [(10 * turn, b"%d" % (turn + 1)) for turn in range(10)]
+    for port in ports.values():
+        assert port.written == expected
+    assert player.received == [(13, "b", b"*1Q6\r"), (47, "b", b"*2Q6\r")]
+    assert events == ["first", "second"]
+    assert (13, "b", "<", b"*1Q6\r") in tap.seen
+    assert (10, "a", ">", b"2") in tap.seen
+    assert len(tap.seen) == 32
+    assert gc.isenabled()
+
+
+def test_a_lost_port_leaves_the_others_in_the_safe_state():
+    clock, tap = VirtualClock(), Tap()
+    ports = ports_for(clock, a={"fails_at": 50})
+    with pytest.raises(BusError, match="lost port"):
+        run(Player(), ports, clock, tap=tap)
+    assert ports["a"].written[-1] == (40, b"5")
+    for bus in "bc":
+        assert ports[bus].written[-1] == (50, b"#254H\r")
+        assert tap.seen.count((50, bus, ">", b"#254H\r")) == 1
+    assert gc.isenabled()
+
+
+def test_even_a_port_that_fails_in_a_strange_way_does_not_spare_the_others():
+    clock = VirtualClock()
+    ports = ports_for(clock, a={"fails_at": 50, "error": ValueError("closed")})
+    with pytest.raises(ValueError, match="closed"):
+        run(Player(), ports, clock)
+    assert [ports[bus].written[-1][1] for bus in "bc"] == [b"#254H\r"] * 2
+
+
+@pytest.mark.parametrize("error", [RuntimeError("no"), KeyboardInterrupt(), SystemExit(3)])
+def test_whatever_raises_in_an_observer_every_bus_is_made_safe(error):
+    clock = VirtualClock()
+    ports = ports_for(clock)
+
+    def fail(event):
+        raise error
+
+    with pytest.raises(type(error)):
+        run(Player(), ports, clock, on_event=fail)
+    assert [port.written[-1][1] for port in ports.values()] == [b"#254H\r"] * 3
+    assert gc.isenabled()
+
+
+def test_controls_act_before_every_writing():
+    acts = []
+
+    class Controls:
+        def filenos(self):
+            return []
+
+        def act(self, player, now_ns):
+            acts.append((now_ns, player._said))
+
+    clock, player = VirtualClock(), Player()
+    run(player, ports_for(clock), clock, controls=Controls())
+    assert acts == [(10 * turn, turn) for turn in range(10)]

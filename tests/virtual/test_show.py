@@ -1,0 +1,427 @@
+"""Whole shows in virtual time: what the servos heard, and where the horns were."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lss_motion.errors import BusError, InputError, PlaybackError
+from lss_motion.player.events import Faulted, MarkPassed, PhaseEntered, Warned
+from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.sim.faults import Fault, FaultKind
+from lss_motion.sim.physics import Physics
+
+QUIET = Physics(noise_deg=0.0)
+HOLD, LIMP = b"#254H\r", b"#254L\r"
+RESTORED = {b"#%dEM1\r", b"#%dAA100\r", b"#%dAD100\r", b"#%dSD3600\r"}
+"""What an LSS-ST1 from the factory is set to (seed 000; its top speed is 360 deg/s)."""
+
+
+def assert_ended_safely(played, robot, safe=HOLD):
+    """Every session setting as it was, then the safe state, and nothing after it."""
+    for name, bus in played.buses.items():
+        lines = [line for _, line in bus.heard]
+        assert lines[-1] == safe
+        ids = [joint.servo_id for joint in robot.joints.values() if joint.bus == name]
+        restored = {line % servo_id for servo_id in ids for line in RESTORED}
+        assert restored <= set(lines[-1 - len(restored) : -1])
+
+
+# ---- the plain show
+
+
+def test_a_show_is_heard_on_time_and_done_by_the_horns(stage, kit):
+    played = stage.play()
+    assert played.report["outcome"] == "finished"
+    assert played.report["timing"]["missed"] == 0
+    assert np.sqrt(np.mean(played.horn_error_deg() ** 2)) < 0.25
+    assert np.abs(played.horn_error_deg()).max() < 0.8
+    assert played.report["timing"]["commands"] > 30
+    assert played.report["buses"]["bus0"]["replies"] > 1000
+    assert played.report["buses"]["bus0"]["garbage"] == 0
+
+
+def test_without_feedback_the_same_moves_are_heard_and_no_question_in_the_show(stage, kit):
+    played = stage.play(has_feedback=False)
+    assert np.abs(played.horn_error_deg()).max() < 0.8
+    moves = [at_ns for at_ns, line in played.bus.heard if b"T" in line and b"D" in line]
+    asked = [at_ns for at_ns, line in played.bus.heard if b"Q" in line]
+    assert asked
+    assert max(asked) < min(moves)
+
+
+def test_the_session_is_set_before_the_first_move_and_restored_after_the_last(stage, kit):
+    robot = kit.robot(settings={"AS": -2})
+    played = stage.play(robot)
+    lines = played.heard()
+    first = next(i for i, line in enumerate(lines) if line in played.moves())
+    for servo_id in (1, 2, 3):
+        wanted = [b"#%dEM1\r", b"#%dAA60\r", b"#%dAD60\r", b"#%dSD1800\r", b"#%dAS-2\r"]
+        assert {line % servo_id for line in wanted} <= set(lines[:first])
+        assert b"#%dAS0\r" % servo_id in lines[-20:]
+    assert lines[-1] == HOLD
+
+
+def test_a_robot_that_should_end_limp_does_and_only_after_a_show_that_finished(stage, kit):
+    robot = kit.robot(end="limp")
+    assert_ended_safely(stage.play(robot), robot, LIMP)
+    stopped = stage.play(robot, wishes=[(kit.in_show(1.0), kit.stop)])
+    assert_ended_safely(stopped, robot, HOLD)
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_one_does_not(stage, kit):
+    runs = [stage.play(seed=seed) for seed in (7, 7, 8)]
+    assert runs[0].sent == runs[1].sent
+    assert runs[0].bus.heard == runs[1].bus.heard
+    assert runs[0].report == runs[1].report
+    assert runs[0].sent != runs[2].sent
+
+
+def test_two_buses_are_played_side_by_side(stage, kit):
+    robot = kit.robot(4, buses=2)
+    played = stage.play(robot)
+    assert np.abs(played.horn_error_deg()).max() < 0.8
+    assert_ended_safely(played, robot)
+    for bus, own in (("bus0", b"13"), ("bus1", b"24")):
+        said = {line[1:2] for _, line in played.buses[bus].heard if b"T" in line and b"D" in line}
+        assert said == {bytes([digit]) for digit in own}
+
+
+def test_the_approach_is_slow_and_ends_where_the_show_starts(stage, kit):
+    played = stage.play(start_deg={"j0": 80.0, "j1": -60.0}, physics=QUIET)
+    entered = [event.phase for event in played.events if isinstance(event, PhaseEntered)]
+    assert entered == [
+        "connecting", "preparing", "approaching", "playing", "restoring", "done",
+    ]  # fmt: skip
+    first_ns = next(at for at, line in played.bus.heard if line in played.moves())
+    speed, _ = played.speeds(first_ns, first_ns + 2_500_000_000)
+    assert 29.0 < np.abs(speed).max() < 30.5
+    assert np.abs(played.horn_error_deg()[:10]).max() < 0.2
+
+
+def test_marks_are_passed_once_each_in_order(stage, kit):
+    sequence = kit.sequence()
+    played = stage.play(sequence=sequence)
+    passed = [event.label for event in played.events if isinstance(event, MarkPassed)]
+    assert passed == [keyframe.label for keyframe in sequence.keyframes]
+
+
+def test_a_show_of_a_minute_with_eighteen_joints_fits_the_line_and_the_horns(stage, kit):
+    robot = kit.robot(18)
+    played = stage.play(robot, kit.sequence(18, 60.0, step_s=(0.8, 1.6)))
+    assert played.report["outcome"] == "finished"
+    assert played.report["timing"]["missed"] == 0
+    assert played.report["timing"]["commands"] > 3000
+    assert played.report["buses"]["bus0"]["query_rate_hz"] > 300
+    assert np.sqrt(np.mean(played.horn_error_deg() ** 2)) < 0.3
+    assert_ended_safely(played, robot)
+
+
+# ---- refused before anything moves
+
+
+def assert_nothing_moved(played):
+    assert played.moves() == []
+    assert not any(b"H\r" in line or b"EM1" in line for line in played.heard())
+    assert played.heard()[-1].startswith(b"#"), "something was said at all"
+    assert played.result.truth is None or not len(played.result.truth.times_s)
+
+
+def test_a_missing_servo_is_named_and_nothing_moves(stage, kit):
+    robot = kit.robot(3)
+    wired = replace(robot, joints={n: j for n, j in robot.joints.items() if n != "j1"})
+    program, _ = stage.compile(robot, kit.sequence(3))
+    played = stage.play(robot, program=program, wired=wired)
+    assert isinstance(played.result.error, BusError)
+    assert "j1 (id 2 on bus 'bus0')" in str(played.result.error)
+    assert "1 of 3" in str(played.result.error)
+    assert_nothing_moved(played)
+
+
+def test_a_servo_of_another_model_is_refused(stage, kit):
+    robot = kit.robot(3)
+    other = replace(robot.joints["j2"], model=SERVO_MODELS["LSS-HS1"])
+    played = stage.play(robot, wired=replace(robot, joints={**robot.joints, "j2": other}))
+    assert isinstance(played.result.error, InputError)
+    assert "'j2': the robot file says LSS-ST1, but servo 3 is a LSS-HS1" in str(played.result.error)
+    assert_nothing_moved(played)
+
+
+def test_a_servo_in_safe_mode_is_refused(stage, kit):
+    hot = Fault(kind=FaultKind.HOT, servo_id=2, temperature_c=95.0)
+    played = stage.play(faults=[hot])
+    assert isinstance(played.result.error, PlaybackError)
+    assert "'j1': servo 2 reports safe mode" in str(played.result.error)
+    assert_nothing_moved(played)
+
+
+@pytest.mark.parametrize(
+    ("keyword", "wire", "said"),
+    [
+        ("SD", 900, "asks for 180 deg/s, but servo 2 is set to 90 deg/s (SD)"),
+        ("AA", 30, "asks for 600 deg/s², but servo 2 is set to 300 deg/s² (AA)"),
+        ("AD", 59, "asks for 600 deg/s², but servo 2 is set to 590 deg/s² (AD)"),
+    ],
+)
+def test_a_servo_that_is_set_to_less_than_the_file_asks_is_refused(stage, kit, keyword, wire, said):
+    def lower(bus):
+        bus._servos[1].settings.session[keyword] = wire
+
+    played = stage.play(on_bus=lower)
+    assert isinstance(played.result.error, InputError)
+    assert said in str(played.result.error)
+    assert_nothing_moved(played)
+
+
+def test_other_firmware_is_a_warning(stage, kit):
+    robot = kit.robot()
+    said = replace(robot.buses["bus0"], firmware=368)
+    played = stage.play(replace(robot, buses={"bus0": said}), wired=robot)
+    warnings = [event.text for event in played.events if isinstance(event, Warned)]
+    assert len(warnings) == 3
+    assert "servo 1 has firmware 370, the robot file says 368" in warnings[0]
+    assert played.report["outcome"] == "finished"
+
+
+def test_stopped_before_the_approach_nothing_ever_moves(stage, kit):
+    played = stage.play(wishes=[(kit.in_phase("connecting", 0.01), kit.stop)])
+    assert played.report["outcome"] == "stopped"
+    assert_nothing_moved(played)
+
+
+def test_stopped_while_settings_are_sent_they_are_given_back(stage, kit):
+    def has_said(player, now_ns):
+        return player.phase == "preparing" and player.lines["bus0"].sent_bytes > said[0]
+
+    def count(player, now_ns):
+        said.append(player.lines["bus0"].sent_bytes)
+
+    said = [0]
+    robot = kit.robot(settings={"AS": -2})
+    complete = stage.play(robot)
+    lines = complete.heard()
+    position = lines.index(b"#1AS-2\r")
+    said[0] = sum(map(len, lines[: position + 1]))
+    played = stage.play(robot, wishes=[(has_said, count), (has_said, kit.stop)])
+    assert b"#1AS-2\r" in played.heard()
+    assert played.moves() == []
+    assert b"#1AS0\r" in played.heard()[played.heard().index(b"#1AS-2\r") :]
+
+
+# ---- stopping
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_stopped_anywhere_it_brakes_within_the_limits_and_ends_safely(stage, kit, seed):
+    random = np.random.default_rng(seed)
+    robot = kit.robot(4)
+    sequence = kit.sequence(4, 6.0, seed=seed, swing_deg=60.0, step_s=(0.5, 1.2))
+    stop_s = float(random.uniform(0.05, 5.9))
+    played = stage.play(
+        robot,
+        sequence,
+        wishes=[(kit.in_show(stop_s), kit.stop)],
+        physics=QUIET,
+        has_feedback=bool(seed % 2),
+    )
+    assert played.report["outcome"] == "stopped"
+    assert_ended_safely(played, robot)
+    end_ns = played.bus.heard[-1][0]
+    (stopped_ns,) = played.acted_ns
+    assert end_ns - stopped_ns < 1_500_000_000
+    speed, accel = played.speeds(stopped_ns - 200_000_000, end_ns)
+    assert np.abs(speed).max() <= 1.05 * 180.0
+    assert np.abs(accel).max() <= 1.05 * 600.0
+    assert np.abs(speed[-3:]).max() < 1.0, "it stands before it is told to hold"
+    assert np.abs(played.horn_error_deg()).max() < 3.0, "it brakes on its path"
+
+
+def test_stopped_in_the_approach_it_brakes_too(stage, kit):
+    robot = kit.robot()
+    played = stage.play(
+        robot,
+        start_deg={"j0": 80.0},
+        wishes=[(kit.in_phase("approaching", 1.2), kit.stop)],
+        physics=QUIET,
+    )
+    assert_ended_safely(played, robot)
+    speed, accel = played.speeds(played.acted_ns[0] - 100_000_000, played.bus.heard[-1][0])
+    assert np.abs(speed[0]).max() == pytest.approx(30.0, abs=0.5)
+    assert np.abs(speed[-3:]).max() < 1.0
+    assert np.abs(accel).max() <= 1.05 * 600.0
+
+
+def test_a_second_stop_holds_at_once(stage, kit):
+    later = []
+
+    def after_first(player, now_ns):
+        return player.phase == "stopping" and now_ns >= played_ns(player) + 50_000_000
+
+    def played_ns(player):
+        return player.show.clock.ramp_end_ns - 300_000_000
+
+    def again(player, now_ns):
+        later.append(now_ns)
+        player.stop(now_ns)
+
+    played = stage.play(wishes=[(kit.in_show(2.0), kit.stop), (after_first, again)])
+    assert played.report["outcome"] == "stopped"
+    at_ns, line = played.bus.heard[-1]
+    assert line == HOLD
+    assert at_ns - later[0] < 10_000_000
+
+
+# ---- pausing, and other speeds
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_at_any_speed_and_through_pauses_the_horns_stay_on_their_path(stage, kit, seed):
+    random = np.random.default_rng(seed)
+    instants_s = np.sort(random.uniform(0.2, 7.0, 4))
+    wishes = []
+    for instant_s in instants_s:
+        wishes.append((kit.in_show(float(instant_s)), kit.rate(float(random.uniform(0.0, 1.0)))))
+        if random.random() < 0.5:
+            wishes.append((kit.in_show(float(instant_s)), kit.rate(0.0)))
+            wishes.append((stands, kit.rate(float(random.uniform(0.2, 1.0)))))
+    wishes.append((stands_or(7.2, kit), kit.rate(1.0)))
+    sequence = kit.sequence(3, 8.0, seed=seed, swing_deg=45.0, step_s=(0.5, 1.2))
+    played = stage.play(sequence=sequence, wishes=wishes, has_feedback=seed != 0)
+    assert played.report["outcome"] == "finished"
+    assert len(played.acted_ns) == len(wishes)
+    assert np.abs(played.horn_error_deg()).max() < 2.0
+    assert np.sqrt(np.mean(played.horn_error_deg() ** 2)) < 0.4
+
+
+def stands(player, now_ns):
+    """The rate has been 0 for a second."""
+    clock = player.show.clock
+    return clock.target_rate == 0.0 and now_ns > clock.ramp_end_ns + 1_000_000_000
+
+
+def stands_or(show_s, kit):
+    return lambda player, now_ns: stands(player, now_ns) or kit.in_show(show_s)(player, now_ns)
+
+
+def test_a_steady_lower_speed_leaves_the_path_no_more_than_full_speed(stage, kit):
+    sequence = kit.sequence(3, 6.0, swing_deg=45.0, step_s=(0.5, 1.2))
+    played = stage.play(sequence=sequence, wishes=[(kit.in_show(0.3), kit.rate(0.5))])
+    assert played.report["run_s"] > 11.0
+    assert np.abs(played.horn_error_deg(from_s=1.0)).max() < 1.0
+
+
+def test_a_long_pause_is_silent_and_keeps_the_place(stage, kit):
+    def paused_long(player, now_ns):
+        return stands(player, now_ns) and now_ns > player.show.clock.ramp_end_ns + 20_000_000_000
+
+    played = stage.play(
+        has_feedback=False,
+        wishes=[(kit.in_show(2.0), kit.rate(0.0)), (paused_long, kit.rate(1.0))],
+        physics=QUIET,
+    )
+    from_ns, to_ns = played.acted_ns
+    assert to_ns - from_ns > 20_000_000_000
+    inside = [a for a, _ in played.bus.heard if from_ns + 1_500_000_000 < a < to_ns]
+    assert inside == []
+    speed, _ = played.speeds(from_ns + 1_500_000_000, to_ns)
+    assert np.abs(speed).max() < 0.01
+    assert played.report["outcome"] == "finished"
+
+
+def test_from_a_later_time_it_starts_in_the_pose_of_that_time(stage, kit):
+    sequence = kit.sequence()
+    played = stage.play(sequence=sequence, start_s=2.5)
+    begun = played.result.player.show.clock
+    assert begun.show_s(begun.ramp_end_ns) >= 2.5
+    error_deg = played.horn_error_deg(from_s=2.55)
+    assert np.abs(error_deg).max() < 1.5
+    assert played.report["outcome"] == "finished"
+    passed = [event.label for event in played.events if isinstance(event, MarkPassed)]
+    later = [k.label for k in sequence.keyframes if k.at_s >= 2.5]
+    assert passed == later
+
+
+def test_a_loop_without_end_goes_on_until_it_is_stopped(stage, kit):
+    robot = kit.robot()
+    sequence = kit.sequence(3, 4.0, loop=None)
+    played = stage.play(robot, sequence, wishes=[(kit.in_show(30.0), kit.stop)])
+    assert played.report["outcome"] == "stopped"
+    assert played.report["planned_s"] is None
+    assert 30.0 <= played.report["played_s"] < 31.0
+    assert np.abs(played.horn_error_deg()).max() < 1.0
+    assert_ended_safely(played, robot)
+
+
+# ---- what goes wrong on the way
+
+
+@pytest.mark.parametrize(
+    ("kind", "cause"),
+    [(FaultKind.DEAF, "is silent: servo 2 has not answered"), (FaultKind.RESET, "is silent")],
+)
+def test_a_servo_that_falls_silent_is_named_and_the_robot_holds(stage, kit, kind, cause):
+    robot = kit.robot()
+    played = stage.play(robot, faults=[Fault(kind=kind, servo_id=2, at_s=2.5)])
+    assert played.report["outcome"] == "fault"
+    (fault,) = played.report["faults"]
+    assert fault["joint"] == "j1"
+    assert cause in fault["cause"]
+    assert [event for event in played.events if isinstance(event, Faulted)]
+    assert 2.0 < played.report["run_s"] < 2.5 + 3.0
+    assert_ended_safely(played, robot)
+
+
+def test_a_stuck_horn_is_named_and_the_robot_holds(stage, kit):
+    robot = kit.robot()
+    played = stage.play(robot, faults=[Fault(kind=FaultKind.STUCK, servo_id=3, at_s=2.0)])
+    assert played.report["outcome"] == "fault"
+    (fault,) = played.report["faults"]
+    assert fault["joint"] == "j2"
+    assert "is stuck" in fault["cause"] or "is blocked" in fault["cause"]
+    assert_ended_safely(played, robot)
+
+
+def test_a_joint_that_strays_although_it_answers_is_stopped(stage, kit):
+    robot = kit.robot(following_deg=3.0)
+    weak = Fault(kind=FaultKind.WEAK, servo_id=1, at_s=1.5, speed_ratio=0.03)
+    played = stage.play(robot, faults=[weak])
+    assert played.report["outcome"] == "fault"
+    assert played.report["faults"][0]["joint"] == "j0"
+    assert "off its course, allowed is 3 deg" in played.report["faults"][0]["cause"]
+    assert_ended_safely(played, robot)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        Fault(kind=FaultKind.LOST_REPLY, ratio=0.3),
+        Fault(kind=FaultKind.LATE_REPLY, ratio=0.3, late_s=0.06),
+        Fault(kind=FaultKind.DOUBLE_REPLY, ratio=0.3),
+        Fault(kind=FaultKind.CORRUPT_REPLY, ratio=0.1, at_s=0.2),
+    ],
+    ids=lambda fault: fault.kind.value,
+)
+def test_bad_replies_disturb_no_horn(stage, kit, fault):
+    played = stage.play(faults=[fault])
+    assert played.report["outcome"] == "finished"
+    assert np.abs(played.horn_error_deg()).max() < 1.5
+    bus = played.report["buses"]["bus0"]
+    assert bus["timeouts"] + bus["garbage"] + bus["rejected"] > 10
+
+
+def test_an_exception_on_the_way_leaves_every_bus_in_the_safe_state(stage, kit):
+    robot = kit.robot(4, buses=2)
+    buses = []
+
+    def fail(event):
+        if isinstance(event, MarkPassed) and event.label.startswith("at"):
+            raise RuntimeError("the display broke")
+
+    with pytest.raises(RuntimeError, match="the display broke"):
+        stage.play(robot, on_bus=buses.append, on_event=fail)
+    assert len(buses) == 2
+    for bus in buses:
+        assert bus.heard[-1][1] == HOLD
+        assert sum(b"T" in line and b"D" in line for _, line in bus.heard) > 5
