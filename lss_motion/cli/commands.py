@@ -1,0 +1,30 @@
+"""How a command of `lss-motion` is declared."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, TypeAlias
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # noqa: SLF001
+    """What `add_subparsers` returns; argparse has no public name for it."""
+
+
+def add_command(
+    commands: Commands,
+    name: str,
+    handler: Callable[[argparse.Namespace], int],
+    text: str,
+    description: str | None = None,
+) -> argparse.ArgumentParser:
+    """Add a command that runs `handler`, which returns the exit code; return its parser."""
+    added = commands.add_parser(
+        name,
+        help=text,
+        description=description or text,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    added.set_defaults(handler=handler)
+    return added

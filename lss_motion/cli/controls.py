@@ -1,0 +1,112 @@
+"""Keys and signals while a show runs: space pauses, + and − change the speed, q and Ctrl-C stop."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import socket
+import sys
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from types import FrameType, TracebackType
+
+    from lss_motion.player.player import Player
+
+KEYS_HELP: Final = "space pause, + - speed, q stop"
+RATE_STEP: Final = 0.1
+RATE_LEAST: Final = 0.1
+_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
+
+
+class Terminal:
+    """Turns keys and signals into wishes for the player; a context manager.
+
+    `signal_number` is the last signal that asked the show to end, or None. Faster than planned
+    is not offered: the plan is within the limits at its own speed only.
+    """
+
+    def __init__(self) -> None:
+        self.signal_number: int | None = None
+        self._rate = 1.0
+        self._is_paused = False
+        self._pending: list[int] = []
+        self._stack = contextlib.ExitStack()
+        self._keys_fd: int | None = None
+        self._wake, self._alarm = socket.socketpair()
+
+    def __enter__(self) -> Terminal:
+        for end in (self._wake, self._alarm):
+            end.setblocking(False)  # noqa: FBT003
+            self._stack.callback(end.close)
+        before = signal.set_wakeup_fd(self._alarm.fileno(), warn_on_full_buffer=False)
+        self._stack.callback(signal.set_wakeup_fd, before)
+        for number in _SIGNALS:
+            self._stack.callback(signal.signal, number, signal.signal(number, self._note))
+        with contextlib.suppress(OSError, ValueError, ImportError):
+            self._read_keys()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.close()
+
+    def filenos(self) -> Sequence[int]:
+        return [self._wake.fileno()] + ([] if self._keys_fd is None else [self._keys_fd])
+
+    def act(self, driven: Player, now_ns: int) -> None:
+        """Apply what came since the last call."""
+        with contextlib.suppress(BlockingIOError):
+            self._wake.recv(64)
+        while self._pending:
+            self.signal_number = self._pending.pop(0)
+            driven.stop(now_ns)
+        for key in self._keys():
+            self._press(key, driven, now_ns)
+
+    def _note(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002
+        self._pending.append(number)
+
+    def _press(self, key: str, player: Player, now_ns: int) -> None:
+        match key:
+            case " ":
+                self._is_paused = not self._is_paused
+                player.set_rate(0.0 if self._is_paused else self._rate, now_ns)
+            case "+" | "=" | "-" | "_":
+                step = RATE_STEP if key in "+=" else -RATE_STEP
+                self._rate = round(min(max(self._rate + step, RATE_LEAST), 1.0), 3)
+                if not self._is_paused:
+                    player.set_rate(self._rate, now_ns)
+            case "q" | "Q":
+                player.stop(now_ns)
+            case _:
+                pass
+
+    def _keys(self) -> str:
+        if self._keys_fd is None or not select.select([self._keys_fd], [], [], 0.0)[0]:
+            return ""
+        with contextlib.suppress(OSError):
+            if keys := os.read(self._keys_fd, 32):
+                return keys.decode("ascii", "ignore")
+        self._keys_fd = None  # The terminal is gone: nothing more will come.
+        return ""
+
+    def _read_keys(self) -> None:
+        """Take single keys from the terminal, if standard input is one in the foreground."""
+        import termios
+        import tty
+
+        stdin = sys.stdin.fileno()
+        if not os.isatty(stdin) or os.tcgetpgrp(stdin) != os.getpgrp():
+            return
+        before: list[Any] = termios.tcgetattr(stdin)
+        self._stack.callback(termios.tcsetattr, stdin, termios.TCSADRAIN, before)
+        tty.setcbreak(stdin)
+        self._keys_fd = stdin

@@ -1,0 +1,33 @@
+"""`lss-motion COMMAND`: everything around playing. One module a group of commands."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING
+
+from lss_motion.cli import exchange, planning, playing, sending, simulating
+from lss_motion.cli.messages import guarded
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+GROUPS = (planning, playing, simulating, sending, exchange)
+"""Each has `add_to(commands)`, and imports nothing heavy before a command of its own runs."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run `lss-motion`; return its exit code."""
+    parser = argparse.ArgumentParser(
+        prog="lss-motion", description="Plan, check, compile and simulate motion of smart servos."
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    for group in GROUPS:
+        group.add_to(commands)
+    arguments = parser.parse_args(argv)
+    handler: Callable[[argparse.Namespace], int] = arguments.handler
+    return guarded("lss-motion", lambda: handler(arguments))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

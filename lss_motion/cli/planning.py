@@ -1,0 +1,105 @@
+"""`lss-motion check | plan | compile | schema`: everything before a robot is involved."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lss_motion.cli.commands import add_command
+from lss_motion.errors import EXIT_FINISHED, InputError
+
+if TYPE_CHECKING:
+    from lss_motion.cli.commands import Commands
+
+
+def add_to(commands: Commands) -> None:
+    """Add the commands of this module."""
+    check = add_command(
+        commands, "check", _check, "validate, plan, compile; say what was slowed and why"
+    )
+    plan = add_command(commands, "plan", _plan, "plan a sequence; write it as a table or a picture")
+    plan.add_argument("--csv", type=Path, metavar="F", help="write t_s,<joint>... in degrees")
+    plan.add_argument("--plot", type=Path, metavar="F.png", help="draw it; the suffix says how")
+    plan.add_argument("--rate-hz", type=_rate, default=100.0, metavar="N", help="of the table")
+    plan.add_argument(
+        "--truth",
+        type=Path,
+        metavar="F",
+        help="draw also the horn angles that lss-play --truth wrote",
+    )
+    compiled = add_command(commands, "compile", _compile, "compile a sequence to a program (.lss)")
+    compiled.add_argument("-o", "--output", type=Path, metavar="F.lss", help="default: print it")
+    for added in (check, plan, compiled):
+        added.add_argument("file", type=Path, metavar="FILE", help="a sequence")
+        added.add_argument("--robot", type=Path, metavar="FILE", help="use this robot file")
+    schema = add_command(
+        commands, "schema", _schema, "print the JSON Schema of a robot or sequence file"
+    )
+    schema.add_argument("kind", nargs="?", choices=("robot", "sequence"), help="default: both")
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from lss_motion.cli import shows
+    from lss_motion.cli.check import program_lines
+
+    print("\n".join(program_lines(shows.prepare(arguments.file, arguments.robot))))
+    return EXIT_FINISHED
+
+
+def _plan(arguments: argparse.Namespace) -> int:
+    from lss_motion.cli import shows
+    from lss_motion.cli.check import plan_lines
+    from lss_motion.cli.tables import plan_table, read_table, write_text
+
+    sequence, robot = shows.load(arguments.file, arguments.robot)
+    trajectory = shows.planned(sequence, robot)
+    if arguments.csv is not None:
+        write_text(arguments.csv, plan_table(trajectory, arguments.rate_hz))
+    if arguments.plot is not None:
+        from lss_motion.trajectory.plot import plot
+
+        horn = None if arguments.truth is None else read_table(arguments.truth, trajectory.joints)
+        plot(trajectory, robot, arguments.plot, horn=horn)
+    print("\n".join(plan_lines(trajectory, robot)))
+    return EXIT_FINISHED
+
+
+def _compile(arguments: argparse.Namespace) -> int:
+    from lss_motion.cli import shows
+    from lss_motion.cli.check import program_lines
+    from lss_motion.cli.tables import write_text
+    from lss_motion.program.text import to_text
+
+    if arguments.output is not None and not shows.is_program(arguments.output):
+        raise InputError(
+            "must end in .lss, or lss-play takes it for a sequence", path=arguments.output
+        )
+    show = shows.prepare(arguments.file, arguments.robot)
+    if arguments.output is None:
+        print(to_text(show.program, folder=Path.cwd()), end="")
+        return EXIT_FINISHED
+    write_text(arguments.output, to_text(show.program, folder=arguments.output.absolute().parent))
+    print("\n".join(program_lines(show)))
+    return EXIT_FINISHED
+
+
+def _schema(arguments: argparse.Namespace) -> int:
+    from lss_motion.robot.load import robot_schema
+    from lss_motion.sequence.load import sequence_schema
+
+    schemas = {"robot": robot_schema, "sequence": sequence_schema}
+    if arguments.kind is not None:
+        shown = schemas[arguments.kind]()
+    else:
+        shown = {kind: make() for kind, make in schemas.items()}
+    print(json.dumps(shown, indent=2, ensure_ascii=False))
+    return EXIT_FINISHED
+
+
+def _rate(text: str) -> float:
+    value = float(text)
+    if not 0.1 <= value <= 10_000.0:
+        raise argparse.ArgumentTypeError(f"{text} is not in 0.1 to 10000")
+    return value

@@ -1,0 +1,265 @@
+"""`lss-play FILE`: plan, compile and play a sequence or a compiled program."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lss_motion.cli.messages import guarded
+from lss_motion.errors import (
+    EXIT_FINISHED,
+    EXIT_INTERRUPTED,
+    EXIT_NOT_FOLLOWED,
+    EXIT_TERMINATED,
+    InputError,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from lss_motion.api import Result
+    from lss_motion.cli.shows import Show
+    from lss_motion.player.events import Event
+    from lss_motion.robot.model import Robot
+
+DESCRIPTION = "Play a sequence (YAML) or a compiled program (.lss) on a robot."
+EPILOG = """\
+While it plays: space pauses, + and - change the speed, q or Ctrl-C stops and holds; a second
+Ctrl-C stops at once. Exit codes: 0 played to the end, 2 your files or arguments, 3 no plan or the
+line cannot carry it, 4 port or servos not reachable, 5 the robot did not follow, 130 interrupted.
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run `lss-play`; return its exit code."""
+    parser = argparse.ArgumentParser(
+        prog="lss-play",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_arguments(parser)
+    arguments = parser.parse_args(argv)
+    return guarded("lss-play", lambda: play(arguments))
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of design section 10."""
+    parser.add_argument("file", type=Path, metavar="FILE", help="sequence.yaml or program.lss")
+    parser.add_argument("--port", metavar="URL", help="serial device or URL; sim:// is simulated")
+    parser.add_argument("--robot", type=Path, metavar="FILE", help="use this robot file")
+    parser.add_argument(
+        "--speed", type=_ratio, default=1.0, metavar="RATIO", help="0.5 is half as fast"
+    )
+    parser.add_argument("--loop", type=_loop, metavar="N|forever", help="how often to play")
+    parser.add_argument("--from", type=_seconds, dest="start_s", metavar="S", help="start there")
+    parser.add_argument("--no-feedback", action="store_true", help="no questions, no correction")
+    parser.add_argument("--dry-run", action="store_true", help="plan, compile, check; move nothing")
+    parser.add_argument(
+        "--virtual", action="store_true", help="simulated bus in virtual time; deterministic"
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the simulated bus")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
+    parser.add_argument(
+        "--truth", type=Path, metavar="FILE", help="simulated bus only: real horn angles as CSV"
+    )
+    parser.add_argument("--log", type=Path, metavar="FILE", help="every byte with its instant")
+    parser.add_argument("--quiet", action="store_true", help="no display; errors only")
+
+
+def play(arguments: argparse.Namespace) -> int:
+    """Do what `lss-play` was asked for; return the exit code."""
+    from lss_motion import api
+    from lss_motion.cli import shows
+
+    show = shows.prepare(
+        arguments.file, arguments.robot, speed_ratio=arguments.speed, loop=arguments.loop
+    )
+    robot = api.with_port(show.robot, arguments.port)
+    _check(arguments, show, is_simulated=api.is_simulated(robot))
+    say = _nothing if arguments.quiet else _say
+    if arguments.dry_run:
+        from lss_motion.cli.check import program_lines
+
+        for line in program_lines(show):
+            say(line)
+        return EXIT_FINISHED
+    if api.is_simulated(robot):
+        how = "in virtual time" if arguments.virtual else "in real time"
+        say(f"{show.program.name}: no hardware, the robot {robot.name!r} is simulated {how}")
+    result, signal_number = _perform(arguments, show, robot, say)
+    _write_results(arguments, result)
+    if result.error is not None:
+        raise result.error
+    for line in report_lines(result.report):
+        say(line)
+    if result.report["outcome"] == "stopped":
+        return EXIT_TERMINATED if signal_number == signal.SIGTERM else EXIT_INTERRUPTED
+    if result.report["outcome"] == "fault":
+        for fault in result.report["faults"]:
+            print(
+                f"lss-play: joint {fault['joint']!r} {fault['cause']}. The show was stopped and "
+                f"the robot holds",
+                file=sys.stderr,
+            )
+        return EXIT_NOT_FOLLOWED
+    return EXIT_FINISHED
+
+
+def _check(arguments: argparse.Namespace, show: Show, *, is_simulated: bool) -> None:
+    """Refuse what would only be noticed after the show."""
+    if arguments.truth is not None and not is_simulated:
+        raise InputError("--truth needs the simulated bus: nobody knows the truth of a real one")
+    if arguments.virtual and show.program.repeat is not None:
+        raise InputError("--virtual never ends with a loop forever; give --loop N")
+    if arguments.start_s is not None and arguments.start_s >= show.program.duration_s:
+        raise InputError(
+            f"--from {arguments.start_s:g}: the show is over after {show.program.duration_s:.3f} s"
+        )
+    for path in (arguments.report, arguments.truth, arguments.log):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise InputError("cannot be written: there is no such folder", path=path)
+
+
+def _perform(
+    arguments: argparse.Namespace,
+    show: Show,
+    robot: Robot,
+    say: Callable[[str], None],
+) -> tuple[Result, int | None]:
+    from lss_motion import api
+    from lss_motion.cli.controls import Terminal
+    from lss_motion.cli.display import Display
+
+    with contextlib.ExitStack() as stack:
+        display = None
+        if not arguments.quiet and not arguments.virtual and sys.stderr.isatty():
+            display = Display()
+            stack.callback(display.close)
+        logs: list[Any] = []
+        if arguments.log is not None:
+            from lss_motion.runtime.log import ByteLog
+
+            logs.append(stack.enter_context(ByteLog(arguments.log)))
+        terminal = stack.enter_context(Terminal())
+        observer = api.Observer(
+            on_event=lambda event: _tell(event, say if display is None else display.note),
+            on_turn=None if display is None else display.show,
+            controls=terminal,
+            make_tap=logs[0].started if logs else None,
+        )
+        result = api.perform(
+            show.program,
+            robot,
+            is_virtual=arguments.virtual,
+            seed=arguments.seed,
+            has_feedback=not arguments.no_feedback,
+            start_s=arguments.start_s,
+            trajectory=show.trajectory,
+            observer=observer,
+        )
+        return result, terminal.signal_number
+
+
+def _nothing(text: str) -> None:
+    """Say nothing."""
+
+
+def _tell(event: Event, say: Callable[[str], None]) -> None:
+    """Say in one line what happened."""
+    from lss_motion.player.events import Faulted, MarkPassed, PhaseEntered, Warned
+
+    match event:
+        case PhaseEntered(phase):
+            say(f"        {phase.value}")
+        case MarkPassed(label, show_s) if label:
+            say(f"{show_s:7.2f} s {label}")
+        case Warned(text):
+            say(f"warning: {text}")
+        case Faulted(joint, cause):
+            say(f"fault: joint {joint!r} {cause}")
+        case _:
+            pass
+
+
+def _write_results(arguments: argparse.Namespace, result: Result) -> None:
+    from lss_motion import api
+
+    if arguments.report is not None:
+        try:
+            arguments.report.write_text(json.dumps(result.report, indent=1) + "\n", "utf-8")
+        except OSError as error:
+            raise InputError(
+                f"cannot write the report: {error.strerror}", path=arguments.report
+            ) from error
+    if arguments.truth is not None and result.truth is not None:
+        api.write_truth(result.truth, arguments.truth)
+
+
+def report_lines(report: dict[str, Any]) -> list[str]:
+    """Return the report as a person reads it at the end of a show."""
+    timing = report["timing"]
+    planned = "endless" if report["planned_s"] is None else f"{report['planned_s']:.2f} s"
+    simulated = ", simulated" if report["simulated"] else ""
+    lines = [
+        f"{report['sequence']}: {report['outcome']} after {report['played_s']:.2f} s of {planned}"
+        f"{simulated}",
+        f"commands {timing['commands']}, missed {timing['missed']}, late p50 "
+        f"{timing['late_p50_us']} us, p99 {timing['late_p99_us']} us, max "
+        f"{timing['late_max_us']} us",
+    ]
+    for name, bus in report["buses"].items():
+        lines.append(
+            f"bus {name}: {bus['baud_bps']} bps, {bus['tx_utilisation_ratio']:.0%} sent, "
+            f"{bus['queries']} queries, {bus['replies']} replies ({bus['query_rate_hz']:.0f}/s), "
+            f"{bus['timeouts']} timeouts, {bus['garbage']} garbage, {bus['rejected']} rejected"
+        )
+    if report["joints"]:
+        width = max(len(name) for name in [*report["joints"], "joint"])
+        has_truth = any("horn_error_rms_deg" in joint for joint in report["joints"].values())
+        head = f"{'joint':{width}}  readings  error rms   max  correction"
+        lines.append(head + ("  true horn rms   max   (deg)" if has_truth else "  (deg)"))
+        for name, joint in report["joints"].items():
+            line = (
+                f"{name:{width}}  {joint['readings']:8d}  {joint['error_rms_deg']:9.2f} "
+                f"{joint['error_max_deg']:5.2f}  {joint['offset_max_deg']:10.2f}"
+            )
+            if "horn_error_rms_deg" in joint:
+                line += f"  {joint['horn_error_rms_deg']:13.2f} {joint['horn_error_max_deg']:5.2f}"
+            lines.append(line)
+    return lines
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)
+
+
+def _ratio(text: str) -> float:
+    value = float(text)
+    if not 0.01 <= value <= 100.0:
+        raise argparse.ArgumentTypeError(f"{text} is not in 0.01 to 100")
+    return value
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value < 1e6:
+        raise argparse.ArgumentTypeError(f"{text} is not a time in seconds from 0 on")
+    return value
+
+
+def _loop(text: str) -> int | str:
+    if text == "forever":
+        return text
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a count from 1 on nor `forever`")
+    return int(text)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

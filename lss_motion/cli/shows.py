@@ -1,0 +1,125 @@
+"""From the file on the command line to a program: what `lss-play` and `lss-motion` share."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lss_motion.errors import InputError
+
+if TYPE_CHECKING:
+    from lss_motion.program.model import Program
+    from lss_motion.robot.model import Robot
+    from lss_motion.sequence.model import Sequence
+    from lss_motion.trajectory.model import Trajectory
+
+PROGRAM_SUFFIX = ".lss"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Show:
+    """A program ready to play. `trajectory` is None for one that was compiled before."""
+
+    robot: Robot
+    program: Program
+    trajectory: Trajectory | None = None
+
+
+def is_program(path: Path) -> bool:
+    """Return whether the file on the command line is a compiled program, by its suffix."""
+    return path.suffix.lower() == PROGRAM_SUFFIX
+
+
+def load(path: Path, robot_path: Path | None) -> tuple[Sequence, Robot]:
+    """Return the sequence at `path` and its robot, or the one that `--robot` names."""
+    from lss_motion.robot.load import load_robot
+    from lss_motion.sequence.load import load_sequence
+
+    if is_program(path):
+        raise InputError("is a compiled program; this needs a sequence file", path=path)
+    robot = None if robot_path is None else load_robot(robot_path)
+    sequence = load_sequence(path, robot)
+    if robot is None:
+        assert sequence.robot_path is not None
+        robot = load_robot(sequence.robot_path)
+    return sequence, robot
+
+
+def prepare(
+    path: Path, robot_path: Path | None, *, speed_ratio: float = 1.0, loop: int | str | None = None
+) -> Show:
+    """Return the show in the file at `path`, planned and compiled.
+
+    `loop` is a count, or `forever`. Raises `InputError`, `PlanningError` or `LineLoadError`.
+    """
+    if is_program(path):
+        return _compiled(path, robot_path, speed_ratio=speed_ratio, loop=loop)
+    from lss_motion.program.compile import compile_program
+
+    sequence, robot = load(path, robot_path)
+    trajectory = planned(sequence, robot, speed_ratio=speed_ratio, loop=loop)
+    return Show(robot=robot, program=compile_program(trajectory, robot), trajectory=trajectory)
+
+
+def planned(
+    sequence: Sequence, robot: Robot, *, speed_ratio: float = 1.0, loop: int | str | None = None
+) -> Trajectory:
+    """Return the plan, after the wishes of the command line."""
+    from lss_motion.sequence.check import check_sequence
+    from lss_motion.trajectory.planner import plan
+
+    if loop is not None:
+        sequence = dataclasses.replace(sequence, loop=None if loop == "forever" else int(loop))
+        check_sequence(sequence, robot)
+    if speed_ratio != 1.0:
+        sequence = _at_speed(sequence, robot, speed_ratio)
+    return plan(sequence, robot)
+
+
+def _at_speed(sequence: Sequence, robot: Robot, ratio: float) -> Sequence:
+    """Return the sequence with all its times divided by `ratio`; limits hold as ever."""
+    from lss_motion.sequence.model import Timing
+    from lss_motion.trajectory.planner import plan
+
+    if sequence.timing is Timing.FASTEST:
+        if ratio > 1.0:
+            raise InputError(
+                f"--speed {ratio:g}: the sequence is planned as fast as the limits allow; "
+                f"1 is the most",
+                path=sequence.path,
+            )
+        fastest_s = plan(dataclasses.replace(sequence, loop=1), robot).duration_s
+        return dataclasses.replace(sequence, timing=Timing.FIT, fit_duration_s=fastest_s / ratio)
+    keyframes = tuple(
+        dataclasses.replace(
+            keyframe,
+            at_s=None if keyframe.at_s is None else keyframe.at_s / ratio,
+            hold_s=keyframe.hold_s / ratio,
+        )
+        for keyframe in sequence.keyframes
+    )
+    duration_s = sequence.fit_duration_s
+    return dataclasses.replace(
+        sequence,
+        keyframes=keyframes,
+        fit_duration_s=None if duration_s is None else duration_s / ratio,
+    )
+
+
+def _compiled(
+    path: Path, robot_path: Path | None, *, speed_ratio: float, loop: int | str | None
+) -> Show:
+    from lss_motion.program.text import load_program
+    from lss_motion.robot.load import load_robot
+
+    if speed_ratio != 1.0 or loop is not None:
+        raise InputError("--speed and --loop need the sequence, not a compiled program", path=path)
+    program, robot = load_program(path, lambda named: load_robot(robot_path or named))
+    return Show(robot=robot, program=program)
+
+
+def in_folder(path: Path) -> Path:
+    """Return the absolute folder of a file that is to be written."""
+    return Path(path).absolute().parent

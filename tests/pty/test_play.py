@@ -1,0 +1,186 @@
+"""`lss-play` over a pseudo-terminal in real time, judged by what the simulated servos heard."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from lss_motion.robot.load import load_robot
+from lss_motion.sim.build import bus_from_robot
+from lss_motion.sim.pty import Port, _turn
+
+pytestmark = pytest.mark.realtime
+
+ROBOT = """
+robot: pair
+joints:
+  pan:  {id: 1, model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 180, accel_max_deg_s2: 600}
+  tilt: {id: 2, model: LSS-ST1, range_deg: [-40, 60], speed_max_deg_s: 180, accel_max_deg_s2: 600}
+poses:
+  home: {pan: 0, tilt: 0}
+"""
+SWAY = """
+sequence: sway
+robot: robot.yaml
+loop: %s
+keyframes:
+  - {at_s: 0, pose: home}
+  - {at_s: 0.6, deg: {pan: 40, tilt: 30}}
+  - {at_s: 1.2, pose: home}
+"""
+SESSION_BEFORE = [b"#1EM1", b"#1AA100", b"#1AD100", b"#1SD3600"]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+    return tmp_path
+
+
+@contextmanager
+def simulated(folder):
+    """Serve the robot behind a pseudo-terminal from a thread; yields the port."""
+    bus = bus_from_robot(load_robot(folder / "robot.yaml"), "main", seed=1)
+    bus.record()
+    stop = threading.Event()
+    alarm_fd, ring_fd = os.pipe()
+    with Port(bus, seed=1) as port:
+        thread = threading.Thread(target=lambda: [_turn([port], alarm_fd) for _ in iter(
+            stop.is_set, True)])  # fmt: skip
+        thread.start()
+        try:
+            yield port
+        finally:
+            stop.set()
+            os.write(ring_fd, b"!")
+            thread.join(5.0)
+            os.close(alarm_fd)
+            os.close(ring_fd)
+            assert not thread.is_alive()
+
+
+@contextmanager
+def playing(folder, port, *options, loop="1"):
+    (folder / "sway.yaml").write_text(SWAY % loop)
+    command = [sys.executable, "-m", "lss_motion.cli.play", str(folder / "sway.yaml"), "--port",
+               port.path, *options]  # fmt: skip
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def lines_heard(port):
+    return [line for _, line in port.bus.heard]
+
+
+def wait_for(process, text):
+    """Read what the player says until it says `text`."""
+    for line in process.stdout:
+        if text in line:
+            return
+    pytest.fail(f"it never said {text!r}: {process.stderr.read()}")
+
+
+def test_a_show_reaches_its_end_and_every_keyframe_over_a_real_terminal(folder):
+    report = folder / "r.json"
+    with simulated(folder) as port:
+        with playing(folder, port, "--report", str(report)) as process:
+            _, errors = process.communicate(timeout=30)
+            assert process.returncode == 0, errors
+        heard = port.bus.heard
+        moves = [(instant, line) for instant, line in heard if line.startswith(b"#1D")]
+        assert heard[-1][1].rstrip(b"\r") == b"#254H"
+        instants = np.linspace(moves[0][0], heard[-1][0], 2000).astype(np.int64)
+        pan = port.bus.horn_deg(instants)[:, 0]
+        assert abs(pan.max() - 40.0) < 1.0
+        assert abs(pan[-1]) < 0.6
+    said = json.loads(report.read_text())
+    assert said["simulated"] is False
+    assert said["timing"]["missed"] == 0
+    assert said["joints"]["pan"]["readings"] > 20
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_in_the_middle_brakes_restores_and_holds(folder, number, code):
+    with simulated(folder) as port:
+        with playing(folder, port, loop="forever") as process:
+            wait_for(process, "playing")
+            wait_for_moves(port, 6)
+            process.send_signal(number)
+            _, errors = process.communicate(timeout=20)
+        assert process.returncode == code
+        assert errors == ""
+        heard = [line.rstrip(b"\r") for line in lines_heard(port)]
+        assert heard[-1] == b"#254H"
+        for setting in SESSION_BEFORE:
+            assert setting in heard[-12:]
+        end_ns = port.bus.heard[-1][0]
+        last = port.bus.horn_deg(np.arange(end_ns - 100_000_000, end_ns, 5_000_000))
+        assert np.ptp(last, axis=0).max() < 0.2  # It stood still before it was told to hold.
+
+
+def wait_for_moves(port, count):
+    """Wait, without looking at the clock, until the servos have heard so many moves."""
+    turn = threading.Event()
+    while sum(line.startswith(b"#1D") for line in lines_heard(port)) < count:
+        turn.wait(0.01)
+
+
+def test_a_second_interrupt_stops_at_once(folder):
+    with simulated(folder) as port:
+        with playing(folder, port, loop="forever") as process:
+            wait_for(process, "playing")
+            wait_for_moves(port, 6)
+            process.send_signal(signal.SIGINT)
+            wait_for(process, "stopping")
+            process.send_signal(signal.SIGINT)
+            _, errors = process.communicate(timeout=20)
+        assert process.returncode == 130
+        assert errors == ""
+        assert lines_heard(port)[-1].rstrip(b"\r") == b"#254H"
+
+
+def test_a_port_that_vanishes_is_an_error_and_no_traceback(folder):
+    with simulated(folder) as port:
+        with playing(folder, port, loop="forever") as process:
+            wait_for(process, "playing")
+            wait_for_moves(port, 6)
+            os.close(port._slave_fd)
+            os.close(port.master_fd)
+            port.master_fd, port._slave_fd = os.openpty()
+            _, errors = process.communicate(timeout=20)
+        assert process.returncode == 4
+        assert "lost port" in errors
+        assert "Traceback" not in errors
+
+
+def test_a_killed_player_leaves_a_robot_that_comes_to_rest_by_itself(folder):
+    with simulated(folder) as port:
+        with playing(folder, port, loop="forever") as process:
+            wait_for(process, "playing")
+            wait_for_moves(port, 6)
+            process.kill()
+            process.communicate(timeout=20)
+        longest_s = max(
+            int(line.rstrip(b"\r").split(b"T")[1]) / 1000
+            for line in lines_heard(port)
+            if b"D" in line and b"T" in line
+        )
+        last_ns = port.bus.heard[-1][0]
+        port.bus.advance(last_ns + int((longest_s + 1.5) * 1e9))
+        end_ns = last_ns + int((longest_s + 1.0) * 1e9)
+        settled = port.bus.horn_deg(np.arange(end_ns, end_ns + 400_000_000, 20_000_000))
+        assert np.ptp(settled, axis=0).max() < 0.2
