@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -219,7 +220,7 @@ def _open(
 
 
 def _truth(player: Player, robot: Robot, buses: Mapping[str, SimBus]) -> Truth | None:
-    """Return the horns of the show's joints at every 10 ms of show time that was reached."""
+    """Return the horns of the show's joints at every 10 ms of show time that was played."""
     from lss_motion.sim.build import servos_of
 
     if player.show is None or player.show_ended_ns is None:
@@ -227,8 +228,9 @@ def _truth(player: Player, robot: Robot, buses: Mapping[str, SimBus]) -> Truth |
     knots = list(player.show.clock.knots(player.show_ended_ns, 10 * NS_PER_MS))
     instants = np.array([instant for instant, _ in knots], dtype=np.int64)
     shown_s = np.array([show_s for _, show_s in knots])
-    end_s = min(float(shown_s[-1]), player.program.duration_s)
-    times_s = TRUTH_STEP_S * np.arange(int(end_s / TRUTH_STEP_S + 1e-6) + 1, dtype=np.float64)
+    first = math.ceil(max(float(shown_s[0]), 0.0) / TRUTH_STEP_S - 1e-6)
+    last = math.floor(min(float(shown_s[-1]), player.program.duration_s) / TRUTH_STEP_S + 1e-6)
+    times_s = TRUTH_STEP_S * np.arange(first, last + 1, dtype=np.float64)
     kept = np.concatenate(([True], np.diff(shown_s) > 0.0))
     at_ns = np.interp(times_s, shown_s[kept], (instants - instants[0])[kept].astype(np.float64))
     times_ns = instants[0] + at_ns.astype(np.int64)

@@ -22,7 +22,7 @@ from benches.table import Row, shown
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-BENCHES = ("codec", "horn")
+BENCHES = ("codec", "horn", "plan")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -116,7 +116,7 @@ def _compiled(
 
     if speed_ratio != 1.0 or loop is not None:
         raise InputError("--speed and --loop need the sequence, not a compiled program", path=path)
-    program, robot = load_program(path, lambda named: load_robot(robot_path or named))
+    program, robot = load_program(path, load_robot, robot_path=robot_path)
     return Show(robot=robot, program=program)
 
 

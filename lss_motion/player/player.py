@@ -73,6 +73,7 @@ class Player:
         self._now_ns = 0
         self._has_set = False
         self._has_moved = False
+        self._stops = 0
 
     # ---- the four calls
 
@@ -124,9 +125,14 @@ class Player:
             self._streamer.set_rate(0.0 if rate < RATE_LEAST else min(rate, 1.0), now_ns)
 
     def stop(self, now_ns: int) -> None:
-        """Brake within the limits and hold; then restore and end. Asked twice: `abort`."""
+        """Brake within the limits and hold; then restore and end. Asked twice: `abort`.
+
+        A show that has just ended by itself goes on restoring when it is asked once.
+        """
+        self._stops += 1
         if self.phase in (Phase.STOP, Phase.RESTORE):
-            self.abort(now_ns)
+            if self._stops > 1:
+                self.abort(now_ns)
         elif self.phase in (Phase.APPROACH, Phase.SHOW):
             self.outcome = self.outcome or "stopped"
             self._brake(now_ns)

@@ -206,17 +206,22 @@ class Fitter:
         """Return steps after `first` and speeds to try, and whether any keeps the tolerance.
 
         Besides an even choice inside the cone, the course's own speed: where the course is at its
-        acceleration limit, only that leaves the servo in step with it.
+        acceleration limit, only that leaves the servo in step with it. No successor comes after
+        the next standstill began: it has to land there.
         """
         least = math.ceil(SEGMENT_MIN_S / GRID_S)
         lowest, highest, held = self._cone(state)
+        rest = self._next_rest(state)
+        latest = len(self._course.position_deg) if rest is None else rest[0] - first - least
+        latest = max(latest, least)
         is_held = held > least
         if is_held:
+            held = min(held, latest + 1)
             cuts = {max(least, round(ratio * (held - 1))) for ratio in CUT_RATIOS}
             low, high = np.searchsorted(self._bends, (first + least, first + held))
             cuts |= {int(bend) - first for bend in self._bends[low:high][:BEND_TRIALS]}
         else:
-            cuts = set(RECOVERY_STEPS)
+            cuts = {min(cut, latest) for cut in RECOVERY_STEPS}
         index = np.array(sorted(cuts), dtype=np.intp)
         if is_held:
             low_speed, high_speed = lowest[index], highest[index]

@@ -53,6 +53,8 @@ class SerialPort:
                 self._serial.exclusive = True
             self._serial.open()
             self._serial.reset_input_buffer()
+            with contextlib.suppress(AttributeError, OSError, ValueError, NotImplementedError):
+                self._serial.set_low_latency_mode(True)  # noqa: FBT003
         except (serial.SerialException, ValueError, OSError) as error:
             raise BusError(f"cannot open port {url}: {_reason(error)}", url=url) from error
 

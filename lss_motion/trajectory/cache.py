@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.trajectory.retime import Window
+from lss_motion.trajectory.solve import Window
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
-    from lss_motion.trajectory.retime import Task
+    from lss_motion.trajectory.solve import Task
 
     FloatArray = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lss_motion.sequence.model import Sequence as Show
     from lss_motion.trajectory.clock import Clock
     from lss_motion.trajectory.path import Path
-    from lss_motion.trajectory.retime import Task, Window
+    from lss_motion.trajectory.solve import Task, Window
     from lss_motion.trajectory.spacing import Spacing
 
     FloatArray = NDArray[np.float64]

@@ -11,7 +11,7 @@ from lss_motion.errors import InputError
 from lss_motion.trajectory.curves import JointKeys, build_path, joint_keys, seam_slope_deg_s
 from lss_motion.trajectory.keys import is_timed, keys_by_joint
 from lss_motion.trajectory.path import Path, concatenate
-from lss_motion.trajectory.retime import RATE_FREE, Task
+from lss_motion.trajectory.solve import RATE_FREE, Task
 from lss_motion.trajectory.spacing import Spacing, spaced
 
 if TYPE_CHECKING:

@@ -22,10 +22,14 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-BLOCK_WORK: Final = 200_000
-"""Multiplications in the largest matrix product by which a solver object is made. OpenBLAS runs
-products above 262144 on several threads, which for such small ones costs five times as much
-(measured: 15 µs a cell instead of 3); and small blocks bound memory."""
+GROUP_ROWS: Final = 12
+"""Rows of one toppra constraint. It multiplies them by a matrix of so many rows squared, so that
+many small constraints are made quicker than one of all rows (measured: 4 to 12 are alike)."""
+
+BLOCK_CELLS: Final = 690
+"""Cells of one solver object. OpenBLAS runs products of more than 262144 multiplications on
+several threads, which for such small ones costs five times as much (measured: 15 µs a cell
+instead of 3); and small blocks bound memory."""
 
 KEPT_ROWS: Final = 700_000
 """Cells times joints whose solvers are kept for the second pass; about 200 bytes each. Chosen:
@@ -70,7 +74,7 @@ def fastest_squares(
     upper = caps.copy()
     upper[-1] = min(upper[-1], end_max)
     count = len(grid_s) - 1
-    size = max(1, BLOCK_WORK // (8 * joints**2) - 1)
+    size = BLOCK_CELLS
     starts = range(0, count, size)
 
     def block(first: int) -> _Block:
@@ -172,30 +176,32 @@ def _stage_solver(
     from toppra.constraint import LinearConstraint
     from toppra.solverwrapper.cy_seidel_solverwrapper import seidelWrapper
 
-    bounds = np.stack([np.zeros_like(caps), caps], axis=1)
-    is_moving = rows.any(axis=0) | tilts.any(axis=0)
-
     class Limits(LinearConstraint):  # type: ignore[misc]  # toppra is untyped
-        """The rows in both directions, and the caps. The last grid point has none of its own."""
+        """Rows in both directions, or caps. The last grid point has no rows of its own."""
 
-        def __init__(self) -> None:
+        def __init__(self, *parameters: FloatArray | None) -> None:
             super().__init__()
             self.identical = True
+            self.parameters = parameters
 
         def compute_constraint_params(self, *_: object) -> tuple[FloatArray | None, ...]:
-            if not is_moving.any():
-                return None, None, None, None, None, None, bounds
-            by_slope = np.pad(rows[:, is_moving], ((0, 1), (0, 0)))
-            by_square = np.pad(tilts[:, is_moving], ((0, 1), (0, 0)))
-            unit = np.eye(by_slope.shape[1])
-            both = np.concatenate([unit, -unit])
-            ones, nothing = np.ones(len(both)), np.zeros_like(by_slope)
-            return by_slope, by_square, nothing, both, ones, None, bounds
+            return self.parameters
 
     class Duration:
         """All that the solver asks of a path: how long it is, for a scale that is then 1."""
 
         duration = float(grid_s[-1])
 
-    solve: Callable[..., Any] = seidelWrapper([Limits()], Duration(), grid_s).solve_stagewise_optim
+    bounds = np.stack([np.zeros_like(caps), caps], axis=1)
+    limits = [Limits(None, None, None, None, None, None, bounds)]
+    moving = np.flatnonzero(rows.any(axis=0) | tilts.any(axis=0))
+    for first in range(0, len(moving), GROUP_ROWS):
+        group = moving[first : first + GROUP_ROWS]
+        by_slope, by_square = np.zeros((2, len(caps), len(group)))
+        by_slope[:-1], by_square[:-1] = rows[:, group], tilts[:, group]
+        unit = np.eye(len(group))
+        both, ones = np.concatenate([unit, -unit]), np.ones(2 * len(group))
+        nothing = np.zeros_like(by_slope)
+        limits.append(Limits(by_slope, by_square, nothing, both, ones, None, None))
+    solve: Callable[..., Any] = seidelWrapper(limits, Duration(), grid_s).solve_stagewise_optim
     return solve

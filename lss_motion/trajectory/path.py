@@ -73,6 +73,20 @@ class Path:
             case _:
                 raise ValueError(f"order {order} is not 0, 1 or 2")
 
+    def slopes(
+        self, path_s: FloatArray, segments: NDArray[np.intp]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the first and the second derivative, (n, joints), of the chosen cubics."""
+        local_s = (path_s - self.knots_s[segments])[:, None]
+        cubics = self.coefficients[segments]
+        cubed = cubics[:, 3] * (3.0 * local_s)
+        second = cubed + cubics[:, 2]
+        first = second + cubics[:, 2]
+        first *= local_s
+        first += cubics[:, 1]
+        second *= 2.0
+        return first, second
+
 
 def concatenate(paths: Sequence[Path]) -> Path:
     """Return one path that runs through all of them; each starts where the last one ended."""

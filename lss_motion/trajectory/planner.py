@@ -15,7 +15,8 @@ from lss_motion.trajectory.fit import FIT_TOLERANCE_S, least_fit_s, scaled, slow
 from lss_motion.trajectory.keys import is_timed, named
 from lss_motion.trajectory.layout import Layout, laid_out
 from lss_motion.trajectory.model import Motion, Trajectory
-from lss_motion.trajectory.retime import Task, Window, slowed_windows, solve, strained
+from lss_motion.trajectory.retime import slowed_windows, strained
+from lss_motion.trajectory.solve import solve
 from lss_motion.trajectory.timeline import authored_clock, stopping_clock
 from lss_motion.trajectory.verify import verify
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.model import Sequence
     from lss_motion.trajectory.clock import Clock
+    from lss_motion.trajectory.solve import Task, Window
 
     FloatArray = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.trajectory.path import Path
-    from lss_motion.trajectory.retime import Window
+    from lss_motion.trajectory.solve import Window
 
     FloatArray = NDArray[np.float64]
 

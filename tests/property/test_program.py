@@ -197,7 +197,7 @@ def test_smooth_courses_are_kept_within_the_tolerance(course, wire_per_deg):
     fitter = fitted(course, limits_of(wire_per_deg))
     times_s = course.start_s + GRID_S * np.arange(len(course.position_deg))
     error_deg = fitter.reference().sample(times_s) - course.position_deg
-    assert np.abs(error_deg).max() <= 0.21  # the wire has steps of 0.1 deg and 1 ms
+    assert np.abs(error_deg).max() <= 0.22  # the wire has steps of 0.1 deg and 1 ms
     end_deg, _ = fitter.reference().at(99.0)
     assert end_deg == pytest.approx(course.position_deg[-1], abs=0.5001 / wire_per_deg)
     moved = np.abs(course.position_deg - course.position_deg[0]).max() > 0.3

@@ -309,6 +309,8 @@ def test_a_steady_lower_speed_leaves_the_path_no_more_than_full_speed(stage, kit
     sequence = kit.sequence(3, 6.0, swing_deg=45.0, step_s=(0.5, 1.2))
     played = stage.play(sequence=sequence, wishes=[(kit.in_show(0.3), kit.rate(0.5))])
     assert played.report["run_s"] > 11.0
+    in_approach = len(sequence.keyframes[0].deg)
+    assert played.report["timing"]["commands"] == len(played.moves()) - in_approach
     assert np.abs(played.horn_error_deg(from_s=1.0)).max() < 1.0
 
 
