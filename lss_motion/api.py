@@ -21,7 +21,7 @@ from lss_motion.trajectory.planner import plan
 from lss_motion.units import NS_PER_MS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from lss_motion.runtime.port import Port
     from lss_motion.runtime.runner import Controls, Tap
     from lss_motion.sim.bus import SimBus
+    from lss_motion.sim.faults import Fault
     from lss_motion.trajectory.model import Trajectory
 
 __all__ = [
@@ -141,7 +142,7 @@ def play(
     return result.report
 
 
-def perform(
+def perform(  # noqa: PLR0913  (the wishes of one run)
     program: Program,
     robot: Robot,
     *,
@@ -151,17 +152,20 @@ def perform(
     start_s: float | None = None,
     trajectory: Trajectory | None = None,
     observer: Observer | None = None,
+    faults: Sequence[Fault] = (),
 ) -> Result:
     """Play `program` on `robot` and return all that came of it, also when it failed on the way.
 
-    With `trajectory`, the report says how far the simulated horns were from it. Raises
-    `InputError` or `BusError` only for what stops it before the first byte.
+    With `trajectory`, the report says how far the simulated horns were from it. `faults` befall
+    the simulated buses, and in virtual time the host. Raises `InputError` or `BusError` only for
+    what stops it before the first byte.
     """
     simulated = is_simulated(robot)
     if is_virtual and not simulated:
         raise InputError("--virtual needs the simulated bus: use it with --port sim://")
-    clock = VirtualClock() if is_virtual else MonotonicClock()
-    ports, buses = _open(robot, clock, simulated=simulated, seed=seed)
+    _check_faults(faults, simulated=simulated, is_virtual=is_virtual)
+    clock = _clock(faults, is_virtual=is_virtual, seed=seed)
+    ports, buses = _open(robot, clock, simulated=simulated, seed=seed, faults=faults)
     started_ns = clock.now_ns()
     player = Player(program, robot, has_feedback=has_feedback, start_s=start_s)
     error: LssMotionError | None = None
@@ -194,8 +198,37 @@ def perform(
     return Result(report=report, player=player, truth=truth, error=error or player.error)
 
 
+def _check_faults(faults: Sequence[Fault], *, simulated: bool, is_virtual: bool) -> None:
+    """Refuse faults that could not happen."""
+    if not faults:
+        return
+    from lss_motion.sim.faults import FaultKind
+
+    if not simulated:
+        raise InputError("--faults needs the simulated bus: use it with --port sim://")
+    if not is_virtual and any(fault.kind is FaultKind.OVERSLEEP for fault in faults):
+        raise InputError(f"{FaultKind.OVERSLEEP} needs --virtual: in real time this host is real")
+
+
+def _clock(
+    faults: Sequence[Fault], *, is_virtual: bool, seed: int
+) -> MonotonicClock | VirtualClock:
+    if not is_virtual:
+        return MonotonicClock()
+    if not faults:
+        return VirtualClock()
+    from lss_motion.sim.host import SleepyClock
+
+    return SleepyClock(faults, seed=seed)
+
+
 def _open(
-    robot: Robot, clock: MonotonicClock | VirtualClock, *, simulated: bool, seed: int
+    robot: Robot,
+    clock: MonotonicClock | VirtualClock,
+    *,
+    simulated: bool,
+    seed: int,
+    faults: Sequence[Fault],
 ) -> tuple[dict[str, Port], dict[str, SimBus]]:
     ports: dict[str, Port] = {}
     if not simulated:
@@ -212,7 +245,8 @@ def _open(
     from lss_motion.sim.build import bus_from_robot
     from lss_motion.sim.port import SimPort
 
-    buses = {name: bus_from_robot(robot, name, seed=seed) for name in robot.buses}
+    options: dict[str, Any] = {"faults": faults} if faults else {}
+    buses = {name: bus_from_robot(robot, name, seed=seed, **options) for name in robot.buses}
     for name, sim_bus in buses.items():
         sim_bus.record()
         ports[name] = SimPort(sim_bus, clock)

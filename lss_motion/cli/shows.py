@@ -5,17 +5,23 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
 
 if TYPE_CHECKING:
+    from lss_motion.gait.model import Gait
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.model import Sequence
     from lss_motion.trajectory.model import Trajectory
 
 PROGRAM_SUFFIX = ".lss"
+
+GAIT_TOLERANCE_DEG: Final = 0.03
+"""How far a leg's predicted horn may be from its plan. Measured on simulated servos, over all
+patterns: feet slip 0.3 mm at most, of the 0.5 mm allowed (0.05 deg: 0.45 mm, 0.2 deg: 1.1 mm), for
+2.5 times the line use of 0.2 deg, 23 % of 115200 bps for the quickest."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,18 +39,40 @@ def is_program(path: Path) -> bool:
 
 
 def load(path: Path, robot_path: Path | None) -> tuple[Sequence, Robot]:
-    """Return the sequence at `path` and its robot, or the one that `--robot` names."""
+    """Return the sequence at `path` and its robot, or the one that `--robot` names.
+
+    That of a gait file is what its robot walks.
+    """
+    from lss_motion.gait.load import is_gait_file
     from lss_motion.robot.load import load_robot
     from lss_motion.sequence.load import load_sequence
 
     if is_program(path):
         raise InputError("is a compiled program; this needs a sequence file", path=path)
+    if is_gait_file(path):
+        from lss_motion.gait.sequence import sequence_of
+
+        gait, walker = load_gait(path, robot_path)
+        return sequence_of(gait, walker), walker
     robot = None if robot_path is None else load_robot(robot_path)
     sequence = load_sequence(path, robot)
     if robot is None:
         assert sequence.robot_path is not None
         robot = load_robot(sequence.robot_path)
     return sequence, robot
+
+
+def load_gait(path: Path, robot_path: Path | None) -> tuple[Gait, Robot]:
+    """Return the gait at `path` and its robot, or the one that `--robot` names."""
+    from lss_motion.gait import load
+    from lss_motion.robot.load import load_robot
+
+    robot = None if robot_path is None else load_robot(robot_path)
+    gait = load.load_gait(path, robot)
+    if robot is None:
+        assert gait.robot_path is not None
+        robot = load_robot(gait.robot_path)
+    return gait, robot
 
 
 def prepare(
@@ -56,11 +84,14 @@ def prepare(
     """
     if is_program(path):
         return _compiled(path, robot_path, speed_ratio=speed_ratio, loop=loop)
-    from lss_motion.program.compile import compile_program
+    from lss_motion.gait.load import is_gait_file
+    from lss_motion.program.compile import TOLERANCE_DEG, compile_program
 
     sequence, robot = load(path, robot_path)
     trajectory = planned(sequence, robot, speed_ratio=speed_ratio, loop=loop)
-    return Show(robot=robot, program=compile_program(trajectory, robot), trajectory=trajectory)
+    tolerance_deg = GAIT_TOLERANCE_DEG if is_gait_file(path) else TOLERANCE_DEG
+    program = compile_program(trajectory, robot, tolerance_deg=tolerance_deg)
+    return Show(robot=robot, program=program, trajectory=trajectory)
 
 
 def planned(

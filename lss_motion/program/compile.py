@@ -17,7 +17,7 @@ from lss_motion.protocol.line import encode_move
 from lss_motion.units import NS_PER_US, line_time_ns, s_from_us, us_from_s
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.trajectory.model import Trajectory
@@ -44,14 +44,24 @@ def compile_program(
     if unknown := [name for name in trajectory.joints if name not in robot.joints]:
         raise InputError(f"robot {robot.name!r} has no joint {unknown[0]!r}")
     courses = _courses(trajectory, robot)
+    repeat = _repeat(trajectory)
+    seams_s = () if repeat is None else (s_from_us(repeat.from_us), s_from_us(repeat.to_us))
     tight: _Attempt | None = None
     for ratio in RELAXED_RATIOS:
-        attempt = _Attempt(courses, robot, tolerance_deg * ratio)
+        attempt = _Attempt(courses, robot, tolerance_deg * ratio, seams_s)
         if attempt.late_max_us <= LATE_MAX_US:
-            return _program(trajectory, robot, courses, attempt)
+            return _program(trajectory, robot, courses, attempt, repeat)
         tight = attempt
     assert tight is not None
     raise _overload(tight, robot)
+
+
+def _repeat(trajectory: Trajectory) -> Repeat | None:
+    """Return the pass that is played again and again, if the show has no end."""
+    if trajectory.loop is not None:
+        return None
+    from_s = trajectory.first.duration_s
+    return Repeat(from_us=us_from_s(from_s), to_us=us_from_s(from_s + trajectory.middle.duration_s))
 
 
 def _courses(trajectory: Trajectory, robot: Robot) -> dict[str, Course]:
@@ -83,11 +93,17 @@ def lead(joint: Joint) -> float:
 class _Attempt:
     """All joints fitted at one tolerance, on the lines they share."""
 
-    def __init__(self, courses: Mapping[str, Course], robot: Robot, tolerance_deg: float) -> None:
+    def __init__(
+        self,
+        courses: Mapping[str, Course],
+        robot: Robot,
+        tolerance_deg: float,
+        seams_s: Sequence[float],
+    ) -> None:
         self.tolerance_deg = tolerance_deg
         self.late_max_us = 0
         self.fitters = {
-            name: Fitter(course, servo_limits(robot.joints[name], tolerance_deg))
+            name: Fitter(course, servo_limits(robot.joints[name], tolerance_deg), seams_s)
             for name, course in courses.items()
         }
         self._lines = {bus: LineSchedule() for bus in robot.buses}
@@ -140,14 +156,12 @@ def slot_us(joint: Joint, baud_bps: int) -> int:
 
 
 def _program(
-    trajectory: Trajectory, robot: Robot, courses: Mapping[str, Course], attempt: _Attempt
+    trajectory: Trajectory,
+    robot: Robot,
+    courses: Mapping[str, Course],
+    attempt: _Attempt,
+    repeat: Repeat | None,
 ) -> Program:
-    repeat = None
-    if trajectory.loop is None:
-        from_s = trajectory.first.duration_s
-        repeat = Repeat(
-            from_us=us_from_s(from_s), to_us=us_from_s(from_s + trajectory.middle.duration_s)
-        )
     moves = []
     for name, fitter in attempt.fitters.items():
         joint = robot.joints[name]

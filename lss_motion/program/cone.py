@@ -24,6 +24,11 @@ GRID_S: Final = 0.005
 1 ms steps save no command that is worth five times the work (performance.md, section C)."""
 REST_MIN_S: Final = 0.02
 """A standstill shorter than this is travelled through."""
+CONE_RATIO: Final = 0.98
+"""How much of the tolerance a cone uses; the rest is for what the wire rounds."""
+ROOM_RATIO: Final = 0.15
+"""A profile at or beyond the edge of the tolerance is given this share of it as room, or it could
+not even stay in step with the course."""
 AUTHORITY_STEPS: Final = 24
 """Over so many grid steps ahead the course must leave ramp to spare for a correction."""
 AUTHORITY_LEAST_RATIO: Final = 0.01
@@ -155,6 +160,7 @@ class Cones:
         positions_deg: FloatArray,
         speeds_deg_s: FloatArray,
         steps: int,
+        stride: int = 1,
     ) -> tuple[FloatArray, FloatArray]:
         """Return the lowest and highest travel speed, per start state (row) and grid step (column).
 
@@ -163,12 +169,14 @@ class Cones:
         """
         limits, grid = self.limits, self.course.position_deg
         first = np.ceil((times_s - self.course.start_s) / GRID_S - 1e-9).astype(np.int64)
-        index = np.maximum(first, 0)[:, None] + np.arange(steps)
+        index = np.maximum(first, 0)[:, None] + stride * np.arange(steps)
         tau = self.course.start_s + GRID_S * index - times_s[:, None]
         offset = grid[np.minimum(index, len(grid) - 1)] - positions_deg[:, None]
         offset -= speeds_deg_s[:, None] * tau
-        lowest = change_for(offset - limits.tolerance_deg, tau, limits.ramp_deg_s2)
-        highest = change_for(offset + limits.tolerance_deg, tau, limits.ramp_deg_s2)
+        room = np.abs(offset[:, :1]) + ROOM_RATIO * limits.tolerance_deg
+        tolerance = np.maximum(room, CONE_RATIO * limits.tolerance_deg)
+        lowest = change_for(offset - tolerance, tau, limits.ramp_deg_s2)
+        highest = change_for(offset + tolerance, tau, limits.ramp_deg_s2)
         lowest = np.maximum.accumulate(lowest + speeds_deg_s[:, None], axis=1)
         highest = np.minimum.accumulate(highest + speeds_deg_s[:, None], axis=1)
         return (
@@ -182,9 +190,10 @@ class Cones:
         positions_deg: FloatArray,
         speeds_deg_s: FloatArray,
         steps: int,
+        stride: int,
     ) -> FloatArray:
         """Return, per start state, up to when one move can keep the tolerance."""
-        lowest, highest = self.open(times_s, positions_deg, speeds_deg_s, steps)
+        lowest, highest = self.open(times_s, positions_deg, speeds_deg_s, steps, stride)
         held = np.logical_and.accumulate(lowest <= highest, axis=1).sum(axis=1)
-        reach: FloatArray = times_s + GRID_S * held
+        reach: FloatArray = times_s + GRID_S * stride * held
         return reach

@@ -10,12 +10,21 @@ All angles are servo angles in degrees; instants are those at which the servo he
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.program.cone import GRID_S, Cones, Course, ServoLimits, ramped
+from lss_motion.program.cone import (
+    CONE_RATIO,
+    GRID_S,
+    ROOM_RATIO,
+    Cones,
+    Course,
+    ServoLimits,
+    ramped,
+)
 from lss_motion.program.response import (
     Piece,
     Profile,
@@ -27,6 +36,8 @@ from lss_motion.program.response import (
 from lss_motion.units import MS_PER_S, s_from_ms
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from lss_motion.program.cone import FloatArray
@@ -46,6 +57,9 @@ CUT_RATIOS: Final = (1.0, 0.93, 0.85, 0.75, 0.6, 0.45, 0.3)
 """How much of the longest possible move is tried; what counts is how far its successor reaches."""
 CONE_RATIOS: Final = (0.5, 0.25, 0.75, 0.05, 0.95)
 """Where in its cone the travel speed is tried."""
+FOLLOW_RATIO: Final = CONE_RATIO - ROOM_RATIO
+"""An excursion up to this share of the tolerance is chosen; the rest is for what the wire rounds
+and for the slot that a move is really granted."""
 BEND_RATIO: Final = 0.2
 """A jump of the acceleration by this share of the ramp is worth a move of its own."""
 BEND_TRIALS: Final = 12
@@ -53,6 +67,11 @@ RECOVERY_STEPS: Final = (2, 4, 7, 12, 20, 32, 48)
 """Instants tried, in grid steps, where the tolerance is lost and must be won back."""
 WINDOW_STEPS: Final = 48
 """Grid steps looked ahead at first; doubled while the cone stays open."""
+REACH: Final = (20, 3)
+"""Steps and stride in which it is judged how far a successor reaches (300 ms); it is only compared,
+so every third grid step will do."""
+SEARCH_STEPS: Final = 1024
+"""Looked through at once for the end of a standstill."""
 SPEED_LEAST_DEG_S: Final = 0.01
 """Slower than this is standing still: a lattice step of 0.1° in ten seconds."""
 DURATION_MAX_MS: Final = 30_000
@@ -79,11 +98,18 @@ class Fitter:
         wanted_s = fitter.wanted(granted_s)  the same for its successor
     """
 
-    def __init__(self, course: Course, limits: ServoLimits) -> None:
+    def __init__(self, course: Course, limits: ServoLimits, seams_s: Sequence[float] = ()) -> None:
+        """Fit `course`; while it moves, a move is heard at, or shortly before, each of `seams_s`.
+
+        Between two seams the moves can then be repeated without end.
+        """
         self._course = course
+        self._seams = [course.index(seam_s) for seam_s in seams_s]
         self._limits = limits
         self._cones = Cones(course, limits)
         self._rests = course.rests()
+        self._rest_starts = [first for first, _ in self._rests]
+        self._rest_ends = [last for _, last in self._rests]
         self._bends = course.bends(BEND_RATIO * limits.ramp_deg_s2)
         self._profile = Profile(
             self._lattice(float(course.position_deg[0])) / limits.wire_per_deg,
@@ -131,17 +157,18 @@ class Fitter:
         """Return when the move that ends the standstill after `from_s` should be heard."""
         course, grid = self._course, self._course.position_deg
         position_deg, _ = self._profile.at(from_s)
-        first = course.index(from_s)
-        away = np.abs(grid[first:] - position_deg)
-        moved = np.flatnonzero(away > 0.5 / self._limits.wire_per_deg + STILL_ROUNDING_DEG)
-        if moved.size == 0:
+        half_unit_deg = 0.5 / self._limits.wire_per_deg + STILL_ROUNDING_DEG
+        leaves = self._first_away(course.index(from_s), position_deg, half_unit_deg)
+        if leaves is None:
             return None
-        leaves = first + int(moved[0])
-        onset = max((last for _, last in self._rests if last <= leaves), default=leaves)
-        latest = min((a for a, _ in self._rests if a >= leaves), default=len(grid) - 1)
-        outside = np.flatnonzero(away > self._limits.tolerance_deg)
-        if outside.size:
-            latest = min(latest, first + int(outside[0]))
+        before = bisect_right(self._rest_ends, leaves)
+        onset = self._rest_ends[before - 1] if before else leaves
+        after = bisect_left(self._rest_starts, leaves)
+        latest = self._rest_starts[after] if after < len(self._rests) else len(grid) - 1
+        outside = self._first_away(
+            leaves, position_deg, FOLLOW_RATIO * self._limits.tolerance_deg, latest
+        )
+        latest = latest if outside is None else min(latest, max(outside - 1, leaves))
         onset_s = max(from_s, course.time_s(onset))
         start_s = min(max(self._start_s(onset), onset_s), course.time_s(latest))
         if self._lands_from(start_s):
@@ -152,9 +179,23 @@ class Fitter:
             trials_s,
             still + position_deg,
             still,
-            WINDOW_STEPS,
+            *REACH,
         )
         return float(trials_s[int(np.argmax(reach_s))])
+
+    def _first_away(
+        self, first: int, position_deg: float, distance_deg: float, last: int | None = None
+    ) -> int | None:
+        """Return the first index from `first` to `last` further off than `distance_deg`."""
+        grid = self._course.position_deg
+        end = len(grid) if last is None else last + 1
+        while first < end:
+            some = grid[first : min(first + SEARCH_STEPS, end)]
+            away = np.flatnonzero(np.abs(some - position_deg) > distance_deg)
+            if away.size:
+                return first + int(away[0])
+            first += SEARCH_STEPS
+        return None
 
     def _start_s(self, onset: int) -> float:
         """Return when the course leaves its standstill, between two grid points, as a parabola."""
@@ -171,7 +212,7 @@ class Fitter:
         state = self._profile.state(start_s)
         rest = self._next_rest(state)
         landing = None if rest is None else self._best_landing(state, rest)
-        return landing is not None and landing[0] <= self._limits.tolerance_deg
+        return landing is not None and landing[0] <= CONE_RATIO * self._limits.tolerance_deg
 
     # ---- on the way
 
@@ -192,9 +233,9 @@ class Fitter:
             self._limits.ramp_deg_s2,
         )
         excursion = self._cones.excursion_deg(first + index, positions, reached)
-        followable = excursion <= self._limits.tolerance_deg
+        followable = excursion <= FOLLOW_RATIO * self._limits.tolerance_deg
         if is_held and followable.any():
-            reach_s = self._cones.reach_s(times_s, positions, reached, WINDOW_STEPS)
+            reach_s = self._cones.reach_s(times_s, positions, reached, *REACH)
             merit = np.where(followable, reach_s + 1e-6 * index, -np.inf)
         else:
             merit = -excursion
@@ -213,6 +254,9 @@ class Fitter:
         lowest, highest, held = self._cone(state)
         rest = self._next_rest(state)
         latest = len(self._course.position_deg) if rest is None else rest[0] - first - least
+        for seam in self._seams:
+            if first + least < seam:
+                latest = min(latest, seam - first)
         latest = max(latest, least)
         is_held = held > least
         if is_held:
@@ -287,14 +331,14 @@ class Fitter:
         if rest_s - state.start_s > SEGMENT_MAX_S + braking_s and not is_overdue:
             return None
         error_deg, landed_s, duration_ms = self._best_landing(state, rest)
-        if error_deg > self._limits.tolerance_deg and not is_overdue:
+        if error_deg > CONE_RATIO * self._limits.tolerance_deg and not is_overdue:
             return None
         self._emit(state, self._rest_wire(rest), duration_ms)
         return max(landed_s, rest_s)
 
     def _next_rest(self, state: Piece) -> tuple[int, int] | None:
-        now = self._course.index(state.start_s)
-        return next((span for span in self._rests if span[1] > now), None)
+        at = bisect_right(self._rest_ends, self._course.index(state.start_s))
+        return self._rests[at] if at < len(self._rests) else None
 
     def _rest_wire(self, rest: tuple[int, int]) -> int:
         return self._lattice(float(self._course.position_deg[rest[0]]))
