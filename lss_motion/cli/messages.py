@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,9 @@ from lss_motion.errors import EXIT_INTERRUPTED, InputError, LssMotionError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+_PLACE = re.compile(r"\S+:\d+: ")
+"""`file:line: ` at the start of a message says more than the name of the command."""
 
 
 def guarded(program: str, do: Callable[[], int]) -> int:
@@ -19,7 +23,8 @@ def guarded(program: str, do: Callable[[], int]) -> int:
         sys.stdout.flush()
     except LssMotionError as error:
         sys.stdout.flush()
-        has_place = isinstance(error, InputError) and error.path is not None
+        is_of_file = isinstance(error, InputError) and error.path is not None
+        has_place = is_of_file or _PLACE.match(str(error)) is not None
         print(error if has_place else f"{program}: {error}", file=sys.stderr)
         return error.exit_code
     except KeyboardInterrupt:
