@@ -1,0 +1,97 @@
+"""How many moves a course takes, against the fewest straight segments that keep the tolerance.
+
+The fewest are found exactly (breadth first over all knots on a lattice of instants and angles).
+A servo's ramps round the corners, so that ours can even need fewer.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from benches.shows import lively_show, robot_of
+from benches.table import Row
+from lss_motion import api
+from lss_motion.program.compile import servo_limits
+from lss_motion.program.cone import GRID_S, Course
+from lss_motion.program.fit import Fitter
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+TOLERANCES_DEG = (0.2, 0.5, 1.0)
+LATTICE = 8
+"""Knots lie on so many angles across the tolerance band."""
+COURSE_S = 12.0
+SEGMENT_STEPS = 300
+TARGET_RATIO = 1.1
+
+
+def measure() -> list[Row]:
+    """Return ours, the fewest, and their ratio, for each course and tolerance."""
+    rows = []
+    for name, course in courses().items():
+        for tolerance_deg in TOLERANCES_DEG:
+            ours = len(moves_of(course, tolerance_deg))
+            fewest = fewest_segments(course.position_deg, tolerance_deg)
+            rows.append(
+                Row(
+                    what=f"{name}, {tolerance_deg:g} deg",
+                    ours=f"{ours} moves",
+                    reference=f"{fewest} segments",
+                    ratio=ours / fewest,
+                    target=f"<= {TARGET_RATIO}",
+                    is_met=ours <= TARGET_RATIO * fewest,
+                )
+            )
+    return rows
+
+
+def courses() -> dict[str, Course]:
+    """Return courses without a standstill inside: where they stand, there is nothing to send."""
+    time_s = GRID_S * np.arange(int(COURSE_S / GRID_S))
+    robot = robot_of(3)
+    show = api.plan(lively_show(robot, COURSE_S, seed=5), robot).sample(time_s)
+    swing = 40.0 * np.sin(2.0 * time_s) * np.clip(time_s / 2.0, 0.0, 1.0) ** 2
+    found = {"sine": swing, **{f"show joint {n}": show[:, n] for n in range(3)}}
+    return {
+        name: Course(start_s=0.0, position_deg=np.ascontiguousarray(position))
+        for name, position in found.items()
+    }
+
+
+def moves_of(course: Course, tolerance_deg: float) -> list[object]:
+    """Return the moves of our fit, every one granted when it is wanted."""
+    joint = next(iter(robot_of(1).joints.values()))
+    fitter = Fitter(course, servo_limits(joint, tolerance_deg))
+    wanted_s = fitter.wanted(None)
+    while wanted_s is not None:
+        fitter.grant(wanted_s)
+        wanted_s = fitter.wanted(wanted_s)
+    return list(fitter.moves)
+
+
+def fewest_segments(course_deg: FloatArray, tolerance_deg: float) -> int:
+    """Return how few joined straight lines stay within `tolerance_deg` of the course."""
+    count = len(course_deg)
+    shifts = tolerance_deg * np.linspace(-1.0, 1.0, LATTICE + 1)
+    is_reached = np.zeros((count, len(shifts)), dtype=bool)
+    frontier = [(0, LATTICE // 2)]
+    is_reached[0] = True
+    segments = 0
+    while frontier:
+        segments += 1
+        found = np.zeros_like(is_reached)
+        for index, shift in frontier:
+            end = min(index + SEGMENT_STEPS, count - 1)
+            steps = np.arange(1, end - index + 1)
+            rise = course_deg[index + 1 : end + 1] - course_deg[index] - shifts[shift]
+            lowest = np.maximum.accumulate((rise - tolerance_deg) / steps)
+            highest = np.minimum.accumulate((rise + tolerance_deg) / steps)
+            slopes = (rise[:, None] + shifts) / steps[:, None]
+            fits = (slopes >= lowest[:, None] - 1e-12) & (slopes <= highest[:, None] + 1e-12)
+            found[index + 1 : end + 1] |= fits
+        found &= ~is_reached
+        if found[-1].any():
+            return segments
+        is_reached |= found
+        frontier = [(int(i), int(s)) for i, s in np.argwhere(found)]
+    raise AssertionError("the end is always reached")
