@@ -35,17 +35,33 @@ def add_to(commands: Commands) -> None:
         added.add_argument("file", type=Path, metavar="FILE", help="a sequence")
         added.add_argument("--robot", type=Path, metavar="FILE", help="use this robot file")
     schema = add_command(
-        commands, "schema", _schema, "print the JSON Schema of a robot or sequence file"
+        commands, "schema", _schema, "print the JSON Schema of a robot, sequence or gait file"
     )
-    schema.add_argument("kind", nargs="?", choices=("robot", "sequence"), help="default: both")
+    schema.add_argument(
+        "kind", nargs="?", choices=("robot", "sequence", "gait"), help="one of them"
+    )
 
 
 def _check(arguments: argparse.Namespace) -> int:
     from lss_motion.cli import shows
     from lss_motion.cli.check import program_lines
 
-    print("\n".join(program_lines(shows.prepare(arguments.file, arguments.robot))))
+    show = shows.prepare(arguments.file, arguments.robot)
+    print("\n".join([*_gait_lines(arguments), *program_lines(show)]))
     return EXIT_FINISHED
+
+
+def _gait_lines(arguments: argparse.Namespace) -> list[str]:
+    """Return how a gait walks and how safely it stands; nothing for any other file."""
+    from lss_motion.cli import shows
+    from lss_motion.gait.explain import gait_lines
+    from lss_motion.gait.load import is_gait_file
+    from lss_motion.gait.pacing import paced
+
+    if not is_gait_file(arguments.file):
+        return []
+    gait, robot = shows.load_gait(arguments.file, arguments.robot)
+    return gait_lines(gait, paced(gait, robot))
 
 
 def _plan(arguments: argparse.Namespace) -> int:
@@ -86,10 +102,11 @@ def _compile(arguments: argparse.Namespace) -> int:
 
 
 def _schema(arguments: argparse.Namespace) -> int:
+    from lss_motion.gait.load import gait_schema
     from lss_motion.robot.load import robot_schema
     from lss_motion.sequence.load import sequence_schema
 
-    schemas = {"robot": robot_schema, "sequence": sequence_schema}
+    schemas = {"robot": robot_schema, "sequence": sequence_schema, "gait": gait_schema}
     if arguments.kind is not None:
         shown = schemas[arguments.kind]()
     else:

@@ -1,0 +1,201 @@
+"""The keys of a gait file: names, units, plain bounds. What they mean is `gait.load`'s.
+
+Importing this module imports pydantic, so it is imported where a file is read.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal
+
+from pydantic import AfterValidator, Field
+
+from lss_motion.gait.model import LegKind
+from lss_motion.gait.patterns import PATTERNS
+from lss_motion.robot.file import AngleDeg  # noqa: TC001  (pydantic reads it)
+from lss_motion.sequence.file import Loop, TimeS  # noqa: TC001  (pydantic reads them)
+from lss_motion.validation import FileModel, Name, Text
+
+LENGTH_MAX_MM: Final = 10_000.0
+"""Chosen: ten metres; more is a slip of the key or another unit."""
+
+SPEED_MAX_MM_S: Final = 10_000.0
+CYCLES_MAX: Final = 1_000
+"""Chosen: what is kept in one piece of at most 10,000 keyframes ends far below."""
+
+CYCLE_MIN_S: Final = 0.05
+"""Ten control ticks of a servo."""
+
+ACTIONS_MAX: Final = 1_000
+
+KINDS: Final = tuple(kind.value for kind in LegKind)
+PATTERN_NAMES: Final = tuple(name for patterns in PATTERNS.values() for name in patterns)
+
+
+def _check_direction(directions: list[int]) -> list[int]:
+    if not set(directions) <= {1, -1}:
+        raise ValueError("each must be 1 or -1")
+    return directions
+
+
+LengthMm = Annotated[float, Field(gt=0.0, le=LENGTH_MAX_MM)]
+PlaceMm = Annotated[float, Field(ge=-LENGTH_MAX_MM, le=LENGTH_MAX_MM)]
+SpeedMmS = Annotated[float, Field(ge=-SPEED_MAX_MM_S, le=SPEED_MAX_MM_S)]
+TurnDegS = Annotated[float, Field(ge=-3600.0, le=3600.0)]
+DurationS = Annotated[float, Field(ge=CYCLE_MIN_S, le=3600.0)]
+TiltDeg = Annotated[float, Field(ge=-90.0, le=90.0)]
+
+
+class LegDefaults(FileModel, title="leg defaults"):
+    """Fields that legs share; a leg's own value wins."""
+
+    kind: Annotated[str, Field(json_schema_extra={"enum": list(KINDS)})] | None = Field(
+        default=None,
+        description="coxa-femur-tibia: as insects. abduction-thigh-shank: as dogs.",
+    )
+    lengths_mm: Annotated[list[LengthMm], Field(min_length=3, max_length=3)] | None = Field(
+        default=None, description="From first axis to second, to third, to the end of the foot."
+    )
+    stance_mm: Annotated[float, Field(ge=0.0, le=LENGTH_MAX_MM)] | None = Field(
+        default=None, description="How far outwards of its hip the foot stands."
+    )
+    knee: Literal["back", "forward"] | None = Field(
+        default=None, description="Where the knee points; abduction legs only. Default: back."
+    )
+    zero_deg: Annotated[list[AngleDeg], Field(min_length=3, max_length=3)] | None = Field(
+        default=None,
+        description="The kinematic angles at which the three joints are at 0. Kinematic angles "
+        "are 0 with coxa and femur level and the tibia straight down, or with a straight leg "
+        "hanging down; positive are a turn to the left or outwards, a lift or a swing forward.",
+    )
+    direction: (
+        Annotated[list[int], Field(min_length=3, max_length=3), AfterValidator(_check_direction)]
+        | None
+    ) = Field(
+        default=None,
+        description="-1 where the joint counts the other way: "
+        "joint angle = direction * (kinematic angle - zero_deg).",
+    )
+
+
+class LegEntry(LegDefaults, title="leg"):
+    """One leg: where it is and which joints move it."""
+
+    joints: Annotated[list[Name], Field(min_length=3, max_length=3)] = Field(
+        description="The three joints, from the body to the foot."
+    )
+    hip_mm: Annotated[list[PlaceMm], Field(min_length=2, max_length=2)] = Field(
+        description="Where the first axis is: forward and left of the body's centre."
+    )
+    yaw_deg: AngleDeg | None = Field(
+        default=None,
+        description="Where a coxa leg points with its coxa at 0: 0 forward, 90 left.",
+    )
+
+
+class MoveEntry(FileModel, title="move"):
+    """The body changes its height, feet where they are."""
+
+    in_s: DurationS = Field(default=1.0, description="How long the move takes.")
+    hold_s: TimeS = Field(default=0.0, description="How long the body stays there.")
+    label: Text | None = Field(default=None, description="Shown on screen and in plots.")
+
+
+class PoseEntry(MoveEntry, title="pose"):
+    """The body shifts and tilts over its feet. It keeps the pose while it walks."""
+
+    shift_mm: Annotated[list[PlaceMm], Field(min_length=3, max_length=3)] = Field(
+        default=[0.0, 0.0, 0.0], description="Forward, left, up from where it stands."
+    )
+    tilt_deg: Annotated[list[TiltDeg], Field(min_length=3, max_length=3)] = Field(
+        default=[0.0, 0.0, 0.0],
+        description="Roll (right side down), pitch (nose down), yaw (turned left).",
+    )
+
+
+class WalkEntry(FileModel, title="walk"):
+    """Walk for whole cycles at one velocity. A walk that follows a walk does not stop before."""
+
+    forward_mm_s: SpeedMmS = 0.0
+    left_mm_s: SpeedMmS = 0.0
+    turn_deg_s: TurnDegS = Field(default=0.0, description="Positive turns to the left.")
+    stride_mm: PlaceMm | None = Field(
+        default=None, description="Forward per cycle, in place of forward_mm_s."
+    )
+    for_s: DurationS | None = Field(
+        default=None, description="How long, to the nearest whole cycle."
+    )
+    distance_mm: LengthMm | None = Field(
+        default=None, description="How far, exactly; the speed is lowered to fill whole cycles."
+    )
+    cycles: Annotated[int, Field(ge=1, le=CYCLES_MAX)] | None = None
+    label: Text | None = Field(default=None, description="Shown on screen and in plots.")
+
+
+class TurnEntry(FileModel, title="turn"):
+    """Turn on the spot by an angle, exactly."""
+
+    deg: Annotated[float, Field(ge=-3600.0, le=3600.0)] = Field(description="Positive is left.")
+    turn_deg_s: Annotated[float, Field(gt=0.0, le=3600.0)] = 30.0
+    label: Text | None = Field(default=None, description="Shown on screen and in plots.")
+
+
+class ActionEntry(FileModel, title="action"):
+    """One thing to do: exactly one of these keys."""
+
+    stand: MoveEntry | None = Field(default=None, description="Stand straight.")
+    sit: MoveEntry | None = Field(default=None, description="Go down to sit_height_mm.")
+    pose: PoseEntry | None = None
+    walk: WalkEntry | None = None
+    turn: TurnEntry | None = None
+
+
+class GaitFile(FileModel, title="gait file"):
+    """A robot with four or six legs, how it steps, and what it does."""
+
+    gait: Text = Field(description="Name of the gait, as shown on screen and in reports.")
+    robot: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None,
+        description="Robot file, relative to this file. May be left out if always given by "
+        "--robot.",
+        examples=["robots/hexapod.yaml"],
+    )
+    legs: Annotated[dict[Name, LegEntry], Field(min_length=1)] | None = Field(
+        default=None, description="The legs by name, in any order: hips say which is which."
+    )
+    leg: LegDefaults = Field(default_factory=LegDefaults, description="Fields that all legs share.")
+    legs_from: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None,
+        description="In place of legs and leg: another gait file that has them, relative to this.",
+        examples=["hexapod_walk.yaml"],
+    )
+    height_mm: LengthMm = Field(description="Height of the hips over the ends of the feet.")
+    sit_height_mm: LengthMm | None = Field(default=None, description="The same when it sits.")
+    start: Literal["standing", "sitting"] = Field(
+        default="standing", description="How it is before the first action."
+    )
+    pattern: Annotated[str, Field(json_schema_extra={"enum": list(PATTERN_NAMES)})] | None = Field(
+        default=None,
+        description="Six legs: tripod (default), ripple, wave, amble. "
+        "Four: trot (default), pace, bound, walk, crawl.",
+    )
+    duty: float | None = Field(
+        default=None,
+        ge=0.5,
+        le=0.95,
+        description="Share of the cycle that a foot stands. Default: that of the pattern.",
+    )
+    cycle_s: DurationS = Field(
+        default=1.0,
+        description="How long every leg takes for one step. Too short for the servos: it is as "
+        "long as they need.",
+    )
+    step_height_mm: LengthMm = Field(default=25.0, description="How high feet are lifted.")
+    sway_mm: Annotated[float, Field(ge=0.0, le=LENGTH_MAX_MM)] | None = Field(
+        default=None,
+        description="How far the body leans away from a lifted leg. Default: that of the pattern, "
+        "0 for all but crawl.",
+    )
+    do: Annotated[list[ActionEntry], Field(min_length=1, max_length=ACTIONS_MAX)] = Field(
+        description="What it does, one after the other."
+    )
+    loop: Loop = Field(default=1, description="How often it is played: a count, or forever.")

@@ -1,0 +1,259 @@
+"""gait.yaml → Gait: legs put in order, speeds and distances made cycles, everything checked."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from lss_motion.gait.kinematics import neutral_mm
+from lss_motion.gait.legs import legs_of
+from lss_motion.gait.model import BodyPose, Gait, Move, Walk
+from lss_motion.gait.patterns import PATTERNS
+from lss_motion.robot.load import load_robot
+from lss_motion.source_file import read_text
+from lss_motion.spelling import known_names
+from lss_motion.yaml_source import Location, Problem, read_yaml
+
+if TYPE_CHECKING:
+    from lss_motion.gait.file import ActionEntry, GaitFile, MoveEntry, WalkEntry
+    from lss_motion.gait.model import Action, Leg
+    from lss_motion.gait.patterns import Pattern
+    from lss_motion.robot.model import Robot
+    from lss_motion.yaml_source import YamlSource
+
+_GAIT_KEY: Final = re.compile(r"""^(gait|"gait"|'gait')\s*:""", re.MULTILINE)
+
+ACTIONS: Final = ("stand", "sit", "pose", "walk", "turn")
+
+
+def is_gait_file(path: Path | str) -> bool:
+    """Return whether a file has the key `gait` at its top; raises `InputError` if unreadable."""
+    return _GAIT_KEY.search(read_text(Path(path))) is not None
+
+
+def load_gait(path: Path | str, robot: Robot | None = None) -> Gait:
+    """Return the gait of a gait file, its legs those of `robot`, or of the robot that it names.
+
+    Raises `InputError` with file, line, value and remedy; its `more` holds all further problems.
+    What feet can reach and joints can do is judged by `paced`.
+    """
+    content, source = _read(Path(path))
+    robot = robot or _named_robot(content, source)
+    loader = _Loader(content, source, robot)
+    gait = loader.gait()
+    if gait is None or loader.problems:
+        raise source.error(loader.problems)
+    return gait
+
+
+def gait_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a gait file."""
+    from lss_motion.gait.file import GaitFile
+    from lss_motion.json_schema import json_schema
+
+    return json_schema(GaitFile)
+
+
+def _read(path: Path) -> tuple[GaitFile, YamlSource]:
+    from lss_motion.gait.file import GaitFile
+    from lss_motion.validation import validate
+
+    source = read_yaml(path)
+    content, problems, _ = validate(GaitFile, source)
+    if content is None or problems:
+        raise source.error(problems)
+    return content, source
+
+
+def _named_robot(content: GaitFile, source: YamlSource) -> Robot:
+    if content.robot is None:
+        raise source.error([Problem((), "no robot: give 'robot: FILE' here, or --robot FILE")])
+    path = source.path.parent / content.robot
+    if not path.exists():
+        reason = f"robot file {content.robot!r} not found; looked for {path}"
+        raise source.error([Problem(("robot",), reason)])
+    return load_robot(path)
+
+
+@dataclass(slots=True)
+class _Loader:
+    """Builds the gait of one file and notes what does not fit."""
+
+    content: GaitFile
+    source: YamlSource
+    robot: Robot
+    problems: list[Problem] = field(default_factory=list)
+
+    def gait(self) -> Gait | None:
+        content = self.content
+        legs = self._legs()
+        if not legs:
+            return None
+        pattern = self._pattern(legs)
+        start = self._sitting(("start",)) if content.start == "sitting" else BodyPose()
+        actions, end = self._actions(start)
+        if content.loop != 1 and end != start:
+            self._note(
+                ("loop",),
+                "a loop must end in the pose in which it began; add a last action that goes back",
+            )
+        if pattern is None:
+            return None
+        foot_mm = max(math.hypot(*neutral_mm(leg)) for leg in legs)
+        sway_mm = content.sway_mm
+        return Gait(
+            name=content.gait,
+            legs=legs,
+            height_mm=content.height_mm,
+            pattern=pattern,
+            duty=pattern.duty_ratio if content.duty is None else content.duty,
+            cycle_s=content.cycle_s,
+            step_height_mm=content.step_height_mm,
+            sway_mm=pattern.sway_ratio * foot_mm if sway_mm is None else sway_mm,
+            actions=actions,
+            start=start,
+            loop=None if content.loop == "forever" else content.loop,
+            path=self.source.path,
+            robot_path=self.robot.path,
+        )
+
+    def _note(self, location: Location, reason: str) -> None:
+        self.problems.append(Problem(location, reason))
+
+    def _legs(self) -> tuple[Leg, ...]:
+        content, named = self.content, self.content.legs_from
+        if named is None:
+            if content.legs is None:
+                self._note((), "no legs: give 'legs', or 'legs_from', a gait file that has them")
+                return ()
+            legs, problems = legs_of(content, self.robot)
+            self.problems += problems
+            return legs
+        for key in ("legs", "leg"):
+            if key in content.model_fields_set:
+                self._note((key,), f"{key!r} and 'legs_from' exclude each other; keep one")
+        path = self.source.path.parent / named
+        if not path.is_file():
+            self._note(("legs_from",), f"gait file {named!r} not found; looked for {path}")
+            return ()
+        other, source = _read(path)
+        if other.legs is None:
+            self._note(("legs_from",), f"{named!r} has no 'legs' of its own; name one that has")
+            return ()
+        legs, problems = legs_of(other, self.robot)
+        if problems:
+            raise source.error(problems)
+        return legs
+
+    def _pattern(self, legs: tuple[Leg, ...]) -> Pattern | None:
+        known = PATTERNS[len(legs)]
+        name = self.content.pattern
+        if name is None:
+            return next(iter(known.values()))
+        if name not in known:
+            reason = f"pattern {name!r} is none for {len(legs)} legs; {known_names(name, known)}"
+            self._note(("pattern",), reason)
+        return known.get(name)
+
+    def _sitting(self, location: Location) -> BodyPose:
+        sit_mm = self.content.sit_height_mm
+        if sit_mm is None:
+            self._note(location, "sitting needs 'sit_height_mm', the height of the hips then")
+            return BodyPose()
+        return BodyPose(shift_mm=(0.0, 0.0, sit_mm - self.content.height_mm))
+
+    def _actions(self, start: BodyPose) -> tuple[tuple[Action, ...], BodyPose]:
+        actions: list[Action] = []
+        pose, is_sitting = start, self.content.start == "sitting"
+        for index, entry in enumerate(self.content.do):
+            location: Location = ("do", index)
+            given = [key for key in ACTIONS if getattr(entry, key) is not None]
+            if len(given) != 1:
+                names = ", ".join(given) or "nothing"
+                known = ", ".join(ACTIONS)
+                self._note(location, f"an action is one of {known}; this has {names}")
+                continue
+            action = self._action(entry, given[0], location)
+            if isinstance(action, Walk) and is_sitting:
+                self._note(location, "it sits, and cannot walk; add '- stand: {}' before")
+            if isinstance(action, Move):
+                pose, is_sitting = action.pose, given[0] == "sit"
+            if action is not None:
+                actions.append(action)
+        return tuple(actions), pose
+
+    def _action(self, entry: ActionEntry, key: str, location: Location) -> Action | None:
+        line = self.source.line(location)
+        if entry.walk is not None:
+            return self._walk(entry.walk, (*location, key), line)
+        if (turn := entry.turn) is not None:
+            if turn.deg == 0.0:
+                self._note((*location, key, "deg"), "turn by 0 deg means nothing; remove it")
+                return None
+            cycles = _cycles(abs(turn.deg) / turn.turn_deg_s, self.content.cycle_s)
+            return Walk(
+                forward_mm_s=0.0,
+                left_mm_s=0.0,
+                turn_deg_s=turn.deg / (cycles * self.content.cycle_s),
+                cycles=cycles,
+                label=turn.label or "turn",
+                line=line,
+            )
+        if entry.pose is not None:
+            shift, tilt = entry.pose.shift_mm, entry.pose.tilt_deg
+            pose = BodyPose(
+                shift_mm=(shift[0], shift[1], shift[2]), tilt_deg=(tilt[0], tilt[1], tilt[2])
+            )
+            return _move(entry.pose, pose, key, line)
+        if entry.sit is not None:
+            return _move(entry.sit, self._sitting((*location, key)), key, line)
+        assert entry.stand is not None
+        return _move(entry.stand, BodyPose(), key, line)
+
+    def _walk(self, entry: WalkEntry, location: Location, line: int) -> Walk | None:
+        cycle_s = self.content.cycle_s
+        ahead_mm_s = entry.forward_mm_s
+        if entry.stride_mm is not None:
+            if "forward_mm_s" in entry.model_fields_set:
+                reason = "'stride_mm' and 'forward_mm_s' exclude each other; keep one"
+                self._note((*location, "stride_mm"), reason)
+            ahead_mm_s = entry.stride_mm / cycle_s
+        lengths = {"for_s": entry.for_s, "distance_mm": entry.distance_mm, "cycles": entry.cycles}
+        given = [key for key, value in lengths.items() if value is not None]
+        if len(given) != 1:
+            reason = f"a walk has one of {', '.join(lengths)}; this has {' and '.join(given) or 0}"
+            self._note(location, reason)
+            return None
+        ratio, cycles = 1.0, entry.cycles or 1
+        if entry.for_s is not None:
+            cycles = max(1, round(entry.for_s / cycle_s))
+        if entry.distance_mm is not None:
+            speed_mm_s = math.hypot(ahead_mm_s, entry.left_mm_s)
+            if speed_mm_s == 0.0:
+                reason = "distance_mm needs a speed; give forward_mm_s, left_mm_s or stride_mm"
+                self._note((*location, "distance_mm"), reason)
+                return None
+            cycles = _cycles(entry.distance_mm / speed_mm_s, cycle_s)
+            ratio = entry.distance_mm / (speed_mm_s * cycles * cycle_s)
+        return Walk(
+            forward_mm_s=ratio * ahead_mm_s,
+            left_mm_s=ratio * entry.left_mm_s,
+            turn_deg_s=ratio * entry.turn_deg_s,
+            cycles=cycles,
+            label=entry.label or "walk",
+            line=line,
+        )
+
+
+def _cycles(duration_s: float, cycle_s: float) -> int:
+    """Return the fewest whole cycles that last that long, a rounding error more not counted."""
+    return max(1, math.ceil(duration_s / cycle_s - 1e-9))
+
+
+def _move(entry: MoveEntry, pose: BodyPose, key: str, line: int) -> Move:
+    return Move(
+        pose=pose, in_s=entry.in_s, hold_s=entry.hold_s, label=entry.label or key, line=line
+    )

@@ -1,0 +1,116 @@
+"""What a walking robot is and what it is to do: legs, pattern, actions. Values only.
+
+Frames are those of ROS (REP 103): x forward, y left, z up, turns counter-clockwise seen from above.
+The body's origin lies between the hips, at their height. A foot is the point at the shank's end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from lss_motion.gait.patterns import Pattern
+
+Triple = tuple[float, float, float]
+
+
+class LegKind(StrEnum):
+    """How the three joints of a leg are arranged, from the body to the foot."""
+
+    COXA = "coxa-femur-tibia"
+    """As insects: the coxa turns the leg about a vertical axis, femur and tibia lift and reach."""
+    ABDUCTION = "abduction-thigh-shank"
+    """As dogs: the first joint swings the leg sideways, thigh and shank forward and back."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Leg:
+    """One leg. Its kinematic angles are defined in `kinematics`.
+
+    Joint angle and kinematic angle: `joint = direction * (kinematic - zero_deg)`, for each of the
+    three joints.
+    """
+
+    name: str
+    kind: LegKind
+    joints: tuple[str, str, str]
+    hip_mm: tuple[float, float]
+    """Where the first axis meets the plane of the hips: x, y in the body."""
+    yaw_deg: float
+    """Where a coxa leg points when its coxa is at 0, seen from above; 0 is forward."""
+    lengths_mm: Triple
+    """From first axis to second, to third, to foot."""
+    stance_mm: float
+    """How far to the side of its hip the foot stands: along the yaw, or straight left or right."""
+    knee: Literal["back", "forward"] = "back"
+    """Where the knee of an abduction leg points."""
+    zero_deg: Triple = (0.0, 0.0, 0.0)
+    direction: tuple[int, int, int] = (1, 1, 1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BodyPose:
+    """Where the body is over its feet.
+
+    `shift_mm`: forward, left, up from where it stands. `tilt_deg`: roll, pitch, yaw; positive are
+    right side down, nose down, turned left. Applied in the order roll, pitch, yaw.
+    """
+
+    shift_mm: Triple = (0.0, 0.0, 0.0)
+    tilt_deg: Triple = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Move:
+    """Bring the body to a pose in `in_s`, feet where they are, and keep it for `hold_s`.
+
+    Moves that follow each other without a hold flow into one another.
+    """
+
+    pose: BodyPose
+    in_s: float
+    hold_s: float = 0.0
+    label: str = ""
+    line: int | None = field(default=None, compare=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Walk:
+    """Walk whole cycles at one velocity of the body, in its own frame."""
+
+    forward_mm_s: float
+    left_mm_s: float
+    turn_deg_s: float
+    cycles: int
+    label: str = ""
+    line: int | None = field(default=None, compare=False)
+
+
+Action = Move | Walk
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gait:
+    """Legs, how they step, and what to do. Starts in the pose `start`, feet at their stance.
+
+    `cycle_s`, `duty` and all speeds are what is wanted; what the servos cannot do is slowed.
+    `sway_mm` is how far the body leans away from a lifted leg.
+    """
+
+    name: str
+    legs: tuple[Leg, ...]
+    height_mm: float
+    pattern: Pattern
+    duty: float
+    cycle_s: float
+    step_height_mm: float
+    sway_mm: float
+    actions: tuple[Action, ...]
+    start: BodyPose = field(default_factory=BodyPose)
+    loop: int | None = 1
+    path: Path | None = field(default=None, compare=False)
+    robot_path: Path | None = field(default=None, compare=False)

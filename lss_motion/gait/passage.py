@@ -1,0 +1,181 @@
+"""Stretches of a gait from rest to rest: a walk with its entry and exit, or moves of the body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Protocol
+
+import numpy as np
+
+from lss_motion.gait.curves import blend, through
+from lss_motion.gait.kinematics import neutral_mm
+from lss_motion.gait.stance import Stance
+from lss_motion.gait.steps import Steps, steps
+from lss_motion.gait.travel import Travel, travel
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from lss_motion.gait.model import BodyPose, Gait, Move, Walk
+
+    FloatArray = NDArray[np.float64]
+
+SWAY_WIDTH_RATIO: Final = 0.5
+"""Share of a cycle over which the body leans away from one leg and back. Chosen: the next leg of a
+crawl lifts a quarter later, when the lean away from it has just reached its half."""
+
+LEAN_RATIO: Final = 0.5
+"""Share of a cycle taken to begin to sway before the first step, and to end it after the last."""
+
+
+class Passage(Protocol):
+    """Body and feet from rest to rest, over the author's time. Feet are neutral at both ends."""
+
+    @property
+    def duration_s(self) -> float:
+        """How long it takes as the author wants it."""
+
+    def at(self, times_s: FloatArray) -> Stance:
+        """Return body and feet, legs in the order of the gait."""
+
+    @property
+    def starts_s(self) -> FloatArray:
+        """When each of its actions begins."""
+
+    @property
+    def turns_s(self) -> FloatArray:
+        """The instants at which a foot lifts or lands."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Posing:
+    """The body moves from pose to pose; the feet stand. `poses` has x, y, z, roll, pitch, yaw."""
+
+    times_s: FloatArray
+    poses: FloatArray
+    feet_mm: FloatArray
+
+    @property
+    def duration_s(self) -> float:
+        return float(self.times_s[-1])
+
+    @property
+    def starts_s(self) -> FloatArray:
+        return self.times_s[:-1]
+
+    @property
+    def turns_s(self) -> FloatArray:
+        return np.zeros(0)
+
+    def at(self, times_s: FloatArray) -> Stance:
+        pose = through(self.times_s, self.poses, np.clip(times_s, 0.0, self.duration_s))
+        feet = np.zeros((len(times_s), *self.feet_mm.shape))
+        return Stance(
+            places=np.zeros((len(times_s), 3)),
+            shift_mm=pose[:, :3],
+            tilt_deg=pose[:, 3:],
+            feet_mm=feet + self.feet_mm,
+            is_down=np.ones(feet.shape[:2], dtype=np.bool_),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Walking:
+    """The body travels in one pose, swaying away from lifted legs; the feet step.
+
+    Travel and steps begin `lean_s` after the passage, and end as much before its end.
+    """
+
+    travel: Travel
+    steps: tuple[Steps, ...]
+    pose: FloatArray
+    lean_s: float
+    cycle_s: float
+    swings_ratio: FloatArray
+    """Where in a cycle each leg is in the middle of its step."""
+    sways_mm: FloatArray
+    """Where the body leans then, (legs, 2)."""
+
+    @property
+    def _stepping_s(self) -> float:
+        lands_s = [float(own.lands_s[-1]) for own in self.steps if len(own.lands_s)]
+        return max([self.travel.duration_s, *lands_s])
+
+    @property
+    def duration_s(self) -> float:
+        return self._stepping_s + 2.0 * self.lean_s
+
+    @property
+    def starts_s(self) -> FloatArray:
+        return self.travel.starts_s + np.where(self.travel.starts_s > 0.0, self.lean_s, 0.0)
+
+    @property
+    def turns_s(self) -> FloatArray:
+        instants = [part for own in self.steps for part in (own.lifts_s, own.lands_s)]
+        return np.unique(np.concatenate(instants)) + self.lean_s
+
+    def at(self, times_s: FloatArray) -> Stance:
+        walked_s = np.asarray(times_s - self.lean_s)
+        feet = [own.at(walked_s) for own in self.steps]
+        shift_mm = np.tile(self.pose[:3], (len(times_s), 1))
+        shift_mm[:, :2] += self._sway_mm(walked_s)
+        return Stance(
+            places=self.travel.at(walked_s),
+            shift_mm=shift_mm,
+            tilt_deg=np.tile(self.pose[3:], (len(times_s), 1)),
+            feet_mm=np.stack([foot for foot, _ in feet], axis=1),
+            is_down=np.stack([down for _, down in feet], axis=1),
+        )
+
+    def _sway_mm(self, walked_s: FloatArray) -> FloatArray:
+        if self.lean_s == 0.0:
+            return np.zeros((len(walked_s), 2))
+        away = walked_s[:, None] / self.cycle_s - self.swings_ratio + 0.5
+        away = (away % 1.0 - 0.5) / SWAY_WIDTH_RATIO
+        weight = np.where(np.abs(away) < 0.5, np.cos(np.pi * away) ** 2, 0.0)
+        end_s = self._stepping_s + self.lean_s
+        share = blend(walked_s / self.lean_s + 1.0) * blend((end_s - walked_s) / self.lean_s)
+        return np.asarray(share[:, None] * (weight @ self.sways_mm))
+
+
+def posing(gait: Gait, start: BodyPose, moves: Sequence[Move]) -> Posing:
+    """Return the passage through moves; only the last may have a hold."""
+    return Posing(
+        times_s=np.cumsum([0.0, *(move.in_s for move in moves)]),
+        poses=np.stack([_six(gait, start), *(_six(gait, move.pose) for move in moves)]),
+        feet_mm=np.array([[*neutral_mm(leg), 0.0] for leg in gait.legs]),
+    )
+
+
+def walking(gait: Gait, pose: BodyPose, walks: Sequence[Walk]) -> Walking:
+    """Return the passage of walks that follow each other without a stop."""
+    way = travel(walks, gait.cycle_s)
+    neutral = np.array([neutral_mm(leg) for leg in gait.legs])
+    lifts_ratio = gait.pattern.lifts_ratio
+    return Walking(
+        travel=way,
+        steps=tuple(
+            steps(
+                own,
+                way,
+                lift_ratio=lift_ratio,
+                duty_ratio=gait.duty,
+                cycle_s=gait.cycle_s,
+                height_mm=gait.step_height_mm,
+            )
+            for own, lift_ratio in zip(neutral, lifts_ratio, strict=True)
+        ),
+        pose=_six(gait, pose),
+        lean_s=LEAN_RATIO * gait.cycle_s if gait.sway_mm > 0.0 else 0.0,
+        cycle_s=gait.cycle_s,
+        swings_ratio=np.array(lifts_ratio) + 0.5 * (1.0 - gait.duty),
+        sways_mm=-gait.sway_mm * neutral / np.hypot(*neutral.T)[:, None],
+    )
+
+
+def _six(gait: Gait, pose: BodyPose) -> FloatArray:
+    """Return a pose as x, y, z, roll, pitch, yaw, its z from the ground."""
+    x, y, z = pose.shift_mm
+    return np.array([x, y, gait.height_mm + z, *pose.tilt_deg])

@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lss_motion.errors import InputError
+from lss_motion.gait.model import BodyPose, Move
+from lss_motion.gait.pacing import joints_of, paced
+from lss_motion.gait.sequence import sequence_from, sequence_of
+from lss_motion.sequence.check import check_sequence
+from lss_motion.sequence.load import load_sequence
+from lss_motion.sequence.model import Interpolation, Timing
+from lss_motion.sequence.write import write_sequence
+from lss_motion.trajectory.planner import plan
+
+NOD = Move(pose=BodyPose(tilt_deg=(0, 5, 0)), in_s=1.0, hold_s=0.5, label="nod", line=3)
+BACK = Move(pose=BodyPose(), in_s=1.0, label="back", line=4)
+
+
+def test_a_gait_becomes_keyframes_of_its_legs_with_labels_and_lines(kit):
+    gait = kit.gait("tripod", NOD, BACK, kit.walk(20.0, cycles=2, label="go", line=5))
+    robot = kit.robot(gait)
+    sequence = sequence_of(gait, robot)
+    check_sequence(sequence, robot)
+    assert (sequence.timing, sequence.loop) == (Timing.AUTHORED, 1)
+    assert (sequence.path, sequence.robot_path) == (gait.path, gait.robot_path)
+    labelled = [(k.label, k.line) for k in sequence.keyframes if k.label]
+    assert labelled == [("nod", 3), ("back", 4), ("go", 5)]
+    assert {tuple(keyframe.deg) for keyframe in sequence.keyframes} == {joints_of(gait)}
+    assert {keyframe.ease for keyframe in sequence.keyframes} == {Interpolation.SPLINE}
+    assert [k.hold_s for k in sequence.keyframes if k.hold_s] == [0.5]
+    held = next(k for k in sequence.keyframes if k.hold_s)
+    assert held.at_s == 1.0
+    times_s = [keyframe.at_s for keyframe in sequence.keyframes]
+    assert times_s == sorted(set(times_s))
+    expected_s = sum(part.duration_s + part.hold_s for part in paced(gait, robot))
+    assert times_s[-1] == pytest.approx(expected_s, abs=1e-4)
+
+
+def test_the_planner_finds_nothing_to_slow_and_feet_keep_their_ways(kit):
+    gait = kit.gait("tripod", kit.walk(200.0, turn_deg_s=20.0, cycles=3), cycle_s=0.5)
+    robot = kit.robot(gait)
+    (part,) = parts = paced(gait, robot)
+    assert part.pace_ratio > 1.5
+    trajectory = plan(sequence_from(gait, parts), robot)
+    assert trajectory.stretched == ()
+    assert trajectory.duration_s == pytest.approx(part.duration_s, abs=1e-4)
+    own = trajectory.sample(part.times_s * part.pace_ratio)
+    columns = [joints_of(gait).index(name) for name in trajectory.joints]
+    np.testing.assert_allclose(own, part.angles_deg[:, columns], atol=1e-3)
+
+
+def test_cycles_join_and_the_loop_closes_without_a_jump_of_speed(kit):
+    gait = kit.gait("ripple", kit.walk(20.0, cycles=5), loop=3)
+    trajectory = plan(sequence_of(gait, kit.robot(gait)), kit.robot(gait))
+    cycle_s = gait.cycle_s * paced(gait, kit.robot(gait))[0].pace_ratio
+    one_s = trajectory.duration_s / 3
+    for seam_s in (2 * cycle_s, 3 * cycle_s, one_s, 2 * one_s):
+        before, after = trajectory.sample(np.array([seam_s - 1e-6, seam_s + 1e-6]), 1)
+        assert np.abs(after - before).max() < 1.0
+    # Two steady cycles are one and the same motion.
+    at = np.linspace(0.0, cycle_s, 50)
+    first, second = trajectory.sample(2 * cycle_s + at), trajectory.sample(3 * cycle_s + at)
+    assert np.abs(first - second).max() < 0.05
+
+
+def test_what_is_written_for_editing_plays_the_same(kit, tmp_path):
+    gait = kit.gait("trot", kit.walk(20.0, cycles=1), BACK)
+    sequence = sequence_of(gait, kit.robot(gait))
+    write_sequence(sequence, tmp_path / "s.yaml")
+    assert load_sequence(tmp_path / "s.yaml") == sequence
+
+
+def test_more_keyframes_than_are_planned_in_one_piece_are_refused(kit):
+    gait = kit.gait("tripod", kit.walk(20.0, cycles=700))
+    with pytest.raises(InputError, match="keyframes, at most 10,000"):
+        sequence_of(gait, kit.robot(gait))

@@ -1,0 +1,127 @@
+"""Gaits played on a simulated bus, closed loop on: what the feet did, from the horns' truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lss_motion import api
+from lss_motion.cli import shows
+from lss_motion.gait.kinematics import forward
+from lss_motion.gait.load import load_gait
+from lss_motion.gait.pacing import joints_of, paced
+from lss_motion.gait.patterns import PATTERNS
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
+SLIP_MAX_MM = 0.5
+LIFT_ERROR_MAX_MM = 2.0
+LEGS = {6: ("hexapod", "hexapod_walk"), 4: ("quadruped", "quadruped_trot")}
+PATTERN_NAMES = [(legs, name) for legs, known in PATTERNS.items() for name in known]
+
+
+@pytest.fixture(autouse=True)
+def _cache(monkeypatch, tmp_path_factory):
+    cache = tmp_path_factory.getbasetemp() / "plans"
+    monkeypatch.setenv("LSS_MOTION_CACHE_DIR", str(cache))
+
+
+class Walked:
+    """A gait file that was played, its plan, and where its feet really were."""
+
+    def __init__(self, path):
+        show = shows.prepare(path, None, loop=1)
+        result = api.perform(show.program, show.robot, is_virtual=True, trajectory=show.trajectory)
+        self.show, self.report = show, result.report
+        self.gait = load_gait(path)
+        truth = result.truth
+        columns = [truth.joints.index(name) for name in joints_of(self.gait)]
+        self._times_s, self._angles_deg = truth.times_s, truth.horn_deg[:, columns]
+
+    def passages(self):
+        """Yield the planned stances of each passage and the feet in the body, as they were."""
+        start_s = 0.0
+        for part in paced(self.gait, self.show.robot):
+            end_s = start_s + part.duration_s
+            chosen = (self._times_s >= start_s) & (self._times_s <= end_s)
+            stance = part.passage.at((self._times_s[chosen] - start_s) / part.pace_ratio)
+            angles = np.split(self._angles_deg[chosen], len(self.gait.legs), axis=1)
+            feet = [forward(leg, own) for leg, own in zip(self.gait.legs, angles, strict=True)]
+            yield stance, np.stack(feet, axis=1)
+            start_s = end_s + part.hold_s
+
+    def slip_max_mm(self):
+        """Return how far a foot gets at most, while it stands, from where it began to."""
+        worst_mm, stances = 0.0, 0
+        for stance, feet in self.passages():
+            strayed = np.full(stance.feet_mm.shape, np.nan)
+            for index, down in enumerate(stance.is_down):
+                ground = stance.feet_mm[index, down]
+                strayed[index, down] = carried(feet[index, down], ground) - ground
+            for leg in range(feet.shape[1]):
+                down = stance.is_down[:, leg]
+                edges = np.flatnonzero(np.diff(np.concatenate([[0], down, [0]])))
+                for first, end in zip(edges[0::2], edges[1::2], strict=True):
+                    moved = strayed[first:end, leg] - strayed[first, leg]
+                    worst_mm = max(worst_mm, np.linalg.norm(moved[:, :2], axis=1).max())
+                    stances += end - first > 1
+        assert stances >= len(self.gait.legs), "nothing was judged"
+        return worst_mm
+
+    def lifts_mm(self):
+        """Return how high each step of each foot went over the ground, with the body as planned."""
+        lifts = []
+        for stance, feet in self.passages():
+            height = stance.feet_mm[..., 2] + (feet - stance.feet_in_body())[..., 2]
+            for leg in range(feet.shape[1]):
+                up = ~stance.is_down[:, leg]
+                edges = np.flatnonzero(np.diff(np.concatenate([[0], up, [0]])))
+                lifts += [
+                    height[first:end, leg].max()
+                    for first, end in zip(edges[0::2], edges[1::2], strict=True)
+                ]
+        return np.array(lifts)
+
+
+def carried(feet, ground):
+    """Return the feet where a rigid body puts them that fits `ground` best: feet carry it."""
+    centre, middle = feet.mean(axis=0), ground.mean(axis=0)
+    left, _, right = np.linalg.svd((feet - centre).T @ (ground - middle))
+    mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    return (feet - centre) @ left @ mirror @ right + middle
+
+
+def assert_walked_well(walked):
+    assert walked.report["outcome"] == "finished"
+    assert walked.report["timing"]["missed"] == 0
+    assert walked.report["buses"]["main"]["replies"] > 500, "closed loop"
+    assert walked.report["stretched"] == []
+    assert walked.slip_max_mm() < SLIP_MAX_MM
+
+
+@pytest.mark.parametrize(("legs", "pattern"), PATTERN_NAMES)
+def test_every_pattern_walks_without_slipping_and_lifts_its_feet(legs, pattern, tmp_path):
+    robot, example = LEGS[legs]
+    height_mm, step_mm = (80, 20) if legs == 6 else (140, 15)
+    path = tmp_path / "gait.yaml"
+    path.write_text(
+        f"gait: {pattern}\nrobot: {EXAMPLES}/robots/{robot}.yaml\npattern: {pattern}\n"
+        f"legs_from: {EXAMPLES}/{example}.yaml\nheight_mm: {height_mm}\n"
+        f"step_height_mm: {step_mm}\ncycle_s: 0.5\n"
+        "do:\n  - walk: {stride_mm: 40, turn_deg_s: 4, cycles: 1}\n"
+    )
+    walked = Walked(path)
+    assert_walked_well(walked)
+    lifts_mm = walked.lifts_mm()
+    assert len(lifts_mm) >= 2 * legs
+    assert np.abs(lifts_mm - step_mm).max() < LIFT_ERROR_MAX_MM
+
+
+@pytest.mark.parametrize("name", ["hexapod_walk", "hexapod_dance", "quadruped_trot"])
+def test_every_example_is_performed_without_slipping(name):
+    walked = Walked(EXAMPLES / f"{name}.yaml")
+    assert_walked_well(walked)
+    use = walked.show.program.line_use["main"]
+    assert use.overlaps == 0
+    assert use.utilisation_ratio < 0.35
