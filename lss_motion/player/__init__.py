@@ -1,1 +1,6 @@
-"""TODO package docstring."""
+"""The real-time core without I/O: what to send now, what to ask, how to correct, when to stop.
+
+player        one show, phase by phase · setup  before and after it · events  what happened
+streamer      one program on the show clock · track, following  one joint meanwhile
+line, queries, readings, dialogue, conversation  what goes over a line and what it means
+"""

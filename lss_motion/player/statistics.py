@@ -6,7 +6,7 @@ from array import array
 from dataclasses import dataclass, field
 from typing import Final
 
-from lss_motion.program.fit import LATEST_ARRIVAL_S
+from lss_motion.program.wording import LATEST_ARRIVAL_S
 from lss_motion.units import NS_PER_US, ns_from_s
 
 MISSED_NS: Final = ns_from_s(LATEST_ARRIVAL_S)

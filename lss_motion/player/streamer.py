@@ -16,8 +16,8 @@ from lss_motion.player.readings import Reader
 from lss_motion.player.show_clock import ShowClock
 from lss_motion.player.statistics import Statistics
 from lss_motion.player.track import Track, make_track
-from lss_motion.program.fit import LATEST_ARRIVAL_S
 from lss_motion.program.model import Move, Program, heard_us, profiles
+from lss_motion.program.wording import LATEST_ARRIVAL_S
 from lss_motion.protocol.line import encode_move
 from lss_motion.units import (
     MS_PER_S,

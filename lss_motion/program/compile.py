@@ -10,9 +10,10 @@ import numpy as np
 
 from lss_motion.errors import InputError, LineLoadError
 from lss_motion.program.cone import GRID_S, Course, ServoLimits
-from lss_motion.program.fit import DURATION_MAX_MS, LATEST_ARRIVAL_S, Fitter
+from lss_motion.program.fit import Fitter
 from lss_motion.program.line import LineSchedule, LineUse, line_use
 from lss_motion.program.model import Move, Program, Repeat, ramp_deg_s2
+from lss_motion.program.wording import DURATION_MAX_MS, LATEST_ARRIVAL_S
 from lss_motion.protocol.line import encode_move
 from lss_motion.units import NS_PER_US, line_time_ns, s_from_us, us_from_s
 

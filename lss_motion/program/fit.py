@@ -25,15 +25,10 @@ from lss_motion.program.cone import (
     ServoLimits,
     ramped,
 )
-from lss_motion.program.response import (
-    Piece,
-    Profile,
-    Reference,
-    expected_duration,
-    trapezoid,
-    travel_speed,
-)
-from lss_motion.units import MS_PER_S, s_from_ms
+from lss_motion.program.landing import SEGMENT_MIN_S, best_landing
+from lss_motion.program.response import Piece, Profile, Reference
+from lss_motion.program.wording import aim, lattice
+from lss_motion.units import s_from_ms
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,15 +39,6 @@ if TYPE_CHECKING:
 
 SEGMENT_MAX_S: Final = 1.5
 """The longest that one move is relied on: a lost command is repaired by its successor."""
-SEGMENT_MIN_S: Final = 0.01
-"""The least between two moves of a joint: two control ticks of the servo."""
-LATEST_ARRIVAL_S: Final = 0.06
-"""A successor may be this late before the servo begins to brake. Chosen: three times the worst
-wait for a line on which 18 servos start at once at 115200 bps."""
-LANDING_RATIOS: Final = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2)
-"""Travel speeds tried for a landing, by the one that comes to rest together with the course."""
-AIM_TRIALS: Final = 12
-"""Neighbouring lattice targets tried for the one that hits the wanted speed best."""
 CUT_RATIOS: Final = (1.0, 0.93, 0.85, 0.75, 0.6, 0.45, 0.3)
 """How much of the longest possible move is tried; what counts is how far its successor reaches."""
 CONE_RATIOS: Final = (0.5, 0.25, 0.75, 0.05, 0.95)
@@ -72,10 +58,6 @@ REACH: Final = (20, 3)
 so every third grid step will do."""
 SEARCH_STEPS: Final = 1024
 """Looked through at once for the end of a standstill."""
-SPEED_LEAST_DEG_S: Final = 0.01
-"""Slower than this is standing still: a lattice step of 0.1° in ten seconds."""
-DURATION_MAX_MS: Final = 30_000
-"""The largest T sent; the documents name no limit, so this is a choice that keeps lines short."""
 STILL_ROUNDING_DEG: Final = 1e-6
 """A course is where it was if it is nearest to the same wire value, up to rounding errors."""
 
@@ -112,7 +94,7 @@ class Fitter:
         self._rest_ends = [last for _, last in self._rests]
         self._bends = course.bends(BEND_RATIO * limits.ramp_deg_s2)
         self._profile = Profile(
-            self._lattice(float(course.position_deg[0])) / limits.wire_per_deg,
+            lattice(float(course.position_deg[0]), limits) / limits.wire_per_deg,
             ramp_deg_s2=limits.ramp_deg_s2,
             speed_max_deg_s=limits.speed_max_deg_s,
             response=limits.response,
@@ -140,7 +122,7 @@ class Fitter:
         if self._pending is not None:
             state, speed_deg_s = self._pending
             self._pending = None
-            self._emit(state, *self._aim(state, speed_deg_s, granted_s))
+            self._emit(state, *aim(state, speed_deg_s, granted_s, self._limits))
 
     def reference(self) -> Reference:
         """Return the whole profile that the moves so far make."""
@@ -211,7 +193,7 @@ class Fitter:
         """Return whether one move, heard at `start_s` at rest, is all the way to the next rest."""
         state = self._profile.state(start_s)
         rest = self._next_rest(state)
-        landing = None if rest is None else self._best_landing(state, rest)
+        landing = None if rest is None else best_landing(state, rest, self._course, self._limits)
         return landing is not None and landing[0] <= CONE_RATIO * self._limits.tolerance_deg
 
     # ---- on the way
@@ -290,31 +272,6 @@ class Fitter:
                 return lowest[0], highest[0], held
             steps = min(2 * steps, most)
 
-    def _aim(self, state: Piece, speed_deg_s: float, next_s: float) -> tuple[int, int]:
-        """Return target and T that make the servo travel at `speed_deg_s` beyond `next_s`."""
-        limits = self._limits
-        sign = 1 if speed_deg_s >= 0.0 else -1
-        braking_deg = 0.5 * speed_deg_s * speed_deg_s / limits.ramp_deg_s2
-        reached_deg, _ = ramped(
-            state.position_deg,
-            state.speed_deg_s,
-            speed_deg_s,
-            next_s - state.start_s,
-            limits.ramp_deg_s2,
-        )
-        beyond_deg = float(reached_deg) + sign * (abs(speed_deg_s) * LATEST_ARRIVAL_S + braking_deg)
-        trials = []
-        for step in range(AIM_TRIALS):
-            wire = self._lattice(beyond_deg + sign * step / limits.wire_per_deg)
-            target = wire / limits.wire_per_deg
-            duration_ms = self._duration_ms(state, target, abs(speed_deg_s))
-            hit_deg_s = travel_speed(
-                state, target, s_from_ms(duration_ms), limits.ramp_deg_s2, limits.response
-            )
-            trials.append((abs(hit_deg_s - abs(speed_deg_s)), step, wire, duration_ms))
-        _, _, wire, duration_ms = min(trials)
-        return wire, duration_ms
-
     # ---- to rest
 
     def _land(self, state: Piece) -> float | None:
@@ -330,73 +287,14 @@ class Fitter:
         braking_s = self._limits.speed_max_deg_s / self._limits.ramp_deg_s2
         if rest_s - state.start_s > SEGMENT_MAX_S + braking_s and not is_overdue:
             return None
-        error_deg, landed_s, duration_ms = self._best_landing(state, rest)
+        error_deg, landed_s, wire, duration_ms = best_landing(
+            state, rest, self._course, self._limits
+        )
         if error_deg > CONE_RATIO * self._limits.tolerance_deg and not is_overdue:
             return None
-        self._emit(state, self._rest_wire(rest), duration_ms)
+        self._emit(state, wire, duration_ms)
         return max(landed_s, rest_s)
 
     def _next_rest(self, state: Piece) -> tuple[int, int] | None:
         at = bisect_right(self._rest_ends, self._course.index(state.start_s))
         return self._rests[at] if at < len(self._rests) else None
-
-    def _rest_wire(self, rest: tuple[int, int]) -> int:
-        return self._lattice(float(self._course.position_deg[rest[0]]))
-
-    def _best_landing(self, state: Piece, rest: tuple[int, int]) -> tuple[float, float, int]:
-        wire, rest_s = self._rest_wire(rest), self._course.time_s(rest[0])
-        return min(
-            self._landing(state, wire, duration_ms, rest)
-            for duration_ms in self._landings_ms(state, wire, rest_s)
-        )
-
-    def _landings_ms(self, state: Piece, wire: int, rest_s: float) -> list[int]:
-        """Return the T to try: around the one that comes to rest with the course."""
-        limits, target = self._limits, wire / self._limits.wire_per_deg
-        distance_deg = abs(target - state.position_deg)
-        left_s = max(rest_s - state.start_s, SEGMENT_MIN_S)
-        low, high = 0.5 * max(distance_deg / left_s, SPEED_LEAST_DEG_S), limits.speed_max_deg_s
-        for _ in range(12):
-            middle = 0.5 * (low + high)
-            end_s = trapezoid(state, target, middle, limits.ramp_deg_s2)[-1].start_s
-            low, high = (middle, high) if end_s > rest_s else (low, middle)
-        return sorted({self._duration_ms(state, target, high * r) for r in LANDING_RATIOS})
-
-    def _landing(
-        self, state: Piece, wire: int, duration_ms: int, rest: tuple[int, int]
-    ) -> tuple[float, float, int]:
-        """Return the largest error until course and servo rest, when the servo does, and T."""
-        limits, course, target = self._limits, self._course, wire / self._limits.wire_per_deg
-        travel = travel_speed(
-            state, target, s_from_ms(duration_ms), limits.ramp_deg_s2, limits.response
-        )
-        travel = min(travel, limits.speed_max_deg_s)
-        pieces = trapezoid(state, target, travel, limits.ramp_deg_s2)
-        landed_s = pieces[-1].start_s
-        if landed_s > course.time_s(rest[1]) + SEGMENT_MIN_S:
-            return float("inf"), landed_s, duration_ms
-        last = max(course.index(landed_s), rest[0])
-        steps = np.arange(course.index(state.start_s), last + 1)
-        profile_deg = Reference(pieces).sample(course.times_s(steps))
-        return float(np.abs(profile_deg - course.position_deg[steps]).max()), landed_s, duration_ms
-
-    # ---- what the wire can say
-
-    def _duration_ms(self, state: Piece, target: float, speed_deg_s: float) -> int:
-        """Return T for a travel speed: rounded, but never so that it breaks the speed limit."""
-        limits = self._limits
-        speed_deg_s = max(speed_deg_s, SPEED_LEAST_DEG_S)
-        wanted_s = expected_duration(
-            state, target, speed_deg_s, limits.ramp_deg_s2, limits.response
-        )
-        duration_ms = min(max(1, round(MS_PER_S * wanted_s)), DURATION_MAX_MS)
-        if abs(target - state.position_deg) > limits.speed_max_deg_s * s_from_ms(duration_ms):
-            duration_ms += 1
-        return duration_ms
-
-    def _lattice(self, position_deg: float) -> int:
-        """Return the wire value nearest to `position_deg` inside the joint's range."""
-        limits = self._limits
-        low = math.ceil(limits.position_min_deg * limits.wire_per_deg - 1e-6)
-        high = math.floor(limits.position_max_deg * limits.wire_per_deg + 1e-6)
-        return min(max(round(position_deg * limits.wire_per_deg), low), high)

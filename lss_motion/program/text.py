@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
 from lss_motion.program.compile import lines_use
-from lss_motion.program.fit import DURATION_MAX_MS
 from lss_motion.program.model import Move, Program, Repeat
+from lss_motion.program.wording import DURATION_MAX_MS
 from lss_motion.trajectory.model import Mark
 from lss_motion.units import s_from_us, us_from_s
 

@@ -1,1 +1,1 @@
-"""TODO package docstring."""
+"""The only side effects: clocks, ports, the one loop that waits, logs and reports."""

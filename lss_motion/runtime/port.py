@@ -54,7 +54,7 @@ class SerialPort:
             self._serial.open()
             self._serial.reset_input_buffer()
             with contextlib.suppress(AttributeError, OSError, ValueError, NotImplementedError):
-                self._serial.set_low_latency_mode(True)  # noqa: FBT003
+                self._serial.set_low_latency_mode(True)
         except (serial.SerialException, ValueError, OSError) as error:
             raise BusError(f"cannot open port {url}: {_reason(error)}", url=url) from error
 

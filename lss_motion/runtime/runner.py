@@ -152,17 +152,17 @@ def _undisturbed() -> Iterator[None]:
     gc.freeze()
     was_enabled = gc.isenabled()
     gc.disable()
-    _set_timer_slack(1)
+    set_timer_slack(1)
     try:
         yield
     finally:
-        _set_timer_slack(0)
+        set_timer_slack(0)
         gc.unfreeze()
         if was_enabled:
             gc.enable()
 
 
-def _set_timer_slack(slack_ns: int) -> None:
+def set_timer_slack(slack_ns: int) -> None:
     """Linux rounds a wait up to 50 µs unless asked not to; 0 asks for the default again."""
     if not sys.platform.startswith("linux"):
         return
