@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from lss_motion.cli.shows import Show
     from lss_motion.player.events import Event
     from lss_motion.robot.model import Robot
+    from lss_motion.sim.faults import Fault
 
 DESCRIPTION = "Play a sequence (YAML) or a compiled program (.lss) on a robot."
 EPILOG = """\
@@ -64,6 +65,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--virtual", action="store_true", help="simulated bus in virtual time; deterministic"
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the simulated bus")
+    parser.add_argument(
+        "--faults",
+        type=Path,
+        metavar="FILE",
+        help="simulated bus only: what goes wrong; see `lss-motion sim --help`",
+    )
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
     parser.add_argument(
         "--truth", type=Path, metavar="FILE", help="simulated bus only: real horn angles as CSV"
@@ -115,6 +122,8 @@ def _check(arguments: argparse.Namespace, show: Show, *, is_simulated: bool) -> 
     """Refuse what would only be noticed after the show."""
     if arguments.truth is not None and not is_simulated:
         raise InputError("--truth needs the simulated bus: nobody knows the truth of a real one")
+    if arguments.faults is not None and not is_simulated:
+        raise InputError("--faults needs the simulated bus: nobody damages a real one")
     if arguments.virtual and show.program.repeat is not None:
         raise InputError("--virtual never ends with a loop forever; give --loop N")
     if arguments.start_s is not None and arguments.start_s >= show.program.duration_s:
@@ -162,8 +171,17 @@ def _perform(
             start_s=arguments.start_s,
             trajectory=show.trajectory,
             observer=observer,
+            faults=_faults(arguments, robot),
         )
         return result, terminal.signal_number
+
+
+def _faults(arguments: argparse.Namespace, robot: Robot) -> Sequence[Fault]:
+    if arguments.faults is None:
+        return ()
+    from lss_motion.sim.faults_file import load_faults
+
+    return load_faults(arguments.faults, robot)
 
 
 def _nothing(text: str) -> None:

@@ -22,11 +22,12 @@ def bus_from_robot(
     start_deg: Mapping[str, float] | None = None,
     physics: Physics | None = None,
     faults: Sequence[Fault] = (),
+    usb_latency_ns: int = 0,
 ) -> SimBus:
     """Return one bus of `robot`, its servos in the order of `servos_of`.
 
     `start_deg` gives joint angles at power-up by joint name. A joint left out stands at 0, or at
-    the end of its range that is nearest to 0.
+    the end of its range that is nearest to 0. Of `faults`, those of other buses are left out.
     """
     bus = robot.buses[bus_name]
     asked_deg = start_deg or {}
@@ -48,7 +49,8 @@ def bus_from_robot(
         firmware=bus.firmware,
         seed=seed,
         physics=physics,
-        faults=faults,
+        faults=[fault for fault in faults if fault.bus in (None, bus_name)],
+        usb_latency_ns=usb_latency_ns,
     )
 
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from random import Random
 from typing import TYPE_CHECKING
 
-from lss_motion.errors import InputError
 from lss_motion.protocol.constants import BROADCAST_ID
 from lss_motion.protocol.family import Family
-from lss_motion.protocol.line import Command, CommandParser, Reply, encode
+from lss_motion.protocol.line import Command, CommandParser
+from lss_motion.sim.adapter import Adapter
+from lss_motion.sim.answering import Answer, Answering
+from lss_motion.sim.boards import RAW_MAX, make_boards
+from lss_motion.sim.drift import Drift
 from lss_motion.sim.faults import FaultKind, Faults
 from lss_motion.sim.motors import Motors
-from lss_motion.sim.physics import TICK_NS, Physics, turnaround_of
+from lss_motion.sim.physics import TICK_NS, Physics
 from lss_motion.sim.servo import ORDERED_FIRMWARE, Servo
 from lss_motion.sim.truth import Truth
 from lss_motion.sim.wire import HostLine, ServoLine
@@ -35,7 +37,8 @@ class SimBus:
     `next_arrival_ns()`       when the next reply is complete; None: none is under way
     `advance(now_ns)`         bring everything up to now; `write` and `read` do so too
 
-    Instants do not go back. How often anything is called changes nothing of what happens.
+    Instants are the host's, and do not go back. How often anything is called changes nothing of
+    what happens. `usb_latency_ns` puts an adapter in between that delivers replies in packets.
     """
 
     def __init__(
@@ -47,23 +50,26 @@ class SimBus:
         seed: int = 0,
         physics: Physics | None = None,
         faults: Sequence[Fault] = (),
+        usb_latency_ns: int = 0,
     ) -> None:
         physics = physics or Physics()
-        boards = [spec.servo_id for spec in servos if spec.model.family is Family.IO2]
-        if boards:
-            raise InputError(f"ids {boards}: LSS-2IO boards are not simulated yet")
         randoms = [Random(f"{seed}/{index}") for index in range(len(servos))]
         phases_ns = [random.randrange(TICK_NS) for random in randoms]
         self.baud_bps = baud_bps
         self.motors = Motors(servos, physics, phases_ns)
         self.heard: list[tuple[int, bytes]] | None = None
         """After `record()`: every line that reached the servos, and when its CR did."""
-        self._turnaround = physics.turnaround or turnaround_of(firmware)
         self._is_ordered = firmware >= ORDERED_FIRMWARE
         self._parser = CommandParser(grouped=self._is_ordered)
+        self._adapter = Adapter(usb_latency_ns)
         self._host_line = HostLine(baud_bps)
-        self._servo_line = ServoLine(baud_bps, Random(f"{seed}/line"))
+        self._servo_line = ServoLine(baud_bps, Random(f"{seed}/line"), self._adapter)
         self._faults = Faults(faults, Random(f"{seed}/faults"))
+        self._answering = Answering(
+            self._servo_line, self._faults, physics=physics, firmware=firmware, seed=seed
+        )
+        self._drift = Drift(fault for fault in faults if fault.kind is FaultKind.CLOCK_DRIFT)
+        self._outages_ns: list[tuple[int, int]] = []
         self._is_started = False
         self._servos = [
             Servo(
@@ -75,21 +81,28 @@ class SimBus:
                 random=randoms[index],
             )
             for index, spec in enumerate(servos)
+            if spec.model.family is not Family.IO2
         ]
+        outputs = [
+            (index, spec) for index, spec in enumerate(servos) if spec.model.family is Family.IO2
+        ]
+        self._boards = make_boards(
+            outputs, self.motors, baud_bps=baud_bps, random=Random(f"{seed}/boards")
+        )
 
     def record(self) -> None:
         """Keep `heard` and the true angles from now on; to be called before the first instant."""
         assert not self._is_started, "what happened before cannot be recorded"
         self.heard = []
-        self.motors.truth = Truth(len(self._servos))
+        self.motors.truth = Truth(self.servo_count)
 
     def write(self, data: bytes, now_ns: int) -> None:
         self.advance(now_ns)
-        self._host_line.write(data, now_ns)
+        self._host_line.write(data, self._drift.bus_ns(now_ns))
 
     def read(self, now_ns: int) -> bytes:
         self.advance(now_ns)
-        return self._servo_line.read(now_ns)
+        return self._servo_line.read(self._drift.bus_ns(now_ns))
 
     def next_arrival_ns(self) -> int | None:
         """Return when the earliest reply that was not read to its end is complete.
@@ -103,18 +116,22 @@ class SimBus:
             if end_ns is not None and end_ns <= lines[0][0]:
                 break
             self._hear(*lines.popleft())
-        return self._servo_line.next_end_ns()
+        end_ns = self._servo_line.next_end_ns()
+        return None if end_ns is None else self._drift.host_ns(end_ns)
 
     def advance(self, now_ns: int) -> None:
         if not self._is_started:
-            self._is_started = True
-            self.motors.start(now_ns)
-            self._faults.start(now_ns)
+            self._start(now_ns)
+        now_ns = self._drift.bus_ns(now_ns)
         lines = self._host_line.lines
         while lines and lines[0][0] <= now_ns:
             self._hear(*lines.popleft())
         self._turn_until(now_ns)
         self.motors.advance(now_ns)
+
+    @property
+    def servo_count(self) -> int:
+        return len(self.motors.gyre)
 
     @property
     def is_resting(self) -> bool:
@@ -123,7 +140,11 @@ class SimBus:
 
     def backlog_ns(self, now_ns: int) -> int:
         """Return how long the host's bytes will still occupy the line."""
-        return self._host_line.backlog_ns(now_ns)
+        return self._host_line.backlog_ns(self._drift.bus_ns(now_ns))
+
+    def outages_ns(self) -> list[tuple[int, int]]:
+        """Return when the port is unplugged and back again; after the first instant."""
+        return [(self._drift.host_ns(a), self._drift.host_ns(b)) for a, b in self._outages_ns]
 
     def horn_deg(self, times_ns: Iterable[int]) -> NDArray[np.float64]:
         """Return the true servo angles at given instants, (instants, servos), in the order given.
@@ -131,65 +152,69 @@ class SimBus:
         Only after `record()`, and up to the instant of the last `advance`.
         """
         assert self.motors.truth is not None, "nothing was recorded"
-        return self.motors.truth.horn_deg(times_ns)
+        return self.motors.truth.horn_deg(map(self._drift.bus_ns, times_ns))
+
+    def set_input(self, servo_id: int, raw: int, now_ns: int) -> None:
+        """Let the analog inputs with an id see `raw` (0 to 1023) from now on.
+
+        `boards.SENSORS` has the values for a distance.
+        """
+        assert 0 <= raw <= RAW_MAX, raw
+        self.advance(now_ns)
+        self._set_input(servo_id, raw)
+
+    def _start(self, now_ns: int) -> None:
+        self._is_started = True
+        self._drift.start(now_ns)
+        self.motors.start(now_ns)
+        self._faults.start(now_ns)
+        self._outages_ns = self._faults.spans_ns(FaultKind.UNPLUGGED)
+        self._adapter.start(now_ns, self._outages_ns)
+        self._host_line.start(self._faults.spans_ns(FaultKind.CLOGGED), self._outages_ns)
 
     # -- what the servos hear -------------------------------------------------------------------
 
-    def _hear(self, heard_ns: int, line: bytes) -> None:
+    def _hear(self, heard_ns: int, sent: bytes) -> None:
         self._turn_until(heard_ns)
         self.motors.advance(heard_ns)
-        line = self._faults.heard(line, heard_ns)
-        if self.heard is not None and line:
-            self.heard.append((heard_ns, line))
+        for line in self._faults.heard(sent, heard_ns):
+            if self.heard is not None:
+                self.heard.append((self._drift.host_ns(heard_ns), line))
+            self._let_servos_hear(heard_ns, line)
+            self._let_boards_hear(heard_ns, line)
+
+    def _let_servos_hear(self, heard_ns: int, line: bytes) -> None:
         commands = [item for item in self._parser.feed(line) if isinstance(item, Command)]
-        answers: list[tuple[Servo, Command, Reply]] = []
+        answers: list[Answer] = []
         for command in commands:
             for servo in self._meant(command.servo_id):
                 reply = servo.obey(command, heard_ns) if self._hears(servo, heard_ns) else None
                 if reply is not None:
-                    answers.append((servo, command, reply))
+                    answers.append(Answer(servo, servo.servo_id, command, reply))
         is_group = self._is_ordered and len(commands) > 1
         if is_group and all(command.servo_id != BROADCAST_ID for command in commands):
-            self._send_in_turn(heard_ns, answers)
+            self._answering.send_in_turn(heard_ns, answers)
         else:
-            for servo, command, reply in answers:
-                self._send(servo, reply, self._start_ns(servo, command, heard_ns))
+            self._answering.send_each(heard_ns, answers)
+
+    def _let_boards_hear(self, heard_ns: int, line: bytes) -> None:
+        for board in self._boards:
+            is_deaf = board.baud_bps != self.baud_bps or not board.is_listening(heard_ns)
+            command = None if is_deaf else board.command_in(line, heard_ns)
+            if command is None:
+                continue
+            for pin in board.meant(command.servo_id):
+                servo_id = pin.servo_id
+                if not self._faults.is_deaf(servo_id, heard_ns):
+                    reply = board.obey(pin, command, heard_ns)
+                    if reply is not None:
+                        answer = Answer(board, servo_id, command, reply)
+                        self._answering.send_each(heard_ns, [answer])
 
     def _meant(self, servo_id: int) -> list[Servo]:
         if servo_id == BROADCAST_ID:
             return self._servos
         return [servo for servo in self._servos if servo.servo_id == servo_id]
-
-    def _start_ns(self, servo: Servo, command: Command, heard_ns: int) -> int:
-        """Return when a servo begins to answer one query."""
-        turnaround = self._turnaround
-        if command.servo_id == BROADCAST_ID and self._is_ordered:
-            if command.keyword == "QID" and isinstance(command.value, int):
-                slot_ns = command.value * 1000 * servo.servo_id
-                return heard_ns + turnaround.broadcast_ns + slot_ns
-            if servo.settings.number("SLOTCOUNT"):
-                slot_ns = turnaround.slot_ns * servo.settings.number("SLOT")
-                return heard_ns + turnaround.broadcast_ns + slot_ns
-        return heard_ns + servo.random.randint(turnaround.single_min_ns, turnaround.single_max_ns)
-
-    def _send_in_turn(self, heard_ns: int, answers: list[tuple[Servo, Command, Reply]]) -> None:
-        """Answer a group: one servo after another, in the order of the line (lss_facts 2.3)."""
-        start_ns = heard_ns + self._turnaround.group_ns
-        previous: Servo | None = None
-        for servo, _, reply in answers:
-            if previous is not None and servo is not previous:
-                start_ns += self._turnaround.group_gap_ns
-            previous = servo
-            start_ns = self._send(servo, reply, start_ns)
-
-    def _send(self, servo: Servo, reply: Reply, start_ns: int) -> int:
-        """Send one reply once the servo has sent the one before; return when it ends."""
-        sender = self._faults.sender(servo.servo_id, start_ns)
-        if sender != servo.servo_id and reply.servo_id == servo.servo_id:
-            reply = replace(reply, servo_id=sender)
-        for data, begin_ns in self._faults.sent(servo.servo_id, encode(reply), start_ns):
-            servo.sent_ns = self._servo_line.send(data, max(begin_ns, servo.sent_ns))
-        return max(start_ns, servo.sent_ns)
 
     # -- faults ---------------------------------------------------------------------------------
 
@@ -204,13 +229,15 @@ class SimBus:
             self.motors.advance(due_ns)
             for servo in self._servos:
                 if turn.fault.servo_id in (None, servo.servo_id):
-                    self._befall(servo, turn)
+                    self._befall(servo.index, servo, turn)
+            self._befall_boards(turn)
 
-    def _befall(self, servo: Servo, turn: Turn) -> None:
-        fault, index = turn.fault, servo.index
+    def _befall(self, index: int, servo: Servo | None, turn: Turn) -> None:
+        fault = turn.fault
         match fault.kind:
             case FaultKind.RESET:
-                servo.reset(turn.due_ns)
+                if servo is not None:
+                    servo.reset(turn.due_ns)
             case FaultKind.HOT:
                 self.motors.heat(index, turn.due_ns, fault.temperature_c)
             case FaultKind.STUCK:
@@ -218,5 +245,24 @@ class SimBus:
             case FaultKind.WEAK:
                 ratio = fault.speed_ratio if turn.is_begin else 1.0
                 self.motors.weaken(index, turn.due_ns, ratio)
+            case FaultKind.INPUT:
+                pass
             case _:
                 raise AssertionError(f"{fault.kind} is not about a servo")
+
+    def _befall_boards(self, turn: Turn) -> None:
+        fault = turn.fault
+        for board in self._boards:
+            pins = board.pins if fault.servo_id is None else board.meant(fault.servo_id)
+            if pins and fault.kind is FaultKind.RESET:
+                board.reset(turn.due_ns)
+            for pin in pins:
+                if pin.index is not None:
+                    self._befall(pin.index, None, turn)
+        if fault.kind is FaultKind.INPUT:
+            self._set_input(fault.servo_id, fault.raw)
+
+    def _set_input(self, servo_id: int | None, raw: int) -> None:
+        for board in self._boards:
+            for pin in board.pins if servo_id is None else board.meant(servo_id):
+                pin.raw = raw

@@ -39,6 +39,7 @@ class Mode(Enum):
     LIMP = "limp"
     PROFILE = "profile"
     FILTER = "filter"
+    FREE = "free"
 
 
 class Drives:
@@ -81,13 +82,15 @@ class Drives:
                 phases = plan_move(position_deg, speed_deg_s, order.target_deg, ramps)
                 self.travel_deg_s[index] = ramps.speed_deg_s
                 self._follow(index, now_ns, order.target_deg, phases)
-            case Wheel(wheel_deg_s, wheel_ramps):
+            case Wheel(wheel_deg_s, wheel_ramps, is_free):
                 self.travel_deg_s[index] = abs(wheel_deg_s)
                 if wheel_ramps is None:
                     phases = [Phase(math.inf, position_deg, wheel_deg_s, 0.0)]
                 else:
                     phases = plan_wheel(position_deg, speed_deg_s, wheel_deg_s, wheel_ramps)
                 self._follow(index, now_ns, None, phases)
+                if is_free:
+                    self.mode[index] = Mode.FREE
             case _:
                 assert_never(order)
 
@@ -143,6 +146,8 @@ class Drives:
         """Return what a servo does by the state of its profile."""
         if self.mode[index] is Mode.LIMP:
             return Motion.LIMP
+        if self.mode[index] is Mode.FREE:
+            return Motion.FREE_MOVING
         speed_deg_s = self._horns.profile_deg_s(index, now_ns)
         accel_deg_s2 = self._horns.phases[index].accel_deg_s2
         if self.mode[index] is Mode.FILTER or speed_deg_s == accel_deg_s2 == 0.0:

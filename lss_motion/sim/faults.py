@@ -10,19 +10,31 @@ from typing import TYPE_CHECKING
 from lss_motion.units import ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
     from random import Random
 
 
 class FaultKind(StrEnum):
-    """What happens. The first group is about bytes, the second about one servo."""
+    """What happens: to bytes on their way, to the line, to the host, to one servo."""
 
     LOST_COMMAND = "lost_command"
     CORRUPT_COMMAND = "corrupt_command"
+    SHORT_COMMAND = "short_command"
+    DOUBLE_COMMAND = "double_command"
+    MERGED_COMMAND = "merged_command"
     LOST_REPLY = "lost_reply"
     CORRUPT_REPLY = "corrupt_reply"
-    LATE_REPLY = "late_reply"
+    SHORT_REPLY = "short_reply"
     DOUBLE_REPLY = "double_reply"
+    MERGED_REPLY = "merged_reply"
+    LATE_REPLY = "late_reply"
+    SPLIT_REPLY = "split_reply"
+
+    CLOGGED = "clogged"
+    UNPLUGGED = "unplugged"
+
+    OVERSLEEP = "oversleep"
+    CLOCK_DRIFT = "clock_drift"
 
     DEAF = "deaf"
     WRONG_ID = "wrong_id"
@@ -30,33 +42,104 @@ class FaultKind(StrEnum):
     STUCK = "stuck"
     WEAK = "weak"
     HOT = "hot"
+    INPUT = "input"
 
 
-INSTANT = frozenset({FaultKind.RESET, FaultKind.HOT})
+MEANINGS = {
+    FaultKind.LOST_COMMAND: "a line of the host reaches no servo",
+    FaultKind.CORRUPT_COMMAND: "one byte of a line of the host is another",
+    FaultKind.SHORT_COMMAND: "one byte of a line of the host is missing",
+    FaultKind.DOUBLE_COMMAND: "a line of the host is heard twice",
+    FaultKind.MERGED_COMMAND: "the CR of a line of the host is lost: it runs into the next",
+    FaultKind.LOST_REPLY: "a reply is not sent",
+    FaultKind.CORRUPT_REPLY: "one byte of a reply is another",
+    FaultKind.SHORT_REPLY: "one byte of a reply is missing",
+    FaultKind.DOUBLE_REPLY: "a reply is sent twice",
+    FaultKind.MERGED_REPLY: "the CR of a reply is lost: it runs into the next",
+    FaultKind.LATE_REPLY: "a reply comes `late_s` later",
+    FaultKind.SPLIT_REPLY: "the second half of a reply comes `late_s` later",
+    FaultKind.CLOGGED: "what the host writes waits until `until_s`",
+    FaultKind.UNPLUGGED: "the port is gone; what was on its way is lost",
+    FaultKind.OVERSLEEP: "the host wakes `late_s` too late (virtual time only)",
+    FaultKind.CLOCK_DRIFT: "the servos' time runs `drift_ppm` faster than the host's",
+    FaultKind.DEAF: "a servo does not hear a line",
+    FaultKind.WRONG_ID: "a servo answers as `as_id`",
+    FaultKind.RESET: "a servo restarts",
+    FaultKind.STUCK: "a horn does not turn",
+    FaultKind.WEAK: "a motor has only `speed_ratio` of its top speed",
+    FaultKind.HOT: "a servo has `temperature_c` at once",
+    FaultKind.INPUT: "an analog input of an LSS-2IO takes a value",
+}
+
+INSTANT = frozenset({FaultKind.RESET, FaultKind.HOT, FaultKind.INPUT})
 """These happen once, at `at_s`; all others last until `until_s`."""
+
+ABOUT_DEVICES = INSTANT | {FaultKind.STUCK, FaultKind.WEAK}
+"""These begin and end at instants; all others are asked about when a line or reply passes."""
+
+ABOUT_LINE = frozenset(
+    {
+        FaultKind.LOST_COMMAND,
+        FaultKind.CORRUPT_COMMAND,
+        FaultKind.SHORT_COMMAND,
+        FaultKind.DOUBLE_COMMAND,
+        FaultKind.MERGED_COMMAND,
+        FaultKind.CLOGGED,
+        FaultKind.UNPLUGGED,
+        FaultKind.OVERSLEEP,
+        FaultKind.CLOCK_DRIFT,
+    }
+)
+"""These befall the line or the host before any servo; one that misses commands is `deaf`."""
+
+STEADY = ABOUT_DEVICES | {FaultKind.CLOGGED, FaultKind.UNPLUGGED, FaultKind.CLOCK_DRIFT}
+"""Of these there is no `ratio`: they are there or not."""
+
+FOREVER_NS = 2**62
+"""The end of what does not end: 146 years."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fault:
-    """One row. Times count from power-up.
+    """One row. Times count from power-up, in the servos' time.
 
     `servo_id`       whom it befalls; None: all servos, or the line
-    `ratio`          how many of the lines or replies in the time; 1: all
-    `late_s`         for `late_reply`
+    `bus`            on which bus; None: on all
+    `ratio`          how many of the lines, replies or waits in the time; 1: all
+    `late_s`         for `late_reply`, `split_reply`, `oversleep`
     `as_id`          for `wrong_id`: the id that stands in the replies
     `speed_ratio`    for `weak`: what is left of the top speed
     `temperature_c`  for `hot`
+    `drift_ppm`      for `clock_drift`: millionths by which the servos' time runs faster
+    `raw`            for `input`: the value of the converter, 0 to 1023
     """
 
     kind: FaultKind
     at_s: float = 0.0
     until_s: float = math.inf
     servo_id: int | None = None
+    bus: str | None = None
     ratio: float = 1.0
     late_s: float = 0.0
     as_id: int = 0
     speed_ratio: float = 1.0
     temperature_c: float = 0.0
+    drift_ppm: float = 0.0
+    raw: int = 0
+
+    def __post_init__(self) -> None:
+        if self.kind is FaultKind.CLOGGED and math.isinf(self.until_s):
+            raise ValueError("a line that is clogged for ever is `unplugged`; give until_s")
+
+    def strikes(self, random: Random) -> bool:
+        """Return whether it befalls one line, reply or wait in its time."""
+        return self.ratio >= 1.0 or random.random() < self.ratio
+
+    def span_ns(self, origin_ns: int) -> tuple[int, int]:
+        """Return when it begins and ends."""
+        is_endless = math.isinf(self.until_s)
+        until_ns = FOREVER_NS if is_endless else origin_ns + ns_from_s(self.until_s)
+        return origin_ns + ns_from_s(self.at_s), until_ns
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,19 +159,22 @@ class Faults:
         self._random = random
         self._origin_ns = 0
         self._turns: list[Turn] = []
+        self._unfinished = b""
 
     def start(self, now_ns: int) -> None:
         """Count time from `now_ns`."""
         self._origin_ns = now_ns
-        about_servos = {FaultKind.RESET, FaultKind.HOT, FaultKind.STUCK, FaultKind.WEAK}
         for fault in self._faults:
-            if fault.kind in about_servos:
-                self._turns.append(Turn(now_ns + ns_from_s(fault.at_s), fault, is_begin=True))
-                if fault.kind not in INSTANT and math.isfinite(fault.until_s):
-                    self._turns.append(
-                        Turn(now_ns + ns_from_s(fault.until_s), fault, is_begin=False)
-                    )
+            if fault.kind in ABOUT_DEVICES:
+                from_ns, until_ns = fault.span_ns(now_ns)
+                self._turns.append(Turn(from_ns, fault, is_begin=True))
+                if fault.kind not in INSTANT and until_ns < FOREVER_NS:
+                    self._turns.append(Turn(until_ns, fault, is_begin=False))
         self._turns.sort(key=lambda turn: turn.due_ns, reverse=True)
+
+    def spans_ns(self, kind: FaultKind) -> list[tuple[int, int]]:
+        """Return when rows of a kind begin and end, in order of time."""
+        return sorted(f.span_ns(self._origin_ns) for f in self._faults if f.kind is kind)
 
     def next_turn_ns(self) -> int | None:
         return self._turns[-1].due_ns if self._turns else None
@@ -96,46 +182,75 @@ class Faults:
     def pop_turn(self) -> Turn:
         return self._turns.pop()
 
-    def heard(self, line: bytes, now_ns: int) -> bytes:
-        """Return what of a line reaches the servos."""
+    def heard(self, line: bytes, now_ns: int) -> list[bytes]:
+        """Return what of a line reaches the servos: nothing, or one line or two."""
+        if not self._faults:
+            return [line]
+        count = 1
         for fault in self._active(now_ns, None):
-            if fault.kind is FaultKind.LOST_COMMAND and self._strikes(fault):
-                return b""
-            if fault.kind is FaultKind.CORRUPT_COMMAND and self._strikes(fault):
-                line = self._damaged(line[:-1]) + line[-1:]
-        return line
+            match fault.kind:
+                case FaultKind.LOST_COMMAND if fault.strikes(self._random):
+                    return []
+                case FaultKind.CORRUPT_COMMAND if fault.strikes(self._random):
+                    line = damaged(line[:-1], self._random) + line[-1:]
+                case FaultKind.SHORT_COMMAND if fault.strikes(self._random):
+                    line = shortened(line[:-1], self._random) + line[-1:]
+                case FaultKind.DOUBLE_COMMAND if fault.strikes(self._random):
+                    count = 2
+                case FaultKind.MERGED_COMMAND if fault.strikes(self._random):
+                    self._unfinished += line[:-1]
+                    return []
+                case _:
+                    pass
+        lines = [self._unfinished + line] + [line] * (count - 1)
+        self._unfinished = b""
+        return lines
 
     def is_deaf(self, servo_id: int, now_ns: int) -> bool:
         active = self._active(now_ns, servo_id)
-        return any(fault.kind is FaultKind.DEAF and self._strikes(fault) for fault in active)
+        return any(fault.kind is FaultKind.DEAF and fault.strikes(self._random) for fault in active)
 
     def sender(self, servo_id: int, now_ns: int) -> int:
         """Return the id that a servo puts into its reply."""
         for fault in self._active(now_ns, servo_id):
-            if fault.kind is FaultKind.WRONG_ID and self._strikes(fault):
+            if fault.kind is FaultKind.WRONG_ID and fault.strikes(self._random):
                 return fault.as_id
         return servo_id
 
     def sent(self, servo_id: int, data: bytes, start_ns: int) -> list[tuple[bytes, int]]:
-        """Return what a servo sends instead of one reply, and when each begins."""
-        count = 1
+        """Return what a servo sends instead of one reply, and when each piece is due.
+
+        A piece begins when it is due and the one before it has ended.
+        """
+        count, split_ns = 1, 0
         for fault in self._active(start_ns, servo_id):
             match fault.kind:
-                case FaultKind.LOST_REPLY if self._strikes(fault):
+                case FaultKind.LOST_REPLY if fault.strikes(self._random):
                     return []
-                case FaultKind.CORRUPT_REPLY if self._strikes(fault):
-                    data = self._damaged(data)
-                case FaultKind.LATE_REPLY if self._strikes(fault):
+                case FaultKind.CORRUPT_REPLY if fault.strikes(self._random):
+                    data = damaged(data, self._random)
+                case FaultKind.SHORT_REPLY if fault.strikes(self._random):
+                    data = shortened(data, self._random)
+                case FaultKind.MERGED_REPLY if fault.strikes(self._random):
+                    data = data.removesuffix(b"\r")
+                case FaultKind.LATE_REPLY if fault.strikes(self._random):
                     start_ns += ns_from_s(fault.late_s)
-                case FaultKind.DOUBLE_REPLY if self._strikes(fault):
+                case FaultKind.SPLIT_REPLY if fault.strikes(self._random):
+                    split_ns = ns_from_s(fault.late_s)
+                case FaultKind.DOUBLE_REPLY if fault.strikes(self._random):
                     count = 2
                 case _:
                     pass
-        return [(data, start_ns)] * count
+        if split_ns:
+            middle = len(data) // 2
+            pieces = [(data[:middle], start_ns), (data[middle:], start_ns + split_ns)]
+        else:
+            pieces = [(data, start_ns)]
+        return pieces * count
 
-    def _active(self, now_ns: int, servo_id: int | None) -> list[Fault]:
+    def _active(self, now_ns: int, servo_id: int | None) -> Sequence[Fault]:
         if not self._faults:
-            return []
+            return ()
         now_s = s_from_ns(now_ns - self._origin_ns)
         return [
             fault
@@ -143,13 +258,19 @@ class Faults:
             if fault.at_s <= now_s < fault.until_s and fault.servo_id in (None, servo_id)
         ]
 
-    def _strikes(self, fault: Fault) -> bool:
-        return fault.ratio >= 1.0 or self._random.random() < fault.ratio
 
-    def _damaged(self, data: bytes) -> bytes:
-        """Return the bytes with one of them replaced by another."""
-        if not data:
-            return data
-        place = self._random.randrange(len(data))
-        other = (data[place] + self._random.randrange(1, 256)) % 256
-        return data[:place] + bytes([other]) + data[place + 1 :]
+def damaged(data: bytes, random: Random) -> bytes:
+    """Return the bytes with one of them replaced by another."""
+    if not data:
+        return data
+    place = random.randrange(len(data))
+    other = (data[place] + random.randrange(1, 256)) % 256
+    return data[:place] + bytes([other]) + data[place + 1 :]
+
+
+def shortened(data: bytes, random: Random) -> bytes:
+    """Return the bytes without one of them."""
+    if not data:
+        return data
+    place = random.randrange(len(data))
+    return data[:place] + data[place + 1 :]

@@ -3,25 +3,48 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from lss_motion.sim.faults import INSTANT, Fault, FaultKind
+from lss_motion.protocol.family import Family
+from lss_motion.protocol.io2 import PIN_IDS
+from lss_motion.sim.boards import RAW_MAX, SENSORS
+from lss_motion.sim.faults import ABOUT_LINE, INSTANT, STEADY, Fault, FaultKind
 from lss_motion.spelling import known_names
 from lss_motion.validation import FileModel, validate
 from lss_motion.yaml_source import Problem, read_yaml
 
+if TYPE_CHECKING:
+    from lss_motion.robot.model import Robot
+
 NEEDED: dict[FaultKind, tuple[str, ...]] = {
     FaultKind.LATE_REPLY: ("late_s",),
+    FaultKind.SPLIT_REPLY: ("late_s",),
+    FaultKind.OVERSLEEP: ("late_s",),
+    FaultKind.CLOGGED: ("until_s",),
+    FaultKind.CLOCK_DRIFT: ("drift_ppm",),
     FaultKind.WRONG_ID: ("servo", "as_id"),
     FaultKind.WEAK: ("speed_ratio",),
     FaultKind.HOT: ("temperature_c",),
+    FaultKind.INPUT: ("servo",),
 }
 """Keys without which a kind says nothing."""
 
-LINE_KINDS = frozenset({FaultKind.LOST_COMMAND, FaultKind.CORRUPT_COMMAND})
-"""These befall the line before any servo; a servo that misses commands is `deaf`."""
+OWN: dict[str, frozenset[FaultKind]] = {
+    "late_s": frozenset({FaultKind.LATE_REPLY, FaultKind.SPLIT_REPLY, FaultKind.OVERSLEEP}),
+    "drift_ppm": frozenset({FaultKind.CLOCK_DRIFT}),
+    "as_id": frozenset({FaultKind.WRONG_ID}),
+    "speed_ratio": frozenset({FaultKind.WEAK}),
+    "temperature_c": frozenset({FaultKind.HOT}),
+    "raw": frozenset({FaultKind.INPUT}),
+    "distance_mm": frozenset({FaultKind.INPUT}),
+    "sensor": frozenset({FaultKind.INPUT}),
+    "ratio": frozenset(FaultKind) - STEADY,
+}
+"""Keys that say something about these kinds only."""
+
+SENSOR_NAMES = {suffix.name: sensor for suffix, sensor in SENSORS.items()}
 
 Ratio = Annotated[float, Field(ge=0.0, le=1.0)]
 Seconds = Annotated[float, Field(ge=0.0)]
@@ -35,12 +58,27 @@ class FaultEntry(FileModel, title="fault"):
     at_s: Seconds = Field(default=0.0, description="From when on, in seconds from power-up.")
     until_s: Seconds | None = Field(default=None, description="Until when. Left out: for ever.")
     servo: ServoId | None = Field(default=None, description="Id of the servo. Left out: all.")
+    bus: str | None = Field(default=None, description="Name of the bus. Left out: all.")
     ratio: Ratio = Field(default=1.0, description="Which share of lines or replies it befalls.")
-    late_s: Seconds | None = Field(default=None, description="late_reply: by how much.")
+    late_s: Seconds | None = Field(default=None, description="How late a reply or the host is.")
     as_id: ServoId | None = Field(default=None, description="wrong_id: the id in the replies.")
     speed_ratio: Ratio | None = Field(default=None, description="weak: what is left of the speed.")
     temperature_c: Annotated[float, Field(ge=-40.0, le=200.0)] | None = Field(
         default=None, description="hot: the temperature that the servo has at once."
+    )
+    drift_ppm: Annotated[float, Field(ge=-100_000.0, le=100_000.0)] | None = Field(
+        default=None, description="clock_drift: millionths by which the servos' time runs faster."
+    )
+    raw: Annotated[int, Field(ge=0, le=RAW_MAX)] | None = Field(
+        default=None, description="input: the value of the converter."
+    )
+    distance_mm: Annotated[float, Field(gt=0.0)] | None = Field(
+        default=None, description="input: instead of raw, a distance before a sensor."
+    )
+    sensor: str | None = Field(
+        default=None,
+        description="input: the model of that sensor.",
+        json_schema_extra={"enum": list(SENSOR_NAMES)},
     )
 
 
@@ -50,8 +88,11 @@ class FaultsFile(FileModel, title="faults file"):
     faults: list[FaultEntry]
 
 
-def load_faults(path: Path | str) -> tuple[Fault, ...]:
-    """Return the rows of a faults file; `InputError` says file, line, value and what is allowed."""
+def load_faults(path: Path | str, robot: Robot | None = None) -> tuple[Fault, ...]:
+    """Return the rows of a faults file; `InputError` says file, line, value and what is allowed.
+
+    With a robot, rows that name a bus or a servo which it does not have are mistakes too.
+    """
     source = read_yaml(Path(path))
     blanks = {"faults": FaultEntry(kind=FaultKind.DEAF)}
     content, problems, left_out = validate(FaultsFile, source, blanks=blanks)
@@ -59,6 +100,7 @@ def load_faults(path: Path | str) -> tuple[Fault, ...]:
     for index, entry in enumerate(entries):
         if ("faults", index) not in left_out:
             problems += _problems(index, entry)
+            problems += [] if robot is None else _strangers(index, entry, robot)
     if problems:
         raise source.error(problems)
     return tuple(_fault(entry) for entry in entries)
@@ -74,10 +116,10 @@ def _problems(index: int, entry: FaultEntry) -> list[Problem]:
     problems = [
         Problem(place, f"{kind} needs {key!r}") for key in NEEDED.get(kind, ()) if key not in given
     ]
-    own = {key for keys in NEEDED.values() for key in keys} - {"servo"}
     problems += [
         Problem((*place, key), f"{key!r} says nothing about {kind}; leave it out")
-        for key in sorted(given & own - set(NEEDED.get(kind, ())))
+        for key in sorted(given & set(OWN))
+        if kind not in OWN[key]
     ]
     if entry.until_s is not None and kind in INSTANT:
         problems.append(Problem((*place, "until_s"), f"{kind} happens once; leave until_s out"))
@@ -85,11 +127,50 @@ def _problems(index: int, entry: FaultEntry) -> list[Problem]:
         problems.append(
             Problem((*place, "until_s"), f"until_s {entry.until_s:g} must be after {entry.at_s:g}")
         )
-    if entry.servo is not None and kind in LINE_KINDS:
+    if entry.servo is not None and kind in ABOUT_LINE:
         problems.append(
             Problem((*place, "servo"), f"{kind} befalls the line; for one servo use 'deaf'")
         )
+    if kind is FaultKind.INPUT:
+        problems += _input_problems(index, entry)
     return problems
+
+
+def _input_problems(index: int, entry: FaultEntry) -> list[Problem]:
+    place = ("faults", index)
+    has_distance = entry.distance_mm is not None
+    if (entry.raw is None) is not has_distance:
+        return [Problem(place, "input needs 'raw', or 'distance_mm' with 'sensor'")]
+    if has_distance is (entry.sensor is None):
+        return [Problem(place, "input needs 'distance_mm' and 'sensor' together")]
+    if entry.sensor is not None and entry.sensor not in SENSOR_NAMES:
+        known = known_names(entry.sensor, SENSOR_NAMES)
+        return [Problem((*place, "sensor"), f"sensor {entry.sensor!r} is not known; {known}")]
+    return []
+
+
+def _strangers(index: int, entry: FaultEntry, robot: Robot) -> list[Problem]:
+    """Return what a row names and the robot does not have."""
+    place = ("faults", index)
+    if entry.bus is not None and entry.bus not in robot.buses:
+        known = known_names(entry.bus, robot.buses)
+        return [Problem((*place, "bus"), f"robot {robot.name!r} has no bus {entry.bus!r}; {known}")]
+    buses = robot.buses if entry.bus is None else {entry.bus}
+    ids = {joint.servo_id for joint in robot.joints.values() if joint.bus in buses}
+    if entry.kind == FaultKind.INPUT:
+        models = {joint.model.family for joint in robot.joints.values() if joint.bus in buses}
+        if Family.IO2 not in models:
+            return [Problem(place, f"robot {robot.name!r} has no LSS-2IO there, so no inputs")]
+        ids |= {PIN_IDS[name] for name in PIN_IDS if name.startswith("A")}
+    if entry.servo is not None and entry.servo not in ids:
+        known = ", ".join(map(str, sorted(ids)))
+        return [
+            Problem(
+                (*place, "servo"),
+                f"robot {robot.name!r} has no servo {entry.servo} there; known ids are {known}",
+            )
+        ]
+    return []
 
 
 def _fault(entry: FaultEntry) -> Fault:
@@ -97,4 +178,7 @@ def _fault(entry: FaultEntry) -> Fault:
     values["kind"] = FaultKind(values.pop("kind"))
     if "servo" in values:
         values["servo_id"] = values.pop("servo")
+    sensor = values.pop("sensor", None)
+    if sensor is not None:
+        values["raw"] = SENSOR_NAMES[sensor].raw(values.pop("distance_mm"))
     return Fault(**values)

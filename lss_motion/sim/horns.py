@@ -51,6 +51,9 @@ class Horns:
         self._load_deg = np.array([spec.droop_deg for spec in specs], dtype=float)
         self._level_deg = np.array([spec.level_deg for spec in specs], dtype=float)
         self._is_loaded = bool(self._load_deg.any())
+        self._half_play_deg = np.array([spec.backlash_deg for spec in specs], dtype=float) / 2.0
+        self._has_play = bool(self._half_play_deg.any())
+        self._shaft_deg = self.deg.copy()
         self.holding_ratio = np.ones(count)
 
     def start(self, now_ns: int) -> None:
@@ -102,6 +105,27 @@ class Horns:
         self.deg_s = moved_deg / passed_s
         self.gap_deg = self.deg - final_deg
         self._ns[:] = now_ns
+        if self._has_play:
+            self._shaft_deg = self.shafts_deg()
+
+    def shafts_deg(self) -> NDArray[np.float64]:
+        """Return where the horns are: within the play of their gears, on the side of their load."""
+        if not self._has_play:
+            return self.deg
+        low_deg, high_deg = self.deg - self._half_play_deg, self.deg + self._half_play_deg
+        shaft_deg = np.minimum(np.maximum(self._shaft_deg, low_deg), high_deg)
+        pull = self._load_deg * np.cos(np.radians(self.deg - self._level_deg))
+        return np.where(pull == 0.0, shaft_deg, np.where(pull > 0.0, low_deg, high_deg))
+
+    def shaft_deg(self, index: int) -> float:
+        """Return where one horn is; see `shafts_deg`."""
+        return float(self.shafts_deg()[index]) if self._has_play else float(self.deg[index])
+
+    def wrap(self, index: int) -> None:
+        """Forget whole turns: the angle lies within ±180 from now on."""
+        turned_deg = (self.deg[index] + 180.0) % 360.0 - 180.0 - self.deg[index]
+        self.deg[index] += turned_deg
+        self._shaft_deg[index] += turned_deg
 
     def sag(self, is_powered: NDArray[np.bool_]) -> None:
         """Let the loads pull as they do at the angles that the horns have now."""

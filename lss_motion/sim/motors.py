@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lss_motion.protocol.family import Family
 from lss_motion.sim.drives import Drives
 from lss_motion.sim.horns import Horns
 from lss_motion.sim.orders import Halt, Limp, Motion, Order, SafeCause
@@ -42,6 +43,7 @@ class Motors:
         self.gyre = np.ones(count)
         self.origin_deg = np.zeros(count)
         self.safe_cause = [SafeCause.NONE] * count
+        self._is_guarded = [spec.model.family is not Family.IO2 for spec in specs]
         self.physics = physics
         self._drives = Drives(self.horns, physics, loop_phases_ns)
         self._limits_ma: list[tuple[float, Halt | Limp] | None] = [None] * count
@@ -85,7 +87,7 @@ class Motors:
         self._disturb(index, now_ns)
         self._orders = [entry for entry in self._orders if entry[2] != index]
         heapq.heapify(self._orders)
-        self.horns.deg[index] = (self.horns.deg[index] + 180.0) % 360.0 - 180.0
+        self.horns.wrap(index)
         self.safe_cause[index] = SafeCause.NONE
         self.power.stuck_s[index] = 0.0
         self._limits_ma[index] = None
@@ -124,7 +126,7 @@ class Motors:
 
     def horn_deg(self, index: int, now_ns: int) -> float:
         self._catch_up(index, now_ns)
-        return float(self.horns.deg[index])
+        return self.horns.shaft_deg(index)
 
     def horn_deg_s(self, index: int, now_ns: int) -> float:
         self._catch_up(index, now_ns)
@@ -211,7 +213,7 @@ class Motors:
             if limit is not None and power.motor_ma[index] > limit[0]:
                 self._give_way(index, now_ns, limit[1])
         for index, cause in power.safe_causes():
-            if self.safe_cause[index] is SafeCause.NONE:
+            if self.safe_cause[index] is SafeCause.NONE and self._is_guarded[index]:
                 self.safe_cause[index] = cause
                 self._give_way(index, now_ns, Limp())
 
@@ -224,4 +226,4 @@ class Motors:
 
     def _record(self, now_ns: int) -> None:
         if self.truth is not None:
-            self.truth.append(now_ns, self.gyre * (self.horns.deg - self.origin_deg))
+            self.truth.append(now_ns, self.gyre * (self.horns.shafts_deg() - self.origin_deg))

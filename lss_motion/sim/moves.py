@@ -126,7 +126,7 @@ class Moves:
         duty = min(max(duty, -DUTY_MAX), DUTY_MAX)
         self._settings.session["MD_RAW"] = duty
         top_deg_s = float(self._motors.gyre[self._index]) * self._model.speed_max_deg_s
-        self._order(now_ns, Wheel(top_deg_s * duty / DUTY_MAX, None), {})
+        self._order(now_ns, Wheel(top_deg_s * duty / DUTY_MAX, None, is_free=True), {})
 
     def _order(self, now_ns: int, order: Order, modifiers: dict[str, float]) -> None:
         limit: tuple[float, Halt | Limp] | None = None

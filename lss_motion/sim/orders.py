@@ -14,10 +14,12 @@ class Motion(IntEnum):
     """What a servo is doing; the values are the status codes of LSS (seed 000, Q)."""
 
     LIMP = 1
+    FREE_MOVING = 2
     ACCELERATING = 3
     TRAVELING = 4
     DECELERATING = 5
     HOLDING = 6
+    OUTSIDE_LIMITS = 7
     STUCK = 8
     BLOCKED = 9
     SAFE_MODE = 10
@@ -55,10 +57,14 @@ class Chase:
 
 @dataclass(frozen=True, slots=True)
 class Wheel:
-    """Turn for ever; without ramps (EM0) at full speed from one control loop to the next."""
+    """Turn for ever; without ramps (EM0) at full speed from one control loop to the next.
+
+    `is_free`: a share of the motor's power and nothing that controls it (RDM).
+    """
 
     speed_deg_s: float
     ramps: Ramps | None
+    is_free: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,6 +53,8 @@ class Physics:
                             one tenth).
     `supply_v`              battery without load: lss_facts 3 gives 12 V as nominal.
     `supply_ohm`            resistance of battery and wiring. Assumed.
+    `supply_min_v` … `supply_max_v`  the range of the datasheets, 6 to 12.6 V (lss_facts 3); safe
+                            mode outside it. That the servos trip just there is assumed.
     `nominal_v`             voltage at which a model's top speed holds; speed is proportional to
                             voltage, as for any brushed motor. 12 V: lss_facts 3.
     `idle_ma`               current of the electronics: 70 mA (lss_facts 3, ROS2ctl).
@@ -66,6 +68,8 @@ class Physics:
     `temperature_max_c`     safe mode above it: 85 C (seed 000, QT).
     `stall_deg`             a horn this far behind and not turning is stuck. Assumed.
     `blocked_s`, `safe_s`   how long stuck until blocked (9), until safe mode (10). Assumed.
+    `corrupt_reply_ratio`   share of replies that the firmware itself damages; None: that of the
+                            bus's firmware, `corrupt_reply_ratio_of`.
     """
 
     lag_s: float = 0.02
@@ -76,6 +80,8 @@ class Physics:
     noise_deg: float = 0.1
     supply_v: float = 12.0
     supply_ohm: float = 0.05
+    supply_min_v: float = 6.0
+    supply_max_v: float = 12.6
     nominal_v: float = 12.0
     idle_ma: float = 70.0
     running_ma: float = 130.0
@@ -88,6 +94,7 @@ class Physics:
     stall_deg: float = 5.0
     blocked_s: float = 0.5
     safe_s: float = 2.0
+    corrupt_reply_ratio: float | None = None
     turnaround: Turnaround | None = None
     """None: that of the bus's firmware, `turnaround_of`."""
 
@@ -104,8 +111,15 @@ class ServoSpec:
     `droop_deg`   how far the load pulls the horn below a held position when its arm is level;
                   the pull goes with the cosine of the angle from `level_deg` and is towards
                   negative angles. 0: nothing hangs on it
+    `backlash_deg`  play between the gears and the horn, from end to end. The position sensor is
+                  taken to sit on the horn's side of it
     `eeprom`      configured values that differ from the factory's, by keyword (`{"G": -1}`)
+    `answers`     what it answers where nothing is simulated, by row name and in wire units:
+                  `{"N": "12345678", "IX": 30}`
     `baud_bps`    None: that of the bus
+
+    With a model of the 2IO family it is one RC servo of a board (`boards`); of these fields
+    `eeprom` and `answers` say nothing there.
     """
 
     servo_id: int
@@ -113,12 +127,26 @@ class ServoSpec:
     start_deg: float = 0.0
     droop_deg: float = 0.0
     level_deg: float = 0.0
+    backlash_deg: float = 0.0
     eeprom: Mapping[str, int] = field(default_factory=dict)
+    answers: Mapping[str, int | str] = field(default_factory=dict)
     baud_bps: int | None = None
 
 
 FAST_REPLY_FIRMWARE = 369
 """From here on queries are answered faster (lss_facts 4, firmware timeline)."""
+
+
+CORRUPT_REPLY_RATIO = 0.001
+"""Share of replies that a firmware up to 368 damages. Assumed; lss_facts 2.4: "occasionally"."""
+
+CORRUPT_SERIAL_RATIO = 10.0
+"""How much oftener that befalls a reply to QN, where it was "most prevalent". Assumed."""
+
+
+def corrupt_reply_ratio_of(firmware: int) -> float:
+    """Default of a firmware: a race up to 368 damages replies on a free line (lss_facts 2.4)."""
+    return 0.0 if firmware >= FAST_REPLY_FIRMWARE else CORRUPT_REPLY_RATIO
 
 
 def turnaround_of(firmware: int) -> Turnaround:

@@ -4,25 +4,35 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from lss_motion.errors import BusError
+
 if TYPE_CHECKING:
     from lss_motion.runtime.clock import Clock
     from lss_motion.sim.bus import SimBus
 
 
 class SimPort:
-    """A `SimBus` read and written at the instants of `clock`."""
+    """A `SimBus` read and written at the instants of `clock`.
+
+    Once unplugged it is lost for good, as a real one is: then `write` and `read` raise
+    `BusError`, and so does opening another before the bus is plugged in again.
+    """
 
     def __init__(self, bus: SimBus, clock: Clock) -> None:
         self.url = "sim://"
         self.bus = bus
         self._clock = clock
-        bus.advance(clock.now_ns())
+        self._opened_ns = clock.now_ns()
+        bus.advance(self._opened_ns)
+        self._outages_ns = bus.outages_ns()
+        if any(from_ns <= self._opened_ns < until_ns for from_ns, until_ns in self._outages_ns):
+            raise BusError(f"cannot open port {self.url}: it is unplugged", url=self.url)
 
     def write(self, data: bytes) -> None:
-        self.bus.write(data, self._clock.now_ns())
+        self.bus.write(data, self._plugged_ns())
 
     def read(self) -> bytes:
-        return self.bus.read(self._clock.now_ns())
+        return self.bus.read(self._plugged_ns())
 
     def fileno(self) -> int | None:
         return None
@@ -34,3 +44,10 @@ class SimPort:
         """Let the servos hear what is still on the line."""
         now_ns = self._clock.now_ns()
         self.bus.advance(now_ns + self.bus.backlog_ns(now_ns))
+
+    def _plugged_ns(self) -> int:
+        """Return the instant; raise `BusError` if the port was unplugged since it was opened."""
+        now_ns = self._clock.now_ns()
+        if any(self._opened_ns < from_ns <= now_ns for from_ns, _ in self._outages_ns):
+            raise BusError(f"lost port {self.url}: it was unplugged", url=self.url)
+        return now_ns

@@ -65,6 +65,8 @@ class Power:
         is_hot = self._temperature_c > self._physics.temperature_max_c
         if is_hot.any():
             causes += [(index, SafeCause.TEMPERATURE) for index in np.flatnonzero(is_hot).tolist()]
+        if not self._is_supplied():
+            causes += [(index, SafeCause.VOLTAGE) for index in range(len(self.motor_ma))]
         if self._is_any_stuck:
             pushed = np.flatnonzero(self.stuck_s >= self._physics.safe_s).tolist()
             causes += [(index, SafeCause.CURRENT) for index in pushed]
@@ -73,7 +75,8 @@ class Power:
     def is_steady(self) -> bool:
         """Return whether nothing here can change what a servo does while all horns rest."""
         final_c = self._final_c()
-        return not self._is_any_stuck and bool((final_c <= self._physics.temperature_max_c).all())
+        is_cool = bool((final_c <= self._physics.temperature_max_c).all())
+        return is_cool and not self._is_any_stuck
 
     def set_temperature(self, index: int, temperature_c: float) -> None:
         self._temperature_c[index] = temperature_c
@@ -88,6 +91,9 @@ class Power:
         """Return the voltage at the servos: that of the battery less what all currents cost."""
         total_ma = self._physics.idle_ma * len(self.motor_ma) + float(self.motor_ma.sum())
         return self._physics.supply_v - self._physics.supply_ohm * total_ma / 1000.0
+
+    def _is_supplied(self) -> bool:
+        return self._physics.supply_min_v <= self.supply_v() <= self._physics.supply_max_v
 
     def _top_deg_s(self) -> NDArray[np.float64]:
         ratio = self.supply_v() / self._physics.nominal_v

@@ -9,14 +9,15 @@ import signal
 import threading
 import time
 from random import Random
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 from lss_motion.errors import BusError, InputError
-from lss_motion.sim.build import bus_from_robot, servos_of
+from lss_motion.runtime.runner import set_timer_slack
+from lss_motion.sim.build import bus_from_robot
 from lss_motion.units import LINE_BITS_PER_BYTE, NS_PER_MS, NS_PER_S, line_time_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
     from types import FrameType
 
@@ -30,6 +31,10 @@ FIFO_BYTES = 256
 MOVING_POLL_NS = 20 * NS_PER_MS
 """While horns move, time is simulated at least this often, so that no reply has to wait for it."""
 
+EARLY_NS = 100_000
+"""How much before a reply is complete its port is woken. Waking and computing take 60 to 120 us
+(measured); the last of it is waited for without sleeping, so that no reply is early either."""
+
 RESTING_POLL_NS = 200 * NS_PER_MS
 """How soon `should_stop` is noticed when nothing else happens."""
 
@@ -41,36 +46,61 @@ def serve(
     seed: int,
     announce: Callable[[str], None],
     faults: Sequence[Fault] = (),
+    usb_latency_ns: int = 0,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> int | None:
     """Serve every bus of `robot` until SIGINT, SIGTERM or `should_stop()`; return the signal.
 
     `link` becomes a symbolic link to the port, `LINK.<bus>` where there are several buses; it
-    is gone when this returns. A host may close and reopen a port as often as it likes.
+    is gone when this returns. A host may close and reopen a port as often as it likes. What is
+    `announce`d says where each port is, and when one was unplugged or is back.
     """
+    buses = {
+        name: bus_from_robot(robot, name, seed=seed, faults=faults, usb_latency_ns=usb_latency_ns)
+        for name in robot.buses
+    }
+    return serve_buses(buses, link, seed=seed, announce=announce, should_stop=should_stop)
+
+
+def serve_buses(
+    buses: Mapping[str, SimBus],
+    link: Path | None,
+    *,
+    seed: int,
+    announce: Callable[[str], None],
+    should_stop: Callable[[], bool] = lambda: False,
+) -> int | None:
+    """Do as `serve` does for buses that are there already."""
     with contextlib.ExitStack() as stack:
         alarm_fd, received = stack.enter_context(_signals())
+        set_timer_slack(1)
+        stack.callback(set_timer_slack, 0)
         ports = []
-        for name, bus in robot.buses.items():
-            sim_bus = bus_from_robot(robot, name, seed=seed, faults=faults)
-            port = stack.enter_context(Port(sim_bus, seed=seed))
-            ports.append(port)
-            path = port.path
+        for name, bus in buses.items():
+            linked = None
             if link is not None:
-                linked = link if len(robot.buses) == 1 else link.with_name(f"{link.name}.{name}")
-                stack.enter_context(_linked(linked, port.path))
-                path = f"{linked} -> {port.path}"
-            servos = f"{len(servos_of(robot, name))} simulated servos"
-            announce(f"{name}: {path}, {bus.baud_bps} bps, {servos}")
+                linked = link if len(buses) == 1 else link.with_name(f"{link.name}.{name}")
+            port = Port(bus, linked, name=name, seed=seed, announce=announce)
+            stack.callback(port.close)
+            port.open()
+            ports.append(port)
         while not received and not should_stop():
             _turn(ports, alarm_fd)
     return received[0] if received else None
 
 
 class Port:
-    """One bus behind one pseudo-terminal. The host's side is `path`."""
+    """One bus behind one pseudo-terminal. The host's side is `path` while it is plugged in."""
 
-    def __init__(self, bus: SimBus, *, seed: int) -> None:
+    def __init__(
+        self,
+        bus: SimBus,
+        link: Path | None,
+        *,
+        name: str,
+        seed: int,
+        announce: Callable[[str], None],
+    ) -> None:
         try:
             import termios
             import tty
@@ -79,38 +109,69 @@ class Port:
                 "this system has no pseudo-terminals; play in process with port sim://"
             ) from error
         self._termios = termios
+        self._tty = tty
         self.bus = bus
-        self.master_fd, self._slave_fd = os.openpty()
-        self.path = os.ttyname(self._slave_fd)
+        self.master_fd = self._slave_fd = -1
+        self._link = link
+        self._name = name
+        self._announce = announce
+        self._opened = contextlib.ExitStack()
         self._noise = Random(f"{seed}/noise")
-        tty.setraw(self._slave_fd)
         self._rates_bps = {
             getattr(termios, name): int(name[1:])
             for name in dir(termios)
             if name[:1] == "B" and name[1:].isdigit()
         }
+        bus.advance(time.monotonic_ns())
+        self._outages_ns = bus.outages_ns()
+
+    def open(self) -> None:
+        """Plug it in: make the pseudo-terminal and the link to it, and say where."""
+        self.master_fd, self._slave_fd = os.openpty()
+        self._opened.callback(os.close, self.master_fd)
+        self._opened.callback(os.close, self._slave_fd)
+        path = shown = os.ttyname(self._slave_fd)
+        self._tty.setraw(self._slave_fd)
         self._set_rate()
         os.set_blocking(self.master_fd, False)
+        if self._link is not None:
+            self._opened.enter_context(_linked(self._link, path))
+            shown = f"{self._link} -> {path}"
+        count = self.bus.servo_count
+        servos = f"{count} simulated servo{'' if count == 1 else 's'}"
+        self._announce(f"{self._name}: {shown}, {self.bus.baud_bps} bps, {servos}")
 
-    def __enter__(self) -> Self:
-        return self
+    def close(self) -> None:
+        """Unplug it: the host finds its port gone."""
+        self._opened.close()
+        self.master_fd = self._slave_fd = -1
 
-    def __exit__(self, *_: object) -> None:
-        os.close(self.master_fd)
-        os.close(self._slave_fd)
+    @property
+    def is_plugged(self) -> bool:
+        return self.master_fd >= 0
+
+    def plug(self, now_ns: int) -> None:
+        """Go and come back as the faults of the bus say."""
+        is_out = any(from_ns <= now_ns < until_ns for from_ns, until_ns in self._outages_ns)
+        if is_out and self.is_plugged:
+            self.close()
+            self._announce(f"{self._name}: unplugged")
+        elif not is_out and not self.is_plugged:
+            self.open()
 
     def is_open_to_host(self, now_ns: int) -> bool:
         """Return whether the adapter has room; if not, the host's bytes wait in the system."""
-        return self.bus.backlog_ns(now_ns) < self._fifo_ns()
+        return self.is_plugged and self.bus.backlog_ns(now_ns) < self._fifo_ns()
 
     def wakeup_ns(self, now_ns: int) -> int:
         """Return when there is something to do, if the host says nothing."""
         poll_ns = RESTING_POLL_NS if self.bus.is_resting else MOVING_POLL_NS
-        wakeup_ns = now_ns + poll_ns
+        turns_ns = [turn_ns for span_ns in self._outages_ns for turn_ns in span_ns]
+        wakeup_ns = min([now_ns + poll_ns, *(turn for turn in turns_ns if turn > now_ns)])
         arrival_ns = self.bus.next_arrival_ns()
         if arrival_ns is not None:
-            wakeup_ns = min(wakeup_ns, arrival_ns)
-        if not self.is_open_to_host(now_ns):
+            wakeup_ns = min(wakeup_ns, arrival_ns - EARLY_NS)
+        if self.is_plugged and not self.is_open_to_host(now_ns):
             room_ns = now_ns + self.bus.backlog_ns(now_ns) - self._fifo_ns() + 1
             wakeup_ns = min(wakeup_ns, room_ns)
         return wakeup_ns
@@ -126,9 +187,17 @@ class Port:
             self.bus.write(data, now_ns)
 
     def give(self, now_ns: int) -> None:
-        """Give the host what has arrived; bytes for which nobody has room are lost."""
-        data = self.bus.read(now_ns)
-        if data and not self._is_other_rate():
+        """Give the host what has arrived, also what is about to; bytes without room are lost."""
+        self._deliver(self.bus.read(now_ns))
+        arrival_ns = self.bus.next_arrival_ns()
+        if arrival_ns is not None and arrival_ns <= now_ns + EARLY_NS:
+            data = self.bus.read(arrival_ns)
+            while time.monotonic_ns() < arrival_ns:
+                pass
+            self._deliver(data)
+
+    def _deliver(self, data: bytes) -> None:
+        if data and self.is_plugged and not self._is_other_rate():
             with contextlib.suppress(BlockingIOError):
                 os.write(self.master_fd, data)
 
@@ -161,6 +230,7 @@ def _turn(ports: list[Port], alarm_fd: int) -> None:
         if port.master_fd in readable:
             port.take(now_ns)
         port.give(now_ns)
+        port.plug(now_ns)
 
 
 @contextlib.contextmanager

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from random import Random
 
     from lss_motion.protocol.table import FamilyTable, Row
-    from lss_motion.robot.model import ServoModel
     from lss_motion.sim.motors import Motors
+    from lss_motion.sim.physics import ServoSpec
     from lss_motion.sim.settings import Settings
 
 PULSE_MID_US = 1500
@@ -29,10 +29,12 @@ PULSE_HALF_US = 1000
 
 STATUS_OF = {
     Motion.LIMP: Status.LIMP,
+    Motion.FREE_MOVING: Status.FREE_MOVING,
     Motion.ACCELERATING: Status.ACCELERATING,
     Motion.TRAVELING: Status.TRAVELING,
     Motion.DECELERATING: Status.DECELERATING,
     Motion.HOLDING: Status.HOLDING,
+    Motion.OUTSIDE_LIMITS: Status.OUTSIDE_LIMITS,
     Motion.STUCK: Status.STUCK,
     Motion.BLOCKED: Status.BLOCKED,
     Motion.SAFE_MODE: Status.SAFE_MODE,
@@ -48,7 +50,7 @@ class Readings:
         motors: Motors,
         settings: Settings,
         *,
-        model: ServoModel,
+        spec: ServoSpec,
         firmware: int,
         random: Random,
     ) -> None:
@@ -56,7 +58,7 @@ class Readings:
         self._motors = motors
         self._settings = settings
         self._table: FamilyTable = settings.table
-        self._model = model
+        self._answers = spec.answers
         self._firmware = firmware
         self._random = random
         self._serial_number = f"{random.randrange(10**7, 10**8)}"
@@ -75,7 +77,7 @@ class Readings:
             "TP": lambda now_ns: self._wire("TP", motors.temperature_c(index, now_ns)),
             "TM": lambda now_ns: self._wire("TM", motors.temperature_c(index, now_ns)),
             "C": lambda _: self._wire("C", motors.current_ma(index) / 1000.0),
-            "MS": lambda _: self._model.name,
+            "MS": lambda _: spec.model.name,
             "N": lambda _: self._serial_number,
             "F": lambda _: self._firmware,
             "FR": lambda _: self._firmware,
@@ -94,6 +96,8 @@ class Readings:
                 return _speed_in(row, self._motors.travel_deg_s(self._index))
             case Suffix.CONFIGURED:
                 return self._settings.read(row, is_configured=True)
+            case _ if row.name in self._answers:
+                return self._answers[row.name]
             case _:
                 measure = self._measured.get(row.name)
                 if measure is not None:
@@ -128,9 +132,23 @@ class Readings:
         return self._last_target
 
     def _status(self, now_ns: int) -> int:
-        status = STATUS_OF[self._motors.motion(self._index, now_ns)]
+        motion = self._motors.motion(self._index, now_ns)
+        if motion in {Motion.LIMP, Motion.HOLDING} and self._is_outside(now_ns):
+            motion = Motion.OUTSIDE_LIMITS
+        status = STATUS_OF[motion]
         codes = status_codes(self._table.family, self._firmware)
         return codes.index(status if status in codes else Status.ERROR)
+
+    def _is_outside(self, now_ns: int) -> bool:
+        """Return whether the horn rests outside its software limits.
+
+        That status 7 ("outside limits": seed 000 says no more) means these is assumed.
+        """
+        settings = self._settings
+        if not settings.number("LE"):
+            return False
+        seen_deg = self._motors.seen_deg(self._index, self._motors.horn_deg(self._index, now_ns))
+        return not settings.physical("LN") <= seen_deg <= settings.physical("LP")
 
     def _speed_deg_s(self, now_ns: int) -> float:
         gyre = float(self._motors.gyre[self._index])

@@ -56,7 +56,7 @@ class Servo:
         self._firmware = firmware
         self._motors = motors
         self._readings = Readings(
-            index, motors, self.settings, model=spec.model, firmware=firmware, random=random
+            index, motors, self.settings, spec=spec, firmware=firmware, random=random
         )
         self._moves = Moves(
             index, motors, self.settings, self._readings, model=spec.model, firmware=firmware

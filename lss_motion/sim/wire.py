@@ -9,10 +9,16 @@ from typing import TYPE_CHECKING
 from lss_motion.units import line_time_ns
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from random import Random
+
+    from lss_motion.sim.adapter import Adapter
 
 LINE_KEPT_BYTES = 4096
 """A line without CR is cut after this many bytes; forty servos in one group need under 1000."""
+
+Spans = list[tuple[int, int]]
+"""Stretches of time in which something does not work: from, until."""
 
 
 class HostLine:
@@ -24,8 +30,15 @@ class HostLine:
         self._burst_bytes = 0
         self._free_ns = 0
         self._partial = bytearray()
+        self._clogs_ns: Sequence[tuple[int, int]] = ()
+        self._outages_ns: Sequence[tuple[int, int]] = ()
         self.lines: deque[tuple[int, bytes]] = deque()
         """Whole lines (CR included) and the instants at which their CR has arrived."""
+
+    def start(self, clogs_ns: Spans, outages_ns: Spans) -> None:
+        """In a clog no byte leaves the adapter; in an outage what was not heard yet is lost."""
+        self._clogs_ns = clogs_ns
+        self._outages_ns = outages_ns
 
     def write(self, data: bytes, now_ns: int) -> None:
         """Take the host's bytes; the first leaves as soon as the line is free."""
@@ -35,7 +48,9 @@ class HostLine:
         *lines, rest = data.split(b"\r")
         for line in lines:
             self._burst_bytes += len(line) + 1
-            self.lines.append((self._arrival_ns(), bytes(self._partial) + line + b"\r"))
+            arrival_ns = self._arrival_ns()
+            if not self._is_lost(now_ns, arrival_ns):
+                self.lines.append((arrival_ns, bytes(self._partial) + line + b"\r"))
             self._partial.clear()
         self._burst_bytes += len(rest)
         self._partial = (self._partial + rest)[-LINE_KEPT_BYTES:]
@@ -46,7 +61,18 @@ class HostLine:
         return max(self._free_ns - now_ns, 0)
 
     def _arrival_ns(self) -> int:
-        return self._burst_ns + line_time_ns(self._burst_bytes, self._baud_bps)
+        left_ns = line_time_ns(self._burst_bytes, self._baud_bps)
+        at_ns = self._burst_ns
+        for from_ns, until_ns in self._clogs_ns:
+            if until_ns > at_ns and from_ns < at_ns + left_ns:
+                left_ns -= max(from_ns - at_ns, 0)
+                at_ns = until_ns
+        return at_ns + left_ns
+
+    def _is_lost(self, now_ns: int, arrival_ns: int) -> bool:
+        return any(
+            from_ns < arrival_ns and now_ns < until_ns for from_ns, until_ns in self._outages_ns
+        )
 
 
 class ServoLine:
@@ -56,15 +82,15 @@ class ServoLine:
     lost, and damages that one.
     """
 
-    def __init__(self, baud_bps: int, random: Random) -> None:
+    def __init__(self, baud_bps: int, random: Random, adapter: Adapter) -> None:
         self._baud_bps = baud_bps
         self._edges_ns: list[int] = []
         self._random = random
+        self._adapter = adapter
         self._coming: list[tuple[int, int, int, int]] = []
         self._ends_ns: list[int] = []
         self._count = 0
         self._current: tuple[int, int] | None = None
-        self._arrived: deque[tuple[int, int]] = deque()
 
     def send(self, data: bytes, start_ns: int) -> int:
         """Let a servo send `data` from `start_ns` on; return when its last byte has arrived."""
@@ -89,18 +115,28 @@ class ServoLine:
             self._current = (end_ns, value)
         if self._current is not None and self._current[0] <= now_ns:
             self._finish()
-        while self._ends_ns and self._ends_ns[0] <= now_ns:
+        while self._ends_ns and self._adapter.due_ns(self._ends_ns[0]) <= now_ns:
             heapq.heappop(self._ends_ns)
-        data = bytearray()
-        while self._arrived and self._arrived[0][0] <= now_ns:
-            data.append(self._arrived.popleft()[1])
-        return bytes(data)
+        return self._adapter.read(now_ns)
 
     def next_end_ns(self) -> int | None:
-        """Return when the earliest reply that was not read to its end is complete."""
-        return self._ends_ns[0] if self._ends_ns else None
+        """Return when the earliest reply that was not read to its end is complete.
+
+        Behind an adapter with packets: when the host gets it, or a full packet before it.
+        """
+        if not self._ends_ns:
+            return None
+        due_ns = self._adapter.due_ns(self._ends_ns[0])
+        room_bytes = self._adapter.room_bytes()
+        is_under_way = self._current is not None
+        if room_bytes is None or len(self._coming) + is_under_way < room_bytes:
+            return due_ns
+        ends_ns = [end_ns for _, _, end_ns, _ in heapq.nsmallest(room_bytes, self._coming)]
+        if self._current is not None:
+            ends_ns = [self._current[0], *ends_ns]
+        return min(due_ns, ends_ns[room_bytes - 1])
 
     def _finish(self) -> None:
         if self._current is not None:
-            self._arrived.append(self._current)
+            self._adapter.take(*self._current)
             self._current = None

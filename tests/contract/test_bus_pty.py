@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import statistics
 import subprocess
 import sys
 import threading
@@ -15,7 +16,9 @@ import serial
 
 from lss_motion.errors import InputError
 from lss_motion.protocol.family import Family
+from lss_motion.protocol.lss import LSS_TABLE
 from lss_motion.robot.model import Bus, Joint, Robot, ServoModel
+from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.pty import serve
 
 pytestmark = pytest.mark.realtime
@@ -45,7 +48,7 @@ def make_robot(servo_ids=(5,), bus_names=("main",), baud_bps=115200) -> Robot:
 
 
 @contextmanager
-def served(robot, link):
+def served(robot, link, **options):
     stop, ready = threading.Event(), threading.Event()
     said = []
 
@@ -57,7 +60,7 @@ def served(robot, link):
     thread = threading.Thread(
         target=serve,
         args=(robot, link),
-        kwargs={"seed": 1, "announce": announce, "should_stop": stop.is_set},
+        kwargs={"seed": 1, "announce": announce, "should_stop": stop.is_set, **options},
     )
     thread.start()
     try:
@@ -138,20 +141,124 @@ def test_a_file_in_the_place_of_the_link_is_kept(tmp_path):
     assert link.read_text() == "mine"
 
 
-def test_no_client_is_served_faster_than_the_line(tmp_path):
-    """18 servos, 20 rounds of QD, each asked when the last has answered."""
+def test_no_client_is_served_faster_than_the_line_or_much_slower(tmp_path):
+    """18 servos, 100 rounds of QD, each asked when the last has answered.
+
+    From above the best tenth of the rounds is judged, because a test machine is busy with the
+    other tests; `tools/bench.py loop` judges the whole.
+    """
     link = tmp_path / "lss"
     servo_ids = tuple(range(1, 19))
+    rounds_s, line_s = [], 0.0
     with served(make_robot(servo_ids), link), opened(link) as port:
-        bytes_both_ways, started_s = 0, time.monotonic()
-        for _ in range(20):
+        for _ in range(100):
+            bytes_both_ways, started_s = 0, time.monotonic()
             for servo_id in servo_ids:
                 query = f"#{servo_id}QD"
                 bytes_both_ways += len(query) + 1 + len(ask(port, query))
-        took_s = time.monotonic() - started_s
-    line_s = bytes_both_ways * 10 / 115200
-    assert took_s >= line_s + 360 * 0.2e-3
-    assert took_s <= 3.0 * (line_s + 360 * 0.6e-3)  # only gross lateness: machines are shared
+            rounds_s.append(time.monotonic() - started_s)
+            line_s += bytes_both_ways * 10 / 115200
+    turnaround_s = 18 * 0.6e-3
+    assert sum(rounds_s) >= line_s + 1800 * 0.2e-3
+    undisturbed_s = statistics.quantiles(rounds_s, n=10)[0]
+    assert undisturbed_s <= 1.3 * (line_s / 100 + turnaround_s)
+
+
+def test_the_speed_of_a_wheel_is_reached_within_half_a_second(tmp_path):
+    link = tmp_path / "lss"
+    with served(make_robot(), link), opened(link) as port:
+        for command, question, speed in (("WD900", "QWD", 900), ("WR40", "QWR", 40)):
+            port.write(f"#5{command}\r".encode())
+            time.sleep(0.5)
+            assert int(ask(port, f"#5{question}")[5:]) == pytest.approx(speed, abs=speed // 50)
+        port.write(b"#5H\r")
+
+
+def test_a_relative_move_starts_where_the_horn_is(tmp_path):
+    link = tmp_path / "lss"
+    with served(make_robot(), link), opened(link) as port:
+        port.write(b"#5D-200\r")
+        time.sleep(0.6)
+        port.write(b"#5MD300\r")
+        time.sleep(0.8)
+        assert int(ask(port, "#5QD")[4:]) == pytest.approx(100, abs=5)
+
+
+def test_two_commands_in_one_line_without_a_return_between_them(tmp_path):
+    link = tmp_path / "lss"
+    with served(make_robot((5, 6)), link), opened(link) as port:
+        port.write(b"#254FPC7#254CAS-6\r")
+        for servo_id in (5, 6):
+            assert ask(port, f"#{servo_id}QFPC") == f"*{servo_id}QFPC7\r"
+            assert ask(port, f"#{servo_id}QAS1") == f"*{servo_id}QAS-6\r"
+
+
+KEPT = {
+    "O": (-24, 100), "AR": (1200, 3600), "SD": (900, 1800), "SR": (12, 30), "LED": (3, 5),
+    "G": (-1, 1), "AS": (-4, 2), "AH": (3, -2), "AA": (30, 60), "AD": (40, 70), "EM": (0, 1),
+    "FPC": (3, 10), "HD": (20, 40), "ABR": (1, 0),
+}  # fmt: skip
+"""Settings with a session and a configured value: two values of each."""
+
+ONLY_KEPT = {"CFD": 300, "CFP": 1600, "CLB": 12, "CLE": 1, "CLP": 900, "CLN": -900, "CB": 57600}
+"""Settings that are configured only, and what they are set to."""
+
+ONLY_SESSION = {"MMD": 600, "IPE": 0, "SCSL": 300, "SLOTCOUNT": 4, "SLOT": 2, "PROTOCOL": 1}
+"""Settings that a session forgets."""
+
+
+def test_every_setting_of_the_session_and_of_the_memory_is_read_back(tmp_path):
+    told = {"CLB": "QLB", "SCSL": "QCSL"}
+    table = LSS_TABLE.rows
+    settings = {row.name for row in table if (row.actions or row.configs) and row.queries}
+    tried = {*KEPT, *(key[1:] for key in ONLY_KEPT), *ONLY_SESSION} | {"CSL", "ID"}
+    moving = {"P", "D", "WD", "WR", "MD_RAW"}
+    assert settings - moving == tried - {"SCSL"}
+    link = tmp_path / "lss"
+    with served(make_robot(), link), opened(link) as port:
+        for name, (configured, session) in KEPT.items():
+            port.write(f"#5C{name}{configured}\r".encode())
+            assert ask(port, f"#5Q{name}") == f"*5Q{name}{configured}\r"
+            port.write(f"#5{name}{session}\r".encode())
+            assert ask(port, f"#5Q{name}") == f"*5Q{name}{session}\r"
+            assert ask(port, f"#5Q{name}1") == f"*5Q{name}{configured}\r"
+        for keyword, value in {**ONLY_KEPT, **ONLY_SESSION}.items():
+            is_config = keyword in ONLY_KEPT
+            query = told.get(keyword, "Q" + (keyword[1:] if is_config else keyword))
+            port.write(f"#5{keyword}{value}\r".encode())
+            assert ask(port, f"#5{query}") == f"*5{query}{value}\r"
+        port.write(b"#5CB115200\r#5CID7\r#5RESET\r")
+        time.sleep(1.35)
+        assert ask(port, "#7QID") == "*7QID7\r"
+        for name, (configured, _) in KEPT.items():
+            wanted = KEPT["SR"][0] * 60 if name == "SD" else configured
+            assert ask(port, f"#7Q{name}") == f"*7Q{name}{wanted}\r"
+        assert ask(port, "#7QPROTOCOL") == "*7QPROTOCOL0\r"
+
+
+def test_a_slow_adapter_delivers_in_batches(tmp_path):
+    link = tmp_path / "lss"
+    with served(make_robot(), link, usb_latency_ns=16_000_000), opened(link) as port:
+        started_s = time.monotonic()
+        for _ in range(30):
+            assert ask(port, "#5QG") == "*5QG1\r"
+        assert time.monotonic() - started_s >= 29 * 0.016
+
+
+def test_an_unplugged_port_is_gone_and_comes_back_behind_the_same_link(tmp_path):
+    link = tmp_path / "lss"
+    fault = Fault(kind=FaultKind.UNPLUGGED, at_s=0.6, until_s=1.2)
+    with served(make_robot(), link, faults=[fault]) as said:
+        with opened(link) as port:
+            assert ask(port, "#5QG") == "*5QG1\r"
+            time.sleep(0.8)
+            assert not link.exists()
+            with pytest.raises(serial.SerialException):
+                ask(port, "#5QG")
+        time.sleep(0.7)
+        with opened(link) as port:
+            assert ask(port, "#5QG") == "*5QG1\r"
+        assert [text.split(":")[1][:10] for text in said[1:]] == [" unplugged", f" {link}"[:10]]
 
 
 def test_a_client_that_floods_the_port_is_slowed(tmp_path):

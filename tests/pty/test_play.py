@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
 import threading
 from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.build import bus_from_robot
-from lss_motion.sim.pty import Port, _turn
+from lss_motion.sim.pty import serve_buses
+
+if TYPE_CHECKING:
+    from lss_motion.sim.bus import SimBus
 
 pytestmark = pytest.mark.realtime
 
@@ -45,26 +49,39 @@ def folder(tmp_path):
     return tmp_path
 
 
+@dataclass
+class Served:
+    """A simulated bus behind a pseudo-terminal, until it is unplugged."""
+
+    bus: SimBus
+    path: str
+    stop: threading.Event
+    thread: threading.Thread
+
+    def unplug(self):
+        self.stop.set()
+        self.thread.join(5.0)
+        assert not self.thread.is_alive()
+
+
 @contextmanager
 def simulated(folder):
-    """Serve the robot behind a pseudo-terminal from a thread; yields the port."""
+    """Serve the robot behind a pseudo-terminal from a thread."""
     bus = bus_from_robot(load_robot(folder / "robot.yaml"), "main", seed=1)
     bus.record()
-    stop = threading.Event()
-    alarm_fd, ring_fd = os.pipe()
-    with Port(bus, seed=1) as port:
-        thread = threading.Thread(target=lambda: [_turn([port], alarm_fd) for _ in iter(
-            stop.is_set, True)])  # fmt: skip
-        thread.start()
-        try:
-            yield port
-        finally:
-            stop.set()
-            os.write(ring_fd, b"!")
-            thread.join(5.0)
-            os.close(alarm_fd)
-            os.close(ring_fd)
-            assert not thread.is_alive()
+    stop, ready = threading.Event(), threading.Event()
+    thread = threading.Thread(
+        target=serve_buses,
+        args=({"main": bus}, folder / "port"),
+        kwargs={"seed": 1, "announce": lambda _: ready.set(), "should_stop": stop.is_set},
+    )
+    thread.start()
+    served = Served(bus, str(folder / "port"), stop, thread)
+    try:
+        assert ready.wait(5.0)
+        yield served
+    finally:
+        served.unplug()
 
 
 @contextmanager
@@ -158,9 +175,7 @@ def test_a_port_that_vanishes_is_an_error_and_no_traceback(folder):
         with playing(folder, port, loop="forever") as process:
             wait_for(process, "playing")
             wait_for_moves(port, 6)
-            os.close(port._slave_fd)
-            os.close(port.master_fd)
-            port.master_fd, port._slave_fd = os.openpty()
+            port.unplug()
             _, errors = process.communicate(timeout=20)
         assert process.returncode == 4
         assert "lost port" in errors

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from benches.table import Row, interleaved
-
 from lss_motion.protocol.line import (
     Command,
     CommandParser,

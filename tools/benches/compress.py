@@ -7,13 +7,14 @@ A servo's ramps round the corners, so that ours can even need fewer.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
+
 from benches.shows import lively_show, robot_of
 from benches.table import Row
 from lss_motion import api
 from lss_motion.program.compile import servo_limits
 from lss_motion.program.cone import GRID_S, Course
 from lss_motion.program.fit import Fitter
-from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 

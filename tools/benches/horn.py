@@ -11,9 +11,9 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+
 from benches.shows import lively_show, robot_of
 from benches.table import Row
-
 from lss_motion import api
 from lss_motion.protocol.line import encode_move
 from lss_motion.sim.build import bus_from_robot

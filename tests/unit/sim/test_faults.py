@@ -1,8 +1,35 @@
+from dataclasses import replace
+
 import pytest
 
 from lss_motion.errors import InputError
+from lss_motion.protocol.family import Family
+from lss_motion.robot.model import Bus, Joint, Robot, ServoModel
+from lss_motion.sim.build import bus_from_robot
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.faults_file import load_faults
+from lss_motion.sim.physics import Physics
+from lss_motion.sim.random_faults import random_faults
+
+
+@pytest.fixture
+def two_buses():
+    model = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10)
+    joints = {
+        bus: Joint(
+            name=bus,
+            servo_id=servo_id,
+            bus=bus,
+            model=model,
+            position_min_deg=-90.0,
+            position_max_deg=90.0,
+            speed_max_deg_s=180.0,
+            accel_max_deg_s2=600.0,
+        )
+        for servo_id, bus in ((1, "left"), (2, "right"))
+    }
+    buses = {name: Bus(name=name, port="sim://", baud_bps=115200, firmware=370) for name in joints}
+    return Robot(name="two", path=None, buses=buses, joints=joints)
 
 
 def test_a_lost_command_is_heard_by_nobody(make_host):
@@ -155,3 +182,176 @@ def test_a_wrong_row_is_named_with_its_line(tmp_path, row, words):
         load_faults(path)
     assert f"{path}:3:" in str(caught.value)
     assert words in str(caught.value)
+
+
+def test_a_short_command_lacks_one_byte(make_host):
+    host = make_host(faults=[Fault(kind=FaultKind.SHORT_COMMAND)])
+    host.say("#5D1234T500")
+    assert len(host.bus.heard[0][1]) == 11
+
+
+def test_a_double_command_is_heard_twice(make_host):
+    host = make_host(faults=[Fault(kind=FaultKind.DOUBLE_COMMAND)])
+    assert host.ask("#5QG") == "*5QG1|*5QG1|"
+    assert [line for _, line in host.bus.heard] == [b"#5QG\r"] * 2
+
+
+@pytest.mark.parametrize(("firmware", "led"), [(370, 2), (368, 7)])
+def test_a_merged_command_runs_into_the_next_one(make_host, firmware, led):
+    host = make_host(firmware=firmware, faults=[Fault(kind=FaultKind.MERGED_COMMAND, until_s=0.01)])
+    host.bus.write(b"#5LED2\r", 0)
+    host.wait_s(0.05)
+    host.say("#5G-1")
+    assert host.bus.heard[0][1] == b"#5LED2#5G-1\r"
+    assert [host.ask("#5QLED"), host.ask("#5QG")] == [f"*5QLED{led}|", "*5QG-1|"]
+    assert [line for _, line in host.bus.heard[1:]] == [b"#5QLED\r", b"#5QG\r"]
+
+
+def test_a_short_reply_lacks_one_byte(make_host):
+    host = make_host(faults=[Fault(kind=FaultKind.SHORT_REPLY)])
+    assert len(host.ask("#5QSD")) == len("*5QSD3600|") - 1
+
+
+def test_a_merged_reply_runs_into_the_next_one(make_host):
+    host = make_host(faults=[Fault(kind=FaultKind.MERGED_REPLY, until_s=0.05)])
+    first = host.ask("#5QG")
+    host.wait_s(0.1)
+    assert first + host.ask("#5QLED") == "*5QG1*5QLED7|"
+
+
+def test_a_split_reply_comes_in_two_pieces(make_host):
+    host = make_host(faults=[Fault(kind=FaultKind.SPLIT_REPLY, late_s=0.03)])
+    host.bus.write(b"#5QSD\r", 0)
+    host.wait_s(0.02)
+    assert host.bus.read(host.now_ns) == b"*5QSD"
+    host.wait_s(0.03)
+    assert host.bus.read(host.now_ns) == b"3600\r"
+
+
+def test_a_clogged_line_holds_bytes_back_and_then_lets_them_go(make_host):
+    host = make_host(faults=[Fault(kind=FaultKind.CLOGGED, at_s=0.5, until_s=1.5)])
+    host.wait_s(0.6)
+    host.bus.write(b"#5LED1\r#5LED2\r", host.now_ns)
+    assert host.bus.backlog_ns(host.now_ns) == pytest.approx(0.9e9 + 14 * 86_806, abs=1e4)
+    host.wait_s(0.9)
+    assert host.bus.heard == []
+    host.wait_s(0.1)
+    assert [line for _, line in host.bus.heard] == [b"#5LED1\r", b"#5LED2\r"]
+    assert host.bus.heard[0][0] == pytest.approx(1.5e9 + 7 * 86_806, abs=1e4)
+
+
+def test_a_clog_in_the_middle_of_a_line_delays_its_end_only(make_host):
+    host = make_host(faults=[Fault(kind=FaultKind.CLOGGED, at_s=0.001, until_s=0.101)])
+    host.bus.write(b"#5LED1\r" * 3, 0)
+    host.wait_s(0.2)
+    arrivals_ms = [round(heard_ns / 1e6, 2) for heard_ns, _ in host.bus.heard]
+    assert arrivals_ms == [0.61, 101.22, 101.82]
+
+
+def test_a_clog_needs_an_end():
+    with pytest.raises(ValueError, match="until_s"):
+        Fault(kind=FaultKind.CLOGGED)
+
+
+def test_old_firmware_damages_replies_now_and_then_and_serial_numbers_oftener(make_host):
+    physics = Physics(noise_deg=0.0)
+
+    def damaged(firmware, question, count):
+        host = make_host(firmware=firmware, physics=physics)
+        good = host.ask(question)
+        return sum(host.ask(question) != good for _ in range(count))
+
+    assert damaged(369, "#5QG", 3000) == 0
+    assert 1 <= damaged(368, "#5QG", 3000) <= 9
+    assert 15 <= damaged(368, "#5QN", 3000) <= 50
+
+
+def test_random_faults_are_the_same_for_a_seed_and_cover_every_kind():
+    rows = [random_faults(seed, servo_ids=(3, 5), duration_s=10.0) for seed in range(300)]
+    assert rows == [random_faults(seed, servo_ids=(3, 5), duration_s=10.0) for seed in range(300)]
+    assert {fault.kind for some in rows for fault in some} == set(FaultKind)
+    assert {fault.servo_id for some in rows for fault in some} == {None, 3, 5}
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_a_bus_survives_random_faults_and_answers_when_they_are_over(make_host, make_servo, seed):
+    faults = [
+        replace(fault, until_s=min(fault.until_s, 2.0), at_s=min(fault.at_s, 1.9))
+        for fault in random_faults(seed, servo_ids=(5, 6), duration_s=2.0)
+    ]
+    host = make_host(make_servo(5), make_servo(6), faults=faults, seed=seed)
+    for turn in range(40):
+        host.bus.write(b"#5D%dT100\r#6D%dT100\r" % (turn * 20, -turn * 20), host.now_ns)
+        host.ask("#5QD")
+    host.wait_s(4.0)
+    host.bus.read(host.now_ns)
+    host.say("")  # ends a command that was merged
+    host.say("#254RESET")
+    host.wait_s(1.5)
+    assert [host.ask("#5QG"), host.ask("#6QG")] == ["*5QG1|", "*6QG1|"]
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        ("{kind: clogged, at_s: 1}", "clogged needs 'until_s'"),
+        ("{kind: oversleep}", "oversleep needs 'late_s'"),
+        (
+            "{kind: clock_drift, drift_ppm: 10, ratio: 0.5}",
+            "'ratio' says nothing about clock_drift",
+        ),
+        ("{kind: unplugged, servo: 5}", "befalls the line"),
+        ("{kind: input, servo: 203}", "input needs 'raw', or 'distance_mm' with 'sensor'"),
+        ("{kind: input, servo: 203, raw: 1, distance_mm: 5}", "input needs 'raw', or"),
+        ("{kind: input, servo: 203, distance_mm: 5}", "'distance_mm' and 'sensor' together"),
+        (
+            "{kind: input, servo: 203, distance_mm: 5, sensor: GP2Y0A41SK}",
+            "did you mean 'GP2Y0A41SK0F'",
+        ),
+        ("{kind: input, servo: 203, raw: 1024}", "must be 1023 or less"),
+    ],
+)
+def test_a_wrong_row_of_the_line_the_host_or_an_input_is_named_too(tmp_path, row, words):
+    path = tmp_path / "faults.yaml"
+    path.write_text(f"faults:\n  - {{kind: deaf}}\n  - {row}\n")
+    with pytest.raises(InputError) as caught:
+        load_faults(path)
+    assert f"{path}:3:" in str(caught.value)
+    assert words in str(caught.value)
+
+
+def test_a_distance_before_a_sensor_is_its_raw_value(tmp_path):
+    path = tmp_path / "faults.yaml"
+    path.write_text(
+        "faults: [{kind: input, servo: 203, distance_mm: 50, sensor: GP2Y0A41SK0F, at_s: 2}]\n"
+    )
+    assert load_faults(path) == (Fault(kind=FaultKind.INPUT, servo_id=203, at_s=2.0, raw=426),)
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        ("{kind: deaf, servo: 99}", "robot 'two' has no servo 99 there; known ids are 1, 2"),
+        ("{kind: deaf, bus: lft}", "robot 'two' has no bus 'lft'; did you mean 'left'"),
+        ("{kind: deaf, bus: left, servo: 2}", "no servo 2 there; known ids are 1"),
+        ("{kind: input, servo: 203, raw: 5}", "has no LSS-2IO there"),
+    ],
+)
+def test_a_row_about_what_the_robot_has_not_got_is_a_mistake(tmp_path, two_buses, row, words):
+    path = tmp_path / "faults.yaml"
+    path.write_text(f"faults:\n  - {row}\n")
+    with pytest.raises(InputError) as caught:
+        load_faults(path, two_buses)
+    assert words in str(caught.value)
+
+
+def test_a_row_may_be_about_one_bus(two_buses):
+    fault = Fault(kind=FaultKind.LOST_COMMAND, bus="left")
+    heard = {}
+    for name in two_buses.buses:
+        bus = bus_from_robot(two_buses, name, faults=[fault])
+        bus.record()
+        bus.write(b"#254LED1\r", 0)
+        bus.advance(10**9)
+        heard[name] = [line for _, line in bus.heard]
+    assert heard == {"left": [], "right": [b"#254LED1\r"]}

@@ -319,3 +319,75 @@ def test_what_happens_does_not_depend_on_how_often_time_is_told(
     lonely = play([])
     watched = play([pause_ms * 1_000_003 for pause_ms in pauses_ms])
     assert watched == lonely
+
+
+def test_backlash_is_lost_motion_where_the_direction_turns(make_host, make_servo):
+    host = make_host(make_servo(backlash_deg=1.0))
+    host.say("#5D300")
+    host.wait_s(2.0)
+    assert host.horn_deg() == pytest.approx(29.5, abs=0.01)
+    host.say("#5D295")
+    host.wait_s(1.0)
+    assert host.horn_deg() == pytest.approx(29.5, abs=0.01)
+    host.say("#5D280")
+    host.wait_s(1.0)
+    assert host.horn_deg() == pytest.approx(28.5, abs=0.01)
+    assert host.bus.horn_deg([host.now_ns])[0, 0] == pytest.approx(28.5, abs=0.01)
+
+
+def test_a_load_keeps_the_horn_at_its_end_of_the_backlash(make_host, make_servo):
+    host = make_host(make_servo(backlash_deg=1.0, droop_deg=1.0, level_deg=30.0))
+    for target in ("#5D400", "#5D300"):
+        host.say(target)
+        host.wait_s(2.0)
+    assert host.horn_deg() == pytest.approx(30.0 - 1.0 - 0.5, abs=0.01)
+
+
+def test_asking_changes_nothing_of_where_backlash_leaves_the_horn(make_host, make_servo):
+    def angles(ask_s):
+        host = make_host(make_servo(backlash_deg=0.6))
+        host.say("#5D200T300")
+        host.wait_s(0.25)
+        host.bus.write(b"#5D0T300\r", host.now_ns)
+        for _ in range(round(0.3 / ask_s)):
+            host.wait_s(ask_s)
+            host.horn_deg()
+        host.wait_s(1.0)
+        return host.bus.horn_deg(range(0, 1_500_000_000, 5_000_000))
+
+    assert np.abs(angles(0.1) - angles(0.0007)).max() < 1e-6
+
+
+def test_raw_duty_is_free_moving(host):
+    host.say("#5RDM500")
+    assert host.ask("#5Q") == "*5Q2|"
+    host.say("#5H")
+    host.wait_s(0.5)
+    assert host.ask("#5Q") == "*5Q6|"
+
+
+@pytest.mark.parametrize("supply_v", [5.5, 13.5])
+def test_a_voltage_outside_the_range_is_safe_mode_with_its_cause(make_host, supply_v):
+    host = make_host(physics=Physics(noise_deg=0.0, supply_v=supply_v))
+    host.say("#5D900")
+    host.wait_s(1.0)
+    assert abs(host.horn_deg()) < 5.0
+    assert [host.ask("#5Q"), host.ask("#5Q1")] == ["*5Q10|", "*5Q2|"]
+
+
+def test_a_horn_that_rests_outside_its_software_limits_says_so(host):
+    host.say("#5D300")
+    host.wait_s(1.0)
+    host.say("#5CLP200")
+    assert host.ask("#5Q") == "*5Q6|"
+    host.say("#5CLE1")
+    assert host.ask("#5Q") == "*5Q7|"
+
+
+def test_a_reset_forgets_the_turns_of_a_horn_with_backlash_too(make_host, make_servo):
+    host = make_host(make_servo(backlash_deg=1.0))
+    host.say("#5D4800")
+    host.wait_s(3.0)
+    host.say("#5RESET")
+    host.wait_s(1.3)
+    assert host.horn_deg() == pytest.approx(119.5, abs=0.01)

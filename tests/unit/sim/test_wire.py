@@ -1,5 +1,6 @@
 from random import Random
 
+from lss_motion.sim.adapter import Adapter
 from lss_motion.sim.wire import HostLine, ServoLine
 
 BYTE_NS = 100_000  # at 100000 bps
@@ -43,7 +44,7 @@ def test_a_host_that_never_ends_its_line_fills_no_memory():
 
 
 def test_replies_arrive_byte_by_byte_and_never_early():
-    line = ServoLine(100_000, Random(1))
+    line = ServoLine(100_000, Random(1), Adapter(0))
     assert line.send(b"*5Q6\r", 1000) == 1000 + 5 * BYTE_NS
     assert line.next_end_ns() == 1000 + 5 * BYTE_NS
     assert line.read(1000 + BYTE_NS - 1) == b""
@@ -53,7 +54,7 @@ def test_replies_arrive_byte_by_byte_and_never_early():
 
 
 def test_replies_that_overlap_damage_each_other_and_lose_bytes():
-    line = ServoLine(100_000, Random(1))
+    line = ServoLine(100_000, Random(1), Adapter(0))
     line.send(b"*5QD1443\r", 0)
     line.send(b"*6QD-900\r", 250_000)
     received = line.read(10**9)
@@ -63,7 +64,7 @@ def test_replies_that_overlap_damage_each_other_and_lose_bytes():
 
 
 def test_a_reply_that_begins_when_another_ends_is_whole():
-    line = ServoLine(100_000, Random(1))
+    line = ServoLine(100_000, Random(1), Adapter(0))
     end_ns = line.send(b"*5Q6\r", 0)
     line.send(b"*6Q6\r", end_ns)
     assert line.read(10**9) == b"*5Q6\r*6Q6\r"

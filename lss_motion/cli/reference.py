@@ -1,0 +1,154 @@
+"""`lss-motion reference`: every command of the bus languages, as the package knows them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.cli.commands import add_command
+from lss_motion.errors import EXIT_FINISHED
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterable, Sequence
+
+    from lss_motion.cli.commands import Commands
+    from lss_motion.protocol.table import FamilyTable, Row
+
+SOURCES: Final = """\
+Sources: `000:146` is line 146 of a document: 000 the LSS communication protocol 106.1 of
+2019-02-22, 001 the LSS-PRO one of 2023-12-14, 004 the 2IO one for the 2RC mode of 2020-02-07.
+`facts` is what real servos and the maker's code add to them. Since: the first firmware.""".replace(
+    "\n", " "
+)
+
+FAMILIES: Final = ("LSS", "LSS-PRO", "LSS-2IO")
+
+DESCRIPTION: Final = """\
+Print the reference page of a bus language as Markdown, from the tables that the encoder, the
+parser and the simulator use: keyword, unit, range, forms, where it is documented, and what was
+decided where documents disagree.
+"""
+
+HEAD: Final = (
+    "Action",
+    "Query",
+    "Config",
+    "Meaning",
+    "Unit",
+    "On the wire",
+    "Allowed",
+    "Default",
+    "Since",
+    "Source",
+    "Note",
+)
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command of this module."""
+    reference = add_command(
+        commands, "reference", _reference, "print the commands of the servos", DESCRIPTION
+    )
+    reference.add_argument("family", nargs="?", choices=FAMILIES, help="default: all three")
+
+
+def _reference(arguments: argparse.Namespace) -> int:
+    from lss_motion.protocol.families import FAMILY_TABLES
+    from lss_motion.protocol.family import Family
+
+    names = FAMILIES if arguments.family is None else (arguments.family,)
+    print("\n\n".join(page(FAMILY_TABLES[Family(name)]) for name in names))
+    return EXIT_FINISHED
+
+
+def page(table: FamilyTable) -> str:
+    """Return the reference page of a family: its commands, then its modifiers."""
+    commands = [row for row in table.rows if not row.is_modifier]
+    modifiers = [row for row in table.rows if row.is_modifier]
+    parts = [
+        f"# {table.family}",
+        "Values are in the unit given; `value x scale` is what stands on the wire. A number after"
+        " a query asks for: "
+        + "; ".join(f"`{number}` {meaning}" for number, meaning in _suffixes(commands))
+        + ". "
+        + SOURCES,
+        _table([_cells(row, table) for row in commands]),
+    ]
+    if modifiers:
+        parts += ["## Modifiers", _table([_cells(row, table) for row in modifiers])]
+    return "\n\n".join(parts)
+
+
+def _suffixes(rows: Iterable[Row]) -> list[tuple[str, str]]:
+    """Return what the numbers after queries ask for, each once, in the order of the numbers."""
+    said = {
+        (number, f"{meaning} ({', '.join(_queries_with(rows, number, meaning))})")
+        for row in rows
+        for number, meaning in (row.suffixes or {}).items()
+    }
+    return [(str(number), text) for number, text in sorted(said)]
+
+
+def _queries_with(rows: Iterable[Row], number: int, meaning: str) -> list[str]:
+    return [
+        query
+        for row in rows
+        if (row.suffixes or {}).get(number) == meaning
+        for query in row.queries
+    ]
+
+
+def _cells(row: Row, table: FamilyTable) -> tuple[str, ...]:
+    from lss_motion.protocol.table import Value
+
+    actions = (row.name,) if row.is_modifier else row.actions
+    takes_value = row.is_modifier or bool(row.actions or row.configs)
+    has_range = takes_value and row.value is not Value.NONE
+    return (
+        _code([*actions, *(f"{actions[0]}...{name}" for name in row.modifiers if actions)]),
+        _code(row.queries),
+        _code(row.configs),
+        _safe(row.meaning),
+        str(row.unit),
+        "" if row.wire_per_unit == 1 else f"value x {float(row.wire_per_unit):g}",
+        _allowed(row) if has_range else "",
+        "" if row.default is None else f"{row.physical(row.default):g}",
+        str(row.firmware) if row.firmware else "",
+        row.source,
+        _safe(_note(row, table)),
+    )
+
+
+def _allowed(row: Row) -> str:
+    from lss_motion.protocol.table import WIRE_MAX, WIRE_MIN, Outside
+
+    if row.choices is None and (row.minimum, row.maximum) == (WIRE_MIN, WIRE_MAX):
+        return "any"
+    bounded = row.allowed()
+    if row.choices is None and row.maximum == WIRE_MAX:
+        bounded = f"from {row.physical(row.minimum):g} {row.unit}".rstrip()
+    return bounded if row.outside is Outside.IGNORED else f"{bounded}; beyond: {row.outside}"
+
+
+def _note(row: Row, table: FamilyTable) -> str:
+    devices = f"Of a board's {', '.join(row.devices)} only. " if row.devices else ""
+    reset = "Acts after RESET. " if row.needs_reset else ""
+    mirrors = ""
+    if row.mirrors is not None:
+        other = next(known for known in table.rows if known.name == row.mirrors and known.actions)
+        mirrors = f"The same setting as {_code(other.actions)}. "
+    return f"{devices}{reset}{mirrors}{row.note}".strip()
+
+
+def _code(words: Sequence[str]) -> str:
+    return ", ".join(f"`{word}`" for word in words)
+
+
+def _table(rows: Sequence[tuple[str, ...]]) -> str:
+    lines = [HEAD, tuple("---" for _ in HEAD), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def _safe(cell: str) -> str:
+    """Return text that keeps its characters in a Markdown table."""
+    return cell.replace("|", "\\|").replace("*", "\\*")
