@@ -72,9 +72,10 @@ def add_to(commands: Commands) -> None:
     )
     imported.add_argument(
         "--interpolation",
-        choices=("smooth", "linear"),
-        default="smooth",
-        help="between the keys of a recording (default: smooth; linear stops at every key)",
+        choices=("spline", "smooth", "linear"),
+        default="spline",
+        help="between the keys of a recording: spline (default) asks for the least acceleration, "
+        "smooth never goes beyond a key, linear stops at every key",
     )
     target = imported.add_mutually_exclusive_group(required=True)
     target.add_argument("-o", "--output", type=Path, metavar="S.yaml")
@@ -100,8 +101,9 @@ def add_to(commands: Commands) -> None:
 def _import(arguments: argparse.Namespace) -> int:
     from lss_motion.cli.check import plan_lines
     from lss_motion.cli.tables import write_text
+    from lss_motion.interchange.importing import imported
     from lss_motion.interchange.mapping import load_map, map_template
-    from lss_motion.interchange.motions import imported, read_motion
+    from lss_motion.interchange.motions import read_motion
     from lss_motion.robot.load import load_robot
     from lss_motion.sequence.model import Interpolation
     from lss_motion.sequence.write import write_sequence

@@ -1,0 +1,196 @@
+"""Raw command text of serial servo controllers: SSC-32 `#5P1500T1000`, LSS `#5D900T1000`.
+
+Lines may begin with the instant of their command: seconds with a decimal point (our `--log`), or
+whole microseconds (our `.lss` programs). Then a command that comes while the servo still moves
+takes over where the servo is. Without instants, commands to different servos move together, and
+the next command to a servo waits until all have arrived.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from lss_motion.interchange.poses import thinned
+from lss_motion.interchange.reader import (
+    VALUES_MAX,
+    Channel,
+    ForeignMotion,
+    Unit,
+    is_dense,
+    motion_label,
+    summarised,
+)
+from lss_motion.interchange.text_lines import TextLines
+from lss_motion.sequence.model import Interpolation
+from lss_motion.sequence.timing import TIME_MAX_S
+from lss_motion.units import s_from_ms, s_from_us
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+TENTHS_PER_DEG: Final = 10.0
+"""Seed 000, table row D: tenths of a degree."""
+
+ID_MAX: Final = 250
+"""Of an LSS; an SSC-32 has 32 channels."""
+
+DURATION_MAX_MS: Final = 3_600_000
+"""Chosen: an hour; no one move is slower."""
+
+_MOVE: Final = re.compile(r"#(\d{1,3})([DP])(-?\d{1,7})", re.ASCII)
+_PART: Final = re.compile(r"[#*](?=\d)[^#*]*", re.ASCII)
+_OTHER: Final = re.compile(r"[#*]\d{1,3}([A-Z]{1,6})", re.ASCII)
+_STAMP: Final = re.compile(r"(\d{1,12}|\d{1,9}\.\d{1,9})\s+(?:\S{1,64}\s+)??(?:[<>]\s+)?(?=[#*])")
+_TIME: Final = re.compile(r"T(\d{1,9})", re.ASCII)
+_SPEED: Final = re.compile(r"SD?\d", re.ASCII)
+
+
+class _Move(NamedTuple):
+    value: float
+    start_s: float
+    duration_s: float
+    line: int
+
+
+@dataclass(frozen=True, slots=True)
+class CommandReader:
+    """Reads `#<id>D<tenths>T<ms>` (joints by their ids) and `#<ch>P<us>…T<ms>` (pulses)."""
+
+    name: str = "commands"
+
+    def recognises(self, data: bytes) -> bool:
+        head = data[:8192].decode("utf-8", "replace")
+        return not head.startswith("#WEBOTS") and _MOVE.search(head) is not None
+
+    def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
+        reading = _Reading(TextLines.of(path, data))
+        for number, line in reading.lines.numbered():
+            reading.read(number, line)
+        return (reading.motion(),)
+
+
+@dataclass(slots=True)
+class _Reading:
+    lines: TextLines
+    moves: dict[str, list[_Move]] = field(default_factory=dict)
+    left_out: Counter[str] = field(default_factory=Counter)
+    is_stamped: bool | None = None
+    group: set[str] = field(default_factory=set)
+    group_start_s: float = 0.0
+    group_end_s: float = 0.0
+    moves_count: int = 0
+    is_stream: bool = False
+    """Whether a command came while its servo was still on its way."""
+
+    def read(self, number: int, line: str) -> None:
+        """Take all commands of a line; lines without any are comments."""
+        stamp = _STAMP.match(line)
+        text = line[stamp.end() :] if stamp else line
+        text = text.replace("\\r", "\r")  # As our log writes it.
+        for command in text.split("\r"):
+            times = _TIME.findall(command)
+            for part in _PART.findall(command):
+                move = _MOVE.match(part)
+                if move is None:
+                    other = _OTHER.match(part)
+                    self.left_out[f"commands {part[0]}{other[1]}" if other else "noise"] += 1
+                else:
+                    # One T for a whole group stands at its end; each may have its own.
+                    own = _TIME.findall(part) or times[-1:]
+                    self._move(number, move, own[0] if own else "", stamp[1] if stamp else None)
+                    self.left_out["speeds (S, SD)"] += _SPEED.search(part) is not None
+
+    def _move(self, number: int, move: re.Match[str], time: str, stamp: str | None) -> None:
+        if self.is_stamped not in {None, stamp is not None}:
+            self.lines.refuse(number, "some commands have an instant and some have none")
+        self.is_stamped = stamp is not None
+        duration_ms = self.lines.whole(time or "0", number, DURATION_MAX_MS)
+        if not duration_ms:
+            self.lines.refuse(
+                number,
+                f"{move[0]!r} says no time (T), and how long it takes depends on the servo",
+            )
+        servo = self.lines.whole(move[1], number, ID_MAX)
+        is_pulse = move[2] == "P"
+        name = f"PIN{servo}" if is_pulse else f"ID{servo}"
+        value = float(move[3]) if is_pulse else int(move[3]) / TENTHS_PER_DEG
+        duration_s = s_from_ms(duration_ms)
+        start_s = self._start(stamp, name, duration_s)
+        if start_s + duration_s > TIME_MAX_S:
+            self.lines.refuse(number, f"comes to more than a day ({TIME_MAX_S:g} s)")
+        self.moves.setdefault(name, []).append(_Move(value, start_s, duration_s, number))
+        self.moves_count += 1
+        if self.moves_count > VALUES_MAX:
+            self.lines.refuse(number, f"more than {VALUES_MAX:,} moves")
+
+    def _start(self, stamp: str | None, name: str, duration_s: float) -> float:
+        if stamp is not None:
+            return float(stamp) if "." in stamp else s_from_us(int(stamp))
+        if name in self.group:
+            self.group.clear()
+            self.group_start_s = self.group_end_s
+        self.group.add(name)
+        self.group_end_s = max(self.group_end_s, self.group_start_s + duration_s)
+        return self.group_start_s
+
+    def motion(self) -> ForeignMotion:
+        if not self.moves:
+            self.lines.refuse(None, "has no command that moves a servo (#<id>D… or #<ch>P…)")
+        channels = [self._channel(name, moves) for name, moves in self.moves.items()]
+        has_pulses = any(channel.unit is Unit.US for channel in channels)
+        title = "SSC-32 commands" if has_pulses else "LSS commands"
+        how = "at their instants" if self.is_stamped else "one group after the other"
+        found = [f"{count} {what}" for what, count in sorted(self.left_out.items()) if count]
+        found.append("where the servos stood before their first command, which the text lacks")
+        path = self.lines.path
+        # Moves that are overtaken make a curve; whole moves are poses, each from rest to rest.
+        is_recording = any(is_dense(channel.times_s) for channel in channels)
+        return ForeignMotion(
+            path=path,
+            name=motion_label(path.stem) or "motion",
+            channels=tuple(channels),
+            notes={},
+            ease=Interpolation.SPLINE if is_recording or self.is_stream else Interpolation.LINEAR,
+            comments=(
+                f"Imported from {path.name} ({title}, {how}).",
+                "Servos are taken to move evenly for the time of each command; ramps are unknown.",
+                *summarised(found),
+            ),
+            is_recording=is_recording,
+        )
+
+    def _channel(self, name: str, moves: list[_Move]) -> Channel:
+        samples = np.array(list(self._samples(moves)))
+        times_s, values = thinned(samples[:, 0], samples[:, 1])
+        is_pulse = name.startswith("PIN")
+        return Channel(
+            name=name,
+            unit=Unit.US if is_pulse else Unit.DEG,
+            times_s=times_s,
+            values=values,
+            servo_id=None if is_pulse else int(name[2:]),
+        )
+
+    def _samples(self, moves: list[_Move]) -> Iterator[tuple[float, float]]:
+        """Yield where the servo is when a command starts, and where it goes if it gets there."""
+        from_value = moves[0].value
+        last_s = -1.0
+        for move, following in zip(moves, [*moves[1:], None], strict=True):
+            if move.start_s < last_s:
+                self.lines.refuse(move.line, "instants must not go back")
+            if last_s >= 0.0:
+                yield move.start_s, from_value
+            last_s = move.start_s
+            share = 1.0
+            if following is not None and following.start_s < move.start_s + move.duration_s:
+                share = max(0.0, following.start_s - move.start_s) / move.duration_s
+                self.is_stream = True
+            from_value += share * (move.value - from_value)
+            if share == 1.0:
+                yield move.start_s + move.duration_s, from_value

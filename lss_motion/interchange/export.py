@@ -1,0 +1,120 @@
+"""Samples of a plan → other tools' text: CSV, ROS JointTrajectory, Blender.
+
+Everything is written with the joints' own names, in joint degrees (ROS: radians).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.interchange.blender import TENTHS
+from lss_motion.units import ns_from_s
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    FloatArray = NDArray[np.float64]
+
+ANGLE_DECIMALS: Final = 4
+"""Of degrees: far below what a servo resolves."""
+
+RADIAN_DECIMALS: Final = 6
+"""As fine as `ANGLE_DECIMALS`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Samples:
+    """A plan read off at even times: angles and speeds, (n, joints)."""
+
+    name: str
+    joints: tuple[str, ...]
+    rate_hz: float
+    times_s: FloatArray
+    angles_deg: FloatArray
+    speeds_deg_s: FloatArray
+
+
+def exported(samples: Samples, format_name: str) -> str:
+    """Return the text of one of `EXPORT_NAMES`."""
+    return _WRITERS[format_name](samples)
+
+
+def _table(samples: Samples) -> str:
+    header = ["t_s", *samples.joints]
+    return _csv(header, [f"{time_s:.6f}" for time_s in samples.times_s.tolist()], samples)
+
+
+def _blender_table(samples: Samples) -> str:
+    header = ["frame", *(f"{name}_deg" for name in samples.joints)]
+    frames = [str(frame) for frame in range(len(samples.times_s))]
+    return f"# fps: {samples.rate_hz:g}\n{_csv(header, frames, samples)}"
+
+
+def _csv(header: Sequence[str], firsts: Sequence[str], samples: Samples) -> str:
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(header)
+    for first, angles_deg in zip(firsts, samples.angles_deg.tolist(), strict=True):
+        writer.writerow([first, *(f"{angle:.{ANGLE_DECIMALS}f}" for angle in angles_deg)])
+    return out.getvalue()
+
+
+def _blender_json(samples: Samples) -> str:
+    """Return version 2 of the add-on's format, positions in tenths of a degree."""
+    tenths = np.round(10.0 * samples.angles_deg).astype(np.int64).tolist()
+    ids = [str(index) for index in range(len(samples.joints))]
+    content = {
+        "description": f"{samples.name}: joint angles in tenths of a degree",
+        "fps": samples.rate_hz,
+        "frames": len(tenths),
+        "seconds": round(float(samples.times_s[-1])),
+        "bones": len(ids),
+        "unit": TENTHS,
+        "names": dict(zip(ids, samples.joints, strict=True)),
+        "positions": [dict(zip(ids, row, strict=True)) for row in tenths],
+    }
+    return json.dumps(content, ensure_ascii=False) + "\n"
+
+
+def _ros(samples: Samples) -> str:
+    """Return a trajectory_msgs/JointTrajectory message."""
+    names = ", ".join(json.dumps(name, ensure_ascii=False) for name in samples.joints)
+    lines = [f"joint_names: [{names}]", "points:"]
+    per_deg = math.radians(1.0)
+    for time_s, angles, speeds in zip(
+        samples.times_s.tolist(),
+        (samples.angles_deg * per_deg).tolist(),
+        (samples.speeds_deg_s * per_deg).tolist(),
+        strict=True,
+    ):
+        seconds, rest_ns = divmod(ns_from_s(time_s), ns_from_s(1.0))
+        lines += [
+            f"- positions: [{_numbers(angles)}]",
+            f"  velocities: [{_numbers(speeds)}]",
+            f"  time_from_start: {{sec: {seconds}, nanosec: {rest_ns}}}",
+        ]
+    return "\n".join([*lines, ""])
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return ", ".join(f"{round(value, RADIAN_DECIMALS) + 0.0}" for value in values)
+
+
+_WRITERS: Final[Mapping[str, Callable[[Samples], str]]] = {
+    "csv": _table,
+    "ros": _ros,
+    "blender-csv": _blender_table,
+    "blender-json": _blender_json,
+}
+
+EXPORT_NAMES: Final = tuple(_WRITERS)
+"""What `exported` can write."""

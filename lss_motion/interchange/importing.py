@@ -1,0 +1,160 @@
+"""How a foreign motion becomes a sequence for one robot: mapped, reduced, checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.errors import InputError
+from lss_motion.interchange.interpolant import interpolated
+from lss_motion.interchange.mapping import mapped
+from lss_motion.interchange.motions import read_motion
+from lss_motion.interchange.reduce import TOLERANCE_DEG, reduced
+from lss_motion.sequence.check import joint_problems, jumps
+from lss_motion.sequence.model import Interpolation, Sequence
+from lss_motion.sequence.timing import KEYFRAMES_MAX, TIME_MAX_S
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from lss_motion.interchange.mapping import MotionMap
+    from lss_motion.interchange.reader import ForeignMotion
+    from lss_motion.interchange.reduce import Fit
+    from lss_motion.robot.model import Robot
+    from lss_motion.sequence.model import Keyframe
+
+SWING_DEG: Final = 1e-6
+"""Rounding of a spline; the least that a servo resolves is 0.01 deg."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Imported:
+    """A motion as a sequence for one robot; `fit` says how a recording was reduced."""
+
+    sequence: Sequence
+    comments: tuple[str, ...]
+    fit: Fit | None = None
+
+
+def import_motion(
+    path: Path | str,
+    robot: Robot,
+    *,
+    format_name: str | None = None,
+    motion_name: str | None = None,
+    motion_map: MotionMap | None = None,
+    tolerance_deg: float = TOLERANCE_DEG,
+) -> Sequence:
+    """Return the motion of another tool's file as a sequence that `robot` can be asked to play.
+
+    Without `format_name` the content decides. The author's times are kept. A joint stands at its
+    first key until that is due; the player brings it there before the show starts. Raises
+    `InputError` for a file that is not understood, joints that the robot does not have, and
+    angles outside their range.
+    """
+    motion = read_motion(path, format_name=format_name, motion_name=motion_name)
+    return imported(motion, robot, motion_map=motion_map, tolerance_deg=tolerance_deg).sequence
+
+
+def imported(
+    motion: ForeignMotion,
+    robot: Robot,
+    *,
+    motion_map: MotionMap | None = None,
+    tolerance_deg: float = TOLERANCE_DEG,
+    ease: Interpolation = Interpolation.SPLINE,
+) -> Imported:
+    """Return `motion` for `robot`, a recording reduced to keys; tolerance 0 keeps every sample.
+
+    `ease` is the interpolation of a recording's keys. A spline asks for about the acceleration of
+    the recording itself; a smooth curve for two to three times that, so that it is more often
+    slowed, but it never goes beyond a key (measured on our own shows and on random motion).
+    """
+    fit: Fit | None = None
+    own = mapped(motion, robot, motion_map)
+    if own.is_recording and tolerance_deg > 0.0:
+        recorded = own
+        own, fit = reduced(recorded, tolerance_deg, ease)
+        if ease is Interpolation.SPLINE and (joint := _swings_out(own, recorded, robot)):
+            own, fit = reduced(recorded, tolerance_deg, Interpolation.SMOOTH)
+            note = f"A spline would swing joint {joint} out of its range: smooth instead."
+            own = replace(own, comments=(*own.comments, note))
+    return Imported(sequence=sequence_for(own, robot), comments=own.comments, fit=fit)
+
+
+def _swings_out(keys: ForeignMotion, recorded: ForeignMotion, robot: Robot) -> str:
+    """Return a joint whose keys are in its range and whose spline leaves it between, or nothing."""
+    for own, samples in zip(keys.channels, recorded.channels, strict=True):
+        joint = robot.joints.get(own.name)
+        if joint is None:
+            continue
+        low, high = joint.position_min_deg, joint.position_max_deg
+        middles_s = samples.times_s[:-1] + 0.5 * np.diff(samples.times_s)
+        times_s = np.sort(np.concatenate([samples.times_s, middles_s]))
+        angles_deg = interpolated(Interpolation.SPLINE, own.times_s, own.values, times_s)
+        is_inside = low <= own.values.min() and own.values.max() <= high
+        if (
+            is_inside
+            and not low - SWING_DEG <= angles_deg.min() <= angles_deg.max() <= high + SWING_DEG
+        ):
+            return joint.name
+    return ""
+
+
+def sequence_for(motion: ForeignMotion, robot: Robot) -> Sequence:
+    """Return a motion of joints of `robot` as a sequence; its units must be angles.
+
+    Raises `InputError` naming all obstacles.
+    """
+    count = len(np.unique(np.concatenate([channel.times_s for channel in motion.channels])))
+    if count > KEYFRAMES_MAX:
+        raise InputError(
+            f"has {count:,} keyframes, at most {KEYFRAMES_MAX:,} are allowed", path=motion.path
+        )
+    keyframes = motion.keyframes
+    reasons = [*_unknown_joints(motion, robot), *_impossible_keyframes(keyframes, robot)]
+    if reasons:
+        errors = [InputError(reason, path=motion.path) for reason in reasons]
+        raise InputError(reasons[0], path=motion.path, more=errors[1:])
+    return Sequence(name=motion.name, keyframes=keyframes, path=motion.path, robot_path=robot.path)
+
+
+def _unknown_joints(motion: ForeignMotion, robot: Robot) -> Iterator[str]:
+    unknown = [channel.name for channel in motion.channels if channel.name not in robot.joints]
+    if unknown:
+        yield (
+            f"robot {robot.name!r} does not have the joints {', '.join(unknown)}; it has "
+            f"{', '.join(robot.joints)}; rename or skip them in a map file (--make-map writes one "
+            "to begin with), or name another robot"
+        )
+
+
+def _impossible_keyframes(keyframes: tuple[Keyframe, ...], robot: Robot) -> Iterator[str]:
+    last_s = max((keyframe.at_s or 0.0) + keyframe.hold_s for keyframe in keyframes)
+    if last_s > TIME_MAX_S:
+        yield f"takes {last_s:g} s, more than a day ({TIME_MAX_S:g} s)"
+    worst: dict[str, tuple[float, int, str]] = {}
+    counts: dict[str, int] = {}
+    for index, name, reason in joint_problems(keyframes, robot):
+        joint = robot.joints.get(name)
+        if joint is None:
+            continue
+        angle_deg = keyframes[index].deg[name]
+        beyond_deg = max(joint.position_min_deg - angle_deg, angle_deg - joint.position_max_deg)
+        counts[name] = counts.get(name, 0) + 1
+        if name not in worst or beyond_deg > worst[name][0]:
+            worst[name] = (beyond_deg, index, reason)
+    for name, (_, index, reason) in worst.items():
+        others = counts[name] - 1
+        more = f" (the worst; {others} more keyframes of it are as well)" if others else ""
+        yield f"{_called(index, keyframes[index])}: {reason}{more}"
+    for index, reason in jumps(keyframes):
+        yield f"{_called(index, keyframes[index])}: {reason}"
+
+
+def _called(index: int, keyframe: Keyframe) -> str:
+    name = f" ({keyframe.label})" if keyframe.label else ""
+    return f"keyframe {index + 1}{name} at {keyframe.at_s:g} s"

@@ -1,0 +1,219 @@
+"""From another robot's joints to ours: names, units, signs, scales, offsets and full turns."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.errors import InputError
+from lss_motion.interchange.reader import DEG_PER_UNIT, Channel, Unit, summarised
+from lss_motion.spelling import known_names
+from lss_motion.yaml_source import Problem, read_yaml
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+    from lss_motion.interchange.map_file import MapEntry
+    from lss_motion.interchange.reader import FloatArray, ForeignMotion
+    from lss_motion.robot.model import Joint, Robot
+    from lss_motion.yaml_source import YamlSource
+
+TURN_DEG: Final = 360.0
+
+WRAP_MIN_DEG: Final = 270.0
+"""Two samples of a recording this far apart are an encoder that wrapped, not a motion: at 10 Hz
+that would be 2700 deg/s, and the fastest servo does 600 (lss_facts section 3)."""
+
+PULSE_DEG_PER_US: Final = 0.09
+PULSE_OFFSET_DEG: Final = -135.0
+"""The usual RC servo, as a guess in templates: 180 deg over 500 to 2500 us, 0 deg at 1500."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotionMap:
+    """The content of a map file, with its lines."""
+
+    entries: Mapping[str, MapEntry]
+    source: YamlSource
+
+
+def load_map(path: Path) -> MotionMap:
+    """Return the map in the file at `path`, or raise `InputError` with file and line."""
+    from lss_motion.interchange.map_file import MapFile
+    from lss_motion.validation import validate
+
+    source = read_yaml(path)
+    content, problems, _ = validate(MapFile, source)
+    if problems or content is None:
+        raise source.error(problems)
+    return MotionMap(content.joints, source)
+
+
+def mapped(motion: ForeignMotion, robot: Robot, motion_map: MotionMap | None) -> ForeignMotion:
+    """Return the motion in degrees of joints of `robot`.
+
+    Joints that the map does not name keep their names, which `sequence_for` judges; LSS ids become
+    the joints that have them. Raises `InputError` naming everything in the map that has no
+    counterpart and every unit that has no meaning.
+    """
+    entries = {} if motion_map is None else dict(motion_map.entries)
+    if motion_map is not None:
+        _check_map(motion_map, motion, robot)
+    channels: list[Channel] = []
+    comments: list[str] = []
+    reasons: list[str] = []
+    for channel in motion.channels:
+        entry = entries.get(channel.name)
+        if entry is not None and entry.skip:
+            comments += summarised([f"joint {channel.name}, which the map skips"])
+            continue
+        unit, reason = _unit(channel, entry)
+        reasons += [reason] * bool(reason)
+        joint, values = _own_joint(channel, entry, robot), channel.values
+        if unit in DEG_PER_UNIT:
+            values, turns = _unwrapped(motion, channel, values * DEG_PER_UNIT[unit])
+            comments += turns
+        if entry is not None:
+            values = entry.offset_deg + entry.sign * (entry.scale or 1.0) * values
+        elif joint is not None and channel.servo_id is not None:
+            values = np.array([joint.joint_deg(value) for value in values.tolist()])
+        name = (entry.name if entry else None) or (joint.name if joint else channel.name)
+        channels.append(Channel(name=name, unit=Unit.DEG, times_s=channel.times_s, values=values))
+    reasons += _name_problems(motion, channels)
+    if reasons:
+        errors = [InputError(reason, path=motion.path) for reason in reasons]
+        raise InputError(reasons[0], path=motion.path, more=errors[1:])
+    return replace(motion, channels=tuple(channels), comments=(*motion.comments, *comments))
+
+
+def _own_joint(channel: Channel, entry: MapEntry | None, robot: Robot) -> Joint | None:
+    """Return the joint that has the id of an LSS channel, if there is exactly one."""
+    if channel.servo_id is None or entry is not None:
+        return None
+    found = [joint for joint in robot.joints.values() if joint.servo_id == channel.servo_id]
+    return found[0] if len(found) == 1 else None
+
+
+def _unit(channel: Channel, entry: MapEntry | None) -> tuple[Unit, str]:
+    """Return the unit of a channel, and what is wrong with it."""
+    unit = Unit(entry.unit) if entry is not None and entry.unit else channel.unit
+    shown = f"joint {channel.name!r:.60}"
+    if unit in DEG_PER_UNIT or (
+        unit is not Unit.RAD_OR_M and entry is not None and entry.scale is not None
+    ):
+        return unit, ""
+    if unit is Unit.RAD_OR_M:
+        return unit, (
+            f"{shown} looks like one that slides, and the file does not say whether it is given in "
+            "radians or metres; say it in a map file: `unit: rad`, or `unit: m` and a `scale` in "
+            "degrees per metre (--make-map writes one to begin with)"
+        )
+    return unit, (
+        f"{shown} is given in {_UNIT_WORDS[unit]}, which is no angle; give `scale`, in degrees per "
+        "unit, and `offset_deg` in a map file (--make-map writes one to begin with)"
+    )
+
+
+_UNIT_WORDS: Final = {
+    Unit.US: "microseconds of a servo pulse",
+    Unit.M: "metres",
+    Unit.RAW: "units of its own robot",
+}
+
+
+def _check_map(motion_map: MotionMap, motion: ForeignMotion, robot: Robot) -> None:
+    names = [channel.name for channel in motion.channels]
+    problems: list[Problem] = []
+    for name, entry in motion_map.entries.items():
+        if name not in names:
+            reason = f"the motion has no joint {name!r:.60}; {known_names(name, names)}"
+            problems.append(Problem(("joints", name), reason))
+        elif entry.name is not None and entry.name not in robot.joints:
+            known = known_names(entry.name, robot.joints)
+            problems.append(
+                Problem(
+                    ("joints", name, "name"),
+                    f"robot {robot.name!r} has no joint {entry.name!r}; {known}",
+                )
+            )
+    if problems:
+        raise motion_map.source.error(problems)
+
+
+def _name_problems(motion: ForeignMotion, channels: list[Channel]) -> Iterator[str]:
+    names = [channel.name for channel in channels]
+    if not names:
+        yield f"motion {motion.name!r} moves only joints that the map skips"
+    for name in dict.fromkeys(name for name in names if names.count(name) > 1):
+        yield f"{names.count(name)} joints of the motion become joint {name!r}; one can"
+
+
+def _unwrapped(
+    motion: ForeignMotion, channel: Channel, values_deg: FloatArray
+) -> tuple[FloatArray, list[str]]:
+    """Return a recording without the full turns that a wrapping encoder puts in, and the words."""
+    if not motion.is_recording:
+        return values_deg, []
+    steps_deg = np.diff(values_deg)
+    jumps = np.flatnonzero(np.abs(steps_deg) >= WRAP_MIN_DEG)
+    if not len(jumps):
+        return values_deg, []
+    turns = np.zeros(len(values_deg))
+    turns[jumps + 1] = -np.round(steps_deg[jumps] / TURN_DEG)
+    at_s = float(channel.times_s[jumps[0] + 1])
+    return values_deg + TURN_DEG * np.cumsum(turns), [
+        f"Joint {channel.name} jumps by a full turn {len(jumps)} times, first at {at_s:g} s: read "
+        "as an encoder that wraps, and undone."
+    ]
+
+
+def map_template(motion: ForeignMotion, robot: Robot) -> str:
+    """Return a map file for the joints of `motion` to begin with; what is a guess, it says."""
+    lines = [
+        f"# What the joints of {_shown(motion.path.name)} are on robot {_shown(robot.name)}:",
+        "# angle = offset_deg + sign * scale * value, the value in degrees if it is an angle.",
+        f"# Joints of the robot: {', '.join(robot.joints)}",
+        "joints:",
+    ]
+    for channel in motion.channels:
+        low, high = float(channel.values.min()), float(channel.values.max())
+        joint = _guess(channel, robot)
+        fields = [f"name: {json.dumps(joint, ensure_ascii=False)}"] if joint else ["skip: true"]
+        words = [f"{low:.6g} to {high:.6g} {_TEMPLATE_UNITS.get(channel.unit, channel.unit)}"]
+        if not joint:
+            words.append("no joint of that name: skipped unless you name one")
+        if channel.unit is Unit.US:
+            fields += [f"scale: {PULSE_DEG_PER_US}", f"offset_deg: {PULSE_OFFSET_DEG}"]
+            words.append("guess: 180 deg over 500 to 2500 us")
+        elif channel.unit is Unit.RAD_OR_M:
+            words.append("add unit: rad, or unit: m and scale: degrees per metre")
+        elif channel.unit not in DEG_PER_UNIT:
+            words.append("add scale: degrees per unit")
+        elif channel.servo_id is not None and joint:
+            own = robot.joints[joint]
+            fields += [f"sign: {own.direction}", f"offset_deg: {-own.direction * own.zero_deg:g}"]
+        key = json.dumps(channel.name, ensure_ascii=False)
+        lines.append(f"  {key}: {{{', '.join(fields)}}}  # {_shown('; '.join(words))}")
+    return "\n".join([*lines, ""])
+
+
+_TEMPLATE_UNITS: Final = {Unit.RAD_OR_M: "rad or m", Unit.RAW: "units of its own robot"}
+
+
+def _guess(channel: Channel, robot: Robot) -> str:
+    """Return the joint of the robot that has this id or, but for case and dashes, this name."""
+
+    def plain(name: str) -> str:
+        return "".join(char for char in name.lower() if char.isalnum()).removesuffix("joint")
+
+    own = _own_joint(channel, None, robot)
+    by_name = {plain(name): name for name in reversed(list(robot.joints))}
+    return own.name if own else by_name.get(plain(channel.name), "")
+
+
+def _shown(text: str) -> str:
+    return "".join(char if char.isprintable() else "?" for char in text)

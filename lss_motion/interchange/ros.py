@@ -1,0 +1,177 @@
+"""ROS motions in YAML: JointTrajectory messages, play_motion and play_motion2 collections.
+
+Positions are radians (REP 103), or metres where a joint slides; the file does not say which. Joints
+whose names speak of sliding are therefore left to a map.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Final, NoReturn
+
+from lss_motion.errors import InputError
+from lss_motion.interchange.json_source import NUMBER_MAX
+from lss_motion.interchange.poses import Pose, motion_of_poses
+from lss_motion.interchange.reader import read_or_refused, summarised, unit_of_ros_joint
+from lss_motion.interchange.yaml_tree import Node, yaml_tree
+from lss_motion.source_file import text_of
+from lss_motion.units import NS_PER_S
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from lss_motion.interchange.reader import ForeignMotion, RefusedMotion
+
+_WRAPPINGS: Final = ("goal", "trajectory", "joint_trajectory", "play_motion", "ros__parameters")
+"""What a trajectory or a collection of motions may be wrapped in, besides the name of a node."""
+
+_POINT_EXTRAS: Final = ("velocities", "accelerations", "effort", "efforts")
+
+
+@dataclass(frozen=True, slots=True)
+class RosReader:
+    """Reads `{joint_names, points}` and `{motions: {name: {joints, points | positions}}}`."""
+
+    name: str = "ros"
+
+    def recognises(self, data: bytes) -> bool:
+        if b"joint_names" in data and b"points" in data:
+            return True
+        has_times = b"time_from_start" in data or b"times_from_start" in data
+        return b"motions" in data and b"joints" in data and has_times
+
+    def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
+        reading = _Reading(path)
+        top = reading.unwrapped(yaml_tree(text_of(data, path), path))
+        if "joint_names" in top:
+            return (reading.motion(path.stem, top, top["joint_names"]),)
+        listed = reading.mapping(top["motions"], "motions")
+        if not listed:
+            reading.refuse(top["motions"], "'motions' holds no motion")
+        return tuple(
+            read_or_refused(name, partial(reading.listed_motion, name, node))
+            for name, node in listed.items()
+        )
+
+
+@dataclass(slots=True)
+class _Reading:
+    path: Path
+    left_out: list[str] = field(default_factory=list)
+
+    def unwrapped(self, node: Node) -> dict[str, Node]:
+        """Return the mapping that has `joint_names` or `motions`, from inside its wrappings."""
+        while True:
+            here = self.mapping(node, "the file")
+            if "joint_names" in here or "motions" in here:
+                return here
+            inner = next((here[key] for key in _WRAPPINGS if key in here), None)
+            if inner is None and len(here) == 1:
+                inner = next(iter(here.values()))
+            if inner is None or not isinstance(inner.value, dict):
+                self.refuse(node, "here should be 'joint_names' and 'points', or 'motions'")
+            node = inner
+
+    def listed_motion(self, name: str, node: Node) -> ForeignMotion:
+        motion = self.mapping(node, name)
+        if "joints" not in motion:
+            self.refuse(node, f"motion {name!r:.60} has no 'joints'")
+        return self.motion(name, motion, motion["joints"])
+
+    def motion(self, name: str, motion: dict[str, Node], joints: Node) -> ForeignMotion:
+        names = [str(item.value) for item in self.items(joints, "the list of joints")]
+        if len(set(names)) < len(names):
+            twice = next(joint for joint in names if names.count(joint) > 1)
+            self.refuse(joints, f"joint {twice!r:.60} is listed twice")
+        self.left_out = []
+        if "points" in motion:
+            poses = list(self._points(motion["points"], names))
+        else:
+            poses = list(self._flat(name, motion, joints, names))
+        comments = [f"Imported from {self.path.name} (ROS, motion {name!r:.60}).", *_about(motion)]
+        comments += summarised(self.left_out)
+        return motion_of_poses(self.path, name, poses, unit_of=unit_of_ros_joint, comments=comments)
+
+    def _points(self, node: Node, names: list[str]) -> Iterator[Pose]:
+        for index, item in enumerate(self.items(node, "'points'")):
+            where = f"point {index + 1}"
+            point = self.mapping(item, where)
+            if "positions" not in point:
+                self.refuse(item, f"{where} has no 'positions'")
+            if "time_from_start" not in point:
+                self.refuse(item, f"{where} has no 'time_from_start'")
+            values = [self.number(value) for value in self.items(point["positions"], where)]
+            if len(values) != len(names):
+                self.refuse(item, f"{where} has {len(values)} positions for {len(names)} joints")
+            self.left_out += [key for key in _POINT_EXTRAS if key in point and point[key].value]
+            yield Pose(
+                at_s=self._time(point["time_from_start"]),
+                values=dict(zip(names, values, strict=True)),
+                place=where,
+                line=item.line,
+            )
+
+    def _flat(
+        self, name: str, motion: dict[str, Node], joints: Node, names: list[str]
+    ) -> Iterator[Pose]:
+        """Yield the poses of play_motion2: one list of positions, row by row."""
+        for key in ("positions", "times_from_start"):
+            if key not in motion:
+                self.refuse(joints, f"motion {name!r:.60} has no {key!r}")
+        positions = self.items(motion["positions"], "'positions'")
+        times = self.items(motion["times_from_start"], "'times_from_start'")
+        if len(positions) != len(times) * len(names):
+            self.refuse(
+                motion["positions"],
+                f"{len(positions)} positions are not {len(times)} times {len(names)} joints",
+            )
+        for index, time in enumerate(times):
+            row = positions[index * len(names) : (index + 1) * len(names)]
+            yield Pose(
+                at_s=self._time(time),
+                values=dict(zip(names, map(self.number, row), strict=True)),
+                place=f"time {index + 1}",
+                line=time.line,
+            )
+
+    def _time(self, node: Node) -> float:
+        if isinstance(node.value, str):
+            return self.number(node)
+        parts = self.mapping(node, "a time")
+        seconds = next((parts[key] for key in ("sec", "secs") if key in parts), None)
+        rest = next((parts[key] for key in ("nanosec", "nsecs", "nanosecs") if key in parts), None)
+        if seconds is None:
+            self.refuse(node, "a time must be seconds, or {sec: ..., nanosec: ...}")
+        return self.number(seconds) + (0.0 if rest is None else self.number(rest) / NS_PER_S)
+
+    def number(self, node: Node) -> float:
+        try:
+            value = float(node.value) if isinstance(node.value, str) else math.nan
+        except ValueError:
+            value = math.nan
+        if not abs(value) <= NUMBER_MAX:
+            self.refuse(node, f"{node.value!r:.60} is not a number that a joint can reach")
+        return value
+
+    def mapping(self, node: Node, where: str) -> dict[str, Node]:
+        if not isinstance(node.value, dict):
+            self.refuse(node, f"{where:.60} must hold keys and values")
+        return node.value
+
+    def items(self, node: Node, where: str) -> list[Node]:
+        if not isinstance(node.value, list) or not node.value:
+            self.refuse(node, f"{where} must be a list with at least one entry")
+        return node.value
+
+    def refuse(self, node: Node, reason: str) -> NoReturn:
+        raise InputError(reason, path=self.path, line=node.line)
+
+
+def _about(motion: dict[str, Node]) -> Iterator[str]:
+    meta = motion["meta"].value if "meta" in motion else None
+    for key, node in meta.items() if isinstance(meta, dict) else ():
+        if isinstance(node.value, str) and node.value:
+            yield f"{key}: {node.value}"

@@ -1,0 +1,131 @@
+"""Step tables of the Lynxmotion SSC-32 visual sequencer: `PROJECT;SEQUENCE;STEP;PIN0…;T0…`.
+
+Every step gives each pin an angle in degrees and its own time in ms; the next step begins when the
+slowest pin is there (or after TMAX).
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.interchange.poses import thinned
+from lss_motion.interchange.reader import (
+    Channel,
+    ForeignMotion,
+    Note,
+    Unit,
+    motion_label,
+    read_or_refused,
+    summarised,
+)
+from lss_motion.interchange.text_lines import TextLines
+from lss_motion.sequence.timing import TIME_MAX_S
+from lss_motion.units import s_from_ms
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from lss_motion.interchange.reader import RefusedMotion
+
+PINS_COUNT: Final = 32
+DURATION_MAX_MS: Final = 65_535
+"""A 16-bit number on the board."""
+
+_ABOUT: Final = ("PROJECT", "SEQUENCE", "STEP")
+
+
+@dataclass(frozen=True, slots=True)
+class Ssc32TableReader:
+    """Reads the table; a motion for every project and sequence, joints are `PIN<n>`."""
+
+    name: str = "ssc32-csv"
+
+    def recognises(self, data: bytes) -> bool:
+        head = data[:4096].removeprefix(b"\xef\xbb\xbf").lstrip().split(b"\n", 1)[0]
+        return b"STEP;" in head and b";PIN" in head
+
+    def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
+        lines = TextLines.of(path, data)
+        rows = list(lines.numbered())
+        head_line, head = rows[0] if rows else (1, "")
+        columns = {word.strip(): at for at, word in enumerate(head.split(";")) if word.strip()}
+        pins = [f"PIN{n}" for n in range(PINS_COUNT) if f"PIN{n}" in columns]
+        needed = [*_ABOUT, *pins, *(f"T{pin[3:]}" for pin in pins)]
+        missing = [name for name in needed if name not in columns]
+        if not pins or missing:
+            lines.refuse(head_line, f"column {missing[0] if missing else 'PIN0'} is missing")
+        groups: defaultdict[tuple[str, str], list[tuple[int, list[str]]]] = defaultdict(list)
+        width = 1 + max(columns[name] for name in needed)
+        for number, row in rows[1:]:
+            cells = [cell.strip() for cell in row.split(";")]
+            if len(cells) < width:
+                lines.refuse(number, f"{len(cells)} fields, at least {width} are needed")
+            groups[cells[columns["PROJECT"]], cells[columns["SEQUENCE"]]].append((number, cells))
+        if not groups:
+            lines.refuse(head_line, "has no step")
+        titles = [f"{project} {sequence}".strip() for project, sequence in groups]
+        return tuple(
+            read_or_refused(title, partial(_motion, lines, title, steps, columns, pins))
+            for title, steps in zip(titles, groups.values(), strict=True)
+        )
+
+
+def _motion(
+    lines: TextLines,
+    title: str,
+    steps: Sequence[tuple[int, list[str]]],
+    columns: Mapping[str, int],
+    pins: Sequence[str],
+) -> ForeignMotion:
+    keys: dict[str, list[tuple[float, float]]] = {pin: [] for pin in pins}
+    start_s = 0.0
+    for number, cells in steps:
+        times_s = [
+            s_from_ms(lines.whole(cells[columns[f"T{pin[3:]}"]], number, DURATION_MAX_MS))
+            for pin in pins
+        ]
+        longest = _cell(cells, columns, "TMAX")
+        step_s = s_from_ms(lines.whole(longest, number, DURATION_MAX_MS)) if longest else 0.0
+        step_s = max(step_s, *times_s)
+        for pin, time_s in zip(pins, times_s, strict=True):
+            angle_deg = lines.number(cells[columns[pin]], number, has_commas=True)
+            if time_s == 0.0:
+                lines.refuse(number, f"{pin} takes no time; give T{pin[3:]}")
+            keys[pin].append((start_s + time_s, angle_deg))
+            if time_s < step_s:  # It waits there for the others.
+                keys[pin].append((start_s + step_s, angle_deg))
+        start_s += step_s
+        if start_s > TIME_MAX_S:
+            lines.refuse(number, f"comes to more than a day ({TIME_MAX_S:g} s)")
+    idle = [pin for pin in pins if not any(angle for _, angle in keys[pin])]
+    idle = idle if len(idle) < len(pins) else []
+    found = [f"{', '.join(idle)}, which stay at 0"] * bool(idle)
+    channels: list[Channel] = []
+    for pin in pins:
+        if pin not in idle:
+            own_times_s, angles_deg = thinned(*np.array(keys[pin]).T)
+            channels.append(
+                Channel(name=pin, unit=Unit.DEG, times_s=own_times_s, values=angles_deg)
+            )
+    return ForeignMotion(
+        path=lines.path,
+        name=motion_label(title) or "motion",
+        channels=tuple(channels),
+        notes=dict[float, Note](),
+        comments=(
+            f"Imported from {lines.path.name} (SSC-32 visual sequencer, {title!r:.60}).",
+            *summarised(found),
+        ),
+    )
+
+
+def _cell(cells: Sequence[str], columns: Mapping[str, int], name: str) -> str:
+    """Return an optional cell; rows are often shorter than the header."""
+    at = columns.get(name)
+    return "" if at is None or at >= len(cells) else cells[at]

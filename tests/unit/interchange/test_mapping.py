@@ -1,0 +1,173 @@
+"""Maps: units, signs, names, what must be said, and the template that begins one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lss_motion.errors import InputError
+from lss_motion.interchange import Channel, ForeignMotion, Unit, load_map, map_template, mapped
+
+MOTION_PATH = Path("dance.json")
+
+
+def motion(*channels: tuple[str, Unit, list[float]], is_recording: bool = False) -> ForeignMotion:
+    return ForeignMotion(
+        path=MOTION_PATH,
+        name="dance",
+        channels=tuple(
+            Channel(
+                name=name,
+                unit=unit,
+                times_s=np.arange(len(values)) / 10.0,
+                values=np.array(values, dtype=np.float64),
+                servo_id=int(name[2:]) if name.startswith("ID") else None,
+            )
+            for name, unit, values in channels
+        ),
+        notes={},
+        is_recording=is_recording,
+    )
+
+
+def angles(made: ForeignMotion) -> dict[str, list[float]]:
+    return {c.name: [round(v, 6) for v in c.values.tolist()] for c in made.channels}
+
+
+@pytest.fixture
+def write_map(tmp_path: Path):
+    def write(text: str):
+        path = tmp_path / "map.yaml"
+        path.write_text("joints:\n" + text, encoding="utf-8")
+        return load_map(path)
+
+    return write
+
+
+def test_a_map_turns_values_into_joint_angles(arm, write_map) -> None:
+    made = mapped(
+        motion(("Head Pan", Unit.RAD, [0.0, np.pi / 2]), ("jaw", Unit.US, [1500.0, 2000.0])),
+        arm,
+        write_map(
+            '  "Head Pan": {name: base, sign: -1, offset_deg: 5}\n'
+            "  jaw: {name: elbow, scale: 0.09, offset_deg: -135}\n"
+        ),
+    )
+    assert angles(made) == {"base": [5.0, -85.0], "elbow": [0.0, 45.0]}
+    assert all(channel.unit is Unit.DEG for channel in made.channels)
+
+
+def test_the_unit_of_a_map_wins_over_that_of_the_file(arm, write_map) -> None:
+    content = motion(("base", Unit.DEG, [1.0]), ("lift", Unit.RAD_OR_M, [0.5]))
+    made = mapped(content, arm, write_map("  base: {unit: rad}\n  lift: {unit: m, scale: 3600}\n"))
+    assert angles(made) == {"base": [57.29578], "lift": [1800.0]}
+    made = mapped(content, arm, write_map("  lift: {unit: rad}\n"))
+    assert angles(made) == {"base": [1.0], "lift": [28.64789]}
+
+
+def test_lss_ids_become_the_joints_that_have_them(arm) -> None:
+    made = mapped(motion(("ID5", Unit.DEG, [0.0, 30.0]), ("ID1", Unit.DEG, [7.0])), arm, None)
+    assert angles(made) == {"elbow": [10.0, -20.0], "base": [7.0]}
+
+
+def test_a_skipped_joint_is_told(arm, write_map) -> None:
+    content = motion(("base", Unit.DEG, [1.0]), ("tail", Unit.RAW, [1.0]))
+    made = mapped(content, arm, write_map("  tail: {skip: true}\n"))
+    assert angles(made) == {"base": [1.0]}
+    assert made.comments == ("Not carried over: joint tail, which the map skips",)
+
+
+@pytest.mark.parametrize(
+    ("unit", "words"),
+    [
+        (Unit.US, "microseconds of a servo pulse, which is no angle; give `scale`"),
+        (Unit.RAW, "units of its own robot, which is no angle; give `scale`"),
+        (Unit.RAD_OR_M, "does not say whether it is given in radians or metres"),
+    ],
+)
+def test_a_unit_without_an_angle_is_refused_without_a_map(arm, unit: Unit, words: str) -> None:
+    with pytest.raises(InputError, match=words) as caught:
+        mapped(motion(("lift", unit, [1.0]), ("base", unit, [1.0])), arm, None)
+    assert len(caught.value.more) == 1
+    assert caught.value.path == MOTION_PATH
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "reason"),
+    [
+        ("  bass: {name: base}\n", 2, "the motion has no joint 'bass'; did you mean 'base'?"),
+        ("  base: {name: elbo}\n", 2, "has no joint 'elbo'; did you mean 'elbow'?"),
+        ("  base: {sign: 2}\n", 2, "must be 1 or -1"),
+        ("  base: {scale: 0}\n", 2, "must be more than 0"),
+        ("  base: {scale: .nan}\n", 2, "must be"),
+        ("  base: {unit: grad}\n", 2, "is not allowed"),
+        ("  base: {ofset_deg: 1}\n", 2, "unknown key 'ofset_deg'; did you mean 'offset_deg'?"),
+        ("  base:\n", 2, "has no value"),
+        ("  {}\n", 1, "must have 1 or more entries"),
+    ],
+)
+def test_a_wrong_map_is_refused_with_its_line(arm, write_map, text, line, reason) -> None:
+    with pytest.raises(InputError) as caught:
+        mapped(motion(("base", Unit.DEG, [1.0])), arm, write_map(text))
+    assert reason in str(caught.value)
+    assert caught.value.path.name == "map.yaml"
+    assert caught.value.line in {line, line + 1}
+
+
+def test_two_joints_cannot_become_one(arm, write_map) -> None:
+    content = motion(("base", Unit.DEG, [1.0]), ("b", Unit.DEG, [1.0]))
+    with pytest.raises(InputError, match="2 joints of the motion become joint 'base'; one can"):
+        mapped(content, arm, write_map("  b: {name: base}\n"))
+
+
+def test_a_map_that_skips_everything_is_refused(arm, write_map) -> None:
+    with pytest.raises(InputError, match="moves only joints that the map skips"):
+        mapped(motion(("base", Unit.DEG, [1.0])), arm, write_map("  base: {skip: true}\n"))
+
+
+def test_a_recording_of_an_encoder_that_wraps_is_unwrapped_and_told(arm) -> None:
+    turning = [170.0, 178.0, -174.0, -166.0, -174.0, 178.0]
+    made = mapped(motion(("base", Unit.DEG, turning), is_recording=True), arm, None)
+    assert angles(made) == {"base": [170.0, 178.0, 186.0, 194.0, 186.0, 178.0]}
+    assert made.comments == (
+        "Joint base jumps by a full turn 2 times, first at 0.2 s: read as an encoder that wraps, "
+        "and undone.",
+    )
+
+
+def test_poses_a_full_turn_apart_are_left_as_their_author_wrote_them(arm) -> None:
+    made = mapped(motion(("base", Unit.DEG, [179.0, -179.0])), arm, None)
+    assert angles(made) == {"base": [179.0, -179.0]}
+
+
+def test_the_template_is_a_map_that_says_what_is_a_guess(arm, write_map) -> None:
+    content = motion(
+        ("Base_Joint", Unit.RAD, [0.0, 1.0]),
+        ("ID5", Unit.DEG, [0.0, 40.0]),
+        ("lift", Unit.RAD_OR_M, [0.2]),
+        ('odd "name"\n', Unit.RAW, [1.0]),
+        ("PIN3", Unit.US, [1500.0]),
+    )
+    text = map_template(content, arm)
+    entries = write_map(text.partition("joints:\n")[2]).entries
+    assert entries["Base_Joint"].name == "base"
+    assert (entries["ID5"].name, entries["ID5"].sign, entries["ID5"].offset_deg) == (
+        "elbow",
+        -1,
+        10,
+    )
+    assert entries["lift"].name == "lift"
+    assert entries['odd "name"\n'].skip
+    assert entries["PIN3"].skip
+    assert "guess: 180 deg over 500 to 2500 us" in text
+    assert "add unit: rad, or unit: m and scale: degrees per metre" in text
+    with pytest.raises(InputError, match="radians or metres"):
+        mapped(content, arm, write_map(text.partition("joints:\n")[2]))
+
+
+def test_a_template_maps_lss_ids_as_no_map_would(arm, write_map) -> None:
+    content = motion(("ID5", Unit.DEG, [0.0, 40.0]), ("ID1", Unit.DEG, [7.0]))
+    text = map_template(content, arm).partition("joints:\n")[2]
+    assert angles(mapped(content, arm, write_map(text))) == angles(mapped(content, arm, None))

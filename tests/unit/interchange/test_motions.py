@@ -1,0 +1,160 @@
+"""Other tools' files as sequences for one robot."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from lss_motion.errors import InputError
+from lss_motion.interchange import (
+    FORMAT_NAMES,
+    import_motion,
+    read_motion,
+    read_motions,
+    sequence_for,
+)
+from lss_motion.interchange.poses import Pose, motion_of_poses
+from lss_motion.robot import load_robot
+from lss_motion.sequence import load_sequence, write_sequence
+from lss_motion.sequence.model import Timing
+
+if TYPE_CHECKING:
+    from lss_motion.robot.model import Robot
+
+ROOT = Path(__file__).resolve().parents[3]
+MOTIONS = ROOT.parent / "shared" / "motions"
+FIGURE = ROOT / "sequences/robots/figure.yaml"
+
+
+@pytest.fixture(scope="module")
+def figure() -> Robot:
+    return load_robot(FIGURE)
+
+
+def motion_file(folder: Path, **goals_deg: float) -> Path:
+    keyframes = [
+        {"duration": 1.5, "pause": 0.5, "goals": {"HeadPan": 10.0}, "name": "look"},
+        {"duration": 1.0, "pause": 0.0, "goals": {"HeadPan": -10.0, **goals_deg}, "name": "away"},
+    ]
+    path = folder / "look.json"
+    path.write_text(json.dumps({"name": "look", "keyframes": keyframes}), encoding="utf-8")
+    return path
+
+
+def test_a_motion_becomes_an_authored_sequence_for_the_robot(tmp_path: Path, figure: Robot) -> None:
+    path = motion_file(tmp_path, HeadTilt=5.0)
+    sequence = import_motion(path, figure)
+    assert (sequence.name, sequence.timing, sequence.loop) == ("look", Timing.AUTHORED, 1)
+    assert sequence.robot_path == FIGURE
+    assert [keyframe.at_s for keyframe in sequence.keyframes] == [1.5, 3.0]
+    assert sequence.keyframes[1].deg == {"HeadPan": -10.0, "HeadTilt": 5.0}
+    assert import_motion(path, figure, format_name="bitbots") == sequence
+
+
+def test_an_imported_motion_is_written_and_read_back_unchanged(
+    tmp_path: Path, figure: Robot
+) -> None:
+    motion = read_motion(motion_file(tmp_path))
+    sequence = sequence_for(motion, figure)
+    write_sequence(sequence, tmp_path / "look.yaml", comments=motion.comments)
+    assert load_sequence(tmp_path / "look.yaml") == sequence
+    text = (tmp_path / "look.yaml").read_text(encoding="utf-8")
+    assert "# Imported from look.json (Bit-Bots keyframes).\n" in text
+
+
+def test_everything_that_the_robot_cannot_do_is_named(tmp_path: Path, figure: Robot) -> None:
+    path = motion_file(tmp_path, HeadTilt=61.0, Jaw=3.0, Tail=4.0)
+    with pytest.raises(InputError) as caught:
+        import_motion(path, figure)
+    joints, tilt = str(caught.value).splitlines()
+    assert joints.startswith(f"{path}: robot 'figure' does not have the joints Jaw, Tail; it has")
+    assert tilt == (
+        f"{path}: keyframe 2 (away) at 3 s: joint 'HeadTilt' at 61 deg is outside its range, "
+        "-45 to 60 deg"
+    )
+
+
+def test_an_unknown_content_is_refused_with_the_formats_that_there_are(
+    tmp_path: Path, figure: Robot
+) -> None:
+    path = tmp_path / "other.json"
+    path.write_text("{}", encoding="utf-8")
+    with pytest.raises(InputError, match=f"can be read; there are: {', '.join(FORMAT_NAMES)}"):
+        import_motion(path, figure)
+    with pytest.raises(InputError, match="unknown motion format 'bitbot'; did you mean 'bitbots'"):
+        import_motion(path, figure, format_name="bitbot")
+    with pytest.raises(InputError, match="must have a list 'keyframes'"):
+        import_motion(path, figure, format_name="bitbots")
+    with pytest.raises(InputError, match="file not found"):
+        import_motion(tmp_path / "nothing.json", figure)
+
+
+def test_motions_of_one_name_are_told_apart(tmp_path: Path) -> None:
+    path = tmp_path / "two.ppr"
+    path.write_text("d:1\nPose=a: 512\nSeq=s: a|250\nSeq=s: a|500\nSeq=s: a|50\n", "utf-8")
+    assert [motion.name for motion in read_motions(path)] == ["s", "s (2)", "s (3)"]
+    assert read_motion(path, motion_name="s (2)").keyframes[0].at_s == 0.5
+
+
+@pytest.mark.parametrize("start_s", [1_700_000_000.25, -2.5])
+def test_times_that_are_none_of_a_show_are_moved_to_its_start(tmp_path: Path, start_s) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(f"time_s,HeadPan\n{start_s},1\n{start_s + 0.5},2\n", encoding="utf-8")
+    motion = read_motion(path)
+    assert [keyframe.at_s for keyframe in motion.keyframes] == [0.0, 0.5]
+    assert f"Times start at {start_s:f} s in the file and at 0 here." in motion.comments
+
+
+def test_a_file_beyond_the_limit_is_refused(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("lss_motion.interchange.motions.FILE_MAX_BYTES", 100)
+    path = tmp_path / "big.csv"
+    path.write_text("t_s,HeadPan\n" + "0,1\n" * 50, encoding="utf-8")
+    with pytest.raises(InputError, match="is larger than 0 MB, the most that is read"):
+        read_motion(path)
+
+
+def test_a_motion_longer_than_a_day_is_refused(tmp_path: Path, figure: Robot) -> None:
+    path = motion_file(tmp_path)
+    path.write_text(path.read_text(encoding="utf-8").replace("1.5", "86399"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"takes 86400\.5 s, more than a day"):
+        import_motion(path, figure)
+
+
+def test_more_keyframes_than_a_sequence_file_may_have_are_refused(figure: Robot) -> None:
+    poses = [Pose(at_s=float(n), values={"HeadPan": 0.0}) for n in range(10_001)]
+    with pytest.raises(InputError, match="has 10,001 keyframes, at most 10,000 are allowed"):
+        sequence_for(motion_of_poses(Path("m"), "m", poses), figure)
+
+
+def test_a_motion_that_jumps_is_refused(figure: Robot) -> None:
+    poses = [
+        Pose(at_s=0.0, values={"HeadPan": 0.0}, hold_s=1.0),
+        Pose(at_s=1.0, values={"HeadPan": 5.0}),
+    ]
+    with pytest.raises(InputError, match="joint 'HeadPan' would have to go from 0 to 5 deg in no"):
+        sequence_for(motion_of_poses(Path("m"), "m", poses), figure)
+
+
+@pytest.mark.skipif(not MOTIONS.is_dir(), reason="the collection of real motions is not here")
+def test_a_real_motion_keeps_its_times_and_angles_on_the_figure(
+    tmp_path: Path, figure: Robot
+) -> None:
+    motion = read_motion(MOTIONS / "cheering_only_arms.json")
+    sequence = sequence_for(motion, figure)
+    times_s = [(keyframe.at_s, keyframe.hold_s) for keyframe in sequence.keyframes]
+    assert times_s == [(2.0, 0.0), (3.0, 0.5), (4.5, 0.5), (7.0, 0.2), (10.2, 0.0)]
+    assert sequence.keyframes[2].deg["LElbow"] == -58.0
+    write_sequence(sequence, tmp_path / "cheering.yaml", comments=motion.comments)
+    assert load_sequence(tmp_path / "cheering.yaml") == sequence
+
+
+@pytest.mark.skipif(not MOTIONS.is_dir(), reason="the collection of real motions is not here")
+def test_real_motions_with_empty_extras_or_other_joints_are_read_or_refused_truly(
+    figure: Robot,
+) -> None:
+    assert len(import_motion(MOTIONS / "throw.json", figure).keyframes) == 4
+    with pytest.raises(InputError, match=r"does not have the joints .*LKnee.* RKnee"):
+        import_motion(MOTIONS / "cheering.json", figure)

@@ -1,0 +1,161 @@
+"""Recordings to keys: within the tolerance, none too many, as the planner will play them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lss_motion.errors import InputError
+from lss_motion.interchange import Channel, ForeignMotion, Unit, imported, reduced
+from lss_motion.interchange.interpolant import interpolated
+from lss_motion.interchange.reduce import ROUNDING_DEG
+from lss_motion.sequence.model import Interpolation, Keyframe, Sequence
+from lss_motion.trajectory.planner import plan
+
+EASES = (Interpolation.SPLINE, Interpolation.SMOOTH, Interpolation.LINEAR)
+
+
+def recording(*curves: np.ndarray, rate_hz: float = 100.0, names=("base", "elbow", "lift")):
+    return ForeignMotion(
+        path=Path("r.csv"),
+        name="r",
+        channels=tuple(
+            Channel(
+                name=name,
+                unit=Unit.DEG,
+                times_s=np.round(np.arange(len(values)) / rate_hz, 6),
+                values=values,
+            )
+            for name, values in zip(names, curves, strict=False)
+        ),
+        notes={},
+        is_recording=True,
+    )
+
+
+def lively(seed: int, seconds: float = 20.0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    times_s = np.arange(int(seconds * 100)) / 100.0
+    waves = zip(rng.uniform(3, 15, 5), rng.uniform(0.05, 0.8, 5), rng.uniform(0, 6, 5), strict=True)
+    curve = sum(a * np.sin(2 * np.pi * f * times_s + p) for a, f, p in waves)
+    return np.round(curve + rng.normal(0.0, 0.05, len(times_s)), 1)
+
+
+@pytest.mark.parametrize("ease", EASES)
+@pytest.mark.parametrize("tolerance_deg", [0.3, 1.0, 5.0])
+def test_keys_stay_within_the_tolerance_at_every_sample(ease, tolerance_deg: float) -> None:
+    whole = recording(lively(1), lively(2))
+    keys, fit = reduced(whole, tolerance_deg, ease)
+    for samples, own in zip(whole.channels, keys.channels, strict=True):
+        error = interpolated(ease, own.times_s, own.values, samples.times_s) - samples.values
+        assert np.abs(error).max() <= tolerance_deg + ROUNDING_DEG
+        assert np.isin(own.times_s, samples.times_s).all()
+    assert fit.error_max_deg <= tolerance_deg + ROUNDING_DEG
+    assert fit.keys_count == sum(len(channel.times_s) for channel in keys.channels)
+    assert fit.samples_count == 4000
+    assert keys.ease is ease
+
+
+@pytest.mark.parametrize("ease", EASES)
+def test_no_key_could_be_left_out(ease) -> None:
+    (samples,) = recording(lively(3)).channels
+    keys, _ = reduced(recording(samples.values), 1.0, ease)
+    (own,) = keys.channels
+    assert len(own.times_s) < len(samples.times_s) / 4
+    for left_out in range(1, len(own.times_s) - 1):
+        fewer = interpolated(
+            ease,
+            np.delete(own.times_s, left_out),
+            np.delete(own.values, left_out),
+            samples.times_s,
+        )
+        assert np.abs(fewer - samples.values).max() > 1.0 - ROUNDING_DEG
+
+
+def taught(seed: int) -> np.ndarray:
+    """Moves from rest to rest, as a hand that teaches makes them."""
+    rng = np.random.default_rng(seed)
+    pieces: list[np.ndarray] = []
+    here_deg = 0.0
+    for _ in range(12):
+        there_deg = rng.uniform(-80.0, 80.0)
+        share = np.arange(int(rng.uniform(40, 200))) / 200.0
+        share = share / share[-1]
+        pieces.append(here_deg + (there_deg - here_deg) * share**2 * (3.0 - 2.0 * share))
+        pieces.append(np.full(int(rng.uniform(30, 150)), there_deg))
+        here_deg = there_deg
+    curve = np.concatenate(pieces)
+    return np.round(curve + rng.normal(0.0, 0.05, len(curve)), 1)
+
+
+def test_a_spline_needs_fewer_keys_and_less_acceleration_for_motion_that_flows(arm) -> None:
+    counts, late_s = [], []
+    for ease in (Interpolation.SPLINE, Interpolation.SMOOTH):
+        made = imported(recording(np.minimum(1.0, np.arange(6000) / 100) * lively(4, 60.0)), arm,
+                        ease=ease)  # fmt: skip
+        assert made.fit is not None
+        counts.append(made.fit.keys_count)
+        late_s.append(plan(made.sequence, arm).duration_s - 59.99)
+    assert counts[0] < 0.8 * counts[1]
+    assert late_s[0] <= 0.01 + late_s[1] / 10.0
+
+
+def test_moves_between_rests_need_little_more_than_their_ends() -> None:
+    assert reduced(recording(taught(5)), 1.0, Interpolation.SMOOTH)[1].keys_count <= 2 * 24
+
+
+def test_a_joint_that_only_trembles_has_one_key() -> None:
+    still = 20.0 + 0.4 * np.sin(np.arange(1000.0))
+    _, fit = reduced(recording(still), 1.0, Interpolation.SPLINE)
+    assert (fit.keys_count, fit.keyframes_count) == (1, 1)
+
+
+@pytest.mark.parametrize("ease", EASES)
+def test_the_planner_follows_the_interpolation_that_the_error_was_measured_with(arm, ease) -> None:
+    times_s = np.array([0.0, 1.0, 2.5, 3.0, 4.0, 6.0])
+    values = np.array([0.0, 30.0, 40.0, 20.0, 20.0, -35.0])
+    keyframes = tuple(
+        Keyframe(at_s=at_s, deg={"base": deg}, ease=ease)
+        for at_s, deg in zip(times_s.tolist(), values.tolist(), strict=True)
+    )
+    trajectory = plan(Sequence(name="s", keyframes=keyframes), arm)
+    assert not trajectory.stretched
+    at_s = np.linspace(0.0, 6.0, 601)
+    planned = trajectory.sample(at_s)[:, 0]
+    np.testing.assert_allclose(interpolated(ease, times_s, values, at_s), planned, atol=1e-6)
+
+
+def test_more_times_than_keyframes_are_shared_between_the_joints(monkeypatch) -> None:
+    monkeypatch.setattr("lss_motion.interchange.reduce.KEYFRAMES_MAX", 200)
+    names = tuple(f"j{n}" for n in range(8))
+    whole = recording(*[lively(n) for n in range(8)], names=names)
+    keys, fit = reduced(whole, 1.5, Interpolation.SPLINE)
+    assert fit.keys_count > 200
+    assert fit.error_max_deg <= 1.5 + ROUNDING_DEG
+    assert len(np.unique(np.concatenate([c.times_s for c in keys.channels]))) <= 200
+    assert fit.keyframes_count <= 200
+
+
+def test_a_recording_too_lively_for_a_sequence_is_refused_with_the_error(monkeypatch) -> None:
+    monkeypatch.setattr("lss_motion.interchange.reduce.KEYFRAMES_MAX", 20)
+    with pytest.raises(InputError, match=r"too lively for 20 keyframes: joint 'base' would be"):
+        reduced(recording(lively(8)), 0.5, Interpolation.SPLINE)
+
+
+def test_a_spline_that_would_leave_the_range_is_replaced_by_a_smooth_curve(arm) -> None:
+    stop = np.minimum(180.0, 120.0 + 70.0 * np.sin(np.arange(1500) / 80.0))
+    made = imported(recording(stop), arm, ease=Interpolation.SPLINE)
+    assert {keyframe.ease for keyframe in made.sequence.keyframes} == {Interpolation.SMOOTH}
+    assert "A spline would swing joint base out of its range: smooth instead." in made.comments
+    assert not np.any(plan(made.sequence, arm).sample(np.linspace(0, 14.99, 9000)) > 180.0)
+    inside = imported(recording(stop - 20.0), arm, ease=Interpolation.SPLINE)
+    assert inside.sequence.keyframes[0].ease is Interpolation.SPLINE
+
+
+def test_tolerance_zero_keeps_every_sample(arm) -> None:
+    curve = lively(9)
+    made = imported(recording(curve), arm, tolerance_deg=0.0)
+    assert made.fit is None
+    assert [keyframe.deg["base"] for keyframe in made.sequence.keyframes] == curve.tolist()

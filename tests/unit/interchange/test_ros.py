@@ -1,0 +1,110 @@
+"""ROS: messages, collections, wrappings, times in both forms, joints that may slide."""
+
+from __future__ import annotations
+
+import pytest
+
+from lss_motion.interchange.reader import ForeignMotion, RefusedMotion, Unit
+from lss_motion.interchange.ros import RosReader
+from lss_motion.interchange.yaml_tree import NODES_MAX
+
+MESSAGE = """\
+joint_names: [a, b]
+points:
+- positions: [0.0, 1.0]
+  velocities: [0.5, 0.5]
+  time_from_start: {sec: 0, nanosec: 0}
+- positions: [0.5, -1.0]
+  time_from_start: {sec: 1, nanosec: 500000000}
+"""
+COLLECTION = """\
+/play_motion2:
+  ros__parameters:
+    motions:
+      wave:
+        joints: [a, torso_lift_joint]
+        positions: [0.0, 0.1,
+                    1.0, 0.2]
+        times_from_start: [0.5, 2]
+        meta: {name: Wave, usage: demo}
+      broken:
+        joints: [a, b]
+        positions: [1, 2, 3]
+        times_from_start: [0.5, 2]
+      nothing:
+        positions: [1]
+"""
+
+
+def test_a_message_has_times_in_seconds_and_nanoseconds(read_one) -> None:
+    motion = read_one(RosReader(), MESSAGE)
+    a, b = motion.channels
+    assert (a.name, a.unit, a.times_s.tolist()) == ("a", Unit.RAD, [0.0, 1.5])
+    assert b.values.tolist() == [1.0, -1.0]
+    assert "Not carried over: velocities" in motion.comments
+    assert motion.keyframes[1].deg["a"] == pytest.approx(28.647890)
+
+
+@pytest.mark.parametrize("key", ["trajectory", "joint_trajectory", "goal"])
+def test_a_message_may_be_wrapped_as_actions_and_nodes_wrap_it(read_one, key: str) -> None:
+    inside = "".join(f"  {line}\n" for line in MESSAGE.splitlines())
+    wrapped = read_one(RosReader(), f"header: {{stamp: 0}}\n{key}:\n{inside}")
+    assert [c.values.tolist() for c in wrapped.channels] == [[0.0, 0.5], [1.0, -1.0]]
+
+
+def test_what_follows_the_first_message_of_an_echo_is_another_motion(read_one) -> None:
+    assert len(read_one(RosReader(), MESSAGE + "---\n" + MESSAGE).channels[0].times_s) == 2
+
+
+def test_a_collection_gives_its_motions_and_says_which_are_wrong(tmp_path) -> None:
+    wave, broken, nothing = RosReader().motions(tmp_path, COLLECTION.encode())
+    assert isinstance(wave, ForeignMotion)
+    assert [(c.name, c.unit) for c in wave.channels] == [
+        ("a", Unit.RAD),
+        ("torso_lift_joint", Unit.RAD_OR_M),
+    ]
+    assert wave.channels[0].times_s.tolist() == [0.5, 2.0]
+    assert wave.channels[1].values.tolist() == [0.1, 0.2]
+    assert "usage: demo" in wave.comments
+    assert isinstance(broken, RefusedMotion)
+    assert isinstance(nothing, RefusedMotion)
+    assert str(broken.error) == f"{tmp_path}:12: 3 positions are not 2 times 2 joints"
+    assert str(nothing.error) == f"{tmp_path}:15: motion 'nothing' has no 'joints'"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "reason"),
+    [
+        ("[0.5, -1.0]", "[0.5]", 6, "point 2 has 1 positions for 2 joints"),
+        ("[0.5, -1.0]", "[0.5, .nan]", 6, "'.nan' is not a number that a joint can reach"),
+        ("[0.5, -1.0]", "[0.5, nan]", 6, "'nan' is not a number that a joint can reach"),
+        ("[0.5, -1.0]", "[0.5, 1e99]", 6, "'1e99' is not a number that a joint can reach"),
+        ("sec: 1, nanosec: 500000000", "sec: 0", 6, "times must increase"),
+        ("{sec: 1, nanosec: 500000000}", "soon", 7, "'soon' is not a number"),
+        ("sec: 1, nano", "nano", 7, "a time must be seconds, or {sec"),
+        ("- positions: [0.5, -1.0]\n  ", "- ", 6, "point 2 has no 'positions'"),
+        ("[a, b]", "[a, a]", 1, "joint 'a' is listed twice"),
+        ("[a, b]", "[]", 1, "the list of joints must be a list with at least one entry"),
+        ("[a, b]", "[a, b", 2, "not YAML"),
+        ("[a, b]", "!!python/object/apply:os.system [b]", 1, "that is never done"),
+        ("[a, b]", "[a, b]\njoint_names: [c]", 2, "'joint_names' is given twice"),
+        ("[a, b]", "*a", 1, "alias *a has no anchor before it"),
+        ("[a, b]", "[" * 100_000, 1, "nested more than 16 deep"),
+    ],
+)
+def test_a_wrong_message_is_refused_with_its_line(refusal, old, new, line, reason) -> None:
+    error = refusal(RosReader(), MESSAGE.replace(old, new, 1))
+    assert (error.line, reason in error.reason) == (line, True), error
+
+
+def test_aliases_do_not_multiply_into_a_flood(refusal) -> None:
+    text = "a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]\n"
+    for level in range(1, 9):
+        text += f"a{level}: &a{level} [{', '.join([f'*a{level - 1}'] * 10)}]\n"
+    assert f"more than {NODES_MAX:,}" in refusal(RosReader(), text + MESSAGE).reason
+
+
+def test_a_file_without_a_motion_is_refused(refusal) -> None:
+    assert "'joint_names' and 'points', or 'motions'" in refusal(RosReader(), "a: 1\n").reason
+    assert "is empty" in refusal(RosReader(), "# nothing\n").reason
+    assert "'motions' holds no motion" in refusal(RosReader(), "motions: {}\n").reason

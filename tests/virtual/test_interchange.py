@@ -1,0 +1,159 @@
+"""Foreign motions the whole way: read, mapped, planned, compiled, played on the simulated robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from lss_motion.api import perform
+from lss_motion.cli.exchange import sampled
+from lss_motion.errors import InputError
+from lss_motion.interchange import (
+    ForeignMotion,
+    Unit,
+    exported,
+    import_motion,
+    imported,
+    load_map,
+    map_template,
+    read_motion,
+    read_motions,
+)
+from lss_motion.program.compile import compile_program
+from lss_motion.program.text import to_text
+from lss_motion.robot import load_robot
+from lss_motion.sequence import load_sequence
+from lss_motion.trajectory.planner import plan
+
+if TYPE_CHECKING:
+    from lss_motion.interchange.mapping import MotionMap
+    from lss_motion.robot.model import Robot
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = ROOT / "sequences"
+MOTIONS = ROOT.parent / "shared" / "motions"
+
+needs_motions = pytest.mark.skipif(
+    not MOTIONS.is_dir(), reason="the collection of real motions is not here"
+)
+
+COUNTS = {
+    "cheering.json": 1,
+    "cheering_only_arms.json": 1,
+    "throw.json": 1,
+    "webots_op2_hand_high.motion": 1,
+    "tiago_motions_no-ee.yaml": 10,
+    "talos_motions.yaml": 56,
+    "op3_motion_4095.bin": 55,
+}
+"""How many motions each file of the collection holds; counted by hand, or by other programs."""
+
+
+def robot_for(motion: ForeignMotion, folder: Path) -> Robot:
+    """Return a robot with the joints of the motion and generous limits."""
+    joints = [f"  {channel.name}: {{id: {n}}}" for n, channel in enumerate(motion.channels, 1)]
+    path = folder / "robot.yaml"
+    path.write_text(
+        "robot: generous\n"
+        "buses: {main: {port: 'sim://', baud_bps: 921600}}\n"
+        "defaults: {model: LSS-HS1, range_deg: [-360, 360], speed_max_deg_s: 360,\n"
+        "           accel_max_deg_s2: 1000}\n"
+        "joints:\n" + "\n".join([*joints, ""]),
+        encoding="utf-8",
+    )
+    return load_robot(path)
+
+
+def map_for(motion: ForeignMotion, robot: Robot, folder: Path) -> MotionMap:
+    """Return the template of a map, with a spindle of 0.4 m a turn behind what slides."""
+    path = folder / "map.yaml"
+    text = map_template(motion, robot)
+    for channel in motion.channels:
+        if channel.unit is Unit.RAD_OR_M:
+            name = f'name: "{channel.name}"'
+            text = text.replace(name, f"{name}, unit: m, scale: 900")
+    path.write_text(text, encoding="utf-8")
+    return load_map(path)
+
+
+@needs_motions
+@pytest.mark.parametrize("file", COUNTS)
+def test_every_real_motion_is_planned_with_the_times_of_its_author(file, tmp_path) -> None:
+    motions = read_motions(MOTIONS / file)
+    assert len(motions) == COUNTS[file]
+    for motion in motions:
+        assert isinstance(motion, ForeignMotion)
+        robot = robot_for(motion, tmp_path)
+        if any(channel.unit is Unit.RAD_OR_M for channel in motion.channels):
+            with pytest.raises(InputError, match="does not say whether it is given in radians or"):
+                imported(motion, robot)
+        sequence = imported(motion, robot, motion_map=map_for(motion, robot, tmp_path)).sequence
+        end_s = max((k.at_s or 0.0) + k.hold_s for k in sequence.keyframes)
+        trajectory = plan(sequence, robot)
+        assert trajectory.duration_s >= end_s - 1e-6
+        if not trajectory.stretched:
+            assert trajectory.duration_s == pytest.approx(end_s, abs=1e-6)
+            for keyframe in sequence.keyframes:
+                (planned_deg,) = trajectory.sample(np.array([keyframe.at_s]))
+                for name, deg in keyframe.deg.items():
+                    assert planned_deg[trajectory.joints.index(name)] == pytest.approx(
+                        deg, abs=1e-5
+                    )
+
+
+@needs_motions
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [
+        ("cheering.json", "cheering"),
+        ("webots_op2_hand_high.motion", "webots_op2_hand_high"),
+        ("tiago_motions_no-ee.yaml", "wave"),
+        ("talos_motions.yaml", "nod"),
+        ("op3_motion_4095.bin", "see_rightup"),
+    ],
+)
+def test_one_real_motion_of_every_format_plays(file: str, name: str, tmp_path: Path) -> None:
+    motion = read_motion(MOTIONS / file, motion_name=name)
+    robot = robot_for(motion, tmp_path)
+    trajectory = plan(imported(motion, robot).sequence, robot)
+    result = perform(
+        compile_program(trajectory, robot), robot, is_virtual=True, trajectory=trajectory
+    )
+    assert result.report["outcome"] == "finished"
+    assert result.report["timing"]["missed"] == 0
+    assert result.report["played_s"] == pytest.approx(trajectory.duration_s, abs=0.01)
+    for joint in result.report["joints"].values():
+        assert joint["horn_error_rms_deg"] < 1.0
+
+
+def test_a_plan_that_goes_out_as_csv_comes_in_again_within_a_twentieth_degree(tmp_path) -> None:
+    robot = load_robot(EXAMPLES / "robots" / "desk_arm.yaml")
+    before = plan(load_sequence(EXAMPLES / "wave.yaml"), robot)
+    path = tmp_path / "wave.csv"
+    path.write_text(exported(sampled(before, 100.0), "csv"), encoding="utf-8")
+    after = plan(import_motion(path, robot, tolerance_deg=0.04), robot)
+    times_s = np.arange(int(before.duration_s * 1000.0)) / 1000.0
+    error_deg = np.abs(after.sample(times_s) - before.sample(times_s))
+    assert after.joints == before.joints
+    assert error_deg.max() <= 0.05
+
+
+def test_a_compiled_program_read_as_commands_is_nearly_what_it_was_compiled_from(tmp_path) -> None:
+    """Nearly: the text does not say how the servos ramp, which the compiler allowed for."""
+    robot = load_robot(EXAMPLES / "robots" / "desk_arm.yaml")
+    before = plan(load_sequence(EXAMPLES / "wave.yaml"), robot)
+    path = tmp_path / "wave.txt"
+    path.write_text(to_text(compile_program(before, robot)), encoding="utf-8")
+    sequence = imported(read_motion(path), robot).sequence
+    errors_deg = [
+        abs(deg - float(before.sample(np.array([keyframe.at_s]))[0, before.joints.index(name)]))
+        for keyframe in sequence.keyframes
+        for name, deg in keyframe.deg.items()
+    ]
+    assert len(errors_deg) > 100
+    assert np.median(errors_deg) < 0.6
+    assert max(errors_deg) < 6.0
+    assert plan(sequence, robot).duration_s == pytest.approx(before.duration_s, rel=0.02)
