@@ -22,7 +22,7 @@ from benches.table import Row, shown
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-BENCHES = ("codec", "horn", "plan")
+BENCHES = ("codec", "compress", "horn", "plan", "loop")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parent.parent
 MODULE_LINES_MAX = 350
-FUNCTION_LINES_MAX = 60
-"""style: about 250 and 40; beyond these it is a fault."""
+FUNCTION_LINES_MAX = 70
+"""About 250 and 40 is the aim; beyond these it is a fault."""
 DATA_MODULES = {"lss.py", "lss_later.py", "lss_pro.py", "io2.py"}
 """Tables, one row a command: they are as long as the documents."""
 README_COMMAND = re.compile(r"^tools/run (?P<command>.+)$", re.MULTILINE)

@@ -2,41 +2,123 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from lss_motion.cli.shows import Show
-    from lss_motion.robot.model import Robot
+    from lss_motion.robot.model import Joint, Robot
     from lss_motion.trajectory.model import Stretch, Trajectory
 
-TIGHTEST_STEP_S = 0.002
+SAMPLE_S: Final = 0.001
+"""What is shown is found by sampling at 1 kHz, as the verifier does."""
+
+BLOCK: Final = 8192
+"""Samples at a time, so that a long show needs no more memory than a short one."""
+
+FULL_RATIO: Final = 0.995
+"""A limit that is used up to here is used up: planning keeps a thousandth or so of it free."""
+
+
+@dataclass(frozen=True, slots=True)
+class Use:
+    """The largest speed and acceleration of a joint, and when."""
+
+    joint: Joint
+    speed_deg_s: float
+    speed_at_s: float
+    accel_deg_s2: float
+    accel_at_s: float
+
+    @property
+    def speed_ratio(self) -> float:
+        return self.speed_deg_s / self.joint.speed_max_deg_s
+
+    @property
+    def accel_ratio(self) -> float:
+        return self.accel_deg_s2 / self.joint.accel_max_deg_s2
+
+    @property
+    def faster_ratio(self) -> float:
+        """How many times as fast the joint could go: acceleration grows with the square."""
+        return 1.0 / max(self.speed_ratio, math.sqrt(self.accel_ratio), 1e-9)
 
 
 def plan_lines(trajectory: Trajectory, robot: Robot) -> list[str]:
     """Return how long the plan is, what was stretched and why, and how near each limit is."""
-    first = trajectory.first
     length = "forever" if trajectory.loop is None else f"{trajectory.duration_s:.3f} s"
     passes = "" if trajectory.loop == 1 else f", one pass {trajectory.middle.duration_s:.3f} s"
     lines = [f"{trajectory.name}: {length}{passes}, {len(trajectory.joints)} joints moved"]
     if not trajectory.stretched:
         lines.append("every keyframe is on time" if _has_times(trajectory) else "no times given")
     lines += [f"slower: {stretch_text(stretch)}" for stretch in trajectory.stretched]
-    steps = max(2, int(first.duration_s / TIGHTEST_STEP_S))
-    times_s = np.linspace(0.0, first.duration_s, steps)
-    speed = np.abs(trajectory.sample(times_s, 1)).max(axis=0)
-    accel = np.abs(trajectory.sample(times_s, 2)).max(axis=0)
+    uses = limit_uses(trajectory, robot)
     width = max(len(name) for name in (*trajectory.joints, "joint"))
     lines.append(f"{'joint':{width}}  fastest deg/s (limit)   hardest deg/s² (limit)")
-    for name, fastest, hardest in zip(trajectory.joints, speed, accel, strict=True):
-        joint = robot.joints[name]
+    for use in uses:
         lines.append(
-            f"{name:{width}}  {fastest:7.1f} ({joint.speed_max_deg_s:g}) "
-            f"{fastest / joint.speed_max_deg_s:6.0%}   {hardest:7.1f} "
-            f"({joint.accel_max_deg_s2:g}) {hardest / joint.accel_max_deg_s2:6.0%}"
+            f"{use.joint.name:{width}}  {use.speed_deg_s:7.1f} ({use.joint.speed_max_deg_s:g}) "
+            f"{use.speed_ratio:6.0%}   {use.accel_deg_s2:7.1f} "
+            f"({use.joint.accel_max_deg_s2:g}) {use.accel_ratio:6.0%}"
         )
-    return lines
+    return [*lines, *_margin_lines(trajectory, uses)]
+
+
+def limit_uses(trajectory: Trajectory, robot: Robot) -> list[Use]:
+    """Return how far each joint uses its limits, over the first pass and one more."""
+    end_s = trajectory.first.duration_s
+    if trajectory.loop != 1:
+        end_s += trajectory.middle.duration_s
+    steps = math.ceil(end_s / SAMPLE_S) + 1
+    worst = np.zeros((2, len(trajectory.joints)))
+    worst_at_s = np.zeros_like(worst)
+    for first in range(0, steps, BLOCK):
+        times_s = np.minimum(np.arange(first, min(first + BLOCK, steps)) * SAMPLE_S, end_s)
+        for row, order in enumerate((1, 2)):
+            sizes = np.abs(trajectory.sample(times_s, order))
+            tops = sizes.max(axis=0)
+            worst_at_s[row] = np.where(
+                tops > worst[row], times_s[sizes.argmax(axis=0)], worst_at_s[row]
+            )
+            worst[row] = np.maximum(worst[row], tops)
+    return [
+        Use(robot.joints[name], *(float(value) for value in values))
+        for name, *values in zip(
+            trajectory.joints, worst[0], worst_at_s[0], worst[1], worst_at_s[1], strict=True
+        )
+    ]
+
+
+def _margin_lines(trajectory: Trajectory, uses: Sequence[Use]) -> list[str]:
+    """Return which joint is nearest to a limit, and how much faster the show could run."""
+    tightest = min(uses, key=lambda use: use.faster_ratio)
+    if tightest.speed_ratio >= math.sqrt(tightest.accel_ratio):
+        what, unit, at_s = "speed", "deg/s", tightest.speed_at_s
+        value, allowed = tightest.speed_deg_s, tightest.joint.speed_max_deg_s
+    else:
+        what, unit, at_s = "acceleration", "deg/s²", tightest.accel_at_s
+        value, allowed = tightest.accel_deg_s2, tightest.joint.accel_max_deg_s2
+    if value == 0.0:
+        return ["nothing moves"]
+    lines = [
+        f"tightest: joint {tightest.joint.name!r}, {what} {value:.0f} of {allowed:g} {unit} at "
+        f"{at_s:.3f} s, {max(0.0, 1.0 - value / allowed):.0%} to spare"
+    ]
+    # Rounded down, so that what is said is possible.
+    ratio = math.floor(100.0 * tightest.faster_ratio) / 100.0
+    if value >= FULL_RATIO * allowed or ratio <= 1.0:
+        return [*lines, "the show runs as fast as it can without slowing more of it"]
+    pass_s = trajectory.middle.duration_s / ratio
+    return [
+        *lines,
+        f"the show could run {ratio:.2f} times as fast, a pass in {pass_s:.3f} s, before anything "
+        f"is slowed (--speed {ratio:.2f})",
+    ]
 
 
 def stretch_text(stretch: Stretch) -> str:

@@ -136,6 +136,21 @@ class JointEntry(JointDefaults, title="joint"):
     id: int = Field(ge=0, le=SERVO_ID_MAX, description="Id of the servo on its bus (QID).")
 
 
+class MirrorEntry(FileModel, title="mirror"):
+    """Which joint is the mirror image of which; a joint on the midline is its own."""
+
+    same: dict[Name, Name] = Field(
+        default={},
+        description="Pairs left: right where the same angle is the mirror image.",
+        examples=[{"LKnee": "RKnee"}],
+    )
+    opposite: dict[Name, Name] = Field(
+        default={},
+        description="Pairs left: right where the opposite angle is the mirror image.",
+        examples=[{"LElbow": "RElbow", "HeadPan": "HeadPan"}],
+    )
+
+
 class RobotFile(FileModel, title="robot file"):
     """A robot: its buses, its joints with their limits, and named poses."""
 
@@ -153,6 +168,15 @@ class RobotFile(FileModel, title="robot file"):
     poses: dict[Name, Annotated[dict[Name, AngleDeg], Field(min_length=1)]] = Field(
         default={},
         description="Joint angles in degrees by name; a pose need not name all joints.",
+    )
+    groups: dict[Name, Annotated[list[Name], Field(min_length=1)]] = Field(
+        default={},
+        description="Joints by the name of a group, for tracks and layers.",
+        examples=[{"head": ["HeadPan", "HeadTilt"]}],
+    )
+    mirror: MirrorEntry = Field(
+        default_factory=MirrorEntry,
+        description="Left and right, for sequences that say mirror: true.",
     )
     approach_speed_deg_s: float = Field(
         default=30.0,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.robot.model import Bus, Joint, Response, Robot
 from lss_motion.robot.models import BAUD_FIRMWARE_MIN, FAMILIES, SERVO_MODELS
+from lss_motion.robot.sides import group_problems, grouped, mirror_problems, mirrored
 from lss_motion.spelling import known_names
 from lss_motion.yaml_source import Location, Problem, read_yaml
 
@@ -97,12 +98,16 @@ class _Loader:
         joints = {name: joint for name, joint in built.items() if joint is not None}
         self._check_ids(joints)
         self._check_poses(joints)
+        self.problems += group_problems(content.groups, self._named())
+        self.problems += mirror_problems(content.mirror, self._named())
         return Robot(
             name=content.robot,
             path=path,
             buses=buses,
             joints=joints,
             poses=content.poses,
+            groups=grouped(content.groups, joints),
+            mirror=mirrored(content.mirror),
             approach_speed_deg_s=content.approach_speed_deg_s,
             end=content.end,
         )
@@ -189,11 +194,15 @@ class _Loader:
                     f"{joint.bus!r}; every servo of a bus needs its own id",
                 )
 
-    def _check_poses(self, joints: Mapping[str, Joint]) -> None:
-        named = [
+    def _named(self) -> list[str]:
+        """Return the names of all joints, also of those that could not be read."""
+        return [
             *self.content.joints,
             *(str(place[1]) for place in self.left_out if place[0] == "joints" and len(place) > 1),
         ]
+
+    def _check_poses(self, joints: Mapping[str, Joint]) -> None:
+        named = self._named()
         for pose, angles in self.content.poses.items():
             for name, angle_deg in angles.items():
                 if name not in named:

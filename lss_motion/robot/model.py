@@ -91,5 +91,9 @@ class Robot:
     buses: Mapping[str, Bus]
     joints: Mapping[str, Joint]
     poses: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Joints by the name of their group, such as `head` or `left_arm`."""
+    mirror: Mapping[str, tuple[str, Literal[1, -1]]] = field(default_factory=dict)
+    """For each joint its mirror image and the sign of the angle there; its own, on the midline."""
     approach_speed_deg_s: float = 30.0
     end: Literal["hold", "limp"] = "hold"

@@ -22,25 +22,40 @@ SAME_TIME_S: Final = 1e-6
 """Times closer than this are the same: far below a millisecond, above the error of sums."""
 
 
-def check_sequence(sequence: Sequence, robot: Robot) -> None:
-    """Raise `InputError`, one for all problems, unless `robot` knows and allows every key."""
-    errors = [
-        InputError(reason, path=sequence.path, line=sequence.keyframes[index].line)
-        for index, _, reason in joint_problems(sequence.keyframes, robot)
-    ]
+def check_sequence(sequence: Sequence, robot: Robot, *, is_offset: bool = False) -> None:
+    """Raise `InputError`, one for all problems, unless `robot` knows and allows every key.
+
+    Tracks, steps and layers are checked as well. `is_offset`: the angles are added to others, so
+    that no range says anything about them.
+    """
+    errors = list(_errors(sequence, robot, is_offset=is_offset))
     if errors:
         top = errors[0]
         raise InputError(top.reason, path=top.path, line=top.line, more=errors[1:])
 
 
-def joint_problems(keyframes: SequenceOf[Keyframe], robot: Robot) -> Iterator[tuple[int, str, str]]:
+def _errors(sequence: Sequence, robot: Robot, *, is_offset: bool) -> Iterator[InputError]:
+    for index, _, reason in joint_problems(sequence.keyframes, robot, is_offset=is_offset):
+        yield InputError(reason, path=sequence.path, line=sequence.keyframes[index].line)
+    for track in sequence.tracks:
+        yield from _errors(track, robot, is_offset=is_offset)
+    for step in sequence.play:
+        if step.sequence is not None:
+            yield from _errors(step.sequence, robot, is_offset=is_offset)
+    for layer in sequence.layers:
+        yield from _errors(layer.sequence, robot, is_offset=layer.mode == "add")
+
+
+def joint_problems(
+    keyframes: SequenceOf[Keyframe], robot: Robot, *, is_offset: bool = False
+) -> Iterator[tuple[int, str, str]]:
     """Yield keyframe index, joint and reason of every key that `robot` cannot take."""
     for index, keyframe in enumerate(keyframes):
         for name, angle_deg in keyframe.deg.items():
             joint = robot.joints.get(name)
             if joint is None:
                 yield index, name, f"unknown joint {name!r}; {known_names(name, robot.joints)}"
-            elif reason := range_problem(joint, angle_deg):
+            elif not is_offset and (reason := range_problem(joint, angle_deg)):
                 yield index, name, reason
 
 

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, PlainValidator, WithJsonSchema
+from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, WithJsonSchema
 
 from lss_motion.robot.file import AngleDeg  # noqa: TC001  (pydantic reads it)
+from lss_motion.sequence.parts import STEPS_MAX
 from lss_motion.sequence.timing import KEYFRAMES_MAX, TIME_MAX_S
 from lss_motion.validation import FileModel, Name, Text
 
@@ -21,6 +22,20 @@ LOOP_MAX: Final = 1_000_000
 
 FOREVER: Final = "forever"
 
+LAYERS_MAX: Final = 32
+"""Chosen: more than anybody can keep apart."""
+
+SPEED_MIN_RATIO: Final = 0.01
+SPEED_MAX_RATIO: Final = 100.0
+"""A hundredfold either way; beyond that it is another show, or a slip of the key."""
+
+SPEED_RATIO: Final = (
+    "All times are divided by this: 0.5 is half as fast. More than 1 only with times."
+)
+MIRROR: Final = "Exchange left and right, as the robot file says under mirror."
+
+FileName = Annotated[str, Field(min_length=1)]
+SpeedRatio = Annotated[float, Field(ge=SPEED_MIN_RATIO, le=SPEED_MAX_RATIO)]
 TimeS = Annotated[float, Field(ge=0.0, le=TIME_MAX_S)]
 Ease = Literal["smooth", "spline", "linear", "hold"]
 
@@ -33,6 +48,10 @@ def _check_loop(loop: Any) -> int | Literal["forever"]:  # noqa: ANN401  whateve
             return loop
         case _:
             raise ValueError(f"must be a count from 1 to {LOOP_MAX:,}, or forever")
+
+
+def _refuse_waiting(_: object) -> object:
+    raise ValueError("needs a sensor, and sensors are not read yet; use pause_s, or play the parts")
 
 
 Loop = Annotated[
@@ -76,16 +95,11 @@ class KeyframeEntry(FileModel, title="keyframe"):
     )
 
 
-class SequenceFile(FileModel, title="sequence file"):
-    """A show: keyframes in order of time, for one robot."""
+class TrackEntry(FileModel, title="track"):
+    """Joints that are planned together: keyframes in order of time, played once or in a loop."""
 
-    sequence: Text = Field(description="Name of the sequence, as shown on screen and in reports.")
-    robot: Annotated[str, Field(min_length=1)] | None = Field(
-        default=None,
-        description="Robot file, relative to this file. May be left out if always given by "
-        "--robot.",
-        examples=["robots/desk_arm.yaml"],
-    )
+    model_config = ConfigDict(json_schema_extra={"required": ["keyframes"]})
+
     timing: Literal["authored", "fastest", "fit"] | None = Field(
         default=None,
         description="authored: as the keyframes say, slower only where a servo cannot follow. "
@@ -104,5 +118,94 @@ class SequenceFile(FileModel, title="sequence file"):
         "spline: rounder, may swing beyond them. linear: straight lines with stops. "
         "hold: stay, then move as late as possible.",
     )
-    keyframes: Annotated[list[KeyframeEntry], Field(min_length=1, max_length=KEYFRAMES_MAX)]
+    keyframes: Annotated[list[KeyframeEntry], Field(min_length=1, max_length=KEYFRAMES_MAX)] = (
+        Field(default=[], description="In order of time.")
+    )
     loop: Loop = Field(default=1, description="How often it is played: a count, or forever.")
+
+
+class StepEntry(FileModel, title="step"):
+    """One entry of a play list: a sequence file, or a pause."""
+
+    file: FileName | None = Field(
+        default=None, description="Sequence file, relative to this file.", examples=["wave.yaml"]
+    )
+    times: int = Field(default=1, ge=1, le=LOOP_MAX, description="How often it is played.")
+    speed_ratio: SpeedRatio = Field(default=1.0, description=SPEED_RATIO)
+    mirror: bool = Field(default=False, description=MIRROR)
+    join: Literal["rest", "through"] = Field(
+        default="rest",
+        description="rest: comes to rest before it begins. through: its keyframes follow those "
+        "of the step before as if they were written there, without a stop.",
+    )
+    move_s: float | None = Field(
+        default=None,
+        ge=TIME_MIN_S,
+        le=TIME_MAX_S,
+        description="How long the way to its first keyframe takes, where the robot stands "
+        "elsewhere. Default: at the robot's approach_speed_deg_s.",
+    )
+    pause_s: TimeS | None = Field(default=None, description="Stay as it is for so long.")
+    wait_for: Annotated[dict[str, object], AfterValidator(_refuse_waiting)] | None = Field(
+        default=None,
+        description="Not available yet: waiting for a sensor.",
+        json_schema_extra={"not": {}},
+    )
+
+
+class LayerEntry(FileModel, title="layer"):
+    """A sequence on top of the show; the limits hold for the sum."""
+
+    file: FileName = Field(description="Sequence file, relative to this file.")
+    joints: Annotated[list[Name], Field(min_length=1)] | None = Field(
+        default=None,
+        description="Joints and groups of the robot that it moves. Default: all that it keys.",
+    )
+    mode: Literal["override", "add"] = Field(
+        default="override",
+        description="override: its angles instead of those below. add: its angles added to them.",
+    )
+    weight: float = Field(
+        default=1.0, ge=0.0, le=1.0, description="How much of it counts, from 0 to 1."
+    )
+    from_s: TimeS = Field(default=0.0, description="When it begins, in seconds of the show.")
+    to_s: TimeS | None = Field(
+        default=None, description="When it ends. Default: with its last keyframe."
+    )
+    fade_s: TimeS = Field(
+        default=0.0, description="How long it takes to fade in, and out again at its end."
+    )
+    speed_ratio: SpeedRatio = Field(default=1.0, description=SPEED_RATIO)
+    mirror: bool = Field(default=False, description=MIRROR)
+
+
+class SequenceFile(TrackEntry, title="sequence file"):
+    """A show for one robot: keyframes, tracks beside them, or a play list; layers on top."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "anyOf": [{"required": [key]} for key in ("keyframes", "tracks", "play")]
+        }
+    )
+
+    sequence: Text = Field(description="Name of the sequence, as shown on screen and in reports.")
+    robot: FileName | None = Field(
+        default=None,
+        description="Robot file, relative to this file. May be left out if always given by "
+        "--robot.",
+        examples=["robots/desk_arm.yaml"],
+    )
+    speed_ratio: SpeedRatio = Field(default=1.0, description=SPEED_RATIO)
+    mirror: bool = Field(default=False, description=MIRROR)
+    tracks: Annotated[dict[Name, TrackEntry], Field(min_length=1)] = Field(
+        default={},
+        description="Other joints at the same time, by the name of the track, each with its own "
+        "keyframes, timing and loop. Only anchors tie them together.",
+    )
+    play: Annotated[list[StepEntry], Field(min_length=1, max_length=STEPS_MAX)] = Field(
+        default=[],
+        description="Instead of keyframes: other sequences and pauses, one after the other.",
+    )
+    layers: Annotated[list[LayerEntry], Field(min_length=1, max_length=LAYERS_MAX)] = Field(
+        default=[], description="Other sequences on top, the later ones above the earlier."
+    )

@@ -1,4 +1,4 @@
-"""sequence.yaml → Sequence: times made absolute, poses made angles, everything checked."""
+"""sequence.yaml → Sequence: the file, its robot, and the files that it is made of."""
 
 from __future__ import annotations
 
@@ -8,45 +8,29 @@ from typing import TYPE_CHECKING, Any
 
 from lss_motion.errors import InputError
 from lss_motion.robot.load import load_robot
-from lss_motion.sequence.check import joint_problems, jumps, loop_problem
-from lss_motion.sequence.model import Interpolation, Keyframe, Sequence, Timing
-from lss_motion.sequence.timing import absolute_times, has_times, timing_of, timing_problems
-from lss_motion.spelling import known_names
+from lss_motion.sequence.check import check_sequence
+from lss_motion.sequence.frames import TrackLoader
+from lss_motion.sequence.mirror import mirrored
+from lss_motion.sequence.model import Sequence
+from lss_motion.sequence.parts import Part, PartLoader
+from lss_motion.sequence.speed import at_speed
 from lss_motion.yaml_source import Location, Problem, read_yaml
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from lss_motion.robot.model import Robot
-    from lss_motion.sequence.file import KeyframeEntry, SequenceFile
+    from lss_motion.sequence.file import SequenceFile
     from lss_motion.yaml_source import YamlSource
 
 
 def load_sequence(path: Path | str, robot: Robot | None = None) -> Sequence:
     """Return the sequence of a sequence file, checked against its robot.
 
-    The robot is `robot`, or else the one that the file names; it gives the poses and the ranges.
-    `robot_path` of the result is where that robot was read. Raises `InputError` with file, line,
-    value and remedy; its `more` holds all further problems, those of the robot file included.
+    The robot is `robot`, or else the one that the file names; it gives the poses, the ranges, and
+    left and right. `robot_path` of the result is where that robot was read. Raises `InputError`
+    with file, line, value and remedy; its `more` holds all further problems, those of the robot
+    file and of the sequence files that this one plays included.
     """
-    from lss_motion.sequence.file import KeyframeEntry, SequenceFile
-    from lss_motion.validation import validate
-
-    source = read_yaml(Path(path))
-    blanks = {"keyframes": KeyframeEntry()}
-    content, problems, left_out = validate(SequenceFile, source, blanks=blanks)
-    try:
-        robot = robot or _named_robot(source, left_out)
-        robot_error = None
-    except InputError as error:
-        robot_error = error
-    if content is not None:
-        loader = _Loader(content, left_out, source, robot)
-        sequence = loader.sequence()
-        problems += loader.problems
-        if not problems and robot_error is None:
-            return sequence
-    raise _all_of(source, problems, robot_error)
+    return _load(Path(path), robot, Part())
 
 
 def sequence_schema() -> dict[str, Any]:
@@ -55,6 +39,42 @@ def sequence_schema() -> dict[str, Any]:
     from lss_motion.sequence.file import SequenceFile
 
     return json_schema(SequenceFile)
+
+
+def _load(path: Path, robot: Robot | None, part: Part) -> Sequence:
+    from lss_motion.sequence.file import KeyframeEntry, LayerEntry, SequenceFile, StepEntry
+    from lss_motion.validation import validate
+
+    source = read_yaml(path)
+    blanks = {
+        "keyframes": KeyframeEntry(),
+        "play": StepEntry(pause_s=0.0),
+        "layers": LayerEntry(file="-"),
+    }
+    content, problems, left_out = validate(SequenceFile, source, blanks=blanks)
+    errors: list[InputError] = []
+    try:
+        robot = robot or _named_robot(source, left_out)
+    except InputError as error:
+        errors.append(error)
+    if content is not None:
+        loader = _Loader(content, left_out, source, robot, part.inside(path))
+        sequence = loader.sequence()
+        problems += loader.problems
+        errors += loader.errors
+        if not problems and not errors:
+            assert robot is not None
+            return _finished(sequence, content, robot, part)
+    raise _all_of(source, problems, errors)
+
+
+def _finished(sequence: Sequence, content: SequenceFile, robot: Robot, part: Part) -> Sequence:
+    """Return the sequence, mirrored where the file says so, after the checks across its parts."""
+    if content.mirror:
+        sequence = mirrored(sequence, robot.mirror)
+        check_sequence(sequence, robot, is_offset=part.is_offset)
+    at_speed(sequence)
+    return sequence
 
 
 def _named_robot(source: YamlSource, left_out: frozenset[Location]) -> Robot | None:
@@ -71,92 +91,104 @@ def _named_robot(source: YamlSource, left_out: frozenset[Location]) -> Robot | N
     return load_robot(path)
 
 
-def _all_of(
-    source: YamlSource, problems: list[Problem], robot_error: InputError | None
-) -> InputError:
-    if not problems:
-        assert robot_error is not None, "called without a problem"
-        return robot_error
-    error = source.error(problems)
-    if robot_error is None:
-        return error
-    more = [*error.more, robot_error]
-    return InputError(error.reason, path=error.path, line=error.line, more=more)
+def _all_of(source: YamlSource, problems: list[Problem], errors: list[InputError]) -> InputError:
+    """Return one error: the problems of this file first, then those of others."""
+    own = [source.error(problems)] if problems else []
+    top, *others = [*own, *errors]
+    if not others:
+        return top
+    return InputError(top.reason, path=top.path, line=top.line, more=[*top.more, *others])
 
 
 @dataclass(slots=True)
 class _Loader:
-    """Builds the keyframes of one file and notes what does not fit, unless its part is left out."""
+    """Builds the sequence of one file and notes what does not fit, unless its part is left out."""
 
     content: SequenceFile
     left_out: frozenset[Location]
     source: YamlSource
     robot: Robot | None
+    part: Part
     problems: list[Problem] = field(default_factory=list)
+    errors: list[InputError] = field(default_factory=list)
 
     def sequence(self) -> Sequence:
-        content, unread = self.content, self._unread()
-        keyframes = [self._keyframe(i, entry) for i, entry in enumerate(content.keyframes)]
-        if not unread and not self.left_out & {("timing",), ("duration_s",)}:
-            self.problems += timing_problems(content)
-        timing = timing_of(content)
-        if timing is not Timing.FASTEST and (has_times(content) or timing is Timing.AUTHORED):
-            keyframes = self._timed(keyframes, unread)
-        if self.robot is not None:
-            self._check_joints(keyframes, self.robot)
-        loop = None if content.loop == "forever" else content.loop
-        is_whole = not self.problems and not self.left_out and self.robot is not None
-        if loop != 1 and is_whole and (reason := loop_problem(keyframes)):
-            self._note(("keyframes", len(keyframes) - 1), reason)
-        return Sequence(
-            name=content.sequence,
-            keyframes=tuple(keyframes),
-            path=self.source.path,
-            robot_path=None if self.robot is None else self.robot.path,
-            timing=timing,
-            fit_duration_s=content.duration_s,
-            loop=loop,
+        content = self.content
+        main = TrackLoader(
+            content, (), self._own_left_out(), self.source, self.robot, self.part.is_offset
         )
+        # Without keyframes there is nothing to say about times; a play list has its own.
+        sequence = (
+            main.sequence(content.sequence)
+            if content.keyframes
+            else Sequence(
+                name=content.sequence,
+                path=self.source.path,
+                robot_path=None if self.robot is None else self.robot.path,
+                loop=None if content.loop == "forever" else content.loop,
+            )
+        )
+        self.problems += main.problems
+        self._check_kinds()
+        parts = PartLoader(content, self.left_out, self.source, self.robot, self.part, _load)
+        sequence = replace(
+            sequence,
+            speed_ratio=content.speed_ratio,
+            tracks=self._tracks(),
+            play=parts.steps(),
+            layers=parts.layers(),
+        )
+        self.problems += parts.problems
+        self.errors += parts.errors
+        self._check_tracks(sequence)
+        return sequence
 
-    def _unread(self) -> frozenset[int]:
-        """Return the keyframes that could not be read: in their place stands a blank."""
-        return frozenset(part for _, *rest in self.left_out for part in rest if type(part) is int)
+    def _own_left_out(self) -> frozenset[Location]:
+        return frozenset(p for p in self.left_out if p[0] not in {"tracks", "play", "layers"})
 
     def _note(self, location: Location, reason: str) -> None:
         self.problems.append(Problem(location, reason))
 
-    def _keyframe(self, index: int, entry: KeyframeEntry) -> Keyframe:
-        is_read = ("keyframes", index) not in self.left_out
-        if not entry.deg and entry.pose is None and is_read:
-            self._note(("keyframes", index), "a keyframe names joints: give 'pose' or 'deg'")
-        return Keyframe(
-            deg={**self._pose(index, entry.pose), **(entry.deg or {})},
-            hold_s=entry.hold_s,
-            is_anchor=entry.anchor,
-            ease=Interpolation(entry.ease or self.content.interpolation),
-            label=entry.label or entry.pose or "",
-            line=self.source.line(("keyframes", index)),
-        )
+    def _check_kinds(self) -> None:
+        content, left_out = self.content, {place[0] for place in self.left_out}
+        has_frames, has_play = bool(content.keyframes), bool(content.play)
+        if left_out & {"keyframes", "tracks", "play"}:
+            return
+        if not (has_frames or has_play or content.tracks):
+            self._note((), "no keyframes: give 'keyframes', 'tracks' or 'play'")
+        for key in ("keyframes", "tracks", "timing", "duration_s"):
+            if has_play and getattr(content, key):
+                self._note((key,), f"{key} does not go with 'play'; put it into a file of the list")
+        if content.layers and content.loop == "forever":
+            self._note(
+                ("layers",),
+                "layers need a show that ends; give loop a count, or layer the file that is looped",
+            )
+        if content.loop != 1 and not has_frames and not has_play:
+            self._note(("loop",), "there is nothing to loop; give each track its own loop")
 
-    def _pose(self, index: int, name: str | None) -> Mapping[str, float]:
-        if name is None or self.robot is None:
-            return {}
-        if name not in self.robot.poses:
-            known = known_names(name, self.robot.poses)
-            self._note(("keyframes", index, "pose"), f"unknown pose {name!r}; {known}")
-        return self.robot.poses.get(name, {})
+    def _tracks(self) -> tuple[Sequence, ...]:
+        tracks = []
+        for name, entry in self.content.tracks.items():
+            place = ("tracks", name)
+            loader = TrackLoader(
+                entry, place, frozenset(), self.source, self.robot, self.part.is_offset
+            )
+            if not entry.keyframes:
+                self._note(place, f"track {name!r} has no keyframes")
+                continue
+            tracks.append(loader.sequence(name))
+            self.problems += loader.problems
+        return tuple(tracks)
 
-    def _timed(self, keyframes: list[Keyframe], unread: frozenset[int]) -> list[Keyframe]:
-        times_s, problems = absolute_times(self.content.keyframes, unread)
-        if has_times(self.content):  # Otherwise the one problem of all of them is noted already.
-            self.problems += problems
-        timed = [replace(k, at_s=at_s) for k, at_s in zip(keyframes, times_s, strict=True)]
-        for index, reason in jumps(timed):
-            self._note(("keyframes", index), reason)
-        return timed
-
-    def _check_joints(self, keyframes: list[Keyframe], robot: Robot) -> None:
-        for index, name, reason in joint_problems(keyframes, robot):
-            is_own = name in (self.content.keyframes[index].deg or {})
-            key = ("deg", name) if is_own else ("pose",)
-            self._note(("keyframes", index, *key), reason)
+    def _check_tracks(self, sequence: Sequence) -> None:
+        owners = {name: "" for frame in sequence.keyframes for name in frame.deg}
+        for track in sequence.tracks:
+            own = {name: track.name for frame in track.keyframes for name in frame.deg}
+            for name in own.keys() & owners.keys():
+                of = f"track {owners[name]!r}" if owners[name] else "the keyframes outside tracks"
+                self._note(
+                    ("tracks", track.name),
+                    f"joint {name!r} is keyed in track {track.name!r} and in {of}; keep it in one",
+                )
+            owners |= own

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -51,17 +51,59 @@ class Keyframe:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sequence:
-    """Keyframes in order of time. `loop` is how often they are played; None is forever.
+class Step:
+    """One entry of a play list: a sequence, or a pause (then `sequence` is None).
 
-    Sequences are equal when they say the same, whatever files and lines they come from.
+    `move_s` is how long the way from where the robot stands to the first keyframe takes; None is
+    the robot's approach speed.
+    """
+
+    sequence: Sequence | None = None
+    times: int = 1
+    pause_s: float = 0.0
+    move_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layer:
+    """A sequence on top of the show from `from_s` to `to_s` (None: as long as it lasts).
+
+    `override` replaces the angles of the show, `add` adds to them; both by `weight`, which grows
+    from 0 over the first `fade_s` and shrinks to it over the last.
+    """
+
+    sequence: Sequence
+    joints: tuple[str, ...]
+    """Only these joints; those of them that the sequence does not key stay as they are."""
+    mode: Literal["override", "add"] = "override"
+    weight: float = 1.0
+    from_s: float = 0.0
+    to_s: float | None = None
+    fade_s: float = 0.0
+    line: int | None = field(default=None, compare=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sequence:
+    """Keyframes in order of time, and what goes on beside, after and on top of them.
+
+    `loop` is how often the keyframes (or the play list) are played; None is forever. Sequences
+    are equal when they say the same, whatever files and lines they come from.
     """
 
     name: str
-    keyframes: tuple[Keyframe, ...]
+    keyframes: tuple[Keyframe, ...] = ()
     path: Path | None = field(default=None, compare=False)
     robot_path: Path | None = field(default=None, compare=False)
     timing: Timing = Timing.AUTHORED
     fit_duration_s: float | None = None
     """Only with `Timing.FIT`: how long one pass takes."""
     loop: int | None = 1
+    speed_ratio: float = 1.0
+    """All times are divided by this; at most 1 where the timing is `fastest`."""
+    tracks: tuple[Sequence, ...] = ()
+    """Other joints at the same time, each with its own keyframes, timing and loop."""
+    play: tuple[Step, ...] = ()
+    """Instead of keyframes and tracks: other sequences, one after the other."""
+    layers: tuple[Layer, ...] = ()
+    """On top of all that, in this order. Their times count from the start of the show."""

@@ -11,7 +11,7 @@ from lss_motion.yaml_source import Problem
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator, Sequence
 
-    from lss_motion.sequence.file import KeyframeEntry, SequenceFile
+    from lss_motion.sequence.file import KeyframeEntry, TrackEntry
 
 KEYFRAMES_MAX: Final = 10_000
 """Chosen: hours of lively show; cost grows with it, and a runaway export is noticed."""
@@ -20,19 +20,19 @@ TIME_MAX_S: Final = 86_400.0
 """Chosen: a day. A longer show is a loop, and a slip of the key is noticed."""
 
 
-def has_times(content: SequenceFile) -> bool:
+def has_times(content: TrackEntry) -> bool:
     """Return whether any keyframe says when it is due."""
     return any(_has_time(entry) for entry in content.keyframes)
 
 
-def timing_of(content: SequenceFile) -> Timing:
+def timing_of(content: TrackEntry) -> Timing:
     """Return the timing that the file asks for; without a word, keyframes with times decide."""
     if content.timing is not None:
         return Timing(content.timing)
     return Timing.AUTHORED if has_times(content) else Timing.FASTEST
 
 
-def timing_problems(content: SequenceFile) -> Iterator[Problem]:
+def timing_problems(content: TrackEntry) -> Iterator[Problem]:
     """Yield where `timing`, `duration_s`, the times and the anchors contradict each other."""
     timing = timing_of(content)
     if timing is Timing.FIT and content.duration_s is None:

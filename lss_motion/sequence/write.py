@@ -38,8 +38,11 @@ def write_sequence(sequence: Sequence, path: Path | str, *, comments: SequenceOf
 def sequence_text(sequence: Sequence, folder: Path, *, comments: SequenceOf[str] = ()) -> str:
     """Return a sequence file for `folder` that loads as `sequence` again.
 
-    Poses appear as the angles that they stand for. `comments` are put on top, a line each.
+    Poses appear as the angles that they stand for. `comments` are put on top, a line each. Raises
+    `InputError` for a play list or layers: they are made of files, which cannot be told from it.
     """
+    if sequence.play or sequence.layers:
+        raise InputError("play lists and layers cannot be written", path=sequence.path)
     return "\n".join([*_head(sequence, folder, comments), *_body(sequence), ""])
 
 
@@ -56,6 +59,18 @@ def _head(sequence: Sequence, folder: Path, comments: SequenceOf[str]) -> Iterat
 
 
 def _body(sequence: Sequence) -> Iterator[str]:
+    if sequence.speed_ratio != 1.0:
+        yield f"speed_ratio: {_number(sequence.speed_ratio)}"
+    if sequence.keyframes:
+        yield from _track(sequence)
+    if sequence.tracks:
+        yield "tracks:"
+    for track in sequence.tracks:
+        yield f"  {_text(track.name)}:"
+        yield from (f"    {line}" for line in _track(track))
+
+
+def _track(sequence: Sequence) -> Iterator[str]:
     yield f"timing: {sequence.timing}"
     if sequence.fit_duration_s is not None:
         yield f"duration_s: {_number(sequence.fit_duration_s)}"

@@ -1,42 +1,53 @@
-"""Solved windows on disk, found by content, so that a plan made once needs no solver again.
+"""Verified plans on disk, found by content, so that a plan made once costs next to nothing again.
 
-An entry holds only what the solver is asked for: rates over a grid. It is named by a hash of the
-whole question, so that it can never answer another one, and every plan made from it is verified
-like a fresh one.
+An entry is named by a hash of the whole question (what the author wants and every limit), so that
+it can never answer another one. It holds a plan that has passed the verifier, and a hash of
+itself: what is read back is what was verified, to the bit, and need not be verified again.
 """
 
 from __future__ import annotations
 
 import hashlib
+import io
+import json
 import os
 import tempfile
-import zipfile
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from lss_motion.trajectory.solve import Window
+from lss_motion.trajectory.clock import Clock
+from lss_motion.trajectory.model import Mark, Motion, Stretch, Trajectory, motions_of
+from lss_motion.trajectory.path import Path as JointPath
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
-    from numpy.typing import NDArray
+    from lss_motion.robot.model import Robot
+    from lss_motion.sequence.model import Sequence
 
-    from lss_motion.trajectory.solve import Task
-
-    FloatArray = NDArray[np.float64]
-
-PLANNER_VERSION: Final = 1
+PLANNER_VERSION: Final = 2
 """Part of every name: to be raised whenever the same question gets another answer."""
 
 DIRECTORY_VARIABLE: Final = "LSS_MOTION_CACHE_DIR"
 """Environment variable that moves the cache."""
 
-BYTES_MAX: Final = 64 * 1024 * 1024
-"""The oldest entries go when the cache grows beyond this. Chosen: a hundred long shows."""
+BYTES_MAX: Final = 128 * 1024 * 1024
+"""The oldest entries go when the cache grows beyond this. Chosen: some fifty long shows."""
+
+PIECES_MIN: Final = 64
+"""Plans with fewer polynomials and steady stretches are made as quickly as they are read."""
 
 SUFFIX: Final = ".plan.npz"
+
+_DIGEST_BYTES: Final = 32
+"""Length of SHA-256, which stands before the content."""
+
+_PARTS: Final = ("first", "middle", "last")
+_PATH: Final = ("knots_s", "coefficients")
+_CLOCK: Final = ("times_s", "path_s", "rates", "rate_slopes")
 
 
 def directory() -> Path:
@@ -48,74 +59,117 @@ def directory() -> Path:
     return Path(platformdirs.user_cache_dir("lss_motion", appauthor=False)) / "plans"
 
 
-def name_of(task: Task, *extra: object) -> str:
-    """Return the name of a question: a hash of path, limits, caps and what else matters."""
-    digest = hashlib.sha256()
-    for array in (
-        task.path.knots_s,
-        task.path.coefficients,
-        task.speed_max_deg_s,
-        task.accel_max_deg_s2,
-    ):
-        digest.update(repr(array.shape).encode())
-        digest.update(np.ascontiguousarray(array).tobytes())
-    rest = (PLANNER_VERSION, task.rate_max, sorted(task.knot_caps.items()), extra)
-    digest.update(repr(rest).encode())
+def name_of(sequence: Sequence, robot: Robot) -> str:
+    """Return the name of a question: a hash of the keys, their times and the limits they meet."""
+    digest = hashlib.sha256(repr(PLANNER_VERSION).encode())
+    digest.update(
+        repr(
+            (
+                sequence.name,
+                str(sequence.timing),
+                sequence.fit_duration_s,
+                sequence.loop,
+                [
+                    (
+                        joint.name,
+                        joint.position_min_deg,
+                        joint.position_max_deg,
+                        joint.speed_max_deg_s,
+                        joint.accel_max_deg_s2,
+                    )
+                    for joint in robot.joints.values()
+                ],
+            )
+        ).encode()
+    )
+    for frame in sequence.keyframes:
+        digest.update(
+            repr(
+                (
+                    frame.at_s,
+                    frame.hold_s,
+                    frame.is_anchor,
+                    str(frame.ease),
+                    frame.label,
+                    [(name, float(angle_deg)) for name, angle_deg in frame.deg.items()],
+                )
+            ).encode()
+        )
     return digest.hexdigest()
 
 
-def remembered(name: str, solve: Callable[[], list[Window]]) -> list[Window]:
-    """Return the windows stored under `name`, or solve and store them.
+def remembered(name: str, make: Callable[[], Trajectory]) -> Trajectory:
+    """Return the plan stored under `name`, or make and store it. `make` returns a verified one.
 
     A damaged entry counts as none and is replaced. A cache that cannot be written is no error:
     the plan is only not remembered.
     """
     path = directory() / f"{name}{SUFFIX}"
-    windows = _load(path)
-    if windows is None:
-        windows = solve()
-        _store(path, windows)
-    return windows
+    trajectory = _load(path)
+    if trajectory is None:
+        trajectory = make()
+        motions = {id(part): part for part in motions_of(trajectory)}.values()
+        if sum(len(m.path.knots_s) + len(m.clock.rates) for m in motions) >= PIECES_MIN:
+            _store(path, trajectory)
+    return trajectory
 
 
-def _load(path: Path) -> list[Window] | None:
+def _load(path: Path) -> Trajectory | None:
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            bounds, grid_s, squares = stored["bounds"], stored["grid_s"], stored["squares"]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        whole = path.read_bytes()
+    except OSError:
         return None
-    if not _is_whole(bounds, grid_s, squares):
+    digest, content = whole[:_DIGEST_BYTES], whole[_DIGEST_BYTES:]
+    if hashlib.sha256(content).digest() != digest:
         return None
-    ends = np.cumsum(bounds[:, 2])
-    return [
-        Window(int(first), int(end), grid_s[stop - size : stop], squares[stop - size : stop])
-        for (first, end, size), stop in zip(bounds.tolist(), ends.tolist(), strict=True)
-    ]
-
-
-def _is_whole(bounds: NDArray[np.int64], grid_s: FloatArray, squares: FloatArray) -> bool:
-    return (
-        bounds.ndim == 2
-        and bounds.shape[1] == 3
-        and bounds.dtype == np.int64
-        and grid_s.dtype == squares.dtype == np.float64
-        and grid_s.shape == squares.shape == (int(bounds[:, 2].sum()),)
-        and bool(np.isfinite(grid_s).all() and np.isfinite(squares).all())
+    with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+        facts: dict[str, Any] = json.loads(stored["facts"].tobytes())
+        motions = [
+            Motion(
+                path=JointPath(**{key: stored[f"{number}.{key}"] for key in _PATH}),
+                clock=Clock(**{key: stored[f"{number}.{key}"] for key in _CLOCK}),
+            )
+            for number in range(max(facts["parts"]) + 1)
+        ]
+    parts = (motions[number] for number in facts["parts"])
+    return Trajectory(
+        name=facts["name"],
+        joints=tuple(facts["joints"]),
+        **dict(zip(_PARTS, parts, strict=True)),
+        loop=facts["loop"],
+        is_periodic=facts["is_periodic"],
+        stretched=tuple(Stretch(**stretch) for stretch in facts["stretched"]),
+        marks=tuple(Mark(**mark) for mark in facts["marks"]),
     )
 
 
-def _store(path: Path, windows: Sequence[Window]) -> None:
-    nothing = np.zeros(0)
-    bounds = [(window.first, window.end, len(window.grid_s)) for window in windows]
+def _store(path: Path, trajectory: Trajectory) -> None:
+    motions: list[Motion] = []
+    numbers = []
+    for motion in motions_of(trajectory):
+        if not any(motion is earlier for earlier in motions):
+            motions.append(motion)
+        numbers.append(next(n for n, earlier in enumerate(motions) if motion is earlier))
+    facts = {
+        "parts": numbers,
+        "name": trajectory.name,
+        "joints": trajectory.joints,
+        "loop": trajectory.loop,
+        "is_periodic": trajectory.is_periodic,
+        "stretched": [asdict(stretch) for stretch in trajectory.stretched],
+        "marks": [asdict(mark) for mark in trajectory.marks],
+    }
+    arrays = {"facts": np.frombuffer(json.dumps(facts).encode(), dtype=np.uint8)}
+    for number, motion in enumerate(motions):
+        arrays |= {f"{number}.{key}": getattr(motion.path, key) for key in _PATH}
+        arrays |= {f"{number}.{key}": getattr(motion.clock, key) for key in _CLOCK}
+    content = io.BytesIO()
+    np.savez(content, allow_pickle=False, **arrays)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
-            np.savez(
-                part,
-                bounds=np.array(bounds, dtype=np.int64).reshape(-1, 3),
-                grid_s=np.concatenate([nothing, *(window.grid_s for window in windows)]),
-                squares=np.concatenate([nothing, *(window.squares for window in windows)]),
-            )
+            part.write(hashlib.sha256(content.getbuffer()).digest())
+            part.write(content.getbuffer())
         # A reader sees the whole entry or none.
         Path(part.name).replace(path)
         _trim(path.parent)

@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import InputError, PlanningError
+from lss_motion.trajectory.clock import Clock
 from lss_motion.trajectory.layout import laid_out
-from lss_motion.trajectory.model import Motion, Trajectory
+from lss_motion.trajectory.model import Motion, Trajectory, motions_of
 from lss_motion.trajectory.retime import strained
 from lss_motion.trajectory.timeline import pause_s, slowed
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.model import Sequence
 
@@ -27,7 +30,8 @@ FIT_STEPS: Final = 24
 
 def slowed_to(trajectory: Trajectory, wanted_s: float) -> Trajectory:
     """Slow the motion of a fastest trajectory so that one pass takes `wanted_s`."""
-    clock = trajectory.middle.clock
+    motions = motions_of(trajectory)
+    clock = motions[1].clock
     paused_s = pause_s(clock)
     moving_s = clock.duration_s - paused_s
     if clock.duration_s > wanted_s + FIT_TOLERANCE_S:
@@ -40,17 +44,34 @@ def slowed_to(trajectory: Trajectory, wanted_s: float) -> Trajectory:
             f"nothing moves, so that {wanted_s:g} s cannot be filled; give a hold of that length"
         )
     ratio = max(1.0, (wanted_s - paused_s) / moving_s)
-    slow: dict[int, Motion] = {}
-    for motion in (trajectory.first, trajectory.middle, trajectory.last):
-        slow[id(motion)] = Motion(path=motion.path, clock=slowed(motion.clock, ratio))
+    return _reclocked(trajectory, lambda clock: slowed(clock, ratio))
+
+
+def at_ratio(trajectory: Trajectory, ratio: float) -> Trajectory:
+    """Slow a fastest trajectory down to `ratio` of its speed, pauses included."""
+    return _reclocked(
+        trajectory,
+        lambda clock: Clock(
+            times_s=clock.times_s / ratio,
+            path_s=clock.path_s,
+            rates=clock.rates * ratio,
+            rate_slopes=clock.rate_slopes * ratio**2,
+        ),
+    )
+
+
+def _reclocked(trajectory: Trajectory, change: Callable[[Clock], Clock]) -> Trajectory:
+    """Return the trajectory with other clocks on the same paths; same passes stay the same."""
+    motions = motions_of(trajectory)
+    changed = {id(m): Motion(path=m.path, clock=change(m.clock)) for m in motions}
+    first, middle, last = (changed[id(motion)] for motion in motions)
     reached_s = [mark.planned_s for mark in trajectory.marks]
-    before, after = trajectory.first.clock, slow[id(trajectory.first)].clock
-    moved_s = np.interp(reached_s, before.times_s, after.times_s).tolist()
+    moved_s = np.interp(reached_s, motions[0].clock.times_s, first.clock.times_s).tolist()
     return replace(
         trajectory,
-        first=slow[id(trajectory.first)],
-        middle=slow[id(trajectory.middle)],
-        last=slow[id(trajectory.last)],
+        first=first,
+        middle=middle,
+        last=last,
         marks=tuple(
             replace(mark, planned_s=at_s)
             for mark, at_s in zip(trajectory.marks, moved_s, strict=True)

@@ -44,11 +44,15 @@ def keys_by_joint(sequence: Sequence, robot: Robot) -> dict[str, tuple[Key, ...]
     Raises `InputError`, with everything that is wrong, for what cannot be meant.
     """
     problems = _problems(sequence, robot)
+    has_times = is_timed(sequence)
     keys: dict[str, list[Key]] = {}
     for index, keyframe in enumerate(sequence.keyframes):
         for joint, deg in keyframe.deg.items():
             key = Key(index=index, deg=deg, hold_s=keyframe.hold_s, ease=keyframe.ease)
-            _append(keys.setdefault(joint, []), key, joint, sequence, problems)
+            own = keys.setdefault(joint, [])
+            if own and has_times and (problem := _clash(own[-1], key, joint, sequence)):
+                problems.append(problem)
+            own.append(key)
     if sequence.loop != 1:
         problems += [
             InputError(
@@ -136,21 +140,15 @@ def _angle_problems(keyframe: Keyframe, robot: Robot) -> list[str]:
     return reasons
 
 
-def _append(
-    keys: list[Key], key: Key, joint: str, sequence: Sequence, problems: list[InputError]
-) -> None:
-    """Append `key`; it is a problem if the joint is still held at another angle."""
-    if keys and is_timed(sequence):
-        held = keys[-1]
-        free_s = (sequence.keyframes[held.index].at_s or 0.0) + held.hold_s
-        at_s = sequence.keyframes[key.index].at_s or 0.0
-        if at_s < free_s - SAME_INSTANT_S and abs(key.deg - held.deg) > SAME_ANGLE_DEG:
-            problems.append(
-                InputError(
-                    f"keyframe at {at_s:g} s: joint {joint!r} cannot be at {key.deg:g} deg, it is "
-                    f"held at {held.deg:g} deg until {free_s:g} s: come later or hold shorter",
-                    path=sequence.path,
-                    line=sequence.keyframes[key.index].line,
-                )
-            )
-    keys.append(key)
+def _clash(held: Key, key: Key, joint: str, sequence: Sequence) -> InputError | None:
+    """Return what is wrong if `key` comes while the joint is still held at another angle."""
+    free_s = (sequence.keyframes[held.index].at_s or 0.0) + held.hold_s
+    at_s = sequence.keyframes[key.index].at_s or 0.0
+    if at_s >= free_s - SAME_INSTANT_S or abs(key.deg - held.deg) <= SAME_ANGLE_DEG:
+        return None
+    return InputError(
+        f"keyframe at {at_s:g} s: joint {joint!r} cannot be at {key.deg:g} deg, it is "
+        f"held at {held.deg:g} deg until {free_s:g} s: come later or hold shorter",
+        path=sequence.path,
+        line=sequence.keyframes[key.index].line,
+    )

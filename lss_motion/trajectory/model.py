@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
@@ -42,12 +42,49 @@ class Mark:
     is_anchor: bool
 
 
+class Pass(Protocol):
+    """What all joints do from 0 s to `duration_s`: a motion of its own, or made of trajectories."""
+
+    @property
+    def duration_s(self) -> float: ...
+
+    @property
+    def knots_s(self) -> FloatArray:
+        """The instants between which every joint follows one polynomial, ends included."""
+        ...
+
+    @property
+    def parts(self) -> tuple[Trajectory, ...]:
+        """The trajectories that it is made of, none of them sharing a joint at any instant."""
+        ...
+
+    @property
+    def seams_s(self) -> FloatArray:
+        """The instants at which one part follows another."""
+        ...
+
+    def sample(self, times_s: FloatArray, order: int = 0) -> FloatArray:
+        """Return deg, deg/s or deg/s² for order 0, 1, 2, (n, joints).
+
+        Outside of the pass the angle is that of the nearer end, and nothing moves.
+        """
+        ...
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
-    """One pass: a path and the clock that follows it."""
+    """One pass of a single track: a path and the clock that follows it."""
 
     path: Path
     clock: Clock
+
+    @property
+    def parts(self) -> tuple[Trajectory, ...]:
+        return ()
+
+    @property
+    def seams_s(self) -> FloatArray:
+        return np.zeros(0)
 
     @property
     def duration_s(self) -> float:
@@ -96,9 +133,9 @@ class Trajectory:
     name: str
     joints: tuple[str, ...]
     """The order of the columns: that of the robot, only joints that the sequence keys."""
-    first: Motion
-    middle: Motion
-    last: Motion
+    first: Pass
+    middle: Pass
+    last: Pass
     loop: int | None = 1
     """How often it is played; None is forever, and then `last` is never reached."""
     is_periodic: bool = False
@@ -106,16 +143,11 @@ class Trajectory:
     marks: tuple[Mark, ...] = ()
 
     @property
-    def motion(self) -> Motion:
-        """The pass that is repeated: `middle`."""
-        return self.middle
-
-    @property
     def duration_s(self) -> float:
         """Duration of all passes; `math.inf` for a loop that never ends."""
         return math.inf if self.loop is None else self.pass_start_s(self.loop)
 
-    def motion_of(self, index: int) -> Motion:
+    def motion_of(self, index: int) -> Pass:
         """Return what pass `index` does, counted from 0."""
         if index == 0:
             return self.first
@@ -129,6 +161,15 @@ class Trajectory:
             middles = self.loop - 2
             return self.first.duration_s + middles * self.middle.duration_s + self.last.duration_s
         return self.first.duration_s + (index - 1) * self.middle.duration_s
+
+    def knots_until(self, end_s: float) -> FloatArray:
+        """Return the knots of all passes that begin before `end_s`, in show time."""
+        found = [self.first.knots_s]
+        index = 1
+        while (self.loop is None or index < self.loop) and self.pass_start_s(index) < end_s:
+            found.append(self.pass_start_s(index) + self.motion_of(index).knots_s)
+            index += 1
+        return np.concatenate(found)
 
     def sample(self, times_s: FloatArray, order: int = 0) -> FloatArray:
         """Return deg, deg/s or deg/s² for order 0, 1, 2, (n, joints), over all passes.
@@ -155,3 +196,12 @@ class Trajectory:
             return np.zeros(len(times_s), dtype=np.intp)
         passes = np.where(later_s < 0.0, 0, 1 + np.floor(later_s / period_s)).astype(np.intp)
         return passes if self.loop is None else np.minimum(passes, self.loop - 1)
+
+
+def motions_of(trajectory: Trajectory) -> tuple[Motion, Motion, Motion]:
+    """Return first, middle and last pass of a single track, for whom needs path and clock."""
+    first, middle, last = trajectory.first, trajectory.middle, trajectory.last
+    assert isinstance(first, Motion), "made of parts"
+    assert isinstance(middle, Motion), "made of parts"
+    assert isinstance(last, Motion), "made of parts"
+    return first, middle, last

@@ -41,18 +41,17 @@ def slowed_windows(task: Task) -> list[Window]:
         if cap < 1.0:
             is_active[knot - 1 : knot + 1] = True
     solved: dict[tuple[int, int], Window] = {}
-    pending = runs(is_active)
-    for first, end in pending:
-        _widen(is_active, is_rest, task.path, first, -1)
-        _widen(is_active, is_rest, task.path, end - 1, +1)
+    for run in runs(is_active):
+        for step in (-1, +1):
+            _widen(is_active, is_rest, task.path, run, step)
     while pending := [run for run in runs(is_active) if run not in solved]:
         for first, end in pending:
             window = solve(task, first, end)
             solved[first, end] = window
             if window.squares[0] < 1.0 and _can_widen(is_rest, first - 1):
-                _widen(is_active, is_rest, task.path, first, -1)
+                _widen(is_active, is_rest, task.path, (first, end), -1)
             if window.squares[-1] < 1.0 and _can_widen(is_rest, end):
-                _widen(is_active, is_rest, task.path, end - 1, +1)
+                _widen(is_active, is_rest, task.path, (first, end), +1)
     return [solved[run] for run in runs(is_active)]
 
 
@@ -62,17 +61,21 @@ def _can_widen(is_rest: NDArray[np.bool_], segment: int) -> bool:
 
 
 def _widen(
-    is_active: NDArray[np.bool_], is_rest: NDArray[np.bool_], path: Path, segment: int, step: int
+    is_active: NDArray[np.bool_],
+    is_rest: NDArray[np.bool_],
+    path: Path,
+    run: tuple[int, int],
+    step: int,
 ) -> None:
-    """Activate segments beyond `segment`: at least `WINDOW_MIN_S`, or half of the run again."""
-    back = segment
-    while 0 <= back - step < len(is_active) and is_active[back - step]:
-        back -= step
-    low, high = min(back, segment), max(back, segment) + 1
-    wanted_s = max(WINDOW_MIN_S, 0.5 * float(path.knots_s[high] - path.knots_s[low]))
-    segment += step
-    while wanted_s > 0.0 and _can_widen(is_rest, segment):
-        if not is_active[segment]:
-            wanted_s -= float(path.knots_s[segment + 1] - path.knots_s[segment])
-            is_active[segment] = True
+    """Activate segments before (`step` -1) or after a run, up to the next rest or active one.
+
+    At least `WINDOW_MIN_S`, or half of the run again. Where it meets another run, the two are one
+    from now on.
+    """
+    first, end = run
+    wanted_s = max(WINDOW_MIN_S, 0.5 * float(path.knots_s[end] - path.knots_s[first]))
+    segment = first - 1 if step < 0 else end
+    while wanted_s > 0.0 and _can_widen(is_rest, segment) and not is_active[segment]:
+        wanted_s -= float(path.knots_s[segment + 1] - path.knots_s[segment])
+        is_active[segment] = True
         segment += step

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.robot.model import Robot
-    from lss_motion.trajectory.model import Motion, Trajectory
+    from lss_motion.trajectory.model import Pass, Trajectory
 
     FloatArray = NDArray[np.float64]
 
@@ -73,20 +73,35 @@ class _Worst:
     column: int = 0
     at_s: float = 0.0
 
-    def look(self, ratios: FloatArray, times_s: FloatArray) -> None:
-        if ratios.size and (largest := float(ratios.max())) > self.ratio:
-            row, self.column = divmod(int(ratios.argmax()), ratios.shape[1])
-            self.ratio, self.at_s = largest, float(times_s[row])
+    def look(
+        self, sizes: FloatArray, times_s: FloatArray, noise: FloatArray, limits: FloatArray
+    ) -> None:
+        """Note the largest of `sizes`, (n, joints), less `noise`, against the limit of its joint.
+
+        Only the largest of each joint is compared, because there are millions of samples.
+        """
+        if not len(sizes):
+            return
+        ratios = (sizes.max(axis=0) - noise) / limits
+        column = int(ratios.argmax())
+        if ratios[column] > self.ratio:
+            self.ratio, self.column = float(ratios[column]), column
+            self.at_s = float(times_s[int(sizes[:, column].argmax())])
 
 
-def verify(trajectory: Trajectory, robot: Robot) -> Verification:
+def verify(trajectory: Trajectory, robot: Robot, *, has_parts: bool = True) -> Verification:
     """Return how far the limits are used.
 
     Raises `PlanningError` naming joint, time and limit if an angle is not a number, leaves its
     range, or if speed or acceleration exceed their limit by more than 0.1 %. Passes that repeat
-    one another are sampled once, and their seams.
+    one another are sampled once, and their seams; a pass that is made of trajectories is as good
+    as these are, and as its own seams; `has_parts` False looks at the seams alone, where the parts
+    are known to be good.
     """
     checks = _Checks(trajectory, robot)
+    for motion in {id(part): part for _, part, _ in _spans(checks.trajectory)}.values():
+        for part in {id(part): part for part in motion.parts if has_parts}.values():
+            checks.include(verify(part, robot))
     for times_s in _blocks(checks.trajectory):
         checks.uniform(times_s)
     for times_s, step_s in _sides(checks.trajectory):
@@ -105,24 +120,45 @@ class _Checks:
         self.speed, self.accel = _Worst(), _Worst()
         self.samples = 0
 
+    def include(self, found: Verification) -> None:
+        """Take over what was found in a part of the trajectory."""
+        self.samples += found.samples
+        names = self.trajectory.joints
+        for worst, ratio, joint, at_s in (
+            (self.speed, found.speed_ratio, found.speed_joint, found.speed_at_s),
+            (self.accel, found.accel_ratio, found.accel_joint, found.accel_at_s),
+        ):
+            if ratio > worst.ratio:
+                worst.ratio, worst.column, worst.at_s = ratio, names.index(joint), at_s
+
     def uniform(self, times_s: FloatArray) -> None:
         """Check samples at equal steps: averages over a step can never exceed the limits."""
-        deg = self._sampled(times_s)
+        moves = np.diff(self._sampled(times_s), axis=0)
         step_s = float(times_s[1] - times_s[0])
-        moves = np.abs(np.diff(deg, axis=0)) - self._noise_deg(times_s)
-        bends = np.abs(deg[2:] - 2.0 * deg[1:-1] + deg[:-2]) - 4.0 * self._noise_deg(times_s)
-        self.speed.look(moves / (self.speed_deg_s * step_s), times_s)
-        self.accel.look(bends / (self.accel_deg_s2 * step_s**2), times_s[1:])
-
-    def one_sided(self, times_s: FloatArray, step_s: FloatArray) -> None:
-        """Check three equal steps into each polynomial from its ends, a step apart."""
-        near, middle, far = (self._sampled(times_s + count * step_s) for count in (0.0, 1.0, 2.0))
-        width_s = np.abs(step_s)[:, None]
+        bends = np.diff(moves, axis=0)
         noise_deg = self._noise_deg(times_s)
-        speed = (np.abs(middle - near) - noise_deg) / (self.speed_deg_s * width_s)
-        bends = np.abs(far - 2.0 * middle + near) - 4.0 * noise_deg
-        self.speed.look(speed, times_s)
-        self.accel.look(bends / (self.accel_deg_s2 * width_s**2), times_s)
+        self._look(np.abs(moves, out=moves), np.abs(bends, out=bends), times_s, step_s, noise_deg)
+
+    def one_sided(self, times_s: FloatArray, steps_s: FloatArray) -> None:
+        """Check three equal steps into each polynomial from its ends, a step apart."""
+        near, middle, far = (self._sampled(times_s + count * steps_s) for count in (0.0, 1.0, 2.0))
+        width_s = np.abs(steps_s)[:, None]
+        noise_deg = self._noise_deg(times_s)
+        moves, bends = np.abs(middle - near), np.abs(far - 2.0 * middle + near)
+        # Divided by their own steps, so that one second is what remains.
+        moves, bends = (moves - noise_deg) / width_s, (bends - 4.0 * noise_deg) / width_s**2
+        self._look(moves, bends, times_s, 1.0, np.zeros(len(noise_deg)))
+
+    def _look(
+        self,
+        moves: FloatArray,
+        bends: FloatArray,
+        times_s: FloatArray,
+        step_s: float,
+        noise_deg: FloatArray,
+    ) -> None:
+        self.speed.look(moves, times_s, noise_deg, self.speed_deg_s * step_s)
+        self.accel.look(bends, times_s, 4.0 * noise_deg, self.accel_deg_s2 * step_s**2)
 
     def verdict(self) -> Verification:
         for worst, limits, what, unit in (
@@ -151,11 +187,11 @@ class _Checks:
     def _sampled(self, times_s: FloatArray) -> FloatArray:
         deg = self.trajectory.sample(times_s)
         self.samples += len(times_s)
+        low_deg, high_deg = self.low_deg - RANGE_SLACK_DEG, self.high_deg + RANGE_SLACK_DEG
         # Written so that NaN is outside as well.
-        is_inside = (deg >= self.low_deg - RANGE_SLACK_DEG) & (
-            deg <= self.high_deg + RANGE_SLACK_DEG
-        )
-        if not is_inside.all():
+        is_within = (deg.min(axis=0) >= low_deg) & (deg.max(axis=0) <= high_deg)
+        if not is_within.all():
+            is_inside = (deg >= low_deg) & (deg <= high_deg)
             row, column = divmod(int(np.argmin(is_inside)), deg.shape[1])
             joint, at_s = self.trajectory.joints[column], float(times_s[row])
             raise PlanningError(
@@ -180,9 +216,9 @@ def _shortened(trajectory: Trajectory) -> Trajectory:
     return trajectory
 
 
-def _spans(trajectory: Trajectory) -> Iterator[tuple[float, Motion, bool]]:
+def _spans(trajectory: Trajectory) -> Iterator[tuple[float, Pass, bool]]:
     """Yield start, motion and whether it is new, for every pass."""
-    seen: list[Motion] = []
+    seen: list[Pass] = []
     for index in range(trajectory.loop or 1):
         motion = trajectory.motion_of(index)
         is_new = not any(motion is earlier for earlier in seen)
@@ -192,19 +228,30 @@ def _spans(trajectory: Trajectory) -> Iterator[tuple[float, Motion, bool]]:
 
 def _blocks(trajectory: Trajectory) -> Iterator[FloatArray]:
     """Yield instants at equal steps that overlap by two, so that no difference is missed."""
-    for start_s, motion, is_new in _spans(trajectory):
-        first_s = start_s - SEAM_S
-        last_s = start_s + SEAM_S + (motion.duration_s if is_new else 0.0)
-        count = math.ceil((last_s - first_s) / SAMPLE_S)
+    for from_s, to_s in _stretches(trajectory):
+        count = math.ceil((to_s - from_s + 2.0 * SEAM_S) / SAMPLE_S)
         for first in range(0, count, BLOCK):
             steps = np.arange(first, min(first + BLOCK, count) + 2, dtype=np.float64)
-            yield first_s + SAMPLE_S * steps
+            yield from_s - SEAM_S + SAMPLE_S * steps
+
+
+def _stretches(trajectory: Trajectory) -> Iterator[tuple[float, float]]:
+    """Yield what must be sampled: new passes, and where one pass or part follows another."""
+    for start_s, motion, is_new in _spans(trajectory):
+        if is_new and not motion.parts:
+            yield start_s, start_s + motion.duration_s
+            continue
+        yield start_s, start_s
+        if is_new:
+            for seam_s in motion.seams_s.tolist():
+                yield start_s + seam_s, start_s + seam_s
+    yield trajectory.duration_s, trajectory.duration_s
 
 
 def _sides(trajectory: Trajectory) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield instants just inside both ends of every polynomial, and steps into it."""
     for start_s, motion, is_new in _spans(trajectory):
-        if not is_new:
+        if not is_new or motion.parts:
             continue
         knots_s = motion.knots_s
         steps_s = np.minimum(SIDE_STEP_S, np.diff(knots_s) / 4.0)

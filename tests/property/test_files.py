@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import tempfile
+from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
 
@@ -86,7 +87,18 @@ def sequences(draw: st.DrawFn) -> tuple[Sequence, Robot]:
         fit_duration_s=draw(spans_s) if timing is Timing.FIT else None,
         loop=loops,
     )
-    return sequence, robot_of(joint_names)
+    if draw(st.booleans()):
+        sequence = replace(sequence, speed_ratio=draw(st.floats(0.01, 1.0)))
+    others = draw(st.lists(names, max_size=2, unique=True))
+    others = [name for name in others if name not in joint_names]
+    sequence = replace(
+        sequence,
+        tracks=tuple(
+            Sequence(name=name, keyframes=(Keyframe(at_s=0.0, hold_s=0.5, deg={name: 1.0}),))
+            for name in others
+        ),
+    )
+    return sequence, robot_of([*joint_names, *others])
 
 
 @settings(deadline=None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -10,8 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from lss_motion.errors import PlanningError
 from lss_motion.robot.model import Bus, Family, Joint, Robot, ServoModel
-from lss_motion.sequence.model import Interpolation, Keyframe, Sequence, Timing
+from lss_motion.sequence.model import Interpolation, Keyframe, Layer, Sequence, Step, Timing
 from lss_motion.trajectory.path import peaks
 from lss_motion.trajectory.planner import plan
 from lss_motion.trajectory.verify import verify
@@ -185,3 +187,86 @@ def test_smooth_and_linear_never_go_beyond_the_keys(data: st.DataObject, robot: 
         keys = [frame.deg[name] for frame in frames if name in frame.deg]
         assert min(keys) - 1e-9 <= deg[:, column].min()
         assert deg[:, column].max() <= max(keys) + 1e-9
+
+
+def parts_of(data: st.DataObject, robot: Robot, **more: object) -> list[Sequence]:
+    """Sequences for different joints of the robot."""
+    names = data.draw(st.permutations(list(robot.joints)))
+    cut = data.draw(st.integers(0, len(names)))
+    groups = [group for group in (names[:cut], names[cut:]) if group]
+    found = []
+    for number, group in enumerate(groups):
+        own = replace(robot, joints={name: robot.joints[name] for name in group})
+        frames = tuple(data.draw(keyframes(own)))
+        loop = data.draw(st.sampled_from([1, 1, 2, None]))
+        if loop != 1:
+            frames = returning(list(frames))
+        found.append(Sequence(name=f"part{number}", keyframes=frames, loop=loop, **more))
+    return found
+
+
+@LAWS
+@given(st.data(), robots())
+def test_tracks_beside_each_other_break_no_limit_and_keep_their_keys(
+    data: st.DataObject, robot: Robot
+) -> None:
+    tracks = parts_of(data, robot)
+    show = Sequence(name="all", tracks=tuple(tracks))
+    if all(track.loop is None for track in tracks) and len(tracks) > 1:
+        periods_s = [plan(track, robot).middle.duration_s for track in tracks]
+        if not math.lcm(*(round(1e6 * period_s) for period_s in periods_s)) <= 6e8:
+            with pytest.raises(PlanningError, match="do not meet again"):
+                plan(show, robot)
+            return
+    trajectory = plan(show, robot)
+    verify(trajectory, robot)
+    for track in tracks:
+        alone = plan(track, robot)
+        times_s = np.linspace(0.0, alone.first.duration_s, 50)[:-1]
+        columns = [trajectory.joints.index(name) for name in alone.joints]
+        if track.loop is not None or trajectory.loop is None:
+            beside = trajectory.sample(times_s)[:, columns]
+            assert beside == pytest.approx(alone.sample(times_s), abs=1e-9)
+
+
+@LAWS
+@given(st.data(), robots())
+def test_a_play_list_breaks_no_limit_and_begins_every_step_where_it_should(
+    data: st.DataObject, robot: Robot
+) -> None:
+    parts = [replace(part, loop=part.loop or 2) for part in parts_of(data, robot)]
+    steps = [Step(sequence=part, times=data.draw(st.integers(1, 3))) for part in parts]
+    steps.insert(data.draw(st.integers(0, len(steps))), Step(pause_s=0.5))
+    steps = data.draw(st.permutations([*steps, Step(sequence=parts[0], move_s=0.1)]))
+    loop = data.draw(st.sampled_from([1, 2, None]))
+    trajectory = plan(Sequence(name="list", play=tuple(steps), loop=loop), robot)
+    verify(trajectory, robot)
+    ends_s = trajectory.first.duration_s
+    start, end = trajectory.sample(np.array([0.0, ends_s - 1e-9]))
+    assert loop == 1 or start == pytest.approx(end, abs=1e-3)
+
+
+@LAWS
+@given(st.data(), robots(), st.sampled_from(["override", "add"]), st.floats(0.0, 1.0))
+def test_the_limits_hold_for_the_sum_of_layers(
+    data: st.DataObject, robot: Robot, mode: str, weight: float
+) -> None:
+    base = Sequence(name="base", keyframes=tuple(data.draw(keyframes(robot))))
+    keyed = {name for frame in base.keyframes for name in frame.deg}
+    sizes_deg = (0.01, 1.0, 30.0)
+    frames = data.draw(keyframes(robot, least_step_s=0.05, sizes_deg=sizes_deg))
+    top = Layer(
+        sequence=Sequence(name="top", keyframes=tuple(frames)),
+        joints=tuple(name for name in robot.joints if name in keyed),
+        mode="add" if mode == "add" else "override",
+        weight=weight,
+        from_s=data.draw(st.floats(0.0, 3.0)),
+        to_s=data.draw(st.floats(3.5, 9.0)),
+        fade_s=data.draw(st.sampled_from([0.05, 0.5, 3.0])),
+    )
+    trajectory = plan(replace(base, layers=(top,)), robot)
+    verified = verify(trajectory, robot)
+    assert max(verified.speed_ratio, verified.accel_ratio) <= 1.001
+    start = plan(base, robot).sample(np.zeros(1))[0]
+    columns = [trajectory.joints.index(name) for name in plan(base, robot).joints]
+    assert trajectory.sample(np.zeros(1))[0, columns] == pytest.approx(start, abs=1e-6)

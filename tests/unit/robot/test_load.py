@@ -208,3 +208,24 @@ def test_name_and_joints_cannot_be_left_out(robot_path: Path, key: str) -> None:
     parts = {"robot": "robot: x\n", "joints": "joints: {a: {id: 1}}\n"}
     del parts[key]
     assert (1, f"{key!r} is missing") in refusals(robot_path, "".join(parts.values()))
+
+
+PAIRS = START + "  l: {id: 1}\n  r: {id: 2}\n  m: {id: 3}\n"
+
+
+def test_groups_and_mirror_images_are_read(robot_path: Path) -> None:
+    text = PAIRS + "groups: {arms: [r, l]}\nmirror: {same: {m: m}, opposite: {l: r}}\n"
+    robot = load(robot_path, text)
+    assert robot.groups == {"arms": ("l", "r")}
+    assert robot.mirror == {"m": ("m", 1), "l": ("r", -1), "r": ("l", -1)}
+
+
+def test_groups_and_mirror_images_of_unknown_joints_are_refused(robot_path: Path) -> None:
+    text = PAIRS + "groups:\n  l: [m]\n  arms: [l, rr]\nmirror:\n  same: {l: r}\n"
+    found = refusals(robot_path, text + "  opposite: {r: m, l: x}\n")
+    assert found == [
+        (8, "group 'l' has the name of a joint"),
+        (9, "group 'arms': unknown joint 'rr'; did you mean 'r'? there are: l, r, m"),
+        (12, "joint 'r' has a mirror image already; keep one"),
+        (12, "joint 'l' has a mirror image already; keep one"),
+    ]

@@ -180,8 +180,17 @@ def test_a_time_at_the_end_of_a_hold_is_exactly_that_end(load) -> None:
             "a loop must end where it began, but elbow starts at -20 and ends at 45 deg",
         ),
         ("  - {at_s: 0, pose: home}\nloop: forever", 4, "a loop must take time"),
-        ("  - {at_s: 0, pose: home}\ntracks: {}", 5, "unknown key 'tracks'"),
-        ("  - {at_s: 0, pose: home}\nlayers: []", 5, "unknown key 'layers'"),
+        ("  - {at_s: 0, pose: home}\ntracks: {}", 5, "tracks (keys and values): must have 1"),
+        ("  - {at_s: 0, pose: home}\nlayers: []", 5, "layers ([]): must have 1 or more"),
+        ("  - {at_s: 0, pose: home}\nspeed_ratio: 0", 5, "must be 0.01 or more"),
+        ("  - {pose: home}\nspeed_ratio: 1.5", None, "fast as the limits allow; 1 is the most"),
+        ("  - {at_s: 0, pose: home}\nplay: [{pause_s: 1}]", 3, "keyframes does not go with 'play'"),
+        ("  - {at_s: 0, deg: {base: 0}}\ntracks: {eyes: {loop: 2}}", 5, "'eyes' has no keyframes"),
+        (
+            "  - {at_s: 0, deg: {base: 0}}\ntracks:\n  eyes: {keyframes: [{deg: {base: 1}}]}",
+            6,
+            "joint 'base' is keyed in track 'eyes' and in the keyframes outside tracks",
+        ),
         ("  []", 3, "must have 1 or more entries"),
         ("  - {at_s: 0, pose: home}\nkeyframes: []", 5, "is given twice"),
     ],
@@ -269,5 +278,5 @@ def test_problems_of_the_robot_file_come_with_those_of_the_sequence(folder: Path
 def test_a_robot_file_in_place_of_a_sequence_says_what_is_missing(folder: Path) -> None:
     with pytest.raises(InputError) as caught:
         load_sequence(folder / "robot.yaml")
-    assert "'keyframes' is missing" in str(caught.value)
+    assert "'sequence' is missing" in str(caught.value)
     assert "unknown key 'joints'" in str(caught.value)

@@ -15,7 +15,11 @@ from lss_motion.yaml_source import read_yaml
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "sequences"
 ROBOTS = sorted((EXAMPLES / "robots").glob("*.yaml"))
-SEQUENCES = sorted(EXAMPLES.glob("*.yaml"))
+SEQUENCES = sorted(
+    path
+    for path in EXAMPLES.rglob("*.yaml")
+    if path not in ROBOTS and "gait.schema.json" not in path.read_text(encoding="utf-8")
+)
 SCHEMAS = {"robot": robot_schema, "sequence": sequence_schema}
 
 ROBOT = {

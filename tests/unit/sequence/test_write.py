@@ -8,7 +8,7 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.sequence import load_sequence, sequence_text, write_sequence
-from lss_motion.sequence.model import Interpolation, Keyframe, Sequence
+from lss_motion.sequence.model import Interpolation, Keyframe, Sequence, Step
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -75,3 +75,17 @@ def test_the_usual_way_to_travel_is_said_once(folder: Path, sequence: Sequence) 
 def test_a_place_that_cannot_be_written_is_an_input_error(folder: Path, sequence: Sequence) -> None:
     with pytest.raises(InputError, match="cannot be written"):
         write_sequence(sequence, folder / "no such folder" / "s.yaml")
+
+
+def test_tracks_are_written_below_their_names(folder: Path, sequence: Sequence) -> None:
+    track = Sequence(name="eyes", keyframes=(Keyframe(at_s=0.0, deg={"elbow": 1.0}),), loop=3)
+    text = sequence_text(Sequence(name="x", tracks=(track,), speed_ratio=0.5), folder)
+    assert text == (
+        "sequence: x\nspeed_ratio: 0.5\ntracks:\n  eyes:\n    timing: authored\n    loop: 3\n"
+        "    keyframes:\n      - {at_s: 0, deg: {elbow: 1}}\n"
+    )
+
+
+def test_what_is_made_of_files_cannot_be_written_into_one(folder: Path, sequence: Sequence) -> None:
+    with pytest.raises(InputError, match="play lists and layers cannot be written"):
+        sequence_text(Sequence(name="x", play=(Step(sequence=sequence),)), folder)

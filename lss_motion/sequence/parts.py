@@ -1,0 +1,199 @@
+"""The sequence files that a sequence file plays one after the other, or lays on top."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.errors import InputError
+from lss_motion.sequence.check import check_sequence, jumps
+from lss_motion.sequence.mirror import mirrored
+from lss_motion.sequence.model import Layer, Sequence, Step, Timing
+from lss_motion.sequence.speed import at_speed
+from lss_motion.spelling import known_names
+from lss_motion.yaml_source import Location, Problem
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from lss_motion.robot.model import Robot
+    from lss_motion.sequence.file import LayerEntry, SequenceFile, StepEntry
+    from lss_motion.yaml_source import YamlSource
+
+
+STEPS_MAX: Final = 1000
+"""Steps of a play list, nested ones included. Chosen: a day of shows; a runaway list is noticed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What a file is within the show: the files around it, and whether its angles are offsets."""
+
+    files: tuple[Path, ...] = ()
+    is_offset: bool = False
+
+    def inside(self, path: Path) -> Part:
+        return Part((*self.files, path.resolve()), self.is_offset)
+
+
+@dataclass(slots=True)
+class PartLoader:
+    """Loads the parts of one file; their problems are `errors` of their own files."""
+
+    content: SequenceFile
+    left_out: frozenset[Location]
+    source: YamlSource
+    robot: Robot | None
+    part: Part
+    load: Callable[[Path, Robot | None, Part], Sequence]
+    problems: list[Problem] = field(default_factory=list)
+    errors: list[InputError] = field(default_factory=list)
+
+    def steps(self) -> tuple[Step, ...]:
+        steps: list[Step] = []
+        for index, entry in enumerate(self.content.play):
+            place: Location = ("play", index)
+            if place in self.left_out or (step := self._step(entry, place)) is None:
+                continue
+            if entry.join == "through" and not self.problems and not self.errors:
+                self._join(steps, step, place)
+            else:
+                steps.append(step)
+        if sum(map(_count, steps)) > STEPS_MAX:
+            self._note(("play",), f"comes to more than {STEPS_MAX} steps, nested ones included")
+        return tuple(steps)
+
+    def layers(self) -> tuple[Layer, ...]:
+        found = []
+        for index, entry in enumerate(self.content.layers):
+            place: Location = ("layers", index)
+            if place in self.left_out:
+                continue
+            layer = self._layer(entry, place)
+            if layer is not None:
+                found.append(layer)
+        return tuple(found)
+
+    def _note(self, location: Location, reason: str) -> None:
+        self.problems.append(Problem(location, reason))
+
+    def _step(self, entry: StepEntry, place: Location) -> Step | None:
+        if (entry.file is None) == (entry.pause_s is None):
+            self._note(place, "a step is a 'file' or a 'pause_s'")
+            return None
+        if entry.file is None:
+            if extra := sorted(entry.model_fields_set - {"pause_s"}):
+                self._note((*place, extra[0]), f"{extra[0]} belongs to a file, not to a pause")
+            return Step(pause_s=entry.pause_s or 0.0)
+        sequence = self._file(entry.file, entry, place, is_offset=self.part.is_offset)
+        if sequence is None:
+            return None
+        if _is_endless(sequence):
+            self._note(
+                (*place, "file"),
+                f"{entry.file} loops forever, so that nothing could follow; give its loop a count",
+            )
+        return Step(sequence=sequence, times=entry.times, move_s=entry.move_s)
+
+    def _layer(self, entry: LayerEntry, place: Location) -> Layer | None:
+        is_offset = entry.mode == "add"
+        sequence = self._file(entry.file, entry, place, is_offset=is_offset)
+        if sequence is None or self.robot is None:
+            return None
+        if entry.to_s is not None and entry.to_s <= entry.from_s:
+            self._note((*place, "to_s"), f"{entry.to_s:g} s is not after from_s {entry.from_s:g} s")
+        joints: list[str] = []
+        for number, name in enumerate(entry.joints or ()):
+            known = [*self.robot.joints, *self.robot.groups]
+            if name not in known:
+                reason = f"unknown joint or group {name!r}; {known_names(name, known)}"
+                self._note((*place, "joints", number), reason)
+            joints += self.robot.groups.get(name, (name,))
+        keyed = keyed_joints(sequence)
+        if joints and not keyed & {*joints}:
+            self._note((*place, "joints"), f"{entry.file} keys none of them")
+        return Layer(
+            sequence=sequence,
+            joints=tuple(name for name in self.robot.joints if name in (joints or keyed)),
+            mode=entry.mode,
+            weight=entry.weight,
+            from_s=entry.from_s,
+            to_s=entry.to_s,
+            fade_s=entry.fade_s,
+            line=self.source.line(place),
+        )
+
+    def _file(
+        self, name: str, entry: StepEntry | LayerEntry, place: Location, *, is_offset: bool
+    ) -> Sequence | None:
+        path = self.source.path.parent / name
+        if path.resolve() in self.part.files:
+            self._note((*place, "file"), f"{name} would play itself without end")
+            return None
+        if not path.exists():
+            self._note((*place, "file"), f"sequence file {name!r} not found; looked for {path}")
+            return None
+        if self.robot is None:
+            return None
+        try:
+            sequence = self.load(path, self.robot, replace(self.part, is_offset=is_offset))
+            if entry.mirror:
+                sequence = mirrored(sequence, self.robot.mirror)
+                check_sequence(sequence, self.robot, is_offset=is_offset)
+            sequence = replace(sequence, speed_ratio=sequence.speed_ratio * entry.speed_ratio)
+            at_speed(sequence)
+        except InputError as error:
+            self.errors.append(error)
+            return None
+        return sequence
+
+    def _join(self, steps: list[Step], step: Step, place: Location) -> None:
+        """Append the keyframes of `step` to those of the step before."""
+        before = steps[-1] if steps else Step()
+        parts = [part.sequence for part in (before, step) if _is_plain(part)]
+        if len(parts) < 2:
+            self._note(
+                (*place, "join"),
+                "join: through needs keyframes with times, played once and without tracks or "
+                "layers, in this step and the one before",
+            )
+            return
+        first, second = (at_speed(part) for part in parts if part is not None)
+        last = first.keyframes[-1]
+        end_s = (last.at_s or 0.0) + last.hold_s + (step.move_s or 0.0)
+        shifted = [replace(frame, at_s=(frame.at_s or 0.0) + end_s) for frame in second.keyframes]
+        for _, reason in jumps([last, shifted[0]]):
+            self._note((*place, "join"), f"{reason}; or give move_s")
+        joined = replace(first, keyframes=(*first.keyframes, *shifted))
+        steps[-1] = replace(before, sequence=joined)
+
+
+def keyed_joints(sequence: Sequence) -> set[str]:
+    """Return every joint that the sequence keys, in whatever part of it."""
+    inner = [*sequence.tracks, *(step.sequence for step in sequence.play if step.sequence)]
+    names = {name for frame in sequence.keyframes for name in frame.deg}
+    return names.union(*map(keyed_joints, inner), *(layer.joints for layer in sequence.layers))
+
+
+def _is_endless(sequence: Sequence) -> bool:
+    return sequence.loop is None or (
+        not sequence.keyframes and any(track.loop is None for track in sequence.tracks)
+    )
+
+
+def _is_plain(step: Step) -> bool:
+    sequence = step.sequence
+    return (
+        sequence is not None
+        and step.times == 1
+        and sequence.loop == 1
+        and sequence.timing is Timing.AUTHORED
+        and bool(sequence.keyframes)
+        and not sequence.tracks
+        and not sequence.layers
+    )
+
+
+def _count(step: Step) -> int:
+    return 1 + sum(map(_count, step.sequence.play)) if step.sequence else 1

@@ -1,0 +1,253 @@
+"""How quickly a long show is planned and how good the plan is: ours, and the usual call of toppra.
+
+Ten minutes, 18 joints, 1,200 keyframes, 5 % of them too much to ask. The usual call is toppra as
+its documentation shows it: `SplineInterpolator`, automatic grid, angles in degrees, one solve.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from benches.shows import lively_show, robot_of
+from benches.table import Row, seconds
+from lss_motion.sequence.model import Timing
+from lss_motion.trajectory.cache import DIRECTORY_VARIABLE
+from lss_motion.trajectory.layout import laid_out
+from lss_motion.trajectory.parameterize import Cells, fastest_squares
+from lss_motion.trajectory.planner import plan
+from lss_motion.trajectory.verify import verify
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from lss_motion.robot.model import Robot
+    from lss_motion.sequence.model import Sequence
+
+SHOW_S = 600.0
+JOINTS = 18
+INFEASIBLE_RATIO = 0.05
+SEED = 1
+REPEATS = 3
+AUTHORED_TARGET = 40.0
+FASTEST_TARGET = 15.0
+COLD_TARGET_S = 3.0
+CACHED_TARGET_S = 0.3
+MEMORY_TARGET_MB = 500.0
+DURATION_TARGET_RATIO = 0.01
+EXCESS_TARGET_RATIO = 0.02
+QUALITY_S = 60.0
+"""Durations are compared with a fine grid over this much of the show."""
+FINE_CELLS = 320
+"""Cells a segment has in the reference."""
+GROWTH_S = (125.0, 250.0, 500.0, 1000.0, 2500.0, 5010.0)
+"""Shows of 250 to 10,000 keyframes."""
+GROWTH_JOINTS = 6
+GROWTH_TARGET = 1.5
+
+CHILD = """
+import pickle, sys
+from pathlib import Path
+from lss_motion.trajectory.planner import plan
+plan(*pickle.loads(Path(sys.argv[1]).read_bytes()))
+print(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0])
+"""
+
+
+def bench_show(timing: str = "authored", duration_s: float = SHOW_S) -> tuple[Sequence, Robot]:
+    """Return the show that everything here plans, and its robot."""
+    robot = robot_of(JOINTS)
+    show = lively_show(robot, duration_s, seed=SEED, infeasible_ratio=INFEASIBLE_RATIO)
+    return replace(show, timing=Timing(timing)), robot
+
+
+def measure() -> list[Row]:
+    """Return times against the usual call, excess and duration against a fine grid, and growth."""
+    processes = _processes() if Path("/proc/self/status").exists() else []
+    return [*processes, *_speed(), *_quality(), *_growth()]
+
+
+@contextmanager
+def empty_cache() -> Iterator[None]:
+    """Let plans go to a folder of their own, which is then removed."""
+    before = os.environ.get(DIRECTORY_VARIABLE)
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ[DIRECTORY_VARIABLE] = folder
+        try:
+            yield
+        finally:
+            del os.environ[DIRECTORY_VARIABLE]
+            if before is not None:
+                os.environ[DIRECTORY_VARIABLE] = before
+
+
+def _cold_s(show: Sequence, robot: Robot) -> float:
+    with empty_cache():
+        return seconds(lambda: plan(show, robot))
+
+
+def _speed() -> list[Row]:
+    show, robot = bench_show()
+    plain_s, plain_note = _plain_call(show, robot)
+    rows = []
+    for timing, target in (("authored", AUTHORED_TARGET), ("fastest", FASTEST_TARGET)):
+        own = replace(show, timing=Timing(timing))
+        taken_s = sorted(_cold_s(own, robot) for _ in range(REPEATS))[REPEATS // 2]
+        with empty_cache():
+            trajectory = plan(own, robot)
+        judged_s = seconds(lambda made=trajectory: verify(made, robot))
+        rows.append(
+            Row(
+                what=f"{timing}: {len(show.keyframes)} keyframes, {JOINTS} joints",
+                ours=f"{taken_s:.2f} s, of which verifying {judged_s:.2f} s",
+                reference=f"usual call {plain_s:.1f} s{plain_note}",
+                ratio=plain_s / taken_s,
+                target=f">= {target:g} x faster",
+                is_met=plain_s / taken_s >= target,
+            )
+        )
+    return rows
+
+
+def _plain_call(show: Sequence, robot: Robot) -> tuple[float, str]:
+    """Return how long the usual call takes on the same keyframes, and whether it failed."""
+    import toppra
+    from toppra import algorithm, constraint
+
+    toppra.setup_logging("CRITICAL")
+    with empty_cache():
+        whole = plan(show, robot)
+    at_s = np.array([frame.at_s or 0.0 for frame in show.keyframes])
+    ways_deg = whole.sample(np.array([mark.planned_s for mark in whole.marks]))
+    joints = [robot.joints[name] for name in whole.joints]
+    speeds = np.array([[-joint.speed_max_deg_s, joint.speed_max_deg_s] for joint in joints])
+    accels = np.array([[-joint.accel_max_deg_s2, joint.accel_max_deg_s2] for joint in joints])
+    found: list[object] = []
+
+    def call() -> None:
+        path = toppra.SplineInterpolator(at_s, ways_deg)
+        limits = [
+            constraint.JointVelocityConstraint(speeds),
+            constraint.JointAccelerationConstraint(accels),
+        ]
+        found.append(algorithm.TOPPRA(limits, path).compute_trajectory())
+
+    taken_s = seconds(call)
+    return taken_s, "" if found[0] is not None else " (finds nothing)"
+
+
+def _processes() -> list[Row]:
+    """Whole processes: from the start of Python to the verified plan, and their memory (Linux)."""
+    rows = []
+    for timing in ("authored", "fastest"):
+        with empty_cache(), tempfile.TemporaryDirectory() as folder:
+            question = Path(folder, "question")
+            question.write_bytes(pickle.dumps(bench_show(timing)))
+            taken = [_process(question) for _ in range(3)]
+        (cold_s, cold_mb), (cached_s, _) = taken[0], min(taken[1:])
+        rows += [
+            Row(what=f"{timing}: whole process, cold", ours=f"{cold_s:.2f} s",
+                target=f"<= {COLD_TARGET_S:g} s", is_met=cold_s <= COLD_TARGET_S),
+            Row(what=f"{timing}: whole process, from the cache", ours=f"{cached_s:.2f} s",
+                target=f"<= {CACHED_TARGET_S:g} s", is_met=cached_s <= CACHED_TARGET_S),
+            Row(what=f"{timing}: memory", ours=f"{cold_mb:.0f} MB",
+                target=f"<= {MEMORY_TARGET_MB:g} MB", is_met=cold_mb <= MEMORY_TARGET_MB),
+        ]  # fmt: skip
+    return rows
+
+
+def _process(question: Path) -> tuple[float, float]:
+    """Return seconds and megabytes of a process that plans the show."""
+    command = [sys.executable, "-c", CHILD, str(question)]
+    printed: list[str] = []
+    taken_s = seconds(
+        lambda: printed.append(
+            subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        )
+    )
+    return taken_s, float(printed[0]) / 1024.0
+
+
+def _quality() -> list[Row]:
+    rows = []
+    for timing in ("authored", "fastest"):
+        show, robot = bench_show(timing, QUALITY_S)
+        with empty_cache():
+            trajectory = plan(show, robot)
+        fine_s = fine_duration_s(show, robot)
+        if timing == "authored":
+            excess_s, least_s = trajectory.duration_s - QUALITY_S, fine_s - QUALITY_S
+            ratio, target, what = excess_s / least_s, EXCESS_TARGET_RATIO, "excess over authored"
+            ours, reference = f"{excess_s:.4f} s", f"fine grid {least_s:.4f} s"
+        else:
+            ratio, target, what = trajectory.duration_s / fine_s, DURATION_TARGET_RATIO, "duration"
+            ours, reference = f"{trajectory.duration_s:.3f} s", f"fine grid {fine_s:.3f} s"
+        rows.append(
+            Row(what=f"{timing}: {what}, {QUALITY_S:g} s", ours=ours, reference=reference,
+                ratio=ratio, target=f"<= {1.0 + target:g}", is_met=ratio <= 1.0 + target)
+        )  # fmt: skip
+    return rows
+
+
+def fine_duration_s(show: Sequence, robot: Robot) -> float:
+    """Return how long the show takes on a grid so fine that a finer one changes nothing.
+
+    No margins, no repair, no windows: one solve of toppra's stages along the whole path.
+    """
+    task = laid_out(show, robot).task({})
+    path, segments = task.path, np.repeat(np.arange(len(task.path.knots_s) - 1), FINE_CELLS)
+    steps_s = path.segment_lengths_s / FINE_CELLS
+    within = np.tile(np.arange(FINE_CELLS), len(steps_s))
+    grid_s = np.append(path.knots_s[segments] + within * steps_s[segments], path.knots_s[-1])
+    left_s, right_s = grid_s[:-1], grid_s[1:]
+
+    def cells_of(low: int, high: int) -> Cells:
+        part = slice(low, high)
+        return Cells(
+            *(
+                path.evaluate(at_s[part], order, segments=segments[part]) / task.accel_max_deg_s2
+                for order in (1, 2)
+                for at_s in (left_s, right_s)
+            )
+        )
+
+    caps = np.full(len(grid_s), task.rate_max**2)
+    for side, at_s in ((slice(None, -1), left_s), (slice(1, None), right_s)):
+        ratio = np.abs(path.evaluate(at_s, 1, segments=segments)) / task.speed_max_deg_s
+        caps[side] = np.minimum(caps[side], 1.0 / np.maximum(ratio.max(axis=1), 1e-3) ** 2)
+    squares = fastest_squares(grid_s, cells_of, caps, joints=len(task.speed_max_deg_s))
+    rates = np.sqrt(squares)
+    return float(np.sum(2.0 * np.diff(grid_s) / np.maximum(rates[:-1] + rates[1:], 1e-9)))
+
+
+def _growth() -> list[Row]:
+    robot = robot_of(GROWTH_JOINTS)
+    rows = []
+    for timing in ("authored", "fastest"):
+        first_us = 0.0
+        for duration_s in GROWTH_S:
+            show = lively_show(robot, duration_s, seed=SEED, infeasible_ratio=INFEASIBLE_RATIO)
+            show = replace(show, timing=Timing(timing), keyframes=show.keyframes[:10_000])
+            taken_s = _cold_s(show, robot)
+            each_us = 1e6 * taken_s / len(show.keyframes)
+            first_us = first_us or each_us
+            rows.append(
+                Row(
+                    what=f"{timing}: {len(show.keyframes)} keyframes, {GROWTH_JOINTS} joints",
+                    ours=f"{taken_s:.3f} s, {each_us:.0f} us a keyframe",
+                    reference=f"{first_us:.0f} us for the shortest",
+                    ratio=each_us / first_us,
+                    target=f"<= {GROWTH_TARGET:g}",
+                    is_met=each_us / first_us <= GROWTH_TARGET,
+                )
+            )
+    return rows
