@@ -13,11 +13,11 @@ FILE_MAX_BYTES: Final = 16_000_000
 """10,000 keyframes of 40 joints are 8 MB; twice that, and an endless device still ends."""
 
 
-def read_data(path: Path) -> bytes:
-    """Return the content of a file, or raise `InputError`."""
+def read_data(path: Path, max_bytes: int = FILE_MAX_BYTES) -> bytes:
+    """Return the content of a file of at most `max_bytes`, or raise `InputError`."""
     try:
         with path.open("rb") as stream:
-            data = stream.read(FILE_MAX_BYTES + 1)
+            data = stream.read(max_bytes + 1)
     except FileNotFoundError:
         raise InputError("file not found; check the name", path=path) from None
     except IsADirectoryError:
@@ -25,8 +25,8 @@ def read_data(path: Path) -> bytes:
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have.
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(f"cannot be read: {reason}", path=path) from error
-    if len(data) > FILE_MAX_BYTES:
-        most = f"{FILE_MAX_BYTES // 1_000_000} MB"
+    if len(data) > max_bytes:
+        most = f"{max_bytes // 1_000_000} MB"
         raise InputError(f"is larger than {most}, the most that is read", path=path)
     return data
 

@@ -30,10 +30,6 @@ def s_from_us(duration_us: float) -> float:
     return duration_us / US_PER_S
 
 
-def ms_from_s(duration_s: float) -> int:
-    return round(duration_s * MS_PER_S)
-
-
 def s_from_ms(duration_ms: float) -> float:
     return duration_ms / MS_PER_S
 

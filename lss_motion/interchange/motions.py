@@ -25,6 +25,7 @@ from lss_motion.interchange.ros import RosReader
 from lss_motion.interchange.ssc32_table import Ssc32TableReader
 from lss_motion.interchange.webots import WebotsReader
 from lss_motion.sequence.timing import TIME_MAX_S
+from lss_motion.source_file import read_data
 from lss_motion.spelling import known_names
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ def read_motions(
     if format_name is not None and format_name not in FORMAT_NAMES:
         known = known_names(format_name, FORMAT_NAMES)
         raise InputError(f"unknown motion format {format_name!r}; {known}")
-    data = _read_data(path)
+    data = read_data(path, FILE_MAX_BYTES)
     for reader in READERS:
         if reader.name == format_name or (format_name is None and reader.recognises(data)):
             return tuple(_distinct(reader.motions(path, data)))
@@ -102,21 +103,6 @@ def read_motions(
         "name one with --from to see what is wrong",
         path=path,
     )
-
-
-def _read_data(path: Path) -> bytes:
-    try:
-        with path.open("rb") as stream:
-            data = stream.read(FILE_MAX_BYTES + 1)
-    except FileNotFoundError:
-        raise InputError("file not found; check the name", path=path) from None
-    except (OSError, ValueError) as error:  # ValueError: a name that no file can have.
-        reason = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"cannot be read: {reason}", path=path) from error
-    if len(data) > FILE_MAX_BYTES:
-        most = f"{FILE_MAX_BYTES // 1_000_000} MB"
-        raise InputError(f"is larger than {most}, the most that is read", path=path)
-    return data
 
 
 def _distinct(
