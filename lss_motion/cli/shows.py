@@ -112,11 +112,13 @@ def _compiled(
     path: Path, robot_path: Path | None, *, speed_ratio: float, loop: int | str | None
 ) -> Show:
     from lss_motion.program.text import load_program
+    from lss_motion.program.verify import verify_program
     from lss_motion.robot.load import load_robot
 
     if speed_ratio != 1.0 or loop is not None:
         raise InputError("--speed and --loop need the sequence, not a compiled program", path=path)
     program, robot = load_program(path, load_robot, robot_path=robot_path)
+    verify_program(program, robot)
     return Show(robot=robot, program=program)
 
 

@@ -13,6 +13,7 @@ from lss_motion.program.cone import GRID_S, Course, ServoLimits
 from lss_motion.program.fit import Fitter
 from lss_motion.program.line import LineSchedule, LineUse, line_use
 from lss_motion.program.model import Move, Program, Repeat, ramp_deg_s2
+from lss_motion.program.verify import verify_program
 from lss_motion.program.wording import DURATION_MAX_MS, LATEST_ARRIVAL_S
 from lss_motion.protocol.line import encode_move
 from lss_motion.units import NS_PER_US, line_time_ns, s_from_us, us_from_s
@@ -39,8 +40,9 @@ def compile_program(
 ) -> Program:
     """Return the program that makes `robot` follow `trajectory`.
 
-    Raises `LineLoadError` when the line cannot carry it even at the most relaxed tolerance, and
-    `InputError` when a joint of the trajectory is not one of the robot's.
+    Its bytes have passed `verify_program`. Raises `LineLoadError` when the line cannot carry it
+    even at the most relaxed tolerance, and `InputError` when a joint of the trajectory is not one
+    of the robot's.
     """
     if unknown := [name for name in trajectory.joints if name not in robot.joints]:
         raise InputError(f"robot {robot.name!r} has no joint {unknown[0]!r}")
@@ -51,7 +53,9 @@ def compile_program(
     for ratio in RELAXED_RATIOS:
         attempt = _Attempt(courses, robot, tolerance_deg * ratio, seams_s)
         if attempt.late_max_us <= LATE_MAX_US:
-            return _program(trajectory, robot, courses, attempt, repeat)
+            program = _program(trajectory, robot, courses, attempt, repeat)
+            verify_program(program, robot)
+            return program
         tight = attempt
     assert tight is not None
     raise _overload(tight, robot)

@@ -103,11 +103,11 @@ class Program:
 
 
 def ramp_deg_s2(joint: Joint) -> int:
-    """Return the ramp that a timed joint's servo is set to: the least that AA can express.
+    """Return the ramp that a timed joint's servo is set to: its limit, as far as AA expresses it.
 
     With AA and AD at the joint's own limit the servo itself never exceeds it, whatever it hears.
     """
-    steps = math.ceil(round(joint.accel_max_deg_s2, 6) / RAMP_STEP_DEG_S2)
+    steps = math.floor(round(joint.accel_max_deg_s2 / RAMP_STEP_DEG_S2, 6))
     return min(max(steps, 1), RAMP_STEPS_MAX) * RAMP_STEP_DEG_S2
 
 

@@ -170,6 +170,11 @@ class Reference:
             np.ascontiguousarray(column) for column in table.T
         )
 
+    @property
+    def table(self) -> tuple[NDArray[np.float64], ...]:
+        """Return the pieces: when each starts, and position, speed and acceleration there."""
+        return self._start_s, self._position, self._speed, self._accel
+
     def sample(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return positions in degrees at `times_s`; at rest before the first piece."""
         index = np.maximum(np.searchsorted(self._start_s, times_s, side="right") - 1, 0)

@@ -104,8 +104,8 @@ class JointDefaults(FileModel, title="joint defaults"):
     accel_max_deg_s2: float | None = Field(
         default=None,
         ge=ACCEL_MIN_DEG_S2,
-        description="Never speed up or brake harder; at most 1000, which is all that the servo's "
-        "own ramps (AA, AD) can express.",
+        description="Never speed up or brake harder; 10 to 1000 in steps of 10 (rounded down), "
+        "which is all that the servo's own ramps (AA, AD) can express.",
     )
     direction: Annotated[int, AfterValidator(_check_direction)] | None = Field(
         default=None,

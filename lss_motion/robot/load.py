@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -163,7 +164,7 @@ class _Loader:
         )
         for location, reason in _joint_problems(joint, merged):
             self._note(location, reason)
-        return joint
+        return _within_ramps(joint)
 
     def _bus(self, name: str, merged: _Merged) -> str | None:
         buses = self.content.buses
@@ -225,6 +226,16 @@ def range_problem(joint: Joint, angle_deg: float) -> str:
     )
 
 
+def _within_ramps(joint: Joint) -> Joint:
+    """Return the joint with the acceleration that its servo's ramps can express, rounded down.
+
+    Rounded up, the servo would break the limit with every ramp.
+    """
+    step = FAMILIES[joint.model.family].accel_step_deg_s2
+    steps = math.floor(round(joint.accel_max_deg_s2 / step, 6))
+    return replace(joint, accel_max_deg_s2=step * steps)
+
+
 def _joint_problems(joint: Joint, merged: _Merged) -> Iterator[tuple[Location, str]]:
     model, facts = joint.model, FAMILIES[joint.model.family]
     if joint.position_min_deg >= joint.position_max_deg:
@@ -244,6 +255,12 @@ def _joint_problems(joint: Joint, merged: _Merged) -> Iterator[tuple[Location, s
             merged.place("accel_max_deg_s2"),
             f"joint {joint.name!r}: {joint.accel_max_deg_s2:g} deg/s² is more than the ramps of "
             f"the servo (AA, AD) can express, {facts.accel_max_deg_s2:g} deg/s²",
+        )
+    if joint.accel_max_deg_s2 < facts.accel_step_deg_s2:
+        yield (
+            merged.place("accel_max_deg_s2"),
+            f"joint {joint.name!r}: {joint.accel_max_deg_s2:g} deg/s² is less than the ramps of "
+            f"the servo (AA, AD) can express, {facts.accel_step_deg_s2:g} deg/s²",
         )
     for keyword, value in joint.settings.items():
         place = merged.place(f"settings.{keyword}")

@@ -40,7 +40,7 @@ def test_a_servo_that_answers_little_but_its_place_is_taken_as_it_is(kit):
 def test_the_session_gets_the_joints_own_limits(kit):
     one = kit.joint(accel_max_deg_s2=455.0, speed_max_deg_s=123.4, settings={"AS": -2})
     orders = setup.session_orders([one], answers())
-    assert sent(orders) == [b"#1EM1\r", b"#1AA46\r", b"#1AD46\r", b"#1SD1234\r", b"#1AS-2\r"]
+    assert sent(orders) == [b"#1EM1\r", b"#1AA45\r", b"#1AD45\r", b"#1SD1234\r", b"#1AS-2\r"]
 
 
 def test_what_was_read_is_given_back_to_the_letter(kit):

@@ -53,12 +53,13 @@ def test_a_robot_needs_no_more_than_joints(robot_path: Path) -> None:
     robot = load(
         robot_path,
         "robot: one\njoints:\n  a: {id: 0, model: LSS-P-S1, range_deg: [-1, 1], "
-        "speed_max_deg_s: 5, accel_max_deg_s2: 7}\n",
+        "speed_max_deg_s: 5, accel_max_deg_s2: 17}\n",
     )
     assert robot.path == robot_path
     assert robot.buses["main"].port == "sim://"
     assert robot.joints["a"].bus == "main"
     assert robot.joints["a"].model.wire_per_deg == 100
+    assert robot.joints["a"].accel_max_deg_s2 == 10.0, "AA counts in tens"
     assert robot.joints["a"].following_deg == 10.0
     assert robot.joints["a"].response == Response()
     assert robot.approach_speed_deg_s == 30.0
