@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from lss_motion.connection import connect, is_simulated, with_port
 from lss_motion.errors import BusError, InputError, LssMotionError
 from lss_motion.player.player import Player
 from lss_motion.program.compile import compile_program as compile  # noqa: A004
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from lss_motion.player.events import Event
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Robot
-    from lss_motion.runtime.port import Port
     from lss_motion.runtime.runner import Controls, Tap
     from lss_motion.sim.bus import SimBus
     from lss_motion.sim.faults import Fault
@@ -39,6 +38,7 @@ __all__ = [
     "Result",
     "Truth",
     "compile",
+    "is_simulated",
     "load_robot",
     "load_sequence",
     "perform",
@@ -48,7 +48,6 @@ __all__ = [
     "write_truth",
 ]
 
-SIMULATED: Final = "sim://"
 TRUTH_STEP_S: Final = 0.01
 """The truth is written at 100 Hz of show time (design 10)."""
 
@@ -82,36 +81,6 @@ class Observer:
     controls: Controls[Player] | None = None
     make_tap: Callable[[int], Tap] | None = None
     """Given the instant at which the run began, makes what sees every byte."""
-
-
-def with_port(robot: Robot, port: str | None) -> Robot:
-    """Return the robot with `port` in place of that of its bus.
-
-    Raises `InputError` if it has several buses: then the robot file must say which is where.
-    """
-    if port is None:
-        return robot
-    if port != SIMULATED and len(robot.buses) > 1:
-        raise InputError(
-            f"robot {robot.name!r} has {len(robot.buses)} buses; --port names only one. Write the "
-            f"ports into the robot file",
-            path=robot.path,
-        )
-    buses = {name: dataclasses.replace(bus, port=port) for name, bus in robot.buses.items()}
-    return dataclasses.replace(robot, buses=buses)
-
-
-def is_simulated(robot: Robot) -> bool:
-    """Return whether every bus is simulated in process.
-
-    Raises `InputError` for a mixture: nobody could say what such a run shows.
-    """
-    simulated = [bus.port.startswith(SIMULATED) for bus in robot.buses.values()]
-    if any(simulated) and not all(simulated):
-        raise InputError(
-            "some buses are sim:// and some are not; give all or none", path=robot.path
-        )
-    return all(simulated)
 
 
 def play(
@@ -165,7 +134,7 @@ def perform(  # noqa: PLR0913  (the wishes of one run)
         raise InputError("--virtual needs the simulated bus: use it with --port sim://")
     _check_faults(faults, simulated=simulated, is_virtual=is_virtual)
     clock = _clock(faults, is_virtual=is_virtual, seed=seed)
-    ports, buses = _open(robot, clock, simulated=simulated, seed=seed, faults=faults)
+    connection = connect(robot.buses, robot=robot, clock=clock, seed=seed, faults=faults)
     started_ns = clock.now_ns()
     player = Player(program, robot, has_feedback=has_feedback, start_s=start_s)
     error: LssMotionError | None = None
@@ -173,7 +142,7 @@ def perform(  # noqa: PLR0913  (the wishes of one run)
     try:
         run(
             player,
-            ports,
+            connection.ports,
             clock,
             on_event=observer.on_event,
             on_turn=observer.on_turn,
@@ -183,10 +152,9 @@ def perform(  # noqa: PLR0913  (the wishes of one run)
     except BusError as lost:
         error = lost
     finally:
-        for opened in ports.values():
-            opened.close()
+        connection.close()
     player.end_show(clock.now_ns())
-    truth = _truth(player, robot, buses) if buses else None
+    truth = _truth(player, robot, connection.simulated) if simulated else None
     outcome = "lost" if error is not None else player.outcome or "stopped"
     report = make_report(
         player,
@@ -220,37 +188,6 @@ def _clock(
     from lss_motion.sim.host import SleepyClock
 
     return SleepyClock(faults, seed=seed)
-
-
-def _open(
-    robot: Robot,
-    clock: MonotonicClock | VirtualClock,
-    *,
-    simulated: bool,
-    seed: int,
-    faults: Sequence[Fault],
-) -> tuple[dict[str, Port], dict[str, SimBus]]:
-    ports: dict[str, Port] = {}
-    if not simulated:
-        from lss_motion.runtime.port import SerialPort
-
-        try:
-            for name, bus in robot.buses.items():
-                ports[name] = SerialPort(bus.port, bus.baud_bps)
-        except BaseException:
-            for opened in ports.values():
-                opened.close()
-            raise
-        return ports, {}
-    from lss_motion.sim.build import bus_from_robot
-    from lss_motion.sim.port import SimPort
-
-    options: dict[str, Any] = {"faults": faults} if faults else {}
-    buses = {name: bus_from_robot(robot, name, seed=seed, **options) for name in robot.buses}
-    for name, sim_bus in buses.items():
-        sim_bus.record()
-        ports[name] = SimPort(sim_bus, clock)
-    return ports, buses
 
 
 def _truth(player: Player, robot: Robot, buses: Mapping[str, SimBus]) -> Truth | None:

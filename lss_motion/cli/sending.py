@@ -15,9 +15,7 @@ if TYPE_CHECKING:
     from lss_motion.protocol.codec import Statement
     from lss_motion.protocol.family import Family
     from lss_motion.protocol.line import Command
-    from lss_motion.robot.model import Bus, Robot
-    from lss_motion.runtime.clock import MonotonicClock
-    from lss_motion.runtime.port import Port
+    from lss_motion.robot.model import Robot
 
 DESCRIPTION = """\
 Send one command to one servo and print what it answers.
@@ -50,12 +48,10 @@ def add_to(commands: Commands) -> None:
 
 
 def _send(arguments: argparse.Namespace) -> int:
-    from lss_motion.player.conversation import Conversation
+    from lss_motion.connection import connect
     from lss_motion.player.dialogue import Item
     from lss_motion.protocol.family import Family
     from lss_motion.robot.model import Bus
-    from lss_motion.runtime.clock import MonotonicClock
-    from lss_motion.runtime.runner import run
 
     robot = _robot(arguments)
     bus = Bus(name="main", port=arguments.port or "", baud_bps=arguments.baud, firmware=0)
@@ -67,30 +63,23 @@ def _send(arguments: argparse.Namespace) -> int:
             family = joint.model.family
     command = _command(arguments, family)
     is_question = command.keyword.startswith("Q")
-    clock = MonotonicClock()
-    port = _port(bus, robot, clock)
-    conversation = Conversation(
-        [Item(bus=bus.name, command=command, is_question=is_question)], {bus.name: bus}
-    )
-    try:
-        run(conversation, {bus.name: port}, clock)
-    finally:
-        port.close()
+    with connect({bus.name: bus}, robot=robot) as connection:
+        answers = connection.ask([Item(bus=bus.name, command=command, is_question=is_question)])
     if not is_question:
         return EXIT_FINISHED
     address = (bus.name, command.servo_id, command.keyword)
-    if address not in conversation.answers:
+    if address not in answers:
         raise BusError(
-            f"no answer to {command.keyword} from servo {command.servo_id} on {port.url} at "
+            f"no answer to {command.keyword} from servo {command.servo_id} on {bus.port} at "
             f"{bus.baud_bps} bps",
-            url=port.url,
+            url=bus.port,
         )
-    print(_answer(family, command, conversation.answers[address]))
+    print(_answer(family, command, answers[address]))
     return EXIT_FINISHED
 
 
 def _robot(arguments: argparse.Namespace) -> Robot | None:
-    from lss_motion.api import with_port
+    from lss_motion.connection import with_port
     from lss_motion.robot.load import load_robot
 
     if arguments.robot is None:
@@ -131,16 +120,6 @@ def _number(word: str) -> float:
         return float(word)
     except ValueError:
         raise InputError(f"{word!r} is not a number") from None
-
-
-def _port(bus: Bus, robot: Robot | None, clock: MonotonicClock) -> Port:
-    from lss_motion.runtime.port import SerialPort
-    from lss_motion.sim.build import bus_from_robot
-    from lss_motion.sim.port import SimPort
-
-    if robot is not None and bus.port.startswith("sim://"):
-        return SimPort(bus_from_robot(robot, bus.name), clock)
-    return SerialPort(bus.port, bus.baud_bps)
 
 
 def _answer(family: Family, command: Command, value: int | str | None) -> str:

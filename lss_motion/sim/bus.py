@@ -138,6 +138,13 @@ class SimBus:
         """Return whether no horn moves and nothing is on its way to make one move."""
         return self.motors.is_resting and not self._host_line.lines
 
+    def set_host_rate(self, baud_bps: int, now_ns: int) -> None:
+        """Let the host talk at another rate from now on: only servos set to it understand."""
+        self.advance(now_ns)
+        self.baud_bps = baud_bps
+        self._host_line.set_rate(baud_bps)
+        self._servo_line.set_rate(baud_bps)
+
     def backlog_ns(self, now_ns: int) -> int:
         """Return how long the host's bytes will still occupy the line."""
         return self._host_line.backlog_ns(self._drift.bus_ns(now_ns))

@@ -6,9 +6,9 @@ import contextlib
 import os
 import select
 import signal
+import sys
 import threading
 import time
-from random import Random
 from typing import TYPE_CHECKING
 
 from lss_motion.errors import BusError, InputError
@@ -35,6 +35,10 @@ EARLY_NS = 100_000
 """How much before a reply is complete its port is woken. Waking and computing take 60 to 120 us
 (measured); the last of it is waited for without sleeping, so that no reply is early either."""
 
+TCGETS2 = 0x802C542A
+TERMIOS2_BYTES = 44
+"""Linux, `asm-generic/termbits.h`: `struct termios2` ends with the output rate as a number."""
+
 RESTING_POLL_NS = 200 * NS_PER_MS
 """How soon `should_stop` is noticed when nothing else happens."""
 
@@ -59,14 +63,13 @@ def serve(
         name: bus_from_robot(robot, name, seed=seed, faults=faults, usb_latency_ns=usb_latency_ns)
         for name in robot.buses
     }
-    return serve_buses(buses, link, seed=seed, announce=announce, should_stop=should_stop)
+    return serve_buses(buses, link, announce=announce, should_stop=should_stop)
 
 
 def serve_buses(
     buses: Mapping[str, SimBus],
     link: Path | None,
     *,
-    seed: int,
     announce: Callable[[str], None],
     should_stop: Callable[[], bool] = lambda: False,
 ) -> int | None:
@@ -80,7 +83,7 @@ def serve_buses(
             linked = None
             if link is not None:
                 linked = link if len(buses) == 1 else link.with_name(f"{link.name}.{name}")
-            port = Port(bus, linked, name=name, seed=seed, announce=announce)
+            port = Port(bus, linked, name=name, announce=announce)
             stack.callback(port.close)
             port.open()
             ports.append(port)
@@ -98,7 +101,6 @@ class Port:
         link: Path | None,
         *,
         name: str,
-        seed: int,
         announce: Callable[[str], None],
     ) -> None:
         try:
@@ -116,7 +118,6 @@ class Port:
         self._name = name
         self._announce = announce
         self._opened = contextlib.ExitStack()
-        self._noise = Random(f"{seed}/noise")
         self._rates_bps = {
             getattr(termios, name): int(name[1:])
             for name in dir(termios)
@@ -182,8 +183,7 @@ class Port:
         room_bytes = max(FIFO_BYTES - used_bytes // LINE_BITS_PER_BYTE, 1)
         with contextlib.suppress(BlockingIOError):
             data = os.read(self.master_fd, room_bytes)
-            if self._is_other_rate():
-                data = self._noise.randbytes(len(data))
+            self._follow_rate(now_ns)
             self.bus.write(data, now_ns)
 
     def give(self, now_ns: int) -> None:
@@ -197,7 +197,7 @@ class Port:
             self._deliver(data)
 
     def _deliver(self, data: bytes) -> None:
-        if data and self.is_plugged and not self._is_other_rate():
+        if data and self.is_plugged:
             with contextlib.suppress(BlockingIOError):
                 os.write(self.master_fd, data)
 
@@ -213,10 +213,24 @@ class Port:
         self._termios.tcsetattr(self._slave_fd, self._termios.TCSANOW, attributes)
         self._own_code = code
 
-    def _is_other_rate(self) -> bool:
-        """Return whether the host has set a known rate that is not the bus's."""
+    def _follow_rate(self, now_ns: int) -> None:
+        """Run the line at the rate that the host has set, if it has set one."""
         code = self._termios.tcgetattr(self._slave_fd)[5]
-        return code != self._own_code and self._rates_bps.get(code, 0) not in (0, self.bus.baud_bps)
+        if code == self._own_code:
+            return
+        self._own_code = code
+        rate_bps = self._rates_bps.get(code) or self._special_rate_bps()
+        if rate_bps:
+            self.bus.set_host_rate(rate_bps, now_ns)
+
+    def _special_rate_bps(self) -> int:
+        """Return a rate that has no code of its own, such as 250000; 0 if it cannot be told."""
+        import fcntl
+
+        settings = bytearray(TERMIOS2_BYTES)
+        with contextlib.suppress(OSError):
+            fcntl.ioctl(self._slave_fd, TCGETS2, settings)
+        return int.from_bytes(settings[-4:], sys.byteorder)
 
 
 def _turn(ports: list[Port], alarm_fd: int) -> None:

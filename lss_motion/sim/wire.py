@@ -40,6 +40,12 @@ class HostLine:
         self._clogs_ns = clogs_ns
         self._outages_ns = outages_ns
 
+    def set_rate(self, baud_bps: int) -> None:
+        """Go on at another rate; what was written before is no line that anybody understands."""
+        self._baud_bps = baud_bps
+        self._partial.clear()
+        self._burst_bytes = 0
+
     def write(self, data: bytes, now_ns: int) -> None:
         """Take the host's bytes; the first leaves as soon as the line is free."""
         if now_ns > self._free_ns or not self._burst_bytes:
@@ -103,6 +109,11 @@ class ServoLine:
             heapq.heappush(self._coming, (begin_ns, self._count, end_ns, value))
         heapq.heappush(self._ends_ns, end_ns)
         return end_ns
+
+    def set_rate(self, baud_bps: int) -> None:
+        """Let replies that begin from now on take the time of another rate."""
+        self._baud_bps = baud_bps
+        self._edges_ns.clear()
 
     def read(self, now_ns: int) -> bytes:
         """Return what has arrived by `now_ns`; all that starts until then must have been sent."""

@@ -122,6 +122,18 @@ def test_a_host_at_another_rate_gets_no_answer(tmp_path):
             assert ask(port, "#5QG") == "*5QG1\r"
 
 
+@pytest.mark.parametrize("baud_bps", [57600, 250000])
+def test_a_servo_answers_at_the_rate_that_it_was_set_to_after_its_reset(tmp_path, baud_bps):
+    link = tmp_path / "lss"
+    with served(make_robot(), link):
+        with opened(link) as port:
+            port.write(f"#5CB{baud_bps}\r#5RESET\r".encode())
+            time.sleep(1.5)
+            assert ask(port, "#5QG") == ""
+        with opened(link, baud_bps) as port:
+            assert ask(port, "#5QG") == "*5QG1\r"
+
+
 def test_every_bus_has_its_own_port_and_no_link_is_left(tmp_path):
     link = tmp_path / "lss"
     with served(make_robot(bus_names=("left", "right")), link):

@@ -80,7 +80,7 @@ def way(request, tmp_path):
     thread = threading.Thread(
         target=serve_buses,
         args=({"main": bus}, tmp_path / "port"),
-        kwargs={"seed": 3, "announce": lambda _: ready.set(), "should_stop": stop.is_set},
+        kwargs={"announce": lambda _: ready.set(), "should_stop": stop.is_set},
     )
     thread.start()
     assert ready.wait(5.0)

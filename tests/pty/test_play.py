@@ -73,7 +73,7 @@ def simulated(folder):
     thread = threading.Thread(
         target=serve_buses,
         args=({"main": bus}, folder / "port"),
-        kwargs={"seed": 1, "announce": lambda _: ready.set(), "should_stop": stop.is_set},
+        kwargs={"announce": lambda _: ready.set(), "should_stop": stop.is_set},
     )
     thread.start()
     served = Served(bus, str(folder / "port"), stop, thread)

@@ -59,7 +59,7 @@ def served(link, *specs, faults=()):
     thread = threading.Thread(
         target=serve_buses,
         args=({"main": bus}, link),
-        kwargs={"seed": 1, "announce": lambda _: ready.set(), "should_stop": stop.is_set},
+        kwargs={"announce": lambda _: ready.set(), "should_stop": stop.is_set},
     )
     thread.start()
     try:

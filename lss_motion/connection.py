@@ -1,0 +1,164 @@
+"""The open ports of a robot: the one way in which every command reaches its servos.
+
+    with connect(robot.buses, robot=robot) as connection:
+        answers = connection.ask([Item(bus="main", command=Command(5, "QV"), is_question=True)])
+
+A bus whose port is `sim://` is simulated in process, from the joints of `robot`; any other port
+is opened with pyserial, also the pseudo-terminal of `lss-motion sim`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any, Final, Self
+
+from lss_motion.errors import InputError
+from lss_motion.maintenance.pause import Pause
+from lss_motion.player.conversation import Conversation
+from lss_motion.runtime.clock import MonotonicClock
+from lss_motion.runtime.port import SerialPort
+from lss_motion.runtime.runner import D, run
+from lss_motion.units import ns_from_s
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from types import TracebackType
+
+    from lss_motion.player.dialogue import Item
+    from lss_motion.robot.model import Bus, Robot
+    from lss_motion.runtime.clock import Clock
+    from lss_motion.runtime.port import Port
+    from lss_motion.sim.bus import SimBus
+    from lss_motion.sim.faults import Fault
+
+SIMULATED: Final = "sim://"
+
+
+def with_port(robot: Robot, port: str | None) -> Robot:
+    """Return the robot with `port` in place of that of its bus.
+
+    Raises `InputError` if it has several buses: then the robot file must say which is where.
+    """
+    if port is None:
+        return robot
+    if port != SIMULATED and len(robot.buses) > 1:
+        raise InputError(
+            f"robot {robot.name!r} has {len(robot.buses)} buses; --port names only one. Write the "
+            f"ports into the robot file",
+            path=robot.path,
+        )
+    buses = {name: dataclasses.replace(bus, port=port) for name, bus in robot.buses.items()}
+    return dataclasses.replace(robot, buses=buses)
+
+
+def is_simulated(robot: Robot) -> bool:
+    """Return whether every bus is simulated in process.
+
+    Raises `InputError` for a mixture: nobody could say what such a run shows.
+    """
+    simulated = [bus.port.startswith(SIMULATED) for bus in robot.buses.values()]
+    if any(simulated) and not all(simulated):
+        raise InputError(
+            "some buses are sim:// and some are not; give all or none", path=robot.path
+        )
+    return all(simulated)
+
+
+def connect(
+    buses: Mapping[str, Bus],
+    *,
+    robot: Robot | None = None,
+    clock: Clock | None = None,
+    seed: int = 0,
+    faults: Sequence[Fault] = (),
+) -> Connection:
+    """Open the port of every bus; all or none.
+
+    `robot` says what hangs on buses that are `sim://`, `seed` and `faults` what befalls them.
+    Raises `BusError` for a port that cannot be opened, `InputError` for `sim://` without a robot.
+    """
+    connection = Connection(buses, clock or MonotonicClock())
+    try:
+        for bus in buses.values():
+            if not bus.port.startswith(SIMULATED):
+                connection.ports[bus.name] = SerialPort(bus.port, bus.baud_bps)
+                continue
+            connection.simulate(bus, robot, seed=seed, faults=faults)
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+class Connection:
+    """Open ports by the name of their bus, and the clock that they live by.
+
+    `simulated` holds the buses behind `sim://`, recording what they hear. A context manager that
+    closes the ports, which waits until everything has left.
+    """
+
+    def __init__(self, buses: Mapping[str, Bus], clock: Clock) -> None:
+        self.buses = dict(buses)
+        self.clock = clock
+        self.ports: dict[str, Port] = {}
+        self.simulated: dict[str, SimBus] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def ask(self, items: Iterable[Item]) -> Mapping[tuple[str, int, str], int | str | None]:
+        """Work through questions and orders; return `(bus, servo id, keyword)` → value.
+
+        A question that nobody answered is absent. Raises `BusError` when a port is lost.
+        """
+        return self.run(Conversation(items, self.buses)).answers
+
+    def run(self, driven: D) -> D:
+        """Drive what the runner can drive until it is done; return it."""
+        run(driven, self.ports, self.clock)
+        return driven
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass; what arrives meanwhile is dropped."""
+        self.run(Pause(self.clock.now_ns() + ns_from_s(seconds)))
+
+    def set_baud(self, bus_name: str, baud_bps: int) -> None:
+        """Go on at another rate on one bus; raises `BusError` if the port does not take it."""
+        self.ports.pop(bus_name).close()
+        bus = dataclasses.replace(self.buses[bus_name], baud_bps=baud_bps)
+        self.buses[bus_name] = bus
+        sim_bus = self.simulated.get(bus_name)
+        if sim_bus is None:
+            self.ports[bus_name] = SerialPort(bus.port, baud_bps)
+            return
+        from lss_motion.sim.port import SimPort
+
+        sim_bus.set_host_rate(baud_bps, self.clock.now_ns())
+        self.ports[bus_name] = SimPort(sim_bus, self.clock)
+
+    def simulate(
+        self, bus: Bus, robot: Robot | None, *, seed: int, faults: Sequence[Fault]
+    ) -> None:
+        """Open a simulated bus with the servos of `robot`."""
+        if robot is None:
+            raise InputError("sim:// simulates the servos of a robot file; give one")
+        from lss_motion.sim.build import bus_from_robot
+        from lss_motion.sim.port import SimPort
+
+        options: dict[str, Any] = {"faults": faults} if faults else {}
+        sim_bus = bus_from_robot(robot, bus.name, seed=seed, **options)
+        sim_bus.record()
+        self.simulated[bus.name] = sim_bus
+        self.ports[bus.name] = SimPort(sim_bus, self.clock)
+
+    def close(self) -> None:
+        for port in self.ports.values():
+            port.close()

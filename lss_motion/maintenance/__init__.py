@@ -1,0 +1,9 @@
+"""Looking after servos: finding them, reading and writing what they store, watching, measuring.
+
+What belongs here decides what to ask and to order, and what the answers mean. It is the core of
+the commands of the bench as `player` is that of a show: no port, no clock, no screen. Questions
+and orders go through `player.Conversation` or another object that `runtime.runner` can drive;
+`lss_motion.connection` opens the ports, `cli` asks people and prints.
+
+pause       let time pass on open ports
+"""

@@ -1,0 +1,77 @@
+"""Opening the ports of a robot: all or none, at any rate, in process as over a terminal."""
+
+from __future__ import annotations
+
+import pytest
+
+from lss_motion.connection import connect
+from lss_motion.errors import BusError, InputError
+from lss_motion.player.dialogue import Item
+from lss_motion.protocol.line import Command
+from lss_motion.robot.load import load_robot
+from lss_motion.robot.model import Bus
+from lss_motion.runtime.clock import VirtualClock
+
+ROBOT = """
+robot: two
+buses:
+  left: {port: "sim://", baud_bps: 115200}
+  right: {port: "sim://", baud_bps: 500000}
+defaults: {model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 90, accel_max_deg_s2: 300}
+joints:
+  arm:  {id: 5, bus: left}
+  hand: {id: 6, bus: right}
+"""
+
+
+@pytest.fixture
+def robot(tmp_path):
+    path = tmp_path / "robot.yaml"
+    path.write_text(ROBOT)
+    return load_robot(path)
+
+
+def ask(bus, servo_id, keyword):
+    return Item(bus=bus, command=Command(servo_id, keyword), is_question=True)
+
+
+def test_questions_go_to_every_bus_and_a_missing_answer_is_absent(robot):
+    with connect(robot.buses, robot=robot, clock=VirtualClock()) as connection:
+        answers = connection.ask(
+            [ask("left", 5, "QID"), ask("right", 6, "QG"), ask("left", 6, "Q")]
+        )
+    assert answers == {("left", 5, "QID"): 5, ("right", 6, "QG"): 1}
+
+
+def test_at_another_rate_nobody_answers_and_back_at_the_first_all_do(robot):
+    with connect(robot.buses, robot=robot, clock=VirtualClock()) as connection:
+        connection.set_baud("left", 9600)
+        assert connection.ask([ask("left", 5, "QID")]) == {}
+        connection.set_baud("left", 115200)
+        assert connection.ask([ask("left", 5, "QID")]) == {("left", 5, "QID"): 5}
+
+
+def test_a_wait_takes_its_time_and_drops_what_comes_late(robot):
+    clock = VirtualClock()
+    with connect(robot.buses, robot=robot, clock=clock) as connection:
+        connection.ports["left"].write(b"#5QD\r")
+        connection.wait(0.5)
+        assert clock.now_ns() == 500_000_000
+        assert connection.ports["left"].read() == b""
+
+
+def test_nothing_stays_open_when_one_port_does_not_open(tmp_path, robot, monkeypatch):
+    closed = []
+    monkeypatch.setattr("lss_motion.sim.port.SimPort.close", lambda port: closed.append(port.url))
+    buses = {
+        "left": robot.buses["left"],
+        "gone": Bus(name="gone", port=str(tmp_path / "no"), baud_bps=9600, firmware=370),
+    }
+    with pytest.raises(BusError, match="no such device"):
+        connect(buses, robot=robot)
+    assert closed == ["sim://"]
+
+
+def test_a_simulated_port_needs_a_robot(robot):
+    with pytest.raises(InputError, match="give one"):
+        connect(robot.buses)
