@@ -11,7 +11,7 @@ from lss_motion.errors import InputError
 from lss_motion.interchange.interpolant import interpolated
 from lss_motion.interchange.mapping import mapped
 from lss_motion.interchange.motions import read_motion
-from lss_motion.interchange.reduce import TOLERANCE_DEG, reduced
+from lss_motion.interchange.reduce import TOLERANCE_DEG, every_sample, reduced
 from lss_motion.sequence.check import joint_problems, jumps
 from lss_motion.sequence.model import Interpolation, Sequence
 from lss_motion.sequence.timing import KEYFRAMES_MAX, TIME_MAX_S
@@ -67,7 +67,9 @@ def imported(
     tolerance_deg: float = TOLERANCE_DEG,
     ease: Interpolation = Interpolation.SPLINE,
 ) -> Imported:
-    """Return `motion` for `robot`, a recording reduced to keys; tolerance 0 keeps every sample.
+    """Return `motion` for `robot`, a recording reduced to keys; with tolerance 0, all its samples.
+
+    Where a recording keeps the limits of the robot, so does the spline through its keys.
 
     `ease` is the interpolation of a recording's keys. A spline asks for about the acceleration of
     the recording itself; a smooth curve for two to three times that, so that it is more often
@@ -75,9 +77,12 @@ def imported(
     """
     fit: Fit | None = None
     own = mapped(motion, robot, motion_map)
-    if own.is_recording and tolerance_deg > 0.0:
+    if own.is_recording and tolerance_deg == 0.0:
+        own = every_sample(own, ease)
+    elif own.is_recording:
         recorded = own
-        own, fit = reduced(recorded, tolerance_deg, ease)
+        limits = {j.name: (j.speed_max_deg_s, j.accel_max_deg_s2) for j in robot.joints.values()}
+        own, fit = reduced(recorded, tolerance_deg, ease, limits)
         if ease is Interpolation.SPLINE and (joint := _swings_out(own, recorded, robot)):
             own, fit = reduced(recorded, tolerance_deg, Interpolation.SMOOTH)
             note = f"A spline would swing joint {joint} out of its range: smooth instead."

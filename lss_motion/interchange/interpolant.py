@@ -5,6 +5,7 @@ Written here again because the planner stands above this package; a test holds t
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     FloatArray = NDArray[np.float64]
+    IntArray = NDArray[np.intp]
 
 LINEAR_RAMP_RATIO: Final = 0.25
 """Each ramp of a `linear` move takes this share of it, as in `trajectory.curves`."""
@@ -32,20 +34,64 @@ def interpolated(
     # How many of the samples each span has; the last one has those after it as well.
     bounds = np.searchsorted(times_s, key_times_s[1:-1], side="left")
     counts = np.diff(np.concatenate([[0], bounds, [len(times_s)]]))
-    lengths_s, moved = np.diff(key_times_s), np.diff(key_values)
-    share = np.clip(
-        (times_s - np.repeat(key_times_s[:-1], counts)) / np.repeat(lengths_s, counts), 0.0, 1.0
-    )
-    start = np.repeat(key_values[:-1], counts)
-    if ease is Interpolation.LINEAR:
-        return start + np.repeat(moved, counts) * _trapezoid(share)
-    assert ease in {Interpolation.SMOOTH, Interpolation.SPLINE}, ease
-    find_slopes = _monotone_slopes if ease is Interpolation.SMOOTH else _spline_slopes
-    slopes = find_slopes(lengths_s, moved / lengths_s)
-    before, after = slopes[:-1] * lengths_s, slopes[1:] * lengths_s
-    cube = np.repeat(before + after - 2.0 * moved, counts)
-    square = np.repeat(3.0 * moved - 2.0 * before - after, counts)
-    return start + share * (np.repeat(before, counts) + share * (square + share * cube))
+    return Spans.between(ease, key_times_s, key_values).at(times_s, counts)
+
+
+@dataclass(frozen=True, slots=True)
+class Spans:
+    """What lies between keys: cubics of the share of each span, or moves with even ramps."""
+
+    starts_s: FloatArray
+    lengths_s: FloatArray
+    start: FloatArray
+    moved: FloatArray
+    slopes: FloatArray | None
+    """At all keys; None for `linear`."""
+
+    @classmethod
+    def between(cls, ease: Interpolation, times_s: FloatArray, values: FloatArray) -> Spans:
+        """Return the spans between two keys or more."""
+        lengths_s, moved = np.diff(times_s), np.diff(values)
+        slopes = None
+        if ease is not Interpolation.LINEAR:
+            assert ease in {Interpolation.SMOOTH, Interpolation.SPLINE}, ease
+            find_slopes = _monotone_slopes if ease is Interpolation.SMOOTH else _spline_slopes
+            slopes = find_slopes(lengths_s, moved / lengths_s)
+        return cls(times_s[:-1], lengths_s, values[:-1], moved, slopes)
+
+    def at(self, times_s: FloatArray, counts: IntArray) -> FloatArray:
+        """Return the values at `times_s`, of which each span has the next of `counts`."""
+        scale = 1.0 / self.lengths_s
+        share = times_s * np.repeat(scale, counts)
+        share -= np.repeat(self.starts_s * scale, counts)
+        np.clip(share, 0.0, 1.0, out=share)
+        if self.slopes is None:
+            return np.repeat(self.start, counts) + np.repeat(self.moved, counts) * _trapezoid(share)
+        linear, square, cube = self._coefficients(self.slopes)
+        values = share * np.repeat(cube, counts)
+        values += np.repeat(square, counts)
+        values *= share
+        values += np.repeat(linear, counts)
+        values *= share
+        values += np.repeat(self.start, counts)
+        return values
+
+    def peaks(self) -> tuple[FloatArray, FloatArray]:
+        """Return the largest speed and acceleration within each span; not for `linear`."""
+        assert self.slopes is not None
+        linear, square, cube = self._coefficients(self.slopes)
+        accel = 2.0 * np.maximum(np.abs(square), np.abs(square + 3.0 * cube)) / self.lengths_s**2
+        turn = np.divide(-square, 3.0 * cube, out=np.zeros_like(cube), where=cube != 0.0)
+        turn = np.clip(turn, 0.0, 1.0)
+        speed = np.abs(linear + turn * (2.0 * square + turn * 3.0 * cube)) / self.lengths_s
+        at_keys = np.abs(self.slopes)
+        return np.maximum(speed, np.maximum(at_keys[:-1], at_keys[1:])), accel
+
+    def _coefficients(self, slopes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return those of the share, its square and its cube."""
+        before, after = slopes[:-1] * self.lengths_s, slopes[1:] * self.lengths_s
+        square = 3.0 * self.moved - 2.0 * before - after
+        return before, square, before + after - 2.0 * self.moved
 
 
 def _trapezoid(share: FloatArray) -> FloatArray:

@@ -14,14 +14,17 @@ import numpy as np
 
 from lss_motion.errors import InputError
 from lss_motion.interchange.interpolant import interpolated
-from lss_motion.interchange.key_choice import refined_keys, rough_keys
-from lss_motion.interchange.reader import Unit
+from lss_motion.interchange.key_choice import Curve, refined_keys, rough_keys
+from lss_motion.interchange.reader import DIGITS, Unit
+from lss_motion.interchange.samples import EVENING_MAX_DEG, drive, evened
+from lss_motion.sequence.model import Interpolation
 from lss_motion.sequence.timing import KEYFRAMES_MAX
 
 if TYPE_CHECKING:
-    from lss_motion.interchange.key_choice import IntArray
+    from collections.abc import Mapping
+
+    from lss_motion.interchange.interpolant import FloatArray, IntArray
     from lss_motion.interchange.reader import Channel, ForeignMotion
-    from lss_motion.sequence.model import Interpolation
 
 TOLERANCE_DEG: Final = 1.0
 """How far keys may lead away from a recording, if nobody says otherwise (issue: `--tolerance-deg`).
@@ -30,7 +33,14 @@ Below what an eye sees on a figure, above the backlash of a servo."""
 ANGLE_DECIMALS: Final = 4
 """Keys are written with these: a person can read them, and no servo resolves them."""
 
+CLOSE_S: Final = 0.1
+"""Keys this close are written with `DIGITS`: there rounding to 4 would be seen in the acceleration
+(10 ms apart, 6 deg/s²; 100 ms apart, 0.06 deg/s²)."""
+
 ROUNDING_DEG: Final = 0.5 * 10.0**-ANGLE_DECIMALS
+
+EVENING_RATIO: Final = 0.5
+"""The most of the tolerance that is spent on keys beside their samples. Chosen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,26 +58,35 @@ class Fit:
 
 
 def reduced(
-    motion: ForeignMotion, tolerance_deg: float, ease: Interpolation
+    motion: ForeignMotion,
+    tolerance_deg: float,
+    ease: Interpolation,
+    limits: Mapping[str, tuple[float, float]] | None = None,
 ) -> tuple[ForeignMotion, Fit]:
-    """Return a recording in degrees with the fewest keys, all of them samples, and how it fits.
+    """Return a recording in degrees with the fewest keys, at times of samples, and how it fits.
 
-    Raises `InputError` where as many keyframes as a sequence may have cannot stay within the
-    tolerance.
+    With `limits` (speed, acceleration by joint), a spline asks for no more than these where the
+    recording does not. Raises `InputError` where as many keyframes as a sequence may have cannot
+    stay within the tolerance.
     """
     assert all(channel.unit is Unit.DEG for channel in motion.channels), "map it first"
-    rough = [rough_keys(channel, tolerance_deg, ease, 0.0) for channel in motion.channels]
+    curves = [
+        _curve(channel, tolerance_deg, ease, (limits or {}).get(channel.name))
+        for channel in motion.channels
+    ]
+    rough = [rough_keys(curve) for curve in curves]
     start_s, end_s, count = _span(motion, rough)
-    step_s = 0.0
     if count > KEYFRAMES_MAX:
         # Too many different times: the joints share as many as a sequence may have.
         step_s = (end_s - start_s) / (KEYFRAMES_MAX - 2)
-        rough = [rough_keys(channel, tolerance_deg, ease, step_s) for channel in motion.channels]
+        curves = [replace(curve, step_s=step_s) for curve in curves]
+        rough = [rough_keys(curve) for curve in curves]
     channels: list[Channel] = []
-    for channel, found in zip(motion.channels, rough, strict=True):
-        keys = refined_keys(channel, tolerance_deg, ease, step_s, found)
-        values = np.round(channel.values[keys], ANGLE_DECIMALS)
-        channels.append(replace(channel, times_s=channel.times_s[keys], values=values))
+    for channel, curve, found in zip(motion.channels, curves, rough, strict=True):
+        keys = refined_keys(curve, found)
+        times_s = curve.times_s[keys]
+        values = _rounded(times_s, curve.key_values[keys])
+        channels.append(replace(channel, times_s=times_s, values=values))
     times_s = np.unique(np.concatenate([channel.times_s for channel in channels]))
     fit = _fit(motion, channels, ease, len(times_s))
     if len(times_s) > KEYFRAMES_MAX or fit.error_max_deg > tolerance_deg + ROUNDING_DEG:
@@ -93,6 +112,48 @@ def reduced(
         ),
         fit,
     )
+
+
+def every_sample(motion: ForeignMotion, ease: Interpolation) -> ForeignMotion:
+    """Return a recording in degrees with all its samples as keys."""
+    return replace(
+        motion,
+        channels=tuple(
+            replace(c, values=evened(c.times_s, c.values, EVENING_MAX_DEG))
+            if ease is Interpolation.SPLINE
+            else c
+            for c in motion.channels
+        ),
+        ease=ease,
+    )
+
+
+def _curve(
+    channel: Channel, tolerance_deg: float, ease: Interpolation, limit: tuple[float, float] | None
+) -> Curve:
+    times_s, values = channel.times_s, channel.values
+    key_values = values
+    most = (np.full(len(values), math.inf),) * 2
+    if ease is Interpolation.SPLINE and limit is not None:
+        key_values = evened(times_s, values, min(EVENING_MAX_DEG, EVENING_RATIO * tolerance_deg))
+        speed, accel = drive(times_s, values)
+        most = np.maximum(speed, limit[0]), np.maximum(accel, limit[1])
+    return Curve(
+        times_s=times_s,
+        values=values,
+        key_values=key_values,
+        speed_max_deg_s=most[0],
+        accel_max_deg_s2=most[1],
+        tolerance_deg=tolerance_deg,
+        ease=ease,
+    )
+
+
+def _rounded(times_s: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the values with as many decimals as they need."""
+    is_close = np.diff(times_s) < CLOSE_S
+    is_close = np.append(is_close, False) | np.append(False, is_close)
+    return np.where(is_close, np.round(values, DIGITS), np.round(values, ANGLE_DECIMALS))
 
 
 def _span(motion: ForeignMotion, kept: list[IntArray]) -> tuple[float, float, int]:

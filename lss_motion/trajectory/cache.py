@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.model import Sequence
 
-PLANNER_VERSION: Final = 2
+PLANNER_VERSION: Final = 3
 """Part of every name: to be raised whenever the same question gets another answer."""
 
 DIRECTORY_VARIABLE: Final = "LSS_MOTION_CACHE_DIR"

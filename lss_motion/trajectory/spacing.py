@@ -25,6 +25,11 @@ HOPELESS_RATIO: Final = 0.1
 is slowed tenfold anyway, and below this the numbers of the solver lose their footing (keys 1 ms
 apart would need path rates near 0.002)."""
 
+PASSING_RATIO: Final = 0.5
+"""But never more than this share of the time at full speed: samples that a joint passes in motion
+are closer than a move from rest to rest could be, and stay where their author put them. Chosen: no
+sample of a motion within the limits is ever moved, nor one of a motion up to twice as fast."""
+
 PATH_DECIMALS: Final = 9
 """Path positions are rounded to 1 ns, so that equal instants of different joints are equal."""
 
@@ -62,8 +67,9 @@ def least_move_s(move_deg: FloatArray, speed_deg_s: float, accel_deg_s2: float) 
 
 def spaced(sequence: Sequence, keys: Mapping[str, tuple[Key, ...]], robot: Robot) -> Spacing:
     """Return the spacing of the keyframes: authored if the sequence is timed, else as needed."""
-    needs = _needs(keys, robot)
-    if is_timed(sequence):
+    is_authored = is_timed(sequence)
+    needs = _needs(keys, robot, is_authored=is_authored)
+    if is_authored:
         return _timed(sequence, needs)
     reached_s = np.zeros(len(sequence.keyframes))
     previous_s = 0.0
@@ -75,13 +81,21 @@ def spaced(sequence: Sequence, keys: Mapping[str, tuple[Key, ...]], robot: Robot
     return Spacing(reached_s=reached_s, left_s=reached_s, path_s=ends_s, authored_s=ends_s)
 
 
-def _needs(keys: Mapping[str, tuple[Key, ...]], robot: Robot) -> dict[int, list[tuple[int, float]]]:
-    """For each keyframe: the keyframes that its joints come from, and how long that takes."""
+def _needs(
+    keys: Mapping[str, tuple[Key, ...]], robot: Robot, *, is_authored: bool
+) -> dict[int, list[tuple[int, float]]]:
+    """For each keyframe: the keyframes that its joints come from, and how far apart they must be.
+
+    Without an author's times that is how long the move takes.
+    """
     needs: dict[int, list[tuple[int, float]]] = {}
     for name, own in keys.items():
         joint = robot.joints[name]
         moves_deg = np.diff([key.deg for key in own])
         least_s = least_move_s(moves_deg, joint.speed_max_deg_s, joint.accel_max_deg_s2)
+        if is_authored:
+            passing_s = PASSING_RATIO * np.abs(moves_deg) / joint.speed_max_deg_s
+            least_s = np.minimum(HOPELESS_RATIO * least_s, passing_s)
         for before, after, seconds in zip(own, own[1:], least_s.tolist(), strict=False):
             needs.setdefault(after.index, []).append((before.index, seconds))
     return needs
@@ -101,7 +115,7 @@ def _timed(sequence: Sequence, needs: Mapping[int, list[tuple[int, float]]]) -> 
         index, is_end = divmod(event, 2)
         if not is_end:
             for earlier, least_s in needs.get(index, ()):
-                floor_s = path_s[2 * earlier + 1] + HOPELESS_RATIO * least_s
+                floor_s = path_s[2 * earlier + 1] + least_s
                 if floor_s > position_s:
                     position_s = round(floor_s, PATH_DECIMALS)
         path_s[event] = last_s = position_s

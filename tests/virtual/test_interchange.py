@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from lss_motion.api import perform
+from lss_motion.cli import shows
 from lss_motion.cli.exchange import sampled
 from lss_motion.errors import InputError
 from lss_motion.interchange import (
@@ -129,15 +130,22 @@ def test_one_real_motion_of_every_format_plays(file: str, name: str, tmp_path: P
         assert joint["horn_error_rms_deg"] < 1.0
 
 
-def test_a_plan_that_goes_out_as_csv_comes_in_again_within_a_twentieth_degree(tmp_path) -> None:
-    robot = load_robot(EXAMPLES / "robots" / "desk_arm.yaml")
-    before = plan(load_sequence(EXAMPLES / "wave.yaml"), robot)
-    path = tmp_path / "wave.csv"
+@pytest.mark.parametrize("tolerance_deg", [0.0, 0.04])
+@pytest.mark.parametrize("name", ["wave", "show", "fastest", "quadruped_trot"])
+def test_a_plan_that_goes_out_as_csv_comes_in_again_within_a_twentieth_degree(
+    name, tolerance_deg, tmp_path, monkeypatch
+) -> None:
+    """Also one that sits at its limits all the time: planned again, it is slowed nowhere."""
+    monkeypatch.setenv("LSS_MOTION_CACHE_DIR", str(tmp_path))
+    sequence, robot = shows.load(EXAMPLES / f"{name}.yaml", None)
+    before = plan(sequence, robot)
+    path = tmp_path / "out.csv"
     path.write_text(exported(sampled(before, 100.0), "csv"), encoding="utf-8")
-    after = plan(import_motion(path, robot, tolerance_deg=0.04), robot)
+    after = plan(import_motion(path, robot, tolerance_deg=tolerance_deg), robot)
     times_s = np.arange(int(before.duration_s * 1000.0)) / 1000.0
     error_deg = np.abs(after.sample(times_s) - before.sample(times_s))
     assert after.joints == before.joints
+    assert not after.stretched
     assert error_deg.max() <= 0.05
 
 

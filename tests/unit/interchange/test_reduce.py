@@ -9,8 +9,9 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.interchange import Channel, ForeignMotion, Unit, imported, reduced
-from lss_motion.interchange.interpolant import interpolated
+from lss_motion.interchange.interpolant import Spans, interpolated
 from lss_motion.interchange.reduce import ROUNDING_DEG
+from lss_motion.interchange.samples import EVENING_MAX_DEG, evened
 from lss_motion.sequence.model import Interpolation, Keyframe, Sequence
 from lss_motion.trajectory.planner import plan
 
@@ -158,4 +159,48 @@ def test_tolerance_zero_keeps_every_sample(arm) -> None:
     curve = lively(9)
     made = imported(recording(curve), arm, tolerance_deg=0.0)
     assert made.fit is None
-    assert [keyframe.deg["base"] for keyframe in made.sequence.keyframes] == curve.tolist()
+    kept_deg = np.array([keyframe.deg["base"] for keyframe in made.sequence.keyframes])
+    assert len(kept_deg) == len(curve)
+    assert np.abs(kept_deg - curve).max() <= EVENING_MAX_DEG
+
+
+def bang_bang(accel_deg_s2: float = 600.0) -> np.ndarray:
+    """A motion from rest to rest that is always at its acceleration limit, this way or that."""
+    signs = np.repeat([1, -1, -1, 1, 1, -1], [30, 30, 50, 50, 20, 20])
+    speeds = np.concatenate([[0.0], np.cumsum(signs * accel_deg_s2 / 100.0)])
+    return np.concatenate([[0.0], np.cumsum(0.5 * (speeds[1:] + speeds[:-1]) / 100.0)])
+
+
+def test_the_spline_of_evened_samples_asks_for_no_more_than_the_recording() -> None:
+    values = bang_bang()
+    times_s = np.arange(len(values)) / 100.0
+    through = Spans.between(Interpolation.SPLINE, times_s, values)
+    beside = evened(times_s, values, EVENING_MAX_DEG)
+    assert through.peaks()[1].max() > 1.1 * 600.0
+    assert Spans.between(Interpolation.SPLINE, times_s, beside).peaks()[1].max() <= 600.0 + 1e-6
+    assert 0.0 < np.abs(beside - values).max() <= 600.0 * 0.01**2 / 6.0 + 1e-9
+
+
+def test_samples_that_would_move_too_far_stay() -> None:
+    values = np.array([0.0, 0.0, 1.0, 0.0, 0.0])
+    times_s = np.arange(5) / 100.0
+    np.testing.assert_array_equal(evened(times_s, values, EVENING_MAX_DEG), values)
+    kept = evened(times_s**1.5, bang_bang()[:5], 1.0)  # Their times are uneven.
+    np.testing.assert_array_equal(kept[1:-1], bang_bang()[1:4])
+
+
+@pytest.mark.parametrize("tolerance_deg", [0.04, 0.5])
+def test_keys_ask_for_no_more_than_limits_that_the_recording_keeps(tolerance_deg: float) -> None:
+    whole = recording(bang_bang())
+    free, _ = reduced(whole, tolerance_deg, Interpolation.SPLINE)
+    kept, fit = reduced(whole, tolerance_deg, Interpolation.SPLINE, {"base": (180.0, 600.0)})
+
+    def hardest(motion: ForeignMotion) -> float:
+        (own,) = motion.channels
+        spans = Spans.between(Interpolation.SPLINE, own.times_s, own.values)
+        return float(spans.peaks()[1].max())
+
+    assert hardest(free) > 630.0
+    assert hardest(kept) <= 600.0 * (1.0 + 1e-4)
+    assert fit.error_max_deg <= tolerance_deg + ROUNDING_DEG
+    assert fit.keys_count < len(bang_bang()) / 2

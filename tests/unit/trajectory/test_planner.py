@@ -478,3 +478,14 @@ def test_a_legal_show_and_a_remembered_one_need_no_toppra() -> None:
     ]
     assert runs[0] == ["False", "False", "False", "True"]
     assert runs[1] == ["False", "False", "False", "False"]
+
+
+def test_samples_of_a_legal_motion_stay_where_their_author_put_them(make_robot, frame):
+    """At full speed, 10 ms apart, they are closer than any move from rest to rest could be."""
+    frames = [frame(0.0, base=-90.0), frame(1.0, base=-80.0)]
+    frames += [frame(1.0 + 0.01 * n, base=-80.0 + 1.79 * n) for n in range(1, 60)]
+    frames += [frame(3.0, base=60.0)]
+    trajectory = plan(sequence(*frames), make_robot())
+    assert trajectory.first.path.knots_s == pytest.approx(
+        [keyframe.at_s for keyframe in frames], abs=1e-9
+    )
