@@ -68,7 +68,8 @@ def add_to(commands: Commands) -> None:
         type=_tolerance,
         default=1.0,
         metavar="DEG",
-        help="how far keys may lead away from a recording (default 1; 0: every sample is a key, within 0.02 deg)",
+        help="how far keys may lead away from a recording (default 1; 0: every sample is a key, "
+        "within 0.02 deg)",
     )
     imported.add_argument(
         "--interpolation",
