@@ -21,7 +21,8 @@ from lss_motion.player.events import Event, Faulted, MarkPassed, Phase, PhaseEnt
 from lss_motion.player.line import Line
 from lss_motion.player.queries import Questioner
 from lss_motion.player.streamer import Streamer
-from lss_motion.program.model import profiles
+from lss_motion.program.model import driven
+from lss_motion.program.predict import profiles
 from lss_motion.units import NS_PER_MS
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ class Player:
         start_s: float | None = None,
     ) -> None:
         self.program = program
-        self.robot = robot
+        self.robot = robot = driven(robot, program)
         self.phase = Phase.CONNECT
         self.outcome: Outcome | None = None
         self.error: LssMotionError | None = None

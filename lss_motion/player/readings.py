@@ -55,7 +55,8 @@ class Reader:
         self._lines = lines
         self._by_bus: dict[str, list[Track]] = {bus: [] for bus in lines}
         for track in tracks.values():
-            self._by_bus[track.joint.bus].append(track)
+            if track.joint.drive != "stepped":  # It knows no answer but its last command.
+                self._by_bus[track.joint.bus].append(track)
         self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in tracks.values()}
         self._health = dict.fromkeys(lines, 0)
 

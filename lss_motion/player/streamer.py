@@ -16,7 +16,8 @@ from lss_motion.player.readings import Reader
 from lss_motion.player.show_clock import ShowClock
 from lss_motion.player.statistics import Statistics
 from lss_motion.player.track import Track, make_track
-from lss_motion.program.model import Move, Program, heard_us, profiles
+from lss_motion.program.model import Move, Program, heard_us
+from lss_motion.program.predict import profiles
 from lss_motion.program.wording import LATEST_ARRIVAL_S
 from lss_motion.protocol.line import encode_move
 from lss_motion.units import (
@@ -72,13 +73,19 @@ class Streamer:
         self._robot = robot
         self._lines = lines
         references = profiles(program, robot)
+        first_s = s_from_us(min((m.due_us for m in program.moves), default=0))
+        begin_s = min(0.0, first_s) if start_s is None else start_s
         self.tracks: dict[str, Track] = {
-            name: make_track(robot.joints[name], plan, standing_deg[name], program.tolerance_deg)
+            name: make_track(
+                robot.joints[name],
+                plan,
+                standing_deg[name],
+                program.tolerance_deg,
+                s_from_ns(start_ns) - begin_s,
+            )
             for name, plan in references.items()
         }
         self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in self.tracks.values()}
-        first_s = s_from_us(min((m.due_us for m in program.moves), default=0))
-        begin_s = min(0.0, first_s) if start_s is None else start_s
         self.clock = ShowClock(start_ns, begin_s, 1.0)
         self.statistics = Statistics()
         self._upcoming: Iterator[tuple[int, Move]] = program.unrolled()
@@ -99,11 +106,15 @@ class Streamer:
         """Return whether the show is over, or stands after a ramp to rate 0."""
         if self.clock.target_rate == 0.0 and not self.clock.is_ramping(now_ns):
             return False
+        if self._owed_ns():
+            return False
         return self.clock.show_s(now_ns) >= self._program.duration_s + SETTLE_S
 
     def is_standing(self, now_ns: int) -> bool:
         """Return whether a ramp to rate 0 has ended and every horn should have come to rest."""
         settled_ns = self.clock.ramp_end_ns + ns_from_s(SETTLE_S)
+        if self._owed_ns():
+            return False
         return self.clock.target_rate == 0.0 and now_ns >= settled_ns
 
     def set_rate(self, rate: float, now_ns: int) -> None:
@@ -129,12 +140,13 @@ class Streamer:
             while self._next is not None and (late_ns := now_ns - self._due_ns(self._next[0])) >= 0:
                 self._send_due(*self._next, now_ns, late_ns)
                 self._next = next(self._upcoming, None)
+        self._pay_owed(now_ns)
         if self._reader is not None:
             self._reader.ask(now_ns, self._quiet_ns(now_ns))
 
     def next_wakeup_ns(self, now_ns: int) -> int | None:
         """Return when `advance` must be called again at the latest."""
-        wakeups_ns: list[int] = []
+        wakeups_ns = self._owed_ns()
         if self._tick_ns is not None:
             wakeups_ns.append(self._tick_ns)
         elif self.clock.target_rate > 0.0:
@@ -181,7 +193,9 @@ class Streamer:
         self._send_active(track, left_s, now_ns)
 
     def _left_s(self, move: Move, now_ns: int) -> float:
-        """Return how much run time is left to a move if it is sent now."""
+        """Return how much run time is left to a move if it is sent now; 0 without a T."""
+        if move.duration_ms is None:
+            return 0.0
         line = self._lines[move.bus]
         end_s = s_from_us(heard_us(move, line.bus.baud_bps)) + s_from_ms(move.duration_ms)
         heard_ns = line.heard_ns(len(move.data), now_ns)
@@ -192,16 +206,28 @@ class Streamer:
         move = track.active
         assert move is not None
         if left_s is None:
-            left_s = s_from_ms(move.duration_ms) / self.clock.target_rate
+            left_s = s_from_ms(move.duration_ms or 0) / self.clock.target_rate
         self._send(track, move.target_wire / track.limits.wire_per_deg, left_s, now_ns)
 
     def _send(self, track: Track, target_deg: float, left_s: float, now_ns: int) -> None:
         joint, line = track.joint, self._lines[track.joint.bus]
-        target_wire = track.wire_for(target_deg)
-        guess = encode_move(joint.servo_id, target_wire, max(1, round(MS_PER_S * left_s)))
-        duration_ms = track.duration_for(target_wire, line.heard_ns(len(guess), now_ns), left_s)
+        target_wire = track.wire_for(target_deg, line.heard_ns(0, now_ns))
+        duration_ms = None
+        if joint.drive == "timed":
+            guess = encode_move(joint.servo_id, target_wire, max(1, round(MS_PER_S * left_s)))
+            duration_ms = track.duration_for(target_wire, line.heard_ns(len(guess), now_ns), left_s)
         heard_ns = line.send(encode_move(joint.servo_id, target_wire, duration_ms), now_ns)
         track.moved(heard_ns, target_wire, duration_ms)
+
+    def _owed_ns(self) -> list[int]:
+        """Return when targets are said again that the speed limit did not let be said at once."""
+        return [track.owed[0] for track in self.tracks.values() if track.owed is not None]
+
+    def _pay_owed(self, now_ns: int) -> None:
+        for track in self.tracks.values():
+            if track.owed is not None and track.owed[0] <= now_ns:
+                self.statistics.sent(now_ns - track.owed[0])
+                self._send(track, track.owed[1], 0.0, now_ns)
 
     # ---- the rate ramps
 
@@ -273,7 +299,7 @@ class Streamer:
         """Send every joint that is off its course a move that brings it there in one period."""
         for track in self.tracks.values():
             heard_ns = self._lines[track.joint.bus].heard_ns(0, now_ns)
-            ahead_ns = heard_ns + period_ns + ns_from_s(track.lead_s)
+            ahead_ns = heard_ns + period_ns + ns_from_s(track.lead_s + track.latency_s)
             aim_deg = self._planned_deg(track, ahead_ns)
             position_deg, speed_deg_s = track.place(heard_ns)
             way_deg = aim_deg + track.following.offset_deg - position_deg
@@ -282,6 +308,12 @@ class Streamer:
                 continue
             travel_deg_s = min(abs(way_deg) / s_from_ns(period_ns), track.limits.speed_max_deg_s)
             is_last = ahead_ns >= self.clock.ramp_end_ns and self.clock.target_rate == 0.0
+            if track.joint.drive != "timed":
+                self.statistics.sent(late_ns)
+                if not is_last:
+                    aim_deg = track.chased(aim_deg, heard_ns, s_from_ns(period_ns))
+                self._send(track, aim_deg, 0.0, now_ns)
+                continue
             if not is_last:
                 beyond_deg = travel_deg_s * LATEST_ARRIVAL_S
                 beyond_deg += 0.5 * travel_deg_s * travel_deg_s / track.limits.ramp_deg_s2

@@ -6,13 +6,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from lss_motion.player.following import Following
-from lss_motion.program.compile import lead, servo_limits
-from lss_motion.program.model import Move, ramp_deg_s2
-from lss_motion.program.response import Profile, Reference
-from lss_motion.units import MS_PER_S, s_from_ms, s_from_ns
+from lss_motion.program.drives import lead, servo_limits
+from lss_motion.program.filtered import FilterProfile
+from lss_motion.program.predict import make_profile
+from lss_motion.program.step import PULSE_S
+from lss_motion.program.wording import lattice
+from lss_motion.units import MS_PER_S, ns_from_s, s_from_ms, s_from_ns
 
 if TYPE_CHECKING:
     from lss_motion.program.cone import ServoLimits
+    from lss_motion.program.model import Move
+    from lss_motion.program.predict import ServoProfile
+    from lss_motion.program.response import Reference
     from lss_motion.protocol.constants import Status
     from lss_motion.robot.model import Joint
 
@@ -30,12 +35,16 @@ class Track:
 
     joint: Joint
     plan: Reference
-    profile: Profile
+    profile: ServoProfile
     following: Following
     limits: ServoLimits
     lead_s: float
     active: Move | None = None
     """The move of the program that is under way, or was last."""
+    owed: tuple[int, float] | None = None
+    """When to say which target again, because the speed limit did not let it be said at once."""
+    heard_ns: int | None = None
+    """When the servo heard its last move."""
     status: Status | None = None
     temperature_max_c: float | None = None
     voltage_min_v: float | None = None
@@ -47,12 +56,53 @@ class Track:
         """Return position and speed of the profile at `heard_ns`, after all that was sent."""
         return self.profile.at(s_from_ns(heard_ns))
 
-    def wire_for(self, target_deg: float) -> int:
-        """Return the wire value next to `target_deg` plus the correction, inside the range."""
+    def wire_for(self, target_deg: float, heard_ns: int) -> int:
+        """Return the wire value next to `target_deg` plus the correction, inside the range.
+
+        A timed move keeps the speed limit by its T. The others by their target: what it takes off
+        is owed, to be said again when the servo has come that far.
+        """
         limits = self.limits
         corrected = target_deg + self.following.offset_deg
-        inside = min(max(corrected, limits.position_min_deg), limits.position_max_deg)
-        return round(inside * limits.wire_per_deg)
+        wire = lattice(corrected, limits)
+        low_deg, high_deg = self._reach(s_from_ns(heard_ns))
+        allowed = lattice(min(max(corrected, low_deg), high_deg), limits)
+        again_ns = heard_ns + ns_from_s(self.period_s)
+        self.owed = None if allowed == wire else (again_ns, target_deg)
+        return allowed
+
+    @property
+    def period_s(self) -> float:
+        """How often a bare `D` can tell the servo something new."""
+        is_streamed = self.joint.drive == "streamed"
+        return self.joint.response.filter_s if is_streamed else PULSE_S
+
+    @property
+    def latency_s(self) -> float:
+        """How long after a command the servo's profile can change at the earliest."""
+        return self.joint.response.loop_s if self.joint.drive == "streamed" else 0.0
+
+    def _reach(self, heard_s: float) -> tuple[float, float]:
+        """Return between which targets the speed limit allows one to be heard at `heard_s`."""
+        speed_deg_s = self.limits.speed_max_deg_s
+        if isinstance(self.profile, FilterProfile):
+            room_deg = 2.0 * self.limits.tolerance_deg
+            return self.profile.reach(heard_s, speed_deg_s, self.limits.ramp_deg_s2, room_deg)
+        if self.joint.drive == "timed":
+            return self.limits.position_min_deg, self.limits.position_max_deg
+        passed_s = PULSE_S if self.heard_ns is None else heard_s - s_from_ns(self.heard_ns)
+        reach_deg = self.joint.unit_deg + speed_deg_s * min(passed_s, 2.0 * PULSE_S)
+        position_deg, _ = self.profile.at(heard_s)
+        return position_deg - reach_deg, position_deg + reach_deg
+
+    def chased(self, aim_deg: float, heard_ns: int, over_s: float) -> float:
+        """Return the target of a bare `D` that is to bring the servo to `aim_deg` in `over_s`."""
+        if not isinstance(self.profile, FilterProfile):
+            return aim_deg
+        steps = max(1, round(over_s / self.profile.period_s))
+        offset_deg = self.following.offset_deg
+        heard_s = s_from_ns(heard_ns)
+        return self.profile.target_for(aim_deg + offset_deg, heard_s, steps) - offset_deg
 
     def duration_for(self, target_wire: int, heard_ns: int, left_s: float) -> int:
         """Return T: what is left, but never so short that the joint's speed limit breaks."""
@@ -61,26 +111,26 @@ class Track:
         least_s = abs(target_deg - position_deg) / self.limits.speed_max_deg_s
         return max(1, round(MS_PER_S * left_s), -int(-MS_PER_S * least_s // 1))
 
-    def moved(self, heard_ns: int, target_wire: int, duration_ms: int) -> None:
-        """Note that the servo hears `D target T duration` at `heard_ns`."""
+    def moved(self, heard_ns: int, target_wire: int, duration_ms: int | None) -> None:
+        """Note that the servo hears `D target [T duration]` at `heard_ns`."""
         heard_s = s_from_ns(heard_ns)
-        self.profile.retarget(
-            heard_s, target_wire / self.limits.wire_per_deg, s_from_ms(duration_ms)
-        )
+        duration_s = None if duration_ms is None else s_from_ms(duration_ms)
+        self.profile.retarget(heard_s, target_wire / self.limits.wire_per_deg, duration_s)
         self.profile.forget_before(heard_s - HISTORY_S)
+        self.heard_ns = heard_ns
 
 
-def make_track(joint: Joint, plan: Reference, position_deg: float, tolerance_deg: float) -> Track:
-    """Return the track of a joint whose servo stands at `position_deg` (servo degrees)."""
+def make_track(
+    joint: Joint, plan: Reference, position_deg: float, tolerance_deg: float, origin_s: float
+) -> Track:
+    """Return the track of a joint whose servo stands at `position_deg` (servo degrees).
+
+    `origin_s` is when the show time is 0, on the run clock.
+    """
     return Track(
         joint=joint,
         plan=plan,
-        profile=Profile(
-            position_deg,
-            ramp_deg_s2=ramp_deg_s2(joint),
-            speed_max_deg_s=joint.speed_max_deg_s,
-            response=joint.response,
-        ),
+        profile=make_profile(joint, position_deg, origin_s=origin_s),
         following=Following(speed_max_deg_s=joint.speed_max_deg_s, standing_deg=position_deg),
         limits=servo_limits(joint, tolerance_deg),
         lead_s=lead(joint),

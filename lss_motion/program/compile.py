@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import InputError, LineLoadError
-from lss_motion.program.cone import GRID_S, Course, ServoLimits
-from lss_motion.program.fit import Fitter
+from lss_motion.program.cone import GRID_S, Course
+from lss_motion.program.drives import late_max_s, lead, longest_move, make_fitter
 from lss_motion.program.line import LineSchedule, LineUse, line_use
-from lss_motion.program.model import Move, Program, Repeat, ramp_deg_s2
+from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
 from lss_motion.program.verify import verify_program
-from lss_motion.program.wording import DURATION_MAX_MS, LATEST_ARRIVAL_S
 from lss_motion.protocol.line import encode_move
 from lss_motion.units import NS_PER_US, line_time_ns, s_from_us, us_from_s
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
+    from lss_motion.program.drives import JointFitter
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.trajectory.model import Trajectory
 
@@ -30,9 +30,6 @@ RELAXED_RATIOS: Final = (1.0, 1.5, 2.5, 4.0, 6.0)
 """By how much the tolerance is relaxed, step by step, when the line is too slow."""
 PREROLL_S: Final = 0.25
 """The show clock starts this long before the plan, so that all first moves find a slot."""
-LATE_MAX_US: Final = us_from_s(LATEST_ARRIVAL_S) // 2
-"""A schedule that is later than this at any time is too tight: half of what a move's reach
-allows, so that the other half is left for the computer that plays it."""
 
 
 def compile_program(
@@ -52,7 +49,7 @@ def compile_program(
     tight: _Attempt | None = None
     for ratio in RELAXED_RATIOS:
         attempt = _Attempt(courses, robot, tolerance_deg * ratio, seams_s)
-        if attempt.late_max_us <= LATE_MAX_US:
+        if not attempt.is_tight:
             program = _program(trajectory, robot, courses, attempt, repeat)
             verify_program(program, robot)
             return program
@@ -87,14 +84,6 @@ def _courses(trajectory: Trajectory, robot: Robot) -> dict[str, Course]:
     return courses
 
 
-def lead(joint: Joint) -> float:
-    """Return by how much a joint's moves are sent earlier, in seconds.
-
-    That is its servo's lag, and half the control tick at which it takes up a command.
-    """
-    return joint.response.lag_s + 0.5 * joint.response.loop_s
-
-
 class _Attempt:
     """All joints fitted at one tolerance, on the lines they share."""
 
@@ -107,8 +96,9 @@ class _Attempt:
     ) -> None:
         self.tolerance_deg = tolerance_deg
         self.late_max_us = 0
+        self.is_tight = False
         self.fitters = {
-            name: Fitter(course, servo_limits(robot.joints[name], tolerance_deg), seams_s)
+            name: make_fitter(robot.joints[name], course, tolerance_deg, seams_s)
             for name, course in courses.items()
         }
         self._lines = {bus: LineSchedule() for bus in robot.buses}
@@ -130,34 +120,14 @@ class _Attempt:
         wanted_us = us_from_s(wanted_s)
         heard = self._lines[joint.bus].reserve(wanted_us, size_us, us_from_s(after_s))
         self.late_max_us = max(self.late_max_us, heard - wanted_us)
+        self.is_tight = self.is_tight or s_from_us(heard - wanted_us) > late_max_s(joint)
         self.fitters[name].grant(s_from_us(heard))
         return s_from_us(heard)
 
 
-def servo_limits(joint: Joint, tolerance_deg: float) -> ServoLimits:
-    """Return the limits of a joint as its servo sees them."""
-    ends = sorted(
-        (joint.servo_deg(joint.position_min_deg), joint.servo_deg(joint.position_max_deg))
-    )
-    return ServoLimits(
-        position_min_deg=ends[0],
-        position_max_deg=ends[1],
-        speed_max_deg_s=joint.speed_max_deg_s,
-        ramp_deg_s2=ramp_deg_s2(joint),
-        wire_per_deg=joint.model.wire_per_deg,
-        tolerance_deg=tolerance_deg,
-        response=joint.response,
-    )
-
-
 def slot_us(joint: Joint, baud_bps: int) -> int:
     """Return the line time of the longest move that the joint can be sent."""
-    ends = (joint.servo_deg(joint.position_min_deg), joint.servo_deg(joint.position_max_deg))
-    longest = max(
-        len(encode_move(joint.servo_id, round(end * joint.model.wire_per_deg), DURATION_MAX_MS))
-        for end in ends
-    )
-    return -(-line_time_ns(longest, baud_bps) // NS_PER_US)
+    return -(-line_time_ns(len(longest_move(joint)), baud_bps) // NS_PER_US)
 
 
 def _program(
@@ -192,6 +162,7 @@ def _program(
         duration_s=trajectory.duration_s,
         start_deg={n: float(v) for n, v in zip(trajectory.joints, start, strict=True)},
         tolerance_deg=attempt.tolerance_deg,
+        drives=driving_of(robot, trajectory.joints),
         repeat=repeat,
         marks=trajectory.marks,
         stretched=trajectory.stretched,
@@ -200,6 +171,17 @@ def _program(
             name: _error_max_deg(fitter, courses[name]) for name, fitter in attempt.fitters.items()
         },
     )
+
+
+def driving_of(robot: Robot, names: Iterable[str]) -> dict[str, Driving]:
+    """Return how the joints are commanded that are not timed."""
+    driving = {}
+    for name in names:
+        drive = robot.joints[name].drive
+        assert drive != "auto", "somebody has chosen by now"
+        count = robot.joints[name].filter_count if drive == "streamed" else 0
+        driving[name] = Driving(drive, count)
+    return {name: chosen for name, chosen in driving.items() if chosen != TIMED}
 
 
 def lines_use(moves: list[Move], robot: Robot) -> dict[str, LineUse]:
@@ -215,7 +197,7 @@ def lines_use(moves: list[Move], robot: Robot) -> dict[str, LineUse]:
     return use
 
 
-def _error_max_deg(fitter: Fitter, course: Course) -> float:
+def _error_max_deg(fitter: JointFitter, course: Course) -> float:
     times_s = course.start_s + GRID_S * np.arange(len(course.position_deg), dtype=np.float64)
     return float(np.abs(fitter.reference().sample(times_s) - course.position_deg).max())
 

@@ -33,6 +33,8 @@ AUTHORITY_STEPS: Final = 24
 """Over so many grid steps ahead the course must leave ramp to spare for a correction."""
 AUTHORITY_LEAST_RATIO: Final = 0.01
 """A course at its limit leaves no ramp at all; this keeps the division finite."""
+DURATION_MAX_MS: Final = 30_000
+"""The largest T sent; the documents name no limit, so this is a choice that keeps lines short."""
 STILL_DEG: Final = 1e-7
 """Less than this between two grid steps is standing still."""
 
@@ -96,6 +98,8 @@ class ServoLimits:
     wire_per_deg: int
     tolerance_deg: float
     response: Response
+    wire_step: int = 1
+    duration_max_ms: int = DURATION_MAX_MS
 
 
 def ramped(

@@ -64,11 +64,11 @@ STILL_ROUNDING_DEG: Final = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class FittedMove:
-    """Move to `target_wire` in `duration_ms`, heard at `heard_s`."""
+    """Move to `target_wire` in `duration_ms`, heard at `heard_s`; None where there is no T."""
 
     heard_s: float
     target_wire: int
-    duration_ms: int
+    duration_ms: int | None
 
 
 class Fitter:

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from lss_motion.program.response import Profile, Reference
 from lss_motion.protocol.line import encode_move
-from lss_motion.units import NS_PER_US, line_time_ns, s_from_ms, s_from_us
+from lss_motion.units import NS_PER_US, line_time_ns, s_from_us
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from lss_motion.program.line import LineUse
-    from lss_motion.robot.model import Joint, Robot
+    from lss_motion.robot.model import Drive, Joint, Robot
     from lss_motion.trajectory.model import Mark, Stretch
 
 RAMP_STEP_DEG_S2 = 10
@@ -27,17 +26,17 @@ RAMP_STEPS_MAX = 100
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Move:
-    """One `D…T…` on its way: `due_us` is when its first byte leaves, in show time.
+    """One `D` on its way: `due_us` is when its first byte leaves, in show time.
 
-    `target_wire` is in the wire unit of the servo's family. The move is to travel until
-    `duration_ms` after its last byte was heard.
+    `target_wire` is in the wire unit of the servo's family. A timed move is to travel until
+    `duration_ms` after its last byte was heard; None for the other drives, which have no T.
     """
 
     due_us: int
     bus: str
     servo_id: int
     target_wire: int
-    duration_ms: int
+    duration_ms: int | None
 
     @property
     def data(self) -> bytes:
@@ -50,6 +49,17 @@ class Repeat:
 
     from_us: int
     to_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class Driving:
+    """How a joint of a program is commanded; `filter_count` is the FPC of a streamed one, or 0."""
+
+    drive: Drive
+    filter_count: int = 0
+
+
+TIMED: Final = Driving("timed")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +78,10 @@ class Program:
     start_deg: Mapping[str, float]
     """Joint angles at which every joint of the show must stand before it starts."""
     tolerance_deg: float
+    drives: Mapping[str, Driving] = field(default_factory=dict)
+    """Of the joints that are not timed."""
+    drive_reasons: Mapping[str, str] = field(default_factory=dict)
+    """Why, in words, for the joints of which the robot file leaves it open."""
     repeat: Repeat | None = None
     marks: tuple[Mark, ...] = ()
     stretched: tuple[Stretch, ...] = ()
@@ -102,6 +116,16 @@ class Program:
             shift_us += period_us
 
 
+def driven(robot: Robot, program: Program) -> Robot:
+    """Return `robot` with the joints of `program` commanded as the program says."""
+    joints = dict(robot.joints)
+    for name in program.start_deg:
+        driving = program.drives.get(name, TIMED)
+        count = driving.filter_count or joints[name].filter_count
+        joints[name] = replace(joints[name], drive=driving.drive, filter_count=count)
+    return replace(robot, joints=joints)
+
+
 def ramp_deg_s2(joint: Joint) -> int:
     """Return the ramp that a timed joint's servo is set to: its limit, as far as AA expresses it.
 
@@ -119,25 +143,3 @@ def target_deg(joint: Joint, target_wire: int) -> float:
 def heard_us(move: Move, baud_bps: int) -> int:
     """Return when the last byte of `move` reaches the servos, if it leaves when it is due."""
     return move.due_us + line_time_ns(len(move.data), baud_bps) // NS_PER_US
-
-
-def profiles(program: Program, robot: Robot) -> dict[str, Reference]:
-    """Return where each servo's profile is at any show time, if every move is heard when due."""
-    by_address = {(j.bus, j.servo_id): j for j in robot.joints.values()}
-    running: dict[str, Profile] = {}
-    for name, joint_deg in program.start_deg.items():
-        joint = robot.joints[name]
-        running[name] = Profile(
-            round(joint.servo_deg(joint_deg) * joint.model.wire_per_deg) / joint.model.wire_per_deg,
-            ramp_deg_s2=ramp_deg_s2(joint),
-            speed_max_deg_s=joint.speed_max_deg_s,
-            response=joint.response,
-        )
-    for move in program.moves:
-        joint = by_address[move.bus, move.servo_id]
-        running[joint.name].retarget(
-            s_from_us(heard_us(move, robot.buses[move.bus].baud_bps)),
-            target_deg(joint, move.target_wire),
-            s_from_ms(move.duration_ms),
-        )
-    return {name: Reference(profile.pieces()) for name, profile in running.items()}

@@ -6,11 +6,14 @@
     # robot_file: robots/desk_arm.yaml
     # duration_us: 12200000
     # tolerance_deg: 0.2
-    # start_deg: base=0 shoulder=45
+    # start_deg: base=0 shoulder=45 lid=10
+    # drives: shoulder=streamed:4 lid=stepped
     # mark: 1500000 hello
-    1477500 main #2D-612T384
+    1477500 main #1D-612T384
+    1478300 main #2D455
 
-`due_us` is show time in microseconds; 0 is the start of the plan.
+`due_us` is show time in microseconds; 0 is the start of the plan. `drives` names the joints that
+are not timed, with the FPC of the streamed ones; where every joint is timed there is no such line.
 """
 
 from __future__ import annotations
@@ -23,15 +26,16 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
 from lss_motion.program.compile import lines_use
-from lss_motion.program.model import Move, Program, Repeat
-from lss_motion.program.wording import DURATION_MAX_MS
+from lss_motion.program.cone import DURATION_MAX_MS
+from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
+from lss_motion.robot.drives import drive_problem
 from lss_motion.trajectory.model import Mark
 from lss_motion.units import s_from_us, us_from_s
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from lss_motion.robot.model import Robot
+    from lss_motion.robot.model import Joint, Robot
 
 FIRST_LINE: Final = "# lss_motion program 1"
 FOREVER: Final = "forever"
@@ -39,7 +43,8 @@ TEXT_MAX_BYTES: Final = 256 * 1024 * 1024
 """A program of ten hours and forty joints; more is not a program."""
 
 _HEADER = re.compile(r"# (\w+): (.*)")
-_MOVE = re.compile(r"(-?\d+) (\S+) #(\d{1,3})D(-?\d+)T(\d+)")
+_MOVE = re.compile(r"(-?\d+) (\S+) #(\d{1,3})D(-?\d+)(?:T(\d+))?")
+_DRIVE = re.compile(r"(.+)=(?:(streamed):([1-9]\d{0,2})|(stepped))")
 _REQUIRED = ("name", "robot", "duration_us", "tolerance_deg", "start_deg")
 
 
@@ -60,9 +65,17 @@ def to_text(program: Program, *, folder: Path | None = None) -> str:
     lines.append(f"# tolerance_deg: {program.tolerance_deg:g}")
     start = " ".join(f"{name}={angle:.9g}" for name, angle in program.start_deg.items())
     lines.append(f"# start_deg: {start}")
+    if program.drives:
+        lines.append(f"# drives: {' '.join(map(_drive_text, program.drives.items()))}")
     lines += [f"# mark: {us_from_s(mark.planned_s)} {mark.label}" for mark in program.marks]
     lines += [f"{m.due_us} {m.bus} {m.data[:-1].decode('ascii')}" for m in program.moves]
     return "\n".join(lines) + "\n"
+
+
+def _drive_text(item: tuple[str, Driving]) -> str:
+    name, driving = item
+    count = f":{driving.filter_count}" if driving.drive == "streamed" else ""
+    return f"{name}={driving.drive}{count}"
 
 
 def load_program(
@@ -121,6 +134,7 @@ class _Reader:
         self._marks: list[Mark] = []
         self._moves: list[Move] = []
         self._move_line = 1
+        self._drives: dict[str, Driving] = {}
         self._joints = {(j.bus, j.servo_id): j for j in robot.joints.values()}
 
     def read(self, number: int, line: str) -> None:
@@ -135,11 +149,27 @@ class _Reader:
                 )
             else:
                 self._header[match[1]] = match[2]
+                if match[1] == "drives":
+                    self._read_drives(number, match[2])
         elif match := _MOVE.fullmatch(line.strip()):
             self._moves.append(self._move(match, number))
             self._move_line = number
         elif not line.startswith("#"):
-            raise self._error(number, f"{line!r} is not of the form `due_us bus #<id>D<n>T<ms>`")
+            raise self._error(number, f"{line!r} is not of the form `due_us bus #<id>D<n>[T<ms>]`")
+
+    def _read_drives(self, number: int, text: str) -> None:
+        if self._moves:
+            raise self._error(number, "`# drives:` must stand above the moves")
+        for item in text.split():
+            match = _DRIVE.fullmatch(item)
+            if match is None:
+                raise self._error(
+                    number, f"{item!r} is neither `<joint>=streamed:<FPC>` nor `<joint>=stepped`"
+                )
+            if match[1] not in self._robot.joints:
+                raise self._error(number, f"robot {self._robot.name!r} has no joint {match[1]!r}")
+            driving = Driving("streamed", int(match[3])) if match[2] else Driving("stepped")
+            self._drives[match[1]] = driving
 
     def _move(self, match: re.Match[str], number: int) -> Move:
         bus, servo_id = match[2], int(match[3])
@@ -153,8 +183,9 @@ class _Reader:
             bus=bus,
             servo_id=servo_id,
             target_wire=int(match[4]),
-            duration_ms=int(match[5]),
+            duration_ms=None if match[5] is None else int(match[5]),
         )
+        self._check_drive(joint, move, number)
         angle_deg = joint.joint_deg(move.target_wire / joint.model.wire_per_deg)
         slack_deg = 1.0 / joint.model.wire_per_deg
         low, high = joint.position_min_deg - slack_deg, joint.position_max_deg + slack_deg
@@ -164,11 +195,23 @@ class _Reader:
                 f"joint {joint.name!r} would go to {angle_deg:.1f} deg, allowed "
                 f"{joint.position_min_deg:g} to {joint.position_max_deg:g} deg",
             )
-        if not 1 <= move.duration_ms <= DURATION_MAX_MS:
-            raise self._error(number, f"T{match[5]} is not in 1 to {DURATION_MAX_MS} ms")
         if self._moves and move.due_us < self._moves[-1].due_us:
             raise self._error(number, "due before the line above; moves must be in order of time")
         return move
+
+    def _check_drive(self, joint: Joint, move: Move, number: int) -> None:
+        driving = self._drives.get(joint.name, TIMED)
+        if problem := drive_problem(joint.model, driving.drive):
+            raise self._error(number, f"joint {joint.name!r}: {problem}")
+        if (move.duration_ms is not None) != (driving.drive == "timed"):
+            wanted = "needs a T" if driving.drive == "timed" else "takes no T"
+            raise self._error(number, f"joint {joint.name!r} is {driving.drive}: its D {wanted}")
+        if move.duration_ms is not None and not 1 <= move.duration_ms <= DURATION_MAX_MS:
+            raise self._error(number, f"T{move.duration_ms} is not in 1 to {DURATION_MAX_MS} ms")
+        if move.target_wire % joint.model.wire_step:
+            raise self._error(
+                number, f"D{move.target_wire} is not a multiple of {joint.model.wire_step}"
+            )
 
     def program(self) -> Program:
         for key in _REQUIRED:
@@ -187,6 +230,7 @@ class _Reader:
             duration_s=s_from_us(end_us) if repeat is None else math.inf,
             start_deg=self._start_deg(header),
             tolerance_deg=self._number(header["tolerance_deg"]),
+            drives=self._drives,
             repeat=repeat,
             marks=tuple(self._marks),
             line_use=lines_use(self._moves, self._robot),

@@ -20,8 +20,6 @@ AIM_TRIALS: Final = 12
 """Neighbouring lattice targets tried for the one that hits the wanted speed best."""
 SPEED_LEAST_DEG_S: Final = 0.01
 """Slower than this is standing still: a lattice step of 0.1° in ten seconds."""
-DURATION_MAX_MS: Final = 30_000
-"""The largest T sent; the documents name no limit, so this is a choice that keeps lines short."""
 
 
 def aim(state: Piece, speed_deg_s: float, next_s: float, limits: ServoLimits) -> tuple[int, int]:
@@ -55,7 +53,7 @@ def duration_for(state: Piece, target_deg: float, speed_deg_s: float, limits: Se
     wanted_s = expected_duration(
         state, target_deg, speed_deg_s, limits.ramp_deg_s2, limits.response
     )
-    duration_ms = min(max(1, round(MS_PER_S * wanted_s)), DURATION_MAX_MS)
+    duration_ms = min(max(1, round(MS_PER_S * wanted_s)), limits.duration_max_ms)
     if abs(target_deg - state.position_deg) > limits.speed_max_deg_s * s_from_ms(duration_ms):
         duration_ms += 1
     return duration_ms
@@ -63,6 +61,7 @@ def duration_for(state: Piece, target_deg: float, speed_deg_s: float, limits: Se
 
 def lattice(position_deg: float, limits: ServoLimits) -> int:
     """Return the wire value nearest to `position_deg` inside the joint's range."""
-    low = math.ceil(limits.position_min_deg * limits.wire_per_deg - 1e-6)
-    high = math.floor(limits.position_max_deg * limits.wire_per_deg + 1e-6)
-    return min(max(round(position_deg * limits.wire_per_deg), low), high)
+    per_deg = limits.wire_per_deg / limits.wire_step
+    low = math.ceil(limits.position_min_deg * per_deg - 1e-6)
+    high = math.floor(limits.position_max_deg * per_deg + 1e-6)
+    return limits.wire_step * min(max(round(position_deg * per_deg), low), high)

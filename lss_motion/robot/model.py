@@ -12,12 +12,19 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
+Drive = Literal["timed", "streamed", "stepped"]
+"""How a joint is commanded (design 7): `D…T…` in EM1; bare `D` through the filter of EM0; whole
+degrees to the RC servo of a 2IO."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Response:
     """What is assumed of a servo between the command and the horn. Every field is an assumption.
 
     `lag_s`        the horn follows the servo's own profile this much later
     `loop_s`       the servo takes up a command at its next control tick (5 ms: maker's staff)
+    `filter_s`     in EM0 the filter steps this often (20 ms, four ticks: maker's staff). When it
+                   does so within its period nobody can know, so it is taken to be half-way
     `retarget`     a new `D…T…` in mid-move starts from the profile's position and speed
                    (`keep_speed`) or from rest (`from_rest`); no document says (design 11)
     `t_law`        `cruise`: travel speed = distance / T, so the ramps come on top;
@@ -26,6 +33,7 @@ class Response:
 
     lag_s: float = 0.02
     loop_s: float = 0.005
+    filter_s: float = 0.02
     retarget: Literal["keep_speed", "from_rest"] = "keep_speed"
     t_law: Literal["cruise", "exact"] = "cruise"
 
@@ -39,7 +47,9 @@ class ServoModel:
     speed_max_deg_s: float
     """No-load top speed; a joint's configured limit must not exceed it."""
     wire_per_deg: int
-    """Position units on the wire per degree: 10 (LSS, tenths), 100 (LSS-PRO, hundredths)."""
+    """Position units on the wire per degree: 10 (LSS, 2IO, tenths), 100 (LSS-PRO, hundredths)."""
+    wire_step: int = 1
+    """A target is a multiple of so many wire units: 10 for a 2IO, which knows whole degrees."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,6 +84,14 @@ class Joint:
     settings: Mapping[str, int] = field(default_factory=dict)
     """Session settings to send before playing, such as `{"AS": -2}`; wire values."""
     response: Response = field(default_factory=Response)
+    drive: Drive | Literal["auto"] = "timed"
+    filter_count: int = 4
+    """FPC of a streamed joint. Chosen: see `program.stream`."""
+
+    @property
+    def unit_deg(self) -> float:
+        """The least by which two targets can differ."""
+        return self.model.wire_step / self.model.wire_per_deg
 
     def servo_deg(self, joint_deg: float) -> float:
         return self.zero_deg + self.direction * joint_deg

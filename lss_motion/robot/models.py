@@ -12,6 +12,8 @@ from lss_motion.robot.model import ServoModel
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from lss_motion.robot.model import Drive
+
 PRO_SPEED_MAX_ASSUMED_DEG_S: Final = 180.0
 """Assumption: no document gives the top speed of an LSS-PRO. Twice what real arms use (90 deg/s,
 lss_facts section 3), so that a sober setting is never refused."""
@@ -27,6 +29,7 @@ class FamilyFacts:
     """
 
     wire_per_deg: int
+    drives: tuple[Drive, ...]
     accel_step_deg_s2: float
     accel_max_deg_s2: float
     settings: Mapping[str, tuple[int, int]]
@@ -41,12 +44,14 @@ _LED: Final = (0, 7)
 FAMILIES: Final[Mapping[Family, FamilyFacts]] = MappingProxyType(
     {
         Family.LSS: FamilyFacts(
+            drives=("timed", "streamed"),
             wire_per_deg=10,  # seed 000, table row D: 1/10 deg
             accel_step_deg_s2=10.0,  # design 4; lss_facts 1.3: steps of 10 deg/s², 1..100
             accel_max_deg_s2=1000.0,
             settings=MappingProxyType({"AS": _STIFFNESS, "AH": _STIFFNESS, "LED": _LED}),
         ),
         Family.LSS_PRO: FamilyFacts(
+            drives=("timed",),  # EM and FPC are not in its tables: seed 001; lss_facts 8
             wire_per_deg=100,  # seed 001 line 132, table row D: 1/100 deg
             accel_step_deg_s2=10.0,  # seed 001 lines 489 and 514: 1..100, increments of 10 deg/s²
             accel_max_deg_s2=1000.0,

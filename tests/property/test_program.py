@@ -10,11 +10,12 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from lss_motion.program.compile import compile_program, lead
+from lss_motion.program.compile import compile_program
 from lss_motion.program.cone import GRID_S, Course, ServoLimits
+from lss_motion.program.drives import lead
 from lss_motion.program.fit import SEGMENT_MIN_S, Fitter
 from lss_motion.program.line import LineSchedule, line_use
-from lss_motion.program.model import profiles
+from lss_motion.program.predict import profiles
 from lss_motion.program.response import (
     Piece,
     Profile,

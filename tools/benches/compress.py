@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from benches.shows import lively_show, robot_of
 from benches.table import Row
 from lss_motion import api
-from lss_motion.program.compile import servo_limits
 from lss_motion.program.cone import GRID_S, Course
+from lss_motion.program.drives import servo_limits
 from lss_motion.program.fit import Fitter
 
 FloatArray = NDArray[np.float64]

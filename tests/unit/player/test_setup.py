@@ -4,7 +4,7 @@ import pytest
 
 from lss_motion.errors import BusError
 from lss_motion.player import setup
-from lss_motion.program.model import profiles
+from lss_motion.program.predict import profiles
 from lss_motion.protocol.line import encode
 from lss_motion.robot.models import SERVO_MODELS
 

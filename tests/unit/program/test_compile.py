@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import InputError, LineLoadError
-from lss_motion.program.compile import PREROLL_S, compile_program, lead
-from lss_motion.program.model import heard_us, profiles, ramp_deg_s2
+from lss_motion.program.compile import PREROLL_S, compile_program
+from lss_motion.program.drives import lead
+from lss_motion.program.model import heard_us, ramp_deg_s2
+from lss_motion.program.predict import profiles
 from lss_motion.sequence.model import Timing
 from lss_motion.units import line_time_ns
 

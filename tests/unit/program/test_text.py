@@ -74,7 +74,7 @@ def test_comments_and_blank_lines_are_passed_over(robot):
     ("line", "wrong", "said"),
     [
         (1, "# something else", "the first line must be"),
-        (8, "-20000 main #1D100", "is not of the form"),
+        (8, "-20000 main #1D100", "joint 'j0' is timed: its D needs a T"),
         (8, "-20000 main #1D100T500 #2D5T5", "is not of the form"),
         (8, "soon main #1D100T500", "is not of the form"),
         (8, "-20000 other #1D100T500", "no servo 1 on bus 'other'"),

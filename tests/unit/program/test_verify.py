@@ -5,7 +5,8 @@ import pytest
 
 from lss_motion.errors import PlanningError
 from lss_motion.program.compile import compile_program
-from lss_motion.program.model import Move, Program, profiles
+from lss_motion.program.model import Move, Program
+from lss_motion.program.predict import profiles
 from lss_motion.program.verify import verify_program
 
 

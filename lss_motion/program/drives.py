@@ -1,0 +1,115 @@
+"""The three drives behind one face: how each joint is fitted, led, and what of the line it takes.
+
+timed     `D…T…` in EM1 · `fit`, `response`
+streamed  bare `D` through the filter of EM0 · `stream`, `filtered`
+stepped   whole degrees to an RC servo · `step`
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+from lss_motion.program.cone import DURATION_MAX_MS, ServoLimits
+from lss_motion.program.fit import Fitter
+from lss_motion.program.model import ramp_deg_s2
+from lss_motion.program.predict import filter_profile
+from lss_motion.program.step import PULSE_S, StepFitter
+from lss_motion.program.stream import StreamFitter
+from lss_motion.program.wording import LATEST_ARRIVAL_S, lattice
+from lss_motion.protocol.line import encode_move
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from lss_motion.program.cone import Course
+    from lss_motion.program.fit import FittedMove
+    from lss_motion.program.response import Reference
+    from lss_motion.robot.model import Joint
+
+
+class JointFitter(Protocol):
+    """Fits one joint, move by move, to instants that somebody else grants; see `fit.Fitter`."""
+
+    moves: list[FittedMove]
+
+    def wanted(self, granted_s: float | None) -> float | None:
+        """Return when the next move is to be heard at the latest; None when none is needed."""
+        ...
+
+    def grant(self, granted_s: float) -> None:
+        """Settle the pending move, now that its successor is known to be heard then."""
+        ...
+
+    def reference(self) -> Reference:
+        """Return the whole profile that the moves so far make."""
+        ...
+
+
+def make_fitter(
+    joint: Joint, course: Course, tolerance_deg: float, seams_s: Sequence[float] = ()
+) -> JointFitter:
+    """Return what fits `course` with the drive of `joint`; `seams_s`: see `fit.Fitter`."""
+    limits = servo_limits(joint, tolerance_deg)
+    match joint.drive:
+        case "streamed":
+            start_deg = lattice(float(course.position_deg[0]), limits) / limits.wire_per_deg
+            return StreamFitter(course, limits, filter_profile(joint, start_deg))
+        case "stepped":
+            return StepFitter(course, limits, seams_s)
+        case _:
+            return Fitter(course, limits, seams_s)
+
+
+def servo_limits(joint: Joint, tolerance_deg: float) -> ServoLimits:
+    """Return the limits of a joint as its servo sees them."""
+    ends = sorted(
+        (joint.servo_deg(joint.position_min_deg), joint.servo_deg(joint.position_max_deg))
+    )
+    return ServoLimits(
+        position_min_deg=ends[0],
+        position_max_deg=ends[1],
+        speed_max_deg_s=joint.speed_max_deg_s,
+        ramp_deg_s2=ramp_deg_s2(joint),
+        wire_per_deg=joint.model.wire_per_deg,
+        tolerance_deg=tolerance_deg,
+        response=joint.response,
+        wire_step=joint.model.wire_step,
+    )
+
+
+def lead(joint: Joint) -> float:
+    """Return by how much a joint's profile is earlier than its horn, in seconds.
+
+    That is its servo's lag and, unless its model knows about that, half the control tick at which
+    it takes up a command.
+    """
+    half_tick_s = 0.0 if joint.drive == "streamed" else 0.5 * joint.response.loop_s
+    return joint.response.lag_s + half_tick_s
+
+
+def late_max_s(joint: Joint) -> float:
+    """Return by how much a command may be late in a schedule that is not too tight.
+
+    For a timed move half of what its reach allows, so that the other half is left for the
+    computer that plays it; for a streamed one, what still counts for the same step of the filter.
+    """
+    match joint.drive:
+        case "streamed":
+            return 0.5 * joint.response.filter_s
+        case "stepped":
+            return PULSE_S
+        case _:
+            return 0.5 * LATEST_ARRIVAL_S
+
+
+def longest_move(joint: Joint) -> bytes:
+    """Return the longest command that the joint can be sent."""
+    duration_ms = DURATION_MAX_MS if joint.drive == "timed" else None
+    ends = (joint.servo_deg(joint.position_min_deg), joint.servo_deg(joint.position_max_deg))
+    return max(
+        (
+            encode_move(joint.servo_id, round(e * joint.model.wire_per_deg), duration_ms)
+            for e in ends
+        ),
+        key=len,
+    )

@@ -1,0 +1,164 @@
+"""Fits bare `D`s to the course of one joint in EM0: the `streamed` drive.
+
+Every command is the *inverse* of the servo's filter: a target so far beyond the course that the
+filter, which goes only part of the way in each of its steps, is on the course all the same. One
+command serves as many steps as it can within the tolerance. Where the course comes to rest, the
+target is the resting place, repeated until the filter must have settled whatever was lost.
+
+FPC is a trade: a longer filter is straighter between its commands, so fewer are needed, but its
+targets lie further ahead, and so does the place at which a robot without a host comes to rest
+(FPC times 20 ms of motion). Measured on simulated servos and the lively show of the benchmarks,
+4 gives the least error for the line that it takes.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.program.cone import CONE_RATIO, GRID_S, STILL_DEG
+from lss_motion.program.filtered import SETTLED_DEG, FilterProfile
+from lss_motion.program.fit import STILL_ROUNDING_DEG, FittedMove
+from lss_motion.program.response import Reference
+from lss_motion.program.wording import lattice
+
+if TYPE_CHECKING:
+    from lss_motion.program.cone import Course, ServoLimits
+
+STEPS_MAX: Final = 16
+"""The most steps that one command is relied on (320 ms): a lost one is repaired by the next."""
+BEND_LEAST_RATIO: Final = 0.25
+"""A course at its limit bends so far between two steps that a narrow tolerance is all used up;
+this share of it is then left for the fit."""
+
+
+class StreamFitter:
+    """Fits one joint, command by command; asked and granted like `fit.Fitter`."""
+
+    def __init__(self, course: Course, limits: ServoLimits, profile: FilterProfile) -> None:
+        """Fit `course`; `profile` stands where the course begins."""
+        self._limits = limits
+        self._profile = profile
+        self._first = profile.acts_on(course.start_s) + 1
+        last = profile.acts_on(course.end_s) - 1
+        steps = np.arange(self._first, max(last, self._first) + 1)
+        middle_s = profile.step_s(0) + profile.period_s * (steps + 0.5)
+        grid_s = course.start_s + GRID_S * np.arange(len(course.position_deg))
+        self._course_deg = np.interp(middle_s, grid_s, course.position_deg)
+        is_still = np.abs(np.diff(self._course_deg, append=self._course_deg[-1])) < STILL_DEG
+        self._is_still = is_still.tolist()
+        self._values = self._course_deg.tolist()
+        bend_deg = limits.ramp_deg_s2 * profile.period_s * profile.period_s / 8.0
+        self._room_deg = max(
+            CONE_RATIO * limits.tolerance_deg - bend_deg, BEND_LEAST_RATIO * bend_deg
+        )
+        self._pending: tuple[float, int] | None = None
+        self._repeats = 0
+        self.moves: list[FittedMove] = []
+
+    def wanted(self, granted_s: float | None) -> float | None:
+        """Return when the next command is to be heard at the latest; None when none is needed."""
+        if granted_s is None:
+            return self._departure(self._first, self._values[0])
+        step = max(self._profile.acts_on(granted_s), self._first)
+        if self._is_still[self._index(step)]:
+            return self._rest(granted_s, step)
+        self._repeats = 0
+        self._pending = granted_s, step
+        held, _, _ = self._targets(step, self._most(step))
+        return self._profile.hear_s(step + max(held, 1))
+
+    def grant(self, granted_s: float) -> None:
+        """Settle the pending command, now that its successor is known to be heard then."""
+        if self._pending is None:
+            return
+        heard_s, step = self._pending
+        self._pending = None
+        steps = min(max(self._profile.acts_on(granted_s) - step, 1), self._most(step))
+        self._emit(heard_s, self._best(step, steps))
+
+    def reference(self) -> Reference:
+        """Return the whole profile that the commands so far make."""
+        return Reference(self._profile.pieces())
+
+    def _emit(self, heard_s: float, target_deg: float) -> None:
+        wire = lattice(target_deg, self._limits)
+        self._profile.retarget(heard_s, wire / self._limits.wire_per_deg, None)
+        self.moves.append(FittedMove(heard_s, wire, None))
+
+    def _index(self, step: int) -> int:
+        return min(max(step - self._first, 0), len(self._values) - 1)
+
+    # ---- on the way
+
+    def _most(self, step: int) -> int:
+        """Return for how many steps a command may serve: not beyond where the next rest begins."""
+        index = self._index(step)
+        ahead = self._is_still[index : index + STEPS_MAX]
+        return max(ahead.index(True) if True in ahead else len(ahead), 1)
+
+    def _targets(self, step: int, most: int) -> tuple[int, float, float]:
+        """Return for how many steps from `step` on one target keeps the tolerance, and which do.
+
+        They are within the range, and so near that no step breaks the speed limit.
+        """
+        limits, profile = self._limits, self._profile
+        before_deg, index = profile.value(step - 1), self._index(step)
+        reach_deg = profile.count * profile.period_s * limits.speed_max_deg_s
+        low = max(limits.position_min_deg, before_deg - reach_deg)
+        high = min(limits.position_max_deg, before_deg + reach_deg)
+        tolerance_deg, kept = self._room_deg, 1.0
+        for held, course_deg in enumerate(self._values[index : index + most]):
+            kept *= profile.keep_ratio
+            middle = (course_deg - kept * before_deg) / (1.0 - kept)
+            room = tolerance_deg / (1.0 - kept)
+            if max(low, middle - room) > min(high, middle + room):
+                return held, low, high
+            low, high = max(low, middle - room), min(high, middle + room)
+        return most, low, high
+
+    def _best(self, step: int, steps: int) -> float:
+        """Return the target with the least squared error over `steps`, within what is allowed."""
+        _, low, high = self._targets(step, steps)
+        index = self._index(step)
+        course_deg = self._course_deg[index : index + steps]
+        kept = self._profile.keep_ratio ** np.arange(1, len(course_deg) + 1)
+        wanted, gained = course_deg - kept * self._profile.value(step - 1), 1.0 - kept
+        target_deg = float(np.dot(gained, wanted) / np.dot(gained, gained))
+        return min(max(target_deg, low), high)
+
+    # ---- at rest
+
+    def _rest(self, granted_s: float, step: int) -> float | None:
+        """Say where the course rests; return when to say it again, or when the rest ends."""
+        rest_deg = self._values[self._index(step)]
+        if self._repeats == 0:
+            self._repeats = self._settling_steps(step, rest_deg)
+        self._emit(granted_s, rest_deg)
+        self._repeats -= 1
+        leaves_s = self._departure(
+            step, lattice(rest_deg, self._limits) / self._limits.wire_per_deg
+        )
+        again_s = self._profile.hear_s(step + 1)
+        if self._repeats == 0:
+            return leaves_s
+        return again_s if leaves_s is None else min(again_s, leaves_s)
+
+    def _settling_steps(self, step: int, rest_deg: float) -> int:
+        """Return how often the end is said: until a filter that missed two steps has settled."""
+        away_deg = max(abs(self._profile.value(step - lost) - rest_deg) for lost in (1, 2, 3))
+        if away_deg <= SETTLED_DEG or self._profile.count == 1:
+            return 2
+        ratio = math.log(SETTLED_DEG / away_deg) / math.log(self._profile.keep_ratio)
+        return 2 + math.ceil(ratio)
+
+    def _departure(self, step: int, standing_deg: float) -> float | None:
+        """Return when the command that ends the standstill at `step` should be heard."""
+        half_unit_deg = 0.5 * self._limits.wire_step / self._limits.wire_per_deg
+        away = np.abs(self._course_deg[self._index(step) :] - standing_deg)
+        leaves = np.flatnonzero(away > half_unit_deg + STILL_ROUNDING_DEG)
+        return (
+            self._profile.hear_s(max(step, self._first) + int(leaves[0])) if leaves.size else None
+        )
