@@ -6,13 +6,31 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from lss_motion.cli import exchange, gaits, planning, playing, reference, sending, simulating
+from lss_motion.cli import (
+    exchange,
+    gaits,
+    planning,
+    playing,
+    reference,
+    scanning,
+    sending,
+    simulating,
+)
 from lss_motion.cli.messages import guarded
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-GROUPS = (planning, playing, simulating, sending, exchange, gaits, reference)
+GROUPS = (
+    planning,
+    playing,
+    simulating,
+    scanning,
+    sending,
+    exchange,
+    gaits,
+    reference,
+)
 """Each has `add_to(commands)`, and imports nothing heavy before a command of its own runs."""
 
 

@@ -5,5 +5,7 @@ the commands of the bench as `player` is that of a show: no port, no clock, no s
 and orders go through `player.Conversation` or another object that `runtime.runner` can drive;
 `lss_motion.connection` opens the ports, `cli` asks people and prints.
 
-pause       let time pass on open ports
+pause, listening   let time pass on open ports; say lines and keep all that comes back
+roll_call   who is on a bus: rates, ids, ids that several servos share
+look, findings, starter   how a servo does; what to tell of it; a robot file to begin with
 """

@@ -7,6 +7,7 @@ import time
 from typing import TYPE_CHECKING, Final, Protocol
 
 from lss_motion.errors import BusError
+from lss_motion.runtime.devices import permission_hint
 from lss_motion.units import NS_PER_MS
 
 if TYPE_CHECKING:
@@ -16,6 +17,8 @@ READ_MAX_BYTES: Final = 4096
 """Taken in one go; a 115200 line delivers that in a third of a second."""
 POLL_NS: Final = 2 * NS_PER_MS
 """How often a port that cannot be waited on is looked at (Windows, `loop://`)."""
+
+IN_USE: Final = "another program has it open; end that one first (LSS Config? another lss-motion?)"
 
 
 class Port(Protocol):
@@ -56,7 +59,7 @@ class SerialPort:
             with contextlib.suppress(AttributeError, OSError, ValueError, NotImplementedError):
                 self._serial.set_low_latency_mode(True)
         except (serial.SerialException, ValueError, OSError) as error:
-            raise BusError(f"cannot open port {url}: {_reason(error)}", url=url) from error
+            raise BusError(f"cannot open port {url}: {_reason(error, url)}", url=url) from error
 
     def write(self, data: bytes) -> None:
         import serial
@@ -64,7 +67,7 @@ class SerialPort:
         try:
             self._serial.write(data)
         except (serial.SerialException, OSError) as error:
-            raise BusError(f"lost port {self.url}: {_reason(error)}", url=self.url) from error
+            raise self._lost(error) from error
 
     def read(self) -> bytes:
         import serial
@@ -72,7 +75,7 @@ class SerialPort:
         try:
             return bytes(self._serial.read(READ_MAX_BYTES))
         except (serial.SerialException, OSError) as error:
-            raise BusError(f"lost port {self.url}: {_reason(error)}", url=self.url) from error
+            raise self._lost(error) from error
 
     def fileno(self) -> int | None:
         try:
@@ -90,16 +93,19 @@ class SerialPort:
         with contextlib.suppress(Exception):
             self._serial.close()
 
+    def _lost(self, error: Exception) -> BusError:
+        return BusError(f"lost port {self.url}: {_reason(error, self.url)}", url=self.url)
 
-def _reason(error: Exception) -> str:
+
+def _reason(error: Exception, url: str) -> str:
     """Return what to tell a person about a failure to open or use a port."""
     text = str(error)
     if isinstance(error, OSError) and error.errno is not None:
         hints = {
             2: "there is no such device; is it plugged in?",
-            13: "no permission; on Linux join the group that owns it, usually `dialout`",
-            16: "another program has it open",
-            11: "another program has it open",
+            13: permission_hint(url),
+            16: IN_USE,
+            11: IN_USE,
         }
         if hint := hints.get(error.errno):
             return hint

@@ -1,0 +1,169 @@
+"""Who is on a bus: which rates are in use, which ids answer, and which ids several servos share.
+
+Every question here is one that moves nothing and changes nothing. `QMS` is asked because all
+three families answer it; a broadcast only says that somebody is there, since all answer at once,
+and a 2IO does not answer it at all (lss_facts 3).
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.maintenance.listening import Step
+from lss_motion.player.queries import REPLY_MAX_BYTES, REPLY_TIMEOUT_NS
+from lss_motion.protocol.constants import BAUD_RATES_BPS, BROADCAST_ID
+from lss_motion.protocol.family import Family
+from lss_motion.protocol.io2 import PIN_IDS
+from lss_motion.protocol.line import Command, Reply, ReplyParser, encode
+from lss_motion.units import NS_PER_MS, line_time_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+RATES_BPS: Final = (
+    115200,
+    *(rate for rate in sorted(BAUD_RATES_BPS, reverse=True) if rate != 115200),
+)
+"""The factory's rate first (lss_facts 3), then from the fastest: those take the least time."""
+TURNAROUND_NS: Final = 2 * NS_PER_MS
+"""From a question to its answer, at most, while ids are called one after the other: 1.8 ms of
+older firmware (lss_facts 2.2). What comes later may meet another answer; those ids are asked
+again alone."""
+HELD_BACK_NS: Final = 20 * NS_PER_MS
+"""How long an adapter may hold an answer back: 16 ms (lss_facts 2.5) and a little more."""
+CALLS: Final = 2
+"""How often everybody is called: an answer can be lost, or look like another's."""
+ASKED_ALONE: Final = 2
+ASKED_AGAIN: Final = 4
+"""How often an id is asked alone; again when one answer was damaged. Firmware up to 368 damages
+some answers by itself (lss_facts 2.4), so one bad answer proves nothing."""
+
+_CLEAN: Final = re.compile(rb"\*([0-9]+)(QMS|QN)([!-)+-~]+)\r")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Present:
+    """What answers to one id. `is_shared`: several devices do, at once.
+
+    `model` is what `QMS` says, empty where every answer was damaged.
+    """
+
+    servo_id: int
+    model: str
+    serial_number: str = ""
+    is_shared: bool = False
+
+    @property
+    def family(self) -> Family:
+        return family_of(self.model)
+
+
+def family_of(model: str) -> Family:
+    """Return the family that a model string names (lss_facts 3; LSS where it says neither)."""
+    if model.startswith("LSS-2IO"):
+        return Family.IO2
+    return Family.LSS_PRO if model.startswith("LSS-P-") else Family.LSS
+
+
+def presence_steps(baud_bps: int) -> list[Step]:
+    """Return what makes anybody at this rate say something, twice: an answer may be damaged."""
+    listen_ns = REPLY_TIMEOUT_NS + HELD_BACK_NS + line_time_ns(2 * REPLY_MAX_BYTES, baud_bps)
+    lines = [Command(BROADCAST_ID, "QID"), Command(PIN_IDS["MASTER"], "QMS")]
+    return [
+        Step(b"\r", 0),  # Ends whatever noise stands in the servos' buffers.
+        *(Step(encode(line), listen_ns) for _ in range(2) for line in lines),
+    ]
+
+
+def call_steps(baud_bps: int, ids: Iterable[int]) -> list[Step]:
+    """Return the roll call: one question to each id, and a wait for what is held back."""
+    gap_ns = TURNAROUND_NS + line_time_ns(REPLY_MAX_BYTES, baud_bps)
+    steps = [_question(servo_id, "QMS", gap_ns, baud_bps) for servo_id in ids]
+    return [*steps, Step(b"", REPLY_TIMEOUT_NS + HELD_BACK_NS)]
+
+
+def called(
+    baud_bps: int, ids: Sequence[int], heard: Sequence[bytes]
+) -> tuple[dict[int, str], set[int]]:
+    """Return the models by id that answered a roll call of `ids`, and who is to be asked again.
+
+    An id is asked again if damaged bytes came in the time in which its answer could have come.
+    """
+    models = {
+        item.servo_id: str(item.value)
+        for item in ReplyParser(grouped=False).feed(b"".join(heard))
+        if isinstance(item, Reply) and item.servo_id is not None and item.keyword == "QMS"
+    }
+    gap_ns = TURNAROUND_NS + line_time_ns(REPLY_MAX_BYTES, baud_bps)
+    behind = 1 + HELD_BACK_NS // gap_ns
+    doubtful: set[int] = set()
+    for index, data in enumerate(heard):
+        if _CLEAN.sub(b"", data):
+            doubtful.update(ids[max(index - behind, 0) : index + 1])
+    return models, doubtful
+
+
+def question_alone(servo_id: int, keyword: str, baud_bps: int) -> Step:
+    """Return a question with all the time that its answer may take."""
+    listen_ns = REPLY_TIMEOUT_NS + line_time_ns(REPLY_MAX_BYTES, baud_bps)
+    return _question(servo_id, keyword, listen_ns, baud_bps)
+
+
+def is_damaged(servo_id: int, data: bytes) -> bool:
+    """Return whether what came after one question is anything but one clean answer or silence."""
+    return bool(data) and (len(_values(servo_id, data)) != 1 or _CLEAN.sub(b"", data) != b"")
+
+
+def judged(servo_id: int, model: str, heard: Sequence[bytes]) -> Present | None:
+    """Return what answered to an id that was asked alone; None: nobody.
+
+    Several devices share it when three quarters of what came was damaged or two answers, or when
+    two serial numbers came more than once each.
+    """
+    answers = [data for data in heard if data]
+    if not answers:
+        return None
+    clean = [data for data in answers if not is_damaged(servo_id, data)]
+    counts = _numbers(servo_id, heard).most_common(2)
+    models = [text for data in answers for key, text in _values(servo_id, data) if key == "QMS"]
+    is_shared = 4 * len(clean) <= len(answers) or (len(counts) > 1 and counts[1][1] > 1)
+    return Present(
+        servo_id=servo_id,
+        model=model or (models[0] if models else ""),
+        serial_number="" if is_shared or not counts else counts[0][0],
+        is_shared=is_shared,
+    )
+
+
+def is_doubtful(servo_id: int, heard: Sequence[bytes]) -> bool:
+    """Return whether an id must be asked again: damage, or two serial numbers."""
+    is_any_damaged = any(is_damaged(servo_id, data) for data in heard)
+    return is_any_damaged or len(_numbers(servo_id, heard)) > 1
+
+
+def _numbers(servo_id: int, heard: Sequence[bytes]) -> Counter[str]:
+    """Return how often each serial number came, in answers that look undamaged."""
+    return Counter(
+        text
+        for data in heard
+        if not is_damaged(servo_id, data)
+        for keyword, text in _values(servo_id, data)
+        if keyword == "QN"
+    )
+
+
+def _question(servo_id: int, keyword: str, listen_ns: int, baud_bps: int) -> Step:
+    data = encode(Command(servo_id, keyword))
+    return Step(data, listen_ns + line_time_ns(len(data), baud_bps))
+
+
+def _values(servo_id: int, data: bytes) -> list[tuple[str, str]]:
+    """Return keyword and text of every clean answer of one id in `data`."""
+    return [
+        (match[2].decode(), match[3].decode())
+        for match in _CLEAN.finditer(data)
+        if int(match[1]) == servo_id
+    ]

@@ -1,0 +1,52 @@
+"""A bus with servos of the test's choice, in virtual time."""
+
+from __future__ import annotations
+
+import pytest
+
+from lss_motion.connection import Connection
+from lss_motion.protocol.family import Family
+from lss_motion.robot.model import Bus, ServoModel
+from lss_motion.runtime.clock import VirtualClock
+from lss_motion.sim.bus import SimBus
+from lss_motion.sim.physics import Physics, ServoSpec
+from lss_motion.sim.port import SimPort
+
+MODELS = {
+    "LSS-ST1": ServoModel(
+        name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10
+    ),
+    "LSS-P-S1": ServoModel(
+        name="LSS-P-S1", family=Family.LSS_PRO, speed_max_deg_s=180.0, wire_per_deg=100
+    ),
+    "LSS-2IO": ServoModel(
+        name="LSS-2IO", family=Family.IO2, speed_max_deg_s=400.0, wire_per_deg=10
+    ),
+}
+
+
+@pytest.fixture
+def spec():
+    def make(servo_id, model="LSS-ST1", **options):
+        return ServoSpec(servo_id=servo_id, model=MODELS[model], **options)
+
+    return make
+
+
+@pytest.fixture
+def connected():
+    """Return what connects to servos, whose bus then is `connection.simulated["main"]`."""
+
+    def make(*specs, baud_bps=115200, firmware=370, seed=0, **options):
+        bus = Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=firmware)
+        connection = Connection({"main": bus}, VirtualClock())
+        physics = Physics(noise_deg=0.0)
+        sim_bus = SimBus(
+            specs, baud_bps=baud_bps, firmware=firmware, seed=seed, physics=physics, **options
+        )
+        sim_bus.record()
+        connection.simulated["main"] = sim_bus
+        connection.ports["main"] = SimPort(sim_bus, connection.clock)
+        return connection
+
+    return make

@@ -1,0 +1,169 @@
+"""Who is on a bus: every id, every rate, ids that several share; what a person is told of it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from lss_motion.cli.scanning import roll_call, survey
+from lss_motion.maintenance import findings
+from lss_motion.maintenance.roll_call import is_doubtful, judged
+from lss_motion.maintenance.starter import starter_file
+from lss_motion.protocol.constants import SafeModeCause, Status
+from lss_motion.robot.load import load_robot
+from lss_motion.sim.faults import Fault, FaultKind
+
+
+def ids(found):
+    return [present.servo_id for present in found]
+
+
+@pytest.mark.parametrize("baud_bps", [9600, 115200, 921600])
+@pytest.mark.parametrize("usb_latency_ms", [0, 16])
+def test_a_roll_call_finds_every_servo_whatever_the_rate_and_the_adapter(
+    connected, spec, baud_bps, usb_latency_ms
+):
+    there = [0, 1, 2, 77, 250]
+    connection = connected(
+        *map(spec, there), baud_bps=baud_bps, usb_latency_ns=usb_latency_ms * 1_000_000
+    )
+    found = roll_call(connection, "main")
+    assert ids(found) == there
+    assert [present.model for present in found] == ["LSS-ST1"] * 5
+    assert len({present.serial_number for present in found}) == 5
+    assert not any(present.is_shared for present in found)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("count", [2, 3])
+def test_an_id_that_several_servos_share_is_found_as_such(connected, spec, seed, count):
+    connection = connected(*[spec(0)] * count, spec(3), seed=seed)
+    found = roll_call(connection, "main")
+    assert [(p.servo_id, p.is_shared) for p in found] == [(0, True), (3, False)]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_noisy_line_makes_no_servo_look_like_two(connected, spec, seed):
+    noise = Fault(kind=FaultKind.CORRUPT_REPLY, ratio=0.1)
+    connection = connected(*map(spec, range(1, 13)), seed=seed, faults=[noise])
+    found = roll_call(connection, "main")
+    assert ids(found) == list(range(1, 13))
+    assert not any(present.is_shared for present in found)
+
+
+def test_servos_at_several_rates_are_found_at_theirs(connected, spec):
+    connection = connected(spec(1), spec(2), spec(7, baud_bps=57600))
+    looks = survey(connection, connection.buses["main"], None)
+    assert [(look.servo_id, look.baud_bps) for look in looks] == [
+        (1, 115200),
+        (2, 115200),
+        (7, 57600),
+    ]
+    assert connection.buses["main"].baud_bps == 115200
+    (said,) = findings.unreachable(connection.buses["main"], looks)
+    assert "servo 7 listens at 57600 bps, the others at 115200" in said
+    assert "--baud 57600 --id 7 --new-baud 115200 --force" in said
+
+
+@pytest.mark.parametrize("servo_id", [209, 40])
+def test_a_board_is_found_with_all_its_pins(connected, spec, servo_id):
+    connection = connected(spec(servo_id, "LSS-2IO"))
+    looks = survey(connection, connection.buses["main"], None)
+    assert len(looks) == 7
+    assert {"LSS-2IO-LED", "LSS-2IO-A3", "LSS-2IO-D9"} <= {look.present.model for look in looks}
+    servo = next(look for look in looks if look.servo_id == servo_id)
+    assert (servo.present.model, servo.position_deg) == ("LSS-2IO-D9", 0.0)
+
+
+def test_all_three_families_say_how_they_are(connected, spec):
+    connection = connected(
+        spec(1, start_deg=12.0), spec(2, "LSS-P-S1", start_deg=-3.25), spec(209, "LSS-2IO")
+    )
+    looks = {look.servo_id: look for look in survey(connection, connection.buses["main"], 115200)}
+    assert (looks[1].position_deg, looks[2].position_deg) == (12.0, -3.25)
+    assert looks[1].firmware == 370
+    assert looks[1].voltage_v == pytest.approx(12.0, abs=0.1)
+    assert looks[1].status is Status.LIMP
+    assert looks[209].status is None
+
+
+def test_nobody_is_told_as_nobody(connected):
+    connection = connected()
+    assert survey(connection, connection.buses["main"], None) == []
+
+
+def test_safe_mode_is_told_with_its_cause_and_what_to_do(connected, spec):
+    hot = Fault(kind=FaultKind.HOT, servo_id=5, temperature_c=90.0)
+    connection = connected(spec(5), spec(6), faults=[hot])
+    connection.ask([])
+    connection.wait(0.1)
+    looks = survey(connection, connection.buses["main"], 115200)
+    assert looks[0].status is Status.SAFE_MODE
+    assert looks[0].cause is SafeModeCause.TEMPERATURE
+    safe, heat = findings.warnings(looks, "--port P")
+    assert "servo 5 is in safe mode (temperature): let it cool" in safe
+    assert "lss-motion send --port P --id 5 RESET" in safe
+    assert "servo 5 is hot" in heat
+
+
+def test_a_robot_file_is_compared_with_what_is_there(connected, spec, tmp_path):
+    path = tmp_path / "robot.yaml"
+    path.write_text("""
+robot: three
+defaults: {model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 90, accel_max_deg_s2: 300}
+joints: {arm: {id: 1}, hand: {id: 2}, foot: {id: 3, model: LSS-HT1}}
+""")
+    robot = load_robot(path)
+    connection = connected(spec(1), spec(3), spec(9))
+    bus = connection.buses["main"]
+    looks = survey(connection, bus, 115200)
+    missing, other = findings.differences(robot, bus, looks)
+    assert "joint 'hand': servo 2 does not answer" in missing
+    assert "joint 'foot': servo 3 is a LSS-ST1, the robot file says LSS-HT1" in other
+    assert list(findings.unnamed(robot, bus, looks)) == [
+        "servo 9 (LSS-ST1) is not in the robot file"
+    ]
+
+
+def test_the_starter_is_a_robot_file_that_loads(connected, spec, tmp_path):
+    connection = connected(
+        spec(1), spec(2), spec(4, "LSS-P-S1"), spec(6), spec(6), spec(8, baud_bps=9600)
+    )
+    bus = dataclasses.replace(connection.buses["main"], port="/dev/ttyUSB7")
+    looks = survey(connection, connection.buses["main"], None)
+    text = starter_file("bag", bus, looks)
+    path = tmp_path / "bag.yaml"
+    path.write_text(text)
+    robot = load_robot(path)
+    assert {name: joint.servo_id for name, joint in robot.joints.items()} == {
+        "joint_1": 1,
+        "joint_2": 2,
+        "joint_4": 4,
+    }
+    assert robot.joints["joint_4"].model.name == "LSS-P-S1"
+    assert robot.buses["main"].port == "/dev/ttyUSB7"
+    assert "# not used: id 6, which several servos share" in text
+    assert "# not used: id 8, LSS-ST1 at 9600 bps" in text
+
+
+def test_without_a_servo_of_its_own_id_there_is_no_starter(connected, spec):
+    connection = connected(spec(0), spec(0))
+    bus = connection.buses["main"]
+    assert starter_file("bag", bus, survey(connection, bus, 115200)) is None
+
+
+def test_two_serial_numbers_behind_one_id_are_two_servos():
+    heard = [b"*5QMSLSS-ST1\r", *[b"*5QN123\r", b"*5QN124\r"] * 2]
+    assert is_doubtful(5, heard)
+    assert judged(5, "LSS-ST1", heard).is_shared
+
+
+def test_a_serial_number_that_came_once_was_damaged():
+    heard = [b"*5QMSLSS-ST1\r", b"*5QN124\r", *[b"*5QN123\r"] * 2]
+    assert is_doubtful(5, heard)
+    assert judged(5, "LSS-ST1", heard).serial_number == "123"
+
+
+def test_silence_is_nobody():
+    assert judged(5, "", [b"", b""]) is None
