@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.maintenance.listening import Step
-from lss_motion.player.queries import REPLY_MAX_BYTES, REPLY_TIMEOUT_NS
+from lss_motion.player.queries import REPLY_MAX_BYTES
+from lss_motion.player.turnaround import REPLY_TIMEOUT_NS
 from lss_motion.protocol.constants import BAUD_RATES_BPS, BROADCAST_ID
 from lss_motion.protocol.family import Family
 from lss_motion.protocol.io2 import PIN_IDS

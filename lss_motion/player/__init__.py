@@ -2,5 +2,5 @@
 
 player        one show, phase by phase · setup  before and after it · events  what happened
 streamer      one program on the show clock · track, following  one joint meanwhile
-line, queries, readings, dialogue, conversation  what goes over a line and what it means
+line, queries, turnaround, readings, dialogue, conversation  what goes over a line and what it means
 """

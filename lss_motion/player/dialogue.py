@@ -30,9 +30,16 @@ class Item:
     tries: int = TRIES
 
 
+@dataclass(slots=True, eq=False)
+class _Entry:
+    item: Item
+    tries_left: int
+
+
 class Dialogue:
     """Works through items in order, bus by bus at the same time.
 
+    Different questions to one servo fly together; an order waits until all before it is answered.
     `answers` maps `(bus, servo id, keyword)` to the value; a question without an answer is absent.
     """
 
@@ -45,56 +52,76 @@ class Dialogue:
         self.answers: dict[tuple[str, int, str], int | str | None] = {}
         self._lines = lines
         self._questioners = questioners
-        self._queues: dict[str, deque[Item]] = {bus: deque() for bus in lines}
-        self._tries: dict[str, int] = dict.fromkeys(lines, 0)
+        self._queues: dict[str, deque[_Entry]] = {bus: deque() for bus in lines}
+        self._flying: dict[str, list[_Entry]] = {bus: [] for bus in lines}
         for item in items:
-            self._queues[item.bus].append(item)
+            self._queues[item.bus].append(_Entry(item, item.tries))
 
     @property
     def is_finished(self) -> bool:
-        return not any(self._queues.values())
+        return not any(self._queues.values()) and not any(self._flying.values())
 
     def advance(self, now_ns: int) -> None:
         """Send what can be sent now."""
         for bus, queue in self._queues.items():
-            questioner, line = self._questioners[bus], self._lines[bus]
-            expired = questioner.expire(now_ns)
-            if self._is_next(bus, expired) and self._tries[bus] >= queue[0].tries:
-                self._next(bus)
-            while queue and questioner.asked is None and line.free_ns <= now_ns:
-                item = queue[0]
-                if not item.is_question:
-                    line.send(encode(item.command), now_ns)
-                    self._next(bus)
-                elif questioner.is_free(item.command.servo_id, now_ns):
-                    questioner.ask(item.command, now_ns)
-                    self._tries[bus] += 1
+            self._take_back(bus, self._questioners[bus].expire(now_ns))
+            while queue and self._can_send(bus, queue[0].item, now_ns):
+                entry = queue.popleft()
+                if entry.item.is_question:
+                    self._questioners[bus].ask(entry.item.command, now_ns)
+                    entry.tries_left -= 1
+                    self._flying[bus].append(entry)
                 else:
-                    break
+                    self._lines[bus].send(encode(entry.item.command), now_ns)
 
     def receive(self, bus: str, reply: Reply, now_ns: int) -> None:
-        asked = self._questioners[bus].answer(reply, now_ns)
-        if asked is not None and self._is_next(bus, asked):
-            self.answers[bus, asked.command.servo_id, asked.command.keyword] = reply.value
-            self._next(bus)
+        for asked, said in self._questioners[bus].answer(reply, now_ns):
+            if (entry := self._entry_of(bus, asked)) is not None:
+                self._flying[bus].remove(entry)
+                self.answers[bus, asked.command.servo_id, asked.command.keyword] = said.value
 
     def next_wakeup_ns(self) -> int | None:
         wakeups_ns = []
         for bus, queue in self._queues.items():
             questioner = self._questioners[bus]
-            if questioner.asked is not None:
-                wakeups_ns.append(questioner.asked.give_up_ns)
-            elif queue:
-                quiet_ns = questioner.quiet_until_ns(queue[0].command.servo_id)
-                free_ns = self._lines[bus].free_ns
-                wakeups_ns.append(max(free_ns, quiet_ns if quiet_ns is not None else free_ns))
+            if (give_up_ns := questioner.give_up_ns) is not None:
+                wakeups_ns.append(give_up_ns)
+            if queue and (earliest_ns := self._earliest_ns(bus, queue[0].item)) is not None:
+                wakeups_ns.append(max(self._lines[bus].free_ns, earliest_ns))
         return min(wakeups_ns, default=None)
 
-    def _is_next(self, bus: str, asked: Asked | None) -> bool:
-        """Return whether `asked` is ours: one may be left in flight by what came before."""
-        queue = self._queues[bus]
-        return bool(queue) and asked is not None and asked.command is queue[0].command
+    def _can_send(self, bus: str, item: Item, now_ns: int) -> bool:
+        earliest_ns = self._earliest_ns(bus, item)
+        return earliest_ns is not None and max(self._lines[bus].free_ns, earliest_ns) <= now_ns
 
-    def _next(self, bus: str) -> None:
-        self._queues[bus].popleft()
-        self._tries[bus] = 0
+    def _earliest_ns(self, bus: str, item: Item) -> int | None:
+        """Return from when on `item` may leave; None: something must be answered first."""
+        command, flying = item.command, self._flying[bus]
+        if not item.is_question:
+            return None if flying else 0
+        if any(entry.item.command == command for entry in flying):
+            return None
+        return self._questioners[bus].earliest_ns(command.servo_id, len(encode(command)))
+
+    def _take_back(self, bus: str, expired: list[Asked]) -> None:
+        """Put what was not answered in front again, as long as it has tries left.
+
+        A servo that is late with one answer is late with those behind it: they lose no try.
+        """
+        entries = [entry for asked in expired if (entry := self._entry_of(bus, asked)) is not None]
+        blamed: set[int] = set()
+        for entry in entries:
+            if entry.item.command.servo_id in blamed:
+                entry.tries_left += 1
+            blamed.add(entry.item.command.servo_id)
+        for entry in reversed(entries):
+            self._flying[bus].remove(entry)
+            if entry.tries_left > 0:
+                self._queues[bus].appendleft(entry)
+
+    def _entry_of(self, bus: str, asked: Asked) -> _Entry | None:
+        """Return the entry that asked this: one may be left in flight by what came before."""
+        for entry in self._flying[bus]:
+            if entry.item.command is asked.command:
+                return entry
+        return None

@@ -1,25 +1,44 @@
-"""One query in flight on one bus: what was asked, what answers it, when to give up."""
+"""The queries in flight on one bus: what was asked, what answers it, when to ask the next.
+
+The line is full duplex: a query may leave while an answer comes in. Two servos that answer at once
+destroy both answers, so the next servo is asked such that even its quickest answer begins after
+the slowest one of the servo before. One servo answers in the order in which it was asked and never
+collides with itself: several questions to it fly together, and its answers follow each other
+without a gap. How quick and how slow a servo is, is learnt (`turnaround`).
+
+Nothing in an answer says which of several equal questions it answers. So equal questions end with
+another one: its answer shows, since the servo keeps the order, whether exactly as many answers came
+as were asked for. If not, one was lost or came twice, and none of them is believed.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter, deque
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.protocol.line import Command, encode
+from lss_motion.player.turnaround import Turnaround
+from lss_motion.protocol.line import Command, Reply, encode
 from lss_motion.units import NS_PER_MS
 
 if TYPE_CHECKING:
     from lss_motion.player.line import Line
-    from lss_motion.protocol.line import Reply
 
-REPLY_TIMEOUT_NS: Final = 30 * NS_PER_MS
-"""From the end of a query to the end of its answer, without the answer's own line time: 10 ms is
-what the tighter libraries wait (lss_facts 2.5), and a USB adapter may add its 16 ms timer."""
+GRACE_NS: Final = 10 * NS_PER_MS
+"""An answer is given up so long after the latest instant that is known of its servo."""
 REPLY_MAX_BYTES: Final = 24
 """The longest answer that is waited for: a serial number (lss_facts 4)."""
 STRAY_NS: Final = 100 * NS_PER_MS
 """After a timeout the servo is left alone this long, so that a late answer is not taken for the
 answer to the next question."""
+WINDOW_MAX: Final = 8
+"""Unanswered questions to one servo. Assumed: 8 queries are 48 bytes, which any serial buffer
+holds (Arduino's have 64)."""
+DEPTH_MAX: Final = 32
+"""Questions to one servo in a row. Chosen: at 500000 bps that is the tenth part of a second for
+fifteen servos."""
+FLIGHTS_MAX: Final = 2
+"""Servos with unanswered questions: one that is answering, and the next."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,61 +47,226 @@ class Asked:
 
     command: Command
     heard_ns: int
-    give_up_ns: int
+    reply_bytes: int
+    """The longest answer that is to be expected."""
+
+
+@dataclass(slots=True)
+class _Flight:
+    """Questions to one servo from the first that is not answered on."""
+
+    waiting: deque[Asked] = field(default_factory=deque)
+    held: list[tuple[Asked, Reply]] = field(default_factory=list)
+    """Answers that could be to one of several questions: believed when all have been answered."""
+    counts: Counter[str] = field(default_factory=Counter)
+    """How often it asked what."""
+    is_doubtful: bool = False
+    """An answer was lost or came twice."""
+    garbage: int = 0
+    """How much the line had seen when it began: garbage may have been an answer, too."""
+    arrived_ns: int = 0
+    end_ns: int = 0
+    """When the last answer has come in at the latest."""
+
+
+@dataclass(slots=True)
+class _Manners:
+    """What is known of how one servo answers."""
+
+    turnaround: Turnaround = field(default_factory=Turnaround)
+    depth: int = 1
+    """Questions that it may be asked in a row: doubled by a row that it answers whole."""
+    failures: int = 0
+    quiet_until_ns: int = 0
+    owed: set[str] = field(default_factory=set)
+    """Keywords of answers that were given up and may still come."""
+    reply_bytes: dict[str, int] = field(default_factory=dict)
+
+    def succeed(self) -> None:
+        self.depth = min(2 * self.depth, DEPTH_MAX)
+        self.failures = 0
+
+    def fail(self) -> None:
+        """Trust the servo less; after two failures in a row, what was learnt no longer holds."""
+        self.depth = max(1, self.depth // 2)
+        self.failures += 1
+        if self.failures > 1:
+            self.turnaround.forget()
 
 
 class Questioner:
-    """Asks on one line, one question at a time, and knows which answers may be believed."""
+    """Asks on one line and knows which answers may be believed."""
 
     def __init__(self, line: Line) -> None:
         self._line = line
-        self.asked: Asked | None = None
         self.asked_count = 0
         self.answered_count = 0
         self.timeouts = 0
         self.strays = 0
-        self._quiet_until_ns: dict[int, int] = {}
+        self._flights: dict[int, _Flight] = {}
+        self._manners: dict[int, _Manners] = {}
+        self._lost: list[Asked] = []
 
-    def is_free(self, servo_id: int, now_ns: int) -> bool:
-        """Return whether a question to `servo_id` may be asked now."""
-        return self.asked is None and now_ns >= self._quiet_until_ns.get(servo_id, now_ns)
+    def is_waiting(self, servo_id: int) -> bool:
+        """Return whether a question to `servo_id` is in flight."""
+        return servo_id in self._flights
 
-    def quiet_until_ns(self, servo_id: int) -> int | None:
-        return self._quiet_until_ns.get(servo_id)
+    @property
+    def give_up_ns(self) -> int | None:
+        """When `expire` has something to do at the latest; None: nothing is in flight."""
+        return min(map(self._give_up_ns, self._flights), default=None)
+
+    def quiet_until_ns(self, servo_id: int) -> int:
+        """Return until when a servo is left alone after a timeout."""
+        return self._known(servo_id).quiet_until_ns
+
+    def turnaround(self, servo_id: int) -> Turnaround:
+        return self._known(servo_id).turnaround
+
+    def depth(self, servo_id: int) -> int:
+        """Return how many questions in a row the servo may be asked after what it has shown."""
+        return self._known(servo_id).depth
+
+    def reply_bytes(self, servo_id: int, keyword: str) -> int:
+        """Return the longest answer to be expected: a digit more than the last one."""
+        return self._known(servo_id).reply_bytes.get(keyword, REPLY_MAX_BYTES)
+
+    def owes(self, servo_id: int, keyword: str) -> bool:
+        """Return whether a late answer could be taken for the answer to `keyword`.
+
+        The servo answers in order: its answer to anything else ends this.
+        """
+        return keyword in self._known(servo_id).owed
+
+    def earliest_ns(self, servo_id: int, size_bytes: int) -> int | None:
+        """Return from when on a question of `size_bytes` may begin to leave.
+
+        None: not before something that is in flight was answered or given up.
+        """
+        manners = self._known(servo_id)
+        if self._flights and servo_id == next(reversed(self._flights)):
+            is_full = len(self._flights[servo_id].waiting) >= self._window(manners)
+            return None if is_full else manners.quiet_until_ns
+        if servo_id in self._flights or len(self._flights) >= FLIGHTS_MAX:
+            return None
+        heard_ns = 0
+        for other_id, flight in self._flights.items():
+            if not (manners.turnaround.is_known and self._known(other_id).turnaround.is_known):
+                return None
+            heard_ns = max(heard_ns, flight.end_ns - manners.turnaround.earliest_ns)
+        return max(manners.quiet_until_ns, heard_ns - self._line.time_ns(size_bytes))
 
     def ask(self, command: Command, now_ns: int) -> None:
-        assert self.asked is None, "one question at a time"
+        """Hand over a question; `earliest_ns` says when it may be."""
+        servo_id = command.servo_id
         heard_ns = self._line.send(encode(command), now_ns)
-        give_up_ns = heard_ns + REPLY_TIMEOUT_NS + self._line.time_ns(REPLY_MAX_BYTES)
-        self.asked = Asked(command, heard_ns, give_up_ns)
+        if (flight := self._flights.get(servo_id)) is None:
+            flight = self._flights[servo_id] = _Flight(garbage=self._line.garbage)
+        reply_bytes = self.reply_bytes(servo_id, command.keyword)
+        flight.counts[command.keyword] += 1
+        flight.waiting.append(Asked(command, heard_ns, reply_bytes))
+        self._predict(servo_id, flight)
         self.asked_count += 1
 
-    def answer(self, reply: Reply, now_ns: int) -> Asked | None:
-        """Return the question that `reply` answers, or None for a stray, which is counted.
+    def answer(self, reply: Reply, now_ns: int) -> list[tuple[Asked, Reply]]:
+        """Return the questions that are now answered beyond doubt, with their answers.
 
-        `*QID5` names no sender; it answers a question for an id only.
+        A reply that answers nothing is a stray, which is counted. `*QID5` names no sender; it
+        answers a question for an id only.
         """
-        asked = self.asked
-        if (
-            asked is None
-            or reply.keyword != asked.command.keyword
-            or (reply.servo_id is None and reply.keyword != "QID")
-            or reply.servo_id not in (asked.command.servo_id, None)
-            or now_ns < asked.heard_ns
-        ):
-            self.strays += 1
-            return None
-        self.asked = None
+        servo_id, asked = self._asked_for(reply, now_ns)
+        if asked is None:
+            self._note_stray(servo_id, reply.keyword)
+            return []
+        flight, manners = self._flights[servo_id], self._known(servo_id)
         self.answered_count += 1
-        self._quiet_until_ns.pop(asked.command.servo_id, None)
-        return asked
+        size_bytes = len(encode(reply))
+        manners.reply_bytes[reply.keyword] = size_bytes + 1
+        if flight.arrived_ns <= asked.heard_ns and asked is flight.waiting[0]:
+            began_ns = now_ns - self._line.time_ns(size_bytes)
+            manners.turnaround.take(began_ns - asked.heard_ns)
+        while (passed := flight.waiting.popleft()) is not asked:
+            flight.is_doubtful = True
+            self._lost.append(passed)
+        flight.arrived_ns = now_ns
+        flight.held.append((asked, reply))
+        manners.owed.clear()
+        self._predict(servo_id, flight)
+        return self._believed(servo_id, flight)
 
-    def expire(self, now_ns: int) -> Asked | None:
-        """Give up the question in flight if its time is over; return it then."""
-        asked = self.asked
-        if asked is None or now_ns < asked.give_up_ns:
-            return None
-        self.asked = None
-        self.timeouts += 1
-        self._quiet_until_ns[asked.command.servo_id] = now_ns + STRAY_NS
-        return asked
+    def expire(self, now_ns: int) -> list[Asked]:
+        """Give up the questions whose time is over; return them."""
+        given_up, self._lost = self._lost, []
+        for servo_id in [one for one in self._flights if now_ns >= self._give_up_ns(one)]:
+            flight, manners = self._flights.pop(servo_id), self._known(servo_id)
+            given_up += flight.waiting
+            self.strays += len(flight.held)
+            manners.quiet_until_ns = now_ns + STRAY_NS
+            manners.owed.update(asked.command.keyword for asked in flight.waiting)
+            manners.fail()
+        self.timeouts += len(given_up)
+        return given_up
+
+    def _known(self, servo_id: int) -> _Manners:
+        if (manners := self._manners.get(servo_id)) is None:
+            manners = self._manners[servo_id] = _Manners()
+        return manners
+
+    def _window(self, manners: _Manners) -> int:
+        """Return how many questions must fly so that the servo never waits for one."""
+        turnaround = manners.turnaround
+        if not turnaround.is_known:
+            return 1
+        shortest_ns = self._line.time_ns(min(manners.reply_bytes.values(), default=1))
+        return min(WINDOW_MAX, 3 + turnaround.latest_ns // shortest_ns)
+
+    def _asked_for(self, reply: Reply, now_ns: int) -> tuple[int, Asked | None]:
+        """Return who sent a reply and the oldest question that it can answer."""
+        if reply.servo_id is None:
+            servo_id = next(iter(self._flights), -1) if reply.keyword == "QID" else -1
+        else:
+            servo_id = reply.servo_id
+        flight = self._flights.get(servo_id)
+        for asked in flight.waiting if flight is not None else ():
+            if asked.command.keyword == reply.keyword:
+                return servo_id, asked if now_ns >= asked.heard_ns else None
+        return servo_id, None
+
+    def _note_stray(self, servo_id: int, keyword: str) -> None:
+        self.strays += 1
+        if (flight := self._flights.get(servo_id)) is not None:
+            flight.is_doubtful = True
+        elif (manners := self._manners.get(servo_id)) is not None and keyword in manners.owed:
+            manners.turnaround.forget()
+
+    def _believed(self, servo_id: int, flight: _Flight) -> list[tuple[Asked, Reply]]:
+        """Return, and no longer hold, the answers that no other question could mean."""
+        newest = flight.held[-1]
+        if flight.waiting:
+            if flight.counts[newest[1].keyword] > 1:
+                return []
+            flight.held.pop()
+            return [newest]
+        del self._flights[servo_id]
+        believed = flight.held
+        if flight.is_doubtful or flight.garbage != self._line.garbage:
+            self._known(servo_id).fail()
+            believed = [pair for pair in believed if flight.counts[pair[1].keyword] == 1]
+            self.strays += len(flight.held) - len(believed)
+        else:
+            self._known(servo_id).succeed()
+        return believed
+
+    def _predict(self, servo_id: int, flight: _Flight) -> None:
+        """Find out when the last answer of a flight has come in at the latest."""
+        latest_ns = self._known(servo_id).turnaround.latest_ns
+        end_ns = flight.arrived_ns
+        for asked in flight.waiting:
+            end_ns = max(end_ns, asked.heard_ns + latest_ns)
+            end_ns += self._line.time_ns(asked.reply_bytes)
+        flight.end_ns = end_ns
+
+    def _give_up_ns(self, servo_id: int) -> int:
+        flight = self._flights[servo_id]
+        is_known = self._known(servo_id).turnaround.is_known
+        return flight.end_ns + (GRACE_NS if is_known else 0)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.events import Faulted
@@ -18,9 +20,20 @@ if TYPE_CHECKING:
     from lss_motion.player.queries import Asked, Questioner
     from lss_motion.player.track import Track
 
-HEALTH_EVERY: Final = 8
-"""One question in so many is about health, not position: status, temperature, voltage in turn."""
-HEALTH_KEYWORDS: Final = ("Q", "QT", "QV")
+HEALTH_NS: Final = NS_PER_S // 4
+"""Once in this time a servo is asked about its health, one thing after the other."""
+HEALTH_LEAST: Final = 8
+"""Where the line is slow, at most one question in so many is about health."""
+HEALTH_KEYWORDS: Final = ("Q", "QT", "Q", "QV", "Q", "QC")
+"""Status, temperature, voltage, current: a fault is known after half a second."""
+BACKLOG_BYTES: Final = 12
+"""Questions that have not left yet are never more than this, `#12D-450T50`: a command that nobody
+expected, as to stop, waits no longer than for one other command."""
+FILL_RATIO: Final = 0.925
+"""A servo is asked so often in a row that answers fill this share of their line: between two
+servos there is a gap, since nobody knows when the next one will begin."""
+VISIT_NS: Final = NS_PER_S // 4
+"""But all servos of a bus are visited at least this often."""
 ASTRAY_NS: Final = NS_PER_S // 2
 """A joint must be off by more than `following_deg` this long before the show is stopped: one
 wrong reading, or one late move, is no reason."""
@@ -38,6 +51,16 @@ STATUS_FAULTS: Final = {
     Status.ERROR: "reports an error",
 }
 """What a servo may be doing that ends a show."""
+
+
+@dataclass(slots=True)
+class _Turn:
+    """One servo, and how often it is still to be asked before the next."""
+
+    track: Track
+    left: int
+    is_row: bool = False
+    """Whether it was asked already."""
 
 
 class Reader:
@@ -58,36 +81,65 @@ class Reader:
             if track.joint.drive != "stepped":  # It knows no answer but its last command.
                 self._by_bus[track.joint.bus].append(track)
         self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in tracks.values()}
-        self._health = dict.fromkeys(lines, 0)
+        self._turns: dict[str, _Turn | None] = dict.fromkeys(lines)
+        self._next_ns: dict[str, int | None] = dict.fromkeys(lines)
+        self._health_wait: dict[str, int] = dict.fromkeys(lines, 0)
 
     def ask(self, now_ns: int, quiet_until_ns: int | None) -> None:
-        """Ask on every bus whose line stays free until `quiet_until_ns`; None is for ever."""
+        """Ask on every bus as long as its line is free by `quiet_until_ns`; None is for ever."""
         for bus, questioner in self._questioners.items():
-            if (expired := questioner.expire(now_ns)) is not None:
+            for expired in questioner.expire(now_ns):
                 self._note_silence(bus, expired, now_ns)
-            line = self._lines[bus]
-            if questioner.asked is not None or line.free_ns > now_ns:
-                continue
-            track = self._most_urgent(bus, now_ns)
-            if track is None:
-                continue
-            question = Command(track.joint.servo_id, self._keyword(bus))
-            end_ns = line.heard_ns(len(encode(question)), now_ns)
-            if quiet_until_ns is None or end_ns <= quiet_until_ns:
-                questioner.ask(question, now_ns)
-                self._health[bus] += 1
+            while self._ask_one(bus, now_ns, quiet_until_ns):
+                pass
+
+    def _ask_one(self, bus: str, now_ns: int, quiet_until_ns: int | None) -> bool:
+        questioner, line = self._questioners[bus], self._lines[bus]
+        self._next_ns[bus] = None
+        turn = self._turn(bus, now_ns)
+        if turn is None:
+            return False
+        question = Command(turn.track.joint.servo_id, self._keyword(bus, turn, now_ns))
+        size_bytes = len(encode(question))
+        earliest_ns = questioner.earliest_ns(question.servo_id, size_bytes)
+        if earliest_ns is None or earliest_ns > max(now_ns, line.free_ns):
+            self._next_ns[bus] = earliest_ns
+            return False
+        room_ns = now_ns + line.time_ns(BACKLOG_BYTES)
+        if line.heard_ns(size_bytes, now_ns) > room_ns:
+            self._next_ns[bus] = line.heard_ns(size_bytes, now_ns) - room_ns + now_ns
+            return False
+        if quiet_until_ns is not None and line.heard_ns(size_bytes, now_ns) > quiet_until_ns:
+            return False
+        questioner.ask(question, now_ns)
+        turn.left -= 1
+        turn.is_row = True
+        turn.track.asked_ns = now_ns
+        self._health_wait[bus] += 1
+        if question.keyword != "QD":
+            self._health_wait[bus] = 0
+            turn.track.health_ns = now_ns
+            turn.track.health_count += 1
+        return True
 
     def receive(
         self, bus: str, reply: Reply, now_ns: int, wanted_deg: Callable[[Track, int], float]
     ) -> None:
-        asked = self._questioners[bus].answer(reply, now_ns)
-        if asked is None:
-            return
-        track = self._by_address.get((bus, asked.command.servo_id))
-        if track is None:
-            return
-        track.answered_ns = now_ns
-        track.silent_asks = 0
+        for asked, said in self._questioners[bus].answer(reply, now_ns):
+            track = self._by_address.get((bus, asked.command.servo_id))
+            if track is not None:
+                track.answered_ns = now_ns
+                track.silent_asks = 0
+                self._take(bus, track, asked, said, wanted_deg)
+
+    def _take(
+        self,
+        bus: str,
+        track: Track,
+        asked: Asked,
+        reply: Reply,
+        wanted_deg: Callable[[Track, int], float],
+    ) -> None:
         said = read_reply(track.joint.model.family, reply)
         if said is None or not isinstance(said.value, int | float):
             return
@@ -100,6 +152,8 @@ class Reader:
                 track.temperature_max_c = max(said.value, track.temperature_max_c or said.value)
             case "QV":
                 track.voltage_min_v = min(said.value, track.voltage_min_v or said.value)
+            case "QC":
+                track.current_max_a = max(said.value, track.current_max_a or 0.0)
             case _:
                 pass
 
@@ -107,35 +161,73 @@ class Reader:
         """Return when something may have to be done, besides an answer coming in."""
         wakeups_ns = []
         for bus, questioner in self._questioners.items():
-            if questioner.asked is not None:
-                wakeups_ns.append(questioner.asked.give_up_ns)
-            elif self._lines[bus].free_ns > now_ns:
-                wakeups_ns.append(self._lines[bus].free_ns)
-            else:
-                quiet = [questioner.quiet_until_ns(t.joint.servo_id) for t in self._by_bus[bus]]
-                wakeups_ns += [instant for instant in quiet if instant is not None]
+            if (give_up_ns := questioner.give_up_ns) is not None:
+                wakeups_ns.append(give_up_ns)
+            if (next_ns := self._next_ns[bus]) is not None:
+                wakeups_ns.append(next_ns)
+            if self._turns[bus] is None:
+                quiet = (questioner.quiet_until_ns(t.joint.servo_id) for t in self._by_bus[bus])
+                wakeups_ns += [instant_ns for instant_ns in quiet if instant_ns > now_ns]
         return wakeups_ns
 
-    def _keyword(self, bus: str) -> str:
-        count = self._health[bus]
-        if count % HEALTH_EVERY == HEALTH_EVERY - 1:
-            return HEALTH_KEYWORDS[count // HEALTH_EVERY % len(HEALTH_KEYWORDS)]
-        return "QD"
+    def _turn(self, bus: str, now_ns: int) -> _Turn | None:
+        """Return whose turn it is to be asked, and how often; None: nobody can be."""
+        turn, questioner = self._turns[bus], self._questioners[bus]
+        if turn is not None:
+            servo_id = turn.track.joint.servo_id
+            if turn.left > 0 and questioner.quiet_until_ns(servo_id) <= now_ns:
+                return turn
+        track = self._most_urgent(bus, now_ns)
+        self._turns[bus] = None if track is None else _Turn(track, self._depth(bus, track))
+        return self._turns[bus]
+
+    def _depth(self, bus: str, track: Track) -> int:
+        """Return how often to ask in a row, so that the gap before it is small beside it."""
+        questioner, servo_id = self._questioners[bus], track.joint.servo_id
+        turnaround = questioner.turnaround(servo_id)
+        if not turnaround.is_known or questioner.owes(servo_id, "QD"):
+            return 1
+        line = self._lines[bus]
+        reply_ns = line.time_ns(questioner.reply_bytes(servo_id, "QD"))
+        gap_ns = turnaround.spread_ns // 2 + line.time_ns(1)
+        wanted = math.ceil(FILL_RATIO / (1.0 - FILL_RATIO) * gap_ns / reply_ns)
+        most = VISIT_NS // (reply_ns * len(self._by_bus[bus]))
+        return max(1, min(wanted, most, questioner.depth(servo_id)))
+
+    def _keyword(self, bus: str, turn: _Turn, now_ns: int) -> str:
+        """Return what to ask: where it is, or how it fares.
+
+        A row of questions ends with one about health, since equal questions need another one at
+        their end. A servo that owes an answer is asked what this answer cannot be taken for.
+        """
+        questioner, track = self._questioners[bus], turn.track
+        servo_id = track.joint.servo_id
+        if questioner.owes(servo_id, "QD"):
+            fresh = (word for word in HEALTH_KEYWORDS if not questioner.owes(servo_id, word))
+            return next(fresh, "QD")
+        is_alone = turn.left == 1 and not turn.is_row
+        is_due = track.health_ns is None or now_ns - track.health_ns >= HEALTH_NS
+        if is_alone and not (is_due and self._health_wait[bus] >= HEALTH_LEAST - 1):
+            return "QD"
+        if turn.left > 1:
+            return "QD"
+        return HEALTH_KEYWORDS[track.health_count % len(HEALTH_KEYWORDS)]
 
     def _most_urgent(self, bus: str, now_ns: int) -> Track | None:
         """Return the joint whose reading is oldest, relative to how fast it moves and strayed."""
         best, best_merit = None, -1.0
         now_s = s_from_ns(now_ns)
+        questioner = self._questioners[bus]
         for track in self._by_bus[bus]:
-            if not self._questioners[bus].is_free(track.joint.servo_id, now_ns):
+            servo_id = track.joint.servo_id
+            if questioner.is_waiting(servo_id) or questioner.quiet_until_ns(servo_id) > now_ns:
                 continue
-            following = track.following
-            if following.read_s is None:
+            if track.asked_ns is None:
                 return track
             _, speed_deg_s = track.profile.at(now_s)
             weight = 1.0 + SPEED_WEIGHT_S_PER_DEG * abs(speed_deg_s)
-            weight += ERROR_WEIGHT_PER_DEG * abs(following.error_deg)
-            merit = (now_s - following.read_s) * weight
+            weight += ERROR_WEIGHT_PER_DEG * abs(track.following.error_deg)
+            merit = (now_ns - track.asked_ns) * weight
             if merit > best_merit:
                 best, best_merit = track, merit
         return best

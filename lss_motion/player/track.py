@@ -48,6 +48,12 @@ class Track:
     status: Status | None = None
     temperature_max_c: float | None = None
     voltage_min_v: float | None = None
+    current_max_a: float | None = None
+    asked_ns: int | None = None
+    """When its servo was last asked anything."""
+    health_ns: int | None = None
+    health_count: int = 0
+    """When it was last asked how it fares, and how often."""
     answered_ns: int | None = None
     astray_since_ns: int | None = None
     silent_asks: int = 0

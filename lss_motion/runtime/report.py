@@ -93,6 +93,7 @@ def _joint(track: Track, program: Program) -> dict[str, Any]:
         "predicted_error_max_deg": None if predicted_deg is None else round(predicted_deg, 3),
         "temperature_max_c": track.temperature_max_c,
         "voltage_min_v": track.voltage_min_v,
+        "current_max_a": track.current_max_a,
     }
 
 

@@ -399,7 +399,7 @@ def test_a_joint_that_strays_although_it_answers_is_stopped(stage, kit):
     "fault",
     [
         Fault(kind=FaultKind.LOST_REPLY, ratio=0.3),
-        Fault(kind=FaultKind.LATE_REPLY, ratio=0.3, late_s=0.06),
+        Fault(kind=FaultKind.LATE_REPLY, ratio=0.3, late_s=0.06, at_s=0.2),
         Fault(kind=FaultKind.DOUBLE_REPLY, ratio=0.3),
         Fault(kind=FaultKind.CORRUPT_REPLY, ratio=0.1, at_s=0.2),
     ],

@@ -1,0 +1,114 @@
+"""Questions in the gaps of a show: how many fit, what they delay, and whether answers are right."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lss_motion.player.events import MarkPassed
+from lss_motion.player.following import Following
+from lss_motion.sim.faults import Fault, FaultKind
+from lss_motion.sim.physics import Physics, Turnaround
+from lss_motion.units import line_time_ns
+
+BAUD_BPS = 115200
+
+
+def slow(least_us):
+    """Return a turnaround that varies by a tenth of a millisecond."""
+    return Turnaround(single_min_ns=1000 * least_us, single_max_ns=1000 * least_us + 100_000)
+
+
+EXACT = Physics(noise_deg=0.0)
+COMMAND_US = line_time_ns(len(b"#12D-450T50\r"), BAUD_BPS) // 1000
+
+
+@pytest.fixture
+def believed(monkeypatch):
+    """Collect what every joint believed: `(joint's Following, angle, instant)`."""
+    taken = []
+    take = Following.take
+
+    def noted(self, measured_deg, read_s, **rest):
+        is_believed = take(self, measured_deg, read_s, **rest)
+        if is_believed:
+            taken.append((self, measured_deg, read_s))
+        return is_believed
+
+    monkeypatch.setattr(Following, "take", noted)
+    return taken
+
+
+def reading_errors_deg(played, believed):
+    """Return how far every believed angle was from the horn when its servo was asked."""
+    errors = []
+    tracks = played.result.player.show.tracks.values()
+    for column, track in enumerate(tracks):
+        own = [(deg, read_s) for one, deg, read_s in believed if one is track.following]
+        horn_deg = played.bus.horn_deg([round(read_s * 1e9) for _, read_s in own])[:, column]
+        errors.append(np.array([deg for deg, _ in own]) - horn_deg)
+    return np.concatenate(errors)
+
+
+def test_questions_fill_the_line_and_make_no_command_late(stage, kit):
+    played = stage.play(kit.robot(18), kit.sequence(18, 4.0))
+    bus = played.report["buses"]["bus0"]
+    assert bus["garbage"] == bus["timeouts"] == bus["rejected"] == 0
+    full_hz = BAUD_BPS / 10 / len(b"*12QD-123\r")
+    assert bus["query_rate_hz"] > 0.9 * full_hz
+    assert played.report["timing"]["late_max_us"] <= COMMAND_US
+    for joint in played.report["joints"].values():
+        assert joint["readings"] > 15 * played.report["played_s"]
+        assert joint["temperature_max_c"] > 20.0
+        assert joint["voltage_min_v"] > 11.0
+        assert 0.05 < joint["current_max_a"] < 2.0
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [
+        [],
+        [Fault(kind=FaultKind.LOST_REPLY, ratio=0.03, at_s=0.3)],
+        [Fault(kind=FaultKind.DOUBLE_REPLY, ratio=0.03, at_s=0.3)],
+        [Fault(kind=FaultKind.LATE_REPLY, ratio=0.03, at_s=0.3, late_s=0.015)],
+        [Fault(kind=FaultKind.LATE_REPLY, ratio=0.03, at_s=0.3, late_s=0.15)],
+        [Fault(kind=FaultKind.LOST_COMMAND, ratio=0.03, at_s=1.0)],
+    ],
+    ids=["none", "lost", "double", "late", "very late", "unheard"],
+)
+def test_what_is_believed_is_where_the_horn_was_when_asked(stage, kit, believed, faults):
+    played = stage.play(kit.robot(6), kit.sequence(6, 4.0), faults=faults, physics=EXACT)
+    errors = reading_errors_deg(played, believed)
+    assert len(errors) > 300
+    assert np.abs(errors).max() < 0.06, "the wire says tenths"
+
+
+def test_servos_that_become_quicker_or_slower_are_never_mistaken(stage, kit, believed):
+    """Their answers then meet on the line, until their new ways are learnt."""
+    waits = [(2.5, slow(200)), (4.5, slow(4000))]
+    made, garbage = [], []
+
+    def change(event):
+        if not isinstance(event, MarkPassed):
+            return
+        garbage.append((event.show_s, lines["bus0"].garbage))
+        if waits and event.show_s > waits[0][0]:
+            made[0]._answering._turnaround = waits.pop(0)[1]  # no fault changes it
+
+    lines = {}
+    played = stage.play(
+        kit.robot(6),
+        kit.sequence(6, 8.0),
+        physics=replace(EXACT, turnaround=slow(1500)),
+        on_bus=made.append,
+        on_event=change,
+        wishes=[(lambda player, _: True, lambda player, _: lines.update(player.lines))],
+    )
+    assert not waits
+    assert garbage[-1][1] > 0, "nothing ever met: this test shows nothing"
+    assert garbage[-1][1] < 30
+    assert np.abs(reading_errors_deg(played, believed)).max() < 0.06
+    late = [read_s for _, _, read_s in believed if read_s > believed[-1][2] - 0.5]
+    assert len(late) > 100
