@@ -122,12 +122,14 @@ def perform(  # noqa: PLR0913  (the wishes of one run)
     trajectory: Trajectory | None = None,
     observer: Observer | None = None,
     faults: Sequence[Fault] = (),
+    is_open: bool = False,
 ) -> Result:
     """Play `program` on `robot` and return all that came of it, also when it failed on the way.
 
     With `trajectory`, the report says how far the simulated horns were from it. `faults` befall
-    the simulated buses, and in virtual time the host. Raises `InputError` or `BusError` only for
-    what stops it before the first byte.
+    the simulated buses, and in virtual time the host. While `is_open`, the show does not end with
+    the program but waits for what `observer.controls` extend it by. Raises `InputError` or
+    `BusError` only for what stops it before the first byte.
     """
     simulated = is_simulated(robot)
     if is_virtual and not simulated:
@@ -136,7 +138,7 @@ def perform(  # noqa: PLR0913  (the wishes of one run)
     clock = _clock(faults, is_virtual=is_virtual, seed=seed)
     connection = connect(robot.buses, robot=robot, clock=clock, seed=seed, faults=faults)
     started_ns = clock.now_ns()
-    player = Player(program, robot, has_feedback=has_feedback, start_s=start_s)
+    player = Player(program, robot, has_feedback=has_feedback, start_s=start_s, is_open=is_open)
     error: LssMotionError | None = None
     observer = observer or Observer()
     try:

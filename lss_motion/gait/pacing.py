@@ -109,7 +109,7 @@ def _passages(gait: Gait) -> Iterator[tuple[Passage, tuple[Action, ...]]]:
 
 def _paced(gait: Gait, robot: Robot, passage: Passage, actions: tuple[Action, ...]) -> Paced:
     times_s, angles_deg = _keys(gait, passage, actions)
-    _check_range(gait, robot, passage, times_s, angles_deg, actions)
+    check_range(gait, robot, passage, times_s, angles_deg, actions)
     speed, accel = spline(float(times_s[1]), angles_deg).peaks()
     joints = [robot.joints[name] for name in joints_of(gait)]
     by_speed = speed / np.array([joint.speed_max_deg_s for joint in joints])
@@ -118,10 +118,10 @@ def _paced(gait: Gait, robot: Robot, passage: Passage, actions: tuple[Action, ..
     by_accel = np.sqrt(accel / allowed)
     used = np.maximum(by_speed, by_accel)
     tightest = int(np.argmax(used))
-    judged_s = _judged_s(passage, times_s)
+    judged_s = judged_s_of(passage, times_s)
     margin_mm = passage.at(judged_s).margin_mm()
     worst = int(np.argmin(margin_mm))
-    _check_margin(gait, passage, actions, float(margin_mm[worst]), float(judged_s[worst]))
+    check_margin(gait, passage, actions, float(margin_mm[worst]), float(judged_s[worst]))
     last = actions[-1]
     return Paced(
         passage=passage,
@@ -145,9 +145,10 @@ def _keys(
     count = max(2, math.ceil(KEYS_PER_CYCLE * passage.duration_s / unit_s))
     for _ in range(DOUBLINGS_MAX + 1):
         times_s = np.linspace(0.0, passage.duration_s, count + 1)
-        angles_deg = _angles(gait, passage, times_s, actions)
+        angles_deg = angles_at(gait, passage, times_s, actions)
         angles_deg = np.round(angles_deg, ANGLE_DECIMALS) + 0.0  # No negative zeros.
-        if _error_mm(gait, passage, times_s, angles_deg) <= FOOT_ERROR_MM:
+        between_deg = spline(float(times_s[1]), angles_deg).middles()
+        if error_mm(gait, passage, times_s, between_deg) <= FOOT_ERROR_MM:
             return times_s, angles_deg
         count *= 2
     raise InputError(
@@ -158,9 +159,10 @@ def _keys(
     )
 
 
-def _angles(
+def angles_at(
     gait: Gait, passage: Passage, times_s: FloatArray, actions: tuple[Action, ...]
 ) -> FloatArray:
+    """Return the joint angles at instants of a passage; raises `InputError` for a foot too far."""
     feet = passage.at(times_s).feet_in_body()
     columns = []
     for index, leg in enumerate(gait.legs):
@@ -183,9 +185,8 @@ def action_at(passage: Passage, at_s: float) -> int:
     return max(0, int(np.searchsorted(passage.starts_s, at_s, side="right")) - 1)
 
 
-def _error_mm(gait: Gait, passage: Passage, times_s: FloatArray, angles_deg: FloatArray) -> float:
+def error_mm(gait: Gait, passage: Passage, times_s: FloatArray, between_deg: FloatArray) -> float:
     """Return how far a foot is at most from where it should be, halfway between keys."""
-    between_deg = spline(float(times_s[1]), angles_deg).middles()
     wanted = passage.at(0.5 * (times_s[1:] + times_s[:-1])).feet_in_body()
     return max(
         float(np.linalg.norm(forward(leg, own) - wanted[:, index], axis=1).max())
@@ -195,7 +196,7 @@ def _error_mm(gait: Gait, passage: Passage, times_s: FloatArray, angles_deg: Flo
     )
 
 
-def _check_range(
+def check_range(
     gait: Gait,
     robot: Robot,
     passage: Passage,
@@ -203,6 +204,7 @@ def _check_range(
     angles_deg: FloatArray,
     actions: tuple[Action, ...],
 ) -> None:
+    """Raise `InputError` where a joint would leave its range."""
     for own_deg, name in zip(angles_deg.T, joints_of(gait), strict=True):
         for worst in (int(own_deg.argmin()), int(own_deg.argmax())):
             if reason := range_problem(robot.joints[name], float(own_deg[worst])):
@@ -213,15 +215,16 @@ def _check_range(
                 )
 
 
-def _judged_s(passage: Passage, times_s: FloatArray) -> FloatArray:
+def judged_s_of(passage: Passage, times_s: FloatArray) -> FloatArray:
     """Return the keys, and the instants next to those at which feet lift and land."""
     turns_s = passage.turns_s
     return np.concatenate([times_s, turns_s - TURN_S, turns_s + TURN_S])
 
 
-def _check_margin(
+def check_margin(
     gait: Gait, passage: Passage, actions: tuple[Action, ...], margin_mm: float, at_s: float
 ) -> None:
+    """Raise `PlanningError` where the body would be outside of its feet and must not be."""
     is_walk = isinstance(actions[0], Walk)
     if margin_mm >= 0.0 or (is_walk and not gait.pattern.is_static):
         return

@@ -152,27 +152,37 @@ def posing(gait: Gait, start: BodyPose, moves: Sequence[Move]) -> Posing:
 def walking(gait: Gait, pose: BodyPose, walks: Sequence[Walk]) -> Walking:
     """Return the passage of walks that follow each other without a stop."""
     way = travel(walks, gait.cycle_s)
+    legs = tuple(
+        steps(
+            neutral_mm(leg),
+            way,
+            lift_ratio=lift_ratio,
+            duty_ratio=gait.duty,
+            cycle_s=gait.cycle_s,
+            height_mm=gait.step_height_mm,
+        )
+        for leg, lift_ratio in zip(gait.legs, gait.pattern.lifts_ratio, strict=True)
+    )
+    return stepping(gait, pose, way, legs)
+
+
+def stepping(gait: Gait, pose: BodyPose, way: Travel, legs: tuple[Steps, ...]) -> Walking:
+    """Return the passage of a body in one pose that goes a way, and of feet that step."""
     neutral = np.array([neutral_mm(leg) for leg in gait.legs])
-    lifts_ratio = gait.pattern.lifts_ratio
     return Walking(
         travel=way,
-        steps=tuple(
-            steps(
-                own,
-                way,
-                lift_ratio=lift_ratio,
-                duty_ratio=gait.duty,
-                cycle_s=gait.cycle_s,
-                height_mm=gait.step_height_mm,
-            )
-            for own, lift_ratio in zip(neutral, lifts_ratio, strict=True)
-        ),
+        steps=legs,
         pose=_six(gait, pose),
-        lean_s=LEAN_RATIO * gait.cycle_s if gait.sway_mm > 0.0 else 0.0,
+        lean_s=lean_s_of(gait),
         cycle_s=gait.cycle_s,
-        swings_ratio=np.array(lifts_ratio) + 0.5 * (1.0 - gait.duty),
+        swings_ratio=np.array(gait.pattern.lifts_ratio) + 0.5 * (1.0 - gait.duty),
         sways_mm=-gait.sway_mm * neutral / np.hypot(*neutral.T)[:, None],
     )
+
+
+def lean_s_of(gait: Gait) -> float:
+    """Return how long the body leans before its first step and after its last."""
+    return LEAN_RATIO * gait.cycle_s if gait.sway_mm > 0.0 else 0.0
 
 
 def _six(gait: Gait, pose: BodyPose) -> FloatArray:

@@ -64,19 +64,13 @@ def steps(
     Every step leads to where the foot is neutral in the middle of the stance that follows, so
     that it reaches as far ahead as behind. It steps until it is neutral under the body at rest.
     """
-
-    def below(times_s: FloatArray) -> FloatArray:
-        places = travel.at(times_s)
-        cosine, sine = np.cos(places[:, 2]), np.sin(places[:, 2])
-        x = cosine * neutral_mm[0] - sine * neutral_mm[1]
-        y = sine * neutral_mm[0] + cosine * neutral_mm[1]
-        return np.asarray(places[:, :2] + np.stack([x, y], axis=1))
-
     # A foot that lifts after the body has come to rest steps home.
     count = int(np.ceil(travel.duration_s / cycle_s - lift_ratio - 1e-9)) + 1
     lifts_s = cycle_s * (lift_ratio + np.arange(count))
     lands_s = lifts_s + cycle_s * (1.0 - duty_ratio)
-    places_mm = below(np.concatenate([[0.0], lands_s + 0.5 * duty_ratio * cycle_s]))
+    places_mm = below(
+        neutral_mm, travel.at(np.concatenate([[0.0], lands_s + 0.5 * duty_ratio * cycle_s]))
+    )
     stride_mm = np.hypot(*np.diff(places_mm, axis=0).T)
     late = lifts_s >= travel.duration_s - 1e-9 * cycle_s
     is_kept = ~(late & (stride_mm <= HOME_MM))
@@ -86,3 +80,11 @@ def steps(
         places_mm=places_mm[np.concatenate([[True], is_kept])],
         height_mm=height_mm,
     )
+
+
+def below(neutral_mm: FloatArray, places: FloatArray) -> FloatArray:
+    """Return where a foot is neutral, (n, 2), under a body at `places`, (n, 3)."""
+    cosine, sine = np.cos(places[:, 2]), np.sin(places[:, 2])
+    x = cosine * neutral_mm[0] - sine * neutral_mm[1]
+    y = sine * neutral_mm[0] + cosine * neutral_mm[1]
+    return np.asarray(places[:, :2] + np.stack([x, y], axis=1))

@@ -10,7 +10,7 @@ import numpy as np
 from lss_motion.gait.curves import blend, hermite
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -24,11 +24,7 @@ CELLS_PER_CYCLE: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class Travel:
-    """Position over the ground, `at` = x, y in mm and heading in rad, from rest to rest.
-
-    Every walk takes its whole cycles; its velocity is blended in over the first of them, and out
-    over one more cycle at the end. So each walk covers exactly its velocity times its cycles.
-    """
+    """Position over the ground: x, y in mm and heading in rad."""
 
     starts_s: FloatArray
     """When each walk begins."""
@@ -41,10 +37,11 @@ class Travel:
         return float(self._times_s[-1])
 
     def at(self, times_s: FloatArray) -> FloatArray:
-        """Return x, y, heading, (n, 3), at rest before the start and after the end."""
-        inside_s = np.clip(times_s, 0.0, self.duration_s)
-        step_s = self._times_s[1]
-        cell = np.clip((inside_s / step_s).astype(np.intp), 0, len(self._times_s) - 2)
+        """Return x, y, heading, (n, 3), at rest before the first and after the last instant."""
+        inside_s = np.clip(times_s, self._times_s[0], self._times_s[-1])
+        step_s = self._times_s[1] - self._times_s[0]
+        cell = ((inside_s - self._times_s[0]) / step_s).astype(np.intp)
+        cell = np.clip(cell, 0, len(self._times_s) - 2)
         return hermite(
             step_s,
             (self._places[cell], self._places[cell + 1]),
@@ -54,7 +51,11 @@ class Travel:
 
 
 def travel(walks: Sequence[Walk], cycle_s: float) -> Travel:
-    """Return the way of the body over `walks`, one after the other without a stop."""
+    """Return the way of the body over `walks`, one after the other without a stop, rest to rest.
+
+    Every walk takes its whole cycles; its velocity is blended in over the first of them, and out
+    over one more cycle at the end. So each walk covers exactly its velocity times its cycles.
+    """
     twists = np.array(
         [
             (0.0, 0.0, 0.0),
@@ -63,26 +64,46 @@ def travel(walks: Sequence[Walk], cycle_s: float) -> Travel:
         ]
     )
     starts_s: FloatArray = cycle_s * np.cumsum([0, *(walk.cycles for walk in walks)])
+
+    def own(times_s: FloatArray) -> FloatArray:
+        part = np.clip(np.searchsorted(starts_s, times_s, side="right") - 1, 0, len(starts_s) - 1)
+        share = blend((times_s - starts_s[part]) / cycle_s)[:, None]
+        return np.asarray(twists[part] * (1.0 - share) + twists[part + 1] * share)
+
     cells = CELLS_PER_CYCLE * (sum(walk.cycles for walk in walks) + 1)
+    return integrated(own, cells=cells, cell_s=cycle_s / CELLS_PER_CYCLE, starts_s=starts_s[:-1])
+
+
+def integrated(
+    twist: Callable[[FloatArray], FloatArray],
+    *,
+    cells: int,
+    cell_s: float,
+    starts_s: FloatArray,
+    from_s: float = 0.0,
+    place: FloatArray | None = None,
+) -> Travel:
+    """Return the way of a body whose velocity in its own frame is `twist(times_s)`, (n, 3).
+
+    mm/s forward and left, rad/s; from `place` (default: the origin) at `from_s` on.
+    """
+    begins = np.zeros(3) if place is None else place
     # Two points a cell, for Simpson's rule.
-    fine_s: FloatArray = np.arange(2 * cells + 1, dtype=np.float64) * (
-        0.5 * cycle_s / CELLS_PER_CYCLE
-    )
-    part = np.clip(np.searchsorted(starts_s, fine_s, side="right") - 1, 0, len(starts_s) - 1)
-    share = blend((fine_s - starts_s[part]) / cycle_s)[:, None]
-    own = twists[part] * (1.0 - share) + twists[part + 1] * share
-    step_s = 2.0 * fine_s[1]
+    fine_s: FloatArray = from_s + np.arange(2 * cells + 1, dtype=np.float64) * (0.5 * cell_s)
+    own = twist(fine_s)
     # Headings at middles too, each from the parabola through its cell.
     heading = np.zeros(2 * cells + 1)
     left, middle, right = own[:-2:2, 2], own[1::2, 2], own[2::2, 2]
-    heading[2::2] = np.cumsum(step_s / 6.0 * (left + 4.0 * middle + right))
-    heading[1::2] = heading[:-2:2] + step_s / 24.0 * (5.0 * left + 8.0 * middle - right)
-    cosine, sine = np.cos(heading), np.sin(heading)
+    heading[2::2] = np.cumsum(cell_s / 6.0 * (left + 4.0 * middle + right))
+    heading[1::2] = heading[:-2:2] + cell_s / 24.0 * (5.0 * left + 8.0 * middle - right)
+    cosine, sine = np.cos(begins[2] + heading), np.sin(begins[2] + heading)
     rates = np.stack(
         [cosine * own[:, 0] - sine * own[:, 1], sine * own[:, 0] + cosine * own[:, 1], own[:, 2]],
         axis=1,
     )
     places = np.zeros((cells + 1, 3))
-    simpson = step_s / 6.0 * (rates[:-2:2] + 4.0 * rates[1::2] + rates[2::2])
+    simpson = cell_s / 6.0 * (rates[:-2:2] + 4.0 * rates[1::2] + rates[2::2])
     places[1:] = np.cumsum(simpson, axis=0)
-    return Travel(starts_s=starts_s[:-1], _times_s=fine_s[::2], _places=places, _rates=rates[::2])
+    return Travel(
+        starts_s=starts_s, _times_s=fine_s[::2], _places=begins + places, _rates=rates[::2]
+    )

@@ -12,6 +12,7 @@ show, and whatever happens, restore the settings and send the safe state as the 
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final, Literal
 
 from lss_motion.errors import LssMotionError
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
     from lss_motion.player.dialogue import Item
     from lss_motion.player.setup import Answers
+    from lss_motion.program.growth import Extension
     from lss_motion.program.model import Program
     from lss_motion.protocol.line import Reply
     from lss_motion.robot.model import Robot
@@ -52,7 +54,9 @@ class Player:
         *,
         has_feedback: bool = True,
         start_s: float | None = None,
+        is_open: bool = False,
     ) -> None:
+        """Play `program`; while `is_open` it does not end there, but waits to be extended."""
         self.program = program
         self.robot = robot = driven(robot, program)
         self.phase = Phase.CONNECT
@@ -75,6 +79,7 @@ class Player:
         self._has_set = False
         self._has_moved = False
         self._stops = 0
+        self._is_open = self._may_grow = is_open
 
     # ---- the four calls
 
@@ -125,13 +130,37 @@ class Player:
         if self.phase is Phase.SHOW and self._streamer is not None:
             self._streamer.set_rate(0.0 if rate < RATE_LEAST else min(rate, 1.0), now_ns)
 
+    def extend(self, extension: Extension, now_ns: int) -> bool:
+        """Go on with `extension` from its splice on; False if it comes too late, or nothing plays.
+
+        `program` keeps the moves that it had at the start.
+        """
+        show = self.show if self.phase is Phase.SHOW else None
+        if show is None or not show.extend(extension, now_ns):
+            return False
+        end_s, use = extension.duration_s, extension.line_use
+        self.program = replace(self.program, duration_s=end_s, line_use=use)
+        return True
+
+    def close(self) -> None:
+        """Take no more extensions: the show ends where its program does."""
+        self._is_open = False
+        if self.show is not None:
+            self.show.is_open = False
+
     def stop(self, now_ns: int) -> None:
         """Brake within the limits and hold; then restore and end. Asked twice: `abort`.
 
-        A show that has just ended by itself goes on restoring when it is asked once.
+        A program that is still open is played to its end instead: it ends at rest. A show that
+        has just ended by itself goes on restoring when it is asked once.
         """
         self._stops += 1
-        if self.phase in (Phase.STOP, Phase.RESTORE):
+        if self.phase is Phase.SHOW and self._may_grow:
+            self.outcome = self.outcome or "stopped"
+            self.close()
+            if self._stops > 1:
+                self.abort(now_ns)
+        elif self.phase in (Phase.STOP, Phase.RESTORE):
             if self._stops > 1:
                 self.abort(now_ns)
         elif self.phase in (Phase.APPROACH, Phase.SHOW):
@@ -236,6 +265,7 @@ class Player:
             }
             self._streamer = self._stream(self.program, standing, now_ns, self._start_s)
             self.show = self._streamer
+            self.show.is_open = self._is_open
             return
         self.outcome = self.outcome or "finished"
         self._restore()

@@ -10,6 +10,7 @@ move of the program that is under way, with what is left of its time.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.readings import Reader
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 
     from lss_motion.player.line import Line
     from lss_motion.player.queries import Questioner
+    from lss_motion.program.growth import Extension
     from lss_motion.protocol.line import Reply
     from lss_motion.robot.model import Robot
 
@@ -49,6 +51,8 @@ RAMP_LOOK_S: Final = (0.0, 0.1, 0.2, 0.3, 0.4)
 """How far ahead the speeds of the course count for a ramp that begins now."""
 SETTLE_S: Final = 0.15
 """After the last horn should have arrived: time for the servo's own settling."""
+PLAN_HISTORY_S: Final = 5.0
+"""How long a plan that grows remembers what it was: longer than any answer may take."""
 ON_TIME_NS: Final = NS_PER_MS // 2
 """Later than this, and T is computed anew; below, it would not change T."""
 
@@ -69,6 +73,8 @@ class Streamer:
         start_s: float | None = None,
     ) -> None:
         """Start `program` at `start_ns`. `standing_deg`: servo angles where the servos stand."""
+        self.is_open = False
+        """While it is, the show does not end with the program: it may still be extended."""
         self._program = program
         self._robot = robot
         self._lines = lines
@@ -104,6 +110,8 @@ class Streamer:
 
     def is_finished(self, now_ns: int) -> bool:
         """Return whether the show is over, or stands after a ramp to rate 0."""
+        if self.is_open:
+            return False
         if self.clock.target_rate == 0.0 and not self.clock.is_ramping(now_ns):
             return False
         if self._owed_ns():
@@ -116,6 +124,26 @@ class Streamer:
         if self._owed_ns():
             return False
         return self.clock.target_rate == 0.0 and now_ns >= settled_ns
+
+    def extend(self, extension: Extension, now_ns: int) -> bool:
+        """Replace what is due from the splice of `extension` on; False if it is too late for that.
+
+        What was under way before the splice stays.
+        """
+        from_s = s_from_us(extension.from_us)
+        if not self.is_open or self.clock.show_s(now_ns) >= from_s:
+            return False
+        kept: list[tuple[int, Move]] = []
+        while self._next is not None and self._next[0] < extension.from_us:
+            kept.append(self._next)
+            self._next = next(self._upcoming, None)
+        self._upcoming = iter([*kept, *((move.due_us, move) for move in extension.moves)])
+        self._next = next(self._upcoming, None)
+        self._program = replace(self._program, duration_s=extension.duration_s)
+        for name, later in extension.references.items():
+            track = self.tracks[name]
+            track.plan = track.plan.followed_by(later, from_s - PLAN_HISTORY_S)
+        return True
 
     def set_rate(self, rate: float, now_ns: int) -> None:
         """Ramp the show clock to `rate` (0 to 1), as gently as the joints' limits ask."""
@@ -180,13 +208,7 @@ class Streamer:
 
     def _send_due(self, due_us: int, move: Move, now_ns: int, late_ns: int) -> None:
         track = self._by_address[move.bus, move.servo_id]
-        track.active = Move(
-            due_us=due_us,
-            bus=move.bus,
-            servo_id=move.servo_id,
-            target_wire=move.target_wire,
-            duration_ms=move.duration_ms,
-        )
+        track.active = replace(move, due_us=due_us)
         wait_ns = max(0, self._lines[move.bus].free_ns - now_ns)
         self.statistics.sent(late_ns + wait_ns)
         left_s = None if late_ns + wait_ns <= ON_TIME_NS else self._left_s(track.active, now_ns)
@@ -262,13 +284,7 @@ class Streamer:
         while self._next is not None and s_from_us(self._next[0]) <= show_s:
             due_us, move = self._next
             track = self._by_address[move.bus, move.servo_id]
-            track.active = Move(
-                due_us=due_us,
-                bus=move.bus,
-                servo_id=move.servo_id,
-                target_wire=move.target_wire,
-                duration_ms=move.duration_ms,
-            )
+            track.active = replace(move, due_us=due_us)
             self._next = next(self._upcoming, None)
 
     def _take_up(self, now_ns: int, late_ns: int) -> None:

@@ -137,22 +137,11 @@ def _program(
     attempt: _Attempt,
     repeat: Repeat | None,
 ) -> Program:
-    moves = []
-    for name, fitter in attempt.fitters.items():
-        joint = robot.joints[name]
-        for fitted in fitter.moves:
-            size = len(encode_move(joint.servo_id, fitted.target_wire, fitted.duration_ms))
-            sent_us = -(-line_time_ns(size, robot.buses[joint.bus].baud_bps) // NS_PER_US)
-            move = Move(
-                due_us=us_from_s(fitted.heard_s) - sent_us,
-                bus=joint.bus,
-                servo_id=joint.servo_id,
-                target_wire=fitted.target_wire,
-                duration_ms=fitted.duration_ms,
-            )
-            if repeat is None or move.due_us < repeat.to_us:
-                moves.append(move)
-    moves.sort(key=lambda move: (move.due_us, move.bus, move.servo_id))
+    moves = [
+        move
+        for move in moves_of(attempt.fitters, robot)
+        if repeat is None or move.due_us < repeat.to_us
+    ]
     start = trajectory.sample(np.zeros(1))[0]
     return Program(
         name=trajectory.name,
@@ -182,6 +171,26 @@ def driving_of(robot: Robot, names: Iterable[str]) -> dict[str, Driving]:
         count = robot.joints[name].filter_count if drive == "streamed" else 0
         driving[name] = Driving(drive, count)
     return {name: chosen for name, chosen in driving.items() if chosen != TIMED}
+
+
+def moves_of(fitters: Mapping[str, JointFitter], robot: Robot) -> list[Move]:
+    """Return the moves of all joints in the order in which they are due."""
+    moves = []
+    for name, fitter in fitters.items():
+        joint = robot.joints[name]
+        for fitted in fitter.moves:
+            size = len(encode_move(joint.servo_id, fitted.target_wire, fitted.duration_ms))
+            sent_us = -(-line_time_ns(size, robot.buses[joint.bus].baud_bps) // NS_PER_US)
+            moves.append(
+                Move(
+                    due_us=us_from_s(fitted.heard_s) - sent_us,
+                    bus=joint.bus,
+                    servo_id=joint.servo_id,
+                    target_wire=fitted.target_wire,
+                    duration_ms=fitted.duration_ms,
+                )
+            )
+    return sorted(moves, key=lambda move: (move.due_us, move.bus, move.servo_id))
 
 
 def lines_use(moves: list[Move], robot: Robot) -> dict[str, LineUse]:

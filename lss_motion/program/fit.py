@@ -80,10 +80,17 @@ class Fitter:
         wanted_s = fitter.wanted(granted_s)  the same for its successor
     """
 
-    def __init__(self, course: Course, limits: ServoLimits, seams_s: Sequence[float] = ()) -> None:
+    def __init__(
+        self,
+        course: Course,
+        limits: ServoLimits,
+        seams_s: Sequence[float] = (),
+        profile: Profile | None = None,
+    ) -> None:
         """Fit `course`; while it moves, a move is heard at, or shortly before, each of `seams_s`.
 
-        Between two seams the moves can then be repeated without end.
+        Between two seams the moves can then be repeated without end. `profile` is what the servo
+        does before the course begins; without it, it stands where the course does.
         """
         self._course = course
         self._seams = [course.index(seam_s) for seam_s in seams_s]
@@ -93,7 +100,7 @@ class Fitter:
         self._rest_starts = [first for first, _ in self._rests]
         self._rest_ends = [last for _, last in self._rests]
         self._bends = course.bends(BEND_RATIO * limits.ramp_deg_s2)
-        self._profile = Profile(
+        self._profile = profile or Profile(
             lattice(float(course.position_deg[0]), limits) / limits.wire_per_deg,
             ramp_deg_s2=limits.ramp_deg_s2,
             speed_max_deg_s=limits.speed_max_deg_s,

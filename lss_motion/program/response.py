@@ -8,6 +8,7 @@ angles are servo angles in degrees, all instants seconds on one clock. The horn 
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -159,6 +160,12 @@ class Profile:
     def pieces(self) -> Iterator[Piece]:
         return iter(self._pieces)
 
+    def copy(self) -> Profile:
+        """Return a profile that goes on from here on its own."""
+        twin = copy.copy(self)
+        twin._pieces = [*self._pieces]  # noqa: SLF001  (its own)
+        return twin
+
 
 class Reference:
     """Where one servo's profile should be at any instant: pieces as arrays, for many samples."""
@@ -170,10 +177,27 @@ class Reference:
             np.ascontiguousarray(column) for column in table.T
         )
 
+    @classmethod
+    def of(cls, table: tuple[NDArray[np.float64], ...]) -> Reference:
+        """Return what has that `table`."""
+        made = cls.__new__(cls)
+        made._start_s, made._position, made._speed, made._accel = table  # noqa: SLF001  (its own)
+        return made
+
     @property
     def table(self) -> tuple[NDArray[np.float64], ...]:
         """Return the pieces: when each starts, and position, speed and acceleration there."""
         return self._start_s, self._position, self._speed, self._accel
+
+    def followed_by(self, later: Reference, since_s: float) -> Reference:
+        """Return what is known of this until `later` begins, and then `later`.
+
+        What ended before `since_s` is forgotten.
+        """
+        end = int(np.searchsorted(self._start_s, later.table[0][0], side="left"))
+        first = max(int(np.searchsorted(self._start_s, since_s, side="right")) - 1, 0)
+        parts = zip(self.table, later.table, strict=True)
+        return Reference.of(tuple(np.concatenate([own[first:end], new]) for own, new in parts))
 
     def sample(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return positions in degrees at `times_s`; at rest before the first piece."""

@@ -17,9 +17,12 @@ from lss_motion.program.predict import profiles
 from lss_motion.program.step import PULSE_S
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from lss_motion.program.model import Program
+    from lss_motion.program.response import Reference
     from lss_motion.robot.model import Joint, Robot
 
 EXCESS_MAX_RATIO: Final = 1.001
@@ -38,8 +41,11 @@ def verify_program(program: Program, robot: Robot) -> None:
     what bounds its acceleration is the plan that it follows. A stepped one jumps, so its jumps are
     held against the speed limit and the time since the one before.
     """
-    references = profiles(program, robot)
-    robot = driven(robot, program)
+    verify_profiles(profiles(program, robot), driven(robot, program))
+
+
+def verify_profiles(references: Mapping[str, Reference], robot: Robot) -> None:
+    """Raise what `verify_program` raises, for profiles by joint."""
     for name, reference in references.items():
         if robot.joints[name].drive == "stepped":
             _check_jumps(robot.joints[name], *reference.table[:2])

@@ -14,7 +14,7 @@ from lss_motion.trajectory.blend import Sheet, check_jumps, summed
 from lss_motion.trajectory.cache import PLANNER_VERSION, remembered
 from lss_motion.trajectory.keys import SAME_INSTANT_S
 from lss_motion.trajectory.model import Motion, Trajectory
-from lss_motion.trajectory.path import Path
+from lss_motion.trajectory.path import Path, cubics
 from lss_motion.trajectory.retime import slowed_windows
 from lss_motion.trajectory.solve import Task
 from lss_motion.trajectory.timeline import authored_clock
@@ -122,7 +122,7 @@ def _followed(total: Sum, robot: Robot, show: Sequence) -> Path:
                 "the parts of the show instead",
                 path=show.path,
             )
-        path = _hermite(knots_s, *total.at(knots_s))
+        path = cubics(knots_s, *total.at(knots_s))
         steps_s = path.segment_lengths_s
         is_bad = np.zeros(len(steps_s), dtype=np.bool_)
         for share in (0.25, 0.5):
@@ -137,14 +137,6 @@ def _followed(total: Sum, robot: Robot, show: Sequence) -> Path:
             return path
         middles_s = 0.5 * (knots_s[:-1] + knots_s[1:])[is_bad]
         knots_s = np.sort(np.concatenate([knots_s, middles_s]))
-
-
-def _hermite(knots_s: FloatArray, deg: FloatArray, speed: FloatArray) -> Path:
-    steps_s = np.diff(knots_s)[:, None]
-    secant, before, after = np.diff(deg, axis=0) / steps_s, speed[:-1], speed[1:]
-    square = (3.0 * secant - 2.0 * before - after) / steps_s
-    cube = (before + after - 2.0 * secant) / steps_s**2
-    return Path(knots_s=knots_s, coefficients=np.stack([deg[:-1], before, square, cube], axis=1))
 
 
 def _name_of(task: Task, show: Sequence, base: Trajectory, robot: Robot) -> str:

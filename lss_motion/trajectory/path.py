@@ -88,6 +88,15 @@ class Path:
         return first, second
 
 
+def cubics(knots_s: FloatArray, deg: FloatArray, speed: FloatArray) -> Path:
+    """Return the cubics with those angles and speeds at their knots."""
+    steps_s = np.diff(knots_s)[:, None]
+    secant, before, after = np.diff(deg, axis=0) / steps_s, speed[:-1], speed[1:]
+    square = (3.0 * secant - 2.0 * before - after) / steps_s
+    cube = (before + after - 2.0 * secant) / steps_s**2
+    return Path(knots_s=knots_s, coefficients=np.stack([deg[:-1], before, square, cube], axis=1))
+
+
 def concatenate(paths: Sequence[Path]) -> Path:
     """Return one path that runs through all of them; each starts where the last one ended."""
     starts_s = np.cumsum([0.0] + [path.length_s for path in paths])

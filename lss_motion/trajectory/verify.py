@@ -89,21 +89,26 @@ class _Worst:
             self.at_s = float(times_s[int(sizes[:, column].argmax())])
 
 
-def verify(trajectory: Trajectory, robot: Robot, *, has_parts: bool = True) -> Verification:
+def verify(
+    trajectory: Trajectory, robot: Robot, *, has_parts: bool = True, is_from_rest: bool = True
+) -> Verification:
     """Return how far the limits are used.
 
     Raises `PlanningError` naming joint, time and limit if an angle is not a number, leaves its
     range, or if speed or acceleration exceed their limit by more than 0.1 %. Passes that repeat
     one another are sampled once, and their seams; a pass that is made of trajectories is as good
     as these are, and as its own seams; `has_parts` False looks at the seams alone, where the parts
-    are known to be good.
+    are known to be good. `is_from_rest` False does not look before the start: it is in motion.
     """
     checks = _Checks(trajectory, robot)
     for motion in {id(part): part for _, part, _ in _spans(checks.trajectory)}.values():
         for part in {id(part): part for part in motion.parts if has_parts}.values():
             checks.include(verify(part, robot))
     for times_s in _blocks(checks.trajectory):
-        checks.uniform(times_s)
+        if is_from_rest or times_s[0] >= 0.0:
+            checks.uniform(times_s)
+        elif (from_s := times_s[times_s >= 0.0]).size > 2:
+            checks.uniform(from_s)
     for times_s, step_s in _sides(checks.trajectory):
         checks.one_sided(times_s, step_s)
     return checks.verdict()
