@@ -43,7 +43,8 @@ class FileModel(BaseModel):
     )
 
 
-def _check_text(text: str) -> str:
+def check_text(text: str) -> str:
+    """Return `text`; raise ValueError if a terminal could not show it."""
     bad = next((char for char in text if category(char) in _UNPRINTABLE), None)
     if bad is not None:
         raise ValueError(f"holds the character U+{ord(bad):04X}, which cannot be shown")
@@ -53,10 +54,10 @@ def _check_text(text: str) -> str:
 def _check_name(name: str) -> str:
     if not re.search(NAME_PATTERN, name):
         raise ValueError("a name has no blanks, commas, quotes or #")
-    return _check_text(name)
+    return check_text(name)
 
 
-Text = Annotated[str, Field(min_length=1, max_length=TEXT_MAX_CHARS), AfterValidator(_check_text)]
+Text = Annotated[str, Field(min_length=1, max_length=TEXT_MAX_CHARS), AfterValidator(check_text)]
 Name = Annotated[
     str,
     Field(min_length=1, max_length=TEXT_MAX_CHARS, json_schema_extra={"pattern": NAME_PATTERN}),

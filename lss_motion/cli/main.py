@@ -7,6 +7,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from lss_motion.cli import (
+    configuring,
     exchange,
     gaits,
     planning,
@@ -26,6 +27,7 @@ GROUPS = (
     playing,
     simulating,
     scanning,
+    configuring,
     sending,
     exchange,
     gaits,

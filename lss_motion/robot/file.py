@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field
 
 from lss_motion.robot.models import BAUD_FIRMWARE_MIN, NOT_DRIVEN_YET, SERVO_ID_MAX, SERVO_MODELS
 from lss_motion.spelling import known_names
-from lss_motion.validation import FileModel, Name, Text
+from lss_motion.validation import FileModel, Name, Text, check_text
 
 ANGLE_MAX_DEG: Final = 36_000.0
 """A hundred turns: more than any winch, and a slip of the key is still noticed."""
@@ -43,13 +43,17 @@ def _check_baud(baud_bps: int) -> int:
     return baud_bps
 
 
+PORT_MAX_CHARS: Final = 256
+"""Names below /dev/serial/by-id are long; more than this is no name."""
+
+PortUrl = Annotated[str, Field(min_length=1, max_length=PORT_MAX_CHARS), AfterValidator(check_text)]
 AngleDeg = Annotated[float, Field(ge=-ANGLE_MAX_DEG, le=ANGLE_MAX_DEG)]
 
 
 class BusEntry(FileModel, title="bus"):
     """One serial line with servos on it."""
 
-    port: Text = Field(
+    port: PortUrl = Field(
         default="sim://",
         description="Device name or pyserial URL; sim:// is the built-in simulated bus.",
         examples=["sim://", "/dev/ttyUSB0", "COM3"],
@@ -126,6 +130,13 @@ class JointDefaults(FileModel, title="joint defaults"):
         default=None,
         description="Session settings sent before playing, as wire values.",
         examples=[{"AS": -2, "AH": 3}],
+    )
+    stored: dict[str, float | Literal["DIS"]] | None = Field(
+        default=None,
+        description="What the servo keeps without power, for `lss-motion configure`: by keyword, "
+        "in the units of `lss-motion reference`; DIS switches a first position off. Playing "
+        "neither reads nor writes it.",
+        examples=[{"G": -1, "O": 2.5, "AS": 0, "LED": 3, "FD": "DIS"}],
     )
     response: ResponseEntry | None = None
 

@@ -7,6 +7,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from lss_motion.errors import ProtocolError
+from lss_motion.protocol.line import DISABLED
+from lss_motion.protocol.storing import stored_wire
 from lss_motion.robot.model import Bus, Joint, Response, Robot
 from lss_motion.robot.models import BAUD_FIRMWARE_MIN, FAMILIES, SERVO_MODELS
 from lss_motion.robot.sides import group_problems, grouped, mirror_problems, mirrored
@@ -72,9 +75,9 @@ def _merge(name: str, defaults: JointDefaults, entry: JointEntry) -> _Merged:
                 continue
             if key == "response":
                 value = merged.fields.get(key, {}) | value.model_dump(exclude_none=True)
-            elif key == "settings":
+            elif key in {"settings", "stored"}:
                 value = merged.fields.get(key, {}) | value
-                merged.places |= {f"settings.{k}": (*location, key, k) for k in getattr(owner, key)}
+                merged.places |= {f"{key}.{k}": (*location, key, k) for k in getattr(owner, key)}
             merged.fields[key] = value
             merged.places[key] = (*location, key)
     return merged
@@ -159,6 +162,10 @@ class _Loader:
             position_min_deg=fields["range_deg"][0],
             position_max_deg=fields["range_deg"][1],
             settings=fields.get("settings", {}),
+            stored={
+                name: None if value == DISABLED else value
+                for name, value in fields.get("stored", {}).items()
+            },
             response=Response(**fields.get("response", {})),
             **{key: fields[key] for key in _PLAIN if key in fields},
         )
@@ -270,3 +277,8 @@ def _joint_problems(joint: Joint, merged: _Merged) -> Iterator[tuple[Location, s
         elif not facts.settings[keyword][0] <= value <= facts.settings[keyword][1]:
             least, most = facts.settings[keyword]
             yield place, f"joint {joint.name!r}: {keyword} {value} must be {least} to {most}"
+    for keyword, stored in joint.stored.items():
+        try:
+            stored_wire(model.family, keyword, stored)
+        except ProtocolError as error:
+            yield merged.place(f"stored.{keyword}"), f"joint {joint.name!r}: {error}"

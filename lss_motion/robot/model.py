@@ -83,6 +83,9 @@ class Joint:
     """How far the horn may stray before the show is stopped."""
     settings: Mapping[str, int] = field(default_factory=dict)
     """Session settings to send before playing, such as `{"AS": -2}`; wire values."""
+    stored: Mapping[str, float | None] = field(default_factory=dict)
+    """What `lss-motion configure` writes into the servo, such as `{"O": 2.5}`: by the name of the
+    setting in the family's table, in its unit; None: no first position."""
     response: Response = field(default_factory=Response)
     drive: Drive | Literal["auto"] = "timed"
     filter_count: int = 4

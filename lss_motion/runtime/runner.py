@@ -78,7 +78,7 @@ def run(
     those sent here. Raises `BusError` when a port is lost.
     """
     try:
-        with _undisturbed():
+        with _undisturbed(is_real=not isinstance(clock, VirtualClock)):
             while True:
                 now_ns = clock.now_ns()
                 if controls is not None:
@@ -146,18 +146,20 @@ def _wait(
 
 
 @contextlib.contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Freeze the garbage collector and ask for fine timers while a show runs."""
-    gc.collect()
-    gc.freeze()
+def _undisturbed(*, is_real: bool) -> Iterator[None]:
+    """Keep the garbage collector out while a show runs; in real time ask for fine timers too."""
     was_enabled = gc.isenabled()
+    if is_real:
+        gc.collect()
+        gc.freeze()
+        set_timer_slack(1)
     gc.disable()
-    set_timer_slack(1)
     try:
         yield
     finally:
-        set_timer_slack(0)
-        gc.unfreeze()
+        if is_real:
+            set_timer_slack(0)
+            gc.unfreeze()
         if was_enabled:
             gc.enable()
 

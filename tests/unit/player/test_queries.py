@@ -5,7 +5,7 @@ from random import Random
 import pytest
 
 from lss_motion.player.queries import GRACE_NS, STRAY_NS, WINDOW_MAX
-from lss_motion.player.turnaround import SAMPLES_LEAST, REPLY_TIMEOUT_NS, Turnaround
+from lss_motion.player.turnaround import REPLY_TIMEOUT_NS, SAMPLES_LEAST, Turnaround
 from lss_motion.protocol.line import Command, Reply, encode
 
 ASK = Command(5, "QD")

@@ -1,0 +1,223 @@
+"""`lss-motion configure`: what servos store, compared with what is wanted, written and kept."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lss_motion.cli.commands import add_command
+from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, InputError
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Mapping, Sequence
+
+    from lss_motion.cli.commands import Commands
+    from lss_motion.connection import Connection
+    from lss_motion.maintenance.settings import Target
+    from lss_motion.robot.model import Bus, Robot
+
+    Wanted = Mapping[str, Mapping[str, int | None]]
+
+DESCRIPTION = """\
+Compare what servos store with what is wanted; show the differences, ask, write, read back.
+
+  lss-motion configure my_robot.yaml                      writes each joint's `stored:` settings
+  lss-motion configure my_robot.yaml --set LED=3          one setting, all joints
+  lss-motion configure my_robot.yaml --session            `stored:` and `settings:` until power-off
+  lss-motion configure --port P --id 0 --new-id 5         a new id, for one servo at a time
+  lss-motion configure my_robot.yaml --new-baud 500000    all servos of a line together
+  lss-motion configure my_robot.yaml --backup b.yaml      all that they store; --restore writes it
+
+Without anything to set it shows what is stored. Names and units are those of
+`lss-motion reference`; in a robot file: `stored: {G: -1, O: 2.5, LED: 3, FD: DIS}`.
+Some settings act after a RESET: the servo is restarted, and is limp for a moment.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command of this module."""
+    configure = add_command(
+        commands, "configure", _configure, "read, compare and write settings", DESCRIPTION
+    )
+    configure.add_argument("robot", nargs="?", type=Path, metavar="ROBOT", help="a robot file")
+    configure.add_argument("--port", metavar="URL", help="serial device or URL")
+    configure.add_argument("--baud", type=int, metavar="BPS", help="without ROBOT; default 115200")
+    configure.add_argument("--joint", action="append", metavar="NAME", help="only this; repeatable")
+    configure.add_argument(
+        "--id", action="append", type=int, metavar="N", dest="ids", help="only this; repeatable"
+    )
+    configure.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", dest="sets", help="repeatable"
+    )
+    configure.add_argument("--session", action="store_true", help="until power-off only")
+    configure.add_argument("--dry-run", action="store_true", help="show the differences only")
+    configure.add_argument("--yes", action="store_true", help="do not ask")
+    configure.add_argument(
+        "--force", action="store_true", help="also what may make a servo unreachable"
+    )
+    modes = configure.add_mutually_exclusive_group()
+    modes.add_argument("--new-id", type=int, metavar="N", help="give one servo another id")
+    modes.add_argument("--new-baud", type=int, metavar="BPS", help="give a line another rate")
+    modes.add_argument("--backup", type=Path, metavar="FILE", help="write all settings to a file")
+    modes.add_argument("--restore", type=Path, metavar="FILE", help="write them back")
+
+
+def _configure(arguments: argparse.Namespace) -> int:
+    from lss_motion.cli import servo_changes
+    from lss_motion.connection import connect, with_port
+    from lss_motion.robot.load import load_robot
+
+    robot = None
+    if arguments.robot is not None:
+        robot = with_port(load_robot(arguments.robot), arguments.port)
+    _check(arguments, robot)
+    buses = {"main": _bus(arguments)} if robot is None else robot.buses
+    with connect(buses, robot=robot) as connection:
+        if connection.simulated:
+            print("The servos are simulated: what is written is forgotten when this command ends.")
+        if arguments.new_id is not None:
+            return servo_changes.give_id(connection, arguments)
+        if arguments.new_baud is not None:
+            return servo_changes.give_rate(connection, robot, arguments)
+        if arguments.restore is not None:
+            return servo_changes.restore(connection, arguments)
+        targets = _targets(connection, robot, arguments)
+        if arguments.backup is not None:
+            return servo_changes.back_up(connection, targets, arguments.backup)
+        wanted = _wanted(targets, robot, arguments)
+        if not any(wanted.values()):
+            return _show(connection, targets, arguments)
+        return servo_changes.apply(connection, targets, wanted, arguments)
+
+
+def agree(arguments: argparse.Namespace, question: str) -> bool:
+    """Ask a person; `--yes` is the answer of one who is not there."""
+    if arguments.yes:
+        return True
+    if not sys.stdin.isatty():
+        raise InputError("nobody is there to ask; add --yes to go on without asking")
+    print(f"{question} [y/N] ", end="", flush=True)
+    return sys.stdin.readline().strip().lower() in {"y", "yes"}
+
+
+def _check(arguments: argparse.Namespace, robot: Robot | None) -> None:
+    """Refuse what cannot be meant."""
+    if robot is None and arguments.port is None:
+        raise InputError("give a ROBOT file, or --port and --id of a servo")
+    if robot is None and arguments.joint:
+        raise InputError("--joint needs a ROBOT file; without one, --id names the servo")
+    if robot is not None and arguments.baud is not None:
+        raise InputError("the robot file says the baud rate; --baud is for --port without one")
+    _check_numbers(arguments)
+    for name in arguments.joint or ():
+        if robot is not None and name not in robot.joints:
+            from lss_motion.spelling import known_names
+
+            raise InputError(f"unknown joint {name!r}; {known_names(name, robot.joints)}")
+    if arguments.new_id is not None and len(arguments.ids or ()) != 1:
+        raise InputError("--new-id is for one servo: say which with --id")
+
+
+def _check_numbers(arguments: argparse.Namespace) -> None:
+    from lss_motion.protocol.constants import BAUD_RATES_BPS, ID_MAX
+
+    for option, rate in (("--baud", arguments.baud), ("--new-baud", arguments.new_baud)):
+        if rate is not None and rate not in BAUD_RATES_BPS:
+            raise InputError(f"{option} {rate}: servos know {', '.join(map(str, BAUD_RATES_BPS))}")
+    for servo_id in [
+        *(arguments.ids or ()),
+        *([] if arguments.new_id is None else [arguments.new_id]),
+    ]:
+        if not 0 <= servo_id <= ID_MAX:
+            raise InputError(f"id {servo_id}: allowed are 0 to {ID_MAX}")
+
+
+def _bus(arguments: argparse.Namespace) -> Bus:
+    from lss_motion.robot.model import Bus
+
+    return Bus(name="main", port=arguments.port, baud_bps=arguments.baud or 115200, firmware=370)
+
+
+def _targets(
+    connection: Connection, robot: Robot | None, arguments: argparse.Namespace
+) -> list[Target]:
+    """Return the servos that are meant, each of which has answered."""
+    from lss_motion.cli.scanning import roll_call
+    from lss_motion.cli.servo_settings import target_of
+
+    if robot is None:
+        ids = arguments.ids or [present.servo_id for present in roll_call(connection, "main")]
+        if not ids:
+            raise InputError(f"nobody answers on {arguments.port}; see `lss-motion scan`")
+        return [target_of(connection, "main", servo_id) for servo_id in ids]
+    joints = [
+        joint
+        for joint in robot.joints.values()
+        if joint.name in (arguments.joint or robot.joints)
+        and joint.servo_id in (arguments.ids or [joint.servo_id])
+    ]
+    targets = []
+    for joint in joints:
+        target = target_of(connection, joint.bus, joint.servo_id, joint.name)
+        if not target.model.startswith(joint.model.name):
+            raise InputError(
+                f"joint {joint.name!r}: servo {joint.servo_id} is a {target.model}, the robot "
+                f"file says {joint.model.name}",
+                path=robot.path,
+            )
+        targets.append(target)
+    return targets
+
+
+def _wanted(
+    targets: Sequence[Target], robot: Robot | None, arguments: argparse.Namespace
+) -> dict[str, dict[str, int | None]]:
+    """Return the wire values that the robot file and `--set` ask for, by target."""
+    from lss_motion.protocol.storing import stored_wire
+
+    given = dict(_assigned(text) for text in arguments.sets)
+    wanted: dict[str, dict[str, int | None]] = {}
+    for target in targets:
+        stored: dict[str, float | None] = dict(given)
+        if robot is not None and not given:
+            stored = dict(robot.joints[target.name].stored)
+        values = {name: stored_wire(target.family, name, value) for name, value in stored.items()}
+        if arguments.session:
+            if robot is not None and not given:
+                values |= robot.joints[target.name].settings
+            session = target.rows(is_session=True)
+            for name in [name for name in values if name not in session]:
+                if name in given:
+                    raise InputError(f"{name} has no value for the session; leave --session out")
+                del values[name]
+        wanted[target.name] = values
+    return wanted
+
+
+def _assigned(text: str) -> tuple[str, float | None]:
+    name, separator, value = text.partition("=")
+    try:
+        return name.upper(), None if value.upper() == "DIS" else float(value)
+    except ValueError:
+        hint = "write NAME=VALUE, such as LED=3; FD=DIS switches a first position off"
+        problem = f"{value!r} is not a number" if separator else "there is no ="
+        raise InputError(f"--set {text}: {problem}; {hint}") from None
+
+
+def _show(connection: Connection, targets: Sequence[Target], arguments: argparse.Namespace) -> int:
+    """Print what servos store, or go by now."""
+    from lss_motion.cli.servo_settings import read
+    from lss_motion.maintenance.settings import said
+
+    found = read(connection, targets, is_session=arguments.session)
+    is_whole = True
+    for target in targets:
+        print(f"{target.name} (id {target.servo_id}, {target.model}):")
+        for name, row in target.rows(is_session=arguments.session).items():
+            is_whole = is_whole and name in found[target.name]
+            value = found[target.name].get(name)
+            shown = said(row, value) if name in found[target.name] else "no answer"
+            print(f"  {name:10} {shown:16} {row.meaning}")
+    return EXIT_FINISHED if is_whole else EXIT_UNREACHABLE

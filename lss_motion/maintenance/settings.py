@@ -1,0 +1,169 @@
+"""The settings of servos: what to ask, how they differ from what is wanted, what to order.
+
+Values are wire values by the name of their row; None is a first position that is switched off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.player.dialogue import Item
+from lss_motion.protocol.constants import Led
+from lss_motion.protocol.family import Family
+from lss_motion.protocol.line import DISABLED, Command
+from lss_motion.protocol.storing import storable
+from lss_motion.protocol.table import Answer, Device, Suffix
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from lss_motion.protocol.table import Row
+
+    Answers = Mapping[tuple[str, int, str], int | str | None]
+
+Values = dict[str, int | None]
+
+RC_MODE: Final = "CRC"
+BAUD: Final = "B"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """A servo whose settings are read or written. `model` is what `QMS` says."""
+
+    name: str
+    bus: str
+    servo_id: int
+    model: str
+    family: Family
+    firmware: int
+
+    @property
+    def device(self) -> Device | None:
+        """Return which part of a 2IO it is (lss_facts 3); None: a smart servo."""
+        if self.family is not Family.IO2:
+            return None
+        if self.model.endswith("-LED"):
+            return Device.MASTER
+        return Device.ANALOG if "-A" in self.model else Device.SERVO
+
+    def rows(self, *, is_session: bool) -> Mapping[str, Row]:
+        """Return what can be asked and written: what it stores, or what it goes by now."""
+        return {
+            name: row
+            for name, row in storable(self.family).items()
+            if row.queries
+            and row.firmware <= self.firmware
+            and (not row.devices or self.device in row.devices)
+            and (not is_session or row.actions)
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """A setting that is not as wanted."""
+
+    target: Target
+    row: Row
+    had: int | None
+    wanted: int | None
+
+    def __str__(self) -> str:
+        had, wanted = said(self.row, self.had), said(self.row, self.wanted)
+        return f"{self.target.name}: {self.row.meaning} ({self.row.name}) {had} → {wanted}"
+
+
+def questions(target: Target, rows: Mapping[str, Row], *, is_session: bool) -> list[Item]:
+    """Return the questions for the stored values, or for those of the session."""
+    items = []
+    for row in rows.values():
+        is_stored_asked = Suffix.CONFIGURED in (row.suffixes or {}).values() and not is_session
+        command = Command(target.servo_id, row.queries[0], 1 if is_stored_asked else None)
+        items.append(Item(bus=target.bus, command=command, is_question=True))
+    return items
+
+
+def values(target: Target, rows: Mapping[str, Row], answers: Answers) -> Values:
+    """Return what was answered to `questions`; what was not, is absent."""
+    found: Values = {}
+    for name, row in rows.items():
+        address = (target.bus, target.servo_id, row.queries[0])
+        value = answers.get(address)
+        if isinstance(value, int):
+            found[name] = value
+        elif value == DISABLED and row.answer is Answer.DISABLED:
+            found[name] = None
+    return found
+
+
+def changes(target: Target, had: Values, wanted: Mapping[str, int | None]) -> list[Change]:
+    """Return what must be written, in the order in which to write it.
+
+    What nobody can read back, such as RC mode, always is. Of the two first positions, which
+    overwrite each other, the one that is wanted is written last.
+    """
+    rows = storable(target.family)
+    needed = [
+        Change(target=target, row=rows[name], had=had.get(name), wanted=wanted[name])
+        for name in rows
+        if name in wanted and (name not in had or had[name] != wanted[name])
+    ]
+    return sorted(needed, key=lambda change: change.wanted is not None and change.row.name in FIRST)
+
+
+FRAME: Final = ("G", "O")
+"""What an angle means: direction and origin."""
+FIRST: Final = ("FP", "FD")
+"""The two first positions; writing one forgets the other (seed 000, FP)."""
+
+
+def orders(needed: Iterable[Change], *, is_session: bool) -> list[Item]:
+    """Return the commands that write changes."""
+    items = []
+    for change in needed:
+        keyword = (change.row.actions if is_session else change.row.configs)[0]
+        command = Command(change.target.servo_id, keyword, change.wanted)
+        items.append(Item(bus=change.target.bus, command=command, is_question=False))
+    return items
+
+
+def goes_limp(change: Change, *, is_session: bool) -> bool:
+    """Return whether a servo lets go while a change is written: for a RESET, or to turn nothing."""
+    return change.row.name in FRAME or (change.row.needs_reset and not is_session)
+
+
+def limp_orders(needed: Iterable[Change]) -> list[Item]:
+    """Return what lets go the servos whose angles get another meaning.
+
+    One that holds a position might go where that position then is (lss_facts 4).
+    """
+    return [
+        Item(bus=target.bus, command=Command(target.servo_id, "L"), is_question=False)
+        for target in {change.target for change in needed if change.row.name in FRAME}
+    ]
+
+
+def dangers(needed: Sequence[Change], baud_bps: int) -> list[str]:
+    """Return why changes would make a servo unreachable from a line at `baud_bps`."""
+    found = []
+    for change in needed:
+        servo = f"{change.target.name} (id {change.target.servo_id})"
+        if change.row.name == RC_MODE and change.wanted:
+            found.append(f"{servo}: RC mode makes it deaf to the bus; only its button ends that")
+        if change.row.name == BAUD and change.wanted != baud_bps:
+            found.append(
+                f"{servo}: at {change.wanted} bps it would not hear this line, which runs at "
+                f"{baud_bps}; --new-baud changes all servos of a line together"
+            )
+    return found
+
+
+def said(row: Row, wire: int | None) -> str:
+    """Return a value for people: with its unit, and in words where it is a colour."""
+    if wire is None:
+        return "off"
+    unit = f" {row.unit}" if row.unit else ""
+    text = f"{row.physical(wire):.12g}{unit}"
+    is_colour = row.name == "LED" and wire in {int(led) for led in Led}
+    return f"{text} ({Led(wire).name.lower()})" if is_colour else text
