@@ -8,5 +8,6 @@ and orders go through `player.Conversation` or another object that `runtime.runn
 pause, listening   let time pass on open ports; say lines and keep all that comes back
 roll_call   who is on a bus: rates, ids, ids that several servos share
 settings, backup, backup_file   what servos store: differences, orders, dangers; files of it
+watch, alarms   all that servos say, as fast as the lines allow; when to call somebody
 look, findings, starter   how a servo does; what to tell of it; a robot file to begin with
 """

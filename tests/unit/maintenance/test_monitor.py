@@ -1,0 +1,208 @@
+"""Watching servos: what is read, at which rate, and when somebody is called."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+
+from lss_motion.cli.monitoring import rendered, sparkline
+from lss_motion.maintenance.alarms import Alarms, Thresholds
+from lss_motion.maintenance.settings import Target
+from lss_motion.maintenance.watch import Reading, Watch
+from lss_motion.player.dialogue import Item
+from lss_motion.protocol.constants import Status
+from lss_motion.protocol.family import Family
+from lss_motion.protocol.line import Command
+from lss_motion.runtime.runner import run
+from lss_motion.sim.faults import Fault, FaultKind
+
+NS_PER_S = 1_000_000_000
+
+
+def target(servo_id, model="LSS-ST1", family=Family.LSS):
+    return Target(
+        name=f"servo {servo_id}",
+        bus="main",
+        servo_id=servo_id,
+        model=model,
+        family=family,
+        firmware=370,
+    )
+
+
+@pytest.fixture
+def watched(connected):
+    """Return what watches servos for some seconds and gives the watch and all it read."""
+
+    def make(*specs, targets=None, for_s=2.0, on_turn=None, **options):
+        connection = connected(*specs, **options)
+        watch = Watch(targets or [target(spec.servo_id) for spec in specs], connection.buses)
+        read = []
+
+        def turn(watch, now_ns):
+            read.extend((now_ns, reading.target.servo_id) for reading in watch.take_fresh())
+            if on_turn is not None:
+                on_turn(watch, now_ns)
+            if now_ns >= for_s * NS_PER_S:
+                watch.stop()
+
+        run(watch, connection.ports, connection.clock, on_turn=turn)
+        return watch, read, connection
+
+    return make
+
+
+def test_everything_of_every_servo_is_read(watched, spec):
+    targets = [
+        target(1),
+        target(2, "LSS-P-S1", Family.LSS_PRO),
+        target(209, "LSS-2IO-D9", Family.IO2),
+        target(203, "LSS-2IO-A3", Family.IO2),
+    ]
+    watch, _, _ = watched(
+        spec(1, start_deg=12.0),
+        spec(2, "LSS-P-S1", start_deg=-3.25),
+        spec(209, "LSS-2IO"),
+        targets=targets,
+        faults=[Fault(kind=FaultKind.INPUT, servo_id=203, raw=426)],
+    )
+    servo, pro, pin, sensor = watch.readings
+    assert (servo.position_deg, servo.speed_deg_s, servo.status) == (12.0, 0.0, Status.LIMP)
+    assert servo.voltage_v == pytest.approx(12.0, abs=0.1)
+    assert servo.temperature_c == pytest.approx(25.0, abs=1.0)
+    assert servo.current_a == pytest.approx(0.07, abs=0.01)
+    assert (pro.position_deg, pro.status) == (-3.25, Status.LIMP)
+    assert (pin.position_deg, sensor.raw) == (0.0, 426.0)
+
+
+def test_the_line_is_used(watched, spec):
+    """18 servos at 115200 bps: what 4 questions and answers a servo need, and little more."""
+    specs = [spec(number) for number in range(1, 19)]
+    watch, read, _ = watched(*specs, for_s=3.0)
+    late = [servo_id for now_ns, servo_id in read if now_ns > 2 * NS_PER_S]
+    reply_bytes = len("*18QD100\r*18QWD0\r*18QC70\r*18QV11990\r")
+    round_s = 18 * (reply_bytes * 10 / 115200 + 1e-3)
+    assert len(late) / 18 >= 0.8 * 1.0 / round_s
+    assert watch.rounds["main"] > 20
+
+
+def test_a_missing_servo_does_not_hold_up_the_others(watched, spec):
+    watch, read, _ = watched(spec(1), targets=[target(1), target(2)])
+    assert not watch.readings[0].is_silent
+    assert watch.readings[1].is_silent
+    assert len(read) > 100
+    assert {servo_id for _, servo_id in read} == {1}
+
+
+def test_a_servo_that_comes_back_is_seen_again(watched, spec):
+    gone = Fault(kind=FaultKind.DEAF, servo_id=2, at_s=0.5, until_s=1.6)
+    seen = []
+
+    def look(watch, now_ns):
+        seen.append((now_ns / NS_PER_S, watch.readings[1].is_silent))
+
+    watched(spec(1), spec(2), for_s=3.5, faults=[gone], on_turn=look)
+    assert not any(is_silent for at_s, is_silent in seen if at_s < 0.5)
+    assert all(is_silent for at_s, is_silent in seen if 1.2 < at_s < 1.6)
+    assert not any(is_silent for at_s, is_silent in seen if at_s > 3.3)
+
+
+def test_two_buses_do_not_wait_for_each_other(spec, connected):
+    from dataclasses import replace
+
+    from lss_motion.connection import Connection
+    from lss_motion.sim.port import SimPort
+
+    quick = connected(spec(1), baud_bps=500000)
+    slow = connected(spec(2), baud_bps=9600)
+    buses = {
+        "quick": replace(quick.buses["main"], name="quick"),
+        "slow": replace(slow.buses["main"], name="slow"),
+    }
+    both = Connection(buses, quick.clock)
+    both.ports = {
+        "quick": SimPort(quick.simulated["main"], quick.clock),
+        "slow": SimPort(slow.simulated["main"], quick.clock),
+    }
+    targets = [replace(target(1), bus="quick"), replace(target(2), bus="slow")]
+    watch = Watch(targets, buses)
+
+    def turn(watch, now_ns):
+        if now_ns >= NS_PER_S:
+            watch.stop()
+
+    run(watch, both.ports, both.clock, on_turn=turn)
+    assert watch.rounds["quick"] > 5 * watch.rounds["slow"] > 20
+
+
+def test_a_moving_horn_is_seen_moving(watched, spec, connected):
+    connection = connected(spec(1))
+    connection.ask(
+        [Item(bus="main", command=Command(1, "D", 900, (("T", 2000),)), is_question=False)]
+    )
+    watch = Watch([target(1)], connection.buses)
+    statuses, speeds = set(), []
+
+    def turn(watch, now_ns):
+        (reading,) = watch.readings
+        statuses.add(reading.status)
+        speeds.append(reading.speed_deg_s or 0.0)
+        if now_ns > 3 * NS_PER_S:
+            watch.stop()
+
+    run(watch, connection.ports, connection.clock, on_turn=turn)
+    assert {Status.TRAVELING, Status.HOLDING} <= statuses
+    assert max(speeds) == pytest.approx(45.0, abs=3.0)
+    assert watch.readings[0].position_deg == pytest.approx(90.0, abs=0.5)
+
+
+def test_an_alarm_is_told_once_and_again_only_when_it_was_over():
+    reading = Reading(target=target(1), temperature_c=60.0, voltage_v=12.0, current_a=0.1)
+    alarms = Alarms(Thresholds())
+    assert alarms.update([reading]) == []
+    reading.temperature_c = 70.0
+    assert alarms.update([reading]) == ["servo 1: 70 °C, from 65 on it is too hot"]
+    reading.temperature_c = 71.0
+    assert alarms.update([reading]) == []
+    assert list(alarms.active.values()) == ["servo 1: 71 °C, from 65 on it is too hot"]
+    reading.temperature_c = 60.0
+    assert (alarms.update([reading]), alarms.active) == ([], {})
+    reading.temperature_c = 70.0
+    assert len(alarms.update([reading])) == 1
+
+
+@pytest.mark.parametrize(
+    ("wrong", "kind"),
+    [
+        ({"status": Status.SAFE_MODE}, "status"),
+        ({"status": Status.BLOCKED}, "status"),
+        ({"current_a": 1.6}, "current"),
+        ({"voltage_v": 5.9}, "voltage"),
+        ({"voltage_v": 12.7}, "voltage"),
+        ({"misses": 3}, "silent"),
+    ],
+)
+def test_every_trouble_has_its_alarm(wrong, kind):
+    reading = Reading(target=target(1), **wrong)
+    assert [found for found, _ in Thresholds().alarms(reading)] == [kind]
+
+
+def test_a_terminal_shows_servos_alarms_and_rates(watched, spec):
+    from rich.console import Console
+
+    hot = Fault(kind=FaultKind.HOT, servo_id=2, temperature_c=70.0)
+    watch, _, _ = watched(spec(1, start_deg=12.0), spec(2), faults=[hot], for_s=1.0)
+    alarms = Alarms(Thresholds())
+    assert len(alarms.update(watch.readings)) == 1
+    out = io.StringIO()
+    Console(file=out, width=100).print(rendered(watch, alarms, 1.0))
+    assert "12.0 deg" in out.getvalue()
+    assert "servo 2: 70 °C" in out.getvalue()
+    assert "rounds/s" in out.getvalue()
+
+
+def test_a_sparkline_goes_from_the_lowest_to_the_highest():
+    assert sparkline([0, 35, 70]) == "▁▅█"
+    assert sparkline([1.0, 1.1, 0.9]) == "▁▁▁"
+    assert sparkline([]) == ""
