@@ -8,18 +8,24 @@ import select
 import signal
 import socket
 import sys
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from types import FrameType, TracebackType
 
-    from lss_motion.player.player import Player
-
 KEYS_HELP: Final = "space pause, + - speed, q stop"
 RATE_STEP: Final = 0.1
 RATE_LEAST: Final = 0.1
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
+
+
+class Steered(Protocol):
+    """What a person at the terminal steers: a show, or something else that moves."""
+
+    def stop(self, now_ns: int) -> None: ...
+
+    def set_rate(self, rate: float, now_ns: int) -> None: ...
 
 
 class Terminal:
@@ -61,7 +67,7 @@ class Terminal:
     def filenos(self) -> Sequence[int]:
         return [self._wake.fileno()] + ([] if self._keys_fd is None else [self._keys_fd])
 
-    def act(self, driven: Player, now_ns: int) -> None:
+    def act(self, driven: Steered, now_ns: int) -> None:
         """Apply what came since the last call."""
         with contextlib.suppress(BlockingIOError):
             self._wake.recv(64)
@@ -74,18 +80,18 @@ class Terminal:
     def _note(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002
         self._pending.append(number)
 
-    def _press(self, key: str, player: Player, now_ns: int) -> None:
+    def _press(self, key: str, driven: Steered, now_ns: int) -> None:
         match key:
             case " ":
                 self._is_paused = not self._is_paused
-                player.set_rate(0.0 if self._is_paused else self._rate, now_ns)
+                driven.set_rate(0.0 if self._is_paused else self._rate, now_ns)
             case "+" | "=" | "-" | "_":
                 step = RATE_STEP if key in "+=" else -RATE_STEP
                 self._rate = round(min(max(self._rate + step, RATE_LEAST), 1.0), 3)
                 if not self._is_paused:
-                    player.set_rate(self._rate, now_ns)
+                    driven.set_rate(self._rate, now_ns)
             case "q" | "Q":
-                player.stop(now_ns)
+                driven.stop(now_ns)
             case _:
                 pass
 

@@ -10,6 +10,7 @@ from lss_motion.cli import (
     configuring,
     exchange,
     gaits,
+    identifying,
     monitoring,
     planning,
     playing,
@@ -33,6 +34,7 @@ GROUPS = (
     sending,
     exchange,
     gaits,
+    identifying,
     reference,
 )
 """Each has `add_to(commands)`, and imports nothing heavy before a command of its own runs."""

@@ -10,4 +10,5 @@ roll_call   who is on a bus: rates, ids, ids that several servos share
 settings, backup, backup_file   what servos store: differences, orders, dangers; files of it
 watch, alarms   all that servos say, as fast as the lines allow; when to call somebody
 look, findings, starter   how a servo does; what to tell of it; a robot file to begin with
+identify    how a servo really responds: small moves, and the model that fits them
 """

@@ -144,10 +144,11 @@ class Moves:
     def _session_ramps(self) -> Ramps:
         """Return what AA, AD and SD say. A value of 0 acts as the smallest step (assumed)."""
         if self._ramps is None:
+            ratio = self._motors.physics.ramp_ratio
             self._ramps = Ramps(
                 speed_deg_s=min(self._at_least_one("SD"), self._model.speed_max_deg_s),
-                accel_deg_s2=self._at_least_one("AA"),
-                decel_deg_s2=self._at_least_one("AD"),
+                accel_deg_s2=ratio * self._at_least_one("AA"),
+                decel_deg_s2=ratio * self._at_least_one("AD"),
             )
         return self._ramps
 

@@ -48,6 +48,9 @@ class Physics:
     `lag_per_stiffness_ratio`  one step of AS divides the lag by this. Assumed; the documents say
                             only that a stiffer servo keeps closer to the position asked for.
     `droop_per_stiffness_ratio`  one step of AH divides the droop under load by this. Assumed.
+    `ramp_ratio`            ramps are this many times what AA and AD say. That a step of theirs is
+                            10 deg/s² has weak sources (lss_facts 1.3: D); 1 takes them at their
+                            word.
     `retarget`, `t_law`     design 11: what a `D…T…` in mid-move starts from, and what T times.
     `noise_deg`             half width of the uniform noise of a position reading (lss_facts 7.4:
                             one tenth).
@@ -75,6 +78,7 @@ class Physics:
     lag_s: float = 0.02
     lag_per_stiffness_ratio: float = 1.1
     droop_per_stiffness_ratio: float = 1.1
+    ramp_ratio: float = 1.0
     retarget: Literal["keep_speed", "from_rest"] = "keep_speed"
     t_law: Literal["cruise", "exact"] = "cruise"
     noise_deg: float = 0.1

@@ -1,0 +1,11 @@
+"""Measures how a servo really responds: small moves, readings, and the model that fits them.
+
+plan         which trials, inside which window
+experiment   the trials on a bus: moves on time, questions in between, safe however it ends
+asking       the questions of an experiment
+recording    what was said and read, and when
+motion       where a horn is, under each hypothesis of what the servo does
+fit          least squares of that model over all trials
+estimate     recording → what the servo does, with uncertainties
+findings     the same in words, and as fields of the robot file
+"""

@@ -1,0 +1,281 @@
+"""Recording → what the servo does, each number with its uncertainty."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from lss_motion.errors import PlaybackError
+from lss_motion.maintenance.identify.fit import Fit, Problem
+from lss_motion.maintenance.identify.motion import HYPOTHESES, Shape, horn_deg
+from lss_motion.maintenance.identify.plan import Kind
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from lss_motion.maintenance.identify.motion import Hypothesis
+    from lss_motion.maintenance.identify.recording import Recording, Trial
+    from lss_motion.robot.model import Joint
+
+    Array = NDArray[np.float64]
+
+DECIDED_RATIO: Final = 1.15
+"""A hypothesis counts as wrong if its readings miss by this much more than those of the best."""
+MISFIT_MAX_DEG: Final = 0.7
+"""Above this no hypothesis explains the readings, and nothing that was fitted may be believed.
+Several times what a reading scatters (lss_facts 7.4: 0.1 deg)."""
+PLAY_LEAST_DEG: Final = 0.1
+"""Less play than a wire unit is none."""
+PLAY_SIGMAS: Final = 4.0
+LOOP_PERIODS_S: Final = (0.001, 0.025)
+"""Between these a control period is looked for."""
+LOOP_COHERENCE_LEAST: Final = 0.72
+"""Instants of take-up that lie on a grid give 1, instants at random 0; the best of the 30 000
+grids that are tried gives 0.56 for thirty random instants."""
+LOOP_SIGMAS: Final = 3.0
+"""A dead time contradicts a control loop when it is so many standard errors off."""
+SATURATED_RATIO: Final = 0.94
+"""A horn slower than this share of what its profile asks for turns as fast as it can."""
+SLOPE_S: Final = 0.05
+"""Speeds are slopes over this long."""
+
+
+class Measured(NamedTuple):
+    """A number and its standard error."""
+
+    value: float
+    error: float
+
+
+class Decided(NamedTuple):
+    """The choice between two laws; `is_sure` if the readings tell them apart."""
+
+    value: str
+    is_sure: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identified:
+    """How one servo responds. Angles in joint degrees.
+
+    `delay_s`      from the last byte of a command to the horn, on average: what playing leads by
+    `lag_s`        time constant of the horn behind the servo's profile
+    `dead_s`       the rest of the delay: until the profile begins
+    `loop_s`       period of the grid on which commands are taken up; None: none was found
+    `accel_deg_s2`, `decel_deg_s2`  the ramps, with AA and AD at `ramp_deg_s2`
+    `top_deg_s`    the fastest that the horn turned; `is_top` if it could not turn faster
+    `droop_deg`    how far its load pulls the horn from where it should stand: at the low end of
+                   the window, in its middle, at its high end; below 0: beyond
+    `play_deg`     how much further it must be sent when it turns back
+    `noise_deg`    root mean square of a reading's scatter at rest
+    `misfit_deg`   root mean square of what the model does not explain
+    `turnaround_s` least, median and largest of 100
+    """
+
+    joint: str
+    low_deg: float
+    high_deg: float
+    ramp_deg_s2: float
+    speed_max_deg_s: float
+    delay_s: Measured
+    lag_s: Measured
+    dead_s: Measured
+    loop_s: Measured | None
+    retarget: Decided
+    t_law: Decided
+    accel_deg_s2: Measured
+    decel_deg_s2: Measured
+    top_deg_s: Measured
+    is_top: bool
+    droop_deg: tuple[float, float, float]
+    droop_error_deg: float
+    play_deg: Measured
+    noise_deg: float
+    misfit_deg: float
+    turnaround_s: tuple[float, float, float]
+    readings: int
+
+
+def identify(joint: Joint, recording: Recording) -> Identified:
+    """Return what the recording says of the servo of `joint`.
+
+    Raises `PlaybackError` if no hypothesis explains the readings.
+    """
+    trials = [trial for trial in recording.trials if trial.kind is not Kind.FAST]
+    play = _play(recording, trials)
+    coarse = Problem(recording, trials, play_deg=play.value, is_coarse=True)
+    fits = {hypothesis: coarse.fit(hypothesis) for hypothesis in HYPOTHESES}
+    chosen = min(fits.values(), key=lambda fit: fit.misfit_deg)
+    best = Problem(recording, trials, play_deg=play.value).fit(chosen.hypothesis, chosen)
+    play = Measured(best.play_deg, best.errors[7]) if play.value else play
+    if best.misfit_deg > MISFIT_MAX_DEG:
+        raise PlaybackError(
+            f"joint {joint.name!r}: no model explains its readings, the best misses by "
+            f"{best.misfit_deg:.1f} deg. Is the joint free, and does nothing swing on it?",
+            joint=joint.name,
+        )
+    retarget, t_law = best.hypothesis
+    top, is_top = _top_speed(recording, best)
+    loop = _loop(trials, best)
+    delay = Measured(best.delay_s, math.hypot(best.errors[6], _spread_error(best)))
+    lag, dead = _parts(best, delay, loop)
+    window = recording.window
+    low_deg, high_deg = sorted((joint.joint_deg(window.low_deg), joint.joint_deg(window.high_deg)))
+    return Identified(
+        joint=joint.name,
+        low_deg=low_deg,
+        high_deg=high_deg,
+        ramp_deg_s2=recording.ramp_deg_s2,
+        speed_max_deg_s=recording.speed_max_deg_s,
+        delay_s=delay,
+        lag_s=lag,
+        dead_s=dead,
+        loop_s=loop,
+        retarget=Decided(retarget, _is_sure(fits, chosen, 0)),
+        t_law=Decided(t_law, _is_sure(fits, chosen, 1)),
+        accel_deg_s2=Measured(best.accel_deg_s2, best.accel_deg_s2 * best.errors[0]),
+        decel_deg_s2=Measured(best.decel_deg_s2, best.decel_deg_s2 * best.errors[1]),
+        top_deg_s=top,
+        is_top=is_top,
+        droop_deg=_droop(joint, best),
+        droop_error_deg=best.errors[3],
+        play_deg=play,
+        noise_deg=_noise_deg(trials),
+        misfit_deg=best.rms_deg,
+        turnaround_s=_turnaround(recording),
+        readings=sum(len(trial.times_s) for trial in recording.trials),
+    )
+
+
+def _is_sure(fits: dict[Hypothesis, Fit], best: Fit, place: int) -> bool:
+    """Return whether every hypothesis with the other law at `place` is clearly worse."""
+    others = [f for h, f in fits.items() if h[place] != best.hypothesis[place]]
+    return min(f.misfit_deg for f in others) > DECIDED_RATIO * best.misfit_deg
+
+
+def _spread_error(fit: Fit) -> float:
+    """Return how well the mean delay is known, as each command meets its own control loop."""
+    delays = np.concatenate(fit.delays_s)
+    return float(np.std(delays) / math.sqrt(len(delays)))
+
+
+def _parts(fit: Fit, delay: Measured, loop: Measured | None) -> tuple[Measured, Measured]:
+    """Return lag and dead time, which together are the delay.
+
+    Only the shape of the ramps tells them apart, and slow ones hardly do. So where a control loop
+    was found and the shape does not contradict, the profile is taken to begin at the first loop.
+    """
+    error = math.hypot(fit.lag_s * fit.errors[2], delay.error)
+    dead_s = fit.delay_s - fit.lag_s
+    first_s = 0.0 if loop is None else 0.5 * loop.value
+    if loop is not None and abs(dead_s - first_s) < LOOP_SIGMAS * error:
+        return Measured(fit.delay_s - first_s, delay.error), Measured(first_s, delay.error)
+    return Measured(fit.lag_s, fit.lag_s * fit.errors[2]), Measured(dead_s, error)
+
+
+def _play(recording: Recording, trials: Sequence[Trial]) -> Measured:
+    """Return how much the rests differ by the way from which they were reached."""
+    middle_deg = 0.5 * (recording.window.low_deg + recording.window.high_deg)
+    half_deg = 0.5 * recording.window.room_deg
+    targets = np.array([trial.orders[-1].target_deg for trial in trials])
+    missing = targets - np.array([trial.rest_deg() for trial in trials])
+    away = (targets - middle_deg) / half_deg
+    ways = np.array([trial.last_way() for trial in trials])
+    columns = np.stack([np.ones_like(away), away, away**2, 0.5 * ways], axis=1)
+    found, _, rank, _ = np.linalg.lstsq(columns, missing, rcond=None)
+    if rank < columns.shape[1] or len(trials) <= rank:
+        return Measured(0.0, math.inf)
+    left = missing - columns @ found
+    variance = float(left @ left) / (len(trials) - rank)
+    error = math.sqrt(variance * float(np.linalg.inv(columns.T @ columns)[3, 3]))
+    play_deg = float(found[3])
+    is_real = play_deg > max(PLAY_LEAST_DEG, PLAY_SIGMAS * error)
+    return Measured(play_deg if is_real else 0.0, error)
+
+
+def _loop(trials: Sequence[Trial], fit: Fit) -> Measured | None:
+    """Return the period of the grid on which the commands were taken up, if there is one.
+
+    All instants of take-up then point the same way on a clock of that period.
+    """
+    taken_s = np.array(
+        [
+            trial.began_s + order.heard_s + delay_s
+            for trial, delays_s in zip(trials, fit.delays_s, strict=True)
+            for order, delay_s in zip(trial.orders, delays_s, strict=True)
+        ]
+    )
+    taken_s -= taken_s.mean()
+    step_hz = 0.2 / float(np.ptp(taken_s))
+    rates_hz = np.arange(1.0 / LOOP_PERIODS_S[1], 1.0 / LOOP_PERIODS_S[0], step_hz)
+    hands = np.zeros(len(rates_hz), dtype=np.complex128)
+    for instant_s in taken_s.tolist():
+        hands += np.exp(2j * math.pi * instant_s * rates_hz)
+    coherence = np.abs(hands) / len(taken_s)
+    at = int(np.argmax(coherence))
+    if coherence[at] < LOOP_COHERENCE_LEAST:
+        return None
+    period_s = 1.0 / float(rates_hz[at])
+    return Measured(period_s, period_s * step_hz / float(rates_hz[at]))
+
+
+def _top_speed(recording: Recording, fit: Fit) -> tuple[Measured, bool]:
+    """Return the fastest that the horn turned, and whether its profile asked for more."""
+    shape = Shape(fit.accel_deg_s2, fit.decel_deg_s2, recording.speed_max_deg_s, fit.lag_s)
+    best, is_top = Measured(0.0, 0.0), False
+    for trial in recording.trials:
+        times_s, readings_deg = np.array(trial.times_s), np.array(trial.readings_deg)
+        delays = [fit.delay_s - fit.lag_s] * len(trial.orders)
+        asked_deg, _ = horn_deg(
+            times_s, trial.start_deg, trial.orders, delays, shape, fit.hypothesis
+        )
+        made = _fastest(times_s, readings_deg)
+        if made.value > best.value:
+            asked = _fastest(times_s, asked_deg)
+            best, is_top = made, made.value < SATURATED_RATIO * asked.value
+    return best, is_top
+
+
+def _fastest(times_s: Array, angles_deg: Array) -> Measured:
+    """Return the median of the steepest slopes, each over `SLOPE_S`."""
+    slopes, errors = [], []
+    first = 0
+    for last in range(len(times_s)):
+        while times_s[last] - times_s[first] > SLOPE_S:
+            first += 1
+        count = last - first + 1
+        if count < 4 or times_s[last] - times_s[first] < 0.7 * SLOPE_S:
+            continue
+        t = times_s[first : last + 1] - times_s[first : last + 1].mean()
+        angles = angles_deg[first : last + 1]
+        slope = float(t @ angles / (t @ t))
+        left = angles - angles.mean() - slope * t
+        slopes.append(abs(slope))
+        errors.append(math.sqrt(float(left @ left) / (count - 2) / float(t @ t)))
+    if not slopes:
+        return Measured(0.0, math.inf)
+    found, scatter = np.array(slopes), np.array(errors)
+    steep = found >= 0.95 * found.max()
+    return Measured(float(np.median(found[steep])), float(np.median(scatter[steep])))
+
+
+def _droop(joint: Joint, fit: Fit) -> tuple[float, float, float]:
+    """Return how far the horn stands below its target, in joint degrees, from low to high."""
+    level, slope, bend = fit.droop_deg
+    ends = [joint.direction * (level + at * (slope + at * bend)) for at in (-1.0, 0.0, 1.0)]
+    return (ends[0], ends[1], ends[2]) if joint.direction > 0 else (ends[2], ends[1], ends[0])
+
+
+def _noise_deg(trials: Sequence[Trial]) -> float:
+    squares = [trial.rest_variance_deg2() for trial in trials]
+    return math.sqrt(float(np.mean(squares)))
+
+
+def _turnaround(recording: Recording) -> tuple[float, float, float]:
+    least, middle, most = np.percentile(recording.turnarounds_s, (1.0, 50.0, 99.0)).tolist()
+    return least, middle, most

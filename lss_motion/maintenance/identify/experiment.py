@@ -1,0 +1,333 @@
+"""One joint's trials on its bus: moves on time, questions in between, safe however it ends.
+
+The four calls of everything that the runner drives (`runtime.runner.Driven`), no port and no
+clock. Phases: prepare (session settings), hold, the trials, and whatever happens, restore the
+settings and hold.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from enum import Enum
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.errors import BusError, LssMotionError, PlaybackError
+from lss_motion.maintenance.identify.asking import Asking
+from lss_motion.maintenance.identify.motion import Order
+from lss_motion.maintenance.identify.plan import Kind, PlannedMove, TrialPlan, make_trials
+from lss_motion.maintenance.identify.recording import SETTLE_S, Recording, Trial
+from lss_motion.player import setup
+from lss_motion.player.dialogue import Dialogue
+from lss_motion.player.line import Line
+from lss_motion.program.model import ramp_deg_s2
+from lss_motion.program.response import Profile
+from lss_motion.protocol.line import Command, encode, encode_move
+from lss_motion.units import ns_from_s, s_from_ms, s_from_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from lss_motion.maintenance.identify.plan import Window
+    from lss_motion.player.dialogue import Item
+    from lss_motion.player.events import Event
+    from lss_motion.player.setup import Answers
+    from lss_motion.robot.model import Joint, Robot
+
+HOLD_MS: Final = 300
+"""T of the first command, which takes the joint to where it already stands."""
+SETTLE_MAX_S: Final = 3.0
+"""Longer than this no horn takes to settle; one that still moves swings or is pushed."""
+ARRIVED_RATIO: Final = 0.5
+"""A horn that made less than this share of its way is held by something."""
+WAY_LEAST_DEG: Final = 2.0
+"""Shorter ways are not judged: a load or play may take them up."""
+GUARD_DEG: Final = 2.0
+"""Two readings in a row this far outside the window end it: more than noise, less than harm."""
+DITHER_S: Final = 0.02
+"""Trials begin at instants spread evenly over this, so that the servo's control loops, whose
+period is some milliseconds, are met at every phase."""
+GOLDEN_RATIO: Final = 0.6180339887498949
+
+
+class State(Enum):
+    """What the experiment is doing."""
+
+    PREPARE = "preparing"
+    HOLD = "holding"
+    TRIALS = "measuring"
+    BRAKE = "stopping"
+    RESTORE = "restoring"
+    DONE = "done"
+
+
+class Experiment:
+    """Measures one joint. `error` says why it could not; `is_stopped` that somebody ended it."""
+
+    def __init__(
+        self, joint: Joint, robot: Robot, answers: Answers, window: Window, *, standing_deg: float
+    ) -> None:
+        """`answers` are those to `setup.questions`; the joint stands at `standing_deg` (servo)."""
+        self.joint = joint
+        self.state = State.PREPARE
+        self.error: LssMotionError | None = None
+        self.is_stopped = False
+        self.recording = Recording(window, float(ramp_deg_s2(joint)), joint.speed_max_deg_s)
+        self._answers: Answers = dict(answers)
+        self._line = Line(robot.buses[joint.bus])
+        self._asking = Asking(joint, self._line)
+        self._standing_deg = self._target_deg = self._rested_deg = standing_deg
+        self._profile = Profile(
+            standing_deg,
+            ramp_deg_s2=self.recording.ramp_deg_s2,
+            speed_max_deg_s=joint.speed_max_deg_s,
+            response=joint.response,
+        )
+        orders = setup.session_orders([joint], answers)
+        self._dialogue: Dialogue | None = self._ask([*setup.settings_questions([joint]), *orders])
+        self._plans: deque[TrialPlan] = deque()
+        self._planned = 0
+        self._trial = Trial(Kind.STEP, 0.0, standing_deg)
+        self._moves: deque[PlannedMove] = deque()
+        self._began_ns = 0
+        self._rests_ns = 0
+        self._outside_count = 0
+        self._has_moved = False
+        self._now_ns = 0
+
+    # ---- the four calls
+
+    def data_to_send(self, now_ns: int) -> Mapping[str, bytes]:
+        self._now_ns = now_ns
+        while self._step(now_ns):
+            pass
+        data = self._line.take()
+        return {self.joint.bus: data} if data else {}
+
+    def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:
+        if bus != self.joint.bus:
+            return
+        for reply in self._line.receive(data):
+            if self._dialogue is not None:
+                self._dialogue.receive(bus, reply, now_ns)
+                continue
+            answered = self._asking.receive(reply, now_ns)
+            if answered is None:
+                continue
+            self.recording.turnarounds_s.append(answered.turnaround_s)
+            if answered.reading_deg is not None:
+                self._trial.times_s.append(s_from_ns(answered.asked_ns - self._began_ns))
+                self._trial.readings_deg.append(answered.reading_deg)
+                self._watch(answered.reading_deg, now_ns)
+            elif answered.fault is not None:
+                self._fail(self._fault(answered.fault), now_ns)
+
+    def next_wakeup_ns(self) -> int | None:
+        if self.state is State.DONE:
+            return None
+        if self._dialogue is not None:
+            wakeup_ns = self._dialogue.next_wakeup_ns()
+            return self._now_ns if wakeup_ns is None else max(wakeup_ns, self._now_ns)
+        wakeups_ns = [self._asking.next_wakeup_ns(), self._rests_ns + ns_from_s(SETTLE_MAX_S)]
+        if self._moves:
+            wakeups_ns.append(self._due_ns(self._moves[0]))
+        return max(min(wakeups_ns), self._now_ns)
+
+    def next_event(self) -> Event | None:
+        return None
+
+    def safe_bytes(self) -> Mapping[str, bytes]:
+        """Return the last bytes if it ends here: the settings it found, and hold."""
+        if not self._has_moved:
+            return {}
+        restored = setup.restoring_orders([self.joint], self._answers)
+        return {self.joint.bus: b"".join(encode(i.command) for i in restored) + self._hold_bytes()}
+
+    # ---- what a person may ask for
+
+    @property
+    def progress_ratio(self) -> float:
+        """How many of the trials are over."""
+        return 1.0 - len(self._plans) / self._planned if self._planned else 0.0
+
+    def stop(self, now_ns: int) -> None:
+        """Brake and hold, give the settings back, end. Asked twice: at once, without braking."""
+        if self.state is State.DONE:
+            return
+        if self.is_stopped:
+            self._abort(now_ns)
+            return
+        self.is_stopped = True
+        if self.state not in (State.BRAKE, State.RESTORE):
+            self._brake(now_ns)
+
+    # ---- phases
+
+    def _step(self, now_ns: int) -> bool:
+        """Do what is due; return whether the phase changed."""
+        if self.state is State.DONE:
+            return False
+        if self._dialogue is not None:
+            self._dialogue.advance(now_ns)
+            if self._dialogue.is_finished:
+                self._after_dialogue(now_ns)
+                return True
+            return False
+        while self._moves and self._due_ns(self._moves[0]) <= now_ns:
+            self._send(self._moves.popleft(), now_ns)
+        if self._is_over(now_ns):
+            self._after_trial(now_ns)
+            return True
+        self._asking.ask(now_ns, self._due_ns(self._moves[0]) if self._moves else None)
+        if self._asking.is_silent and self.state is not State.BRAKE:
+            text = f"servo {self.joint.servo_id} has stopped answering; check its power and wiring"
+            error = BusError(f"joint {self.joint.name!r}: {text}", url=self._line.bus.port)
+            self._fail(error, now_ns)
+            return True
+        return False
+
+    def _after_dialogue(self, now_ns: int) -> None:
+        self._take_answers()
+        if self.state is State.RESTORE:
+            self._finish(now_ns)
+            return
+        self.state = State.HOLD
+        self._has_moved = True
+        move = PlannedMove(0.0, self._standing_deg, HOLD_MS)
+        self._begin(TrialPlan(Kind.STEP, (move,), s_from_ms(HOLD_MS)), now_ns)
+
+    def _after_trial(self, now_ns: int) -> None:
+        if self.state is State.BRAKE:
+            self._restore()
+            return
+        if self.state is State.HOLD:
+            self._plan()
+        else:
+            self.recording.trials.append(self._trial)
+            self._check_arrival()
+        self._rested_deg = self._trial.rest_deg()
+        if self.error is not None:
+            self._brake(now_ns)
+        elif self._plans:
+            dither_s = DITHER_S * (GOLDEN_RATIO * len(self._plans) % 1.0)
+            self._begin(self._plans.popleft(), now_ns + ns_from_s(dither_s))
+        else:
+            self._restore()
+
+    def _plan(self) -> None:
+        self.state = State.TRIALS
+        droop_deg = self._target_deg - self._trial.rest_deg()
+        window = self.recording.window
+        try:
+            self._plans = deque(make_trials(self.joint, window, self._target_deg, droop_deg))
+        except LssMotionError as error:
+            self.error = error
+        self._planned = len(self._plans)
+
+    def _begin(self, plan: TrialPlan, at_ns: int) -> None:
+        self._trial = Trial(plan.kind, s_from_ns(at_ns), self._target_deg)
+        self._moves = deque(plan.moves)
+        self._began_ns = at_ns
+        self._rests_ns = at_ns + ns_from_s(plan.end_s)
+
+    def _fail(self, error: LssMotionError, now_ns: int) -> None:
+        if self.state is not State.BRAKE:
+            self.error = self.error or error
+            self._brake(now_ns)
+
+    def _brake(self, now_ns: int) -> None:
+        """Come to rest as gently as the joint may; on a fault, where the horn is."""
+        if not self._has_moved:
+            self._restore()
+            return
+        self.state = State.BRAKE
+        ramp_deg_s2 = self.recording.ramp_deg_s2
+        position_deg, speed_deg_s = self._profile.at(s_from_ns(self._line.heard_ns(0, now_ns)))
+        stop_deg = position_deg + 0.5 * speed_deg_s * abs(speed_deg_s) / ramp_deg_s2
+        if self.error is not None and self._trial.readings_deg:
+            stop_deg = self._trial.readings_deg[-1]
+        window = self.recording.window
+        stop_deg = min(max(stop_deg, window.low_deg), window.high_deg)
+        self._begin(TrialPlan(Kind.STEP, (), abs(speed_deg_s) / ramp_deg_s2), now_ns)
+        wire = round(stop_deg * self.joint.model.wire_per_deg)
+        self._line.send(encode(Command(self.joint.servo_id, "D", wire)), now_ns)
+
+    def _restore(self) -> None:
+        self._take_answers()
+        self.state = State.RESTORE
+        self._dialogue = self._ask(setup.restoring_orders([self.joint], self._answers))
+
+    def _abort(self, now_ns: int) -> None:
+        self._take_answers()
+        for data in self.safe_bytes().values():
+            self._line.send(data, now_ns)
+        self.state = State.DONE
+
+    def _finish(self, now_ns: int) -> None:
+        self.state = State.DONE
+        if self._has_moved:
+            self._line.send(self._hold_bytes(), now_ns)
+
+    def _take_answers(self) -> None:
+        if self._dialogue is not None:
+            self._answers = {**self._answers, **self._dialogue.answers}
+            self._dialogue = None
+
+    # ---- one trial
+
+    def _due_ns(self, move: PlannedMove) -> int:
+        return self._began_ns + ns_from_s(move.at_s)
+
+    def _send(self, move: PlannedMove, now_ns: int) -> None:
+        wire = round(move.target_deg * self.joint.model.wire_per_deg)
+        heard_ns = self._line.send(encode_move(self.joint.servo_id, wire, move.duration_ms), now_ns)
+        self._target_deg = wire / self.joint.model.wire_per_deg
+        heard_s, duration_s = s_from_ns(heard_ns - self._began_ns), s_from_ms(move.duration_ms)
+        self._trial.orders.append(Order(heard_s, self._target_deg, duration_s))
+        self._profile.retarget(s_from_ns(heard_ns), self._target_deg, duration_s)
+
+    def _is_over(self, now_ns: int) -> bool:
+        """Return whether the horn rests, or never will."""
+        if self._moves or now_ns < self._rests_ns + ns_from_s(SETTLE_S):
+            return False
+        if self._trial.is_settled(s_from_ns(now_ns - self._began_ns)):
+            return True
+        if now_ns < self._rests_ns + ns_from_s(SETTLE_MAX_S):
+            return False
+        if self.state is not State.BRAKE:
+            self.error = self._fault("does not come to rest: something swings, or pushes it")
+        return True
+
+    def _check_arrival(self) -> None:
+        """Note the error of a horn that did not go where it was told."""
+        joint, rest_deg = self.joint, self._trial.rest_deg()
+        way_deg = abs(self._target_deg - self._trial.start_deg)
+        made_deg = abs(rest_deg - self._rested_deg)
+        if way_deg >= WAY_LEAST_DEG and made_deg < ARRIVED_RATIO * way_deg:
+            self.error = self.error or self._fault(
+                f"was told to go to {joint.joint_deg(self._target_deg):.1f} deg and stays at "
+                f"{joint.joint_deg(rest_deg):.1f} deg: it is blocked, or its load is too heavy. "
+                f"Free it, and begin again"
+            )
+
+    def _watch(self, reading_deg: float, now_ns: int) -> None:
+        """Stop when the horn is where it must not be."""
+        window, joint = self.recording.window, self.joint
+        is_inside = window.low_deg - GUARD_DEG <= reading_deg <= window.high_deg + GUARD_DEG
+        self._outside_count = 0 if is_inside else self._outside_count + 1
+        if self._outside_count >= 2:
+            ends = sorted((joint.joint_deg(window.low_deg), joint.joint_deg(window.high_deg)))
+            error = self._fault(
+                f"is at {joint.joint_deg(reading_deg):.1f} deg and was to stay within "
+                f"{ends[0]:.1f} to {ends[1]:.1f} deg"
+            )
+            self._fail(error, now_ns)
+
+    def _fault(self, cause: str) -> PlaybackError:
+        return PlaybackError(f"joint {self.joint.name!r} {cause}", joint=self.joint.name)
+
+    def _hold_bytes(self) -> bytes:
+        return encode(Command(self.joint.servo_id, "H"))
+
+    def _ask(self, items: Sequence[Item]) -> Dialogue:
+        bus = self.joint.bus
+        return Dialogue(items, {bus: self._line}, {bus: self._asking.questioner})

@@ -1,0 +1,225 @@
+"""The trials of an identification: which small moves tell what, all inside a window of angles."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.errors import InputError
+from lss_motion.program.model import ramp_deg_s2
+from lss_motion.units import MS_PER_S, s_from_ms
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from lss_motion.robot.model import Joint
+
+SPAN_DEG: Final = 20.0
+"""How far to either side of where it stands a joint is moved unless asked otherwise. Chosen: a
+servo of the desk arm reaches two thirds of its speed limit there."""
+SPAN_LEAST_DEG: Final = 5.0
+ROOM_LEAST_DEG: Final = 8.0
+"""Less room gives moves too short to tell a ramp from a lag: at 600 deg/s² they last 0.2 s."""
+MARGIN_RATIO: Final = 0.08
+"""Share of the room left free at either end, for a load that pulls and a horn that overshoots."""
+MARGIN_LEAST_DEG: Final = 0.5
+SWEEP_RATIOS: Final = (0.25, 0.4, 0.6)
+"""Speeds of the sweeps, as shares of the speed that the room and the ramps allow. Below 0.6 a
+servo that is weak or on a low battery is still not at its own top speed."""
+PAIR_RATIO: Final = 0.45
+"""Speed at which a move is interrupted: it stops within a tenth of the room."""
+STEP_RATIO: Final = 0.45
+"""Speed of the steps between rests, as a share of what a quarter of the room allows."""
+
+LEAST_DEG: Final = 1.0
+"""Shorter moves are left out: they say nothing."""
+
+
+class Kind(StrEnum):
+    """What a trial is for."""
+
+    SWEEP = "sweep"
+    STEP = "step"
+    PAIR = "pair"
+    FAST = "fast"
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedMove:
+    """A `D…T…` that leaves `at_s` after its trial began. Servo degrees."""
+
+    at_s: float
+    target_deg: float
+    duration_ms: int
+
+
+@dataclass(frozen=True, slots=True)
+class TrialPlan:
+    """From rest to rest: one move, or two of which the second interrupts the first."""
+
+    kind: Kind
+    moves: tuple[PlannedMove, ...]
+    end_s: float
+    """When the servo's profile is at rest at the latest, whatever T means, without lag."""
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Where the horn may be during an identification, in servo degrees."""
+
+    low_deg: float
+    high_deg: float
+
+    @property
+    def room_deg(self) -> float:
+        return self.high_deg - self.low_deg
+
+    def margin_deg(self) -> float:
+        return max(MARGIN_LEAST_DEG, MARGIN_RATIO * self.room_deg)
+
+
+def make_window(joint: Joint, standing_deg: float, span_deg: float) -> Window:
+    """Return where the horn may be: `span_deg` around `standing_deg`, and inside the range.
+
+    Raises `InputError` where the joint stands outside its range or has no room to move.
+    """
+    if span_deg < SPAN_LEAST_DEG:
+        raise InputError(
+            f"--span-deg {span_deg:g} is too little to measure anything; "
+            f"at least {SPAN_LEAST_DEG:g}"
+        )
+    ends = sorted(
+        (joint.servo_deg(joint.position_min_deg), joint.servo_deg(joint.position_max_deg))
+    )
+    at_deg = joint.joint_deg(standing_deg)
+    allowed = f"{joint.position_min_deg:g} to {joint.position_max_deg:g} deg"
+    if not ends[0] <= standing_deg <= ends[1]:
+        raise InputError(
+            f"joint {joint.name!r} stands at {at_deg:.1f} deg, outside its range of {allowed}; "
+            f"move it inside by hand or with lss-motion send"
+        )
+    window = Window(
+        max(ends[0], standing_deg - span_deg),
+        min(ends[1], standing_deg + span_deg),
+    )
+    if window.room_deg < ROOM_LEAST_DEG:
+        raise InputError(
+            f"joint {joint.name!r} stands at {at_deg:.1f} deg and may move {window.room_deg:.1f} "
+            f"deg only (range {allowed}, --span-deg {span_deg:g}); at least {ROOM_LEAST_DEG:g} deg "
+            f"are needed. Move it away from its limit, or give a larger --span-deg"
+        )
+    return window
+
+
+def make_trials(
+    joint: Joint, window: Window, standing_deg: float, droop_deg: float = 0.0
+) -> list[TrialPlan]:
+    """Return the trials from `standing_deg` and back, each beginning where the one before ended.
+
+    `droop_deg` is how far the horn stands below its target: targets are shifted away from the end
+    that it would otherwise pass. No move is faster than the joint's own limits.
+    """
+    margin_deg = window.margin_deg()
+    low_deg = window.low_deg + margin_deg + max(0.0, droop_deg)
+    high_deg = window.high_deg - margin_deg + min(0.0, droop_deg)
+    if high_deg - low_deg < 0.5 * ROOM_LEAST_DEG:
+        raise InputError(
+            f"joint {joint.name!r}: its load pulls it {abs(droop_deg):.1f} deg from where it "
+            f"should stand, which leaves no room inside {window.room_deg:.1f} deg. Take the load "
+            f"off, or give a larger --span-deg"
+        )
+    return list(_Planner(joint, low_deg, high_deg, standing_deg).trials())
+
+
+class _Planner:
+    """Makes the trials between two angles."""
+
+    def __init__(self, joint: Joint, low_deg: float, high_deg: float, standing_deg: float) -> None:
+        self._ramp_deg_s2 = float(ramp_deg_s2(joint))
+        self._speed_max_deg_s = joint.speed_max_deg_s
+        self._low_deg, self._high_deg = low_deg, high_deg
+        self._at_deg = self._standing_deg = standing_deg
+
+    def trials(self) -> Iterator[TrialPlan]:
+        room_deg = self._high_deg - self._low_deg
+        gentle_deg_s = PAIR_RATIO * self._top_deg_s(0.5 * room_deg)
+        if abs(self._at_deg - self._low_deg) > LEAST_DEG:
+            yield self._single(Kind.STEP, self._low_deg, gentle_deg_s)
+        self._at_deg = self._low_deg
+        for ratio in SWEEP_RATIOS:
+            speed_deg_s = ratio * self._top_deg_s(room_deg)
+            yield self._single(Kind.SWEEP, self._high_deg, speed_deg_s)
+            yield self._single(Kind.SWEEP, self._low_deg, speed_deg_s)
+        yield from self._steps(room_deg)
+        yield from self._pairs(PAIR_RATIO * self._top_deg_s(room_deg), room_deg)
+        for target_deg in (self._high_deg, self._low_deg):
+            yield self._fast(target_deg)
+        if abs(self._at_deg - self._standing_deg) > LEAST_DEG:
+            yield self._single(Kind.STEP, self._standing_deg, gentle_deg_s)
+
+    def _steps(self, room_deg: float) -> Iterator[TrialPlan]:
+        """Go up and down a stair: rests at every height, reached from below and from above."""
+        speed_deg_s = STEP_RATIO * self._top_deg_s(room_deg / 4.0)
+        for quarter in (1, 2, 3, 4, 3, 2, 1, 0):
+            target_deg = self._low_deg + room_deg * quarter / 4.0
+            yield self._single(Kind.STEP, target_deg, speed_deg_s)
+
+    def _pairs(self, speed_deg_s: float, room_deg: float) -> Iterator[TrialPlan]:
+        """Interrupt moves: to go further, to turn back, to go faster, to go slower. Both ways."""
+        ends = (self._low_deg, self._high_deg)
+        slow_deg_s = 0.6 * speed_deg_s
+        for here_deg, there_deg in (ends, ends[::-1]):
+            way = math.copysign(1.0, there_deg - here_deg)
+            further = here_deg + way * 0.65 * room_deg
+            yield self._pair(further, speed_deg_s, there_deg, speed_deg_s)
+            yield self._pair(here_deg, speed_deg_s, there_deg, speed_deg_s)  # Turn back half-way.
+            yield self._pair(here_deg, slow_deg_s, here_deg, speed_deg_s)
+            yield self._pair(there_deg, speed_deg_s, there_deg, 0.5 * speed_deg_s)
+
+    def _top_deg_s(self, distance_deg: float) -> float:
+        """Return the speed that ramps reach half-way, at most the joint's limit."""
+        return min(self._speed_max_deg_s, math.sqrt(self._ramp_deg_s2 * distance_deg))
+
+    def _duration_ms(self, distance_deg: float, speed_deg_s: float) -> int:
+        """Return a T at which the servo is no faster than `speed_deg_s`, whatever T means."""
+        duration_s = distance_deg / speed_deg_s + speed_deg_s / self._ramp_deg_s2
+        return math.ceil(MS_PER_S * duration_s)
+
+    def _single(self, kind: Kind, target_deg: float, speed_deg_s: float) -> TrialPlan:
+        duration_ms = self._duration_ms(abs(target_deg - self._at_deg), speed_deg_s)
+        self._at_deg = target_deg
+        move = PlannedMove(0.0, target_deg, duration_ms)
+        return TrialPlan(kind, (move,), s_from_ms(duration_ms) + self._ramp_s(speed_deg_s))
+
+    def _pair(
+        self, first_deg: float, first_deg_s: float, second_deg: float, second_deg_s: float
+    ) -> TrialPlan:
+        """Interrupt a move to `first_deg` half-way by one to `second_deg`."""
+        first_ms = self._duration_ms(abs(first_deg - self._at_deg), first_deg_s)
+        middle_deg = 0.5 * (self._at_deg + first_deg)
+        second_ms = self._duration_ms(abs(second_deg - middle_deg), second_deg_s)
+        at_s = 0.5 * s_from_ms(first_ms)
+        self._at_deg = second_deg
+        return TrialPlan(
+            Kind.PAIR,
+            (
+                PlannedMove(0.0, first_deg, first_ms),
+                PlannedMove(at_s, second_deg, second_ms),
+            ),
+            at_s + s_from_ms(second_ms) + 2.0 * self._ramp_s(max(first_deg_s, second_deg_s)),
+        )
+
+    def _fast(self, target_deg: float) -> TrialPlan:
+        """Go as fast as the joint may."""
+        distance_deg = abs(target_deg - self._at_deg)
+        duration_ms = math.ceil(MS_PER_S * distance_deg / self._speed_max_deg_s)
+        self._at_deg = target_deg
+        longest_s = 2.0 * math.sqrt(distance_deg / self._ramp_deg_s2)
+        move = PlannedMove(0.0, target_deg, duration_ms)
+        ends_s = s_from_ms(duration_ms) + self._ramp_s(self._speed_max_deg_s)
+        return TrialPlan(Kind.FAST, (move,), max(longest_s, ends_s))
+
+    def _ramp_s(self, speed_deg_s: float) -> float:
+        return speed_deg_s / self._ramp_deg_s2

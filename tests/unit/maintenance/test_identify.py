@@ -1,0 +1,352 @@
+"""What `identify` finds of servos that nobody told it about, and how it behaves meanwhile."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benches.identify import MODEL, blind, faults
+from lss_motion.connection import Connection
+from lss_motion.errors import BusError, InputError, PlaybackError
+from lss_motion.maintenance.identify import findings
+from lss_motion.maintenance.identify.estimate import identify
+from lss_motion.maintenance.identify.experiment import Experiment, State
+from lss_motion.maintenance.identify.motion import HYPOTHESES, Hypothesis, Order, Shape, horn_deg
+from lss_motion.maintenance.identify.plan import Window, make_trials, make_window
+from lss_motion.player import setup
+from lss_motion.program.response import Profile
+from lss_motion.robot.model import Bus, Joint, Response, Robot
+from lss_motion.runtime.clock import VirtualClock
+from lss_motion.runtime.runner import run
+from lss_motion.sim.bus import SimBus
+from lss_motion.sim.faults import Fault, FaultKind
+from lss_motion.sim.physics import TICK_NS, Physics, ServoSpec
+from lss_motion.sim.port import SimPort
+
+JOINT = Joint(
+    name="elbow",
+    servo_id=3,
+    bus="main",
+    model=MODEL,
+    position_min_deg=-90.0,
+    position_max_deg=90.0,
+    speed_max_deg_s=180.0,
+    accel_max_deg_s2=600.0,
+)
+RESTORED = {b"#3EM1", b"#3AA100", b"#3AD100", b"#3SD3600"}
+
+
+class Bench:
+    """A joint on a simulated bus in virtual time, and what becomes of an experiment with it."""
+
+    def __init__(self, joint=JOINT, span_deg=20.0, baud_bps=115200, **options):
+        spec = ServoSpec(
+            servo_id=joint.servo_id,
+            model=joint.model,
+            start_deg=options.pop("start_deg", 10.0),
+            droop_deg=options.pop("droop_deg", 0.0),
+            backlash_deg=options.pop("backlash_deg", 0.0),
+        )
+        bus = Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=370)
+        self.robot = Robot(name="bench", path=None, buses={"main": bus}, joints={"elbow": joint})
+        self.joint = joint
+        self.connection = Connection(self.robot.buses, VirtualClock())
+        self.bus = SimBus([spec], baud_bps=baud_bps, firmware=370, **options)
+        self.bus.record()
+        self.connection.ports["main"] = SimPort(self.bus, self.connection.clock)
+        answers = self.connection.ask(setup.questions([joint]))
+        setup.check_answers([joint], answers, self.robot)
+        self.standing_deg = setup.stored(joint, answers, "QD")
+        window = make_window(joint, self.standing_deg, span_deg)
+        self.experiment = Experiment(
+            joint, self.robot, answers, window, standing_deg=self.standing_deg
+        )
+
+    def run(self, **options):
+        run(self.experiment, self.connection.ports, self.connection.clock, **options)
+        self.connection.close()
+        return self.experiment
+
+    def identified(self):
+        experiment = self.run()
+        assert experiment.error is None
+        return identify(self.joint, experiment.recording)
+
+    def horn_deg(self):
+        times_ns = np.arange(0, self.connection.clock.now_ns(), TICK_NS)
+        return self.bus.horn_deg(times_ns.tolist())[:, 0]
+
+    def heard(self):
+        return [line.rstrip(b"\r") for _, line in self.bus.heard]
+
+
+class StopOnce:
+    """Somebody who presses Ctrl-C when `when(experiment)` is first true, and how often."""
+
+    def __init__(self, when, times=1):
+        self.when, self.left = when, times
+
+    def filenos(self):
+        return []
+
+    def act(self, experiment, now_ns):
+        if self.left and self.when(experiment):
+            self.left -= 1
+            experiment.stop(now_ns)
+
+
+# ---- what is found
+
+
+@pytest.mark.parametrize("seed", [7, 17, 21])
+def test_a_servo_drawn_from_a_seed_is_found_whole_within_what_it_was_allowed(seed):
+    one = blind(seed)
+    assert faults(one) == {}
+    assert one.away_deg > 0.5 * one.span_deg  # It did move.
+
+
+def test_the_judge_sees_what_is_wrong():
+    one = blind(7)
+    wrong = replace(one.found, lag_s=one.found.lag_s._replace(value=0.05), is_top=True)
+    assert set(faults(replace(one, found=wrong, away_deg=99.0))) >= {"lag", "speed", "span"}
+
+
+def test_a_bad_line_costs_readings_but_not_the_result():
+    rows = [
+        Fault(kind=FaultKind.LOST_REPLY, ratio=0.02),
+        Fault(kind=FaultKind.CORRUPT_REPLY, ratio=0.02),
+    ]
+    physics = Physics(lag_s=0.05, t_law="exact")
+    found = Bench(faults=rows, usb_latency_ns=10_000_000, physics=physics).identified()
+    assert found.delay_s.value == pytest.approx(0.0525, abs=0.005)
+    assert found.turnaround_s[1] > 0.004  # The adapter holds answers back.
+    assert found.t_law == ("exact", True)
+    assert found.retarget == ("keep_speed", True)
+
+
+def test_a_servo_too_weak_for_its_limit_is_told_with_its_top_speed():
+    joint = replace(JOINT, speed_max_deg_s=300.0, accel_max_deg_s2=1000.0)
+    weak = Fault(kind=FaultKind.WEAK, speed_ratio=0.4)
+    bench = Bench(joint, span_deg=40.0, faults=[weak])
+    found = bench.identified()
+    assert found.is_top
+    assert found.top_deg_s.value == pytest.approx(0.4 * 360.0, rel=0.1)
+    assert any(
+        "lower it, or check the supply" in line for line in findings.difference_lines(found, joint)
+    )
+
+
+def test_what_is_as_assumed_is_not_called_different_and_what_no_model_explains_is_refused():
+    bench = Bench()
+    assert findings.difference_lines(bench.identified(), bench.joint) == []
+    swinging = np.random.default_rng(0).normal(0.0, 3.0, 1000)
+    for trial in bench.experiment.recording.trials:
+        trial.readings_deg = (swinging[: len(trial.times_s)] + trial.readings_deg).tolist()
+    with pytest.raises(PlaybackError, match="no model explains"):
+        identify(JOINT, bench.experiment.recording)
+
+
+# ---- how it ends
+
+
+def test_ctrl_c_brakes_within_the_ramps_restores_and_holds():
+    bench = Bench()
+    fast = StopOnce(
+        lambda e: (
+            len(e.recording.trials) == 6
+            and e._trial.orders
+            and e._moves == e._moves
+            and _is_fast(e)
+        )
+    )
+    experiment = bench.run(controls=fast)
+    assert experiment.is_stopped
+    assert experiment.error is None
+    assert experiment.state is State.DONE
+    heard = bench.heard()
+    assert heard[-1] == b"#3H"
+    assert set(heard[-5:-1]) == RESTORED
+    horn = bench.horn_deg()
+    assert np.ptp(horn[-20:]) < 0.01  # At rest when it was told to hold.
+    accel = np.diff(horn, n=2) / (1e-9 * TICK_NS) ** 2
+    assert np.abs(accel).max() < 1.1 * JOINT.accel_max_deg_s2
+    assert np.abs(horn - 10.0).max() < 20.0
+
+
+def _is_fast(experiment):
+    readings = experiment._trial.readings_deg
+    is_late = len(experiment.recording.trials) == 6
+    return is_late and len(readings) > 5 and abs(readings[-1] - readings[-5]) > 1.0
+
+
+def test_a_second_ctrl_c_ends_at_once_and_still_restores():
+    bench = Bench()
+    bench.run(controls=StopOnce(_is_fast, times=2))
+    heard = bench.heard()
+    assert heard[-1] == b"#3H"
+    assert set(heard[-5:-1]) == RESTORED
+
+
+def test_a_lost_port_leaves_the_settings_and_hold_as_the_last_that_is_tried():
+    bench = Bench(faults=[Fault(kind=FaultKind.UNPLUGGED, at_s=3.0)])
+    with pytest.raises(BusError, match="lost port"):
+        bench.run()
+    safe = bench.experiment.safe_bytes()["main"].split(b"\r")[:-1]
+    assert safe[-1] == b"#3H"
+    assert set(safe[:-1]) == RESTORED
+
+
+def test_nothing_is_said_to_a_servo_that_was_not_moved():
+    bench = Bench()
+    assert bench.experiment.safe_bytes() == {}
+    bench.run(controls=StopOnce(lambda _: True))
+    assert not any(line.startswith((b"#3D", b"#3H")) for line in bench.heard())
+    assert set(bench.heard()[-4:]) == RESTORED
+
+
+@pytest.mark.parametrize(
+    ("fault", "error", "text"),
+    [
+        (Fault(kind=FaultKind.STUCK, at_s=2.0), PlaybackError, "stuck|blocked|stays at"),
+        (Fault(kind=FaultKind.DEAF, at_s=2.0), BusError, "stopped answering"),
+        (Fault(kind=FaultKind.HOT, at_s=2.0, temperature_c=95.0), PlaybackError, "safe mode"),
+        (Fault(kind=FaultKind.RESET, at_s=2.0), BusError, "stopped answering"),
+    ],
+)
+def test_what_befalls_a_servo_is_told_and_it_is_left_safe(fault, error, text):
+    bench = Bench(faults=[fault])
+    experiment = bench.run()
+    assert isinstance(experiment.error, error)
+    assert any(part in str(experiment.error) for part in text.split("|"))
+    heard = bench.heard()
+    assert heard[-1] == b"#3H"
+    assert set(heard[-5:-1]) == RESTORED
+    assert bench.connection.clock.now_ns() < 6e9
+
+
+def test_a_blocked_horn_is_not_pushed_any_longer():
+    bench = Bench(faults=[Fault(kind=FaultKind.STUCK, at_s=2.0)])
+    bench.run()
+    last = [line for line in bench.heard() if line.startswith(b"#3D")][-1]
+    assert int(last[3:]) / 10 == pytest.approx(bench.horn_deg()[-1], abs=0.3)
+
+
+def test_a_horn_that_leaves_its_window_is_stopped():
+    bench = Bench()
+    bench.experiment.recording.window = Window(9.0, 11.0)  # As if its load threw it out.
+    bench.experiment._plan = lambda: _plan_as_if(bench)
+    experiment = bench.run()
+    assert "was to stay within 9.0 to 11.0 deg" in str(experiment.error)
+    assert bench.heard()[-1] == b"#3H"
+    assert np.abs(bench.horn_deg() - 10.0).max() < 8.0
+
+
+def _plan_as_if(bench):
+    bench.experiment.state = State.TRIALS
+    bench.experiment._plans.extend(make_trials(JOINT, Window(-10.0, 30.0), 10.0))
+
+
+def test_a_load_that_leaves_no_room_is_told_before_any_trial():
+    experiment = Bench(droop_deg=7.0, span_deg=6.0, start_deg=0.0).run()
+    assert isinstance(experiment.error, InputError)
+    assert "load" in str(experiment.error)
+    assert experiment.recording.trials == []
+
+
+# ---- the plan
+
+
+@pytest.mark.parametrize(
+    ("standing_deg", "span_deg", "text"),
+    [
+        (95.0, 20.0, "outside its range"),
+        (0.0, 3.0, "too little to measure"),
+        (89.0, 6.0, "away from its limit"),
+    ],
+)
+def test_a_joint_without_room_is_refused_in_words(standing_deg, span_deg, text):
+    with pytest.raises(InputError, match=text):
+        make_window(JOINT, standing_deg, span_deg)
+
+
+def test_a_window_is_the_span_inside_the_range_also_for_a_turned_joint():
+    turned = replace(JOINT, direction=-1, zero_deg=5.0, position_min_deg=-30.0)
+    assert make_window(turned, 30.0, 20.0) == Window(10.0, 35.0)
+
+
+@pytest.mark.parametrize("hypothesis", HYPOTHESES)
+@pytest.mark.parametrize(
+    ("accel", "speed", "span"), [(1000, 360, 45), (600, 180, 20), (30, 180, 20), (1000, 20, 5)]
+)
+def test_no_trial_leaves_the_window_or_the_limits_whatever_the_servo_is(
+    hypothesis, accel, speed, span
+):
+    joint = replace(JOINT, accel_max_deg_s2=float(accel), speed_max_deg_s=float(speed))
+    window = make_window(joint, 12.0, float(span))
+    at_deg = 12.0
+    for ramp_ratio in (0.75, 1.3):
+        for trial in make_trials(joint, window, at_deg):
+            shape = Shape(ramp_ratio * accel, ramp_ratio * accel, float(speed), 0.001)
+            orders = [Order(m.at_s, m.target_deg, m.duration_ms / 1e3) for m in trial.moves]
+            times_s = np.arange(0.0, trial.end_s + 1.0, 0.001)
+            delays = [0.0] * len(orders)
+            horn, _ = horn_deg(times_s, at_deg, orders, delays, shape, hypothesis)
+            assert window.low_deg < horn.min() <= horn.max() < window.high_deg
+            assert np.abs(np.diff(horn)).max() / 0.001 <= 1.001 * speed
+            at_deg = orders[-1].target_deg
+            assert horn[-1] == pytest.approx(at_deg, abs=0.01)
+            if ramp_ratio > 1.0:  # By then its profile rests, unless its ramps are slower.
+                resting = horn[times_s > trial.end_s + 0.01]
+                assert np.ptp(resting) < 0.05
+
+
+# ---- the model
+
+
+@pytest.mark.parametrize("hypothesis", HYPOTHESES)
+def test_the_fitted_model_moves_as_the_response_model_of_the_player(hypothesis):
+    random = np.random.default_rng(4)
+    compared = 0
+    for _ in range(40):
+        response = Response(retarget=hypothesis.retarget, t_law=hypothesis.t_law)
+        profile = Profile(0.0, ramp_deg_s2=500.0, speed_max_deg_s=200.0, response=response)
+        heard_s = np.cumsum(random.uniform(0.05, 0.5, 2))
+        first, second = random.uniform(-30.0, 30.0, 2)
+        orders = [
+            Order(float(heard_s[0]), float(first), float(random.uniform(0.3, 0.8))),
+            Order(float(heard_s[1]), float(second), float(random.uniform(0.3, 0.8))),
+        ]
+        for order in orders:
+            profile.retarget(*order)
+        times_s = np.linspace(0.0, 3.0, 400)
+        shape = Shape(500.0, 500.0, 200.0, 1e-6)
+        horn, _ = horn_deg(times_s, 0.0, orders, [0.0, 0.0], shape, hypothesis)
+        if hypothesis == Hypothesis("keep_speed", "exact") and _turns_back(horn, times_s, orders):
+            continue  # What T means for a move that must first stop nobody says.
+        compared += 1
+        expected = [profile.at(t)[0] for t in times_s]
+        assert np.abs(horn - expected).max() < 0.01
+    assert compared > 10
+
+
+def _turns_back(horn, times_s, orders):
+    """Return whether the second order finds the horn going the wrong way, or too fast."""
+    at = np.searchsorted(times_s, orders[1].heard_s)
+    speed = (horn[at - 1] - horn[at - 2]) / (times_s[1] - times_s[0])
+    away = orders[1].target_deg - horn[at - 1]
+    return away * speed < 0.0 or speed**2 > 2.0 * 500.0 * abs(away) * 0.9
+
+
+def test_the_lag_of_the_fitted_model_is_that_of_a_slow_motor():
+    order = Order(0.0, 20.0, 0.5)
+    shape = Shape(600.0, 600.0, 180.0, 0.05)
+    times_s = np.arange(0.0, 2.0, 1e-4)
+    horn, behind = horn_deg(times_s, 0.0, [order], [0.0], shape, HYPOTHESES[0])
+    stiff, _ = horn_deg(times_s, 0.0, [order], [0.0], replace(shape, lag_s=1e-6), HYPOTHESES[0])
+    stepped = [0.0]
+    for target in stiff[:-1]:
+        stepped.append(stepped[-1] + (target - stepped[-1]) * 1e-4 / 0.05)
+    assert np.abs(horn - stepped).max() < 0.05
+    assert np.abs(behind - (stiff - horn)).max() < 1e-3
