@@ -10,10 +10,12 @@ import numpy as np
 
 from lss_motion.connection import connect, is_simulated, with_port
 from lss_motion.errors import BusError, InputError, LssMotionError
+from lss_motion.player.events import Warned
 from lss_motion.player.player import Player
 from lss_motion.program.compile import compile_program as compile  # noqa: A004
 from lss_motion.robot.load import load_robot
 from lss_motion.runtime.clock import MonotonicClock, VirtualClock
+from lss_motion.runtime.real_time import real_time
 from lss_motion.runtime.report import make_report, run_seconds
 from lss_motion.runtime.runner import run
 from lss_motion.sequence.load import load_sequence
@@ -123,12 +125,14 @@ def perform(  # noqa: PLR0913  (the wishes of one run)
     observer: Observer | None = None,
     faults: Sequence[Fault] = (),
     is_open: bool = False,
+    is_real_time: bool = False,
 ) -> Result:
     """Play `program` on `robot` and return all that came of it, also when it failed on the way.
 
     With `trajectory`, the report says how far the simulated horns were from it. `faults` befall
     the simulated buses, and in virtual time the host. While `is_open`, the show does not end with
-    the program but waits for what `observer.controls` extend it by. Raises `InputError` or
+    the program but waits for what `observer.controls` extend it by. `is_real_time` asks the system
+    for real-time priority and locked memory; what it refuses is warned of. Raises `InputError` or
     `BusError` only for what stops it before the first byte.
     """
     simulated = is_simulated(robot)
@@ -142,15 +146,19 @@ def perform(  # noqa: PLR0913  (the wishes of one run)
     error: LssMotionError | None = None
     observer = observer or Observer()
     try:
-        run(
-            player,
-            connection.ports,
-            clock,
-            on_event=observer.on_event,
-            on_turn=observer.on_turn,
-            controls=observer.controls,
-            tap=observer.make_tap(started_ns) if observer.make_tap is not None else None,
-        )
+        with real_time(is_wanted=is_real_time) as refused:
+            if observer.on_event is not None:
+                for text in refused:
+                    observer.on_event(Warned(text))
+            run(
+                player,
+                connection.ports,
+                clock,
+                on_event=observer.on_event,
+                on_turn=observer.on_turn,
+                controls=observer.controls,
+                tap=observer.make_tap(started_ns) if observer.make_tap is not None else None,
+            )
     except BusError as lost:
         error = lost
     finally:

@@ -76,6 +76,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--truth", type=Path, metavar="FILE", help="simulated bus only: real horn angles as CSV"
     )
     parser.add_argument("--log", type=Path, metavar="FILE", help="every byte with its instant")
+    parser.add_argument(
+        "--real-time",
+        action="store_true",
+        help="ask for real-time priority and locked memory: on time beside other programs",
+    )
     parser.add_argument("--quiet", action="store_true", help="no display; errors only")
 
 
@@ -172,6 +177,7 @@ def _perform(
             trajectory=show.trajectory,
             observer=observer,
             faults=_faults(arguments, robot),
+            is_real_time=arguments.real_time,
         )
         return result, terminal.signal_number
 

@@ -219,8 +219,9 @@ class Player:
 
     def _connected(self) -> None:
         try:
-            for text in setup.check_answers(self._joints, self._answers, self.robot):
-                self._events.append(Warned(text))
+            found = setup.check_answers(self._joints, self._answers, self.robot)
+            found += setup.check_latency(self.robot.buses, self.questioners)
+            self._events += map(Warned, found)
         except LssMotionError as error:
             self.error = error
             self.outcome = "fault"

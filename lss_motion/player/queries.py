@@ -34,9 +34,9 @@ answer to the next question."""
 WINDOW_MAX: Final = 8
 """Unanswered questions to one servo. Assumed: 8 queries are 48 bytes, which any serial buffer
 holds (Arduino's have 64)."""
-DEPTH_MAX: Final = 32
-"""Questions to one servo in a row. Chosen: at 500000 bps that is the tenth part of a second for
-fifteen servos."""
+DEPTH_MAX: Final = 64
+"""Questions to one servo in a row. Chosen: at 500000 bps that is the fifth part of a second for
+eighteen servos."""
 FLIGHTS_MAX: Final = 2
 """Servos with unanswered questions: one that is answering, and the next."""
 
@@ -122,6 +122,12 @@ class Questioner:
 
     def turnaround(self, servo_id: int) -> Turnaround:
         return self._known(servo_id).turnaround
+
+    @property
+    def least_wait_ns(self) -> int | None:
+        """The shortest wait for an answer of any servo so far; None: there was no answer."""
+        waits_ns = [manners.turnaround.least_ns for manners in self._manners.values()]
+        return min((wait_ns for wait_ns in waits_ns if wait_ns is not None), default=None)
 
     def depth(self, servo_id: int) -> int:
         """Return how many questions in a row the servo may be asked after what it has shown."""

@@ -29,7 +29,7 @@ HEALTH_KEYWORDS: Final = ("Q", "QT", "Q", "QV", "Q", "QC")
 BACKLOG_BYTES: Final = 12
 """Questions that have not left yet are never more than this, `#12D-450T50`: a command that nobody
 expected, as to stop, waits no longer than for one other command."""
-FILL_RATIO: Final = 0.925
+FILL_RATIO: Final = 0.95
 """A servo is asked so often in a row that answers fill this share of their line: between two
 servos there is a gap, since nobody knows when the next one will begin."""
 VISIT_NS: Final = NS_PER_S // 4

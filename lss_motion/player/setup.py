@@ -16,12 +16,13 @@ from lss_motion.program.model import Move, Program, ramp_deg_s2
 from lss_motion.protocol.codec import make_command, read_reply
 from lss_motion.protocol.constants import BROADCAST_ID, Status, status_from
 from lss_motion.protocol.line import Command, Reply, encode
-from lss_motion.units import MS_PER_S, NS_PER_US, line_time_ns
+from lss_motion.units import MS_PER_S, NS_PER_MS, NS_PER_US, line_time_ns
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from lss_motion.robot.model import Joint, Robot
+    from lss_motion.player.queries import Questioner
+    from lss_motion.robot.model import Bus, Joint, Robot
 
     Answers = Mapping[tuple[str, int, str], int | str | None]
 
@@ -33,6 +34,8 @@ others is taken as it is: no document says which family answers all of them."""
 SESSION_KEYWORDS: Final = ("EM", "AA", "AD", "SD")
 APPROACH_LEAST_S: Final = 0.3
 """Even a servo that stands where it should is given this long: it may be limp."""
+LATENCY_BAD_NS: Final = 5 * NS_PER_MS
+"""A servo answers within 2 ms (lss_facts 2.2); what takes longer is an adapter's latency timer."""
 LIMIT_SLACK_RATIO: Final = 0.999
 """Limits read back from a servo are rounded to its wire unit."""
 
@@ -104,6 +107,23 @@ def _check_joint(joint: Joint, answers: Answers, robot: Robot, warnings: list[st
                 f"in the robot file, or configure the servo",
                 path=robot.path,
             )
+
+
+def check_latency(buses: Mapping[str, Bus], questioners: Mapping[str, Questioner]) -> list[str]:
+    """Return a warning for every port where each answer so far came later than servos answer."""
+    warnings = []
+    for name, questioner in questioners.items():
+        least_ns, port = questioner.least_wait_ns, buses[name].port
+        if least_ns is None or least_ns < LATENCY_BAD_NS:
+            continue
+        device = port.rpartition("/")[2]
+        warnings.append(
+            f"port {port}: answers come {least_ns / NS_PER_MS:.0f} ms late, so there are fewer "
+            f"readings: the USB adapter holds them back. Linux: `echo 1 | sudo tee "
+            f"/sys/bus/usb-serial/devices/{device}/latency_timer`; Windows: device manager, port, "
+            f"advanced, latency timer 1 ms"
+        )
+    return warnings
 
 
 def stored(joint: Joint, answers: Answers, keyword: str) -> float | None:

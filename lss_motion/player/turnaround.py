@@ -34,6 +34,11 @@ class Turnaround:
     def spread_ns(self) -> int:
         return self.latest_ns - self.earliest_ns
 
+    @property
+    def least_ns(self) -> int | None:
+        """The shortest wait that is remembered; None: none is."""
+        return min(self._waits_ns, default=None)
+
     def take(self, waited_ns: int) -> None:
         """Note an answer that began `waited_ns` after its query was heard."""
         self._waits_ns.append(max(waited_ns, 0))

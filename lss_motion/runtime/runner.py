@@ -10,6 +10,7 @@ import time
 from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 from lss_motion.runtime.clock import VirtualClock
+from lss_motion.runtime.real_time import set_timer_slack
 from lss_motion.units import NS_PER_S, s_from_ns
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 IDLE_NS: Final = NS_PER_S // 20
 """The loop turns at least this often, so that keys and the display are never starved."""
-_PR_SET_TIMERSLACK: Final = 29
 
 
 class Driven(Protocol):
@@ -162,13 +162,3 @@ def _undisturbed(*, is_real: bool) -> Iterator[None]:
             gc.unfreeze()
         if was_enabled:
             gc.enable()
-
-
-def set_timer_slack(slack_ns: int) -> None:
-    """Linux rounds a wait up to 50 µs unless asked not to; 0 asks for the default again."""
-    if not sys.platform.startswith("linux"):
-        return
-    import ctypes
-
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, slack_ns, 0, 0, 0)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lss_motion.player.events import MarkPassed
+from lss_motion.player.events import MarkPassed, Warned
 from lss_motion.player.following import Following
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics, Turnaround
@@ -112,3 +112,16 @@ def test_servos_that_become_quicker_or_slower_are_never_mistaken(stage, kit, bel
     assert np.abs(reading_errors_deg(played, believed)).max() < 0.06
     late = [read_s for _, _, read_s in believed if read_s > believed[-1][2] - 0.5]
     assert len(late) > 100
+
+
+@pytest.mark.parametrize("latency_ms", [0, 16])
+def test_an_adapter_that_holds_answers_back_is_named_with_its_remedy(stage, kit, latency_ms):
+    def slow(bus):
+        bus._adapter._latency_ns = latency_ms * 1_000_000
+
+    played = stage.play(sequence=kit.sequence(3, 3.0), on_bus=slow)
+    warnings = [event.text for event in played.events if isinstance(event, Warned)]
+    assert len(warnings) == bool(latency_ms)
+    assert all("latency timer" in text and "ms late" in text for text in warnings)
+    assert played.report["outcome"] == "finished"
+    assert played.report["buses"]["bus0"]["replies"] > (100 if latency_ms else 1000)

@@ -174,7 +174,7 @@ def test_without_the_last_answer_a_row_says_nothing(questioner, line):
 def test_a_servo_that_fails_is_trusted_less_and_then_no_more(questioner, line):
     now_ns = learn(questioner, line, 5, (200, 1000) * 16)
     assert questioner.depth(5) > 8
-    for depth in (16, 8):
+    for depth in (32, 16):
         questioner.ask(ASK, now_ns)
         now_ns = questioner.give_up_ns
         questioner.expire(now_ns)

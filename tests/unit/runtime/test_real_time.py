@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from lss_motion.runtime import real_time as subject
+from lss_motion.runtime.real_time import PRIORITY, real_time
+
+pytestmark = pytest.mark.skipif(
+    not hasattr(os, "sched_setscheduler"), reason="this system has no such call"
+)
+
+
+class System:
+    """Notes what it is asked for, and permits it or not."""
+
+    def __init__(self, *, is_kind):
+        self.calls = []
+        self._is_kind = is_kind
+
+    def sched_setscheduler(self, pid, policy, parameters):
+        self.calls.append((policy, parameters.sched_priority))
+        if not self._is_kind:
+            raise PermissionError
+
+    def mlockall(self, flags):
+        self.calls.append("lock")
+        return 0 if self._is_kind else -1
+
+    def munlockall(self):
+        self.calls.append("unlock")
+
+
+@pytest.fixture
+def system(request, monkeypatch):
+    system = System(is_kind=request.param)
+    monkeypatch.setattr(os, "sched_setscheduler", system.sched_setscheduler)
+    monkeypatch.setattr(subject, "_libc", lambda: system)
+    return system
+
+
+@pytest.mark.parametrize("system", [True], indirect=True)
+def test_what_was_granted_is_given_back(system):
+    before = (os.sched_getscheduler(0), os.sched_getparam(0).sched_priority)
+    with real_time() as refused:
+        assert refused == []
+        assert system.calls == [(os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, PRIORITY), "lock"]
+    assert system.calls[2:] == ["unlock", before]
+
+
+@pytest.mark.parametrize("system", [False], indirect=True)
+def test_what_was_refused_is_said_with_what_to_do(system):
+    with real_time() as refused:
+        priority, memory = refused
+    assert f"rtprio {PRIORITY}` to /etc/security/limits.conf" in priority
+    assert "memlock unlimited` to /etc/security/limits.conf" in memory
+    assert len(system.calls) == 2, "what was not granted is not given back"
+
+
+@pytest.mark.parametrize("system", [True], indirect=True)
+def test_nobody_is_asked_for_what_is_not_wanted(system):
+    with real_time(is_wanted=False) as refused:
+        assert refused == []
+    assert system.calls == []

@@ -1,0 +1,91 @@
+"""A simulated robot in a process of its own, behind a pseudo-terminal, that says what it heard."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lss_motion.sim.build import bus_from_robot
+from lss_motion.sim.pty import serve_buses
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from multiprocessing.connection import Connection
+
+    from lss_motion.robot.model import Robot
+
+    Heard = list[tuple[int, bytes]]
+
+_PROCESSES = multiprocessing.get_context("spawn")
+
+
+@contextlib.contextmanager
+def robot_behind_pty(robot: Robot, *, seed: int = 1) -> Iterator[tuple[Robot, Callable[[], Heard]]]:
+    """Yield the robot with the port to open, and what returns all lines its servos heard so far.
+
+    A line is heard, by the monotonic clock, when its last byte has arrived at the servos.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        link = Path(folder) / "port"
+        ours, theirs = _PROCESSES.Pipe()
+        process = _PROCESSES.Process(target=_serve, args=(robot, link, seed, theirs))
+        process.start()
+        theirs.close()
+        try:
+            assert ours.recv() == "ready"
+            buses = {name: replace(bus, port=str(link)) for name, bus in robot.buses.items()}
+
+            def heard() -> Heard:
+                ours.send("heard")
+                lines: Heard = ours.recv()
+                return lines
+
+            yield replace(robot, buses=buses), heard
+        finally:
+            with contextlib.suppress(BrokenPipeError):
+                ours.send("end")
+            process.join()
+
+
+def _serve(robot: Robot, link: Path, seed: int, pipe: Connection) -> None:
+    """Serve until the pipe says `end`; answer anything else with what was heard since."""
+    buses = {name: bus_from_robot(robot, name, seed=seed) for name in robot.buses}
+    [bus] = buses.values()
+    bus.record()
+
+    def should_stop() -> bool:
+        while pipe.poll():
+            if pipe.recv() == "end":
+                return True
+            assert bus.heard is not None
+            pipe.send(list(bus.heard))
+            bus.heard.clear()
+        return False
+
+    serve_buses(buses, link, announce=lambda _: pipe.send("ready"), should_stop=should_stop)
+
+
+@contextlib.contextmanager
+def busy_cores() -> Iterator[None]:
+    """Keep every core busy with ordinary work meanwhile."""
+    count = os.cpu_count() or 1
+    processes = [_PROCESSES.Process(target=_work, daemon=True) for _ in range(count)]
+    for process in processes:
+        process.start()
+    try:
+        yield
+    finally:
+        for process in processes:
+            process.terminate()
+            process.join()
+
+
+def _work() -> None:
+    value = 1
+    while True:
+        value = value * 3 % 1_000_003

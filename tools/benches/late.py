@@ -1,0 +1,182 @@
+"""How late commands are where the servo hears them, over a pseudo-terminal, the display being on.
+
+A loop in C sends the same bytes at the same instants to the same simulated robot, in turns with
+the player: what it cannot do on this machine, nobody can.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from benches.behind_pty import busy_cores, robot_behind_pty
+from benches.shows import lively_show, robot_of
+from benches.table import Row
+from lss_motion import api
+from lss_motion.cli.display import Display
+from lss_motion.units import NS_PER_US, line_time_ns, ns_from_s, s_from_us
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from benches.behind_pty import Heard
+    from lss_motion.program.model import Program
+    from lss_motion.robot.model import Robot
+
+SERVOS = 18
+SHOW_S = 10.0
+ROUNDS = 3
+COMMAND_BYTES = len(b"#12D-450T50\r")
+QUANTILES = (50.0, 99.0, 99.9, 100.0)
+
+DEADLINES_C: Final = r"""
+#include <fcntl.h>
+#include <stdio.h>
+#include <string.h>
+#include <sys/prctl.h>
+#include <termios.h>
+#include <time.h>
+#include <unistd.h>
+int main(int count, char **words) {
+    int port = open(words[1], O_RDWR | O_NOCTTY);
+    struct termios settings;
+    if (count != 2 || port < 0 || tcgetattr(port, &settings)) return 1;
+    cfmakeraw(&settings);
+    tcsetattr(port, TCSANOW, &settings);
+    prctl(PR_SET_TIMERSLACK, 1, 0, 0, 0);
+    long long due_ns;
+    char line[64];
+    while (scanf("%lld %63s", &due_ns, line) == 2) {
+        struct timespec due = {due_ns / 1000000000, due_ns % 1000000000};
+        strcat(line, "\r");
+        while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &due, NULL)) {}
+        if (write(port, line, strlen(line)) < 0) return 1;
+    }
+    return 0;
+}
+"""
+
+
+def measure() -> list[Row]:
+    """Return the lateness of the player and of the loop in C, idle and with all cores busy."""
+    robot = robot_of(SERVOS)
+    program = api.compile(api.plan(lively_show(robot, SHOW_S, seed=4), robot), robot)
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        loop = _compiled(Path(folder))
+        for what, load in (("idle", contextlib.nullcontext), ("every core busy", busy_cores)):
+            with load():
+                rows += _compared(what, program, robot, loop)
+    return rows
+
+
+def _compared(what: str, program: Program, robot: Robot, loop: Path | None) -> list[Row]:
+    ours: list[float] = []
+    theirs: list[float] = []
+    with robot_behind_pty(robot) as (real, heard):
+        for _ in range(ROUNDS):
+            ours += _player_us(program, real, heard)
+            theirs += [] if loop is None else _loop_us(program, real, heard, loop)
+    command_us = line_time_ns(COMMAND_BYTES, 115_200) / NS_PER_US
+    own = np.percentile(ours, QUANTILES)
+    if loop is None:
+        return [Row(what=f"{what}: late at the servo", ours=_said(own), reference="no C compiler")]
+    bare = np.percentile(theirs, QUANTILES)
+    return [
+        Row(
+            what=f"{what}: {SERVOS} servos, late at the servo, p50, p99, p99.9, max",
+            ours=_said(own),
+            reference=f"{_said(bare)} for a loop in C",
+            ratio=float(own[2] - bare[2]) / command_us,
+            target="p99.9 <= C + 1 command's line time",
+            is_met=bool(own[2] <= bare[2] + command_us),
+        )
+    ]
+
+
+def _said(quantiles_us: np.ndarray) -> str:
+    return ", ".join(f"{value:.0f}" for value in quantiles_us) + " us"
+
+
+def _player_us(program: Program, robot: Robot, heard: Callable[[], Heard]) -> list[float]:
+    heard()
+    with _screen() as display:
+        observer = api.Observer(on_turn=display.show)
+        result = api.perform(program, robot, observer=observer)
+    show = result.player.show
+    assert show is not None
+    dues_ns = []
+    for move in program.moves:
+        due_ns = show.clock.instant_ns(s_from_us(move.due_us))
+        assert due_ns is not None
+        dues_ns.append(due_ns)
+    return _late_us(program, robot, dues_ns, heard())
+
+
+def _loop_us(program: Program, robot: Robot, heard: Callable[[], Heard], loop: Path) -> list[float]:
+    heard()
+    [bus] = robot.buses.values()
+    start_ns = time.monotonic_ns() + ns_from_s(0.5)
+    dues_ns = [start_ns + move.due_us * NS_PER_US for move in program.moves]
+    plan = zip(dues_ns, program.moves, strict=True)
+    text = "".join(f"{due_ns} {move.data.decode().strip()}\n" for due_ns, move in plan)
+    subprocess.run([loop, bus.port], input=text, text=True, check=True)
+    time.sleep(0.1)
+    return _late_us(program, robot, dues_ns, heard())
+
+
+def _late_us(program: Program, robot: Robot, dues_ns: list[int], heard: Heard) -> list[float]:
+    """Return how late every move was heard: the n-th of a servo is its n-th in the program."""
+    [bus] = robot.buses.values()
+    first_ns = min(dues_ns)
+    by_servo: dict[bytes, list[int]] = {}
+    for heard_ns, line in heard:
+        # The moves of the approach were heard before.
+        if b"T" in line and b"Q" not in line and heard_ns > first_ns:
+            by_servo.setdefault(line[: line.index(b"D")], []).append(heard_ns)
+    lates_us = []
+    for due_ns, move in zip(dues_ns, program.moves, strict=True):
+        heard_ns = by_servo[b"#%d" % move.servo_id].pop(0)
+        expected_ns = due_ns + line_time_ns(len(move.data), bus.baud_bps)
+        lates_us.append((heard_ns - expected_ns) / NS_PER_US)
+    return lates_us
+
+
+def _compiled(folder: Path) -> Path | None:
+    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if compiler is None or not sys.platform.startswith("linux"):
+        return None
+    source, target = folder / "deadlines.c", folder / "deadlines"
+    source.write_text(DEADLINES_C)
+    subprocess.run([compiler, "-O2", "-o", target, source], check=True)
+    return target
+
+
+@contextlib.contextmanager
+def _screen() -> Iterator[Display]:
+    """Show on a terminal that somebody reads, as a real one would."""
+    master_fd, slave_fd = os.openpty()
+    # In a process of its own, as a terminal program is.
+    quiet = subprocess.DEVNULL
+    reader = subprocess.Popen(["cat"], stdin=master_fd, stdout=quiet, stderr=quiet)
+    before_fd = os.dup(2)
+    os.dup2(slave_fd, 2)
+    try:
+        display = Display()
+        yield display
+        display.close()
+    finally:
+        os.dup2(before_fd, 2)
+        for fd in (before_fd, slave_fd, master_fd):
+            os.close(fd)
+        reader.kill()
+        reader.wait()
