@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from lss_motion.cli import (
     configuring,
+    doctoring,
     exchange,
     gaits,
     identifying,
@@ -28,6 +29,7 @@ GROUPS = (
     planning,
     playing,
     simulating,
+    doctoring,
     scanning,
     configuring,
     monitoring,

@@ -41,6 +41,8 @@ FRAME_NS: Final = NS_PER_S // 8
 BARS: Final = "▁▂▃▄▅▆▇█"
 SPARK_LEAST_DEG: Final = 1.0
 """A horn that moves less than this shows a flat line, not its noise."""
+SETTLED_S: Final = 1.0
+"""Until everything has been asked once, lines would have holes; nobody waits longer than this."""
 CSV_HEAD: Final = (
     "t_s",
     "servo",
@@ -213,7 +215,7 @@ class _Screen:
         elapsed_s = s_from_ns(now_ns - started_ns)
         if self._is_live:
             self._live.update(rendered(self._watch, self._alarms, elapsed_s), refresh=True)
-        elif any(self._watch.rounds.values()):
+        elif elapsed_s >= SETTLED_S or self._watch.has_asked_all:
             print("\n".join(_lines(self._watch.readings, elapsed_s)), flush=True)
         else:
             self._next_ns = now_ns

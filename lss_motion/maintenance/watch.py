@@ -121,6 +121,11 @@ class Watch:
         """Return how many rounds each bus has completed."""
         return {name: max(lane.rounds - 1, 0) for name, lane in self._lanes.items()}
 
+    @property
+    def has_asked_all(self) -> bool:
+        """Return whether every servo that answers has been asked everything once."""
+        return all(rounds > len(SLOW) for rounds in self.rounds.values())
+
     def stop(self) -> None:
         self._is_stopped = True
 
