@@ -11,7 +11,7 @@ import sys
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from types import FrameType, TracebackType
 
 KEYS_HELP: Final = "space pause, + - speed, q stop"
@@ -32,10 +32,12 @@ class Terminal:
     """Turns keys and signals into wishes for the player; a context manager.
 
     `signal_number` is the last signal that asked the show to end, or None. Faster than planned
-    is not offered: the plan is within the limits at its own speed only.
+    is not offered: the plan is within the limits at its own speed only. With `on_keys`, keys mean
+    what it makes of them.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, on_keys: Callable[[str, Player], None] | None = None) -> None:
+        self._on_keys = on_keys
         self.signal_number: int | None = None
         self._rate = 1.0
         self._is_paused = False
@@ -74,7 +76,11 @@ class Terminal:
         while self._pending:
             self.signal_number = self._pending.pop(0)
             driven.stop(now_ns)
-        for key in self._keys():
+        keys = self._keys()
+        if self._on_keys is not None:
+            self._on_keys(keys, driven)
+            return
+        for key in keys:
             self._press(key, driven, now_ns)
 
     def _note(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002

@@ -19,6 +19,7 @@ from lss_motion.cli import (
     scanning,
     sending,
     simulating,
+    walk,
 )
 from lss_motion.cli.messages import guarded
 
@@ -37,6 +38,7 @@ GROUPS = (
     exchange,
     gaits,
     identifying,
+    walk,
     reference,
 )
 """Each has `add_to(commands)`, and imports nothing heavy before a command of its own runs."""

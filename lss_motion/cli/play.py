@@ -162,7 +162,7 @@ def _perform(
             logs.append(stack.enter_context(ByteLog(arguments.log)))
         terminal = stack.enter_context(Terminal())
         observer = api.Observer(
-            on_event=lambda event: _tell(event, say if display is None else display.note),
+            on_event=lambda event: tell(event, say if display is None else display.note),
             on_turn=None if display is None else display.show,
             controls=terminal,
             make_tap=logs[0].started if logs else None,
@@ -194,7 +194,7 @@ def _nothing(text: str) -> None:
     """Say nothing."""
 
 
-def _tell(event: Event, say: Callable[[str], None]) -> None:
+def tell(event: Event, say: Callable[[str], None]) -> None:
     """Say in one line what happened."""
     from lss_motion.player.events import Faulted, MarkPassed, PhaseEntered, Warned
 

@@ -115,6 +115,7 @@ class _Loader:
             sway_mm=pattern.sway_ratio * foot_mm if sway_mm is None else sway_mm,
             actions=actions,
             start=start,
+            sit=None if content.sit_height_mm is None else self._sitting(("sit_height_mm",)),
             loop=None if content.loop == "forever" else content.loop,
             path=self.source.path,
             robot_path=self.robot.path,

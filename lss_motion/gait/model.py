@@ -111,6 +111,8 @@ class Gait:
     sway_mm: float
     actions: tuple[Action, ...]
     start: BodyPose = field(default_factory=BodyPose)
+    sit: BodyPose | None = None
+    """How it sits, if it can."""
     loop: int | None = 1
     path: Path | None = field(default=None, compare=False)
     robot_path: Path | None = field(default=None, compare=False)

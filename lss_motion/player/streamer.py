@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import chain
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.readings import Reader
@@ -126,10 +127,7 @@ class Streamer:
         return self.clock.target_rate == 0.0 and now_ns >= settled_ns
 
     def extend(self, extension: Extension, now_ns: int) -> bool:
-        """Replace what is due from the splice of `extension` on; False if it is too late for that.
-
-        What was under way before the splice stays.
-        """
+        """Replace what is due from the splice of `extension` on; False if it is too late."""
         from_s = s_from_us(extension.from_us)
         if not self.is_open or self.clock.show_s(now_ns) >= from_s:
             return False
@@ -137,7 +135,7 @@ class Streamer:
         while self._next is not None and self._next[0] < extension.from_us:
             kept.append(self._next)
             self._next = next(self._upcoming, None)
-        self._upcoming = iter([*kept, *((move.due_us, move) for move in extension.moves)])
+        self._upcoming = chain(kept, ((move.due_us, move) for move in extension.moves))
         self._next = next(self._upcoming, None)
         self._program = replace(self._program, duration_s=extension.duration_s)
         for name, later in extension.references.items():

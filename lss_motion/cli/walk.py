@@ -1,0 +1,273 @@
+"""`lss-motion walk GAIT`: a walk that is steered with keys or a gamepad while it goes."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import math
+import signal
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from lss_motion.cli.commands import add_command
+from lss_motion.errors import (
+    EXIT_FINISHED,
+    EXIT_INTERRUPTED,
+    EXIT_NOT_FOLLOWED,
+    EXIT_TERMINATED,
+    InputError,
+    PlanningError,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from lss_motion.api import Result
+    from lss_motion.cli.commands import Commands
+    from lss_motion.cli.controls import Terminal
+    from lss_motion.gait.model import Gait
+    from lss_motion.gait.walker import Twist
+    from lss_motion.player.player import Player
+    from lss_motion.robot.model import Robot
+    from lss_motion.walking.gamepad import Gamepad
+    from lss_motion.walking.pilot import Pilot
+    from lss_motion.walking.process import PlannerProcess
+    from lss_motion.walking.wishes import Wishes
+
+TOP_STRIDE_MM: Final = 40.0
+TOP_TURN_DEG: Final = 12.0
+"""The most in one cycle, where neither the file nor an option says it; halved while it is out of
+reach, at most `HALVINGS_MAX` times. Chosen: half of what the example robots reach."""
+HALVINGS_MAX: Final = 4
+
+KEYS_HELP: Final = (
+    "arrows or w s forward, back; arrows turn; a d sideways; + - speed; space stop; x sit, stand; "
+    "q end"
+)
+
+DESCRIPTION = """\
+Walk, steered with the keys or a gamepad while it goes. A new velocity is taken up when the next
+legs lift, and blended in over one cycle. The robot always knows its way to a stable stand: it goes
+there when it is let go, on Ctrl-C, and when planning is late. A second Ctrl-C stops at once.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command of this module."""
+    text = "walk, steered live with keys or a gamepad"
+    walk = add_command(commands, "walk", _walk, text, f"{DESCRIPTION}\nKeys: {KEYS_HELP}.")
+    walk.add_argument("file", type=Path, metavar="GAIT", help="a gait file")
+    walk.add_argument("--robot", type=Path, metavar="FILE", help="use this robot file")
+    walk.add_argument("--port", metavar="URL", help="serial device or URL; sim:// is simulated")
+    for name, unit in (("forward", "mm-s"), ("left", "mm-s"), ("turn", "deg-s")):
+        walk.add_argument(
+            f"--{name}-{unit}",
+            type=_speed,
+            metavar="SPEED",
+            help=f"the most {name}; default: the most in the file",
+        )
+    walk.add_argument(
+        "--gamepad", type=Path, metavar="DEVICE", help="steer with it, such as /dev/input/js0"
+    )
+    walk.add_argument("--no-feedback", action="store_true", help="no questions, no correction")
+    walk.add_argument("--seed", type=int, default=0, metavar="N", help="of the simulated bus")
+    walk.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
+    walk.add_argument("--quiet", action="store_true", help="no display; errors only")
+
+
+def _walk(arguments: argparse.Namespace) -> int:
+    from lss_motion import api
+    from lss_motion.cli import shows
+    from lss_motion.cli.play import report_lines
+    from lss_motion.connection import with_port
+    from lss_motion.gait.model import BodyPose
+
+    if arguments.report is not None and not arguments.report.absolute().parent.is_dir():
+        raise InputError("cannot be written: there is no such folder", path=arguments.report)
+    gait, robot = shows.load_gait(arguments.file, arguments.robot)
+    gait, top = fastest(replace(gait, start=BodyPose()), robot, arguments)
+    robot = with_port(robot, arguments.port)
+    say: Callable[[str], None] = _nothing if arguments.quiet else _say
+    if api.is_simulated(robot):
+        say(f"{gait.name}: no hardware, the robot {robot.name!r} is simulated in real time")
+    say(f"at most {speed_text(top)}, one cycle {gait.cycle_s:.2f} s")
+    result, pilot, signal_number = _perform(arguments, gait, robot, top, say)
+    if arguments.report is not None:
+        try:
+            arguments.report.write_text(json.dumps(result.report, indent=1) + "\n", "utf-8")
+        except OSError as error:
+            raise InputError(f"cannot be written: {error}", path=arguments.report) from error
+    for failed in (result.error, pilot.lost):
+        if failed is not None:
+            raise failed
+    say(f"{pilot.taken} stretches walked, {pilot.late} planned too late")
+    for line in report_lines(result.report):
+        say(line)
+    match result.report["outcome"]:
+        case "stopped":
+            return EXIT_TERMINATED if signal_number == signal.SIGTERM else EXIT_INTERRUPTED
+        case "fault":
+            return EXIT_NOT_FOLLOWED
+        case _:
+            return EXIT_FINISHED
+
+
+def fastest(gait: Gait, robot: Robot, arguments: argparse.Namespace) -> tuple[Gait, Twist]:
+    """Return the gait with a cycle that the servos can do, and the most that it is steered to.
+
+    Raises `InputError` or `PlanningError` for an option or a walk of the file beyond the reach.
+    """
+    from lss_motion.gait.model import Walk
+    from lss_motion.gait.steering import eased
+    from lss_motion.gait.walker import STILL
+
+    wanted, guessed = STILL, {}
+    for name, guess in (
+        ("forward_mm_s", TOP_STRIDE_MM / gait.cycle_s),
+        ("left_mm_s", TOP_STRIDE_MM / gait.cycle_s),
+        ("turn_deg_s", TOP_TURN_DEG / gait.cycle_s),
+    ):
+        asked = getattr(arguments, name)
+        said = [abs(getattr(own, name)) for own in gait.actions if isinstance(own, Walk)]
+        if asked is None and max(said, default=0.0) == 0.0:
+            guessed[name] = guess
+        else:
+            wanted = replace(wanted, **{name: asked or max(said)})
+    for name, guess in guessed.items():
+        for halvings in range(HALVINGS_MAX):
+            with contextlib.suppress(InputError, PlanningError):
+                eased(gait, robot, replace(STILL, **{name: guess / 2**halvings}))
+                wanted = replace(wanted, **{name: guess / 2**halvings})
+                break
+    return eased(gait, robot, wanted)
+
+
+class Reins:
+    """Keys, gamepad and signals of one walk, between two commands."""
+
+    def __init__(
+        self, pilot: Pilot, wishes: Wishes, link: PlannerProcess, say: Callable[[str], None]
+    ) -> None:
+        self.terminal: Terminal | None = None
+        self.gamepad: Gamepad | None = None
+        self.sits: tuple[Any, Any] | None = None
+        """The poses in which it stands and sits, if it can sit."""
+        self._pilot = pilot
+        self._wishes = wishes
+        self._link = link
+        self._say = say
+        self._is_sitting = False
+        self._said: object = None
+
+    def filenos(self) -> Sequence[int]:
+        found = [self._link.fileno()]
+        for source in (self.terminal, self.gamepad):
+            found += [] if source is None else source.filenos()
+        return found
+
+    def on_keys(self, keys: str, player: Player) -> None:  # noqa: ARG002
+        self._wishes.press(keys)
+
+    def act(self, driven: Player, now_ns: int) -> None:
+        """Apply what was asked for since the last call."""
+        if self.terminal is not None:
+            self.terminal.act(driven, now_ns)
+        if self.gamepad is not None and (stick := self.gamepad.stick()) is not None:
+            self._wishes.steer(*stick)
+        wishes, pilot = self._wishes, self._pilot
+        if self.sits is None:
+            wishes.is_sitting = False
+        elif wishes.is_sitting != self._is_sitting:
+            self._is_sitting = wishes.is_sitting
+            pilot.wanted_pose = self.sits[int(wishes.is_sitting)]
+        pilot.wanted = wishes.twist()
+        pilot.act(driven, now_ns)
+        if wishes.has_ended and driven.show is not None:
+            driven.close()
+        self._tell()
+
+    def _tell(self) -> None:
+        pilot = self._pilot
+        now = (pilot.twist, pilot.reason, pilot.late)
+        if now != self._said:
+            late = f", {pilot.late} planned too late" if pilot.late else ""
+            reason = f" ({pilot.reason})" if pilot.reason else ""
+            self._say(f"walks {speed_text(pilot.twist)}{late}{reason}")
+        self._said = now
+
+
+def _perform(
+    arguments: argparse.Namespace,
+    gait: Gait,
+    robot: Robot,
+    top: Twist,
+    say: Callable[[str], None],
+) -> tuple[Result, Pilot, int | None]:
+    import sys
+
+    from lss_motion import api
+    from lss_motion.cli.controls import Terminal
+    from lss_motion.cli.display import Display
+    from lss_motion.cli.play import tell
+    from lss_motion.cli.shows import GAIT_TOLERANCE_DEG
+    from lss_motion.gait.model import BodyPose
+    from lss_motion.walking.gamepad import Gamepad
+    from lss_motion.walking.pilot import Pilot
+    from lss_motion.walking.planner import Planner
+    from lss_motion.walking.process import PlannerProcess
+    from lss_motion.walking.wishes import Wishes
+
+    planner = Planner(gait, robot, GAIT_TOLERANCE_DEG)
+    wishes = Wishes(top)
+    with contextlib.ExitStack() as stack:
+        link = stack.enter_context(PlannerProcess(gait, robot, GAIT_TOLERANCE_DEG))
+        pilot = Pilot(link, phase_s=planner.phase_s, splice_s=planner.splice_s)
+        display = None
+        if not arguments.quiet and sys.stderr.isatty():
+            display = Display()
+            stack.callback(display.close)
+        note = say if display is None else display.note
+        reins = Reins(pilot, wishes, link, note)
+        if gait.sit is not None:
+            reins.sits = (BodyPose(), gait.sit)
+        if arguments.gamepad is not None:
+            reins.gamepad = stack.enter_context(Gamepad(arguments.gamepad))
+        reins.terminal = stack.enter_context(Terminal(reins.on_keys))
+        result = api.perform(
+            planner.program,
+            robot,
+            seed=arguments.seed,
+            has_feedback=not arguments.no_feedback,
+            observer=api.Observer(
+                on_event=lambda event: tell(event, note),
+                on_turn=None if display is None else display.show,
+                controls=reins,
+            ),
+            is_open=True,
+        )
+        return result, pilot, reins.terminal.signal_number
+
+
+def speed_text(twist: Twist) -> str:
+    """Return a velocity as a person reads it."""
+    return (
+        f"{twist.forward_mm_s:.0f} mm/s forward, {twist.left_mm_s:.0f} mm/s left, "
+        f"{twist.turn_deg_s:.0f} deg/s"
+    )
+
+
+def _speed(text: str) -> float:
+    value = float(text)
+    if not (math.isfinite(value) and 0.0 < value <= 10_000.0):
+        raise argparse.ArgumentTypeError(f"{text} is not a speed above 0")
+    return value
+
+
+def _nothing(text: str) -> None:
+    """Say nothing."""
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)

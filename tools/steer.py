@@ -1,0 +1,239 @@
+"""Steers simulated walking robots at random, in virtual time, and judges what their horns did.
+
+tools/run tools/steer.py                            100 commands, each example robot in turn
+tools/run tools/steer.py --commands 1000 --seed 7
+
+Wishes come at random instants, also while the last is still blended; some plans come too late. A
+limit broken at a horn, a run that does not end in its stand, or a foot that slips is a failure: it
+is printed with the command that plays it again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lss_motion import api
+from lss_motion.cli import shows
+from lss_motion.gait.kinematics import forward
+from lss_motion.gait.model import BodyPose
+from lss_motion.gait.patterns import PATTERNS
+from lss_motion.gait.steering import eased
+from lss_motion.gait.walker import STILL, Twist
+from lss_motion.player.events import Phase
+from lss_motion.walking.local import LocalLink
+from lss_motion.walking.pilot import Pilot
+from lss_motion.walking.planner import Planner
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from lss_motion.gait.model import Gait
+    from lss_motion.player.player import Player
+    from lss_motion.robot.model import Robot
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "sequences"
+ROBOTS = (("hexapod_walk.yaml", "tripod"), ("quadruped_trot.yaml", "trot"),
+          ("hexapod_walk.yaml", "ripple"), ("quadruped_trot.yaml", "crawl"))  # fmt: skip
+TOP = {
+    6: Twist(forward_mm_s=45.0, left_mm_s=35.0, turn_deg_s=12.0),
+    4: Twist(forward_mm_s=25.0, left_mm_s=12.0, turn_deg_s=8.0),
+}
+BATCH = 50
+"""Commands of one run."""
+LATE_RATIO = 0.03
+STOP_RATIO = 0.1
+TAKES_S = 0.25
+"""A plan takes this long, or, if it is late, 30 times as long."""
+RANGE_SLACK_DEG = 0.5
+SPEED_SLACK_RATIO = 1.05
+ACCEL_SLACK_RATIO = 1.3
+"""Simulated horns have a lag and a backlash of their own; the second difference is over 20 ms."""
+STAND_DEG = 0.5
+SLIP_MAX_MM = 1.0
+"""Between two feet that stand: twice what one may."""
+
+
+@dataclass
+class Run:
+    """One robot, steered `commands` times at random."""
+
+    gait: Gait
+    robot: Robot
+    seed: int
+    commands: int
+    tolerance_deg: float = shows.GAIT_TOLERANCE_DEG
+
+    def __post_init__(self) -> None:
+        self.random = np.random.default_rng(self.seed)
+        self.gait, self.top = eased(self.gait, self.robot, TOP[len(self.gait.legs)])
+        self.planner = Planner(self.gait, self.robot, self.tolerance_deg)
+        self.pilot = Pilot(
+            LocalLink(self.planner, self._takes_s),
+            phase_s=self.planner.phase_s,
+            splice_s=self.planner.splice_s,
+        )
+        self.given, self._next_s = 0, 1.0
+
+    def _takes_s(self) -> float:
+        return TAKES_S * (30.0 if self.random.random() < LATE_RATIO else 1.0)
+
+    # ---- controls
+
+    def filenos(self) -> list[int]:
+        return []
+
+    def act(self, player: Player, now_ns: int) -> None:
+        if player.phase is Phase.SHOW and player.show is not None:
+            show_s = player.show.show_s(now_ns)
+            if self.given >= self.commands:
+                self.pilot.wanted = STILL
+                if self.pilot.is_standing(show_s - 1.0):
+                    player.close()
+            elif show_s >= self._next_s:
+                self._wish(show_s)
+        self.pilot.act(player, now_ns)
+
+    def _wish(self, show_s: float) -> None:
+        self.given += 1
+        self._next_s = show_s + self.random.uniform(0.2, 1.5)
+        ahead, left, turn = self.random.uniform(-1.0, 1.0, 3).tolist()
+        self.pilot.wanted = Twist(
+            forward_mm_s=ahead * self.top.forward_mm_s,
+            left_mm_s=left * self.top.left_mm_s,
+            turn_deg_s=turn * self.top.turn_deg_s,
+        )
+        if self.random.random() < STOP_RATIO:
+            self.pilot.wanted = STILL
+
+    # ---- judging
+
+    def faults(self) -> list[str]:
+        """Play it; return what went wrong."""
+        result = api.perform(
+            self.planner.program,
+            self.robot,
+            is_virtual=True,
+            seed=self.seed,
+            observer=api.Observer(controls=self),
+            is_open=True,
+        )
+        assert result.truth is not None
+        self.report: dict[str, Any] = result.report
+        horn_deg, names = result.truth.horn_deg, result.truth.joints
+        found = []
+        if result.report["outcome"] != "finished" or result.report["timing"]["missed"]:
+            found.append(f"outcome {result.report['outcome']}: {result.report['faults']}")
+        self.used = self._limits(horn_deg, names, found)
+        stand = np.array([self.planner.program.start_deg[name] for name in names])
+        off_deg = float(np.abs(horn_deg[-1] - stand).max())
+        if off_deg > STAND_DEG:
+            found.append(f"ends {off_deg:.2f} deg off its stand")
+        self.slip_mm = self._slip_mm(horn_deg, names)
+        if self.slip_mm > SLIP_MAX_MM and self.tolerance_deg <= shows.GAIT_TOLERANCE_DEG:
+            found.append(f"feet that stand move {self.slip_mm:.2f} mm apart")
+        if self.pilot.reason:
+            found.append(self.pilot.reason)
+        if self.pilot.taken < self.commands // 6:
+            found.append(f"only {self.pilot.taken} stretches were walked")
+        return found
+
+    def _limits(
+        self, horn_deg: np.ndarray, names: Sequence[str], found: list[str]
+    ) -> tuple[float, float]:
+        """Return the shares of the speed and acceleration limits that the horns used."""
+        speed = np.abs(np.diff(horn_deg, axis=0)).max(axis=0) / 0.01
+        accel = np.abs(np.diff(horn_deg[::2], 2, axis=0)).max(axis=0) / 0.02**2
+        speed_ratio = accel_ratio = 0.0
+        for column, name in enumerate(names):
+            joint = self.robot.joints[name]
+            low, high = float(horn_deg[:, column].min()), float(horn_deg[:, column].max())
+            slack = RANGE_SLACK_DEG
+            if low < joint.position_min_deg - slack or high > joint.position_max_deg + slack:
+                found.append(f"{name} from {low:.1f} to {high:.1f} deg: out of its range")
+            speed_ratio = max(speed_ratio, float(speed[column]) / joint.speed_max_deg_s)
+            accel_ratio = max(accel_ratio, float(accel[column]) / joint.accel_max_deg_s2)
+        if speed_ratio > SPEED_SLACK_RATIO:
+            found.append(f"speed at {speed_ratio:.0%} of its limit")
+        if accel_ratio > ACCEL_SLACK_RATIO:
+            found.append(f"acceleration at {accel_ratio:.0%} of its limit")
+        return speed_ratio, accel_ratio
+
+    def _slip_mm(self, horn_deg: np.ndarray, names: Sequence[str]) -> float:
+        """Return how much the distance of two feet changes at most while both stand.
+
+        A foot stands while it is on the plane of the lowest three or two; heights in the body.
+        """
+        feet = np.stack(
+            [
+                forward(leg, horn_deg[:, [names.index(name) for name in leg.joints]])
+                for leg in self.gait.legs
+            ],
+            axis=1,
+        )
+        down = feet[:, :, 2] < -self.gait.height_mm + 0.5
+        worst = 0.0
+        for first in range(feet.shape[1]):
+            for second in range(first):
+                both = down[:, first] & down[:, second]
+                apart = np.linalg.norm(feet[:, first] - feet[:, second], axis=1)
+                edges = np.flatnonzero(np.diff(np.concatenate([[0], both, [0]])))
+                for begin, end in zip(edges[0::2], edges[1::2], strict=True):
+                    # Lifting and landing feet are near the ground a little before and after.
+                    kept = apart[begin + 8 : end - 8]
+                    if len(kept) > 10:
+                        worst = max(worst, float(np.ptp(kept)))
+        return worst
+
+
+def run_of(seed: int, commands: int, tolerance_deg: float) -> Run:
+    """Return the run of one robot and pattern, in turn."""
+    file, name = ROBOTS[seed % len(ROBOTS)]
+    gait, robot = shows.load_gait(EXAMPLES / file, None)
+    pattern = PATTERNS[len(gait.legs)][name]
+    sway_mm = 22.0 if pattern.sway_ratio else 0.0
+    gait = replace(
+        gait, pattern=pattern, duty=pattern.duty_ratio, sway_mm=sway_mm, start=BodyPose()
+    )
+    return Run(gait, robot, seed, commands, tolerance_deg)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Steer; return 1 if something went wrong."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("--commands", type=int, default=100, metavar="N")
+    parser.add_argument("--seed", type=int, default=0, metavar="S")
+    parser.add_argument(
+        "--tolerance-deg",
+        type=float,
+        default=shows.GAIT_TOLERANCE_DEG,
+        metavar="DEG",
+        help="of the compiler; above that of gaits, slip is not judged",
+    )
+    arguments = parser.parse_args(argv)
+    failed = 0
+    for index in range(-(-arguments.commands // BATCH)):
+        commands = min(BATCH, arguments.commands - index * BATCH)
+        run = run_of(arguments.seed + index, commands, arguments.tolerance_deg)
+        found = run.faults()
+        speed, accel = run.used
+        print(
+            f"seed {run.seed}: {run.gait.pattern.name}, {run.given} commands in "
+            f"{run.report['played_s']:.0f} s, {run.pilot.taken} stretches, {run.pilot.late} late; "
+            f"speed {speed:.0%}, acceleration {accel:.0%}, slip {run.slip_mm:.2f} mm",
+            flush=True,
+        )
+        for fault in found:
+            print(f"  FAILED: {fault}; tools/run tools/steer.py --commands {commands} "
+                  f"--seed {run.seed}")  # fmt: skip
+        failed += bool(found)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
