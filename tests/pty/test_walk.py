@@ -1,0 +1,121 @@
+"""`lss-motion walk` in a terminal of its own, over a pseudo-terminal, judged at the servos."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+import threading
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lss_motion.cli import shows
+from lss_motion.sim.build import bus_from_robot
+from lss_motion.sim.pty import serve_buses
+
+pytestmark = pytest.mark.realtime
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "sequences" / "quadruped_trot.yaml"
+APPROACH_MOVES = 12
+
+
+@contextmanager
+def walking(folder, *options):
+    """Serve the quadruped, and steer it from a terminal; yields bus, process and its keyboard."""
+    _, robot = shows.load_gait(EXAMPLE, None)
+    bus = bus_from_robot(robot, "main", seed=1)
+    bus.record()
+    stop, ready = threading.Event(), threading.Event()
+    thread = threading.Thread(
+        target=serve_buses,
+        args=({"main": bus}, folder / "port"),
+        kwargs={"announce": lambda _: ready.set(), "should_stop": stop.is_set},
+    )
+    thread.start()
+    assert ready.wait(5.0)
+    keyboard, terminal = pty.openpty()
+    command = [sys.executable, "-m", "lss_motion.cli.main", "walk", str(EXAMPLE), "--port",
+               str(folder / "port"), *options]  # fmt: skip
+    process = subprocess.Popen(
+        command,
+        stdin=terminal,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # The terminal becomes its own, as that of a shell's job in the foreground is.
+        preexec_fn=lambda: (os.setsid(), os.close(os.open(os.ttyname(0), os.O_RDWR))),
+    )
+    try:
+        yield bus, process, keyboard
+    finally:
+        process.kill()
+        process.communicate()
+        os.close(keyboard)
+        os.close(terminal)
+        stop.set()
+        thread.join(5.0)
+
+
+def wait_for(process, text):
+    for line in process.stdout:
+        if text in line:
+            return
+    pytest.fail(f"it never said {text!r}: {process.stderr.read()}")
+
+
+def wait_for_moves(bus, count):
+    """Wait, without looking at the clock, until the servos have heard so many moves."""
+    turn = threading.Event()
+    while sum(b"D" in line and b"T" in line for _, line in bus.heard) < count:
+        turn.wait(0.01)
+
+
+def horns_at_the_end(bus):
+    end_ns = bus.heard[-1][0]
+    return bus.horn_deg(np.arange(end_ns - 100_000_000, end_ns, 10_000_000))
+
+
+def test_keys_make_it_walk_and_an_interrupt_brings_it_to_its_stand(tmp_path):
+    with walking(tmp_path, "--no-feedback") as (bus, process, keyboard):
+        wait_for(process, "playing")
+        stand_deg = None
+        wait_for_moves(bus, APPROACH_MOVES)
+        os.write(keyboard, b"ww")
+        wait_for(process, "15 mm/s forward")
+        wait_for_moves(bus, APPROACH_MOVES + 100)
+        os.write(keyboard, b"\x03")
+        _, errors = process.communicate(timeout=60)
+        assert process.returncode == 130, errors
+        assert errors == ""
+        heard = [line.rstrip(b"\r") for _, line in bus.heard]
+        assert heard[-1] == b"#254H"
+        stand_deg = approached(bus)
+        last = horns_at_the_end(bus)
+        assert np.ptp(last, axis=0).max() < 0.2
+        assert np.abs(last[-1] - stand_deg).max() < 0.6
+
+
+def approached(bus):
+    """Return where the approach, the first move of every servo, was to lead, by servo."""
+    targets = {}
+    for _, line in bus.heard:
+        if b"D" in line and b"T" in line:
+            servo, rest = line[1:].split(b"D")
+            targets.setdefault(int(servo), int(rest.split(b"T")[0]) / 10.0)
+    _, robot = shows.load_gait(EXAMPLE, None)
+    return np.array([targets[joint.servo_id] for joint in robot.joints.values()])
+
+
+def test_q_ends_in_the_stand_too(tmp_path):
+    with walking(tmp_path, "--no-feedback", "--quiet") as (bus, process, keyboard):
+        wait_for_moves(bus, APPROACH_MOVES)
+        os.write(keyboard, b"w\x1b[D")
+        wait_for_moves(bus, APPROACH_MOVES + 100)
+        os.write(keyboard, b"q")
+        _, errors = process.communicate(timeout=60)
+        assert process.returncode == 0, errors
+        assert np.abs(horns_at_the_end(bus)[-1] - approached(bus)).max() < 0.6
