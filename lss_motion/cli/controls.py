@@ -36,7 +36,7 @@ class Terminal:
     what it makes of them.
     """
 
-    def __init__(self, on_keys: Callable[[str, Player], None] | None = None) -> None:
+    def __init__(self, on_keys: Callable[[str], None] | None = None) -> None:
         self._on_keys = on_keys
         self.signal_number: int | None = None
         self._rate = 1.0
@@ -78,7 +78,7 @@ class Terminal:
             driven.stop(now_ns)
         keys = self._keys()
         if self._on_keys is not None:
-            self._on_keys(keys, driven)
+            self._on_keys(keys)
             return
         for key in keys:
             self._press(key, driven, now_ns)

@@ -167,9 +167,6 @@ class Reins:
             found += [] if source is None else source.filenos()
         return found
 
-    def on_keys(self, keys: str, player: Player) -> None:  # noqa: ARG002
-        self._wishes.press(keys)
-
     def act(self, driven: Player, now_ns: int) -> None:
         """Apply what was asked for since the last call."""
         if self.terminal is not None:
@@ -234,7 +231,7 @@ def _perform(
             reins.sits = (BodyPose(), gait.sit)
         if arguments.gamepad is not None:
             reins.gamepad = stack.enter_context(Gamepad(arguments.gamepad))
-        reins.terminal = stack.enter_context(Terminal(reins.on_keys))
+        reins.terminal = stack.enter_context(Terminal(wishes.press))
         result = api.perform(
             planner.program,
             robot,

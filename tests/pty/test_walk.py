@@ -21,6 +21,14 @@ pytestmark = pytest.mark.realtime
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "sequences" / "quadruped_trot.yaml"
 APPROACH_MOVES = 12
+IN_FRONT = """
+import os, sys
+os.setsid()
+os.close(os.open(os.ttyname(0), os.O_RDWR))
+from lss_motion.cli.main import main
+sys.exit(main(sys.argv[1:]))
+"""
+"""Runs `lss-motion` with the terminal as its own, as a shell's job in the foreground has it."""
 
 
 @contextmanager
@@ -38,7 +46,7 @@ def walking(folder, *options):
     thread.start()
     assert ready.wait(5.0)
     keyboard, terminal = pty.openpty()
-    command = [sys.executable, "-m", "lss_motion.cli.main", "walk", str(EXAMPLE), "--port",
+    command = [sys.executable, "-c", IN_FRONT, "walk", str(EXAMPLE), "--port",
                str(folder / "port"), *options]  # fmt: skip
     process = subprocess.Popen(
         command,
@@ -46,8 +54,6 @@ def walking(folder, *options):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        # The terminal becomes its own, as that of a shell's job in the foreground is.
-        preexec_fn=lambda: (os.setsid(), os.close(os.open(os.ttyname(0), os.O_RDWR))),
     )
     try:
         yield bus, process, keyboard
@@ -82,7 +88,6 @@ def horns_at_the_end(bus):
 def test_keys_make_it_walk_and_an_interrupt_brings_it_to_its_stand(tmp_path):
     with walking(tmp_path, "--no-feedback") as (bus, process, keyboard):
         wait_for(process, "playing")
-        stand_deg = None
         wait_for_moves(bus, APPROACH_MOVES)
         os.write(keyboard, b"ww")
         wait_for(process, "15 mm/s forward")
