@@ -85,7 +85,7 @@ def make_window(joint: Joint, standing_deg: float, span_deg: float) -> Window:
 
     Raises `InputError` where the joint stands outside its range or has no room to move.
     """
-    if span_deg < SPAN_LEAST_DEG:
+    if not span_deg >= SPAN_LEAST_DEG:  # Also what is no number.
         raise InputError(
             f"--span-deg {span_deg:g} is too little to measure anything; "
             f"at least {SPAN_LEAST_DEG:g}"
