@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lss_motion.cli.commands import add_command
-from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, InputError
+from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
 
 if TYPE_CHECKING:
     import argparse
@@ -116,6 +116,12 @@ def _check(arguments: argparse.Namespace, robot: Robot | None) -> None:
             from lss_motion.spelling import known_names
 
             raise InputError(f"unknown joint {name!r}; {known_names(name, robot.joints)}")
+    is_other = any(
+        mode is not None
+        for mode in (arguments.new_id, arguments.new_baud, arguments.backup, arguments.restore)
+    )
+    if is_other and (arguments.sets or arguments.session):
+        raise InputError("--set and --session write settings; --new-id and the like go without")
     if arguments.new_id is not None and len(arguments.ids or ()) != 1:
         raise InputError("--new-id is for one servo: say which with --id")
 
@@ -145,30 +151,33 @@ def _targets(
 ) -> list[Target]:
     """Return the servos that are meant, each of which has answered."""
     from lss_motion.cli.scanning import roll_call
-    from lss_motion.cli.servo_settings import target_of
+    from lss_motion.cli.servo_settings import targets_at
 
     if robot is None:
         ids = arguments.ids or [present.servo_id for present in roll_call(connection, "main")]
         if not ids:
-            raise InputError(f"nobody answers on {arguments.port}; see `lss-motion scan`")
-        return [target_of(connection, "main", servo_id) for servo_id in ids]
-    joints = [
-        joint
-        for joint in robot.joints.values()
-        if joint.name in (arguments.joint or robot.joints)
+            raise BusError(
+                f"nobody answers on {arguments.port}; `lss-motion scan {arguments.port}` says more"
+            )
+        return targets_at(connection, "main", {servo_id: f"servo {servo_id}" for servo_id in ids})
+    joints = {
+        name: joint
+        for name, joint in robot.joints.items()
+        if name in (arguments.joint or robot.joints)
         and joint.servo_id in (arguments.ids or [joint.servo_id])
-    ]
-    targets = []
-    for joint in joints:
-        target = target_of(connection, joint.bus, joint.servo_id, joint.name)
-        if not target.model.startswith(joint.model.name):
+    }
+    found: dict[str, Target] = {}
+    for bus in robot.buses:
+        names = {joint.servo_id: name for name, joint in joints.items() if joint.bus == bus}
+        found |= {target.name: target for target in targets_at(connection, bus, names)}
+    for name, joint in joints.items():
+        if not found[name].model.startswith(joint.model.name):
             raise InputError(
-                f"joint {joint.name!r}: servo {joint.servo_id} is a {target.model}, the robot "
+                f"joint {name!r}: servo {joint.servo_id} is a {found[name].model}, the robot "
                 f"file says {joint.model.name}",
                 path=robot.path,
             )
-        targets.append(target)
-    return targets
+    return [found[name] for name in joints]
 
 
 def _wanted(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import sys
@@ -18,6 +19,9 @@ _PLACE = re.compile(r"\S+:\d+: ")
 
 def guarded(program: str, do: Callable[[], int]) -> int:
     """Run a command; turn what it raises on purpose into messages and an exit code."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # "deg/s²" on a terminal that has no "²".
+            stream.reconfigure(errors="replace")
     try:
         code = do()
         sys.stdout.flush()

@@ -69,7 +69,11 @@ def give_id(connection: Connection, arguments: argparse.Namespace) -> int:
         raise InputError("--new-id needs one line: give --port and --baud instead of ROBOT")
     if old_id == new_id:
         raise InputError(f"it has id {old_id} already")
-    if not agree(arguments, f"Restart the servo with id {old_id} as {new_id}?"):
+    (present,) = servo_settings.all_at(connection, bus, [old_id])
+    print(f"{present.model}: id {old_id} → {new_id}")
+    if arguments.dry_run or not agree(
+        arguments, f"Restart the servo with id {old_id} as {new_id}?"
+    ):
         print("nothing was written")
         return EXIT_FINISHED
     present = servo_settings.renumber(connection, bus, old_id, new_id)
@@ -166,7 +170,7 @@ def restore(connection: Connection, arguments: argparse.Namespace) -> int:
             )
         name = f"servo {kept.servo_id}" + (f" on {kept.bus}" if len(connection.buses) > 1 else "")
         now_id = _find(connection, kept, arguments)
-        target = servo_settings.target_of(connection, kept.bus, now_id, name)
+        (target,) = servo_settings.targets_at(connection, kept.bus, {now_id: name})
         if now_id != kept.servo_id:
             moves.append((target, kept.servo_id))
         targets.append(target)
@@ -181,7 +185,9 @@ def restore(connection: Connection, arguments: argparse.Namespace) -> int:
     for target, servo_id in moves:
         servo_settings.renumber(connection, target.bus, target.servo_id, servo_id)
         index = targets.index(target)
-        targets[index] = servo_settings.target_of(connection, target.bus, servo_id, target.name)
+        (targets[index],) = servo_settings.targets_at(
+            connection, target.bus, {servo_id: target.name}
+        )
     return apply(connection, targets, wanted, arguments)
 
 
@@ -195,7 +201,7 @@ def _find(connection: Connection, kept: Kept, arguments: argparse.Namespace) -> 
             return present.servo_id
     own = next((present for present in found if present.servo_id == kept.servo_id), None)
     if own is None or own.is_shared:
-        servo_settings.one_at(connection, kept.bus, kept.servo_id)  # Says what is wrong.
+        servo_settings.all_at(connection, kept.bus, [kept.servo_id])  # Says what is wrong.
         raise BusError(f"servo {kept.servo_id} answers only now and then; check its plug")
     if own.model != kept.model:
         raise InputError(f"servo {kept.servo_id} is a {own.model}; the backup is of a {kept.model}")

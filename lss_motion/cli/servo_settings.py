@@ -15,7 +15,7 @@ from lss_motion.protocol.family import Family
 from lss_motion.protocol.line import Command
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from lss_motion.connection import Connection
     from lss_motion.maintenance.roll_call import Present
@@ -30,41 +30,58 @@ SETTLE_S: Final = 0.02
 """Between writing and reading back: 10 ms is what careful users leave (lss_facts 4), doubled."""
 
 
-def target_of(connection: Connection, bus: str, servo_id: int, name: str = "") -> Target:
-    """Return the servo at an id. Raises `BusError` if nobody, or more than one, answers to it."""
-    present = one_at(connection, bus, servo_id)
+def targets_at(connection: Connection, bus: str, names: Mapping[int, str]) -> list[Target]:
+    """Return the servos at ids of a bus, with the names that people know them by.
+
+    Raises `BusError` if nobody, or more than one, answers to one of them.
+    """
+    found = {present.servo_id: present for present in all_at(connection, bus, names)}
     answers = connection.ask(
-        [Item(bus=bus, command=Command(servo_id, "QF"), is_question=True)]
+        Item(bus=bus, command=Command(servo_id, "QF"), is_question=True)
+        for servo_id, present in found.items()
         if present.family is not Family.IO2
-        else []
     )
-    firmware = answers.get((bus, servo_id, "QF"))
-    return Target(
-        name=name or f"servo {servo_id}",
-        bus=bus,
-        servo_id=servo_id,
-        model=present.model,
-        family=present.family,
-        firmware=firmware if isinstance(firmware, int) else 0,
-    )
+    targets = []
+    for servo_id, name in names.items():
+        present, firmware = found[servo_id], answers.get((bus, servo_id, "QF"))
+        targets.append(
+            Target(
+                name=name,
+                bus=bus,
+                servo_id=servo_id,
+                model=present.model,
+                family=present.family,
+                firmware=firmware if isinstance(firmware, int) else 0,
+            )
+        )
+    return targets
 
 
-def one_at(connection: Connection, bus: str, servo_id: int) -> Present:
-    """Return the only servo at an id. Raises `BusError` if there is none, or more than one."""
-    found = ask_alone(connection, bus, {servo_id: ""}) or ask_alone(connection, bus, {servo_id: ""})
+def all_at(connection: Connection, bus: str, ids: Iterable[int]) -> list[Present]:
+    """Return what answers to each of some ids, in their order.
+
+    Raises `BusError` if there is nobody, or more than one, at one of them.
+    """
+    ids = list(ids)
+    found: dict[int, Present] = {}
+    for _ in range(2):  # An answer can be lost.
+        left = {servo_id: "" for servo_id in ids if servo_id not in found}
+        found |= {present.servo_id: present for present in ask_alone(connection, bus, left)}
     line = connection.buses[bus]
-    if not found:
+    missing = [str(servo_id) for servo_id in ids if servo_id not in found]
+    if missing:
         raise BusError(
-            f"no servo answers to id {servo_id} on {line.port} at {line.baud_bps} bps; "
+            f"no servo answers to id {', '.join(missing)} on {line.port} at {line.baud_bps} bps; "
             f"`lss-motion scan {line.port}` finds who is there",
             url=line.port,
         )
-    if found[0].is_shared:
-        raise BusError(
-            f"several servos answer to id {servo_id} at once: connect one of them alone",
-            url=line.port,
-        )
-    return found[0]
+    for servo_id in ids:
+        if found[servo_id].is_shared:
+            raise BusError(
+                f"several servos answer to id {servo_id} at once: connect one of them alone",
+                url=line.port,
+            )
+    return [found[servo_id] for servo_id in ids]
 
 
 def read(
@@ -114,7 +131,8 @@ def write(
 ) -> list[Change]:
     """Write what is not as wanted until it reads back; return what was changed.
 
-    Servos with changes that act after a RESET get one, and must read back once more after it.
+    Servos with changes that act after a RESET get one, and must read back once more after it,
+    those that went to another rate or into RC mode excepted.
     Raises `BusError` for what they do not keep.
     """
     needed = differing(connection, targets, wanted, is_session=is_session)
@@ -131,8 +149,9 @@ def write(
     restarted = {c.target.name: c.target for c in done if c.row.needs_reset and not is_session}
     if restarted and not needed:
         reset(connection, list(restarted.values()))
-        if not unread:  # In RC mode nothing would answer.
-            needed = differing(connection, list(restarted.values()), wanted, is_session=False)
+        gone = {c.target.name for c in done if c.row.name in settings.LEAVING}
+        again = [target for name, target in restarted.items() if name not in gone]
+        needed = differing(connection, again, wanted, is_session=False)
     if needed:
         kept = "; ".join(
             f"{c.target.name}: {c.row.name} is {settings.said(c.row, c.had)}, not "
@@ -185,7 +204,7 @@ def renumber(connection: Connection, bus: str, old_id: int, new_id: int) -> Pres
     Raises `InputError` if the id is taken, `BusError` if nobody or more than one answers, or the
     servo does not take it.
     """
-    present = one_at(connection, bus, old_id)
+    (present,) = all_at(connection, bus, [old_id])
     command = make_command(present.family, old_id, "CID", new_id)
     for other in ask_alone(connection, bus, {new_id: ""}):
         raise InputError(

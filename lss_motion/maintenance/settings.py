@@ -26,6 +26,8 @@ Values = dict[str, int | None]
 
 RC_MODE: Final = "CRC"
 BAUD: Final = "B"
+LEAVING: Final = (RC_MODE, BAUD)
+"""Who has these changed does not answer on the same line after a RESET."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

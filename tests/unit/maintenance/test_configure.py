@@ -6,7 +6,7 @@ import pytest
 
 from lss_motion import connection as connections
 from lss_motion.cli.main import main
-from lss_motion.cli.servo_settings import read, read_whole, target_of, write
+from lss_motion.cli.servo_settings import read, read_whole, targets_at, write
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_UNREACHABLE, BusError
 from lss_motion.player.dialogue import Item
 from lss_motion.protocol.io2 import PIN_IDS
@@ -49,6 +49,10 @@ def servos(connection):
 
 def heard(connection):
     return [line for _, line in connection.simulated["main"].heard]
+
+
+def targets_by(connection, ids):
+    return targets_at(connection, "main", {servo_id: f"servo {servo_id}" for servo_id in ids})
 
 
 def order(connection, servo_id, keyword, value=None):
@@ -123,7 +127,7 @@ def test_a_value_that_the_servo_does_not_keep_is_told(connected, spec, configure
 def test_a_servo_that_restarts_meanwhile_gets_all_of_it(connected, spec, at_s):
     reset = Fault(kind=FaultKind.RESET, servo_id=1, at_s=at_s)
     connection = connected(spec(1), spec(2), faults=[reset])
-    targets = [target_of(connection, "main", servo_id) for servo_id in (1, 2)]
+    targets = targets_by(connection, [1, 2])
     wanted = {"servo 1": {"O": 25, "LED": 3, "AS": -2, "FD": 50}, "servo 2": {"LED": 4}}
     write(connection, targets, wanted)
     eeprom = servos(connection)[1].eeprom
@@ -138,7 +142,7 @@ def test_a_line_that_loses_commands_and_answers_loses_no_setting(connected, spec
         Fault(kind=FaultKind.LOST_REPLY, ratio=0.15),
     ]
     connection = connected(spec(1), faults=faults, seed=seed)
-    target = target_of(connection, "main", 1)
+    (target,) = targets_by(connection, [1])
     wanted = {"O": 25, "LED": 3, "AS": -2, "AH": 1, "AA": 50, "AD": 60, "SD": 900}
     write(connection, [target], {target.name: wanted})
     eeprom = servos(connection)[1].eeprom
@@ -148,10 +152,28 @@ def test_a_line_that_loses_commands_and_answers_loses_no_setting(connected, spec
 def test_a_servo_that_leaves_is_told(connected, spec):
     gone = Fault(kind=FaultKind.DEAF, servo_id=1, at_s=1.0)
     connection = connected(spec(1), faults=[gone])
-    target = target_of(connection, "main", 1)
+    (target,) = targets_by(connection, [1])
     connection.wait(1.0)
     with pytest.raises(BusError, match=r"servo 1 .* does not answer any more"):
         write(connection, [target], {target.name: {"LED": 3}})
+
+
+def test_a_port_that_is_pulled_meanwhile_ends_it_with_its_reason(connected, spec, configure):
+    pulled = Fault(kind=FaultKind.UNPLUGGED, at_s=0.5)
+    connection = connected(spec(1), spec(2), faults=[pulled])
+    code, _, errors = configure(connection, "robot.yaml", "--yes")
+    assert (code, "lost port sim://" in errors) == (EXIT_UNREACHABLE, True)
+
+
+def test_a_servo_forced_to_another_rate_goes_there_with_all_its_settings(
+    connected, spec, configure
+):
+    connection = connected(spec(1), spec(2))
+    words = ("--port", "P", "--id", 1, "--set", "B=250000", "--set", "LED=3", "--yes", "--force")
+    code, _, errors = configure(connection, *words)
+    assert (code, errors) == (EXIT_FINISHED, "")
+    (servo, _) = connection.simulated["main"]._servos
+    assert (servo.baud_bps, servo.settings.eeprom["LED"]) == (250000, 3)
 
 
 def test_every_setting_of_all_three_families_survives_the_factory_values(
@@ -186,8 +208,7 @@ def test_every_setting_of_all_three_families_survives_the_factory_values(
 
 
 def stored_by(connection, ids):
-    targets = [target_of(connection, "main", servo_id) for servo_id in ids]
-    return read_whole(connection, targets)
+    return read_whole(connection, targets_by(connection, ids))
 
 
 def test_a_servo_with_its_factory_id_again_gets_its_own_back(connected, spec, configure):
@@ -254,6 +275,9 @@ def test_a_bag_of_servos_with_id_0_is_numbered_one_by_one(connected, spec, confi
     words = ("--port", "P", "--id", 0, "--new-id")
     code, _, errors = configure(connection, *words, 3, "--yes")
     assert (code, "id 3 is taken" in errors) == (EXIT_INPUT, True)
+    code, out, _ = configure(connection, *words, 7, "--dry-run")
+    assert (code, "id 0 → 7" in out) == (EXIT_FINISHED, True)
+    assert sorted(servos(connection)) == [0, 3]
     code, out, _ = configure(connection, *words, 7, "--yes")
     assert code == EXIT_FINISHED
     assert f"the {model}, serial number" in out
@@ -328,6 +352,8 @@ def test_a_part_of_a_line_changes_its_rate_only_when_forced(connected, spec, con
         (("robot.yaml", "--new-id", "7"), "say which with --id"),
         (("--port", "P", "--id", "1", "--new-id", "251"), "allowed are 0 to 250"),
         (("--port", "P", "--new-baud", "1000"), "servos know 9600"),
+        (("robot.yaml", "--backup", "b.yaml", "--set", "O=1"), "go without"),
+        (("robot.yaml", "--restore", "b.yaml", "--session"), "go without"),
         (("robot.yaml", "--set", "LED=1"), "nobody is there to ask; add --yes"),
     ],
 )
@@ -365,7 +391,7 @@ def test_what_is_asked_and_answered_no_writes_nothing(connected, spec, configure
 
 def test_reading_says_what_was_not_answered(connected, spec):
     connection = connected(spec(1), firmware=367)
-    target = target_of(connection, "main", 1)
+    (target,) = targets_by(connection, [1])
     assert "FPC" not in target.rows(is_session=False)  # Firmware 367 does not know it.
     found = read(connection, [target])[target.name]
     assert found["AS"] == 0

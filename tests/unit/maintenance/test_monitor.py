@@ -6,7 +6,9 @@ import io
 
 import pytest
 
-from lss_motion.cli.monitoring import rendered, sparkline
+from lss_motion import connection as connections
+from lss_motion.cli.main import main
+from lss_motion.cli.monitor_screen import rendered, sparkline
 from lss_motion.maintenance.alarms import Alarms, Thresholds
 from lss_motion.maintenance.settings import Target
 from lss_motion.maintenance.watch import Reading, Watch
@@ -206,3 +208,20 @@ def test_a_sparkline_goes_from_the_lowest_to_the_highest():
     assert sparkline([0, 35, 70]) == "▁▅█"
     assert sparkline([1.0, 1.1, 0.9]) == "▁▁▁"
     assert sparkline([]) == ""
+
+
+def test_a_status_is_read_by_the_firmware_that_the_servo_says(
+    connected, spec, tmp_path, monkeypatch, capsys
+):
+    """The LSS-PRO of the newer firmware says 5 where older ones said 6 for holding."""
+    robot = tmp_path / "robot.yaml"
+    robot.write_text("""
+robot: one
+joints:
+  arm: {id: 2, model: LSS-P-S1, range_deg: [0, 9], speed_max_deg_s: 9, accel_max_deg_s2: 90}
+""")
+    connection = connected(spec(2, "LSS-P-S1"), firmware=781)
+    connection.ask([Item(bus="main", command=Command(2, "H"), is_question=False)])
+    monkeypatch.setattr(connections, "connect", lambda *_, **__: connection)
+    assert main(["monitor", str(robot), "--for", "1"]) == 0
+    assert "holding" in capsys.readouterr().out
