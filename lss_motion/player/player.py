@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from lss_motion.errors import LssMotionError
 from lss_motion.player import setup
+from lss_motion.player.approach import approach
 from lss_motion.player.dialogue import Dialogue
 from lss_motion.player.events import Event, Faulted, MarkPassed, Phase, PhaseEntered, Warned
 from lss_motion.player.line import Line
 from lss_motion.player.queries import Questioner
 from lss_motion.player.streamer import Streamer
-from lss_motion.program.model import driven
-from lss_motion.program.predict import profiles
+from lss_motion.program.predict import driven, profiles
 from lss_motion.units import NS_PER_MS
 
 if TYPE_CHECKING:
@@ -242,7 +242,7 @@ class Player:
         self._dialogue = None
         self._has_moved = True
         self._enter(Phase.APPROACH)
-        program = setup.approach(self.robot, standing, start)
+        program = approach(self.robot, standing, start)
         self._streamer = self._stream(program, standing, now_ns, None)
 
     def _plan_start(self) -> dict[str, float]:

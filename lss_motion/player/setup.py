@@ -1,22 +1,22 @@
 """Before and after a show: which servos are there, may they do what the plan asks, and settings.
 
-For the session, every servo gets the joint's own limits (AA, AD and SD), so that it keeps them
-whatever it hears, and EM1, in which `D…T…` works; afterwards it gets back what it had.
+For the session, every timed servo gets the joint's own limits (AA, AD and SD), so that it keeps
+them whatever it hears, and EM1, in which `D…T…` works; a streamed one gets EM0 with the program's
+FPC; afterwards each gets back what it had. An RC servo on a 2IO has no settings.
 """
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import BusError, InputError, PlaybackError
-from lss_motion.player.dialogue import Item
-from lss_motion.program.compile import lines_use
-from lss_motion.program.model import Move, Program, ramp_deg_s2
+from lss_motion.player.dialogue import TRIES, Item
+from lss_motion.program.model import ramp_deg_s2
 from lss_motion.protocol.codec import make_command, read_reply
 from lss_motion.protocol.constants import BROADCAST_ID, Status, status_from
 from lss_motion.protocol.line import Command, Reply, encode
-from lss_motion.units import MS_PER_S, NS_PER_MS, NS_PER_US, line_time_ns
+from lss_motion.robot.drives import FILTER_FIRMWARE_MIN
+from lss_motion.units import NS_PER_MS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -31,11 +31,17 @@ QUESTIONS: Final = ("QMS", "QF", "Q", "QSD", "QAA", "QAD", "QEM", "QD")
 ESSENTIAL: Final = ("QD",)
 """Without an answer to these the show does not start. A servo that answers them but not the
 others is taken as it is: no document says which family answers all of them."""
-SESSION_KEYWORDS: Final = ("EM", "AA", "AD", "SD")
-APPROACH_LEAST_S: Final = 0.3
-"""Even a servo that stands where it should is given this long: it may be limp."""
 LATENCY_BAD_NS: Final = 5 * NS_PER_MS
 """A servo answers within 2 ms (lss_facts 2.2); what takes longer is an adapter's latency timer."""
+FILTER_QUESTIONS: Final = ("QFPC", "QIPE")
+"""Asked of streamed servos as well. IPE makes the filter step by itself (lss_facts 1.2); a servo
+that does not answer QIPE is taken to do so, as from the factory."""
+FILTER_ESSENTIAL: Final = ("QD", "QEM", "QFPC")
+ESSENTIAL_TRIES: Final = 6
+"""On a bus that loses a third of the answers, one servo in a thousand then stays silent."""
+IO2_QUESTIONS: Final = ("QMS", "QG", "QD")
+"""An RC servo on a 2IO knows no more, and QD is only its last command (lss_facts 3)."""
+SESSION_KEYWORDS: Final = ("EM", "AA", "AD", "SD", "FPC", "IPE")
 LIMIT_SLACK_RATIO: Final = 0.999
 """Limits read back from a servo are rounded to its wire unit."""
 
@@ -43,10 +49,25 @@ LIMIT_SLACK_RATIO: Final = 0.999
 def questions(joints: Iterable[Joint]) -> list[Item]:
     """Return what to ask before a show."""
     return [
-        Item(bus=joint.bus, command=Command(joint.servo_id, keyword), is_question=True)
+        Item(
+            bus=joint.bus,
+            command=Command(joint.servo_id, keyword),
+            is_question=True,
+            tries=ESSENTIAL_TRIES if keyword in FILTER_ESSENTIAL else TRIES,
+        )
         for joint in joints
-        for keyword in QUESTIONS
+        for keyword in _asked_of(joint)
     ]
+
+
+def _asked_of(joint: Joint) -> tuple[str, ...]:
+    match joint.drive:
+        case "stepped":
+            return IO2_QUESTIONS
+        case "streamed":
+            return (*FILTER_QUESTIONS, *QUESTIONS)
+        case _:
+            return QUESTIONS
 
 
 def check_answers(joints: Iterable[Joint], answers: Answers, robot: Robot) -> list[str]:
@@ -68,8 +89,27 @@ def check_answers(joints: Iterable[Joint], answers: Answers, robot: Robot) -> li
         )
     warnings: list[str] = []
     for joint in joints:
+        _check_drive(joint, answers, robot)
         _check_joint(joint, answers, robot, warnings)
     return warnings
+
+
+def _check_drive(joint: Joint, answers: Answers, robot: Robot) -> None:
+    """Refuse a servo that cannot be driven as the program wants."""
+    if joint.drive == "stepped" and stored(joint, answers, "QG") == -1.0:
+        raise InputError(
+            f"joint {joint.name!r}: servo {joint.servo_id} has a gyre of -1, with which an LSS-2IO "
+            f"says nonsense about where it is. Set its gyre to 1 (CG1), and `direction: -1` here",
+            path=robot.path,
+        )
+    unknown = [key[1:] for key in FILTER_ESSENTIAL if stored(joint, answers, key) is None]
+    if joint.drive == "streamed" and unknown:
+        raise InputError(
+            f"joint {joint.name!r}: servo {joint.servo_id} does not say its {' and '.join(unknown)}"
+            f", so it cannot be streamed and set back. That needs an LSS with firmware "
+            f"{FILTER_FIRMWARE_MIN} or later; otherwise use `drive: timed`",
+            path=robot.path,
+        )
 
 
 def _check_joint(joint: Joint, answers: Answers, robot: Robot, warnings: list[str]) -> None:
@@ -96,7 +136,9 @@ def _check_joint(joint: Joint, answers: Answers, robot: Robot, warnings: list[st
                 f"cause, then RESET it",
                 joint=joint.name,
             )
-    needs = {"QSD": joint.speed_max_deg_s, "QAA": ramp_deg_s2(joint), "QAD": ramp_deg_s2(joint)}
+    needs: dict[str, float] = {"QSD": joint.speed_max_deg_s}
+    if joint.drive == "timed":
+        needs |= dict.fromkeys(("QAA", "QAD"), ramp_deg_s2(joint))
     for keyword, needed in needs.items():
         allowed = stored(joint, answers, keyword)
         if allowed is not None and allowed < LIMIT_SLACK_RATIO * needed:
@@ -139,8 +181,7 @@ def session_orders(joints: Iterable[Joint], answers: Answers) -> list[Item]:
     """Return the settings for the show. A servo that did not say what it has gets none of it."""
     orders = []
     for joint in joints:
-        ramp = float(ramp_deg_s2(joint))
-        wanted = {"EM": 1.0, "AA": ramp, "AD": ramp, "SD": joint.speed_max_deg_s}
+        wanted = _session_of(joint)
         orders += [
             _order(joint, make_command(joint.model.family, joint.servo_id, keyword, value))
             for keyword, value in wanted.items()
@@ -151,6 +192,19 @@ def session_orders(joints: Iterable[Joint], answers: Answers) -> list[Item]:
             for keyword, value in joint.settings.items()
         ]
     return orders
+
+
+def _session_of(joint: Joint) -> dict[str, float]:
+    """Return the session settings that the drive of a joint needs, in physical units.
+
+    FPC comes before EM0, so that the filter is what it should be from its first step on. Whether
+    SD bounds anything in EM0 is not known; it does no harm.
+    """
+    if joint.drive == "streamed":
+        count = float(joint.filter_count)
+        return {"FPC": count, "IPE": 1.0, "SD": joint.speed_max_deg_s, "EM": 0.0}
+    ramp = float(ramp_deg_s2(joint))
+    return {"EM": 1.0, "AA": ramp, "AD": ramp, "SD": joint.speed_max_deg_s}
 
 
 def restoring_orders(joints: Iterable[Joint], answers: Answers) -> list[Item]:
@@ -174,49 +228,6 @@ def settings_questions(joints: Iterable[Joint]) -> list[Item]:
         for joint in joints
         for keyword in joint.settings
     ]
-
-
-def approach(
-    robot: Robot, standing_deg: Mapping[str, float], start_deg: Mapping[str, float]
-) -> Program:
-    """Return the program that takes every joint from where it stands to where the show starts.
-
-    One move a joint, all of the same duration: the servo's own ramps keep the limits, and no
-    joint is faster than `approach_speed_deg_s`. `standing_deg` are servo angles, `start_deg`
-    joint angles.
-    """
-    longest_s = APPROACH_LEAST_S
-    slowest_ramp_s = 0.0
-    for name, joint_deg in start_deg.items():
-        joint = robot.joints[name]
-        speed_deg_s = min(robot.approach_speed_deg_s, joint.speed_max_deg_s)
-        way_deg = abs(joint.servo_deg(joint_deg) - standing_deg[name])
-        longest_s = max(longest_s, way_deg / speed_deg_s)
-        slowest_ramp_s = max(slowest_ramp_s, speed_deg_s / ramp_deg_s2(joint))
-    moves, due_us = [], dict.fromkeys(robot.buses, 0)
-    for name, joint_deg in start_deg.items():
-        joint = robot.joints[name]
-        move = Move(
-            due_us=due_us[joint.bus],
-            bus=joint.bus,
-            servo_id=joint.servo_id,
-            target_wire=round(joint.servo_deg(joint_deg) * joint.model.wire_per_deg),
-            duration_ms=math.ceil(MS_PER_S * longest_s),
-        )
-        moves.append(move)
-        size_ns = line_time_ns(len(move.data), robot.buses[joint.bus].baud_bps)
-        due_us[joint.bus] += -(-size_ns // NS_PER_US)
-    moves.sort(key=lambda move: move.due_us)
-    return Program(
-        name="approach",
-        robot=robot.name,
-        robot_path=robot.path,
-        moves=tuple(moves),
-        duration_s=longest_s + slowest_ramp_s + 1e-6 * max(due_us.values(), default=0),
-        start_deg={n: robot.joints[n].joint_deg(standing_deg[n]) for n in start_deg},
-        tolerance_deg=0.0,
-        line_use=lines_use(moves, robot),
-    )
 
 
 def safe_bytes(robot: Robot, *, is_limp: bool = False) -> dict[str, bytes]:

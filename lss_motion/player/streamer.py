@@ -14,12 +14,12 @@ from dataclasses import replace
 from itertools import chain
 from typing import TYPE_CHECKING, Final
 
+from lss_motion.player.approach import with_room
 from lss_motion.player.readings import Reader
 from lss_motion.player.show_clock import ShowClock
 from lss_motion.player.statistics import Statistics
-from lss_motion.player.track import Track, make_track
+from lss_motion.player.track import Track, make_tracks
 from lss_motion.program.model import Move, Program, heard_us
-from lss_motion.program.predict import profiles
 from lss_motion.program.wording import LATEST_ARRIVAL_S
 from lss_motion.protocol.line import encode_move
 from lss_motion.units import (
@@ -54,6 +54,8 @@ SETTLE_S: Final = 0.15
 """After the last horn should have arrived: time for the servo's own settling."""
 PLAN_HISTORY_S: Final = 5.0
 """How long a plan that grows remembers what it was: longer than any answer may take."""
+REST_DEG_S: Final = 1.0
+"""Slower than this a servo is at rest: what is left of a filter's way is below a wire unit."""
 ON_TIME_NS: Final = NS_PER_MS // 2
 """Later than this, and T is computed anew; below, it would not change T."""
 
@@ -77,21 +79,11 @@ class Streamer:
         self.is_open = False
         """While it is, the show does not end with the program: it may still be extended."""
         self._program = program
-        self._robot = robot
         self._lines = lines
-        references = profiles(program, robot)
         first_s = s_from_us(min((m.due_us for m in program.moves), default=0))
         begin_s = min(0.0, first_s) if start_s is None else start_s
-        self.tracks: dict[str, Track] = {
-            name: make_track(
-                robot.joints[name],
-                plan,
-                standing_deg[name],
-                program.tolerance_deg,
-                s_from_ns(start_ns) - begin_s,
-            )
-            for name, plan in references.items()
-        }
+        origin_s = s_from_ns(start_ns) - begin_s
+        self.tracks = make_tracks(program, with_room(robot, standing_deg), standing_deg, origin_s)
         self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in self.tracks.values()}
         self.clock = ShowClock(start_ns, begin_s, 1.0)
         self.statistics = Statistics()
@@ -115,16 +107,23 @@ class Streamer:
             return False
         if self.clock.target_rate == 0.0 and not self.clock.is_ramping(now_ns):
             return False
-        if self._owed_ns():
-            return False
-        return self.clock.show_s(now_ns) >= self._program.duration_s + SETTLE_S
+        is_over = self.clock.show_s(now_ns) >= self._program.duration_s + SETTLE_S
+        return is_over and self._has_arrived(now_ns)
 
     def is_standing(self, now_ns: int) -> bool:
         """Return whether a ramp to rate 0 has ended and every horn should have come to rest."""
         settled_ns = self.clock.ramp_end_ns + ns_from_s(SETTLE_S)
-        if self._owed_ns():
-            return False
-        return self.clock.target_rate == 0.0 and now_ns >= settled_ns
+        is_over = self.clock.target_rate == 0.0 and now_ns >= settled_ns
+        return is_over and self._has_arrived(now_ns)
+
+    def _has_arrived(self, now_ns: int) -> bool:
+        """Return whether every servo should be at rest where it was told to go.
+
+        What was told late, and what a speed limit held back, is on its way for longer.
+        """
+        return not self._owed_ns() and all(
+            abs(track.place(now_ns)[1]) < REST_DEG_S for track in self.tracks.values()
+        )
 
     def extend(self, extension: Extension, now_ns: int) -> bool:
         """Replace what is due from the splice of `extension` on; False if it is too late."""
@@ -313,7 +312,8 @@ class Streamer:
         """Send every joint that is off its course a move that brings it there in one period."""
         for track in self.tracks.values():
             heard_ns = self._lines[track.joint.bus].heard_ns(0, now_ns)
-            ahead_ns = heard_ns + period_ns + ns_from_s(track.lead_s + track.latency_s)
+            ahead_s = track.ahead_s(s_from_ns(period_ns)) + track.lead_s
+            ahead_ns = heard_ns + ns_from_s(ahead_s)
             aim_deg = self._planned_deg(track, ahead_ns)
             position_deg, speed_deg_s = track.place(heard_ns)
             way_deg = aim_deg + track.following.offset_deg - position_deg

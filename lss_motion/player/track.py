@@ -8,18 +8,20 @@ from typing import TYPE_CHECKING
 from lss_motion.player.following import Following
 from lss_motion.program.drives import lead, servo_limits
 from lss_motion.program.filtered import FilterProfile
-from lss_motion.program.predict import make_profile
+from lss_motion.program.predict import make_profile, profiles
 from lss_motion.program.step import PULSE_S
 from lss_motion.program.wording import lattice
 from lss_motion.units import MS_PER_S, ns_from_s, s_from_ms, s_from_ns
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from lss_motion.program.cone import ServoLimits
-    from lss_motion.program.model import Move
+    from lss_motion.program.model import Move, Program
     from lss_motion.program.predict import ServoProfile
     from lss_motion.program.response import Reference
     from lss_motion.protocol.constants import Status
-    from lss_motion.robot.model import Joint
+    from lss_motion.robot.model import Joint, Robot
 
 HISTORY_S = 2.0
 """How long what the profile did is kept: longer than any answer may take."""
@@ -83,10 +85,15 @@ class Track:
         is_streamed = self.joint.drive == "streamed"
         return self.joint.response.filter_s if is_streamed else PULSE_S
 
-    @property
-    def latency_s(self) -> float:
-        """How long after a command the servo's profile can change at the earliest."""
-        return self.joint.response.loop_s if self.joint.drive == "streamed" else 0.0
+    def ahead_s(self, period_s: float) -> float:
+        """Return how far ahead a command aims that is followed by another one after `period_s`.
+
+        A jump is right in the middle of the time for which it holds; a filter takes up a command
+        no sooner than its servo's next loop.
+        """
+        if self.joint.drive == "stepped":
+            return 0.5 * period_s
+        return period_s + (self.joint.response.loop_s if self.joint.drive == "streamed" else 0.0)
 
     def _reach(self, heard_s: float) -> tuple[float, float]:
         """Return between which targets the speed limit allows one to be heard at `heard_s`."""
@@ -126,18 +133,22 @@ class Track:
         self.heard_ns = heard_ns
 
 
-def make_track(
-    joint: Joint, plan: Reference, position_deg: float, tolerance_deg: float, origin_s: float
-) -> Track:
-    """Return the track of a joint whose servo stands at `position_deg` (servo degrees).
+def make_tracks(
+    program: Program, robot: Robot, standing_deg: Mapping[str, float], origin_s: float
+) -> dict[str, Track]:
+    """Return the track of every joint of `program`; its servo stands at `standing_deg`.
 
     `origin_s` is when the show time is 0, on the run clock.
     """
-    return Track(
-        joint=joint,
-        plan=plan,
-        profile=make_profile(joint, position_deg, origin_s=origin_s),
-        following=Following(speed_max_deg_s=joint.speed_max_deg_s, standing_deg=position_deg),
-        limits=servo_limits(joint, tolerance_deg),
-        lead_s=lead(joint),
-    )
+    tracks = {}
+    for name, plan in profiles(program, robot).items():
+        joint, servo_deg = robot.joints[name], standing_deg[name]
+        tracks[name] = Track(
+            joint=joint,
+            plan=plan,
+            profile=make_profile(joint, servo_deg, origin_s=origin_s),
+            following=Following(speed_max_deg_s=joint.speed_max_deg_s, standing_deg=servo_deg),
+            limits=servo_limits(joint, program.tolerance_deg),
+            lead_s=lead(joint),
+        )
+    return tracks

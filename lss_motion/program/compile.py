@@ -130,6 +130,15 @@ def slot_us(joint: Joint, baud_bps: int) -> int:
     return -(-line_time_ns(len(longest_move(joint)), baud_bps) // NS_PER_US)
 
 
+def glide_moves(courses: Mapping[str, Course], robot: Robot, tolerance_deg: float) -> list[Move]:
+    """Return the moves that take joints along courses of their own, with nothing else to do."""
+    attempts = (_Attempt(courses, robot, tolerance_deg * r, ()) for r in RELAXED_RATIOS)
+    for attempt in attempts:
+        if not attempt.is_tight or attempt.tolerance_deg == tolerance_deg * RELAXED_RATIOS[-1]:
+            return moves_of(attempt.fitters, robot)
+    raise AssertionError("the last attempt is taken as it is")
+
+
 def _program(
     trajectory: Trajectory,
     robot: Robot,

@@ -33,8 +33,9 @@ AUTHORITY_STEPS: Final = 24
 """Over so many grid steps ahead the course must leave ramp to spare for a correction."""
 AUTHORITY_LEAST_RATIO: Final = 0.01
 """A course at its limit leaves no ramp at all; this keeps the division finite."""
-DURATION_MAX_MS: Final = 30_000
-"""The largest T sent; the documents name no limit, so this is a choice that keeps lines short."""
+DURATION_MAX_MS: Final = 9_999
+"""The largest T sent. The documents name no limit; with four digits a move keeps to the 15
+characters that an LSS-2IO on the bus can bear (lss_facts 3)."""
 STILL_DEG: Final = 1e-7
 """Less than this between two grid steps is standing still."""
 
@@ -99,7 +100,6 @@ class ServoLimits:
     tolerance_deg: float
     response: Response
     wire_step: int = 1
-    duration_max_ms: int = DURATION_MAX_MS
 
 
 def ramped(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from lss_motion.program.line import LineUse
-    from lss_motion.robot.model import Drive, Joint, Robot
+    from lss_motion.robot.model import Drive, Joint
     from lss_motion.trajectory.model import Mark, Stretch
 
 RAMP_STEP_DEG_S2 = 10
@@ -114,16 +114,6 @@ class Program:
         while again:
             yield from ((move.due_us + shift_us, move) for move in again)
             shift_us += period_us
-
-
-def driven(robot: Robot, program: Program) -> Robot:
-    """Return `robot` with the joints of `program` commanded as the program says."""
-    joints = dict(robot.joints)
-    for name in program.start_deg:
-        driving = program.drives.get(name, TIMED)
-        count = driving.filter_count or joints[name].filter_count
-        joints[name] = replace(joints[name], drive=driving.drive, filter_count=count)
-    return replace(robot, joints=joints)
 
 
 def ramp_deg_s2(joint: Joint) -> int:

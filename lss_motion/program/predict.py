@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final, Protocol
 
 from lss_motion.program.filtered import FilterProfile
-from lss_motion.program.model import driven, heard_us, ramp_deg_s2, target_deg
+from lss_motion.program.model import TIMED, heard_us, ramp_deg_s2, target_deg
 from lss_motion.program.response import Profile, Reference
 from lss_motion.program.step import StepProfile
 from lss_motion.units import s_from_ms, s_from_us
@@ -39,6 +40,16 @@ class ServoProfile(Protocol):
     def pieces(self) -> Iterator[Piece]:
         """Yield the whole history."""
         ...
+
+
+def driven(robot: Robot, program: Program) -> Robot:
+    """Return `robot` with the joints of `program` commanded as the program says."""
+    joints = dict(robot.joints)
+    for name in program.start_deg:
+        driving = program.drives.get(name, TIMED)
+        count = driving.filter_count or joints[name].filter_count
+        joints[name] = replace(joints[name], drive=driving.drive, filter_count=count)
+    return replace(robot, joints=joints)
 
 
 def make_profile(joint: Joint, position_deg: float, *, origin_s: float = 0.0) -> ServoProfile:

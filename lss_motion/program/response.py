@@ -199,6 +199,11 @@ class Reference:
         parts = zip(self.table, later.table, strict=True)
         return Reference.of(tuple(np.concatenate([own[first:end], new]) for own, new in parts))
 
+    @property
+    def end_s(self) -> float:
+        """When the last piece, which is at rest, begins; -inf if there is no other."""
+        return float(self._start_s[-1])
+
     def sample(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return positions in degrees at `times_s`; at rest before the first piece."""
         index = np.maximum(np.searchsorted(self._start_s, times_s, side="right") - 1, 0)

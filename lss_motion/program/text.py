@@ -26,7 +26,6 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
 from lss_motion.program.compile import lines_use
-from lss_motion.program.cone import DURATION_MAX_MS
 from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
 from lss_motion.robot.drives import drive_problem
 from lss_motion.trajectory.model import Mark
@@ -41,6 +40,9 @@ FIRST_LINE: Final = "# lss_motion program 1"
 FOREVER: Final = "forever"
 TEXT_MAX_BYTES: Final = 256 * 1024 * 1024
 """A program of ten hours and forty joints; more is not a program."""
+
+DURATION_READ_MAX_MS: Final = 30_000
+"""More than what is written here, for programs that a person wrote; a slip is still noticed."""
 
 _HEADER = re.compile(r"# (\w+): (.*)")
 _MOVE = re.compile(r"(-?\d+) (\S+) #(\d{1,3})D(-?\d+)(?:T(\d+))?")
@@ -206,8 +208,10 @@ class _Reader:
         if (move.duration_ms is not None) != (driving.drive == "timed"):
             wanted = "needs a T" if driving.drive == "timed" else "takes no T"
             raise self._error(number, f"joint {joint.name!r} is {driving.drive}: its D {wanted}")
-        if move.duration_ms is not None and not 1 <= move.duration_ms <= DURATION_MAX_MS:
-            raise self._error(number, f"T{move.duration_ms} is not in 1 to {DURATION_MAX_MS} ms")
+        if move.duration_ms is not None and not 1 <= move.duration_ms <= DURATION_READ_MAX_MS:
+            raise self._error(
+                number, f"T{move.duration_ms} is not in 1 to {DURATION_READ_MAX_MS} ms"
+            )
         if move.target_wire % joint.model.wire_step:
             raise self._error(
                 number, f"D{move.target_wire} is not a multiple of {joint.model.wire_step}"

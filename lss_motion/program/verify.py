@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import PlanningError
-from lss_motion.program.model import driven
-from lss_motion.program.predict import profiles
+from lss_motion.program.predict import driven, profiles
 from lss_motion.program.step import PULSE_S
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.program.cone import ramped
+from lss_motion.program.cone import DURATION_MAX_MS, ramped
 from lss_motion.program.response import expected_duration, travel_speed
 from lss_motion.units import MS_PER_S, s_from_ms
 
@@ -53,7 +53,7 @@ def duration_for(state: Piece, target_deg: float, speed_deg_s: float, limits: Se
     wanted_s = expected_duration(
         state, target_deg, speed_deg_s, limits.ramp_deg_s2, limits.response
     )
-    duration_ms = min(max(1, round(MS_PER_S * wanted_s)), limits.duration_max_ms)
+    duration_ms = min(max(1, round(MS_PER_S * wanted_s)), DURATION_MAX_MS)
     if abs(target_deg - state.position_deg) > limits.speed_max_deg_s * s_from_ms(duration_ms):
         duration_ms += 1
     return duration_ms

@@ -9,7 +9,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import AfterValidator, Field
 
-from lss_motion.robot.models import BAUD_FIRMWARE_MIN, NOT_DRIVEN_YET, SERVO_ID_MAX, SERVO_MODELS
+from lss_motion.robot.models import BAUD_FIRMWARE_MIN, SERVO_ID_MAX, SERVO_MODELS
 from lss_motion.spelling import known_names
 from lss_motion.validation import FileModel, Name, Text, check_text
 
@@ -19,13 +19,14 @@ ANGLE_MAX_DEG: Final = 36_000.0
 SPEED_MIN_DEG_S: Final = 0.1
 """The unit of SD on the wire (seed 000, table row SD: tenths of a degree per second)."""
 
+FILTER_COUNT_MAX: Final = 20
+"""The largest FPC that anybody was seen to use (lss_facts 1.2)."""
+
 ACCEL_MIN_DEG_S2: Final = 0.1
 """Three orders below the smallest ramp of a servo; less is a typing error."""
 
 
 def _check_model(name: str) -> str:
-    if name in NOT_DRIVEN_YET:
-        raise ValueError(f"is not driven yet; {known_names(name, SERVO_MODELS)}")
     if name not in SERVO_MODELS:
         raise ValueError(f"is not a known model; {known_names(name, SERVO_MODELS)}")
     return name
@@ -80,6 +81,9 @@ class ResponseEntry(FileModel, title="response"):
     )
     retarget: Literal["keep_speed", "from_rest"] | None = Field(
         default=None, description="How a command in mid-move starts."
+    )
+    filter_s: float | None = Field(
+        default=None, gt=0.0, le=0.1, description="Period of the filter of a streamed servo."
     )
     t_law: Literal["cruise", "exact"] | None = Field(
         default=None,
@@ -137,6 +141,19 @@ class JointDefaults(FileModel, title="joint defaults"):
         "in the units of `lss-motion reference`; DIS switches a first position off. Playing "
         "neither reads nor writes it.",
         examples=[{"G": -1, "O": 2.5, "AS": 0, "LED": 3, "FD": "DIS"}],
+    )
+    drive: Literal["timed", "streamed", "stepped", "auto"] | None = Field(
+        default=None,
+        description="How it is commanded. timed (default): D…T… by the servo's own ramps. streamed "
+        "(LSS, firmware 368): bare D through the filter of EM0. stepped: whole degrees, all that "
+        "an LSS-2IO knows, and its default. auto: what predicts best; `lss-motion check` says why.",
+    )
+    filter_count: int | None = Field(
+        default=None,
+        ge=1,
+        le=FILTER_COUNT_MAX,
+        description="FPC of a streamed joint for the show: the higher, the fewer commands and the "
+        "further it runs on if the host dies. Default 4.",
     )
     response: ResponseEntry | None = None
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from lss_motion.errors import ProtocolError
 from lss_motion.protocol.line import DISABLED
 from lss_motion.protocol.storing import stored_wire
+from lss_motion.robot.drives import board_problems
 from lss_motion.robot.model import Bus, Joint, Response, Robot
 from lss_motion.robot.models import BAUD_FIRMWARE_MIN, FAMILIES, SERVO_MODELS
 from lss_motion.robot.sides import group_problems, grouped, mirror_problems, mirrored
@@ -101,6 +102,9 @@ class _Loader:
         built = {name: self._joint(name, entry) for name, entry in content.joints.items()}
         joints = {name: joint for name, joint in built.items() if joint is not None}
         self._check_ids(joints)
+        for location, reason in board_problems(buses, joints):
+            if self._is_judged(*location[:2]):
+                self._note(location, reason)
         self._check_poses(joints)
         self.problems += group_problems(content.groups, self._named())
         self.problems += mirror_problems(content.mirror, self._named())
@@ -154,11 +158,13 @@ class _Loader:
         bus = self._bus(name, merged)
         if bus is None or any(key not in fields for key in _NEEDED):
             return None
+        model = SERVO_MODELS[fields["model"]]
+        fields.setdefault("drive", FAMILIES[model.family].drives[0])
         joint = Joint(
             name=name,
             servo_id=entry.id,
             bus=bus,
-            model=SERVO_MODELS[fields["model"]],
+            model=model,
             position_min_deg=fields["range_deg"][0],
             position_max_deg=fields["range_deg"][1],
             settings=fields.get("settings", {}),
@@ -171,7 +177,7 @@ class _Loader:
         )
         for location, reason in _joint_problems(joint, merged):
             self._note(location, reason)
-        return _within_ramps(joint)
+        return _within_ramps(joint) if joint.drive in ("timed", "auto") else joint
 
     def _bus(self, name: str, merged: _Merged) -> str | None:
         buses = self.content.buses
@@ -220,7 +226,15 @@ class _Loader:
                     self._note(("poses", pose, name), f"pose {pose!r}: {reason}")
 
 
-_PLAIN: Final = ("speed_max_deg_s", "accel_max_deg_s2", "direction", "zero_deg", "following_deg")
+_PLAIN: Final = (
+    "speed_max_deg_s",
+    "accel_max_deg_s2",
+    "direction",
+    "zero_deg",
+    "following_deg",
+    "drive",
+    "filter_count",
+)
 
 
 def range_problem(joint: Joint, angle_deg: float) -> str:
@@ -239,6 +253,8 @@ def _within_ramps(joint: Joint) -> Joint:
     Rounded up, the servo would break the limit with every ramp.
     """
     step = FAMILIES[joint.model.family].accel_step_deg_s2
+    if step == 0.0:
+        return joint
     steps = math.floor(round(joint.accel_max_deg_s2 / step, 6))
     return replace(joint, accel_max_deg_s2=step * steps)
 
@@ -257,13 +273,14 @@ def _joint_problems(joint: Joint, merged: _Merged) -> Iterator[tuple[Location, s
             f"joint {joint.name!r}: {joint.speed_max_deg_s:g} deg/s is faster than a "
             f"{model.name} can turn without load, {model.speed_max_deg_s:g} deg/s",
         )
-    if joint.accel_max_deg_s2 > facts.accel_max_deg_s2:
+    if joint.drive == "timed" and joint.accel_max_deg_s2 > facts.accel_max_deg_s2:
         yield (
             merged.place("accel_max_deg_s2"),
             f"joint {joint.name!r}: {joint.accel_max_deg_s2:g} deg/s² is more than the ramps of "
-            f"the servo (AA, AD) can express, {facts.accel_max_deg_s2:g} deg/s²",
+            f"the servo (AA, AD) can express, {facts.accel_max_deg_s2:g} deg/s²; a joint with "
+            f"`drive: streamed` needs none",
         )
-    if joint.accel_max_deg_s2 < facts.accel_step_deg_s2:
+    if joint.drive in ("timed", "auto") and joint.accel_max_deg_s2 < facts.accel_step_deg_s2:
         yield (
             merged.place("accel_max_deg_s2"),
             f"joint {joint.name!r}: {joint.accel_max_deg_s2:g} deg/s² is less than the ramps of "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
@@ -18,14 +19,21 @@ PRO_SPEED_MAX_ASSUMED_DEG_S: Final = 180.0
 """Assumption: no document gives the top speed of an LSS-PRO. Twice what real arms use (90 deg/s,
 lss_facts section 3), so that a sober setting is never refused."""
 
+RC_SPEED_MAX_ASSUMED_DEG_S: Final = 400.0
+"""Assumption: an RC servo on a 2IO can be of any make; 0.15 s for 60 deg is a common one."""
+
+IO2_WIRE_STEP: Final = 10
+"""A 2IO takes tenths of a degree and makes whole degrees of them (lss_facts 3)."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FamilyFacts:
     """What all models of a family have in common.
 
+    `drives` are those that it can be commanded with, its usual one first (design 7).
     `accel_max_deg_s2` is what the ramps AA and AD can express; a timed joint cannot follow more.
     `settings` are the session settings that a robot file may set, with their least and largest
-    value. EM, AA, AD and SD are not among them: the player sets those to what the plan needs.
+    value. EM, FPC, AA, AD and SD are not among them: the player sets those to what the plan needs.
     """
 
     wire_per_deg: int
@@ -57,6 +65,13 @@ FAMILIES: Final[Mapping[Family, FamilyFacts]] = MappingProxyType(
             accel_max_deg_s2=1000.0,
             settings=MappingProxyType({"LED": _LED}),  # its tables have no AS and AH
         ),
+        Family.IO2: FamilyFacts(
+            drives=("stepped",),
+            wire_per_deg=10,  # seed 004, table row 3: tenths
+            accel_step_deg_s2=0.0,  # no ramps: it jumps
+            accel_max_deg_s2=math.inf,
+            settings=MappingProxyType({}),
+        ),
     }
 )
 
@@ -67,6 +82,7 @@ def _model(name: str, family: Family, speed_max_deg_s: float) -> ServoModel:
         family=family,
         speed_max_deg_s=speed_max_deg_s,
         wire_per_deg=FAMILIES[family].wire_per_deg,
+        wire_step=IO2_WIRE_STEP if family is Family.IO2 else 1,
     )
 
 
@@ -81,12 +97,10 @@ SERVO_MODELS: Final[Mapping[str, ServoModel]] = MappingProxyType(
             _model("LSS-P-S1", Family.LSS_PRO, PRO_SPEED_MAX_ASSUMED_DEG_S),
             _model("LSS-P-M1", Family.LSS_PRO, PRO_SPEED_MAX_ASSUMED_DEG_S),
             _model("LSS-P-L1", Family.LSS_PRO, PRO_SPEED_MAX_ASSUMED_DEG_S),
+            _model("LSS-2IO", Family.IO2, RC_SPEED_MAX_ASSUMED_DEG_S),
         )
     }
 )
-
-NOT_DRIVEN_YET: Final = frozenset({"LSS-2IO"})
-"""Models that are known but have no drive; a robot file that names one is refused."""
 
 BAUD_FIRMWARE_MIN: Final[Mapping[int, int]] = MappingProxyType(
     {

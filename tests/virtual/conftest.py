@@ -13,6 +13,7 @@ from lss_motion.robot.model import Bus, Joint, Robot
 from lss_motion.robot.models import SERVO_MODELS
 from lss_motion.sequence.model import Keyframe, Sequence
 from lss_motion.sim import build
+from lss_motion.sim.faults import FaultKind
 
 MOVE = re.compile(rb"#(\d+)D(-?\d+)T(\d+)\r")
 
@@ -167,7 +168,7 @@ class Stage:
                 wired or robot,
                 name,
                 seed=seed,
-                **{"start_deg": start_deg, "physics": physics, "faults": faults, **rest},
+                **{**rest, "start_deg": start_deg, "physics": physics, "faults": faults},
             )
             if on_bus is not None:
                 on_bus(buses[name])
@@ -193,6 +194,7 @@ class Stage:
                 robot,
                 is_virtual=True,
                 trajectory=trajectory,
+                faults=[fault for fault in faults if fault.kind is FaultKind.OVERSLEEP],
                 observer=api.Observer(
                     on_event=note, controls=controls, make_tap=lambda start_ns: Tap()
                 ),

@@ -4,6 +4,7 @@ import pytest
 
 from lss_motion.errors import BusError
 from lss_motion.player import setup
+from lss_motion.player.approach import approach
 from lss_motion.program.predict import profiles
 from lss_motion.protocol.line import encode
 from lss_motion.robot.models import SERVO_MODELS
@@ -57,7 +58,7 @@ def test_the_settings_of_the_file_are_asked_for_first(kit):
 
 def test_the_approach_brings_all_joints_home_together_at_the_slow_speed(kit):
     robot = kit.robot(kit.joint(), kit.joint("j1", 2, direction=-1), approach_speed_deg_s=30.0)
-    program = setup.approach(robot, {"j0": 60.0, "j1": 10.0}, {"j0": 0.0, "j1": 10.0})
+    program = approach(robot, {"j0": 60.0, "j1": 10.0}, {"j0": 0.0, "j1": 10.0})
     first, second = program.moves
     assert (first.target_wire, second.target_wire) == (0, -100)
     assert first.duration_ms == second.duration_ms == 2000

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lss_motion.protocol.family import Family
-from lss_motion.robot.models import BAUD_FIRMWARE_MIN, FAMILIES, NOT_DRIVEN_YET, SERVO_MODELS
+from lss_motion.robot.models import BAUD_FIRMWARE_MIN, FAMILIES, SERVO_MODELS
 
 
 def test_every_model_has_the_wire_unit_of_its_family() -> None:
@@ -11,16 +11,13 @@ def test_every_model_has_the_wire_unit_of_its_family() -> None:
     for name, model in SERVO_MODELS.items():
         assert model.name == name
         assert model.wire_per_deg == FAMILIES[model.family].wire_per_deg
-        assert model.family is (Family.LSS_PRO if name.startswith("LSS-P-") else Family.LSS)
+        family = {"LSS-P": Family.LSS_PRO, "LSS-2": Family.IO2}.get(name[:5], Family.LSS)
+        assert model.family is family
 
 
 def test_no_load_speeds_are_those_of_the_datasheets() -> None:
     speeds = {name: model.speed_max_deg_s for name, model in SERVO_MODELS.items()}
     assert (speeds["LSS-ST1"], speeds["LSS-HS1"], speeds["LSS-HT1"]) == (360.0, 600.0, 360.0)
-
-
-def test_a_model_is_either_driven_or_not() -> None:
-    assert not NOT_DRIVEN_YET & set(SERVO_MODELS)
 
 
 def test_the_fast_baud_rates_came_with_firmware_369() -> None:

@@ -92,7 +92,7 @@ def test_the_show_is_a_show() -> None:
         {"joints": {"a": {"id": 251}}},
         {"joints": {"a": {}}},
         {"joints": {"a b": {"id": 1}}},
-        {"joints": {"a": {"id": 1, "model": "LSS-2IO"}}},
+        {"joints": {"a": {"id": 1, "drive": "fast"}}},
         {"joints": {"a": {"id": 1, "model": None}}},
         {"joints": {"a": {"id": 1, "direction": 2}}},
         {"joints": {"a": {"id": 1, "range_deg": [1]}}},

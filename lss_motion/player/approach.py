@@ -1,0 +1,146 @@
+"""From where the robot stands to where the show starts, slowly."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.program.compile import TOLERANCE_DEG, driving_of, glide_moves, lines_use
+from lss_motion.program.cone import DURATION_MAX_MS, GRID_S, Course
+from lss_motion.program.model import Move, Program, ramp_deg_s2
+from lss_motion.program.predict import profiles
+from lss_motion.program.response import Piece, Reference, trapezoid
+from lss_motion.units import MS_PER_S, NS_PER_US, line_time_ns, s_from_us, us_from_s
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from lss_motion.robot.model import Joint, Robot
+
+APPROACH_LEAST_S: Final = 0.3
+"""Even a servo that stands where it should is given this long: it may be limp."""
+GLIDE_AFTER_S: Final = 0.25
+"""A course of bare `D`s begins this long after the first commands, so that each finds its slot."""
+GLIDE_TOLERANCE_DEG: Final = 0.05
+"""Half a unit of the wire: there is no hurry, and the speed should be even."""
+GLIDE_END_S: Final = 0.1
+"""How long a course stands at its end, so that the end is fitted as a rest."""
+
+
+def with_room(robot: Robot, standing_deg: Mapping[str, float]) -> Robot:
+    """Return `robot` with ranges that hold where its servos stand (servo angles).
+
+    A joint without T is led step by step: one that was put outside of its range has to be led
+    back into it at the same slow speed as everything else, not at a jump.
+    """
+    joints = dict(robot.joints)
+    for name, servo_deg in standing_deg.items():
+        joint = joints[name]
+        if joint.drive != "timed":
+            joints[name] = replace(
+                joint,
+                position_min_deg=min(joint.position_min_deg, joint.joint_deg(servo_deg)),
+                position_max_deg=max(joint.position_max_deg, joint.joint_deg(servo_deg)),
+            )
+    return replace(robot, joints=joints)
+
+
+def approach(
+    robot: Robot, standing_deg: Mapping[str, float], start_deg: Mapping[str, float]
+) -> Program:
+    """Return the program that takes every joint from where it stands to where the show starts.
+
+    Every joint hears a command at once, which also ends being limp, and all take equally long,
+    none faster than `approach_speed_deg_s`. A timed joint is there with that one move (or a few,
+    where T would become too long), by its servo's own ramps. The others know no T: they are first
+    told where they stand, and then led along the same trapezoid. `standing_deg` are servo angles,
+    `start_deg` joint angles.
+    """
+    robot = with_room(robot, standing_deg)
+    joints = [robot.joints[name] for name in start_deg]
+    longest_s, slowest_ramp_s = APPROACH_LEAST_S, 0.0
+    for joint in joints:
+        way_deg = abs(joint.servo_deg(start_deg[joint.name]) - standing_deg[joint.name])
+        longest_s = max(longest_s, way_deg / _speed(robot, joint))
+        slowest_ramp_s = max(slowest_ramp_s, _speed(robot, joint) / ramp_deg_s2(joint))
+    legs = math.ceil(MS_PER_S * longest_s / DURATION_MAX_MS)
+    leg_s = longest_s / legs + slowest_ramp_s
+    moves: list[Move] = []
+    for leg in range(legs):
+        targets = {}
+        for joint in joints:
+            end_deg, from_deg = joint.servo_deg(start_deg[joint.name]), standing_deg[joint.name]
+            if joint.drive == "timed":
+                targets[joint.name] = from_deg + (leg + 1) / legs * (end_deg - from_deg)
+            elif leg == 0:
+                targets[joint.name] = from_deg
+        duration_ms = math.ceil(MS_PER_S * longest_s / legs)
+        moves += _at_once(robot, targets, us_from_s(leg * leg_s), duration_ms)
+    first_s = s_from_us(max((m.due_us for m in moves if m.due_us < us_from_s(leg_s)), default=0))
+    courses = {
+        joint.name: _course(
+            joint,
+            standing_deg[joint.name],
+            joint.servo_deg(start_deg[joint.name]),
+            (first_s, first_s + GLIDE_AFTER_S, longest_s),
+        )
+        for joint in joints
+        if joint.drive != "timed"
+    }
+    moves = sorted(moves + glide_moves(courses, robot, GLIDE_TOLERANCE_DEG), key=lambda m: m.due_us)
+    program = Program(
+        name="approach",
+        robot=robot.name,
+        robot_path=robot.path,
+        moves=tuple(moves),
+        duration_s=0.0,
+        start_deg={n: robot.joints[n].joint_deg(standing_deg[n]) for n in start_deg},
+        tolerance_deg=TOLERANCE_DEG,
+        drives=driving_of(robot, start_deg),
+        line_use=lines_use(moves, robot),
+    )
+    ends_s = [reference.end_s for reference in profiles(program, robot).values()]
+    return replace(program, duration_s=max(0.0, *ends_s))
+
+
+def _speed(robot: Robot, joint: Joint) -> float:
+    return min(robot.approach_speed_deg_s, joint.speed_max_deg_s)
+
+
+def _at_once(
+    robot: Robot, targets_deg: Mapping[str, float], at_us: int, duration_ms: int
+) -> list[Move]:
+    """Return one command for every joint, one after another on each bus from `at_us` on."""
+    moves, due_us = [], dict.fromkeys(robot.buses, at_us)
+    for name, servo_deg in targets_deg.items():
+        joint = robot.joints[name]
+        move = Move(
+            due_us=due_us[joint.bus],
+            bus=joint.bus,
+            servo_id=joint.servo_id,
+            target_wire=round(servo_deg / joint.unit_deg) * joint.model.wire_step,
+            duration_ms=duration_ms if joint.drive == "timed" else None,
+        )
+        moves.append(move)
+        size_ns = line_time_ns(len(move.data), robot.buses[joint.bus].baud_bps)
+        due_us[joint.bus] += -(-size_ns // NS_PER_US)
+    return moves
+
+
+def _course(
+    joint: Joint, from_deg: float, to_deg: float, times_s: tuple[float, float, float]
+) -> Course:
+    """Return a course that stands from the first of `times_s`, and goes from the second on.
+
+    As long as the third, and the ramps: as a timed move with that T.
+    """
+    stands_s, starts_s, lasts_s = times_s
+    state = Piece(starts_s, from_deg, 0.0, 0.0)
+    travel_deg_s = max(abs(to_deg - from_deg) / lasts_s, joint.unit_deg)
+    reference = Reference(trapezoid(state, to_deg, travel_deg_s, ramp_deg_s2(joint)))
+    steps = math.ceil((reference.end_s + GLIDE_END_S - stands_s) / GRID_S) + 1
+    grid_s = stands_s + GRID_S * np.arange(steps, dtype=np.float64)
+    return Course(start_s=stands_s, position_deg=reference.sample(grid_s))
