@@ -128,7 +128,8 @@ class Streamer:
     def extend(self, extension: Extension, now_ns: int) -> bool:
         """Replace what is due from the splice of `extension` on; False if it is too late."""
         from_s = s_from_us(extension.from_us)
-        if not self.is_open or self.clock.show_s(now_ns) >= from_s:
+        show_s = self.clock.show_s(now_ns)
+        if not self.is_open or show_s >= from_s:
             return False
         kept: list[tuple[int, Move]] = []
         while self._next is not None and self._next[0] < extension.from_us:
@@ -139,7 +140,7 @@ class Streamer:
         self._program = replace(self._program, duration_s=extension.duration_s)
         for name, later in extension.references.items():
             track = self.tracks[name]
-            track.plan = track.plan.followed_by(later, from_s - PLAN_HISTORY_S)
+            track.plan = track.plan.followed_by(later, show_s - PLAN_HISTORY_S)
         return True
 
     def set_rate(self, rate: float, now_ns: int) -> None:
