@@ -142,13 +142,18 @@ def _droop_deg(one: Blind) -> float:
     spec = one.spec
     if not spec.droop_deg:
         return 0.0
-    level = math.cos(math.radians(spec.start_deg - spec.level_deg))
-    return one.joint.direction * (spec.droop_deg * level + spec.backlash_deg / 2.0)
+    pull = math.cos(math.radians(spec.start_deg - spec.level_deg))
+    side = math.copysign(spec.backlash_deg / 2.0, pull)
+    return one.joint.direction * (spec.droop_deg * pull + side)
 
 
 def _play_deg(one: Blind) -> float:
-    """Return the play that shows: a load keeps the gears at one end of it."""
-    return 0.0 if one.spec.droop_deg else one.spec.backlash_deg
+    """Return the play that shows: a load keeps the gears on its side, unless it changes sides."""
+    spec = one.spec
+    ends_deg = one.joint.servo_deg(one.found.low_deg), one.joint.servo_deg(one.found.high_deg)
+    pulls = [math.cos(math.radians(end_deg - spec.level_deg)) for end_deg in ends_deg]
+    is_one_sided = spec.droop_deg > 0.0 and min(pulls) * max(pulls) > 0.0
+    return 0.0 if is_one_sided else spec.backlash_deg
 
 
 def _top_deg_s(one: Blind) -> float:

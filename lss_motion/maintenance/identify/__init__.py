@@ -5,6 +5,7 @@ experiment   the trials on a bus: moves on time, questions in between, safe howe
 asking       the questions of an experiment
 recording    what was said and read, and when
 motion       where a horn is, under each hypothesis of what the servo does
+rests        what the rests alone say: load and play
 fit          least squares of that model over all trials
 estimate     recording → what the servo does, with uncertainties
 findings     the same in words, and as fields of the robot file

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from lss_motion.errors import PlaybackError
-from lss_motion.maintenance.identify.fit import Fit, Problem
+from lss_motion.maintenance.identify.fit import Fit, Problem, fallen_deg
 from lss_motion.maintenance.identify.motion import HYPOTHESES, Shape, horn_deg
 from lss_motion.maintenance.identify.plan import Kind
+from lss_motion.maintenance.identify.rests import Measured, read_rests
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,9 +30,6 @@ DECIDED_RATIO: Final = 1.15
 MISFIT_MAX_DEG: Final = 0.7
 """Above this no hypothesis explains the readings, and nothing that was fitted may be believed.
 Several times what a reading scatters (lss_facts 7.4: 0.1 deg)."""
-PLAY_LEAST_DEG: Final = 0.1
-"""Less play than a wire unit is none."""
-PLAY_SIGMAS: Final = 4.0
 LOOP_PERIODS_S: Final = (0.001, 0.025)
 """Between these a control period is looked for."""
 LOOP_COHERENCE_LEAST: Final = 0.72
@@ -41,15 +39,9 @@ LOOP_SIGMAS: Final = 3.0
 """A dead time contradicts a control loop when it is so many standard errors off."""
 SATURATED_RATIO: Final = 0.94
 """A horn slower than this share of what its profile asks for turns as fast as it can."""
+STEEP_RATIO: Final = 0.97
 SLOPE_S: Final = 0.05
 """Speeds are slopes over this long."""
-
-
-class Measured(NamedTuple):
-    """A number and its standard error."""
-
-    value: float
-    error: float
 
 
 class Decided(NamedTuple):
@@ -107,12 +99,12 @@ def identify(joint: Joint, recording: Recording) -> Identified:
     Raises `PlaybackError` if no hypothesis explains the readings.
     """
     trials = [trial for trial in recording.trials if trial.kind is not Kind.FAST]
-    play = _play(recording, trials)
-    coarse = Problem(recording, trials, play_deg=play.value, is_coarse=True)
+    rests = read_rests(recording, trials)
+    coarse = Problem(recording, trials, rests, is_coarse=True)
     fits = {hypothesis: coarse.fit(hypothesis) for hypothesis in HYPOTHESES}
     chosen = min(fits.values(), key=lambda fit: fit.misfit_deg)
-    best = Problem(recording, trials, play_deg=play.value).fit(chosen.hypothesis, chosen)
-    play = Measured(best.play_deg, best.errors[7]) if play.value else play
+    best = Problem(recording, trials, rests).fit(chosen.hypothesis, chosen)
+    play = Measured(best.play_deg, best.errors[7]) if rests.play.value else rests.play
     if best.misfit_deg > MISFIT_MAX_DEG:
         raise PlaybackError(
             f"joint {joint.name!r}: no model explains its readings, the best misses by "
@@ -142,7 +134,7 @@ def identify(joint: Joint, recording: Recording) -> Identified:
         decel_deg_s2=Measured(best.decel_deg_s2, best.decel_deg_s2 * best.errors[1]),
         top_deg_s=top,
         is_top=is_top,
-        droop_deg=_droop(joint, best),
+        droop_deg=_droop(joint, best, is_falling=rests.is_falling),
         droop_error_deg=best.errors[3],
         play_deg=play,
         noise_deg=_noise_deg(trials),
@@ -178,26 +170,6 @@ def _parts(fit: Fit, delay: Measured, loop: Measured | None) -> tuple[Measured, 
     return Measured(fit.lag_s, fit.lag_s * fit.errors[2]), Measured(dead_s, error)
 
 
-def _play(recording: Recording, trials: Sequence[Trial]) -> Measured:
-    """Return how much the rests differ by the way from which they were reached."""
-    middle_deg = 0.5 * (recording.window.low_deg + recording.window.high_deg)
-    half_deg = 0.5 * recording.window.room_deg
-    targets = np.array([trial.orders[-1].target_deg for trial in trials])
-    missing = targets - np.array([trial.rest_deg() for trial in trials])
-    away = (targets - middle_deg) / half_deg
-    ways = np.array([trial.last_way() for trial in trials])
-    columns = np.stack([np.ones_like(away), away, away**2, 0.5 * ways], axis=1)
-    found, _, rank, _ = np.linalg.lstsq(columns, missing, rcond=None)
-    if rank < columns.shape[1] or len(trials) <= rank:
-        return Measured(0.0, math.inf)
-    left = missing - columns @ found
-    variance = float(left @ left) / (len(trials) - rank)
-    error = math.sqrt(variance * float(np.linalg.inv(columns.T @ columns)[3, 3]))
-    play_deg = float(found[3])
-    is_real = play_deg > max(PLAY_LEAST_DEG, PLAY_SIGMAS * error)
-    return Measured(play_deg if is_real else 0.0, error)
-
-
 def _loop(trials: Sequence[Trial], fit: Fit) -> Measured | None:
     """Return the period of the grid on which the commands were taken up, if there is one.
 
@@ -225,50 +197,56 @@ def _loop(trials: Sequence[Trial], fit: Fit) -> Measured | None:
 
 
 def _top_speed(recording: Recording, fit: Fit) -> tuple[Measured, bool]:
-    """Return the fastest that the horn turned, and whether its profile asked for more."""
+    """Return the fastest that the horn turned, and whether its profile asked for more.
+
+    Looked at is where the profile is fastest, not where a reading is: that would be its scatter.
+    """
     shape = Shape(fit.accel_deg_s2, fit.decel_deg_s2, recording.speed_max_deg_s, fit.lag_s)
     best, is_top = Measured(0.0, 0.0), False
     for trial in recording.trials:
-        times_s, readings_deg = np.array(trial.times_s), np.array(trial.readings_deg)
+        times_s = np.array(trial.times_s)
         delays = [fit.delay_s - fit.lag_s] * len(trial.orders)
         asked_deg, _ = horn_deg(
             times_s, trial.start_deg, trial.orders, delays, shape, fit.hypothesis
         )
-        made = _fastest(times_s, readings_deg)
-        if made.value > best.value:
-            asked = _fastest(times_s, asked_deg)
-            best, is_top = made, made.value < SATURATED_RATIO * asked.value
+        slopes = _slopes(times_s, np.array(trial.readings_deg), asked_deg)
+        if not len(slopes):
+            continue
+        steep = slopes[slopes[:, 2] >= STEEP_RATIO * slopes[:, 2].max()]
+        made_deg_s, error_deg_s, asked_deg_s = np.median(steep, axis=0).tolist()
+        if made_deg_s > best.value:
+            best = Measured(made_deg_s, error_deg_s)
+            is_top = made_deg_s < SATURATED_RATIO * asked_deg_s
     return best, is_top
 
 
-def _fastest(times_s: Array, angles_deg: Array) -> Measured:
-    """Return the median of the steepest slopes, each over `SLOPE_S`."""
-    slopes, errors = [], []
+def _slopes(times_s: Array, angles_deg: Array, asked_deg: Array) -> Array:
+    """Return of every stretch of `SLOPE_S` the slope of the angles, its error, and that asked."""
+    rows = []
     first = 0
     for last in range(len(times_s)):
         while times_s[last] - times_s[first] > SLOPE_S:
             first += 1
-        count = last - first + 1
-        if count < 4 or times_s[last] - times_s[first] < 0.7 * SLOPE_S:
+        if last - first < 3 or times_s[last] - times_s[first] < 0.7 * SLOPE_S:
             continue
         t = times_s[first : last + 1] - times_s[first : last + 1].mean()
         angles = angles_deg[first : last + 1]
         slope = float(t @ angles / (t @ t))
         left = angles - angles.mean() - slope * t
-        slopes.append(abs(slope))
-        errors.append(math.sqrt(float(left @ left) / (count - 2) / float(t @ t)))
-    if not slopes:
-        return Measured(0.0, math.inf)
-    found, scatter = np.array(slopes), np.array(errors)
-    steep = found >= 0.95 * found.max()
-    return Measured(float(np.median(found[steep])), float(np.median(scatter[steep])))
+        error = math.sqrt(float(left @ left) / (last - first - 1) / float(t @ t))
+        rows.append((abs(slope), error, abs(float(t @ asked_deg[first : last + 1] / (t @ t)))))
+    return np.array(rows)
 
 
-def _droop(joint: Joint, fit: Fit) -> tuple[float, float, float]:
+def _droop(joint: Joint, fit: Fit, *, is_falling: bool) -> tuple[float, float, float]:
     """Return how far the horn stands below its target, in joint degrees, from low to high."""
     level, slope, bend = fit.droop_deg
-    ends = [joint.direction * (level + at * (slope + at * bend)) for at in (-1.0, 0.0, 1.0)]
-    return (ends[0], ends[1], ends[2]) if joint.direction > 0 else (ends[2], ends[1], ends[0])
+    at = np.array([-1.0, 0.0, 1.0])
+    droop = level + at * (slope + at * bend)
+    if is_falling:
+        droop = droop + fallen_deg(droop, fit.play_deg)
+    low, middle, high = (joint.direction * droop)[:: joint.direction].tolist()
+    return low, middle, high
 
 
 def _noise_deg(trials: Sequence[Trial]) -> float:

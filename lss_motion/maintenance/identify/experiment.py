@@ -199,12 +199,13 @@ class Experiment:
         if self.state is State.BRAKE:
             self._restore()
             return
-        if self.state is State.HOLD:
+        if self.error is None and self.state is State.HOLD:
             self._plan()
-        else:
+            self._rested_deg = self._trial.rest_deg()
+        elif self.error is None:
             self.recording.trials.append(self._trial)
             self._check_arrival()
-        self._rested_deg = self._trial.rest_deg()
+            self._rested_deg = self._trial.rest_deg()
         if self.error is not None:
             self._brake(now_ns)
         elif self._plans:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.maintenance.identify.recording import Recording, Trial
+    from lss_motion.maintenance.identify.rests import Rests
 
     Array = NDArray[np.float64]
 
@@ -49,6 +50,9 @@ PRIOR_LOG_RAMP: Final = 0.5
 """Ramps are about what AA and AD say."""
 COST_RATIO: Final = 1e-5
 """A step that lowers the cost by less than this share is the last."""
+FALLING_DEG: Final = 0.05
+"""Gears fall from one side to the other while the load changes by about this. Chosen: half a wire
+unit, so that the fit has a slope to go along."""
 PRIOR_PLAY_DEG: Final = 0.5
 """Play is about what the rests show."""
 STEPS: Final = np.array([1e-4] * DELAY + [1e-5, 1e-3])
@@ -95,16 +99,15 @@ class Fit:
 class Problem:
     """The trials of one joint, ready to be fitted under any hypothesis.
 
-    `play_deg` is the play between gears and horn as the rests show it. It is fitted too, but
-    where they show none there is none.
+    `rests` say whether there is play, and how it shows; how much is fitted, too.
     """
 
     def __init__(
         self,
         recording: Recording,
         trials: Sequence[Trial],
+        rests: Rests,
         *,
-        play_deg: float = 0.0,
         is_coarse: bool = False,
     ) -> None:
         window = recording.window
@@ -116,7 +119,7 @@ class Problem:
         self._speed_max_deg_s = recording.speed_max_deg_s
         self._middle_deg = 0.5 * (window.low_deg + window.high_deg)
         self._half_deg = 0.5 * window.room_deg
-        self._play_deg = play_deg
+        self._rests = rests
         counts = [len(trial.orders) for trial in self.trials]
         self._starts = SHARED + np.concatenate(([0], np.cumsum(counts)))
         size = int(self._starts[-1])
@@ -126,7 +129,7 @@ class Problem:
         self._prior[SHARED:] = (PRIOR_DEG / PRIOR_DELAY_S) ** 2
         self._usual = np.zeros(size)
         self._usual[:2] = np.log(self._ramp_deg_s2)
-        self._usual[PLAY] = play_deg
+        self._usual[PLAY] = rests.play.value
 
     def fit(self, hypothesis: Hypothesis, start: Fit | None = None) -> Fit:
         """Return the best fit, searched from `start` or from scratch. Levenberg-Marquardt."""
@@ -165,12 +168,14 @@ class Problem:
         horn, behind = horn_deg(
             trial.times_s, trial.start_deg, trial.orders, delays.tolist(), shape, hypothesis
         )
-        shaft = horn
-        if self._play_deg:
-            shaft = _with_play(horn, trial.arrived, float(vector[PLAY]))
         away = (horn - self._middle_deg) / self._half_deg
         droop = vector[3] + away * (vector[4] + away * vector[5])
         droop_later = (vector[4] + 2.0 * away * vector[5]) * behind / self._half_deg
+        shaft = horn
+        if self._rests.is_falling:
+            shaft = horn - fallen_deg(droop, float(vector[PLAY]))
+        elif self._rests.play.value:
+            shaft = _with_play(horn, trial.arrived, float(vector[PLAY]))
         reading: Array = shaft - droop + droop_later
         return reading
 
@@ -181,10 +186,10 @@ class Problem:
         ]
 
     def _vector(self, lag_s: float) -> Array:
-        ramp = np.log(self._ramp_deg_s2)
+        ramp, rests = np.log(self._ramp_deg_s2), self._rests
         own = np.zeros(int(self._starts[-1]) - SHARED)
         return np.concatenate(
-            ([ramp, ramp, np.log(lag_s), 0.0, 0.0, 0.0, lag_s, self._play_deg], own)
+            ([ramp, ramp, np.log(lag_s), *rests.droop_deg, lag_s, rests.play.value], own)
         )
 
     def _vector_of(self, fit: Fit) -> Array:
@@ -316,6 +321,12 @@ def _thinned(trial: Trial, arrived: float, most: int) -> FitTrial:
         np.array(trial.times_s)[kept],
         np.array(trial.readings_deg)[kept],
     )
+
+
+def fallen_deg(droop_deg: Array, play_deg: float) -> Array:
+    """Return how much further the horn hangs since its gears lie on the side of the load."""
+    fallen: Array = 0.5 * play_deg * np.tanh(droop_deg / FALLING_DEG)
+    return fallen
 
 
 def _with_play(horn: Array, arrived: float, play_deg: float) -> Array:

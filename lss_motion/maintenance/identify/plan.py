@@ -8,11 +8,12 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
+from lss_motion.maintenance.identify.recording import SETTLE_S
 from lss_motion.program.model import ramp_deg_s2
 from lss_motion.units import MS_PER_S, s_from_ms
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from lss_motion.robot.model import Joint
 
@@ -131,6 +132,11 @@ def make_trials(
             f"off, or give a larger --span-deg"
         )
     return list(_Planner(joint, low_deg, high_deg, standing_deg).trials())
+
+
+def about_s(trials: Sequence[TrialPlan]) -> float:
+    """Return about how long the trials take, with a pause to settle after each."""
+    return sum(trial.end_s + SETTLE_S for trial in trials)
 
 
 class _Planner:
