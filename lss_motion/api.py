@@ -18,7 +18,7 @@ from lss_motion.runtime.clock import MonotonicClock, VirtualClock
 from lss_motion.runtime.real_time import real_time
 from lss_motion.runtime.report import make_report, run_seconds
 from lss_motion.runtime.runner import run
-from lss_motion.sequence.load import load_sequence
+from lss_motion.sequence import load as sequences
 from lss_motion.trajectory.planner import plan
 from lss_motion.units import NS_PER_MS
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Robot
     from lss_motion.runtime.runner import Controls, Tap
+    from lss_motion.sequence.model import Sequence as Show
     from lss_motion.sim.bus import SimBus
     from lss_motion.sim.faults import Fault
     from lss_motion.trajectory.model import Trajectory
@@ -83,6 +84,22 @@ class Observer:
     controls: Controls[Player] | None = None
     make_tap: Callable[[int], Tap] | None = None
     """Given the instant at which the run began, makes what sees every byte."""
+
+
+def load_sequence(path: Path | str, robot: Robot | None = None) -> Show:
+    """Return the sequence of a sequence or gait file, checked against its robot.
+
+    The robot is `robot`, or else the one that the file names. Raises `InputError` with file, line,
+    value and remedy; its `more` holds all further problems, those of other files included.
+    """
+    from lss_motion.gait.load import is_gait_file, load_gait
+    from lss_motion.gait.sequence import gait_as_sequence, sequence_of
+
+    if is_gait_file(path):
+        gait = load_gait(path, robot)
+        assert gait.robot_path is not None, "without a robot it would not have been loaded"
+        return sequence_of(gait, robot or load_robot(gait.robot_path))
+    return sequences.load_sequence(path, robot, read_other=gait_as_sequence)
 
 
 def play(

@@ -44,18 +44,17 @@ def load(path: Path, robot_path: Path | None) -> tuple[Sequence, Robot]:
     That of a gait file is what its robot walks.
     """
     from lss_motion.gait.load import is_gait_file
+    from lss_motion.gait.sequence import gait_as_sequence, sequence_of
     from lss_motion.robot.load import load_robot
     from lss_motion.sequence.load import load_sequence
 
     if is_program(path):
         raise InputError("is a compiled program; this needs a sequence file", path=path)
     if is_gait_file(path):
-        from lss_motion.gait.sequence import sequence_of
-
         gait, walker = load_gait(path, robot_path)
         return sequence_of(gait, walker), walker
     robot = None if robot_path is None else load_robot(robot_path)
-    sequence = load_sequence(path, robot)
+    sequence = load_sequence(path, robot, read_other=gait_as_sequence)
     if robot is None:
         assert sequence.robot_path is not None
         robot = load_robot(sequence.robot_path)
@@ -84,14 +83,23 @@ def prepare(
     """
     if is_program(path):
         return _compiled(path, robot_path, speed_ratio=speed_ratio, loop=loop)
-    from lss_motion.gait.load import is_gait_file
     from lss_motion.program.compile import TOLERANCE_DEG, compile_program
 
     sequence, robot = load(path, robot_path)
     trajectory = planned(sequence, robot, speed_ratio=speed_ratio, loop=loop)
-    tolerance_deg = GAIT_TOLERANCE_DEG if is_gait_file(path) else TOLERANCE_DEG
+    tolerance_deg = GAIT_TOLERANCE_DEG if walks(sequence) else TOLERANCE_DEG
     program = compile_program(trajectory, robot, tolerance_deg=tolerance_deg)
     return Show(robot=robot, program=program, trajectory=trajectory)
+
+
+def walks(sequence: Sequence) -> bool:
+    """Return whether a gait is played anywhere in a show."""
+    from lss_motion.gait.load import is_gait_file
+
+    if sequence.path is not None and is_gait_file(sequence.path):
+        return True
+    inner = [step.sequence for step in sequence.play if step.sequence is not None]
+    return any(map(walks, [*inner, *(layer.sequence for layer in sequence.layers)]))
 
 
 def planned(

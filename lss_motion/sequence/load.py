@@ -17,20 +17,28 @@ from lss_motion.sequence.speed import at_speed
 from lss_motion.yaml_source import Location, Problem, read_yaml
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.file import SequenceFile
     from lss_motion.yaml_source import YamlSource
 
 
-def load_sequence(path: Path | str, robot: Robot | None = None) -> Sequence:
+def load_sequence(
+    path: Path | str,
+    robot: Robot | None = None,
+    *,
+    read_other: Callable[[Path, Robot], Sequence | None] | None = None,
+) -> Sequence:
     """Return the sequence of a sequence file, checked against its robot.
 
     The robot is `robot`, or else the one that the file names; it gives the poses, the ranges, and
     left and right. `robot_path` of the result is where that robot was read. Raises `InputError`
     with file, line, value and remedy; its `more` holds all further problems, those of the robot
-    file and of the sequence files that this one plays included.
+    file and of the sequence files that this one plays included. `read_other` reads those of
+    another kind; it returns None for a sequence file.
     """
-    return _load(Path(path), robot, Part())
+    return _load(Path(path), robot, Part(read_other=read_other))
 
 
 def sequence_schema() -> dict[str, Any]:
@@ -45,6 +53,8 @@ def _load(path: Path, robot: Robot | None, part: Part) -> Sequence:
     from lss_motion.sequence.file import KeyframeEntry, LayerEntry, SequenceFile, StepEntry
     from lss_motion.validation import validate
 
+    if (other := part.other(path, robot)) is not None:
+        return other
     source = read_yaml(path)
     blanks = {
         "keyframes": KeyframeEntry(),

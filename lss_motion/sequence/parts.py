@@ -28,13 +28,26 @@ STEPS_MAX: Final = 1000
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """What a file is within the show: the files around it, and whether its angles are offsets."""
+    """What a file is within the show: the files around it, and whether its angles are offsets.
+
+    `read_other` reads files of other kinds, such as gaits; it returns None for those of this kind.
+    """
 
     files: tuple[Path, ...] = ()
     is_offset: bool = False
+    read_other: Callable[[Path, Robot], Sequence | None] | None = None
 
     def inside(self, path: Path) -> Part:
-        return Part((*self.files, path.resolve()), self.is_offset)
+        return replace(self, files=(*self.files, path.resolve()))
+
+    def other(self, path: Path, robot: Robot | None) -> Sequence | None:
+        """Return what a file of another kind says, checked; None if it is of this kind."""
+        if self.read_other is None or robot is None:
+            return None
+        sequence = self.read_other(path, robot)
+        if sequence is not None and self.is_offset:
+            raise InputError("says where joints are, so it cannot be added to others", path=path)
+        return sequence
 
 
 @dataclass(slots=True)

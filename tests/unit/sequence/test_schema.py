@@ -9,6 +9,7 @@ from typing import Any
 import jsonschema
 import pytest
 
+from lss_motion import api
 from lss_motion.robot import load_robot, robot_schema
 from lss_motion.sequence import load_sequence, sequence_schema
 from lss_motion.yaml_source import read_yaml
@@ -69,7 +70,7 @@ def test_every_example_names_its_schema_fulfils_it_and_loads(path: Path) -> None
     schema_path = path.parent / first.removeprefix("# yaml-language-server: $schema=")
     schema = json.loads(schema_path.read_text(encoding="utf-8"))
     assert is_valid(read_yaml(path).value, schema)
-    assert (load_robot if path in ROBOTS else load_sequence)(path).name
+    assert (load_robot if path in ROBOTS else api.load_sequence)(path).name
 
 
 def test_the_show_is_a_show() -> None:
