@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from lss_motion.runtime.port import Port
     from lss_motion.sim.bus import SimBus
     from lss_motion.sim.faults import Fault
+    from lss_motion.sim.hand import Hand
 
 SIMULATED: Final = "sim://"
 
@@ -71,10 +72,12 @@ def connect(
     clock: Clock | None = None,
     seed: int = 0,
     faults: Sequence[Fault] = (),
+    hand: Hand | None = None,
 ) -> Connection:
     """Open the port of every bus; all or none.
 
-    `robot` says what hangs on buses that are `sim://`, `seed` and `faults` what befalls them.
+    `robot` says what hangs on buses that are `sim://`, `seed` and `faults` what befalls them,
+    and `hand` who leads them.
     Raises `BusError` for a port that cannot be opened, `InputError` for `sim://` without a robot.
     """
     connection = Connection(buses, clock or MonotonicClock())
@@ -83,7 +86,7 @@ def connect(
             if not bus.port.startswith(SIMULATED):
                 connection.ports[bus.name] = SerialPort(bus.port, bus.baud_bps)
                 continue
-            connection.simulate(bus, robot, seed=seed, faults=faults)
+            connection.simulate(bus, robot, seed=seed, faults=faults, hand=hand)
     except BaseException:
         connection.close()
         raise
@@ -145,7 +148,13 @@ class Connection:
         self.ports[bus_name] = SimPort(sim_bus, self.clock)
 
     def simulate(
-        self, bus: Bus, robot: Robot | None, *, seed: int, faults: Sequence[Fault]
+        self,
+        bus: Bus,
+        robot: Robot | None,
+        *,
+        seed: int,
+        faults: Sequence[Fault],
+        hand: Hand | None = None,
     ) -> None:
         """Open a simulated bus with the servos of `robot`."""
         if robot is None:
@@ -154,7 +163,7 @@ class Connection:
         from lss_motion.sim.port import SimPort
 
         options: dict[str, Any] = {"faults": faults} if faults else {}
-        sim_bus = bus_from_robot(robot, bus.name, seed=seed, **options)
+        sim_bus = bus_from_robot(robot, bus.name, seed=seed, hand=hand, **options)
         sim_bus.record()
         self.simulated[bus.name] = sim_bus
         self.ports[bus.name] = SimPort(sim_bus, self.clock)

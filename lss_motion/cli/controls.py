@@ -8,7 +8,7 @@ import select
 import signal
 import socket
 import sys
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -28,25 +28,20 @@ class Steered(Protocol):
     def set_rate(self, rate: float, now_ns: int) -> None: ...
 
 
-class Terminal:
-    """Turns keys and signals into wishes for the player; a context manager.
+class Inputs:
+    """Keys and signals as they come; a context manager.
 
-    `signal_number` is the last signal that asked the show to end, or None. Faster than planned
-    is not offered: the plan is within the limits at its own speed only. With `on_keys`, keys mean
-    what it makes of them.
+    `signal_number` is the last signal that asked the run to end, or None.
     """
 
-    def __init__(self, on_keys: Callable[[str], None] | None = None) -> None:
-        self._on_keys = on_keys
+    def __init__(self) -> None:
         self.signal_number: int | None = None
-        self._rate = 1.0
-        self._is_paused = False
         self._pending: list[int] = []
         self._stack = contextlib.ExitStack()
         self._keys_fd: int | None = None
         self._wake, self._alarm = socket.socketpair()
 
-    def __enter__(self) -> Terminal:
+    def __enter__(self) -> Self:
         for end in (self._wake, self._alarm):
             end.setblocking(False)  # noqa: FBT003
             self._stack.callback(end.close)
@@ -69,37 +64,23 @@ class Terminal:
     def filenos(self) -> Sequence[int]:
         return [self._wake.fileno()] + ([] if self._keys_fd is None else [self._keys_fd])
 
-    def act(self, driven: Steered, now_ns: int) -> None:
-        """Apply what came since the last call."""
+    @property
+    def has_keys(self) -> bool:
+        """Whether keys are read at all: from a terminal in the foreground."""
+        return self._keys_fd is not None
+
+    def take(self) -> tuple[int, str]:
+        """Return how many signals came since the last call, and which keys."""
         with contextlib.suppress(BlockingIOError):
             self._wake.recv(64)
-        while self._pending:
-            self.signal_number = self._pending.pop(0)
-            driven.stop(now_ns)
-        keys = self._keys()
-        if self._on_keys is not None:
-            self._on_keys(keys)
-            return
-        for key in keys:
-            self._press(key, driven, now_ns)
+        count = len(self._pending)
+        if count:
+            self.signal_number = self._pending[-1]
+            del self._pending[:count]
+        return count, self._keys()
 
     def _note(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002
         self._pending.append(number)
-
-    def _press(self, key: str, driven: Steered, now_ns: int) -> None:
-        match key:
-            case " ":
-                self._is_paused = not self._is_paused
-                driven.set_rate(0.0 if self._is_paused else self._rate, now_ns)
-            case "+" | "=" | "-" | "_":
-                step = RATE_STEP if key in "+=" else -RATE_STEP
-                self._rate = round(min(max(self._rate + step, RATE_LEAST), 1.0), 3)
-                if not self._is_paused:
-                    driven.set_rate(self._rate, now_ns)
-            case "q" | "Q":
-                driven.stop(now_ns)
-            case _:
-                pass
 
     def _keys(self) -> str:
         if self._keys_fd is None or not select.select([self._keys_fd], [], [], 0.0)[0]:
@@ -122,3 +103,43 @@ class Terminal:
         self._stack.callback(termios.tcsetattr, stdin, termios.TCSADRAIN, before)
         tty.setcbreak(stdin)
         self._keys_fd = stdin
+
+
+class Terminal(Inputs):
+    """Turns keys and signals into wishes for the player.
+
+    Faster than planned is not offered: the plan is within the limits at its own speed only. With
+    `on_keys`, keys mean what it makes of them.
+    """
+
+    def __init__(self, on_keys: Callable[[str], None] | None = None) -> None:
+        super().__init__()
+        self._on_keys = on_keys
+        self._rate = 1.0
+        self._is_paused = False
+
+    def act(self, driven: Steered, now_ns: int) -> None:
+        """Apply what came since the last call."""
+        signals_count, keys = self.take()
+        for _ in range(signals_count):
+            driven.stop(now_ns)
+        if self._on_keys is not None:
+            self._on_keys(keys)
+            return
+        for key in keys:
+            self._press(key, driven, now_ns)
+
+    def _press(self, key: str, driven: Steered, now_ns: int) -> None:
+        match key:
+            case " ":
+                self._is_paused = not self._is_paused
+                driven.set_rate(0.0 if self._is_paused else self._rate, now_ns)
+            case "+" | "=" | "-" | "_":
+                step = RATE_STEP if key in "+=" else -RATE_STEP
+                self._rate = round(min(max(self._rate + step, RATE_LEAST), 1.0), 3)
+                if not self._is_paused:
+                    driven.set_rate(self._rate, now_ns)
+            case "q" | "Q":
+                driven.stop(now_ns)
+            case _:
+                pass

@@ -65,7 +65,7 @@ def add_to(commands: Commands) -> None:
     imported.add_argument("--map", type=Path, metavar="M.yaml", help="what the joints are here")
     imported.add_argument(
         "--tolerance-deg",
-        type=_tolerance,
+        type=tolerance,
         default=1.0,
         metavar="DEG",
         help="how far keys may lead away from a recording (default 1; 0: every sample is a key, "
@@ -192,7 +192,7 @@ def sampled(trajectory: Trajectory, rate_hz: float) -> Samples:
     )
 
 
-def _tolerance(text: str) -> float:
+def tolerance(text: str) -> float:
     value = float(text)
     if not 0.0 <= value <= TOLERANCE_MAX_DEG:
         raise argparse.ArgumentTypeError(f"{text} is not in 0 to {TOLERANCE_MAX_DEG:g} degrees")

@@ -41,6 +41,11 @@ def add_to(commands: Commands) -> None:
     sim.add_argument("--seed", type=int, default=0, metavar="N", help="of all that is chance")
     sim.add_argument("--faults", type=Path, metavar="FILE", help="what goes wrong; see below")
     sim.add_argument(
+        "--hand",
+        metavar="FILE|SEED",
+        help="who leads limp joints from power-up on: a CSV t_s,<joint>,... or a seed",
+    )
+    sim.add_argument(
         "--usb-latency-ms",
         type=_latency,
         default=0,
@@ -72,6 +77,7 @@ every time. Kinds:
 def _sim(arguments: argparse.Namespace) -> int:
     from lss_motion.robot.load import load_robot
     from lss_motion.sim.faults import Fault, FaultKind
+    from lss_motion.sim.hand import hand_of
     from lss_motion.sim.pty import serve
     from lss_motion.units import NS_PER_MS
 
@@ -93,6 +99,7 @@ def _sim(arguments: argparse.Namespace) -> int:
         seed=arguments.seed,
         faults=faults,
         usb_latency_ns=arguments.usb_latency_ms * NS_PER_MS,
+        hand=None if arguments.hand is None else hand_of(arguments.hand, robot),
         announce=lambda text: print(text, flush=True),
     )
     return EXIT_TERMINATED if number == signal.SIGTERM else EXIT_INTERRUPTED

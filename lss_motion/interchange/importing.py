@@ -11,7 +11,7 @@ from lss_motion.errors import InputError
 from lss_motion.interchange.interpolant import interpolated
 from lss_motion.interchange.mapping import mapped
 from lss_motion.interchange.motions import read_motion
-from lss_motion.interchange.reduce import TOLERANCE_DEG, every_sample, reduced
+from lss_motion.interchange.reduce import TOLERANCE_DEG, Limits, every_sample, reduced
 from lss_motion.sequence.check import joint_problems, jumps
 from lss_motion.sequence.model import Interpolation, Sequence
 from lss_motion.sequence.timing import KEYFRAMES_MAX, TIME_MAX_S
@@ -81,13 +81,23 @@ def imported(
         own = every_sample(own, ease)
     elif own.is_recording:
         recorded = own
-        limits = {j.name: (j.speed_max_deg_s, j.accel_max_deg_s2) for j in robot.joints.values()}
-        own, fit = reduced(recorded, tolerance_deg, ease, limits)
+        own, fit = reduced(recorded, tolerance_deg, ease, _limits(robot))
         if ease is Interpolation.SPLINE and (joint := _swings_out(own, recorded, robot)):
             own, fit = reduced(recorded, tolerance_deg, Interpolation.SMOOTH)
             note = f"A spline would swing joint {joint} out of its range: smooth instead."
             own = replace(own, comments=(*own.comments, note))
     return Imported(sequence=sequence_for(own, robot), comments=own.comments, fit=fit)
+
+
+def _limits(robot: Robot) -> dict[str, Limits]:
+    return {
+        name: Limits(
+            speed_deg_s=joint.speed_max_deg_s,
+            accel_deg_s2=joint.accel_max_deg_s2,
+            range_deg=(joint.position_min_deg, joint.position_max_deg),
+        )
+        for name, joint in robot.joints.items()
+    }
 
 
 def _swings_out(keys: ForeignMotion, recorded: ForeignMotion, robot: Robot) -> str:

@@ -87,6 +87,22 @@ class Spans:
         at_keys = np.abs(self.slopes)
         return np.maximum(speed, np.maximum(at_keys[:-1], at_keys[1:])), accel
 
+    def extremes(self) -> tuple[FloatArray, FloatArray]:
+        """Return the least and the largest value of each span; not for `linear`."""
+        assert self.slopes is not None
+        linear, square, cube = self._coefficients(self.slopes)
+        ends = np.stack([np.zeros_like(linear), self.moved])
+        # Where 3 cube s² + 2 square s + linear is 0, in the form that also holds for cube = 0.
+        root = np.sqrt(np.maximum(square**2 - 3.0 * cube * linear, 0.0))
+        near = -(square + np.copysign(root, square))
+        turns = [
+            np.divide(linear, near, out=np.zeros_like(near), where=near != 0.0),
+            np.divide(near, 3.0 * cube, out=np.zeros_like(near), where=cube != 0.0),
+        ]
+        inside = [np.clip(turn, 0.0, 1.0) for turn in turns]
+        values = np.stack([*ends, *(s * (linear + s * (square + s * cube)) for s in inside)])
+        return self.start + values.min(axis=0), self.start + values.max(axis=0)
+
     def _coefficients(self, slopes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return those of the share, its square and its cube."""
         before, after = slopes[:-1] * self.lengths_s, slopes[1:] * self.lengths_s

@@ -26,6 +26,9 @@ it to two after it, and a spline little beyond that."""
 PULL: Final = 6
 """How many keys away a key still bends a spline: by 0.27 to the power of this, 0.04 %."""
 
+OUT_DEG: Final = 1e-7
+"""Rounding of a spline that rests at the end of a range."""
+
 EXCESS_SLACK: Final = 5e-5
 """Half of what the planner takes for rounding (`trajectory.solve.FEASIBLE_RATIO`)."""
 
@@ -51,7 +54,8 @@ class Curve:
     """One joint's recording, how far its keys may lead away from it, and how hard they may drive.
 
     `key_values` are the angles that samples have as keys. `speed_max_deg_s`, `accel_max_deg_s2`:
-    what a spline may ask for around each sample; infinite where nobody minds.
+    what a spline may ask for around each sample; infinite where nobody minds. It may not leave
+    `range_deg` either, unless a key does.
     """
 
     times_s: FloatArray
@@ -61,6 +65,7 @@ class Curve:
     accel_max_deg_s2: FloatArray
     tolerance_deg: float
     ease: Interpolation
+    range_deg: tuple[float, float] = (-np.inf, np.inf)
     step_s: float = 0.0
     """0, or only the samples next to its multiples may be keys."""
 
@@ -95,7 +100,9 @@ class Curve:
         excess = np.maximum(
             speed / _most(self.speed_max_deg_s, keys), accel / _most(self.accel_max_deg_s2, keys)
         )
-        for span in np.flatnonzero(excess > 1.0 + EXCESS_SLACK).tolist():
+        low_deg, high_deg = spans.extremes()
+        is_out = (low_deg < self.range_deg[0] - OUT_DEG) | (high_deg > self.range_deg[1] + OUT_DEG)
+        for span in np.flatnonzero(is_out | (excess > 1.0 + EXCESS_SLACK)).tolist():
             first, last = int(keys[span]), int(keys[span + 1])
             off = 2.0 * np.abs(np.arange(first, last) - 0.5 * (first + last)) / (last - first)
             blame_deg = self.tolerance_deg * (1.0 + float(excess[span]) * (1.5 - off))

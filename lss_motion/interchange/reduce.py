@@ -37,10 +37,23 @@ CLOSE_S: Final = 0.1
 """Keys this close are written with `DIGITS`: there rounding to 4 would be seen in the acceleration
 (10 ms apart, 6 deg/s²; 100 ms apart, 0.06 deg/s²)."""
 
+EDGE_DEG: Final = 0.01
+"""A joint that comes this near to the end of its range has all its keys written with `DIGITS`, so
+that rounding swings no spline beyond it."""
+
 ROUNDING_DEG: Final = 0.5 * 10.0**-ANGLE_DECIMALS
 
 EVENING_RATIO: Final = 0.5
 """The most of the tolerance that is spent on keys beside their samples. Chosen."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """What a joint may be asked for: speed, acceleration, and where it may be."""
+
+    speed_deg_s: float
+    accel_deg_s2: float
+    range_deg: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,13 +74,12 @@ def reduced(
     motion: ForeignMotion,
     tolerance_deg: float,
     ease: Interpolation,
-    limits: Mapping[str, tuple[float, float]] | None = None,
+    limits: Mapping[str, Limits] | None = None,
 ) -> tuple[ForeignMotion, Fit]:
     """Return a recording in degrees with the fewest keys, at times of samples, and how it fits.
 
-    With `limits` (speed, acceleration by joint), a spline asks for no more than these where the
-    recording does not. Raises `InputError` where as many keyframes as a sequence may have cannot
-    stay within the tolerance.
+    Where the recording keeps the `limits` of its joint, so does a spline through its keys. Raises
+    `InputError` where as many keyframes as a sequence may have cannot stay within the tolerance.
     """
     assert all(channel.unit is Unit.DEG for channel in motion.channels), "map it first"
     curves = [
@@ -84,9 +96,7 @@ def reduced(
     channels: list[Channel] = []
     for channel, curve, found in zip(motion.channels, curves, rough, strict=True):
         keys = refined_keys(curve, found)
-        times_s = curve.times_s[keys]
-        values = _rounded(times_s, curve.key_values[keys])
-        channels.append(replace(channel, times_s=times_s, values=values))
+        channels.append(replace(channel, times_s=curve.times_s[keys], values=_rounded(curve, keys)))
     times_s = np.unique(np.concatenate([channel.times_s for channel in channels]))
     fit = _fit(motion, channels, ease, len(times_s))
     if len(times_s) > KEYFRAMES_MAX or fit.error_max_deg > tolerance_deg + ROUNDING_DEG:
@@ -129,15 +139,20 @@ def every_sample(motion: ForeignMotion, ease: Interpolation) -> ForeignMotion:
 
 
 def _curve(
-    channel: Channel, tolerance_deg: float, ease: Interpolation, limit: tuple[float, float] | None
+    channel: Channel, tolerance_deg: float, ease: Interpolation, limit: Limits | None
 ) -> Curve:
     times_s, values = channel.times_s, channel.values
     key_values = values
     most = (np.full(len(values), math.inf),) * 2
+    range_deg = (-math.inf, math.inf)
     if ease is Interpolation.SPLINE and limit is not None:
         key_values = evened(times_s, values, min(EVENING_MAX_DEG, EVENING_RATIO * tolerance_deg))
         speed, accel = drive(times_s, values)
-        most = np.maximum(speed, limit[0]), np.maximum(accel, limit[1])
+        most = np.maximum(speed, limit.speed_deg_s), np.maximum(accel, limit.accel_deg_s2)
+        range_deg = (
+            min(limit.range_deg[0], float(key_values.min())),
+            max(limit.range_deg[1], float(key_values.max())),
+        )
     return Curve(
         times_s=times_s,
         values=values,
@@ -146,11 +161,16 @@ def _curve(
         accel_max_deg_s2=most[1],
         tolerance_deg=tolerance_deg,
         ease=ease,
+        range_deg=range_deg,
     )
 
 
-def _rounded(times_s: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the values with as many decimals as they need."""
+def _rounded(curve: Curve, keys: IntArray) -> FloatArray:
+    """Return the angles of keys with as many decimals as they need."""
+    times_s, values = curve.times_s[keys], curve.key_values[keys]
+    low_deg, high_deg = curve.range_deg
+    if values.min() < low_deg + EDGE_DEG or values.max() > high_deg - EDGE_DEG:
+        return np.round(values, DIGITS)
     is_close = np.diff(times_s) < CLOSE_S
     is_close = np.append(is_close, False) | np.append(False, is_close)
     return np.where(is_close, np.round(values, DIGITS), np.round(values, ANGLE_DECIMALS))

@@ -11,4 +11,6 @@ settings, backup, backup_file   what servos store: differences, orders, dangers;
 watch, alarms   all that servos say, as fast as the lines allow; when to call somebody
 look, findings, starter   how a servo does; what to tell of it; a robot file to begin with
 identify    how a servo really responds: small moves, and the model that fits them
+hands_on, polling   joints in a person's hands: limp, held, moved, and read all the time
+take, cleaning      what a hand showed, as a sequence
 """

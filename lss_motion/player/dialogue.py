@@ -64,7 +64,8 @@ class Dialogue:
     def advance(self, now_ns: int) -> None:
         """Send what can be sent now."""
         for bus, queue in self._queues.items():
-            self._take_back(bus, self._questioners[bus].expire(now_ns))
+            self._questioners[bus].expire(now_ns)
+            self._take_back(bus)
             while queue and self._can_send(bus, queue[0].item, now_ns):
                 entry = queue.popleft()
                 if entry.item.is_question:
@@ -103,12 +104,18 @@ class Dialogue:
             return None
         return self._questioners[bus].earliest_ns(command.servo_id, len(encode(command)))
 
-    def _take_back(self, bus: str, expired: list[Asked]) -> None:
+    def _take_back(self, bus: str) -> None:
         """Put what was not answered in front again, as long as it has tries left.
 
-        A servo that is late with one answer is late with those behind it: they lose no try.
+        Nothing of a servo is in flight: what it was asked was given up, or not believed. A servo
+        that is late with one answer is late with those behind it: they lose no try.
         """
-        entries = [entry for asked in expired if (entry := self._entry_of(bus, asked)) is not None]
+        questioner = self._questioners[bus]
+        entries = [
+            entry
+            for entry in self._flying[bus]
+            if not questioner.is_waiting(entry.item.command.servo_id)
+        ]
         blamed: set[int] = set()
         for entry in entries:
             if entry.item.command.servo_id in blamed:

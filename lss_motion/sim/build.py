@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
     from lss_motion.robot.model import Robot
     from lss_motion.sim.faults import Fault
+    from lss_motion.sim.hand import Hand
 
 
 def bus_from_robot(
@@ -23,11 +24,13 @@ def bus_from_robot(
     physics: Physics | None = None,
     faults: Sequence[Fault] = (),
     usb_latency_ns: int = 0,
+    hand: Hand | None = None,
 ) -> SimBus:
     """Return one bus of `robot`, its servos in the order of `servos_of`.
 
     `start_deg` gives joint angles at power-up by joint name. A joint left out stands at 0, or at
     the end of its range that is nearest to 0. Of `faults`, those of other buses are left out.
+    `hand` leads the joints that it names.
     """
     bus = robot.buses[bus_name]
     asked_deg = start_deg or {}
@@ -40,6 +43,7 @@ def bus_from_robot(
                     joint.name, min(max(0.0, joint.position_min_deg), joint.position_max_deg)
                 )
             ),
+            hand=None if hand is None else hand.led(joint),
         )
         for joint in (robot.joints[name] for name in servos_of(robot, bus_name))
     ]

@@ -68,6 +68,8 @@ class Drives:
         """Begin what `order` asks for, from the profile's present position and speed."""
         position_deg = self._horns.profile_deg(index, now_ns)
         speed_deg_s = self._horns.profile_deg_s(index, now_ns)
+        if self.mode[index] is Mode.LIMP:  # Without a profile: from where the horn is.
+            position_deg, speed_deg_s = float(self._horns.deg[index]), 0.0
         if self._physics.retarget == "from_rest":
             speed_deg_s = 0.0
         match order:

@@ -55,6 +55,8 @@ class Horns:
         self._has_play = bool(self._half_play_deg.any())
         self._shaft_deg = self.deg.copy()
         self.holding_ratio = np.ones(count)
+        self.pull_deg = np.zeros(count)
+        """How far a hand pulls each powered horn; set by `motors`."""
 
     def start(self, now_ns: int) -> None:
         self._ns[:] = now_ns
@@ -129,15 +131,21 @@ class Horns:
 
     def sag(self, is_powered: NDArray[np.bool_]) -> None:
         """Let the loads pull as they do at the angles that the horns have now."""
-        if self._is_loaded:
+        if self._is_loaded or self.pull_deg.any() or self.droop_deg.any():
             level = np.cos(np.radians(self.deg - self._level_deg))
-            droop_deg = is_powered * self._load_deg * self.holding_ratio * level
+            pulled_deg = self._load_deg * self.holding_ratio * level - self.pull_deg
+            droop_deg = is_powered * pulled_deg
             self.gap_deg += droop_deg - self.droop_deg
             self.droop_deg = droop_deg
 
     def release(self, index: int) -> None:
         """Take the motor's force away: friction alone keeps the horn where it is."""
         self.droop_deg[index] = self.deg_s[index] = 0.0
+
+    def lead(self, index: int, now_ns: int, deg_s: float) -> None:
+        """Let a horn without power turn at `deg_s` from now on."""
+        ahead_deg = self._lags_s[index] * deg_s
+        self.begin(index, now_ns, Phase(math.inf, float(self.deg[index]) + ahead_deg, deg_s, 0.0))
 
     def set_lag(self, index: int, now_ns: int, lag_s: float) -> None:
         self._lags_s[index] = self._lag_s[index] = lag_s

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lss_motion.protocol.family import Family
-from lss_motion.sim.drives import Drives
+from lss_motion.sim.drives import Drives, Mode
+from lss_motion.sim.hand import HAND_DEG_S
 from lss_motion.sim.horns import Horns
 from lss_motion.sim.orders import Halt, Limp, Motion, Order, SafeCause
 from lss_motion.sim.physics import TICK_NS
@@ -51,12 +52,15 @@ class Motors:
         self._order_count = 0
         self._tick_ns = 0
         self._is_quiet = True
+        self._start_ns = 0
+        self._led = {index: spec.hand for index, spec in enumerate(specs) if spec.hand is not None}
 
     # -- time and orders ------------------------------------------------------------------------
 
     def start(self, now_ns: int) -> None:
         """Put the power on at `now_ns`, the first instant of all."""
-        self._tick_ns = now_ns
+        self._tick_ns = self._start_ns = now_ns
+        self._is_quiet = not self._led
         self.horns.start(now_ns)
         self._drives.start(now_ns)
         self._record(now_ns)
@@ -195,12 +199,33 @@ class Motors:
             self._catch_up(index, now_ns)
         self.horns.sag(self._drives.is_powered)
         self.horns.step(now_ns, self.power.top_deg_s)
+        for index in list(self._led):
+            self._lead(index, now_ns)
         self._feel(now_ns)
         self._record(now_ns)
         is_moving = any(
             phase.speed_deg_s != 0.0 or phase.duration_s != math.inf for phase in self.horns.phases
         )
-        self._is_quiet = not is_moving and self.horns.is_settled() and self.power.is_steady()
+        is_still = not is_moving and not self._led and self.horns.is_settled()
+        self._is_quiet = is_still and self.power.is_steady()
+
+    def _lead(self, index: int, now_ns: int) -> None:
+        """Let a hand act on a horn until the next point of the grid; in the end it lets go."""
+        horns, time_s = self.horns, s_from_ns(now_ns + TICK_NS - self._start_ns)
+        hand_deg = self._led[index].at(time_s)
+        if hand_deg is None:
+            horns.pull_deg[index] = 0.0
+            if self._led[index].is_over(time_s):
+                del self._led[index]
+                if self._drives.mode[index] is Mode.LIMP:
+                    horns.lead(index, now_ns, 0.0)
+        elif self._drives.mode[index] is Mode.LIMP:
+            horns.pull_deg[index] = 0.0
+            speed_deg_s = (hand_deg - float(horns.deg[index])) / s_from_ns(TICK_NS)
+            horns.lead(index, now_ns, min(max(speed_deg_s, -HAND_DEG_S), HAND_DEG_S))
+        else:
+            give = min(self.physics.hand_give_ratio * float(horns.holding_ratio[index]), 1.0)
+            horns.pull_deg[index] = give * (hand_deg - horns.profile_deg(index, now_ns))
 
     def _feel(self, now_ns: int) -> None:
         """Let currents and heat act on the servos."""

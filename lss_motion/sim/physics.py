@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lss_motion.robot.model import ServoModel
+    from lss_motion.sim.hand import Led
 
 TICK_NS = 5_000_000
 """One control loop of a servo: 5 ms (lss_facts 1.2: "4 servo loops of 5 ms", maker's staff)."""
@@ -71,6 +72,8 @@ class Physics:
     `temperature_max_c`     safe mode above it: 85 C (seed 000, QT).
     `stall_deg`             a horn this far behind and not turning is stuck. Assumed.
     `blocked_s`, `safe_s`   how long stuck until blocked (9), until safe mode (10). Assumed.
+    `hand_give_ratio`       share of the way to where a hand wants it that a powered horn gives, at
+                            the factory's holding stiffness. Assumed.
     `corrupt_reply_ratio`   share of replies that the firmware itself damages; None: that of the
                             bus's firmware, `corrupt_reply_ratio_of`.
     """
@@ -98,6 +101,7 @@ class Physics:
     stall_deg: float = 5.0
     blocked_s: float = 0.5
     safe_s: float = 2.0
+    hand_give_ratio: float = 0.05
     corrupt_reply_ratio: float | None = None
     turnaround: Turnaround | None = None
     """None: that of the bus's firmware, `turnaround_of`."""
@@ -121,6 +125,7 @@ class ServoSpec:
     `answers`     what it answers where nothing is simulated, by row name and in wire units:
                   `{"N": "12345678", "IX": 30}`
     `baud_bps`    None: that of the bus
+    `hand`        where somebody leads the horn, if anybody does
 
     With a model of the 2IO family it is one RC servo of a board (`boards`); of these fields
     `eeprom` and `answers` say nothing there.
@@ -135,6 +140,7 @@ class ServoSpec:
     eeprom: Mapping[str, int] = field(default_factory=dict)
     answers: Mapping[str, int | str] = field(default_factory=dict)
     baud_bps: int | None = None
+    hand: Led | None = None
 
 
 FAST_REPLY_FIRMWARE = 369

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
     from lss_motion.sim.bus import SimBus
     from lss_motion.sim.faults import Fault
+    from lss_motion.sim.hand import Hand
 
 FIFO_BYTES = 256
 """What a USB adapter takes before it makes the host wait: the transmit buffer of an FT232R."""
@@ -51,6 +52,7 @@ def serve(
     announce: Callable[[str], None],
     faults: Sequence[Fault] = (),
     usb_latency_ns: int = 0,
+    hand: Hand | None = None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> int | None:
     """Serve every bus of `robot` until SIGINT, SIGTERM or `should_stop()`; return the signal.
@@ -60,7 +62,9 @@ def serve(
     `announce`d says where each port is, and when one was unplugged or is back.
     """
     buses = {
-        name: bus_from_robot(robot, name, seed=seed, faults=faults, usb_latency_ns=usb_latency_ns)
+        name: bus_from_robot(
+            robot, name, seed=seed, faults=faults, usb_latency_ns=usb_latency_ns, hand=hand
+        )
         for name in robot.buses
     }
     return serve_buses(buses, link, announce=announce, should_stop=should_stop)

@@ -10,7 +10,7 @@ import pytest
 from lss_motion.errors import InputError
 from lss_motion.interchange import Channel, ForeignMotion, Unit, imported, reduced
 from lss_motion.interchange.interpolant import Spans, interpolated
-from lss_motion.interchange.reduce import ROUNDING_DEG
+from lss_motion.interchange.reduce import ROUNDING_DEG, Limits
 from lss_motion.interchange.samples import EVENING_MAX_DEG, evened
 from lss_motion.sequence.model import Interpolation, Keyframe, Sequence
 from lss_motion.trajectory.planner import plan
@@ -164,6 +164,9 @@ def test_tolerance_zero_keeps_every_sample(arm) -> None:
     assert np.abs(kept_deg - curve).max() <= EVENING_MAX_DEG
 
 
+LIMITS = Limits(speed_deg_s=180.0, accel_deg_s2=600.0, range_deg=(-10.0, 170.0))
+
+
 def bang_bang(accel_deg_s2: float = 600.0) -> np.ndarray:
     """A motion from rest to rest that is always at its acceleration limit, this way or that."""
     signs = np.repeat([1, -1, -1, 1, 1, -1], [30, 30, 50, 50, 20, 20])
@@ -193,7 +196,7 @@ def test_samples_that_would_move_too_far_stay() -> None:
 def test_keys_ask_for_no_more_than_limits_that_the_recording_keeps(tolerance_deg: float) -> None:
     whole = recording(bang_bang())
     free, _ = reduced(whole, tolerance_deg, Interpolation.SPLINE)
-    kept, fit = reduced(whole, tolerance_deg, Interpolation.SPLINE, {"base": (180.0, 600.0)})
+    kept, fit = reduced(whole, tolerance_deg, Interpolation.SPLINE, {"base": LIMITS})
 
     def hardest(motion: ForeignMotion) -> float:
         (own,) = motion.channels
@@ -204,3 +207,21 @@ def test_keys_ask_for_no_more_than_limits_that_the_recording_keeps(tolerance_deg
     assert hardest(kept) <= 600.0 * (1.0 + 1e-4)
     assert fit.error_max_deg <= tolerance_deg + ROUNDING_DEG
     assert fit.keys_count < len(bang_bang()) / 2
+
+
+def test_keys_of_a_recording_that_touches_its_range_never_swing_beyond_it(arm) -> None:
+    low, high = arm.joints["base"].position_min_deg, arm.joints["base"].position_max_deg
+    times_s = np.arange(700) / 100.0
+    share = np.clip((times_s - 1.0) / 4.0, 0.0, 1.0)
+    values = high * share**3 * (10.0 - 15.0 * share + 6.0 * share**2)  # There it stays.
+    free, _ = reduced(recording(values), 1.0, Interpolation.SPLINE)
+    (own,) = free.channels
+    assert Spans.between(Interpolation.SPLINE, own.times_s, own.values).extremes()[1].max() > high
+    made = imported(recording(values), arm)
+    assert not any("smooth instead" in comment for comment in made.comments)
+    assert {keyframe.ease for keyframe in made.sequence.keyframes} == {Interpolation.SPLINE}
+    planned_deg = plan(made.sequence, arm).sample(np.arange(8000) / 1000.0)
+    assert planned_deg.max() == pytest.approx(high, abs=0.5)
+    assert low - 1e-6 <= planned_deg.min() <= planned_deg.max() <= high + 1e-6
+    assert made.fit is not None
+    assert made.fit.keys_count < 60

@@ -1,0 +1,145 @@
+"""`lss-motion record`: show a motion by hand, get a sequence file."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.cli.commands import add_command
+from lss_motion.cli.exchange import fit_text, tolerance
+from lss_motion.errors import (
+    EXIT_FINISHED,
+    EXIT_INTERRUPTED,
+    EXIT_TERMINATED,
+    BusError,
+    InputError,
+)
+
+if TYPE_CHECKING:
+    from lss_motion.cli.commands import Commands
+    from lss_motion.maintenance.take import Take
+    from lss_motion.robot.model import Robot
+
+SECONDS_MAX: Final = 3600.0
+
+DESCRIPTION: Final = """\
+Record a motion that a hand shows to the robot, as a sequence file that lss-play plays.
+
+Keys: l let the joints go limp, or hold them again; r start or stop recording; p keep where the
+joints are as a pose; u forget the last pose or stretch; q write the file and end.
+A limp arm falls: hold it before you press l. With --feel soft the joints hold softly instead and
+stay where they are pushed. However it ends (Ctrl-C too), the servos hold where they are, get their
+settings back, and what was shown so far is written.
+Recorded stretches keep their times; between poses the robot goes at its approach_speed_deg_s.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command of this module."""
+    record = add_command(
+        commands, "record", _record, "show a motion by hand, get a sequence file", DESCRIPTION
+    )
+    record.add_argument("--robot", type=Path, required=True, metavar="FILE")
+    record.add_argument("-o", "--output", type=Path, required=True, metavar="S.yaml")
+    record.add_argument("--port", metavar="URL", help="serial device or URL; sim:// is simulated")
+    record.add_argument(
+        "--joints", nargs="+", metavar="NAME", help="joints or groups; the others are left alone"
+    )
+    record.add_argument(
+        "--feel", choices=("limp", "soft"), default="limp", help="how joints feel that are let go"
+    )
+    record.add_argument(
+        "--seconds",
+        type=_seconds,
+        metavar="N",
+        help="no keys: let go at once and record for so long",
+    )
+    record.add_argument(
+        "--tolerance-deg",
+        type=tolerance,
+        default=1.0,
+        metavar="DEG",
+        help="how far the keys may lead away from what was shown (default 1)",
+    )
+    record.add_argument("--force", action="store_true", help="write over what is there")
+    record.add_argument(
+        "--hand",
+        metavar="FILE|SEED",
+        help="simulated bus only: who leads the joints, a CSV t_s,<joint>,... or a seed",
+    )
+    record.add_argument(
+        "--virtual", action="store_true", help="simulated bus in virtual time, with --seconds"
+    )
+
+
+def _record(arguments: argparse.Namespace) -> int:
+    from lss_motion.cli.hands import chosen_joints, perform
+    from lss_motion.cli.record_controls import RecordControls
+    from lss_motion.connection import is_simulated, with_port
+    from lss_motion.maintenance.hands_on import HandsOn
+    from lss_motion.maintenance.take import Take
+    from lss_motion.robot.load import load_robot
+    from lss_motion.sim.hand import hand_of
+
+    robot = with_port(load_robot(arguments.robot), arguments.port)
+    joints = chosen_joints(robot, arguments.joints)
+    _check(arguments, simulated=is_simulated(robot))
+    take = Take(tuple(joints))
+    hands_on = HandsOn(robot, joints, is_soft=arguments.feel == "soft")
+    lost: BusError | None = None
+    with RecordControls(take, seconds=arguments.seconds) as controls:
+        try:
+            perform(
+                hands_on,
+                controls,
+                is_virtual=arguments.virtual,
+                hand=None if arguments.hand is None else hand_of(arguments.hand, robot),
+            )
+        except BusError as error:
+            lost = error
+        take.add(hands_on.take())
+        take.finish()
+    if hands_on.error is not None:
+        raise hands_on.error
+    _write(arguments, take, robot)
+    if lost is not None:
+        raise lost
+    if controls.signal_number is not None:
+        return EXIT_TERMINATED if controls.signal_number == signal.SIGTERM else EXIT_INTERRUPTED
+    return EXIT_FINISHED
+
+
+def _check(arguments: argparse.Namespace, *, simulated: bool) -> None:
+    if arguments.output.exists() and not arguments.force:
+        raise InputError("is there already; --force writes over it", path=arguments.output)
+    if not arguments.output.absolute().parent.is_dir():
+        raise InputError("cannot be written: there is no such folder", path=arguments.output)
+    if not simulated and (arguments.virtual or arguments.hand is not None):
+        raise InputError("--virtual and --hand need the simulated bus: use --port sim://")
+    if arguments.virtual and arguments.seconds is None:
+        raise InputError("--virtual needs --seconds: nobody can press keys in virtual time")
+
+
+def _write(arguments: argparse.Namespace, take: Take, robot: Robot) -> None:
+    from lss_motion.cli.check import plan_lines
+    from lss_motion.maintenance.take import sequence_of
+    from lss_motion.sequence.write import write_sequence
+    from lss_motion.trajectory.planner import plan
+
+    if not take.parts:
+        print("nothing was shown, so no file was written")
+        return
+    shown = sequence_of(take, robot, arguments.output.stem, tolerance_deg=arguments.tolerance_deg)
+    comments = [*shown.comments, *map(fit_text, shown.fits)]
+    write_sequence(shown.sequence, arguments.output, comments=comments)
+    print(f"{arguments.output}: {len(shown.sequence.keyframes)} keyframes")
+    print("\n".join([*comments, *plan_lines(plan(shown.sequence, robot), robot)]))
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0.0 < value <= SECONDS_MAX:
+        raise argparse.ArgumentTypeError(f"{text} is not in 0 to {SECONDS_MAX:g} seconds")
+    return value

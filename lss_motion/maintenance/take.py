@@ -1,0 +1,248 @@
+"""What a hand showed: single poses and recorded stretches, and the sequence that they make."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.interchange.importing import imported
+from lss_motion.interchange.reader import Channel, ForeignMotion, Unit
+from lss_motion.maintenance.cleaning import at_rest, cleaned, within
+from lss_motion.sequence.model import Interpolation, Keyframe, Sequence
+from lss_motion.units import s_from_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
+    from lss_motion.interchange.reduce import Fit
+    from lss_motion.maintenance.polling import Reading
+    from lss_motion.robot.model import Robot
+
+POSE_LEAST_S: Final = 0.5
+"""The way between two poses takes this long at least. Chosen: what a person expects."""
+
+BRAKING_RATIO: Final = 0.5
+"""A stretch that ends in motion is braked at this share of what the joint may. Chosen."""
+
+JOIN_HOLD_S: Final = 0.1
+"""Where a recorded stretch meets something else, the robot rests so long. Chosen."""
+
+RECORDED_MAX_S: Final = 3600.0
+"""An hour: 20 joints at 50 Hz are 3.6 million readings, as many as an imported file may hold."""
+
+
+@dataclass(slots=True)
+class Stretch:
+    """Readings of a stretch of time, by joint; `start_ns` is its beginning."""
+
+    start_ns: int
+    times_s: dict[str, list[float]]
+    angles_deg: dict[str, list[float]]
+
+    @property
+    def duration_s(self) -> float:
+        return max((times[-1] for times in self.times_s.values() if times), default=0.0)
+
+
+Pose = dict[str, float]
+
+
+@dataclass(slots=True)
+class Take:
+    """Poses and stretches in the order in which they were shown. Nothing is judged here."""
+
+    joints: tuple[str, ...]
+    parts: list[Pose | Stretch] = field(default_factory=list)
+    running: Stretch | None = None
+
+    def start(self, now_ns: int) -> None:
+        """Record from now on."""
+        names = self.joints
+        self.running = Stretch(now_ns, {n: [] for n in names}, {n: [] for n in names})
+
+    def finish(self) -> None:
+        """Record no more; a stretch in which no joint was read is forgotten."""
+        if self.running is not None and any(self.running.times_s.values()):
+            self.parts.append(self.running)
+        self.running = None
+
+    def add(self, readings: Iterable[Reading]) -> None:
+        """Take in what was read; it counts only while something is recorded."""
+        stretch = self.running
+        if stretch is None:
+            return
+        for reading in readings:
+            at_s = s_from_ns(reading.at_ns - stretch.start_ns)
+            times_s = stretch.times_s[reading.joint]
+            if at_s >= 0.0 and (not times_s or at_s > times_s[-1]):
+                times_s.append(at_s)
+                stretch.angles_deg[reading.joint].append(reading.deg)
+        if stretch.duration_s > RECORDED_MAX_S:
+            self.finish()
+
+    def drop(self, angles_deg: Mapping[str, float]) -> None:
+        """Note where the joints are as a pose."""
+        self.parts.append({name: round(angles_deg[name], 1) for name in self.joints})
+
+    def undo(self) -> bool:
+        """Forget the last part; return whether there was one."""
+        if self.running is not None:
+            self.running = None
+            return True
+        return bool(self.parts) and self.parts.pop() is not None
+
+    @property
+    def recorded_s(self) -> float:
+        running_s = 0.0 if self.running is None else self.running.duration_s
+        return running_s + sum(p.duration_s for p in self.parts if isinstance(p, Stretch))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shown:
+    """A take as a sequence, what to say of it, and how well each stretch was reduced."""
+
+    sequence: Sequence
+    comments: tuple[str, ...]
+    fits: tuple[Fit, ...]
+
+
+def sequence_of(
+    take: Take,
+    robot: Robot,
+    name: str,
+    *,
+    tolerance_deg: float,
+    ease: Interpolation = Interpolation.SPLINE,
+) -> Shown:
+    """Return the sequence of a take with one part or more, in the order in which it was shown.
+
+    Stretches keep their times. The way to and between poses takes as long as the robot needs at
+    its `approach_speed_deg_s`. Angles beyond the range of a joint are cut off, and it is said.
+    """
+    assert take.parts, "nothing was shown"
+    building = _Building(robot, name, tolerance_deg, ease)
+    for number, part in enumerate(take.parts, start=1):
+        if isinstance(part, Stretch):
+            building.stretch(part)
+        else:
+            building.pose(part, f"pose {number}")
+    return building.shown()
+
+
+@dataclass(slots=True)
+class _Building:
+    robot: Robot
+    name: str
+    tolerance_deg: float
+    ease: Interpolation
+    keyframes: list[Keyframe] = field(default_factory=list)
+    here_deg: dict[str, float] = field(default_factory=dict)
+    end_s: float = 0.0
+    beyond_deg: dict[str, float] = field(default_factory=dict)
+    noise_deg: float = 0.0
+    begun_s: float = 0.0
+    braked_s: float = 0.0
+    said: list[str] = field(default_factory=list)
+    fits: list[Fit] = field(default_factory=list)
+
+    def pose(self, pose: Pose, label: str) -> None:
+        angles_deg = {
+            n: round(self._within(n, np.array([deg])).item(), 4) for n, deg in pose.items()
+        }
+        at_s = self._way(angles_deg)
+        self.keyframes.append(
+            Keyframe(at_s=at_s, deg=angles_deg, label=label, ease=Interpolation.SMOOTH)
+        )
+        self._arrived(at_s, angles_deg)
+
+    def stretch(self, stretch: Stretch) -> None:
+        channels: list[Channel] = []
+        begun_s = 0.0
+        for name, times_s in stretch.times_s.items():
+            if not times_s:
+                continue
+            joint = self.robot.joints[name]
+            clean = cleaned(np.array(times_s), np.array(stretch.angles_deg[name]))
+            self.noise_deg = max(self.noise_deg, clean.noise_deg)
+            even = at_rest(clean.times_s, clean.angles_deg, BRAKING_RATIO * joint.accel_max_deg_s2)
+            self.braked_s = max(self.braked_s, float(even[0][-1] - clean.times_s[-1]))
+            begun_s = min(begun_s, float(even[0][0]))
+            values = np.round(self._within(name, even[1]), 4)
+            channels.append(Channel(name=name, unit=Unit.DEG, times_s=even[0], values=values))
+        self.begun_s = max(self.begun_s, -begun_s)
+        channels = [replace(c, times_s=np.round(c.times_s - begun_s, 6)) for c in channels]
+        motion = ForeignMotion(
+            path=Path(self.name),
+            name=self.name,
+            channels=tuple(channels),
+            notes={},
+            is_recording=True,
+        )
+        made = imported(motion, self.robot, tolerance_deg=self.tolerance_deg, ease=self.ease)
+        self.said += made.comments
+        if made.fit is not None:
+            self.fits.append(made.fit)
+        first_deg: dict[str, float] = {}
+        for keyframe in made.sequence.keyframes:
+            first_deg = {**keyframe.deg, **first_deg}
+        start_s = self._way(first_deg)
+        own = [
+            replace(keyframe, at_s=round(start_s + (keyframe.at_s or 0.0), 6))
+            for keyframe in made.sequence.keyframes
+        ]
+        if self.keyframes:  # The robot comes from elsewhere, and rests before it starts.
+            rest = Keyframe(at_s=round(start_s - JOIN_HOLD_S, 6), deg=first_deg, hold_s=JOIN_HOLD_S)
+            self.keyframes.append(rest)
+            own = [keyframe for keyframe in own if keyframe.at_s != start_s]
+        self.keyframes += own
+        last_deg = {**first_deg, **{n: d for k in own for n, d in k.deg.items()}}
+        self._arrived(self.keyframes[-1].at_s or 0.0, last_deg)
+
+    def _way(self, to_deg: Mapping[str, float]) -> float:
+        """Return when the next part can begin; rests after what came before, if anything did."""
+        if not self.keyframes:
+            return 0.0
+        self.keyframes[-1] = replace(self.keyframes[-1], hold_s=JOIN_HOLD_S)
+        way_s = max(
+            abs(deg - self.here_deg.get(name, deg))
+            / min(self.robot.approach_speed_deg_s, self.robot.joints[name].speed_max_deg_s)
+            for name, deg in to_deg.items()
+        )
+        return round(self.end_s + 2 * JOIN_HOLD_S + max(way_s, POSE_LEAST_S), 2)
+
+    def _arrived(self, at_s: float, angles_deg: Mapping[str, float]) -> None:
+        self.end_s = at_s
+        self.here_deg.update(angles_deg)
+
+    def _within(self, name: str, angles_deg: np.ndarray) -> np.ndarray:
+        joint = self.robot.joints[name]
+        kept = within(angles_deg, joint.position_min_deg, joint.position_max_deg)
+        low, high = float(angles_deg.min()), float(angles_deg.max())
+        beyond_deg = max(joint.position_min_deg - low, high - joint.position_max_deg)
+        if beyond_deg > 0.0:
+            self.beyond_deg[name] = max(self.beyond_deg.get(name, 0.0), beyond_deg)
+        return kept
+
+    def shown(self) -> Shown:
+        return Shown(
+            sequence=Sequence(
+                name=self.name, keyframes=tuple(self.keyframes), robot_path=self.robot.path
+            ),
+            comments=tuple(self._comments()),
+            fits=tuple(self.fits),
+        )
+
+    def _comments(self) -> Iterator[str]:
+        yield f"Shown by hand on {self.robot.name}."
+        if self.fits:
+            yield f"Noise of the readings taken out: {self.noise_deg:.2f} deg RMS at most."
+        if self.begun_s > 0.0:
+            yield f"What was shown begins in motion; {self.begun_s:.2f} s to get there come before."
+        if self.braked_s > 0.0:
+            yield f"What was shown ends in motion; it is braked in {self.braked_s:.2f} s more."
+        for name, beyond_deg in self.beyond_deg.items():
+            yield f"Joint {name} was up to {beyond_deg:.1f} deg beyond its range; cut off there."
+        yield from dict.fromkeys(self.said)

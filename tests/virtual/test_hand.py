@@ -1,0 +1,171 @@
+"""A hand shows a motion to limp servos; what was recorded is reduced, planned and played again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lss_motion.api import perform as play
+from lss_motion.cli.main import main
+from lss_motion.connection import connect
+from lss_motion.maintenance.hands_on import HandsOn
+from lss_motion.maintenance.take import Take, sequence_of
+from lss_motion.player.events import Phase
+from lss_motion.program.compile import compile_program
+from lss_motion.robot import load_robot
+from lss_motion.runtime.clock import VirtualClock
+from lss_motion.runtime.runner import run
+from lss_motion.sequence import load_sequence
+from lss_motion.sim.faults import Fault, FaultKind
+from lss_motion.sim.hand import Hand, hand_from_seed
+from lss_motion.trajectory.planner import plan
+from lss_motion.units import NS_PER_S, ns_from_s
+
+ARM = Path(__file__).resolve().parents[2] / "sequences" / "robots" / "desk_arm.yaml"
+
+
+class Person:
+    """Lets go, records for some seconds, ends; keeps what was said. A `Controls` of the runner."""
+
+    def __init__(self, take: Take, seconds: float) -> None:
+        self.take = take
+        self.seconds = seconds
+        self.began_ns = 0
+
+    def filenos(self):
+        return []
+
+    def act(self, driven: HandsOn, now_ns: int) -> None:
+        if driven.phase is not Phase.SHOW:
+            return
+        if self.take.running is None and not self.take.parts:
+            self.began_ns = now_ns
+            driven.let_go(self.take.joints)
+            self.take.start(now_ns)
+        self.take.add(driven.take())
+        if now_ns >= self.began_ns + ns_from_s(self.seconds):
+            self.take.finish()
+            driven.stop()
+
+
+def shown(robot, hand, *, seconds=6.0, faults=(), is_soft=False):
+    """Return what was recorded, the simulated bus, and when recording began."""
+    take = Take(tuple(robot.joints))
+    person = Person(take, seconds)
+    hands_on = HandsOn(robot, list(robot.joints), is_soft=is_soft)
+    clock = VirtualClock()
+    with connect(robot.buses, robot=robot, clock=clock, hand=hand, faults=faults) as connection:
+        run(hands_on, connection.ports, clock, controls=person)
+    assert hands_on.error is None
+    return take, connection.simulated["main"], person.began_ns
+
+
+def truth_deg(robot, bus, instants_ns):
+    servo_deg = bus.horn_deg(instants_ns.tolist())
+    joints = list(robot.joints.values())
+    return np.stack([j.direction * (servo_deg[:, n] - j.zero_deg) for n, j in enumerate(joints)], 1)
+
+
+def lines(bus):
+    return [line.rstrip(b"\r") for _, line in bus.heard]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_what_a_hand_showed_is_played_again_within_the_tolerance(seed: int) -> None:
+    robot = load_robot(ARM)
+    take, bus, began_ns = shown(robot, hand_from_seed(seed, robot))
+    tolerance_deg = 1.0
+    made = sequence_of(take, robot, "shown", tolerance_deg=tolerance_deg)
+    assert len(made.sequence.keyframes) < 200  # Of 3000 readings.
+    trajectory = plan(made.sequence, robot)
+    assert not trajectory.stretched
+    result = play(compile_program(trajectory, robot), robot, is_virtual=True, seed=seed + 10)
+    assert result.truth is not None
+    times_s = result.truth.times_s[result.truth.times_s <= 6.0]
+    replayed_deg = result.truth.horn_deg[: len(times_s)]
+    original_deg = truth_deg(robot, bus, began_ns + (times_s * NS_PER_S).astype(np.int64))
+    columns = [result.truth.joints.index(name) for name in robot.joints]
+    assert np.ptp(original_deg, axis=0).min() > 10.0  # They all moved.
+    assert np.abs(replayed_deg[:, columns] - original_deg).max() <= tolerance_deg + 0.5
+
+
+def test_a_recording_reads_as_often_as_one_question_after_the_other_can() -> None:
+    robot = load_robot(ARM)
+    take, _, _ = shown(robot, hand_from_seed(4, robot), seconds=3.0)
+    counts = {name: len(times) for name, times in take.parts[0].times_s.items()}
+    # Question, turnaround and answer take 2 ms of the line at 115200 bps.
+    assert min(counts.values()) > 3.0 / len(counts) / 0.0025
+    assert max(counts.values()) - min(counts.values()) <= 2
+
+
+def test_servos_hold_and_have_their_settings_back_afterwards() -> None:
+    robot = load_robot(ARM)
+    _, bus, _ = shown(robot, hand_from_seed(5, robot), seconds=1.0, is_soft=True)
+    heard = lines(bus)
+    assert heard[-1] == b"#254H"
+    asked = {b"#2AH-10", b"#2AS-4", b"#2L", b"#2H"}
+    assert asked <= set(heard)
+    last = {line[: len(b"#2AH")]: line for line in heard if line.startswith((b"#2AH", b"#2AS"))}
+    assert last == {b"#2AH": b"#2AH4", b"#2AS": b"#2AS0"}
+    first_hold = heard.index(b"#2H")
+    assert heard.index(b"#2AH4") > first_hold  # It holds before it becomes stiff again.
+
+
+def test_damaged_and_missing_readings_are_no_motion() -> None:
+    robot = load_robot(ARM)
+    faults = [
+        Fault(kind=FaultKind.CORRUPT_REPLY, ratio=0.05),
+        Fault(kind=FaultKind.LOST_REPLY, ratio=0.1),
+    ]
+    seeded = hand_from_seed(6, robot)
+    hand = Hand(seeded.times_s + 1.0, seeded.angles_deg)  # Connecting takes longer on such a line.
+    take, bus, began_ns = shown(robot, hand, seconds=4.0, faults=faults)
+    made = sequence_of(take, robot, "shown", tolerance_deg=1.0)
+    trajectory = plan(made.sequence, robot)
+    times_s = np.arange(40) / 10.0
+    original_deg = truth_deg(robot, bus, began_ns + (times_s * NS_PER_S).astype(np.int64))
+    planned_deg = trajectory.sample(times_s)
+    columns = [trajectory.joints.index(name) for name in robot.joints]
+    assert np.abs(planned_deg[:, columns] - original_deg).max() < 2.0
+
+
+def test_a_soft_joint_stays_where_it_was_pushed(tmp_path) -> None:
+    """It holds all the time, and is told to hold anew where it is."""
+    robot = load_robot(ARM)
+    times_s = np.array([0.0, 1.0, 3.0, 10.0])
+    hand = Hand(times_s, {"base": np.array([0.0, 0.0, 40.0, 40.0])})
+    take = Take(("base",))
+    hands_on = HandsOn(robot, ["base"], is_soft=True)
+
+    class Pushing(Person):
+        def act(self, driven, now_ns):
+            if driven.phase is Phase.SHOW and not self.began_ns:
+                self.began_ns = now_ns
+                driven.hold(["base"])
+            driven.take()
+            if self.began_ns and now_ns > self.began_ns + 6 * NS_PER_S:
+                driven.stop()
+
+    clock = VirtualClock()
+    with connect(robot.buses, robot=robot, clock=clock, hand=hand) as connection:
+        run(hands_on, connection.ports, clock, controls=Pushing(take, 6.0))
+    heard = lines(connection.simulated["main"])
+    assert b"#1L" not in heard
+    assert sum(line.startswith(b"#1D") for line in heard) > 5
+    end_deg = truth_deg(robot, connection.simulated["main"], np.array([clock.now_ns()]))[0, 0]
+    assert 20.0 < end_deg < 41.0
+
+
+def test_the_command_writes_a_file_that_plays(tmp_path, capsys) -> None:
+    out = tmp_path / "shown.yaml"
+    options = ["--robot", str(ARM), "-o", str(out), "--seconds", "3", "--virtual", "--hand", "7"]
+    assert main(["record", *options]) == 0
+    said = capsys.readouterr().out
+    assert "Reduced from" in said
+    assert "every keyframe is on time" in said
+    robot = load_robot(ARM)
+    assert 3.0 <= plan(load_sequence(out, robot), robot).duration_s < 4.5
+    assert main(["record", *options]) == 2  # It is there already.
+    assert "--force" in capsys.readouterr().err
