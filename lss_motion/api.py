@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -10,7 +11,7 @@ import numpy as np
 
 from lss_motion.connection import connect, is_simulated, with_port
 from lss_motion.errors import BusError, InputError, LssMotionError
-from lss_motion.player.events import Warned
+from lss_motion.player.events import CueReached, Warned
 from lss_motion.player.player import Player
 from lss_motion.program.compile import compile_program as compile  # noqa: A004
 from lss_motion.robot.load import load_robot
@@ -23,7 +24,7 @@ from lss_motion.trajectory.planner import plan
 from lss_motion.units import NS_PER_MS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -163,15 +164,17 @@ def perform(  # noqa: PLR0913  (the wishes of one run)
     error: LssMotionError | None = None
     observer = observer or Observer()
     try:
-        with real_time(is_wanted=is_real_time) as refused:
-            if observer.on_event is not None:
-                for text in refused:
-                    observer.on_event(Warned(text))
+        with (
+            real_time(is_wanted=is_real_time) as refused,
+            _performing(program, observer.on_event, is_virtual=is_virtual) as on_event,
+        ):
+            for text in refused:
+                on_event(Warned(text))
             run(
                 player,
                 connection.ports,
                 clock,
-                on_event=observer.on_event,
+                on_event=on_event,
                 on_turn=observer.on_turn,
                 controls=observer.controls,
                 tap=observer.make_tap(started_ns) if observer.make_tap is not None else None,
@@ -191,6 +194,36 @@ def perform(  # noqa: PLR0913  (the wishes of one run)
         horn_error_deg=_horn_error_deg(truth, trajectory),
     )
     return Result(report=report, player=player, truth=truth, error=error or player.error)
+
+
+@contextlib.contextmanager
+def _performing(
+    program: Program, on_event: Callable[[Event], None] | None, *, is_virtual: bool
+) -> Iterator[Callable[[Event], None]]:
+    """Yield what is to be told of events: it sets off functions and sounds, then tells `on_event`.
+
+    In virtual time nothing is set off: an hour of sounds would come at once.
+    """
+    tell = on_event or _unheard
+    if is_virtual or not any(cue.run or cue.sound for cue in program.cues):
+        yield tell
+        return
+    from lss_motion.runtime.performer import Performer
+
+    with Performer(program.cues) as performer:
+        for text in performer.warnings:
+            tell(Warned(text))
+
+        def perform_and_tell(event: Event) -> None:
+            if isinstance(event, CueReached):
+                performer.perform(event.cue)
+            tell(event)
+
+        yield perform_and_tell
+
+
+def _unheard(event: Event) -> None:
+    """Tell nobody."""
 
 
 def _check_faults(faults: Sequence[Fault], *, simulated: bool, is_virtual: bool) -> None:

@@ -18,6 +18,7 @@ from lss_motion.errors import (
     EXIT_TERMINATED,
     InputError,
 )
+from lss_motion.protocol.constants import Led
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from lss_motion.cli.shows import Show
     from lss_motion.player.events import Event
     from lss_motion.robot.model import Robot
+    from lss_motion.sequence.model import Cue
     from lss_motion.sim.faults import Fault
 
 DESCRIPTION = "Play a sequence (YAML) or a compiled program (.lss) on a robot."
@@ -196,19 +198,30 @@ def _nothing(text: str) -> None:
 
 def tell(event: Event, say: Callable[[str], None]) -> None:
     """Say in one line what happened."""
-    from lss_motion.player.events import Faulted, MarkPassed, PhaseEntered, Warned
+    from lss_motion.player.events import CueReached, Faulted, MarkPassed, PhaseEntered, Warned
 
     match event:
         case PhaseEntered(phase):
             say(f"        {phase.value}")
         case MarkPassed(label, show_s) if label:
             say(f"{show_s:7.2f} s {label}")
+        case CueReached(cue, show_s):
+            say(f"{show_s:7.2f} s {_cue_text(cue)}")
         case Warned(text):
             say(f"warning: {text}")
         case Faulted(joint, cause):
             say(f"fault: joint {joint!r} {cause}")
         case _:
             pass
+
+
+def _cue_text(cue: Cue) -> str:
+    """Return in a few words what a cue does."""
+    if cue.say:
+        return f'"{cue.say}"'
+    if cue.led:
+        return "led " + ", ".join(f"{name} {Led(code).name.lower()}" for name, code in cue.led)
+    return f"run {cue.run}" if cue.run else f"sound {Path(cue.sound).name}"
 
 
 def _write_results(arguments: argparse.Namespace, result: Result) -> None:

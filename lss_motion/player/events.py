@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from lss_motion.sequence.model import Cue
 
 
 class Phase(StrEnum):
@@ -41,6 +45,14 @@ class MarkPassed:
 
 
 @dataclass(frozen=True, slots=True)
+class CueReached:
+    """The show has come to something that is not motion; a sound is to be heard at `show_s`."""
+
+    cue: Cue
+    show_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class Faulted:
     """The robot did not do what it should; the show ends with this."""
 
@@ -48,4 +60,4 @@ class Faulted:
     cause: str
 
 
-Event = PhaseEntered | Warned | MarkPassed | Faulted
+Event = PhaseEntered | Warned | MarkPassed | CueReached | Faulted

@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from lss_motion.errors import LssMotionError
 from lss_motion.player import setup
+from lss_motion.player.agenda import Agenda
 from lss_motion.player.approach import approach
 from lss_motion.player.dialogue import Dialogue
-from lss_motion.player.events import Event, Faulted, MarkPassed, Phase, PhaseEntered, Warned
+from lss_motion.player.events import Event, Faulted, Phase, PhaseEntered, Warned
 from lss_motion.player.line import Line
 from lss_motion.player.queries import Questioner
 from lss_motion.player.streamer import Streamer
@@ -74,7 +75,7 @@ class Player:
         self._events: deque[Event] = deque([PhaseEntered(Phase.CONNECT)])
         self._streamer: Streamer | None = None
         self._dialogue: Dialogue | None = self._ask(setup.questions(self._joints))
-        self._marks = deque(program.marks)
+        self._agenda = Agenda(program, robot)
         self._now_ns = 0
         self._has_set = False
         self._has_moved = False
@@ -104,6 +105,8 @@ class Player:
         else:
             assert self._streamer is not None
             wakeup_ns = self._streamer.next_wakeup_ns(self._now_ns)
+            due_ns = self._agenda.wakeup_ns(self.show, self.lines, self._now_ns)
+            wakeup_ns = min((w for w in (wakeup_ns, due_ns) if w is not None), default=None)
         return self._now_ns + IDLE_NS if wakeup_ns is None else max(wakeup_ns, self._now_ns)
 
     def next_event(self) -> Event | None:
@@ -192,8 +195,9 @@ class Player:
         if self.phase is Phase.DONE:
             return False
         assert self._streamer is not None
+        if self.phase is Phase.SHOW:
+            self._events += self._agenda.advance(self._streamer, self.lines, now_ns)
         self._streamer.advance(now_ns)
-        self._note_marks(now_ns)
         if self._take_faults(now_ns):
             return True
         if self.phase is Phase.STOP:
@@ -219,8 +223,7 @@ class Player:
 
     def _connected(self) -> None:
         try:
-            found = setup.check_answers(self._joints, self._answers, self.robot)
-            found += setup.check_latency(self.robot.buses, self.questioners)
+            found = setup.findings(self._joints, self._answers, self.robot, self.questioners)
             self._events += map(Warned, found)
         except LssMotionError as error:
             self.error = error
@@ -230,7 +233,8 @@ class Player:
         self._has_set = True
         self._enter(Phase.PREPARE)
         orders = setup.session_orders(self._joints, self._answers)
-        self._dialogue = self._ask([*setup.settings_questions(self._joints), *orders])
+        lit = self._agenda.lit
+        self._dialogue = self._ask([*setup.settings_questions(self._joints, lit), *orders])
 
     def _approach(self, now_ns: int) -> None:
         start = self._plan_start()
@@ -258,8 +262,7 @@ class Player:
     def _after_streamer(self, now_ns: int) -> None:
         if self.phase is Phase.APPROACH:
             self._enter(Phase.SHOW)
-            while self._marks and self._marks[0].planned_s < (self._start_s or 0.0):
-                self._marks.popleft()
+            self._agenda.begin_at(self._start_s)
             standing = {
                 name: self.robot.joints[name].servo_deg(angle)
                 for name, angle in self._plan_start().items()
@@ -301,7 +304,8 @@ class Player:
         if self._dialogue is not None:
             self._answers = {**self._answers, **self._dialogue.answers}
         self._enter(Phase.RESTORE)
-        orders = setup.restoring_orders(self._joints, self._answers) if self._has_set else []
+        lit = self._agenda.lit
+        orders = setup.restoring_orders(self._joints, self._answers, lit) if self._has_set else []
         self._dialogue = self._ask(orders)
 
     def _finish(self, now_ns: int) -> None:
@@ -340,11 +344,3 @@ class Player:
         self.outcome = "fault"
         self._brake(now_ns)
         return True
-
-    def _note_marks(self, now_ns: int) -> None:
-        if self.phase is not Phase.SHOW or self._streamer is None:
-            return
-        show_s = self._streamer.show_s(now_ns)
-        while self._marks and self._marks[0].planned_s <= show_s:
-            mark = self._marks.popleft()
-            self._events.append(MarkPassed(mark.label, mark.planned_s))

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import BusError, InputError, PlaybackError
+from lss_motion.player.agenda import LIT_KEYWORD
 from lss_motion.player.dialogue import TRIES, Item
 from lss_motion.program.model import ramp_deg_s2
 from lss_motion.protocol.codec import make_command, read_reply
@@ -19,7 +20,7 @@ from lss_motion.robot.drives import FILTER_FIRMWARE_MIN
 from lss_motion.units import NS_PER_MS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Container, Iterable, Mapping
 
     from lss_motion.player.queries import Questioner
     from lss_motion.robot.model import Bus, Joint, Robot
@@ -68,6 +69,16 @@ def _asked_of(joint: Joint) -> tuple[str, ...]:
             return (*FILTER_QUESTIONS, *QUESTIONS)
         case _:
             return QUESTIONS
+
+
+def findings(
+    joints: Iterable[Joint],
+    answers: Answers,
+    robot: Robot,
+    questioners: Mapping[str, Questioner],
+) -> list[str]:
+    """Return all warnings about servos and ports; raise as `check_answers` does."""
+    return check_answers(joints, answers, robot) + check_latency(robot.buses, questioners)
 
 
 def check_answers(joints: Iterable[Joint], answers: Answers, robot: Robot) -> list[str]:
@@ -207,12 +218,14 @@ def _session_of(joint: Joint) -> dict[str, float]:
     return {"EM": 1.0, "AA": ramp, "AD": ramp, "SD": joint.speed_max_deg_s}
 
 
-def restoring_orders(joints: Iterable[Joint], answers: Answers) -> list[Item]:
-    """Return what gives every servo back the settings that it had."""
+def restoring_orders(
+    joints: Iterable[Joint], answers: Answers, lit: Container[str] = ()
+) -> list[Item]:
+    """Return what gives every servo back its settings, and to those `lit` their colours."""
     return [
         _order(joint, Command(joint.servo_id, keyword, had))
         for joint in joints
-        for keyword in (*SESSION_KEYWORDS, *joint.settings)
+        for keyword in (*SESSION_KEYWORDS, *_changed(joint, lit))
         if isinstance(had := answers.get((joint.bus, joint.servo_id, f"Q{keyword}")), int)
     ]
 
@@ -221,13 +234,18 @@ def _order(joint: Joint, command: Command) -> Item:
     return Item(bus=joint.bus, command=command, is_question=False)
 
 
-def settings_questions(joints: Iterable[Joint]) -> list[Item]:
-    """Return what to ask so that the `settings` of the robot file can be undone."""
+def settings_questions(joints: Iterable[Joint], lit: Container[str] = ()) -> list[Item]:
+    """Return what to ask so that the `settings` of the robot file, and colours, can be undone."""
     return [
         Item(bus=joint.bus, command=Command(joint.servo_id, f"Q{keyword}"), is_question=True)
         for joint in joints
-        for keyword in joint.settings
+        for keyword in _changed(joint, lit)
     ]
+
+
+def _changed(joint: Joint, lit: Container[str]) -> list[str]:
+    lights = [LIT_KEYWORD] if joint.name in lit and LIT_KEYWORD not in joint.settings else []
+    return [*joint.settings, *lights]
 
 
 def safe_bytes(robot: Robot, *, is_limp: bool = False) -> dict[str, bytes]:

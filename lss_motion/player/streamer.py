@@ -168,7 +168,7 @@ class Streamer:
                 self._next = next(self._upcoming, None)
         self._pay_owed(now_ns)
         if self._reader is not None:
-            self._reader.ask(now_ns, self._quiet_ns(now_ns))
+            self._reader.ask(now_ns, self.quiet_ns(now_ns))
 
     def next_wakeup_ns(self, now_ns: int) -> int | None:
         """Return when `advance` must be called again at the latest."""
@@ -196,7 +196,7 @@ class Streamer:
         assert due_ns is not None
         return due_ns
 
-    def _quiet_ns(self, now_ns: int) -> int | None:
+    def quiet_ns(self, now_ns: int) -> int | None:
         """Return until when the lines are free of moves; None: no move is planned."""
         if self._tick_ns is not None:
             return self._tick_ns

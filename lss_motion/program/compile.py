@@ -15,6 +15,7 @@ from lss_motion.program.line import LineSchedule, LineUse, line_use
 from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
 from lss_motion.program.verify import verify_program
 from lss_motion.protocol.line import encode_move
+from lss_motion.trajectory.cues import all_cues, all_marks
 from lss_motion.units import NS_PER_US, line_time_ns, s_from_us, us_from_s
 
 if TYPE_CHECKING:
@@ -152,6 +153,7 @@ def _program(
         if repeat is None or move.due_us < repeat.to_us
     ]
     start = trajectory.sample(np.zeros(1))[0]
+    end_s = trajectory.duration_s if repeat is None else s_from_us(repeat.to_us)
     return Program(
         name=trajectory.name,
         robot=robot.name,
@@ -162,7 +164,8 @@ def _program(
         tolerance_deg=attempt.tolerance_deg,
         drives=driving_of(robot, trajectory.joints),
         repeat=repeat,
-        marks=trajectory.marks,
+        marks=tuple(mark for mark in all_marks(trajectory, end_s) if mark.planned_s <= end_s),
+        cues=tuple(cue for cue in all_cues(trajectory, end_s) if cue.at_s <= end_s),
         stretched=trajectory.stretched,
         line_use=lines_use(moves, robot),
         error_max_deg={

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 from lss_motion.protocol.line import encode_move
 from lss_motion.units import NS_PER_US, line_time_ns, s_from_us
@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
     from lss_motion.program.line import LineUse
     from lss_motion.robot.model import Drive, Joint
+    from lss_motion.sequence.model import Cue
     from lss_motion.trajectory.model import Mark, Stretch
+
+T = TypeVar("T")
 
 RAMP_STEP_DEG_S2 = 10
 """AA and AD count in tens of deg/s² (seed 000, rows A3 and A4; lss_facts 1.3)."""
@@ -84,6 +87,8 @@ class Program:
     """Why, in words, for the joints of which the robot file leaves it open."""
     repeat: Repeat | None = None
     marks: tuple[Mark, ...] = ()
+    cues: tuple[Cue, ...] = ()
+    """What is not motion, by the show time at which it is set off."""
     stretched: tuple[Stretch, ...] = ()
     line_use: Mapping[str, LineUse] = field(default_factory=dict)
     error_max_deg: Mapping[str, float] = field(default_factory=dict)
@@ -114,6 +119,34 @@ class Program:
         while again:
             yield from ((move.due_us + shift_us, move) for move in again)
             shift_us += period_us
+
+    def unrolled_marks(self) -> Iterator[tuple[float, Mark]]:
+        """Yield `(show time, mark)` in order, without end if the program repeats."""
+        return self._unrolled([(mark.planned_s, mark.planned_s, mark) for mark in self.marks])
+
+    def unrolled_cues(self) -> Iterator[tuple[float, Cue]]:
+        """Yield `(show time at which it is set off, cue)` in order, as `unrolled_marks`."""
+        return self._unrolled([(cue.start_s, cue.at_s, cue) for cue in self.cues])
+
+    def _unrolled(self, items: list[tuple[float, float, T]]) -> Iterator[tuple[float, T]]:
+        """Yield items by when they start; what starts before a pass starts in the one before."""
+        from_s, to_s, again = math.inf, math.inf, []
+        if self.repeat is not None:
+            from_s, to_s = s_from_us(self.repeat.from_us), s_from_us(self.repeat.to_us)
+            again = [
+                (start_s if start_s >= from_s else start_s + to_s - from_s, item)
+                for start_s, at_s, item in items
+                if from_s <= at_s < to_s
+            ]
+        early = {id(item) for start_s, at_s, item in items if start_s < from_s <= at_s}
+        first = [(start_s, item) for start_s, at_s, item in items if at_s < to_s]
+        first += [(start_s, item) for start_s, item in again if id(item) in early]
+        yield from sorted(first, key=lambda due: due[0])
+        again.sort(key=lambda due: due[0])
+        shift_s = to_s - from_s
+        while again:
+            yield from ((start_s + shift_s, item) for start_s, item in again)
+            shift_s += to_s - from_s
 
 
 def ramp_deg_s2(joint: Joint) -> int:

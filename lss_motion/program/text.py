@@ -9,6 +9,7 @@
     # start_deg: base=0 shoulder=45 lid=10
     # drives: shoulder=streamed:4 lid=stepped
     # mark: 1500000 hello
+    # cue: 1500000 {"say": "hello"}
     1477500 main #1D-612T384
     1478300 main #2D455
 
@@ -26,6 +27,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
 from lss_motion.program.compile import lines_use
+from lss_motion.program.cue_text import cue_line, read_cue
 from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
 from lss_motion.robot.drives import drive_problem
 from lss_motion.trajectory.model import Mark
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from lss_motion.robot.model import Joint, Robot
+    from lss_motion.sequence.model import Cue
 
 FIRST_LINE: Final = "# lss_motion program 1"
 FOREVER: Final = "forever"
@@ -70,6 +73,7 @@ def to_text(program: Program, *, folder: Path | None = None) -> str:
     if program.drives:
         lines.append(f"# drives: {' '.join(map(_drive_text, program.drives.items()))}")
     lines += [f"# mark: {us_from_s(mark.planned_s)} {mark.label}" for mark in program.marks]
+    lines += [f"# cue: {cue_line(cue)}" for cue in program.cues]
     lines += [f"{m.due_us} {m.bus} {m.data[:-1].decode('ascii')}" for m in program.moves]
     return "\n".join(lines) + "\n"
 
@@ -134,6 +138,7 @@ class _Reader:
         self._path = path
         self._header: dict[str, str] = {}
         self._marks: list[Mark] = []
+        self._cues: list[Cue] = []
         self._moves: list[Move] = []
         self._move_line = 1
         self._drives: dict[str, Driving] = {}
@@ -149,6 +154,8 @@ class _Reader:
                 self._marks.append(
                     Mark(label=label, authored_s=None, planned_s=planned_s, is_anchor=False)
                 )
+            elif match[1] == "cue":
+                self._read_cue(match[2], number)
             else:
                 self._header[match[1]] = match[2]
                 if match[1] == "drives":
@@ -158,6 +165,12 @@ class _Reader:
             self._move_line = number
         elif not line.startswith("#"):
             raise self._error(number, f"{line!r} is not of the form `due_us bus #<id>D<n>[T<ms>]`")
+
+    def _read_cue(self, text: str, number: int) -> None:
+        try:
+            self._cues.append(read_cue(text, self._robot.joints))
+        except ValueError as error:
+            raise self._error(number, str(error)) from error
 
     def _read_drives(self, number: int, text: str) -> None:
         if self._moves:
@@ -237,6 +250,7 @@ class _Reader:
             drives=self._drives,
             repeat=repeat,
             marks=tuple(self._marks),
+            cues=tuple(self._cues),
             line_use=lines_use(self._moves, self._robot),
         )
 

@@ -22,6 +22,15 @@ LOOP_MAX: Final = 1_000_000
 
 FOREVER: Final = "forever"
 
+EVENTS_MAX: Final = 10_000
+"""Chosen: more than an hour of beats."""
+
+LEAD_MAX_S: Final = 10.0
+"""Chosen: no player of sounds takes longer to start."""
+
+RUN_PATTERN: Final = r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$"
+"""`module:function`, as entry points are written."""
+
 LAYERS_MAX: Final = 32
 """Chosen: more than anybody can keep apart."""
 
@@ -37,6 +46,7 @@ MIRROR: Final = "Exchange left and right, as the robot file says under mirror."
 FileName = Annotated[str, Field(min_length=1)]
 SpeedRatio = Annotated[float, Field(ge=SPEED_MIN_RATIO, le=SPEED_MAX_RATIO)]
 TimeS = Annotated[float, Field(ge=0.0, le=TIME_MAX_S)]
+Colour = Literal["off", "red", "green", "blue", "yellow", "cyan", "magenta", "white"]
 Ease = Literal["smooth", "spline", "linear", "hold"]
 
 
@@ -179,6 +189,32 @@ class LayerEntry(FileModel, title="layer"):
     mirror: bool = Field(default=False, description=MIRROR)
 
 
+class EventEntry(FileModel, title="event"):
+    """Something that is not motion: one of led, say, run and sound, at a time of the show."""
+
+    at_s: TimeS = Field(description="Seconds from the start of the show.")
+    led: dict[Name, Colour] | None = Field(
+        default=None,
+        min_length=1,
+        description="Colours that joints take on. They get back what they had after the show.",
+        examples=[{"elbow": "red"}],
+    )
+    say: Text | None = Field(default=None, description="A line on screen and in the log.")
+    run: Annotated[str, Field(pattern=RUN_PATTERN)] | None = Field(
+        default=None,
+        description="A Python function, called with the time of the show in seconds, in a process "
+        "of its own: module:function. The module may stand beside this file.",
+        examples=["effects:fog"],
+    )
+    sound: FileName | None = Field(
+        default=None, description="A sound file, relative to this file, played by the system."
+    )
+    lead_s: Annotated[float, Field(ge=0.0, le=LEAD_MAX_S)] = Field(
+        default=0.0,
+        description="The sound is started so much earlier: what its player takes to be heard.",
+    )
+
+
 class SequenceFile(TrackEntry, title="sequence file"):
     """A show for one robot: keyframes, tracks beside them, or a play list; layers on top."""
 
@@ -208,4 +244,8 @@ class SequenceFile(TrackEntry, title="sequence file"):
     )
     layers: Annotated[list[LayerEntry], Field(min_length=1, max_length=LAYERS_MAX)] = Field(
         default=[], description="Other sequences on top, the later ones above the earlier."
+    )
+    events: Annotated[list[EventEntry], Field(min_length=1, max_length=EVENTS_MAX)] = Field(
+        default=[],
+        description="What is not motion: colours, words, functions, sounds. A loop repeats them.",
     )

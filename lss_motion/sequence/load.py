@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from lss_motion.errors import InputError
 from lss_motion.robot.load import load_robot
 from lss_motion.sequence.check import check_sequence
+from lss_motion.sequence.cues import cues
 from lss_motion.sequence.frames import TrackLoader
 from lss_motion.sequence.mirror import mirrored
 from lss_motion.sequence.model import Sequence
@@ -50,7 +51,13 @@ def sequence_schema() -> dict[str, Any]:
 
 
 def _load(path: Path, robot: Robot | None, part: Part) -> Sequence:
-    from lss_motion.sequence.file import KeyframeEntry, LayerEntry, SequenceFile, StepEntry
+    from lss_motion.sequence.file import (
+        EventEntry,
+        KeyframeEntry,
+        LayerEntry,
+        SequenceFile,
+        StepEntry,
+    )
     from lss_motion.validation import validate
 
     if (other := part.other(path, robot)) is not None:
@@ -60,6 +67,7 @@ def _load(path: Path, robot: Robot | None, part: Part) -> Sequence:
         "keyframes": KeyframeEntry(),
         "play": StepEntry(pause_s=0.0),
         "layers": LayerEntry(file="-"),
+        "events": EventEntry(at_s=0.0),
     }
     content, problems, left_out = validate(SequenceFile, source, blanks=blanks)
     errors: list[InputError] = []
@@ -147,6 +155,7 @@ class _Loader:
             tracks=self._tracks(),
             play=parts.steps(),
             layers=parts.layers(),
+            events=tuple(cues(content.events, self.left_out, self.source, self.robot, self._note)),
         )
         self.problems += parts.problems
         self.errors += parts.errors
@@ -154,7 +163,9 @@ class _Loader:
         return sequence
 
     def _own_left_out(self) -> frozenset[Location]:
-        return frozenset(p for p in self.left_out if p[0] not in {"tracks", "play", "layers"})
+        return frozenset(
+            p for p in self.left_out if p[0] not in {"tracks", "play", "layers", "events"}
+        )
 
     def _note(self, location: Location, reason: str) -> None:
         self.problems.append(Problem(location, reason))

@@ -51,6 +51,33 @@ class Keyframe:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Cue:
+    """Something that is not motion, at `at_s` of the show: one of `led`, `say`, `run`, `sound`.
+
+    Of a sequence, `at_s` is on its author's clock; of a plan, when it really comes.
+    """
+
+    at_s: float
+    led: tuple[tuple[str, int], ...] = ()
+    """Joints and the colours (codes of `LED`) that they take on."""
+    say: str = ""
+    run: str = ""
+    """`module:function`; the module is looked for beside the sequence file, then as installed."""
+    sound: str = ""
+    """Path of a sound file."""
+    lead_s: float = 0.0
+    """A sound is started so much before `at_s`: what its player takes to be heard."""
+    folder: str = ""
+    """Where the file stands that holds it."""
+    line: int | None = field(default=None, compare=False)
+
+    @property
+    def start_s(self) -> float:
+        """When it must be set off."""
+        return self.at_s - self.lead_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
     """One entry of a play list: a sequence, or a pause (then `sequence` is None).
 
@@ -107,3 +134,5 @@ class Sequence:
     """Instead of keyframes and tracks: other sequences, one after the other."""
     layers: tuple[Layer, ...] = ()
     """On top of all that, in this order. Their times count from the start of the show."""
+    events: tuple[Cue, ...] = ()
+    """What is not motion. Repeated with every pass of a loop."""

@@ -36,6 +36,7 @@ def at_speed(sequence: Sequence, ratio: float = 1.0) -> Sequence:
         tracks=tuple(at_speed(track, ratio) for track in sequence.tracks),
         play=tuple(_step(step, ratio) for step in sequence.play),
         layers=tuple(_layer(layer, ratio) for layer in sequence.layers),
+        events=tuple(replace(cue, at_s=cue.at_s / ratio) for cue in sequence.events),
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from lss_motion.sequence.model import Cue
     from lss_motion.trajectory.clock import Clock
     from lss_motion.trajectory.path import Path
 
@@ -141,6 +142,8 @@ class Trajectory:
     is_periodic: bool = False
     stretched: tuple[Stretch, ...] = ()
     marks: tuple[Mark, ...] = ()
+    cues: tuple[Cue, ...] = ()
+    """What is not motion, in the first pass, at planned times."""
 
     @property
     def duration_s(self) -> float:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from lss_motion.errors import InputError
 from lss_motion.sequence.model import Timing
 from lss_motion.sequence.speed import at_speed
+from lss_motion.trajectory.cues import planned_cues
 from lss_motion.trajectory.fit import at_ratio
 from lss_motion.trajectory.layers import layered
 from lss_motion.trajectory.play import in_a_row
@@ -33,10 +34,20 @@ def plan(sequence: Sequence, robot: Robot) -> Trajectory:
 
 def _planned(sequence: Sequence, robot: Robot) -> Trajectory:
     """Return the plan of a sequence whose times are final."""
-    if not sequence.layers:
-        return _base(sequence, robot)
-    base = _base(replace(sequence, layers=()), robot)
-    return layered(base, sequence, robot, _planned)
+    bare = replace(sequence, layers=(), events=())
+    trajectory = base = _base(bare, robot)
+    if sequence.layers:
+        trajectory = layered(base, replace(sequence, events=()), robot, _planned)
+        slower = trajectory.first.duration_s / max(base.first.duration_s, 1e-9)
+        cues = [replace(cue, at_s=slower * cue.at_s) for cue in base.cues]
+        for layer in sequence.layers:
+            own = planned_cues(replace(layer.sequence, path=sequence.path), trajectory)
+            cues += [replace(cue, at_s=layer.from_s + cue.at_s) for cue in own]
+        trajectory = replace(trajectory, cues=tuple(cues))
+    if sequence.events:
+        cues = [*trajectory.cues, *planned_cues(sequence, trajectory)]
+        trajectory = replace(trajectory, cues=tuple(cues))
+    return trajectory
 
 
 def _base(sequence: Sequence, robot: Robot) -> Trajectory:

@@ -10,6 +10,7 @@ import numpy as np
 from lss_motion.errors import InputError
 from lss_motion.sequence.check import loop_problem
 from lss_motion.sequence.model import Keyframe, Sequence
+from lss_motion.trajectory.cues import all_cues, all_marks
 from lss_motion.trajectory.model import Trajectory
 
 if TYPE_CHECKING:
@@ -181,6 +182,11 @@ def _trajectory(show: Sequence, row: _Row, robot: Robot) -> Trajectory:
                 authored_s=None if mark.authored_s is None else mark.authored_s + start_s,
             )
             for start_s, part, _ in parts
-            for mark in part.marks
+            for mark in all_marks(part, part.duration_s)
+        ),
+        cues=tuple(
+            replace(cue, at_s=cue.at_s + start_s)
+            for start_s, part, _ in parts
+            for cue in all_cues(part, part.duration_s)
         ),
     )

@@ -1,0 +1,92 @@
+"""Marks and cues on the clock of the plan, in every pass of a loop."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from lss_motion.sequence.model import Cue, Sequence
+    from lss_motion.trajectory.model import Mark, Trajectory
+
+LATE_SLACK_S: Final = 1e-6
+"""A cue at the very end is not beyond it: above the error of adding decimals."""
+
+
+def planned_cues(sequence: Sequence, trajectory: Trajectory) -> tuple[Cue, ...]:
+    """Return the cues of `sequence` when the plan comes to where its author wanted them.
+
+    Between two keyframes they move as the keyframes do. Raises `InputError` for one that no pass
+    ever reaches.
+    """
+    pairs = sorted(
+        (mark.authored_s, mark.planned_s)
+        for mark in trajectory.marks
+        if mark.authored_s is not None
+    )
+    authored_s = np.array([0.0, *(authored for authored, _ in pairs)])
+    planned_s = np.array([0.0, *(planned for _, planned in pairs)])
+    end_s = trajectory.first.duration_s
+    found = []
+    for cue in sequence.events:
+        beyond_s = max(cue.at_s - float(authored_s[-1]), 0.0)
+        at_s = float(np.interp(cue.at_s, authored_s, planned_s)) + beyond_s
+        if at_s > end_s + LATE_SLACK_S:
+            raise InputError(
+                f"an event at {cue.at_s:g} s is never reached: "
+                f"the sequence (one pass of it) is over after {end_s:.3f} s",
+                path=sequence.path,
+                line=cue.line,
+            )
+        found.append(replace(cue, at_s=at_s))
+    return tuple(found)
+
+
+def all_cues(trajectory: Trajectory, end_s: float) -> tuple[Cue, ...]:
+    """Return the cues of all passes that begin before `end_s`, in the order of their starts."""
+    found = [
+        replace(cue, at_s=start_s + ratio * cue.at_s)
+        for start_s, ratio in _passes(trajectory, end_s)
+        for cue in trajectory.cues
+    ]
+    return tuple(sorted(found, key=lambda cue: cue.start_s))
+
+
+def all_marks(trajectory: Trajectory, end_s: float) -> tuple[Mark, ...]:
+    """Return the marks of all passes that begin before `end_s`, in order of time.
+
+    The author's times count from when the pass begins.
+    """
+    return tuple(
+        replace(
+            mark,
+            planned_s=start_s + ratio * mark.planned_s,
+            authored_s=None if mark.authored_s is None else start_s + mark.authored_s,
+        )
+        for start_s, ratio in _passes(trajectory, end_s)
+        for mark in trajectory.marks
+    )
+
+
+def _passes(trajectory: Trajectory, end_s: float) -> Iterator[tuple[float, float]]:
+    """Yield when every pass starts, and its duration as a ratio of that of the first.
+
+    A pass that starts in motion takes a little less time; what it holds moves along.
+    """
+    if not trajectory.marks and not trajectory.cues:
+        return
+    first_s = trajectory.first.duration_s
+    yield 0.0, 1.0
+    index = 1
+    while first_s > 0.0 and (trajectory.loop is None or index < trajectory.loop):
+        start_s = trajectory.pass_start_s(index)
+        if start_s >= end_s:
+            return
+        yield start_s, trajectory.motion_of(index).duration_s / first_s
+        index += 1

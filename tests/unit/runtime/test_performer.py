@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+import os
+import stat
+import sys
+
+import pytest
+
+from lss_motion.errors import InputError
+from lss_motion.runtime.performer import Performer
+from lss_motion.sequence.model import Cue
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="plays a shell script")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A module whose function writes down when it was called, and a player of sounds that does."""
+    (tmp_path / "effects.py").write_text(
+        "from pathlib import Path\n"
+        "def fog(at_s): Path(__file__).with_name('fog').open('a').write(f'{at_s} ')\n"
+        "def fail(at_s): raise RuntimeError('no fog')\n"
+        "def stay(at_s):\n    while True: pass\n"
+        "number = 3\n"
+    )
+    player = tmp_path / "pw-play"
+    player.write_text(f'#!/bin/sh\necho "$1" >> {tmp_path}/heard\n')
+    player.chmod(player.stat().st_mode | stat.S_IXUSR)
+    return tmp_path
+
+
+def cue(folder, name, at_s=0.0):
+    return Cue(at_s=at_s, run=f"effects:{name}", folder=str(folder))
+
+
+def test_functions_are_called_with_the_time_of_the_show(folder):
+    cues = [cue(folder, "fog", 1.5), cue(folder, "fog", 2.5)]
+    with Performer(cues) as performer:
+        assert not (folder / "fog").exists()
+        for one in cues:
+            performer.perform(one)
+    assert (folder / "fog").read_text() == "1.5 2.5 "
+    assert performer.lost == 0
+
+
+def test_what_a_function_raises_is_said_and_the_next_one_still_comes(folder, capfd):
+    cues = [cue(folder, "fail"), cue(folder, "fog", 3.0)]
+    with Performer(cues) as performer:
+        for one in cues:
+            performer.perform(one)
+    assert "run: effects:fail: RuntimeError: no fog" in capfd.readouterr().err
+    assert (folder / "fog").read_text() == "3.0 "
+
+
+@pytest.mark.parametrize("name", ["smoke", "number"])
+def test_a_function_that_is_not_there_is_an_input_error_before_the_show(folder, name):
+    with pytest.raises(InputError, match=f"effects:{name}"):
+        Performer([cue(folder, name)])
+
+
+def test_sounds_are_played_by_what_the_system_has(folder, monkeypatch):
+    monkeypatch.setenv("PATH", f"{folder}{os.pathsep}{os.environ['PATH']}")
+    with Performer([Cue(at_s=0.0, sound="bell.wav")]) as performer:
+        assert performer.warnings == []
+        performer.perform(Cue(at_s=0.0, sound="bell.wav"))
+    assert (folder / "heard").read_text() == "bell.wav\n"
+
+
+def test_without_any_player_of_sounds_that_is_said_and_nothing_fails(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with Performer([Cue(at_s=0.0, sound="bell.wav")]) as performer:
+        [text] = performer.warnings
+        assert text.startswith("no sounds: none of pw-play")
+        performer.perform(Cue(at_s=0.0, sound="bell.wav"))
+
+
+def test_a_function_that_never_returns_delays_nobody(folder, monkeypatch):
+    """What the pipe does not take is lost, and counted; the process is ended after the show."""
+    monkeypatch.setattr("lss_motion.runtime.performer.CLOSE_S", 0.1)
+    stay = cue(folder, "stay")
+    with Performer([stay]) as performer:
+        for _ in range(3000):
+            performer.perform(stay)
+    assert performer.lost > 0
