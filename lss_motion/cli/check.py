@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from lss_motion.cli.shows import Show
+    from lss_motion.program.model import Program
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.trajectory.model import Stretch, Trajectory
 
@@ -145,10 +146,30 @@ def program_lines(show: Show) -> list[str]:
             f"{use.baud_bps} bps, {use.worst_100_ms_ratio:.0%} in the worst 100 ms, "
             f"{use.overlaps} overlaps"
         )
+    lines += drive_lines(program)
     if program.error_max_deg:
         name = max(program.error_max_deg, key=lambda joint: program.error_max_deg[joint])
         lines.append(
             f"predicted horns stay within {program.error_max_deg[name]:.2f} deg of the plan "
             f"({name}; tolerance {program.tolerance_deg:g} deg)"
         )
+    return lines
+
+
+def drive_lines(program: Program) -> list[str]:
+    """Return one line for every joint that is not simply timed: how it is commanded, and why."""
+    lines = []
+    for name in program.start_deg:
+        driving = program.drives.get(name)
+        if driving is None and name not in program.drive_reasons:
+            continue
+        how = "timed (D…T… in EM1)"
+        if driving is not None and driving.drive == "streamed":
+            how = f"streamed (bare D in EM0, FPC {driving.filter_count})"
+        elif driving is not None:
+            how = "stepped (whole degrees to an RC servo, no feedback)"
+        error_deg = program.error_max_deg.get(name)
+        within = "" if error_deg is None else f", predicted within {error_deg:.2f} deg"
+        why = program.drive_reasons.get(name, "as the robot file says").partition(": ")
+        lines.append(f"joint {name}: {how}{within}; {why[2] or why[0]}")
     return lines

@@ -15,7 +15,7 @@ import numpy as np
 
 from lss_motion.program.cone import GRID_S
 from lss_motion.program.drives import make_fitter
-from lss_motion.robot.drives import can_be_streamed
+from lss_motion.robot.drives import FILTER_FIRMWARE_MIN, can_be_streamed
 from lss_motion.robot.models import FAMILIES
 
 if TYPE_CHECKING:
@@ -101,8 +101,10 @@ def _only(joint: Joint, robot: Robot) -> str:
     if _needs_filter(joint):
         most = FAMILIES[joint.model.family].accel_max_deg_s2
         return f"{joint.accel_max_deg_s2:g} deg/s² is more than its ramps can express, {most:g}"
+    if "streamed" not in FAMILIES[joint.model.family].drives:
+        return f"a {joint.model.name} knows no other drive"
     if not can_be_streamed(joint, robot.buses[joint.bus]):
-        return f"all that a {joint.model.name} with this firmware can do"
+        return f"streaming needs firmware {FILTER_FIRMWARE_MIN}"
     return ""
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import InputError, LineLoadError
+from lss_motion.program.choose import choices
 from lss_motion.program.cone import GRID_S, Course
 from lss_motion.program.drives import late_max_s, lead, longest_move, make_fitter
 from lss_motion.program.line import LineSchedule, LineUse, line_use
@@ -21,6 +22,7 @@ from lss_motion.units import NS_PER_US, line_time_ns, s_from_us, us_from_s
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
+    from lss_motion.program.choose import Choice
     from lss_motion.program.drives import JointFitter
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.trajectory.model import Trajectory
@@ -38,21 +40,25 @@ def compile_program(
 ) -> Program:
     """Return the program that makes `robot` follow `trajectory`.
 
-    Its bytes have passed `verify_program`. Raises `LineLoadError` when the line cannot carry it
-    even at the most relaxed tolerance, and `InputError` when a joint of the trajectory is not one
-    of the robot's.
+    Joints whose drive is `auto` get the one that predicts best within what the line can carry; the
+    program says which and why. Its bytes have passed `verify_program`. Raises `LineLoadError` when
+    the line cannot carry it even at the most relaxed tolerance, and `InputError` when a joint of
+    the trajectory is not one of the robot's.
     """
     if unknown := [name for name in trajectory.joints if name not in robot.joints]:
         raise InputError(f"robot {robot.name!r} has no joint {unknown[0]!r}")
-    courses = _courses(trajectory, robot)
     repeat = _repeat(trajectory)
     seams_s = () if repeat is None else (s_from_us(repeat.from_us), s_from_us(repeat.to_us))
+    found = choices(robot, lambda driven: _courses(trajectory, driven), tolerance_deg)
+    trials = [(choice, 1.0) for choice in found[:-1]]
+    trials += [(found[-1], ratio) for ratio in RELAXED_RATIOS]
     tight: _Attempt | None = None
-    for ratio in RELAXED_RATIOS:
-        attempt = _Attempt(courses, robot, tolerance_deg * ratio, seams_s)
+    for choice, ratio in trials:
+        courses = _courses(trajectory, choice.robot)
+        attempt = _Attempt(courses, choice.robot, tolerance_deg * ratio, seams_s)
         if not attempt.is_tight:
-            program = _program(trajectory, robot, courses, attempt, repeat)
-            verify_program(program, robot)
+            program = _program(trajectory, choice, courses, attempt, repeat)
+            verify_program(program, choice.robot)
             return program
         tight = attempt
     assert tight is not None
@@ -142,11 +148,12 @@ def glide_moves(courses: Mapping[str, Course], robot: Robot, tolerance_deg: floa
 
 def _program(
     trajectory: Trajectory,
-    robot: Robot,
+    choice: Choice,
     courses: Mapping[str, Course],
     attempt: _Attempt,
     repeat: Repeat | None,
 ) -> Program:
+    robot = choice.robot
     moves = [
         move
         for move in moves_of(attempt.fitters, robot)
@@ -163,6 +170,7 @@ def _program(
         start_deg={n: float(v) for n, v in zip(trajectory.joints, start, strict=True)},
         tolerance_deg=attempt.tolerance_deg,
         drives=driving_of(robot, trajectory.joints),
+        drive_reasons={n: why for n, why in choice.reasons.items() if n in trajectory.joints},
         repeat=repeat,
         marks=tuple(mark for mark in all_marks(trajectory, end_s) if mark.planned_s <= end_s),
         cues=tuple(cue for cue in all_cues(trajectory, end_s) if cue.at_s <= end_s),
