@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.program.compile import TOLERANCE_DEG, driving_of, glide_moves, lines_use
-from lss_motion.program.cone import DURATION_MAX_MS, GRID_S, Course
+from lss_motion.program.course import DURATION_MAX_MS, GRID_S, Course
 from lss_motion.program.model import Move, Program, ramp_deg_s2
 from lss_motion.program.predict import profiles
 from lss_motion.program.response import Piece, Reference, trapezoid

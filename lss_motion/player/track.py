@@ -16,7 +16,7 @@ from lss_motion.units import MS_PER_S, ns_from_s, s_from_ms, s_from_ns
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from lss_motion.program.cone import ServoLimits
+    from lss_motion.program.course import ServoLimits
     from lss_motion.program.model import Move, Program
     from lss_motion.program.predict import ServoProfile
     from lss_motion.program.response import Reference

@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.program.cone import GRID_S
-from lss_motion.program.drives import make_fitter
+from lss_motion.program.attempt import fitted_alone
+from lss_motion.program.course import GRID_S
 from lss_motion.robot.drives import FILTER_FIRMWARE_MIN, can_be_streamed
 from lss_motion.robot.models import FAMILIES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from lss_motion.program.cone import Course
+    from lss_motion.program.course import Course
     from lss_motion.robot.model import Drive, Joint, Robot
 
     Courses = Callable[[Robot], Mapping[str, Course]]
@@ -110,16 +110,9 @@ def _only(joint: Joint, robot: Robot) -> str:
 
 def predicted_deg(joint: Joint, course: Course, tolerance_deg: float) -> float:
     """Return the RMS of what a joint's horn will be off, fitted with nothing else on its line."""
-    fitter = make_fitter(joint, course, tolerance_deg)
-    wanted_s = fitter.wanted(None)
-    if wanted_s is not None:
-        fitter.grant(wanted_s)
-    while wanted_s is not None:
-        wanted_s = fitter.wanted(wanted_s)
-        if wanted_s is not None:
-            fitter.grant(wanted_s)
+    profile = fitted_alone(joint, course, tolerance_deg)
     times_s = course.start_s + GRID_S * np.arange(len(course.position_deg), dtype=np.float64)
-    error_deg = fitter.reference().sample(times_s) - course.position_deg
+    error_deg = profile.sample(times_s) - course.position_deg
     speed_deg_s = np.gradient(course.position_deg, GRID_S)
     period_s = joint.response.filter_s if joint.drive == "streamed" else joint.response.loop_s
     unknown_deg = UNKNOWN_RATIO * period_s * speed_deg_s

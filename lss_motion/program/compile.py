@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-import heapq
 import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from lss_motion.errors import InputError, LineLoadError
+from lss_motion.program.attempt import Attempt, sent_us, slot_us
 from lss_motion.program.choose import choices
-from lss_motion.program.cone import GRID_S, Course
-from lss_motion.program.drives import late_max_s, lead, longest_move, make_fitter
-from lss_motion.program.line import LineSchedule, LineUse, line_use
+from lss_motion.program.course import GRID_S, Course
+from lss_motion.program.drives import lead
+from lss_motion.program.line import LineUse, line_use
 from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
 from lss_motion.program.verify import verify_program
 from lss_motion.protocol.line import encode_move
 from lss_motion.trajectory.cues import all_cues, all_marks
-from lss_motion.units import NS_PER_US, line_time_ns, s_from_us, us_from_s
+from lss_motion.units import s_from_us, us_from_s
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping
 
+    from lss_motion.program.attempt import Fitted
     from lss_motion.program.choose import Choice
-    from lss_motion.program.drives import JointFitter
-    from lss_motion.robot.model import Joint, Robot
+    from lss_motion.robot.model import Robot
     from lss_motion.trajectory.model import Trajectory
 
 TOLERANCE_DEG: Final = 0.2
@@ -49,18 +49,17 @@ def compile_program(
         raise InputError(f"robot {robot.name!r} has no joint {unknown[0]!r}")
     repeat = _repeat(trajectory)
     seams_s = () if repeat is None else (s_from_us(repeat.from_us), s_from_us(repeat.to_us))
+    tight: Attempt | None = None
     found = choices(robot, lambda driven: _courses(trajectory, driven), tolerance_deg)
-    trials = [(choice, 1.0) for choice in found[:-1]]
-    trials += [(found[-1], ratio) for ratio in RELAXED_RATIOS]
-    tight: _Attempt | None = None
-    for choice, ratio in trials:
+    for choice in found:
         courses = _courses(trajectory, choice.robot)
-        attempt = _Attempt(courses, choice.robot, tolerance_deg * ratio, seams_s)
-        if not attempt.is_tight:
-            program = _program(trajectory, choice, courses, attempt, repeat)
-            verify_program(program, choice.robot)
-            return program
-        tight = attempt
+        for ratio in RELAXED_RATIOS if choice is found[-1] else (1.0,):
+            attempt = Attempt(courses, choice.robot, tolerance_deg * ratio, seams_s)
+            if not attempt.is_tight:
+                program = _program(trajectory, choice, courses, attempt, repeat)
+                verify_program(program, choice.robot)
+                return program
+            tight = attempt
     assert tight is not None
     raise _overload(tight, robot)
 
@@ -91,58 +90,12 @@ def _courses(trajectory: Trajectory, robot: Robot) -> dict[str, Course]:
     return courses
 
 
-class _Attempt:
-    """All joints fitted at one tolerance, on the lines they share."""
-
-    def __init__(
-        self,
-        courses: Mapping[str, Course],
-        robot: Robot,
-        tolerance_deg: float,
-        seams_s: Sequence[float],
-    ) -> None:
-        self.tolerance_deg = tolerance_deg
-        self.late_max_us = 0
-        self.is_tight = False
-        self.fitters = {
-            name: make_fitter(robot.joints[name], course, tolerance_deg, seams_s)
-            for name, course in courses.items()
-        }
-        self._lines = {bus: LineSchedule() for bus in robot.buses}
-        queue: list[tuple[float, str]] = []
-        for name, fitter in self.fitters.items():
-            if (wanted_s := fitter.wanted(None)) is not None:
-                heapq.heappush(queue, (self._grant(robot, name, wanted_s, -PREROLL_S), name))
-        while queue:
-            granted_s, name = heapq.heappop(queue)
-            wanted_s = self.fitters[name].wanted(granted_s)
-            if wanted_s is not None:
-                next_s = self._grant(robot, name, wanted_s, granted_s)
-                heapq.heappush(queue, (next_s, name))
-
-    def _grant(self, robot: Robot, name: str, wanted_s: float, after_s: float) -> float:
-        """Reserve the line for the next move of a joint; return when that move is heard."""
-        joint = robot.joints[name]
-        size_us = slot_us(joint, robot.buses[joint.bus].baud_bps)
-        wanted_us = us_from_s(wanted_s)
-        heard = self._lines[joint.bus].reserve(wanted_us, size_us, us_from_s(after_s))
-        self.late_max_us = max(self.late_max_us, heard - wanted_us)
-        self.is_tight = self.is_tight or s_from_us(heard - wanted_us) > late_max_s(joint)
-        self.fitters[name].grant(s_from_us(heard))
-        return s_from_us(heard)
-
-
-def slot_us(joint: Joint, baud_bps: int) -> int:
-    """Return the line time of the longest move that the joint can be sent."""
-    return -(-line_time_ns(len(longest_move(joint)), baud_bps) // NS_PER_US)
-
-
 def glide_moves(courses: Mapping[str, Course], robot: Robot, tolerance_deg: float) -> list[Move]:
     """Return the moves that take joints along courses of their own, with nothing else to do."""
-    attempts = (_Attempt(courses, robot, tolerance_deg * r, ()) for r in RELAXED_RATIOS)
+    attempts = (Attempt(courses, robot, tolerance_deg * r) for r in RELAXED_RATIOS)
     for attempt in attempts:
         if not attempt.is_tight or attempt.tolerance_deg == tolerance_deg * RELAXED_RATIOS[-1]:
-            return moves_of(attempt.fitters, robot)
+            return moves_of(attempt.fitted, robot)
     raise AssertionError("the last attempt is taken as it is")
 
 
@@ -150,15 +103,13 @@ def _program(
     trajectory: Trajectory,
     choice: Choice,
     courses: Mapping[str, Course],
-    attempt: _Attempt,
+    attempt: Attempt,
     repeat: Repeat | None,
 ) -> Program:
     robot = choice.robot
-    moves = [
-        move
-        for move in moves_of(attempt.fitters, robot)
-        if repeat is None or move.due_us < repeat.to_us
-    ]
+    moves = moves_of(attempt.fitted, robot)
+    if repeat is not None:
+        moves = [move for move in moves if move.due_us < repeat.to_us]
     start = trajectory.sample(np.zeros(1))[0]
     end_s = trajectory.duration_s if repeat is None else s_from_us(repeat.to_us)
     return Program(
@@ -177,9 +128,32 @@ def _program(
         stretched=trajectory.stretched,
         line_use=lines_use(moves, robot),
         error_max_deg={
-            name: _error_max_deg(fitter, courses[name]) for name, fitter in attempt.fitters.items()
+            name: _error_max_deg(fitted, courses[name]) for name, fitted in attempt.fitted.items()
         },
     )
+
+
+def moves_of(fitted: Mapping[str, Fitted], robot: Robot) -> list[Move]:
+    """Return the moves of all joints in the order in which they are due.
+
+    Each is due so that its last byte is heard when that was granted.
+    """
+    moves = []
+    for name, own in fitted.items():
+        joint = robot.joints[name]
+        baud_bps = robot.buses[joint.bus].baud_bps
+        for heard_s, target_wire, duration_ms in own.moves:
+            size = len(encode_move(joint.servo_id, target_wire, duration_ms))
+            moves.append(
+                Move(
+                    due_us=us_from_s(heard_s) - sent_us(size, baud_bps),
+                    bus=joint.bus,
+                    servo_id=joint.servo_id,
+                    target_wire=target_wire,
+                    duration_ms=duration_ms,
+                )
+            )
+    return sorted(moves, key=lambda move: (move.due_us, move.bus, move.servo_id))
 
 
 def driving_of(robot: Robot, names: Iterable[str]) -> dict[str, Driving]:
@@ -193,54 +167,32 @@ def driving_of(robot: Robot, names: Iterable[str]) -> dict[str, Driving]:
     return {name: chosen for name, chosen in driving.items() if chosen != TIMED}
 
 
-def moves_of(fitters: Mapping[str, JointFitter], robot: Robot) -> list[Move]:
-    """Return the moves of all joints in the order in which they are due."""
-    moves = []
-    for name, fitter in fitters.items():
-        joint = robot.joints[name]
-        for fitted in fitter.moves:
-            size = len(encode_move(joint.servo_id, fitted.target_wire, fitted.duration_ms))
-            sent_us = -(-line_time_ns(size, robot.buses[joint.bus].baud_bps) // NS_PER_US)
-            moves.append(
-                Move(
-                    due_us=us_from_s(fitted.heard_s) - sent_us,
-                    bus=joint.bus,
-                    servo_id=joint.servo_id,
-                    target_wire=fitted.target_wire,
-                    duration_ms=fitted.duration_ms,
-                )
-            )
-    return sorted(moves, key=lambda move: (move.due_us, move.bus, move.servo_id))
-
-
-def lines_use(moves: list[Move], robot: Robot) -> dict[str, LineUse]:
+def lines_use(moves: Iterable[Move], robot: Robot) -> dict[str, LineUse]:
     """Return how the moves use each bus: the proof of the schedule, from the bytes alone."""
-    use = {}
-    for name, bus in robot.buses.items():
-        slots_us = [
-            (move.due_us, -(-line_time_ns(len(move.data), bus.baud_bps) // NS_PER_US))
-            for move in moves
-            if move.bus == name
-        ]
-        use[name] = line_use(name, bus.baud_bps, slots_us)
-    return use
+    slots_us: dict[str, list[tuple[int, int]]] = {name: [] for name in robot.buses}
+    for move in moves:
+        size_us = sent_us(len(move.data), robot.buses[move.bus].baud_bps)
+        slots_us[move.bus].append((move.due_us, size_us))
+    return {
+        name: line_use(name, robot.buses[name].baud_bps, slots) for name, slots in slots_us.items()
+    }
 
 
-def _error_max_deg(fitter: JointFitter, course: Course) -> float:
-    times_s = course.start_s + GRID_S * np.arange(len(course.position_deg), dtype=np.float64)
-    return float(np.abs(fitter.reference().sample(times_s) - course.position_deg).max())
+def _error_max_deg(fitted: Fitted, course: Course) -> float:
+    times_s = course.times_s(np.arange(len(course.position_deg)))
+    return float(np.abs(fitted.reference.sample(times_s) - course.position_deg).max())
 
 
-def _overload(attempt: _Attempt, robot: Robot) -> LineLoadError:
+def _overload(attempt: Attempt, robot: Robot) -> LineLoadError:
     """Return the error that says how much is too much, and what would help."""
     commands: dict[str, int] = dict.fromkeys(robot.buses, 0)
     busy_us: dict[str, int] = dict.fromkeys(robot.buses, 0)
     span_s = 1e-3
-    for name, fitter in attempt.fitters.items():
+    for name, fitted in attempt.fitted.items():
         joint = robot.joints[name]
-        commands[joint.bus] += len(fitter.moves)
-        busy_us[joint.bus] += len(fitter.moves) * slot_us(joint, robot.buses[joint.bus].baud_bps)
-        span_s = max(span_s, fitter.moves[-1].heard_s if fitter.moves else 0.0)
+        commands[joint.bus] += len(fitted.moves)
+        busy_us[joint.bus] += len(fitted.moves) * slot_us(joint, robot)
+        span_s = max(span_s, fitted.moves[-1][0] if fitted.moves else 0.0)
     worst = max(busy_us, key=lambda bus: busy_us[bus])
     ratio = s_from_us(busy_us[worst]) / span_s
     baud_bps = robot.buses[worst].baud_bps

@@ -1,6 +1,6 @@
 """The three drives behind one face: how each joint is fitted, led, and what of the line it takes.
 
-timed     `D…T…` in EM1 · `fit`, `response`
+timed     `D…T…` in EM1 · `fit` (all joints together), `response`
 streamed  bare `D` through the filter of EM0 · `stream`, `filtered`
 stepped   whole degrees to an RC servo · `step`
 """
@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from lss_motion.program.cone import DURATION_MAX_MS, ServoLimits
-from lss_motion.program.fit import Fitter
+from lss_motion.program.course import DURATION_MAX_MS, ServoLimits
 from lss_motion.program.model import ramp_deg_s2
 from lss_motion.program.predict import filter_profile
 from lss_motion.program.step import PULSE_S, StepFitter
@@ -21,14 +20,20 @@ from lss_motion.protocol.line import encode_move
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from lss_motion.program.cone import Course
-    from lss_motion.program.fit import FittedMove
+    from lss_motion.program.course import Course
+    from lss_motion.program.moves import FittedMove
     from lss_motion.program.response import Reference
     from lss_motion.robot.model import Joint
 
 
 class JointFitter(Protocol):
-    """Fits one joint, move by move, to instants that somebody else grants; see `fit.Fitter`."""
+    """Fits one joint, move by move, to instants that somebody else grants.
+
+    wanted_s = fitter.wanted(None)           when the first move is to be heard at the latest
+    while wanted_s is not None:
+        fitter.grant(granted_s)              it will be heard then, if possible not later
+        wanted_s = fitter.wanted(granted_s)  the same for its successor
+    """
 
     moves: list[FittedMove]
 
@@ -48,16 +53,13 @@ class JointFitter(Protocol):
 def make_fitter(
     joint: Joint, course: Course, tolerance_deg: float, seams_s: Sequence[float] = ()
 ) -> JointFitter:
-    """Return what fits `course` with the drive of `joint`; `seams_s`: see `fit.Fitter`."""
+    """Return what fits `course` with the drive of `joint`, which is not timed (`fit.Fit`)."""
     limits = servo_limits(joint, tolerance_deg)
-    match joint.drive:
-        case "streamed":
-            start_deg = lattice(float(course.position_deg[0]), limits) / limits.wire_per_deg
-            return StreamFitter(course, limits, filter_profile(joint, start_deg))
-        case "stepped":
-            return StepFitter(course, limits, seams_s)
-        case _:
-            return Fitter(course, limits, seams_s)
+    if joint.drive == "streamed":
+        start_deg = lattice(float(course.position_deg[0]), limits) / limits.wire_per_deg
+        return StreamFitter(course, limits, filter_profile(joint, start_deg))
+    assert joint.drive == "stepped"
+    return StepFitter(course, limits, seams_s)
 
 
 def servo_limits(joint: Joint, tolerance_deg: float) -> ServoLimits:

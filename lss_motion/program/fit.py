@@ -1,307 +1,290 @@
-"""Fits the fewest timed moves to the course of one joint: the heart of the `timed` drive.
+"""Fits the fewest timed moves to the courses of all joints: the heart of the `timed` drive.
 
 A move in mid-course is used for its travel speed: its target lies beyond the instant of the next
 move, so that the servo ramps to that speed and keeps it, and never brakes before its successor
 arrives. Only where the course comes to rest does a move end on its target.
 
-All angles are servo angles in degrees; instants are those at which the servo hears a move.
+All lanes (`lanes`) go forward together, a move each, as rows of arrays. All angles are servo angles
+in degrees; instants are those at which the servo hears a move.
 """
 
 from __future__ import annotations
 
-import math
-from bisect import bisect_left, bisect_right
+from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.program.cone import (
-    CONE_RATIO,
-    GRID_S,
-    ROOM_RATIO,
-    Cones,
-    Course,
-    ServoLimits,
-    ramped,
-)
-from lss_motion.program.landing import SEGMENT_MIN_S, best_landing
-from lss_motion.program.response import Piece, Profile, Reference
-from lss_motion.program.wording import aim, lattice
-from lss_motion.units import s_from_ms
+from lss_motion.program.batch import States, trapezoids
+from lss_motion.program.cone import CONE_RATIO, reach_s
+from lss_motion.program.course import GRID_S, Courses, LimitArrays
+from lss_motion.program.landing import SEGMENT_MIN_S, Landings, best_landings
+from lss_motion.program.lanes import Lane, lanes_of
+from lss_motion.program.moves import Begin, Moves, in_order, unjoined
+from lss_motion.program.next_move import FOLLOW_RATIO, SEGMENT_MIN_STEPS, Servos, chosen
+from lss_motion.program.wording import aim
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
+    from lss_motion.program.batch import BoolArray, FloatArray, IntArray
+    from lss_motion.program.course import Course, ServoLimits
 
-    from lss_motion.program.cone import FloatArray
+    Grant = Callable[[int, float, float], float]
 
 SEGMENT_MAX_S: Final = 1.5
 """The longest that one move is relied on: a lost command is repaired by its successor."""
-CUT_RATIOS: Final = (1.0, 0.93, 0.85, 0.75, 0.6, 0.45, 0.3)
-"""How much of the longest possible move is tried; what counts is how far its successor reaches."""
-CONE_RATIOS: Final = (0.5, 0.25, 0.75, 0.05, 0.95)
-"""Where in its cone the travel speed is tried."""
-FOLLOW_RATIO: Final = CONE_RATIO - ROOM_RATIO
-"""An excursion up to this share of the tolerance is chosen; the rest is for what the wire rounds
-and for the slot that a move is really granted."""
-BEND_RATIO: Final = 0.2
-"""A jump of the acceleration by this share of the ramp is worth a move of its own."""
-BEND_TRIALS: Final = 12
-RECOVERY_STEPS: Final = (2, 4, 7, 12, 20, 32, 48)
-"""Instants tried, in grid steps, where the tolerance is lost and must be won back."""
-WINDOW_STEPS: Final = 48
-"""Grid steps looked ahead at first; doubled while the cone stays open."""
-REACH: Final = (20, 3)
-"""Steps and stride in which it is judged how far a successor reaches (300 ms); it is only compared,
-so every third grid step will do."""
-SEARCH_STEPS: Final = 1024
-"""Looked through at once for the end of a standstill."""
-STILL_ROUNDING_DEG: Final = 1e-6
-"""A course is where it was if it is nearest to the same wire value, up to rounding errors."""
+DEPARTURES: Final = 7
+"""Instants tried for the first move after a stop."""
+DEPARTURE_STEPS: Final = 80
+"""Grid steps in which it is judged how far they reach: every one, since what a servo at rest cannot
+follow shows at once."""
+LANES_MAX: Final = 256
+"""So many lanes are fitted side by side: their arrays fit into the processor's cache."""
+NEVER: Final = 2**62
+"""The index of a stop that never comes."""
 
 
-@dataclass(frozen=True, slots=True)
-class FittedMove:
-    """Move to `target_wire` in `duration_ms`, heard at `heard_s`; None where there is no T."""
+class Fit:
+    """The courses of some joints, and the moves that follow them.
 
-    heard_s: float
-    target_wire: int
-    duration_ms: int | None
-
-
-class Fitter:
-    """Fits one joint, move by move, to instants that somebody else grants.
-
-    wanted_s = fitter.wanted(None)           when the first move is to be heard at the latest
-    while wanted_s is not None:
-        fitter.grant(granted_s)              it will be heard then, if possible not later
-        wanted_s = fitter.wanted(granted_s)  the same for its successor
+    `grant(joint, wanted_s, after_s)` returns when a move will be heard that is wanted at `wanted_s`
+    at the latest and must not be heard before `after_s`.
     """
 
     def __init__(
         self,
-        course: Course,
-        limits: ServoLimits,
+        courses: Sequence[Course],
+        limits: Sequence[ServoLimits],
         seams_s: Sequence[float] = (),
-        profile: Profile | None = None,
+        begins: Sequence[Begin] = (),
     ) -> None:
-        """Fit `course`; while it moves, a move is heard at, or shortly before, each of `seams_s`.
+        """Take courses on one grid. While one moves, a move is heard at or shortly before a seam.
 
-        Between two seams the moves can then be repeated without end. `profile` is what the servo
-        does before the course begins; without it, it stands where the course does.
+        Between two seams the moves can then be repeated without end. Without `begins`, one a
+        course, all servos stand where their courses do.
         """
-        self._course = course
-        self._seams = [course.index(seam_s) for seam_s in seams_s]
-        self._limits = limits
-        self._cones = Cones(course, limits)
-        self._rests = course.rests()
-        self._rest_starts = [first for first, _ in self._rests]
-        self._rest_ends = [last for _, last in self._rests]
-        self._bends = course.bends(BEND_RATIO * limits.ramp_deg_s2)
-        self._profile = profile or Profile(
-            lattice(float(course.position_deg[0]), limits) / limits.wire_per_deg,
-            ramp_deg_s2=limits.ramp_deg_s2,
-            speed_max_deg_s=limits.speed_max_deg_s,
-            response=limits.response,
+        self._each = list(zip(courses, limits, begins or (None,) * len(courses), strict=True))
+        self.courses = Courses(courses, limits)
+        self.limits = LimitArrays(limits)
+        self.seams = np.array(sorted(courses[0].index(s) for s in seams_s), dtype=np.intp)
+
+    def moves(self, new_line: Callable[[], Grant]) -> Moves:
+        """Return the moves, by joint and time. `new_line` gives a free line for every attempt.
+
+        A stop that a servo cannot reach in time is travelled through in the next attempt.
+        """
+        refused: set[tuple[int, int]] = set()
+        while True:
+            lanes = [
+                lane
+                for joint, (course, limits, begin) in enumerate(self._each)
+                for lane in lanes_of(
+                    joint, course, limits, FOLLOW_RATIO * limits.tolerance_deg, refused, begin
+                )
+            ]
+            lanes.sort(key=lambda lane: lane.onset_s)
+            made = _Run(self, lanes, new_line()).moves()
+            late = {
+                (int(made.joint[at]), self._stop_before(lanes, made, int(at)))
+                for at in unjoined(made, self.limits)
+            }
+            if not late:
+                return made
+            assert not late & refused, "a lane without stops always joins"
+            refused |= late
+
+    def _stop_before(self, lanes: Sequence[Lane], moves: Moves, at: int) -> int:
+        """Return the index of the stop from which the move `at` departs."""
+        joint, heard_s = moves.joint[at], moves.heard_s[at]
+        after_s = max(
+            lane.after_s for lane in lanes if lane.joint == joint and lane.after_s <= heard_s + 1e-9
         )
-        self._pending: tuple[Piece, float] | None = None
-        self.moves: list[FittedMove] = []
+        return round((after_s - self.courses.start_s) / GRID_S)
 
-    def wanted(self, granted_s: float | None) -> float | None:
-        """Return when the next move is to be heard at the latest; None when none is needed.
 
-        `granted_s` is when the pending move is heard; None when there is none yet.
-        """
-        if granted_s is None:
-            return self._departure(self._course.start_s)
-        state = self._profile.state(granted_s)
-        landed_s = self._land(state)
-        if landed_s is not None:
-            return self._departure(landed_s)
-        if granted_s >= self._course.end_s:
-            return None
-        return self._choose(state)
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """The lanes under way, a row each. `wish_deg_s` is the travel speed of the move at `state`."""
 
-    def grant(self, granted_s: float) -> None:
-        """Settle the pending move, now that its successor is known to be heard at `granted_s`."""
-        if self._pending is not None:
-            state, speed_deg_s = self._pending
-            self._pending = None
-            self._emit(state, *aim(state, speed_deg_s, granted_s, self._limits))
+    lane: IntArray
+    state: States
+    wish_deg_s: FloatArray
+    wanted_s: FloatArray
 
-    def reference(self) -> Reference:
-        """Return the whole profile that the moves so far make."""
-        return Reference(self._profile.pieces())
 
-    def _emit(self, state: Piece, target_wire: int, duration_ms: int) -> None:
-        target_deg = target_wire / self._limits.wire_per_deg
-        self._profile.retarget(state.start_s, target_deg, s_from_ms(duration_ms))
-        self.moves.append(FittedMove(state.start_s, target_wire, duration_ms))
+class _Run:
+    """One attempt: all lanes from their first move to their last."""
+
+    def __init__(self, fit: Fit, lanes: Sequence[Lane], grant: Grant) -> None:
+        self._courses, self._limits, self._seams = fit.courses, fit.limits, fit.seams
+        self._grant = grant
+        self._joint = np.array([lane.joint for lane in lanes], dtype=np.intp)
+        self._wire = np.array([lane.wire for lane in lanes], dtype=np.float64)
+        self._stop_wire = np.array([lane.stop_wire for lane in lanes], dtype=np.float64)
+        stops = [lane.stop or (NEVER, NEVER) for lane in lanes]
+        self._stop_first = np.array([stop[0] for stop in stops], dtype=np.intp)
+        self._stop_last = np.array([stop[1] for stop in stops], dtype=np.intp)
+        self._after_s = np.array([lane.after_s for lane in lanes])
+        self._lanes = lanes
+        self._made: list[Moves] = []
+
+    def moves(self) -> Moves:
+        waiting = deque(range(len(self._lanes)))
+        empty = np.zeros(0)
+        self._record(np.zeros(0, dtype=np.intp), States(empty, empty, empty), empty, empty, empty)
+        rows: _Rows | None = None
+        while waiting or (rows is not None and len(rows.lane)):
+            under_way = 0 if rows is None else len(rows.lane)
+            new = [waiting.popleft() for _ in range(min(len(waiting), LANES_MAX - under_way))]
+            lane, state = self._advanced(rows, np.array(new, dtype=np.intp))
+            rows = self._settled(lane, state)
+        return in_order(self._made)
+
+    def _advanced(self, rows: _Rows | None, new: IntArray) -> tuple[IntArray, States]:
+        """Have the next move of every row granted; return where the profiles are then."""
+        wanted_s = np.zeros(0) if rows is None else rows.wanted_s
+        after_s = np.zeros(0) if rows is None else rows.state.time_s
+        under_way = len(wanted_s)
+        lane = new if rows is None else np.concatenate((rows.lane, new))
+        if len(new):
+            wanted_s = np.concatenate((wanted_s, self._departures_s(new)))
+            after_s = np.concatenate((after_s, self._after_s[new]))
+        granted_s = np.empty_like(wanted_s)
+        joint = self._joint[lane]
+        listed = [column.tolist() for column in (joint, wanted_s, after_s)]
+        for row in np.argsort(wanted_s, kind="stable").tolist():
+            granted_s[row] = self._grant(listed[0][row], listed[1][row], listed[2][row])
+        state = self._begun(new, granted_s[under_way:])
+        if rows is None or not under_way:
+            return lane, state
+        moved = self._worded(rows, granted_s[:under_way])
+        return lane, States(
+            granted_s,
+            np.concatenate((moved.position_deg, state.position_deg)),
+            np.concatenate((moved.speed_deg_s, state.speed_deg_s)),
+        )
+
+    def _begun(self, lane: IntArray, granted_s: FloatArray) -> States:
+        """Return the states of profiles that hear their first move, at rest or under way."""
+        position = self._wire[lane] / self._limits.wire_per_deg[self._joint[lane]]
+        speed = np.zeros(len(lane))
+        for row, at in enumerate(lane):
+            begin = self._lanes[at].begin
+            if begin is not None:
+                state = begin.profile.state(float(granted_s[row]))
+                position[row], speed[row] = state.position_deg, state.speed_deg_s
+        return States(granted_s, position, speed)
+
+    def _worded(self, rows: _Rows, granted_s: FloatArray) -> States:
+        """Put the moves under way into words, now that their successors are known."""
+        limits = self._limits.take(self._joint[rows.lane])
+        wire, duration_ms, travel = aim(rows.state, rows.wish_deg_s, granted_s, limits)
+        self._record(rows.lane, rows.state, wire, duration_ms, travel)
+        target_deg = wire / limits.wire_per_deg
+        reached = trapezoids(rows.state, target_deg, travel, limits.ramp_deg_s2).at(granted_s)
+        speed = np.where(limits.forgets_speed, 0.0, reached.speed_deg_s)
+        return States(granted_s, reached.position_deg, speed)
+
+    def _record(
+        self,
+        lane: IntArray,
+        state: States,
+        wire: FloatArray,
+        duration_ms: FloatArray,
+        travel: FloatArray,
+    ) -> None:
+        self._made.append(
+            Moves(
+                self._joint[lane],
+                state.time_s,
+                wire,
+                duration_ms,
+                travel,
+                state.position_deg,
+                state.speed_deg_s,
+            )
+        )
 
     # ---- out of rest
 
-    def _departure(self, from_s: float) -> float | None:
-        """Return when the move that ends the standstill after `from_s` should be heard."""
-        course, grid = self._course, self._course.position_deg
-        position_deg, _ = self._profile.at(from_s)
-        half_unit_deg = 0.5 / self._limits.wire_per_deg + STILL_ROUNDING_DEG
-        leaves = self._first_away(course.index(from_s), position_deg, half_unit_deg)
-        if leaves is None:
-            return None
-        before = bisect_right(self._rest_ends, leaves)
-        onset = self._rest_ends[before - 1] if before else leaves
-        after = bisect_left(self._rest_starts, leaves)
-        latest = self._rest_starts[after] if after < len(self._rests) else len(grid) - 1
-        outside = self._first_away(
-            leaves, position_deg, FOLLOW_RATIO * self._limits.tolerance_deg, latest
+    def _departures_s(self, lane: IntArray) -> FloatArray:
+        """Return when the first move of each lane should be heard."""
+        joint = self._joint[lane]
+        limits = self._limits.take(joint)
+        some = [self._lanes[at] for at in lane]
+        onset_s = np.array([one.onset_s for one in some])
+        leaves_s = np.array([one.leaves_s for one in some])
+        latest_s = np.array([one.latest_s for one in some])
+        begin_deg, still = self._wire[lane] / limits.wire_per_deg, np.zeros(len(lane))
+        state = States(leaves_s, begin_deg, still)
+        error_deg = self._landings(lane, state, self._is_near(lane, state)).error_deg
+        trials_s = np.linspace(onset_s, np.maximum(latest_s, onset_s), DEPARTURES, axis=1)
+        rows = np.repeat(np.arange(len(lane)), DEPARTURES)
+        trials = States(trials_s.ravel(), begin_deg[rows], still[rows])
+        reached_s = reach_s(
+            self._courses, joint[rows], trials, limits.take(rows), DEPARTURE_STEPS, 1
         )
-        latest = latest if outside is None else min(latest, max(outside - 1, leaves))
-        onset_s = max(from_s, course.time_s(onset))
-        start_s = min(max(self._start_s(onset), onset_s), course.time_s(latest))
-        if self._lands_from(start_s):
-            return start_s
-        trials_s = np.linspace(onset_s, max(course.time_s(latest), onset_s), len(CUT_RATIOS))
-        still = np.zeros_like(trials_s)
-        reach_s = self._cones.reach_s(
-            trials_s,
-            still + position_deg,
-            still,
-            *REACH,
-        )
-        return float(trials_s[int(np.argmax(reach_s))])
-
-    def _first_away(
-        self, first: int, position_deg: float, distance_deg: float, last: int | None = None
-    ) -> int | None:
-        """Return the first index from `first` to `last` further off than `distance_deg`."""
-        grid = self._course.position_deg
-        end = len(grid) if last is None else last + 1
-        while first < end:
-            some = grid[first : min(first + SEARCH_STEPS, end)]
-            away = np.flatnonzero(np.abs(some - position_deg) > distance_deg)
-            if away.size:
-                return first + int(away[0])
-            first += SEARCH_STEPS
-        return None
-
-    def _start_s(self, onset: int) -> float:
-        """Return when the course leaves its standstill, between two grid points, as a parabola."""
-        course, grid = self._course, self._course.position_deg
-        first, second = (
-            math.sqrt(abs(grid[min(onset + step, len(grid) - 1)] - grid[onset])) for step in (1, 2)
-        )
-        if second <= first:
-            return course.time_s(onset)
-        return course.time_s(onset + 1) - GRID_S * first / (second - first)
-
-    def _lands_from(self, start_s: float) -> bool:
-        """Return whether one move, heard at `start_s` at rest, is all the way to the next rest."""
-        state = self._profile.state(start_s)
-        rest = self._next_rest(state)
-        landing = None if rest is None else best_landing(state, rest, self._course, self._limits)
-        return landing is not None and landing[0] <= CONE_RATIO * self._limits.tolerance_deg
-
-    # ---- on the way
-
-    def _choose(self, state: Piece) -> float:
-        """Return the instant for the successor after which two moves reach furthest.
-
-        Only what the servo can follow from there is chosen: its excursion, with the ramp that the
-        course leaves it, must stay within the tolerance. Where that fails, the least excursion.
-        """
-        first = math.ceil((state.start_s - self._course.start_s) / GRID_S - 1e-9)
-        index, speeds, is_held = self._trials(state, first)
-        times_s = self._course.times_s(first + index)
-        positions, reached = ramped(
-            state.position_deg,
-            state.speed_deg_s,
-            speeds,
-            times_s - state.start_s,
-            self._limits.ramp_deg_s2,
-        )
-        excursion = self._cones.excursion_deg(first + index, positions, reached)
-        followable = excursion <= FOLLOW_RATIO * self._limits.tolerance_deg
-        if is_held and followable.any():
-            reach_s = self._cones.reach_s(times_s, positions, reached, *REACH)
-            merit = np.where(followable, reach_s + 1e-6 * index, -np.inf)
-        else:
-            merit = -excursion
-        best = int(np.argmax(merit))
-        self._pending = state, float(speeds[best])
-        return float(times_s[best])
-
-    def _trials(self, state: Piece, first: int) -> tuple[NDArray[np.intp], FloatArray, bool]:
-        """Return steps after `first` and speeds to try, and whether any keeps the tolerance.
-
-        Besides an even choice inside the cone, the course's own speed: where the course is at its
-        acceleration limit, only that leaves the servo in step with it. No successor comes after
-        the next standstill began: it has to land there.
-        """
-        least = math.ceil(SEGMENT_MIN_S / GRID_S)
-        lowest, highest, held = self._cone(state)
-        rest = self._next_rest(state)
-        latest = len(self._course.position_deg) if rest is None else rest[0] - first - least
-        for seam in self._seams:
-            if first + least < seam:
-                latest = min(latest, seam - first)
-        latest = max(latest, least)
-        is_held = held > least
-        if is_held:
-            held = min(held, latest + 1)
-            cuts = {max(least, round(ratio * (held - 1))) for ratio in CUT_RATIOS}
-            low, high = np.searchsorted(self._bends, (first + least, first + held))
-            cuts |= {int(bend) - first for bend in self._bends[low:high][:BEND_TRIALS]}
-        else:
-            cuts = {min(cut, latest) for cut in RECOVERY_STEPS}
-        index = np.array(sorted(cuts), dtype=np.intp)
-        if is_held:
-            low_speed, high_speed = lowest[index], highest[index]
-        else:
-            gain = self._limits.ramp_deg_s2 * GRID_S * index
-            most = self._limits.speed_max_deg_s
-            low_speed = np.clip(state.speed_deg_s - gain, -most, most)
-            high_speed = np.clip(state.speed_deg_s + gain, -most, most)
-        own = np.clip(self._course.speed_deg_s(first + index), low_speed, high_speed)
-        spread = low_speed + np.outer(CONE_RATIOS, high_speed - low_speed)
-        speeds = np.concatenate((own, spread.ravel()))
-        return np.tile(index, 1 + len(CONE_RATIOS)), speeds, is_held
-
-    def _cone(self, state: Piece) -> tuple[FloatArray, FloatArray, int]:
-        """Return lowest and highest speed per grid step, and how many steps the cone is open."""
-        row = [np.array([v]) for v in (state.start_s, state.position_deg, state.speed_deg_s)]
-        steps, most = WINDOW_STEPS, round(SEGMENT_MAX_S / GRID_S)
-        while True:
-            lowest, highest = self._cones.open(row[0], row[1], row[2], steps)
-            held = int(np.logical_and.accumulate(lowest[0] <= highest[0]).sum())
-            if held < steps or steps >= most:
-                return lowest[0], highest[0], held
-            steps = min(2 * steps, most)
+        best = np.argmax(reached_s.reshape(-1, DEPARTURES), axis=1)
+        lands = error_deg <= CONE_RATIO * limits.tolerance_deg
+        return np.where(lands, leaves_s, trials_s[np.arange(len(lane)), best])
 
     # ---- to rest
 
-    def _land(self, state: Piece) -> float | None:
-        """Emit the move that ends on the next standstill, if that keeps the tolerance already.
+    def _is_near(self, lane: IntArray, state: States) -> BoolArray:
+        """Return whether the stop is near enough to be landed on with one move."""
+        limits = self._limits.take(self._joint[lane])
+        left_s = self._courses.times_s(self._stop_first[lane]) - state.time_s
+        near: BoolArray = left_s <= SEGMENT_MAX_S + limits.speed_max_deg_s / limits.ramp_deg_s2
+        return near
 
-        Returns from when on the servo stands there; None when it is too early to land.
+    def _landings(self, lane: IntArray, state: States, chosen: BoolArray) -> Landings:
+        """Return how the `chosen` lanes land on their stops, with infinite error for the others."""
+        every = Landings(*(np.full(len(lane), np.inf) for _ in range(4)))
+        if chosen.any():
+            at = lane[chosen]
+            joint = self._joint[at]
+            found = best_landings(
+                self._courses,
+                joint,
+                state.take(chosen),
+                self._stop_wire[at],
+                (self._stop_first[at], self._stop_last[at]),
+                self._limits.take(joint),
+            )
+            every.put(chosen, found)
+        return every
+
+    def _settled(self, lane: IntArray, state: States) -> _Rows:
+        """Land the lanes that can land, end those at the end; choose how the others go on."""
+        stop_s = self._courses.times_s(self._stop_first[lane])
+        is_overdue = state.time_s + SEGMENT_MIN_S >= stop_s
+        tolerance = CONE_RATIO * self._limits.tolerance_deg[self._joint[lane]]
+        landings = self._landings(lane, state, self._is_near(lane, state) | is_overdue)
+        lands = (landings.error_deg <= tolerance) | is_overdue
+        if lands.any():
+            self._record(
+                lane[lands],
+                state.take(lands),
+                self._stop_wire[lane[lands]],
+                landings.duration_ms[lands],
+                landings.travel_deg_s[lands],
+            )
+        goes_on = np.flatnonzero(~lands & (state.time_s < self._courses.end_s))
+        lane, state = lane[goes_on], state.take(goes_on)
+        joint, first = self._joint[lane], self._courses.first_index(state.time_s)
+        latest = self._latest(lane, first)
+        servos = Servos(joint, self._limits.take(joint), state, first, latest)
+        return _Rows(lane, state, *chosen(self._courses, servos))
+
+    def _latest(self, lane: IntArray, first: IntArray) -> IntArray:
+        """Return the last index at which a successor may be heard.
+
+        After the next stop began there is none (it has to land there), nor after a seam.
         """
-        rest = self._next_rest(state)
-        if rest is None:
-            return None
-        rest_s = self._course.time_s(rest[0])
-        is_overdue = state.start_s + SEGMENT_MIN_S >= rest_s
-        braking_s = self._limits.speed_max_deg_s / self._limits.ramp_deg_s2
-        if rest_s - state.start_s > SEGMENT_MAX_S + braking_s and not is_overdue:
-            return None
-        error_deg, landed_s, wire, duration_ms = best_landing(
-            state, rest, self._course, self._limits
-        )
-        if error_deg > CONE_RATIO * self._limits.tolerance_deg and not is_overdue:
-            return None
-        self._emit(state, wire, duration_ms)
-        return max(landed_s, rest_s)
-
-    def _next_rest(self, state: Piece) -> tuple[int, int] | None:
-        at = bisect_right(self._rest_ends, self._course.index(state.start_s))
-        return self._rests[at] if at < len(self._rests) else None
+        latest = self._stop_first[lane] - SEGMENT_MIN_STEPS
+        for seam in self._seams:
+            is_ahead = first + SEGMENT_MIN_STEPS < seam
+            latest = np.where(is_ahead, np.minimum(latest, seam), latest)
+        return latest

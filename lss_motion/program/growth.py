@@ -10,19 +10,19 @@ profiles of the servos, in motion: no joint stops, and nothing is compiled twice
 
 from __future__ import annotations
 
-import heapq
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from lss_motion.errors import InputError, LineLoadError
-from lss_motion.program.compile import RELAXED_RATIOS, lines_use, moves_of, slot_us
-from lss_motion.program.cone import GRID_S, Course
-from lss_motion.program.drives import late_max_s, lead, servo_limits
-from lss_motion.program.fit import Fitter
+from lss_motion.program.attempt import Attempt, slot_us
+from lss_motion.program.compile import RELAXED_RATIOS, lines_use, moves_of
+from lss_motion.program.course import GRID_S, Course
+from lss_motion.program.drives import lead
 from lss_motion.program.line import LineSchedule, LineUse
 from lss_motion.program.model import Move, Program, heard_us, ramp_deg_s2, target_deg
+from lss_motion.program.moves import Begin
 from lss_motion.program.response import Profile, Reference
 from lss_motion.program.verify import verify_profiles
 from lss_motion.units import s_from_ms, s_from_us, us_from_s
@@ -80,14 +80,25 @@ class Growth:
         splice_us = us_from_s(from_s - self._lead_s)
         courses = self._courses(trajectory, starts_s, s_from_us(splice_us))
         grown = self.at(splice_us)
-        tight: _Attempt | None = None
+        begins = {
+            name: Begin(
+                grown[name].copy(),
+                None if _stands(grown[name], s_from_us(splice_us))
+                else self.takes_over_s(name, splice_us),
+            )
+            for name in courses
+        }  # fmt: skip
+        tight: Attempt | None = None
         for ratio in RELAXED_RATIOS:
-            attempt = _Attempt(self, grown, courses, splice_us, self.tolerance_deg * ratio)
+            lines = {bus: _line(self, bus, splice_us) for bus in self.robot.buses}
+            attempt = Attempt(
+                courses, self.robot, self.tolerance_deg * ratio, begins=begins, lines=lines
+            )
             if not attempt.is_tight:
-                return attempt.extension(splice_us, starts_s + trajectory.duration_s)
+                return _extension(attempt, self.robot, splice_us, starts_s + trajectory.duration_s)
             tight = attempt
         assert tight is not None
-        raise tight.overload()
+        raise _overload(tight, self.robot)
 
     def taken(self, extension: Extension) -> Growth:
         """Return how far the program has grown once it has been extended."""
@@ -176,88 +187,38 @@ def splice_lead_s(robot: Robot, names: Mapping[str, Profile]) -> float:
     """
     joints = [robot.joints[name] for name in names]
     queue_us = max(
-        sum(slot_us(joint, bus.baud_bps) for joint in joints if joint.bus == bus.name)
+        sum(slot_us(joint, robot) for joint in joints if joint.bus == bus.name)
         for bus in robot.buses.values()
     )
     return max(lead(joint) for joint in joints) + s_from_us(queue_us) + GRID_S
 
 
-class _Attempt:
-    """All joints fitted from a splice on, at one tolerance, on the lines they share."""
+def _extension(attempt: Attempt, robot: Robot, splice_us: int, duration_s: float) -> Extension:
+    """Return what came of an attempt; raises `PlanningError` if its bytes break a limit."""
+    references = {name: fitted.reference for name, fitted in attempt.fitted.items()}
+    verify_profiles(references, robot)
+    moves = moves_of(attempt.fitted, robot)
+    return Extension(
+        from_us=splice_us,
+        moves=tuple(moves),
+        duration_s=duration_s,
+        references=references,
+        line_use=lines_use(moves, robot),
+        tolerance_deg=attempt.tolerance_deg,
+    )
 
-    def __init__(
-        self,
-        growth: Growth,
-        profiles: Mapping[str, Profile],
-        courses: Mapping[str, Course],
-        splice_us: int,
-        tolerance_deg: float,
-    ) -> None:
-        self.tolerance_deg = tolerance_deg
-        self.late_max_us = 0
-        self.is_tight = False
-        self._robot = growth.robot
-        self._lines = {bus: _line(growth, bus, splice_us) for bus in growth.robot.buses}
-        self.fitters = {
-            name: Fitter(
-                course,
-                servo_limits(self._robot.joints[name], tolerance_deg),
-                profile=profiles[name].copy(),
-            )
-            for name, course in courses.items()
-        }
-        splice_s = s_from_us(splice_us)
-        firsts = []
-        for name, fitter in self.fitters.items():
-            wanted_s = fitter.wanted(None)
-            if not _stands(profiles[name], splice_s):
-                wanted_s = growth.takes_over_s(name, splice_us)
-            if wanted_s is not None:
-                firsts.append((wanted_s, name))
-        queue = [(self._grant(name, wanted_s, splice_s), name) for wanted_s, name in sorted(firsts)]
-        heapq.heapify(queue)
-        while queue:
-            granted_s, name = heapq.heappop(queue)
-            wanted_s = self.fitters[name].wanted(granted_s)
-            if wanted_s is not None:
-                heapq.heappush(queue, (self._grant(name, wanted_s, granted_s), name))
 
-    def extension(self, splice_us: int, duration_s: float) -> Extension:
-        """Return what came of it; raises `PlanningError` if its bytes break a limit."""
-        references = {name: fitter.reference() for name, fitter in self.fitters.items()}
-        verify_profiles(references, self._robot)
-        moves = moves_of(self.fitters, self._robot)
-        return Extension(
-            from_us=splice_us,
-            moves=tuple(moves),
-            duration_s=duration_s,
-            references=references,
-            line_use=lines_use(moves, self._robot),
-            tolerance_deg=self.tolerance_deg,
-        )
-
-    def overload(self) -> LineLoadError:
-        """Return the error that says how much is too much, and what would help."""
-        uses = lines_use(moves_of(self.fitters, self._robot), self._robot).values()
-        use = max(uses, key=lambda own: own.utilisation_ratio)
-        return LineLoadError(
-            f"bus {use.bus!r} at {use.baud_bps} bps cannot carry this stretch: some commands would "
-            f"be {self.late_max_us / 1e3:.0f} ms late, even with a tolerance of "
-            f"{self.tolerance_deg:.2f} deg. What would help: a faster baud rate or a slower gait",
-            bus=use.bus,
-            utilisation_ratio=use.utilisation_ratio,
-        )
-
-    def _grant(self, name: str, wanted_s: float, after_s: float) -> float:
-        """Reserve the line for the next move of a joint; return when that move is heard."""
-        joint = self._robot.joints[name]
-        size_us = slot_us(joint, self._robot.buses[joint.bus].baud_bps)
-        wanted_us = us_from_s(wanted_s)
-        heard = self._lines[joint.bus].reserve(wanted_us, size_us, us_from_s(after_s))
-        self.late_max_us = max(self.late_max_us, heard - wanted_us)
-        self.is_tight = self.is_tight or s_from_us(heard - wanted_us) > late_max_s(joint)
-        self.fitters[name].grant(s_from_us(heard))
-        return s_from_us(heard)
+def _overload(attempt: Attempt, robot: Robot) -> LineLoadError:
+    """Return the error that says how much is too much, and what would help."""
+    uses = lines_use(moves_of(attempt.fitted, robot), robot).values()
+    use = max(uses, key=lambda own: own.utilisation_ratio)
+    return LineLoadError(
+        f"bus {use.bus!r} at {use.baud_bps} bps cannot carry this stretch: some commands would be "
+        f"{attempt.late_max_us / 1e3:.0f} ms late, even with a tolerance of "
+        f"{attempt.tolerance_deg:.2f} deg. What would help: a faster baud rate or a slower gait",
+        bus=use.bus,
+        utilisation_ratio=use.utilisation_ratio,
+    )
 
 
 def _line(growth: Growth, bus: str, splice_us: int) -> LineSchedule:

@@ -2,70 +2,92 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.program.response import Reference, trapezoid, travel_speed
-from lss_motion.program.wording import SPEED_LEAST_DEG_S, duration_for, lattice
-from lss_motion.units import s_from_ms
+from lss_motion.program.batch import States, exact_speeds, speeds_for, trapezoids
+from lss_motion.program.wording import SPEED_LEAST_DEG_S, durations_ms
+from lss_motion.units import MS_PER_S
 
 if TYPE_CHECKING:
-    from lss_motion.program.cone import Course, ServoLimits
-    from lss_motion.program.response import Piece
+    from lss_motion.program.batch import BoolArray, FloatArray, IntArray
+    from lss_motion.program.course import Courses, LimitArrays
 
 SEGMENT_MIN_S: Final = 0.01
 """The least between two moves of a joint: two control ticks of the servo."""
 LANDING_RATIOS: Final = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2)
 """Travel speeds tried for a landing, by the one that comes to rest together with the course."""
 
+ALIKE_RATIO: Final = 0.5
+TOGETHER_DEG_S: Final = 0.05
+"""Errors below this share of the tolerance count alike, and coming to rest a second too early or
+late counts as much as this error: chosen, so that no landing creeps on when the course rests."""
+TOO_LATE_DEG: Final = 1e6
+"""Counts as the error of a move that is under way when the standstill is over."""
 
-def best_landing(
-    state: Piece, rest: tuple[int, int], course: Course, limits: ServoLimits
-) -> tuple[float, float, int, int]:
-    """Return how a move from `state` lands on the standstill `rest` of the course at its best.
 
-    The largest error until course and servo rest, from when on the servo does, target and T.
+@dataclass(frozen=True, slots=True)
+class Landings:
+    """The best landing of each of many servos.
+
+    The largest error until course and servo rest, from when on the servo does, T and travel speed.
     """
-    wire = lattice(float(course.position_deg[rest[0]]), limits)
-    return min(
-        _landing(state, wire, duration_ms, rest, course, limits)
-        for duration_ms in _durations_ms(state, wire, course.time_s(rest[0]), limits)
+
+    error_deg: FloatArray
+    landed_s: FloatArray
+    duration_ms: FloatArray
+    travel_deg_s: FloatArray
+
+    def put(self, chosen: BoolArray, found: Landings) -> None:
+        """Take over what was found for the `chosen` of these servos."""
+        self.error_deg[chosen] = found.error_deg
+        self.landed_s[chosen] = found.landed_s
+        self.duration_ms[chosen] = found.duration_ms
+        self.travel_deg_s[chosen] = found.travel_deg_s
+
+
+def best_landings(
+    courses: Courses,
+    joint: IntArray,
+    state: States,
+    wire: FloatArray,
+    rest: tuple[IntArray, IntArray],
+    limits: LimitArrays,
+) -> Landings:
+    """Return how moves from `state` land on `wire`, where the courses stand over `rest`."""
+    first_s, last_s = (courses.times_s(index)[:, None] for index in rest)
+    column = limits.column()
+    starts = state.column()
+    target_deg = wire[:, None] / column.wire_per_deg
+    left_s = np.maximum(first_s - starts.time_s, SEGMENT_MIN_S)
+    exact = exact_speeds(starts, target_deg, left_s, column.ramp_deg_s2)
+    exact = np.clip(exact, SPEED_LEAST_DEG_S, column.speed_max_deg_s)
+    duration_ms = durations_ms(starts, target_deg, exact * np.array(LANDING_RATIOS), column)
+    travel = speeds_for(
+        starts, target_deg, duration_ms / MS_PER_S, column.ramp_deg_s2, column.is_exact
     )
+    travel = np.minimum(travel, column.speed_max_deg_s)
+    moves = trapezoids(starts, target_deg, travel, column.ramp_deg_s2)
+    landed_s = moves.end_s
 
-
-def _durations_ms(state: Piece, wire: int, rest_s: float, limits: ServoLimits) -> list[int]:
-    """Return the T to try: around the one that comes to rest with the course."""
-    target_deg = wire / limits.wire_per_deg
-    distance_deg = abs(target_deg - state.position_deg)
-    left_s = max(rest_s - state.start_s, SEGMENT_MIN_S)
-    low, high = 0.5 * max(distance_deg / left_s, SPEED_LEAST_DEG_S), limits.speed_max_deg_s
-    for _ in range(12):
-        middle = 0.5 * (low + high)
-        end_s = trapezoid(state, target_deg, middle, limits.ramp_deg_s2)[-1].start_s
-        low, high = (middle, high) if end_s > rest_s else (low, middle)
-    return sorted({duration_for(state, target_deg, high * r, limits) for r in LANDING_RATIOS})
-
-
-def _landing(
-    state: Piece,
-    wire: int,
-    duration_ms: int,
-    rest: tuple[int, int],
-    course: Course,
-    limits: ServoLimits,
-) -> tuple[float, float, int, int]:
-    target_deg = wire / limits.wire_per_deg
-    travel_deg_s = travel_speed(
-        state, target_deg, s_from_ms(duration_ms), limits.ramp_deg_s2, limits.response
-    )
-    travel_deg_s = min(travel_deg_s, limits.speed_max_deg_s)
-    pieces = trapezoid(state, target_deg, travel_deg_s, limits.ramp_deg_s2)
-    landed_s = pieces[-1].start_s
-    if landed_s > course.time_s(rest[1]) + SEGMENT_MIN_S:
-        return float("inf"), landed_s, wire, duration_ms
-    last = max(course.index(landed_s), rest[0])
-    steps = np.arange(course.index(state.start_s), last + 1)
-    profile_deg = Reference(pieces).sample(course.times_s(steps))
-    error_deg = float(np.abs(profile_deg - course.position_deg[steps]).max())
-    return error_deg, landed_s, wire, duration_ms
+    first = courses.first_index(state.time_s)
+    end = np.maximum(courses.first_index(np.minimum(landed_s, last_s)), rest[0][:, None])
+    steps = np.arange(int((end - first[:, None]).max()) + 1)
+    flat = courses.flat(joint[:, None], first[:, None] + steps)
+    times_s = courses.times_s(first)[:, None] + (courses.times_s(steps) - courses.start_s)
+    error_deg = np.zeros_like(landed_s)
+    for trial in range(len(LANDING_RATIOS)):
+        one = trapezoids(starts, target_deg, travel[:, trial : trial + 1], column.ramp_deg_s2).at(
+            times_s
+        )
+        stray = np.abs(one.position_deg - courses.position_deg[flat])
+        stray[steps > (end[:, trial] - first)[:, None]] = 0.0
+        error_deg[:, trial] = stray.max(axis=1)
+    late_s = landed_s - (last_s + SEGMENT_MIN_S)
+    error_deg = np.where(late_s > 0.0, TOO_LATE_DEG + late_s, error_deg)
+    merit = np.maximum(error_deg, ALIKE_RATIO * column.tolerance_deg)
+    merit += TOGETHER_DEG_S * np.abs(landed_s - first_s)
+    row = np.arange(len(wire)), np.argmin(merit, axis=1)
+    return Landings(error_deg[row], landed_s[row], duration_ms[row], travel[row])

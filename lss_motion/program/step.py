@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.program.cone import GRID_S
-from lss_motion.program.fit import STILL_ROUNDING_DEG, FittedMove
+from lss_motion.program.course import GRID_S, STILL_ROUNDING_DEG
+from lss_motion.program.moves import FittedMove
 from lss_motion.program.response import Piece, Reference
 from lss_motion.program.wording import lattice
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from lss_motion.program.cone import Course, ServoLimits
+    from lss_motion.program.course import Course, ServoLimits
 
 PULSE_S: Final = 0.02
 """An RC servo hears of its target 50 times a second (general knowledge of RC pulses; no document
@@ -59,7 +59,7 @@ class StepProfile:
 
 
 class StepFitter:
-    """Fits one joint, step by step; asked and granted like `fit.Fitter`."""
+    """Fits one joint, step by step; see `drives.JointFitter`."""
 
     def __init__(self, course: Course, limits: ServoLimits, seams_s: Sequence[float]) -> None:
         self._course = course

@@ -18,14 +18,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.program.cone import CONE_RATIO, GRID_S, STILL_DEG
+from lss_motion.program.cone import CONE_RATIO
+from lss_motion.program.course import GRID_S, STILL_DEG, STILL_ROUNDING_DEG
 from lss_motion.program.filtered import SETTLED_DEG, FilterProfile
-from lss_motion.program.fit import STILL_ROUNDING_DEG, FittedMove
+from lss_motion.program.moves import FittedMove
 from lss_motion.program.response import Reference
 from lss_motion.program.wording import lattice
 
 if TYPE_CHECKING:
-    from lss_motion.program.cone import Course, ServoLimits
+    from lss_motion.program.course import Course, ServoLimits
 
 STEPS_MAX: Final = 16
 """The most steps that one command is relied on (320 ms): a lost one is repaired by the next."""
@@ -35,7 +36,7 @@ this share of it is then left for the fit."""
 
 
 class StreamFitter:
-    """Fits one joint, command by command; asked and granted like `fit.Fitter`."""
+    """Fits one joint, command by command; see `drives.JointFitter`."""
 
     def __init__(self, course: Course, limits: ServoLimits, profile: FilterProfile) -> None:
         """Fit `course`; `profile` stands where the course begins."""

@@ -1,17 +1,20 @@
-"""Puts a travel speed into what the wire can say: a target on its lattice, whole milliseconds."""
+"""Puts travel speeds into what the wire can say: targets on their lattice, whole milliseconds."""
 
 from __future__ import annotations
 
 import math
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.program.cone import DURATION_MAX_MS, ramped
-from lss_motion.program.response import expected_duration, travel_speed
-from lss_motion.units import MS_PER_S, s_from_ms
+import numpy as np
+
+from lss_motion.program.batch import States, durations_for, speeds_for
+from lss_motion.program.cone import ramped
+from lss_motion.program.course import DURATION_MAX_MS
+from lss_motion.units import MS_PER_S
 
 if TYPE_CHECKING:
-    from lss_motion.program.cone import ServoLimits
-    from lss_motion.program.response import Piece
+    from lss_motion.program.batch import FloatArray
+    from lss_motion.program.course import LimitArrays, ServoLimits
 
 LATEST_ARRIVAL_S: Final = 0.06
 """A successor may be this late before the servo begins to brake. Chosen: three times the worst
@@ -21,42 +24,58 @@ AIM_TRIALS: Final = 12
 SPEED_LEAST_DEG_S: Final = 0.01
 """Slower than this is standing still: a lattice step of 0.1° in ten seconds."""
 
+DURATION_MIN_MS: Final = 10
+"""The smallest T sent: two control ticks of the servo. Only a landing that comes back to where the
+profile is passing could ask for less, and a horn that is elsewhere would answer it with a jerk."""
 
-def aim(state: Piece, speed_deg_s: float, next_s: float, limits: ServoLimits) -> tuple[int, int]:
-    """Return target and T that make the servo travel at `speed_deg_s` beyond `next_s`."""
-    sign = 1 if speed_deg_s >= 0.0 else -1
-    braking_deg = 0.5 * speed_deg_s * speed_deg_s / limits.ramp_deg_s2
+
+def aim(
+    state: States, speed_deg_s: FloatArray, next_s: FloatArray, limits: LimitArrays
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return target, T and travel speed that come nearest to `speed_deg_s` up to `next_s`.
+
+    Target in wire units, T in ms. The target lies beyond where the profile is at `next_s`.
+    """
+    sign = np.where(speed_deg_s >= 0.0, 1.0, -1.0)
+    speed = np.abs(speed_deg_s)
     reached_deg, _ = ramped(
         state.position_deg,
         state.speed_deg_s,
         speed_deg_s,
-        next_s - state.start_s,
+        next_s - state.time_s,
         limits.ramp_deg_s2,
     )
-    beyond_deg = float(reached_deg) + sign * (abs(speed_deg_s) * LATEST_ARRIVAL_S + braking_deg)
-    trials = []
-    for step in range(AIM_TRIALS):
-        wire = lattice(beyond_deg + sign * step / limits.wire_per_deg, limits)
-        target_deg = wire / limits.wire_per_deg
-        duration_ms = duration_for(state, target_deg, abs(speed_deg_s), limits)
-        hit_deg_s = travel_speed(
-            state, target_deg, s_from_ms(duration_ms), limits.ramp_deg_s2, limits.response
-        )
-        trials.append((abs(hit_deg_s - abs(speed_deg_s)), step, wire, duration_ms))
-    _, _, wire, duration_ms = min(trials)
-    return wire, duration_ms
-
-
-def duration_for(state: Piece, target_deg: float, speed_deg_s: float, limits: ServoLimits) -> int:
-    """Return T for a travel speed: rounded, but never so that it breaks the speed limit."""
-    speed_deg_s = max(speed_deg_s, SPEED_LEAST_DEG_S)
-    wanted_s = expected_duration(
-        state, target_deg, speed_deg_s, limits.ramp_deg_s2, limits.response
+    beyond = speed * LATEST_ARRIVAL_S + 0.5 * speed * speed / limits.ramp_deg_s2
+    column = limits.column()
+    steps = sign[:, None] * np.arange(AIM_TRIALS)
+    wire = lattices(((reached_deg + sign * beyond) * limits.wire_per_deg)[:, None] + steps, column)
+    starts = state.column()
+    target_deg = wire / column.wire_per_deg
+    duration_ms = durations_ms(starts, target_deg, speed[:, None], column)
+    hit = speeds_for(
+        starts, target_deg, duration_ms / MS_PER_S, column.ramp_deg_s2, column.is_exact
     )
-    duration_ms = min(max(1, round(MS_PER_S * wanted_s)), DURATION_MAX_MS)
-    if abs(target_deg - state.position_deg) > limits.speed_max_deg_s * s_from_ms(duration_ms):
-        duration_ms += 1
+    hit = np.minimum(hit, column.speed_max_deg_s)
+    row = np.arange(len(speed)), np.argmin(np.abs(hit - speed[:, None]), axis=1)
+    return wire[row], duration_ms[row], hit[row]
+
+
+def durations_ms(
+    start: States, target_deg: FloatArray, speed_deg_s: FloatArray, limits: LimitArrays
+) -> FloatArray:
+    """Return T for travel speeds: rounded, but never so that one breaks its speed limit."""
+    speed = np.maximum(speed_deg_s, SPEED_LEAST_DEG_S)
+    wanted_s = durations_for(start, target_deg, speed, limits.ramp_deg_s2, limits.is_exact)
+    duration_ms = np.rint(MS_PER_S * wanted_s)
+    duration_ms = np.clip(duration_ms, DURATION_MIN_MS, DURATION_MAX_MS)
+    away_deg = np.abs(target_deg - start.position_deg)
+    duration_ms += away_deg * MS_PER_S > limits.speed_max_deg_s * duration_ms
     return duration_ms
+
+
+def lattices(wire: FloatArray, limits: LimitArrays) -> FloatArray:
+    """Return the whole wire values nearest to `wire` inside the range of the joints."""
+    return np.clip(np.rint(wire), limits.wire_min, limits.wire_max)
 
 
 def lattice(position_deg: float, limits: ServoLimits) -> int:

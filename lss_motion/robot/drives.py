@@ -19,7 +19,7 @@ FILTER_FIRMWARE_MIN: Final = 368
 RC_RANGE_DEG: Final = 90.0
 """An LSS-2IO turns its RC servos by ±90 (seed 004 line 40; lss_facts 3)."""
 DURATION_DIGITS_MS: Final = 9_999
-"""The longest T that a move on the bus is given (`program.cone.DURATION_MAX_MS`)."""
+"""The longest T that a move on the bus is given (`program.course.DURATION_MAX_MS`)."""
 
 _WHY: Final = {
     (Family.LSS_PRO, "streamed"): "no document gives an LSS-PRO the filter (FPC) that it needs",

@@ -11,10 +11,12 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from lss_motion.program.compile import compile_program
-from lss_motion.program.cone import GRID_S, Course, ServoLimits
+from lss_motion.program.course import GRID_S, Course, ServoLimits
 from lss_motion.program.drives import lead
-from lss_motion.program.fit import SEGMENT_MIN_S, Fitter
+from lss_motion.program.fit import Fit
+from lss_motion.program.landing import SEGMENT_MIN_S
 from lss_motion.program.line import LineSchedule, line_use
+from lss_motion.program.moves import reference
 from lss_motion.program.predict import profiles
 from lss_motion.program.response import (
     Piece,
@@ -169,13 +171,11 @@ def courses(draw):
 
 
 def fitted(course, limits, late=lambda wanted_s: wanted_s):
-    fitter = Fitter(course, limits)
-    wanted_s = fitter.wanted(None)
-    while wanted_s is not None:
-        granted_s = late(wanted_s)
-        fitter.grant(granted_s)
-        wanted_s = fitter.wanted(granted_s)
-    return fitter
+    """Return the moves for one course and the profile they make; `late` is what the line grants."""
+    moves = Fit([course], [limits]).moves(
+        lambda: lambda _joint, wanted_s, after_s: max(late(wanted_s), after_s)
+    )
+    return moves, reference(moves, 0, course, limits)
 
 
 def limits_of(wire_per_deg, tolerance_deg=0.2):
@@ -195,36 +195,37 @@ def limits_of(wire_per_deg, tolerance_deg=0.2):
 def test_smooth_courses_are_kept_within_the_tolerance(course, wire_per_deg):
     assume(np.abs(np.diff(course.position_deg, 2)).max() / GRID_S**2 < 300.0)
     assume(np.abs(np.diff(course.position_deg)).max() / GRID_S < 200.0)
-    fitter = fitted(course, limits_of(wire_per_deg))
+    moves, profile = fitted(course, limits_of(wire_per_deg))
     times_s = course.start_s + GRID_S * np.arange(len(course.position_deg))
-    error_deg = fitter.reference().sample(times_s) - course.position_deg
+    error_deg = profile.sample(times_s) - course.position_deg
     assert np.abs(error_deg).max() <= 0.22  # the wire has steps of 0.1 deg and 1 ms
-    end_deg, _ = fitter.reference().at(99.0)
+    end_deg, _ = profile.at(99.0)
     assert end_deg == pytest.approx(course.position_deg[-1], abs=0.5001 / wire_per_deg)
     moved = np.abs(course.position_deg - course.position_deg[0]).max() > 0.3
-    assert bool(fitter.moves) or not moved
+    assert len(moves) or not moved
 
 
 @LAWS
 @given(courses())
 def test_moves_are_in_range_below_the_speed_limit_and_silent_at_rest(course):
     limits = limits_of(10)
-    moves = fitted(course, limits).moves
+    moves, _ = fitted(course, limits)
     servo = Profile(
         round(10 * course.position_deg[0]) / 10,
         ramp_deg_s2=limits.ramp_deg_s2,
         speed_max_deg_s=1e9,
         response=limits.response,
     )
-    for move in moves:
-        target_deg = move.target_wire / 10
-        away_deg = abs(target_deg - servo.state(move.heard_s).position_deg)
-        assert away_deg / (move.duration_ms / 1e3) <= limits.speed_max_deg_s + 1e-6
+    for heard_s, wire, duration_ms in zip(
+        moves.heard_s, moves.target_wire, moves.duration_ms, strict=True
+    ):
+        target_deg = wire / 10
+        away_deg = abs(target_deg - servo.state(heard_s).position_deg)
+        assert away_deg / (duration_ms / 1e3) <= limits.speed_max_deg_s + 1e-6
         assert -81.0 <= target_deg <= 81.0
-        servo.retarget(move.heard_s, target_deg, move.duration_ms / 1e3)
-        assert -0.01 <= move.heard_s <= 7.02
-    for move, successor in pairwise(moves):
-        assert successor.heard_s - move.heard_s >= SEGMENT_MIN_S - GRID_S
+        servo.retarget(heard_s, target_deg, duration_ms / 1e3)
+        assert -0.01 <= heard_s <= 7.02
+    assert np.all(np.diff(moves.heard_s) >= SEGMENT_MIN_S - GRID_S)
 
 
 @LAWS
@@ -233,11 +234,12 @@ def test_commands_that_the_line_grants_otherwise_than_wished_are_made_up_for(cou
     """Up to 10 ms early or 2 ms late; the prediction knows, and the fit stays near."""
     assume(np.abs(np.diff(course.position_deg, 2)).max() / GRID_S**2 < 300.0)
     random = np.random.default_rng(seed)
-    fitter = fitted(course, limits_of(10), lambda s: s + float(random.uniform(-0.004, 0.002)))
+    late = lambda s: s + float(random.uniform(-0.004, 0.002))  # noqa: E731
+    _, profile = fitted(course, limits_of(10), late)
     times_s = course.start_s + GRID_S * np.arange(len(course.position_deg))
-    error_deg = fitter.reference().sample(times_s) - course.position_deg
+    error_deg = profile.sample(times_s) - course.position_deg
     assert np.abs(error_deg).max() <= 0.6
-    end_deg, _ = fitter.reference().at(99.0)
+    end_deg, _ = profile.at(99.0)
     assert end_deg == pytest.approx(course.position_deg[-1], abs=0.0501)
 
 

@@ -164,4 +164,4 @@ def test_a_compiled_program_read_as_commands_is_nearly_what_it_was_compiled_from
     assert len(errors_deg) > 100
     assert np.median(errors_deg) < 0.6
     assert max(errors_deg) < 6.0
-    assert plan(sequence, robot).duration_s == pytest.approx(before.duration_s, rel=0.02)
+    assert plan(sequence, robot).duration_s == pytest.approx(before.duration_s, rel=0.04)

@@ -6,15 +6,20 @@ A servo's ramps round the corners, so that ours can even need fewer.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from benches.shows import lively_show, robot_of
 from benches.table import Row
 from lss_motion import api
-from lss_motion.program.cone import GRID_S, Course
+from lss_motion.program.course import GRID_S, Course
 from lss_motion.program.drives import servo_limits
-from lss_motion.program.fit import Fitter
+from lss_motion.program.fit import Fit
+
+if TYPE_CHECKING:
+    from lss_motion.program.moves import Moves
 
 FloatArray = NDArray[np.float64]
 
@@ -59,15 +64,11 @@ def courses() -> dict[str, Course]:
     }
 
 
-def moves_of(course: Course, tolerance_deg: float) -> list[object]:
+def moves_of(course: Course, tolerance_deg: float) -> Moves:
     """Return the moves of our fit, every one granted when it is wanted."""
     joint = next(iter(robot_of(1).joints.values()))
-    fitter = Fitter(course, servo_limits(joint, tolerance_deg))
-    wanted_s = fitter.wanted(None)
-    while wanted_s is not None:
-        fitter.grant(wanted_s)
-        wanted_s = fitter.wanted(wanted_s)
-    return list(fitter.moves)
+    fit = Fit([course], [servo_limits(joint, tolerance_deg)])
+    return fit.moves(lambda: lambda _joint, wanted_s, _after_s: wanted_s)
 
 
 def fewest_segments(course_deg: FloatArray, tolerance_deg: float) -> int:

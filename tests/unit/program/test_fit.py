@@ -2,8 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from lss_motion.program.cone import GRID_S, Course, ServoLimits
-from lss_motion.program.fit import SEGMENT_MAX_S, Fitter
+from lss_motion.program.course import GRID_S, Course, ServoLimits
+from lss_motion.program.fit import SEGMENT_MAX_S, Fit
+from lss_motion.program.moves import reference
 from lss_motion.robot.model import Response
 
 LIMITS = ServoLimits(
@@ -17,13 +18,11 @@ LIMITS = ServoLimits(
 )
 
 
-def fitted(position_deg) -> Fitter:
-    fitter = Fitter(Course(start_s=0.0, position_deg=np.asarray(position_deg)), LIMITS)
-    wanted_s = fitter.wanted(None)
-    while wanted_s is not None:
-        fitter.grant(wanted_s)
-        wanted_s = fitter.wanted(wanted_s)
-    return fitter
+def fitted(position_deg):
+    """Return the moves for one course, all heard when they are wanted, and the profile they make"""
+    course = Course(start_s=0.0, position_deg=np.asarray(position_deg))
+    moves = Fit([course], [LIMITS]).moves(lambda: lambda _joint, wanted_s, _after_s: wanted_s)
+    return moves, reference(moves, 0, course, LIMITS)
 
 
 def test_no_course_is_run_past_the_begin_of_its_rest():
@@ -38,25 +37,25 @@ def test_no_course_is_run_past_the_begin_of_its_rest():
             for _ in range(random.integers(1, 4))
         ]
         swing = sum(size * np.sin(6.283 * rate * times_s + shift) for size, rate, shift in waves)
-        fitter = fitted(swing * fade)
-        assert fitter.moves[-1].heard_s <= 7.5
-        assert fitter.moves[-1].target_wire == 0
-        assert fitter.reference().at(7.75) == (0.0, 0.0)
+        moves, profile = fitted(swing * fade)
+        assert moves.heard_s[-1] <= 7.5
+        assert moves.target_wire[-1] == 0
+        assert profile.at(7.75) == (0.0, 0.0)
 
 
 def test_a_steady_speed_is_a_move_every_second_and_a_half():
     times_s = GRID_S * np.arange(2400)
     course_deg = -80.0 + 16.0 * np.clip(times_s - 0.5, 0.0, 10.0)
-    moves = fitted(course_deg).moves
-    gaps_s = np.diff([move.heard_s for move in moves])
+    moves, _ = fitted(course_deg)
+    gaps_s = np.diff(moves.heard_s)
     assert len(moves) <= 12
     assert gaps_s.max() <= SEGMENT_MAX_S + GRID_S
 
 
 def test_a_standstill_needs_no_move():
-    assert fitted(np.full(400, 12.34)).moves == []
+    assert len(fitted(np.full(400, 12.34))[0]) == 0
 
 
 def test_what_is_less_than_half_a_wire_step_is_no_motion():
     times_s = GRID_S * np.arange(400)
-    assert fitted(0.04 * np.sin(5.0 * times_s)).moves == []
+    assert len(fitted(0.04 * np.sin(5.0 * times_s))[0]) == 0

@@ -1,0 +1,173 @@
+"""All joints fitted at one tolerance, on the lines that they share."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+from lss_motion.program.drives import late_max_s, longest_move, make_fitter, servo_limits
+from lss_motion.program.fit import Fit
+from lss_motion.program.line import LineSchedule
+from lss_motion.program.moves import reference
+from lss_motion.units import NS_PER_US, line_time_ns, s_from_us, us_from_s
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from lss_motion.program.course import Course
+    from lss_motion.program.drives import JointFitter
+    from lss_motion.program.moves import Begin
+    from lss_motion.program.response import Reference
+    from lss_motion.robot.model import Joint, Robot
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """The moves of one joint, `(heard_s, target_wire, duration_ms)`, and the profile they make."""
+
+    moves: Sequence[tuple[float, int, int | None]]
+    reference: Reference
+
+
+class _Slot(NamedTuple):
+    """What the commands of one joint take of the line."""
+
+    bus: str
+    size_us: int
+    late_max_us: int
+
+
+class Attempt:
+    """All joints at one tolerance. `is_tight`: some command is later than its drive allows.
+
+    Joints that are not timed come first: their commands have fixed instants, while the fit of a
+    timed joint makes up for every move that the line grants it early.
+    """
+
+    def __init__(
+        self,
+        courses: Mapping[str, Course],
+        robot: Robot,
+        tolerance_deg: float,
+        seams_s: Sequence[float] = (),
+        *,
+        begins: Mapping[str, Begin] | None = None,
+        lines: Mapping[str, LineSchedule] | None = None,
+    ) -> None:
+        """Fit `courses`, all on one grid. `seams_s`, `begins`: see `Fit`; `begins` for timed ones.
+
+        `lines` holds what is reserved already; no move is due before the courses begin.
+        """
+        self.tolerance_deg = tolerance_deg
+        self.fitted: dict[str, Fitted] = {}
+        self.late_max_us = 0
+        self.is_tight = False
+        self._start_us = us_from_s(
+            min((course.start_s for course in courses.values()), default=0.0)
+        )
+        self._lines = {bus: (lines or {}).get(bus, LineSchedule()) for bus in robot.buses}
+        self._begins = begins or {}
+        self._slots = {
+            name: _Slot(
+                robot.joints[name].bus,
+                slot_us(robot.joints[name], robot),
+                us_from_s(late_max_s(robot.joints[name])),
+            )
+            for name in courses
+        }
+        is_timed = {name: robot.joints[name].drive == "timed" for name in courses}
+        self._fit_each(
+            {
+                name: make_fitter(robot.joints[name], course, tolerance_deg, seams_s)
+                for name, course in courses.items()
+                if not is_timed[name]
+            }
+        )
+        if any(is_timed.values()):
+            timed = [robot.joints[name] for name in courses if is_timed[name]]
+            self._fit_timed(timed, courses, tolerance_deg, seams_s)
+
+    def _fit_each(self, fitters: Mapping[str, JointFitter]) -> None:
+        """Have the fitters' commands granted one by one, whoever comes first in time."""
+        queue: list[tuple[float, str]] = []
+        for name, fitter in fitters.items():
+            if (wanted_s := fitter.wanted(None)) is not None:
+                heapq.heappush(queue, (wanted_s, name))
+        last_s = dict.fromkeys(fitters, s_from_us(self._start_us))
+        while queue:
+            wanted_s, name = heapq.heappop(queue)
+            last_s[name] = self._grant(name, wanted_s, last_s[name])
+            fitters[name].grant(last_s[name])
+            next_s = fitters[name].wanted(last_s[name])
+            if next_s is not None:
+                heapq.heappush(queue, (next_s, name))
+        for name, fitter in fitters.items():
+            moves = [(move.heard_s, move.target_wire, move.duration_ms) for move in fitter.moves]
+            self.fitted[name] = Fitted(moves, fitter.reference())
+
+    def _fit_timed(
+        self,
+        joints: Sequence[Joint],
+        courses: Mapping[str, Course],
+        tolerance_deg: float,
+        seams_s: Sequence[float],
+    ) -> None:
+        """Fit all timed joints together; where that is tried again, the line is as it was."""
+        free = {name: line.copy() for name, line in self._lines.items()}
+        before = self.late_max_us, self.is_tight
+
+        def new_line() -> Callable[[int, float, float], float]:
+            self._lines = {name: line.copy() for name, line in free.items()}
+            self.late_max_us, self.is_tight = before
+            return lambda joint, wanted_s, after_s: self._grant(names[joint], wanted_s, after_s)
+
+        names = [joint.name for joint in joints]
+        own = [courses[name] for name in names]
+        limits = [servo_limits(joint, tolerance_deg) for joint in joints]
+        begins = [self._begins[name] for name in names if name in self._begins]
+        moves = Fit(own, limits, seams_s, begins).moves(new_line)
+        for index, name in enumerate(names):
+            some = moves.of(index)
+            columns = (some.heard_s, some.target_wire.astype(int), some.duration_ms.astype(int))
+            self.fitted[name] = Fitted(
+                list(zip(*(column.tolist() for column in columns), strict=True)),
+                reference(moves, index, own[index], limits[index], self._begins.get(name)),
+            )
+
+    def _grant(self, name: str, wanted_s: float, after_s: float) -> float:
+        """Reserve the line for the next move of a joint; return when that move is heard.
+
+        It is not heard before `after_s`, and at `wanted_s` if possible at the latest.
+        """
+        bus, size_us, late_max_us = self._slots[name]
+        wanted_us = us_from_s(wanted_s)
+        earliest_us = max(us_from_s(after_s) - size_us, self._start_us)
+        heard_us = self._lines[bus].reserve(wanted_us, size_us, earliest_us)
+        self.late_max_us = max(self.late_max_us, heard_us - wanted_us)
+        self.is_tight = self.is_tight or heard_us - wanted_us > late_max_us
+        return s_from_us(heard_us)
+
+
+def fitted_alone(joint: Joint, course: Course, tolerance_deg: float) -> Reference:
+    """Return the profile that one joint's moves make if every one is heard when it is wanted."""
+    if joint.drive == "timed":
+        limits = servo_limits(joint, tolerance_deg)
+        moves = Fit([course], [limits]).moves(lambda: lambda _joint, wanted_s, _after_s: wanted_s)
+        return reference(moves, 0, course, limits)
+    fitter = make_fitter(joint, course, tolerance_deg)
+    wanted_s = fitter.wanted(None)
+    while wanted_s is not None:
+        fitter.grant(wanted_s)
+        wanted_s = fitter.wanted(wanted_s)
+    return fitter.reference()
+
+
+def slot_us(joint: Joint, robot: Robot) -> int:
+    """Return the line time of the longest move that the joint can be sent."""
+    return sent_us(len(longest_move(joint)), robot.buses[joint.bus].baud_bps)
+
+
+def sent_us(size_bytes: int, baud_bps: int) -> int:
+    """Return the line time of so many bytes in whole microseconds, rounded up."""
+    return -(-line_time_ns(size_bytes, baud_bps) // NS_PER_US)

@@ -1,0 +1,146 @@
+"""The timed response model for many servos at once: `response` in arrays.
+
+Every function takes and returns arrays of one shape, an element a servo (or a trial move of one).
+What it says is what `response.Profile` says of each alone, which a test holds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    FloatArray = NDArray[np.float64]
+    IntArray = NDArray[np.intp]
+    BoolArray = NDArray[np.bool_]
+    Index = IntArray | BoolArray | slice
+
+SPEED_TINY_DEG_S = 1e-12
+"""Keeps divisions finite; no servo moves this slowly."""
+
+
+@dataclass(frozen=True, slots=True)
+class States:
+    """Where profiles are and how fast, at instants of their own."""
+
+    time_s: FloatArray
+    position_deg: FloatArray
+    speed_deg_s: FloatArray
+
+    def take(self, chosen: Index) -> States:
+        return States(self.time_s[chosen], self.position_deg[chosen], self.speed_deg_s[chosen])
+
+    def column(self) -> States:
+        """Return the same in a column, to be combined with rows of trials."""
+        return States(self.time_s[:, None], self.position_deg[:, None], self.speed_deg_s[:, None])
+
+
+@dataclass(frozen=True, slots=True)
+class Trapezoids:
+    """Moves to rest: a ramp to the peak speed, a cruise, a ramp down (`response.trapezoid`).
+
+    Speeds and accelerations count in the direction of the move, `sign`.
+    """
+
+    start: States
+    sign: FloatArray
+    ramp_deg_s2: FloatArray
+    first_deg_s: FloatArray
+    peak_deg_s: FloatArray
+    first_s: FloatArray
+    cruise_s: FloatArray
+
+    @property
+    def end_s(self) -> FloatArray:
+        """When the profiles come to rest."""
+        last_s = self.peak_deg_s / self.ramp_deg_s2
+        end_s: FloatArray = self.start.time_s + self.first_s + self.cruise_s + last_s
+        return end_s
+
+    def at(self, times_s: FloatArray) -> States:
+        """Return the states at `times_s`, which must not be before the start."""
+        tau_s = times_s - self.start.time_s
+        ramp = self.ramp_deg_s2
+        first_s = np.minimum(tau_s, self.first_s)
+        cruise_s = np.clip(tau_s - self.first_s, 0.0, self.cruise_s)
+        last_s = tau_s - self.first_s - self.cruise_s
+        last_s = np.clip(last_s, 0.0, self.peak_deg_s / ramp)
+        gained = np.copysign(ramp, self.peak_deg_s - self.first_deg_s) * first_s
+        way = (self.first_deg_s + 0.5 * gained) * first_s + self.peak_deg_s * cruise_s
+        way += (self.peak_deg_s - 0.5 * ramp * last_s) * last_s
+        speed = np.where(
+            tau_s < self.first_s, self.first_deg_s + gained, self.peak_deg_s - ramp * last_s
+        )
+        return States(times_s, self.start.position_deg + self.sign * way, self.sign * speed)
+
+
+def trapezoids(
+    start: States, target_deg: FloatArray, travel_deg_s: FloatArray, ramp_deg_s2: FloatArray
+) -> Trapezoids:
+    """Return the moves that begin at `start` and end at rest on `target_deg`."""
+    speed = start.speed_deg_s
+    away = target_deg - start.position_deg
+    sign = np.where(away >= speed * np.abs(speed) / (2.0 * ramp_deg_s2), 1.0, -1.0)
+    distance, first = sign * away, sign * speed
+    reachable = np.sqrt(np.maximum(ramp_deg_s2 * distance + 0.5 * first * first, 0.0))
+    peak = np.minimum(travel_deg_s, reachable)
+    first_s = np.abs(peak - first) / ramp_deg_s2
+    covered = 0.5 * ((first + peak) * first_s + peak * peak / ramp_deg_s2)
+    cruise_s = np.maximum(distance - covered, 0.0) / np.maximum(peak, SPEED_TINY_DEG_S)
+    return Trapezoids(start, sign, ramp_deg_s2, first, peak, first_s, cruise_s)
+
+
+def speeds_for(
+    start: States,
+    target_deg: FloatArray,
+    duration_s: FloatArray,
+    ramp_deg_s2: FloatArray,
+    is_exact: BoolArray,
+) -> FloatArray:
+    """Return the travel speeds that servos take for `D target T duration`, before any cap."""
+    asked: FloatArray = np.abs(target_deg - start.position_deg) / duration_s
+    if not is_exact.any():
+        return asked
+    return np.where(is_exact, exact_speeds(start, target_deg, duration_s, ramp_deg_s2), asked)
+
+
+def exact_speeds(
+    start: States, target_deg: FloatArray, duration_s: FloatArray, ramp_deg_s2: FloatArray
+) -> FloatArray:
+    """Return the travel speeds with which moves last `duration_s`; infinite where none is so fast.
+
+    Of the time that a move at `c` takes, its ramps take (c - v)/a and c/a; what they leave of the
+    distance is travelled at `c`. That is a square in `c` for c > v and a line below.
+    """
+    speed, ramp = start.speed_deg_s, ramp_deg_s2
+    away = target_deg - start.position_deg
+    sign = np.where(away >= speed * np.abs(speed) / (2.0 * ramp), 1.0, -1.0)
+    distance, first = sign * away, sign * speed
+    braked = 0.5 * first * first / ramp
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slower = (distance - braked) / (duration_s - first / ramp)
+    linear = ramp * duration_s + first
+    root = linear * linear - 4.0 * ramp * (distance + braked)
+    faster = np.where(root >= 0.0, 0.5 * (linear - np.sqrt(np.maximum(root, 0.0))), np.inf)
+    is_slower = (duration_s * ramp > first) & (slower <= first)
+    found: FloatArray = np.where(is_slower, np.maximum(slower, 0.0), faster)
+    return found
+
+
+def durations_for(
+    start: States,
+    target_deg: FloatArray,
+    travel_deg_s: FloatArray,
+    ramp_deg_s2: FloatArray,
+    is_exact: BoolArray,
+) -> FloatArray:
+    """Return the T that make servos travel at `travel_deg_s`: the inverse of `speeds_for`."""
+    asked: FloatArray = np.abs(target_deg - start.position_deg) / travel_deg_s
+    if not is_exact.any():
+        return asked
+    exact_s = trapezoids(start, target_deg, travel_deg_s, ramp_deg_s2).end_s - start.time_s
+    return np.where(is_exact, exact_s, asked)

@@ -1,0 +1,200 @@
+"""What the profiles of servos should do: positions on a grid of instants, and what they tell.
+
+All angles are servo angles in degrees.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from lss_motion.program.batch import FloatArray, Index, IntArray
+    from lss_motion.robot.model import Response
+
+GRID_S: Final = 0.005
+"""Step of the course. At 1000 deg/s² the course bends 3 thousandths of a degree within it, and
+1 ms steps save no command that is worth five times the work (performance.md, section C)."""
+REST_MIN_S: Final = 0.02
+"""A standstill shorter than this is travelled through."""
+STILL_ROUNDING_DEG: Final = 1e-6
+"""A course is where it was if it is nearest to the same wire value, up to rounding errors."""
+DURATION_MAX_MS: Final = 9_999
+"""The largest T sent. The documents name no limit; with four digits a move keeps to the 15
+characters that an LSS-2IO on the bus can bear (lss_facts 3)."""
+STILL_DEG: Final = 1e-7
+"""Less than this between two grid steps is standing still."""
+BEND_RATIO: Final = 0.2
+"""A jump of the acceleration by this share of the ramp is worth a move of its own."""
+AUTHORITY_STEPS: Final = 24
+"""Over so many grid steps ahead the course must leave ramp to spare for a correction."""
+AUTHORITY_LEAST_RATIO: Final = 0.01
+"""A course at its limit leaves no ramp at all; this keeps the division finite."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Course:
+    """What the profile of one servo should do: positions every `GRID_S` from `start_s` on."""
+
+    start_s: float
+    position_deg: FloatArray
+
+    @property
+    def end_s(self) -> float:
+        return self.time_s(len(self.position_deg) - 1)
+
+    def time_s(self, index: int) -> float:
+        return self.start_s + GRID_S * index
+
+    def times_s(self, index: NDArray[np.intp]) -> FloatArray:
+        times: FloatArray = self.start_s + GRID_S * index.astype(np.float64)
+        return times
+
+    def index(self, time_s: float) -> int:
+        """Return the first index whose instant is not before `time_s`, inside the course."""
+        index = int(np.ceil((time_s - self.start_s) / GRID_S - 1e-9))
+        return min(max(index, 0), len(self.position_deg) - 1)
+
+    def accel_deg_s2(self) -> FloatArray:
+        """Return the acceleration at every grid point, by differences."""
+        grid = self.position_deg
+        accel: FloatArray = np.diff(grid, 2, prepend=grid[:1], append=grid[-1:])
+        return accel / (GRID_S * GRID_S)
+
+    def rests(self) -> list[tuple[int, int]]:
+        """Return `(first, last)` index of every standstill."""
+        still = np.abs(np.diff(self.position_deg)) < STILL_DEG
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], still.astype(np.int8), [0]))))
+        least = round(REST_MIN_S / GRID_S)
+        spans = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+        return [span for span in spans if span[1] - span[0] >= least]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoLimits:
+    """What a move may ask of one servo, in servo degrees, and the lattice of its targets."""
+
+    position_min_deg: float
+    position_max_deg: float
+    speed_max_deg_s: float
+    ramp_deg_s2: float
+    wire_per_deg: int
+    tolerance_deg: float
+    response: Response
+    wire_step: int = 1
+
+
+class LimitArrays:
+    """`ServoLimits` of many servos, an array a field."""
+
+    def __init__(self, limits: Sequence[ServoLimits]) -> None:
+        def column(name: str) -> FloatArray:
+            return np.array([getattr(one, name) for one in limits], dtype=np.float64)
+
+        self.speed_max_deg_s = column("speed_max_deg_s")
+        self.ramp_deg_s2 = column("ramp_deg_s2")
+        self.wire_per_deg = column("wire_per_deg")
+        self.tolerance_deg = column("tolerance_deg")
+        self.wire_min = np.ceil(column("position_min_deg") * self.wire_per_deg - 1e-6)
+        self.wire_max = np.floor(column("position_max_deg") * self.wire_per_deg + 1e-6)
+        self.is_exact = np.array([one.response.t_law == "exact" for one in limits])
+        self.forgets_speed = np.array([one.response.retarget == "from_rest" for one in limits])
+
+    def take(self, chosen: Index) -> LimitArrays:
+        """Return the limits of the `chosen` servos, in that order."""
+        taken = object.__new__(LimitArrays)
+        for name, values in vars(self).items():
+            setattr(taken, name, values[chosen])
+        return taken
+
+    def column(self) -> LimitArrays:
+        """Return the same in a column, to be combined with rows of trials."""
+        column = object.__new__(LimitArrays)
+        for name, values in vars(self).items():
+            setattr(column, name, values[:, None])
+        return column
+
+
+class Courses:
+    """The courses of many servos on one grid, one after the other in flat arrays."""
+
+    def __init__(self, courses: Sequence[Course], limits: Sequence[ServoLimits]) -> None:
+        assert len({(one.start_s, len(one.position_deg)) for one in courses}) == 1, "one grid"
+        self.start_s = courses[0].start_s
+        self.size = len(courses[0].position_deg)
+        self.position_deg = np.concatenate([one.position_deg for one in courses])
+        self.speed_deg_s = np.concatenate([_speeds(one.position_deg) for one in courses])
+        accels = [one.accel_deg_s2() for one in courses]
+        ramps = [limit.ramp_deg_s2 for limit in limits]
+        self.up_deg_s2 = np.concatenate(
+            [np.maximum(ramp - _highest_ahead(accel), AUTHORITY_LEAST_RATIO * ramp)
+             for accel, ramp in zip(accels, ramps, strict=True)]
+        )  # fmt: skip
+        self.down_deg_s2 = np.concatenate(
+            [np.maximum(ramp - _highest_ahead(-accel), AUTHORITY_LEAST_RATIO * ramp)
+             for accel, ramp in zip(accels, ramps, strict=True)]
+        )  # fmt: skip
+        bends = [_bends(one.position_deg, ramp) for one, ramp in zip(courses, ramps, strict=True)]
+        self.bend_before = np.concatenate([_before(some, self.size) for some in bends])
+        self.bend_after = np.concatenate([_after(some, self.size) for some in bends])
+
+    @property
+    def end_s(self) -> float:
+        return self.start_s + GRID_S * (self.size - 1)
+
+    def first_index(self, times_s: FloatArray) -> IntArray:
+        """Return the first index whose instant is not before `times_s`, however far."""
+        index: IntArray = np.ceil((times_s - self.start_s) / GRID_S - 1e-9).astype(np.intp)
+        return np.maximum(index, 0)
+
+    def times_s(self, index: IntArray) -> FloatArray:
+        return self.start_s + GRID_S * index.astype(np.float64)
+
+    def flat(self, joint: IntArray, index: IntArray) -> IntArray:
+        """Return where the flat arrays hold `index` of `joint`; beyond the end, the end."""
+        flat: IntArray = joint * self.size + np.minimum(index, self.size - 1)
+        return flat
+
+
+def _speeds(position_deg: FloatArray) -> FloatArray:
+    """Return speeds by central differences."""
+    speed: FloatArray = np.gradient(position_deg, GRID_S) if len(position_deg) > 1 else np.zeros(1)
+    return speed
+
+
+def _highest_ahead(values: FloatArray) -> FloatArray:
+    """Return the highest of each value and its `AUTHORITY_STEPS` - 1 successors."""
+    highest, covered = values.copy(), 1
+    while covered < AUTHORITY_STEPS:
+        step = min(covered, AUTHORITY_STEPS - covered)
+        highest[:-step] = np.maximum(highest[:-step], highest[step:])
+        covered += step
+    return highest
+
+
+def _bends(position_deg: FloatArray, ramp_deg_s2: float) -> IntArray:
+    """Return the grid points at which the acceleration jumps by a good share of the ramp."""
+    accel = np.diff(position_deg, 2, prepend=position_deg[:1], append=0.0)[:-1]
+    jump = np.abs(np.diff(accel, prepend=0.0))
+    found: IntArray = np.flatnonzero(jump > BEND_RATIO * ramp_deg_s2 * GRID_S * GRID_S)
+    return found
+
+
+def _before(marks: IntArray, size: int) -> IntArray:
+    """Return, for every index, the last of `marks` that is not beyond it; -1 if there is none."""
+    found = np.full(size, -1, dtype=np.intp)
+    found[marks] = marks
+    return np.maximum.accumulate(found)
+
+
+def _after(marks: IntArray, size: int) -> IntArray:
+    """Return, for every index, the first of `marks` not before it; `size` if there is none."""
+    found = np.full(size, size, dtype=np.intp)
+    found[marks] = marks
+    return np.minimum.accumulate(found[::-1])[::-1]
