@@ -176,6 +176,25 @@ def test_a_servo_forced_to_another_rate_goes_there_with_all_its_settings(
     assert (servo.baud_bps, servo.settings.eeprom["LED"]) == (250000, 3)
 
 
+def test_what_is_stored_is_read_whatever_the_session_is(connected, spec):
+    connection = connected(spec(1, eeprom={"O": 25}))
+    order(connection, 1, "O", 99)
+    (target,) = targets_by(connection, [1])
+    assert read(connection, [target])[target.name]["O"] == 25
+    assert read(connection, [target], is_session=True)[target.name]["O"] == 99
+
+
+def test_of_the_first_positions_the_one_that_is_wanted_is_written_last(connected, spec):
+    """Writing one forgets the other, also when it is switched off."""
+    connection = connected(spec(1, eeprom={"FD": 50}))
+    (target,) = targets_by(connection, [1])
+    write(connection, [target], {target.name: {"FP": 1300, "FD": None}})
+    assert servos(connection)[1].eeprom["FP"] == 1300
+    lines = heard(connection)
+    assert lines.index(b"#1CFD\r") < lines.index(b"#1CFP1300\r")
+    assert lines.count(b"#1CFP1300\r") == 1
+
+
 def test_every_setting_of_all_three_families_survives_the_factory_values(
     connected, spec, configure, folder
 ):

@@ -8,7 +8,7 @@ import pytest
 
 from lss_motion.cli.scanning import roll_call, survey
 from lss_motion.maintenance import findings
-from lss_motion.maintenance.roll_call import is_doubtful, judged
+from lss_motion.maintenance.roll_call import called, is_doubtful, judged
 from lss_motion.maintenance.starter import starter_file
 from lss_motion.protocol.constants import SafeModeCause, Status
 from lss_motion.robot.load import load_robot
@@ -41,6 +41,25 @@ def test_an_id_that_several_servos_share_is_found_as_such(connected, spec, seed,
     connection = connected(*[spec(0)] * count, spec(3), seed=seed)
     found = roll_call(connection, "main")
     assert [(p.servo_id, p.is_shared) for p in found] == [(0, True), (3, False)]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_shared_id_is_found_behind_an_adapter_that_holds_answers_back(connected, spec, seed):
+    bag = [spec(3), *[spec(20)] * 6]
+    connection = connected(*bag, seed=seed, usb_latency_ns=16_000_000)
+    found = roll_call(connection, "main")
+    assert [(p.servo_id, p.is_shared) for p in found] == [(3, False), (20, True)]
+
+
+def test_damage_that_an_adapter_held_back_for_16_ms_puts_all_in_doubt_who_were_asked_meanwhile():
+    heard = [b""] * 251
+    heard[24] = b"*2\x80QM"
+    heard[30] = b"*30QMSLSS-ST1\r"
+    models, doubtful = called(115200, range(251), heard)
+    assert models == {30: "LSS-ST1"}
+    gap_s = 2e-3 + 24 * 10 / 115200 + 6 * 10 / 115200
+    assert set(range(24 - int(16e-3 / gap_s), 25)) <= doubtful
+    assert max(doubtful) == 24
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -121,6 +121,17 @@ def test_a_servo_at_another_rate_hears_nothing(make_host, make_servo):
     assert [host.ask("#5QG"), host.ask("#6QG")] == ["", "*6QG1|"]
 
 
+def test_the_line_follows_the_rate_of_the_host_in_both_directions(make_host, make_servo):
+    host = make_host(make_servo(5, baud_bps=9600), make_servo(6))
+    host.ask("#6QG")  # A reply at the first rate: its times must not be those of the next.
+    host.bus.set_host_rate(9600, host.now_ns)
+    assert host.ask("#6QG") == ""
+    started_ns = host.now_ns
+    assert host.ask("#5QG") == "*5QG1|"
+    line_s = len("#5QG\r*5QG1\r") * 10 / 9600
+    assert line_s <= (host.now_ns - started_ns) / 1e9 <= line_s + 0.002
+
+
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(make_host):
     def play(seed):
         host = make_host(seed=seed, physics=Physics())
