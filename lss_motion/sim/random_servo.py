@@ -14,6 +14,7 @@ LAG_S = (0.008, 0.08)
 RAMP_RATIO = (0.75, 1.3)
 NOISE_DEG = (0.03, 0.15)
 SUPPLY_V = (6.8, 12.4)
+NOMINAL_V = (12.0, 24.0)
 DROOP_DEG = (0.5, 3.0)
 PLAY_DEG = (0.3, 1.2)
 TURNAROUND_MIN_NS = (100_000, 1_000_000)
@@ -35,6 +36,7 @@ def random_servo(seed: int, servo_id: int, model: ServoModel) -> tuple[Physics, 
         t_law=random.choice(("cruise", "exact")),
         noise_deg=random.uniform(*NOISE_DEG),
         supply_v=random.uniform(*SUPPLY_V),
+        nominal_v=random.uniform(*NOMINAL_V),
         turnaround=Turnaround(
             single_min_ns=least_ns, single_max_ns=least_ns + random.randint(*TURNAROUND_MORE_NS)
         ),

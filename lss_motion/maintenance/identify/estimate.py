@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from lss_motion.errors import PlaybackError
-from lss_motion.maintenance.identify.fit import Fit, Problem, fallen_deg
+from lss_motion.maintenance.identify.fit import Fit, Problem
+from lss_motion.maintenance.identify.fit_trial import fallen_deg
 from lss_motion.maintenance.identify.motion import HYPOTHESES, Shape, horn_deg
 from lss_motion.maintenance.identify.plan import Kind
 from lss_motion.maintenance.identify.rests import Measured, read_rests
@@ -39,6 +40,8 @@ LOOP_SIGMAS: Final = 3.0
 """A dead time contradicts a control loop when it is so many standard errors off."""
 SATURATED_RATIO: Final = 0.94
 """A horn slower than this share of what its profile asks for turns as fast as it can."""
+NOT_FITTED: Final = (Kind.REACH, Kind.FAST)
+"""Trials before it is known how fast the servo can turn: it may not have followed its profile."""
 STEEP_RATIO: Final = 0.97
 SLOPE_S: Final = 0.05
 """Speeds are slopes over this long."""
@@ -98,7 +101,7 @@ def identify(joint: Joint, recording: Recording) -> Identified:
 
     Raises `PlaybackError` if no hypothesis explains the readings.
     """
-    trials = [trial for trial in recording.trials if trial.kind is not Kind.FAST]
+    trials = [trial for trial in recording.trials if trial.kind not in NOT_FITTED]
     rests = read_rests(recording, trials)
     coarse = Problem(recording, trials, rests, is_coarse=True)
     fits = {hypothesis: coarse.fit(hypothesis) for hypothesis in HYPOTHESES}

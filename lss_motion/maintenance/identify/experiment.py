@@ -7,12 +7,14 @@ settings and hold.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from enum import Enum
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import BusError, LssMotionError, PlaybackError
 from lss_motion.maintenance.identify.asking import Asking
+from lss_motion.maintenance.identify.judging import not_arrived, outside
 from lss_motion.maintenance.identify.motion import Order
 from lss_motion.maintenance.identify.plan import Kind, PlannedMove, TrialPlan, make_trials
 from lss_motion.maintenance.identify.recording import SETTLE_S, Recording, Trial
@@ -37,12 +39,8 @@ HOLD_MS: Final = 300
 """T of the first command, which takes the joint to where it already stands."""
 SETTLE_MAX_S: Final = 3.0
 """Longer than this no horn takes to settle; one that still moves swings or is pushed."""
-ARRIVED_RATIO: Final = 0.5
-"""A horn that made less than this share of its way is held by something."""
-WAY_LEAST_DEG: Final = 2.0
-"""Shorter ways are not judged: a load or play may take them up."""
-GUARD_DEG: Final = 2.0
-"""Two readings in a row this far outside the window end it: more than noise, less than harm."""
+OUTSIDE_READINGS: Final = 2
+"""So many readings in a row outside the window end it: one may be damaged."""
 DITHER_S: Final = 0.02
 """Trials begin at instants spread evenly over this, so that the servo's control loops, whose
 period is some milliseconds, are met at every phase."""
@@ -86,6 +84,7 @@ class Experiment:
         self._dialogue: Dialogue | None = self._ask([*setup.settings_questions([joint]), *orders])
         self._plans: deque[TrialPlan] = deque()
         self._planned = 0
+        self._droop_deg = 0.0
         self._trial = Trial(Kind.STEP, 0.0, standing_deg)
         self._moves: deque[PlannedMove] = deque()
         self._began_ns = 0
@@ -206,6 +205,8 @@ class Experiment:
             self.recording.trials.append(self._trial)
             self._check_arrival()
             self._rested_deg = self._trial.rest_deg()
+            if self._trial.kind is Kind.FAST:
+                self._plan()
         if self.error is not None:
             self._brake(now_ns)
         elif self._plans:
@@ -215,14 +216,27 @@ class Experiment:
             self._restore()
 
     def _plan(self) -> None:
-        self.state = State.TRIALS
-        droop_deg = self._target_deg - self._trial.rest_deg()
-        window = self.recording.window
+        """Plan all trials, and, after the fast ones, those that are left once more."""
+        left = len(self._plans)
+        top_deg_s = math.inf
+        if self.state is State.HOLD:
+            self._droop_deg = self._target_deg - self._trial.rest_deg()
+            self.state = State.TRIALS
+        else:
+            top_deg_s = max(trial.fastest_deg_s() for trial in self.recording.trials)
         try:
-            self._plans = deque(make_trials(self.joint, window, self._target_deg, droop_deg))
+            plans = make_trials(
+                self.joint,
+                self.recording.window,
+                self._standing_deg,
+                droop_deg=self._droop_deg,
+                top_deg_s=top_deg_s,
+            )
         except LssMotionError as error:
             self.error = error
-        self._planned = len(self._plans)
+            return
+        self._planned = len(plans)
+        self._plans = deque(plans[-left:])
 
     def _begin(self, plan: TrialPlan, at_ns: int) -> None:
         self._trial = Trial(plan.kind, s_from_ns(at_ns), self._target_deg)
@@ -300,28 +314,22 @@ class Experiment:
 
     def _check_arrival(self) -> None:
         """Note the error of a horn that did not go where it was told."""
-        joint, rest_deg = self.joint, self._trial.rest_deg()
-        way_deg = abs(self._target_deg - self._trial.start_deg)
-        made_deg = abs(rest_deg - self._rested_deg)
-        if way_deg >= WAY_LEAST_DEG and made_deg < ARRIVED_RATIO * way_deg:
-            self.error = self.error or self._fault(
-                f"was told to go to {joint.joint_deg(self._target_deg):.1f} deg and stays at "
-                f"{joint.joint_deg(rest_deg):.1f} deg: it is blocked, or its load is too heavy. "
-                f"Free it, and begin again"
-            )
+        cause = not_arrived(
+            self.joint,
+            way_deg=abs(self._target_deg - self._trial.start_deg),
+            from_deg=self._rested_deg,
+            rest_deg=self._trial.rest_deg(),
+            target_deg=self._target_deg,
+        )
+        if cause:
+            self.error = self.error or self._fault(cause)
 
     def _watch(self, reading_deg: float, now_ns: int) -> None:
-        """Stop when the horn is where it must not be."""
-        window, joint = self.recording.window, self.joint
-        is_inside = window.low_deg - GUARD_DEG <= reading_deg <= window.high_deg + GUARD_DEG
-        self._outside_count = 0 if is_inside else self._outside_count + 1
-        if self._outside_count >= 2:
-            ends = sorted((joint.joint_deg(window.low_deg), joint.joint_deg(window.high_deg)))
-            error = self._fault(
-                f"is at {joint.joint_deg(reading_deg):.1f} deg and was to stay within "
-                f"{ends[0]:.1f} to {ends[1]:.1f} deg"
-            )
-            self._fail(error, now_ns)
+        """Stop when the horn is where it must not be, by two readings in a row."""
+        cause = outside(self.joint, self.recording.window, reading_deg)
+        self._outside_count = self._outside_count + 1 if cause else 0
+        if self._outside_count >= OUTSIDE_READINGS:
+            self._fail(self._fault(cause), now_ns)
 
     def _fault(self, cause: str) -> PlaybackError:
         return PlaybackError(f"joint {self.joint.name!r} {cause}", joint=self.joint.name)

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.maintenance.identify.motion import Hypothesis, Order, Shape, horn_deg
+from lss_motion.maintenance.identify.fit_trial import fallen_deg, thinned, with_play
+from lss_motion.maintenance.identify.motion import Hypothesis, Shape, horn_deg
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -50,26 +51,11 @@ PRIOR_LOG_RAMP: Final = 0.5
 """Ramps are about what AA and AD say."""
 COST_RATIO: Final = 1e-5
 """A step that lowers the cost by less than this share is the last."""
-FALLING_DEG: Final = 0.05
-"""Gears fall from one side to the other while the load changes by about this. Chosen: half a wire
-unit, so that the fit has a slope to go along."""
 PRIOR_PLAY_DEG: Final = 0.5
 """Play is about what the rests show."""
 STEPS: Final = np.array([1e-4] * DELAY + [1e-5, 1e-3])
 OWN_STEP_S: Final = 1e-5
 """How far each number is moved to see what the readings would do."""
-
-
-@dataclass(frozen=True, slots=True)
-class FitTrial:
-    """One trial as the fit sees it: its readings as arrays, thinned."""
-
-    start_deg: float
-    arrived: float
-    """Which way the horn last moved before: 1, -1, or 0 where nobody knows."""
-    orders: tuple[Order, ...]
-    times_s: Array
-    readings_deg: Array
 
 
 @dataclass(frozen=True)
@@ -114,7 +100,7 @@ class Problem:
         ways = [0.0, *(trial.last_way() for trial in trials)]
         most = READINGS_COARSE if is_coarse else READINGS_MAX
         self._iterations = ITERATIONS_COARSE if is_coarse else ITERATIONS_MAX
-        self.trials = [_thinned(trial, way, most) for trial, way in zip(trials, ways, strict=False)]
+        self.trials = [thinned(trial, way, most) for trial, way in zip(trials, ways, strict=False)]
         self._ramp_deg_s2 = recording.ramp_deg_s2
         self._speed_max_deg_s = recording.speed_max_deg_s
         self._middle_deg = 0.5 * (window.low_deg + window.high_deg)
@@ -175,7 +161,7 @@ class Problem:
         if self._rests.is_falling:
             shaft = horn - fallen_deg(droop, float(vector[PLAY]))
         elif self._rests.play.value:
-            shaft = _with_play(horn, trial.arrived, float(vector[PLAY]))
+            shaft = with_play(horn, trial.arrived, float(vector[PLAY]))
         reading: Array = shaft - droop + droop_later
         return reading
 
@@ -309,37 +295,6 @@ class Problem:
         count = len(parts)
         errors: list[float] = np.sqrt((count - 1) / count * np.sum(spread**2, axis=0)).tolist()
         return tuple(errors)
-
-
-def _thinned(trial: Trial, arrived: float, most: int) -> FitTrial:
-    count = len(trial.times_s)
-    kept = np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))
-    return FitTrial(
-        trial.start_deg,
-        arrived,
-        tuple(trial.orders),
-        np.array(trial.times_s)[kept],
-        np.array(trial.readings_deg)[kept],
-    )
-
-
-def fallen_deg(droop_deg: Array, play_deg: float) -> Array:
-    """Return how much further the horn hangs since its gears lie on the side of the load."""
-    fallen: Array = 0.5 * play_deg * np.tanh(droop_deg / FALLING_DEG)
-    return fallen
-
-
-def _with_play(horn: Array, arrived: float, play_deg: float) -> Array:
-    """Return where the shaft behind gears with play is: pushed along at either end of it."""
-    if play_deg <= 0.0 or not len(horn):
-        return horn
-    half = 0.5 * play_deg
-    shaft = np.empty_like(horn)
-    at = float(horn[0]) - arrived * half
-    for index, angle in enumerate(horn.tolist()):
-        at = min(max(at, angle - half), angle + half)
-        shaft[index] = at
-    return shaft
 
 
 def _weights(residuals: Array) -> Array:

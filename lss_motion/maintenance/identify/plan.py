@@ -28,7 +28,7 @@ MARGIN_RATIO: Final = 0.08
 MARGIN_LEAST_DEG: Final = 0.5
 SWEEP_RATIOS: Final = (0.25, 0.4, 0.6)
 """Speeds of the sweeps, as shares of the speed that the room and the ramps allow. Below 0.6 a
-servo that is weak or on a low battery is still not at its own top speed."""
+servo that was seen to turn so fast follows its profile all the way."""
 PAIR_RATIO: Final = 0.45
 """Speed at which a move is interrupted: it stops within a tenth of the room."""
 STEP_RATIO: Final = 0.45
@@ -41,6 +41,7 @@ LEAST_DEG: Final = 1.0
 class Kind(StrEnum):
     """What a trial is for."""
 
+    REACH = "reach"
     SWEEP = "sweep"
     STEP = "step"
     PAIR = "pair"
@@ -115,12 +116,19 @@ def make_window(joint: Joint, standing_deg: float, span_deg: float) -> Window:
 
 
 def make_trials(
-    joint: Joint, window: Window, standing_deg: float, droop_deg: float = 0.0
+    joint: Joint,
+    window: Window,
+    standing_deg: float,
+    *,
+    droop_deg: float = 0.0,
+    top_deg_s: float = math.inf,
 ) -> list[TrialPlan]:
     """Return the trials from `standing_deg` and back, each beginning where the one before ended.
 
     `droop_deg` is how far the horn stands below its target: targets are shifted away from the end
-    that it would otherwise pass. No move is faster than the joint's own limits.
+    that it would otherwise pass. No move is faster than the joint's own limits. The fast trials
+    come first; those after them stay well below `top_deg_s`, which the servo was seen to turn, and
+    are as many whatever that is.
     """
     margin_deg = window.margin_deg()
     low_deg = window.low_deg + margin_deg + max(0.0, droop_deg)
@@ -131,7 +139,8 @@ def make_trials(
             f"should stand, which leaves no room inside {window.room_deg:.1f} deg. Take the load "
             f"off, or give a larger --span-deg"
         )
-    return list(_Planner(joint, low_deg, high_deg, standing_deg).trials())
+    planner = _Planner(joint, low_deg, high_deg, standing_deg, top_deg_s)
+    return list(planner.trials())
 
 
 def about_s(trials: Sequence[TrialPlan]) -> float:
@@ -142,28 +151,36 @@ def about_s(trials: Sequence[TrialPlan]) -> float:
 class _Planner:
     """Makes the trials between two angles."""
 
-    def __init__(self, joint: Joint, low_deg: float, high_deg: float, standing_deg: float) -> None:
+    def __init__(
+        self,
+        joint: Joint,
+        low_deg: float,
+        high_deg: float,
+        standing_deg: float,
+        top_deg_s: float,
+    ) -> None:
         self._ramp_deg_s2 = float(ramp_deg_s2(joint))
         self._speed_max_deg_s = joint.speed_max_deg_s
+        self._seen_deg_s = top_deg_s
         self._low_deg, self._high_deg = low_deg, high_deg
         self._at_deg = self._standing_deg = standing_deg
 
     def trials(self) -> Iterator[TrialPlan]:
         room_deg = self._high_deg - self._low_deg
-        gentle_deg_s = PAIR_RATIO * self._top_deg_s(0.5 * room_deg)
         if abs(self._at_deg - self._low_deg) > LEAST_DEG:
-            yield self._single(Kind.STEP, self._low_deg, gentle_deg_s)
+            yield self._single(Kind.REACH, self._low_deg, PAIR_RATIO * self._limit_deg_s(room_deg))
         self._at_deg = self._low_deg
+        for target_deg in (self._high_deg, self._low_deg):
+            yield self._fast(target_deg)
         for ratio in SWEEP_RATIOS:
             speed_deg_s = ratio * self._top_deg_s(room_deg)
             yield self._single(Kind.SWEEP, self._high_deg, speed_deg_s)
             yield self._single(Kind.SWEEP, self._low_deg, speed_deg_s)
         yield from self._steps(room_deg)
         yield from self._pairs(PAIR_RATIO * self._top_deg_s(room_deg), room_deg)
-        for target_deg in (self._high_deg, self._low_deg):
-            yield self._fast(target_deg)
         if abs(self._at_deg - self._standing_deg) > LEAST_DEG:
-            yield self._single(Kind.STEP, self._standing_deg, gentle_deg_s)
+            speed_deg_s = PAIR_RATIO * self._top_deg_s(0.5 * room_deg)
+            yield self._single(Kind.STEP, self._standing_deg, speed_deg_s)
 
     def _steps(self, room_deg: float) -> Iterator[TrialPlan]:
         """Go up and down a stair: rests at every height, reached from below and from above."""
@@ -185,6 +202,10 @@ class _Planner:
             yield self._pair(there_deg, speed_deg_s, there_deg, 0.5 * speed_deg_s)
 
     def _top_deg_s(self, distance_deg: float) -> float:
+        """Return the speed that ramps reach half-way, as far as the servo was seen to turn so."""
+        return min(self._seen_deg_s, self._limit_deg_s(distance_deg))
+
+    def _limit_deg_s(self, distance_deg: float) -> float:
         """Return the speed that ramps reach half-way, at most the joint's limit."""
         return min(self._speed_max_deg_s, math.sqrt(self._ramp_deg_s2 * distance_deg))
 

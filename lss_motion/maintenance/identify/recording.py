@@ -15,6 +15,8 @@ SETTLE_S: Final = 0.3
 """A horn rests when two halves of this long agree, after its profile has ended."""
 SETTLED_DEG: Final = 0.12
 """How well they agree: one tenth is what a reading scatters (lss_facts 7.4)."""
+FAST_S: Final = 0.05
+"""A speed is a difference over this long: the scatter of two readings is 4 deg/s of it."""
 
 
 @dataclass(slots=True)
@@ -43,6 +45,17 @@ class Trial:
         """Return where the horn rests at the end; there is at least one reading."""
         last_s = self.times_s[-1]
         return float(np.mean(self._between(last_s - 0.5 * SETTLE_S, last_s)))
+
+    def fastest_deg_s(self) -> float:
+        """Return the fastest that the horn turned over `FAST_S`; 0 without enough readings."""
+        fastest, first = 0.0, 0
+        for last, time_s in enumerate(self.times_s):
+            while first < last and time_s - self.times_s[first + 1] >= FAST_S:
+                first += 1
+            if (passed_s := time_s - self.times_s[first]) >= FAST_S:
+                turned_deg = self.readings_deg[last] - self.readings_deg[first]
+                fastest = max(fastest, abs(turned_deg) / passed_s)
+        return fastest
 
     def rest_variance_deg2(self) -> float:
         """Return how much the readings scatter at the end."""

@@ -100,7 +100,7 @@ class StopOnce:
 # ---- what is found
 
 
-@pytest.mark.parametrize("seed", [7, 17, 21])
+@pytest.mark.parametrize("seed", [7, 14, 17])
 def test_a_servo_drawn_from_a_seed_is_found_whole_within_what_it_was_allowed(seed):
     one = blind(seed)
     assert faults(one) == {}
@@ -109,7 +109,9 @@ def test_a_servo_drawn_from_a_seed_is_found_whole_within_what_it_was_allowed(see
 
 def test_the_judge_sees_what_is_wrong():
     one = blind(7)
-    wrong = replace(one.found, lag_s=one.found.lag_s._replace(value=0.05), is_top=True)
+    fast = one.found.top_deg_s._replace(value=2.0 * one.found.top_deg_s.value)
+    late = one.found.lag_s._replace(value=0.05)
+    wrong = replace(one.found, lag_s=late, top_deg_s=fast, is_top=True)
     assert set(faults(replace(one, found=wrong, away_deg=99.0))) >= {"lag", "speed", "span"}
 
 
@@ -245,7 +247,8 @@ def test_a_horn_that_leaves_its_window_is_stopped():
 
 def _plan_as_if(bench):
     bench.experiment.state = State.TRIALS
-    bench.experiment._plans.extend(make_trials(JOINT, Window(-10.0, 30.0), 10.0))
+    if not bench.experiment._plans:
+        bench.experiment._plans.extend(make_trials(JOINT, Window(-10.0, 30.0), 10.0))
 
 
 def test_a_load_that_leaves_no_room_is_told_before_any_trial():
