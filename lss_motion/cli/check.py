@@ -147,13 +147,19 @@ def program_lines(show: Show) -> list[str]:
             f"{use.overlaps} overlaps"
         )
     lines += drive_lines(program)
-    if program.error_max_deg:
-        name = max(program.error_max_deg, key=lambda joint: program.error_max_deg[joint])
+    errors_deg = {n: e for n, e in program.error_max_deg.items() if n not in _stepped(program)}
+    if errors_deg:
+        name = max(errors_deg, key=lambda joint: errors_deg[joint])
         lines.append(
-            f"predicted horns stay within {program.error_max_deg[name]:.2f} deg of the plan "
+            f"predicted horns stay within {errors_deg[name]:.2f} deg of the plan "
             f"({name}; tolerance {program.tolerance_deg:g} deg)"
         )
     return lines
+
+
+def _stepped(program: Program) -> set[str]:
+    """Return the joints for which there is no tolerance: whole degrees are what they are."""
+    return {name for name, driving in program.drives.items() if driving.drive == "stepped"}
 
 
 def drive_lines(program: Program) -> list[str]:

@@ -7,8 +7,10 @@ target is the resting place, repeated until the filter must have settled whateve
 
 FPC is a trade: a longer filter is straighter between its commands, so fewer are needed, but its
 targets lie further ahead, and so does the place at which a robot without a host comes to rest
-(FPC times 20 ms of motion). Measured on simulated servos and the lively show of the benchmarks,
-4 gives the least error for the line that it takes.
+(FPC times 20 ms of motion). On simulated servos and the lively show of the benchmarks, six joints
+take 5.2, 4.3, 3.8 and 3.0 % of a 115200 line with an FPC of 3, 4, 5 and 8; their horns are 0.19 to
+0.22 deg off (RMS, without feedback) with each of them, which is what not knowing the instants of
+the filter's steps costs. 4 is chosen as the middle.
 """
 
 from __future__ import annotations

@@ -5,14 +5,17 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from lss_motion import api
 from lss_motion.robot.models import SERVO_MODELS
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics
 
+EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
 QUIET = Physics(noise_deg=0.0)
 HOLD = b"#254H\r"
 BARE = re.compile(rb"#(\d+)D(-?\d+)\r")
@@ -253,3 +256,18 @@ def test_a_loop_without_end_never_drifts(stage, kit):
     played = stage.play(robot, sequence, wishes=[(kit.in_show(24.0), kit.stop)], physics=QUIET)
     assert np.abs(played.horn_error_deg()).max() < 1.6
     assert_ended_safely(played)
+
+
+def test_the_owl_of_the_examples_flaps_and_blinks(stage):
+    sequence = api.load_sequence(EXAMPLES / "owl.yaml")
+    robot = api.load_robot(sequence.robot_path)
+    played = stage.play(robot, sequence)
+    assert played.report["outcome"] == "finished"
+    assert not played.trajectory.stretched
+    rms = np.sqrt(np.mean(played.horn_error_deg() ** 2, axis=0))
+    by_name = dict(zip(played.trajectory.joints, rms, strict=True))
+    assert max(by_name[name] for name in ("head_pan", "head_tilt")) < 0.25
+    assert max(by_name[name] for name in ("left_wing", "right_wing")) < 0.6
+    assert max(by_name[name] for name in ("left_lid", "right_lid", "beak")) < 1.0
+    assert played.report["joints"]["left_lid"]["readings"] == 0
+    assert max(len(line) - 1 for line in played.heard()) <= 15

@@ -129,6 +129,19 @@ def _driven_rms_deg(
     settings: bytes,
     writes: Iterator[tuple[float, bytes]],
 ) -> float:
+    times_s = np.arange(0.0, trajectory.duration_s, 0.01)
+    horn = driven_horns(robot, trajectory, settings, writes, times_s)
+    return _rms(horn - trajectory.sample(times_s))
+
+
+def driven_horns(
+    robot: Robot,
+    trajectory: Trajectory,
+    settings: bytes,
+    writes: Iterator[tuple[float, bytes]],
+    times_s: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return all horns at show times, (n, joints), after `settings` and the timed `writes`."""
     bus = bus_from_robot(robot, "main", seed=0)
     bus.record()
     bus.advance(0)
@@ -138,9 +151,7 @@ def _driven_rms_deg(
     for time_s, data in writes:
         bus.write(data, ns_from_s(START_S + time_s))
     bus.advance(ns_from_s(START_S + trajectory.duration_s + 0.5))
-    times_s = np.arange(0.0, trajectory.duration_s, 0.01)
-    horn = bus.horn_deg([ns_from_s(START_S + time_s) for time_s in times_s])
-    return _rms(horn - trajectory.sample(times_s))
+    return bus.horn_deg([ns_from_s(START_S + time_s) for time_s in times_s])
 
 
 def _rms(error: NDArray[np.float64]) -> float:
