@@ -22,7 +22,7 @@ from benches.table import Row, shown
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-BENCHES = ("codec", "compress", "horn", "plan", "loop", "line", "late", "identify")
+BENCHES = ("codec", "compress", "horn", "plan", "loop", "line", "late", "identify", "gait")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
