@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from types import FrameType, TracebackType
 
+    from lss_motion.runtime.log import ByteLog
+
 KEYS_HELP: Final = "space pause, + - speed, q stop"
 RATE_STEP: Final = 0.1
 RATE_LEAST: Final = 0.1
@@ -143,3 +145,31 @@ class Terminal(Inputs):
                 driven.stop(now_ns)
             case _:
                 pass
+
+
+class Noted:
+    """Controls whose wishes are noted in a log."""
+
+    def __init__(self, terminal: Terminal, log: ByteLog) -> None:
+        self._terminal = terminal
+        self._log = log
+
+    def filenos(self) -> Sequence[int]:
+        return self._terminal.filenos()
+
+    def act(self, driven: Steered, now_ns: int) -> None:
+        self._terminal.act(_NotedSteering(driven, self._log), now_ns)
+
+
+class _NotedSteering:
+    def __init__(self, driven: Steered, log: ByteLog) -> None:
+        self._driven = driven
+        self._log = log
+
+    def set_rate(self, rate: float, now_ns: int) -> None:
+        self._log.asked_for(f"rate {rate!r}", now_ns)
+        self._driven.set_rate(rate, now_ns)
+
+    def stop(self, now_ns: int) -> None:
+        self._log.asked_for("stop", now_ns)
+        self._driven.stop(now_ns)

@@ -149,7 +149,7 @@ def _perform(
     say: Callable[[str], None],
 ) -> tuple[Result, int | None]:
     from lss_motion import api
-    from lss_motion.cli.controls import Terminal
+    from lss_motion.cli.controls import Noted, Terminal
     from lss_motion.cli.display import Display
 
     with contextlib.ExitStack() as stack:
@@ -161,12 +161,13 @@ def _perform(
         if arguments.log is not None:
             from lss_motion.runtime.log import ByteLog
 
-            logs.append(stack.enter_context(ByteLog(arguments.log)))
+            log = ByteLog(arguments.log, played=_played(arguments), may_wait=arguments.virtual)
+            logs.append(stack.enter_context(log))
         terminal = stack.enter_context(Terminal())
         observer = api.Observer(
             on_event=lambda event: tell(event, say if display is None else display.note),
             on_turn=None if display is None else display.show,
-            controls=terminal,
+            controls=Noted(terminal, logs[0]) if logs else terminal,
             make_tap=logs[0].started if logs else None,
         )
         result = api.perform(
@@ -182,6 +183,18 @@ def _perform(
             is_real_time=arguments.real_time,
         )
         return result, terminal.signal_number
+
+
+def _played(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what `lss-motion replay` needs to make the same program again."""
+    return {
+        "file": str(arguments.file.absolute()),
+        "robot": None if arguments.robot is None else str(arguments.robot.absolute()),
+        "speed": arguments.speed,
+        "loop": arguments.loop,
+        "start_s": arguments.start_s,
+        "has_feedback": not arguments.no_feedback,
+    }
 
 
 def _faults(arguments: argparse.Namespace, robot: Robot) -> Sequence[Fault]:

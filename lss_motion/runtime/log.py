@@ -1,54 +1,115 @@
-r"""Every byte both ways with its instant, one line each, in a file that survives a crash.
+r"""Every byte both ways with its instant, and all that happened, in a file that survives a crash.
 
-    # lss_motion log 1
-    0.001234 main > #5QD
-    0.004100 main < *5QD132
+    # lss_motion log 2
+    # played: {"file": "/home/me/show.yaml", "speed": 1.0}
+    0.001234567 main > #5QD\r
+    0.004100210 main < *5QD132\r
+    0.004180007 - .
+    1.203004100 - = rate 0.5
+    1.203104100 - ! MarkPassed(label='up', show_s=1.0)
 
-Seconds since the run began; `>` to the servos, `<` from them; a line of the log is what was
-written or arrived at once, carriage returns as `\r`, other odd bytes as `\xNN`.
+Seconds since the run began; `>` to the servos, `<` from them: what was written or arrived at once,
+carriage returns as `\r`, other odd bytes as `\xNN`. `.` the player was asked and had nothing to
+send, `=` what a person asked for, `!` what happened; `?` so many lines were lost, since the disk
+did not keep up. With these lines the player's decisions can be made again (`runtime.replay`).
+
+The file is written by a process of its own, which the player's never waits for; it goes on when
+the player is killed. Run as `python -m lss_motion.runtime.log FILE`.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError
-from lss_motion.units import s_from_ns
+from lss_motion.units import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Mapping
     from types import TracebackType
 
-FIRST_LINE: Final = "# lss_motion log 1"
-BUFFER_BYTES: Final = 64 * 1024
-"""Handed to the system in such portions, so that a write rarely waits for a disk."""
+    from lss_motion.player.events import Event
+
+FIRST_LINE: Final = "# lss_motion log 2"
+HELD_MAX_BYTES: Final = 4 * 1024 * 1024
+"""What waits for the writing process at most: some ten seconds of a busy bus."""
+PORTION_BYTES: Final = 4096
+FLUSH_NS: Final = 100 * NS_PER_MS
+"""What happened longer ago than this has been handed over."""
+CLOSE_S: Final = 10.0
 
 
 class ByteLog:
-    """A `Tap` that writes to a file; use it as a context manager."""
+    """A `Tap` that writes to a file; use it as a context manager.
 
-    def __init__(self, path: Path) -> None:
-        self._start_ns = 0
+    `may_wait` is for virtual time, in which the disk is always too slow. Raises `InputError` for
+    a file that cannot be written.
+    """
+
+    def __init__(
+        self, path: Path, *, played: Mapping[str, Any] | None = None, may_wait: bool = False
+    ) -> None:
+        self._start_ns = self._flushed_ns = 0
+        self._lost = 0
+        head = FIRST_LINE + "\n" + (f"# played: {json.dumps(played)}\n" if played else "")
         try:
-            self._file = path.open("w", encoding="ascii", buffering=BUFFER_BYTES)
+            path.write_text(head, encoding="ascii")
         except OSError as error:
             raise InputError(f"cannot write the log: {error.strerror}", path=path) from error
-        self._file.write(FIRST_LINE + "\n")
+        self._held = bytearray()
+        self._child = subprocess.Popen(  # noqa: S603  our own program
+            [sys.executable, "-m", "lss_motion.runtime.log", str(path)],
+            stdin=subprocess.PIPE,
+            start_new_session=True,
+        )
+        assert self._child.stdin is not None
+        self._pipe_fd = self._child.stdin.fileno()
+        os.set_blocking(self._pipe_fd, may_wait)
 
     def started(self, start_ns: int) -> ByteLog:
         """Count the seconds from `start_ns`."""
-        self._start_ns = start_ns
+        self._start_ns = self._flushed_ns = start_ns
         return self
 
     def sent(self, bus: str, data: bytes, now_ns: int) -> None:
-        self._line(bus, ">", data, now_ns)
+        self._bytes(bus, ">", data, now_ns)
 
     def received(self, bus: str, data: bytes, now_ns: int) -> None:
-        self._line(bus, "<", data, now_ns)
+        self._bytes(bus, "<", data, now_ns)
 
-    def _line(self, bus: str, way: str, data: bytes, now_ns: int) -> None:
-        text = data.decode("latin-1").encode("unicode_escape").decode("ascii")
-        self._file.write(f"{s_from_ns(now_ns - self._start_ns):.6f} {bus} {way} {text}\n")
+    def turned(self, now_ns: int) -> None:
+        self._line("- .", now_ns)
+
+    def happened(self, event: Event, now_ns: int) -> None:
+        self._line(f"- ! {_escaped(repr(event))}", now_ns)
+
+    def asked_for(self, text: str, now_ns: int) -> None:
+        """Note what a person asked for: `rate 0.5`, `stop`, `abort`."""
+        self._line(f"- = {text}", now_ns)
+
+    def _bytes(self, bus: str, way: str, data: bytes, now_ns: int) -> None:
+        self._line(f"{bus} {way} {_escaped(data.decode('latin-1'))}", now_ns)
+
+    def _line(self, text: str, now_ns: int) -> None:
+        if len(self._held) > HELD_MAX_BYTES:
+            self._lost += 1
+        else:
+            seconds, left_ns = divmod(now_ns - self._start_ns, NS_PER_S)
+            if self._lost:
+                text = f"- ? {self._lost} lines lost\n{seconds}.{left_ns:09d} {text}"
+                self._lost = 0
+            self._held += f"{seconds}.{left_ns:09d} {text}\n".encode("ascii")
+        if len(self._held) >= PORTION_BYTES or now_ns - self._flushed_ns >= FLUSH_NS:
+            self._flushed_ns = now_ns
+            with contextlib.suppress(BlockingIOError, BrokenPipeError):
+                del self._held[: os.write(self._pipe_fd, self._held)]
 
     def __enter__(self) -> ByteLog:
         return self
@@ -59,4 +120,28 @@ class ByteLog:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._file.close()
+        """Wait until everything is in the file, but not for ever."""
+        with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+            os.set_blocking(self._pipe_fd, True)
+            self._child.communicate(bytes(self._held), timeout=CLOSE_S)
+        if self._child.poll() is None:
+            self._child.kill()
+            self._child.communicate()
+
+
+def _escaped(text: str) -> str:
+    return text.encode("unicode_escape").decode("ascii")
+
+
+def main() -> int:
+    """Copy what comes in to the end of a file, until there is no more."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    with Path(sys.argv[1]).open("ab", buffering=0) as file:
+        while chunk := os.read(0, 1 << 16):
+            file.write(chunk)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -61,6 +61,11 @@ class Tap(Protocol):
 
     def received(self, bus: str, data: bytes, now_ns: int) -> None: ...
 
+    def turned(self, now_ns: int) -> None:
+        """Note that what is driven was asked, and had nothing to send."""
+
+    def happened(self, event: Event, now_ns: int) -> None: ...
+
 
 def run(
     driven: D,
@@ -85,6 +90,8 @@ def run(
                     controls.act(driven, now_ns)
                 _write(driven, ports, clock.now_ns(), tap)
                 while (event := driven.next_event()) is not None:
+                    if tap is not None:
+                        tap.happened(event, now_ns)
                     if on_event is not None:
                         on_event(event)
                 wakeup_ns = driven.next_wakeup_ns()
@@ -100,10 +107,13 @@ def run(
 
 
 def _write(driven: Driven, ports: Mapping[str, Port], now_ns: int, tap: Tap | None) -> None:
-    for bus, data in driven.data_to_send(now_ns).items():
+    sent = driven.data_to_send(now_ns)
+    for bus, data in sent.items():
         ports[bus].write(data)
         if tap is not None:
             tap.sent(bus, data, now_ns)
+    if tap is not None and not sent:
+        tap.turned(now_ns)
 
 
 def _read(driven: Driven, ports: Mapping[str, Port], clock: Clock, tap: Tap | None) -> None:

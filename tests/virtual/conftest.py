@@ -181,6 +181,12 @@ class Stage:
             def received(self, bus, data, now_ns):
                 pass
 
+            def turned(self, now_ns):
+                pass
+
+            def happened(self, event, now_ns):
+                pass
+
         def note(event):
             events.append(event)
             if on_event is not None:

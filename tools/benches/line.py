@@ -67,6 +67,10 @@ class _Count:
             self.replies += data.count(b"\r")
             self.reply_bytes += len(data)
 
+    def turned(self, now_ns: int) -> None: ...
+
+    def happened(self, event: Event, now_ns: int) -> None: ...
+
     def limit_hz(self, baud_bps: int, over_s: float) -> float:
         """Return how many answers a second both lines could carry beside the commands."""
         bytes_hz = baud_bps / LINE_BITS_PER_BYTE

@@ -81,6 +81,12 @@ class Tap:
     def sent(self, bus, data, now_ns):
         self.seen.append((now_ns, bus, ">", data))
 
+    def turned(self, now_ns):
+        pass
+
+    def happened(self, event, now_ns):
+        pass
+
     def received(self, bus, data, now_ns):
         self.seen.append((now_ns, bus, "<", data))
 

@@ -1,0 +1,184 @@
+"""`lss-motion replay` and `lss-motion report`: what a log and a report say, offline."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from lss_motion.errors import EXIT_FINISHED, EXIT_NOT_FOLLOWED, InputError
+from lss_motion.units import s_from_ns
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterator
+
+    from lss_motion.runtime.replay import Entry
+
+REPLAY_HELP = """\
+Without options: what went over each bus, what happened, and how often each servo was told and
+asked what. --servo shows every line that a servo heard, with its instant. --again makes the
+player of the same show live through the log, and says whether it would send the same bytes; exit
+code 5 if not."""
+SHOWN_DIFFERENCES: Final = 5
+COMPARED: Final = ("timing", "buses", "joints")
+"""The parts of two reports that are set side by side."""
+
+
+def add_to(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `replay` and `report`."""
+    replay = commands.add_parser(
+        "replay",
+        help="show what a log of lss-play holds, or play it again",
+        description=REPLAY_HELP,
+    )
+    replay.add_argument("log", type=Path, metavar="LOG", help="written by lss-play --log")
+    replay.add_argument("--servo", type=int, metavar="ID", help="all that this servo heard")
+    replay.add_argument("--again", action="store_true", help="the player's decisions, once more")
+    replay.set_defaults(handler=_replay)
+    report = commands.add_parser("report", help="print a report of lss-play, or compare two")
+    report.add_argument("reports", type=Path, nargs="+", metavar="FILE", help="one or two")
+    report.set_defaults(handler=_report)
+
+
+def _replay(arguments: argparse.Namespace) -> int:
+    from lss_motion.runtime.replay import read_log
+
+    played, entries = read_log(arguments.log)
+    if arguments.again:
+        return _again(arguments.log, played, entries)
+    lines = _servo(entries, arguments.servo) if arguments.servo is not None else _summary(entries)
+    for line in lines:
+        print(line)
+    return EXIT_FINISHED
+
+
+def _again(path: Path, played: dict[str, Any], entries: list[Entry]) -> int:
+    from lss_motion.cli import shows
+    from lss_motion.player.player import Player
+    from lss_motion.runtime.replay import replay
+
+    if "file" not in played:
+        raise InputError("says not what was played (`# played:`)", path=path)
+    robot_path = None if played.get("robot") is None else Path(played["robot"])
+    show = shows.prepare(
+        Path(played["file"]),
+        robot_path,
+        speed_ratio=played.get("speed", 1.0),
+        loop=played.get("loop"),
+    )
+    player = Player(
+        show.program,
+        show.robot,
+        has_feedback=played.get("has_feedback", True),
+        start_s=played.get("start_s"),
+    )
+    result = replay(entries, player)
+    count = len(result.differing)
+    print(f"{path}: asked {result.compared} times, the player decided otherwise {count} times")
+    for entry, now in result.differing[:SHOWN_DIFFERENCES]:
+        print(f"  line {entry.line}, {s_from_ns(entry.at_ns):.6f} s: {entry.text!r}, now {now!r}")
+    return EXIT_NOT_FOLLOWED if count else EXIT_FINISHED
+
+
+def _servo(entries: list[Entry], servo_id: int) -> Iterator[str]:
+    from lss_motion.protocol.constants import BROADCAST_ID
+    from lss_motion.protocol.line import Command, CommandParser
+    from lss_motion.runtime.replay import heard
+
+    parser = CommandParser(grouped=False)
+    for at_ns, bus, line in heard(entries):
+        for item in parser.feed(line):
+            if isinstance(item, Command) and item.servo_id in (servo_id, BROADCAST_ID):
+                yield f"{s_from_ns(at_ns):12.6f} {bus} {line[:-1].decode('ascii', 'replace')}"
+
+
+def _summary(entries: list[Entry]) -> Iterator[str]:
+    from collections import Counter
+
+    from lss_motion.protocol.line import Command, CommandParser
+    from lss_motion.runtime.replay import heard
+
+    end_ns = entries[-1].at_ns if entries else 0
+    yield f"{s_from_ns(end_ns):.3f} s"
+    for bus in sorted({entry.bus for entry in entries if entry.way in "><"}):
+        sent, came = (
+            sum(len(entry.data) for entry in entries if entry.bus == bus and entry.way == way)
+            for way in "><"
+        )
+        yield f"bus {bus}: {sent} bytes to the servos, {came} from them"
+    for entry in entries:
+        if entry.way in "!=?":
+            word = {"!": "", "=": "asked for ", "?": "lost: "}[entry.way]
+            yield f"{s_from_ns(entry.at_ns):12.6f} {word}{entry.text}"
+    counts: dict[tuple[str, int], Counter[str]] = {}
+    parser = CommandParser(grouped=False)
+    for _, bus, line in heard(entries):
+        for item in parser.feed(line):
+            if isinstance(item, Command):
+                counts.setdefault((bus, item.servo_id), Counter())[item.keyword] += 1
+    for (bus, servo_id), words in sorted(counts.items()):
+        told = ", ".join(f"{word} {count}" for word, count in words.most_common())
+        yield f"servo {servo_id} on {bus}: {told}"
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    from lss_motion.cli.play import report_lines
+
+    if len(arguments.reports) > 2:
+        raise InputError(f"{len(arguments.reports)} reports: give one, or two to compare")
+    found = [_read_report(path) for path in arguments.reports]
+    try:
+        for report in found:
+            for line in report_lines(report):
+                print(line)
+            for fault in report.get("faults", []):
+                print(f"fault: joint {fault['joint']!r} {fault['cause']}")
+        if len(found) == 2:
+            for line in _differences(*found):
+                print(line)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        named = " or ".join(map(str, arguments.reports))
+        raise InputError(f"{named} is no whole report of lss-play: {error!r}") from error
+    return EXIT_FINISHED
+
+
+def _read_report(path: Path) -> dict[str, Any]:
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot read the report: {error.strerror}", path=path) from error
+    except ValueError as error:
+        raise InputError(f"not a report: {error}", path=path) from error
+    if not isinstance(report, dict) or report.get("schema") != 1:
+        raise InputError("not a report of lss-play (`schema: 1`)", path=path)
+    return report
+
+
+def _differences(before: dict[str, Any], after: dict[str, Any]) -> Iterator[str]:
+    """Yield every number that is in both reports and not the same, with its change."""
+    rows = []
+    for name, was in _numbers({key: before[key] for key in COMPARED}):
+        is_now = dict(_numbers({key: after[key] for key in COMPARED})).get(name)
+        if is_now is not None and is_now != was:
+            ratio = f"{is_now / was:.2f} x" if was else ""
+            rows.append((name, f"{was:g}", f"{is_now:g}", ratio))
+    if not rows:
+        yield "the numbers are the same"
+        return
+    rows.insert(0, ("", "first", "second", ""))
+    widths = [max(len(row[column]) for row in rows) for column in range(4)]
+    for name, was_text, now_text, ratio in rows:
+        yield (
+            f"{name:{widths[0]}}  {was_text:>{widths[1]}}  {now_text:>{widths[2]}}  "
+            f"{ratio:>{widths[3]}}"
+        ).rstrip()
+
+
+def _numbers(part: Any, name: str = "") -> Iterator[tuple[str, float]]:  # noqa: ANN401  JSON
+    if isinstance(part, dict):
+        for key, value in part.items():
+            yield from _numbers(value, f"{name} {key}".strip())
+    elif isinstance(part, int | float) and not isinstance(part, bool) and math.isfinite(part):
+        yield name, float(part)

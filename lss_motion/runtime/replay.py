@@ -1,0 +1,142 @@
+"""A log, read again: what each servo heard, and the player's decisions made once more."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final, Literal, cast
+
+from lss_motion.errors import InputError
+from lss_motion.runtime.log import FIRST_LINE
+from lss_motion.units import NS_PER_S
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from lss_motion.player.player import Player
+
+    Way = Literal[">", "<", ".", "=", "!", "?"]
+
+_LINE: Final = re.compile(r"(\d{1,9})\.(\d{9}) (\S+) ([><.=!?])(?: (.*))?")
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One line of a log; `data` are bytes for `>` and `<`, `text` what other lines say."""
+
+    at_ns: int
+    bus: str
+    way: Way
+    text: str
+    line: int
+
+    @property
+    def data(self) -> bytes:
+        return self.text.encode("ascii").decode("unicode_escape").encode("latin-1")
+
+
+@dataclass(slots=True)
+class Replayed:
+    """How far the player decided as it did when the log was written."""
+
+    compared: int = 0
+    differing: list[tuple[Entry, bytes]] = field(default_factory=list)
+    """What the log says was sent, and what would be sent now."""
+
+
+def read_log(path: Path) -> tuple[dict[str, Any], list[Entry]]:
+    """Return how the show was played and all lines; raise `InputError` for what is no log.
+
+    A last line without its end is dropped: the log of a crash may have one.
+    """
+    try:
+        text = path.read_text(encoding="ascii")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not ASCII text"
+        raise InputError(f"cannot read the log: {reason}", path=path) from error
+    lines = text.split("\n")[:-1]
+    if not lines or lines[0] != FIRST_LINE:
+        raise InputError(f"not a log: the first line must be `{FIRST_LINE}`", path=path, line=1)
+    played: dict[str, Any] = {}
+    entries = []
+    for number, line in enumerate(lines[1:], start=2):
+        if line.startswith("# played: "):
+            played = _played(line.removeprefix("# played: "), path, number)
+        elif match := _LINE.fullmatch(line):
+            at_ns = int(match[1]) * NS_PER_S + int(match[2])
+            entries.append(Entry(at_ns, match[3], cast("Way", match[4]), match[5] or "", number))
+        else:
+            raise InputError(f"{line[:60]!r} is no line of a log", path=path, line=number)
+    return played, entries
+
+
+def _played(text: str, path: Path, line: int) -> dict[str, Any]:
+    try:
+        played = json.loads(text)
+    except ValueError as error:
+        raise InputError(f"`# played:` holds no JSON: {error}", path=path, line=line) from error
+    if not isinstance(played, dict):
+        raise InputError("`# played:` holds no JSON object", path=path, line=line)
+    return played
+
+
+def heard(entries: list[Entry]) -> Iterator[tuple[int, str, bytes]]:
+    """Yield instant of writing, bus and line of all that went to the servos."""
+    rest: dict[str, bytes] = {}
+    for entry in entries:
+        if entry.way == ">":
+            *lines, rest[entry.bus] = (rest.get(entry.bus, b"") + entry.data).split(b"\r")
+            yield from ((entry.at_ns, entry.bus, line + b"\r") for line in lines)
+
+
+def replay(entries: list[Entry], player: Player) -> Replayed:
+    """Let `player` live through the log: the same instants, answers and wishes.
+
+    It must be made from the same show and robot. Nothing is sent anywhere.
+    """
+    result, index = Replayed(), 0
+    while index < len(entries):
+        entry = entries[index]
+        index += 1
+        match entry.way:
+            case "<":
+                player.receive_data(entry.bus, entry.data, entry.at_ns)
+            case "=":
+                _wish(player, entry)
+            case "." | ">":
+                sent = dict(player.data_to_send(entry.at_ns))
+                result.compared += 1
+                group = [entry] if entry.way == ">" else []
+                while index < len(entries) and _is_same_write(entry, entries[index]):
+                    group.append(entries[index])
+                    index += 1
+                for said in group:
+                    if (now := sent.pop(said.bus, b"")) != said.data:
+                        result.differing.append((said, now))
+                result.differing += [(entry, data) for data in sent.values()]
+                while player.next_event() is not None:
+                    pass
+            case _:
+                pass
+    return result
+
+
+def _is_same_write(entry: Entry, other: Entry) -> bool:
+    return entry.way == other.way == ">" and entry.at_ns == other.at_ns and entry.bus != other.bus
+
+
+def _wish(player: Player, entry: Entry) -> None:
+    word, _, value = entry.text.partition(" ")
+    match word:
+        case "rate":
+            player.set_rate(float(value), entry.at_ns)
+        case "stop":
+            player.stop(entry.at_ns)
+        case "abort":
+            player.abort(entry.at_ns)
+        case _:
+            raise InputError(
+                f"{entry.text!r} is nothing that a person can ask for", line=entry.line
+            )

@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from lss_motion.cli import play
+from lss_motion.cli.main import main
+from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_NOT_FOLLOWED
+
+ROBOT = """\
+robot: test
+defaults: {model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 180, accel_max_deg_s2: 600}
+joints: {base: {id: 1}, elbow: {id: 2}, wrist: {id: 3}}
+"""
+SHOW = """\
+sequence: nod
+robot: robot.yaml
+keyframes:
+  - {at_s: 0, deg: {base: 0, elbow: 0, wrist: 0}}
+  - {at_s: 0.6, deg: {base: 30, elbow: -20}}
+  - {at_s: 1.2, deg: {base: 0, elbow: 0, wrist: 10}}
+"""
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory):
+    """A folder with the log and the report of a short show with lost answers."""
+    folder = tmp_path_factory.mktemp("played")
+    faults = folder / "faults.yaml"
+    (folder / "robot.yaml").write_text(ROBOT)
+    (folder / "show.yaml").write_text(SHOW)
+    faults.write_text("faults:\n  - {kind: lost_reply, ratio: 0.02, at_s: 0.5}\n")
+    words = [str(folder / "show.yaml"), "--virtual", "--quiet", "--faults", str(faults)]
+    words += ["--log", str(folder / "a.log"), "--report", str(folder / "a.json")]
+    assert play.main(words) == EXIT_FINISHED
+    return folder
+
+
+def test_the_player_decides_the_same_when_it_lives_through_its_log_again(played, capsys):
+    assert main(["replay", "--again", str(played / "a.log")]) == EXIT_FINISHED
+    out = capsys.readouterr().out
+    assert "the player decided otherwise 0 times" in out
+    assert int(out.split("asked ")[1].split()[0]) > 1000
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("*2QD", "*3QD"), ("> #1D", "> #2D")], ids=["an answer", "a command"]
+)
+def test_another_log_is_not_taken_for_the_same(played, tmp_path, capsys, old, new):
+    text = (played / "a.log").read_text()
+    half = len(text) // 2
+    path = tmp_path / "b.log"
+    path.write_text(text[:half] + text[half:].replace(old, new, 3))
+    assert main(["replay", "--again", str(path)]) == EXIT_NOT_FOLLOWED
+    assert "decided otherwise" in capsys.readouterr().out
+
+
+def test_a_log_says_what_each_servo_heard_and_what_happened(played, capsys):
+    assert main(["replay", str(played / "a.log")]) == EXIT_FINISHED
+    out = capsys.readouterr().out
+    assert "PhaseEntered(phase=<Phase.SHOW: 'playing'>)" in out
+    commands = json.loads((played / "a.json").read_text())["timing"]["commands"]
+    moves = [int(line.split(" D ")[1].split(",")[0]) for line in out.splitlines() if " D " in line]
+    assert sum(moves) >= commands
+    assert main(["replay", str(played / "a.log"), "--servo", "2"]) == EXIT_FINISHED
+    lines = capsys.readouterr().out.splitlines()
+    assert len([line for line in lines if "#2D" in line]) == moves[1]
+    assert lines[-1].endswith("#254H")
+    assert not any("#3" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("hello\n", "a.log:1: not a log"),
+        ("# lss_motion log 2\nnonsense\n", "a.log:2: 'nonsense' is no line"),
+        ("# lss_motion log 2\n# played: {\n", "a.log:2: `# played:` holds no JSON"),
+        ("# lss_motion log 2\n", "says not what was played"),
+        ("\xff", "not ASCII"),
+    ],
+)
+def test_what_is_no_log_is_refused_with_its_line(tmp_path, capsys, text, words):
+    path = tmp_path / "a.log"
+    path.write_bytes(text.encode("latin-1"))
+    assert main(["replay", "--again", str(path)]) == EXIT_INPUT
+    assert words in capsys.readouterr().err
+
+
+def test_a_report_is_printed_and_two_are_compared(played, tmp_path, capsys):
+    report = json.loads((played / "a.json").read_text())
+    other = tmp_path / "b.json"
+    report["joints"]["elbow"]["readings"] *= 2
+    other.write_text(json.dumps(report))
+    assert main(["report", str(played / "a.json"), str(other)]) == EXIT_FINISHED
+    out = capsys.readouterr().out
+    assert out.count("nod: finished") == 2
+    [line] = [line for line in out.splitlines() if line.startswith("joints elbow readings")]
+    assert line.endswith("2.00 x")
+    assert main(["report", str(other), str(other)]) == EXIT_FINISHED
+    assert "the numbers are the same" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("text", ["[]", "{", '{"schema": 1}', '{"schema": 2}'])
+def test_what_is_no_report_is_refused(tmp_path, capsys, text):
+    path = tmp_path / "a.json"
+    path.write_text(text)
+    assert main(["report", str(path)]) == EXIT_INPUT
+    assert "a.json" in capsys.readouterr().err
