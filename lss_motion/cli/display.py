@@ -32,9 +32,9 @@ ERROR_LOOK_DEG: Final = 2.0
 class Display:
     """The player's end: hands over what is to be shown, never waits."""
 
-    def __init__(self) -> None:
+    def __init__(self, keys_help: str = KEYS_HELP) -> None:
         self._child = subprocess.Popen(
-            [sys.executable, "-m", "lss_motion.cli.display"], stdin=subprocess.PIPE
+            [sys.executable, "-m", "lss_motion.cli.display", keys_help], stdin=subprocess.PIPE
         )
         assert self._child.stdin is not None
         self._pipe_fd = self._child.stdin.fileno()
@@ -107,7 +107,7 @@ def frame_of(player: Player, now_ns: int, notes: list[str]) -> dict[str, Any]:
     }
 
 
-def rendered(frame: dict[str, Any], notes: list[str]) -> RenderableType:
+def rendered(frame: dict[str, Any], notes: list[str], keys_help: str) -> RenderableType:
     """Return a frame as rich draws it."""
     from rich.console import Group
     from rich.padding import Padding
@@ -121,7 +121,7 @@ def rendered(frame: dict[str, Any], notes: list[str]) -> RenderableType:
         head += f"  {max(show_s, 0.0):.1f}" + (f" of {duration_s:.1f} s" if duration_s else " s")
         head += f"  speed {frame['rate']:.0%}"
     lines = ", ".join(f"{bus} {load:.0%}" for bus, load in frame["load"].items())
-    foot = f"commands on the line: {lines}   late {frame['late_us']} us   {KEYS_HELP}"
+    foot = f"commands on the line: {lines}   late {frame['late_us']} us   {keys_help}"
     table = Table(box=None, pad_edge=False)
     for title in ("joint", "target", "measured", "error", "correction", "status", "°C"):
         table.add_column(title, justify="left" if title in ("joint", "status") else "right")
@@ -155,7 +155,7 @@ def main() -> int:
         for line in sys.stdin:
             frame = json.loads(line)
             notes += frame["notes"]
-            live.update(rendered(frame, notes), refresh=True)
+            live.update(rendered(frame, notes, sys.argv[1]), refresh=True)
     return 0
 
 

@@ -223,7 +223,7 @@ def _perform(
         pilot = Pilot(link, phase_s=planner.phase_s, splice_s=planner.splice_s)
         display = None
         if not arguments.quiet and sys.stderr.isatty():
-            display = Display()
+            display = Display(KEYS_HELP)
             stack.callback(display.close)
         note = say if display is None else display.note
         reins = Reins(pilot, wishes, link, note)

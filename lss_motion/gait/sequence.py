@@ -67,7 +67,7 @@ def sequence_from(gait: Gait, passages: tuple[Paced, ...]) -> Sequence:
     if len(keyframes) > KEYFRAMES_MAX:
         raise InputError(
             f"the gait comes to {len(keyframes):,} keyframes, at most {KEYFRAMES_MAX:,} are "
-            "planned in one piece; walk fewer cycles, and loop",
+            "planned in one piece; walk fewer cycles, and loop, or steer it with `lss-motion walk`",
             path=gait.path,
         )
     return Sequence(

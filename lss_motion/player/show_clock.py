@@ -46,9 +46,9 @@ class ShowClock:
 
     def rate(self, now_ns: int) -> float:
         leg = self._legs[-1]
-        if now_ns >= leg.start_ns + leg.ramp_ns:
+        if leg.ramp_ns == 0 or now_ns >= leg.start_ns + leg.ramp_ns:
             return leg.to_rate
-        share = (now_ns - leg.start_ns) / leg.ramp_ns
+        share = max(0, now_ns - leg.start_ns) / leg.ramp_ns
         return leg.from_rate + share * (leg.to_rate - leg.from_rate)
 
     @property
