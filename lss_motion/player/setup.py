@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.errors import BusError, InputError, PlaybackError
 from lss_motion.player.agenda import LIT_KEYWORD
 from lss_motion.player.dialogue import TRIES, Item
-from lss_motion.program.model import ramp_deg_s2
+from lss_motion.program.model import ramp_setting_deg_s2
 from lss_motion.protocol.codec import make_command, read_reply
 from lss_motion.protocol.constants import BROADCAST_ID, Status, status_from
 from lss_motion.protocol.line import Command, Reply, encode
@@ -149,7 +149,7 @@ def _check_joint(joint: Joint, answers: Answers, robot: Robot, warnings: list[st
             )
     needs: dict[str, float] = {"QSD": joint.speed_max_deg_s}
     if joint.drive == "timed":
-        needs |= dict.fromkeys(("QAA", "QAD"), ramp_deg_s2(joint))
+        needs |= dict.fromkeys(("QAA", "QAD"), ramp_setting_deg_s2(joint))
     for keyword, needed in needs.items():
         allowed = stored(joint, answers, keyword)
         if allowed is not None and allowed < LIMIT_SLACK_RATIO * needed:
@@ -214,7 +214,7 @@ def _session_of(joint: Joint) -> dict[str, float]:
     if joint.drive == "streamed":
         count = float(joint.filter_count)
         return {"FPC": count, "IPE": 1.0, "SD": joint.speed_max_deg_s, "EM": 0.0}
-    ramp = float(ramp_deg_s2(joint))
+    ramp = float(ramp_setting_deg_s2(joint))
     return {"EM": 1.0, "AA": ramp, "AD": ramp, "SD": joint.speed_max_deg_s}
 
 

@@ -149,13 +149,19 @@ class Program:
             shift_s += to_s - from_s
 
 
-def ramp_deg_s2(joint: Joint) -> int:
-    """Return the ramp that a timed joint's servo is set to: its limit, as far as AA expresses it.
+def ramp_setting_deg_s2(joint: Joint) -> int:
+    """Return what AA and AD of a timed joint's servo are set to: its limit, as far as they go.
 
-    With AA and AD at the joint's own limit the servo itself never exceeds it, whatever it hears.
+    With its ramps at the joint's own limit the servo never exceeds it, whatever it hears.
     """
-    steps = math.floor(round(joint.accel_max_deg_s2 / RAMP_STEP_DEG_S2, 6))
+    step_deg_s2 = RAMP_STEP_DEG_S2 * joint.response.ramp_ratio
+    steps = math.floor(round(joint.accel_max_deg_s2 / step_deg_s2, 6))
     return min(max(steps, 1), RAMP_STEPS_MAX) * RAMP_STEP_DEG_S2
+
+
+def ramp_deg_s2(joint: Joint) -> float:
+    """Return the ramp that a timed joint's servo makes of its setting."""
+    return ramp_setting_deg_s2(joint) * joint.response.ramp_ratio
 
 
 def target_deg(joint: Joint, target_wire: int) -> float:

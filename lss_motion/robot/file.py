@@ -79,6 +79,12 @@ class ResponseEntry(FileModel, title="response"):
     loop_s: float | None = Field(
         default=None, gt=0.0, le=0.1, description="Period of the servo's control loop."
     )
+    ramp_ratio: float | None = Field(
+        default=None,
+        ge=0.1,
+        le=10.0,
+        description="The servo's ramps are this many times what AA and AD say.",
+    )
     retarget: Literal["keep_speed", "from_rest"] | None = Field(
         default=None, description="How a command in mid-move starts."
     )

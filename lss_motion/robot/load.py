@@ -252,10 +252,13 @@ def _within_ramps(joint: Joint) -> Joint:
 
     Rounded up, the servo would break the limit with every ramp.
     """
-    step = FAMILIES[joint.model.family].accel_step_deg_s2
+    facts = FAMILIES[joint.model.family]
+    step = facts.accel_step_deg_s2 * joint.response.ramp_ratio
     if step == 0.0:
         return joint
     steps = math.floor(round(joint.accel_max_deg_s2 / step, 6))
+    if joint.accel_max_deg_s2 <= facts.accel_max_deg_s2:
+        steps = min(steps, round(facts.accel_max_deg_s2 / facts.accel_step_deg_s2))
     return replace(joint, accel_max_deg_s2=step * steps)
 
 

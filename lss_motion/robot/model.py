@@ -25,6 +25,8 @@ class Response:
     `loop_s`       the servo takes up a command at its next control tick (5 ms: maker's staff)
     `filter_s`     in EM0 the filter steps this often (20 ms, four ticks: maker's staff). When it
                    does so within its period nobody can know, so it is taken to be half-way
+    `ramp_ratio`   its ramps are this many times what AA and AD say; that a step of theirs is
+                   10 deg/s² has weak sources (lss_facts 1.3)
     `retarget`     a new `D…T…` in mid-move starts from the profile's position and speed
                    (`keep_speed`) or from rest (`from_rest`); no document says (design 11)
     `t_law`        `cruise`: travel speed = distance / T, so the ramps come on top;
@@ -34,6 +36,7 @@ class Response:
     lag_s: float = 0.02
     loop_s: float = 0.005
     filter_s: float = 0.02
+    ramp_ratio: float = 1.0
     retarget: Literal["keep_speed", "from_rest"] = "keep_speed"
     t_law: Literal["cruise", "exact"] = "cruise"
 

@@ -69,7 +69,11 @@ def _check(path: Path, changed: Robot, joint_name: str, values: Mapping[str, Any
     """Refuse a change that changed more, or less, than it should."""
     robot = load_robot(path)
     joint = robot.joints[joint_name]
-    wanted = replace(joint, response=replace(joint.response, **values))
+    wanted = replace(
+        joint,
+        response=replace(joint.response, **values),
+        accel_max_deg_s2=changed.joints[joint_name].accel_max_deg_s2,  # It follows from the ramps.
+    )
     expected = replace(robot, path=None, joints={**robot.joints, joint_name: wanted})
     if replace(changed, path=None) != expected:
         said = ", ".join(f"{key}: {value}" for key, value in values.items())

@@ -21,7 +21,7 @@ from lss_motion.maintenance.identify.recording import SETTLE_S, Recording, Trial
 from lss_motion.player import setup
 from lss_motion.player.dialogue import Dialogue
 from lss_motion.player.line import Line
-from lss_motion.program.model import ramp_deg_s2
+from lss_motion.program.model import ramp_deg_s2, ramp_setting_deg_s2
 from lss_motion.program.response import Profile
 from lss_motion.protocol.line import Command, encode, encode_move
 from lss_motion.units import ns_from_s, s_from_ms, s_from_ns
@@ -69,14 +69,14 @@ class Experiment:
         self.state = State.PREPARE
         self.error: LssMotionError | None = None
         self.is_stopped = False
-        self.recording = Recording(window, float(ramp_deg_s2(joint)), joint.speed_max_deg_s)
+        self.recording = Recording(window, float(ramp_setting_deg_s2(joint)), joint.speed_max_deg_s)
         self._answers: Answers = dict(answers)
         self._line = Line(robot.buses[joint.bus])
         self._asking = Asking(joint, self._line)
         self._standing_deg = self._target_deg = self._rested_deg = standing_deg
         self._profile = Profile(
             standing_deg,
-            ramp_deg_s2=self.recording.ramp_deg_s2,
+            ramp_deg_s2=ramp_deg_s2(joint),
             speed_max_deg_s=joint.speed_max_deg_s,
             response=joint.response,
         )
@@ -255,14 +255,14 @@ class Experiment:
             self._restore()
             return
         self.state = State.BRAKE
-        ramp_deg_s2 = self.recording.ramp_deg_s2
+        braking_deg_s2 = ramp_deg_s2(self.joint)
         position_deg, speed_deg_s = self._profile.at(s_from_ns(self._line.heard_ns(0, now_ns)))
-        stop_deg = position_deg + 0.5 * speed_deg_s * abs(speed_deg_s) / ramp_deg_s2
+        stop_deg = position_deg + 0.5 * speed_deg_s * abs(speed_deg_s) / braking_deg_s2
         if self.error is not None and self._trial.readings_deg:
             stop_deg = self._trial.readings_deg[-1]
         window = self.recording.window
         stop_deg = min(max(stop_deg, window.low_deg), window.high_deg)
-        self._begin(TrialPlan(Kind.STEP, (), abs(speed_deg_s) / ramp_deg_s2), now_ns)
+        self._begin(TrialPlan(Kind.STEP, (), abs(speed_deg_s) / braking_deg_s2), now_ns)
         wire = round(stop_deg * self.joint.model.wire_per_deg)
         self._line.send(encode(Command(self.joint.servo_id, "D", wire)), now_ns)
 

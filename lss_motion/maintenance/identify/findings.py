@@ -32,6 +32,9 @@ def response_values(found: Identified, joint: Joint) -> dict[str, float | str]:
     values: dict[str, float | str] = {
         "lag_s": round(max(0.0, found.delay_s.value - 0.5 * loop_s), 4)
     }
+    ratio = ramp_ratio(found)
+    if ratio != 1.0 or joint.response.ramp_ratio != 1.0:
+        values["ramp_ratio"] = ratio
     if found.loop_s is not None:
         values["loop_s"] = round(loop_s, 5)
     if found.retarget.is_sure:
@@ -39,6 +42,18 @@ def response_values(found: Identified, joint: Joint) -> dict[str, float | str]:
     if found.t_law.is_sure:
         values["t_law"] = found.t_law.value
     return values
+
+
+def ramp_ratio(found: Identified) -> float:
+    """Return how the ramps compare with what AA and AD say: 1 unless they clearly differ.
+
+    The response model has one ramp for both: the slower one, so that no plan asks for more.
+    """
+    ramp = min(found.accel_deg_s2, found.decel_deg_s2)
+    away_deg_s2 = abs(ramp.value - found.ramp_deg_s2)
+    if away_deg_s2 <= max(RAMP_DIFFERENCE_RATIO * found.ramp_deg_s2, SIGMAS * ramp.error):
+        return 1.0
+    return round(ramp.value / found.ramp_deg_s2, 3)
 
 
 def summary_lines(found: Identified) -> list[str]:
@@ -100,13 +115,13 @@ def difference_lines(found: Identified, joint: Joint) -> list[str]:
 def _limits(found: Identified, joint: Joint) -> list[str]:
     """Return what the servo cannot do that the robot file asks for."""
     lines = []
+    expected_deg_s2 = joint.response.ramp_ratio * found.ramp_deg_s2
     for name, ramp in (("up (AA)", found.accel_deg_s2), ("down (AD)", found.decel_deg_s2)):
-        away = abs(ramp.value - found.ramp_deg_s2)
-        if away > max(RAMP_DIFFERENCE_RATIO * found.ramp_deg_s2, SIGMAS * ramp.error):
-            advice = "lower" if ramp.value < found.ramp_deg_s2 else "mind"
+        away_deg_s2 = abs(ramp.value - expected_deg_s2)
+        if away_deg_s2 > max(RAMP_DIFFERENCE_RATIO * expected_deg_s2, SIGMAS * ramp.error):
             lines.append(
-                f"the ramp {name} is {ramp.value:.0f} deg/s² where {found.ramp_deg_s2:.0f} is set; "
-                f"{advice} accel_max_deg_s2"
+                f"the ramp {name} is {ramp.value:.0f} deg/s², not {expected_deg_s2:.0f}, where "
+                f"{found.ramp_deg_s2:.0f} is set; ramp_ratio stands for the slower of the two"
             )
     if found.is_top:
         lines.append(

@@ -234,3 +234,31 @@ def test_groups_and_mirror_images_of_unknown_joints_are_refused(robot_path: Path
         (12, "joint 'r' has a mirror image already; keep one"),
         (12, "joint 'l' has a mirror image already; keep one"),
     ]
+
+
+@pytest.mark.parametrize(
+    ("asked", "ramp_ratio", "accel_deg_s2", "setting"),
+    [
+        (600, 1.0, 600.0, 600),
+        (600, 0.8, 600.0, 750),
+        (600, 0.7, 595.0, 850),
+        (1000, 0.7, 700.0, 1000),  # All that its ramps can express.
+        (600, 1.3, 598.0, 460),
+    ],
+)
+def test_a_servo_whose_ramps_are_not_what_they_say_is_set_so_that_the_joint_keeps_its_limit(
+    tmp_path, asked, ramp_ratio, accel_deg_s2, setting
+):
+    from lss_motion.program.model import ramp_deg_s2, ramp_setting_deg_s2
+
+    path = tmp_path / "robot.yaml"
+    path.write_text(
+        "robot: one\njoints:\n  pan: {id: 1, model: LSS-ST1, range_deg: [-9, 9], "
+        f"speed_max_deg_s: 90, accel_max_deg_s2: {asked}, "
+        f"response: {{ramp_ratio: {ramp_ratio}}}}}\n"
+    )
+    joint = load_robot(path).joints["pan"]
+    assert joint.accel_max_deg_s2 == pytest.approx(accel_deg_s2)
+    assert ramp_setting_deg_s2(joint) == setting
+    assert ramp_deg_s2(joint) == pytest.approx(accel_deg_s2)
+    assert ramp_deg_s2(joint) <= asked
