@@ -33,7 +33,7 @@ class Display:
     """The player's end: hands over what is to be shown, never waits."""
 
     def __init__(self, keys_help: str = KEYS_HELP) -> None:
-        self._child = subprocess.Popen(
+        self._child = subprocess.Popen(  # noqa: S603  (our own words)
             [sys.executable, "-m", "lss_motion.cli.display", keys_help], stdin=subprocess.PIPE
         )
         assert self._child.stdin is not None
