@@ -115,12 +115,15 @@ def play(arguments: argparse.Namespace) -> int:
     if result.report["outcome"] == "stopped":
         return EXIT_TERMINATED if signal_number == signal.SIGTERM else EXIT_INTERRUPTED
     if result.report["outcome"] == "fault":
-        for fault in result.report["faults"]:
-            print(
-                f"lss-play: joint {fault['joint']!r} {fault['cause']}. The show was stopped and "
-                f"the robot holds",
-                file=sys.stderr,
-            )
+        from lss_motion.robot.on_fault import ENDING, FaultStep
+
+        for fault in result.player.faults:
+            if fault.step in ENDING:
+                let_go = ", this joint let go" if fault.step is FaultStep.LIMP else ""
+                print(
+                    f"lss-play: {fault}. The show was stopped and the robot holds{let_go}",
+                    file=sys.stderr,
+                )
         return EXIT_NOT_FOLLOWED
     return EXIT_FINISHED
 
@@ -222,8 +225,8 @@ def tell(event: Event, say: Callable[[str], None]) -> None:
             say(f"{show_s:7.2f} s {_cue_text(cue)}")
         case Warned(text):
             say(f"warning: {text}")
-        case Faulted(joint, cause):
-            say(f"fault: joint {joint!r} {cause}")
+        case Faulted(step=step):
+            say(f"fault: {event} ({step})")
         case _:
             pass
 

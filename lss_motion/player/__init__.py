@@ -1,6 +1,8 @@
 """The real-time core without I/O: what to send now, what to ask, how to correct, when to stop.
 
-player        one show, phase by phase · setup  before and after it · events  what happened
+player        one show, as others see it · phases  what comes after what · session  what they share
+setup, settling  before and after the show · events  what happened
+watch         what is wrong · troubles, ladder, recovery  what is done about it
 agenda        marks and cues: what comes at its time and is not motion
 streamer      one program on the show clock · track, following  one joint meanwhile
 line, queries, turnaround, readings, dialogue, conversation  what goes over a line and what it means

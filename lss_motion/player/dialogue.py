@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.protocol.line import encode
@@ -15,25 +15,42 @@ if TYPE_CHECKING:
     from lss_motion.player.queries import Asked, Questioner
     from lss_motion.protocol.line import Command, Reply
 
-TRIES: Final = 3
-"""A question is asked so often before the servo counts as silent. A RESET takes 1.25 s, but
-nobody starts a show in the middle of one."""
+TRIES: Final = 6
+"""A question is asked so often before the servo counts as silent: on a line that loses every third
+answer, one of 700 questions stays open. A servo that has not answered any is not asked the rest."""
+AGREE_TRIES: Final = 8
+"""A question whose answer must be heard twice is asked no oftener than this: on a line that
+corrupts every third answer, one of 500 questions stays open."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Item:
-    """One command for one bus. A question waits for its answer, an order does not."""
+    """One command for one bus. A question waits for its answer, an order does not.
+
+    With `agree_within`, a number is believed when two answers differ by no more than that (wire
+    units), and a word when it was said twice: a bus without checksums can deliver a wrong one.
+    """
 
     bus: str
     command: Command
     is_question: bool
     tries: int = TRIES
+    agree_within: int | None = None
 
 
 @dataclass(slots=True, eq=False)
 class _Entry:
     item: Item
     tries_left: int
+    heard: list[int | str | None] = field(default_factory=list)
+
+    def believes(self, value: int | str | None) -> bool:
+        """Take in an answer; return whether it is the one."""
+        within = self.item.agree_within
+        if within is None or any(_agree(value, earlier, within) for earlier in self.heard):
+            return True
+        self.heard.append(value)
+        return False
 
 
 class Dialogue:
@@ -54,6 +71,7 @@ class Dialogue:
         self._questioners = questioners
         self._queues: dict[str, deque[_Entry]] = {bus: deque() for bus in lines}
         self._flying: dict[str, list[_Entry]] = {bus: [] for bus in lines}
+        self._answering: set[tuple[str, int]] = set()
         for item in items:
             self._queues[item.bus].append(_Entry(item, item.tries))
 
@@ -63,9 +81,10 @@ class Dialogue:
 
     def advance(self, now_ns: int) -> None:
         """Send what can be sent now."""
-        for bus, queue in self._queues.items():
+        for bus in self._queues:
             self._questioners[bus].expire(now_ns)
             self._take_back(bus)
+            queue = self._queues[bus]
             while queue and self._can_send(bus, queue[0].item, now_ns):
                 entry = queue.popleft()
                 if entry.item.is_question:
@@ -79,7 +98,12 @@ class Dialogue:
         for asked, said in self._questioners[bus].answer(reply, now_ns):
             if (entry := self._entry_of(bus, asked)) is not None:
                 self._flying[bus].remove(entry)
-                self.answers[bus, asked.command.servo_id, asked.command.keyword] = said.value
+                self._answering.add((bus, asked.command.servo_id))
+                if entry.believes(said.value):
+                    self.answers[bus, asked.command.servo_id, asked.command.keyword] = said.value
+                elif len(entry.heard) < AGREE_TRIES:
+                    entry.tries_left = entry.item.tries  # It is not silent.
+                    self._queues[bus].appendleft(entry)
 
     def next_wakeup_ns(self) -> int | None:
         wakeups_ns = []
@@ -125,6 +149,17 @@ class Dialogue:
             self._flying[bus].remove(entry)
             if entry.tries_left > 0:
                 self._queues[bus].appendleft(entry)
+            elif (bus, entry.item.command.servo_id) not in self._answering:
+                self._give_up(bus, entry.item.command.servo_id)
+
+    def _give_up(self, bus: str, servo_id: int) -> None:
+        """Ask no more of a servo that has answered nothing; what it is told may still be heard."""
+        kept = [
+            entry
+            for entry in self._queues[bus]
+            if not (entry.item.is_question and entry.item.command.servo_id == servo_id)
+        ]
+        self._queues[bus] = deque(kept)
 
     def _entry_of(self, bus: str, asked: Asked) -> _Entry | None:
         """Return the entry that asked this: one may be left in flight by what came before."""
@@ -132,3 +167,9 @@ class Dialogue:
             if entry.item.command is asked.command:
                 return entry
         return None
+
+
+def _agree(one: int | str | None, other: int | str | None, within: int) -> bool:
+    if isinstance(one, int) and isinstance(other, int):
+        return abs(one - other) <= within
+    return one == other

@@ -7,6 +7,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from lss_motion.robot.on_fault import Cause, FaultStep
     from lss_motion.sequence.model import Cue
 
 
@@ -14,9 +15,13 @@ class Phase(StrEnum):
     """What the player is doing."""
 
     CONNECT = "connecting"
+    READY = "ready"
+    """Checked, and waiting for a person to say go."""
     PREPARE = "preparing"
     APPROACH = "approaching"
     SHOW = "playing"
+    RECOVER = "recovering"
+    """Something is gone; the robot stands until it is back."""
     STOP = "stopping"
     RESTORE = "restoring"
     DONE = "done"
@@ -54,10 +59,41 @@ class CueReached:
 
 @dataclass(frozen=True, slots=True)
 class Faulted:
-    """The robot did not do what it should; the show ends with this."""
+    """Something went wrong, and `step` of its ladder has been taken.
+
+    `cause` says in words what, and what to do about it; `joint` is empty where it is a port.
+    """
 
     joint: str
     cause: str
+    kind: Cause
+    step: FaultStep
+
+    def __str__(self) -> str:
+        return f"joint {self.joint!r} {self.cause}" if self.joint else self.cause
 
 
-Event = PhaseEntered | Warned | MarkPassed | CueReached | Faulted
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """One servo before anything moves. Angles are joint degrees; None: it did not say."""
+
+    joint: str
+    servo_id: int
+    model: str | None
+    firmware: int | None
+    position_deg: float
+    start_deg: float
+    voltage_v: float | None
+    temperature_c: float | None
+    speed_max_deg_s: float | None
+    accel_max_deg_s2: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """Every servo is there and may do what is asked of it."""
+
+    servos: tuple[Found, ...]
+
+
+Event = PhaseEntered | Warned | MarkPassed | CueReached | Faulted | Checked

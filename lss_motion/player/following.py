@@ -73,6 +73,11 @@ class Following:
         self.offset_max_deg = max(self.offset_max_deg, abs(self.offset_deg))
         return True
 
+    def stand(self, standing_deg: float) -> None:
+        """Begin to read anew, with a horn that stands there; what was learnt is kept."""
+        self.standing_deg = standing_deg
+        self.measured_deg = self.read_s = self._suspect = None
+
     @property
     def error_rms_deg(self) -> float:
         return (self.square_sum_deg2 / self.readings) ** 0.5 if self.readings else 0.0

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.player.events import Faulted
+from lss_motion.player.watch import Watch
 from lss_motion.protocol.codec import read_reply
-from lss_motion.protocol.constants import Status, status_from
 from lss_motion.protocol.line import Command, Reply, encode
 from lss_motion.units import NS_PER_S, s_from_ns
 
@@ -34,23 +32,10 @@ FILL_RATIO: Final = 0.95
 servos there is a gap, since nobody knows when the next one will begin."""
 VISIT_NS: Final = NS_PER_S // 4
 """But all servos of a bus are visited at least this often."""
-ASTRAY_NS: Final = NS_PER_S // 2
-"""A joint must be off by more than `following_deg` this long before the show is stopped: one
-wrong reading, or one late move, is no reason."""
-SILENT_NS: Final = NS_PER_S
-"""A servo that has not answered for this long, though asked, is silent."""
-SILENT_ASKS: Final = 4
 SPEED_WEIGHT_S_PER_DEG: Final = 0.05
 ERROR_WEIGHT_PER_DEG: Final = 2.0
 """A joint is read sooner the faster it moves and the further it strayed (design 8). Chosen: at
 20 deg/s, or at half a degree of error, twice as often as one at rest on its place."""
-STATUS_FAULTS: Final = {
-    Status.STUCK: "is stuck: it cannot make the move at its present speed",
-    Status.BLOCKED: "is blocked: it cannot move at full power",
-    Status.SAFE_MODE: "is in safe mode: current, voltage or temperature out of bounds; RESET it",
-    Status.ERROR: "reports an error",
-}
-"""What a servo may be doing that ends a show."""
 
 
 @dataclass(slots=True)
@@ -72,7 +57,7 @@ class Reader:
         questioners: Mapping[str, Questioner],
         lines: Mapping[str, Line],
     ) -> None:
-        self.faults: deque[Faulted] = deque()
+        self.watch = Watch()
         self.unbelieved: dict[str, int] = dict.fromkeys(lines, 0)
         self._questioners = questioners
         self._lines = lines
@@ -84,6 +69,13 @@ class Reader:
         self._turns: dict[str, _Turn | None] = dict.fromkeys(lines)
         self._next_ns: dict[str, int | None] = dict.fromkeys(lines)
         self._health_wait: dict[str, int] = dict.fromkeys(lines, 0)
+
+    def anew(self) -> Reader:
+        """Return a reader that knows of no trouble yet, and still of all that was disbelieved."""
+        tracks = {track.joint.name: track for track in self._by_address.values()}
+        reader = Reader(tracks, self._questioners, self._lines)
+        reader.unbelieved = self.unbelieved
+        return reader
 
     def ask(self, now_ns: int, quiet_until_ns: int | None) -> None:
         """Ask on every bus as long as its line is free by `quiet_until_ns`; None is for ever."""
@@ -128,8 +120,7 @@ class Reader:
         for asked, said in self._questioners[bus].answer(reply, now_ns):
             track = self._by_address.get((bus, asked.command.servo_id))
             if track is not None:
-                track.answered_ns = now_ns
-                track.silent_asks = 0
+                self.watch.answered(track, now_ns)
                 self._take(bus, track, asked, said, wanted_deg)
 
     def _take(
@@ -147,11 +138,11 @@ class Reader:
             case "QD":
                 self._take_position(bus, track, said.value, asked, wanted_deg)
             case "Q":
-                self._take_status(track, int(said.value))
+                self.watch.status(track, int(said.value), self._lines[bus].bus.firmware)
             case "QT":
-                track.temperature_max_c = max(said.value, track.temperature_max_c or said.value)
+                self.watch.temperature(track, said.value)
             case "QV":
-                track.voltage_min_v = min(said.value, track.voltage_min_v or said.value)
+                self.watch.voltage(track, said.value)
             case "QC":
                 track.current_max_a = max(said.value, track.current_max_a or 0.0)
             case _:
@@ -207,11 +198,11 @@ class Reader:
             return next(fresh, "QD")
         is_alone = turn.left == 1 and not turn.is_row
         is_due = track.health_ns is None or now_ns - track.health_ns >= HEALTH_NS
-        if is_alone and not (is_due and self._health_wait[bus] >= HEALTH_LEAST - 1):
+        is_due = is_due and self._health_wait[bus] >= HEALTH_LEAST - 1
+        doubt = self.watch.doubts.get(track.joint.name)
+        if turn.left > 1 or (is_alone and doubt is None and not is_due):
             return "QD"
-        if turn.left > 1:
-            return "QD"
-        return HEALTH_KEYWORDS[track.health_count % len(HEALTH_KEYWORDS)]
+        return doubt or HEALTH_KEYWORDS[track.health_count % len(HEALTH_KEYWORDS)]
 
     def _most_urgent(self, bus: str, now_ns: int) -> Track | None:
         """Return the joint whose reading is oldest, relative to how fast it moves and strayed."""
@@ -222,7 +213,7 @@ class Reader:
             servo_id = track.joint.servo_id
             if questioner.is_waiting(servo_id) or questioner.quiet_until_ns(servo_id) > now_ns:
                 continue
-            if track.asked_ns is None:
+            if track.asked_ns is None or track.joint.name in self.watch.doubts:
                 return track
             _, speed_deg_s = track.profile.at(now_s)
             weight = 1.0 + SPEED_WEIGHT_S_PER_DEG * abs(speed_deg_s)
@@ -252,39 +243,9 @@ class Reader:
         if not believed:
             self.unbelieved[bus] += 1
             return
-        error_deg = track.following.error_deg
-        if abs(error_deg) <= track.joint.following_deg:
-            track.astray_since_ns = None
-        elif track.astray_since_ns is None:
-            track.astray_since_ns = asked.heard_ns
-        elif asked.heard_ns - track.astray_since_ns > ASTRAY_NS:
-            self.faults.append(
-                Faulted(
-                    track.joint.name,
-                    f"is {abs(error_deg):.1f} deg off its course, allowed is "
-                    f"{track.joint.following_deg:g} deg (following_deg)",
-                )
-            )
-
-    def _take_status(self, track: Track, status: int) -> None:
-        firmware = self._lines[track.joint.bus].bus.firmware
-        track.status = status_from(status, track.joint.model.family, firmware)
-        if cause := STATUS_FAULTS.get(track.status):
-            self.faults.append(Faulted(track.joint.name, cause))
+        self.watch.position(track, asked.heard_ns)
 
     def _note_silence(self, bus: str, expired: Asked, now_ns: int) -> None:
         track = self._by_address.get((bus, expired.command.servo_id))
-        if track is None:
-            return
-        track.silent_asks += 1
-        if track.answered_ns is None:
-            track.answered_ns = now_ns
-        silent_ns = now_ns - track.answered_ns
-        if track.silent_asks >= SILENT_ASKS and silent_ns >= SILENT_NS:
-            self.faults.append(
-                Faulted(
-                    track.joint.name,
-                    f"is silent: servo {track.joint.servo_id} has not answered for "
-                    f"{s_from_ns(silent_ns):.1f} s",
-                )
-            )
+        if track is not None:
+            self.watch.unanswered(track, now_ns)

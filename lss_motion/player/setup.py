@@ -11,27 +11,35 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import BusError, InputError, PlaybackError
 from lss_motion.player.agenda import LIT_KEYWORD
-from lss_motion.player.dialogue import TRIES, Item
+from lss_motion.player.dialogue import Item
+from lss_motion.player.events import Found
 from lss_motion.program.model import ramp_setting_deg_s2
 from lss_motion.protocol.codec import make_command, read_reply
 from lss_motion.protocol.constants import BROADCAST_ID, Status, status_from
+from lss_motion.protocol.families import FAMILY_TABLES
 from lss_motion.protocol.line import Command, Reply, encode
 from lss_motion.robot.drives import FILTER_FIRMWARE_MIN
 from lss_motion.units import NS_PER_MS
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Mapping
+    from collections.abc import Container, Iterable, Mapping, Sequence
 
     from lss_motion.player.queries import Questioner
     from lss_motion.robot.model import Bus, Joint, Robot
 
     Answers = Mapping[tuple[str, int, str], int | str | None]
 
-QUESTIONS: Final = ("QMS", "QF", "Q", "QSD", "QAA", "QAD", "QEM", "QD")
-"""Asked of every servo before anything moves; QD last, so that it is the most recent."""
-ESSENTIAL: Final = ("QD",)
-"""Without an answer to these the show does not start. A servo that answers them but not the
-others is taken as it is: no document says which family answers all of them."""
+QUESTIONS: Final = ("QMS", "QF", "Q", "QSD", "QAA", "QAD", "QEM", "QV", "QT", "QD")
+"""Asked of every servo before anything moves. Without QD the show does not start. A servo that
+answers that but not the others is taken as it is: no document says which family answers all."""
+PLACE_WITHIN_DEG: Final = 2.0
+"""Two positions that agree: noise, and a hand that lets go of an arm."""
+AGREE_WITHIN: Final = {"QV": 500, "QT": 20}
+"""What voltage (mV) and temperature (tenths of a degree) may change by in two milliseconds."""
+RESTORING_TIMES: Final = 2
+"""Settings are given back so often, unasked: a stop must not take longer than this."""
+ARRIVED_DEG: Final = 3.0
+"""A joint further from its start than this is sent there again; nearer, it may be its load."""
 LATENCY_BAD_NS: Final = 5 * NS_PER_MS
 """A servo answers within 2 ms (lss_facts 2.2); what takes longer is an adapter's latency timer."""
 FILTER_QUESTIONS: Final = ("QFPC", "QIPE")
@@ -47,17 +55,14 @@ LIMIT_SLACK_RATIO: Final = 0.999
 """Limits read back from a servo are rounded to its wire unit."""
 
 
-def questions(joints: Iterable[Joint]) -> list[Item]:
-    """Return what to ask before a show."""
-    return [
-        Item(
-            bus=joint.bus,
-            command=Command(joint.servo_id, keyword),
-            is_question=True,
-            tries=ESSENTIAL_TRIES if keyword in FILTER_ESSENTIAL else TRIES,
-        )
+def questions(joints: Iterable[Joint], lit: Container[str] = ()) -> list[Item]:
+    """Return what to ask before a show that changes the colours of the joints `lit`."""
+    joints = list(joints)
+    return settings_questions(joints, lit) + [
+        _question(joint, keyword)
         for joint in joints
         for keyword in _asked_of(joint)
+        if keyword in FAMILY_TABLES[joint.model.family].by_keyword
     ]
 
 
@@ -69,6 +74,29 @@ def _asked_of(joint: Joint) -> tuple[str, ...]:
             return (*FILTER_QUESTIONS, *QUESTIONS)
         case _:
             return QUESTIONS
+
+
+def settings_questions(joints: Iterable[Joint], lit: Container[str] = ()) -> list[Item]:
+    """Return what to ask so that the `settings` of the robot file, and colours, can be undone."""
+    return [_question(joint, f"Q{word}") for joint in joints for word in _changed(joint, lit)]
+
+
+def _changed(joint: Joint, lit: Container[str]) -> list[str]:
+    lights = [LIT_KEYWORD] if joint.name in lit and LIT_KEYWORD not in joint.settings else []
+    return [*joint.settings, *lights]
+
+
+def place_questions(joints: Iterable[Joint]) -> list[Item]:
+    """Return what to ask to know where every servo is."""
+    return [_question(joint, "QD") for joint in joints]
+
+
+def _question(joint: Joint, keyword: str) -> Item:
+    within = AGREE_WITHIN.get(keyword, 0)
+    if keyword == "QD":
+        within = round(PLACE_WITHIN_DEG * joint.model.wire_per_deg)
+    command = Command(joint.servo_id, keyword)
+    return Item(bus=joint.bus, command=command, is_question=True, agree_within=within)
 
 
 def findings(
@@ -88,16 +116,9 @@ def check_answers(joints: Iterable[Joint], answers: Answers, robot: Robot) -> li
     robot file claims what the servo is not or may not do, `PlaybackError` for one in safe mode.
     """
     joints = list(joints)
-    silent = [
-        joint for joint in joints if any(stored(joint, answers, key) is None for key in ESSENTIAL)
-    ]
-    if silent:
-        named = ", ".join(f"{j.name} (id {j.servo_id} on bus {j.bus!r})" for j in silent)
-        raise BusError(
-            f"no answer from {len(silent)} of {len(joints)} servos: {named}. Check power, wiring, "
-            f"ids and the baud rate ({robot.buses[silent[0].bus].baud_bps} bps)",
-            url=robot.buses[silent[0].bus].port,
-        )
+    standing = standing_deg(joints, answers)
+    if silent := [joint for joint in joints if joint.name not in standing]:
+        raise silent_error(silent, joints, robot)
     warnings: list[str] = []
     for joint in joints:
         _check_drive(joint, answers, robot)
@@ -121,6 +142,23 @@ def _check_drive(joint: Joint, answers: Answers, robot: Robot) -> None:
             f"{FILTER_FIRMWARE_MIN} or later; otherwise use `drive: timed`",
             path=robot.path,
         )
+
+
+def standing_deg(joints: Iterable[Joint], answers: Answers) -> dict[str, float]:
+    """Return the servo angle of every joint that said where it is."""
+    angles = {joint.name: stored(joint, answers, "QD") for joint in joints}
+    return {name: angle for name, angle in angles.items() if angle is not None}
+
+
+def silent_error(silent: Sequence[Joint], joints: Sequence[Joint], robot: Robot) -> BusError:
+    """Return what to say about servos that do not answer."""
+    named = ", ".join(f"{j.name} (id {j.servo_id} on bus {j.bus!r})" for j in silent)
+    bus = robot.buses[silent[0].bus]
+    return BusError(
+        f"no answer from {len(silent)} of {len(joints)} servos: {named}. Check power, wiring, "
+        f"ids and the baud rate ({bus.baud_bps} bps)",
+        url=bus.port,
+    )
 
 
 def _check_joint(joint: Joint, answers: Answers, robot: Robot, warnings: list[str]) -> None:
@@ -221,9 +259,13 @@ def _session_of(joint: Joint) -> dict[str, float]:
 def restoring_orders(
     joints: Iterable[Joint], answers: Answers, lit: Container[str] = ()
 ) -> list[Item]:
-    """Return what gives every servo back its settings, and to those `lit` their colours."""
+    """Return what gives every servo back its settings, and to those `lit` their colours.
+
+    All of it is said `RESTORING_TIMES`.
+    """
     return [
         _order(joint, Command(joint.servo_id, keyword, had))
+        for _ in range(RESTORING_TIMES)
         for joint in joints
         for keyword in (*SESSION_KEYWORDS, *_changed(joint, lit))
         if isinstance(had := answers.get((joint.bus, joint.servo_id, f"Q{keyword}")), int)
@@ -234,21 +276,44 @@ def _order(joint: Joint, command: Command) -> Item:
     return Item(bus=joint.bus, command=command, is_question=False)
 
 
-def settings_questions(joints: Iterable[Joint], lit: Container[str] = ()) -> list[Item]:
-    """Return what to ask so that the `settings` of the robot file, and colours, can be undone."""
-    return [
-        Item(bus=joint.bus, command=Command(joint.servo_id, f"Q{keyword}"), is_question=True)
-        for joint in joints
-        for keyword in _changed(joint, lit)
-    ]
+def found(joints: Iterable[Joint], answers: Answers, start_deg: Mapping[str, float]) -> list[Found]:
+    """Return what is known of every servo, for people to look at before anything moves."""
+    rows = []
+    for joint in joints:
+        model = answers.get((joint.bus, joint.servo_id, "QMS"))
+        firmware = answers.get((joint.bus, joint.servo_id, "QF"))
+        said = {key: stored(joint, answers, key) for key in ("QD", "QV", "QT", "QSD", "QAA")}
+        assert said["QD"] is not None, "checked before"
+        rows.append(
+            Found(
+                joint=joint.name,
+                servo_id=joint.servo_id,
+                model=None if model is None else str(model),
+                firmware=firmware if isinstance(firmware, int) else None,
+                position_deg=joint.joint_deg(said["QD"]),
+                start_deg=start_deg[joint.name],
+                voltage_v=said["QV"],
+                temperature_c=said["QT"],
+                speed_max_deg_s=said["QSD"],
+                accel_max_deg_s2=said["QAA"],
+            )
+        )
+    return rows
 
 
-def _changed(joint: Joint, lit: Container[str]) -> list[str]:
-    lights = [LIT_KEYWORD] if joint.name in lit and LIT_KEYWORD not in joint.settings else []
-    return [*joint.settings, *lights]
+def safe_bytes(
+    robot: Robot, *, is_limp: bool = False, limp: Iterable[Joint] = ()
+) -> dict[str, bytes]:
+    """Return, per bus, the last bytes of every run: hold where it is, or go limp (design 8).
+
+    The joints of `limp` are let go, whatever the others do.
+    """
+    last = dict.fromkeys(robot.buses, encode(Command(BROADCAST_ID, "L" if is_limp else "H")))
+    for joint in limp:
+        last[joint.bus] += let_go(joint)
+    return last
 
 
-def safe_bytes(robot: Robot, *, is_limp: bool = False) -> dict[str, bytes]:
-    """Return, per bus, the last bytes of every run: hold where it is, or go limp (design 8)."""
-    command = Command(BROADCAST_ID, "L" if is_limp else "H")
-    return dict.fromkeys(robot.buses, encode(command))
+def let_go(joint: Joint) -> bytes:
+    """Return the bytes that take the power from one motor."""
+    return encode(Command(joint.servo_id, "L"))

@@ -15,6 +15,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.approach import with_room
+from lss_motion.player.ramps import RAMP_TICK_NS, ramp_period_ns, ramp_s
 from lss_motion.player.readings import Reader
 from lss_motion.player.show_clock import ShowClock
 from lss_motion.player.statistics import Statistics
@@ -32,7 +33,7 @@ from lss_motion.units import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from lss_motion.player.line import Line
     from lss_motion.player.queries import Questioner
@@ -40,16 +41,6 @@ if TYPE_CHECKING:
     from lss_motion.protocol.line import Reply
     from lss_motion.robot.model import Robot
 
-RAMP_TICK_NS: Final = 40 * NS_PER_MS
-"""At any rate but 1, every moving joint gets a move this often, if the line can carry it."""
-RAMP_LINE_RATIO: Final = 0.5
-"""Moves made on the spot take no more of the line than this."""
-RAMP_LEAST_S: Final = 0.3
-RAMP_ACCEL_RATIO: Final = 0.4
-"""A change of rate takes no more than this share of any joint's acceleration. Chosen: a course at
-its own limit leaves none, and is then left by 1 deg or 2 for the time of a ramp."""
-RAMP_LOOK_S: Final = (0.0, 0.1, 0.2, 0.3, 0.4)
-"""How far ahead the speeds of the course count for a ramp that begins now."""
 SETTLE_S: Final = 0.15
 """After the last horn should have arrived: time for the servo's own settling."""
 PLAN_HISTORY_S: Final = 5.0
@@ -146,15 +137,33 @@ class Streamer:
     def set_rate(self, rate: float, now_ns: int) -> None:
         """Ramp the show clock to `rate` (0 to 1), as gently as the joints' limits ask."""
         change = abs(rate - self.clock.rate(now_ns))
-        show_s = self.clock.show_s(now_ns)
-        over_s = RAMP_LEAST_S
-        for track in self.tracks.values():
-            spare_deg_s2 = RAMP_ACCEL_RATIO * track.limits.ramp_deg_s2
-            for ahead_s in RAMP_LOOK_S:
-                _, speed_deg_s = track.plan.at(self._program.within(show_s + ahead_s))
-                over_s = max(over_s, abs(speed_deg_s) * change / spare_deg_s2)
+        over_s = ramp_s(self.tracks.values(), self._program, self.clock.show_s(now_ns), change)
         self.clock.ramp_to(rate, now_ns, over_s)
         self._tick_ns = now_ns
+
+    def leave_out(self, names: Iterable[str]) -> None:
+        """Send no move to these joints, and to all others again."""
+        for name, track in self.tracks.items():
+            track.is_driven = name not in names
+            if not track.is_driven:
+                track.owed = None
+
+    def pose_deg(self, now_ns: int) -> dict[str, float]:
+        """Return where every joint stands, corrected, after a ramp to rate 0: joint angles."""
+        pose = {}
+        for name, track in self.tracks.items():
+            low_deg, high_deg = track.limits.position_min_deg, track.limits.position_max_deg
+            servo_deg = self._planned_deg(track, now_ns) + track.following.offset_deg
+            pose[name] = track.joint.joint_deg(min(max(servo_deg, low_deg), high_deg))
+        return pose
+
+    def resume(self, left_out: Iterable[str], now_ns: int) -> None:
+        """Go on at rate 0, with servos that were brought to `pose_deg` by somebody else."""
+        for name, angle_deg in self.pose_deg(now_ns).items():
+            self.tracks[name].stand(self.tracks[name].joint.servo_deg(angle_deg))
+        self.leave_out(left_out)
+        if self._reader is not None:
+            self._reader = self._reader.anew()
 
     # ---- sending
 
@@ -230,6 +239,8 @@ class Streamer:
         self._send(track, move.target_wire / track.limits.wire_per_deg, left_s, now_ns)
 
     def _send(self, track: Track, target_deg: float, left_s: float, now_ns: int) -> None:
+        if not track.is_driven:
+            return
         joint, line = track.joint, self._lines[track.joint.bus]
         target_wire = track.wire_for(target_deg, line.heard_ns(0, now_ns))
         duration_ms = None
@@ -258,7 +269,7 @@ class Streamer:
         self._skip_due(now_ns)
         late_ns = now_ns - self._tick_ns
         if self.clock.is_ramping(now_ns) or 0.0 < self.clock.target_rate < 1.0:
-            period_ns = self._ramp_period_ns()
+            period_ns = ramp_period_ns(self.tracks.values(), self._lines)
             self._follow_course(now_ns, period_ns, late_ns)
             self._tick_ns = now_ns + period_ns
             if self.clock.is_ramping(now_ns):
@@ -297,17 +308,6 @@ class Streamer:
             if left_s > 0.0 or abs(target_deg - position_deg) > unit_deg or speed_deg_s != 0.0:
                 self.statistics.sent(late_ns)
                 self._send_active(track, max(left_s, s_from_ns(RAMP_TICK_NS)), now_ns)
-
-    def _ramp_period_ns(self) -> int:
-        busiest_ns = max(
-            sum(
-                line.time_ns(len(encode_move(t.joint.servo_id, -18000, 1000)))
-                for t in self.tracks.values()
-                if t.joint.bus == bus
-            )
-            for bus, line in self._lines.items()
-        )
-        return max(RAMP_TICK_NS, round(busiest_ns / RAMP_LINE_RATIO))
 
     def _follow_course(self, now_ns: int, period_ns: int, late_ns: int) -> None:
         """Send every joint that is off its course a move that brings it there in one period."""

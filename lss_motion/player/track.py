@@ -41,6 +41,8 @@ class Track:
     following: Following
     limits: ServoLimits
     lead_s: float
+    origin_s: float = 0.0
+    """When the show time was 0, on the run clock."""
     active: Move | None = None
     """The move of the program that is under way, or was last."""
     owed: tuple[int, float] | None = None
@@ -56,9 +58,14 @@ class Track:
     health_ns: int | None = None
     health_count: int = 0
     """When it was last asked how it fares, and how often."""
-    answered_ns: int | None = None
-    astray_since_ns: int | None = None
-    silent_asks: int = 0
+    is_driven: bool = True
+    """Whether it is sent moves: not while nobody knows what its servo would make of them."""
+
+    def stand(self, position_deg: float) -> None:
+        """Note that the servo stands at `position_deg`, wherever it was before."""
+        self.profile = make_profile(self.joint, position_deg, origin_s=self.origin_s)
+        self.owed = None
+        self.following.stand(position_deg)
 
     def place(self, heard_ns: int) -> tuple[float, float]:
         """Return position and speed of the profile at `heard_ns`, after all that was sent."""
@@ -150,5 +157,6 @@ def make_tracks(
             following=Following(speed_max_deg_s=joint.speed_max_deg_s, standing_deg=servo_deg),
             limits=servo_limits(joint, program.tolerance_deg),
             lead_s=lead(joint),
+            origin_s=origin_s,
         )
     return tracks

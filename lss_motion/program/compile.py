@@ -126,6 +126,7 @@ def _program(
         marks=tuple(mark for mark in all_marks(trajectory, end_s) if mark.planned_s <= end_s),
         cues=tuple(cue for cue in all_cues(trajectory, end_s) if cue.at_s <= end_s),
         stretched=trajectory.stretched,
+        on_fault=trajectory.on_fault,
         line_use=lines_use(moves, robot),
         error_max_deg={
             name: _error_max_deg(fitted, courses[name]) for name, fitted in attempt.fitted.items()

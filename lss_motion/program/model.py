@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from lss_motion.program.line import LineUse
     from lss_motion.robot.model import Drive, Joint
+    from lss_motion.robot.on_fault import Ladders
     from lss_motion.sequence.model import Cue
     from lss_motion.trajectory.model import Mark, Stretch
 
@@ -91,6 +92,8 @@ class Program:
     """What is not motion, by the show time at which it is set off."""
     stretched: tuple[Stretch, ...] = ()
     line_use: Mapping[str, LineUse] = field(default_factory=dict)
+    on_fault: Ladders = field(default_factory=dict)
+    """What this show does otherwise than its robot when something goes wrong."""
     error_max_deg: Mapping[str, float] = field(default_factory=dict)
     """Largest distance, per joint, between the predicted horn and the plan."""
 

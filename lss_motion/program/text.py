@@ -8,6 +8,7 @@
     # tolerance_deg: 0.2
     # start_deg: base=0 shoulder=45 lid=10
     # drives: shoulder=streamed:4 lid=stepped
+    # on_fault: astray=warn silent=resume,hold
     # mark: 1500000 hello
     # cue: 1500000 {"say": "hello"}
     1477500 main #1D-612T384
@@ -30,6 +31,7 @@ from lss_motion.program.compile import lines_use
 from lss_motion.program.cue_text import cue_line, read_cue
 from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
 from lss_motion.robot.drives import drive_problem
+from lss_motion.robot.on_fault import ladders_from, ladders_text
 from lss_motion.trajectory.model import Mark
 from lss_motion.units import s_from_us, us_from_s
 
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from lss_motion.robot.model import Joint, Robot
+    from lss_motion.robot.on_fault import Ladders
     from lss_motion.sequence.model import Cue
 
 FIRST_LINE: Final = "# lss_motion program 1"
@@ -72,6 +75,8 @@ def to_text(program: Program, *, folder: Path | None = None) -> str:
     lines.append(f"# start_deg: {start}")
     if program.drives:
         lines.append(f"# drives: {' '.join(map(_drive_text, program.drives.items()))}")
+    if program.on_fault:
+        lines.append(f"# on_fault: {ladders_text(program.on_fault)}")
     lines += [f"# mark: {us_from_s(mark.planned_s)} {mark.label}" for mark in program.marks]
     lines += [f"# cue: {cue_line(cue)}" for cue in program.cues]
     lines += [f"{m.due_us} {m.bus} {m.data[:-1].decode('ascii')}" for m in program.moves]
@@ -252,7 +257,14 @@ class _Reader:
             marks=tuple(self._marks),
             cues=tuple(self._cues),
             line_use=lines_use(self._moves, self._robot),
+            on_fault=self._on_fault(header.get("on_fault", "")),
         )
+
+    def _on_fault(self, text: str) -> Ladders:
+        try:
+            return ladders_from(text)
+        except ValueError as error:
+            raise self._error(1, f"on_fault: {error}") from None
 
     def _repeat(self, header: Mapping[str, str]) -> Repeat | None:
         if header["duration_us"] != FOREVER:

@@ -9,7 +9,15 @@ from typing import Annotated, Final, Literal
 
 from pydantic import AfterValidator, Field
 
+from lss_motion.robot.model import (
+    PATIENCE_S,
+    RESUME_S,
+    SILENT_S,
+    TEMPERATURE_MAX_C,
+    VOLTAGE_MIN_V,
+)
 from lss_motion.robot.models import BAUD_FIRMWARE_MIN, SERVO_ID_MAX, SERVO_MODELS
+from lss_motion.robot.on_fault_file import JointOnFaultEntry, OnFaultEntry
 from lss_motion.spelling import known_names
 from lss_motion.validation import FileModel, Name, Text, check_text
 
@@ -134,7 +142,28 @@ class JointDefaults(FileModel, title="joint defaults"):
         default=None,
         gt=0.0,
         le=360.0,
-        description="The show is stopped when the horn strays further. Default 10.",
+        description="Further off its course than this, a joint is `astray` (see on_fault). "
+        "Default 10.",
+    )
+    temperature_max_c: float | None = Field(
+        default=None,
+        ge=20.0,
+        le=150.0,
+        description=f"Above this, a servo is `hot` (see on_fault). Default {TEMPERATURE_MAX_C:g}.",
+    )
+    voltage_min_v: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=60.0,
+        description="Below this, there is `low_voltage` (see on_fault). "
+        f"Default {VOLTAGE_MIN_V:g}.",
+    )
+    silent_s: float | None = Field(
+        default=None,
+        ge=0.2,
+        le=60.0,
+        description="Without an answer for so long, though asked, a servo is `silent` (see "
+        f"on_fault). Default {SILENT_S:g}; a servo that restarts is deaf for 1.25.",
     )
     settings: dict[str, int] | None = Field(
         default=None,
@@ -168,6 +197,10 @@ class JointEntry(JointDefaults, title="joint"):
     """One servo as the robot sees it."""
 
     id: int = Field(ge=0, le=SERVO_ID_MAX, description="Id of the servo on its bus (QID).")
+    on_fault: JointOnFaultEntry = Field(
+        default_factory=JointOnFaultEntry,
+        description="What is done when something is wrong with this joint.",
+    )
 
 
 class MirrorEntry(FileModel, title="mirror"):
@@ -220,4 +253,20 @@ class RobotFile(FileModel, title="robot file"):
     end: Literal["hold", "limp"] = Field(
         default="hold",
         description="What the servos do after the show: keep their position, or let go.",
+    )
+    on_fault: OnFaultEntry = Field(
+        default_factory=OnFaultEntry,
+        description="What is done when something is wrong, if neither joint nor show say it.",
+    )
+    patience_s: float = Field(
+        default=PATIENCE_S,
+        ge=0.0,
+        le=600.0,
+        description="How long a trouble may last on one step of on_fault before the next.",
+    )
+    resume_s: float = Field(
+        default=RESUME_S,
+        gt=0.0,
+        le=3600.0,
+        description="How long a lost port or silent servo is waited for (on_fault: resume).",
     )

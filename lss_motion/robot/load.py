@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from lss_motion.robot.file import JointDefaults, JointEntry, RobotFile
+    from lss_motion.robot.on_fault import Ladders
+    from lss_motion.robot.on_fault_file import JointOnFaultEntry
 
 SIMULATED_PORT: Final = "sim://"
 """Every simulated bus is its own, so several may have this port; a real port carries one bus."""
@@ -118,6 +120,9 @@ class _Loader:
             mirror=mirrored(content.mirror),
             approach_speed_deg_s=content.approach_speed_deg_s,
             end=content.end,
+            on_fault=_ladders(content.on_fault),
+            patience_s=content.patience_s,
+            resume_s=content.resume_s,
         )
 
     def _note(self, location: Location, reason: str) -> None:
@@ -173,6 +178,7 @@ class _Loader:
                 for name, value in fields.get("stored", {}).items()
             },
             response=Response(**fields.get("response", {})),
+            on_fault=_ladders(entry.on_fault),
             **{key: fields[key] for key in _PLAIN if key in fields},
         )
         for location, reason in _joint_problems(joint, merged):
@@ -234,7 +240,16 @@ _PLAIN: Final = (
     "following_deg",
     "drive",
     "filter_count",
+    "temperature_max_c",
+    "voltage_min_v",
+    "silent_s",
 )
+
+
+def _ladders(entry: JointOnFaultEntry) -> Ladders:
+    from lss_motion.robot.on_fault_file import ladders
+
+    return ladders(entry)
 
 
 def range_problem(joint: Joint, angle_deg: float) -> str:

@@ -3,13 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from lss_motion.protocol.family import Family  # noqa: TC001 (importable from here)
+from lss_motion.robot.on_fault import DEFAULTS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
+
+    from lss_motion.robot.on_fault import Cause, FaultStep, Ladders
+
+FOLLOWING_DEG: Final = 10.0
+"""Chosen: ten times what a healthy joint strays, and nothing hits anything yet."""
+TEMPERATURE_MAX_C: Final = 75.0
+"""Chosen: ten degrees below the safe mode of an LSS (seed 000, QT)."""
+VOLTAGE_MIN_V: Final = 6.0
+"""The least that an LSS is made for (lss_facts 3); no document gives it for an LSS-PRO."""
+SILENT_S: Final = 1.0
+"""Chosen: shorter than the 1.25 s for which a servo that restarts is deaf, so that it is noticed
+before it could be driven without its settings; long enough for a line that loses every third
+answer."""
+PATIENCE_S: Final = 3.0
+"""Chosen: as long as a heavy move takes at a tenth of its speed to catch up with."""
+RESUME_S: Final = 10.0
+"""Chosen: time to push a plug back in; after that somebody may have reached into the robot."""
 
 
 Drive = Literal["timed", "streamed", "stepped"]
@@ -82,8 +100,14 @@ class Joint:
     accel_max_deg_s2: float
     direction: Literal[1, -1] = 1
     zero_deg: float = 0.0
-    following_deg: float = 10.0
-    """How far the horn may stray before the show is stopped."""
+    following_deg: float = FOLLOWING_DEG
+    """Further off its course than this, it is astray."""
+    temperature_max_c: float = TEMPERATURE_MAX_C
+    voltage_min_v: float = VOLTAGE_MIN_V
+    silent_s: float = SILENT_S
+    """Without an answer for so long, though asked, its servo is silent."""
+    on_fault: Ladders = field(default_factory=dict)
+    """What this joint does otherwise than its show and its robot."""
     settings: Mapping[str, int] = field(default_factory=dict)
     """Session settings to send before playing, such as `{"AS": -2}`; wire values."""
     stored: Mapping[str, float | None] = field(default_factory=dict)
@@ -121,3 +145,15 @@ class Robot:
     """For each joint its mirror image and the sign of the angle there; its own, on the midline."""
     approach_speed_deg_s: float = 30.0
     end: Literal["hold", "limp"] = "hold"
+    on_fault: Ladders = field(default_factory=dict)
+    patience_s: float = PATIENCE_S
+    """How long a trouble may last on one step of its ladder before the next is taken."""
+    resume_s: float = RESUME_S
+    """How long what is gone is waited for."""
+
+    def ladder(self, cause: Cause, joint: Joint | None, show: Ladders) -> tuple[FaultStep, ...]:
+        """Return what is done about `cause`: what the joint says, the show, the robot, or all."""
+        own: Ladders = {} if joint is None else joint.on_fault
+        return next(
+            given[cause] for given in (own, show, self.on_fault, DEFAULTS) if cause in given
+        )

@@ -47,7 +47,10 @@ def make_report(
         "buses": {name: _bus(player, name, run_s) for name in player.lines},
         "joints": {},
         "stretched": [asdict(stretch) for stretch in program.stretched],
-        "faults": [{"joint": fault.joint, "cause": fault.cause} for fault in player.faults],
+        "faults": [
+            {"joint": f.joint, "cause": f.cause, "kind": f.kind, "step": f.step}
+            for f in player.faults
+        ],
     }
     for name, track in (show.tracks if show is not None else {}).items():
         report["joints"][name] = _joint(track, program)

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, WithJsonSchema
 
 from lss_motion.robot.file import AngleDeg  # noqa: TC001  (pydantic reads it)
+from lss_motion.robot.on_fault_file import OnFaultEntry
 from lss_motion.sequence.parts import STEPS_MAX
 from lss_motion.sequence.timing import KEYFRAMES_MAX, TIME_MAX_S
 from lss_motion.validation import FileModel, Name, Text
@@ -248,4 +249,8 @@ class SequenceFile(TrackEntry, title="sequence file"):
     events: Annotated[list[EventEntry], Field(min_length=1, max_length=EVENTS_MAX)] = Field(
         default=[],
         description="What is not motion: colours, words, functions, sounds. A loop repeats them.",
+    on_fault: OnFaultEntry = Field(
+        default_factory=OnFaultEntry,
+        description="What is done in this show when something is wrong, unless the joint says "
+        "it. Counts for the file that is played, not for those that it plays.",
     )

@@ -131,6 +131,8 @@ class _Loader:
     errors: list[InputError] = field(default_factory=list)
 
     def sequence(self) -> Sequence:
+        from lss_motion.robot.on_fault_file import ladders
+
         content = self.content
         main = TrackLoader(
             content, (), self._own_left_out(), self.source, self.robot, self.part.is_offset
@@ -156,6 +158,7 @@ class _Loader:
             play=parts.steps(),
             layers=parts.layers(),
             events=tuple(cues(content.events, self.left_out, self.source, self.robot, self._note)),
+            on_fault=ladders(content.on_fault),
         )
         self.problems += parts.problems
         self.errors += parts.errors

@@ -61,6 +61,10 @@ def _head(sequence: Sequence, folder: Path, comments: SequenceOf[str]) -> Iterat
 def _body(sequence: Sequence) -> Iterator[str]:
     if sequence.speed_ratio != 1.0:
         yield f"speed_ratio: {_number(sequence.speed_ratio)}"
+    if sequence.on_fault:
+        yield "on_fault:"
+    for cause, steps in sequence.on_fault.items():
+        yield f"  {cause}: [{', '.join(steps)}]"
     if sequence.keyframes:
         yield from _track(sequence)
     if sequence.tracks:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from lss_motion.robot.on_fault import Ladders
     from lss_motion.sequence.model import Cue
     from lss_motion.trajectory.clock import Clock
     from lss_motion.trajectory.path import Path
@@ -144,6 +145,8 @@ class Trajectory:
     marks: tuple[Mark, ...] = ()
     cues: tuple[Cue, ...] = ()
     """What is not motion, in the first pass, at planned times."""
+    on_fault: Ladders = field(default_factory=dict)
+    """What the show does otherwise than its robot when something goes wrong."""
 
     @property
     def duration_s(self) -> float:

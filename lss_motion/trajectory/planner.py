@@ -29,7 +29,8 @@ def plan(sequence: Sequence, robot: Robot) -> Trajectory:
     robot, `PlanningError` where no motion fulfils it: a missed anchor, a duration too short, a
     spline that swings out of range.
     """
-    return _planned(at_speed(sequence), robot)
+    trajectory = _planned(at_speed(sequence), robot)
+    return replace(trajectory, on_fault=sequence.on_fault) if sequence.on_fault else trajectory
 
 
 def _planned(sequence: Sequence, robot: Robot) -> Trajectory:

@@ -18,8 +18,15 @@ from lss_motion.sim.faults import FaultKind
 MOVE = re.compile(rb"#(\d+)D(-?\d+)T(\d+)\r")
 
 
+ROBOT_FIELDS = ("on_fault", "patience_s", "resume_s")
+
+
 def make_robot(count=3, *, end="hold", buses=1, baud_bps=115200, **fields) -> Robot:
-    """`count` equal joints j0, j1, … with the ids 1, 2, …, dealt to the buses in turn."""
+    """`count` equal joints j0, j1, … with the ids 1, 2, …, dealt to the buses in turn.
+
+    What is no field of the robot is one of all joints.
+    """
+    own = {key: fields.pop(key) for key in ROBOT_FIELDS if key in fields}
     base = Joint(
         name="",
         servo_id=0,
@@ -39,7 +46,7 @@ def make_robot(count=3, *, end="hold", buses=1, baud_bps=115200, **fields) -> Ro
         f"bus{i}": Bus(name=f"bus{i}", port="sim://", baud_bps=baud_bps, firmware=370)
         for i in range(buses)
     }
-    return Robot(name="bench", path=None, buses=lines, joints=joints, end=end)
+    return Robot(name="bench", path=None, buses=lines, joints=joints, end=end, **own)
 
 
 def make_sequence(count=3, duration_s=6.0, *, seed=3, swing_deg=40.0, step_s=(0.9, 1.5), loop=1):

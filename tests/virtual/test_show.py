@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import BusError, InputError, PlaybackError
-from lss_motion.player.events import Faulted, MarkPassed, PhaseEntered, Warned
+from lss_motion.player.events import MarkPassed, PhaseEntered, Warned
 from lss_motion.robot.models import SERVO_MODELS
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics
@@ -357,42 +357,6 @@ def test_a_loop_without_end_goes_on_until_it_is_stopped(stage, kit):
 
 
 # ---- what goes wrong on the way
-
-
-@pytest.mark.parametrize(
-    ("kind", "cause"),
-    [(FaultKind.DEAF, "is silent: servo 2 has not answered"), (FaultKind.RESET, "is silent")],
-)
-def test_a_servo_that_falls_silent_is_named_and_the_robot_holds(stage, kit, kind, cause):
-    robot = kit.robot()
-    played = stage.play(robot, faults=[Fault(kind=kind, servo_id=2, at_s=2.5)])
-    assert played.report["outcome"] == "fault"
-    (fault,) = played.report["faults"]
-    assert fault["joint"] == "j1"
-    assert cause in fault["cause"]
-    assert [event for event in played.events if isinstance(event, Faulted)]
-    assert 2.0 < played.report["run_s"] < 2.5 + 3.0
-    assert_ended_safely(played, robot)
-
-
-def test_a_stuck_horn_is_named_and_the_robot_holds(stage, kit):
-    robot = kit.robot()
-    played = stage.play(robot, faults=[Fault(kind=FaultKind.STUCK, servo_id=3, at_s=2.0)])
-    assert played.report["outcome"] == "fault"
-    (fault,) = played.report["faults"]
-    assert fault["joint"] == "j2"
-    assert "is stuck" in fault["cause"] or "is blocked" in fault["cause"]
-    assert_ended_safely(played, robot)
-
-
-def test_a_joint_that_strays_although_it_answers_is_stopped(stage, kit):
-    robot = kit.robot(following_deg=3.0)
-    weak = Fault(kind=FaultKind.WEAK, servo_id=1, at_s=1.5, speed_ratio=0.03)
-    played = stage.play(robot, faults=[weak])
-    assert played.report["outcome"] == "fault"
-    assert played.report["faults"][0]["joint"] == "j0"
-    assert "off its course, allowed is 3 deg" in played.report["faults"][0]["cause"]
-    assert_ended_safely(played, robot)
 
 
 @pytest.mark.parametrize(

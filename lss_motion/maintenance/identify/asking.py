@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.queries import Questioner
-from lss_motion.player.readings import STATUS_FAULTS
+from lss_motion.player.watch import status_fault
 from lss_motion.protocol.codec import read_reply
 from lss_motion.protocol.constants import Status, status_from
 from lss_motion.protocol.line import Command, encode
@@ -96,5 +96,5 @@ class Asking:
         status = status_from(int(said.value), self._joint.model.family, firmware)
         before, self._status = self._status, status
         is_passing = status is Status.STUCK and before is not Status.STUCK
-        fault = None if is_passing else STATUS_FAULTS.get(status)
+        fault = None if is_passing else status_fault(status)
         return Answered(asked.heard_ns, turnaround_s, fault=fault)

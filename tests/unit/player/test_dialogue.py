@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from lss_motion.player.dialogue import TRIES, Dialogue, Item
+from lss_motion.player.dialogue import AGREE_TRIES, TRIES, Dialogue, Item
 from lss_motion.player.line import Line
 from lss_motion.player.queries import Questioner
 from lss_motion.protocol.line import Command, Reply
@@ -118,3 +118,41 @@ def test_a_question_left_in_flight_by_what_came_before_answers_nothing_here(kit)
     assert bench.dialogue.answers == {}
     bench.run()
     assert bench.dialogue.answers == {("main", 1, "QD"): 10, ("main", 2, "QD"): 20}
+
+
+def sure(servo_id, within=0, keyword="QD"):
+    command = Command(servo_id, keyword)
+    return Item(bus="main", command=command, is_question=True, agree_within=within)
+
+
+@pytest.mark.parametrize(
+    ("values", "within", "believed"),
+    [
+        ([10, 10], 0, 10),
+        ([666, 10, 11], 2, 11),
+        ([10, 666, 10], 2, 10),
+        (["LSS-ST1", "LSS-SX1", "LSS-ST1"], 0, "LSS-ST1"),
+        ([None, None], 0, None),
+    ],
+)
+def test_what_matters_is_believed_when_two_answers_agree(kit, values, within, believed):
+    said = iter(values)
+    bench = Bench([sure(1, within)], lambda bus, data: [(10**6, Reply(1, "QD", next(said)))], kit)
+    bench.run()
+    assert bench.dialogue.answers == {("main", 1, "QD"): believed}
+    assert len(bench.said) == len(values)
+
+
+def test_answers_that_never_agree_count_as_none(kit):
+    wild = iter(range(0, 10_000, 100))
+    bench = Bench([sure(1, 20)], lambda bus, data: [(10**6, Reply(1, "QD", next(wild)))], kit)
+    bench.run()
+    assert bench.dialogue.answers == {}
+    assert len(bench.said) == AGREE_TRIES
+
+
+def test_a_servo_that_never_answered_is_not_asked_the_rest(kit):
+    items = [ask(1), ask(1, "QT"), ask(2), ask(1, "QV"), order(1, "EM", 1)]
+    bench = Bench(items, lambda bus, data: echo(bus, data) if b"#2" in data else [], kit)
+    bench.run()
+    assert [data for _, _, data in bench.said] == [b"#1QD\r"] * TRIES + [b"#2QD\r", b"#1EM1\r"]

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from lss_motion.errors import BusError
-from lss_motion.player import setup
+from lss_motion.player import settling, setup
 from lss_motion.player.approach import approach
 from lss_motion.program.predict import profiles
 from lss_motion.protocol.line import encode
@@ -48,12 +48,25 @@ def test_what_was_read_is_given_back_to_the_letter(kit):
     one = kit.joint(settings={"AS": -2})
     had = answers(QEM=0, QAA=77, QAD=33, QSD=2000, QAS=4)
     orders = setup.restoring_orders([one], had)
-    assert sent(orders) == [b"#1EM0\r", b"#1AA77\r", b"#1AD33\r", b"#1SD2000\r", b"#1AS4\r"]
+    once = [b"#1EM0\r", b"#1AA77\r", b"#1AD33\r", b"#1SD2000\r", b"#1AS4\r"]
+    assert sent(orders) == setup.RESTORING_TIMES * once
 
 
-def test_the_settings_of_the_file_are_asked_for_first(kit):
+def test_the_settings_of_the_file_are_asked_for_too(kit):
     one = kit.joint(settings={"AS": -2, "AH": 3})
-    assert sent(setup.settings_questions([one])) == [b"#1QAS\r", b"#1QAH\r"]
+    assert {b"#1QAS\r", b"#1QAH\r", b"#1QD\r"} <= set(sent(setup.questions([one])))
+
+
+def test_an_order_counts_as_taken_only_when_the_servo_answers_with_it(kit):
+    orders = setup.session_orders([kit.joint()], answers())
+    said = {("main", 1, f"Q{order.command.keyword}"): order.command.value for order in orders}
+    assert sent(settling.read_back(orders)) == [b"#1QEM\r", b"#1QAA\r", b"#1QAD\r", b"#1QSD\r"]
+    assert settling.untaken(orders, said) == []
+    assert sent(settling.untaken(orders, {**said, ("main", 1, "QAD"): 100})) == [b"#1AD60\r"]
+    said.pop(("main", 1, "QSD"))
+    (order,) = settling.untaken(orders, said)
+    error = settling.untaken_error(order, said, [kit.joint()])
+    assert "joint 'j0': servo 1 was set to SD 1800 4 times and answers nothing" in str(error)
 
 
 def test_the_approach_brings_all_joints_home_together_at_the_slow_speed(kit):
@@ -77,3 +90,8 @@ def test_units_of_a_reading_belong_to_the_family(kit):
 def test_the_safe_state_goes_to_every_bus(kit):
     assert setup.safe_bytes(kit.robot()) == {"main": b"#254H\r"}
     assert setup.safe_bytes(kit.robot(), is_limp=True) == {"main": b"#254L\r"}
+
+
+def test_a_joint_that_was_let_go_stays_so(kit):
+    one = kit.joint()
+    assert setup.safe_bytes(kit.robot(one), limp=[one]) == {"main": b"#254H\r#1L\r"}

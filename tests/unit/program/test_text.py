@@ -8,6 +8,7 @@ import pytest
 from lss_motion.errors import InputError
 from lss_motion.program.compile import compile_program
 from lss_motion.program.text import from_text, load_program, to_text
+from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.trajectory.model import Mark
 
 TEXT = """\
@@ -151,3 +152,21 @@ def test_what_is_no_program_is_refused_before_a_robot_is_looked_for(tmp_path, co
 def test_a_missing_file_is_an_input_error(tmp_path):
     with pytest.raises(InputError, match="cannot read it"):
         load_program(tmp_path / "none.lss", lambda _: pytest.fail("asked for a robot"))
+
+
+def test_what_the_show_does_about_faults_is_kept(robot):
+    ladders = {Cause.ASTRAY: (FaultStep.WARN,), Cause.SILENT: (FaultStep.RESUME, FaultStep.LIMP)}
+    text = to_text(replace(from_text(TEXT, robot), on_fault=ladders))
+    assert "# on_fault: astray=warn silent=resume,limp\n" in text
+    assert from_text(text, robot).on_fault == ladders
+
+
+@pytest.mark.parametrize(
+    ("ladder", "said"),
+    [("astry=warn", "did you mean 'astray'"), ("astray=", "step '' is not known"),
+     ("astray=hold,warn", "nothing comes after hold")],
+)  # fmt: skip
+def test_a_wrong_ladder_is_named(robot, ladder, said):
+    wrong = TEXT.replace("# tolerance", f"# on_fault: {ladder}\n# tolerance")
+    with pytest.raises(InputError, match=said):
+        from_text(wrong, robot)

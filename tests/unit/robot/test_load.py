@@ -9,6 +9,7 @@ import pytest
 from lss_motion.errors import InputError
 from lss_motion.robot import load_robot
 from lss_motion.robot.model import Bus, Response, Robot
+from lss_motion.robot.on_fault import DEFAULTS, Cause, FaultStep
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -262,3 +263,49 @@ def test_a_servo_whose_ramps_are_not_what_they_say_is_set_so_that_the_joint_keep
     assert ramp_setting_deg_s2(joint) == setting
     assert ramp_deg_s2(joint) == pytest.approx(accel_deg_s2)
     assert ramp_deg_s2(joint) <= asked
+
+
+def test_what_is_done_about_faults_is_read_for_the_robot_and_for_a_joint(tmp_path) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text(
+        "robot: arm\n"
+        "on_fault: {astray: [warn, hold], lost_port: hold}\n"
+        "resume_s: 4\n"
+        "defaults: {model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 90, "
+        "accel_max_deg_s2: 300, temperature_max_c: 60}\n"
+        "joints:\n"
+        "  hand: {id: 1, silent_s: 2, on_fault: {blocked: limp}}\n"
+        "  arm: {id: 2}\n"
+    )
+    robot = load_robot(path)
+    hand, arm = robot.joints["hand"], robot.joints["arm"]
+    assert robot.ladder(Cause.ASTRAY, arm, {}) == (FaultStep.WARN, FaultStep.HOLD)
+    assert robot.ladder(Cause.BLOCKED, hand, {}) == (FaultStep.LIMP,)
+    assert robot.ladder(Cause.BLOCKED, arm, {}) == DEFAULTS[Cause.BLOCKED]
+    assert robot.ladder(Cause.LOST_PORT, None, {}) == (FaultStep.HOLD,)
+    assert (robot.resume_s, hand.temperature_max_c, hand.silent_s) == (4.0, 60.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "hint"),
+    [
+        ("{astray: hld}", "step 'hld' is not known; did you mean 'hold'"),
+        ("{astry: hold}", "unknown key 'astry'; did you mean 'astray'"),
+        ("{astray: [hold, warn]}", "nothing comes after hold"),
+        ("{astray: resume}", "nothing comes back from astray"),
+        ("{lost_port: limp}", "a lost port takes no command"),
+        ("{astray: [warn, warn]}", "warn stands there twice"),
+        ("{astray: []}", "names no step"),
+        ("{astray: 3}", "step '3' is not known"),
+    ],
+)
+def test_a_wrong_ladder_is_explained_with_its_line(tmp_path, text: str, hint: str) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text(
+        "robot: arm\njoints:\n  a: {id: 1, model: LSS-ST1, range_deg: [-90, 90], "
+        f"speed_max_deg_s: 90, accel_max_deg_s2: 300}}\non_fault: {text}\n"
+    )
+    with pytest.raises(InputError) as caught:
+        load_robot(path)
+    assert str(caught.value).startswith(f"{path}:4: ")
+    assert hint in str(caught.value)

@@ -10,6 +10,7 @@ from lss_motion.player.player import Player
 from lss_motion.program.model import Move, Program, Repeat
 from lss_motion.robot.model import Bus, Joint, Robot
 from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.runtime.report import make_report, run_seconds
 from lss_motion.trajectory.model import Stretch
 
@@ -74,8 +75,9 @@ def test_an_endless_show_has_no_planned_duration():
 
 def test_faults_are_named():
     playing = player()
-    playing.faults.append(Faulted("j0", "is stuck"))
-    assert report(playing)["faults"] == [{"joint": "j0", "cause": "is stuck"}]
+    playing.faults.append(Faulted("j0", "is stuck", Cause.STUCK, FaultStep.SLOW))
+    said = {"joint": "j0", "cause": "is stuck", "kind": "stuck", "step": "slow"}
+    assert json.loads(json.dumps(report(playing)["faults"])) == [said]
 
 
 def test_run_seconds_are_seconds():

@@ -8,8 +8,10 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.robot import load_robot
+from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.sequence import load_sequence
 from lss_motion.sequence.model import Interpolation, Sequence, Timing
+from lss_motion.trajectory.planner import plan
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -280,3 +282,17 @@ def test_a_robot_file_in_place_of_a_sequence_says_what_is_missing(folder: Path) 
         load_sequence(folder / "robot.yaml")
     assert "'sequence' is missing" in str(caught.value)
     assert "unknown key 'joints'" in str(caught.value)
+
+
+def test_a_show_says_what_is_done_about_faults(load) -> None:
+    sequence = load("  - {pose: home}\non_fault: {astray: warn, silent: [resume, limp]}\n")
+    assert sequence.on_fault == {
+        Cause.ASTRAY: (FaultStep.WARN,),
+        Cause.SILENT: (FaultStep.RESUME, FaultStep.LIMP),
+    }
+    assert plan(sequence, load_robot(sequence.robot_path)).on_fault == sequence.on_fault
+
+
+def test_a_wrong_step_is_explained_with_its_line(load) -> None:
+    with pytest.raises(InputError, match=r":\d+: on_fault.astray \('slw'\): .*did you mean 'slow'"):
+        load("  - {pose: home}\non_fault: {astray: slw}\n")

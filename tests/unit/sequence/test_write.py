@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
 
 from lss_motion.errors import InputError
+from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.sequence import load_sequence, sequence_text, write_sequence
 from lss_motion.sequence.model import Interpolation, Keyframe, Sequence, Step
 
@@ -89,3 +91,9 @@ def test_tracks_are_written_below_their_names(folder: Path, sequence: Sequence) 
 def test_what_is_made_of_files_cannot_be_written_into_one(folder: Path, sequence: Sequence) -> None:
     with pytest.raises(InputError, match="play lists and layers cannot be written"):
         sequence_text(Sequence(name="x", play=(Step(sequence=sequence),)), folder)
+
+
+def test_what_is_done_about_faults_is_written_too(folder: Path, sequence: Sequence) -> None:
+    ladders = {Cause.ASTRAY: (FaultStep.WARN, FaultStep.HOLD), Cause.SILENT: (FaultStep.RESUME,)}
+    write_sequence(replace(sequence, on_fault=ladders), folder / "s.yaml")
+    assert load_sequence(folder / "s.yaml").on_fault == ladders

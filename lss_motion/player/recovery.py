@@ -1,0 +1,45 @@
+"""Who is gone, how long they are waited for, and what to ask them when they are back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.player import setup
+from lss_motion.player.settling import read_back, untaken
+
+if TYPE_CHECKING:
+    from lss_motion.player.dialogue import Item
+    from lss_motion.player.setup import Answers
+    from lss_motion.robot.model import Joint
+
+ASKED_FOREVER: Final = 1_000_000
+"""Until the time is over, whatever the number of tries."""
+
+
+@dataclass(slots=True)
+class Recovery:
+    """One wait: the player brakes, asks until all of `missing` answer, or gives up."""
+
+    give_up_ns: int
+    missing: list[Joint] = field(default_factory=list)
+
+    def add(self, joints: list[Joint]) -> None:
+        self.missing += [joint for joint in joints if joint not in self.missing]
+
+    def questions(self, had: Answers) -> list[Item]:
+        """Return what to ask: where they are, and whether they still have what they were given."""
+        orders = setup.session_orders(self.missing, had)
+        items = [*read_back(orders), *setup.place_questions(self.missing)]
+        return [replace(item, tries=ASKED_FOREVER) for item in items]
+
+    def absent(self, answers: Answers) -> list[Joint]:
+        """Return who has not said where it is."""
+        present = setup.standing_deg(self.missing, answers)
+        return [joint for joint in self.missing if joint.name not in present]
+
+    def restarted(self, answers: Answers, had: Answers) -> list[Joint]:
+        """Return who has lost what it was given."""
+        return [
+            joint for joint in self.missing if untaken(setup.session_orders([joint], had), answers)
+        ]

@@ -1,0 +1,133 @@
+"""What all phases of a show share: lines, what the servos had, who is driven, where they are."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from lss_motion.player import setup
+from lss_motion.player.agenda import Agenda
+from lss_motion.player.approach import approach
+from lss_motion.player.dialogue import Dialogue
+from lss_motion.player.line import Line
+from lss_motion.player.queries import Questioner
+from lss_motion.player.settling import Settling
+from lss_motion.player.streamer import Streamer
+from lss_motion.program.predict import profiles
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from lss_motion.player.dialogue import Item
+    from lss_motion.player.setup import Answers
+    from lss_motion.program.model import Program
+    from lss_motion.robot.model import Joint, Robot
+
+
+class Session:
+    """One robot during one show. It knows no phase."""
+
+    def __init__(
+        self, program: Program, robot: Robot, *, has_feedback: bool, start_s: float | None
+    ) -> None:
+        self.program = program
+        self.robot = robot
+        self.joints = [robot.joints[name] for name in program.start_deg]
+        self.lines = {name: Line(robot.buses[name]) for name in robot.buses}
+        self.questioners = {name: Questioner(line) for name, line in self.lines.items()}
+        self.agenda = Agenda(program, robot)
+        self.agenda.begin_at(start_s)
+        self.has_feedback = has_feedback
+        self.start_s = start_s
+        self.had: Answers = {}
+        """What every servo answered before anything was changed."""
+        self.standing_deg: dict[str, float] = {}
+        """Servo angles by joint, as last asked for while nothing moved."""
+        self.left_out: set[str] = set()
+        """Joints that are sent no move until the end."""
+        self.limp: list[Joint] = []
+
+    @property
+    def driven(self) -> list[Joint]:
+        return [joint for joint in self.joints if joint.name not in self.left_out]
+
+    def ask(self, items: Iterable[Item]) -> Dialogue:
+        return Dialogue(items, self.lines, self.questioners)
+
+    def settle(self) -> Settling:
+        """Return what gives the servos their settings, and asks where they are."""
+        orders = setup.session_orders(self.driven, self.had)
+        places = setup.place_questions(self.driven)
+        return Settling(orders, places, self.lines, self.questioners)
+
+    def restoring_orders(self) -> list[Item]:
+        return setup.restoring_orders(self.joints, self.had, self.agenda.lit)
+
+    def note_places(self, answers: Answers) -> list[Joint]:
+        """Take in where the driven servos stand; return those who did not say."""
+        standing = setup.standing_deg(self.driven, answers)
+        self.standing_deg |= standing
+        return [joint for joint in self.driven if joint.name not in standing]
+
+    def start_deg(self) -> dict[str, float]:
+        """Return the joint angles at which the show begins, also in its middle."""
+        if self.start_s is None:
+            return dict(self.program.start_deg)
+        start_s = self.program.within(self.start_s)
+        return {
+            name: self.robot.joints[name].joint_deg(plan.at(start_s)[0])
+            for name, plan in profiles(self.program, self.robot).items()
+        }
+
+    def place_deg(self, show: Streamer | None, now_ns: int) -> dict[str, float]:
+        """Return the joint angles from which the show is to begin, or to go on."""
+        place = self.start_deg() if show is None else show.pose_deg(now_ns)
+        return {joint.name: place[joint.name] for joint in self.driven}
+
+    def furthest(self, place_deg: Mapping[str, float]) -> tuple[str, float]:
+        """Return which driven joint stands furthest from `place_deg`, and by how many degrees."""
+        return max(
+            (
+                (name, abs(self.robot.joints[name].servo_deg(angle) - self.standing_deg[name]))
+                for name, angle in place_deg.items()
+            ),
+            key=lambda far: far[1],
+            default=("", 0.0),
+        )
+
+    def approach(self, place_deg: Mapping[str, float], now_ns: int) -> Streamer:
+        """Return what takes every driven joint from where it stands to `place_deg`."""
+        program = approach(self.robot, self.standing_deg, place_deg)
+        return self._stream(program, self.standing_deg, now_ns, None)
+
+    def begin(self, now_ns: int) -> Streamer:
+        """Return the show, with every joint at its start."""
+        standing = {n: self.robot.joints[n].servo_deg(deg) for n, deg in self.start_deg().items()}
+        return self._stream(self.program, standing, now_ns, self.start_s)
+
+    def _stream(
+        self,
+        program: Program,
+        standing_deg: Mapping[str, float],
+        now_ns: int,
+        start_s: float | None,
+    ) -> Streamer:
+        streamer = Streamer(
+            program,
+            self.robot,
+            lines=self.lines,
+            questioners=self.questioners,
+            standing_deg=standing_deg,
+            has_feedback=self.has_feedback,
+            start_ns=now_ns,
+            start_s=start_s,
+        )
+        streamer.leave_out(self.left_out)
+        return streamer
+
+    def let_go(self, joint: Joint, now_ns: int) -> None:
+        """Take the power from one motor, until the end."""
+        self.limp.append(joint)
+        self.lines[joint.bus].send(setup.let_go(joint), now_ns)
+
+    def safe_bytes(self, *, is_limp: bool) -> Mapping[str, bytes]:
+        return setup.safe_bytes(self.robot, is_limp=is_limp, limp=self.limp)

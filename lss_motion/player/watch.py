@@ -1,0 +1,147 @@
+"""What is wrong with which joint, from what it answers and from what it does not.
+
+One answer is no proof: a bus without checksums can deliver a wrong number that looks right, so a
+trouble begins with the second reading in a row that says so.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.protocol.constants import Status, status_from
+from lss_motion.robot.on_fault import Cause
+from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from lss_motion.player.track import Track
+
+    Trouble = tuple[str, Cause]
+
+ASTRAY_NS: Final = NS_PER_S // 2
+"""A joint must be off by more than `following_deg` this long: one late move is no reason."""
+BACK_RATIO: Final = 0.5
+"""It is back when it is off by less than this share of `following_deg`."""
+CONFIRMATIONS: Final = 2
+SILENT_ASKS: Final = 4
+"""So many questions in a row must stay unanswered; on a slow line `silent_s` alone says little."""
+STATUS_CAUSES: Final = {
+    Status.STUCK: Cause.STUCK,
+    Status.BLOCKED: Cause.BLOCKED,
+    Status.SAFE_MODE: Cause.SAFE_MODE,
+    Status.ERROR: Cause.ERROR,
+    Status.LIMP: Cause.RESTARTED,
+}
+STATUS_TEXTS: Final = {
+    Cause.STUCK: "is stuck: it cannot make the move at its present speed. Lighten its load, or "
+    "lower speed_max_deg_s",
+    Cause.BLOCKED: "is blocked: it cannot move at full power. Find what is in its way",
+    Cause.SAFE_MODE: "is in safe mode: current, voltage or temperature out of bounds. Find the "
+    "cause, then RESET it",
+    Cause.ERROR: "reports an error. Find the cause, then RESET it",
+    Cause.RESTARTED: "is limp although it is driven: it has restarted, or something let it go. "
+    "Look at its power supply",
+}
+
+
+def status_fault(status: Status) -> str | None:
+    """Return what is wrong with a servo that need not be driven, if its status says so."""
+    cause = STATUS_CAUSES.get(status, Cause.RESTARTED)
+    return None if cause is Cause.RESTARTED else STATUS_TEXTS[cause]
+
+
+class Watch:
+    """What is wrong now: `troubles`, by joint and cause, in words that name a remedy."""
+
+    def __init__(self) -> None:
+        self.troubles: dict[Trouble, str] = {}
+        self.doubts: dict[str, str] = {}
+        """By joint: what was said once and must be asked again at once."""
+        self._counts: dict[Trouble, int] = {}
+        self._astray_since_ns: dict[str, int] = {}
+        self._answered_ns: dict[str, int] = {}
+        self._unanswered: dict[str, int] = {}
+        self._before: dict[tuple[str, str], float] = {}
+
+    def position(self, track: Track, heard_ns: int) -> None:
+        """Judge the last reading that `track` believed; the servo heard the question then."""
+        joint, error_deg = track.joint, abs(track.following.error_deg)
+        trouble = (joint.name, Cause.ASTRAY)
+        if error_deg <= joint.following_deg:
+            self._astray_since_ns.pop(joint.name, None)
+            if error_deg <= BACK_RATIO * joint.following_deg:
+                self.troubles.pop(trouble, None)
+        elif heard_ns - self._astray_since_ns.setdefault(joint.name, heard_ns) > ASTRAY_NS:
+            self.troubles[trouble] = (
+                f"is {error_deg:.1f} deg off its course, allowed is {joint.following_deg:g} deg "
+                f"(following_deg). Look for what holds it, or lower its limits"
+            )
+
+    def status(self, track: Track, code: int, firmware: int) -> None:
+        track.status = status_from(code, track.joint.model.family, firmware)
+        present = STATUS_CAUSES.get(track.status)
+        for cause, text in STATUS_TEXTS.items():
+            self._judge(track, cause, "Q", text, is_bad=cause is present)
+
+    def temperature(self, track: Track, temperature_c: float) -> None:
+        confirmed_c = self._twice(track, "QT", temperature_c, min)
+        track.temperature_max_c = max(confirmed_c, track.temperature_max_c or confirmed_c)
+        limit_c = track.joint.temperature_max_c
+        text = (
+            f"is hot: {temperature_c:.0f} C, allowed is {limit_c:g} C (temperature_max_c). Let it "
+            f"rest, or give it less to carry"
+        )
+        self._judge(track, Cause.HOT, "QT", text, is_bad=temperature_c > limit_c)
+
+    def voltage(self, track: Track, voltage_v: float) -> None:
+        confirmed_v = self._twice(track, "QV", voltage_v, max)
+        track.voltage_min_v = min(confirmed_v, track.voltage_min_v or confirmed_v)
+        limit_v = track.joint.voltage_min_v
+        text = (
+            f"has {voltage_v:.1f} V, needed are {limit_v:g} V (voltage_min_v). Charge the battery, "
+            f"or look at the wires"
+        )
+        self._judge(track, Cause.LOW_VOLTAGE, "QV", text, is_bad=voltage_v < limit_v)
+
+    def answered(self, track: Track, now_ns: int) -> None:
+        """Note that a servo answered, whatever it said."""
+        name = track.joint.name
+        self._answered_ns[name] = now_ns
+        self._unanswered[name] = 0
+        self.troubles.pop((name, Cause.SILENT), None)
+
+    def unanswered(self, track: Track, now_ns: int) -> None:
+        """Note that a question to a servo was given up."""
+        joint = track.joint
+        silent_ns = now_ns - self._answered_ns.setdefault(joint.name, now_ns)
+        self._unanswered[joint.name] = self._unanswered.get(joint.name, 0) + 1
+        if self._unanswered[joint.name] >= SILENT_ASKS and silent_ns >= ns_from_s(joint.silent_s):
+            self.troubles[joint.name, Cause.SILENT] = (
+                f"is silent: servo {joint.servo_id} has not answered for "
+                f"{s_from_ns(silent_ns):.1f} s. Look at its cable and its power"
+            )
+
+    def _judge(self, track: Track, cause: Cause, keyword: str, text: str, *, is_bad: bool) -> None:
+        name = track.joint.name
+        if not is_bad:
+            if self._counts.pop((name, cause), 0) and self.doubts.get(name) == keyword:
+                del self.doubts[name]
+            self.troubles.pop((name, cause), None)
+            return
+        count = self._counts[name, cause] = self._counts.get((name, cause), 0) + 1
+        if count < CONFIRMATIONS:
+            self.doubts[name] = keyword
+            return
+        if self.doubts.get(name) == keyword:
+            del self.doubts[name]
+        self.troubles[name, cause] = text
+
+    def _twice(
+        self, track: Track, keyword: str, value: float, choose: Callable[[float, float], float]
+    ) -> float:
+        """Return what this reading and the one before it both say."""
+        place = (track.joint.name, keyword)
+        before = self._before.get(place, value)
+        self._before[place] = value
+        return choose(before, value)

@@ -1,0 +1,110 @@
+"""What may go wrong with a joint while it is driven, and what is then to be done: `on_fault`.
+
+A cause has a ladder: its steps are taken one after the other, the next when the trouble has
+lasted `patience_s` on the one before. Where a ladder is given in several places, the joint's wins
+over the show's, the show's over the robot's, and that over `DEFAULTS`.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+from lss_motion.spelling import known_names
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+
+class Cause(StrEnum):
+    """What is wrong."""
+
+    ASTRAY = "astray"
+    STUCK = "stuck"
+    BLOCKED = "blocked"
+    SAFE_MODE = "safe_mode"
+    ERROR = "error"
+    HOT = "hot"
+    LOW_VOLTAGE = "low_voltage"
+    RESTARTED = "restarted"
+    SILENT = "silent"
+    LOST_PORT = "lost_port"
+
+
+class FaultStep(StrEnum):
+    """What is done about it."""
+
+    WARN = "warn"
+    """Say so."""
+    SLOW = "slow"
+    """Slow the show clock, for all joints, until this one has caught up."""
+    RESUME = "resume"
+    """Brake all, wait until it is back, give it its settings, go back to the place, go on."""
+    HOLD = "hold"
+    """Brake all within the limits, and end the show holding."""
+    LIMP = "limp"
+    """Let this joint go at once, and do as for `hold` with the others."""
+
+
+Ladders: TypeAlias = "Mapping[Cause, tuple[FaultStep, ...]]"
+
+ENDING: Final = frozenset({FaultStep.HOLD, FaultStep.LIMP})
+"""Steps after which there is no other."""
+
+RESUMABLE: Final = frozenset({Cause.SILENT, Cause.RESTARTED, Cause.LOST_PORT})
+"""Causes that may be over by themselves; only for these there is `resume`."""
+
+DEFAULTS: Final[Ladders] = MappingProxyType(
+    {
+        Cause.ASTRAY: (FaultStep.SLOW, FaultStep.HOLD),
+        # Seed 000, status 8: the motor cannot make the move at its present speed.
+        Cause.STUCK: (FaultStep.SLOW, FaultStep.HOLD),
+        Cause.BLOCKED: (FaultStep.HOLD,),
+        Cause.SAFE_MODE: (FaultStep.HOLD,),
+        Cause.ERROR: (FaultStep.HOLD,),
+        # The servo protects itself ten degrees further on.
+        Cause.HOT: (FaultStep.WARN,),
+        Cause.LOW_VOLTAGE: (FaultStep.WARN,),
+        Cause.RESTARTED: (FaultStep.RESUME, FaultStep.HOLD),
+        Cause.SILENT: (FaultStep.RESUME, FaultStep.HOLD),
+        Cause.LOST_PORT: (FaultStep.RESUME, FaultStep.HOLD),
+    }
+)
+
+
+def ladder_problem(cause: str, steps: Sequence[object]) -> str:
+    """Return why `steps` are no ladder for `cause`, or nothing if they are one."""
+    if not steps:
+        return f"names no step; {known_names('', map(str, FaultStep))}"
+    for place, step in enumerate(steps):
+        if step not in list(FaultStep):
+            return f"step {str(step)!r} is not known; {known_names(str(step), map(str, FaultStep))}"
+        if step == FaultStep.RESUME and cause not in RESUMABLE:
+            return f"nothing comes back from {cause}; resume is for {', '.join(sorted(RESUMABLE))}"
+        if cause == Cause.LOST_PORT and step not in (FaultStep.RESUME, FaultStep.HOLD):
+            return f"a lost port takes no command, so there is no {step}; use resume or hold"
+        if step in ENDING and place + 1 < len(steps):
+            return f"nothing comes after {step}, which ends the show"
+        if step in steps[:place]:
+            return f"{step} stands there twice"
+    return ""
+
+
+def ladders_text(ladders: Ladders) -> str:
+    """Return ladders in one line: `astray=warn silent=resume,hold`."""
+    return " ".join(f"{cause}={','.join(steps)}" for cause, steps in ladders.items())
+
+
+def ladders_from(text: str) -> Ladders:
+    """Return the ladders of `ladders_text`; ValueError for anything else."""
+    ladders = {}
+    for item in text.split():
+        cause, _, words = item.partition("=")
+        steps = words.split(",")
+        if cause not in list(Cause):
+            raise ValueError(f"cause {cause!r} is not known; {known_names(cause, map(str, Cause))}")
+        if problem := ladder_problem(cause, steps):
+            raise ValueError(problem)
+        ladders[Cause(cause)] = tuple(map(FaultStep, steps))
+    return ladders

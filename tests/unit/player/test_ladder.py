@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from lss_motion.player.ladder import RESUMES_MAX, SLOW_RATE_LEAST, Ladder
+from lss_motion.robot.on_fault import Cause, FaultStep
+
+S = 1_000_000_000
+ASTRAY = ("j0", Cause.ASTRAY)
+SILENT = ("j0", Cause.SILENT)
+
+
+def ladder(kit, show=None, **fields):
+    return Ladder(kit.robot(kit.joint(), patience_s=2.0, **fields), show or {})
+
+
+def steps(taken):
+    return [fault.step for fault in taken]
+
+
+def test_the_next_step_is_taken_when_the_trouble_lasts(kit):
+    climb = ladder(kit, on_fault={Cause.ASTRAY: (FaultStep.WARN, FaultStep.SLOW, FaultStep.HOLD)})
+    troubles = {ASTRAY: "is astray"}
+    assert steps(climb.judge(troubles, 0)) == [FaultStep.WARN]
+    assert climb.rate_max == 1.0
+    assert climb.next_wakeup_ns() == 2 * S
+    assert climb.judge(troubles, 2 * S - 1) == []
+    assert steps(climb.judge(troubles, 2 * S)) == [FaultStep.SLOW]
+    assert steps(climb.judge(troubles, 4 * S)) == [FaultStep.HOLD]
+    assert climb.judge(troubles, 9 * S) == []
+    assert [(f.kind, f.step) for f in climb.faults] == [(Cause.ASTRAY, FaultStep.HOLD)]
+
+
+def test_the_show_gets_slower_until_the_joint_is_back_and_then_faster_again(kit):
+    climb = ladder(kit, on_fault={Cause.ASTRAY: (FaultStep.SLOW,)})
+    rates = []
+    for tick in range(40):
+        climb.judge({ASTRAY: "is astray"} if 2 <= tick < 20 else {}, tick * S // 4)
+        rates.append(climb.rate_max)
+    assert rates[:2] == [1.0, 1.0]
+    assert rates[2:8:2] == [0.5, 0.25, 0.125]
+    assert min(rates) == SLOW_RATE_LEAST
+    assert rates[-1] == 1.0
+    assert climb.next_wakeup_ns() is None
+
+
+def test_a_trouble_that_is_over_begins_at_the_foot_again(kit):
+    climb = ladder(kit, on_fault={Cause.ASTRAY: (FaultStep.WARN, FaultStep.HOLD)})
+    for at_s in range(0, 20, 2):
+        assert steps(climb.judge({ASTRAY: "is astray"}, at_s * S)) == [FaultStep.WARN]
+        climb.judge({}, (at_s + 1) * S)
+    assert len(climb.faults) == 1
+
+
+@pytest.mark.parametrize(
+    ("joint", "show", "robot", "taken"),
+    [
+        ({}, {}, {}, FaultStep.SLOW),
+        ({}, {}, {Cause.ASTRAY: (FaultStep.HOLD,)}, FaultStep.HOLD),
+        ({}, {Cause.ASTRAY: (FaultStep.WARN,)}, {Cause.ASTRAY: (FaultStep.HOLD,)}, FaultStep.WARN),
+        ({Cause.ASTRAY: (FaultStep.LIMP,)}, {Cause.ASTRAY: (FaultStep.WARN,)}, {}, FaultStep.LIMP),
+        ({Cause.STUCK: (FaultStep.LIMP,)}, {}, {Cause.ASTRAY: (FaultStep.HOLD,)}, FaultStep.HOLD),
+    ],
+)
+def test_the_joint_wins_over_the_show_and_the_show_over_the_robot(kit, joint, show, robot, taken):
+    one = replace(kit.joint(), on_fault=joint)
+    climb = Ladder(kit.robot(one, on_fault=robot), show)
+    assert steps(climb.judge({ASTRAY: "is astray"}, 0)) == [taken]
+
+
+def test_a_servo_that_comes_and_goes_is_waited_for_only_so_often(kit):
+    climb = ladder(kit)
+    taken = []
+    for turn in range(RESUMES_MAX + 1):
+        taken += steps(climb.judge({SILENT: "is silent"}, turn * S))
+        climb.forget()
+    assert taken == [FaultStep.RESUME] * RESUMES_MAX + [FaultStep.HOLD]
+
+
+def test_what_does_not_come_back_ends_the_show_at_the_least(kit):
+    assert ladder(kit).give_up("j0", Cause.SILENT, "is silent").step is FaultStep.HOLD
+    only = ladder(kit, on_fault={Cause.SILENT: (FaultStep.RESUME,)})
+    assert only.give_up("j0", Cause.SILENT, "is silent").step is FaultStep.HOLD
+    limp = ladder(kit, on_fault={Cause.SILENT: (FaultStep.RESUME, FaultStep.LIMP)})
+    assert limp.give_up("j0", Cause.SILENT, "is silent").step is FaultStep.LIMP

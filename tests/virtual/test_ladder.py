@@ -1,0 +1,185 @@
+"""What becomes of a show when something goes wrong, judged at the servos."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lss_motion.player.events import PhaseEntered
+from lss_motion.robot.on_fault import Cause, FaultStep
+from lss_motion.sim.faults import Fault, FaultKind
+
+S = 1_000_000_000
+HOLD = b"#254H\r"
+RESET_S = 1.25
+
+
+def phases(played):
+    return [event.phase for event in played.events if isinstance(event, PhaseEntered)]
+
+
+def faults(played):
+    return [(f["joint"], f["kind"], f["step"]) for f in played.report["faults"]]
+
+
+def at_rest(played, from_ns, to_ns):
+    horn_deg = played.bus.horn_deg(np.arange(from_ns, to_ns, 10_000_000))
+    return float(np.ptp(horn_deg, axis=0).max())
+
+
+def test_a_servo_that_stays_silent_is_waited_for_and_named_and_the_robot_holds(stage, kit):
+    robot = kit.robot(resume_s=4.0)
+    played = stage.play(robot, faults=[Fault(kind=FaultKind.DEAF, servo_id=2, at_s=2.5)])
+    assert played.report["outcome"] == "fault"
+    assert faults(played) == [("j1", "silent", "hold")]
+    assert (
+        "servo 2 did not answer, and was not back after 4 s" in played.report["faults"][0]["cause"]
+    )
+    assert 2.5 + 1.0 + 4.0 < played.report["run_s"] < 2.5 + 1.4 + 4.0 + 0.5
+    assert played.heard()[-1] == HOLD
+    assert b"#1SD3600\r" in played.heard()[-30:]
+    end_ns = played.bus.heard[-1][0]
+    assert at_rest(played, end_ns - 3 * S, end_ns) < 0.3
+
+
+@pytest.mark.parametrize("at_s", [1.0, 2.5, 3.3])
+def test_a_servo_that_restarts_gets_its_settings_back_before_it_is_driven_on(stage, kit, at_s):
+    sequence = kit.sequence(3, 6.0, swing_deg=50.0, step_s=(0.5, 0.9))
+    reset = Fault(kind=FaultKind.RESET, servo_id=2, at_s=at_s)
+    played = stage.play(sequence=sequence, faults=[reset])
+    assert played.report["outcome"] == "finished"
+    assert ("j1", "restarted", "resume") in faults(played)
+    back_ns = int((at_s + RESET_S) * S)
+    heard = [line for line in played.heard(after_ns=back_ns) if line.startswith(b"#2")]
+    first = next(i for i, line in enumerate(heard) if line.startswith(b"#2D"))
+    assert {b"#2EM1\r", b"#2AA60\r", b"#2AD60\r", b"#2SD1800\r"} <= set(heard[:first])
+    assert any(line.startswith(b"#2D") for line in heard[first + 1 :]), "and then it goes on"
+    speed, accel = played.speeds(back_ns, played.bus.heard[-1][0])
+    assert np.abs(speed[:, 1]).max() <= 1.05 * 180.0
+    assert np.abs(accel[:, 1]).max() <= 1.1 * 600.0
+    ends = played.horn_error_deg(from_s=played.result.truth.times_s[-1] - 0.3)
+    assert np.abs(ends).max() < 0.5, "it ends where the plan ends"
+
+
+def test_the_show_slows_down_for_a_weak_joint_and_gets_to_its_end(stage, kit):
+    weak = Fault(kind=FaultKind.WEAK, servo_id=1, at_s=1.5, until_s=5.0, speed_ratio=0.05)
+    robot = kit.robot(following_deg=5.0, patience_s=10.0)
+    rates = []
+
+    def look(player, now_ns):
+        if player.phase == "playing":
+            rates.append(player.show.clock.rate(now_ns))
+        return False
+
+    played = stage.play(robot, faults=[weak], wishes=[(look, None)])
+    assert played.report["outcome"] == "finished"
+    assert faults(played) == [("j0", "astray", "slow")]
+    assert min(rates) <= 0.5
+    assert rates[-1] == 1.0
+    assert np.abs(played.horn_error_deg(from_s=5.5)).max() < 1.0, "it has caught up"
+
+
+def test_a_joint_that_cannot_catch_up_ends_the_show(stage, kit):
+    robot = kit.robot(following_deg=3.0, patience_s=1.0)
+    weak = Fault(kind=FaultKind.WEAK, servo_id=1, at_s=1.5, speed_ratio=0.01)
+    played = stage.play(robot, faults=[weak])
+    assert played.report["outcome"] == "fault"
+    assert ("j0", "astray", "hold") in faults(played)
+    assert "off its course, allowed is 3 deg" in played.report["faults"][0]["cause"]
+    assert played.heard()[-1] == HOLD
+
+
+def test_where_only_a_warning_is_asked_for_the_show_goes_on(stage, kit):
+    weak = Fault(kind=FaultKind.WEAK, servo_id=1, at_s=1.5, until_s=3.0, speed_ratio=0.01)
+    robot = kit.robot(following_deg=3.0, on_fault={Cause.ASTRAY: (FaultStep.WARN,)})
+    played = stage.play(robot, faults=[weak])
+    assert played.report["outcome"] == "finished"
+    assert faults(played) == [("j0", "astray", "warn")]
+    assert played.report["played_s"] == 6.0
+    assert phases(played).count("playing") == 1
+
+
+def test_a_blocked_joint_is_let_go_alone_where_that_is_asked_for(stage, kit):
+    robot = kit.robot()
+    limp = dict.fromkeys((Cause.STUCK, Cause.BLOCKED), (FaultStep.LIMP,))
+    robot = replace(
+        robot, joints={**robot.joints, "j2": replace(robot.joints["j2"], on_fault=limp)}
+    )
+    played = stage.play(robot, faults=[Fault(kind=FaultKind.STUCK, servo_id=3, at_s=2.0)])
+    assert played.report["outcome"] == "fault"
+    assert "limp" in [step for _, _, step in faults(played)]
+    lines = played.heard()
+    let_go = lines.index(b"#3L\r")
+    assert not any(line.startswith(b"#3D") for line in lines[let_go:])
+    assert any(line.startswith(b"#1D") for line in lines[let_go:]), "the others brake on their way"
+    assert lines[-2:] == [HOLD, b"#3L\r"], "and it stays so"
+
+
+def test_a_joint_that_is_silent_may_be_left_out_of_the_show(stage, kit):
+    robot = kit.robot(on_fault={Cause.SILENT: (FaultStep.WARN,)})
+    reset = Fault(kind=FaultKind.RESET, servo_id=2, at_s=2.0)
+    played = stage.play(robot, faults=[reset])
+    assert played.report["outcome"] == "finished"
+    assert faults(played) == [("j1", "silent", "warn")]
+    after = played.heard(after_ns=int((2.0 + RESET_S) * S))
+    assert not any(line.startswith(b"#2D") for line in after)
+    assert any(line.startswith(b"#1D") for line in after)
+
+
+@pytest.mark.parametrize(
+    ("steps", "outcome"), [((FaultStep.WARN,), "finished"), ((FaultStep.HOLD,), "fault")]
+)
+def test_heat_does_what_the_file_says(stage, kit, steps, outcome):
+    robot = kit.robot(temperature_max_c=50.0, on_fault={Cause.HOT: steps})
+    hot = Fault(kind=FaultKind.HOT, servo_id=2, at_s=2.0, temperature_c=70.0)
+    played = stage.play(robot, faults=[hot])
+    assert played.report["outcome"] == outcome
+    assert faults(played) == [("j1", "hot", steps[0].value)]
+
+
+def test_a_stop_while_it_waits_is_heeded(stage, kit):
+    robot = kit.robot(resume_s=60.0)
+    deaf = Fault(kind=FaultKind.DEAF, servo_id=2, at_s=2.5)
+    played = stage.play(robot, faults=[deaf], wishes=[(kit.in_phase("recovering", 6.0), kit.stop)])
+    assert played.report["outcome"] == "stopped"
+    assert played.report["run_s"] < 7.0
+    assert played.heard()[-1] == HOLD
+    assert b"#1SD3600\r" in played.heard()[-30:]
+
+
+def test_a_pause_that_is_asked_for_while_it_waits_is_kept(stage, kit):
+    reset = Fault(kind=FaultKind.RESET, servo_id=2, at_s=2.5)
+
+    def paused(player, now_ns):
+        return player.phase == "playing" and now_ns > 12 * S
+
+    played = stage.play(
+        faults=[reset],
+        wishes=[(kit.in_phase("recovering"), kit.rate(0.0)), (paused, kit.rate(1.0))],
+    )
+    assert played.report["outcome"] == "finished"
+    assert at_rest(played, 8 * S, 12 * S) < 0.3
+    assert played.report["run_s"] > 12.0 + 2.0
+
+
+def test_a_start_that_is_never_reached_is_named(stage, kit):
+    stuck = Fault(kind=FaultKind.STUCK, servo_id=3)
+    robot = kit.robot(
+        on_fault={cause: (FaultStep.WARN,) for cause in Cause if cause.value != "lost_port"}
+    )
+    played = stage.play(robot, faults=[stuck], start_deg={"j2": 60.0})
+    assert played.report["outcome"] == "fault"
+    assert "deg from where the show begins after 3 approaches" in str(played.report["faults"])
+    assert played.result.player.show is None
+
+
+def test_an_approach_that_was_lost_on_the_line_is_said_again(stage, kit):
+    lost = Fault(kind=FaultKind.LOST_COMMAND, at_s=0.3, until_s=1.2, ratio=0.5)
+    for seed in range(4):
+        played = stage.play(
+            faults=[lost], start_deg={"j0": 60.0, "j1": -60.0, "j2": 60.0}, seed=seed
+        )
+        assert played.report["outcome"] == "finished"
+        assert np.abs(played.horn_error_deg(from_s=0.0)[:20]).max() < 4.0
