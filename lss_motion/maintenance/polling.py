@@ -10,6 +10,7 @@ from lss_motion.player.events import Faulted
 from lss_motion.protocol.codec import read_reply
 from lss_motion.protocol.constants import Status, status_from
 from lss_motion.protocol.line import Command, encode
+from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.units import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
@@ -137,7 +138,7 @@ class Poller:
 
     def _notice_silence(self, joint: Joint, now_ns: int) -> None:
         if now_ns - self.readings[joint.name].at_ns > SILENT_NS:
-            self._name(joint, "does not answer")
+            self._name(joint, "does not answer", Cause.SILENT)
 
     def _notice_status(self, joint: Joint, reply: Reply) -> None:
         if not isinstance(reply.value, int):
@@ -145,9 +146,10 @@ class Poller:
         firmware = self._robot.buses[joint.bus].firmware
         state = status_from(reply.value, joint.model.family, firmware)
         if state in (Status.SAFE_MODE, Status.ERROR):
-            self._name(joint, f"reports {state.value}")
+            cause = Cause.ERROR if state is Status.ERROR else Cause.SAFE_MODE
+            self._name(joint, f"reports {state.value}", cause)
 
-    def _name(self, joint: Joint, cause: str) -> None:
-        if (key := f"{joint.name} {cause}") not in self._named:
+    def _name(self, joint: Joint, text: str, cause: Cause) -> None:
+        if (key := f"{joint.name} {text}") not in self._named:
             self._named.add(key)
-            self.faults.append(Faulted(joint.name, cause))
+            self.faults.append(Faulted(joint.name, text, cause, FaultStep.WARN))

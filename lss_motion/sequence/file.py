@@ -249,6 +249,7 @@ class SequenceFile(TrackEntry, title="sequence file"):
     events: Annotated[list[EventEntry], Field(min_length=1, max_length=EVENTS_MAX)] = Field(
         default=[],
         description="What is not motion: colours, words, functions, sounds. A loop repeats them.",
+    )
     on_fault: OnFaultEntry = Field(
         default_factory=OnFaultEntry,
         description="What is done in this show when something is wrong, unless the joint says "

@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.player.track import make_track
+from lss_motion.player.approach import approach
+from lss_motion.player.track import make_tracks
 from lss_motion.player.watch import SILENT_ASKS, Watch
-from lss_motion.program.response import Piece, Reference
 from lss_motion.robot.on_fault import Cause
 
 S = 1_000_000_000
@@ -13,8 +13,9 @@ BLOCKED, HOLDING, LIMP = 9, 6, 1
 
 @pytest.fixture
 def track(kit):
-    plan = Reference([Piece(0.0, 0.0, 0.0, 0.0)])
-    return make_track(kit.joint(following_deg=5.0), plan, 0.0, 0.2, 0.0)
+    robot = kit.robot(kit.joint(following_deg=5.0))
+    program = approach(robot, {"j0": 0.0}, {"j0": 0.0})
+    return make_tracks(program, robot, {"j0": 0.0}, 0.0)["j0"]
 
 
 def causes(watch):
