@@ -57,7 +57,9 @@ def _set(path: Path, text: str, location: Sequence[str], scalar: str) -> str:
         entry = next((pair for pair in node.value if pair[0].value == part), None)
         if entry is None:
             rest = location[depth + 1 :]
-            said = f"{{{rest[0]}: {scalar}}}" if rest else scalar
+            said = scalar
+            for inner in reversed(rest):
+                said = f"{{{inner}: {said}}}"
             return _inserted(text, node, f"{part}: {said}")
         key, value = entry
         if value.start_mark.index < key.end_mark.index:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import re
+from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.controls import Inputs
 from lss_motion.cli.joint_screen import Screen
@@ -19,37 +20,49 @@ if TYPE_CHECKING:
     from lss_motion.sim.hand import Hand
 
 
+KEYS: Final = re.compile(r"\x1b\[[A-D]|[^\x1b]")
+"""A key as a terminal sends it: an arrow, or a character."""
+
+
 class HandsControls(Inputs):
     """Keys, signals and the screen of a run; each command has its own `begin`, `turn`, `press`."""
+
+    greeting = ""
+    """What to do first."""
 
     def __init__(self) -> None:
         super().__init__()
         self._screen = Screen()
         self._has_begun = False
+        self.now_ns = 0
+        self.error: InputError | None = None
+        """Why it ended early, if it did."""
 
     def act(self, driven: HandsOn, now_ns: int) -> None:
         """Apply what came since the last call."""
+        self.now_ns = now_ns
         signals_count, keys = self.take()
         for _ in range(signals_count):
             driven.stop()
         if driven.phase is Phase.SHOW and not self._has_begun:
             self._has_begun = True
-            self.begin(driven, now_ns)
+            self.begin(driven)
         if driven.phase is Phase.SHOW:
-            self.turn(driven, now_ns)
-        for key in keys:
+            self.turn(driven)
+        for key in KEYS.findall(keys):
             if key in "qQ":
                 driven.stop()
             elif driven.phase is Phase.SHOW:
-                self.press(key, driven, now_ns)
+                self.press(key, driven)
 
-    def begin(self, hands_on: HandsOn, now_ns: int) -> None:
+    def begin(self, hands_on: HandsOn) -> None:  # noqa: ARG002  (for those that need it)
         """Do what comes first, once every servo has answered."""
+        self.say(self.greeting)
 
-    def turn(self, hands_on: HandsOn, now_ns: int) -> None:
+    def turn(self, hands_on: HandsOn) -> None:
         """Do what is to be done all the time."""
 
-    def press(self, key: str, hands_on: HandsOn, now_ns: int) -> None:
+    def press(self, key: str, hands_on: HandsOn) -> None:
         """Do what a key asks for."""
 
     def lines(self, hands_on: HandsOn, now_ns: int) -> Sequence[str]:

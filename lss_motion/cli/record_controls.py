@@ -30,30 +30,30 @@ class RecordControls(HandsControls):
         self._rate_hz = 0.0
         self._counted_ns = 0
 
-    def begin(self, hands_on: HandsOn, now_ns: int) -> None:
+    def begin(self, hands_on: HandsOn) -> None:
         if self._seconds is not None:
             hands_on.let_go(j.name for j in hands_on.joints)
-            self._take_of_hand.start(now_ns)
-            self._end_ns = now_ns + ns_from_s(self._seconds)
+            self._take_of_hand.start(self.now_ns)
+            self._end_ns = self.now_ns + ns_from_s(self._seconds)
         elif not self.has_keys:
             self.say("no terminal to press keys on: give --seconds")
             hands_on.stop()
         else:
             self.say(f"hold the robot, then press l to let it go. {KEYS}")
 
-    def turn(self, hands_on: HandsOn, now_ns: int) -> None:
+    def turn(self, hands_on: HandsOn) -> None:
         fresh = hands_on.take()
         self._take_of_hand.add(fresh)
         self._count += len(fresh)
-        if now_ns - self._counted_ns >= RATE_NS:
-            self._rate_hz = self._count * NS_PER_S / (now_ns - self._counted_ns)
-            self._count, self._counted_ns = 0, now_ns
-        if self._end_ns is not None and now_ns >= self._end_ns:
+        if self.now_ns - self._counted_ns >= RATE_NS:
+            self._rate_hz = self._count * NS_PER_S / (self.now_ns - self._counted_ns)
+            self._count, self._counted_ns = 0, self.now_ns
+        if self._end_ns is not None and self.now_ns >= self._end_ns:
             self._end_ns = None
             self._take_of_hand.finish()
             hands_on.stop()
 
-    def press(self, key: str, hands_on: HandsOn, now_ns: int) -> None:
+    def press(self, key: str, hands_on: HandsOn) -> None:
         take, names = self._take_of_hand, [joint.name for joint in hands_on.joints]
         match key:
             case "l":
@@ -64,7 +64,7 @@ class RecordControls(HandsControls):
                     hands_on.let_go(names)
                     self.say("let go")
             case "r" if take.running is None:
-                take.start(now_ns)
+                take.start(self.now_ns)
                 self.say("recording")
             case "r":
                 take.finish()

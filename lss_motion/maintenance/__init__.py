@@ -13,4 +13,5 @@ look, findings, starter   how a servo does; what to tell of it; a robot file to 
 identify    how a servo really responds: small moves, and the model that fits them
 hands_on, polling   joints in a person's hands: limp, held, moved, and read all the time
 take, cleaning      what a hand showed, as a sequence
+calibration         where a joint's zero is, and which way it turns
 """

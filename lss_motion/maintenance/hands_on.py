@@ -47,10 +47,18 @@ GIVE_WAY_S: Final = 0.02
 class HandsOn:
     """Joints of `robot` in somebody's hands until `stop`; `error` says why it could not begin.
 
-    With `is_soft`, joints that hold do so softly, and stay where a hand pushes them.
+    With `is_soft`, joints that hold do so softly, and stay where a hand pushes them. What was
+    answered to `also_ask`, queries for every joint, `answered` tells from the show on.
     """
 
-    def __init__(self, robot: Robot, joints: Sequence[str], *, is_soft: bool = False) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        joints: Sequence[str],
+        *,
+        is_soft: bool = False,
+        also_ask: Sequence[str] = (),
+    ) -> None:
         self.robot = robot
         self.joints = [_session(robot, name, is_soft=is_soft) for name in joints]
         self.phase = Phase.CONNECT
@@ -63,7 +71,12 @@ class HandsOn:
         self._poller = Poller(robot, self.joints, self.lines, self._questioners)
         self._events: deque[Event] = deque([PhaseEntered(Phase.CONNECT)])
         self._answers: Answers = {}
-        self._dialogue: Dialogue | None = self._ask(setup.questions(self.joints))
+        more = [
+            Item(bus=joint.bus, command=Command(joint.servo_id, keyword), is_question=True)
+            for joint in self.joints
+            for keyword in also_ask
+        ]
+        self._dialogue: Dialogue | None = self._ask([*more, *setup.questions(self.joints)])
         self._has_set = self._has_acted = False
         self._stops = 0
         self._now_ns = 0
@@ -119,6 +132,22 @@ class HandsOn:
         if self._is_soft:
             self._give_way(fresh)
         return fresh
+
+    @property
+    def has_sent_all(self) -> bool:
+        """Whether no order waits for its place on the line."""
+        return not self._poller.has_orders
+
+    def answered(self, name: str, keyword: str) -> int | None:
+        """Return the number (wire unit) that a joint's servo answered, if it did."""
+        joint = self.robot.joints[name]
+        value = self._answers.get((joint.bus, joint.servo_id, keyword))
+        return value if isinstance(value, int) else None
+
+    def set(self, name: str, keyword: str, value: int) -> None:
+        """Set something of a joint's servo (wire unit) that no ending takes back."""
+        for joint in self._ready([name]):
+            self._poller.order(joint, Command(joint.servo_id, keyword, value))
 
     def let_go(self, joints: Iterable[str]) -> None:
         """Take the power off joints: they fall if nobody holds them."""

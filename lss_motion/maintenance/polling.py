@@ -70,6 +70,10 @@ class Poller:
         """Send an order before the next question."""
         self._orders[joint.bus].append(command)
 
+    @property
+    def has_orders(self) -> bool:
+        return any(self._orders.values())
+
     def take(self) -> list[Reading]:
         fresh, self._fresh = self._fresh, []
         return fresh

@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from lss_motion.errors import InputError
 from lss_motion.robot.load import load_robot
@@ -17,7 +17,7 @@ from lss_motion.source_file import read_data, text_of
 from lss_motion.yaml_edit import set_comment, set_values
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from lss_motion.robot.model import Robot
 
@@ -36,25 +36,104 @@ def write_response(
     once or not at all. Raises `InputError` where the text cannot be changed alone, and where the
     changed file would say anything else than the old one but for these values.
     """
-    data = read_data(path)
-    text = text_of(data, path)
+    text, mark = _text_of(path)
     changed = set_values(path, text, ("joints", joint_name, "response"), values)
     changed = set_comment(changed, ("joints", joint_name), f"{joint_name} identified", comments)
-    mark = codecs.BOM_UTF8 if data.startswith(codecs.BOM_UTF8) else b""
-    _replace(path, mark + changed.encode("utf-8"), output or path, joint_name, values)
+    robot = load_robot(path)
+    joint = robot.joints[joint_name]
+
+    def expected(made: Robot) -> Robot:
+        wanted = replace(
+            joint,
+            response=replace(joint.response, **values),
+            accel_max_deg_s2=made.joints[joint_name].accel_max_deg_s2,  # It follows from the ramps.
+        )
+        return replace(robot, joints={**robot.joints, joint_name: wanted})
+
+    said = ", ".join(f"{key}: {value}" for key, value in values.items())
+    _replace(
+        mark + changed.encode("utf-8"),
+        output or path,
+        source=path,
+        expected=expected,
+        by_hand=f"joint {joint_name!r}: add `response: {{{said}}}` to it",
+    )
+
+
+def write_pose(path: Path, name: str, angles_deg: Mapping[str, float]) -> None:
+    """Add a pose to the robot file, or set the joints that it gives of one that is there.
+
+    The file is replaced at once or not at all. Raises `InputError` as `write_response` does.
+    """
+    text, mark = _text_of(path)
+    changed = set_values(path, text, ("poses", name), angles_deg)
+    robot = load_robot(path)
+    pose = {**robot.poses.get(name, {}), **angles_deg}
+    said = ", ".join(f"{joint}: {angle:g}" for joint, angle in angles_deg.items())
+    _replace(
+        mark + changed.encode("utf-8"),
+        path,
+        source=path,
+        expected=lambda _: replace(robot, poses={**robot.poses, name: pose}),
+        by_hand=f"add `{name}: {{{said}}}` to its poses",
+    )
+
+
+def write_frames(path: Path, frames: Mapping[str, tuple[float, Literal[1, -1]]]) -> None:
+    """Set `zero_deg` and `direction` of joints in the robot file; what is so already stays.
+
+    The file is replaced at once or not at all. Raises `InputError` as `write_response` does.
+    """
+    text, mark = _text_of(path)
+    robot = load_robot(path)
+    joints = dict(robot.joints)
+    for name, (zero_deg, direction) in frames.items():
+        joint = joints[name]
+        values: dict[str, float] = {}
+        if joint.zero_deg != zero_deg:
+            values["zero_deg"] = zero_deg
+        if joint.direction != direction:
+            values["direction"] = direction
+        text = set_values(path, text, ("joints", name), values)
+        joints[name] = replace(joint, zero_deg=zero_deg, direction=direction)
+    said = "; ".join(f"{n}: zero_deg {z:g}, direction {d}" for n, (z, d) in frames.items())
+    _replace(
+        mark + text.encode("utf-8"),
+        path,
+        source=path,
+        expected=lambda _: replace(robot, joints=joints),
+        by_hand=f"set {said}",
+    )
+
+
+def _text_of(path: Path) -> tuple[str, bytes]:
+    """Return the text of the file and its byte-order mark, if it has one."""
+    data = read_data(path)
+    return text_of(data, path), codecs.BOM_UTF8 if data.startswith(codecs.BOM_UTF8) else b""
 
 
 def _replace(
-    path: Path, data: bytes, output: Path, joint_name: str, values: Mapping[str, Any]
+    data: bytes,
+    output: Path,
+    *,
+    source: Path,
+    expected: Callable[[Robot], Robot],
+    by_hand: str,
 ) -> None:
+    """Replace the file, unless it would change more, or less, than it should."""
     target = output.resolve()
     try:
         with NamedTemporaryFile(dir=target.parent, suffix=".yaml", delete=False) as temporary:
             temporary.write(data)
         made = Path(temporary.name)
         try:
-            _check(path, load_robot(made), joint_name, values)
-            shutil.copymode(path, made)
+            changed = load_robot(made)
+            if replace(changed, path=None) != replace(expected(changed), path=None):
+                raise InputError(
+                    f"is written in a way that cannot be changed here; by hand, {by_hand}",
+                    path=source,
+                )
+            shutil.copymode(source, made)
             os.replace(made, target)  # noqa: PTH105  (what is meant, by its name)
         finally:
             with suppress(FileNotFoundError):
@@ -63,22 +142,3 @@ def _replace(
         raise
     except OSError as error:
         raise InputError(f"cannot be written: {error.strerror}", path=output) from error
-
-
-def _check(path: Path, changed: Robot, joint_name: str, values: Mapping[str, Any]) -> None:
-    """Refuse a change that changed more, or less, than it should."""
-    robot = load_robot(path)
-    joint = robot.joints[joint_name]
-    wanted = replace(
-        joint,
-        response=replace(joint.response, **values),
-        accel_max_deg_s2=changed.joints[joint_name].accel_max_deg_s2,  # It follows from the ramps.
-    )
-    expected = replace(robot, path=None, joints={**robot.joints, joint_name: wanted})
-    if replace(changed, path=None) != expected:
-        said = ", ".join(f"{key}: {value}" for key, value in values.items())
-        raise InputError(
-            f"joint {joint_name!r} is written in a way that cannot be changed here; add "
-            f"`response: {{{said}}}` to it by hand",
-            path=path,
-        )

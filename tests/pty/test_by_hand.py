@@ -34,7 +34,7 @@ joints:
 poses:
   home: {pan: 0, tilt: 0}   # straight ahead
 """
-SAID_MAX_CHARS = 100_000
+SAID_MAX_CHARS = 30_000
 """About half a minute of frames: whoever waits longer waits in vain."""
 SWAY_S = np.arange(0.0, 60.0, 0.05)
 SWAY = Hand(SWAY_S, {"pan": 30.0 * np.sin(SWAY_S), "tilt": 10.0 + 10.0 * np.sin(2.0 * SWAY_S)})
@@ -85,13 +85,14 @@ class Person:
         )  # fmt: skip
         os.close(child_fd)
         self.said = ""
+        self._seen = 0
 
     def wait_for(self, pattern):
-        """Read on until it says what matches; what was said before does not count again."""
-        start = len(self.said)
-        while not re.search(pattern, self.said[start:]):
-            is_more = self._read(20.0) and len(self.said) < start + SAID_MAX_CHARS
+        """Read on until it says what matches, behind what the last call waited for."""
+        while not (match := re.compile(pattern).search(self.said, self._seen)):
+            is_more = self._read(20.0) and len(self.said) < self._seen + SAID_MAX_CHARS
             assert is_more, f"it never said {pattern!r}: {self.said[-2000:]}"
+        self._seen = match.end()
 
     def press(self, keys):
         os.write(self._own_fd, keys.encode())
@@ -188,3 +189,87 @@ def test_a_port_that_is_lost_while_recording_loses_nothing_that_was_shown(tmp_pa
     assert "lost port" in someone.said
     assert "Traceback" not in someone.said
     assert load_sequence(out, load_robot(tmp_path / "robot.yaml")).keyframes
+
+
+def test_jog_moves_within_the_range_and_keeps_poses_in_the_robot_file(tmp_path):
+    with simulated(tmp_path) as (bus, _), person(tmp_path, "jog", "--pose", "nod") as someone:
+        someone.wait_for("keep pose")
+        someone.press("\x1b[B]]")  # tilt, 15 deg
+        while "its range is -40 to 60" not in someone.said:
+            someone.press("\x1b[C")
+            someone.wait_for(r"> tilt +\d")
+        someone.wait_for("LIMIT")
+        someone.press("c")
+        someone.wait_for("pose nod: ")
+        someone.press("q")
+        assert someone.end() == 0, someone.said
+        lines = heard(bus)
+    targets = [int(re.split(rb"D|T", line)[1]) for line in lines if line.startswith(b"#2D")]
+    assert max(targets) == 600
+    assert not any(line.startswith(b"#1D") for line in lines)
+    end_ns = bus.heard[-1][0]
+    tilt_deg = bus.horn_deg(range(bus.heard[0][0], end_ns, 20_000_000))[:, 1]
+    assert tilt_deg.max() <= 60.0 + 0.1
+    assert np.abs(np.diff(tilt_deg)).max() / 0.02 < 1.5 * 30.0  # approach_speed_deg_s
+    assert lines[-1] == b"#254H"
+    pose = load_robot(tmp_path / "robot.yaml").poses["nod"]
+    assert pose == pytest.approx({"pan": 0.0, "tilt": 60.0}, abs=0.5)
+    text = (tmp_path / "robot.yaml").read_text()
+    assert all(comment in text for comment in ("# two joints", "# the head", "# straight ahead"))
+
+
+LED = {"pan": np.array([0.0, 0.0, 25.0, 25.0]), "tilt": np.array([0.0, 0.0, -20.0, -20.0])}
+
+
+def test_calibrate_finds_zero_and_direction(tmp_path):
+    """The hand stands at 0 for 12 s, then pushes pan up by 25 and tilt down by 20."""
+    hand = Hand(np.array([0.0, 12.0, 12.5, 100.0]), LED)
+    options = ["calibrate", "--to-servos"]
+    with simulated(tmp_path, hand) as (bus, _), person(tmp_path, *options) as someone:
+        someone.wait_for("press l")
+        someone.press("l")
+        someone.wait_for("press Enter")
+        someone.press("\n")
+        someone.wait_for("push pan")
+        someone.press("\n")
+        someone.wait_for("moved less than 5")
+        someone.wait_for(r"> pan +2[45]")
+        someone.press("\n")
+        someone.wait_for("push tilt")
+        someone.press("\n")
+        someone.wait_for(r"direction 1 -> -1")
+        someone.wait_for("press y")
+        assert "zero_deg" not in (tmp_path / "robot.yaml").read_text()
+        someone.press("y")
+        assert someone.end() == 0, someone.said
+        lines = heard(bus)
+    robot = load_robot(tmp_path / "robot.yaml")
+    assert (robot.joints["pan"].direction, robot.joints["tilt"].direction) == (1, -1)
+    assert robot.joints["pan"].zero_deg == pytest.approx(0.0, abs=0.3)
+    assert "# the head" in (tmp_path / "robot.yaml").read_text()
+    assert lines[-1] == b"#254H"
+    stored = [line for line in lines if re.match(rb"#\dCO-?\d+$", line)]
+    assert len(stored) == 2
+    assert lines.index(stored[0]) < lines.index(b"#1H")  # While it is limp.
+
+
+def test_a_signal_while_calibrating_writes_nothing_and_holds(tmp_path):
+    with simulated(tmp_path) as (bus, _), person(tmp_path, "calibrate") as someone:
+        someone.wait_for("press l")
+        someone.press("l")
+        someone.wait_for("press Enter")
+        someone.press("\x03")
+        assert someone.end() == 130
+        assert heard(bus)[-1] == b"#254H"
+    assert (tmp_path / "robot.yaml").read_text() == ROBOT
+
+
+def test_a_port_that_is_lost_while_jogging_is_an_error_in_words(tmp_path):
+    with simulated(tmp_path) as (_, unplug), person(tmp_path, "jog") as someone:
+        someone.wait_for("keep pose")
+        someone.press("\x1b[C")
+        someone.wait_for("> pan")
+        unplug()
+        assert someone.end() == 4
+    assert "lost port" in someone.said
+    assert "Traceback" not in someone.said

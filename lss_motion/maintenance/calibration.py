@@ -1,0 +1,52 @@
+"""Where a joint's zero is, and which way it turns, from what a hand showed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Literal
+
+from lss_motion.protocol.families import FAMILY_TABLES
+
+if TYPE_CHECKING:
+    from lss_motion.robot.model import Joint
+
+MOVED_MIN_DEG: Final = 5.0
+"""A push that shows a direction. Chosen: far above backlash and noise, and easily made."""
+
+ZERO_DECIMALS: Final = 1
+"""Servos tell tenths of a degree."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Frame:
+    """How joint angles lie on servo angles: `servo_deg = zero_deg + direction * joint_deg`."""
+
+    zero_deg: float
+    direction: Literal[1, -1]
+
+
+def frame_of(
+    joint: Joint, *, servo_deg: float, pose_deg: float, pushed_deg: float | None
+) -> Frame | None:
+    """Return the frame of a joint that stands at `pose_deg` when its servo says `servo_deg`.
+
+    `pushed_deg` is the servo angle after the joint was pushed towards larger joint angles, or
+    None to keep the direction that the robot file says. Returns None for too small a push.
+    """
+    direction: Literal[1, -1] = joint.direction
+    if pushed_deg is not None:
+        if abs(pushed_deg - servo_deg) < MOVED_MIN_DEG:
+            return None
+        direction = 1 if pushed_deg > servo_deg else -1
+    zero_deg = round(servo_deg - direction * pose_deg, ZERO_DECIMALS) + 0.0
+    return Frame(zero_deg=zero_deg, direction=direction)
+
+
+def moved_origin(joint: Joint, *, origin_wire: int, gyre: int, zero_deg: float) -> int:
+    """Return the origin offset (wire unit) with which the servo says 0 at its `zero_deg` of now.
+
+    A servo says `gyre * (raw - origin)`; the offset is kept within half a turn.
+    """
+    row = FAMILY_TABLES[joint.model.family].row("O")
+    turn, moved = row.wire(360.0), origin_wire + gyre * row.wire(zero_deg)
+    return (moved + turn // 2) % turn - turn // 2
