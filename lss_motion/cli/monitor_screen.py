@@ -145,11 +145,11 @@ def sparkline(values: Sequence[float]) -> str:
 def _cells(reading: Reading) -> tuple[str, ...]:
     if reading.is_silent:
         return ("-", "", "-", "-", "-", "-", "silent")
-    position = _said(reading.position_deg, "{:.1f} deg")
+    position = _said(reading.position_deg, "{:z.1f} deg")
     return (
         position if reading.raw is None else f"{reading.raw:.0f} raw",
         sparkline(reading.positions_deg),
-        _said(reading.speed_deg_s, "{:.0f} deg/s"),
+        _said(reading.speed_deg_s, "{:z.0f} deg/s"),
         _said(reading.current_a, "{:.2f} A"),
         _said(reading.voltage_v, "{:.1f} V"),
         _said(reading.temperature_c, "{:.0f} °C"),

@@ -119,7 +119,7 @@ def table(looks: Sequence[Look], names: Mapping[int, str]) -> list[str]:
             "several at once" if present.is_shared else present.model or "-",
             _said(look.firmware, "{:d}"),
             present.serial_number or "-",
-            _said(look.position_deg, "{:.1f} deg"),
+            _said(look.position_deg, "{:z.1f} deg"),
             _said(look.voltage_v, "{:.1f} V"),
             _said(look.temperature_c, "{:.0f} °C"),
             look.status.value if look.status is not None else "-",

@@ -43,7 +43,7 @@ joints:
 def starter_file(name: str, bus: Bus, looks: Sequence[Look]) -> str | None:
     """Return the text of a robot file; None if no servo was found that one could name.
 
-    What cannot be driven yet, listens at another rate, or shares its id stands in a comment.
+    What is no joint, listens at another rate, or shares its id stands in a comment.
     """
     main_bps = bus.baud_bps
     usable: list[Look] = []
@@ -87,7 +87,7 @@ def _model(look: Look) -> str | None:
 
 
 def _seen(look: Look) -> str:
-    stands = "" if look.position_deg is None else f", stood at {look.position_deg:.1f} deg"
+    stands = "" if look.position_deg is None else f", stood at {look.position_deg:z.1f} deg"
     number = look.present.serial_number
     return f"    # {look.present.model}{f', serial number {number}' if number else ''}{stands}"
 
@@ -97,4 +97,4 @@ def _why(look: Look, main_bps: int) -> str:
         return "which several servos share"
     if look.baud_bps != main_bps:
         return f"{look.present.model} at {look.baud_bps} bps"
-    return f"{look.present.model or 'no model known'}, which a robot file cannot drive yet"
+    return f"{look.present.model or 'no model known'}, which no joint of a robot file can be"

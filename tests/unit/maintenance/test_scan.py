@@ -147,7 +147,13 @@ joints: {arm: {id: 1}, hand: {id: 2}, foot: {id: 3, model: LSS-HT1}}
 
 def test_the_starter_is_a_robot_file_that_loads(connected, spec, tmp_path):
     connection = connected(
-        spec(1), spec(2), spec(4, "LSS-P-S1"), spec(6), spec(6), spec(8, baud_bps=9600)
+        spec(1),
+        spec(2),
+        spec(4, "LSS-P-S1"),
+        spec(6),
+        spec(6),
+        spec(8, baud_bps=9600),
+        spec(209, "LSS-2IO"),
     )
     bus = dataclasses.replace(connection.buses["main"], port="/dev/ttyUSB7")
     looks = survey(connection, connection.buses["main"], None)
@@ -159,11 +165,15 @@ def test_the_starter_is_a_robot_file_that_loads(connected, spec, tmp_path):
         "joint_1": 1,
         "joint_2": 2,
         "joint_4": 4,
+        "joint_209": 209,
+        "joint_210": 210,
+        "joint_211": 211,
     }
     assert robot.joints["joint_4"].model.name == "LSS-P-S1"
     assert robot.buses["main"].port == "/dev/ttyUSB7"
     assert "# not used: id 6, which several servos share" in text
     assert "# not used: id 8, LSS-ST1 at 9600 bps" in text
+    assert "# not used: id 203, LSS-2IO-A3, which no joint of a robot file can be" in text
 
 
 def test_without_a_servo_of_its_own_id_there_is_no_starter(connected, spec):
