@@ -6,8 +6,10 @@ what a full pipe does not take. Run as `python -m lss_motion.cli.display`.
 
 from __future__ import annotations
 
+import bisect
 import contextlib
 import json
+import math
 import os
 import signal
 import subprocess
@@ -15,18 +17,25 @@ import sys
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.cli.controls import KEYS_HELP
-from lss_motion.units import NS_PER_S
+from lss_motion.units import NS_PER_S, NS_PER_US
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
+    from rich.table import Table
+    from rich.text import Text
 
     from lss_motion.player.player import Player
+    from lss_motion.player.track import Track
 
 FRAME_NS: Final = NS_PER_S // 10
 PIPE_BYTES: Final = 1 << 16
 NOTES_SHOWN: Final = 5
-ERROR_LOOK_DEG: Final = 2.0
-"""Following errors above this are shown in red."""
+MARKS_SHOWN: Final = 3
+"""Named keyframes that are still to come."""
+BAR_CHARS: Final = 60
+LATE_COMMANDS: Final = 100
+"""The lateness shown is the largest of so many commands."""
+US_PER_MS: Final = 1000
 
 
 class Display:
@@ -42,6 +51,7 @@ class Display:
         self._rest = b""
         self._next_ns = 0
         self._notes: list[str] = []
+        self._memory = Memory()
 
     def note(self, text: str) -> None:
         """Show a line of text with the next frame."""
@@ -53,7 +63,7 @@ class Display:
             return
         self._next_ns = now_ns + FRAME_NS
         if not self._rest:
-            frame = frame_of(player, now_ns, self._notes)
+            frame = frame_of(player, now_ns, self._notes, self._memory)
             self._notes = []
             self._rest = json.dumps(frame, separators=(",", ":")).encode() + b"\n"
         with contextlib.suppress(BlockingIOError, BrokenPipeError):
@@ -70,77 +80,138 @@ class Display:
             self._child.wait()
 
 
-def frame_of(player: Player, now_ns: int, notes: list[str]) -> dict[str, Any]:
+class Memory:
+    """What a frame needs of the frames before."""
+
+    def __init__(self) -> None:
+        self._before: dict[str, tuple[int, int, int]] = {}
+        self._named: list[tuple[float, str]] | None = None
+
+    def marks_around(self, player: Player, now_ns: int) -> list[tuple[float, str]]:
+        """Return the last named keyframe that was passed and the next ones, with their times."""
+        if self._named is None:
+            marks = player.program.marks
+            self._named = [(round(mark.planned_s, 2), mark.label) for mark in marks if mark.label]
+        show = player.show
+        show_s = 0.0 if show is None else player.program.within(show.show_s(now_ns))
+        passed = bisect.bisect_right(self._named, show_s, key=lambda mark: mark[0])
+        return self._named[max(passed - 1, 0) : passed + MARKS_SHOWN]
+
+    def lines(self, player: Player, now_ns: int) -> dict[str, tuple[float, float]]:
+        """Return per bus the share of the line that was sent, and the answers a second."""
+        found: dict[str, tuple[float, float]] = {}
+        for name, line in player.lines.items():
+            answered = player.questioners[name].answered_count
+            then_ns, then_bytes, then_answered = self._before.get(name, (now_ns, 0, 0))
+            self._before[name] = (now_ns, line.sent_bytes, answered)
+            if now_ns > then_ns:
+                busy_ns = line.time_ns(line.sent_bytes - then_bytes)
+                elapsed_s = (now_ns - then_ns) / NS_PER_S
+                share = busy_ns / NS_PER_S / elapsed_s
+                found[name] = (round(share, 3), round((answered - then_answered) / elapsed_s))
+        return found
+
+
+def frame_of(player: Player, now_ns: int, notes: list[str], memory: Memory) -> dict[str, Any]:
     """Return what there is to see of a run at this instant, as plain values."""
-    show = player.show
-    duration_s = player.program.duration_s
-    joints = []
-    late_us = 0
-    if show is not None:
-        late_us = (show.statistics.late_ns[-1] if show.statistics.late_ns else 0) // 1000
-        for name, track in show.tracks.items():
-            measured = track.following.measured_deg
-            joints.append(
-                [
-                    name,
-                    round(track.joint.joint_deg(track.place(now_ns)[0]), 1),
-                    None if measured is None else round(track.joint.joint_deg(measured), 1),
-                    round(track.following.error_deg, 2),
-                    round(track.following.offset_deg, 2),
-                    "" if track.status is None else track.status.value,
-                    track.temperature_max_c,
-                ]
-            )
+    show, program = player.show, player.program
+    latest_ns = show.statistics.late_ns[-LATE_COMMANDS:] if show is not None else ()
     return {
         "phase": player.phase.value,
-        "name": player.program.name,
+        "name": program.name,
         "port": ", ".join(sorted({line.bus.port for line in player.lines.values()})),
-        "show_s": None if show is None else round(show.show_s(now_ns), 2),
-        "duration_s": None if duration_s == float("inf") else round(duration_s, 2),
+        "show_s": None if show is None else round(program.within(show.show_s(now_ns)), 2),
+        "whole_s": None if math.isinf(program.pass_s) else round(program.pass_s, 2),
+        "is_endless": program.repeat is not None,
         "rate": 1.0 if show is None else round(show.clock.rate(now_ns), 2),
-        "late_us": late_us,
-        "load": {
-            name: round(use.utilisation_ratio, 3) for name, use in player.program.line_use.items()
-        },
-        "joints": joints,
+        "late_us": max(latest_ns, default=0) // NS_PER_US,
+        "missed": 0 if show is None else show.statistics.missed,
+        "lines": memory.lines(player, now_ns),
+        "joints": [_joint(track, now_ns) for track in show.tracks.values()] if show else [],
+        "marks": memory.marks_around(player, now_ns),
         "notes": notes,
     }
 
 
+def _joint(track: Track, now_ns: int) -> list[Any]:
+    measured_deg = track.following.measured_deg
+    joint = track.joint
+    return [
+        joint.name,
+        round(joint.joint_deg(track.place(now_ns)[0]), 1),
+        None if measured_deg is None else round(joint.joint_deg(measured_deg), 1),
+        round(track.following.error_deg, 2),
+        joint.following_deg,
+        round(track.following.offset_deg, 2),
+        "" if track.status is None else track.status.value,
+        track.temperature_max_c,
+    ]
+
+
 def rendered(frame: dict[str, Any], notes: list[str], keys_help: str) -> RenderableType:
-    """Return a frame as rich draws it."""
+    """Return a frame as rich draws it: what matters most on top, since terminals are low."""
     from rich.console import Group
     from rich.padding import Padding
     from rich.progress_bar import ProgressBar
+    from rich.text import Text
+
+    show_s, whole_s = frame["show_s"] or 0.0, frame["whole_s"]
+    head = f"{frame['name']} on {frame['port']}  {frame['phase']}"
+    head += f"  {max(show_s, 0.0):.1f}" + (f" of {whole_s:.1f} s" if whole_s else " s")
+    head += (" again and again" if frame["is_endless"] else "") + f"  speed {frame['rate']:.0%}"
+    total_s = whole_s or max(show_s, 1.0)
+    bar = ProgressBar(total=total_s, completed=min(max(show_s, 0.0), total_s), width=BAR_CHARS)
+    marks = Text()
+    for at_s, label in frame["marks"]:
+        style = "bold green" if at_s <= show_s else ""
+        marks.append(f"{label} {at_s:.1f} s", style=style).append("   ")
+    used = ", ".join(
+        f"{bus} {share:.0%} sent, {answers_hz} answers/s"
+        for bus, (share, answers_hz) in frame["lines"].items()
+    )
+    timing = f"late {frame['late_us'] / US_PER_MS:.1f} ms at most"
+    shown = [_note_text(note) for note in notes[-NOTES_SHOWN:]]
+    return Group(
+        Text(head, style="bold"),
+        # A bar ends no line by itself.
+        Padding(bar, (0, 0, 0, 0)),
+        marks,
+        Text(f"{used}   {timing}").append(
+            f"   {frame['missed']} missed", style="bold red" if frame["missed"] else ""
+        ),
+        Text(keys_help, style="dim"),
+        *shown,
+        _table(frame["joints"]),
+    )
+
+
+def _note_text(note: str) -> Text:
+    from rich.text import Text
+
+    is_bad = note.startswith(("warning:", "fault:"))
+    return Text(note, style="bold yellow" if is_bad else "dim")
+
+
+def _table(joints: list[list[Any]]) -> Table:
     from rich.table import Table
     from rich.text import Text
 
-    show_s, duration_s = frame["show_s"], frame["duration_s"]
-    head = f"{frame['name']} on {frame['port']}  {frame['phase']}"
-    if show_s is not None:
-        head += f"  {max(show_s, 0.0):.1f}" + (f" of {duration_s:.1f} s" if duration_s else " s")
-        head += f"  speed {frame['rate']:.0%}"
-    lines = ", ".join(f"{bus} {load:.0%}" for bus, load in frame["load"].items())
-    foot = f"commands on the line: {lines}   late {frame['late_us']} us   {keys_help}"
     table = Table(box=None, pad_edge=False)
     for title in ("joint", "target", "measured", "error", "correction", "status", "°C"):
         table.add_column(title, justify="left" if title in ("joint", "status") else "right")
-    for name, target, measured, error, offset, status, celsius in frame["joints"]:
+    for name, target, measured, error, allowed, offset, status, celsius in joints:
+        # Half of what ends the show is worth a look.
+        style = "red" if abs(error) > allowed else "yellow" if abs(error) > allowed / 2 else ""
         table.add_row(
             name,
             f"{target:.1f}",
             "-" if measured is None else f"{measured:.1f}",
-            Text(f"{error:+.2f}", style="red" if abs(error) > ERROR_LOOK_DEG else ""),
+            Text(f"{error:+.2f}", style=style),
             f"{offset:+.2f}",
             status,
             "-" if celsius is None else f"{celsius:.0f}",
         )
-    total = duration_s or max(show_s or 0.0, 1.0)
-    bar = ProgressBar(total=total, completed=min(max(show_s or 0.0, 0.0), total), width=60)
-    # A bar ends no line by itself.
-    framed = Padding(bar, (0, 0, 0, 0))
-    shown = [Text(note, style="yellow") for note in notes[-NOTES_SHOWN:]]
-    return Group(Text(head, style="bold"), framed, table, *shown, Text(foot, style="dim"))
+    return table
 
 
 def main() -> int:

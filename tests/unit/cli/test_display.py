@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from lss_motion import api
+from lss_motion.cli import shows
+from lss_motion.cli.display import KEYS_HELP, Memory, frame_of, rendered
+
+WAVE = Path(__file__).parents[3] / "sequences" / "wave.yaml"
+
+
+@pytest.fixture(scope="module")
+def frames():
+    """Frames of a show at ten a second, from its first question to its end."""
+    show = shows.prepare(WAVE, None, loop=1)
+    found, memory = [], Memory()
+
+    def look(player, now_ns):
+        if now_ns >= len(found) * 10**8:
+            found.append(frame_of(player, now_ns, [], memory))
+
+    observer = api.Observer(on_turn=look)
+    api.perform(show.program, show.robot, is_virtual=True, observer=observer)
+    return found
+
+
+def drawn(frame, notes=(), height=24):
+    out = io.StringIO()
+    Console(file=out, width=100, height=height).print(rendered(frame, list(notes), KEYS_HELP))
+    return out.getvalue()
+
+
+def in_show(frames):
+    return [frame for frame in frames if frame["phase"] == "playing"]
+
+
+def test_a_frame_shows_how_far_the_show_is_and_the_keyframes_around(frames):
+    late = in_show(frames)[40]
+    text = drawn(late)
+    assert f"{late['show_s']:.1f} of {late['whole_s']:.1f} s" in text
+    times_s = [at_s for at_s, _ in late["marks"]]
+    assert times_s[0] <= late["show_s"] < times_s[1]
+    for at_s, label in late["marks"]:
+        assert f"{label} {at_s:.1f} s" in text
+
+
+def test_a_frame_shows_target_measured_and_error_of_every_joint(frames):
+    frame = in_show(frames)[20]
+    lines = drawn(frame).splitlines()
+    assert len(frame["joints"]) == 5
+    for name, target, measured, error, *_ in frame["joints"]:
+        [line] = [line for line in lines if line.startswith(name)]
+        assert line.split()[1:4] == [f"{target:.1f}", f"{measured:.1f}", f"{error:+.2f}"]
+
+
+def test_a_frame_shows_what_the_line_does_now(frames):
+    for frame in in_show(frames)[5:50]:
+        share, answers_hz = frame["lines"]["main"]
+        assert 0.3 < share < 1.0
+        assert 800 < answers_hz < 1800
+    assert "answers/s" in drawn(in_show(frames)[20])
+
+
+def test_what_goes_wrong_stands_out_and_the_keys_are_seen_on_a_low_terminal(frames):
+    frame = in_show(frames)[20]
+    frame = {**frame, "joints": frame["joints"] * 6, "missed": 3, "late_us": 12_345}
+    text = drawn(frame, ["warning: hot", "fault: joint 'a' is stuck"])
+    top = "\n".join(text.splitlines()[:12])
+    for words in ("3 missed", "late 12.3 ms", "warning: hot", "is stuck", KEYS_HELP):
+        assert words in top
+
+
+def test_before_the_show_there_is_a_frame_too(frames):
+    assert frames[0]["phase"] == "connecting"
+    assert "connecting" in drawn(frames[0])
