@@ -22,7 +22,9 @@ from benches.table import Row, shown
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-BENCHES = ("codec", "compress", "horn", "plan", "loop", "line", "late", "identify", "gait")
+BENCHES = (
+    "codec", "compile", "compress", "horn", "plan", "loop", "line", "late", "identify", "gait"
+)  # fmt: skip
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from lss_motion.program.drives import late_max_s, longest_move, make_fitter, servo_limits
-from lss_motion.program.fit import Fit
+from lss_motion.program.fit import TURN_S, Fit
 from lss_motion.program.line import LineSchedule
 from lss_motion.program.moves import reference
 from lss_motion.units import NS_PER_US, line_time_ns, s_from_us, us_from_s
@@ -54,8 +54,9 @@ class Attempt:
         *,
         begins: Mapping[str, Begin] | None = None,
         lines: Mapping[str, LineSchedule] | None = None,
+        turn_s: float = TURN_S,
     ) -> None:
-        """Fit `courses`, all on one grid. `seams_s`, `begins`: see `Fit`; `begins` for timed ones.
+        """Fit `courses`, all on one grid. `seams_s`, `begins` (of timed joints), `turn_s`: `Fit`.
 
         `lines` holds what is reserved already; no move is due before the courses begin.
         """
@@ -67,7 +68,7 @@ class Attempt:
             min((course.start_s for course in courses.values()), default=0.0)
         )
         self._lines = {bus: (lines or {}).get(bus, LineSchedule()) for bus in robot.buses}
-        self._begins = begins or {}
+        self._begins, self._turn_s = begins or {}, turn_s
         self._slots = {
             name: _Slot(
                 robot.joints[name].bus,
@@ -126,7 +127,7 @@ class Attempt:
         own = [courses[name] for name in names]
         limits = [servo_limits(joint, tolerance_deg) for joint in joints]
         begins = [self._begins[name] for name in names if name in self._begins]
-        moves = Fit(own, limits, seams_s, begins).moves(new_line)
+        moves = Fit(own, limits, seams_s, begins, self._turn_s).moves(new_line)
         for index, name in enumerate(names):
             some = moves.of(index)
             columns = (some.heard_s, some.target_wire.astype(int), some.duration_ms.astype(int))

@@ -39,6 +39,15 @@ class States:
         return States(self.time_s[:, None], self.position_deg[:, None], self.speed_deg_s[:, None])
 
 
+def both(one: States, other: States) -> States:
+    """Return the states of both, one after the other."""
+    return States(
+        np.concatenate((one.time_s, other.time_s)),
+        np.concatenate((one.position_deg, other.position_deg)),
+        np.concatenate((one.speed_deg_s, other.speed_deg_s)),
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Trapezoids:
     """Moves to rest: a ramp to the peak speed, a cruise, a ramp down (`response.trapezoid`).

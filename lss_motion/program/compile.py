@@ -12,6 +12,7 @@ from lss_motion.program.attempt import Attempt, sent_us, slot_us
 from lss_motion.program.choose import choices
 from lss_motion.program.course import GRID_S, Course
 from lss_motion.program.drives import lead
+from lss_motion.program.fit import TURN_S
 from lss_motion.program.line import LineUse, line_use
 from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
 from lss_motion.program.verify import verify_program
@@ -31,6 +32,9 @@ TOLERANCE_DEG: Final = 0.2
 """How far the predicted horn may be from the plan (design 7)."""
 RELAXED_RATIOS: Final = (1.0, 1.5, 2.5, 4.0, 6.0)
 """By how much the tolerance is relaxed, step by step, when the line is too slow."""
+TIGHT_TURN_S: Final = 0.02
+"""On a line that is too full at first, commands are placed strictly in the order of time: at the
+worst a third more of them fit, in two to three times the time."""
 PREROLL_S: Final = 0.25
 """The show clock starts this long before the plan, so that all first moves find a slot."""
 
@@ -53,8 +57,9 @@ def compile_program(
     found = choices(robot, lambda driven: _courses(trajectory, driven), tolerance_deg)
     for choice in found:
         courses = _courses(trajectory, choice.robot)
-        for ratio in RELAXED_RATIOS if choice is found[-1] else (1.0,):
-            attempt = Attempt(courses, choice.robot, tolerance_deg * ratio, seams_s)
+        trials = [(1.0, TURN_S), *((ratio, TIGHT_TURN_S) for ratio in RELAXED_RATIOS)]
+        for ratio, turn_s in trials if choice is found[-1] else trials[:2]:
+            attempt = Attempt(courses, choice.robot, tolerance_deg * ratio, seams_s, turn_s=turn_s)
             if not attempt.is_tight:
                 program = _program(trajectory, choice, courses, attempt, repeat)
                 verify_program(program, choice.robot)

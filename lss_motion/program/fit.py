@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.program.batch import States, trapezoids
+from lss_motion.program.batch import States, both, trapezoids
 from lss_motion.program.cone import CONE_RATIO, reach_s
 from lss_motion.program.course import GRID_S, Courses, LimitArrays
 from lss_motion.program.landing import SEGMENT_MIN_S, Landings, best_landings
@@ -40,8 +40,13 @@ DEPARTURES: Final = 7
 DEPARTURE_STEPS: Final = 80
 """Grid steps in which it is judged how far they reach: every one, since what a servo at rest cannot
 follow shows at once."""
+RIVALRY_S: Final = 1.0
+"""A move that is wanted this much later than another is of another stretch of the show."""
 LANES_MAX: Final = 256
 """So many lanes are fitted side by side: their arrays fit into the processor's cache."""
+TURN_S: Final = 0.1
+"""A move waits for those of its stretch that are wanted this much earlier. The line is given away
+in the order of time, or its free time would be cut into pieces too short for what comes."""
 NEVER: Final = 2**62
 """The index of a stop that never comes."""
 
@@ -59,13 +64,16 @@ class Fit:
         limits: Sequence[ServoLimits],
         seams_s: Sequence[float] = (),
         begins: Sequence[Begin] = (),
+        turn_s: float = TURN_S,
     ) -> None:
         """Take courses on one grid. While one moves, a move is heard at or shortly before a seam.
 
         Between two seams the moves can then be repeated without end. Without `begins`, one a
-        course, all servos stand where their courses do.
+        course, all servos stand where their courses do. A shorter turn fills the line better, and
+        takes longer to fit.
         """
         self._each = list(zip(courses, limits, begins or (None,) * len(courses), strict=True))
+        self.turn_s = turn_s
         self.courses = Courses(courses, limits)
         self.limits = LimitArrays(limits)
         self.seams = np.array(sorted(courses[0].index(s) for s in seams_s), dtype=np.intp)
@@ -113,13 +121,39 @@ class _Rows:
     wish_deg_s: FloatArray
     wanted_s: FloatArray
 
+    def take(self, chosen: BoolArray) -> _Rows:
+        return _Rows(
+            self.lane[chosen],
+            self.state.take(chosen),
+            self.wish_deg_s[chosen],
+            self.wanted_s[chosen],
+        )
+
+
+def _joined(one: _Rows, other: _Rows) -> _Rows:
+    return _Rows(
+        np.concatenate((one.lane, other.lane)),
+        both(one.state, other.state),
+        np.concatenate((one.wish_deg_s, other.wish_deg_s)),
+        np.concatenate((one.wanted_s, other.wanted_s)),
+    )
+
+
+def _is_next(wanted_s: FloatArray, turn_s: float) -> BoolArray:
+    """Return which moves to grant now: none that is wanted a turn after one of its stretch."""
+    ordered = np.sort(wanted_s)
+    earlier = np.searchsorted(ordered, wanted_s - turn_s)
+    rivals = np.searchsorted(ordered, wanted_s - RIVALRY_S)
+    is_next: BoolArray = earlier == rivals
+    return is_next
+
 
 class _Run:
     """One attempt: all lanes from their first move to their last."""
 
     def __init__(self, fit: Fit, lanes: Sequence[Lane], grant: Grant) -> None:
         self._courses, self._limits, self._seams = fit.courses, fit.limits, fit.seams
-        self._grant = grant
+        self._grant, self._turn_s = grant, fit.turn_s
         self._joint = np.array([lane.joint for lane in lanes], dtype=np.intp)
         self._wire = np.array([lane.wire for lane in lanes], dtype=np.float64)
         self._stop_wire = np.array([lane.stop_wire for lane in lanes], dtype=np.float64)
@@ -133,38 +167,36 @@ class _Run:
     def moves(self) -> Moves:
         waiting = deque(range(len(self._lanes)))
         empty = np.zeros(0)
-        self._record(np.zeros(0, dtype=np.intp), States(empty, empty, empty), empty, empty, empty)
-        rows: _Rows | None = None
-        while waiting or (rows is not None and len(rows.lane)):
-            under_way = 0 if rows is None else len(rows.lane)
-            new = [waiting.popleft() for _ in range(min(len(waiting), LANES_MAX - under_way))]
-            lane, state = self._advanced(rows, np.array(new, dtype=np.intp))
-            rows = self._settled(lane, state)
+        nobody = np.zeros(0, dtype=np.intp)
+        self._record(nobody, States(empty, empty, empty), empty, empty, empty)
+        rows = self._entered(nobody)
+        while waiting or len(rows.lane):
+            room = LANES_MAX - len(rows.lane)
+            new = [waiting.popleft() for _ in range(min(len(waiting), room))]
+            if new:
+                rows = _joined(rows, self._entered(np.array(new, dtype=np.intp)))
+            is_next = _is_next(rows.wanted_s, self._turn_s)
+            rows = _joined(rows.take(~is_next), self._advanced(rows.take(is_next)))
         return in_order(self._made)
 
-    def _advanced(self, rows: _Rows | None, new: IntArray) -> tuple[IntArray, States]:
-        """Have the next move of every row granted; return where the profiles are then."""
-        wanted_s = np.zeros(0) if rows is None else rows.wanted_s
-        after_s = np.zeros(0) if rows is None else rows.state.time_s
-        under_way = len(wanted_s)
-        lane = new if rows is None else np.concatenate((rows.lane, new))
-        if len(new):
-            wanted_s = np.concatenate((wanted_s, self._departures_s(new)))
-            after_s = np.concatenate((after_s, self._after_s[new]))
-        granted_s = np.empty_like(wanted_s)
-        joint = self._joint[lane]
-        listed = [column.tolist() for column in (joint, wanted_s, after_s)]
-        for row in np.argsort(wanted_s, kind="stable").tolist():
-            granted_s[row] = self._grant(listed[0][row], listed[1][row], listed[2][row])
-        state = self._begun(new, granted_s[under_way:])
-        if rows is None or not under_way:
-            return lane, state
-        moved = self._worded(rows, granted_s[:under_way])
-        return lane, States(
-            granted_s,
-            np.concatenate((moved.position_deg, state.position_deg)),
-            np.concatenate((moved.speed_deg_s, state.speed_deg_s)),
-        )
+    def _entered(self, lane: IntArray) -> _Rows:
+        """Return lanes that wait for their first move; they have no travel speed yet."""
+        none = np.full(len(lane), np.nan)
+        wanted_s = self._departures_s(lane) if len(lane) else np.zeros(0)
+        return _Rows(lane, States(self._after_s[lane], none, none), none, wanted_s)
+
+    def _advanced(self, rows: _Rows) -> _Rows:
+        """Have the next moves granted, put those under way into words, and choose what follows."""
+        granted_s = np.empty(len(rows.lane))
+        columns = (self._joint[rows.lane], rows.wanted_s, rows.state.time_s)
+        joints, wanted_s, after_s = (column.tolist() for column in columns)
+        for row in np.argsort(rows.wanted_s, kind="stable").tolist():
+            granted_s[row] = self._grant(joints[row], wanted_s[row], after_s[row])
+        is_new = np.isnan(rows.wish_deg_s)
+        begun = self._begun(rows.lane[is_new], granted_s[is_new])
+        moved = self._worded(rows.take(~is_new), granted_s[~is_new])
+        lane = np.concatenate((rows.lane[is_new], rows.lane[~is_new]))
+        return self._settled(lane, both(begun, moved))
 
     def _begun(self, lane: IntArray, granted_s: FloatArray) -> States:
         """Return the states of profiles that hear their first move, at rest or under way."""
