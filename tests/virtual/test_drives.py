@@ -201,6 +201,14 @@ def test_a_host_that_oversleeps_breaks_no_limit_and_catches_up(stage, kit, seed)
     assert end_deg == pytest.approx([0.0, 0.0, 4.2, 0.0], abs=0.5), "it got there before it held"
 
 
+def test_a_host_that_oversleeps_the_end_waits_until_every_servo_is_there(stage, kit):
+    sleep = Fault(kind=FaultKind.OVERSLEEP, at_s=5.9, until_s=5.92, late_s=0.35)
+    sequence = kit.sequence(4, 6.0, seed=1, swing_deg=70.0, step_s=(0.6, 1.0))
+    played = stage.play(mixed_robot(kit), sequence, faults=[sleep], physics=QUIET, seed=1)
+    (end_deg,) = played.bus.horn_deg([played.bus.heard[-1][0]])
+    assert end_deg[1:] == pytest.approx([0.0, 4.2, 0.0], abs=0.5), "it got there before it held"
+
+
 def test_a_dead_host_leaves_the_horns_within_reach_and_range(stage, kit):
     class GoneError(Exception):
         pass
