@@ -220,7 +220,12 @@ def _perform(
     wishes = Wishes(top)
     with contextlib.ExitStack() as stack:
         link = stack.enter_context(PlannerProcess(gait, robot, GAIT_TOLERANCE_DEG))
-        pilot = Pilot(link, phase_s=planner.phase_s, splice_s=planner.splice_s)
+        pilot = Pilot(
+            link,
+            phase_s=planner.phase_s,
+            splice_s=planner.splice_s,
+            planning_s=link.planning_s,
+        )
         display = None
         if not arguments.quiet and sys.stderr.isatty():
             display = Display(KEYS_HELP)

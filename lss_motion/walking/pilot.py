@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 PLANNING_GUESS_S: Final = 1.0
 """How long planning may take before it has been measured."""
-PLANNING_RATIO: Final = 1.5
+PLANNING_RATIO: Final = 2.0
 """It is asked for this much earlier than the slowest of the last plans took."""
 PLANNING_MARGIN_S: Final = 0.05
 PLANNINGS_KEPT: Final = 6
@@ -49,7 +49,15 @@ class Link(Protocol):
 class Pilot:
     """Keeps one player walking as `wanted`; `wanted_pose` is where the body is to be, or None."""
 
-    def __init__(self, link: Link, *, phase_s: float, splice_s: float) -> None:
+    def __init__(
+        self,
+        link: Link,
+        *,
+        phase_s: float,
+        splice_s: float,
+        planning_s: float = PLANNING_GUESS_S,
+    ) -> None:
+        """Steer by `link`, whose planner is thought to take `planning_s`; the rest is its own."""
         self.wanted: Twist = STILL
         self.wanted_pose: BodyPose | None = None
         self.twist: Twist = STILL
@@ -63,7 +71,7 @@ class Pilot:
         self._link = link
         self._phase_s = phase_s
         self._splice_s = splice_s
-        self._planning_s: deque[float] = deque([PLANNING_GUESS_S], PLANNINGS_KEPT)
+        self._planning_s: deque[float] = deque([planning_s], PLANNINGS_KEPT)
         self._asked_ns: int | None = None
         self._was_taken = False
         self._next_s: float | None = None

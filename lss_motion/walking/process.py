@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
-import os
 import signal
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, overload
@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, Any, Final, overload
 import numpy as np
 
 from lss_motion.errors import PlanningError
+from lss_motion.gait.walker import Twist
 from lss_motion.program.model import Move
 from lss_motion.program.response import Reference
-from lss_motion.walking.planner import Planner
+from lss_motion.walking.planner import Planner, Request
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -29,10 +30,12 @@ if TYPE_CHECKING:
 
     from lss_motion.gait.model import Gait
     from lss_motion.robot.model import Robot
-    from lss_motion.walking.planner import Answer, Request
+    from lss_motion.walking.planner import Answer
 
-NICENESS: Final = 5
-"""The planner gives way to the loop that plays where they share a processor."""
+FIRST_S: Final = 1.0
+FIRST: Final = Twist(forward_mm_s=1.0)
+"""Show time and velocity of a stretch that is planned to see how long it takes, and not walked."""
+START_MAX_S: Final = 60.0
 CLOSE_S: Final = 2.0
 """A planner that has not ended this long after it was told to is ended."""
 LOST: Final = "the process that plans the walk has ended; the robot goes to a stand by itself"
@@ -68,7 +71,10 @@ class Moves(Sequence[Move]):
 
 
 class PlannerProcess:
-    """A planner elsewhere; a context manager. Its first answer waits until it has started."""
+    """A planner elsewhere; a context manager, which is entered when the planner is ready.
+
+    `planning_s` is how long its first stretch took to plan.
+    """
 
     def __init__(self, gait: Gait, robot: Robot, tolerance_deg: float) -> None:
         context = multiprocessing.get_context("spawn")
@@ -78,9 +84,18 @@ class PlannerProcess:
         )
         self._process.start()
         other.close()
+        self.planning_s = 0.0
 
     def __enter__(self) -> PlannerProcess:
-        return self
+        """Wait for the planner; raises `PlanningError` if it does not start."""
+        is_ready = False
+        with contextlib.suppress(EOFError, OSError):
+            is_ready = self._connection.poll(START_MAX_S)
+            self.planning_s = float(self._connection.recv()) if is_ready else 0.0
+        if is_ready and self.planning_s > 0.0:
+            return self
+        self.close()
+        raise PlanningError("the process that plans the walk does not start; is it busy here?")
 
     def __exit__(
         self,
@@ -88,6 +103,10 @@ class PlannerProcess:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the planner."""
         self._connection.close()
         self._process.join(CLOSE_S)
         if self._process.is_alive():
@@ -144,9 +163,12 @@ def unpacked(answer: Answer, arrays: Any) -> Answer:  # noqa: ANN401  (what `pac
 def _serve(connection: Connection, gait: Gait, robot: Robot, tolerance_deg: float) -> None:
     """Answer until the other end is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with contextlib.suppress(OSError, AttributeError):
-        os.nice(NICENESS)
     planner = Planner(gait, robot, tolerance_deg)
+    first = Request(wanted=FIRST, was_taken=False, begins_s=FIRST_S)
+    planner.answer(first)  # Loads all that planning needs.
+    started_s = time.monotonic()
+    planner.answer(first)
     with contextlib.suppress(EOFError, OSError):
+        connection.send(time.monotonic() - started_s)
         while True:
             connection.send(packed(planner.answer(connection.recv())))
