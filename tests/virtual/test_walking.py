@@ -174,12 +174,11 @@ def test_a_plan_that_comes_too_late_lets_the_robot_stand_by_itself_and_walk_agai
     assert walk.pilot.taken > 3, "it has walked again"
     walk.assert_within_limits()
     walk.assert_stands()
-    # While the late plan was made it reached its stand: never in the middle of a step.
-    times_s = walk.truth.times_s
+    # While the late plan was made it reached its stand, and stood: never in the middle of a step.
     off_deg = np.abs(walk.truth.horn_deg - walk.stand_deg).max(axis=1)
-    assert (off_deg[(times_s > 9.0) & (times_s < 12.0)] < STAND_DEG).all()
-    assert off_deg[times_s < 6.0].max() > 2.0
-    assert off_deg[times_s > 13.0].max() > 2.0
+    walks = np.flatnonzero(off_deg > STAND_DEG)
+    assert walks[0] < 500, "it began to walk within five seconds"
+    assert np.diff(walks).max() > 100, "it stood for at least a second"
 
 
 def test_one_interruption_walks_to_the_stand_and_holds(monkeypatch):
