@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -17,6 +18,7 @@ from lss_motion.program.compile import compile_program as compile  # noqa: A004
 from lss_motion.robot.load import load_robot
 from lss_motion.runtime.clock import MonotonicClock, VirtualClock
 from lss_motion.runtime.real_time import real_time
+from lss_motion.runtime.reopening import ReopeningPort
 from lss_motion.runtime.report import make_report, run_seconds
 from lss_motion.runtime.runner import run
 from lss_motion.sequence import load as sequences
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from lss_motion.connection import Connection
     from lss_motion.player.events import Event
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Robot
@@ -172,7 +175,7 @@ def perform(  # noqa: PLR0913  (the wishes of one run)
                 on_event(Warned(text))
             run(
                 player,
-                connection.ports,
+                _reopening(connection, player),
                 clock,
                 on_event=on_event,
                 on_turn=observer.on_turn,
@@ -185,7 +188,8 @@ def perform(  # noqa: PLR0913  (the wishes of one run)
         connection.close()
     player.end_show(clock.now_ns())
     truth = _truth(player, robot, connection.simulated) if simulated else None
-    outcome = "lost" if error is not None else player.outcome or "stopped"
+    is_lost = error is not None or isinstance(player.error, BusError)
+    outcome = "lost" if is_lost and player.show is not None else player.outcome or "stopped"
     report = make_report(
         player,
         run_s=run_seconds(started_ns, clock.now_ns()),
@@ -224,6 +228,21 @@ def _performing(
 
 def _unheard(event: Event) -> None:
     """Tell nobody."""
+
+
+def _reopening(connection: Connection, player: Player) -> dict[str, ReopeningPort]:
+    """Return ports that are opened again when they are lost, while the player waits for them."""
+    return {
+        name: ReopeningPort(
+            port,
+            partial(connection.open_again, name),
+            connection.clock,
+            waits=partial(player.waits_for_port, name),
+            lost=partial(player.port_lost, name),
+            found=partial(player.port_found, name),
+        )
+        for name, port in connection.ports.items()
+    }
 
 
 def _check_faults(faults: Sequence[Fault], *, simulated: bool, is_virtual: bool) -> None:

@@ -136,16 +136,22 @@ class Connection:
     def set_baud(self, bus_name: str, baud_bps: int) -> None:
         """Go on at another rate on one bus; raises `BusError` if the port does not take it."""
         self.ports.pop(bus_name).close()
-        bus = dataclasses.replace(self.buses[bus_name], baud_bps=baud_bps)
-        self.buses[bus_name] = bus
+        self.buses[bus_name] = dataclasses.replace(self.buses[bus_name], baud_bps=baud_bps)
+        if (sim_bus := self.simulated.get(bus_name)) is not None:
+            sim_bus.set_host_rate(baud_bps, self.clock.now_ns())
+        self.open_again(bus_name)
+
+    def open_again(self, bus_name: str) -> Port:
+        """Open the same device once more; raises `BusError` while it is not there."""
+        bus = self.buses[bus_name]
         sim_bus = self.simulated.get(bus_name)
         if sim_bus is None:
-            self.ports[bus_name] = SerialPort(bus.port, baud_bps)
-            return
-        from lss_motion.sim.port import SimPort
+            self.ports[bus_name] = SerialPort(bus.port, bus.baud_bps)
+        else:
+            from lss_motion.sim.port import SimPort
 
-        sim_bus.set_host_rate(baud_bps, self.clock.now_ns())
-        self.ports[bus_name] = SimPort(sim_bus, self.clock)
+            self.ports[bus_name] = SimPort(sim_bus, self.clock)
+        return self.ports[bus_name]
 
     def simulate(
         self,

@@ -25,6 +25,7 @@ pytestmark = pytest.mark.realtime
 
 ROBOT = """
 robot: pair
+resume_s: 1.5
 joints:
   pan:  {id: 1, model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 180, accel_max_deg_s2: 600}
   tilt: {id: 2, model: LSS-ST1, range_deg: [-40, 60], speed_max_deg_s: 180, accel_max_deg_s2: 600}
@@ -65,10 +66,11 @@ class Served:
 
 
 @contextmanager
-def simulated(folder):
-    """Serve the robot behind a pseudo-terminal from a thread."""
-    bus = bus_from_robot(load_robot(folder / "robot.yaml"), "main", seed=1)
-    bus.record()
+def simulated(folder, bus=None):
+    """Serve the robot, or a bus of it that was unplugged, behind a pseudo-terminal."""
+    if bus is None:
+        bus = bus_from_robot(load_robot(folder / "robot.yaml"), "main", seed=1)
+        bus.record()
     stop, ready = threading.Event(), threading.Event()
     thread = threading.Thread(
         target=serve_buses,
@@ -180,6 +182,28 @@ def test_a_port_that_vanishes_is_an_error_and_no_traceback(folder):
         assert process.returncode == 4
         assert "lost port" in errors
         assert "Traceback" not in errors
+
+
+def test_a_port_that_is_plugged_in_again_is_played_on(folder):
+    report = folder / "r.json"
+    (folder / "robot.yaml").write_text(ROBOT.replace("resume_s: 1.5", "resume_s: 20"))
+    with simulated(folder) as port:
+        with playing(folder, port, "--report", str(report), loop="8") as process:
+            wait_for(process, "playing")
+            wait_for_moves(port, 6)
+            port.unplug()
+            wait_for(process, "recovering")
+            heard = len(port.bus.heard)
+            with simulated(folder, port.bus):
+                wait_for(process, "playing")
+                _, errors = process.communicate(timeout=60)
+        assert process.returncode == 0, errors
+        lines = [line.rstrip(b"\r") for line in lines_heard(port)[heard:]]
+        first = next(i for i, line in enumerate(lines) if line.startswith(b"#1D"))
+        assert {b"#1EM1", b"#1AA60", b"#1SD1800"} <= set(lines[:first])
+        assert lines[-1] == b"#254H"
+    (fault,) = json.loads(report.read_text())["faults"]
+    assert (fault["kind"], fault["step"]) == ("lost_port", "resume")
 
 
 def test_a_killed_player_leaves_a_robot_that_comes_to_rest_by_itself(folder):

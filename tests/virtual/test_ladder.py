@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lss_motion.errors import BusError
 from lss_motion.player.events import PhaseEntered
 from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.sim.faults import Fault, FaultKind
@@ -183,3 +184,39 @@ def test_an_approach_that_was_lost_on_the_line_is_said_again(stage, kit):
         )
         assert played.report["outcome"] == "finished"
         assert np.abs(played.horn_error_deg(from_s=0.0)[:20]).max() < 4.0
+
+
+def test_a_port_that_comes_back_is_played_on_with_the_settings_said_again(stage, kit):
+    gone = Fault(kind=FaultKind.UNPLUGGED, at_s=2.0, until_s=5.0)
+    played = stage.play(faults=[gone])
+    assert played.report["outcome"] == "finished"
+    assert faults(played) == [("", "lost_port", "resume")]
+    after = played.heard(after_ns=5 * S)
+    first = next(i for i, line in enumerate(after) if b"D" in line and b"T" in line)
+    assert {b"#1AA60\r", b"#2SD1800\r", b"#3EM1\r"} <= set(after[:first])
+    assert played.heard()[-1] == HOLD
+    assert np.abs(played.horn_error_deg(from_s=2.5)).max() < 1.0
+    _, accel = played.speeds(5 * S, played.bus.heard[-1][0])
+    assert np.abs(accel).max() <= 1.1 * 600.0
+
+
+def test_when_one_of_two_ports_stays_away_the_other_is_restored_and_holds(stage, kit):
+    robot = kit.robot(4, buses=2, resume_s=2.0)
+    gone = Fault(kind=FaultKind.UNPLUGGED, at_s=2.0, bus="bus1")
+    played = stage.play(robot, faults=[gone])
+    assert played.report["outcome"] == "lost"
+    assert isinstance(played.result.error, BusError)
+    assert "and was not back after 2 s" in str(played.result.error)
+    assert faults(played) == [("", "lost_port", "hold")]
+    lines = [line for _, line in played.buses["bus0"].heard]
+    assert lines[-1] == HOLD
+    assert {b"#1SD3600\r", b"#3SD3600\r"} <= set(lines[-17:])
+    assert played.report["run_s"] < 5.0
+
+
+def test_where_a_lost_port_is_not_waited_for_it_ends_at_once(stage, kit):
+    robot = kit.robot(on_fault={Cause.LOST_PORT: (FaultStep.HOLD,)})
+    played = stage.play(robot, faults=[Fault(kind=FaultKind.UNPLUGGED, at_s=2.0, until_s=2.5)])
+    assert played.report["outcome"] == "lost"
+    assert "lost port" in str(played.result.error)
+    assert played.report["run_s"] < 2.1
