@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -10,6 +11,8 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
+from lss_motion.program import lanes
+from lss_motion.program.batch import States, speeds_for, trapezoids
 from lss_motion.program.compile import compile_program
 from lss_motion.program.course import GRID_S, Course, ServoLimits
 from lss_motion.program.drives import lead
@@ -33,6 +36,7 @@ from lss_motion.sequence.model import Keyframe, Sequence
 from lss_motion.sim.bus import SimBus
 from lss_motion.sim.physics import TICK_NS, Physics, ServoSpec
 from lss_motion.trajectory.planner import plan
+from lss_motion.units import line_time_ns
 
 LAWS = settings(
     max_examples=60,
@@ -280,6 +284,125 @@ def test_a_slot_is_the_latest_free_one_before_the_wish_and_late_only_if_there_is
         end_us = line.reserve(latest_us, size_us, earliest_us)
         assert end_us == (max(before) if before else first_us)
         taken.append((end_us - size_us, end_us))
+
+
+# ---- many at once
+
+
+@LAWS
+@given(
+    st.lists(
+        st.tuples(angles, speeds, angles, st.floats(0.02, 3.0), st.floats(0.0, 3.0)), min_size=1
+    ),
+    st.sampled_from(["cruise", "exact"]),
+)
+def test_the_response_in_arrays_is_the_response_of_each(moves, law):
+    at, speed, target, duration_s, later_s = (
+        np.array(column) for column in zip(*moves, strict=True)
+    )
+    start = States(np.full(len(at), 1.0), at, speed)
+    ramps, is_exact = np.full(len(at), 300.0), np.full(len(at), law == "exact")
+    travel = np.minimum(speeds_for(start, target, duration_s, ramps, is_exact), 200.0)
+    reached = trapezoids(start, target, travel, ramps).at(1.0 + later_s)
+    for index, (at_deg, speed_deg_s, target_deg, asked_s, after_s) in enumerate(moves):
+        piece = Piece(1.0, at_deg, speed_deg_s, 0.0)
+        asked = travel_speed(piece, target_deg, asked_s, 300.0, Response(t_law=law))
+        pieces = trapezoid(piece, target_deg, min(asked, 200.0), 300.0)
+        expected_deg, expected_deg_s = Reference(pieces).at(1.0 + after_s)
+        assert reached.position_deg[index] == pytest.approx(expected_deg, abs=1e-4)
+        assert reached.speed_deg_s[index] == pytest.approx(expected_deg_s, abs=0.1)
+
+
+# ---- long shows
+
+
+def swing_about(seconds, seed):
+    """A smooth course from rest to rest with no standstill for as long as is asked."""
+    random = np.random.default_rng(seed)
+    time_s = np.arange(0.0, seconds, GRID_S)
+    waves = [(random.uniform(5.0, 20.0), random.uniform(0.05, 0.3), random.uniform(0.0, 6.28))
+             for _ in range(3)]  # fmt: skip
+    swing = sum(size * np.sin(6.283 * rate * time_s + shift) for size, rate, shift in waves)
+    ramp = np.clip(np.minimum(time_s - 0.5, seconds - 0.5 - time_s) / 1.5, 0.0, 1.0)
+    return Course(start_s=0.0, position_deg=swing * ramp * ramp * (3.0 - 2.0 * ramp))
+
+
+def heard_one_by_one(moves, limits):
+    """Return what a servo makes of the moves, heard by the model of the player."""
+    servo = Profile(
+        0.0,
+        ramp_deg_s2=limits.ramp_deg_s2,
+        speed_max_deg_s=limits.speed_max_deg_s,
+        response=limits.response,
+    )
+    for heard_s, wire, duration_ms in zip(
+        moves.heard_s, moves.target_wire, moves.duration_ms, strict=True
+    ):
+        servo.retarget(heard_s, wire / limits.wire_per_deg, duration_ms / 1e3)
+    return Reference(servo.pieces())
+
+
+@pytest.mark.parametrize("law", ["cruise", "exact"])
+def test_nothing_drifts_in_ten_minutes(law):
+    """No reading corrects it: judged by a profile that hears every move, to the last."""
+    course = swing_about(600.0, seed=3)
+    limits = replace(limits_of(10), response=Response(t_law=law))
+    moves, _ = fitted(course, limits)
+    times_s = course.times_s(np.arange(len(course.position_deg)))
+    error_deg = np.abs(heard_one_by_one(moves, limits).sample(times_s) - course.position_deg)
+    last_minute = times_s > 540.0
+    assert error_deg[last_minute].max() <= 0.21
+    assert error_deg.max() <= 0.21
+    assert len(moves) > 500
+
+
+def test_stops_where_a_long_course_turns_cost_next_to_nothing(monkeypatch):
+    course = swing_about(120.0, seed=5)
+    moves, _ = fitted(course, limits_of(10))
+    monkeypatch.setattr(lanes, "STRETCH_S", 1e9)
+    whole, _ = fitted(course, limits_of(10))
+    assert list(moves.heard_s) != list(whole.heard_s), "it was cut"
+    assert len(moves) <= len(whole) * 1.03
+
+
+@settings(LAWS, max_examples=20)
+@given(courses(), st.sampled_from([0.1, 0.2, 0.4]))
+def test_half_as_much_tolerance_again_never_needs_more_moves(course, tolerance_deg):
+    """The fit is greedy, so that a little more may cost a move; this much never more than one."""
+    assume(np.abs(np.diff(course.position_deg, 2)).max() / GRID_S**2 < 300.0)
+    tight, _ = fitted(course, limits_of(10, tolerance_deg))
+    loose, _ = fitted(course, limits_of(10, 1.5 * tolerance_deg))
+    assert len(loose) <= len(tight) + 1
+
+
+def horn_of(moves, physics_law):
+    """Return times and where a simulated horn was that heard the moves a second after power."""
+    bus = crisp_bus(t_law=physics_law)
+    bus.write(b"#5AA60\r#5AD60\r#5SD2400\r", 0)
+    for heard_s, wire, duration_ms in zip(
+        moves.heard_s, moves.target_wire, moves.duration_ms, strict=True
+    ):
+        data = b"#5D%dT%d\r" % (wire, duration_ms)
+        bus.write(data, round(1e9 * (1.0 + heard_s)) - line_time_ns(len(data), 921600))
+    times_s = 0.005 * np.arange(1600)
+    bus.advance(10_000_000_000)
+    return times_s, bus.horn_deg([round(1e9 * (1.0 + t)) for t in times_s])[:, 0]
+
+
+@pytest.mark.parametrize("law", ["cruise", "exact"])
+def test_a_simulated_horn_follows_under_the_law_it_was_fitted_for_and_nearly_under_the_other(law):
+    course = swing_about(8.0, seed=2)
+    moves, _ = fitted(course, replace(limits_of(10), response=Response(t_law=law)))
+    rms_deg = {}
+    for own in ("cruise", "exact"):
+        times_s, horn_deg = horn_of(moves, own)
+        planned_deg = np.interp(times_s - 0.0025, times_s, course.position_deg)
+        rms_deg[own] = np.sqrt(np.mean((horn_deg - planned_deg) ** 2))
+        assert horn_deg[-1] == pytest.approx(0.0, abs=0.051), "every law ends on the last target"
+    other = "exact" if law == "cruise" else "cruise"
+    assert rms_deg[law] < 0.2
+    assert rms_deg[other] != rms_deg[law]
+    assert rms_deg[other] < 0.5, "targets are absolute: what one move misses, the next takes back"
 
 
 # ---- whole programs

@@ -142,7 +142,7 @@ def test_both_laws_of_t_are_allowed_for(kit, law):
     sequence = kit.lively(["j0"], 8.0, seed=4, swing_deg=30.0)
     program, trajectory, robot = made(kit, sequence, kit.joint(response=kit.Response(t_law=law)))
     errors = np.abs(error_deg(program, trajectory, robot))
-    assert errors.max() <= (0.205 if law == "cruise" else 0.3)  # T carries less speed per ms
+    assert errors.max() <= 0.205
     assert program.error_max_deg["j0"] == pytest.approx(errors.max(), abs=0.02)
 
 
