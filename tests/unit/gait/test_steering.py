@@ -159,3 +159,11 @@ def test_a_joint_with_little_range_keeps_the_robot_where_it_is(kit):
     robot = replace(own.robot, joints={**own.robot.joints, name: stiff})
     bound = Steering(own.gait, robot, BodyPose())
     assert bound.steered(bound.standing(), Twist(forward_mm_s=40.0)).twist.forward_mm_s < 10.0
+
+
+def test_a_stretch_that_is_too_fast_for_a_servo_is_refused_with_its_joint(kit):
+    gait = kit.gait("tripod", cycle_s=0.5)
+    hasty = Steering(gait, kit.robot(gait), BodyPose())
+    with pytest.raises(PlanningError, match=r"joint '.*' would need .* deg/s², allowed 900") as no:
+        hasty.stretch(hasty.standing(), Twist(forward_mm_s=60.0))
+    assert no.value.joint in hasty.joints
