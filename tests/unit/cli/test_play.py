@@ -70,8 +70,8 @@ def test_a_virtual_show_ends_with_a_report_a_truth_and_a_log(folder, capsys):
     assert abs(table[100, 1] - 40.0) < 0.5
 
     lines = log.read_text().splitlines()
-    assert lines[0] == "# lss_motion log 1"
-    assert lines[-1].endswith("#254H\\r")
+    assert lines[0] == "# lss_motion log 2"
+    assert [line for line in lines if " > " in line][-1].endswith("#254H\\r")
     printed = capsys.readouterr().out
     assert "simulated" in printed
     assert "missed 0" in printed
