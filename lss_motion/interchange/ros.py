@@ -1,4 +1,4 @@
-"""ROS motions in YAML: JointTrajectory messages, play_motion and play_motion2 collections.
+"""ROS motions in YAML: JointTrajectory messages, play_motion and play_motion2 collections, goals.
 
 Positions are radians (REP 103), or metres where a joint slides; the file does not say which. Joints
 whose names speak of sliding are therefore left to a map.
@@ -28,17 +28,27 @@ if TYPE_CHECKING:
 _WRAPPINGS: Final = ("goal", "trajectory", "joint_trajectory", "play_motion", "ros__parameters")
 """What a trajectory or a collection of motions may be wrapped in, besides the name of a node."""
 
+GOAL_S: Final = 4.0
+"""When a published goal without `time_from_start` is reached, or with the next one if that comes
+first. Assumed: the publisher of ros2_controllers_test_nodes gives its goals so long."""
+
 _POINT_EXTRAS: Final = ("velocities", "accelerations", "effort", "efforts")
 
 
 @dataclass(frozen=True, slots=True)
 class RosReader:
-    """Reads `{joint_names, points}` and `{motions: {name: {joints, points | positions}}}`."""
+    """Reads `{joint_names, points}` and `{motions: {name: {joints, points | positions}}}`.
+
+    Also the parameters of a publisher of goals: `{goal_names, wait_sec_between_publish, joints}`
+    and the goals under their names.
+    """
 
     name: str = "ros"
 
     def recognises(self, data: bytes) -> bool:
         if b"joint_names" in data and b"points" in data:
+            return True
+        if b"goal_names" in data and b"joints" in data:
             return True
         has_times = b"time_from_start" in data or b"times_from_start" in data
         return b"motions" in data and b"joints" in data and has_times
@@ -48,6 +58,8 @@ class RosReader:
         top = reading.unwrapped(yaml_tree(text_of(data, path), path))
         if "joint_names" in top:
             return (reading.motion(path.stem, top, top["joint_names"]),)
+        if "goal_names" in top:
+            return (reading.goals(path.stem, top),)
         listed = reading.mapping(top["motions"], "motions")
         if not listed:
             reading.refuse(top["motions"], "'motions' holds no motion")
@@ -66,7 +78,7 @@ class _Reading:
         """Return the mapping that has `joint_names` or `motions`, from inside its wrappings."""
         while True:
             here = self.mapping(node, "the file")
-            if "joint_names" in here or "motions" in here:
+            if "joint_names" in here or "motions" in here or "goal_names" in here:
                 return here
             inner = next((here[key] for key in _WRAPPINGS if key in here), None)
             if inner is None and len(here) == 1:
@@ -74,6 +86,47 @@ class _Reading:
             if inner is None or not isinstance(inner.value, dict):
                 self.refuse(node, "here should be 'joint_names' and 'points', or 'motions'")
             node = inner
+
+    def goals(self, name: str, top: dict[str, Node]) -> ForeignMotion:
+        """Return the goals that a publisher sends, one every `wait_sec_between_publish`."""
+        for key in ("joints", "wait_sec_between_publish"):
+            if key not in top:
+                self.refuse(top["goal_names"], f"beside 'goal_names' there must be {key!r}")
+        joints = [str(item.value) for item in self.items(top["joints"], "'joints'")]
+        wait_s = self.number(top["wait_sec_between_publish"])
+        if wait_s <= 0.0 or len(set(joints)) < len(joints):
+            self.refuse(top["joints"], "needs a wait above 0 s, and every joint once")
+        poses: list[Pose] = []
+        for index, item in enumerate(self.items(top["goal_names"], "'goal_names'")):
+            goal = str(item.value)
+            if goal not in top:
+                self.refuse(item, f"goal {goal!r:.60} is not there")
+            poses.append(self._goal(goal, top[goal], joints, index * wait_s, wait_s))
+        known = {"goal_names", "joints", "wait_sec_between_publish", "controller_name"}
+        found = [key for key in top if key not in {*known, *(pose.label for pose in poses)}]
+        comments = [
+            f"Imported from {self.path.name} (ROS, goals of a publisher).",
+            *summarised(found),
+        ]
+        return motion_of_poses(self.path, name, poses, unit_of=unit_of_ros_joint, comments=comments)
+
+    def _goal(self, name: str, node: Node, joints: list[str], sent_s: float, wait_s: float) -> Pose:
+        parts = node.value if isinstance(node.value, dict) else {"positions": node}
+        if "positions" not in parts:
+            self.refuse(node, f"goal {name!r:.60} has no 'positions'")
+        values = [self.number(value) for value in self.items(parts["positions"], name)]
+        if len(values) != len(joints):
+            self.refuse(node, f"{name:.60} has {len(values)} positions for {len(joints)} joints")
+        needed_s = self._time(parts["time_from_start"]) if "time_from_start" in parts else GOAL_S
+        reached_s = min(max(needed_s, 0.0), wait_s)
+        return Pose(
+            at_s=sent_s + reached_s,
+            values=dict(zip(joints, values, strict=True)),
+            hold_s=wait_s - reached_s,
+            label=name,
+            place=name,
+            line=node.line,
+        )
 
     def listed_motion(self, name: str, node: Node) -> ForeignMotion:
         motion = self.mapping(node, name)

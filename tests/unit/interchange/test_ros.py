@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from lss_motion.interchange.reader import ForeignMotion, RefusedMotion, Unit
@@ -108,3 +110,45 @@ def test_a_file_without_a_motion_is_refused(refusal) -> None:
     assert "'joint_names' and 'points', or 'motions'" in refusal(RosReader(), "a: 1\n").reason
     assert "is empty" in refusal(RosReader(), "# nothing\n").reason
     assert "'motions' holds no motion" in refusal(RosReader(), "motions: {}\n").reason
+
+
+PUBLISHER = """\
+publisher_joint_trajectory_controller:
+  ros__parameters:
+    controller_name: "arm_controller"
+    wait_sec_between_publish: 6
+    repeat_the_same_goal: 1
+    goal_names: ["pos1", "pos2", "pos1"]
+    pos1:
+      positions: [0.5, -0.25]
+    pos2: {positions: [0.0, 1.0], time_from_start: {sec: 2, nanosec: 500000000}}
+    joints:
+      - joint1
+      - joint2
+"""
+
+
+def test_the_goals_of_a_publisher_are_poses_at_the_times_at_which_it_sends_them(read_one) -> None:
+    motion = read_one(RosReader(), PUBLISHER)
+    first, second, third = motion.keyframes
+    assert [k.at_s for k in motion.keyframes] == [4.0, 8.5, 16.0]
+    assert [k.hold_s for k in motion.keyframes] == [2.0, 3.5, 2.0]
+    assert [k.label for k in motion.keyframes] == ["pos1", "pos2", "pos1"]
+    assert first.deg == third.deg
+    assert second.deg == {"joint1": 0.0, "joint2": pytest.approx(57.29578)}
+    assert "Not carried over: repeat_the_same_goal" in motion.comments
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "reason"),
+    [
+        ("between_publish: 6", "between_publish: 0", 10, "above 0 s"),
+        ('"pos2"', '"pos3"', 6, "pos3.* is not there"),
+        ("[0.0, 1.0]", "[0.0]", 9, "1 positions for 2 joints"),
+        ("    joints:\n      - joint1\n      - joint2\n", "", 6, "'joints'"),
+    ],
+)
+def test_goals_that_do_not_fit_are_refused_with_their_line(refusal, old, new, line, reason) -> None:
+    error = refusal(RosReader(), PUBLISHER.replace(old, new))
+    assert re.search(reason, error.reason)
+    assert error.line in (line, line + 1)
