@@ -159,6 +159,8 @@ def perform(  # noqa: PLR0913  (the wishes of one run)
     simulated = is_simulated(robot)
     if is_virtual and not simulated:
         raise InputError("--virtual needs the simulated bus: use it with --port sim://")
+    if program.waits and not has_feedback:
+        raise InputError("the show waits for a sensor, which must be asked: not with --no-feedback")
     _check_faults(faults, simulated=simulated, is_virtual=is_virtual)
     clock = _clock(faults, is_virtual=is_virtual, seed=seed)
     connection = connect(robot.buses, robot=robot, clock=clock, seed=seed, faults=faults)
@@ -281,8 +283,8 @@ def _truth(player: Player, robot: Robot, buses: Mapping[str, SimBus]) -> Truth |
     first = math.ceil(max(float(shown_s[0]), 0.0) / TRUTH_STEP_S - 1e-6)
     last = math.floor(min(float(shown_s[-1]), player.program.duration_s) / TRUTH_STEP_S + 1e-6)
     times_s = TRUTH_STEP_S * np.arange(first, last + 1, dtype=np.float64)
-    kept = np.concatenate(([True], np.diff(shown_s) > 0.0))
-    at_ns = np.interp(times_s, shown_s[kept], (instants - instants[0])[kept].astype(np.float64))
+    shown_s += 1e-9 * np.arange(len(shown_s))  # Where the show stood, it is still in order.
+    at_ns = np.interp(times_s, shown_s, (instants - instants[0]).astype(np.float64))
     times_ns = instants[0] + at_ns.astype(np.int64)
     names = tuple(player.program.start_deg)
     horn = np.empty((len(times_s), len(names)))

@@ -214,7 +214,14 @@ def _nothing(text: str) -> None:
 
 def tell(event: Event, say: Callable[[str], None]) -> None:
     """Say in one line what happened."""
-    from lss_motion.player.events import CueReached, Faulted, MarkPassed, PhaseEntered, Warned
+    from lss_motion.player.events import (
+        CueReached,
+        Faulted,
+        MarkPassed,
+        PhaseEntered,
+        Waited,
+        Warned,
+    )
 
     match event:
         case PhaseEntered(phase):
@@ -223,6 +230,12 @@ def tell(event: Event, say: Callable[[str], None]) -> None:
             say(f"{show_s:7.2f} s {label}")
         case CueReached(cue, show_s):
             say(f"{show_s:7.2f} s {_cue_text(cue)}")
+        case Waited(text, "begun"):
+            say(f"        waiting for {text}")
+        case Waited(text, "met"):
+            say(f"        {text}: going on")
+        case Waited(text, "timeout"):
+            say(f"warning: no {text} in time; going on")
         case Warned(text):
             say(f"warning: {text}")
         case Faulted(step=step):

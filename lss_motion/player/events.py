@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from lss_motion.robot.on_fault import Cause, FaultStep
     from lss_motion.sequence.model import Cue
+
+
+WaitState = Literal["begun", "met", "timeout"]
 
 
 class Phase(StrEnum):
@@ -47,6 +50,14 @@ class MarkPassed:
 
     label: str
     show_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Waited:
+    """The show stands still until a sensor says so; or that has happened, or took too long."""
+
+    text: str
+    state: WaitState
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,4 +107,4 @@ class Checked:
     servos: tuple[Found, ...]
 
 
-Event = PhaseEntered | Warned | MarkPassed | CueReached | Faulted | Checked
+Event = PhaseEntered | Warned | MarkPassed | CueReached | Waited | Faulted | Checked

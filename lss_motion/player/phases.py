@@ -57,6 +57,7 @@ class Phases:
         self._must_ask = must_ask
         self._streamer: Streamer | None = None
         questions = setup.questions(session.joints, session.agenda.lit)
+        questions += setup.sensor_questions(session.program, session.robot)
         self._dialogue: Dialogue | Settling | None = session.ask(questions)
         self._approaches = 0
         self._now_ns = 0
@@ -121,6 +122,7 @@ class Phases:
                     lines = self._session.lines
                     self.events += self._session.agenda.advance(self._streamer, lines, now_ns)
                 self._streamer.advance(now_ns)
+                self.events += self._streamer.waiting.take_notices()
             if self.phase in DRIVING and self._has_fallen(now_ns):
                 return True
             if not self._is_over(now_ns):
@@ -186,6 +188,7 @@ class Phases:
         session = self._session
         try:
             robot, questioners = session.robot, session.questioners
+            setup.check_sensors(session.program, robot, session.had)
             self.events += map(
                 Warned, setup.findings(session.joints, session.had, robot, questioners)
             )
@@ -259,7 +262,7 @@ class Phases:
         rate = self.troubles.ladder.rate_max
         if self.phase is Phase.SHOW:
             rate = min(rate, self.rate)
-        if rate != self._streamer.clock.target_rate:
+        if rate != self._streamer.rate_wanted:
             self._streamer.set_rate(rate, now_ns)
 
     def recover(self, now_ns: int) -> None:

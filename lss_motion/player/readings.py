@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from lss_motion.player.line import Line
     from lss_motion.player.queries import Asked, Questioner
     from lss_motion.player.track import Track
+    from lss_motion.player.waiting import Waiting
 
 HEALTH_NS: Final = NS_PER_S // 4
 """Once in this time a servo is asked about its health, one thing after the other."""
@@ -56,7 +57,9 @@ class Reader:
         tracks: Mapping[str, Track],
         questioners: Mapping[str, Questioner],
         lines: Mapping[str, Line],
+        waiting: Waiting,
     ) -> None:
+        self._waiting = waiting
         self.watch = Watch()
         self.unbelieved: dict[str, int] = dict.fromkeys(lines, 0)
         self._questioners = questioners
@@ -73,7 +76,7 @@ class Reader:
     def anew(self) -> Reader:
         """Return a reader that knows of no trouble yet, and still of all that was disbelieved."""
         tracks = {track.joint.name: track for track in self._by_address.values()}
-        reader = Reader(tracks, self._questioners, self._lines)
+        reader = Reader(tracks, self._questioners, self._lines, self._waiting)
         reader.unbelieved = self.unbelieved
         return reader
 
@@ -86,12 +89,32 @@ class Reader:
                 pass
 
     def _ask_one(self, bus: str, now_ns: int, quiet_until_ns: int | None) -> bool:
-        questioner, line = self._questioners[bus], self._lines[bus]
+        questioner = self._questioners[bus]
         self._next_ns[bus] = None
+        question = self._waiting.question(bus, now_ns)
+        if question is not None and questioner.quiet_until_ns(question.servo_id) <= now_ns:
+            if self._leave(bus, question, now_ns, quiet_until_ns):
+                self._waiting.asked(now_ns)
+            return False
         turn = self._turn(bus, now_ns)
         if turn is None:
             return False
         question = Command(turn.track.joint.servo_id, self._keyword(bus, turn, now_ns))
+        if not self._leave(bus, question, now_ns, quiet_until_ns):
+            return False
+        turn.left -= 1
+        turn.is_row = True
+        turn.track.asked_ns = now_ns
+        self._health_wait[bus] += 1
+        if question.keyword != "QD":
+            self._health_wait[bus] = 0
+            turn.track.health_ns = now_ns
+            turn.track.health_count += 1
+        return True
+
+    def _leave(self, bus: str, question: Command, now_ns: int, quiet_until_ns: int | None) -> bool:
+        """Ask if the line and the servo allow it now; otherwise note when to try again."""
+        questioner, line = self._questioners[bus], self._lines[bus]
         size_bytes = len(encode(question))
         earliest_ns = questioner.earliest_ns(question.servo_id, size_bytes)
         if earliest_ns is None or earliest_ns > max(now_ns, line.free_ns):
@@ -104,20 +127,14 @@ class Reader:
         if quiet_until_ns is not None and line.heard_ns(size_bytes, now_ns) > quiet_until_ns:
             return False
         questioner.ask(question, now_ns)
-        turn.left -= 1
-        turn.is_row = True
-        turn.track.asked_ns = now_ns
-        self._health_wait[bus] += 1
-        if question.keyword != "QD":
-            self._health_wait[bus] = 0
-            turn.track.health_ns = now_ns
-            turn.track.health_count += 1
         return True
 
     def receive(
         self, bus: str, reply: Reply, now_ns: int, wanted_deg: Callable[[Track, int], float]
     ) -> None:
         for asked, said in self._questioners[bus].answer(reply, now_ns):
+            if said.keyword == "QA":
+                self._waiting.answered(bus, asked.command.servo_id, said.value)
             track = self._by_address.get((bus, asked.command.servo_id))
             if track is not None:
                 self.watch.answered(track, now_ns)
@@ -150,7 +167,7 @@ class Reader:
 
     def wakeups_ns(self, now_ns: int) -> list[int]:
         """Return when something may have to be done, besides an answer coming in."""
-        wakeups_ns = []
+        wakeups_ns = self._waiting.wakeups_ns()
         for bus, questioner in self._questioners.items():
             if (give_up_ns := questioner.give_up_ns) is not None:
                 wakeups_ns.append(give_up_ns)

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Mapping, Sequence
 
     from lss_motion.player.queries import Questioner
-    from lss_motion.robot.model import Bus, Joint, Robot
+    from lss_motion.program.model import Program
+    from lss_motion.robot.model import Bus, Joint, Robot, Sensor
 
     Answers = Mapping[tuple[str, int, str], int | str | None]
 
@@ -107,6 +108,29 @@ def findings(
 ) -> list[str]:
     """Return all warnings about servos and ports; raise as `check_answers` does."""
     return check_answers(joints, answers, robot) + check_latency(robot.buses, questioners)
+
+
+def sensor_questions(program: Program, robot: Robot) -> list[Item]:
+    """Return what to ask the sensors that a show waits for: whether they are there."""
+    return [
+        Item(bus=sensor.bus, command=Command(sensor.servo_id, "QA"), is_question=True)
+        for sensor in _sensors(program, robot)
+    ]
+
+
+def check_sensors(program: Program, robot: Robot, answers: Answers) -> None:
+    """Raise `BusError` for a sensor that the show waits for and that does not answer."""
+    for sensor in _sensors(program, robot):
+        if not isinstance(answers.get((sensor.bus, sensor.servo_id, "QA")), int):
+            raise BusError(
+                f"no answer from sensor {sensor.name!r} (id {sensor.servo_id} on bus "
+                f"{sensor.bus!r}), which the show waits for",
+                url=robot.buses[sensor.bus].port,
+            )
+
+
+def _sensors(program: Program, robot: Robot) -> list[Sensor]:
+    return [robot.sensors[name] for name in {p.wait.sensor: None for p in program.waits}]
 
 
 def check_answers(joints: Iterable[Joint], answers: Answers, robot: Robot) -> list[str]:

@@ -68,6 +68,12 @@ class ShowClock:
         leg = _Leg(now_ns, self.show_s(now_ns), self.rate(now_ns), rate, ns_from_s(over_s))
         self._legs.append(leg)
 
+    def stand_at(self, show_s: float, now_ns: int) -> None:
+        """Stand still at `show_s` from the instant on at which the show reached it, by `now_ns`."""
+        reached_ns = self.instant_ns(show_s)
+        start_ns = now_ns if reached_ns is None else min(max(reached_ns, self.ramp_end_ns), now_ns)
+        self._legs.append(_Leg(start_ns, show_s, 0.0, 0.0, 0))
+
     def instant_ns(self, show_s: float) -> int | None:
         """Return when the show reaches `show_s` if the rate stays as it is; None: never."""
         leg = self._legs[-1]

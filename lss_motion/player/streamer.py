@@ -11,26 +11,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, takewhile
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.approach import with_room
-from lss_motion.player.ramps import RAMP_TICK_NS, ramp_period_ns, ramp_s
+from lss_motion.player.ramps import RAMP_TICK_NS, ramp_period_ns, ramp_s, spot_moves
 from lss_motion.player.readings import Reader
 from lss_motion.player.show_clock import ShowClock
 from lss_motion.player.statistics import Statistics
 from lss_motion.player.track import Track, make_tracks
+from lss_motion.player.waiting import Waiting
 from lss_motion.program.model import Move, Program, heard_us
-from lss_motion.program.wording import LATEST_ARRIVAL_S
 from lss_motion.protocol.line import encode_move
-from lss_motion.units import (
-    MS_PER_S,
-    NS_PER_MS,
-    ns_from_s,
-    s_from_ms,
-    s_from_ns,
-    s_from_us,
-)
+from lss_motion.units import MS_PER_S, NS_PER_MS, ns_from_s, s_from_ms, s_from_ns, s_from_us
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -81,16 +74,19 @@ class Streamer:
         self._upcoming: Iterator[tuple[int, Move]] = program.unrolled()
         self._next: tuple[int, Move] | None = next(self._upcoming, None)
         self._tick_ns: int | None = None
-        self._reader = Reader(self.tracks, questioners, lines) if has_feedback else None
+        self.waiting = Waiting(program.unrolled_waits(), robot.sensors, begin_s)
+        reader = Reader(self.tracks, questioners, lines, self.waiting)
+        self.reader = reader if has_feedback else None
         if start_s is not None:
             self._begin_at(start_ns)
 
-    @property
-    def reader(self) -> Reader | None:
-        return self._reader
-
     def show_s(self, now_ns: int) -> float:
         return self.clock.show_s(now_ns)
+
+    @property
+    def rate_wanted(self) -> float:
+        """What `set_rate` was last asked for."""
+        return self.waiting.rate_after if self.waiting.is_waiting else self.clock.target_rate
 
     def is_finished(self, now_ns: int) -> bool:
         """Return whether the show is over, or stands after a ramp to rate 0."""
@@ -122,10 +118,8 @@ class Streamer:
         show_s = self.clock.show_s(now_ns)
         if not self.is_open or show_s >= from_s:
             return False
-        kept: list[tuple[int, Move]] = []
-        while self._next is not None and self._next[0] < extension.from_us:
-            kept.append(self._next)
-            self._next = next(self._upcoming, None)
+        upcoming = chain([] if self._next is None else [self._next], self._upcoming)
+        kept = list(takewhile(lambda due: due[0] < extension.from_us, upcoming))
         self._upcoming = chain(kept, ((move.due_us, move) for move in extension.moves))
         self._next = next(self._upcoming, None)
         self._program = replace(self._program, duration_s=extension.duration_s)
@@ -136,6 +130,9 @@ class Streamer:
 
     def set_rate(self, rate: float, now_ns: int) -> None:
         """Ramp the show clock to `rate` (0 to 1), as gently as the joints' limits ask."""
+        if self.waiting.is_waiting:
+            self.waiting.rate_after = rate
+            return
         change = abs(rate - self.clock.rate(now_ns))
         over_s = ramp_s(self.tracks.values(), self._program, self.clock.show_s(now_ns), change)
         self.clock.ramp_to(rate, now_ns, over_s)
@@ -162,8 +159,8 @@ class Streamer:
         for name, angle_deg in self.pose_deg(now_ns).items():
             self.tracks[name].stand(self.tracks[name].joint.servo_deg(angle_deg))
         self.leave_out(left_out)
-        if self._reader is not None:
-            self._reader = self._reader.anew()
+        if self.reader is not None:
+            self.reader = self.reader.anew()
 
     # ---- sending
 
@@ -172,12 +169,14 @@ class Streamer:
         if self._tick_ns is not None:
             self._advance_ramp(now_ns)
         elif self.clock.target_rate > 0.0:
-            while self._next is not None and (late_ns := now_ns - self._due_ns(self._next[0])) >= 0:
-                self._send_due(*self._next, now_ns, late_ns)
+            while (due_ns := self._next_due_ns()) is not None and due_ns <= now_ns:
+                assert self._next is not None
+                self._send_due(*self._next, now_ns, now_ns - due_ns)
                 self._next = next(self._upcoming, None)
+        self._wait(now_ns)
         self._pay_owed(now_ns)
-        if self._reader is not None:
-            self._reader.ask(now_ns, self.quiet_ns(now_ns))
+        if self.reader is not None:
+            self.reader.ask(now_ns, self.quiet_ns(now_ns))
 
     def next_wakeup_ns(self, now_ns: int) -> int | None:
         """Return when `advance` must be called again at the latest."""
@@ -185,33 +184,50 @@ class Streamer:
         if self._tick_ns is not None:
             wakeups_ns.append(self._tick_ns)
         elif self.clock.target_rate > 0.0:
-            if self._next is not None:
-                wakeups_ns.append(self._due_ns(self._next[0]))
+            if (due_ns := self._next_due_ns()) is not None:
+                wakeups_ns.append(due_ns)
+            elif self.waiting.next_s < math.inf:
+                wakeups_ns.append(self._instant_ns(self.waiting.next_s))
             elif not math.isinf(self._program.duration_s):
                 end_ns = self.clock.instant_ns(self._program.duration_s + SETTLE_S)
                 wakeups_ns += [] if end_ns is None else [end_ns]
         else:
             wakeups_ns.append(self.clock.ramp_end_ns + ns_from_s(SETTLE_S))
-        if self._reader is not None:
-            wakeups_ns += self._reader.wakeups_ns(now_ns)
+        if self.reader is not None:
+            wakeups_ns += self.reader.wakeups_ns(now_ns)
         return min((w for w in wakeups_ns if w > now_ns), default=None)
 
     def receive(self, bus: str, reply: Reply, now_ns: int) -> None:
-        if self._reader is not None:
-            self._reader.receive(bus, reply, now_ns, self._planned_deg)
+        if self.reader is not None:
+            self.reader.receive(bus, reply, now_ns, self._planned_deg)
 
-    def _due_ns(self, due_us: int) -> int:
-        due_ns = self.clock.instant_ns(s_from_us(due_us))
-        assert due_ns is not None
-        return due_ns
+    def _next_due_ns(self) -> int | None:
+        """Return when the next move is due; None: none is, at least before the next wait."""
+        if self._next is None or s_from_us(self._next[0]) >= self.waiting.next_s:
+            return None
+        return self._instant_ns(s_from_us(self._next[0]))
+
+    def _instant_ns(self, show_s: float) -> int:
+        instant_ns = self.clock.instant_ns(show_s)
+        assert instant_ns is not None, "the show stands still"
+        return instant_ns
+
+    def _wait(self, now_ns: int) -> None:
+        """Stand still where the show has to wait for a sensor; go on when that is over."""
+        state = self.waiting.advance(self.clock, now_ns)
+        if state == "begun" and self._tick_ns is not None:
+            self._tick_ns = None
+            self._follow_course(now_ns, RAMP_TICK_NS, 0)
+        elif state in ("met", "timeout") and 0.0 < self.clock.target_rate < 1.0:
+            self._tick_ns = now_ns
 
     def quiet_ns(self, now_ns: int) -> int | None:
         """Return until when the lines are free of moves; None: no move is planned."""
         if self._tick_ns is not None:
             return self._tick_ns
-        if self.clock.target_rate <= 0.0 or self._next is None:
+        if self.clock.target_rate <= 0.0 or (due_ns := self._next_due_ns()) is None:
             return None
-        return max(self._due_ns(self._next[0]), now_ns)
+        return max(due_ns, now_ns)
 
     def _send_due(self, due_us: int, move: Move, now_ns: int, late_ns: int) -> None:
         track = self._by_address[move.bus, move.servo_id]
@@ -311,39 +327,22 @@ class Streamer:
 
     def _follow_course(self, now_ns: int, period_ns: int, late_ns: int) -> None:
         """Send every joint that is off its course a move that brings it there in one period."""
-        for track in self.tracks.values():
-            heard_ns = self._lines[track.joint.bus].heard_ns(0, now_ns)
-            ahead_s = track.ahead_s(s_from_ns(period_ns)) + track.lead_s
-            ahead_ns = heard_ns + ns_from_s(ahead_s)
-            aim_deg = self._planned_deg(track, ahead_ns)
-            position_deg, speed_deg_s = track.place(heard_ns)
-            way_deg = aim_deg + track.following.offset_deg - position_deg
-            unit_deg = 1.0 / track.limits.wire_per_deg
-            if abs(way_deg) < unit_deg and abs(speed_deg_s) < 1.0:
-                continue
-            travel_deg_s = min(abs(way_deg) / s_from_ns(period_ns), track.limits.speed_max_deg_s)
-            is_last = ahead_ns >= self.clock.ramp_end_ns and self.clock.target_rate == 0.0
-            if track.joint.drive != "timed":
-                self.statistics.sent(late_ns)
-                if not is_last:
-                    aim_deg = track.chased(aim_deg, heard_ns, s_from_ns(period_ns))
-                self._send(track, aim_deg, 0.0, now_ns)
-                continue
-            if not is_last:
-                beyond_deg = travel_deg_s * LATEST_ARRIVAL_S
-                beyond_deg += 0.5 * travel_deg_s * travel_deg_s / track.limits.ramp_deg_s2
-                aim_deg += math.copysign(beyond_deg, way_deg)
-                way_deg += math.copysign(beyond_deg, way_deg)
-            left_s = abs(way_deg) / max(travel_deg_s, 1.0)
+        ends_ns = self.clock.ramp_end_ns if self.clock.target_rate == 0.0 else None
+        moves = spot_moves(
+            self.tracks.values(),
+            self._lines,
+            now_ns=now_ns,
+            period_ns=period_ns,
+            planned_deg=self._planned_deg,
+            ends_ns=ends_ns,
+        )
+        for track, aim_deg, left_s in moves:
             self.statistics.sent(late_ns)
             self._send(track, aim_deg, left_s, now_ns)
 
     # ---- judging
 
     def _planned_deg(self, track: Track, instant_ns: int) -> float:
-        """Return where the plan wants the horn at `instant_ns`, whatever the rate.
-
-        The profile of the plan is early by the lead of the joint, and so it is looked up.
-        """
+        """Return where the plan wants the horn; its profile is early by the lead of the joint."""
         show_s = self._program.within(self.clock.show_s(instant_ns) - track.lead_s)
         return track.plan.at(show_s)[0]

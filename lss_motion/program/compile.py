@@ -17,7 +17,7 @@ from lss_motion.program.line import LineUse, line_use
 from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
 from lss_motion.program.verify import verify_program
 from lss_motion.protocol.line import encode_move
-from lss_motion.trajectory.cues import all_cues, all_marks
+from lss_motion.trajectory.cues import all_cues, all_marks, all_waits
 from lss_motion.units import s_from_us, us_from_s
 
 if TYPE_CHECKING:
@@ -130,6 +130,7 @@ def _program(
         repeat=repeat,
         marks=tuple(mark for mark in all_marks(trajectory, end_s) if mark.planned_s <= end_s),
         cues=tuple(cue for cue in all_cues(trajectory, end_s) if cue.at_s <= end_s),
+        waits=tuple(point for point in all_waits(trajectory, end_s) if point.at_s <= end_s),
         stretched=trajectory.stretched,
         on_fault=trajectory.on_fault,
         line_use=lines_use(moves, robot),

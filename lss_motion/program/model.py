@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Drive, Joint
     from lss_motion.robot.on_fault import Ladders
     from lss_motion.sequence.model import Cue
-    from lss_motion.trajectory.model import Mark, Stretch
+    from lss_motion.trajectory.model import Mark, Stretch, WaitPoint
 
 T = TypeVar("T")
 
@@ -89,6 +89,8 @@ class Program:
     repeat: Repeat | None = None
     marks: tuple[Mark, ...] = ()
     cues: tuple[Cue, ...] = ()
+    waits: tuple[WaitPoint, ...] = ()
+    """When the show clock stands still until a sensor says so."""
     """What is not motion, by the show time at which it is set off."""
     stretched: tuple[Stretch, ...] = ()
     line_use: Mapping[str, LineUse] = field(default_factory=dict)
@@ -130,6 +132,10 @@ class Program:
     def unrolled_cues(self) -> Iterator[tuple[float, Cue]]:
         """Yield `(show time at which it is set off, cue)` in order, as `unrolled_marks`."""
         return self._unrolled([(cue.start_s, cue.at_s, cue) for cue in self.cues])
+
+    def unrolled_waits(self) -> Iterator[tuple[float, WaitPoint]]:
+        """Yield `(show time, wait)` in order, as `unrolled_marks`."""
+        return self._unrolled([(point.at_s, point.at_s, point) for point in self.waits])
 
     def _unrolled(self, items: list[tuple[float, float, T]]) -> Iterator[tuple[float, T]]:
         """Yield items by when they start; what starts before a pass starts in the one before."""

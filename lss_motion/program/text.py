@@ -10,6 +10,7 @@
     # drives: shoulder=streamed:4 lid=stepped
     # on_fault: astray=warn silent=resume,hold
     # mark: 1500000 hello
+    # wait: 1750000 eye below 300 timeout 60
     # cue: 1500000 {"say": "hello"}
     1477500 main #1D-612T384
     1478300 main #2D455
@@ -30,9 +31,10 @@ from lss_motion.errors import InputError
 from lss_motion.program.compile import lines_use
 from lss_motion.program.cue_text import cue_line, read_cue
 from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
+from lss_motion.program.wait_text import read_wait, wait_line
 from lss_motion.robot.drives import drive_problem
 from lss_motion.robot.on_fault import ladders_from, ladders_text
-from lss_motion.trajectory.model import Mark
+from lss_motion.trajectory.model import Mark, WaitPoint
 from lss_motion.units import s_from_us, us_from_s
 
 if TYPE_CHECKING:
@@ -78,6 +80,7 @@ def to_text(program: Program, *, folder: Path | None = None) -> str:
     if program.on_fault:
         lines.append(f"# on_fault: {ladders_text(program.on_fault)}")
     lines += [f"# mark: {us_from_s(mark.planned_s)} {mark.label}" for mark in program.marks]
+    lines += [f"# wait: {wait_line(point)}" for point in program.waits]
     lines += [f"# cue: {cue_line(cue)}" for cue in program.cues]
     lines += [f"{m.due_us} {m.bus} {m.data[:-1].decode('ascii')}" for m in program.moves]
     return "\n".join(lines) + "\n"
@@ -144,6 +147,7 @@ class _Reader:
         self._header: dict[str, str] = {}
         self._marks: list[Mark] = []
         self._cues: list[Cue] = []
+        self._waits: list[WaitPoint] = []
         self._moves: list[Move] = []
         self._move_line = 1
         self._drives: dict[str, Driving] = {}
@@ -159,8 +163,8 @@ class _Reader:
                 self._marks.append(
                     Mark(label=label, authored_s=None, planned_s=planned_s, is_anchor=False)
                 )
-            elif match[1] == "cue":
-                self._read_cue(match[2], number)
+            elif match[1] in {"cue", "wait"}:
+                self._read_due(match[1], match[2], number)
             else:
                 self._header[match[1]] = match[2]
                 if match[1] == "drives":
@@ -171,9 +175,12 @@ class _Reader:
         elif not line.startswith("#"):
             raise self._error(number, f"{line!r} is not of the form `due_us bus #<id>D<n>[T<ms>]`")
 
-    def _read_cue(self, text: str, number: int) -> None:
+    def _read_due(self, what: str, text: str, number: int) -> None:
         try:
-            self._cues.append(read_cue(text, self._robot.joints))
+            if what == "wait":
+                self._waits.append(read_wait(text, self._robot.sensors))
+            else:
+                self._cues.append(read_cue(text, self._robot.joints))
         except ValueError as error:
             raise self._error(number, str(error)) from error
 
@@ -256,6 +263,7 @@ class _Reader:
             repeat=repeat,
             marks=tuple(self._marks),
             cues=tuple(self._cues),
+            waits=tuple(self._waits),
             line_use=lines_use(self._moves, self._robot),
             on_fault=self._on_fault(header.get("on_fault", "")),
         )

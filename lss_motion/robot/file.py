@@ -203,6 +203,20 @@ class JointEntry(JointDefaults, title="joint"):
     )
 
 
+class SensorEntry(FileModel, title="sensor"):
+    """An analog input of an LSS-2IO, for play lists that wait for something."""
+
+    id: int = Field(ge=0, le=SERVO_ID_MAX, description="Id of the input on its bus.")
+    bus: Name | None = Field(
+        default=None, description="Name of the bus; may be left out where there is only one."
+    )
+    kind: Literal["raw", "GP2Y0A41SK0F", "GP2Y0A21YK0F", "GP2Y0A02YK0F"] = Field(
+        default="raw",
+        description="What is connected: a Sharp distance sensor, which is read in mm, or anything "
+        "else, which is read as 0 to 1023.",
+    )
+
+
 class MirrorEntry(FileModel, title="mirror"):
     """Which joint is the mirror image of which; a joint on the midline is its own."""
 
@@ -240,6 +254,11 @@ class RobotFile(FileModel, title="robot file"):
         default={},
         description="Joints by the name of a group, for tracks and layers.",
         examples=[{"head": ["HeadPan", "HeadTilt"]}],
+    )
+    sensors: dict[Name, SensorEntry] = Field(
+        default={},
+        description="Analog inputs by name.",
+        examples=[{"eye": {"id": 203, "kind": "GP2Y0A41SK0F"}}],
     )
     mirror: MirrorEntry = Field(
         default_factory=MirrorEntry,

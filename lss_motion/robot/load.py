@@ -13,6 +13,7 @@ from lss_motion.protocol.storing import stored_wire
 from lss_motion.robot.drives import board_problems
 from lss_motion.robot.model import Bus, Joint, Response, Robot
 from lss_motion.robot.models import BAUD_FIRMWARE_MIN, FAMILIES, SERVO_MODELS
+from lss_motion.robot.sensors import sensors_of
 from lss_motion.robot.sides import group_problems, grouped, mirror_problems, mirrored
 from lss_motion.spelling import known_names
 from lss_motion.yaml_source import Location, Problem, read_yaml
@@ -108,6 +109,8 @@ class _Loader:
             if self._is_judged(*location[:2]):
                 self._note(location, reason)
         self._check_poses(joints)
+        sensors, problems = sensors_of(content.sensors, buses, joints)
+        self.problems += problems if self._is_judged("buses") else []
         self.problems += group_problems(content.groups, self._named())
         self.problems += mirror_problems(content.mirror, self._named())
         return Robot(
@@ -118,6 +121,7 @@ class _Loader:
             poses=content.poses,
             groups=grouped(content.groups, joints),
             mirror=mirrored(content.mirror),
+            sensors=sensors,
             approach_speed_deg_s=content.approach_speed_deg_s,
             end=content.end,
             on_fault=_ladders(content.on_fault),

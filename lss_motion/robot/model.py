@@ -131,6 +131,24 @@ class Joint:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Sensor:
+    """One analog input of an LSS-2IO: answers `QA` with millimetres, or with what it measures.
+
+    `kind` is `raw` (0 to 1023) or the model of the distance sensor at that input, which the board
+    knows how to convert.
+    """
+
+    name: str
+    servo_id: int
+    bus: str
+    kind: str = "raw"
+
+    @property
+    def unit(self) -> Literal["raw", "mm"]:
+        return "raw" if self.kind == "raw" else "mm"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Robot:
     """Buses and joints by name, in the order of the file, and the named poses."""
 
@@ -143,6 +161,7 @@ class Robot:
     """Joints by the name of their group, such as `head` or `left_arm`."""
     mirror: Mapping[str, tuple[str, Literal[1, -1]]] = field(default_factory=dict)
     """For each joint its mirror image and the sign of the angle there; its own, on the midline."""
+    sensors: Mapping[str, Sensor] = field(default_factory=dict)
     approach_speed_deg_s: float = 30.0
     end: Literal["hold", "limp"] = "hold"
     on_fault: Ladders = field(default_factory=dict)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, WithJsonSchema
+from pydantic import ConfigDict, Field, PlainValidator, WithJsonSchema
 
 from lss_motion.robot.file import AngleDeg  # noqa: TC001  (pydantic reads it)
 from lss_motion.robot.on_fault_file import OnFaultEntry
@@ -61,9 +61,8 @@ def _check_loop(loop: Any) -> int | Literal["forever"]:  # noqa: ANN401  whateve
             raise ValueError(f"must be a count from 1 to {LOOP_MAX:,}, or forever")
 
 
-def _refuse_waiting(_: object) -> object:
-    raise ValueError("needs a sensor, and sensors are not read yet; use pause_s, or play the parts")
-
+Reading = Annotated[float, Field(ge=0.0, le=5000.0)]
+"""Millimetres or raw counts: more than any of the sensors can say."""
 
 Loop = Annotated[
     int | Literal["forever"],
@@ -135,8 +134,18 @@ class TrackEntry(FileModel, title="track"):
     loop: Loop = Field(default=1, description="How often it is played: a count, or forever.")
 
 
+class WaitEntry(FileModel, title="wait"):
+    """What to wait for: a sensor of the robot below or above a value."""
+
+    sensor: Name = Field(description="Name of a sensor of the robot file.")
+    below_mm: Reading | None = Field(default=None, description="Something comes nearer.")
+    above_mm: Reading | None = Field(default=None, description="It goes further away.")
+    below_raw: Reading | None = Field(default=None, description="For a sensor of kind raw.")
+    above_raw: Reading | None = Field(default=None, description="For a sensor of kind raw.")
+
+
 class StepEntry(FileModel, title="step"):
-    """One entry of a play list: a sequence file, or a pause."""
+    """One entry of a play list: a sequence file, a pause, or a wait for a sensor."""
 
     file: FileName | None = Field(
         default=None, description="Sequence file, relative to this file.", examples=["wave.yaml"]
@@ -157,10 +166,14 @@ class StepEntry(FileModel, title="step"):
         "elsewhere. Default: at the robot's approach_speed_deg_s.",
     )
     pause_s: TimeS | None = Field(default=None, description="Stay as it is for so long.")
-    wait_for: Annotated[dict[str, object], AfterValidator(_refuse_waiting)] | None = Field(
+    wait_for: WaitEntry | None = Field(
         default=None,
-        description="Not available yet: waiting for a sensor.",
-        json_schema_extra={"not": {}},
+        description="Stay as it is until a sensor says so.",
+        examples=[{"sensor": "eye", "below_mm": 300}],
+    )
+    timeout_s: TimeS | None = Field(
+        default=None,
+        description="Go on after so long, whatever the sensor says. Default: wait for ever.",
     )
 
 

@@ -80,8 +80,24 @@ class Cue:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Wait:
+    """The show stands still until a sensor is below or above `threshold`, in the sensor's unit.
+
+    After `timeout_s` it goes on all the same; None waits as long as it takes.
+    """
+
+    sensor: str
+    side: Literal["below", "above"]
+    threshold: float
+    timeout_s: float | None = None
+
+    def is_met(self, value: float) -> bool:
+        return value < self.threshold if self.side == "below" else value > self.threshold
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """One entry of a play list: a sequence, or a pause (then `sequence` is None).
+    """One entry of a play list: a sequence, a pause or a wait (then `sequence` is None).
 
     `move_s` is how long the way from where the robot stands to the first keyframe takes; None is
     the robot's approach speed.
@@ -90,6 +106,7 @@ class Step:
     sequence: Sequence | None = None
     times: int = 1
     pause_s: float = 0.0
+    wait: Wait | None = None
     move_s: float | None = None
 
 

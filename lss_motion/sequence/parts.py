@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 from lss_motion.errors import InputError
 from lss_motion.sequence.check import check_sequence, jumps
 from lss_motion.sequence.mirror import mirrored
-from lss_motion.sequence.model import Layer, Sequence, Step, Timing
+from lss_motion.sequence.model import Layer, Sequence, Step, Timing, Wait
 from lss_motion.sequence.speed import at_speed
 from lss_motion.spelling import known_names
 from lss_motion.yaml_source import Location, Problem
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from lss_motion.robot.model import Robot
-    from lss_motion.sequence.file import LayerEntry, SequenceFile, StepEntry
+    from lss_motion.sequence.file import LayerEntry, SequenceFile, StepEntry, WaitEntry
     from lss_motion.yaml_source import YamlSource
 
 
@@ -92,13 +92,19 @@ class PartLoader:
         self.problems.append(Problem(location, reason))
 
     def _step(self, entry: StepEntry, place: Location) -> Step | None:
-        if (entry.file is None) == (entry.pause_s is None):
-            self._note(place, "a step is a 'file' or a 'pause_s'")
+        given = entry.model_fields_set
+        kinds = [kind for kind in ("file", "pause_s", "wait_for") if kind in given]
+        if len(kinds) != 1:
+            self._note(place, "a step is a 'file', a 'pause_s' or a 'wait_for'")
             return None
+        if entry.wait_for is None and "timeout_s" in given:
+            self._note((*place, "timeout_s"), "timeout_s belongs to a wait_for")
         if entry.file is None:
-            if extra := sorted(entry.model_fields_set - {"pause_s"}):
-                self._note((*place, extra[0]), f"{extra[0]} belongs to a file, not to a pause")
-            return Step(pause_s=entry.pause_s or 0.0)
+            if extra := sorted(given - {"pause_s", "wait_for", "timeout_s"}):
+                self._note((*place, extra[0]), f"{extra[0]} belongs to a file")
+            if entry.wait_for is None:
+                return Step(pause_s=entry.pause_s or 0.0)
+            return self._wait(entry.wait_for, entry.timeout_s, place)
         sequence = self._file(entry.file, entry, place, is_offset=self.part.is_offset)
         if sequence is None:
             return None
@@ -108,6 +114,27 @@ class PartLoader:
                 f"{entry.file} loops forever, so that nothing could follow; give its loop a count",
             )
         return Step(sequence=sequence, times=entry.times, move_s=entry.move_s)
+
+    def _wait(self, entry: WaitEntry, timeout_s: float | None, place: Location) -> Step | None:
+        if self.robot is None:
+            return None
+        place = (*place, "wait_for")
+        sensor = self.robot.sensors.get(entry.sensor)
+        if sensor is None:
+            known = known_names(entry.sensor, self.robot.sensors)
+            reason = f"robot {self.robot.name!r} has no sensor {entry.sensor!r}; {known}"
+            self._note((*place, "sensor"), reason)
+            return None
+        keys = list(entry.model_fields_set - {"sensor"})
+        allowed = (f"below_{sensor.unit}", f"above_{sensor.unit}")
+        if len(keys) != 1 or keys[0] not in allowed:
+            said = f"a sensor of kind {sensor.kind} needs one of {allowed[0]!r} and {allowed[1]!r}"
+            self._note(place, said)
+            return None
+        side: Literal["below", "above"] = "below" if keys[0].startswith("below") else "above"
+        threshold = float(getattr(entry, keys[0]))
+        wait = Wait(sensor=sensor.name, side=side, threshold=threshold, timeout_s=timeout_s)
+        return Step(wait=wait)
 
     def _layer(self, entry: LayerEntry, place: Location) -> Layer | None:
         is_offset = entry.mode == "add"

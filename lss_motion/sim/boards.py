@@ -95,17 +95,24 @@ class Pin:
 
 
 def make_boards(
-    outputs: Sequence[tuple[int, ServoSpec]], motors: Motors, *, baud_bps: int, random: Random
+    outputs: Sequence[tuple[int, ServoSpec]],
+    inputs: Sequence[int],
+    motors: Motors,
+    *,
+    baud_bps: int,
+    random: Random,
 ) -> list[Board]:
-    """Return the boards that `outputs` (motor index, RC servo) need, three servos each.
+    """Return the boards that `outputs` (motor index, RC servo) and `inputs` (ids) need.
+
+    A board has three of each.
 
     A servo with the default id of a pin is on that pin, another on the first that is left. What
     else is on a board has its default id, on every board: with two boards both masters obey and
     answer at once, as on a real bus where nobody gave them ids of their own.
     """
-    boards = [
-        Board(motors, baud_bps=baud_bps, random=random) for _ in range((len(outputs) + 2) // 3)
-    ]
+    needed = -(-max(len(outputs), len(inputs)) // 3)
+    boards = [Board(motors, baud_bps=baud_bps, random=random) for _ in range(needed)]
+    _attach_inputs(boards, inputs)
     left = []
     for index, spec in outputs:
         free = (board.pin(spec.servo_id) for board in boards)
@@ -119,6 +126,19 @@ def make_boards(
         pin = next(p for p in pins if p.device is Device.SERVO and p.index is None)
         pin.attach(index, spec)
     return boards
+
+
+def _attach_inputs(boards: Sequence[Board], inputs: Sequence[int]) -> None:
+    """Give analog pins the ids asked for; one that has its id already keeps it."""
+    pins = [pin for board in boards for pin in board.pins if pin.device is Device.ANALOG]
+    ids = list(dict.fromkeys(inputs))
+    kept = []
+    for pin in pins:
+        if pin.servo_id in ids:
+            ids.remove(pin.servo_id)
+            kept.append(pin)
+    for servo_id, pin in zip(ids, [pin for pin in pins if pin not in kept], strict=False):
+        pin.servo_id = servo_id
 
 
 class Board:

@@ -55,6 +55,7 @@ def bus_from_robot(
         physics=physics,
         faults=[fault for fault in faults if fault.bus in (None, bus_name)],
         usb_latency_ns=usb_latency_ns,
+        inputs=[one.servo_id for one in robot.sensors.values() if one.bus == bus_name],
     )
 
 

@@ -39,6 +39,7 @@ class SimBus:
 
     Instants are the host's, and do not go back. How often anything is called changes nothing of
     what happens. `usb_latency_ns` puts an adapter in between that delivers replies in packets.
+    `inputs` are the ids of analog pins of LSS-2IO boards.
     """
 
     def __init__(
@@ -51,6 +52,7 @@ class SimBus:
         physics: Physics | None = None,
         faults: Sequence[Fault] = (),
         usb_latency_ns: int = 0,
+        inputs: Sequence[int] = (),
     ) -> None:
         physics = physics or Physics()
         randoms = [Random(f"{seed}/{index}") for index in range(len(servos))]
@@ -87,7 +89,7 @@ class SimBus:
             (index, spec) for index, spec in enumerate(servos) if spec.model.family is Family.IO2
         ]
         self._boards = make_boards(
-            outputs, self.motors, baud_bps=baud_bps, random=Random(f"{seed}/boards")
+            outputs, inputs, self.motors, baud_bps=baud_bps, random=Random(f"{seed}/boards")
         )
 
     def record(self) -> None:

@@ -159,7 +159,9 @@ def _strangers(index: int, entry: FaultEntry, robot: Robot) -> list[Problem]:
     ids = {joint.servo_id for joint in robot.joints.values() if joint.bus in buses}
     if entry.kind == FaultKind.INPUT:
         models = {joint.model.family for joint in robot.joints.values() if joint.bus in buses}
-        if Family.IO2 not in models:
+        sensors = {one.servo_id for one in robot.sensors.values() if one.bus in buses}
+        ids |= sensors
+        if Family.IO2 not in models and not sensors:
             return [Problem(place, f"robot {robot.name!r} has no LSS-2IO there, so no inputs")]
         ids |= {PIN_IDS[name] for name in PIN_IDS if name.startswith("A")}
     if entry.servo is not None and entry.servo not in ids:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from lss_motion.sequence.model import Cue, Sequence
-    from lss_motion.trajectory.model import Mark, Trajectory
+    from lss_motion.trajectory.model import Mark, Trajectory, WaitPoint
 
 LATE_SLACK_S: Final = 1e-6
 """A cue at the very end is not beyond it: above the error of adding decimals."""
@@ -74,12 +74,21 @@ def all_marks(trajectory: Trajectory, end_s: float) -> tuple[Mark, ...]:
     )
 
 
+def all_waits(trajectory: Trajectory, end_s: float) -> tuple[WaitPoint, ...]:
+    """Return the waits of all passes that begin before `end_s`, in order of time."""
+    return tuple(
+        replace(point, at_s=start_s + ratio * point.at_s)
+        for start_s, ratio in _passes(trajectory, end_s)
+        for point in trajectory.waits
+    )
+
+
 def _passes(trajectory: Trajectory, end_s: float) -> Iterator[tuple[float, float]]:
     """Yield when every pass starts, and its duration as a ratio of that of the first.
 
     A pass that starts in motion takes a little less time; what it holds moves along.
     """
-    if not trajectory.marks and not trajectory.cues:
+    if not trajectory.marks and not trajectory.cues and not trajectory.waits:
         return
     first_s = trajectory.first.duration_s
     yield 0.0, 1.0

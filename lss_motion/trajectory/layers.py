@@ -61,6 +61,12 @@ def layered(
     """
     if base.loop is None:
         raise InputError("layers need a show that ends", path=show.path)
+    if base.waits:
+        raise InputError(
+            "a show with layers cannot wait for a sensor, since the layers would have to stand "
+            "still as well; put the layers into the parts that it plays",
+            path=show.path,
+        )
     sheets = tuple(_sheet(layer, base, robot, plan) for layer in show.layers)
     total = summed(base, sheets, robot)
     check_jumps(total, show)

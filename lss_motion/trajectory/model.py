@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.robot.on_fault import Ladders
-    from lss_motion.sequence.model import Cue
+    from lss_motion.sequence.model import Cue, Wait
     from lss_motion.trajectory.clock import Clock
     from lss_motion.trajectory.path import Path
 
@@ -122,6 +122,14 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class WaitPoint:
+    """An instant at which every joint rests and the show waits before it goes on."""
+
+    at_s: float
+    wait: Wait
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Trajectory:
     """All passes of a sequence, from rest to rest, within the limits of the robot.
 
@@ -144,6 +152,7 @@ class Trajectory:
     stretched: tuple[Stretch, ...] = ()
     marks: tuple[Mark, ...] = ()
     cues: tuple[Cue, ...] = ()
+    waits: tuple[WaitPoint, ...] = ()
     """What is not motion, in the first pass, at planned times."""
     on_fault: Ladders = field(default_factory=dict)
     """What the show does otherwise than its robot when something goes wrong."""

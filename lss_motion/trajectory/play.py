@@ -10,8 +10,8 @@ import numpy as np
 from lss_motion.errors import InputError
 from lss_motion.sequence.check import loop_problem
 from lss_motion.sequence.model import Keyframe, Sequence
-from lss_motion.trajectory.cues import all_cues, all_marks
-from lss_motion.trajectory.model import Trajectory
+from lss_motion.trajectory.cues import all_cues, all_marks, all_waits
+from lss_motion.trajectory.model import Trajectory, WaitPoint
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -19,12 +19,19 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.robot.model import Robot
-    from lss_motion.sequence.model import Step
+    from lss_motion.sequence.model import Step, Wait
 
     FloatArray = NDArray[np.float64]
 
 SAME_DEG: Final = 1e-9
 """Angles closer than this need no move."""
+
+WAIT_SETTLE_S: Final = 0.05
+"""A wait begins so long after the joints have come to rest: their horns lag the plan."""
+
+WAIT_LEAD_S: Final = 0.25
+"""And they rest so long after it: moves are sent before they are to be seen. Chosen: what the
+beginning of a show allows for the same reason."""
 
 PEAK_RATIO: Final = 1.5
 """A smooth move from rest to rest is, in the middle, this much faster than on average."""
@@ -81,13 +88,21 @@ class _Row:
     plan: Callable[[Sequence, Robot], Trajectory]
     pose_deg: dict[str, float]
     parts: list[tuple[float, Trajectory, dict[str, float]]]
+    waits: list[WaitPoint]
     now_s: float = 0.0
 
     def append(self, part: Trajectory) -> None:
         self.parts.append((self.now_s, part, dict(self.pose_deg)))
+        waits = all_waits(part, part.duration_s)
+        self.waits += [replace(point, at_s=point.at_s + self.now_s) for point in waits]
         end_deg = part.sample(np.array([part.duration_s]))[0].tolist()
         self.pose_deg |= zip(part.joints, end_deg, strict=True)
         self.now_s += part.duration_s
+
+    def wait(self, wait: Wait) -> None:
+        """Rest, and wait in the middle of it."""
+        self.waits.append(WaitPoint(at_s=self.now_s + WAIT_SETTLE_S, wait=wait))
+        self.now_s += WAIT_SETTLE_S + WAIT_LEAD_S
 
     def move_to(self, target_deg: Mapping[str, float], move_s: float | None) -> None:
         """Go to the angles, in `move_s` or at the approach speed; not at all if there already."""
@@ -120,9 +135,11 @@ def in_a_row(
     start_deg: dict[str, float] = {}
     for _, part, _ in planned:
         start_deg = {**(_start(part) if part else {}), **start_deg}
-    row = _Row(robot, plan, dict(start_deg), [])
+    row = _Row(robot, plan, dict(start_deg), [], [])
     for step, part, times in planned:
         row.now_s += step.pause_s
+        if step.wait is not None:
+            row.wait(step.wait)
         for _ in range(times):
             if part is not None:
                 row.move_to(_start(part), step.move_s)
@@ -184,6 +201,7 @@ def _trajectory(show: Sequence, row: _Row, robot: Robot) -> Trajectory:
             for start_s, part, _ in parts
             for mark in all_marks(part, part.duration_s)
         ),
+        waits=tuple(row.waits),
         cues=tuple(
             replace(cue, at_s=cue.at_s + start_s)
             for start_s, part, _ in parts

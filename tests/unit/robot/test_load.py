@@ -142,7 +142,7 @@ def test_a_joint_wins_over_defaults_key_by_key(robot_path: Path) -> None:
             "port 'COM1' already carries bus 'x'",
         ),
         ("  a: {id: 1}\nbuses: {x: {}, y: {}}", 4, "has no 'bus', and there are several: x, y"),
-        ("  a: {id: 1}\nsensors: {}", 5, "unknown key 'sensors'"),
+        ("  a: {id: 1}\nsensor: {}", 5, "unknown key 'sensor'"),
         ("  a: {id: 1}\nend: float", 5, "there are: hold, limp"),
         ("  a: {id: 1}\nrobot: again", 5, "'robot' is given twice, first in line 1"),
         ("  a: {id: 1}\napproach_speed_deg_s:", 5, "has no value"),

@@ -22,6 +22,7 @@ joints:
   head: {id: 3}
 groups: {arms: [l, r]}
 mirror: {same: {l: r}, opposite: {head: head}}
+sensors: {eye: {id: 203, kind: GP2Y0A41SK0F}, knob: {id: 204}}
 """
 
 NOD = "sequence: nod\nkeyframes:\n  - {at_s: 0, deg: {head: 0}}\n  - {at_s: 1, deg: {head: 20}}\n"
@@ -136,15 +137,21 @@ def test_an_added_layer_may_hold_angles_beyond_the_range(load, refused, folder):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("play: [{file: nod.yaml, pause_s: 1}]", "a step is a 'file' or a 'pause_s'"),
-        ("play: [{times: 2}]", "a step is a 'file' or a 'pause_s'"),
+        ("play: [{file: nod.yaml, pause_s: 1}]", "a step is a 'file', a 'pause_s' or a 'wait_for'"),
+        ("play: [{times: 2}]", "a step is a 'file', a 'pause_s' or a 'wait_for'"),
         ("play: [{pause_s: 1, times: 2}]", "times belongs to a file"),
         ("play: [{file: none.yaml}]", "sequence file 'none.yaml' not found; looked for"),
         ("play: [{file: show.yaml}]", "show.yaml would play itself without end"),
         ("play: [{file: endless.yaml}]", "endless.yaml loops forever"),
         ("play: [{pause_s: 1}, {file: nod.yaml, join: through}]", "through needs keyframes"),
         ("play: [{file: nod.yaml}, {file: nod.yaml, join: through}]", "20 to 0 deg in no time"),
-        ("play: [{wait_for: {sensor: eye, below_mm: 300}}]", "needs a sensor"),
+        ("play: [{wait_for: {sensor: nose, below_mm: 300}}]", "has no sensor 'nose'"),
+        ("play: [{wait_for: {sensor: eye}}]", "needs one of 'below_mm' and 'above_mm'"),
+        ("play: [{wait_for: {sensor: eye, below_raw: 3}}]", "needs one of 'below_mm'"),
+        ("play: [{wait_for: {sensor: knob, below_mm: 3}}]", "of kind raw needs one of 'below_raw'"),
+        ("play: [{wait_for: {sensor: eye, below_mm: 3, above_mm: 9}}]", "needs one of"),
+        ("play: [{pause_s: 1, timeout_s: 3}]", "timeout_s belongs to a wait_for"),
+        ("play: [{wait_for: {sensor: eye, below_mm: 3}, times: 2}]", "times belongs to a file"),
         ("play: [{file: bad.yaml}]", "bad.yaml:2: joint 'l' at 900 deg"),
         ("play: [{file: quick.yaml, speed_ratio: 2}]", "as fast as the limits allow"),
         ("timing: fastest\nplay: [{pause_s: 1}]", "timing does not go with 'play'"),

@@ -1,0 +1,170 @@
+"""Shows that wait for a sensor: the robot stands until it says so, and then goes on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lss_motion.errors import BusError, InputError
+from lss_motion.player.events import Waited
+from lss_motion.program.text import from_text, to_text
+from lss_motion.protocol.table import Suffix
+from lss_motion.robot.model import Sensor
+from lss_motion.sequence.model import Keyframe, Sequence, Step, Wait
+from lss_motion.sim.boards import SENSORS
+from lss_motion.sim.faults import Fault, FaultKind
+
+EYE = Sensor(name="eye", servo_id=203, bus="bus0", kind="GP2Y0A41SK0F")
+KNOB = Sensor(name="knob", servo_id=77, bus="bus0")
+NEAR = Wait(sensor="eye", side="below", threshold=100.0)
+STILL_DEG = 0.3
+"""A standing horn with its noise, backlash and what is left of a move."""
+
+
+def robot(kit, **fields):
+    return replace(kit.robot(2, **fields), sensors={"eye": EYE, "knob": KNOB})
+
+
+def part(from_deg, to_deg):
+    frames = (
+        Keyframe(deg={"j0": from_deg, "j1": from_deg}, at_s=0.0),
+        Keyframe(deg={"j0": to_deg, "j1": -to_deg}, at_s=1.0),
+    )
+    return Sequence(name="part", keyframes=frames)
+
+
+def show(wait=NEAR, *, loop=1):
+    steps = (Step(sequence=part(0.0, 40.0)), Step(wait=wait), Step(sequence=part(40.0, 0.0)))
+    return Sequence(name="show", play=steps, loop=loop)
+
+
+def sees(distance_mm, at_s):
+    raw = SENSORS[Suffix.GP2Y0A41SK0F].raw(distance_mm)
+    return Fault(kind=FaultKind.INPUT, at_s=at_s, servo_id=203, raw=raw)
+
+
+def states(played):
+    return [event.state for event in played.events if isinstance(event, Waited)]
+
+
+def waited_s(played):
+    """Return from when to when the show stood, by what was asked of the sensor."""
+    asked = [at_ns for at_ns, line in played.bus.heard if line == b"#203QA1\r"]
+    return asked[0] / 1e9, asked[-1] / 1e9
+
+
+def test_the_robot_stands_until_something_comes_near_and_then_goes_on(stage, kit):
+    played = stage.play(robot(kit), show(), faults=[sees(250, 0.1), sees(60, 9.0)])
+    assert played.report["outcome"] == "finished"
+    assert states(played) == ["begun", "met"]
+    from_s, to_s = waited_s(played)
+    assert to_s == pytest.approx(9.0, abs=0.15)
+    assert to_s - from_s > 4.0
+    times_ns = np.arange(round((from_s + 0.2) * 1e9), round(to_s * 1e9), 10_000_000)
+    horn_deg = played.bus.horn_deg(times_ns)
+    assert np.ptp(horn_deg, axis=0).max() < STILL_DEG
+    assert np.abs(horn_deg[:, 0] - 40.0).max() < 1.0
+    moved = [at_ns for at_ns, line in played.bus.heard if line in played.moves()]
+    assert not [at_ns for at_ns in moved if (from_s + 0.2) * 1e9 < at_ns < to_s * 1e9]
+    error_deg = played.horn_error_deg()
+    assert np.abs(error_deg).max() < 0.8, "the plan is followed on both sides of it"
+    end_deg = played.bus.horn_deg(np.array([played.bus.heard[-1][0]]))[0, 0]
+    assert abs(end_deg) < 1.0
+
+
+def test_it_goes_on_by_itself_after_the_timeout(stage, kit):
+    played = stage.play(robot(kit), show(replace(NEAR, timeout_s=2.0)))
+    assert played.report["outcome"] == "finished"
+    assert states(played) == ["begun", "timeout"]
+    from_s, to_s = waited_s(played)
+    assert to_s - from_s == pytest.approx(2.0, abs=0.1)
+
+
+def test_a_plain_input_is_compared_as_it_is(stage, kit):
+    wait = Wait(sensor="knob", side="above", threshold=500.0)
+    inputs = [
+        Fault(kind=FaultKind.INPUT, at_s=s, servo_id=77, raw=raw)
+        for s, raw in ((1.0, 500), (8.0, 501))
+    ]
+    played = stage.play(robot(kit), show(wait), faults=inputs)
+    assert states(played) == ["begun", "met"]
+    asked = [at_ns for at_ns, line in played.bus.heard if line == b"#77QA\r"]
+    assert asked[-1] / 1e9 == pytest.approx(8.0, abs=0.15)
+
+
+@pytest.mark.parametrize(("loop", "times"), [(2, 2), (None, 3)])
+def test_every_pass_waits_again(stage, kit, loop, times):
+    wishes = [(lambda player, now_ns: now_ns > 22e9, kit.stop)]
+    played = stage.play(
+        robot(kit),
+        show(replace(NEAR, timeout_s=2.0), loop=loop),
+        wishes=wishes if loop is None else (),
+    )
+    assert states(played) == ["begun", "timeout"] * times
+    assert played.report["outcome"] == ("finished" if loop else "stopped")
+
+
+def test_a_person_may_stop_a_robot_that_waits(stage, kit):
+    played = stage.play(robot(kit), show(), wishes=[(lambda _, now_ns: now_ns > 9e9, kit.stop)])
+    assert played.report["outcome"] == "stopped"
+    assert played.heard()[-1] == b"#254H\r"
+    assert states(played) == ["begun"]
+
+
+def test_a_pause_outlasts_the_wait(stage, kit):
+    wishes = [
+        (
+            lambda player, now_ns: player.show is not None and player.show.waiting.is_waiting,
+            kit.rate(0.0),
+        ),
+        (lambda player, now_ns: now_ns > 12e9, kit.rate(1.0)),
+    ]
+    played = stage.play(robot(kit), show(), wishes=wishes, faults=[sees(60, 9.0)])
+    assert played.report["outcome"] == "finished"
+    assert states(played) == ["begun", "met"]
+    moves_ns = [at_ns for at_ns, line in played.bus.heard if line in played.moves()]
+    assert not [at_ns for at_ns in moves_ns if 9.0e9 < at_ns < 12e9]
+    assert [at_ns for at_ns in moves_ns if at_ns > 12e9]
+
+
+def test_one_wrong_answer_does_not_set_it_off(stage, kit):
+    blink = [sees(60, 9.0), sees(250, 9.03)]
+    played = stage.play(robot(kit), show(replace(NEAR, timeout_s=6.0)), faults=blink)
+    assert states(played) == ["begun", "timeout"]
+
+
+def test_a_sensor_that_is_not_there_is_named_before_anything_moves(stage, kit):
+    there = replace(robot(kit), sensors={})
+    played = stage.play(robot(kit), show(), wired=there)
+    assert isinstance(played.result.error, BusError)
+    assert "sensor 'eye' (id 203 on bus 'bus0')" in str(played.result.error)
+    assert played.moves() == []
+
+
+def test_without_questions_it_cannot_wait(stage, kit):
+    with pytest.raises(InputError, match="waits for a sensor"):
+        stage.play(robot(kit), show(), has_feedback=False)
+
+
+def test_a_wait_survives_the_text_form(stage, kit):
+    for wait in (
+        NEAR,
+        replace(NEAR, timeout_s=0.25),
+        Wait(sensor="knob", side="above", threshold=7.5),
+    ):
+        program, _ = stage.compile(robot(kit), show(wait))
+        again = from_text(to_text(program), robot(kit))
+        assert again.waits == program.waits
+        assert [point.wait for point in again.waits] == [wait]
+    with pytest.raises(InputError, match="no sensor 'eye'"):
+        from_text(to_text(stage.compile(robot(kit), show())[0]), kit.robot(2))
+
+
+def test_layers_do_not_wait(stage, kit):
+    from lss_motion.sequence.model import Layer
+
+    layer = Layer(sequence=part(0.0, 5.0), joints=("j0",), fade_s=0.5)
+    with pytest.raises(InputError, match="put the layer"):
+        stage.compile(robot(kit), replace(show(), layers=(layer,)))
