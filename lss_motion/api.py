@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
@@ -77,6 +77,8 @@ class Result:
     truth: Truth | None = None
     error: LssMotionError | None = None
     """Why the run could not begin or go on: `BusError`, `InputError` or `PlaybackError`."""
+    simulated: Mapping[str, SimBus] = field(default_factory=dict)
+    """The simulated buses by name, with all that they heard and their horns did."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,27 +149,27 @@ def perform(  # noqa: PLR0913  (the wishes of one run)
     faults: Sequence[Fault] = (),
     is_open: bool = False,
     is_real_time: bool = False,
+    must_ask: bool = False,
 ) -> Result:
     """Play `program` on `robot` and return all that came of it, also when it failed on the way.
 
     With `trajectory`, the report says how far the simulated horns were from it. `faults` befall
     the simulated buses, and in virtual time the host. While `is_open`, the show does not end with
-    the program but waits for what `observer.controls` extend it by. `is_real_time` asks the system
-    for real-time priority and locked memory; what it refuses is warned of. Raises `InputError` or
-    `BusError` only for what stops it before the first byte.
+    the program but waits for what `observer.controls` extend it by; with `must_ask` nothing moves
+    before they say `go`. `is_real_time` asks the system for real-time priority and locked memory;
+    what it refuses is warned of. Raises `InputError` or `BusError` only for what stops it before
+    the first byte.
     """
     simulated = is_simulated(robot)
-    if is_virtual and not simulated:
-        raise InputError("--virtual needs the simulated bus: use it with --port sim://")
     if program.waits and not has_feedback:
         raise InputError("the show waits for a sensor, which must be asked: not with --no-feedback")
-    _check_faults(faults, simulated=simulated, is_virtual=is_virtual)
+    _check_bus(faults, simulated=simulated, is_virtual=is_virtual)
     clock = _clock(faults, is_virtual=is_virtual, seed=seed)
     connection = connect(robot.buses, robot=robot, clock=clock, seed=seed, faults=faults)
     started_ns = clock.now_ns()
-    player = Player(program, robot, has_feedback=has_feedback, start_s=start_s, is_open=is_open)
-    error: LssMotionError | None = None
-    observer = observer or Observer()
+    wishes = {"has_feedback": has_feedback, "must_ask": must_ask, "is_open": is_open}
+    player = Player(program, robot, start_s=start_s, **wishes)
+    error, observer = None, observer or Observer()
     try:
         with (
             real_time(is_wanted=is_real_time) as refused,
@@ -190,16 +192,25 @@ def perform(  # noqa: PLR0913  (the wishes of one run)
         connection.close()
     player.end_show(clock.now_ns())
     truth = _truth(player, robot, connection.simulated) if simulated else None
-    is_lost = error is not None or isinstance(player.error, BusError)
-    outcome = "lost" if is_lost and player.show is not None else player.outcome or "stopped"
     report = make_report(
         player,
         run_s=run_seconds(started_ns, clock.now_ns()),
         is_simulated=simulated,
-        outcome=outcome,
+        outcome=_outcome(player, error),
         horn_error_deg=_horn_error_deg(truth, trajectory),
     )
-    return Result(report=report, player=player, truth=truth, error=error or player.error)
+    return Result(
+        report=report,
+        player=player,
+        truth=truth,
+        error=error or player.error,
+        simulated=connection.simulated,
+    )
+
+
+def _outcome(player: Player, error: LssMotionError | None) -> str:
+    is_lost = error is not None or isinstance(player.error, BusError)
+    return "lost" if is_lost and player.show is not None else player.outcome or "stopped"
 
 
 @contextlib.contextmanager
@@ -247,8 +258,10 @@ def _reopening(connection: Connection, player: Player) -> dict[str, ReopeningPor
     }
 
 
-def _check_faults(faults: Sequence[Fault], *, simulated: bool, is_virtual: bool) -> None:
-    """Refuse faults that could not happen."""
+def _check_bus(faults: Sequence[Fault], *, simulated: bool, is_virtual: bool) -> None:
+    """Refuse what a real bus cannot do, and faults that could not happen."""
+    if is_virtual and not simulated:
+        raise InputError("--virtual needs the simulated bus: use it with --port sim://")
     if not faults:
         return
     from lss_motion.sim.faults import FaultKind

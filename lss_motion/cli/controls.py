@@ -22,6 +22,20 @@ RATE_LEAST: Final = 0.1
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
 
 
+def is_at_keyboard() -> bool:
+    """Return whether standard input is a terminal in the foreground, from which keys can be read.
+
+    Never on a system without Unix terminals.
+    """
+    try:
+        import termios  # noqa: F401  (Windows has none)
+
+        stdin = sys.stdin.fileno()
+        return os.isatty(stdin) and os.tcgetpgrp(stdin) == os.getpgrp()
+    except (OSError, ValueError, ImportError):
+        return False
+
+
 class Steered(Protocol):
     """What a person at the terminal steers: a show, or something else that moves."""
 
@@ -98,9 +112,9 @@ class Inputs:
         import termios
         import tty
 
-        stdin = sys.stdin.fileno()
-        if not os.isatty(stdin) or os.tcgetpgrp(stdin) != os.getpgrp():
+        if not is_at_keyboard():
             return
+        stdin = sys.stdin.fileno()
         before: list[Any] = termios.tcgetattr(stdin)
         self._stack.callback(termios.tcsetattr, stdin, termios.TCSADRAIN, before)
         tty.setcbreak(stdin)

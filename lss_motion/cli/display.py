@@ -17,9 +17,12 @@ import sys
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.cli.controls import KEYS_HELP
+from lss_motion.player.events import Phase
 from lss_motion.units import NS_PER_S, NS_PER_US
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rich.console import RenderableType
     from rich.table import Table
     from rich.text import Text
@@ -41,13 +44,12 @@ US_PER_MS: Final = 1000
 class Display:
     """The player's end: hands over what is to be shown, never waits."""
 
-    def __init__(self, keys_help: str = KEYS_HELP) -> None:
-        self._child = subprocess.Popen(  # noqa: S603  (our own words)
-            [sys.executable, "-m", "lss_motion.cli.display", keys_help], stdin=subprocess.PIPE
-        )
-        assert self._child.stdin is not None
-        self._pipe_fd = self._child.stdin.fileno()
-        os.set_blocking(self._pipe_fd, False)
+    def __init__(self, keys_help: str = KEYS_HELP, *, say: Callable[[str], None] = print) -> None:
+        """Draw from when the robot has been checked and may go; until then, lines go to `say`."""
+        self._keys_help = keys_help
+        self._say = say
+        self._child: subprocess.Popen[bytes] | None = None
+        self._pipe_fd = -1
         self._rest = b""
         self._next_ns = 0
         self._notes: list[str] = []
@@ -55,12 +57,17 @@ class Display:
 
     def note(self, text: str) -> None:
         """Show a line of text with the next frame."""
-        self._notes.append(text)
+        if self._child is None:
+            self._say(text)
+        else:
+            self._notes.append(text)
 
     def show(self, player: Player, now_ns: int) -> None:
         """Hand over a frame, if it is time for one and the last has been taken."""
-        if now_ns < self._next_ns:
+        if now_ns < self._next_ns or player.phase in (Phase.CONNECT, Phase.READY):
             return
+        if self._child is None:
+            self._begin()
         self._next_ns = now_ns + FRAME_NS
         if not self._rest:
             frame = frame_of(player, now_ns, self._notes, self._memory)
@@ -69,7 +76,18 @@ class Display:
         with contextlib.suppress(BlockingIOError, BrokenPipeError):
             self._rest = self._rest[os.write(self._pipe_fd, self._rest) :]
 
+    def _begin(self) -> None:
+        self._child = subprocess.Popen(  # noqa: S603  (our own words)
+            [sys.executable, "-m", "lss_motion.cli.display", self._keys_help],
+            stdin=subprocess.PIPE,
+        )
+        assert self._child.stdin is not None
+        self._pipe_fd = self._child.stdin.fileno()
+        os.set_blocking(self._pipe_fd, False)
+
     def close(self) -> None:
+        if self._child is None:
+            return
         assert self._child.stdin is not None
         with contextlib.suppress(OSError):
             self._child.stdin.close()

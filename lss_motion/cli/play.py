@@ -8,9 +8,11 @@ import json
 import signal
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.cli.messages import guarded
+from lss_motion.cli.preflight import YES_HELP, Agreement, must_ask, table_lines
+from lss_motion.cli.report_text import report_lines
 from lss_motion.errors import (
     EXIT_FINISHED,
     EXIT_INTERRUPTED,
@@ -32,10 +34,16 @@ if TYPE_CHECKING:
 
 DESCRIPTION = "Play a sequence (YAML) or a compiled program (.lss) on a robot."
 EPILOG = """\
+A real robot is checked, what was found is shown, and you are asked before anything moves.
 While it plays: space pauses, + and - change the speed, q or Ctrl-C stops and holds; a second
 Ctrl-C stops at once. Exit codes: 0 played to the end, 2 your files or arguments, 3 no plan or the
 line cannot carry it, 4 port or servos not reachable, 5 the robot did not follow, 130 interrupted.
 """
+WAITING: Final = {
+    "begun": "        waiting for {}",
+    "met": "        {}: going on",
+    "timeout": "warning: no {} in time; going on",
+}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -84,6 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="ask for real-time priority and locked memory: on time beside other programs",
     )
     parser.add_argument("--quiet", action="store_true", help="no display; errors only")
+    parser.add_argument("--yes", action="store_true", help=YES_HELP)
 
 
 def play(arguments: argparse.Namespace) -> int:
@@ -106,7 +115,8 @@ def play(arguments: argparse.Namespace) -> int:
     if api.is_simulated(robot):
         how = "in virtual time" if arguments.virtual else "in real time"
         say(f"{show.program.name}: no hardware, the robot {robot.name!r} is simulated {how}")
-    result, signal_number = _perform(arguments, show, robot, say)
+    is_asked = not arguments.virtual and must_ask(arguments, robot)
+    result, signal_number = _perform(arguments, show, robot, say, is_asked=is_asked)
     _write_results(arguments, result)
     if result.error is not None:
         raise result.error
@@ -150,6 +160,8 @@ def _perform(
     show: Show,
     robot: Robot,
     say: Callable[[str], None],
+    *,
+    is_asked: bool,
 ) -> tuple[Result, int | None]:
     from lss_motion import api
     from lss_motion.cli.controls import Noted, Terminal
@@ -158,19 +170,22 @@ def _perform(
     with contextlib.ExitStack() as stack:
         display = None
         if not arguments.quiet and not arguments.virtual and sys.stderr.isatty():
-            display = Display()
+            display = Display(say=say)
             stack.callback(display.close)
         logs: list[Any] = []
         if arguments.log is not None:
             from lss_motion.runtime.log import ByteLog
 
-            log = ByteLog(arguments.log, played=_played(arguments), may_wait=arguments.virtual)
+            played = {**_played(arguments), "must_ask": is_asked}
+            log = ByteLog(arguments.log, played=played, may_wait=arguments.virtual)
             logs.append(stack.enter_context(log))
         terminal = stack.enter_context(Terminal())
+        controls = Noted(terminal, logs[0]) if logs else terminal
+        note = logs[0].asked_for if logs else None
         observer = api.Observer(
             on_event=lambda event: tell(event, say if display is None else display.note),
             on_turn=None if display is None else display.show,
-            controls=Noted(terminal, logs[0]) if logs else terminal,
+            controls=Agreement(controls, terminal, robot.name, note),
             make_tap=logs[0].started if logs else None,
         )
         result = api.perform(
@@ -184,6 +199,7 @@ def _perform(
             observer=observer,
             faults=_faults(arguments, robot),
             is_real_time=arguments.real_time,
+            must_ask=is_asked,
         )
         return result, terminal.signal_number
 
@@ -213,8 +229,9 @@ def _nothing(text: str) -> None:
 
 
 def tell(event: Event, say: Callable[[str], None]) -> None:
-    """Say in one line what happened."""
+    """Say what happened, in one line if it is not the table of what was found."""
     from lss_motion.player.events import (
+        Checked,
         CueReached,
         Faulted,
         MarkPassed,
@@ -226,16 +243,15 @@ def tell(event: Event, say: Callable[[str], None]) -> None:
     match event:
         case PhaseEntered(phase):
             say(f"        {phase.value}")
+        case Checked(servos):
+            for line in table_lines(servos):
+                say(line)
         case MarkPassed(label, show_s) if label:
             say(f"{show_s:7.2f} s {label}")
         case CueReached(cue, show_s):
             say(f"{show_s:7.2f} s {_cue_text(cue)}")
-        case Waited(text, "begun"):
-            say(f"        waiting for {text}")
-        case Waited(text, "met"):
-            say(f"        {text}: going on")
-        case Waited(text, "timeout"):
-            say(f"warning: no {text} in time; going on")
+        case Waited(text, state):
+            say(WAITING[state].format(text))
         case Warned(text):
             say(f"warning: {text}")
         case Faulted(step=step):
@@ -265,40 +281,6 @@ def _write_results(arguments: argparse.Namespace, result: Result) -> None:
             ) from error
     if arguments.truth is not None and result.truth is not None:
         api.write_truth(result.truth, arguments.truth)
-
-
-def report_lines(report: dict[str, Any]) -> list[str]:
-    """Return the report as a person reads it at the end of a show."""
-    timing = report["timing"]
-    planned = "endless" if report["planned_s"] is None else f"{report['planned_s']:.2f} s"
-    simulated = ", simulated" if report["simulated"] else ""
-    lines = [
-        f"{report['sequence']}: {report['outcome']} after {report['played_s']:.2f} s of {planned}"
-        f"{simulated}",
-        f"commands {timing['commands']}, missed {timing['missed']}, late p50 "
-        f"{timing['late_p50_us']} us, p99 {timing['late_p99_us']} us, max "
-        f"{timing['late_max_us']} us",
-    ]
-    for name, bus in report["buses"].items():
-        lines.append(
-            f"bus {name}: {bus['baud_bps']} bps, {bus['tx_utilisation_ratio']:.0%} sent, "
-            f"{bus['queries']} queries, {bus['replies']} replies ({bus['query_rate_hz']:.0f}/s), "
-            f"{bus['timeouts']} timeouts, {bus['garbage']} garbage, {bus['rejected']} rejected"
-        )
-    if report["joints"]:
-        width = max(len(name) for name in [*report["joints"], "joint"])
-        has_truth = any("horn_error_rms_deg" in joint for joint in report["joints"].values())
-        head = f"{'joint':{width}}  readings  error rms   max  correction"
-        lines.append(head + ("  true horn rms   max   (deg)" if has_truth else "  (deg)"))
-        for name, joint in report["joints"].items():
-            line = (
-                f"{name:{width}}  {joint['readings']:8d}  {joint['error_rms_deg']:9.2f} "
-                f"{joint['error_max_deg']:5.2f}  {joint['offset_max_deg']:10.2f}"
-            )
-            if "horn_error_rms_deg" in joint:
-                line += f"  {joint['horn_error_rms_deg']:13.2f} {joint['horn_error_max_deg']:5.2f}"
-            lines.append(line)
-    return lines
 
 
 def _say(text: str) -> None:

@@ -73,6 +73,7 @@ def _again(path: Path, played: dict[str, Any], entries: list[Entry]) -> int:
         show.robot,
         has_feedback=played.get("has_feedback", True),
         start_s=played.get("start_s"),
+        must_ask=played.get("must_ask", False),
     )
     result = replay(entries, player)
     count = len(result.differing)
@@ -124,7 +125,7 @@ def _summary(entries: list[Entry]) -> Iterator[str]:
 
 
 def _report(arguments: argparse.Namespace) -> int:
-    from lss_motion.cli.play import report_lines
+    from lss_motion.cli.report_text import report_lines
 
     if len(arguments.reports) > 2:
         raise InputError(f"{len(arguments.reports)} reports: give one, or two to compare")

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.cli.commands import add_command
+from lss_motion.cli.preflight import YES_HELP, Agreement, must_ask
 from lss_motion.errors import (
     EXIT_FINISHED,
     EXIT_INTERRUPTED,
@@ -75,12 +76,13 @@ def add_to(commands: Commands) -> None:
     walk.add_argument("--seed", type=int, default=0, metavar="N", help="of the simulated bus")
     walk.add_argument("--report", type=Path, metavar="FILE", help="write the report as JSON")
     walk.add_argument("--quiet", action="store_true", help="no display; errors only")
+    walk.add_argument("--yes", action="store_true", help=YES_HELP)
 
 
 def _walk(arguments: argparse.Namespace) -> int:
     from lss_motion import api
     from lss_motion.cli import shows
-    from lss_motion.cli.play import report_lines
+    from lss_motion.cli.report_text import report_lines
     from lss_motion.connection import with_port
     from lss_motion.gait.model import BodyPose
 
@@ -89,11 +91,12 @@ def _walk(arguments: argparse.Namespace) -> int:
     gait, robot = shows.load_gait(arguments.file, arguments.robot)
     gait, top = fastest(replace(gait, start=BodyPose()), robot, arguments)
     robot = with_port(robot, arguments.port)
+    is_asked = must_ask(arguments, robot)
     say: Callable[[str], None] = _nothing if arguments.quiet else _say
     if api.is_simulated(robot):
         say(f"{gait.name}: no hardware, the robot {robot.name!r} is simulated in real time")
     say(f"at most {speed_text(top)}, one cycle {gait.cycle_s:.2f} s")
-    result, pilot, signal_number = _perform(arguments, gait, robot, top, say)
+    result, pilot, signal_number = _perform(arguments, gait, robot, top, say, is_asked=is_asked)
     if arguments.report is not None:
         try:
             arguments.report.write_text(json.dumps(result.report, indent=1) + "\n", "utf-8")
@@ -201,6 +204,8 @@ def _perform(
     robot: Robot,
     top: Twist,
     say: Callable[[str], None],
+    *,
+    is_asked: bool,
 ) -> tuple[Result, Pilot, int | None]:
     import sys
 
@@ -228,7 +233,7 @@ def _perform(
         )
         display = None
         if not arguments.quiet and sys.stderr.isatty():
-            display = Display(KEYS_HELP)
+            display = Display(KEYS_HELP, say=say)
             stack.callback(display.close)
         note = say if display is None else display.note
         reins = Reins(pilot, wishes, link, note)
@@ -245,9 +250,10 @@ def _perform(
             observer=api.Observer(
                 on_event=lambda event: tell(event, note),
                 on_turn=None if display is None else display.show,
-                controls=reins,
+                controls=Agreement(reins, reins.terminal, robot.name),
             ),
             is_open=True,
+            must_ask=is_asked,
         )
         return result, pilot, reins.terminal.signal_number
 

@@ -117,7 +117,7 @@ class Player:
     # ---- what a person may ask for
 
     def go(self) -> None:
-        """Let it move, after it has waited in `Phase.READY`."""
+        """Let it move, if it waits for that in `Phase.READY`."""
         if self.phase is Phase.READY:
             self._phases.prepare()
 

@@ -91,7 +91,7 @@ class ByteLog:
         self._line(f"- ! {_escaped(repr(event))}", now_ns)
 
     def asked_for(self, text: str, now_ns: int) -> None:
-        """Note what a person asked for: `rate 0.5`, `stop`, `abort`."""
+        """Note what a person asked for: `go`, `rate 0.5`, `stop`, `abort`."""
         self._line(f"- = {text}", now_ns)
 
     def _bytes(self, bus: str, way: str, data: bytes, now_ns: int) -> None:

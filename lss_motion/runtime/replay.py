@@ -130,6 +130,8 @@ def _is_same_write(entry: Entry, other: Entry) -> bool:
 def _wish(player: Player, entry: Entry) -> None:
     word, _, value = entry.text.partition(" ")
     match word:
+        case "go":
+            player.go()
         case "rate":
             player.set_rate(float(value), entry.at_ns)
         case "stop":

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import pty
 import signal
 import subprocess
 import sys
@@ -14,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from lss_motion.cli.main import main
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.build import bus_from_robot
 from lss_motion.sim.pty import serve_buses
@@ -90,7 +93,7 @@ def simulated(folder, bus=None):
 def playing(folder, port, *options, loop="1"):
     (folder / "sway.yaml").write_text(SWAY % loop)
     command = [sys.executable, "-m", "lss_motion.cli.play", str(folder / "sway.yaml"), "--port",
-               port.path, *options]  # fmt: skip
+               port.path, "--yes", *options]  # fmt: skip
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True
     )
@@ -99,6 +102,90 @@ def playing(folder, port, *options, loop="1"):
     finally:
         process.kill()
         process.communicate()
+
+
+IN_FRONT = """
+import os, sys
+os.setsid()
+os.close(os.open(os.ttyname(0), os.O_RDWR))
+from lss_motion.cli.main import main
+sys.exit(main(sys.argv[1:]))
+"""
+"""Runs `lss-motion` with the terminal as its own, as a shell's job in the foreground has it."""
+
+
+@contextmanager
+def at_a_keyboard(folder, port, *options):
+    """Play from a terminal; yields the process and its keyboard."""
+    (folder / "sway.yaml").write_text(SWAY % 1)
+    keyboard, terminal = pty.openpty()
+    command = [sys.executable, "-c", IN_FRONT, "play", str(folder / "sway.yaml"), "--port",
+               port.path, *options]  # fmt: skip
+    process = subprocess.Popen(
+        command, stdin=terminal, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    try:
+        yield process, keyboard
+    finally:
+        process.kill()
+        process.communicate()
+        os.close(keyboard)
+        os.close(terminal)
+
+
+def wait_for_question(process):
+    """Read until the question, which ends no line; return what was said before."""
+    said = ""
+    while not said.endswith("go? [y/N] "):
+        if not (char := process.stdout.read(1)):
+            pytest.fail(f"it never asked: {said}")
+        said += char
+    return said
+
+
+def test_a_person_is_asked_and_nothing_is_changed_before_the_answer(folder):
+    log = folder / "a.log"
+    with simulated(folder) as port, at_a_keyboard(folder, port, "--log", str(log)) as opened:
+        process, keyboard = opened
+        said = wait_for_question(process)
+        assert [line.split()[:2] for line in said.splitlines() if "LSS-ST1" in line] == [
+            ["pan", "1"],
+            ["tilt", "2"],
+        ]
+        assert all(line[2:3] == b"Q" for line in lines_heard(port)), "only questions so far"
+        os.write(keyboard, b"y")
+        said, _ = process.communicate(timeout=30)
+        assert process.returncode == 0, said
+        assert any(line.startswith(b"#2D") for line in lines_heard(port))
+    assert main(["replay", "--again", str(log)]) == 0
+
+
+@pytest.mark.parametrize("answer", [b"\n", b"n", b"\x03"])
+def test_without_a_yes_nothing_moves_and_nothing_was_changed(folder, answer):
+    with simulated(folder) as port, at_a_keyboard(folder, port) as (process, keyboard):
+        wait_for_question(process)
+        os.write(keyboard, answer)
+        said, _ = process.communicate(timeout=30)
+        assert process.returncode == 130
+        assert "nothing was moved" in said
+        assert all(line[2:3] == b"Q" for line in lines_heard(port))
+
+
+def test_where_nobody_can_be_asked_the_port_is_not_even_opened(folder):
+    (folder / "sway.yaml").write_text(SWAY % 1)
+    with simulated(folder) as port:
+        command = [sys.executable, "-m", "lss_motion.cli.play", str(folder / "sway.yaml")]
+        done = subprocess.run(
+            [*command, "--port", port.path],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=30,
+            check=False,
+        )
+        assert lines_heard(port) == []
+    assert done.returncode == 2
+    assert "--yes" in done.stderr
 
 
 def lines_heard(port):
@@ -188,7 +275,7 @@ def test_a_port_that_is_plugged_in_again_is_played_on(folder):
     report = folder / "r.json"
     (folder / "robot.yaml").write_text(ROBOT.replace("resume_s: 1.5", "resume_s: 20"))
     with simulated(folder) as port:
-        with playing(folder, port, "--report", str(report), loop="8") as process:
+        with playing(folder, port, "--report", str(report), loop="3") as process:
             wait_for(process, "playing")
             wait_for_moves(port, 6)
             port.unplug()

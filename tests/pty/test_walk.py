@@ -47,7 +47,7 @@ def walking(folder, *options):
     assert ready.wait(5.0)
     keyboard, terminal = pty.openpty()
     command = [sys.executable, "-c", IN_FRONT, "walk", str(EXAMPLE), "--port",
-               str(folder / "port"), *options]  # fmt: skip
+               str(folder / "port"), "--yes", *options]  # fmt: skip
     process = subprocess.Popen(
         command,
         stdin=terminal,

@@ -128,7 +128,9 @@ def test_a_compiled_program_plays_like_its_sequence(folder):
         code = main([str(folder / file), "--virtual", "--quiet", "--log", str(log), "--report",
                      str(report)])  # fmt: skip
         assert code == 0
-        logs.append(log.read_bytes())
+        head, played, rest = log.read_bytes().split(b"\n", 2)
+        assert (head, file.encode() in played) == (b"# lss_motion log 2", True)
+        logs.append(rest)
     assert logs[0] == logs[1]
     assert json.loads(report.read_text())["outcome"] == "finished"
 
@@ -212,7 +214,7 @@ def test_options_that_cannot_be_are_refused_before_anything_moves(folder, capsys
 
 
 def test_a_port_that_is_not_there_ends_with_exit_code_4(folder, capsys):
-    assert main([str(folder / "nod.yaml"), "--port", str(folder / "nothing")]) == 4
+    assert main([str(folder / "nod.yaml"), "--port", str(folder / "nothing"), "--yes"]) == 4
     assert "nothing" in capsys.readouterr().err
 
 

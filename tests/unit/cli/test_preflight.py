@@ -1,0 +1,47 @@
+from __future__ import annotations
+
+from lss_motion.cli.preflight import table_lines
+from lss_motion.player.events import Found
+
+PAN = Found(
+    joint="pan",
+    servo_id=7,
+    model="LSS-HT1",
+    firmware=370,
+    position_deg=-12.34,
+    start_deg=30.0,
+    voltage_v=11.96,
+    temperature_c=31.4,
+    speed_max_deg_s=180.0,
+    accel_max_deg_s2=600.0,
+)
+SILENT = Found(
+    joint="a_longer_name",
+    servo_id=120,
+    model=None,
+    firmware=None,
+    position_deg=0.0,
+    start_deg=0.0,
+    voltage_v=None,
+    temperature_c=None,
+    speed_max_deg_s=None,
+    accel_max_deg_s2=None,
+)
+
+
+def test_what_was_found_is_a_line_each_with_where_it_is_and_how_far_it_has_to_go():
+    head, pan, silent = table_lines([PAN, SILENT])
+    assert pan.split() == [
+        "pan",
+        "7",
+        "LSS-HT1",
+        "370",
+        "-12.3",
+        "+42.3",
+        "12.0",
+        "31",
+        "180",
+        "600",
+    ]
+    assert silent.split() == ["a_longer_name", "120", "-", "-", "0.0", "+0.0", "-", "-", "-", "-"]
+    assert [len(line) for line in (pan, silent)] == [len(head)] * 2
