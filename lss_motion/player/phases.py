@@ -266,9 +266,14 @@ class Phases:
             self._streamer.set_rate(rate, now_ns)
 
     def recover(self, now_ns: int) -> None:
-        """Brake, and wait for those who are gone."""
+        """Brake, and wait for those who are gone.
+
+        They hear no move before they have their settings again, not even to brake: their last
+        move ends by itself.
+        """
         self._dialogue = None
         if self._streamer is not None:
+            self._streamer.leave_out(self._session.left_out | self.troubles.missing)
             self._streamer.set_rate(0.0, now_ns)
         self._enter(Phase.RECOVER)
 

@@ -69,7 +69,6 @@ class Troubles:
         joints = self._session.robot.joints
         if gone := [joints[fault.joint] for fault in taken if fault.step is FaultStep.RESUME]:
             self._miss(gone, now_ns)
-            streamer.leave_out(self._session.left_out | {joint.name for joint in gone})
             return Verdict.RECOVER
         return Verdict.GO_ON
 
@@ -97,6 +96,11 @@ class Troubles:
         self.events.append(self.ladder.note(joint, Cause.ASTRAY, text, FaultStep.HOLD))
 
     # ---- while somebody is gone
+
+    @property
+    def missing(self) -> set[str]:
+        """The joints that are waited for."""
+        return {joint.name for joint in self.recovery.missing} if self.recovery else set()
 
     def questions(self) -> list[Item]:
         """Return what to ask those who are gone until they answer."""

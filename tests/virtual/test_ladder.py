@@ -200,6 +200,18 @@ def test_a_port_that_comes_back_is_played_on_with_the_settings_said_again(stage,
     assert np.abs(accel).max() <= 1.1 * 600.0
 
 
+def test_a_port_that_is_back_while_the_robot_brakes_hears_no_move_before_its_settings(stage, kit):
+    gone = Fault(kind=FaultKind.UNPLUGGED, at_s=2.0, until_s=2.15)
+    sequence = kit.sequence(3, 3.5, swing_deg=50.0, step_s=(0.5, 0.9))
+    played = stage.play(sequence=sequence, faults=[gone])
+    assert played.report["outcome"] == "finished"
+    after = played.heard(after_ns=int(2.15 * S))
+    for servo in (b"#1", b"#2", b"#3"):
+        heard = [line for line in after if line.startswith(servo)]
+        first = next(i for i, line in enumerate(heard) if line.startswith(servo + b"D"))
+        assert {servo + b"AA60\r", servo + b"SD1800\r"} <= set(heard[:first])
+
+
 def test_when_one_of_two_ports_stays_away_the_other_is_restored_and_holds(stage, kit):
     robot = kit.robot(4, buses=2, resume_s=2.0)
     gone = Fault(kind=FaultKind.UNPLUGGED, at_s=2.0, bus="bus1")
