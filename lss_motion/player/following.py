@@ -12,8 +12,12 @@ from typing import Final
 
 JUMP_MARGIN_DEG: Final = 5.0
 """Besides what its speed allows, a horn may seem to jump this far: noise, backlash and lag."""
-GAIN: Final = 0.25
-"""Share of a new reading in the estimate. Chosen: four readings make a correction."""
+ESTIMATE_S: Final = 0.18
+"""Time constant of the estimate, however often there are readings: what many readings in a row
+have in common, such as one wrong instant, counts once. Chosen: what moved more slowly than this
+is a disturbance, and 22 readings a second then count a quarter each."""
+GAIN_MAX: Final = 0.25
+"""But no reading counts more than this. Chosen: four readings make a correction."""
 GAIN_HALF_SPEED_DEG_S: Final = 30.0
 """At this speed a reading counts half: a lag wrong by 10 ms already looks like 0.3 deg there."""
 OFFSET_MAX_DEG: Final = 3.0
@@ -58,13 +62,15 @@ class Following:
         if not self._is_plausible(measured_deg, read_s):
             self.rejected += 1
             return False
+        is_first = self.read_s is None
         elapsed_s = 0.0 if self.read_s is None else read_s - self.read_s
         self.measured_deg, self.read_s = measured_deg, read_s
         self.readings += 1
         self.error_deg = wanted_deg - measured_deg
         self.square_sum_deg2 += self.error_deg * self.error_deg
         self.error_max_deg = max(self.error_max_deg, abs(self.error_deg))
-        gain = GAIN / (1.0 + abs(speed_deg_s) / GAIN_HALF_SPEED_DEG_S)
+        gain = GAIN_MAX if is_first else min(GAIN_MAX, elapsed_s / ESTIMATE_S)
+        gain /= 1.0 + abs(speed_deg_s) / GAIN_HALF_SPEED_DEG_S
         self.disturbance_deg += gain * (expected_deg - measured_deg - self.disturbance_deg)
         change_deg = min(max(self.disturbance_deg, -OFFSET_MAX_DEG), OFFSET_MAX_DEG)
         change_deg -= self.offset_deg

@@ -234,7 +234,11 @@ class Streamer:
         track.active = replace(move, due_us=due_us)
         wait_ns = max(0, self._lines[move.bus].free_ns - now_ns)
         self.statistics.sent(late_ns + wait_ns)
-        left_s = None if late_ns + wait_ns <= ON_TIME_NS else self._left_s(track.active, now_ns)
+        left_s = self._left_s(track.active, now_ns)
+        if late_ns + wait_ns <= ON_TIME_NS:
+            heard_ns = self._lines[move.bus].heard_ns(len(move.data), now_ns)
+            show_s = self._program.within(self.clock.show_s(heard_ns))
+            left_s = track.turning_s(move, show_s, heard_ns)
         self._send_active(track, left_s, now_ns)
 
     def _left_s(self, move: Move, now_ns: int) -> float:

@@ -124,6 +124,22 @@ class Track:
         heard_s = s_from_ns(heard_ns)
         return self.profile.target_for(aim_deg + offset_deg, heard_s, steps) - offset_deg
 
+    def turning_s(self, move: Move, show_s: float, heard_ns: int) -> float | None:
+        """Return how long a move that turns the joint back is to travel; None: it does not.
+
+        Its target may be near, and T short: what the profile is off the plan would change the
+        travel speed by many times. So the speed of the plan is kept instead of its end.
+        """
+        if move.duration_ms is None:
+            return None
+        target_deg = move.target_wire / self.limits.wire_per_deg
+        planned_deg, speed_deg_s = self.plan.at(show_s)
+        planned_way_deg = target_deg - planned_deg
+        way_deg = target_deg + self.following.offset_deg - self.place(heard_ns)[0]
+        if speed_deg_s * planned_way_deg >= 0.0 or way_deg * planned_way_deg <= 0.0:
+            return None
+        return s_from_ms(move.duration_ms) * way_deg / planned_way_deg
+
     def duration_for(self, target_wire: int, heard_ns: int, left_s: float) -> int:
         """Return T: what is left, but never so short that the joint's speed limit breaks."""
         target_deg = target_wire / self.limits.wire_per_deg
