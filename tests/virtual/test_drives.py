@@ -83,8 +83,9 @@ def test_what_a_board_on_the_bus_cannot_bear_is_never_sent(stage, kit):
     played = stage.play(mixed_robot(kit))
     assert max(len(line) - 1 for line in played.heard()) <= 15
     about_board = {line for line in played.heard() if line.startswith(b"#209Q")}
-    assert about_board == {b"#209QMS\r", b"#209QG\r", b"#209QD\r"}, "asked once, and no more"
-    assert sum(line.startswith(b"#209Q") for line in played.heard()) == 3
+    assert about_board == {b"#209QMS\r", b"#209QG\r", b"#209QD\r"}
+    asked_ns = [at for at, line in played.bus.heard if line.startswith(b"#209Q")]
+    assert played.bus.heard[-1][0] - max(asked_ns) > 6e9, "the show plays for 6 s, and does not ask"
     assert not any(re.match(rb"#209(EM|AA|SD|H)", line) for line in played.heard())
 
 
@@ -218,6 +219,7 @@ def test_a_dead_host_leaves_the_horns_within_reach_and_range(stage, kit):
 
     buses = []
     robot = mixed_robot(kit)
+    lead_s = COUNT * FILTER_S + robot.joints["j1"].response.lag_s
     sequence = kit.sequence(4, 6.0, swing_deg=85.0, step_s=(0.6, 0.9))
     for at_s in (1.0, 1.7, 2.4, 3.1):
         with pytest.raises(GoneError):
@@ -231,7 +233,8 @@ def test_a_dead_host_leaves_the_horns_within_reach_and_range(stage, kit):
         told = [int(m[2]) / 10 for line in before if (m := BARE.fullmatch(line)) and m[1] == b"2"]
         horn_deg = bus.horn_deg([end_ns])[0][1]
         assert abs(told[-1]) <= 90.0
-        assert abs(told[-1] - horn_deg) < COUNT * FILTER_S * SPEED_DEG_S + 4.0
+        # It is told where to be a step of the filter from now, ahead by what filter and horn lag.
+        assert abs(told[-1] - horn_deg) < (lead_s + FILTER_S) * SPEED_DEG_S
 
 
 @pytest.mark.parametrize(
