@@ -231,7 +231,7 @@ class Streamer:
 
     def _send_due(self, due_us: int, move: Move, now_ns: int, late_ns: int) -> None:
         track = self._by_address[move.bus, move.servo_id]
-        track.active = replace(move, due_us=due_us)
+        track.active = move._replace(due_us=due_us)
         wait_ns = max(0, self._lines[move.bus].free_ns - now_ns)
         self.statistics.sent(late_ns + wait_ns)
         left_s = self._left_s(track.active, now_ns)
@@ -313,7 +313,7 @@ class Streamer:
         while self._next is not None and s_from_us(self._next[0]) <= show_s:
             due_us, move = self._next
             track = self._by_address[move.bus, move.servo_id]
-            track.active = replace(move, due_us=due_us)
+            track.active = move._replace(due_us=due_us)
             self._next = next(self._upcoming, None)
 
     def _take_up(self, now_ns: int, late_ns: int) -> None:

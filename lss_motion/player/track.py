@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from lss_motion.player.following import Following
-from lss_motion.program.drives import lead, servo_limits
+from lss_motion.program.course import servo_limits
+from lss_motion.program.drives import lead
 from lss_motion.program.filtered import FilterProfile
 from lss_motion.program.predict import make_profile, profiles
 from lss_motion.program.step import PULSE_S

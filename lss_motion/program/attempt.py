@@ -6,7 +6,8 @@ import heapq
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from lss_motion.program.drives import late_max_s, longest_move, make_fitter, servo_limits
+from lss_motion.program.course import servo_limits
+from lss_motion.program.drives import late_max_s, longest_move, make_fitter
 from lss_motion.program.fit import TURN_S, Fit
 from lss_motion.program.line import LineSchedule
 from lss_motion.program.moves import reference
@@ -98,7 +99,8 @@ class Attempt:
         last_s = dict.fromkeys(fitters, s_from_us(self._start_us))
         while queue:
             wanted_s, name = heapq.heappop(queue)
-            last_s[name] = self._grant(name, wanted_s, last_s[name])
+            granted_us = self._grant(name, us_from_s(wanted_s), us_from_s(last_s[name]))
+            last_s[name] = s_from_us(granted_us)
             fitters[name].grant(last_s[name])
             next_s = fitters[name].wanted(last_s[name])
             if next_s is not None:
@@ -118,10 +120,10 @@ class Attempt:
         free = {name: line.copy() for name, line in self._lines.items()}
         before = self.late_max_us, self.is_tight
 
-        def new_line() -> Callable[[int, float, float], float]:
+        def new_line() -> Callable[[int, int, int], int]:
             self._lines = {name: line.copy() for name, line in free.items()}
             self.late_max_us, self.is_tight = before
-            return lambda joint, wanted_s, after_s: self._grant(names[joint], wanted_s, after_s)
+            return lambda joint, wanted_us, after_us: self._grant(names[joint], wanted_us, after_us)
 
         names = [joint.name for joint in joints]
         own = [courses[name] for name in names]
@@ -136,25 +138,27 @@ class Attempt:
                 reference(moves, index, own[index], limits[index], self._begins.get(name)),
             )
 
-    def _grant(self, name: str, wanted_s: float, after_s: float) -> float:
+    def _grant(self, name: str, wanted_us: int, after_us: int) -> int:
         """Reserve the line for the next move of a joint; return when that move is heard.
 
-        It is not heard before `after_s`, and at `wanted_s` if possible at the latest.
+        It is not heard before `after_us`, and at `wanted_us` if possible at the latest.
         """
         bus, size_us, late_max_us = self._slots[name]
-        wanted_us = us_from_s(wanted_s)
-        earliest_us = max(us_from_s(after_s) - size_us, self._start_us)
+        earliest_us = max(after_us - size_us, self._start_us)
         heard_us = self._lines[bus].reserve(wanted_us, size_us, earliest_us)
-        self.late_max_us = max(self.late_max_us, heard_us - wanted_us)
-        self.is_tight = self.is_tight or heard_us - wanted_us > late_max_us
-        return s_from_us(heard_us)
+        if heard_us > wanted_us:
+            self.late_max_us = max(self.late_max_us, heard_us - wanted_us)
+            self.is_tight = self.is_tight or heard_us - wanted_us > late_max_us
+        return heard_us
 
 
 def fitted_alone(joint: Joint, course: Course, tolerance_deg: float) -> Reference:
     """Return the profile that one joint's moves make if every one is heard when it is wanted."""
     if joint.drive == "timed":
         limits = servo_limits(joint, tolerance_deg)
-        moves = Fit([course], [limits]).moves(lambda: lambda _joint, wanted_s, _after_s: wanted_s)
+        moves = Fit([course], [limits]).moves(
+            lambda: lambda _joint, wanted_us, _after_us: wanted_us
+        )
         return reference(moves, 0, course, limits)
     fitter = make_fitter(joint, course, tolerance_deg)
     wanted_s = fitter.wanted(None)

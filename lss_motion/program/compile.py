@@ -10,8 +10,9 @@ import numpy as np
 from lss_motion.errors import InputError, LineLoadError
 from lss_motion.program.attempt import Attempt, sent_us, slot_us
 from lss_motion.program.choose import choices
+from lss_motion.program.columns import columns_of
 from lss_motion.program.course import GRID_S, Course
-from lss_motion.program.drives import lead
+from lss_motion.program.drives import lead, longest_move
 from lss_motion.program.fit import TURN_S
 from lss_motion.program.line import LineUse, line_use
 from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
@@ -21,7 +22,7 @@ from lss_motion.trajectory.cues import all_cues, all_marks, all_waits
 from lss_motion.units import s_from_us, us_from_s
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from lss_motion.program.attempt import Fitted
     from lss_motion.program.choose import Choice
@@ -147,20 +148,14 @@ def moves_of(fitted: Mapping[str, Fitted], robot: Robot) -> list[Move]:
     """
     moves = []
     for name, own in fitted.items():
-        joint = robot.joints[name]
-        baud_bps = robot.buses[joint.bus].baud_bps
+        bus, servo_id = robot.joints[name].bus, robot.joints[name].servo_id
+        size_max = len(longest_move(robot.joints[name]))
+        spent_us = [sent_us(size, robot.buses[bus].baud_bps) for size in range(size_max + 1)]
         for heard_s, target_wire, duration_ms in own.moves:
-            size = len(encode_move(joint.servo_id, target_wire, duration_ms))
-            moves.append(
-                Move(
-                    due_us=us_from_s(heard_s) - sent_us(size, baud_bps),
-                    bus=joint.bus,
-                    servo_id=joint.servo_id,
-                    target_wire=target_wire,
-                    duration_ms=duration_ms,
-                )
-            )
-    return sorted(moves, key=lambda move: (move.due_us, move.bus, move.servo_id))
+            size = len(encode_move(servo_id, target_wire, duration_ms))
+            due_us = us_from_s(heard_s) - spent_us[size]
+            moves.append(Move(due_us, bus, servo_id, target_wire, duration_ms))
+    return sorted(moves)
 
 
 def driving_of(robot: Robot, names: Iterable[str]) -> dict[str, Driving]:
@@ -174,14 +169,13 @@ def driving_of(robot: Robot, names: Iterable[str]) -> dict[str, Driving]:
     return {name: chosen for name, chosen in driving.items() if chosen != TIMED}
 
 
-def lines_use(moves: Iterable[Move], robot: Robot) -> dict[str, LineUse]:
+def lines_use(moves: Sequence[Move], robot: Robot) -> dict[str, LineUse]:
     """Return how the moves use each bus: the proof of the schedule, from the bytes alone."""
-    slots_us: dict[str, list[tuple[int, int]]] = {name: [] for name in robot.buses}
-    for move in moves:
-        size_us = sent_us(len(move.data), robot.buses[move.bus].baud_bps)
-        slots_us[move.bus].append((move.due_us, size_us))
+    columns = columns_of(moves, robot)
+    slots_us = np.stack((columns.due_us, columns.sent_us), axis=1)
     return {
-        name: line_use(name, robot.buses[name].baud_bps, slots) for name, slots in slots_us.items()
+        name: line_use(name, bus.baud_bps, slots_us[columns.bus == index])
+        for index, (name, bus) in enumerate(robot.buses.items())
     }
 
 

@@ -96,10 +96,14 @@ def _change_for(offset_deg: FloatArray, tau_s: FloatArray, ramp_deg_s2: FloatArr
 
     What no ramp reaches in that time is infinite, with the sign of the offset.
     """
-    root = tau_s * tau_s - np.abs(offset_deg) * (2.0 / ramp_deg_s2)
+    change = np.abs(offset_deg)
+    change *= -2.0 / ramp_deg_s2
+    change += tau_s * tau_s
     with np.errstate(invalid="ignore"):
-        change = ramp_deg_s2 * (tau_s - np.sqrt(root))
-    change[root < 0.0] = np.inf
+        np.sqrt(change, out=change)
+    np.subtract(tau_s, change, out=change)
+    change *= ramp_deg_s2
+    np.copyto(change, np.inf, where=np.isnan(change))
     return np.copysign(change, offset_deg, out=change)
 
 

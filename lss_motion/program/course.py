@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from lss_motion.program.model import ramp_deg_s2
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from lss_motion.program.batch import FloatArray, Index, IntArray
-    from lss_motion.robot.model import Response
+    from lss_motion.robot.model import Joint, Response
 
 GRID_S: Final = 0.005
 """Step of the course. At 1000 deg/s² the course bends 3 thousandths of a degree within it, and
@@ -88,6 +90,23 @@ class ServoLimits:
     tolerance_deg: float
     response: Response
     wire_step: int = 1
+
+
+def servo_limits(joint: Joint, tolerance_deg: float) -> ServoLimits:
+    """Return the limits of a joint as its servo sees them."""
+    ends = sorted(
+        (joint.servo_deg(joint.position_min_deg), joint.servo_deg(joint.position_max_deg))
+    )
+    return ServoLimits(
+        position_min_deg=ends[0],
+        position_max_deg=ends[1],
+        speed_max_deg_s=joint.speed_max_deg_s,
+        ramp_deg_s2=ramp_deg_s2(joint),
+        wire_per_deg=joint.model.wire_per_deg,
+        tolerance_deg=tolerance_deg,
+        response=joint.response,
+        wire_step=joint.model.wire_step,
+    )
 
 
 class LimitArrays:

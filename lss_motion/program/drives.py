@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from lss_motion.program.course import DURATION_MAX_MS, ServoLimits
-from lss_motion.program.model import ramp_deg_s2
+from lss_motion.program.course import DURATION_MAX_MS, servo_limits
 from lss_motion.program.predict import filter_profile
 from lss_motion.program.step import PULSE_S, StepFitter
 from lss_motion.program.stream import StreamFitter
@@ -60,23 +59,6 @@ def make_fitter(
         return StreamFitter(course, limits, filter_profile(joint, start_deg))
     assert joint.drive == "stepped"
     return StepFitter(course, limits, seams_s)
-
-
-def servo_limits(joint: Joint, tolerance_deg: float) -> ServoLimits:
-    """Return the limits of a joint as its servo sees them."""
-    ends = sorted(
-        (joint.servo_deg(joint.position_min_deg), joint.servo_deg(joint.position_max_deg))
-    )
-    return ServoLimits(
-        position_min_deg=ends[0],
-        position_max_deg=ends[1],
-        speed_max_deg_s=joint.speed_max_deg_s,
-        ramp_deg_s2=ramp_deg_s2(joint),
-        wire_per_deg=joint.model.wire_per_deg,
-        tolerance_deg=tolerance_deg,
-        response=joint.response,
-        wire_step=joint.model.wire_step,
-    )
 
 
 def lead(joint: Joint) -> float:

@@ -24,6 +24,7 @@ from lss_motion.program.lanes import Lane, lanes_of
 from lss_motion.program.moves import Begin, Moves, in_order, unjoined
 from lss_motion.program.next_move import FOLLOW_RATIO, SEGMENT_MIN_STEPS, Servos, chosen
 from lss_motion.program.wording import aim
+from lss_motion.units import US_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from lss_motion.program.batch import BoolArray, FloatArray, IntArray
     from lss_motion.program.course import Course, ServoLimits
 
-    Grant = Callable[[int, float, float], float]
+    Grant = Callable[[int, int, int], int]
 
 SEGMENT_MAX_S: Final = 1.5
 """The longest that one move is relied on: a lost command is repaired by its successor."""
@@ -54,8 +55,8 @@ NEVER: Final = 2**62
 class Fit:
     """The courses of some joints, and the moves that follow them.
 
-    `grant(joint, wanted_s, after_s)` returns when a move will be heard that is wanted at `wanted_s`
-    at the latest and must not be heard before `after_s`.
+    `grant(joint, wanted_us, after_us)` returns when a move will be heard that is wanted at
+    `wanted_us` at the latest and must not be heard before `after_us`: instants of the schedule.
     """
 
     def __init__(
@@ -187,11 +188,15 @@ class _Run:
 
     def _advanced(self, rows: _Rows) -> _Rows:
         """Have the next moves granted, put those under way into words, and choose what follows."""
-        granted_s = np.empty(len(rows.lane))
-        columns = (self._joint[rows.lane], rows.wanted_s, rows.state.time_s)
-        joints, wanted_s, after_s = (column.tolist() for column in columns)
-        for row in np.argsort(rows.wanted_s, kind="stable").tolist():
-            granted_s[row] = self._grant(joints[row], wanted_s[row], after_s[row])
+        in_turn = np.argsort(rows.wanted_s, kind="stable")
+        wanted_us, after_us = (
+            np.rint(US_PER_S * times_s[in_turn]).astype(np.intp).tolist()
+            for times_s in (rows.wanted_s, rows.state.time_s)
+        )
+        joints = self._joint[rows.lane[in_turn]].tolist()
+        granted_us = list(map(self._grant, joints, wanted_us, after_us))
+        granted_s = np.empty(len(in_turn))
+        granted_s[in_turn] = np.array(granted_us, dtype=np.float64) / US_PER_S
         is_new = np.isnan(rows.wish_deg_s)
         begun = self._begun(rows.lane[is_new], granted_s[is_new])
         moved = self._worded(rows.take(~is_new), granted_s[~is_new])

@@ -6,8 +6,12 @@ from bisect import bisect_left, insort
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from lss_motion.program.batch import IntArray
 
 WORST_WINDOW_US = 100_000
 """Utilisation is also given for the busiest 100 ms (design 7)."""
@@ -87,34 +91,28 @@ class LineUse:
     """The longest that a command has to wait for the line."""
 
 
-def line_use(bus: str, baud_bps: int, slots_us: Sequence[tuple[int, int]]) -> LineUse:
+def line_use(bus: str, baud_bps: int, slots_us: Sequence[tuple[int, int]] | IntArray) -> LineUse:
     """Return the use of a line on which each `(due, size)` in microseconds is sent in order.
 
     Independent of how the slots were found: it replays them on a queue.
     """
-    free_us: int | None = None
-    overlaps = late_max_us = busy_us = 0
-    window: list[tuple[int, int]] = []
-    worst_us = in_window_us = 0
-    for due_us, size_us in sorted(slots_us):
-        if free_us is not None and free_us > due_us:
-            overlaps += 1
-            late_max_us = max(late_max_us, free_us - due_us)
-        free_us = max(due_us, free_us if free_us is not None else due_us) + size_us
-        busy_us += size_us
-        insort(window, (due_us, size_us))
-        in_window_us += size_us
-        while window[0][0] <= due_us - WORST_WINDOW_US:
-            in_window_us -= window.pop(0)[1]
-        worst_us = max(worst_us, in_window_us)
-    first_us = min((due for due, _ in slots_us), default=0)
-    length_us = max((free_us or 0) - first_us, WORST_WINDOW_US)
+    slots = np.asarray(slots_us, dtype=np.intp).reshape(-1, 2)
+    due_us, size_us = slots[np.lexsort((slots[:, 1], slots[:, 0]))].T
+    sent_us = np.cumsum(size_us)
+    before_us = sent_us - size_us
+    leaves_us = np.maximum.accumulate(due_us - before_us) + before_us
+    late_us = leaves_us - due_us
+    first = np.searchsorted(due_us, due_us - WORST_WINDOW_US, side="right")
+    in_window_us = sent_us - before_us[first]
+    length_us = WORST_WINDOW_US
+    if len(slots):
+        length_us = max(int(leaves_us[-1] + size_us[-1] - due_us[0]), WORST_WINDOW_US)
     return LineUse(
         bus=bus,
         baud_bps=baud_bps,
-        commands=len(slots_us),
-        utilisation_ratio=busy_us / length_us,
-        worst_100_ms_ratio=min(1.0, worst_us / WORST_WINDOW_US),
-        overlaps=overlaps,
-        late_max_us=late_max_us,
+        commands=len(slots),
+        utilisation_ratio=float(size_us.sum()) / length_us,
+        worst_100_ms_ratio=min(1.0, float(in_window_us.max(initial=0)) / WORST_WINDOW_US),
+        overlaps=int(np.count_nonzero(late_us)),
+        late_max_us=int(late_us.max(initial=0)),
     )

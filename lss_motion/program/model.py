@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
 from lss_motion.protocol.line import encode_move
 from lss_motion.units import NS_PER_US, line_time_ns, s_from_us
@@ -28,8 +28,7 @@ RAMP_STEPS_MAX = 100
 """The largest AA and AD, and the default (lss_facts 1.3)."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Move:
+class Move(NamedTuple):
     """One `D` on its way: `due_us` is when its first byte leaves, in show time.
 
     `target_wire` is in the wire unit of the servo's family. A timed move is to travel until

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.program.batch import States, Trapezoids, trapezoids
+from lss_motion.program.batch import States, Trapezoids, speeds_for, trapezoids
 from lss_motion.program.response import Reference
 from lss_motion.program.wording import lattice
+from lss_motion.units import MS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -89,6 +90,55 @@ def unjoined(moves: Moves, limits: LimitArrays) -> IntArray:
     return found
 
 
+def followed(
+    joint: IntArray,
+    heard_s: FloatArray,
+    target_wire: FloatArray,
+    duration_ms: FloatArray,
+    begin_deg: FloatArray,
+    limits: LimitArrays,
+) -> Moves:
+    """Return what profiles make of what is heard, from nothing but the words on the wire.
+
+    Moves by joint and time; `begin_deg` and `limits` by joint. A duration of NaN is a bare `D`.
+    """
+    own, target_deg = limits.take(joint), target_wire / limits.wire_per_deg[joint]
+    same = np.append(joint[1:] == joint[:-1], False) if len(joint) else np.zeros(0, dtype=bool)
+    is_first = ~np.roll(same, 1)
+    position = np.where(is_first, begin_deg[joint], np.roll(target_deg, 1))
+    speed, travel = np.zeros(len(joint)), np.full(len(joint), np.nan)
+    # Chains go forward side by side, from every move that seems to find its servo at rest. Where
+    # one does not, the chain before it goes on over it, until nothing changes any more.
+    is_guessed = np.roll(duration_ms, 1) <= MS_PER_S * np.diff(heard_s, prepend=0.0)
+    at = np.flatnonzero(is_first | is_guessed)
+    while len(at):
+        start = States(heard_s[at], position[at], speed[at])
+        travel[at] = _travel(start, target_deg[at], duration_ms[at], own.take(at))
+        at = at[same[at]]
+        start, after = States(heard_s[at], position[at], speed[at]), at + 1
+        moves = trapezoids(start, target_deg[at], travel[at], own.ramp_deg_s2[at])
+        reached = moves.at(heard_s[after])
+        rests = heard_s[after] >= moves.end_s
+        position_deg = np.where(rests, target_deg[at], reached.position_deg)
+        speed_deg_s = np.where(rests | own.forgets_speed[at], 0.0, reached.speed_deg_s)
+        is_known = (position[after] == position_deg) & (speed[after] == speed_deg_s)
+        is_known &= ~np.isnan(travel[after])
+        position[after], speed[after] = position_deg, speed_deg_s
+        at = after[~is_known]
+    return Moves(joint, heard_s, target_wire, duration_ms, travel, position, speed)
+
+
+def _travel(
+    start: States, target_deg: FloatArray, duration_ms: FloatArray, limits: LimitArrays
+) -> FloatArray:
+    """Return the travel speeds that servos take, as `response.Profile.retarget` does."""
+    is_bare = np.isnan(duration_ms) | (target_deg == start.position_deg)
+    duration_s = np.where(is_bare, 1.0, duration_ms) / MS_PER_S
+    asked = speeds_for(start, target_deg, duration_s, limits.ramp_deg_s2, limits.is_exact)
+    most = limits.speed_max_deg_s
+    return np.where(is_bare, most, np.minimum(asked, most))
+
+
 @dataclass(frozen=True, slots=True)
 class Begin:
     """What a servo does before its course begins.
@@ -107,15 +157,20 @@ def reference(
     own = moves.of(joint)
     if begin is not None:
         before = Reference(begin.profile.pieces())
-        made = Reference.of(_table(own, limits))
+        made = Reference.of(pieces_of(own, limits))
         return before.followed_by(made, float("-inf")) if len(own) else before
-    begin_deg = lattice(float(course.position_deg[0]), limits) / limits.wire_per_deg
+    begin_wire = lattice(float(course.position_deg[0]), limits)
+    return from_rest(own, limits, begin_wire / limits.wire_per_deg)
+
+
+def from_rest(own: Moves, limits: ServoLimits, begin_deg: float) -> Reference:
+    """Return the profile that moves of one joint make of a servo that stands at `begin_deg`."""
     first = (float("-inf"), begin_deg, 0.0, 0.0)
-    table = _table(own, limits)
+    table = pieces_of(own, limits)
     return Reference.of(tuple(np.append(v, column) for v, column in zip(first, table, strict=True)))
 
 
-def _table(own: Moves, limits: ServoLimits) -> tuple[FloatArray, ...]:
+def pieces_of(own: Moves, limits: ServoLimits) -> tuple[FloatArray, ...]:
     """Return the pieces of a profile, each until the next one: see `Reference.table`."""
     states = States(own.heard_s, own.position_deg, own.speed_deg_s)
     ramp, target_deg = limits.ramp_deg_s2, own.target_wire / limits.wire_per_deg

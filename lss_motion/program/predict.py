@@ -5,15 +5,21 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final, Protocol
 
+import numpy as np
+
+from lss_motion.program.columns import columns_of
+from lss_motion.program.course import LimitArrays, servo_limits
 from lss_motion.program.filtered import FilterProfile
-from lss_motion.program.model import TIMED, heard_us, ramp_deg_s2, target_deg
+from lss_motion.program.model import TIMED, ramp_deg_s2
+from lss_motion.program.moves import followed, from_rest
 from lss_motion.program.response import Profile, Reference
 from lss_motion.program.step import StepProfile
-from lss_motion.units import s_from_ms, s_from_us
+from lss_motion.units import US_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from lss_motion.program.batch import FloatArray
     from lss_motion.program.model import Program
     from lss_motion.program.response import Piece
     from lss_motion.robot.model import Joint, Robot
@@ -87,17 +93,46 @@ def filter_profile(joint: Joint, position_deg: float, *, origin_s: float = 0.0) 
 def profiles(program: Program, robot: Robot) -> dict[str, Reference]:
     """Return where each servo's profile is at any show time, if every move is heard when due."""
     robot = driven(robot, program)
-    by_address = {(j.bus, j.servo_id): j for j in robot.joints.values()}
-    running: dict[str, ServoProfile] = {}
-    for name, joint_deg in program.start_deg.items():
-        joint = robot.joints[name]
-        start_deg = round(joint.servo_deg(joint_deg) / joint.unit_deg) * joint.unit_deg
-        running[name] = make_profile(joint, start_deg)
-    for move in program.moves:
-        joint = by_address[move.bus, move.servo_id]
-        running[joint.name].retarget(
-            s_from_us(heard_us(move, robot.buses[move.bus].baud_bps)),
-            target_deg(joint, move.target_wire),
-            None if move.duration_ms is None else s_from_ms(move.duration_ms),
-        )
-    return {name: Reference(profile.pieces()) for name, profile in running.items()}
+    columns = columns_of(program.moves, robot)
+    columns = columns.take(np.argsort(columns.joint, kind="stable"))
+    heard_s = columns.heard_us / US_PER_S
+    begins_deg = np.zeros(len(robot.joints))
+    limits = [servo_limits(joint, program.tolerance_deg) for joint in robot.joints.values()]
+    slices = {}
+    for index, (name, joint) in enumerate(robot.joints.items()):
+        own = slice(*np.searchsorted(columns.joint, (index, index + 1)).tolist())
+        heard_s[own] = np.maximum.accumulate(heard_s[own])
+        if name in program.start_deg:
+            start_deg = joint.servo_deg(program.start_deg[name])
+            begins_deg[index] = round(start_deg / joint.unit_deg) * joint.unit_deg
+            slices[name] = index, own
+    is_timed = np.array([joint.drive == "timed" for joint in robot.joints.values()], dtype=bool)
+    some = np.flatnonzero(is_timed[columns.joint])
+    timed = columns.take(some)
+    moves = followed(
+        timed.joint,
+        heard_s[some],
+        timed.target_wire,
+        timed.duration_ms,
+        begins_deg,
+        LimitArrays(limits),
+    )
+    found = {}
+    for name, (index, own) in slices.items():
+        begin_deg = float(begins_deg[index])
+        if is_timed[index]:
+            found[name] = from_rest(moves.of(index), limits[index], begin_deg)
+        else:
+            targets_deg = columns.target_wire[own] / limits[index].wire_per_deg
+            found[name] = _replayed(robot.joints[name], begin_deg, heard_s[own], targets_deg)
+    return found
+
+
+def _replayed(
+    joint: Joint, begin_deg: float, heard_s: FloatArray, targets_deg: FloatArray
+) -> Reference:
+    """Return the profile that bare moves make of one servo, which stands at `begin_deg`."""
+    profile = make_profile(joint, begin_deg)
+    for at_s, target_deg in zip(heard_s.tolist(), targets_deg.tolist(), strict=True):
+        profile.retarget(at_s, target_deg, None)
+    return Reference(profile.pieces())

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from lss_motion.program import lanes
 from lss_motion.program.batch import States, speeds_for, trapezoids
 from lss_motion.program.compile import compile_program
-from lss_motion.program.course import GRID_S, Course, ServoLimits
+from lss_motion.program.course import GRID_S, Course, LimitArrays, ServoLimits
 from lss_motion.program.drives import lead
 from lss_motion.program.fit import Fit
 from lss_motion.program.landing import SEGMENT_MIN_S
 from lss_motion.program.line import LineSchedule, line_use
-from lss_motion.program.moves import reference
+from lss_motion.program.moves import followed, from_rest, reference
 from lss_motion.program.predict import profiles
 from lss_motion.program.response import (
     Piece,
@@ -174,10 +174,10 @@ def courses(draw):
     return Course(start_s=-0.5, position_deg=position_deg)
 
 
-def fitted(course, limits, late=lambda wanted_s: wanted_s):
+def fitted(course, limits, late=lambda wanted_us: wanted_us):
     """Return the moves for one course and the profile they make; `late` is what the line grants."""
     moves = Fit([course], [limits]).moves(
-        lambda: lambda _joint, wanted_s, after_s: max(late(wanted_s), after_s)
+        lambda: lambda _joint, wanted_us, after_us: max(late(wanted_us), after_us)
     )
     return moves, reference(moves, 0, course, limits)
 
@@ -238,7 +238,7 @@ def test_commands_that_the_line_grants_otherwise_than_wished_are_made_up_for(cou
     """Up to 10 ms early or 2 ms late; the prediction knows, and the fit stays near."""
     assume(np.abs(np.diff(course.position_deg, 2)).max() / GRID_S**2 < 300.0)
     random = np.random.default_rng(seed)
-    late = lambda s: s + float(random.uniform(-0.004, 0.002))  # noqa: E731
+    late = lambda us: us + int(random.integers(-4_000, 2_000))  # noqa: E731
     _, profile = fitted(course, limits_of(10), late)
     times_s = course.start_s + GRID_S * np.arange(len(course.position_deg))
     error_deg = profile.sample(times_s) - course.position_deg
@@ -373,6 +373,45 @@ def test_half_as_much_tolerance_again_never_needs_more_moves(course, tolerance_d
     tight, _ = fitted(course, limits_of(10, tolerance_deg))
     loose, _ = fitted(course, limits_of(10, 1.5 * tolerance_deg))
     assert len(loose) <= len(tight) + 1
+
+
+@LAWS
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from([0, 1, 2]),
+            st.floats(0.002, 3.0),
+            st.integers(-900, 900),
+            st.one_of(st.none(), st.integers(10, 2_000)),
+        ),
+        max_size=40,
+    ),
+    st.sampled_from(["cruise", "exact"]),
+    st.sampled_from(["keep_speed", "from_rest"]),
+)
+def test_profiles_followed_in_arrays_are_those_of_the_servos_one_by_one(words, law, retarget):
+    """Also where a move finds its servo under way whose T says that it rests, and the reverse."""
+    response = Response(t_law=law, retarget=retarget)
+    limits = [replace(limits_of(10), response=response)] * 3
+    begins_deg, now_s = np.array([0.0, 12.3, -81.0]), [0.0, 1.0, -2.0]
+    servos = [
+        Profile(at, ramp_deg_s2=limits[0].ramp_deg_s2, speed_max_deg_s=240.0, response=response)
+        for at in begins_deg.tolist()
+    ]
+    told = []
+    for joint, later_s, wire, duration_ms in words:
+        now_s[joint] += later_s
+        told.append((joint, now_s[joint], wire, duration_ms))
+    told.sort(key=lambda one: one[:2])
+    for joint, heard_s, wire, duration_ms in told:
+        servos[joint].retarget(heard_s, wire / 10, duration_ms and duration_ms / 1e3)
+    columns = np.array(told, dtype=np.float64).reshape(-1, 4).T
+    moves = followed(columns[0].astype(int), *columns[1:], begins_deg, LimitArrays(limits))
+    times_s = np.arange(-3.0, 20.0, 0.011)
+    for joint, servo in enumerate(servos):
+        own = from_rest(moves.of(joint), limits[joint], begins_deg[joint])
+        expected_deg = Reference(servo.pieces()).sample(times_s)
+        assert own.sample(times_s) == pytest.approx(expected_deg, abs=1e-4)
 
 
 def horn_of(moves, physics_law):

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from benches.shows import lively_show, robot_of
 from benches.table import Row
 from lss_motion import api
-from lss_motion.program.course import GRID_S, Course
-from lss_motion.program.drives import servo_limits
+from lss_motion.program.course import GRID_S, Course, servo_limits
 from lss_motion.program.fit import Fit
 
 if TYPE_CHECKING:
@@ -68,7 +67,7 @@ def moves_of(course: Course, tolerance_deg: float) -> Moves:
     """Return the moves of our fit, every one granted when it is wanted."""
     joint = next(iter(robot_of(1).joints.values()))
     fit = Fit([course], [servo_limits(joint, tolerance_deg)])
-    return fit.moves(lambda: lambda _joint, wanted_s, _after_s: wanted_s)
+    return fit.moves(lambda: lambda _joint, wanted_us, _after_us: wanted_us)
 
 
 def fewest_segments(course_deg: FloatArray, tolerance_deg: float) -> int:

@@ -154,10 +154,10 @@ def test_a_mixed_robot_shares_its_line_without_overlap_and_passes_the_verifier(k
     assert program.drives == {"j1": Driving("streamed", 4), "j2": Driving("stepped")}
     assert max(len(move.data) for move in program.moves) <= 16
     verify_program(program, robot)
-    jump = replace(program.moves[-1], servo_id=209, target_wire=800, duration_ms=None)
+    jump = program.moves[-1]._replace(servo_id=209, target_wire=800, duration_ms=None)
     with pytest.raises(PlanningError, match="'j2' would jump faster than 180 deg/s"):
         verify_program(replace(program, moves=(*program.moves, jump)), robot)
-    far = replace(program.moves[-1], servo_id=2, target_wire=850, duration_ms=None)
+    far = program.moves[-1]._replace(servo_id=2, target_wire=850, duration_ms=None)
     with pytest.raises(PlanningError, match=r"'j1' would reach .* allowed 180 deg/s"):
         verify_program(replace(program, moves=(*program.moves, far)), robot)
 
@@ -171,7 +171,7 @@ def test_a_repeated_pass_leaves_no_step_behind(kit):
     repeat = program.repeat
     period_us = repeat.to_us - repeat.from_us
     again = [m for m in program.moves if m.due_us >= repeat.from_us]
-    passes = [replace(m, due_us=m.due_us + n * period_us) for n in range(1, 4) for m in again]
+    passes = [m._replace(due_us=m.due_us + n * period_us) for n in range(1, 4) for m in again]
     longer = replace(program, moves=(*program.moves, *passes))
     late_s = repeat.from_us / 1e6 + np.arange(0.1, period_us / 1e6, 0.01)
     for name, reference in profiles(longer, robot).items():

@@ -21,7 +21,7 @@ LIMITS = ServoLimits(
 def fitted(position_deg):
     """Return the moves for one course, all heard when they are wanted, and the profile they make"""
     course = Course(start_s=0.0, position_deg=np.asarray(position_deg))
-    moves = Fit([course], [LIMITS]).moves(lambda: lambda _joint, wanted_s, _after_s: wanted_s)
+    moves = Fit([course], [LIMITS]).moves(lambda: lambda _joint, wanted_us, _after_us: wanted_us)
     return moves, reference(moves, 0, course, LIMITS)
 
 
