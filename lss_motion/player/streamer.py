@@ -234,7 +234,7 @@ class Streamer:
         track.active = move._replace(due_us=due_us)
         wait_ns = max(0, self._lines[move.bus].free_ns - now_ns)
         self.statistics.sent(late_ns + wait_ns)
-        left_s = self._left_s(track.active, now_ns)
+        left_s: float | None = self._left_s(track.active, now_ns)
         if late_ns + wait_ns <= ON_TIME_NS:
             heard_ns = self._lines[move.bus].heard_ns(len(move.data), now_ns)
             show_s = self._program.within(self.clock.show_s(heard_ns))
@@ -331,16 +331,14 @@ class Streamer:
 
     def _follow_course(self, now_ns: int, period_ns: int, late_ns: int) -> None:
         """Send every joint that is off its course a move that brings it there in one period."""
-        ends_ns = self.clock.ramp_end_ns if self.clock.target_rate == 0.0 else None
-        moves = spot_moves(
+        for track, aim_deg, left_s in spot_moves(
             self.tracks.values(),
             self._lines,
             now_ns=now_ns,
             period_ns=period_ns,
             planned_deg=self._planned_deg,
-            ends_ns=ends_ns,
-        )
-        for track, aim_deg, left_s in moves:
+            ends_ns=self.clock.ramp_end_ns if self.clock.target_rate == 0.0 else None,
+        ):
             self.statistics.sent(late_ns)
             self._send(track, aim_deg, left_s, now_ns)
 
