@@ -105,7 +105,10 @@ def walks(sequence: Sequence) -> bool:
 def planned(
     sequence: Sequence, robot: Robot, *, speed_ratio: float = 1.0, loop: int | str | None = None
 ) -> Trajectory:
-    """Return the plan, after the wishes of the command line."""
+    """Return the plan, after the wishes of the command line.
+
+    `loop` is how often what the file loops is played: all of it, or its `loop_span_s`.
+    """
     from lss_motion.sequence.check import check_sequence
     from lss_motion.trajectory.planner import plan
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,19 +16,28 @@ if TYPE_CHECKING:
 
 def gait_lines(gait: Gait, passages: tuple[Paced, ...]) -> list[str]:
     """Return a line for the gait and one for each stretch from rest to rest, and its actions."""
-    lasts_s = sum(part.duration_s + part.hold_s for part in passages)
+    lasts_s = sum(part.duration_s + part.hold_s + more_s(gait, part) for part in passages)
+    lasts = "without end" if lasts_s == math.inf else f"one pass {lasts_s:.2f} s"
     safe = "static" if gait.pattern.is_static else "dynamic"
     lines = [
         f"{gait.name}: {len(gait.legs)} legs, pattern {gait.pattern.name} ({safe}), duty "
-        f"{gait.duty:.2f}, one pass {lasts_s:.2f} s"
+        f"{gait.duty:.2f}, {lasts}"
     ]
     start_s = 0.0
     for part in passages:
-        end_s = start_s + part.duration_s
-        lines.append(f"{start_s:.2f} s to {end_s:.2f} s: {_pace_text(part)}")
+        end_s = start_s + part.duration_s + more_s(gait, part)
+        until = "on" if end_s == math.inf else f"to {end_s:.2f} s"
+        lines.append(f"{start_s:.2f} s {until}: {_pace_text(part)}")
         lines += [f"  {_action_text(gait, action, part.pace_ratio)}" for action in part.actions]
         start_s = end_s + part.hold_s
     return lines
+
+
+def more_s(gait: Gait, part: Paced) -> float:
+    """Return how long the cycles take that are looped and not laid out; `math.inf`: for ever."""
+    more = [own.more_cycles for own in part.actions if isinstance(own, Walk)]
+    cycles = sum(math.inf if count is None else count for count in more)
+    return cycles * gait.cycle_s * part.pace_ratio
 
 
 def _pace_text(part: Paced) -> str:
@@ -54,4 +64,6 @@ def _action_text(gait: Gait, action: Action, pace_ratio: float) -> str:
         moves.append(f"{action.turn_deg_s / pace_ratio:.1f} deg/s")
     cycle_s = gait.cycle_s * pace_ratio
     how = " and ".join(moves) or "on the spot"
-    return f"{action.label}{place}: {how}, {action.cycles} cycles of {cycle_s:.2f} s"
+    more = action.more_cycles
+    count = "forever, in" if more is None else f"{action.cycles + more}"
+    return f"{action.label}{place}: {how}, {count} cycles of {cycle_s:.2f} s"

@@ -13,14 +13,15 @@ from lss_motion.gait.model import LegKind
 from lss_motion.gait.patterns import PATTERNS
 from lss_motion.robot.file import AngleDeg  # noqa: TC001  (pydantic reads it)
 from lss_motion.sequence.file import Loop, TimeS  # noqa: TC001  (pydantic reads them)
+from lss_motion.sequence.timing import TIME_MAX_S
 from lss_motion.validation import FileModel, Name, Text
 
 LENGTH_MAX_MM: Final = 10_000.0
 """Chosen: ten metres; more is a slip of the key or another unit."""
 
 SPEED_MAX_MM_S: Final = 10_000.0
-CYCLES_MAX: Final = 1_000
-"""Chosen: what is kept in one piece of at most 10,000 keyframes ends far below."""
+WAY_MAX_MM: Final = 10_000_000.0
+"""Chosen: ten kilometres, a day at full speed."""
 
 CYCLE_MIN_S: Final = 0.05
 """Ten control ticks of a servo."""
@@ -121,13 +122,13 @@ class WalkEntry(FileModel, title="walk"):
     stride_mm: PlaceMm | None = Field(
         default=None, description="Forward per cycle, in place of forward_mm_s."
     )
-    for_s: DurationS | None = Field(
+    for_s: Annotated[float, Field(ge=CYCLE_MIN_S, le=TIME_MAX_S)] | None = Field(
         default=None, description="How long, to the nearest whole cycle."
     )
-    distance_mm: LengthMm | None = Field(
+    distance_mm: Annotated[float, Field(gt=0.0, le=WAY_MAX_MM)] | None = Field(
         default=None, description="How far, exactly; the speed is lowered to fill whole cycles."
     )
-    cycles: Annotated[int, Field(ge=1, le=CYCLES_MAX)] | None = None
+    cycles: Loop = Field(default=1, description="A count, or forever: until it is stopped.")
     label: Text | None = Field(default=None, description="Shown on screen and in plots.")
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.gait.kinematics import neutral_mm
 from lss_motion.gait.legs import legs_of
-from lss_motion.gait.model import BodyPose, Gait, Move, Walk
+from lss_motion.gait.model import LAID_OUT_CYCLES, BodyPose, Gait, Move, Walk
 from lss_motion.gait.patterns import PATTERNS
 from lss_motion.robot.load import load_robot
 from lss_motion.source_file import read_text
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from lss_motion.yaml_source import YamlSource
 
 _GAIT_KEY: Final = re.compile(r"""^(gait|"gait"|'gait')\s*:""", re.MULTILINE)
+
+UNLOOPED_CYCLES_MAX: Final = 30
+"""The middle of a longer walk is looped. Chosen: half a minute is planned in one piece."""
 
 ACTIONS: Final = ("stand", "sit", "pose", "walk", "turn")
 
@@ -95,6 +98,8 @@ class _Loader:
         pattern = self._pattern(legs)
         start = self._sitting(("start",)) if content.start == "sitting" else BodyPose()
         actions, end = self._actions(start)
+        if content.loop == 1:
+            actions = _with_loop(actions)
         if content.loop != 1 and end != start:
             self._note(
                 ("loop",),
@@ -222,13 +227,15 @@ class _Loader:
                 reason = "'stride_mm' and 'forward_mm_s' exclude each other; keep one"
                 self._note((*location, "stride_mm"), reason)
             ahead_mm_s = entry.stride_mm / cycle_s
-        lengths = {"for_s": entry.for_s, "distance_mm": entry.distance_mm, "cycles": entry.cycles}
-        given = [key for key, value in lengths.items() if value is not None]
+        lengths = ("for_s", "distance_mm", "cycles")
+        given = [key for key in lengths if key in entry.model_fields_set]
         if len(given) != 1:
             reason = f"a walk has one of {', '.join(lengths)}; this has {' and '.join(given) or 0}"
             self._note(location, reason)
             return None
-        ratio, cycles = 1.0, entry.cycles or 1
+        if entry.cycles == "forever":
+            self._check_endless(location)
+        ratio, cycles = 1.0, LAID_OUT_CYCLES if entry.cycles == "forever" else entry.cycles
         if entry.for_s is not None:
             cycles = max(1, round(entry.for_s / cycle_s))
         if entry.distance_mm is not None:
@@ -244,9 +251,30 @@ class _Loader:
             left_mm_s=ratio * entry.left_mm_s,
             turn_deg_s=ratio * entry.turn_deg_s,
             cycles=cycles,
+            more_cycles=None if entry.cycles == "forever" else 0,
             label=entry.label or "walk",
             line=line,
         )
+
+    def _check_endless(self, location: Location) -> None:
+        if location[1] != len(self.content.do) - 1:
+            reason = "it walks forever, so that nothing could follow; give cycles a count"
+            self._note((*location, "cycles"), reason)
+        if self.content.loop != 1:
+            reason = "a walk without end cannot be looped; leave loop out"
+            self._note((*location, "cycles"), reason)
+
+
+def _with_loop(actions: tuple[Action, ...]) -> tuple[Action, ...]:
+    """Return the actions, the middle of the longest walk as cycles that are looped."""
+    walks = [own for own in actions if isinstance(own, Walk)]
+    longest = max(walks, key=lambda walk: walk.cycles, default=None)
+    is_endless = any(walk.more_cycles is None for walk in walks)
+    if longest is None or is_endless or longest.cycles <= UNLOOPED_CYCLES_MAX:
+        return actions
+    more = longest.cycles - LAID_OUT_CYCLES
+    looped = replace(longest, cycles=LAID_OUT_CYCLES, more_cycles=more)
+    return tuple(looped if own is longest else own for own in actions)
 
 
 def _cycles(duration_s: float, cycle_s: float) -> int:

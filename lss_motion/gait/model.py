@@ -8,12 +8,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from lss_motion.gait.patterns import Pattern
+
+LEAD_IN_CYCLES: Final = 3
+"""After so many cycles of one velocity a walk is steady: feet that were placed before the velocity
+was blended in have stepped once more, and the spline has forgotten it."""
+
+LAID_OUT_CYCLES: Final = 7
+"""Of a walk whose middle is looped: what leads in, the cycle itself, and as much that leads out."""
 
 Triple = tuple[float, float, float]
 
@@ -86,6 +93,8 @@ class Walk:
     left_mm_s: float
     turn_deg_s: float
     cycles: int
+    more_cycles: int | None = 0
+    """So many more like those in the middle, which are looped; None: without end."""
     label: str = ""
     line: int | None = field(default=None, compare=False)
 

@@ -45,6 +45,9 @@ up. Measured, nine patterns with five seeds each: horns stray 0.62 deg at most w
 with 0.9, 0.37 with 0.8; 0.9 takes 5 % longer and 0.8 12 %. The slip of feet does not tell them
 apart. Chosen: most of the speed."""
 
+ROUNDING: Final = 1e-9
+"""Of counts that are whole but for rounding."""
+
 TURN_S: Final = 1e-6
 """A foot is judged this long before and after it lifts or lands."""
 
@@ -140,11 +143,18 @@ def _paced(gait: Gait, robot: Robot, passage: Passage, actions: tuple[Action, ..
 def _keys(
     gait: Gait, passage: Passage, actions: tuple[Action, ...]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return as many equidistant keys as keep the feet on their ways in between."""
-    unit_s = gait.cycle_s if isinstance(passage, Walking) else 1.0
-    count = max(2, math.ceil(KEYS_PER_CYCLE * passage.duration_s / unit_s))
+    """Return as many equidistant keys as keep the feet on their ways in between.
+
+    Every cycle of a walk has the same whole number of them, so that steady cycles are equal.
+    """
+    unit_s, end_s = 1.0, passage.duration_s
+    if isinstance(passage, Walking):
+        unit_s = gait.cycle_s
+    count = max(2, math.ceil(KEYS_PER_CYCLE * end_s / unit_s - ROUNDING))
+    if isinstance(passage, Walking):
+        end_s = count * unit_s / KEYS_PER_CYCLE
     for _ in range(DOUBLINGS_MAX + 1):
-        times_s = np.linspace(0.0, passage.duration_s, count + 1)
+        times_s = np.linspace(0.0, end_s, count + 1)
         angles_deg = angles_at(gait, passage, times_s, actions)
         angles_deg = np.round(angles_deg, ANGLE_DECIMALS) + 0.0  # No negative zeros.
         between_deg = spline(float(times_s[1]), angles_deg).middles()

@@ -112,6 +112,11 @@ class Walking:
         return self.travel.starts_s + np.where(self.travel.starts_s > 0.0, self.lean_s, 0.0)
 
     @property
+    def begins_s(self) -> FloatArray:
+        """When each walk begins to walk: after the lean, the first one too."""
+        return self.travel.starts_s + self.lean_s
+
+    @property
     def turns_s(self) -> FloatArray:
         instants = [part for own in self.steps for part in (own.lifts_s, own.lands_s)]
         return np.unique(np.concatenate(instants)) + self.lean_s

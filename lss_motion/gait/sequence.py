@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from lss_motion.errors import InputError
 from lss_motion.gait.load import is_gait_file, load_gait
+from lss_motion.gait.model import LEAD_IN_CYCLES, Walk
 from lss_motion.gait.pacing import action_at, joints_of, paced
+from lss_motion.gait.passage import Walking
 from lss_motion.sequence.model import Interpolation, Keyframe, Sequence, Timing
 from lss_motion.sequence.timing import KEYFRAMES_MAX
 
@@ -16,6 +18,14 @@ if TYPE_CHECKING:
     from lss_motion.gait.model import Gait
     from lss_motion.gait.pacing import Paced
     from lss_motion.robot.model import Robot
+
+
+class Span(NamedTuple):
+    """How often a sequence is looped, and which part of it; None: forever, all of it."""
+
+    loop: int | None
+    span_s: tuple[float, float] | None = None
+
 
 TIME_DECIMALS = 6
 """Key times are rounded to a microsecond, for people to read."""
@@ -41,7 +51,7 @@ def sequence_from(gait: Gait, passages: tuple[Paced, ...]) -> Sequence:
     """Return the keyframes of passages that `paced` returned for `gait`."""
     names = joints_of(gait)
     keyframes: list[Keyframe] = []
-    start_s = 0.0
+    start_s, span = 0.0, Span(gait.loop)
     for part in passages:
         owners = [action_at(part.passage, at_s) for at_s in part.times_s.tolist()]
         is_labelled: set[int] = set()
@@ -63,11 +73,13 @@ def sequence_from(gait: Gait, passages: tuple[Paced, ...]) -> Sequence:
                     line=action.line,
                 )
             )
+        span = _span(gait, part, start_s) or span
         start_s = (keyframes[-1].at_s or 0.0) + part.hold_s
     if len(keyframes) > KEYFRAMES_MAX:
         raise InputError(
             f"the gait comes to {len(keyframes):,} keyframes, at most {KEYFRAMES_MAX:,} are "
-            "planned in one piece; walk fewer cycles, and loop, or steer it with `lss-motion walk`",
+            "planned in one piece; only the longest walk of a gait without loop may be longer, so "
+            "make it shorter walks, or more gaits in a play list",
             path=gait.path,
         )
     return Sequence(
@@ -76,5 +88,22 @@ def sequence_from(gait: Gait, passages: tuple[Paced, ...]) -> Sequence:
         path=gait.path,
         robot_path=gait.robot_path,
         timing=Timing.AUTHORED,
-        loop=gait.loop,
+        loop=span.loop,
+        loop_span_s=span.span_s,
     )
+
+
+def _span(gait: Gait, part: Paced, start_s: float) -> Span | None:
+    """Return the cycle of this passage that is looped and how often; None if there is none."""
+    for index, action in enumerate(part.actions):
+        if not isinstance(action, Walk) or action.more_cycles == 0:
+            continue
+        assert isinstance(part.passage, Walking)
+        steady_s = float(part.passage.begins_s[index]) + LEAD_IN_CYCLES * gait.cycle_s
+        from_s, to_s = (
+            round(start_s + part.pace_ratio * at_s, TIME_DECIMALS)
+            for at_s in (steady_s, steady_s + gait.cycle_s)
+        )
+        more = action.more_cycles
+        return Span(None if more is None else more + 1, (from_s, to_s))
+    return None

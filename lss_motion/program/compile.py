@@ -16,6 +16,7 @@ from lss_motion.program.drives import lead, longest_move
 from lss_motion.program.fit import TURN_S
 from lss_motion.program.line import LineUse, line_use
 from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
+from lss_motion.program.seam import closed
 from lss_motion.program.verify import verify_program
 from lss_motion.protocol.line import encode_move
 from lss_motion.trajectory.cues import all_cues, all_marks, all_waits
@@ -115,7 +116,7 @@ def _program(
     robot = choice.robot
     moves = moves_of(attempt.fitted, robot)
     if repeat is not None:
-        moves = [move for move in moves if move.due_us < repeat.to_us]
+        moves = closed(moves, repeat, robot)
     start = trajectory.sample(np.zeros(1))[0]
     end_s = trajectory.duration_s if repeat is None else s_from_us(repeat.to_us)
     return Program(

@@ -247,6 +247,12 @@ class SequenceFile(TrackEntry, title="sequence file"):
     )
     speed_ratio: SpeedRatio = Field(default=1.0, description=SPEED_RATIO)
     mirror: bool = Field(default=False, description=MIRROR)
+    loop_span_s: Annotated[list[TimeS], Field(min_length=2, max_length=2)] | None = Field(
+        default=None,
+        description="From when to when the keyframes are looped: the joints must end it as they "
+        "began it, in motion too. What is before is played once, first; what is after once, last.",
+        examples=[[2.0, 3.5]],
+    )
     tracks: Annotated[dict[Name, TrackEntry], Field(min_length=1)] = Field(
         default={},
         description="Other joints at the same time, by the name of the track, each with its own "

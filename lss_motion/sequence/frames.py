@@ -33,6 +33,7 @@ class TrackLoader:
     robot: Robot | None
     is_offset: bool = False
     """Whether its angles are added to others, so that no range says anything about them."""
+    is_looped_in_part: bool = False
     problems: list[Problem] = field(default_factory=list)
 
     def sequence(self, name: str) -> Sequence:
@@ -48,7 +49,8 @@ class TrackLoader:
             self._check_joints(keyframes, self.robot)
         loop = None if content.loop == "forever" else content.loop
         is_whole = not self.problems and not self.left_out and self.robot is not None
-        if loop != 1 and is_whole and (reason := loop_problem(keyframes)):
+        is_looped = loop != 1 and not self.is_looped_in_part
+        if is_looped and is_whole and (reason := loop_problem(keyframes)):
             self._note(("keyframes", len(keyframes) - 1), reason)
         return Sequence(
             name=name,

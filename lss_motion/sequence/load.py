@@ -12,9 +12,10 @@ from lss_motion.sequence.check import check_sequence
 from lss_motion.sequence.cues import cues
 from lss_motion.sequence.frames import TrackLoader
 from lss_motion.sequence.mirror import mirrored
-from lss_motion.sequence.model import Sequence
+from lss_motion.sequence.model import Sequence, Timing
 from lss_motion.sequence.parts import Part, PartLoader
 from lss_motion.sequence.speed import at_speed
+from lss_motion.sequence.timing import timing_of
 from lss_motion.yaml_source import Location, Problem, read_yaml
 
 if TYPE_CHECKING:
@@ -135,7 +136,13 @@ class _Loader:
 
         content = self.content
         main = TrackLoader(
-            content, (), self._own_left_out(), self.source, self.robot, self.part.is_offset
+            content,
+            (),
+            self._own_left_out(),
+            self.source,
+            self.robot,
+            self.part.is_offset,
+            is_looped_in_part=content.loop_span_s is not None,
         )
         # Without keyframes there is nothing to say about times; a play list has its own.
         sequence = (
@@ -153,6 +160,7 @@ class _Loader:
         parts = PartLoader(content, self.left_out, self.source, self.robot, self.part, _load)
         sequence = replace(
             sequence,
+            loop_span_s=self._loop_span_s(),
             speed_ratio=content.speed_ratio,
             tracks=self._tracks(),
             play=parts.steps(),
@@ -190,6 +198,20 @@ class _Loader:
             )
         if content.loop != 1 and not has_frames and not has_play:
             self._note(("loop",), "there is nothing to loop; give each track its own loop")
+
+    def _loop_span_s(self) -> tuple[float, float] | None:
+        content = self.content
+        if content.loop_span_s is None:
+            return None
+        place: Location = ("loop_span_s",)
+        from_s, to_s = content.loop_span_s
+        if to_s <= from_s:
+            self._note(place, f"the loop would end at {to_s:g} s, not after {from_s:g} s")
+        if content.play or content.tracks or content.events or not content.keyframes:
+            self._note(place, "only keyframes without tracks and events can be looped in part")
+        if timing_of(content) is not Timing.AUTHORED:
+            self._note(place, "a loop of a part needs timing: authored")
+        return from_s, to_s
 
     def _tracks(self) -> tuple[Sequence, ...]:
         tracks = []

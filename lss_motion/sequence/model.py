@@ -145,6 +145,9 @@ class Sequence:
     fit_duration_s: float | None = None
     """Only with `Timing.FIT`: how long one pass takes."""
     loop: int | None = 1
+    loop_span_s: tuple[float, float] | None = None
+    """What is looped of keyframes with times: what is before it is played once, first, and what is
+    after it once, at the end. None: all of them."""
     speed_ratio: float = 1.0
     """All times are divided by this; at most 1 where the timing is `fastest`."""
     tracks: tuple[Sequence, ...] = ()

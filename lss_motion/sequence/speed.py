@@ -25,13 +25,14 @@ def at_speed(sequence: Sequence, ratio: float = 1.0) -> Sequence:
             f"speed {ratio:g}: the sequence is planned as fast as the limits allow; 1 is the most",
             path=sequence.path,
         )
-    duration_s = sequence.fit_duration_s
+    duration_s, span_s = sequence.fit_duration_s, sequence.loop_span_s
     return replace(
         sequence,
         speed_ratio=ratio if is_fastest else 1.0,
         keyframes=sequence.keyframes
         if is_fastest or ratio == 1.0
         else tuple(_frame(frame, ratio) for frame in sequence.keyframes),
+        loop_span_s=None if span_s is None else (span_s[0] / ratio, span_s[1] / ratio),
         fit_duration_s=None if duration_s is None else duration_s / ratio,
         tracks=tuple(at_speed(track, ratio) for track in sequence.tracks),
         play=tuple(_step(step, ratio) for step in sequence.play),

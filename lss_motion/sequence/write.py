@@ -83,6 +83,8 @@ def _track(sequence: Sequence) -> Iterator[str]:
         yield f"interpolation: {usual}"
     if sequence.loop != 1:
         yield f"loop: {'forever' if sequence.loop is None else sequence.loop}"
+    if sequence.loop_span_s is not None:
+        yield f"loop_span_s: [{', '.join(map(_number, sequence.loop_span_s))}]"
     yield "keyframes:"
     for keyframe in sequence.keyframes:
         yield f"  - {{{', '.join(_keyframe(keyframe, usual))}}}"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import InputError
+from lss_motion.trajectory.span import Span
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -92,6 +93,8 @@ def _passes(trajectory: Trajectory, end_s: float) -> Iterator[tuple[float, float
         return
     first_s = trajectory.first.duration_s
     yield 0.0, 1.0
+    if isinstance(trajectory.middle, Span):
+        return  # What there is to say has the time of the show already.
     index = 1
     while first_s > 0.0 and (trajectory.loop is None or index < trajectory.loop):
         start_s = trajectory.pass_start_s(index)

@@ -12,6 +12,7 @@ from lss_motion.trajectory.cues import planned_cues
 from lss_motion.trajectory.fit import at_ratio
 from lss_motion.trajectory.layers import layered
 from lss_motion.trajectory.play import in_a_row
+from lss_motion.trajectory.span import looped_span
 from lss_motion.trajectory.track import planned_track
 from lss_motion.trajectory.tracks import side_by_side
 from lss_motion.trajectory.verify import verify
@@ -71,6 +72,11 @@ def _base(sequence: Sequence, robot: Robot) -> Trajectory:
 def _alone(track: Sequence, robot: Robot) -> Trajectory:
     if track.tracks or track.layers or track.play:
         raise InputError("a track holds keyframes and nothing else", path=track.path)
+    if track.loop_span_s is not None:
+        whole = _alone(replace(track, loop=1, loop_span_s=None), robot)
+        trajectory = looped_span(track, whole)
+        verify(trajectory, robot, has_parts=False)
+        return trajectory
     ratio = track.speed_ratio
     trajectory = planned_track(replace(track, speed_ratio=1.0), robot)
     if track.timing is Timing.FASTEST and ratio < 1.0:

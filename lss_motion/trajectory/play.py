@@ -157,6 +157,7 @@ def _planned(
     if sequence is None:
         return None, 1
     is_plain = bool(sequence.keyframes) and not sequence.tracks and not sequence.layers
+    is_plain = is_plain and sequence.loop_span_s is None
     may_flow = step.times > 1 and is_plain and not loop_problem(sequence.keyframes)
     if may_flow and sequence.loop is not None:
         # It ends where it begins, so that it can go on without a stop.

@@ -30,22 +30,29 @@ def _cache(monkeypatch, tmp_path_factory):
 class Walked:
     """A gait file that was played, its plan, and where its feet really were."""
 
-    def __init__(self, path):
-        show = shows.prepare(path, None, loop=1)
-        result = api.perform(show.program, show.robot, is_virtual=True, trajectory=show.trajectory)
+    def __init__(self, path, controls=None):
+        show = shows.prepare(path, None, loop=None if controls else 1)
+        result = api.perform(
+            show.program,
+            show.robot,
+            is_virtual=True,
+            trajectory=show.trajectory,
+            observer=api.Observer(controls=controls),
+        )
         self.show, self.report = show, result.report
         self.gait = load_gait(path)
         truth = result.truth
         columns = [truth.joints.index(name) for name in joints_of(self.gait)]
-        self._times_s, self._angles_deg = truth.times_s, truth.horn_deg[:, columns]
+        self.times_s = np.array([show.program.within(at_s) for at_s in truth.times_s.tolist()])
+        self._angles_deg = truth.horn_deg[:, columns]
 
     def passages(self):
         """Yield the planned stances of each passage and the feet in the body, as they were."""
         start_s = 0.0
         for part in paced(self.gait, self.show.robot):
             end_s = start_s + part.duration_s
-            chosen = (self._times_s >= start_s) & (self._times_s <= end_s)
-            stance = part.passage.at((self._times_s[chosen] - start_s) / part.pace_ratio)
+            chosen = (self.times_s >= start_s) & (self.times_s <= end_s)
+            stance = part.passage.at((self.times_s[chosen] - start_s) / part.pace_ratio)
             angles = np.split(self._angles_deg[chosen], len(self.gait.legs), axis=1)
             feet = [forward(leg, own) for leg, own in zip(self.gait.legs, angles, strict=True)]
             yield stance, np.stack(feet, axis=1)
@@ -125,3 +132,41 @@ def test_every_example_is_performed_without_slipping(name):
     use = walked.show.program.line_use["main"]
     assert use.overlaps == 0
     assert use.utilisation_ratio < 0.35
+
+
+class StopAt:
+    """Controls that stop the show once it has come to `show_s`."""
+
+    def __init__(self, show_s):
+        self.show_s = show_s
+        self.is_done = False
+
+    def filenos(self):
+        return []
+
+    def act(self, player, now_ns):
+        show = player.show
+        if not self.is_done and show is not None and show.show_s(now_ns) >= self.show_s:
+            self.is_done = True
+            player.stop(now_ns)
+
+
+def test_a_walk_without_end_goes_on_without_slipping_until_it_is_stopped(tmp_path):
+    path = tmp_path / "gait.yaml"
+    path.write_text(
+        f"gait: ever\nrobot: {EXAMPLES}/robots/hexapod.yaml\nheight_mm: 80\ncycle_s: 1.0\n"
+        f"legs_from: {EXAMPLES}/hexapod_walk.yaml\nstep_height_mm: 20\n"
+        "do:\n  - walk: {forward_mm_s: 35, cycles: forever}\n"
+    )
+    stop = StopAt(9.0)
+    walked = Walked(path, stop)
+    assert stop.is_done
+    repeat = walked.show.program.repeat
+    assert repeat.to_us < 7_000_000, "it has gone on for more than a pass"
+    assert walked.report["outcome"] == "stopped"
+    assert walked.report["timing"]["missed"] == 0
+    assert walked.slip_max_mm() < SLIP_MAX_MM
+    # It stands where it was stopped, in the middle of a step, and does not fall.
+    (part,) = paced(walked.gait, walked.show.robot)
+    margin_mm = part.passage.at(walked.times_s[-1:] / part.pace_ratio).margin_mm()
+    assert margin_mm[0] > 50.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -38,6 +39,17 @@ def test_a_gait_is_explained_action_by_action(kit):
     )
     trot = kit.gait("trot", kit.walk(20.0))
     assert "mm outside of its feet" in gait_lines(trot, paced(trot, kit.robot(trot)))[1]
+
+
+def test_cycles_that_are_looped_are_counted_in_words(kit):
+    for more, first, last in (
+        (93, "one pass 152.25 s", "100 cycles of 1.50 s"),
+        (None, "without end", "forever, in cycles of 1.50 s"),
+    ):
+        gait = kit.gait("tripod", replace(kit.walk(20.0, cycles=7), more_cycles=more))
+        lines = gait_lines(gait, paced(gait, kit.robot(gait)))
+        assert first in lines[0]
+        assert lines[-1].endswith(last)
 
 
 def test_the_command_explains_writes_and_draws(kit, tmp_path, capsys):

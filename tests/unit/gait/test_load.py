@@ -109,6 +109,22 @@ def test_a_walk_is_as_long_as_its_time_its_distance_or_its_cycles(actions):
     assert strode.forward_mm_s == -25.0
 
 
+def test_the_longest_walk_is_looped_and_all_of_its_cycles_count(actions, write):
+    short, long, other = actions(
+        "walk: {forward_mm_s: 20, cycles: 30}",
+        "walk: {forward_mm_s: 20, for_s: 3600}",
+        "walk: {left_mm_s: 20, distance_mm: 2000}",
+    )
+    assert (short.cycles, short.more_cycles) == (30, 0)
+    assert (long.cycles + long.more_cycles, long.cycles) == (1800, 7)
+    assert (other.cycles, other.more_cycles) == (50, 0)
+    (endless,) = actions("walk: {forward_mm_s: 20, cycles: forever}")
+    assert endless.more_cycles is None
+    # What is looped as a whole is laid out as a whole.
+    looped = load_gait(write("loop: 2\ndo: [{walk: {forward_mm_s: 20, cycles: 50}}]\n"))
+    assert looped.actions[0].more_cycles == 0
+
+
 def test_a_turn_has_its_angle_exactly(actions):
     (turn,) = actions("turn: {deg: -100, turn_deg_s: 30}")
     assert isinstance(turn, Walk)
@@ -143,6 +159,9 @@ def test_standing_sitting_and_posing_are_moves_of_the_body(write):
         ("do: []\n", 6, "must have 1 or more"),
         ("do:\n  - walk: {forward_mm_s: 9}\n", 7, "a walk has one of for_s, distance_mm, cycles"),
         ("do:\n  - walk: {cycles: 1, for_s: 3}\n", 7, "this has for_s and cycles"),
+        ("do:\n  - walk: {cycles: 0}\n", 7, "a count from 1 to 1,000,000, or forever"),
+        ("do:\n  - walk: {cycles: forever}\n  - stand: {}\n", 7, "nothing could follow"),
+        ("loop: 2\ndo:\n  - walk: {cycles: forever}\n", 8, "without end cannot be looped"),
         ("do:\n  - walk: {turn_deg_s: 9, distance_mm: 50}\n", 7, "distance_mm needs a speed"),
         ("do:\n  - walk: {stride_mm: 9, forward_mm_s: 9, cycles: 1}\n", 7, "exclude each other"),
         ("do:\n  - walk: {forward_mm_s: fast, cycles: 1}\n", 7, "must be a number"),

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.gait.model import BodyPose, Move
+from lss_motion.gait.model import LAID_OUT_CYCLES, BodyPose, Move
 from lss_motion.gait.pacing import joints_of, paced
 from lss_motion.gait.sequence import sequence_from, sequence_of
 from lss_motion.sequence.check import check_sequence
@@ -69,6 +71,43 @@ def test_what_is_written_for_editing_plays_the_same(kit, tmp_path):
     sequence = sequence_of(gait, kit.robot(gait))
     write_sequence(sequence, tmp_path / "s.yaml")
     assert load_sequence(tmp_path / "s.yaml") == sequence
+    endless = replace(kit.walk(20.0, cycles=LAID_OUT_CYCLES), more_cycles=None)
+    sequence = sequence_of(replace(gait, actions=(endless,)), kit.robot(gait))
+    write_sequence(sequence, tmp_path / "s.yaml")
+    assert load_sequence(tmp_path / "s.yaml") == sequence
+
+
+@pytest.mark.parametrize("pattern", ["tripod", "wave", "trot", "crawl"])
+def test_the_middle_of_a_long_walk_is_looped_without_a_seam(kit, pattern):
+    robot_gait = kit.gait(pattern)
+    robot = kit.robot(robot_gait)
+    laid_out = kit.walk(20.0, turn_deg_s=4.0, cycles=LAID_OUT_CYCLES)
+    walk = replace(laid_out, more_cycles=5)
+    gait = replace(robot_gait, actions=(kit.walk(10.0, cycles=2), walk, NOD, BACK))
+    long = replace(gait, actions=(kit.walk(10.0, cycles=2), replace(walk, cycles=12, more_cycles=0),
+                                  NOD, BACK))  # fmt: skip
+    looped = plan(sequence_of(gait, robot), robot)
+    whole = plan(sequence_of(long, robot), robot)
+    assert looped.loop == 6
+    assert looped.duration_s == pytest.approx(whole.duration_s, abs=2e-3)
+    at_s = np.arange(0.0, whole.duration_s, 0.02)
+    assert np.abs(looped.sample(at_s) - whole.sample(at_s)).max() < 0.1
+    seams_s = np.array([looped.pass_start_s(index) for index in range(1, 6)])
+    before, after = looped.sample(seams_s - 1e-6, 1), looped.sample(seams_s + 1e-6, 1)
+    assert np.abs(before).max() > 1.0
+    assert np.abs(after - before).max() < 0.2
+
+
+def test_a_walk_without_end_is_one_cycle_that_is_looped(kit):
+    walk = replace(kit.walk(20.0, cycles=LAID_OUT_CYCLES), more_cycles=None)
+    gait = kit.gait("ripple", walk)
+    sequence = sequence_of(gait, kit.robot(gait))
+    assert sequence.loop is None
+    from_s, to_s = sequence.loop_span_s
+    pace_ratio = paced(gait, kit.robot(gait))[0].pace_ratio
+    assert to_s - from_s == pytest.approx(gait.cycle_s * pace_ratio, abs=2e-6)
+    assert len(sequence.keyframes) < 600
+    assert plan(sequence, kit.robot(gait)).duration_s == np.inf
 
 
 def test_more_keyframes_than_are_planned_in_one_piece_are_refused(kit):

@@ -194,6 +194,13 @@ def test_a_time_at_the_end_of_a_hold_is_exactly_that_end(load) -> None:
             "joint 'base' is keyed in track 'eyes' and in the keyframes outside tracks",
         ),
         ("  []", 3, "must have 1 or more entries"),
+        ("  - {at_s: 0, pose: home}\nloop_span_s: [2, 1]", 5, "would end at 1 s, not after 2 s"),
+        ("  - {pose: home}\nloop_span_s: [1, 2]", 5, "needs timing: authored"),
+        (
+            "  - {at_s: 0, deg: {base: 0}}\nloop_span_s: [1, 2]\nevents: [{at_s: 1, say: hi}]",
+            5,
+            "only keyframes without tracks and events can be looped in part",
+        ),
         ("  - {at_s: 0, pose: home}\nkeyframes: []", 5, "is given twice"),
     ],
 )
@@ -204,6 +211,14 @@ def test_what_cannot_be_is_refused_with_line_and_reason(
     assert found[0][0] == line
     assert reason in found[0][1]
     assert len(found) == 1 or "given twice" in reason
+
+
+def test_a_part_may_be_looped_though_the_whole_does_not_end_where_it_began(load) -> None:
+    sequence = load(
+        "  - {at_s: 0, deg: {base: 0}}\n  - {at_s: 5, deg: {base: 9}}\n"
+        "loop: 7\nloop_span_s: [1.5, 2.25]\n"
+    )
+    assert (sequence.loop, sequence.loop_span_s) == (7, (1.5, 2.25))
 
 
 def test_all_problems_of_a_file_come_in_one_run(refusals) -> None:

@@ -1,0 +1,61 @@
+"""Passes that are repeated: what is lost where one follows another, and is said again."""
+
+from __future__ import annotations
+
+import pytest
+
+from lss_motion.program.attempt import sent_us
+from lss_motion.program.compile import lines_use
+from lss_motion.program.model import Move, Repeat
+from lss_motion.program.seam import closed
+
+REPEAT = Repeat(from_us=1_000_000, to_us=2_000_000)
+
+
+def move(due_us, target_wire=100, duration_ms=400, servo_id=1):
+    return Move(
+        due_us=due_us,
+        bus="main",
+        servo_id=servo_id,
+        target_wire=target_wire,
+        duration_ms=duration_ms,
+    )
+
+
+@pytest.fixture
+def robot(kit):
+    return kit.robot()
+
+
+def said(moves):
+    return [(m.due_us, m.target_wire, m.duration_ms) for m in moves if m.servo_id == 1]
+
+
+def test_a_move_that_falls_on_different_sides_of_the_seams_is_said_in_every_pass(robot):
+    # What is heard before the first seam comes after the second, and would be lost there.
+    moves = [move(999_000), move(1_600_000, 7), move(2_003_000), move(2_600_000, 7)]
+    assert said(closed(moves, REPEAT, robot)) == [
+        (999_000, 100, 400), (1_000_000, 100, 399), (1_600_000, 7, 400)
+    ]  # fmt: skip
+
+
+def test_what_has_its_place_in_the_pass_is_not_said_twice(robot):
+    early = [move(999_000), move(1_600_000, 7), move(1_999_000), move(2_600_000, 7)]
+    late = [move(1_003_000), move(1_600_000, 7), move(2_003_000), move(2_600_000, 7)]
+    for moves in (early, late):
+        kept = [m for m in moves if m.due_us < REPEAT.to_us]
+        assert closed(moves, REPEAT, robot) == kept
+
+
+def test_it_is_said_where_the_line_is_free(robot):
+    others = [move(1_000_900, 1, servo_id=2), move(2_000_000 - 400, 1, servo_id=3)]
+    moves = [*others, move(999_000), move(1_600_000, 7), move(2_003_000), move(2_600_000, 7)]
+    found = closed(moves, REPEAT, robot)
+    again_us = said(found)[1][0]
+    baud_bps = robot.buses["main"].baud_bps
+    assert again_us == 1_000_900 + sent_us(len(others[0].data), baud_bps)
+    tail = [m for m in found if m.due_us >= 1_990_000]
+    shifted = [move(m.due_us - 1_000_000, m.target_wire, servo_id=9) for m in tail]
+    assert lines_use([*found, *shifted], robot)["main"].overlaps == 0
+    full = [move(us, 1, servo_id=2) for us in range(1_000_000, 1_600_000, 500)]
+    assert len(said(closed([*moves, *full], REPEAT, robot))) == 2, "nothing fits in between"
