@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 
 from lss_motion.program.attempt import sent_us
-from lss_motion.program.compile import lines_use
 from lss_motion.program.model import Move, Repeat
 from lss_motion.program.seam import closed
 
@@ -54,8 +55,11 @@ def test_it_is_said_where_the_line_is_free(robot):
     again_us = said(found)[1][0]
     baud_bps = robot.buses["main"].baud_bps
     assert again_us == 1_000_900 + sent_us(len(others[0].data), baud_bps)
-    tail = [m for m in found if m.due_us >= 1_990_000]
-    shifted = [move(m.due_us - 1_000_000, m.target_wire, servo_id=9) for m in tail]
-    assert lines_use([*found, *shifted], robot)["main"].overlaps == 0
+    slots_us = [(m.due_us, m.due_us + sent_us(len(m.data), baud_bps)) for m in found]
+    again = [slot for slot in slots_us if slot[0] >= REPEAT.from_us]
+    again += [(first - 1_000_000, end - 1_000_000) for first, end in again if end > REPEAT.to_us]
+    again.sort()
+    assert len(again) == 5
+    assert all(end <= following for (_, end), (following, _) in pairwise(again))
     full = [move(us, 1, servo_id=2) for us in range(1_000_000, 1_600_000, 500)]
     assert len(said(closed([*moves, *full], REPEAT, robot))) == 2, "nothing fits in between"
