@@ -85,6 +85,10 @@ def _inserted(text: str, mapping: Any, entry: str) -> str:  # noqa: ANN401  yaml
         return f"{text[: start + 1]}{entry}{comma}{text[start + 1 :]}"
     newline = "\r\n" if "\r\n" in text else "\n"
     indent = " " * mapping.start_mark.column
+    if last is None and not indent and mapping.value:  # The file itself: at its end.
+        end = mapping.end_mark.index
+        before = text[:end] if text[:end].endswith("\n") else text[:end] + newline
+        return f"{before}{entry}{newline}{text[end:]}"
     if last is None:
         return f"{text[:start]}{entry}{newline}{indent}{text[start:]}"
     end = text.find("\n", last)

@@ -7,15 +7,18 @@ tools/run tools/check.py lint types only these steps
 from __future__ import annotations
 
 import ast
+import contextlib
 import re
+import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 ROOT = Path(__file__).resolve().parent.parent
 MODULE_LINES_MAX = 350
@@ -23,10 +26,10 @@ FUNCTION_LINES_MAX = 70
 """About 250 and 40 is the aim; beyond these it is a fault."""
 DATA_MODULES = {"lss.py", "lss_later.py", "lss_pro.py", "io2.py"}
 """Tables, one row a command: they are as long as the documents."""
-README_COMMAND = re.compile(r"^tools/run (?P<command>.+)$", re.MULTILINE)
-README_SKIPPED = ("pytest", "tools/check.py", "tools/bench.py")
+COMMAND = re.compile(r"^tools/run (?P<command>.+)$", re.MULTILINE)
+COMMANDS_SKIPPED = ("pytest", "tools/check.py", "tools/bench.py")
 """Run by other steps, or for minutes."""
-README_SECONDS_MAX = 120.0
+COMMAND_SECONDS_MAX = 120.0
 
 
 def main(names: list[str]) -> int:
@@ -39,6 +42,7 @@ def main(names: list[str]) -> int:
         "size": _sizes,
         "tests": lambda: _run("pytest", "-q"),
         "readme": _readme,
+        "guides": _guides,
     }
     if unknown := set(names) - set(steps):
         print(f"no such step: {', '.join(sorted(unknown))}; there are {', '.join(steps)}")
@@ -83,30 +87,70 @@ def _sizes() -> bool:
 
 
 def _readme() -> bool:
-    """Run every `tools/run …` line of the README that ends by itself."""
+    """Run every `tools/run …` line of the README that ends by itself and needs no robot."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
+    return _typed([line for line in _commands(text) if "my_" not in line], ROOT)
+
+
+def _guides() -> bool:
+    """Follow the guides as a newcomer: write the files that they show, type what they say.
+
+    In a copy of the examples. What ends with `&` runs until the others are through.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        sequences = Path(folder) / "sequences"
+        shutil.copytree(ROOT / "sequences", sequences, ignore=shutil.ignore_patterns("my_*"))
+        text = (sequences / "README.md").read_text(encoding="utf-8").replace("/tmp/", f"{folder}/")  # noqa: S108
+        for name, content in re.findall(
+            r"^```yaml\n# (my_\w+\.yaml)\n(.*?)^```", text, re.MULTILINE | re.DOTALL
+        ):
+            (sequences / name).write_text(content, encoding="utf-8")
+        return _typed(_commands(text), Path(folder))
+
+
+def _commands(text: str) -> list[str]:
     blocks = re.findall(r"^```sh\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
-    commands = [match["command"] for block in blocks for match in README_COMMAND.finditer(block)]
-    assert commands, "the README shows no commands"
+    found = [match["command"] for block in blocks for match in COMMAND.finditer(block)]
+    assert found, "the page shows no commands"
+    return [line for line in found if line.split()[0] not in COMMANDS_SKIPPED]
+
+
+def _typed(commands: list[str], folder: Path) -> bool:
+    """Run commands one after the other; print what a failed one said."""
     is_good = True
-    for command in commands:
-        words = command.split("  #")[0].split()
-        if words[0] in README_SKIPPED or "my_" in command:
-            continue
-        print(f"       tools/run {' '.join(words)}")
-        done = subprocess.run(
-            ["tools/run", *words],
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=README_SECONDS_MAX,
-            stdin=subprocess.DEVNULL,
-        )
-        if done.returncode != 0:
-            print(done.stdout + done.stderr)
-            is_good = False
+    with contextlib.ExitStack() as beside:
+        for command in commands:
+            words = command.split("  #")[0].split()
+            print(f"       tools/run {' '.join(words)}")
+            typed = [str(ROOT / "tools" / "run"), *(word for word in words if word != "&")]
+            if words[-1] == "&":
+                beside.enter_context(_running(typed, folder))
+                continue
+            done = subprocess.run(
+                typed,
+                cwd=folder,
+                capture_output=True,
+                text=True,
+                check=False,
+                timeout=COMMAND_SECONDS_MAX,
+                stdin=subprocess.DEVNULL,
+            )
+            if done.returncode != 0:
+                print(done.stdout + done.stderr)
+                is_good = False
     return is_good
+
+
+@contextlib.contextmanager
+def _running(words: list[str], folder: Path) -> Iterator[None]:
+    """Run a command beside others, from its first line of output on."""
+    with subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        try:
+            yield
+        finally:
+            process.terminate()
 
 
 if __name__ == "__main__":

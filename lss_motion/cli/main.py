@@ -52,15 +52,20 @@ GROUPS = (
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `lss-motion`; return its exit code."""
+    arguments = make_parser().parse_args(argv)
+    handler: Callable[[argparse.Namespace], int] = arguments.handler
+    return guarded("lss-motion", lambda: handler(arguments))
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of `lss-motion` with all its commands."""
     parser = argparse.ArgumentParser(
         prog="lss-motion", description="Plan, check, compile and simulate motion of smart servos."
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for group in GROUPS:
         group.add_to(commands)
-    arguments = parser.parse_args(argv)
-    handler: Callable[[argparse.Namespace], int] = arguments.handler
-    return guarded("lss-motion", lambda: handler(arguments))
+    return parser
 
 
 if __name__ == "__main__":

@@ -48,6 +48,12 @@ WAITING: Final = {
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `lss-play`; return its exit code."""
+    arguments = make_parser().parse_args(argv)
+    return guarded("lss-play", lambda: play(arguments))
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of `lss-play`."""
     parser = argparse.ArgumentParser(
         prog="lss-play",
         description=DESCRIPTION,
@@ -55,8 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_arguments(parser)
-    arguments = parser.parse_args(argv)
-    return guarded("lss-play", lambda: play(arguments))
+    return parser
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

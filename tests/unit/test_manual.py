@@ -1,13 +1,21 @@
-"""The manual in the package's docstring runs as it is printed."""
+"""The manual says what is so: its example runs, its commands exist, its reference is current."""
 
 from __future__ import annotations
 
 import doctest
+import re
+import shlex
 from pathlib import Path
 
+import pytest
+from make_reference import PATH, parsers, reference
+
 import lss_motion
+from lss_motion.cli import main, play
 
 ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", ROOT / "sequences" / "README.md"]
+COMMAND = re.compile(r"(?:^|\$ |`)(?:tools/run )?(lss-play|lss-motion) ([^`\n]*)", re.MULTILINE)
 
 
 def test_the_example_of_the_manual_runs(monkeypatch):
@@ -15,3 +23,36 @@ def test_the_example_of_the_manual_runs(monkeypatch):
     result = doctest.testmod(lss_motion)
     assert result.attempted >= 8
     assert result.failed == 0
+
+
+def test_the_reference_is_what_the_code_says():
+    assert PATH.read_text(encoding="utf-8") == reference(), "run tools/make_reference.py"
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.parent.name)
+def test_every_command_of_a_page_has_the_arguments_that_it_shows(path):
+    """Also of those that need hands or a robot, which nobody runs."""
+    lines = [
+        (program, shlex.split(words, comments=True))
+        for program, words in COMMAND.findall(path.read_text(encoding="utf-8"))
+        if words.strip()
+    ]
+    assert len(lines) > 10
+    names = [parser.prog.partition(" ")[2] for parser in parsers()]
+    for program, words in lines:
+        parser = play.make_parser() if program == "lss-play" else main.make_parser()
+        typed = [word for word in words if word not in ("&", "--help")]
+        is_name_only = len(typed) == 1 and program == "lss-motion"
+        if is_name_only and typed[0] in names:
+            continue
+        is_options_only = all(word.startswith("-") for word in typed)
+        parser.parse_args([*typed, "FILE"] if is_options_only else typed)
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.parent.name)
+def test_every_link_of_a_page_leads_to_a_file(path):
+    links = re.findall(r"\]\(([^)#]+)\)", path.read_text(encoding="utf-8"))
+    assert links
+    for link in links:
+        if not link.startswith("http"):
+            assert (path.parent / link).exists(), link

@@ -54,6 +54,16 @@ def test_setting_the_same_again_changes_no_character():
     assert set_values(FILE, once, WRIST, VALUES) == once
 
 
+@pytest.mark.parametrize("end", ["", "\n", "\n\n# the end\n", "\n...\n"])
+def test_a_new_key_of_the_file_comes_behind_what_is_there(end):
+    """And not above its first line, where nobody looks for it."""
+    text = f"# mine\nrobot: x\njoints:\n  wrist: {{id: 4}}{end}"
+    changed = set_values(FILE, text, ("poses", "home"), {"wrist": 10.5})
+    assert changed.startswith(text.rstrip("\n."))
+    was = yaml.safe_load(text)
+    assert yaml.safe_load(changed) == {**was, "poses": {"home": {"wrist": 10.5}}}
+
+
 @pytest.mark.parametrize(
     ("text", "line"),
     [
