@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NoReturn
 
 from lss_motion.errors import InputError
+from lss_motion.interchange.reader import VALUES_MAX
 from lss_motion.source_file import text_of
 
 if TYPE_CHECKING:
@@ -16,6 +17,11 @@ if TYPE_CHECKING:
 
 NUMBER_MAX: Final = 1e9
 """Larger numbers are no time, angle, pulse or position that any of the formats knows."""
+
+COMMAS_MAX: Final = 2 * VALUES_MAX
+COLONS_MAX: Final = VALUES_MAX
+"""The wordiest format (pypot) has two numbers and one key for each value of a recording. Without a
+bound, 64 MB of empty lists, or of keys, parse into gigabytes."""
 
 
 def starts_json(data: bytes, bracket: bytes) -> bool:
@@ -37,6 +43,8 @@ def parsed_json(path: Path, data: bytes) -> object:
     def refused(constant: str) -> NoReturn:
         raise InputError(f"{constant} is no number that a joint can reach", path=path)
 
+    if data.count(b",") > COMMAS_MAX or data.count(b":") > COLONS_MAX:
+        raise InputError(f"holds more than {VALUES_MAX:,} values, the most that is read", path=path)
     try:
         return json.loads(text_of(data, path), object_pairs_hook=once, parse_constant=refused)
     except json.JSONDecodeError as error:

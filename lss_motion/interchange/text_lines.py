@@ -21,6 +21,10 @@ _NUMBER: Final = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d{1,3})?", 
 VALUE_MAX: Final = 1e12
 """Seconds since 1970 are 1.7e9, milliseconds 1.7e12 / 1000; nothing larger is meant."""
 
+LINES_MAX: Final = 5_000_000
+"""A long table has a line for each of its 4,000,000 values at most, and some to explain them.
+Without a bound, 64 MB of short lines are a gigabyte of text objects."""
+
 
 @dataclass(frozen=True, slots=True)
 class TextLines:
@@ -32,7 +36,10 @@ class TextLines:
     @classmethod
     def of(cls, path: Path, data: bytes) -> TextLines:
         """Return the lines of a UTF-8 file with any line ends, or raise `InputError`."""
-        return cls(path, text_of(data, path).replace("\r\n", "\n").replace("\r", "\n"))
+        text = text_of(data, path).replace("\r\n", "\n").replace("\r", "\n")
+        if text.count("\n") > LINES_MAX:
+            raise InputError(f"has more than {LINES_MAX:,} lines, the most that is read", path=path)
+        return cls(path, text)
 
     def numbered(self) -> Iterator[tuple[int, str]]:
         """Yield number and content of every line that holds something."""

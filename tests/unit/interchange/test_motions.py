@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -114,6 +115,30 @@ def test_a_file_beyond_the_limit_is_refused(tmp_path: Path, monkeypatch) -> None
     path.write_text("t_s,HeadPan\n" + "0,1\n" * 50, encoding="utf-8")
     with pytest.raises(InputError, match="is larger than 0 MB, the most that is read"):
         read_motion(path)
+
+
+@pytest.mark.parametrize(
+    ("start", "part", "times", "reason"),
+    [
+        (b'{"framerate":1,"positions":{"0":[', b"[],", 8_100_000, "more than 4,000,000 values"),
+        (b'{"framerate":1,"positions":{', b'"a":0,', 4_100_000, "more than 4,000,000 values"),
+        (b"t_s,a\n", b"0,1\n", 5_100_000, "more than 5,000,000 lines"),
+    ],
+    ids=["lists", "keys", "lines"],
+)
+def test_many_small_things_are_refused_before_they_fill_the_memory(
+    tmp_path: Path, start: bytes, part: bytes, times: int, reason: str
+) -> None:
+    """Parsed, each of these would be twenty times its size, or more."""
+    path = tmp_path / "many"
+    path.write_bytes(start + part * times)
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match=reason):
+            read_motions(path)
+        assert tracemalloc.get_traced_memory()[1] < 6 * path.stat().st_size
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_motion_longer_than_a_day_is_refused(tmp_path: Path, figure: Robot) -> None:
