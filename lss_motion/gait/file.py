@@ -27,6 +27,8 @@ CYCLE_MIN_S: Final = 0.05
 """Ten control ticks of a servo."""
 
 ACTIONS_MAX: Final = 1_000
+LAYERS_MAX: Final = 16
+"""Chosen: more swings at once than anybody can tell apart."""
 
 KINDS: Final = tuple(kind.value for kind in LegKind)
 PATTERN_NAMES: Final = tuple(name for patterns in PATTERNS.values() for name in patterns)
@@ -113,6 +115,21 @@ class PoseEntry(MoveEntry, title="pose"):
     )
 
 
+class LayerEntry(FileModel, title="body layer"):
+    """The body swings about the pose that it has. Layers add up."""
+
+    shift_mm: Annotated[list[PlaceMm], Field(min_length=3, max_length=3)] = Field(
+        default=[0.0, 0.0, 0.0], description="The most forward, left, up, and as much back."
+    )
+    tilt_deg: Annotated[list[TiltDeg], Field(min_length=3, max_length=3)] = Field(
+        default=[0.0, 0.0, 0.0], description="The most roll, pitch, yaw, and as much back."
+    )
+    every_s: DurationS = Field(description="How long one swing there and back takes.")
+    start: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
+        default=0.0, description="Where in its swing it starts: 0.25 is at its most."
+    )
+
+
 class WalkEntry(FileModel, title="walk"):
     """Walk for whole cycles at one velocity. A walk that follows a walk does not stop before."""
 
@@ -195,6 +212,11 @@ class GaitFile(FileModel, title="gait file"):
         default=None,
         description="How far the body leans away from a lifted leg. Default: that of the pattern, "
         "0 for all but crawl.",
+    )
+    layers: Annotated[list[LayerEntry], Field(max_length=LAYERS_MAX)] = Field(
+        default=[],
+        description="Swings of the body on top of everything it does, standing or walking. They "
+        "fade in and out over at most a second wherever it comes to rest.",
     )
     do: Annotated[list[ActionEntry], Field(min_length=1, max_length=ACTIONS_MAX)] = Field(
         description="What it does, one after the other."

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.gait.kinematics import neutral_mm
 from lss_motion.gait.legs import legs_of
-from lss_motion.gait.model import LAID_OUT_CYCLES, BodyPose, Gait, Move, Walk
+from lss_motion.gait.model import LAID_OUT_CYCLES, BodyPose, Gait, Move, Walk, Wave
 from lss_motion.gait.patterns import PATTERNS
 from lss_motion.robot.load import load_robot
 from lss_motion.source_file import read_text
@@ -28,6 +28,9 @@ _GAIT_KEY: Final = re.compile(r"""^(gait|"gait"|'gait')\s*:""", re.MULTILINE)
 
 UNLOOPED_CYCLES_MAX: Final = 30
 """The middle of a longer walk is looped. Chosen: half a minute is planned in one piece."""
+
+ROUNDING: Final = 1e-9
+"""Of counts that are whole but for rounding."""
 
 ACTIONS: Final = ("stand", "sit", "pose", "walk", "turn")
 
@@ -119,12 +122,25 @@ class _Loader:
             step_height_mm=content.step_height_mm,
             sway_mm=pattern.sway_ratio * foot_mm if sway_mm is None else sway_mm,
             actions=actions,
+            waves=self._waves(actions),
             start=start,
             sit=None if content.sit_height_mm is None else self._sitting(("sit_height_mm",)),
             loop=None if content.loop == "forever" else content.loop,
             path=self.source.path,
             robot_path=self.robot.path,
         )
+
+    def _waves(self, actions: tuple[Action, ...]) -> tuple[Wave, ...]:
+        is_looped = any(isinstance(own, Walk) and own.more_cycles != 0 for own in actions)
+        waves = []
+        for index, entry in enumerate(self.content.layers):
+            swings = self.content.cycle_s / entry.every_s
+            if is_looped and abs(swings - round(swings)) > ROUNDING * swings:
+                reason = "in a walk that is looped a cycle holds whole swings: divide cycle_s"
+                self._note(("layers", index, "every_s"), reason)
+            pose = _pose(entry.shift_mm, entry.tilt_deg)
+            waves.append(Wave(pose=pose, every_s=entry.every_s, start_ratio=entry.start))
+        return tuple(waves)
 
     def _note(self, location: Location, reason: str) -> None:
         self.problems.append(Problem(location, reason))
@@ -209,10 +225,7 @@ class _Loader:
                 line=line,
             )
         if entry.pose is not None:
-            shift, tilt = entry.pose.shift_mm, entry.pose.tilt_deg
-            pose = BodyPose(
-                shift_mm=(shift[0], shift[1], shift[2]), tilt_deg=(tilt[0], tilt[1], tilt[2])
-            )
+            pose = _pose(entry.pose.shift_mm, entry.pose.tilt_deg)
             return _move(entry.pose, pose, key, line)
         if entry.sit is not None:
             return _move(entry.sit, self._sitting((*location, key)), key, line)
@@ -280,6 +293,10 @@ def _with_loop(actions: tuple[Action, ...]) -> tuple[Action, ...]:
 def _cycles(duration_s: float, cycle_s: float) -> int:
     """Return the fewest whole cycles that last that long, a rounding error more not counted."""
     return max(1, math.ceil(duration_s / cycle_s - 1e-9))
+
+
+def _pose(shift: list[float], tilt: list[float]) -> BodyPose:
+    return BodyPose(shift_mm=(shift[0], shift[1], shift[2]), tilt_deg=(tilt[0], tilt[1], tilt[2]))
 
 
 def _move(entry: MoveEntry, pose: BodyPose, key: str, line: int) -> Move:

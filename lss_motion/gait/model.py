@@ -72,6 +72,18 @@ class BodyPose:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Wave:
+    """A layer of the body: it swings about wherever it is, `pose` at most, once in `every_s`.
+
+    At the start of a stretch from rest to rest it has `start_ratio` of a swing behind it.
+    """
+
+    pose: BodyPose
+    every_s: float
+    start_ratio: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Move:
     """Bring the body to a pose in `in_s`, feet where they are, and keep it for `hold_s`.
 
@@ -119,6 +131,8 @@ class Gait:
     step_height_mm: float
     sway_mm: float
     actions: tuple[Action, ...]
+    waves: tuple[Wave, ...] = ()
+    """On top of all poses, while standing and while walking; they fade at every rest."""
     start: BodyPose = field(default_factory=BodyPose)
     sit: BodyPose | None = None
     """How it sits, if it can."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lss_motion.gait.model import BodyPose, Gait, Move, Walk
+    from lss_motion.gait.model import BodyPose, Gait, Move, Walk, Wave
 
     FloatArray = NDArray[np.float64]
 
@@ -28,6 +28,10 @@ crawl lifts a quarter later, when the lean away from it has just reached its hal
 
 LEAN_RATIO: Final = 0.5
 """Share of a cycle taken to begin to sway before the first step, and to end it after the last."""
+
+
+FADE_S: Final = 1.0
+"""Layers grow from nothing so long, or over half of a shorter stretch. Chosen."""
 
 
 class Passage(Protocol):
@@ -56,6 +60,7 @@ class Posing:
     times_s: FloatArray
     poses: FloatArray
     feet_mm: FloatArray
+    waves: tuple[Wave, ...] = ()
 
     @property
     def duration_s(self) -> float:
@@ -71,6 +76,7 @@ class Posing:
 
     def at(self, times_s: FloatArray) -> Stance:
         pose = through(self.times_s, self.poses, np.clip(times_s, 0.0, self.duration_s))
+        pose = pose + swung(self.waves, times_s, self.duration_s)
         feet = np.zeros((len(times_s), *self.feet_mm.shape))
         return Stance(
             places=np.zeros((len(times_s), 3)),
@@ -97,6 +103,7 @@ class Walking:
     """Where in a cycle each leg is in the middle of its step."""
     sways_mm: FloatArray
     """Where the body leans then, (legs, 2)."""
+    waves: tuple[Wave, ...] = ()
 
     @property
     def _stepping_s(self) -> float:
@@ -124,12 +131,13 @@ class Walking:
     def at(self, times_s: FloatArray) -> Stance:
         walked_s = np.asarray(times_s - self.lean_s)
         feet = [own.at(walked_s) for own in self.steps]
-        shift_mm = np.tile(self.pose[:3], (len(times_s), 1))
+        pose = self.pose + swung(self.waves, times_s, self.duration_s)
+        shift_mm = pose[:, :3]
         shift_mm[:, :2] += self._sway_mm(walked_s)
         return Stance(
             places=self.travel.at(walked_s),
             shift_mm=shift_mm,
-            tilt_deg=np.tile(self.pose[3:], (len(times_s), 1)),
+            tilt_deg=pose[:, 3:],
             feet_mm=np.stack([foot for foot, _ in feet], axis=1),
             is_down=np.stack([down for _, down in feet], axis=1),
         )
@@ -151,6 +159,7 @@ def posing(gait: Gait, start: BodyPose, moves: Sequence[Move]) -> Posing:
         times_s=np.cumsum([0.0, *(move.in_s for move in moves)]),
         poses=np.stack([_six(gait, start), *(_six(gait, move.pose) for move in moves)]),
         feet_mm=np.array([[*neutral_mm(leg), 0.0] for leg in gait.legs]),
+        waves=gait.waves,
     )
 
 
@@ -168,7 +177,19 @@ def walking(gait: Gait, pose: BodyPose, walks: Sequence[Walk]) -> Walking:
         )
         for leg, lift_ratio in zip(gait.legs, gait.pattern.lifts_ratio, strict=True)
     )
-    return stepping(gait, pose, way, legs)
+    return replace(stepping(gait, pose, way, legs), waves=gait.waves)
+
+
+def swung(waves: Sequence[Wave], times_s: FloatArray, duration_s: float) -> FloatArray:
+    """Return what layers add to a pose, (n, 6): nothing at both ends of a passage, at rest."""
+    fade_s = min(FADE_S, 0.5 * duration_s)
+    share = blend(times_s / fade_s) * blend((duration_s - times_s) / fade_s)
+    total = np.zeros((len(times_s), 6))
+    for wave in waves:
+        angle = 2.0 * np.pi * (times_s / wave.every_s + wave.start_ratio)
+        most = np.array([*wave.pose.shift_mm, *wave.pose.tilt_deg])
+        total += (share * np.sin(angle))[:, None] * most
+    return total
 
 
 def stepping(gait: Gait, pose: BodyPose, way: Travel, legs: tuple[Steps, ...]) -> Walking:

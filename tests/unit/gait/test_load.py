@@ -7,7 +7,7 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.gait.load import gait_schema, is_gait_file, load_gait
-from lss_motion.gait.model import BodyPose, LegKind, Move, Walk
+from lss_motion.gait.model import BodyPose, LegKind, Move, Walk, Wave
 from lss_motion.yaml_source import read_yaml
 
 NAMES = ("hexapod_walk", "hexapod_dance", "quadruped_trot")
@@ -123,6 +123,18 @@ def test_the_longest_walk_is_looped_and_all_of_its_cycles_count(actions, write):
     # What is looped as a whole is laid out as a whole.
     looped = load_gait(write("loop: 2\ndo: [{walk: {forward_mm_s: 20, cycles: 50}}]\n"))
     assert looped.actions[0].more_cycles == 0
+
+
+def test_layers_of_the_body_are_read_and_fit_into_a_cycle_that_is_looped(write, refused):
+    layers = "layers: [{tilt_deg: [0, 5, 0], every_s: 0.75, start: 0.25}]\n"
+    gait = load_gait(write(layers + "do: [{walk: {forward_mm_s: 20, cycles: 3}}]\n"))
+    swing = BodyPose(tilt_deg=(0.0, 5.0, 0.0))
+    assert gait.waves == (Wave(pose=swing, every_s=0.75, start_ratio=0.25),)
+    endless = "do: [{walk: {forward_mm_s: 20, cycles: forever}}]\n"
+    ((line, reason),) = refused(layers + endless)
+    assert line == 6
+    assert "a cycle holds whole swings" in reason
+    assert load_gait(write(layers.replace("0.75", "0.5") + endless)).waves
 
 
 def test_a_turn_has_its_angle_exactly(actions):

@@ -9,7 +9,7 @@ import pytest
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.gait.curves import spline
 from lss_motion.gait.kinematics import forward
-from lss_motion.gait.model import BodyPose, Move
+from lss_motion.gait.model import BodyPose, Move, Wave
 from lss_motion.gait.pacing import ACCEL_SHARE, FOOT_ERROR_MM, joints_of, paced
 from lss_motion.gait.patterns import PATTERNS
 
@@ -141,3 +141,25 @@ def test_the_pose_is_kept_while_walking(kit):
     stance = paced(gait, kit.robot(gait))[1].passage.at(np.array([0.0, 2.0, 4.0]))
     assert stance.shift_mm.tolist() == [[10.0, 0.0, gait.height_mm - 15.0]] * 3
     assert stance.tilt_deg.tolist() == [[0.0, 3.0, 0.0]] * 3
+
+
+def test_layers_swing_the_body_over_standing_feet_and_rest_where_it_rests(kit):
+    side = Wave(pose=BodyPose(shift_mm=(0, 12, 0), tilt_deg=(-4, 0, 0)), every_s=1.5)
+    beat = Wave(pose=BodyPose(shift_mm=(0, 3, -5)), every_s=0.75, start_ratio=0.25)
+    rest = Move(pose=BodyPose(), in_s=4.0)
+    gait = kit.gait("tripod", rest, kit.walk(20.0, cycles=2), waves=(side, beat))
+    plain = replace(gait, waves=())
+    robot = kit.robot(gait)
+    for part, bare in zip(paced(gait, robot), paced(plain, robot), strict=True):
+        at_s = np.linspace(0.0, part.passage.duration_s, 400)
+        stance, still = part.passage.at(at_s), bare.passage.at(at_s)
+        np.testing.assert_array_equal(stance.feet_mm, still.feet_mm)
+        off_mm, off_deg = stance.shift_mm - still.shift_mm, stance.tilt_deg - still.tilt_deg
+        inside = (at_s > 1.0) & (at_s < part.passage.duration_s - 1.0)
+        turn = 2.0 * np.pi * at_s[inside] / 1.5
+        wanted = 12.0 * np.sin(turn) + 3.0 * np.cos(2.0 * turn)
+        np.testing.assert_allclose(off_mm[inside, 1], wanted, atol=1e-9)
+        np.testing.assert_allclose(off_deg[inside, 0], -4.0 * np.sin(turn), atol=1e-9)
+        np.testing.assert_allclose(off_mm[[0, -1]], 0.0, atol=1e-9)
+        ends = part.angles_deg[[0, -1]]
+        np.testing.assert_allclose(ends, bare.angles_deg[[0, -1]], atol=1e-4)
