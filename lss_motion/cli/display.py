@@ -36,8 +36,6 @@ NOTES_SHOWN: Final = 5
 MARKS_SHOWN: Final = 3
 """Named keyframes that are still to come."""
 BAR_CHARS: Final = 60
-LATE_COMMANDS: Final = 100
-"""The lateness shown is the largest of so many commands."""
 US_PER_MS: Final = 1000
 
 
@@ -133,7 +131,7 @@ class Memory:
 def frame_of(player: Player, now_ns: int, notes: list[str], memory: Memory) -> dict[str, Any]:
     """Return what there is to see of a run at this instant, as plain values."""
     show, program = player.show, player.program
-    latest_ns = show.statistics.late_ns[-LATE_COMMANDS:] if show is not None else ()
+    latest_ns = show.statistics.latest_ns if show is not None else ()
     return {
         "phase": player.phase.value,
         "name": program.name,

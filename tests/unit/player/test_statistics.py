@@ -1,5 +1,9 @@
 from __future__ import annotations
 
+from random import Random
+
+import pytest
+
 from lss_motion.player.statistics import MISSED_NS, Statistics
 
 
@@ -14,6 +18,23 @@ def test_lateness_becomes_percentiles():
         "late_p99_us": 99,
         "late_max_us": 99,
     }
+
+
+def test_percentiles_are_right_to_a_bin_and_an_hour_takes_no_more_room_than_a_minute():
+    random = Random(1)
+    lates_ns = [int(random.lognormvariate(11.0, 1.5)) for _ in range(40_000)]
+    statistics, sizes = Statistics(), []
+    for index, late_ns in enumerate(lates_ns):
+        statistics.sent(late_ns)
+        if index in (20_000, 39_999):
+            sizes.append(len(statistics._bins) + len(statistics.latest_ns))
+    ordered_us, said = [late_ns / 1000 for late_ns in sorted(lates_ns)], statistics.timing()
+    assert said["commands"] == len(lates_ns)
+    assert said["late_p50_us"] == pytest.approx(ordered_us[20_000], rel=0.016, abs=1.0)
+    assert said["late_p99_us"] == pytest.approx(ordered_us[39_600], rel=0.016, abs=1.0)
+    assert said["late_max_us"] == int(ordered_us[-1])
+    assert sizes[1] < 1.1 * sizes[0] < 1500
+    assert list(statistics.latest_ns) == lates_ns[-100:]
 
 
 def test_early_is_not_late():
