@@ -22,11 +22,17 @@ DRIFT_MAX_PPM = 200.0
 RAW_MAX = 1023
 
 
-def random_faults(seed: int, *, servo_ids: Sequence[int], duration_s: float) -> tuple[Fault, ...]:
-    """Return one to four rows of any kinds, the same for the same arguments."""
+def random_faults(
+    seed: int,
+    *,
+    servo_ids: Sequence[int],
+    duration_s: float,
+    kinds: Sequence[FaultKind] = tuple(FaultKind),
+) -> tuple[Fault, ...]:
+    """Return one to four rows of these kinds, the same for the same arguments."""
     random = Random(f"{seed}/rows")
     return tuple(
-        _row(random.choice(list(FaultKind)), random, servo_ids, duration_s)
+        _row(random.choice(kinds), random, servo_ids, duration_s)
         for _ in range(random.randint(1, ROWS_MAX))
     )
 

@@ -1,0 +1,66 @@
+"""Some seeds of `tools/fuzz.py`, and that its judge can tell good from bad."""
+
+from __future__ import annotations
+
+import pytest
+from campaign import judge
+from campaign.shows import show
+
+from lss_motion.player import setup, streamer, track
+
+SEEDS = range(8)
+FOUND = (
+    46,  # A servo that restarted on the way to the start was driven without its limits.
+    85,  # The same, and half deaf besides.
+    113,  # Two servos restarted at once; the second, not missed yet, was still told to brake.
+)
+
+
+@pytest.fixture(autouse=True)
+def own_cache(monkeypatch, tmp_path_factory):
+    monkeypatch.setenv("LSS_MOTION_CACHE_DIR", str(tmp_path_factory.getbasetemp() / "plans"))
+
+
+@pytest.mark.parametrize("seed", [*SEEDS, *FOUND])
+def test_whatever_goes_wrong_no_promise_is_broken(seed):
+    assert judge.judged(seed).broken == ()
+
+
+def broken(name):
+    return " ".join(judge.judged_with(show(name), (), 1)[1])
+
+
+def test_a_run_that_does_not_end_is_seen(monkeypatch):
+    monkeypatch.setattr(judge, "RUN_MAX_S", 1.0)
+    assert "it hangs" in broken("arm")
+
+
+def test_a_crash_is_seen(monkeypatch):
+    monkeypatch.setattr(setup, "check_latency", lambda *_: 1 / 0)
+    assert "it crashed: ZeroDivisionError" in broken("arm")
+
+
+def test_a_horn_beyond_its_limits_is_seen(monkeypatch):
+    monkeypatch.setattr(setup, "session_orders", lambda *_: [])
+    monkeypatch.setattr(streamer.Streamer, "_left_s", lambda *_: 0.01)
+    monkeypatch.setattr(streamer, "ON_TIME_NS", -1)
+    assert "acceleration" in broken("arm")
+
+
+def test_a_command_that_was_moved_too_far_is_seen(monkeypatch):
+    wire_for = track.Track.wire_for
+    monkeypatch.setattr(
+        track.Track, "wire_for", lambda self, target, at_ns: wire_for(self, target + 4.0, at_ns)
+    )
+    assert "in place of" in broken("arm")
+
+
+def test_a_missing_safe_state_is_seen(monkeypatch):
+    monkeypatch.setattr(setup, "safe_bytes", lambda *_, **__: {})
+    assert "the last bytes on bus main" in broken("arm")
+
+
+def test_a_horn_that_is_not_where_the_show_ends_is_seen(monkeypatch):
+    arm = show("arm")
+    monkeypatch.setattr(judge, "RESTS_WITHIN_DEG", -1.0)
+    assert "nothing is said" in " ".join(judge.judged_with(arm, (), 1)[1])

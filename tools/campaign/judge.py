@@ -1,0 +1,354 @@
+"""One seed: a show with faults in virtual time, judged by what was sent, heard, and done."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from campaign.shows import NAMES, RESUME_S, Show, show
+
+from lss_motion import api
+from lss_motion.player.events import Phase, PhaseEntered
+from lss_motion.player.following import OFFSET_MAX_DEG
+from lss_motion.sim.build import servos_of
+from lss_motion.sim.faults import INSTANT, Fault, FaultKind
+from lss_motion.sim.random_faults import random_faults
+from lss_motion.units import NS_PER_S, s_from_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from lss_motion.player.events import Event
+    from lss_motion.player.player import Player
+    from lss_motion.robot.model import Joint
+
+MOVE: Final = re.compile(rb"#(\d+)D(-?\d+)(?:T\d+)?\r")
+SAFE: Final = re.compile(rb"#254H\r(#\d+L\r)*$")
+
+RUN_MAX_S: Final = 150.0
+"""Virtual time. Ten waits of `RESUME_S` with an approach each, and a show at a tenth of its speed,
+take less."""
+TURNS_MAX: Final = 300_000
+
+STEP_NS: Final = 5_000_000
+WINDOW: Final = 4
+"""Speeds are differences over 20 ms: a servo's own loop is 5 ms, that of its filter 20 ms."""
+SPEED_EXCESS: Final = 1.05
+ACCEL_EXCESS: Final = 1.1
+"""As in the tests of the player: what the simulator's loop of 5 ms adds."""
+STREAMED_EXCESS: Final = 1.3
+"""A filter steps every 20 ms; nobody knows when within it a command comes."""
+RANGE_EXCESS_DEG: Final = 0.3
+RESTS_WITHIN_DEG: Final = 4.0
+"""A finished show without a fault has its horns this near to its last pose: `following_deg` is 10
+while it moves, and at its end a joint must have arrived (3 deg), besides noise."""
+TELLING_S: Final = 1.5
+"""A fault that begins later than this before the end of the run need not have been noticed."""
+
+REPLY_KINDS: Final = (
+    FaultKind.LOST_REPLY,
+    FaultKind.CORRUPT_REPLY,
+    FaultKind.SHORT_REPLY,
+    FaultKind.DOUBLE_REPLY,
+    FaultKind.MERGED_REPLY,
+    FaultKind.LATE_REPLY,
+    FaultKind.SPLIT_REPLY,
+)
+"""Of these, no servo notices anything."""
+WORD_KINDS: Final = {
+    FaultKind.CORRUPT_COMMAND,
+    FaultKind.SHORT_COMMAND,
+    FaultKind.MERGED_COMMAND,
+}
+"""With these a servo hears what nobody said: its horn is not the player's doing."""
+MISSED_KINDS: Final = {
+    FaultKind.LOST_COMMAND,
+    FaultKind.CLOGGED,
+    FaultKind.UNPLUGGED,
+    FaultKind.DEAF,
+    FaultKind.RESET,
+}
+"""With these a servo misses what was said, and hears the next of it: a timed one keeps its limits
+all the same, for they are set in it; one in EM0 has none."""
+BODY_KINDS: Final = {FaultKind.STUCK, FaultKind.WEAK, FaultKind.HOT}
+"""With these a horn does what the motor makes of it."""
+
+LYING_KINDS: Final = {FaultKind.CORRUPT_REPLY, FaultKind.SHORT_REPLY}
+LYING_RATIO: Final = 0.5
+"""With so many damaged answers two of them lie alike, and a joint in EM0, which is told first where
+it stands, is then told a wrong place; a timed one goes slowly from wherever it is."""
+
+
+class HangError(Exception):
+    """The run goes on and on."""
+
+
+@dataclass
+class _Witness:
+    """Sees all that is sent and all that happens, and ends a run that does not end."""
+
+    sent_data: dict[str, bytearray] = field(default_factory=dict)
+    phases: list[tuple[int, Phase]] = field(default_factory=list)
+    turns: int = 0
+    end_ns: int = 0
+
+    def sent(self, bus: str, data: bytes, _: int) -> None:
+        self.sent_data.setdefault(bus, bytearray()).extend(data)
+
+    def received(self, bus: str, data: bytes, now_ns: int) -> None:
+        """Say nothing: what the servos answer is their affair."""
+
+    def turned(self, now_ns: int) -> None:
+        """Say nothing: `act` counts."""
+
+    def happened(self, event: Event, now_ns: int) -> None:
+        if isinstance(event, PhaseEntered):
+            self.phases.append((now_ns, event.phase))
+
+    def filenos(self) -> Sequence[int]:
+        return []
+
+    def act(self, driven: Player, now_ns: int) -> None:
+        self.turns += 1
+        self.end_ns = now_ns
+        if now_ns > RUN_MAX_S * NS_PER_S or self.turns > TURNS_MAX:
+            raise HangError(
+                f"{self.turns} turns and {s_from_ns(now_ns):.0f} s, still {driven.phase.value}"
+            )
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What became of a show, and which promises were broken."""
+
+    outcome: str
+    broken: tuple[str, ...]
+    faults: tuple[Fault, ...]
+
+
+def judged(seed: int) -> Judged:
+    """Play one seed. Every fourth has only damaged answers, so that all of it can be judged."""
+    name = NAMES[seed % len(NAMES)]
+    played = show(name)
+    faults = random_faults(
+        seed,
+        servo_ids=[joint.servo_id for joint in played.robot.joints.values()],
+        duration_s=played.program.duration_s + 1.0,
+        kinds=REPLY_KINDS if seed % 4 == 3 else tuple(FaultKind),
+    )
+    return Judged(*judged_with(played, faults, seed), faults)
+
+
+def judged_with(played: Show, faults: Sequence[Fault], seed: int) -> tuple[str, tuple[str, ...]]:
+    """Play a show with `faults`; return what became of it, and the promises that it broke."""
+    witness = _Witness()
+    observer = api.Observer(controls=witness, make_tap=lambda _: witness)
+    try:
+        result = api.perform(
+            played.program,
+            played.robot,
+            is_virtual=True,
+            seed=seed,
+            faults=faults,
+            observer=observer,
+        )
+    except HangError as error:
+        return "hung", (f"it hangs: {error}",)
+    except Exception as error:  # noqa: BLE001  (a crash of any kind is what is looked for)
+        return "crashed", (f"it crashed: {error!r}",)
+    for bus in result.simulated.values():
+        bus.advance(witness.end_ns + NS_PER_S)  # What is on its way is heard, and done.
+    judge = _Judge(played, faults, witness, result)
+    return result.report["outcome"], tuple(judge.broken())
+
+
+class _Judge:
+    def __init__(
+        self, played: Show, faults: Sequence[Fault], witness: _Witness, result: api.Result
+    ) -> None:
+        self.robot, self.program = played.robot, played.program
+        self.faults = faults
+        self.witness = witness
+        self.result = result
+        self.kinds = {fault.kind for fault in faults}
+        self.targets = self._targets()
+
+    def broken(self) -> list[str]:
+        """Return every promise that was broken, in words."""
+        return [
+            *self._ranges(),
+            *self._last_bytes(),
+            *self._offsets(),
+            *self._horns(),
+            *self._silences(),
+        ]
+
+    def _targets(self) -> dict[str, list[float]]:
+        """Return the joint angles that every joint was sent to, in order."""
+        names = {(joint.bus, joint.servo_id): name for name, joint in self.robot.joints.items()}
+        targets: dict[str, list[float]] = {name: [] for name in self.robot.joints}
+        for bus, data in self.witness.sent_data.items():
+            for match in MOVE.finditer(bytes(data)):
+                name = names[bus, int(match[1])]
+                joint = self.robot.joints[name]
+                targets[name].append(joint.joint_deg(int(match[2]) / joint.model.wire_per_deg))
+        return targets
+
+    def _ranges(self) -> list[str]:
+        return [
+            f"{name} was sent to {angle:.1f} deg"
+            for name, angles in self.targets.items()
+            for angle in angles
+            if not _is_within(self.robot.joints[name], angle, self.robot.joints[name].unit_deg)
+        ]
+
+    def _last_bytes(self) -> list[str]:
+        """Judge the last bytes on every bus whose port is there at the end."""
+        end_s = s_from_ns(self.witness.end_ns)
+        is_gone = any(
+            fault.kind is FaultKind.UNPLUGGED and fault.until_s > end_s - 1.0
+            for fault in self.faults
+        )
+        is_garbled = bool(self.kinds & (WORD_KINDS | {FaultKind.LOST_COMMAND}))
+        broken = []
+        for bus, data in self.witness.sent_data.items():
+            if not MOVE.search(bytes(data)) or is_gone:
+                continue
+            if not SAFE.search(bytes(data)):
+                broken.append(f"the last bytes on bus {bus} are {bytes(data[-20:])!r}")
+            heard = self.result.simulated[bus].heard
+            assert heard is not None, "perform records"
+            lines = b"".join(line for _, line in heard)
+            if not is_garbled and not SAFE.search(lines):
+                broken.append(f"the last that bus {bus} heard is {lines[-20:]!r}")
+        return broken
+
+    def _offsets(self) -> list[str]:
+        """Judge what damaged answers did to the moves of a show that played through.
+
+        A correction lies between a move as it was planned and as it was sent, nothing else.
+        """
+        report = self.result.report
+        if self.kinds - set(REPLY_KINDS) or report["faults"] or report["outcome"] != "finished":
+            return []
+        broken = []
+        for name, joint in self.robot.joints.items():
+            if joint.drive != "timed":
+                continue
+            planned = [
+                joint.joint_deg(move.target_wire / joint.model.wire_per_deg)
+                for move in self.program.moves
+                if (move.bus, move.servo_id) == (joint.bus, joint.servo_id)
+            ]
+            sent = self.targets[name][-len(planned) :]
+            for wanted_deg, sent_deg in zip(planned, sent, strict=True):
+                if abs(sent_deg - wanted_deg) > OFFSET_MAX_DEG + joint.unit_deg:
+                    broken.append(
+                        f"{name} was sent to {sent_deg:.1f} deg in place of {wanted_deg:.1f}"
+                    )
+        return broken
+
+    # ---- at the horns
+
+    def _horns(self) -> list[str]:
+        if self.kinds & WORD_KINDS:
+            return []
+        broken = []
+        for bus_name, bus in self.result.simulated.items():
+            times_ns = np.arange(0, max(self.witness.end_ns, 20 * STEP_NS), STEP_NS)
+            servo_deg = bus.horn_deg(times_ns)
+            for column, name in enumerate(servos_of(self.robot, bus_name)):
+                joint = self.robot.joints[name]
+                if joint.drive == "stepped" or self._is_of_its_own(joint):
+                    continue
+                angles = joint.direction * (servo_deg[:, column] - joint.zero_deg)
+                broken += self._horn(joint, angles)
+        return broken
+
+    def _is_of_its_own(self, joint: Joint) -> bool:
+        """Return whether a horn may do what nobody told it to."""
+        is_streamed = joint.drive == "streamed"
+        kinds = BODY_KINDS | (MISSED_KINDS if is_streamed else set())
+        own = [fault for fault in self.faults if fault.servo_id in (None, joint.servo_id)]
+        is_lied_about = any(f.kind in LYING_KINDS and f.ratio >= LYING_RATIO for f in own)
+        return any(f.kind in kinds for f in own) or (is_streamed and is_lied_about)
+
+    def _horn(self, joint: Joint, angles: NDArray[np.float64]) -> list[str]:
+        broken = []
+        outside = [a for a in (angles.min(), angles.max()) if not _is_within(joint, float(a))]
+        if outside:
+            broken.append(f"the horn of {joint.name} came to {outside[0]:.1f} deg")
+        span_s = s_from_ns(WINDOW * STEP_NS)
+        speed = (angles[WINDOW:] - angles[:-WINDOW]) / span_s
+        accel = (speed[WINDOW:] - speed[:-WINDOW]) / span_s
+        for fault in self.faults:
+            if fault.kind is FaultKind.RESET and fault.servo_id in (None, joint.servo_id):
+                # Without power a motor stops at once.
+                at = int(fault.at_s * NS_PER_S) // STEP_NS
+                accel[max(0, at - 2 * WINDOW) : at + WINDOW] = 0.0
+        excess = STREAMED_EXCESS if joint.drive == "streamed" else 1.0
+        for what, values, limit, unit in (
+            ("speed", speed, excess * SPEED_EXCESS * joint.speed_max_deg_s, "deg/s"),
+            ("acceleration", accel, excess * ACCEL_EXCESS * joint.accel_max_deg_s2, "deg/s²"),
+        ):
+            worst = int(np.abs(values).argmax())
+            if abs(values[worst]) > limit:
+                broken.append(
+                    f"the horn of {joint.name} came to a {what} of {abs(values[worst]):.0f} {unit} "
+                    f"at {worst * s_from_ns(STEP_NS):.2f} s, allowed is {limit:.0f}"
+                )
+        return broken + self._rest(joint, float(angles[-1]))
+
+    def _rest(self, joint: Joint, angle: float) -> list[str]:
+        """Judge where a joint stands after a show that says that all went well."""
+        report = self.result.report
+        if report["outcome"] != "finished" or report["faults"]:
+            return []
+        if any(self._is_telling_too_late(fault) for fault in self.faults):
+            return []
+        last = [
+            move
+            for move in self.program.moves
+            if (move.bus, move.servo_id) == (joint.bus, joint.servo_id)
+        ][-1]
+        wanted_deg = joint.joint_deg(last.target_wire / joint.model.wire_per_deg)
+        if abs(angle - wanted_deg) <= RESTS_WITHIN_DEG:
+            return []
+        return [f"{joint.name} rests at {angle:.1f} deg, not {wanted_deg:.1f}; nothing is said"]
+
+    def _is_telling_too_late(self, fault: Fault) -> bool:
+        """Return whether nobody could know of a fault by the end, or do anything about it."""
+        end_s = s_from_ns(self.witness.end_ns)
+        return fault.until_s > end_s - TELLING_S and fault.kind in MISSED_KINDS
+
+    def _silences(self) -> list[str]:
+        """Judge whether a servo that went deaf for good is named."""
+        end_s = s_from_ns(self.witness.end_ns)
+        named = {fault["joint"] for fault in self.result.report["faults"]}
+        is_over = self.result.error is not None or "" in named
+        return [
+            f"{joint.name} has been deaf since {fault.at_s:.1f} s, and nothing is said"
+            for fault in self.faults
+            for joint in self.robot.joints.values()
+            if fault.kind is FaultKind.DEAF
+            and fault.kind not in INSTANT
+            and fault.ratio >= 1.0
+            and fault.servo_id in (None, joint.servo_id)
+            and joint.drive != "stepped"
+            and min(fault.until_s, end_s) - fault.at_s > RESUME_S + TELLING_S
+            and not named & {j.name for j in self.robot.joints.values() if _shares(j, fault)}
+            and not is_over
+        ]
+
+
+def _shares(joint: Joint, fault: Fault) -> bool:
+    return fault.servo_id in (None, joint.servo_id)
+
+
+def _is_within(joint: Joint, angle: float, excess_deg: float = RANGE_EXCESS_DEG) -> bool:
+    low_deg, high_deg = joint.position_min_deg, joint.position_max_deg
+    return low_deg - excess_deg <= angle <= high_deg + excess_deg
