@@ -161,7 +161,7 @@ class Phases:
             self._restore()
         elif self._session.has_feedback:
             self._streamer = None
-            self._dialogue = self._session.ask(setup.place_questions(self._session.driven))
+            self._dialogue = self._session.arrival()
         else:
             self._begin(now_ns)
 
@@ -232,6 +232,15 @@ class Phases:
     def _arrived(self, answers: Answers, now_ns: int) -> None:
         """Go on with the show if every joint is where it begins; else go there again."""
         self._session.note_places(answers)
+        match self.troubles.restart(self._session.restarted(answers), now_ns):
+            case Verdict.END:
+                self.end("fault", now_ns)
+                return
+            case Verdict.RECOVER:
+                self.recover(now_ns)
+                return
+            case Verdict.GO_ON:
+                pass
         joint, off_deg = self._session.furthest(self._session.place_deg(self.show, now_ns))
         if off_deg <= setup.ARRIVED_DEG:
             self._begin(now_ns)

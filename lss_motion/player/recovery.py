@@ -9,12 +9,27 @@ from lss_motion.player import setup
 from lss_motion.player.settling import read_back, untaken
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from lss_motion.player.dialogue import Item
     from lss_motion.player.setup import Answers
     from lss_motion.robot.model import Joint
 
 ASKED_FOREVER: Final = 1_000_000
 """Until the time is over, whatever the number of tries."""
+
+
+def telling_orders(joints: Iterable[Joint], had: Answers) -> list[Item]:
+    """Return one setting of each servo that it no longer has if it restarts, if there is one.
+
+    All that a session changes is lost together; what it did not change, a restart does not either.
+    """
+    telling: dict[tuple[str, int], Item] = {}
+    for order in setup.session_orders(joints, had):
+        address = (order.bus, order.command.servo_id)
+        if had.get((*address, f"Q{order.command.keyword}")) != order.command.value:
+            telling.setdefault(address, order)
+    return list(telling.values())
 
 
 @dataclass(slots=True)

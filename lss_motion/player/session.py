@@ -10,7 +10,8 @@ from lss_motion.player.approach import approach
 from lss_motion.player.dialogue import Dialogue
 from lss_motion.player.line import Line
 from lss_motion.player.queries import Questioner
-from lss_motion.player.settling import Settling
+from lss_motion.player.recovery import telling_orders
+from lss_motion.player.settling import Settling, read_back, untaken
 from lss_motion.player.streamer import Streamer
 from lss_motion.program.predict import profiles
 
@@ -58,6 +59,20 @@ class Session:
         orders = setup.session_orders(self.driven, self.had)
         places = setup.place_questions(self.driven)
         return Settling(orders, places, self.lines, self.questioners)
+
+    def arrival(self) -> Dialogue:
+        """Return what asks the servos where they are, and whether one has restarted meanwhile."""
+        telling = telling_orders(self.driven, self.had)
+        return self.ask([*read_back(telling), *setup.place_questions(self.driven)])
+
+    def restarted(self, answers: Answers) -> list[Joint]:
+        """Return the driven servos that no longer have what they were given."""
+        lost = {
+            (order.bus, order.command.servo_id)
+            for order in untaken(telling_orders(self.driven, self.had), answers)
+            if (order.bus, order.command.servo_id, f"Q{order.command.keyword}") in answers
+        }
+        return [joint for joint in self.driven if (joint.bus, joint.servo_id) in lost]
 
     def restoring_orders(self) -> list[Item]:
         return setup.restoring_orders(self.joints, self.had, self.agenda.lit)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import Enum, auto
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import BusError
 from lss_motion.player.ladder import Ladder
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from lss_motion.player.setup import Answers
     from lss_motion.player.streamer import Streamer
     from lss_motion.robot.model import Joint
+
+
+RESTARTED_TEXT: Final = "had lost its settings and is given them again. Look at its power supply"
 
 
 class Verdict(Enum):
@@ -66,11 +69,13 @@ class Troubles:
         streamer.leave_out(self._session.left_out)
         if any(fault.step in ENDING for fault in taken):
             return Verdict.END
-        joints = self._session.robot.joints
-        if gone := [joints[fault.joint] for fault in taken if fault.step is FaultStep.RESUME]:
-            self._miss(gone, now_ns)
-            return Verdict.RECOVER
-        return Verdict.GO_ON
+        gone = {fault.joint for fault in taken if fault.step is FaultStep.RESUME}
+        if not gone:
+            return Verdict.GO_ON
+        # What took one servo's power may have taken that of others, not noticed yet.
+        gone |= streamer.reader.watch.quiet()
+        self._miss([joint for joint in self._session.driven if joint.name in gone], now_ns)
+        return Verdict.RECOVER
 
     def lose(self, bus: str, reason: str, now_ns: int) -> Verdict:
         """Note that the port of a bus is gone."""
@@ -80,6 +85,21 @@ class Troubles:
         if fault.step is not FaultStep.RESUME:
             return Verdict.END
         self._miss([joint for joint in self._session.driven if joint.bus == bus], now_ns)
+        return Verdict.RECOVER
+
+    def restart(self, joints: list[Joint], now_ns: int) -> Verdict:
+        """Note that servos have restarted on the way to where the show begins."""
+        taken = []
+        for joint in joints:
+            text = f"has restarted: servo {joint.servo_id} {RESTARTED_TEXT}"
+            taken.append(self.ladder.begin(joint.name, Cause.RESTARTED, text, now_ns))
+            self._take(taken[-1], now_ns)
+        if any(fault.step in ENDING for fault in taken):
+            return Verdict.END
+        gone = [j for j, f in zip(joints, taken, strict=True) if f.step is FaultStep.RESUME]
+        if not gone:
+            return Verdict.GO_ON
+        self._miss(gone, now_ns)
         return Verdict.RECOVER
 
     def is_resumable(self, bus: str) -> bool:
@@ -132,10 +152,7 @@ class Troubles:
         """Note that all are back, and which of them had restarted."""
         assert self.recovery is not None
         for joint in self.recovery.restarted(answers, self._session.had):
-            text = (
-                f"has restarted: servo {joint.servo_id} had lost its settings and was given them "
-                f"again. Look at its power supply"
-            )
+            text = f"has restarted: servo {joint.servo_id} {RESTARTED_TEXT}"
             note = self.ladder.note(joint.name, Cause.RESTARTED, text, FaultStep.RESUME)
             self.events.append(note)
 

@@ -122,6 +122,10 @@ class Watch:
                 f"{s_from_ns(silent_ns):.1f} s. Look at its cable and its power"
             )
 
+    def quiet(self) -> set[str]:
+        """Return the joints whose last question was not answered."""
+        return {name for name, count in self._unanswered.items() if count}
+
     def _judge(self, track: Track, cause: Cause, keyword: str, text: str, *, is_bad: bool) -> None:
         name = track.joint.name
         if not is_bad:

@@ -64,6 +64,16 @@ def test_a_servo_that_restarts_gets_its_settings_back_before_it_is_driven_on(sta
     assert np.abs(ends).max() < 0.5, "it ends where the plan ends"
 
 
+def test_a_servo_that_restarts_on_the_way_to_the_start_is_noticed_before_the_show(stage, kit):
+    resets = [Fault(kind=FaultKind.RESET, servo_id=2, at_s=0.15)]
+    played = stage.play(sequence=kit.sequence(3, 3.0), faults=resets)
+    assert played.report["outcome"] == "finished"
+    assert faults(played) == [("j1", "restarted", "resume")]
+    heard = [line for line in played.heard(after_ns=int((0.15 + RESET_S) * S)) if line[:2] == b"#2"]
+    first = next(i for i, line in enumerate(heard) if line.startswith(b"#2D"))
+    assert {b"#2AA60\r", b"#2SD1800\r"} <= set(heard[:first])
+
+
 def test_the_show_slows_down_for_a_weak_joint_and_gets_to_its_end(stage, kit):
     weak = Fault(kind=FaultKind.WEAK, servo_id=1, at_s=1.5, until_s=5.0, speed_ratio=0.05)
     robot = kit.robot(following_deg=5.0, patience_s=10.0)
