@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -21,6 +22,8 @@ Without options: what went over each bus, what happened, and how often each serv
 asked what. --servo shows every line that a servo heard, with its instant. --again makes the
 player of the same show live through the log, and says whether it would send the same bytes; exit
 code 5 if not."""
+_ENUM: Final = re.compile(r"<\w+\.\w+: '([^']*)'>")
+_PHASE: Final = re.compile(r"^PhaseEntered\(phase=(.*)\)$")
 SHOWN_DIFFERENCES: Final = 5
 COMPARED: Final = ("timing", "buses", "joints")
 """The parts of two reports that are set side by side."""
@@ -112,7 +115,7 @@ def _summary(entries: list[Entry]) -> Iterator[str]:
     for entry in entries:
         if entry.way in "!=?":
             word = {"!": "", "=": "asked for ", "?": "lost: "}[entry.way]
-            yield f"{s_from_ns(entry.at_ns):12.6f} {word}{entry.text}"
+            yield f"{s_from_ns(entry.at_ns):12.6f} {word}{_plain(entry.text)}"
     counts: dict[tuple[str, int], Counter[str]] = {}
     parser = CommandParser(grouped=False)
     for _, bus, line in heard(entries):
@@ -122,6 +125,12 @@ def _summary(entries: list[Entry]) -> Iterator[str]:
     for (bus, servo_id), words in sorted(counts.items()):
         told = ", ".join(f"{word} {count}" for word, count in words.most_common())
         yield f"servo {servo_id} on {bus}: {told}"
+
+
+def _plain(event: str) -> str:
+    """Return an event of a log as a person reads it, short enough for a line."""
+    event = _PHASE.sub(r"\1", _ENUM.sub(r"\1", event))
+    return f"checked {event.count('Found(')} servos" if event.startswith("Checked(") else event
 
 
 def _report(arguments: argparse.Namespace) -> int:

@@ -29,9 +29,13 @@ def report_lines(report: dict[str, Any]) -> list[str]:
         head = f"{'joint':{width}}  readings  error rms   max  correction"
         lines.append(head + ("  true horn rms   max   (deg)" if has_truth else "  (deg)"))
         for name, joint in report["joints"].items():
+            seen = (  # What nobody has measured is no 0.
+                f"{joint['error_rms_deg']:9.2f} {joint['error_max_deg']:5.2f}"
+                if joint["readings"]
+                else f"{'-':>9} {'-':>5}"
+            )
             line = (
-                f"{name:{width}}  {joint['readings']:8d}  {joint['error_rms_deg']:9.2f} "
-                f"{joint['error_max_deg']:5.2f}  {joint['offset_max_deg']:10.2f}"
+                f"{name:{width}}  {joint['readings']:8d}  {seen}  {joint['offset_max_deg']:10.2f}"
             )
             if "horn_error_rms_deg" in joint:
                 line += f"  {joint['horn_error_rms_deg']:13.2f} {joint['horn_error_max_deg']:5.2f}"

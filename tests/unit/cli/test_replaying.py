@@ -59,10 +59,11 @@ def test_another_log_is_not_taken_for_the_same(played, tmp_path, capsys, old, ne
 def test_a_log_says_what_each_servo_heard_and_what_happened(played, capsys):
     assert main(["replay", str(played / "a.log")]) == EXIT_FINISHED
     out = capsys.readouterr().out
-    assert "PhaseEntered(phase=<Phase.SHOW: 'playing'>)" in out
     commands = json.loads((played / "a.json").read_text())["timing"]["commands"]
     moves = [int(line.split(" D ")[1].split(",")[0]) for line in out.splitlines() if " D " in line]
     assert sum(moves) >= commands
+    happened = [line.split(maxsplit=1)[-1] for line in out.splitlines()]
+    assert {"playing", f"checked {len(moves)} servos", "done"} <= set(happened)
     assert main(["replay", str(played / "a.log"), "--servo", "2"]) == EXIT_FINISHED
     lines = capsys.readouterr().out.splitlines()
     assert len([line for line in lines if "#2D" in line]) == moves[1]
@@ -107,3 +108,13 @@ def test_what_is_no_report_is_refused(tmp_path, capsys, text):
     path.write_text(text)
     assert main(["report", str(path)]) == EXIT_INPUT
     assert "a.json" in capsys.readouterr().err
+
+
+def test_what_nobody_has_measured_is_shown_as_no_zero(played, tmp_path, capsys):
+    report = json.loads((played / "a.json").read_text())
+    report["joints"]["base"] |= {"readings": 0, "error_rms_deg": 0.0, "error_max_deg": 0.0}
+    (tmp_path / "open.json").write_text(json.dumps(report))
+    assert main(["report", str(tmp_path / "open.json")]) == EXIT_FINISHED
+    rows = {line.split()[0]: line.split()[1:4] for line in capsys.readouterr().out.splitlines()}
+    assert rows["base"] == ["0", "-", "-"]
+    assert float(rows["elbow"][1]) > 0.0
