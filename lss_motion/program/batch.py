@@ -134,7 +134,8 @@ def exact_speeds(
         slower = (distance - braked) / (duration_s - first / ramp)
     linear = ramp * duration_s + first
     root = linear * linear - 4.0 * ramp * (distance + braked)
-    faster = np.where(root >= 0.0, 0.5 * (linear - np.sqrt(np.maximum(root, 0.0))), np.inf)
+    is_reached = (root >= 0.0) & (linear > 0.0)  # Below, there is not even the time to turn round.
+    faster = np.where(is_reached, 0.5 * (linear - np.sqrt(np.maximum(root, 0.0))), np.inf)
     is_slower = (duration_s * ramp > first) & (slower <= first)
     found: FloatArray = np.where(is_slower, np.maximum(slower, 0.0), faster)
     return found
