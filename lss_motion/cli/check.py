@@ -144,8 +144,15 @@ def program_lines(show: Show) -> list[str]:
         lines.append(
             f"bus {use.bus}: {use.commands} commands, {use.utilisation_ratio:.1%} of "
             f"{use.baud_bps} bps, {use.worst_100_ms_ratio:.0%} in the worst 100 ms, "
-            f"{use.overlaps} overlaps"
+            f"{use.overlaps} overlaps, none later than {use.late_max_us} us"
         )
+        if math.isfinite(use.reading_rate_hz):
+            least_hz = show.robot.buses[use.bus].reading_rate_min_hz
+            lines.append(
+                f"bus {use.bus}: {1.0 - use.utilisation_ratio:.1%} free for questions; in the "
+                f"worst second each joint can be read {use.reading_rate_hz:.1f} times "
+                f"(at least {least_hz:g})"
+            )
     lines += drive_lines(program)
     errors_deg = {n: e for n, e in program.error_max_deg.items() if n not in _stepped(program)}
     if errors_deg:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -16,6 +17,7 @@ from lss_motion.program.drives import lead, longest_move
 from lss_motion.program.fit import TURN_S
 from lss_motion.program.line import LineUse, line_use
 from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
+from lss_motion.program.readings import reading_rate_hz
 from lss_motion.program.seam import closed
 from lss_motion.program.verify import verify_program
 from lss_motion.protocol.line import encode_move
@@ -48,14 +50,15 @@ def compile_program(
 
     Joints whose drive is `auto` get the one that predicts best within what the line can carry; the
     program says which and why. Its bytes have passed `verify_program`. Raises `LineLoadError` when
-    the line cannot carry it even at the most relaxed tolerance, and `InputError` when a joint of
+    the line cannot carry it even at the most relaxed tolerance, or leaves its joints fewer readings
+    than the bus promises, and `InputError` when a joint of
     the trajectory is not one of the robot's.
     """
     if unknown := [name for name in trajectory.joints if name not in robot.joints]:
         raise InputError(f"robot {robot.name!r} has no joint {unknown[0]!r}")
     repeat = _repeat(trajectory)
     seams_s = () if repeat is None else (s_from_us(repeat.from_us), s_from_us(repeat.to_us))
-    tight: Attempt | None = None
+    problem: LineLoadError | None = None
     found = choices(robot, lambda driven: _courses(trajectory, driven), tolerance_deg)
     for choice in found:
         courses = _courses(trajectory, choice.robot)
@@ -64,11 +67,33 @@ def compile_program(
             attempt = Attempt(courses, choice.robot, tolerance_deg * ratio, seams_s, turn_s=turn_s)
             if not attempt.is_tight:
                 program = _program(trajectory, choice, courses, attempt, repeat)
-                verify_program(program, choice.robot)
-                return program
-            tight = attempt
-    assert tight is not None
-    raise _overload(tight, robot)
+                unread = [use for use in program.line_use.values() if _is_unread(use, robot)]
+                if not unread:
+                    verify_program(program, choice.robot)
+                    return program
+                problem = _unreadable(unread[0], program, robot)
+            else:
+                problem = _overload(attempt, robot)
+    assert problem is not None
+    raise problem
+
+
+def _is_unread(use: LineUse, robot: Robot) -> bool:
+    """Return whether the commands on a line leave too little room for questions."""
+    return use.reading_rate_hz < robot.buses[use.bus].reading_rate_min_hz
+
+
+def _unreadable(use: LineUse, program: Program, robot: Robot) -> LineLoadError:
+    """Return the error that says how seldom the joints of a line could be read."""
+    return LineLoadError(
+        f"bus {use.bus!r} at {use.baud_bps} bps carries the show, {use.utilisation_ratio:.0%} of "
+        f"the line, but in its worst second each joint could be read {use.reading_rate_hz:.1f} "
+        f"times, not {robot.buses[use.bus].reading_rate_min_hz:g}, even with a tolerance of "
+        f"{program.tolerance_deg:.1f} deg. What would help: a faster baud rate, joints on a second "
+        f"bus, or a lower reading_rate_min_hz of the bus in the robot file",
+        bus=use.bus,
+        utilisation_ratio=use.utilisation_ratio,
+    )
 
 
 def _repeat(trajectory: Trajectory) -> Repeat | None:
@@ -174,10 +199,16 @@ def lines_use(moves: Sequence[Move], robot: Robot) -> dict[str, LineUse]:
     """Return how the moves use each bus: the proof of the schedule, from the bytes alone."""
     columns = columns_of(moves, robot)
     slots_us = np.stack((columns.due_us, columns.sent_us), axis=1)
-    return {
-        name: line_use(name, bus.baud_bps, slots_us[columns.bus == index])
-        for index, (name, bus) in enumerate(robot.buses.items())
-    }
+    joints = list(robot.joints.values())
+    asked = [joints[index] for index in np.unique(columns.joint).tolist()]
+    uses = {}
+    for index, (name, bus) in enumerate(robot.buses.items()):
+        own_us = slots_us[columns.bus == index]
+        own = [joint for joint in asked if joint.bus == name and joint.drive != "stepped"]
+        use = line_use(name, bus.baud_bps, own_us)
+        rate_hz = reading_rate_hz(own, bus.baud_bps, own_us)
+        uses[name] = replace(use, reading_rate_hz=rate_hz)
+    return uses
 
 
 def _error_max_deg(fitted: Fitted, course: Course) -> float:

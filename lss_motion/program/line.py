@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, insort
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -89,6 +90,8 @@ class LineUse:
     """Commands that are due before their predecessor has left. A sound schedule has none."""
     late_max_us: int
     """The longest that a command has to wait for the line."""
+    reading_rate_hz: float = math.inf
+    """How often each joint that answers can be asked where it is, in the worst second."""
 
 
 def line_use(bus: str, baud_bps: int, slots_us: Sequence[tuple[int, int]] | IntArray) -> LineUse:

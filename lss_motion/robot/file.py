@@ -11,6 +11,7 @@ from pydantic import AfterValidator, Field
 
 from lss_motion.robot.model import (
     PATIENCE_S,
+    READING_RATE_MIN_HZ,
     RESUME_S,
     SILENT_S,
     TEMPERATURE_MAX_C,
@@ -73,6 +74,12 @@ class BusEntry(FileModel, title="bus"):
         json_schema_extra={"enum": list(BAUD_FIRMWARE_MIN)},
     )
     firmware: int = Field(default=370, ge=1, le=999, description="Firmware of the servos (QF).")
+    reading_rate_min_hz: float = Field(
+        default=READING_RATE_MIN_HZ,
+        ge=0.0,
+        le=1000.0,
+        description="So often a second each joint must be readable between the commands of a show.",
+    )
 
 
 class ResponseEntry(FileModel, title="response"):

@@ -98,7 +98,13 @@ class _Loader:
     def robot(self, path: Path) -> Robot:
         content = self.content
         buses = {
-            name: Bus(name=name, port=b.port, baud_bps=b.baud_bps, firmware=b.firmware)
+            name: Bus(
+                name=name,
+                port=b.port,
+                baud_bps=b.baud_bps,
+                firmware=b.firmware,
+                reading_rate_min_hz=b.reading_rate_min_hz,
+            )
             for name, b in content.buses.items()
         }
         self._check_buses(buses)

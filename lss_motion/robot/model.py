@@ -24,6 +24,8 @@ SILENT_S: Final = 1.0
 """Chosen: shorter than the 1.25 s for which a servo that restarts is deaf, so that it is noticed
 before it could be driven without its settings; long enough for a line that loses every third
 answer."""
+READING_RATE_MIN_HZ: Final = 2.0
+"""Chosen: two chances to be heard before a joint counts as silent (`SILENT_S`)."""
 PATIENCE_S: Final = 3.0
 """Chosen: as long as a heavy move takes at a tenth of its speed to catch up with."""
 RESUME_S: Final = 10.0
@@ -81,6 +83,8 @@ class Bus:
     port: str
     baud_bps: int
     firmware: int
+    reading_rate_min_hz: float = READING_RATE_MIN_HZ
+    """So often each joint of a show must be readable between its commands, in every second."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
