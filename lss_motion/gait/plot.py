@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from lss_motion.errors import InputError
+from lss_motion.gait.explain import more_s
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -57,7 +58,9 @@ def plot_gait(gait: Gait, passages: tuple[Paced, ...], path: Path) -> None:
     for start_s, sample in zip(starts_s.tolist(), samples, strict=False):
         _over_time(shapes, gait, start_s, sample)
     _dressed(shapes, gait)
-    figure.suptitle(f"{gait.name}: {gait.pattern.name}", fontsize=11, x=0.01, ha="left")
+    is_looped = any(more_s(gait, part) > 0.0 for part in passages)
+    looped = ", the cycles that are looped drawn once" if is_looped else ""
+    figure.suptitle(f"{gait.name}: {gait.pattern.name}{looped}", fontsize=11, x=0.01, ha="left")
     try:
         figure.savefig(path, dpi=110)
     except OSError as error:

@@ -91,3 +91,9 @@ def test_check_takes_a_gait_file_and_points_at_the_line_of_a_bad_one(kit, tmp_pa
     )
     assert main(["check", str(bad)]) == 2
     assert f"{bad}:7: leg '" in capsys.readouterr().err
+
+
+def test_the_picture_of_a_walk_without_end_says_that_cycles_are_drawn_once(kit, tmp_path):
+    gait = kit.gait("tripod", replace(kit.walk(20.0, cycles=7), more_cycles=None))
+    plot_gait(gait, paced(gait, kit.robot(gait)), tmp_path / "f.svg")
+    assert "looped drawn once" in (tmp_path / "f.svg").read_text(encoding="utf-8")
