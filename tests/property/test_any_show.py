@@ -6,13 +6,14 @@ thousand others.
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 
 import numpy as np
 from hypothesis import HealthCheck, event, given, settings
 from hypothesis import strategies as st
 
-from lss_motion.errors import PlanningError
+from lss_motion.errors import InputError, PlanningError
 from lss_motion.robot.model import Bus, Family, Joint, Robot, ServoModel
 from lss_motion.sequence.check import loop_problem
 from lss_motion.sequence.model import Interpolation, Keyframe, Layer, Sequence, Step, Timing
@@ -30,6 +31,7 @@ REASONS = (
     "allowed",  # Beyond the range, as a spline may swing.
     "cannot be done in",
     "nothing moves",
+    "nothing to fit",
     "do not meet again",
     "layer",
 )
@@ -164,7 +166,11 @@ def show_of(random: np.random.Generator, robot: Robot, count: int, form: str) ->
             return sequence_of(random, robot, count, timing)
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(
+    max_examples=2000 if os.environ.get("HYPOTHESIS_PROFILE") == "search" else 20,
+    deadline=None,
+    suppress_health_check=list(HealthCheck),
+)
 @given(
     seed=st.integers(0, 2**32 - 1),
     joints=st.sampled_from([1, 1, 2, 3, 5, 8, 12, 20, 40]),
@@ -179,7 +185,7 @@ def test_any_show_keeps_every_limit_or_says_why_it_cannot(
     show = show_of(random, robot, count, form)
     try:
         trajectory = plan(show, robot)
-    except PlanningError as error:
+    except (InputError, PlanningError) as error:
         if not any(reason in str(error) for reason in REASONS):
             raise
         event("refused")
