@@ -87,7 +87,7 @@ def test_a_signal_brakes_restores_and_holds(on_terminal, servo, robot, number, c
             text=True,
         )
         turn = threading.Event()
-        while process.poll() is None and sum(b"T" in line for line in heard(bus)) < 4:
+        while process.poll() is None and sum(line.startswith(b"#1D") for line in heard(bus)) < 4:
             turn.wait(0.01)
         process.send_signal(number)
         _, errors = process.communicate(timeout=20)

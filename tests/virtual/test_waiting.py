@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from lss_motion import api
 from lss_motion.errors import BusError, InputError
 from lss_motion.player.events import Waited
 from lss_motion.program.text import from_text, to_text
@@ -16,6 +18,7 @@ from lss_motion.sequence.model import Keyframe, Sequence, Step, Wait
 from lss_motion.sim.boards import SENSORS
 from lss_motion.sim.faults import Fault, FaultKind
 
+EXAMPLES = Path(__file__).parents[2] / "sequences"
 EYE = Sensor(name="eye", servo_id=203, bus="bus0", kind="GP2Y0A41SK0F")
 KNOB = Sensor(name="knob", servo_id=77, bus="bus0")
 NEAR = Wait(sensor="eye", side="below", threshold=100.0)
@@ -165,6 +168,14 @@ def test_a_wait_survives_the_text_form(stage, kit):
         assert [point.wait for point in again.waits] == [wait]
     with pytest.raises(InputError, match="no sensor 'eye'"):
         from_text(to_text(stage.compile(robot(kit), show())[0]), kit.robot(2))
+
+
+def test_the_owl_of_the_examples_waits_for_a_visitor(stage):
+    sequence = api.load_sequence(EXAMPLES / "visitor.yaml")
+    program, _ = stage.compile(api.load_robot(sequence.robot_path), sequence)
+    (point,) = program.waits
+    assert point.wait == Wait(sensor="eye", side="below", threshold=500.0, timeout_s=3.0)
+    assert min(move.due_us for move in program.moves) > 1e6 * point.at_s
 
 
 def test_layers_do_not_wait(stage, kit):
