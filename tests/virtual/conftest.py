@@ -21,7 +21,7 @@ MOVE = re.compile(rb"#(\d+)D(-?\d+)T(\d+)\r")
 ROBOT_FIELDS = ("on_fault", "patience_s", "resume_s")
 
 
-def make_robot(count=3, *, end="hold", buses=1, baud_bps=115200, **fields) -> Robot:
+def make_robot(count=3, *, end="hold", buses=1, baud_bps=57600, **fields) -> Robot:
     """`count` equal joints j0, j1, … with the ids 1, 2, …, dealt to the buses in turn.
 
     What is no field of the robot is one of all joints.

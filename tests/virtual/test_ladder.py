@@ -66,7 +66,7 @@ def test_a_servo_that_restarts_gets_its_settings_back_before_it_is_driven_on(sta
 
 def test_a_servo_that_restarts_on_the_way_to_the_start_is_noticed_before_the_show(stage, kit):
     resets = [Fault(kind=FaultKind.RESET, servo_id=2, at_s=0.15)]
-    played = stage.play(sequence=kit.sequence(3, 3.0), faults=resets)
+    played = stage.play(kit.robot(baud_bps=115200), kit.sequence(3, 3.0), faults=resets)
     assert played.report["outcome"] == "finished"
     assert faults(played) == [("j1", "restarted", "resume")]
     heard = [line for line in played.heard(after_ns=int((0.15 + RESET_S) * S)) if line[:2] == b"#2"]

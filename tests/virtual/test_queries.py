@@ -53,7 +53,7 @@ def reading_errors_deg(played, believed):
 
 
 def test_questions_fill_the_line_and_make_no_command_late(stage, kit):
-    played = stage.play(kit.robot(18), kit.sequence(18, 4.0))
+    played = stage.play(kit.robot(18, baud_bps=BAUD_BPS), kit.sequence(18, 4.0))
     bus = played.report["buses"]["bus0"]
     assert bus["garbage"] == bus["timeouts"] == bus["rejected"] == 0
     full_hz = BAUD_BPS / 10 / len(b"*12QD-123\r")
