@@ -123,6 +123,8 @@ def _typed(commands: list[str], folder: Path) -> bool:
             words = command.split("  #")[0].split()
             print(f"       tools/run {' '.join(words)}")
             typed = [str(ROOT / "tools" / "run"), *(word for word in words if word != "&")]
+            if words[0] == "lss-play":
+                typed.append("--yes")  # Nobody is here to be asked.
             if words[-1] == "&":
                 beside.enter_context(_running(typed, folder))
                 continue
