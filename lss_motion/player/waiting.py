@@ -76,7 +76,7 @@ class Waiting:
             text, state = self.text, self._ended(now_ns)
             if state is not None:
                 clock.ramp_to(self.rate_after, now_ns, 0.0)
-        elif clock.show_s(now_ns) >= self.next_s:
+        elif self._next is not None and clock.show_s(now_ns) >= self.next_s:
             text, state = self.text, "begun"
             self.rate_after = clock.target_rate
             clock.stand_at(self.next_s, now_ns)

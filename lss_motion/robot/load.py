@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import ProtocolError
 from lss_motion.protocol.line import DISABLED
-from lss_motion.protocol.storing import stored_wire
 from lss_motion.robot.drives import board_problems
 from lss_motion.robot.model import Bus, Joint, Response, Robot
 from lss_motion.robot.models import BAUD_FIRMWARE_MIN, FAMILIES, SERVO_MODELS
@@ -322,8 +321,16 @@ def _joint_problems(joint: Joint, merged: _Merged) -> Iterator[tuple[Location, s
         elif not facts.settings[keyword][0] <= value <= facts.settings[keyword][1]:
             least, most = facts.settings[keyword]
             yield place, f"joint {joint.name!r}: {keyword} {value} must be {least} to {most}"
+    if joint.stored:
+        yield from _stored_problems(joint, merged)
+
+
+def _stored_problems(joint: Joint, merged: _Merged) -> Iterator[tuple[Location, str]]:
+    # Only a file that has the key pays for the tables of the protocol.
+    from lss_motion.protocol.storing import stored_wire
+
     for keyword, stored in joint.stored.items():
         try:
-            stored_wire(model.family, keyword, stored)
+            stored_wire(joint.model.family, keyword, stored)
         except ProtocolError as error:
             yield merged.place(f"stored.{keyword}"), f"joint {joint.name!r}: {error}"
