@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from lss_motion.player.track import Track
 
 FRAME_NS: Final = NS_PER_S // 10
-PIPE_BYTES: Final = 1 << 16
 NOTES_SHOWN: Final = 5
 MARKS_SHOWN: Final = 3
 """Named keyframes that are still to come."""

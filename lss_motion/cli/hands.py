@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.controls import Inputs
@@ -24,7 +25,7 @@ KEYS: Final = re.compile(r"\x1b\[[A-D]|[^\x1b]")
 """A key as a terminal sends it: an arrow, or a character."""
 
 
-class HandsControls(Inputs):
+class HandsControls(Inputs, ABC):
     """Keys, signals and the screen of a run; each command has its own `begin`, `turn`, `press`."""
 
     greeting = ""
@@ -65,9 +66,9 @@ class HandsControls(Inputs):
     def press(self, key: str, hands_on: HandsOn) -> None:
         """Do what a key asks for."""
 
+    @abstractmethod
     def lines(self, hands_on: HandsOn, now_ns: int) -> Sequence[str]:
         """Return what is to be seen."""
-        raise NotImplementedError
 
     def say(self, text: str) -> None:
         self._screen.say(text)

@@ -47,8 +47,6 @@ FILTER_QUESTIONS: Final = ("QFPC", "QIPE")
 """Asked of streamed servos as well. IPE makes the filter step by itself (lss_facts 1.2); a servo
 that does not answer QIPE is taken to do so, as from the factory."""
 FILTER_ESSENTIAL: Final = ("QD", "QEM", "QFPC")
-ESSENTIAL_TRIES: Final = 6
-"""On a bus that loses a third of the answers, one servo in a thousand then stays silent."""
 IO2_QUESTIONS: Final = ("QMS", "QG", "QD")
 """An RC servo on a 2IO knows no more, and QD is only its last command (lss_facts 3)."""
 SESSION_KEYWORDS: Final = ("EM", "AA", "AD", "SD", "FPC", "IPE")

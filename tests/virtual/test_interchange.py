@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from motion_table import map_for, robot_for
 
 from lss_motion.api import perform
 from lss_motion.cli import shows
@@ -19,7 +19,6 @@ from lss_motion.interchange import (
     import_motion,
     imported,
     load_map,
-    map_template,
     read_motion,
     read_motions,
 )
@@ -28,10 +27,6 @@ from lss_motion.program.text import to_text
 from lss_motion.robot import load_robot
 from lss_motion.sequence import load_sequence
 from lss_motion.trajectory.planner import plan
-
-if TYPE_CHECKING:
-    from lss_motion.interchange.mapping import MotionMap
-    from lss_motion.robot.model import Robot
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = ROOT / "sequences"
@@ -53,33 +48,6 @@ COUNTS = {
 """How many motions each file of the collection holds; counted by hand, or by other programs."""
 
 
-def robot_for(motion: ForeignMotion, folder: Path) -> Robot:
-    """Return a robot with the joints of the motion and generous limits."""
-    joints = [f"  {channel.name}: {{id: {n}}}" for n, channel in enumerate(motion.channels, 1)]
-    path = folder / "robot.yaml"
-    path.write_text(
-        "robot: generous\n"
-        "buses: {main: {port: 'sim://', baud_bps: 921600}}\n"
-        "defaults: {model: LSS-HS1, range_deg: [-360, 360], speed_max_deg_s: 360,\n"
-        "           accel_max_deg_s2: 1000}\n"
-        "joints:\n" + "\n".join([*joints, ""]),
-        encoding="utf-8",
-    )
-    return load_robot(path)
-
-
-def map_for(motion: ForeignMotion, robot: Robot, folder: Path) -> MotionMap:
-    """Return the template of a map, with a spindle of 0.4 m a turn behind what slides."""
-    path = folder / "map.yaml"
-    text = map_template(motion, robot)
-    for channel in motion.channels:
-        if channel.unit is Unit.RAD_OR_M:
-            name = f'name: "{channel.name}"'
-            text = text.replace(name, f"{name}, unit: m, scale: 900")
-    path.write_text(text, encoding="utf-8")
-    return load_map(path)
-
-
 @needs_motions
 @pytest.mark.parametrize("file", COUNTS)
 def test_every_real_motion_is_planned_with_the_times_of_its_author(file, tmp_path) -> None:
@@ -91,7 +59,9 @@ def test_every_real_motion_is_planned_with_the_times_of_its_author(file, tmp_pat
         if any(channel.unit is Unit.RAD_OR_M for channel in motion.channels):
             with pytest.raises(InputError, match="does not say whether it is given in radians or"):
                 imported(motion, robot)
-        sequence = imported(motion, robot, motion_map=map_for(motion, robot, tmp_path)).sequence
+        sequence = imported(
+            motion, robot, motion_map=load_map(map_for(motion, robot, tmp_path))
+        ).sequence
         end_s = max((k.at_s or 0.0) + k.hold_s for k in sequence.keyframes)
         trajectory = plan(sequence, robot)
         assert trajectory.duration_s >= end_s - 1e-6
