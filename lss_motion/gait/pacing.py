@@ -14,7 +14,6 @@ from lss_motion.gait.curves import spline
 from lss_motion.gait.kinematics import forward, inverse, reach_excess_mm
 from lss_motion.gait.model import Move, Walk
 from lss_motion.gait.passage import Walking, posing, walking
-from lss_motion.robot.load import range_problem
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -217,7 +216,7 @@ def check_range(
     """Raise `InputError` where a joint would leave its range."""
     for own_deg, name in zip(angles_deg.T, joints_of(gait), strict=True):
         for worst in (int(own_deg.argmin()), int(own_deg.argmax())):
-            if reason := range_problem(robot.joints[name], float(own_deg[worst])):
+            if reason := robot.joints[name].range_problem(float(own_deg[worst])):
                 raise InputError(
                     f"{reason}; take shorter steps, another height, or a smaller shift or tilt",
                     path=gait.path,

@@ -237,7 +237,7 @@ class _Loader:
                 if name not in named:
                     reason = f"pose {pose!r}: unknown joint {name!r}; {known_names(name, named)}"
                     self._note(("poses", pose, name), reason)
-                elif name in joints and (reason := range_problem(joints[name], angle_deg)):
+                elif name in joints and (reason := joints[name].range_problem(angle_deg)):
                     self._note(("poses", pose, name), f"pose {pose!r}: {reason}")
 
 
@@ -259,16 +259,6 @@ def _ladders(entry: JointOnFaultEntry) -> Ladders:
     from lss_motion.robot.on_fault_file import ladders
 
     return ladders(entry)
-
-
-def range_problem(joint: Joint, angle_deg: float) -> str:
-    """Return why the joint may not stand at `angle_deg`, or nothing if it may."""
-    if joint.position_min_deg <= angle_deg <= joint.position_max_deg:
-        return ""
-    return (
-        f"joint {joint.name!r} at {angle_deg:g} deg is outside its range, "
-        f"{joint.position_min_deg:g} to {joint.position_max_deg:g} deg"
-    )
 
 
 def _within_ramps(joint: Joint) -> Joint:

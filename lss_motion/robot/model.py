@@ -133,6 +133,15 @@ class Joint:
     def joint_deg(self, servo_deg: float) -> float:
         return self.direction * (servo_deg - self.zero_deg)
 
+    def range_problem(self, joint_deg: float) -> str:
+        """Return why the joint may not stand at `joint_deg`, or nothing if it may."""
+        if self.position_min_deg <= joint_deg <= self.position_max_deg:
+            return ""
+        return (
+            f"joint {self.name!r} at {joint_deg:g} deg is outside its range, "
+            f"{self.position_min_deg:g} to {self.position_max_deg:g} deg"
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensor:

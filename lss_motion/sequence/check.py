@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
-from lss_motion.robot.load import range_problem
 from lss_motion.spelling import known_names
 
 if TYPE_CHECKING:
@@ -55,7 +54,7 @@ def joint_problems(
             joint = robot.joints.get(name)
             if joint is None:
                 yield index, name, f"unknown joint {name!r}; {known_names(name, robot.joints)}"
-            elif not is_offset and (reason := range_problem(joint, angle_deg)):
+            elif not is_offset and (reason := joint.range_problem(angle_deg)):
                 yield index, name, reason
 
 

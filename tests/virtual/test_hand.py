@@ -14,10 +14,10 @@ from lss_motion.maintenance.hands_on import HandsOn
 from lss_motion.maintenance.take import Take, sequence_of
 from lss_motion.player.events import Phase
 from lss_motion.program.compile import compile_program
-from lss_motion.robot import load_robot
+from lss_motion.robot.load import load_robot
 from lss_motion.runtime.clock import VirtualClock
 from lss_motion.runtime.runner import run
-from lss_motion.sequence import load_sequence
+from lss_motion.sequence.load import load_sequence
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.hand import Hand, hand_from_seed
 from lss_motion.trajectory.planner import plan

@@ -24,8 +24,8 @@ from lss_motion.interchange import (
 )
 from lss_motion.program.compile import compile_program
 from lss_motion.program.text import to_text
-from lss_motion.robot import load_robot
-from lss_motion.sequence import load_sequence
+from lss_motion.robot.load import load_robot
+from lss_motion.sequence.load import load_sequence
 from lss_motion.trajectory.planner import plan
 
 ROOT = Path(__file__).resolve().parents[2]

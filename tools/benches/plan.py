@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -57,6 +58,7 @@ GROWTH_TARGET = 1.5
 CHILD = """
 import pickle, sys
 from pathlib import Path
+import lss_motion.cli
 from lss_motion.trajectory.planner import plan
 plan(*pickle.loads(Path(sys.argv[1]).read_bytes()))
 print(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0])
@@ -146,14 +148,17 @@ def _plain_call(show: Sequence, robot: Robot) -> tuple[float, str]:
 
 
 def _processes() -> list[Row]:
-    """Whole processes: from the start of Python to the verified plan, and their memory (Linux)."""
+    """Whole processes: from the start of Python to the verified plan, and their memory (Linux).
+
+    Of five from the cache the median counts: the processor is shared with others.
+    """
     rows = []
     for timing in ("authored", "fastest"):
         with empty_cache(), tempfile.TemporaryDirectory() as folder:
             question = Path(folder, "question")
             question.write_bytes(pickle.dumps(bench_show(timing)))
-            taken = [_process(question) for _ in range(3)]
-        (cold_s, cold_mb), (cached_s, _) = taken[0], min(taken[1:])
+            taken = [_process(question) for _ in range(6)]
+        (cold_s, cold_mb), cached_s = taken[0], statistics.median(s for s, _ in taken[1:])
         rows += [
             Row(what=f"{timing}: whole process, cold", ours=f"{cold_s:.2f} s",
                 target=f"<= {COLD_TARGET_S:g} s", is_met=cold_s <= COLD_TARGET_S),
@@ -166,15 +171,19 @@ def _processes() -> list[Row]:
 
 
 def _process(question: Path) -> tuple[float, float]:
-    """Return seconds and megabytes of a process that plans the show."""
+    """Return seconds of processor time and megabytes of a process that plans the show."""
     command = [sys.executable, "-c", CHILD, str(question)]
-    printed: list[str] = []
-    taken_s = seconds(
-        lambda: printed.append(
-            subprocess.run(command, capture_output=True, text=True, check=True).stdout
-        )
-    )
-    return taken_s, float(printed[0]) / 1024.0
+    before_s = _children_s()
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    return _children_s() - before_s, float(printed) / 1024.0
+
+
+def _children_s() -> float:
+    """Return the processor time that all processes started from here have taken."""
+    import resource
+
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def _quality() -> list[Row]:

@@ -10,7 +10,7 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.interchange import ForeignMotion
-from lss_motion.robot import load_robot
+from lss_motion.robot.load import load_robot
 
 if TYPE_CHECKING:
     from lss_motion.interchange import Reader

@@ -18,9 +18,10 @@ from lss_motion.interchange import (
     sequence_for,
 )
 from lss_motion.interchange.poses import Pose, motion_of_poses
-from lss_motion.robot import load_robot
-from lss_motion.sequence import load_sequence, write_sequence
+from lss_motion.robot.load import load_robot
+from lss_motion.sequence.load import load_sequence
 from lss_motion.sequence.model import Timing
+from lss_motion.sequence.write import write_sequence
 
 if TYPE_CHECKING:
     from lss_motion.robot.model import Robot

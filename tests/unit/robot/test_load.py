@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.robot import load_robot
+from lss_motion.robot.load import load_robot
 from lss_motion.robot.model import Bus, Response, Robot
 from lss_motion.robot.on_fault import DEFAULTS, Cause, FaultStep
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.sequence import load_sequence
+from lss_motion.sequence.load import load_sequence
 from lss_motion.sequence.model import Sequence
 
 if TYPE_CHECKING:

@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.robot import load_robot
-from lss_motion.sequence import check_sequence
-from lss_motion.sequence.check import loop_problem
+from lss_motion.robot.load import load_robot
+from lss_motion.sequence.check import check_sequence, loop_problem
 from lss_motion.sequence.model import Keyframe, Sequence
 
 

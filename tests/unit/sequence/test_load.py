@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.robot import load_robot
+from lss_motion.robot.load import load_robot
 from lss_motion.robot.on_fault import Cause, FaultStep
-from lss_motion.sequence import load_sequence
+from lss_motion.sequence.load import load_sequence
 from lss_motion.sequence.model import Interpolation, Sequence, Timing
 from lss_motion.trajectory.planner import plan
 

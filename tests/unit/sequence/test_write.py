@@ -9,8 +9,9 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.robot.on_fault import Cause, FaultStep
-from lss_motion.sequence import load_sequence, sequence_text, write_sequence
+from lss_motion.sequence.load import load_sequence
 from lss_motion.sequence.model import Interpolation, Keyframe, Sequence, Step
+from lss_motion.sequence.write import sequence_text, write_sequence
 
 if TYPE_CHECKING:
     from pathlib import Path
