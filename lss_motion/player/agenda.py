@@ -59,7 +59,8 @@ class Agenda:
                 order = Command(joint.servo_id, LIT_KEYWORD, colour)
                 self._lights.append((joint.bus, order))
             self._cue = next(self._cues, None)
-        self._light(streamer.quiet_ns(now_ns), lines, now_ns)
+        if self._lights:
+            self._light(streamer.quiet_ns(now_ns), lines, now_ns)
         return events
 
     def wakeup_ns(

@@ -56,6 +56,11 @@ class Ladder:
         self._slowed_ns: int | None = None
         self._resumes = 0
 
+    @property
+    def is_idle(self) -> bool:
+        """Return whether there is no trouble, nor anything left to be done about an earlier one."""
+        return not self._climbs and self._slowed_ns is None
+
     def judge(self, troubles: Mapping[tuple[str, Cause], str], now_ns: int) -> list[Faulted]:
         """Return the steps to be taken now, given what is wrong now."""
         for gone in [trouble for trouble in self._climbs if trouble not in troubles]:

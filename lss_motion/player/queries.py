@@ -67,6 +67,7 @@ class _Flight:
     arrived_ns: int = 0
     end_ns: int = 0
     """When the last answer has come in at the latest."""
+    give_up_ns: int = 0
 
 
 @dataclass(slots=True)
@@ -81,6 +82,14 @@ class _Manners:
     owed: set[str] = field(default_factory=set)
     """Keywords of answers that were given up and may still come."""
     reply_bytes: dict[str, int] = field(default_factory=dict)
+    least_bytes: int = 1
+    """The shortest answer that is to be expected."""
+
+    def note_size(self, keyword: str, size_bytes: int) -> None:
+        """Note how long an answer was: the next one may have a digit more."""
+        if self.reply_bytes.get(keyword) != size_bytes + 1:
+            self.reply_bytes[keyword] = size_bytes + 1
+            self.least_bytes = min(self.reply_bytes.values())
 
     def succeed(self) -> None:
         self.depth = min(2 * self.depth, DEPTH_MAX)
@@ -114,7 +123,7 @@ class Questioner:
     @property
     def give_up_ns(self) -> int | None:
         """When `expire` has something to do at the latest; None: nothing is in flight."""
-        return min(map(self._give_up_ns, self._flights), default=None)
+        return min((flight.give_up_ns for flight in self._flights.values()), default=None)
 
     def quiet_until_ns(self, servo_id: int) -> int:
         """Return until when a servo is left alone after a timeout."""
@@ -187,7 +196,7 @@ class Questioner:
         flight, manners = self._flights[servo_id], self._known(servo_id)
         self.answered_count += 1
         size_bytes = len(encode(reply))
-        manners.reply_bytes[reply.keyword] = size_bytes + 1
+        manners.note_size(reply.keyword, size_bytes)
         if flight.arrived_ns <= asked.heard_ns and asked is flight.waiting[0]:
             began_ns = now_ns - self._line.time_ns(size_bytes)
             manners.turnaround.take(began_ns - asked.heard_ns)
@@ -203,7 +212,8 @@ class Questioner:
     def expire(self, now_ns: int) -> list[Asked]:
         """Give up the questions whose time is over; return them."""
         given_up, self._lost = self._lost, []
-        for servo_id in [one for one in self._flights if now_ns >= self._give_up_ns(one)]:
+        late = [one for one, flight in self._flights.items() if now_ns >= flight.give_up_ns]
+        for servo_id in late:
             flight, manners = self._flights.pop(servo_id), self._known(servo_id)
             given_up += flight.waiting
             self.strays += len(flight.held)
@@ -223,7 +233,7 @@ class Questioner:
         turnaround = manners.turnaround
         if not turnaround.is_known:
             return 1
-        shortest_ns = self._line.time_ns(min(manners.reply_bytes.values(), default=1))
+        shortest_ns = self._line.time_ns(manners.least_bytes)
         return min(WINDOW_MAX, 3 + turnaround.latest_ns // shortest_ns)
 
     def _asked_for(self, reply: Reply, now_ns: int) -> tuple[int, Asked | None]:
@@ -265,14 +275,11 @@ class Questioner:
 
     def _predict(self, servo_id: int, flight: _Flight) -> None:
         """Find out when the last answer of a flight has come in at the latest."""
-        latest_ns = self._known(servo_id).turnaround.latest_ns
+        turnaround = self._known(servo_id).turnaround
+        latest_ns = turnaround.latest_ns
         end_ns = flight.arrived_ns
         for asked in flight.waiting:
             end_ns = max(end_ns, asked.heard_ns + latest_ns)
             end_ns += self._line.time_ns(asked.reply_bytes)
         flight.end_ns = end_ns
-
-    def _give_up_ns(self, servo_id: int) -> int:
-        flight = self._flights[servo_id]
-        is_known = self._known(servo_id).turnaround.is_known
-        return flight.end_ns + (GRACE_NS if is_known else 0)
+        flight.give_up_ns = end_ns + (GRACE_NS if turnaround.is_known else 0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.watch import Watch
@@ -47,6 +48,13 @@ class _Turn:
     left: int
     is_row: bool = False
     """Whether it was asked already."""
+
+
+@lru_cache(maxsize=1024)
+def _question(servo_id: int, keyword: str) -> tuple[Command, int]:
+    """Return a question and its size in bytes: the same few are asked all the time."""
+    question = Command(servo_id, keyword)
+    return question, len(encode(question))
 
 
 class Reader:
@@ -93,38 +101,45 @@ class Reader:
         self._next_ns[bus] = None
         question = self._waiting.question(bus, now_ns)
         if question is not None and questioner.quiet_until_ns(question.servo_id) <= now_ns:
-            if self._leave(bus, question, now_ns, quiet_until_ns):
+            if self._leave(bus, question, len(encode(question)), now_ns, quiet_until_ns):
                 self._waiting.asked(now_ns)
             return False
         turn = self._turn(bus, now_ns)
         if turn is None:
             return False
-        question = Command(turn.track.joint.servo_id, self._keyword(bus, turn, now_ns))
-        if not self._leave(bus, question, now_ns, quiet_until_ns):
+        keyword = self._keyword(bus, turn, now_ns)
+        question, size_bytes = _question(turn.track.joint.servo_id, keyword)
+        if not self._leave(bus, question, size_bytes, now_ns, quiet_until_ns):
             return False
         turn.left -= 1
         turn.is_row = True
         turn.track.asked_ns = now_ns
         self._health_wait[bus] += 1
-        if question.keyword != "QD":
+        if keyword != "QD":
             self._health_wait[bus] = 0
             turn.track.health_ns = now_ns
             turn.track.health_count += 1
         return True
 
-    def _leave(self, bus: str, question: Command, now_ns: int, quiet_until_ns: int | None) -> bool:
+    def _leave(
+        self,
+        bus: str,
+        question: Command,
+        size_bytes: int,
+        now_ns: int,
+        quiet_until_ns: int | None,
+    ) -> bool:
         """Ask if the line and the servo allow it now; otherwise note when to try again."""
         questioner, line = self._questioners[bus], self._lines[bus]
-        size_bytes = len(encode(question))
         earliest_ns = questioner.earliest_ns(question.servo_id, size_bytes)
         if earliest_ns is None or earliest_ns > max(now_ns, line.free_ns):
             self._next_ns[bus] = earliest_ns
             return False
-        room_ns = now_ns + line.time_ns(BACKLOG_BYTES)
-        if line.heard_ns(size_bytes, now_ns) > room_ns:
-            self._next_ns[bus] = line.heard_ns(size_bytes, now_ns) - room_ns + now_ns
+        heard_ns, room_ns = line.heard_ns(size_bytes, now_ns), line.time_ns(BACKLOG_BYTES)
+        if heard_ns > now_ns + room_ns:
+            self._next_ns[bus] = heard_ns - room_ns
             return False
-        if quiet_until_ns is not None and line.heard_ns(size_bytes, now_ns) > quiet_until_ns:
+        if quiet_until_ns is not None and heard_ns > quiet_until_ns:
             return False
         questioner.ask(question, now_ns)
         return True

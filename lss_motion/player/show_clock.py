@@ -35,7 +35,8 @@ class ShowClock:
     """Show time in seconds at any instant since it was started. Rate 1 is as planned, 0 a pause."""
 
     def __init__(self, start_ns: int, start_s: float, rate: float) -> None:
-        self._legs = [_Leg(start_ns, start_s, rate, rate, 0)]
+        self._legs: list[_Leg] = []
+        self._begin(_Leg(start_ns, start_s, rate, rate, 0))
 
     def show_s(self, now_ns: int) -> float:
         """Return the show time at `now_ns`, also for an instant in the past."""
@@ -51,36 +52,25 @@ class ShowClock:
         share = max(0, now_ns - leg.start_ns) / leg.ramp_ns
         return leg.from_rate + share * (leg.to_rate - leg.from_rate)
 
-    @property
-    def target_rate(self) -> float:
-        return self._legs[-1].to_rate
-
-    @property
-    def ramp_end_ns(self) -> int:
-        """When the rate is, or was, steady again."""
-        return self._legs[-1].start_ns + self._legs[-1].ramp_ns
-
     def is_ramping(self, now_ns: int) -> bool:
         return now_ns < self.ramp_end_ns
 
     def ramp_to(self, rate: float, now_ns: int, over_s: float) -> None:
         """Change the rate evenly from what it is now to `rate`, over `over_s`."""
-        leg = _Leg(now_ns, self.show_s(now_ns), self.rate(now_ns), rate, ns_from_s(over_s))
-        self._legs.append(leg)
+        ramp_ns = ns_from_s(over_s)
+        self._begin(_Leg(now_ns, self.show_s(now_ns), self.rate(now_ns), rate, ramp_ns))
 
     def stand_at(self, show_s: float, now_ns: int) -> None:
         """Stand still at `show_s` from the instant on at which the show reached it, by `now_ns`."""
         reached_ns = self.instant_ns(show_s)
         start_ns = now_ns if reached_ns is None else min(max(reached_ns, self.ramp_end_ns), now_ns)
-        self._legs.append(_Leg(start_ns, show_s, 0.0, 0.0, 0))
+        self._begin(_Leg(start_ns, show_s, 0.0, 0.0, 0))
 
     def instant_ns(self, show_s: float) -> int | None:
         """Return when the show reaches `show_s` if the rate stays as it is; None: never."""
-        leg = self._legs[-1]
-        if leg.to_rate <= 0.0:
+        if self.target_rate <= 0.0:
             return None
-        end_s = leg.show_s(self.ramp_end_ns)
-        return self.ramp_end_ns + ns_from_s((show_s - end_s) / leg.to_rate)
+        return self.ramp_end_ns + ns_from_s((show_s - self._ramp_end_s) / self.target_rate)
 
     def knots(self, until_ns: int, step_ns: int) -> Iterator[tuple[int, float]]:
         """Yield `(instant, show time)` between which show time may be interpolated.
@@ -96,3 +86,10 @@ class ShowClock:
             yield ramp_end_ns, leg.show_s(ramp_end_ns)
             if end_ns > ramp_end_ns:
                 yield end_ns, leg.show_s(end_ns)
+
+    def _begin(self, leg: _Leg) -> None:
+        self._legs.append(leg)
+        self.target_rate = leg.to_rate
+        self.ramp_end_ns = leg.start_ns + leg.ramp_ns
+        """When the rate is, or was, steady again."""
+        self._ramp_end_s = leg.show_s(self.ramp_end_ns)

@@ -58,6 +58,8 @@ class Troubles:
         """Take the steps that are due about what was read."""
         if streamer.reader is None:
             return Verdict.GO_ON
+        if self.ladder.is_idle and not streamer.reader.watch.troubles:
+            return Verdict.GO_ON
         watched = {
             (name, cause): text
             for (name, cause), text in streamer.reader.watch.troubles.items()

@@ -60,6 +60,12 @@ class Garbage:
 
 def encode(item: Command | Reply) -> bytes:
     """Return the exact bytes of one line, CR included; `codec` is what checks the values."""
+    value = "" if item.value is None else item.value
+    if isinstance(item, Command):
+        if not item.modifiers:
+            return f"#{item.servo_id}{item.keyword}{value}\r".encode("ascii")
+    elif item.servo_id is not None:
+        return f"*{item.servo_id}{item.keyword}{value}\r".encode("ascii")
     return _section(item) + b"\r"
 
 

@@ -34,6 +34,8 @@ class Adapter:
         self._origin_ns = 0
         self._outages_ns: Sequence[tuple[int, int]] = ()
         self._packets: deque[Packet] = deque()
+        self._delivered = bytearray()
+        """Without a latency: what has come since the last `read`."""
 
     def start(self, now_ns: int, outages_ns: Sequence[tuple[int, int]]) -> None:
         """Start the timer. In an outage the adapter is unplugged."""
@@ -42,18 +44,22 @@ class Adapter:
 
     def take(self, end_ns: int, value: int) -> None:
         """Take a byte that has arrived at `end_ns`; bytes come in order of time."""
+        if not self._latency_ns:
+            if not self._is_lost(end_ns):
+                self._delivered.append(value)
+            return
         last = self._packets[-1] if self._packets else None
         is_full = last is not None and len(last.data) == PACKET_BYTES
         if last is None or is_full or last.due_ns < end_ns:
             last = Packet(self.due_ns(end_ns))
             self._packets.append(last)
         last.data.append(value)
-        if len(last.data) == PACKET_BYTES and self._latency_ns:
+        if len(last.data) == PACKET_BYTES:
             last.due_ns = end_ns
 
     def read(self, now_ns: int) -> bytes:
-        """Return what has been delivered by `now_ns`."""
-        data = bytearray()
+        """Return what has been delivered by `now_ns`, the present instant."""
+        data, self._delivered = self._delivered, bytearray()
         while self._packets and self._packets[0].due_ns <= now_ns:
             packet = self._packets.popleft()
             if not self._is_lost(packet.due_ns):
@@ -74,4 +80,5 @@ class Adapter:
         return PACKET_BYTES - used % PACKET_BYTES
 
     def _is_lost(self, due_ns: int) -> bool:
-        return any(from_ns <= due_ns < until_ns for from_ns, until_ns in self._outages_ns)
+        outages_ns = self._outages_ns
+        return bool(outages_ns) and any(a_ns <= due_ns < z_ns for a_ns, z_ns in outages_ns)

@@ -24,6 +24,8 @@ class Drift:
 
     def bus_ns(self, host_ns: int) -> int:
         """Return the servos' instant; later for a later host instant."""
+        if not self._spans:
+            return host_ns
         ahead_ns = 0
         for from_ns, until_ns, drift_ppm in self._spans:
             passed_ns = min(host_ns, until_ns) - from_ns
@@ -35,7 +37,11 @@ class Drift:
         """Return the first instant of the host at which the servos' is `bus_ns`."""
         if not self._spans:
             return bus_ns
-        low_ns, high_ns = min(bus_ns // 2, bus_ns), bus_ns * 2 + 1
+        near_ns = bus_ns - (self.bus_ns(bus_ns) - bus_ns)
+        away_ns = 1
+        while not self.bus_ns(near_ns - away_ns) < bus_ns <= self.bus_ns(near_ns + away_ns):
+            away_ns *= 2
+        low_ns, high_ns = near_ns - away_ns, near_ns + away_ns
         while low_ns < high_ns:
             middle_ns = (low_ns + high_ns) // 2
             if self.bus_ns(middle_ns) < bus_ns:

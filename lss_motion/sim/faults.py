@@ -95,6 +95,23 @@ ABOUT_LINE = frozenset(
 STEADY = ABOUT_DEVICES | {FaultKind.CLOGGED, FaultKind.UNPLUGGED, FaultKind.CLOCK_DRIFT}
 """Of these there is no `ratio`: they are there or not."""
 
+_LINE_KINDS = (
+    FaultKind.LOST_COMMAND,
+    FaultKind.CORRUPT_COMMAND,
+    FaultKind.SHORT_COMMAND,
+    FaultKind.DOUBLE_COMMAND,
+    FaultKind.MERGED_COMMAND,
+)
+_REPLY_KINDS = (
+    FaultKind.LOST_REPLY,
+    FaultKind.CORRUPT_REPLY,
+    FaultKind.SHORT_REPLY,
+    FaultKind.DOUBLE_REPLY,
+    FaultKind.MERGED_REPLY,
+    FaultKind.LATE_REPLY,
+    FaultKind.SPLIT_REPLY,
+)
+
 FOREVER_NS = 2**62
 """The end of what does not end: 146 years."""
 
@@ -156,6 +173,10 @@ class Faults:
 
     def __init__(self, faults: Iterable[Fault], random: Random) -> None:
         self._faults = tuple(faults)
+        self._about_lines = self._of(*_LINE_KINDS)
+        self._about_replies = self._of(*_REPLY_KINDS)
+        self._deafness = self._of(FaultKind.DEAF)
+        self._wrong_ids = self._of(FaultKind.WRONG_ID)
         self._random = random
         self._origin_ns = 0
         self._turns: list[Turn] = []
@@ -184,10 +205,10 @@ class Faults:
 
     def heard(self, line: bytes, now_ns: int) -> list[bytes]:
         """Return what of a line reaches the servos: nothing, or one line or two."""
-        if not self._faults:
+        if not self._about_lines:
             return [line]
         count = 1
-        for fault in self._active(now_ns, None):
+        for fault in self._active(self._about_lines, now_ns, None):
             match fault.kind:
                 case FaultKind.LOST_COMMAND if fault.strikes(self._random):
                     return []
@@ -207,13 +228,13 @@ class Faults:
         return lines
 
     def is_deaf(self, servo_id: int, now_ns: int) -> bool:
-        active = self._active(now_ns, servo_id)
-        return any(fault.kind is FaultKind.DEAF and fault.strikes(self._random) for fault in active)
+        active = self._active(self._deafness, now_ns, servo_id)
+        return any(fault.strikes(self._random) for fault in active)
 
     def sender(self, servo_id: int, now_ns: int) -> int:
         """Return the id that a servo puts into its reply."""
-        for fault in self._active(now_ns, servo_id):
-            if fault.kind is FaultKind.WRONG_ID and fault.strikes(self._random):
+        for fault in self._active(self._wrong_ids, now_ns, servo_id):
+            if fault.strikes(self._random):
                 return fault.as_id
         return servo_id
 
@@ -223,7 +244,7 @@ class Faults:
         A piece begins when it is due and the one before it has ended.
         """
         count, split_ns = 1, 0
-        for fault in self._active(start_ns, servo_id):
+        for fault in self._active(self._about_replies, start_ns, servo_id):
             match fault.kind:
                 case FaultKind.LOST_REPLY if fault.strikes(self._random):
                     return []
@@ -248,13 +269,18 @@ class Faults:
             pieces = [(data, start_ns)]
         return pieces * count
 
-    def _active(self, now_ns: int, servo_id: int | None) -> Sequence[Fault]:
-        if not self._faults:
+    def _of(self, *kinds: FaultKind) -> tuple[Fault, ...]:
+        return tuple(fault for fault in self._faults if fault.kind in kinds)
+
+    def _active(
+        self, faults: Sequence[Fault], now_ns: int, servo_id: int | None
+    ) -> Sequence[Fault]:
+        if not faults:
             return ()
         now_s = s_from_ns(now_ns - self._origin_ns)
         return [
             fault
-            for fault in self._faults
+            for fault in faults
             if fault.at_s <= now_s < fault.until_s and fault.servo_id in (None, servo_id)
         ]
 

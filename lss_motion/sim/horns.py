@@ -38,11 +38,12 @@ class Horns:
         self.gap_deg = np.zeros(count)
         self.droop_deg = np.zeros(count)
         self.phases = [rest_at(spec.start_deg) for spec in specs]
-        self.end_ns = np.full(count, FOREVER_NS, dtype=np.int64)
+        self.end_ns = [FOREVER_NS] * count
         self._began_ns = [0] * count
         self._lags_s = [physics.lag_s] * count
         self._lag_s = np.full(count, physics.lag_s)
-        self._is_jammed = np.zeros(count, dtype=bool)
+        self._is_jammed = [False] * count
+        self._is_any_jammed = False
         self._ns = np.zeros(count, dtype=np.int64)
         self._phase_ns = np.zeros(count, dtype=np.int64)
         self._position_deg = self.deg.copy()
@@ -102,7 +103,8 @@ class Horns:
         moved_deg = final_deg + self.gap_deg * np.exp(-passed_s / self._lag_s) - self.deg
         reach_deg = top_deg_s * passed_s
         moved_deg = np.minimum(np.maximum(moved_deg, -reach_deg), reach_deg)
-        moved_deg[self._is_jammed] = 0.0
+        if self._is_any_jammed:
+            moved_deg[self._is_jammed] = 0.0
         self.deg = self.deg + moved_deg
         self.deg_s = moved_deg / passed_s
         self.gap_deg = self.deg - final_deg
@@ -131,7 +133,7 @@ class Horns:
 
     def sag(self, is_powered: NDArray[np.bool_]) -> None:
         """Let the loads pull as they do at the angles that the horns have now."""
-        if self._is_loaded or self.pull_deg.any() or self.droop_deg.any():
+        if self._is_loaded or any(self.pull_deg.tolist()) or any(self.droop_deg.tolist()):
             level = np.cos(np.radians(self.deg - self._level_deg))
             pulled_deg = self._load_deg * self.holding_ratio * level - self.pull_deg
             droop_deg = is_powered * pulled_deg
@@ -154,9 +156,10 @@ class Horns:
     def jam(self, index: int, *, is_jammed: bool) -> None:
         """Keep a horn from turning whatever the motor does, or free it again."""
         self._is_jammed[index] = is_jammed
+        self._is_any_jammed = any(self._is_jammed)
 
     def is_settled(self) -> bool:
-        return float(np.abs(self.gap_deg).max(initial=0.0)) < SETTLED_DEG
+        return all(abs(gap_deg) < SETTLED_DEG for gap_deg in self.gap_deg.tolist())
 
     def profile_deg(self, index: int, now_ns: int) -> float:
         """Return where the servo's own profile is."""

@@ -24,7 +24,7 @@ class SleepyClock(VirtualClock):
         self._random = Random(f"{seed}/host")
 
     def advance_to(self, instant_ns: int) -> None:
-        if instant_ns > self.now_ns():
+        if self._faults and instant_ns > self.now_ns():
             instant_ns += self._late_ns(s_from_ns(instant_ns))
         super().advance_to(instant_ns)
 

@@ -174,7 +174,7 @@ class Motors:
     def _catch_up(self, index: int, now_ns: int) -> None:
         """Bring one horn to `now_ns`, through the ends of its phases."""
         top_deg_s = float(self.power.top_deg_s[index])
-        while (end_ns := int(self.horns.end_ns[index])) <= now_ns:
+        while (end_ns := self.horns.end_ns[index]) <= now_ns:
             self.horns.coast(index, end_ns, top_deg_s)
             self._drives.next_phase(index, end_ns)
         self.horns.coast(index, now_ns, top_deg_s)
@@ -195,8 +195,9 @@ class Motors:
             self._step(self._tick_ns + TICK_NS)
 
     def _step(self, now_ns: int) -> None:
-        for index in np.flatnonzero(self.horns.end_ns <= now_ns).tolist():
-            self._catch_up(index, now_ns)
+        for index, end_ns in enumerate(self.horns.end_ns):
+            if end_ns <= now_ns:
+                self._catch_up(index, now_ns)
         self.horns.sag(self._drives.is_powered)
         self.horns.step(now_ns, self.power.top_deg_s)
         for index in list(self._led):

@@ -48,7 +48,7 @@ class Power:
         held_ma = physics.running_ma * running_ratio + physics.load_ma_per_deg * np.abs(droop_deg)
         self.motor_ma = is_powered * held_ma
         behind = np.abs(gap_deg) > physics.stall_deg
-        self._is_any_stuck = bool(behind.any()) or bool(self.stuck_s.any())
+        self._is_any_stuck = any(behind.tolist()) or any(self.stuck_s.tolist())
         if self._is_any_stuck:
             stalled = behind & is_powered & (np.abs(horn_deg_s) < TURNING_DEG_S)
             self.motor_ma = np.where(stalled, physics.stall_ma, self.motor_ma)
@@ -63,7 +63,7 @@ class Power:
         """Return the servos that a safety limit stops now."""
         causes: list[tuple[int, SafeCause]] = []
         is_hot = self._temperature_c > self._physics.temperature_max_c
-        if is_hot.any():
+        if any(is_hot.tolist()):
             causes += [(index, SafeCause.TEMPERATURE) for index in np.flatnonzero(is_hot).tolist()]
         if not self._is_supplied():
             causes += [(index, SafeCause.VOLTAGE) for index in range(len(self.motor_ma))]
@@ -75,7 +75,7 @@ class Power:
     def is_steady(self) -> bool:
         """Return whether nothing here can change what a servo does while all horns rest."""
         final_c = self._final_c()
-        is_cool = bool((final_c <= self._physics.temperature_max_c).all())
+        is_cool = all((final_c <= self._physics.temperature_max_c).tolist())
         return is_cool and not self._is_any_stuck
 
     def set_temperature(self, index: int, temperature_c: float) -> None:
@@ -89,7 +89,7 @@ class Power:
 
     def supply_v(self) -> float:
         """Return the voltage at the servos: that of the battery less what all currents cost."""
-        total_ma = self._physics.idle_ma * len(self.motor_ma) + float(self.motor_ma.sum())
+        total_ma = self._physics.idle_ma * len(self.motor_ma) + float(np.add.reduce(self.motor_ma))
         return self._physics.supply_v - self._physics.supply_ohm * total_ma / 1000.0
 
     def _is_supplied(self) -> bool:

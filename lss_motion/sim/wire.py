@@ -117,18 +117,22 @@ class ServoLine:
 
     def read(self, now_ns: int) -> bytes:
         """Return what has arrived by `now_ns`; all that starts until then must have been sent."""
-        while self._coming and self._coming[0][0] <= now_ns:
-            begin_ns, _, end_ns, value = heapq.heappop(self._coming)
-            if self._current is not None and begin_ns < self._current[0]:
-                self._current = (self._current[0], self._random.getrandbits(8))
+        coming, current, adapter = self._coming, self._current, self._adapter
+        while coming and coming[0][0] <= now_ns:
+            begin_ns, _, end_ns, value = heapq.heappop(coming)
+            if current is not None and begin_ns < current[0]:
+                current = (current[0], self._random.getrandbits(8))
                 continue
-            self._finish()
-            self._current = (end_ns, value)
-        if self._current is not None and self._current[0] <= now_ns:
-            self._finish()
-        while self._ends_ns and self._adapter.due_ns(self._ends_ns[0]) <= now_ns:
+            if current is not None:
+                adapter.take(*current)
+            current = (end_ns, value)
+        if current is not None and current[0] <= now_ns:
+            adapter.take(*current)
+            current = None
+        self._current = current
+        while self._ends_ns and adapter.due_ns(self._ends_ns[0]) <= now_ns:
             heapq.heappop(self._ends_ns)
-        return self._adapter.read(now_ns)
+        return adapter.read(now_ns)
 
     def next_end_ns(self) -> int | None:
         """Return when the earliest reply that was not read to its end is complete.
@@ -146,8 +150,3 @@ class ServoLine:
         if self._current is not None:
             ends_ns = [self._current[0], *ends_ns]
         return min(due_ns, ends_ns[room_bytes - 1])
-
-    def _finish(self) -> None:
-        if self._current is not None:
-            self._adapter.take(*self._current)
-            self._current = None
