@@ -74,7 +74,8 @@ def best_landings(
 
     first = courses.first_index(state.time_s)
     end = np.maximum(courses.first_index(np.minimum(landed_s, last_s)), rest[0][:, None])
-    steps = np.arange(int((end - first[:, None]).max()) + 1)
+    # On a line that is too full, the standstill may be over before the move is heard.
+    steps = np.arange(int((end - first[:, None]).max(initial=0)) + 1)
     flat = courses.flat(joint[:, None], first[:, None] + steps)
     times_s = courses.times_s(first)[:, None] + (courses.times_s(steps) - courses.start_s)
     error_deg = np.zeros_like(landed_s)

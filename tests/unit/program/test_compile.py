@@ -163,15 +163,20 @@ def test_the_ramp_is_the_largest_step_within_the_joints_limit(kit):
         assert ramp_deg_s2(kit.joint(accel_max_deg_s2=accel_deg_s2)) == ramp
 
 
-def crowd(kit, count, baud_bps):
+def crowd(kit, count, baud_bps, length_s=8.0):
     joints = [kit.joint(f"j{index}", index + 1) for index in range(count)]
     robot = kit.robot(*joints, baud_bps=baud_bps)
-    return kit.plan(kit.lively(list(robot.joints), 8.0, swing_deg=40.0), robot), robot
+    return kit.plan(kit.lively(list(robot.joints), length_s, swing_deg=40.0), robot), robot
+
+
+def test_a_line_so_slow_that_moves_come_after_their_standstill_is_refused_as_well(kit):
+    with pytest.raises(LineLoadError, match=r"would be .* ms late"):
+        compile_program(*crowd(kit, 28, 9600, length_s=3.0))
 
 
 def test_a_line_that_is_too_slow_is_refused_with_numbers_and_advice(kit):
     with pytest.raises(LineLoadError) as caught:
-        compile_program(*crowd(kit, 20, 9600))
+        compile_program(*crowd(kit, 24, 9600, length_s=3.0))
     said = str(caught.value)
     assert "'main' at 9600 bps" in said
     assert "commands need" in said
