@@ -1,7 +1,8 @@
 """Measures what the design promises, each figure next to a peer or a limit in the same run.
 
-tools/run tools/bench.py                 everything
-tools/run tools/bench.py codec plan      some of it
+tools/run tools/bench.py                 everything, in less than ten minutes on two quiet cores
+tools/run tools/bench.py codec plan      some of it, the long way where there is one
+tools/run tools/bench.py scaling --full  shows of up to an hour
 tools/run tools/bench.py all --json F    also as JSON
 """
 
@@ -9,42 +10,95 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import importlib.metadata
 import json
+import os
 import platform
 import sys
+import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
+# Processor time is compared, and threads that wait for each other count twice.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from benches.table import Row, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 BENCHES = (
-    "codec", "compile", "compress", "horn", "plan", "loop", "line", "late", "identify", "gait"
+    "codec", "states", "plan", "compile", "compress", "horn", "loop", "line", "late", "identify",
+    "gait",
 )  # fmt: skip
+PACKAGES = ("numpy", "scipy", "toppra", "pyserial", "ruckig")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the named benches; return 1 if a target was not reached."""
-    parser = argparse.ArgumentParser(prog="tools/bench.py", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="tools/bench.py", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("names", nargs="*", default=["all"], help=" | ".join((*BENCHES, "all")))
+    parser.add_argument("--full", action="store_true", help="all there is, however long it takes")
     parser.add_argument("--json", type=Path, metavar="F")
     arguments = parser.parse_args(argv)
-    names = BENCHES if "all" in arguments.names else tuple(arguments.names)
+    is_all = "all" in arguments.names
+    names = BENCHES if is_all else tuple(arguments.names)
     if unknown := set(names) - set(BENCHES):
         parser.error(f"no such bench: {', '.join(sorted(unknown))}")
-    print(f"{platform.platform()}, Python {platform.python_version()}")
+    about = machine()
+    print(*(f"{what}: {value}" for what, value in about.items()), sep="\n")
     rows: dict[str, list[Row]] = {}
+    taken_s: dict[str, float] = {}
     for name in names:
-        rows[name] = importlib.import_module(f"benches.{name}").measure()
-        print(f"\n{name}\n{shown(rows[name])}", flush=True)
+        measure = _measure(name, "full" if arguments.full else "short" if is_all else "")
+        started_s = time.monotonic()
+        rows[name] = measure()
+        taken_s[name] = round(time.monotonic() - started_s, 1)
+        print(f"\n{name} ({taken_s[name]:.0f} s)\n{shown(rows[name])}", flush=True)
+    short = [row for some in rows.values() for row in some if row.is_met is False]
+    judged = sum(row.is_met is not None for some in rows.values() for row in some)
+    print(f"\n{judged - len(short)} of {judged} targets met, {sum(taken_s.values()):.0f} s in all")
     if arguments.json is not None:
-        text = json.dumps({name: [row.as_json() for row in some] for name, some in rows.items()})
+        tables = {name: [row.as_json() for row in some] for name, some in rows.items()}
+        whole = {"machine": about, "seconds": taken_s, "benches": tables}
+        text = json.dumps(whole, indent=1, ensure_ascii=False)
         arguments.json.write_text(text + "\n", encoding="utf-8")
-    return 0 if all(row.is_met is not False for some in rows.values() for row in some) else 1
+    return 1 if short else 0
+
+
+def _measure(name: str, way: str) -> Callable[[], list[Row]]:
+    """Return what measures: the bench's `measure_short` or `measure_full`, if it has that."""
+    module = importlib.import_module(f"benches.{name}")
+    measure: Callable[[], list[Row]] = getattr(module, f"measure_{way}", module.measure)
+    return measure
+
+
+def machine() -> dict[str, Any]:
+    """Return what the figures were measured on: computer, load, and versions."""
+    versions = []
+    for name in PACKAGES:
+        try:
+            versions.append(f"{name} {importlib.metadata.version(name)}")
+        except importlib.metadata.PackageNotFoundError:
+            versions.append(f"{name} is not installed")
+    load = ", ".join(f"{one:.2f}" for one in os.getloadavg()) if hasattr(os, "getloadavg") else "?"
+    return {
+        "system": platform.platform(),
+        "processor": f"{_processor()}, {os.cpu_count()} cores",
+        "load before": load,
+        "versions": f"Python {platform.python_version()}, {', '.join(versions)}",
+    }
+
+
+def _processor() -> str:
+    about = Path("/proc/cpuinfo")
+    if not about.exists():
+        return platform.processor() or platform.machine()
+    lines = [line.partition(":") for line in about.read_text(encoding="utf-8").splitlines()]
+    return next((value.strip() for key, _, value in lines if key.strip() == "model name"), "?")
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ def shown(rows: Sequence[Row]) -> str:
             row.what,
             row.ours,
             row.reference,
-            "" if row.ratio is None else f"{row.ratio:.3g}",
+            "" if row.ratio is None else f"{row.ratio:.4g}",
             row.target,
             verdicts[row.is_met],
         )
