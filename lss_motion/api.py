@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from lss_motion.connection import connect, is_simulated, with_port
+from lss_motion.connection import ask_limits, connect, is_simulated, with_port
 from lss_motion.errors import BusError, InputError, LssMotionError
 from lss_motion.player.events import CueReached, Warned
 from lss_motion.player.player import Player
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Result",
     "Truth",
+    "ask_limits",
     "compile",
     "is_simulated",
     "load_robot",

@@ -13,9 +13,10 @@ import dataclasses
 from typing import TYPE_CHECKING, Any, Final, Self
 
 from lss_motion.errors import InputError
+from lss_motion.maintenance.limits import answered, questions
 from lss_motion.maintenance.pause import Pause
 from lss_motion.player.conversation import Conversation
-from lss_motion.runtime.clock import MonotonicClock
+from lss_motion.runtime.clock import MonotonicClock, VirtualClock
 from lss_motion.runtime.port import SerialPort
 from lss_motion.runtime.runner import D, run
 from lss_motion.units import ns_from_s
@@ -91,6 +92,19 @@ def connect(
         connection.close()
         raise
     return connection
+
+
+def ask_limits(robot: Robot, *, port: str | None = None) -> Robot:
+    """Return the robot with the limits that its file leaves to the servos, asked of them.
+
+    Nothing moves. Raises `BusError` when a servo does not say them.
+    """
+    if not robot.unread:
+        return robot
+    there = with_port(robot, port)
+    clock = VirtualClock() if is_simulated(there) else MonotonicClock()
+    with connect(there.buses, robot=there, clock=clock) as connection:
+        return answered(robot, connection.ask(questions(robot)))
 
 
 class Connection:

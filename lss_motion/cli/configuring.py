@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lss_motion.cli.commands import add_command
+from lss_motion.cli.robots import robot_at
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
 
 if TYPE_CHECKING:
@@ -66,12 +67,11 @@ def add_to(commands: Commands) -> None:
 
 def _configure(arguments: argparse.Namespace) -> int:
     from lss_motion.cli import servo_changes
-    from lss_motion.connection import connect, with_port
-    from lss_motion.robot.load import load_robot
+    from lss_motion.connection import connect
 
     robot = None
     if arguments.robot is not None:
-        robot = with_port(load_robot(arguments.robot), arguments.port)
+        robot = robot_at(arguments.robot, arguments.port)
     _check(arguments, robot)
     buses = {"main": _bus(arguments)} if robot is None else robot.buses
     with connect(buses, robot=robot) as connection:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import add_command
+from lss_motion.cli.robots import add_cache_option, reader
 from lss_motion.errors import EXIT_FINISHED, InputError
 
 if TYPE_CHECKING:
@@ -59,6 +60,7 @@ def add_to(commands: Commands) -> None:
         help="one of the formats above; default: recognised by content",
     )
     imported.add_argument("--robot", type=Path, required=True, metavar="FILE")
+    add_cache_option(imported)
     imported.add_argument(
         "--motion", metavar="NAME", help="which one, where the file holds several"
     )
@@ -88,6 +90,7 @@ def add_to(commands: Commands) -> None:
     )
     exported.add_argument("file", type=Path, metavar="FILE", help="a sequence")
     exported.add_argument("--robot", type=Path, metavar="FILE", help="use this robot file")
+    add_cache_option(exported)
     exported.add_argument(
         "--to",
         choices=FORMATS_OUT,
@@ -105,12 +108,11 @@ def _import(arguments: argparse.Namespace) -> int:
     from lss_motion.interchange.importing import imported
     from lss_motion.interchange.mapping import load_map, map_template
     from lss_motion.interchange.motions import read_motion
-    from lss_motion.robot.load import load_robot
     from lss_motion.sequence.model import Interpolation
     from lss_motion.sequence.write import write_sequence
     from lss_motion.trajectory.planner import plan
 
-    robot = load_robot(arguments.robot)
+    robot = reader(arguments, may_ask=False)(arguments.robot)
     motion = read_motion(
         arguments.file, format_name=arguments.format_name, motion_name=arguments.motion
     )
@@ -150,6 +152,7 @@ def _export(arguments: argparse.Namespace) -> int:
     from lss_motion.interchange.export import exported
     from lss_motion.program.text import to_text
 
+    read_robot = reader(arguments, may_ask=False)
     output: Path = arguments.output
     format_name = arguments.to or SUFFIXES.get(output.suffix.lower())
     if format_name is None:
@@ -158,11 +161,11 @@ def _export(arguments: argparse.Namespace) -> int:
     if format_name == PROGRAM:
         if not shows.is_program(output):
             raise InputError("must end in .lss, or lss-play takes it for a sequence", path=output)
-        show = shows.prepare(arguments.file, arguments.robot)
+        show = shows.prepare(arguments.file, arguments.robot, read_robot=read_robot)
         write_text(output, to_text(show.program, folder=shows.in_folder(output)))
         print(f"{output}: {len(show.program.moves)} commands")
         return EXIT_FINISHED
-    sequence, robot = shows.load(arguments.file, arguments.robot)
+    sequence, robot = shows.load(arguments.file, arguments.robot, read_robot)
     samples = sampled(shows.planned(sequence, robot), arguments.rate_hz)
     write_text(output, exported(samples, format_name))
     print(f"{output}: {len(samples.times_s)} samples of {len(samples.joints)} joints")

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lss_motion.cli.commands import add_command
+from lss_motion.cli.robots import add_cache_option, reader
 from lss_motion.errors import EXIT_FINISHED
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ def add_to(commands: Commands) -> None:
     )
     gait.add_argument("file", type=Path, metavar="FILE", help="a gait file")
     gait.add_argument("--robot", type=Path, metavar="FILE", help="use this robot file")
+    add_cache_option(gait)
     gait.add_argument(
         "-o", "--output", type=Path, metavar="S.yaml", help="write the keyframes as a sequence"
     )
@@ -35,7 +37,7 @@ def _gait(arguments: argparse.Namespace) -> int:
     from lss_motion.sequence.write import write_sequence
     from lss_motion.trajectory.planner import plan
 
-    gait, robot = shows.load_gait(arguments.file, arguments.robot)
+    gait, robot = shows.load_gait(arguments.file, arguments.robot, reader(arguments, may_ask=False))
     passages = paced(gait, robot)
     sequence = sequence_from(gait, passages)
     plan(sequence, robot)  # Its own judge has to agree before anything is written.

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import add_command
+from lss_motion.cli.robots import robot_at
 from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, EXIT_TERMINATED, InputError
 
 if TYPE_CHECKING:
@@ -94,10 +95,9 @@ def _is_name(name: str) -> bool:
 
 def _loaded(arguments: argparse.Namespace) -> tuple[Robot, list[str]]:
     from lss_motion.cli.hands import chosen_joints
-    from lss_motion.connection import is_simulated, with_port
-    from lss_motion.robot.load import load_robot
+    from lss_motion.connection import ask_limits, is_simulated
 
-    robot = with_port(load_robot(arguments.robot), arguments.port)
+    robot = ask_limits(robot_at(arguments.robot, arguments.port))
     if arguments.hand is not None and not is_simulated(robot):
         raise InputError("--hand needs the simulated bus: use it with --port sim://")
     return robot, chosen_joints(robot, arguments.joints)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import add_command
+from lss_motion.cli.robots import robot_at
 from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, EXIT_TERMINATED, InputError
 
 if TYPE_CHECKING:
@@ -68,13 +69,12 @@ def add_to(commands: Commands) -> None:
 
 def _identify(arguments: argparse.Namespace) -> int:
     from lss_motion.cli.controls import Terminal
-    from lss_motion.connection import connect, is_simulated, with_port
+    from lss_motion.connection import ask_limits, connect, is_simulated
     from lss_motion.maintenance.identify.plan import SPAN_DEG
-    from lss_motion.robot.load import load_robot
     from lss_motion.runtime.clock import MonotonicClock, VirtualClock
 
     span_deg = SPAN_DEG if arguments.span_deg is None else arguments.span_deg
-    robot = with_port(load_robot(arguments.robot), arguments.port)
+    robot = ask_limits(robot_at(arguments.robot, arguments.port))
     joints = _joints(robot, arguments.joints)
     simulated = is_simulated(robot)
     _check(arguments, simulated=simulated)

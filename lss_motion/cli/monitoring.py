@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from lss_motion.cli.commands import add_command
+from lss_motion.cli.robots import robot_at
 from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, BusError, InputError
 from lss_motion.units import ns_from_s
 
@@ -62,17 +63,16 @@ def add_to(commands: Commands) -> None:
 
 def _monitor(arguments: argparse.Namespace) -> int:
     from lss_motion.cli.monitor_screen import Recorder, Screen
-    from lss_motion.connection import connect, with_port
+    from lss_motion.connection import connect
     from lss_motion.maintenance.alarms import Alarms, Thresholds
     from lss_motion.maintenance.watch import Watch
-    from lss_motion.robot.load import load_robot
     from lss_motion.robot.model import Bus
 
     if arguments.robot is None and arguments.port is None:
         raise InputError("give a ROBOT file, or --port")
     robot = None
     if arguments.robot is not None:
-        robot = with_port(load_robot(arguments.robot), arguments.port)
+        robot = robot_at(arguments.robot, arguments.port)
     main = Bus(name="main", port=arguments.port or "", baud_bps=arguments.baud, firmware=370)
     buses = {"main": main} if robot is None else robot.buses
     alarms = Alarms(

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lss_motion.cli.commands import add_command
+from lss_motion.cli.robots import add_cache_option, reader
 from lss_motion.errors import EXIT_FINISHED, InputError
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ def add_to(commands: Commands) -> None:
     for added in (check, plan, compiled):
         added.add_argument("file", type=Path, metavar="FILE", help="a sequence")
         added.add_argument("--robot", type=Path, metavar="FILE", help="use this robot file")
+        add_cache_option(added)
     schema = add_command(
         commands, "schema", _schema, "print the JSON Schema of a robot, sequence or gait file"
     )
@@ -46,7 +48,9 @@ def _check(arguments: argparse.Namespace) -> int:
     from lss_motion.cli import shows
     from lss_motion.cli.check import program_lines
 
-    show = shows.prepare(arguments.file, arguments.robot)
+    show = shows.prepare(
+        arguments.file, arguments.robot, read_robot=reader(arguments, may_ask=False)
+    )
     print("\n".join([*_gait_lines(arguments), *program_lines(show)]))
     return EXIT_FINISHED
 
@@ -60,7 +64,9 @@ def _gait_lines(arguments: argparse.Namespace) -> list[str]:
 
     if not is_gait_file(arguments.file):
         return []
-    gait, robot = shows.load_gait(arguments.file, arguments.robot)
+    gait, robot = shows.load_gait(
+        arguments.file, arguments.robot, read_robot=reader(arguments, may_ask=False)
+    )
     return gait_lines(gait, paced(gait, robot))
 
 
@@ -69,7 +75,9 @@ def _plan(arguments: argparse.Namespace) -> int:
     from lss_motion.cli.check import plan_lines
     from lss_motion.cli.tables import plan_table, read_table, write_text
 
-    sequence, robot = shows.load(arguments.file, arguments.robot)
+    sequence, robot = shows.load(
+        arguments.file, arguments.robot, read_robot=reader(arguments, may_ask=False)
+    )
     trajectory = shows.planned(sequence, robot)
     if arguments.csv is not None:
         write_text(arguments.csv, plan_table(trajectory, arguments.rate_hz))
@@ -92,7 +100,9 @@ def _compile(arguments: argparse.Namespace) -> int:
         raise InputError(
             "must end in .lss, or lss-play takes it for a sequence", path=arguments.output
         )
-    show = shows.prepare(arguments.file, arguments.robot)
+    show = shows.prepare(
+        arguments.file, arguments.robot, read_robot=reader(arguments, may_ask=False)
+    )
     if arguments.output is None:
         print(to_text(show.program, folder=Path.cwd()), end="")
         return EXIT_FINISHED

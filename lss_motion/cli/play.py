@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from lss_motion.cli.messages import guarded
 from lss_motion.cli.preflight import YES_HELP, Agreement, must_ask, table_lines
 from lss_motion.cli.report_text import report_lines
+from lss_motion.cli.robots import add_cache_option, reader
 from lss_motion.errors import (
     EXIT_FINISHED,
     EXIT_INTERRUPTED,
@@ -69,6 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, metavar="FILE", help="sequence.yaml or program.lss")
     parser.add_argument("--port", metavar="URL", help="serial device or URL; sim:// is simulated")
     parser.add_argument("--robot", type=Path, metavar="FILE", help="use this robot file")
+    add_cache_option(parser)
     parser.add_argument(
         "--speed", type=_ratio, default=1.0, metavar="RATIO", help="0.5 is half as fast"
     )
@@ -106,7 +108,11 @@ def play(arguments: argparse.Namespace) -> int:
     from lss_motion.cli import shows
 
     show = shows.prepare(
-        arguments.file, arguments.robot, speed_ratio=arguments.speed, loop=arguments.loop
+        arguments.file,
+        arguments.robot,
+        speed_ratio=arguments.speed,
+        loop=arguments.loop,
+        read_robot=reader(arguments, may_ask=not arguments.dry_run),
     )
     robot = api.with_port(show.robot, arguments.port)
     _check(arguments, show, is_simulated=api.is_simulated(robot))
@@ -181,7 +187,7 @@ def _perform(
         if arguments.log is not None:
             from lss_motion.runtime.log import ByteLog
 
-            played = {**_played(arguments), "must_ask": is_asked}
+            played = {**_played(arguments), "must_ask": is_asked, "limits": robot.asked}
             log = ByteLog(arguments.log, played=played, may_wait=arguments.virtual)
             logs.append(stack.enter_context(log))
         terminal = stack.enter_context(Terminal())

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import add_command
 from lss_motion.cli.exchange import fit_text, tolerance
+from lss_motion.cli.robots import robot_at
 from lss_motion.errors import (
     EXIT_FINISHED,
     EXIT_INTERRUPTED,
@@ -77,13 +78,12 @@ def add_to(commands: Commands) -> None:
 def _record(arguments: argparse.Namespace) -> int:
     from lss_motion.cli.hands import chosen_joints, perform
     from lss_motion.cli.record_controls import RecordControls
-    from lss_motion.connection import is_simulated, with_port
+    from lss_motion.connection import ask_limits, is_simulated
     from lss_motion.maintenance.hands_on import HandsOn
     from lss_motion.maintenance.take import Take
-    from lss_motion.robot.load import load_robot
     from lss_motion.sim.hand import hand_of
 
-    robot = with_port(load_robot(arguments.robot), arguments.port)
+    robot = ask_limits(robot_at(arguments.robot, arguments.port))
     joints = chosen_joints(robot, arguments.joints)
     _check(arguments, simulated=is_simulated(robot))
     take = Take(tuple(joints))

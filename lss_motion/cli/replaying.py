@@ -59,17 +59,21 @@ def _replay(arguments: argparse.Namespace) -> int:
 
 def _again(path: Path, played: dict[str, Any], entries: list[Entry]) -> int:
     from lss_motion.cli import shows
+    from lss_motion.maintenance.limits import with_limits
     from lss_motion.player.player import Player
+    from lss_motion.robot.load import load_robot
     from lss_motion.runtime.replay import replay
 
     if "file" not in played:
         raise InputError("says not what was played (`# played:`)", path=path)
     robot_path = None if played.get("robot") is None else Path(played["robot"])
+    limits = played.get("limits", {})
     show = shows.prepare(
         Path(played["file"]),
         robot_path,
         speed_ratio=played.get("speed", 1.0),
         loop=played.get("loop"),
+        read_robot=lambda path: with_limits(load_robot(path), limits),
     )
     player = Player(
         show.program,

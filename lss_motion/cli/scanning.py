@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lss_motion.cli.commands import add_command
+from lss_motion.cli.robots import robot_at
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
 
 if TYPE_CHECKING:
@@ -44,9 +45,8 @@ def add_to(commands: Commands) -> None:
 
 
 def _scan(arguments: argparse.Namespace) -> int:
-    from lss_motion.connection import connect, with_port
+    from lss_motion.connection import connect
     from lss_motion.protocol.constants import BAUD_RATES_BPS
-    from lss_motion.robot.load import load_robot
 
     if arguments.baud is not None and arguments.baud not in BAUD_RATES_BPS:
         allowed = ", ".join(map(str, BAUD_RATES_BPS))
@@ -55,7 +55,7 @@ def _scan(arguments: argparse.Namespace) -> int:
         raise InputError("it exists; choose another name", path=arguments.output)
     robot = None
     if arguments.robot is not None:
-        robot = with_port(load_robot(arguments.robot), arguments.port)
+        robot = robot_at(arguments.robot, arguments.port)
     buses = {"main": _bus(arguments.port)} if robot is None else robot.buses
     if arguments.output is not None and len(buses) > 1:
         raise InputError("-o describes one port; this robot has several", path=arguments.robot)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lss_motion.cli.commands import add_command
+from lss_motion.cli.robots import robot_at
 from lss_motion.errors import EXIT_FINISHED, BusError, InputError
 
 if TYPE_CHECKING:
@@ -79,14 +80,12 @@ def _send(arguments: argparse.Namespace) -> int:
 
 
 def _robot(arguments: argparse.Namespace) -> Robot | None:
-    from lss_motion.connection import with_port
-    from lss_motion.robot.load import load_robot
 
     if arguments.robot is None:
         if arguments.port is None or arguments.port.startswith("sim://"):
             raise InputError("give --port, or --robot with the servos to simulate")
         return None
-    return with_port(load_robot(arguments.robot), arguments.port)
+    return robot_at(arguments.robot, arguments.port)
 
 
 def _command(arguments: argparse.Namespace, family: Family) -> Command:

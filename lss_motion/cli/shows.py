@@ -10,11 +10,15 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from lss_motion.gait.model import Gait
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.model import Sequence
     from lss_motion.trajectory.model import Trajectory
+
+    ReadRobot = Callable[[Path], Robot]
 
 PROGRAM_SUFFIX = ".lss"
 
@@ -38,54 +42,71 @@ def is_program(path: Path) -> bool:
     return path.suffix.lower() == PROGRAM_SUFFIX
 
 
-def load(path: Path, robot_path: Path | None) -> tuple[Sequence, Robot]:
+def load(
+    path: Path, robot_path: Path | None, read_robot: ReadRobot | None = None
+) -> tuple[Sequence, Robot]:
     """Return the sequence at `path` and its robot, or the one that `--robot` names.
 
-    That of a gait file is what its robot walks.
+    That of a gait file is what its robot walks. `read_robot` reads robot files.
     """
     from lss_motion.gait.load import is_gait_file
     from lss_motion.gait.sequence import gait_as_sequence, sequence_of
     from lss_motion.robot.load import load_robot
     from lss_motion.sequence.load import load_sequence
 
+    read_robot = read_robot or load_robot
     if is_program(path):
         raise InputError("is a compiled program; this needs a sequence file", path=path)
     if is_gait_file(path):
-        gait, walker = load_gait(path, robot_path)
+        gait, walker = load_gait(path, robot_path, read_robot)
         return sequence_of(gait, walker), walker
-    robot = None if robot_path is None else load_robot(robot_path)
+    robot = None if robot_path is None else read_robot(robot_path)
     sequence = load_sequence(path, robot, read_other=gait_as_sequence)
     if robot is None:
         assert sequence.robot_path is not None
-        robot = load_robot(sequence.robot_path)
+        robot = read_robot(sequence.robot_path)
+        if robot.asked:  # What walks in it was paced for other limits.
+            sequence = load_sequence(path, robot, read_other=gait_as_sequence)
     return sequence, robot
 
 
-def load_gait(path: Path, robot_path: Path | None) -> tuple[Gait, Robot]:
+def load_gait(
+    path: Path, robot_path: Path | None, read_robot: ReadRobot | None = None
+) -> tuple[Gait, Robot]:
     """Return the gait at `path` and its robot, or the one that `--robot` names."""
     from lss_motion.gait import load
     from lss_motion.robot.load import load_robot
 
-    robot = None if robot_path is None else load_robot(robot_path)
+    read_robot = read_robot or load_robot
+    robot = None if robot_path is None else read_robot(robot_path)
     gait = load.load_gait(path, robot)
     if robot is None:
         assert gait.robot_path is not None
-        robot = load_robot(gait.robot_path)
+        robot = read_robot(gait.robot_path)
     return gait, robot
 
 
 def prepare(
-    path: Path, robot_path: Path | None, *, speed_ratio: float = 1.0, loop: int | str | None = None
+    path: Path,
+    robot_path: Path | None,
+    *,
+    speed_ratio: float = 1.0,
+    loop: int | str | None = None,
+    read_robot: ReadRobot | None = None,
 ) -> Show:
     """Return the show in the file at `path`, planned and compiled.
 
     `loop` is a count, or `forever`. Raises `InputError`, `PlanningError` or `LineLoadError`.
     """
     if is_program(path):
-        return _compiled(path, robot_path, speed_ratio=speed_ratio, loop=loop)
+        if speed_ratio != 1.0 or loop is not None:
+            raise InputError(
+                "--speed and --loop need the sequence, not a compiled program", path=path
+            )
+        return _compiled(path, robot_path, read_robot)
     from lss_motion.program.compile import TOLERANCE_DEG, compile_program
 
-    sequence, robot = load(path, robot_path)
+    sequence, robot = load(path, robot_path, read_robot)
     trajectory = planned(sequence, robot, speed_ratio=speed_ratio, loop=loop)
     tolerance_deg = GAIT_TOLERANCE_DEG if walks(sequence) else TOLERANCE_DEG
     program = compile_program(trajectory, robot, tolerance_deg=tolerance_deg)
@@ -119,16 +140,12 @@ def planned(
     return plan(dataclasses.replace(sequence, speed_ratio=speed_ratio), robot)
 
 
-def _compiled(
-    path: Path, robot_path: Path | None, *, speed_ratio: float, loop: int | str | None
-) -> Show:
+def _compiled(path: Path, robot_path: Path | None, read_robot: ReadRobot | None) -> Show:
     from lss_motion.program.text import load_program
     from lss_motion.program.verify import verify_program
     from lss_motion.robot.load import load_robot
 
-    if speed_ratio != 1.0 or loop is not None:
-        raise InputError("--speed and --loop need the sequence, not a compiled program", path=path)
-    program, robot = load_program(path, load_robot, robot_path=robot_path)
+    program, robot = load_program(path, read_robot or load_robot, robot_path=robot_path)
     verify_program(program, robot)
     return Show(robot=robot, program=program)
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.cli.commands import add_command
 from lss_motion.cli.preflight import YES_HELP, Agreement, must_ask
+from lss_motion.cli.robots import add_cache_option, reader
 from lss_motion.errors import (
     EXIT_FINISHED,
     EXIT_INTERRUPTED,
@@ -61,6 +62,7 @@ def add_to(commands: Commands) -> None:
     walk = add_command(commands, "walk", _walk, text, f"{DESCRIPTION}\nKeys: {KEYS_HELP}.")
     walk.add_argument("file", type=Path, metavar="GAIT", help="a gait file")
     walk.add_argument("--robot", type=Path, metavar="FILE", help="use this robot file")
+    add_cache_option(walk)
     walk.add_argument("--port", metavar="URL", help="serial device or URL; sim:// is simulated")
     for name, unit in (("forward", "mm-s"), ("left", "mm-s"), ("turn", "deg-s")):
         walk.add_argument(
@@ -88,7 +90,7 @@ def _walk(arguments: argparse.Namespace) -> int:
 
     if arguments.report is not None and not arguments.report.absolute().parent.is_dir():
         raise InputError("cannot be written: there is no such folder", path=arguments.report)
-    gait, robot = shows.load_gait(arguments.file, arguments.robot)
+    gait, robot = shows.load_gait(arguments.file, arguments.robot, reader(arguments, may_ask=True))
     gait, top = fastest(replace(gait, start=BodyPose()), robot, arguments)
     robot = with_port(robot, arguments.port)
     is_asked = must_ask(arguments, robot)

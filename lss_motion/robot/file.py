@@ -5,14 +5,16 @@ Importing this module imports pydantic, so it is imported where a file is read.
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal
+import math
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, PlainValidator, WithJsonSchema
 
 from lss_motion.robot.model import (
     PATIENCE_S,
     READING_RATE_MIN_HZ,
     RESUME_S,
+    SERVO,
     SILENT_S,
     TEMPERATURE_MAX_C,
     VOLTAGE_MIN_V,
@@ -21,6 +23,9 @@ from lss_motion.robot.models import BAUD_FIRMWARE_MIN, SERVO_ID_MAX, SERVO_MODEL
 from lss_motion.robot.on_fault_file import JointOnFaultEntry, OnFaultEntry
 from lss_motion.spelling import known_names
 from lss_motion.validation import FileModel, Name, Text, check_text
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 ANGLE_MAX_DEG: Final = 36_000.0
 """A hundred turns: more than any winch, and a slip of the key is still noticed."""
@@ -47,6 +52,22 @@ def _check_direction(direction: int) -> int:
     return direction
 
 
+def _check_limit(least: float) -> Callable[[object], object]:
+    def check(limit: object) -> object:
+        if limit is None or limit == SERVO:
+            return limit
+        is_number = isinstance(limit, int | float) and not isinstance(limit, bool)
+        if is_number and least <= float(str(limit)) < math.inf:
+            return limit
+        raise ValueError(f"must be a number, {least:g} or more, or `{SERVO}`")
+
+    return check
+
+
+def _limit_schema(least: float) -> dict[str, Any]:
+    return {"anyOf": [{"type": "number", "minimum": least}, {"const": SERVO}]}
+
+
 def _check_baud(baud_bps: int) -> int:
     if baud_bps not in BAUD_FIRMWARE_MIN:
         raise ValueError(f"must be one of {', '.join(map(str, BAUD_FIRMWARE_MIN))}")
@@ -57,6 +78,16 @@ PORT_MAX_CHARS: Final = 256
 """Names below /dev/serial/by-id are long; more than this is no name."""
 
 PortUrl = Annotated[str, Field(min_length=1, max_length=PORT_MAX_CHARS), AfterValidator(check_text)]
+SpeedLimit = Annotated[
+    float | str | None,
+    PlainValidator(_check_limit(SPEED_MIN_DEG_S)),
+    WithJsonSchema(_limit_schema(SPEED_MIN_DEG_S)),
+]
+AccelLimit = Annotated[
+    float | str | None,
+    PlainValidator(_check_limit(ACCEL_MIN_DEG_S2)),
+    WithJsonSchema(_limit_schema(ACCEL_MIN_DEG_S2)),
+]
 AngleDeg = Annotated[float, Field(ge=-ANGLE_MAX_DEG, le=ANGLE_MAX_DEG)]
 
 
@@ -127,14 +158,16 @@ class JointDefaults(FileModel, title="joint defaults"):
         description="Least and largest joint angle that the mechanics allow.",
         examples=[[-90, 90]],
     )
-    speed_max_deg_s: float | None = Field(
-        default=None, ge=SPEED_MIN_DEG_S, description="Never move faster, in degrees per second."
-    )
-    accel_max_deg_s2: float | None = Field(
+    speed_max_deg_s: SpeedLimit = Field(
         default=None,
-        ge=ACCEL_MIN_DEG_S2,
+        description="Never move faster, in degrees per second. servo: what the servo is set to "
+        "(SD); it is asked, or --robot-cache says it.",
+    )
+    accel_max_deg_s2: AccelLimit = Field(
+        default=None,
         description="Never speed up or brake harder; 10 to 1000 in steps of 10 (rounded down), "
-        "which is all that the servo's own ramps (AA, AD) can express.",
+        "which is all that the servo's own ramps (AA, AD) can express. servo: what those are set "
+        "to.",
     )
     direction: Annotated[int, AfterValidator(_check_direction)] | None = Field(
         default=None,

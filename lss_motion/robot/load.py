@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.errors import ProtocolError
 from lss_motion.protocol.line import DISABLED
 from lss_motion.robot.drives import board_problems
-from lss_motion.robot.model import Bus, Joint, Response, Robot
+from lss_motion.robot.joint_check import joint_problems
+from lss_motion.robot.model import SERVO, Bus, Joint, Response, Robot
 from lss_motion.robot.models import BAUD_FIRMWARE_MIN, FAMILIES, SERVO_MODELS
 from lss_motion.robot.sensors import sensors_of
 from lss_motion.robot.sides import group_problems, grouped, mirror_problems, mirrored
@@ -18,9 +18,10 @@ from lss_motion.spelling import known_names
 from lss_motion.yaml_source import Location, Problem, read_yaml
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Mapping
 
     from lss_motion.robot.file import JointDefaults, JointEntry, RobotFile
+    from lss_motion.robot.model import ServoModel
     from lss_motion.robot.on_fault import Ladders
     from lss_motion.robot.on_fault_file import JointOnFaultEntry
 
@@ -174,6 +175,8 @@ class _Loader:
             return None
         model = SERVO_MODELS[fields["model"]]
         fields.setdefault("drive", FAMILIES[model.family].drives[0])
+        unread = frozenset(key for key in MOST if fields[key] == SERVO)
+        fields |= {key: MOST[key](model) for key in unread}
         joint = Joint(
             name=name,
             servo_id=entry.id,
@@ -188,9 +191,10 @@ class _Loader:
             },
             response=Response(**fields.get("response", {})),
             on_fault=_ladders(entry.on_fault),
+            unread=unread,
             **{key: fields[key] for key in _PLAIN if key in fields},
         )
-        for location, reason in _joint_problems(joint, merged):
+        for location, reason in joint_problems(joint, merged.place):
             self._note(location, reason)
         return _within_ramps(joint) if joint.drive in ("timed", "auto") else joint
 
@@ -241,6 +245,12 @@ class _Loader:
                     self._note(("poses", pose, name), f"pose {pose!r}: {reason}")
 
 
+MOST: Final[Mapping[str, Callable[[ServoModel], float]]] = {
+    "speed_max_deg_s": lambda model: model.speed_max_deg_s,
+    "accel_max_deg_s2": lambda model: FAMILIES[model.family].accel_max_deg_s2,
+}
+"""The most that a model can, by the name of the limit."""
+
 _PLAIN: Final = (
     "speed_max_deg_s",
     "accel_max_deg_s2",
@@ -274,53 +284,3 @@ def _within_ramps(joint: Joint) -> Joint:
     if joint.accel_max_deg_s2 <= facts.accel_max_deg_s2:
         steps = min(steps, round(facts.accel_max_deg_s2 / facts.accel_step_deg_s2))
     return replace(joint, accel_max_deg_s2=step * steps)
-
-
-def _joint_problems(joint: Joint, merged: _Merged) -> Iterator[tuple[Location, str]]:
-    model, facts = joint.model, FAMILIES[joint.model.family]
-    if joint.position_min_deg >= joint.position_max_deg:
-        yield (
-            merged.place("range_deg"),
-            f"joint {joint.name!r}: range_deg must rise, but goes from "
-            f"{joint.position_min_deg:g} to {joint.position_max_deg:g}",
-        )
-    if joint.speed_max_deg_s > model.speed_max_deg_s:
-        yield (
-            merged.place("speed_max_deg_s"),
-            f"joint {joint.name!r}: {joint.speed_max_deg_s:g} deg/s is faster than a "
-            f"{model.name} can turn without load, {model.speed_max_deg_s:g} deg/s",
-        )
-    if joint.drive == "timed" and joint.accel_max_deg_s2 > facts.accel_max_deg_s2:
-        yield (
-            merged.place("accel_max_deg_s2"),
-            f"joint {joint.name!r}: {joint.accel_max_deg_s2:g} deg/s² is more than the ramps of "
-            f"the servo (AA, AD) can express, {facts.accel_max_deg_s2:g} deg/s²; a joint with "
-            f"`drive: streamed` needs none",
-        )
-    if joint.drive in ("timed", "auto") and joint.accel_max_deg_s2 < facts.accel_step_deg_s2:
-        yield (
-            merged.place("accel_max_deg_s2"),
-            f"joint {joint.name!r}: {joint.accel_max_deg_s2:g} deg/s² is less than the ramps of "
-            f"the servo (AA, AD) can express, {facts.accel_step_deg_s2:g} deg/s²",
-        )
-    for keyword, value in joint.settings.items():
-        place = merged.place(f"settings.{keyword}")
-        if keyword not in facts.settings:
-            known = known_names(keyword, facts.settings)
-            yield place, f"joint {joint.name!r}: unknown setting {keyword!r}; {known}"
-        elif not facts.settings[keyword][0] <= value <= facts.settings[keyword][1]:
-            least, most = facts.settings[keyword]
-            yield place, f"joint {joint.name!r}: {keyword} {value} must be {least} to {most}"
-    if joint.stored:
-        yield from _stored_problems(joint, merged)
-
-
-def _stored_problems(joint: Joint, merged: _Merged) -> Iterator[tuple[Location, str]]:
-    # Only a file that has the key pays for the tables of the protocol.
-    from lss_motion.protocol.storing import stored_wire
-
-    for keyword, stored in joint.stored.items():
-        try:
-            stored_wire(joint.model.family, keyword, stored)
-        except ProtocolError as error:
-            yield merged.place(f"stored.{keyword}"), f"joint {joint.name!r}: {error}"

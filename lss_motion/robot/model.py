@@ -32,6 +32,9 @@ RESUME_S: Final = 10.0
 """Chosen: time to push a plug back in; after that somebody may have reached into the robot."""
 
 
+SERVO: Final = "servo"
+"""In place of a limit in a robot file: what the servo itself is set to."""
+
 Drive = Literal["timed", "streamed", "stepped"]
 """How a joint is commanded (design 7): `D…T…` in EM1; bare `D` through the filter of EM0; whole
 degrees to the RC servo of a 2IO."""
@@ -102,6 +105,9 @@ class Joint:
     position_max_deg: float
     speed_max_deg_s: float
     accel_max_deg_s2: float
+    unread: frozenset[str] = frozenset()
+    """Which of the two limits are what the servo is set to, while nobody has asked it. Until then
+    they are the most that its model can, and `plan` refuses the joint."""
     direction: Literal[1, -1] = 1
     zero_deg: float = 0.0
     following_deg: float = FOLLOWING_DEG
@@ -177,11 +183,18 @@ class Robot:
     sensors: Mapping[str, Sensor] = field(default_factory=dict)
     approach_speed_deg_s: float = 30.0
     end: Literal["hold", "limp"] = "hold"
+    asked: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Limits by joint and name that the file leaves to the servos, and that they have said."""
     on_fault: Ladders = field(default_factory=dict)
     patience_s: float = PATIENCE_S
     """How long a trouble may last on one step of its ladder before the next is taken."""
     resume_s: float = RESUME_S
     """How long what is gone is waited for."""
+
+    @property
+    def unread(self) -> list[Joint]:
+        """The joints with a limit that is what the servo is set to, and nobody knows it yet."""
+        return [joint for joint in self.joints.values() if joint.unread]
 
     def ladder(self, cause: Cause, joint: Joint | None, show: Ladders) -> tuple[FaultStep, ...]:
         """Return what is done about `cause`: what the joint says, the show, the robot, or all."""

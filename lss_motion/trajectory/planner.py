@@ -30,8 +30,20 @@ def plan(sequence: Sequence, robot: Robot) -> Trajectory:
     robot, `PlanningError` where no motion fulfils it: a missed anchor, a duration too short, a
     spline that swings out of range.
     """
+    _check_limits(robot)
     trajectory = _planned(at_speed(sequence), robot)
     return replace(trajectory, on_fault=sequence.on_fault) if sequence.on_fault else trajectory
+
+
+def _check_limits(robot: Robot) -> None:
+    """Raise `InputError` where a limit is what the servo is set to and nobody has asked it."""
+    for joint in robot.unread:
+        raise InputError(
+            f"joint {joint.name!r}: its robot file leaves {' and '.join(sorted(joint.unread))} to "
+            f"the servo, which was not asked. `lss-play` asks it; offline give --robot-cache "
+            f"FILE, written by `lss-motion configure ROBOT --backup FILE`",
+            path=robot.path,
+        )
 
 
 def _planned(sequence: Sequence, robot: Robot) -> Trajectory:

@@ -104,8 +104,11 @@ def test_a_joint_wins_over_defaults_key_by_key(robot_path: Path) -> None:
         ("  a: {id: 1, direction: true}", 4, "must be a whole number"),
         ("  a: {id: 1, speed_max_deg_s: '9'}", 4, "must be a number"),
         ("  a: {id: 1, speed_max_deg_s: true}", 4, "must be a number"),
-        ("  a: {id: 1, speed_max_deg_s: 0}", 4, "must be 0.1 or more"),
-        ("  a: {id: 1, speed_max_deg_s: servo}", 4, "must be a number"),
+        ("  a: {id: 1, speed_max_deg_s: 0}", 4, "0.1 or more, or `servo`"),
+        ("  a: {id: 1, speed_max_deg_s: .inf}", 4, "must be a number"),
+        ("  a: {id: 1, accel_max_deg_s2: servos}", 4, "0.1 or more, or `servo`"),
+        ("  a: {id: 1, model: LSS-2IO, speed_max_deg_s: servo}", 4, "on a 2IO knows no limits"),
+        ("  a: {id: 1, drive: streamed, accel_max_deg_s2: servo}", 4, "do not act while it is"),
         ("  a: {id: 1, speed_max_deg_s: 361}", 4, "faster than a LSS-ST1 can turn"),
         ("  a: {id: 1, accel_max_deg_s2: 1001}", 4, "more than the ramps of the servo (AA, AD)"),
         ("  a: {id: 1, drive: stepped}", 4, "whole degrees are for the RC servos of an LSS-2IO"),
@@ -186,7 +189,7 @@ def test_an_unreadable_default_is_not_also_called_missing(robot_path: Path) -> N
     text = START.replace("180", "fast") + "  a: {id: 1}\n  b: {id: 2}\n"
     ((line, reason),) = refusals(robot_path, text)
     assert line == 2
-    assert reason == "defaults.speed_max_deg_s ('fast'): must be a number"
+    assert reason == "defaults.speed_max_deg_s ('fast'): must be a number, 0.1 or more, or `servo`"
 
 
 def test_all_problems_of_a_file_come_in_one_run(robot_path: Path) -> None:
