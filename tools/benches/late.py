@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -37,6 +38,7 @@ SHOW_S = 10.0
 ROUNDS = 3
 COMMAND_BYTES = len(b"#12D-450T50\r")
 QUANTILES = (50.0, 99.0, 99.9, 100.0)
+MOVE: Final = re.compile(rb"#(\d+)D-?\d+T")
 
 DEADLINES_C: Final = r"""
 #include <fcntl.h>
@@ -135,20 +137,43 @@ def _loop_us(program: Program, robot: Robot, heard: Callable[[], Heard], loop: P
 
 
 def _late_us(program: Program, robot: Robot, dues_ns: list[int], heard: Heard) -> list[float]:
-    """Return how late every move was heard: the n-th of a servo is its n-th in the program."""
+    """Return how late every move was heard."""
     [bus] = robot.buses.values()
-    first_ns = min(dues_ns)
-    by_servo: dict[bytes, list[int]] = {}
-    for heard_ns, line in heard:
-        # The moves of the approach were heard before.
-        if b"T" in line and b"Q" not in line and heard_ns > first_ns:
-            by_servo.setdefault(line[: line.index(b"D")], []).append(heard_ns)
-    lates_us = []
+    heard_ns: dict[int, list[int]] = {}
+    expected_ns: dict[int, list[int]] = {}
+    for instant_ns, line in heard:
+        if (match := MOVE.match(line)) is not None:
+            heard_ns.setdefault(int(match[1]), []).append(instant_ns)
     for due_ns, move in zip(dues_ns, program.moves, strict=True):
-        heard_ns = by_servo[b"#%d" % move.servo_id].pop(0)
-        expected_ns = due_ns + line_time_ns(len(move.data), bus.baud_bps)
-        lates_us.append((heard_ns - expected_ns) / NS_PER_US)
-    return lates_us
+        line_ns = line_time_ns(len(move.data), bus.baud_bps)
+        expected_ns.setdefault(move.servo_id, []).append(due_ns + line_ns)
+    return [
+        late_ns / NS_PER_US
+        for servo_id, instants_ns in expected_ns.items()
+        for late_ns in _in_order(np.array(instants_ns), np.array(heard_ns[servo_id]))
+    ]
+
+
+def _in_order(expected_ns: np.ndarray, heard_ns: np.ndarray) -> np.ndarray:
+    """Return the lateness of one servo's moves, each taken for another line, in their order.
+
+    There are more lines than moves: the approach, and what is said once more after a late move, for
+    the sake of the speed limit. The lines are chosen that are nearest in all.
+    """
+    late_ns = heard_ns[:, None] - expected_ns
+    best = np.full((len(heard_ns) + 1, len(expected_ns) + 1), np.inf)
+    best[:, 0] = 0.0
+    for line in range(len(heard_ns)):
+        taken = best[line, :-1] + np.abs(late_ns[line])
+        best[line + 1, 1:] = np.minimum(best[line, 1:], taken)
+    lates_ns = np.empty(len(expected_ns))
+    line, move = len(heard_ns), len(expected_ns)
+    while move:
+        line -= 1
+        if best[line + 1, move] < best[line, move]:
+            move -= 1
+            lates_ns[move] = late_ns[line, move]
+    return lates_ns
 
 
 def _compiled(folder: Path) -> Path | None:
