@@ -136,13 +136,13 @@ def _announce(
 ) -> None:
     """Ask every servo, refuse what cannot be measured, and say what is going to move."""
     from lss_motion.maintenance.identify.plan import about_s, make_trials, make_window
-    from lss_motion.player import setup
+    from lss_motion.player import settings, setup
 
     answers = connection.ask(setup.questions(joints))
     for text in setup.check_answers(joints, answers, robot):
         print(f"warning: {text}", file=sys.stderr)
     for joint in joints:
-        standing_deg = setup.stored(joint, answers, "QD")
+        standing_deg = settings.stored(joint, answers, "QD")
         assert standing_deg is not None, "check_answers raises without it"
         window = make_window(joint, standing_deg, span_deg)
         low, high = sorted((joint.joint_deg(window.low_deg), joint.joint_deg(window.high_deg)))
@@ -165,12 +165,12 @@ def _measured(
     """Run the trials of one joint; raise what went wrong."""
     from lss_motion.maintenance.identify.experiment import Experiment
     from lss_motion.maintenance.identify.plan import make_window
-    from lss_motion.player import setup
+    from lss_motion.player import settings, setup
     from lss_motion.runtime.runner import run
 
     answers = connection.ask(setup.questions([joint]))
     setup.check_answers([joint], answers, robot)
-    standing_deg = setup.stored(joint, answers, "QD")
+    standing_deg = settings.stored(joint, answers, "QD")
     assert standing_deg is not None, "check_answers raises without it"
     window = make_window(joint, standing_deg, span_deg)
     experiment = Experiment(joint, robot, answers, window, standing_deg=standing_deg)

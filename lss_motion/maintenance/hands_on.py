@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.maintenance.polling import IDLE_NS, Poller
-from lss_motion.player import setup
+from lss_motion.player import settings, setup
 from lss_motion.player.dialogue import Dialogue, Item
 from lss_motion.player.events import Event, Phase, PhaseEntered, Warned
 from lss_motion.player.line import Line
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from lss_motion.maintenance.polling import Reading
-    from lss_motion.player.setup import Answers
+    from lss_motion.player.settings import Answers
     from lss_motion.robot.model import Joint, Robot
 
 SOFT: Final[Mapping[str, int]] = {"AH": -10, "AS": -4}
@@ -197,7 +197,7 @@ class HandsOn:
                 self._connected()
             case Phase.PREPARE:
                 for joint in self.joints:
-                    angle_deg = setup.stored(joint, self._answers, "QD")
+                    angle_deg = settings.stored(joint, self._answers, "QD")
                     assert angle_deg is not None, "essential, so it was answered"
                     self._poller.note(joint, now_ns, angle_deg)
                 self._enter(Phase.SHOW)
@@ -214,7 +214,8 @@ class HandsOn:
             return
         self._has_set = True
         self._enter(Phase.PREPARE)
-        orders = setup.session_orders(self.joints, self._answers)
+        orders = settings.session_orders(self.joints, self._answers)
+        orders += settings.unsure_orders(self.joints, self._answers)
         self._dialogue = self._ask([*setup.settings_questions(self.joints), *orders])
 
     def _restore(self) -> None:
@@ -228,7 +229,7 @@ class HandsOn:
                 for joint in self.joints
             ]
         if self._has_set:
-            orders += setup.restoring_orders(self.joints, self._answers)
+            orders += settings.restoring_orders(self.joints, self._answers)
         self._dialogue = self._ask(orders)
 
     def _finish(self, now_ns: int) -> None:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from lss_motion.player.dialogue import Dialogue
     from lss_motion.player.session import Session
-    from lss_motion.player.setup import Answers
+    from lss_motion.player.settings import Answers
     from lss_motion.player.streamer import Streamer
     from lss_motion.protocol.line import Reply
 
@@ -80,7 +80,7 @@ class Phases:
         if self.phase is Phase.DONE:
             return None
         wakeups_ns: list[int | None] = []
-        if self.phase in DRIVING:
+        if self.phase in DRIVING and self._dialogue is None:
             wakeups_ns.append(self.troubles.ladder.next_wakeup_ns())
         if self.phase is Phase.RECOVER and self.troubles.recovery is not None:
             wakeups_ns.append(self.troubles.recovery.give_up_ns)
@@ -231,8 +231,10 @@ class Phases:
 
     def _arrived(self, answers: Answers, now_ns: int) -> None:
         """Go on with the show if every joint is where it begins; else go there again."""
-        self._session.note_places(answers)
-        match self.troubles.restart(self._session.restarted(answers), now_ns):
+        session = self._session
+        silent = session.note_places(answers)
+        silent += [joint for joint in session.untold(answers) if joint not in silent]
+        match self.troubles.arrive(session.restarted(answers), silent, now_ns):
             case Verdict.END:
                 self.end("fault", now_ns)
                 return
@@ -241,12 +243,12 @@ class Phases:
                 return
             case Verdict.GO_ON:
                 pass
-        joint, off_deg = self._session.furthest(self._session.place_deg(self.show, now_ns))
+        joint, off_deg = session.furthest(session.place_deg(self.show, now_ns))
         if off_deg <= setup.ARRIVED_DEG:
             self._begin(now_ns)
         elif self._approaches < APPROACHES_MAX:
             self._approach(now_ns)
-        elif off_deg <= self._session.robot.joints[joint].following_deg:
+        elif off_deg <= session.robot.joints[joint].following_deg:
             self._begin(now_ns)
         else:
             self.troubles.strayed(joint, off_deg, self._approaches)

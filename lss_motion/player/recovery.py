@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.player import setup
+from lss_motion.player import settings, setup
 from lss_motion.player.settling import read_back, untaken
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from lss_motion.player.dialogue import Item
-    from lss_motion.player.setup import Answers
+    from lss_motion.player.settings import Answers
     from lss_motion.robot.model import Joint
 
 ASKED_FOREVER: Final = 1_000_000
@@ -25,7 +25,7 @@ def telling_orders(joints: Iterable[Joint], had: Answers) -> list[Item]:
     All that a session changes is lost together; what it did not change, a restart does not either.
     """
     telling: dict[tuple[str, int], Item] = {}
-    for order in setup.session_orders(joints, had):
+    for order in settings.session_orders(joints, had):
         address = (order.bus, order.command.servo_id)
         if had.get((*address, f"Q{order.command.keyword}")) != order.command.value:
             telling.setdefault(address, order)
@@ -44,7 +44,7 @@ class Recovery:
 
     def questions(self, had: Answers) -> list[Item]:
         """Return what to ask: where they are, and whether they still have what they were given."""
-        orders = setup.session_orders(self.missing, had)
+        orders = settings.session_orders(self.missing, had)
         items = [*read_back(orders), *setup.place_questions(self.missing)]
         return [replace(item, tries=ASKED_FOREVER) for item in items]
 
@@ -56,5 +56,7 @@ class Recovery:
     def restarted(self, answers: Answers, had: Answers) -> list[Joint]:
         """Return who has lost what it was given."""
         return [
-            joint for joint in self.missing if untaken(setup.session_orders([joint], had), answers)
+            joint
+            for joint in self.missing
+            if untaken(settings.session_orders([joint], had), answers)
         ]

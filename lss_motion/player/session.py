@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from lss_motion.player import setup
+from lss_motion.player import settings, setup
 from lss_motion.player.agenda import Agenda
 from lss_motion.player.approach import approach
 from lss_motion.player.dialogue import Dialogue
 from lss_motion.player.line import Line
 from lss_motion.player.queries import Questioner
 from lss_motion.player.recovery import telling_orders
-from lss_motion.player.settling import Settling, read_back, untaken
+from lss_motion.player.settling import Settling, is_answered, read_back, untaken
 from lss_motion.player.streamer import Streamer
 from lss_motion.program.predict import profiles
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from lss_motion.player.dialogue import Item
-    from lss_motion.player.setup import Answers
+    from lss_motion.player.settings import Answers
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Joint, Robot
 
@@ -56,9 +56,10 @@ class Session:
 
     def settle(self) -> Settling:
         """Return what gives the servos their settings, and asks where they are."""
-        orders = setup.session_orders(self.driven, self.had)
+        orders = settings.session_orders(self.driven, self.had)
+        unsure = settings.unsure_orders(self.driven, self.had)
         places = setup.place_questions(self.driven)
-        return Settling(orders, places, self.lines, self.questioners)
+        return Settling(orders, places, unsure, self.lines, self.questioners)
 
     def arrival(self) -> Dialogue:
         """Return what asks the servos where they are, and whether one has restarted meanwhile."""
@@ -67,15 +68,22 @@ class Session:
 
     def restarted(self, answers: Answers) -> list[Joint]:
         """Return the driven servos that no longer have what they were given."""
-        lost = {
+        return self._telling_otherwise(answers, has_said=True)
+
+    def untold(self, answers: Answers) -> list[Joint]:
+        """Return the driven servos that did not say whether they still have it."""
+        return self._telling_otherwise(answers, has_said=False)
+
+    def _telling_otherwise(self, answers: Answers, *, has_said: bool) -> list[Joint]:
+        others = {
             (order.bus, order.command.servo_id)
             for order in untaken(telling_orders(self.driven, self.had), answers)
-            if (order.bus, order.command.servo_id, f"Q{order.command.keyword}") in answers
+            if is_answered(order, answers) is has_said
         }
-        return [joint for joint in self.driven if (joint.bus, joint.servo_id) in lost]
+        return [joint for joint in self.driven if (joint.bus, joint.servo_id) in others]
 
     def restoring_orders(self) -> list[Item]:
-        return setup.restoring_orders(self.joints, self.had, self.agenda.lit)
+        return settings.restoring_orders(self.joints, self.had, self.agenda.lit)
 
     def note_places(self, answers: Answers) -> list[Joint]:
         """Take in where the driven servos stand; return those who did not say."""

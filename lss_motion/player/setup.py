@@ -1,23 +1,17 @@
-"""Before and after a show: which servos are there, may they do what the plan asks, and settings.
-
-For the session, every timed servo gets the joint's own limits (AA, AD and SD), so that it keeps
-them whatever it hears, and EM1, in which `D…T…` works; a streamed one gets EM0 with the program's
-FPC; afterwards each gets back what it had. An RC servo on a 2IO has no settings.
-"""
+"""Before and after a show: which servos are there, may they do what the plan asks, what is safe."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import BusError, InputError, PlaybackError
-from lss_motion.player.agenda import LIT_KEYWORD
 from lss_motion.player.dialogue import Item
 from lss_motion.player.events import Found
+from lss_motion.player.settings import changed, stored
 from lss_motion.program.model import ramp_setting_deg_s2
-from lss_motion.protocol.codec import make_command, read_reply
 from lss_motion.protocol.constants import BROADCAST_ID, Status, status_from
 from lss_motion.protocol.families import FAMILY_TABLES
-from lss_motion.protocol.line import Command, Reply, encode
+from lss_motion.protocol.line import Command, encode
 from lss_motion.robot.drives import FILTER_FIRMWARE_MIN
 from lss_motion.units import NS_PER_MS
 
@@ -25,20 +19,17 @@ if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Mapping, Sequence
 
     from lss_motion.player.queries import Questioner
+    from lss_motion.player.settings import Answers
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Bus, Joint, Robot, Sensor
 
-    Answers = Mapping[tuple[str, int, str], int | str | None]
-
 QUESTIONS: Final = ("QMS", "QF", "Q", "QSD", "QAA", "QAD", "QEM", "QV", "QT", "QD")
 """Asked of every servo before anything moves. Without QD the show does not start. A servo that
-answers that but not the others is taken as it is: no document says which family answers all."""
+answers that but not the others is driven: no document says which family answers all."""
 PLACE_WITHIN_DEG: Final = 2.0
 """Two positions that agree: noise, and a hand that lets go of an arm."""
 AGREE_WITHIN: Final = {"QV": 500, "QT": 20}
 """What voltage (mV) and temperature (tenths of a degree) may change by in two milliseconds."""
-RESTORING_TIMES: Final = 2
-"""Settings are given back so often, unasked: a stop must not take longer than this."""
 ARRIVED_DEG: Final = 3.0
 """A joint further from its start than this is sent there again; nearer, it may be its load."""
 LATENCY_BAD_NS: Final = 5 * NS_PER_MS
@@ -49,7 +40,6 @@ that does not answer QIPE is taken to do so, as from the factory."""
 FILTER_ESSENTIAL: Final = ("QD", "QEM", "QFPC")
 IO2_QUESTIONS: Final = ("QMS", "QG", "QD")
 """An RC servo on a 2IO knows no more, and QD is only its last command (lss_facts 3)."""
-SESSION_KEYWORDS: Final = ("EM", "AA", "AD", "SD", "FPC", "IPE")
 LIMIT_SLACK_RATIO: Final = 0.999
 """Limits read back from a servo are rounded to its wire unit."""
 
@@ -77,12 +67,7 @@ def _asked_of(joint: Joint) -> tuple[str, ...]:
 
 def settings_questions(joints: Iterable[Joint], lit: Container[str] = ()) -> list[Item]:
     """Return what to ask so that the `settings` of the robot file, and colours, can be undone."""
-    return [_question(joint, f"Q{word}") for joint in joints for word in _changed(joint, lit)]
-
-
-def _changed(joint: Joint, lit: Container[str]) -> list[str]:
-    lights = [LIT_KEYWORD] if joint.name in lit and LIT_KEYWORD not in joint.settings else []
-    return [*joint.settings, *lights]
+    return [_question(joint, f"Q{word}") for joint in joints for word in changed(joint, lit)]
 
 
 def place_questions(joints: Iterable[Joint]) -> list[Item]:
@@ -237,65 +222,6 @@ def check_latency(buses: Mapping[str, Bus], questioners: Mapping[str, Questioner
             f"advanced, latency timer 1 ms"
         )
     return warnings
-
-
-def stored(joint: Joint, answers: Answers, keyword: str) -> float | None:
-    """Return the number that a servo answered to `keyword`, in physical units, if it did."""
-    value = answers.get((joint.bus, joint.servo_id, keyword))
-    if not isinstance(value, int):
-        return None
-    said = read_reply(joint.model.family, Reply(joint.servo_id, keyword, value))
-    return float(said.value) if said is not None and isinstance(said.value, int | float) else None
-
-
-def session_orders(joints: Iterable[Joint], answers: Answers) -> list[Item]:
-    """Return the settings for the show. A servo that did not say what it has gets none of it."""
-    orders = []
-    for joint in joints:
-        wanted = _session_of(joint)
-        orders += [
-            _order(joint, make_command(joint.model.family, joint.servo_id, keyword, value))
-            for keyword, value in wanted.items()
-            if stored(joint, answers, f"Q{keyword}") is not None
-        ]
-        orders += [
-            _order(joint, Command(joint.servo_id, keyword, value))
-            for keyword, value in joint.settings.items()
-        ]
-    return orders
-
-
-def _session_of(joint: Joint) -> dict[str, float]:
-    """Return the session settings that the drive of a joint needs, in physical units.
-
-    FPC comes before EM0, so that the filter is what it should be from its first step on. Whether
-    SD bounds anything in EM0 is not known; it does no harm.
-    """
-    if joint.drive == "streamed":
-        count = float(joint.filter_count)
-        return {"FPC": count, "IPE": 1.0, "SD": joint.speed_max_deg_s, "EM": 0.0}
-    ramp = float(ramp_setting_deg_s2(joint))
-    return {"EM": 1.0, "AA": ramp, "AD": ramp, "SD": joint.speed_max_deg_s}
-
-
-def restoring_orders(
-    joints: Iterable[Joint], answers: Answers, lit: Container[str] = ()
-) -> list[Item]:
-    """Return what gives every servo back its settings, and to those `lit` their colours.
-
-    All of it is said `RESTORING_TIMES`.
-    """
-    return [
-        _order(joint, Command(joint.servo_id, keyword, had))
-        for _ in range(RESTORING_TIMES)
-        for joint in joints
-        for keyword in (*SESSION_KEYWORDS, *_changed(joint, lit))
-        if isinstance(had := answers.get((joint.bus, joint.servo_id, f"Q{keyword}")), int)
-    ]
-
-
-def _order(joint: Joint, command: Command) -> Item:
-    return Item(bus=joint.bus, command=command, is_question=False)
 
 
 def found(joints: Iterable[Joint], answers: Answers, start_deg: Mapping[str, float]) -> list[Found]:

@@ -17,12 +17,16 @@ if TYPE_CHECKING:
     from lss_motion.player.dialogue import Item
     from lss_motion.player.events import Faulted
     from lss_motion.player.session import Session
-    from lss_motion.player.setup import Answers
+    from lss_motion.player.settings import Answers
     from lss_motion.player.streamer import Streamer
     from lss_motion.robot.model import Joint
 
 
 RESTARTED_TEXT: Final = "had lost its settings and is given them again. Look at its power supply"
+SILENT_TEXT: Final = (
+    "does not answer where the show begins: its restart would look like this. Look at its cable "
+    "and its power"
+)
 
 
 class Verdict(Enum):
@@ -89,15 +93,21 @@ class Troubles:
         self._miss([joint for joint in self._session.driven if joint.bus == bus], now_ns)
         return Verdict.RECOVER
 
-    def restart(self, joints: list[Joint], now_ns: int) -> Verdict:
-        """Note that servos have restarted on the way to where the show begins."""
-        taken = []
-        for joint in joints:
-            text = f"has restarted: servo {joint.servo_id} {RESTARTED_TEXT}"
-            taken.append(self.ladder.begin(joint.name, Cause.RESTARTED, text, now_ns))
-            self._take(taken[-1], now_ns)
+    def arrive(self, restarted: list[Joint], silent: list[Joint], now_ns: int) -> Verdict:
+        """Note who has restarted on the way to where the show begins, and who says nothing there.
+
+        Who says nothing may be about to restart.
+        """
+        wrong = [(joint, Cause.RESTARTED, f"has restarted: servo {joint.servo_id} {RESTARTED_TEXT}")
+                 for joint in restarted]  # fmt: skip
+        wrong += [(joint, Cause.SILENT, f"is silent: servo {joint.servo_id} {SILENT_TEXT}")
+                  for joint in silent]  # fmt: skip
+        taken = [self.ladder.begin(joint.name, cause, text, now_ns) for joint, cause, text in wrong]
+        for fault in taken:
+            self._take(fault, now_ns)
         if any(fault.step in ENDING for fault in taken):
             return Verdict.END
+        joints = [joint for joint, _, _ in wrong]
         gone = [j for j, f in zip(joints, taken, strict=True) if f.step is FaultStep.RESUME]
         if not gone:
             return Verdict.GO_ON
@@ -170,9 +180,11 @@ class Troubles:
         ]
 
     def _miss(self, gone: list[Joint], now_ns: int) -> None:
+        """Wait for these, too: as long as for any, however long others were waited for."""
+        give_up_ns = now_ns + ns_from_s(self._session.robot.resume_s)
         if self.recovery is None:
-            give_up_ns = now_ns + ns_from_s(self._session.robot.resume_s)
             self.recovery = Recovery(give_up_ns)
+        self.recovery.give_up_ns = give_up_ns
         self.recovery.add(gone)
 
     def _take(self, fault: Faulted, now_ns: int) -> None:

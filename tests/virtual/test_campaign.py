@@ -6,13 +6,16 @@ import pytest
 from campaign import judge
 from campaign.shows import show
 
-from lss_motion.player import setup, streamer, track
+from lss_motion.player import settings, setup, streamer, track
 
 SEEDS = range(8)
 FOUND = (
     46,  # A servo that restarted on the way to the start was driven without its limits.
     85,  # The same, and half deaf besides.
     113,  # Two servos restarted at once; the second, not missed yet, was still told to brake.
+    272,  # A trouble of the approach woke the player without end while it asked who had arrived.
+    1310,  # A servo that did not hear what it was asked at first was not given its limits.
+    1634,  # One still deaf from its restart at the end of the approach was not missed.
 )
 
 
@@ -24,6 +27,10 @@ def own_cache(monkeypatch, tmp_path_factory):
 @pytest.mark.parametrize("seed", [*SEEDS, *FOUND])
 def test_whatever_goes_wrong_no_promise_is_broken(seed):
     assert judge.judged(seed).broken == ()
+
+
+def test_a_second_trouble_is_waited_for_as_long_as_the_first():
+    assert judge.judged(768).outcome == "finished"
 
 
 def broken(name):
@@ -41,7 +48,7 @@ def test_a_crash_is_seen(monkeypatch):
 
 
 def test_a_horn_beyond_its_limits_is_seen(monkeypatch):
-    monkeypatch.setattr(setup, "session_orders", lambda *_: [])
+    monkeypatch.setattr(settings, "session_orders", lambda *_: [])
     monkeypatch.setattr(streamer.Streamer, "_left_s", lambda *_: 0.01)
     monkeypatch.setattr(streamer, "ON_TIME_NS", -1)
     assert "acceleration" in broken("arm")

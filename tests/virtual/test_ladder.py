@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import BusError
+from lss_motion.player import setup
 from lss_motion.player.events import PhaseEntered
 from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.sim.faults import Fault, FaultKind
+from lss_motion.sim.servo import Servo
 
 S = 1_000_000_000
 HOLD = b"#254H\r"
@@ -68,10 +70,40 @@ def test_a_servo_that_restarts_on_the_way_to_the_start_is_noticed_before_the_sho
     resets = [Fault(kind=FaultKind.RESET, servo_id=2, at_s=0.15)]
     played = stage.play(kit.robot(baud_bps=115200), kit.sequence(3, 3.0), faults=resets)
     assert played.report["outcome"] == "finished"
-    assert faults(played) == [("j1", "restarted", "resume")]
+    assert faults(played) == [("j1", "silent", "resume"), ("j1", "restarted", "resume")]
     heard = [line for line in played.heard(after_ns=int((0.15 + RESET_S) * S)) if line[:2] == b"#2"]
     first = next(i for i, line in enumerate(heard) if line.startswith(b"#2D"))
     assert {b"#2AA60\r", b"#2SD1800\r"} <= set(heard[:first])
+
+
+def test_a_servo_that_does_not_say_what_its_limits_were_is_given_them_all_the_same(
+    stage, kit, monkeypatch
+):
+    obey = Servo.obey
+    monkeypatch.setattr(
+        Servo,
+        "obey",
+        lambda self, order, at_ns: obey(self, order, at_ns) if order.keyword != "QAA" else None,
+    )
+    played = stage.play(kit.robot(1, baud_bps=115200), kit.sequence(1, 2.0))
+    assert played.report["outcome"] == "finished"
+    heard = played.heard()
+    first = next(i for i, line in enumerate(heard) if line.startswith(b"#1D"))
+    assert b"#1AA60\r" in heard[:first]
+
+
+def test_a_servo_that_does_not_take_its_limits_is_not_driven(stage, kit, monkeypatch):
+    asked = [word for word in setup.QUESTIONS if word != "QAA"]
+    monkeypatch.setattr(setup, "QUESTIONS", asked)
+    obey = Servo.obey
+    monkeypatch.setattr(
+        Servo,
+        "obey",
+        lambda self, order, at_ns: obey(self, order, at_ns) if order.keyword != "AA" else None,
+    )
+    played = stage.play(kit.robot(1, baud_bps=115200), kit.sequence(1, 2.0))
+    assert "set to AA 60 4 times and answers 100" in str(played.result.error)
+    assert not played.moves()
 
 
 def test_the_show_slows_down_for_a_weak_joint_and_gets_to_its_end(stage, kit):

@@ -18,7 +18,7 @@ from lss_motion.connection import Connection
 from lss_motion.maintenance.identify.estimate import identify
 from lss_motion.maintenance.identify.experiment import Experiment
 from lss_motion.maintenance.identify.plan import make_window
-from lss_motion.player import setup
+from lss_motion.player import settings, setup
 from lss_motion.robot.model import Bus, Joint, Robot
 from lss_motion.robot.models import SERVO_MODELS
 from lss_motion.runtime.clock import VirtualClock
@@ -80,7 +80,7 @@ def blind(seed: int) -> Blind:
     bus.record()
     connection.ports["main"] = SimPort(bus, connection.clock)
     answers = connection.ask(setup.questions([joint]))
-    standing_deg = setup.stored(joint, answers, "QD")
+    standing_deg = settings.stored(joint, answers, "QD")
     assert standing_deg is not None
     window = make_window(joint, standing_deg, span_deg)
     experiment = Experiment(joint, robot, answers, window, standing_deg=standing_deg)

@@ -33,6 +33,8 @@ RUN_MAX_S: Final = 150.0
 """Virtual time. Ten waits of `RESUME_S` with an approach each, and a show at a tenth of its speed,
 take less."""
 TURNS_MAX: Final = 300_000
+SPINS_MAX: Final = 100
+"""Turns at one and the same instant: a player that asks to be woken when nothing is due spins."""
 
 STEP_NS: Final = 5_000_000
 WINDOW: Final = 4
@@ -94,6 +96,7 @@ class _Witness:
     sent_data: dict[str, bytearray] = field(default_factory=dict)
     phases: list[tuple[int, Phase]] = field(default_factory=list)
     turns: int = 0
+    spins: int = 0
     end_ns: int = 0
 
     def sent(self, bus: str, data: bytes, _: int) -> None:
@@ -114,8 +117,10 @@ class _Witness:
 
     def act(self, driven: Player, now_ns: int) -> None:
         self.turns += 1
+        self.spins = self.spins + 1 if now_ns == self.end_ns else 0
         self.end_ns = now_ns
-        if now_ns > RUN_MAX_S * NS_PER_S or self.turns > TURNS_MAX:
+        is_over = now_ns > RUN_MAX_S * NS_PER_S or self.turns > TURNS_MAX
+        if is_over or self.spins > SPINS_MAX:
             raise HangError(
                 f"{self.turns} turns and {s_from_ns(now_ns):.0f} s, still {driven.phase.value}"
             )

@@ -18,7 +18,7 @@ from lss_motion.maintenance.identify.judging import not_arrived, outside
 from lss_motion.maintenance.identify.motion import Order
 from lss_motion.maintenance.identify.plan import Kind, PlannedMove, TrialPlan, make_trials
 from lss_motion.maintenance.identify.recording import SETTLE_S, Recording, Trial
-from lss_motion.player import setup
+from lss_motion.player import settings, setup
 from lss_motion.player.dialogue import Dialogue
 from lss_motion.player.line import Line
 from lss_motion.program.model import ramp_deg_s2, ramp_setting_deg_s2
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from lss_motion.maintenance.identify.plan import Window
     from lss_motion.player.dialogue import Item
     from lss_motion.player.events import Event
-    from lss_motion.player.setup import Answers
+    from lss_motion.player.settings import Answers
     from lss_motion.robot.model import Joint, Robot
 
 HOLD_MS: Final = 300
@@ -80,7 +80,8 @@ class Experiment:
             speed_max_deg_s=joint.speed_max_deg_s,
             response=joint.response,
         )
-        orders = setup.session_orders([joint], answers)
+        orders = settings.session_orders([joint], answers)
+        orders += settings.unsure_orders([joint], answers)
         self._dialogue: Dialogue | None = self._ask([*setup.settings_questions([joint]), *orders])
         self._plans: deque[TrialPlan] = deque()
         self._planned = 0
@@ -138,7 +139,7 @@ class Experiment:
         """Return the last bytes if it ends here: the settings it found, and hold."""
         if not self._has_moved:
             return {}
-        restored = setup.restoring_orders([self.joint], self._answers)
+        restored = settings.restoring_orders([self.joint], self._answers)
         return {self.joint.bus: b"".join(encode(i.command) for i in restored) + self._hold_bytes()}
 
     # ---- what a person may ask for
@@ -269,7 +270,7 @@ class Experiment:
     def _restore(self) -> None:
         self._take_answers()
         self.state = State.RESTORE
-        self._dialogue = self._ask(setup.restoring_orders([self.joint], self._answers))
+        self._dialogue = self._ask(settings.restoring_orders([self.joint], self._answers))
 
     def _abort(self, now_ns: int) -> None:
         self._take_answers()

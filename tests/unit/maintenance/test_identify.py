@@ -15,7 +15,7 @@ from lss_motion.maintenance.identify.estimate import identify
 from lss_motion.maintenance.identify.experiment import Experiment, State
 from lss_motion.maintenance.identify.motion import HYPOTHESES, Hypothesis, Order, Shape, horn_deg
 from lss_motion.maintenance.identify.plan import Window, make_trials, make_window
-from lss_motion.player import setup
+from lss_motion.player import settings, setup
 from lss_motion.program.response import Profile
 from lss_motion.robot.model import Bus, Joint, Response, Robot
 from lss_motion.runtime.clock import VirtualClock
@@ -58,7 +58,7 @@ class Bench:
         self.connection.ports["main"] = SimPort(self.bus, self.connection.clock)
         answers = self.connection.ask(setup.questions([joint]))
         setup.check_answers([joint], answers, self.robot)
-        self.standing_deg = setup.stored(joint, answers, "QD")
+        self.standing_deg = settings.stored(joint, answers, "QD")
         window = make_window(joint, self.standing_deg, span_deg)
         self.experiment = Experiment(
             joint, self.robot, answers, window, standing_deg=self.standing_deg

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from lss_motion.errors import BusError
-from lss_motion.player import settling, setup
+from lss_motion.player import settings, settling, setup
 from lss_motion.player.approach import approach
 from lss_motion.program.predict import profiles
 from lss_motion.protocol.line import encode
@@ -31,25 +31,28 @@ def test_a_servo_that_does_not_say_where_it_is_counts_as_silent(kit, said):
         setup.check_answers([kit.joint()], answers(QD=said), kit.robot())
 
 
-def test_a_servo_that_answers_little_but_its_place_is_taken_as_it_is(kit):
+def test_a_servo_that_answers_little_but_its_place_is_driven_and_given_its_limits(kit):
     known = answers(**dict.fromkeys(ANSWERS, "silent"))
     assert setup.check_answers([kit.joint()], known, kit.robot()) == []
-    assert setup.session_orders([kit.joint()], known) == []
-    assert setup.restoring_orders([kit.joint()], known) == []
+    assert settings.session_orders([kit.joint()], known) == []
+    limits = [b"#1EM1\r", b"#1AA60\r", b"#1AD60\r", b"#1SD1800\r"]
+    assert sent(settings.unsure_orders([kit.joint()], known)) == limits
+    assert settings.unsure_orders([kit.joint()], answers()) == []
+    assert settings.restoring_orders([kit.joint()], known) == []
 
 
 def test_the_session_gets_the_joints_own_limits(kit):
     one = kit.joint(accel_max_deg_s2=455.0, speed_max_deg_s=123.4, settings={"AS": -2})
-    orders = setup.session_orders([one], answers())
+    orders = settings.session_orders([one], answers())
     assert sent(orders) == [b"#1EM1\r", b"#1AA45\r", b"#1AD45\r", b"#1SD1234\r", b"#1AS-2\r"]
 
 
 def test_what_was_read_is_given_back_to_the_letter(kit):
     one = kit.joint(settings={"AS": -2})
     had = answers(QEM=0, QAA=77, QAD=33, QSD=2000, QAS=4)
-    orders = setup.restoring_orders([one], had)
+    orders = settings.restoring_orders([one], had)
     once = [b"#1EM0\r", b"#1AA77\r", b"#1AD33\r", b"#1SD2000\r", b"#1AS4\r"]
-    assert sent(orders) == setup.RESTORING_TIMES * once
+    assert sent(orders) == settings.RESTORING_TIMES * once
 
 
 def test_the_settings_of_the_file_are_asked_for_too(kit):
@@ -58,7 +61,7 @@ def test_the_settings_of_the_file_are_asked_for_too(kit):
 
 
 def test_an_order_counts_as_taken_only_when_the_servo_answers_with_it(kit):
-    orders = setup.session_orders([kit.joint()], answers())
+    orders = settings.session_orders([kit.joint()], answers())
     said = {("main", 1, f"Q{order.command.keyword}"): order.command.value for order in orders}
     assert sent(settling.read_back(orders)) == [b"#1QEM\r", b"#1QAA\r", b"#1QAD\r", b"#1QSD\r"]
     assert settling.untaken(orders, said) == []
@@ -82,9 +85,9 @@ def test_the_approach_brings_all_joints_home_together_at_the_slow_speed(kit):
 
 def test_units_of_a_reading_belong_to_the_family(kit):
     pro = kit.joint(model=SERVO_MODELS["LSS-P-S1"])
-    assert setup.stored(pro, answers(QD=1234), "QD") == 12.34
-    assert setup.stored(kit.joint(), answers(QD=1234), "QD") == 123.4
-    assert setup.stored(kit.joint(), answers(), "QT") is None
+    assert settings.stored(pro, answers(QD=1234), "QD") == 12.34
+    assert settings.stored(kit.joint(), answers(QD=1234), "QD") == 123.4
+    assert settings.stored(kit.joint(), answers(), "QT") is None
 
 
 def test_the_safe_state_goes_to_every_bus(kit):
