@@ -22,8 +22,7 @@ from lss_motion.player.statistics import Statistics
 from lss_motion.player.track import Track, make_tracks
 from lss_motion.player.waiting import Waiting
 from lss_motion.program.model import Move, Program, heard_us
-from lss_motion.protocol.line import encode_move
-from lss_motion.units import MS_PER_S, NS_PER_MS, ns_from_s, s_from_ms, s_from_ns, s_from_us
+from lss_motion.units import NS_PER_MS, ns_from_s, s_from_ms, s_from_ns, s_from_us
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -42,6 +41,8 @@ REST_DEG_S: Final = 1.0
 """Slower than this a servo is at rest: what is left of a filter's way is below a wire unit."""
 ON_TIME_NS: Final = NS_PER_MS // 2
 """Later than this, and T is computed anew; below, it would not change T."""
+LATE_NS: Final = 5 * NS_PER_MS
+"""By so much, one control loop, a filter may take a move up late anyway."""
 
 
 class Streamer:
@@ -239,7 +240,7 @@ class Streamer:
             heard_ns = self._lines[move.bus].heard_ns(len(move.data), now_ns)
             show_s = self._program.within(self.clock.show_s(heard_ns))
             left_s = track.turning_s(move, show_s, heard_ns)
-        self._send_active(track, left_s, now_ns)
+        self._send_active(track, left_s, now_ns, is_late=late_ns + wait_ns > LATE_NS)
 
     def _left_s(self, move: Move, now_ns: int) -> float:
         """Return how much run time is left to a move if it is sent now; 0 without a T."""
@@ -250,25 +251,16 @@ class Streamer:
         heard_ns = line.heard_ns(len(move.data), now_ns)
         return (end_s - self.clock.show_s(heard_ns)) / self.clock.target_rate
 
-    def _send_active(self, track: Track, left_s: float | None, now_ns: int) -> None:
+    def _send_active(
+        self, track: Track, left_s: float | None, now_ns: int, *, is_late: bool = False
+    ) -> None:
         """Send the move under way, with its own T at rate 1 or with what is left of it."""
         move = track.active
         assert move is not None
         if left_s is None:
             left_s = s_from_ms(move.duration_ms or 0) / self.clock.target_rate
-        self._send(track, move.target_wire / track.limits.wire_per_deg, left_s, now_ns)
-
-    def _send(self, track: Track, target_deg: float, left_s: float, now_ns: int) -> None:
-        if not track.is_driven:
-            return
-        joint, line = track.joint, self._lines[track.joint.bus]
-        target_wire = track.wire_for(target_deg, line.heard_ns(0, now_ns))
-        duration_ms = None
-        if joint.drive == "timed":
-            guess = encode_move(joint.servo_id, target_wire, max(1, round(MS_PER_S * left_s)))
-            duration_ms = track.duration_for(target_wire, line.heard_ns(len(guess), now_ns), left_s)
-        heard_ns = line.send(encode_move(joint.servo_id, target_wire, duration_ms), now_ns)
-        track.moved(heard_ns, target_wire, duration_ms)
+        target_deg = move.target_wire / track.limits.wire_per_deg
+        track.send(self._lines[move.bus], target_deg, left_s, now_ns, is_late=is_late)
 
     def _owed_ns(self) -> list[int]:
         """Return when targets are said again that the speed limit did not let be said at once."""
@@ -278,7 +270,7 @@ class Streamer:
         for track in self.tracks.values():
             if track.owed is not None and track.owed[0] <= now_ns:
                 self.statistics.sent(now_ns - track.owed[0])
-                self._send(track, track.owed[1], 0.0, now_ns)
+                track.send(self._lines[track.joint.bus], track.owed[1], 0.0, now_ns)
 
     # ---- the rate ramps
 
@@ -340,7 +332,7 @@ class Streamer:
             ends_ns=self.clock.ramp_end_ns if self.clock.target_rate == 0.0 else None,
         ):
             self.statistics.sent(late_ns)
-            self._send(track, aim_deg, left_s, now_ns)
+            track.send(self._lines[track.joint.bus], aim_deg, left_s, now_ns)
 
     # ---- judging
 

@@ -12,11 +12,13 @@ from lss_motion.program.filtered import FilterProfile
 from lss_motion.program.predict import make_profile, profiles
 from lss_motion.program.step import PULSE_S
 from lss_motion.program.wording import lattice
+from lss_motion.protocol.line import encode_move
 from lss_motion.units import MS_PER_S, ns_from_s, s_from_ms, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from lss_motion.player.line import Line
     from lss_motion.program.course import ServoLimits
     from lss_motion.program.model import Move, Program
     from lss_motion.program.predict import ServoProfile
@@ -24,6 +26,11 @@ if TYPE_CHECKING:
     from lss_motion.protocol.constants import Status
     from lss_motion.robot.model import Joint, Robot
 
+ROOM_RATIO = 2.0
+"""A streamed course that was fitted within a tolerance winds: a step may be longer than the last
+one by this many tolerances, besides what the acceleration limit allows."""
+ROOM_BEHIND_RATIO = 0.5
+"""The same while a joint catches up: half a tolerance is a unit of the wire."""
 HISTORY_S = 2.0
 """How long what the profile did is kept: longer than any answer may take."""
 
@@ -48,6 +55,8 @@ class Track:
     """The move of the program that is under way, or was last."""
     owed: tuple[int, float] | None = None
     """When to say which target again, because the speed limit did not let it be said at once."""
+    is_behind: bool = False
+    """Whether a streamed joint has to catch up with a move that was late."""
     heard_ns: int | None = None
     """When the servo heard its last move."""
     status: Status | None = None
@@ -72,12 +81,14 @@ class Track:
         """Return position and speed of the profile at `heard_ns`, after all that was sent."""
         return self.profile.at(s_from_ns(heard_ns))
 
-    def wire_for(self, target_deg: float, heard_ns: int) -> int:
+    def wire_for(self, target_deg: float, heard_ns: int, *, is_late: bool = False) -> int:
         """Return the wire value next to `target_deg` plus the correction, inside the range.
 
         A timed move keeps the speed limit by its T. The others by their target: what it takes off
-        is owed, to be said again when the servo has come that far.
+        is owed, to be said again when the servo has come that far. After one that `is_late` they
+        have less room to catch up in than a fitted course has to wind.
         """
+        self.is_behind = self.is_behind or is_late
         limits = self.limits
         corrected = target_deg + self.following.offset_deg
         wire = lattice(corrected, limits)
@@ -85,6 +96,7 @@ class Track:
         allowed = lattice(min(max(corrected, low_deg), high_deg), limits)
         again_ns = heard_ns + ns_from_s(self.period_s)
         self.owed = None if allowed == wire else (again_ns, target_deg)
+        self.is_behind = is_late or (self.is_behind and self.owed is not None)
         return allowed
 
     @property
@@ -107,7 +119,8 @@ class Track:
         """Return between which targets the speed limit allows one to be heard at `heard_s`."""
         speed_deg_s = self.limits.speed_max_deg_s
         if isinstance(self.profile, FilterProfile):
-            room_deg = 2.0 * self.limits.tolerance_deg
+            ratio = ROOM_BEHIND_RATIO if self.is_behind else ROOM_RATIO
+            room_deg = ratio * self.limits.tolerance_deg
             return self.profile.reach(heard_s, speed_deg_s, self.limits.ramp_deg_s2, room_deg)
         if self.joint.drive == "timed":
             return self.limits.position_min_deg, self.limits.position_max_deg
@@ -147,6 +160,21 @@ class Track:
         position_deg, _ = self.place(heard_ns)
         least_s = abs(target_deg - position_deg) / self.limits.speed_max_deg_s
         return max(1, round(MS_PER_S * left_s), -int(-MS_PER_S * least_s // 1))
+
+    def send(
+        self, line: Line, target_deg: float, left_s: float, now_ns: int, *, is_late: bool = False
+    ) -> None:
+        """Hand over the move to `target_deg` that has `left_s`, corrected and within the limits."""
+        if not self.is_driven:
+            return
+        servo_id = self.joint.servo_id
+        target_wire = self.wire_for(target_deg, line.heard_ns(0, now_ns), is_late=is_late)
+        duration_ms = None
+        if self.joint.drive == "timed":
+            guess = encode_move(servo_id, target_wire, max(1, round(MS_PER_S * left_s)))
+            duration_ms = self.duration_for(target_wire, line.heard_ns(len(guess), now_ns), left_s)
+        heard_ns = line.send(encode_move(servo_id, target_wire, duration_ms), now_ns)
+        self.moved(heard_ns, target_wire, duration_ms)
 
     def moved(self, heard_ns: int, target_wire: int, duration_ms: int | None) -> None:
         """Note that the servo hears `D target [T duration]` at `heard_ns`."""

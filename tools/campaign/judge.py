@@ -204,12 +204,27 @@ class _Judge:
         return targets
 
     def _ranges(self) -> list[str]:
-        return [
-            f"{name} was sent to {angle:.1f} deg"
-            for name, angles in self.targets.items()
-            for angle in angles
-            if not _is_within(self.robot.joints[name], angle, self.robot.joints[name].unit_deg)
-        ]
+        broken = []
+        for name, angles in self.targets.items():
+            joint = self.robot.joints[name]
+            last_deg = self._garbled_reach_deg(joint)
+            for angle in angles:
+                out_deg = _outside_deg(joint, angle)
+                if out_deg > max(joint.unit_deg, last_deg):
+                    broken.append(f"{name} was sent to {angle:.1f} deg")
+                last_deg = min(last_deg, out_deg) if out_deg > joint.unit_deg else last_deg
+        return broken
+
+    def _garbled_reach_deg(self, joint: Joint) -> float:
+        """Return how far outside of its range a horn was put by words that nobody said.
+
+        A bare `D` leads it back from there step by step, each no further out than the last.
+        """
+        if joint.drive == "timed" or not self.kinds & WORD_KINDS:
+            return 0.0
+        horn_deg = self._horn_deg(joint.bus)[joint.name]
+        reach_deg = max(_outside_deg(joint, float(a)) for a in (horn_deg.min(), horn_deg.max()))
+        return reach_deg + RANGE_EXCESS_DEG if reach_deg > 0.0 else 0.0
 
     def _last_bytes(self) -> list[str]:
         """Judge the last bytes on every bus whose port is there at the end."""
@@ -262,17 +277,24 @@ class _Judge:
     def _horns(self) -> list[str]:
         if self.kinds & WORD_KINDS:
             return []
-        broken = []
-        for bus_name, bus in self.result.simulated.items():
-            times_ns = np.arange(0, max(self.witness.end_ns, 20 * STEP_NS), STEP_NS)
-            servo_deg = bus.horn_deg(times_ns)
-            for column, name in enumerate(servos_of(self.robot, bus_name)):
-                joint = self.robot.joints[name]
-                if joint.drive == "stepped" or self._is_of_its_own(joint):
-                    continue
-                angles = joint.direction * (servo_deg[:, column] - joint.zero_deg)
-                broken += self._horn(joint, angles)
-        return broken
+        return [
+            text
+            for bus in self.result.simulated
+            for name, angles in self._horn_deg(bus).items()
+            if (joint := self.robot.joints[name]).drive != "stepped"
+            and not self._is_of_its_own(joint)
+            for text in self._horn(joint, angles)
+        ]
+
+    def _horn_deg(self, bus: str) -> dict[str, NDArray[np.float64]]:
+        """Return the true joint angles of the horns of a bus, `STEP_NS` apart."""
+        times_ns = np.arange(0, max(self.witness.end_ns, 20 * STEP_NS), STEP_NS)
+        servo_deg = self.result.simulated[bus].horn_deg(times_ns)
+        joints = [self.robot.joints[name] for name in servos_of(self.robot, bus)]
+        return {
+            joint.name: joint.direction * (servo_deg[:, column] - joint.zero_deg)
+            for column, joint in enumerate(joints)
+        }
 
     def _is_of_its_own(self, joint: Joint) -> bool:
         """Return whether a horn may do what nobody told it to."""
@@ -354,6 +376,10 @@ def _shares(joint: Joint, fault: Fault) -> bool:
     return fault.servo_id in (None, joint.servo_id)
 
 
+def _outside_deg(joint: Joint, angle: float) -> float:
+    """Return how far outside of its range a joint angle is; 0 inside."""
+    return max(joint.position_min_deg - angle, angle - joint.position_max_deg, 0.0)
+
+
 def _is_within(joint: Joint, angle: float, excess_deg: float = RANGE_EXCESS_DEG) -> bool:
-    low_deg, high_deg = joint.position_min_deg, joint.position_max_deg
-    return low_deg - excess_deg <= angle <= high_deg + excess_deg
+    return _outside_deg(joint, angle) <= excess_deg
