@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 BENCHES = (
     "codec", "states", "plan", "compile", "compress", "horn", "loop", "line", "late", "identify",
-    "gait",
+    "gait", "scaling",
 )  # fmt: skip
 PACKAGES = ("numpy", "scipy", "toppra", "pyserial", "ruckig")
 

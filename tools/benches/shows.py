@@ -49,7 +49,7 @@ def lively_show(
     now_s, last_s = 0.0, dict.fromkeys(names, 0.0)
     at_deg = dict.fromkeys(names, 0.0)
     frames = [Keyframe(at_s=0.0, deg=dict(at_deg))]
-    while now_s < duration_s - 1.5:
+    while now_s < duration_s - min(1.5, duration_s / 2.0):
         now_s = round(now_s + random.uniform(0.35, 0.65), 3)
         is_rough = random.random() < infeasible_ratio
         keyed = {}
