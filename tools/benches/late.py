@@ -70,6 +70,15 @@ int main(int count, char **words) {
 
 def measure() -> list[Row]:
     """Return the lateness of the player and of the loop in C, idle and with all cores busy."""
+    return _measured(ROUNDS)
+
+
+def measure_short() -> list[Row]:
+    """Return the same of a single round."""
+    return _measured(1)
+
+
+def _measured(rounds: int) -> list[Row]:
     robot = robot_of(SERVOS)
     program = api.compile(api.plan(lively_show(robot, SHOW_S, seed=4), robot), robot)
     rows = []
@@ -77,17 +86,20 @@ def measure() -> list[Row]:
         loop = _compiled(Path(folder))
         for what, load in (("idle", contextlib.nullcontext), ("every core busy", busy_cores)):
             with load():
-                rows += _compared(what, program, robot, loop)
+                rows += _compared(what, program, robot, loop, rounds)
     return rows
 
 
-def _compared(what: str, program: Program, robot: Robot, loop: Path | None) -> list[Row]:
+def _compared(
+    what: str, program: Program, robot: Robot, loop: Path | None, rounds: int
+) -> list[Row]:
     ours: list[float] = []
     theirs: list[float] = []
     with robot_behind_pty(robot) as (real, heard):
-        for _ in range(ROUNDS):
+        for _ in range(rounds):
             ours += _player_us(program, real, heard)
             theirs += [] if loop is None else _loop_us(program, real, heard, loop)
+    what = f"{what}, {rounds} x {SHOW_S:g} s"
     command_us = line_time_ns(COMMAND_BYTES, 115_200) / NS_PER_US
     own = np.percentile(ours, QUANTILES)
     if loop is None:
