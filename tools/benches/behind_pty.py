@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lss_motion.runtime.real_time import PRIORITY
 from lss_motion.sim.build import bus_from_robot
 from lss_motion.sim.pty import serve_buses
 
@@ -53,7 +54,12 @@ def robot_behind_pty(robot: Robot, *, seed: int = 1) -> Iterator[tuple[Robot, Ca
 
 
 def _serve(robot: Robot, link: Path, seed: int, pipe: Connection) -> None:
-    """Serve until the pipe says `end`; answer anything else with what was heard since."""
+    """Serve until the pipe says `end`; answer anything else with what was heard since.
+
+    Servos do not wait for a processor: where the system permits, neither does this process.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY + 10))
     buses = {name: bus_from_robot(robot, name, seed=seed) for name in robot.buses}
     [bus] = buses.values()
     bus.record()
