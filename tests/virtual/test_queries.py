@@ -125,3 +125,16 @@ def test_an_adapter_that_holds_answers_back_is_named_with_its_remedy(stage, kit,
     assert all("latency timer" in text and "ms late" in text for text in warnings)
     assert played.report["outcome"] == "finished"
     assert played.report["buses"]["bus0"]["replies"] > (100 if latency_ms else 1000)
+
+
+def test_a_host_that_wakes_late_asks_less_and_still_reads_every_joint(stage, kit):
+    """Questions cost a process the time that it is then short of when a move is due."""
+    host = Fault(kind=FaultKind.OVERSLEEP, ratio=0.3, late_s=0.004)
+    robot, show = kit.robot(6, baud_bps=BAUD_BPS), kit.sequence(6, 3.0)
+    played, late = stage.play(robot, show), stage.play(robot, show, faults=[host])
+    rates_hz = [one.report["buses"]["bus0"]["query_rate_hz"] for one in (played, late)]
+    assert rates_hz[1] < 0.4 * rates_hz[0]
+    assert late.report["outcome"] == "finished"
+    assert not late.report["faults"]
+    for joint in late.report["joints"].values():
+        assert joint["readings"] > 10 * late.report["played_s"]
