@@ -6,6 +6,8 @@ import heapq
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from lss_motion.program.course import servo_limits
 from lss_motion.program.drives import late_max_s, longest_move, make_fitter
 from lss_motion.program.fit import TURN_S, Fit
@@ -14,20 +16,24 @@ from lss_motion.program.moves import reference
 from lss_motion.units import NS_PER_US, line_time_ns, s_from_us, us_from_s
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
+    from lss_motion.program.batch import FloatArray
     from lss_motion.program.course import Course
     from lss_motion.program.drives import JointFitter
     from lss_motion.program.moves import Begin
     from lss_motion.program.response import Reference
+    from lss_motion.program.run import Grant
     from lss_motion.robot.model import Joint, Robot
 
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """The moves of one joint, `(heard_s, target_wire, duration_ms)`, and the profile they make."""
+    """The moves of one joint in order, and the profile they make. A T of NaN is a bare `D`."""
 
-    moves: Sequence[tuple[float, int, int | None]]
+    heard_s: FloatArray
+    target_wire: FloatArray
+    duration_ms: FloatArray
     reference: Reference
 
 
@@ -106,8 +112,10 @@ class Attempt:
             if next_s is not None:
                 heapq.heappush(queue, (next_s, name))
         for name, fitter in fitters.items():
-            moves = [(move.heard_s, move.target_wire, move.duration_ms) for move in fitter.moves]
-            self.fitted[name] = Fitted(moves, fitter.reference())
+            columns = zip(*fitter.moves, strict=True) if fitter.moves else ((), (), ())
+            heard_s, target_wire, duration_ms = (np.array(column, float) for column in columns)
+            reached = fitter.reference()
+            self.fitted[name] = Fitted(heard_s, target_wire, duration_ms, reached)
 
     def _fit_timed(
         self,
@@ -120,10 +128,13 @@ class Attempt:
         free = {name: line.copy() for name, line in self._lines.items()}
         before = self.late_max_us, self.is_tight
 
-        def new_line() -> Callable[[int, int, int], int]:
+        def new_line() -> Grant:
             self._lines = {name: line.copy() for name, line in free.items()}
             self.late_max_us, self.is_tight = before
-            return lambda joint, wanted_us, after_us: self._grant(names[joint], wanted_us, after_us)
+            return lambda indices, wanted_us, after_us: [
+                self._grant(names[index], wanted, after)
+                for index, wanted, after in zip(indices, wanted_us, after_us, strict=True)
+            ]
 
         names = [joint.name for joint in joints]
         own = [courses[name] for name in names]
@@ -132,9 +143,10 @@ class Attempt:
         moves = Fit(own, limits, seams_s, begins, self._turn_s).moves(new_line)
         for index, name in enumerate(names):
             some = moves.of(index)
-            columns = (some.heard_s, some.target_wire.astype(int), some.duration_ms.astype(int))
             self.fitted[name] = Fitted(
-                list(zip(*(column.tolist() for column in columns), strict=True)),
+                some.heard_s,
+                some.target_wire,
+                some.duration_ms,
                 reference(moves, index, own[index], limits[index], self._begins.get(name)),
             )
 
@@ -157,7 +169,7 @@ def fitted_alone(joint: Joint, course: Course, tolerance_deg: float) -> Referenc
     if joint.drive == "timed":
         limits = servo_limits(joint, tolerance_deg)
         moves = Fit([course], [limits]).moves(
-            lambda: lambda _joint, wanted_us, _after_us: wanted_us
+            lambda: lambda _joints, wanted_us, _after_us: wanted_us
         )
         return reference(moves, 0, course, limits)
     fitter = make_fitter(joint, course, tolerance_deg)

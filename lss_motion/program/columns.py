@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -12,10 +12,14 @@ from lss_motion.protocol.line import encode_move
 from lss_motion.units import LINE_BITS_PER_BYTE, US_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
+    from lss_motion.program.attempt import Fitted
     from lss_motion.program.batch import FloatArray, Index, IntArray
     from lss_motion.robot.model import Robot
+
+POWERS_OF_TEN: Final = np.array([10, 100, 1_000, 10_000, 100_000, 1_000_000, 10_000_000])
+"""No angle and no T on the wire has more digits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +38,7 @@ class Columns:
     @property
     def sent_us(self) -> IntArray:
         """How long each keeps its line busy, rounded up to whole microseconds."""
-        sent: IntArray = -(-self.size_bytes * (LINE_BITS_PER_BYTE * US_PER_S) // self.baud_bps)
-        return sent
+        return line_times_us(self.size_bytes, self.baud_bps)
 
     @property
     def heard_us(self) -> IntArray:
@@ -56,6 +59,60 @@ class Columns:
         )
 
 
+def moves_of(fitted: Mapping[str, Fitted], robot: Robot) -> list[Move]:
+    """Return the moves of all joints in the order in which they are due.
+
+    Each is due so that its last byte is heard when that was granted.
+    """
+    if not fitted:
+        return []
+    joints = [robot.joints[name] for name in fitted]
+    buses = sorted(robot.buses)
+    each = [len(own.heard_s) for own in fitted.values()]
+    servo_id = np.repeat([joint.servo_id for joint in joints], each)
+    bus = np.repeat([buses.index(joint.bus) for joint in joints], each)
+    baud_bps = np.repeat([robot.buses[joint.bus].baud_bps for joint in joints], each)
+    heard_s, target_wire, duration_ms = (
+        np.concatenate([getattr(own, name) for own in fitted.values()])
+        for name in ("heard_s", "target_wire", "duration_ms")
+    )
+    size_bytes = sizes_bytes(servo_id, target_wire, duration_ms)
+    due_us = np.rint(heard_s * US_PER_S).astype(np.intp) - line_times_us(size_bytes, baud_bps)
+    order = np.lexsort((servo_id, bus, due_us))
+    is_bare = np.isnan(duration_ms)
+    durations = np.where(is_bare, 0.0, duration_ms).astype(np.intp).astype(object)
+    durations[is_bare] = None
+    fields = (
+        due_us[order].tolist(),
+        np.array(buses, dtype=object)[bus[order]].tolist(),
+        servo_id[order].tolist(),
+        target_wire[order].astype(np.intp).tolist(),
+        durations[order].tolist(),
+    )
+    return list(map(Move._make, zip(*fields, strict=True)))
+
+
+def sizes_bytes(servo_id: IntArray, target_wire: FloatArray, duration_ms: FloatArray) -> IntArray:
+    """Return the lengths of what `encode_move` makes of these; NaN is a bare `D`."""
+    size = len(encode_move(0, 0, None)) - 2 + _digits(servo_id) + _digits(np.abs(target_wire))
+    size += target_wire < 0.0
+    timed = len("T") + _digits(np.nan_to_num(duration_ms))
+    found: IntArray = size + np.where(np.isnan(duration_ms), 0, timed)
+    return found
+
+
+def _digits(whole: FloatArray | IntArray) -> IntArray:
+    """Return how many digits whole numbers have that are not negative."""
+    found: IntArray = 1 + np.searchsorted(POWERS_OF_TEN, whole, side="right")
+    return found
+
+
+def line_times_us(size_bytes: IntArray, baud_bps: IntArray) -> IntArray:
+    """Return how long so many bytes keep lines busy, rounded up to whole microseconds."""
+    spent: IntArray = -(-size_bytes * (LINE_BITS_PER_BYTE * US_PER_S) // baud_bps)
+    return spent
+
+
 def columns_of(moves: Sequence[Move], robot: Robot) -> Columns:
     """Return `moves`, every one to a servo of `robot`, in arrays."""
     joints = {(j.bus, j.servo_id): index for index, j in enumerate(robot.joints.values())}
@@ -66,13 +123,14 @@ def columns_of(moves: Sequence[Move], robot: Robot) -> Columns:
     due_us, bus_names, servo_ids, targets, durations = fields
     joint = np.array([joints[key] for key in zip(bus_names, servo_ids, strict=True)], dtype=np.intp)
     bus = of_bus[joint]
-    sizes = [len(encode_move(*what)) for what in zip(servo_ids, targets, durations, strict=True)]
+    target_wire = np.array(targets, dtype=np.float64)
+    duration_ms = np.array(durations, dtype=np.float64)
     return Columns(
         np.array(due_us, dtype=np.intp),
         joint,
         bus,
-        np.array(targets, dtype=np.float64),
-        np.array(durations, dtype=np.float64),
+        target_wire,
+        duration_ms,
         bauds[bus],
-        np.array(sizes, dtype=np.intp),
+        sizes_bytes(np.array(servo_ids, dtype=np.intp), target_wire, duration_ms),
     )

@@ -9,18 +9,17 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import InputError, LineLoadError
-from lss_motion.program.attempt import Attempt, sent_us, slot_us
+from lss_motion.program.attempt import Attempt, slot_us
 from lss_motion.program.choose import choices
-from lss_motion.program.columns import columns_of
+from lss_motion.program.columns import columns_of, moves_of
 from lss_motion.program.course import GRID_S, Course
-from lss_motion.program.drives import lead, longest_move
+from lss_motion.program.drives import lead
 from lss_motion.program.fit import TURN_S
 from lss_motion.program.line import LineUse, line_use
 from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
 from lss_motion.program.readings import reading_rate_hz
 from lss_motion.program.seam import closed
 from lss_motion.program.verify import verify_program
-from lss_motion.protocol.line import encode_move
 from lss_motion.trajectory.cues import all_cues, all_marks, all_waits
 from lss_motion.units import s_from_us, us_from_s
 
@@ -41,6 +40,8 @@ TIGHT_TURN_S: Final = 0.02
 worst a third more of them fit, in two to three times the time."""
 PREROLL_S: Final = 0.25
 """The show clock starts this long before the plan, so that all first moves find a slot."""
+SAMPLED_AT_ONCE: Final = 2048
+"""Instants at which a plan is asked at once, so that what it works with stays in the cache."""
 
 
 def compile_program(
@@ -111,13 +112,16 @@ def _courses(trajectory: Trajectory, robot: Robot) -> dict[str, Course]:
         end_s = trajectory.first.duration_s + 2.0 * trajectory.middle.duration_s
     courses = {}
     steps = math.ceil((end_s + 2.0 * PREROLL_S) / GRID_S) + 1
+    times_s = -PREROLL_S + GRID_S * np.arange(steps, dtype=np.float64)
     for lead_s in {lead(robot.joints[name]) for name in trajectory.joints}:
-        times_s = -PREROLL_S + GRID_S * np.arange(steps, dtype=np.float64)
-        angles_deg = trajectory.sample(times_s + lead_s)
-        for column, name in enumerate(trajectory.joints):
+        angles_deg = np.empty((len(trajectory.joints), steps))
+        for first in range(0, steps, SAMPLED_AT_ONCE):
+            some = slice(first, first + SAMPLED_AT_ONCE)
+            angles_deg[:, some] = trajectory.sample(times_s[some] + lead_s).T
+        for own_deg, name in zip(angles_deg, trajectory.joints, strict=True):
             joint = robot.joints[name]
             if lead(joint) == lead_s:
-                servo_deg = joint.zero_deg + joint.direction * angles_deg[:, column]
+                servo_deg = joint.zero_deg + joint.direction * own_deg
                 courses[name] = Course(start_s=-PREROLL_S, position_deg=servo_deg)
     return courses
 
@@ -167,23 +171,6 @@ def _program(
     )
 
 
-def moves_of(fitted: Mapping[str, Fitted], robot: Robot) -> list[Move]:
-    """Return the moves of all joints in the order in which they are due.
-
-    Each is due so that its last byte is heard when that was granted.
-    """
-    moves = []
-    for name, own in fitted.items():
-        bus, servo_id = robot.joints[name].bus, robot.joints[name].servo_id
-        size_max = len(longest_move(robot.joints[name]))
-        spent_us = [sent_us(size, robot.buses[bus].baud_bps) for size in range(size_max + 1)]
-        for heard_s, target_wire, duration_ms in own.moves:
-            size = len(encode_move(servo_id, target_wire, duration_ms))
-            due_us = us_from_s(heard_s) - spent_us[size]
-            moves.append(Move(due_us, bus, servo_id, target_wire, duration_ms))
-    return sorted(moves)
-
-
 def driving_of(robot: Robot, names: Iterable[str]) -> dict[str, Driving]:
     """Return how the joints are commanded that are not timed."""
     driving = {}
@@ -213,7 +200,7 @@ def lines_use(moves: Sequence[Move], robot: Robot) -> dict[str, LineUse]:
 
 def _error_max_deg(fitted: Fitted, course: Course) -> float:
     times_s = course.times_s(np.arange(len(course.position_deg)))
-    return float(np.abs(fitted.reference.sample(times_s) - course.position_deg).max())
+    return float(np.abs(fitted.reference.along(times_s) - course.position_deg).max())
 
 
 def _overload(attempt: Attempt, robot: Robot) -> LineLoadError:
@@ -223,9 +210,9 @@ def _overload(attempt: Attempt, robot: Robot) -> LineLoadError:
     span_s = 1e-3
     for name, fitted in attempt.fitted.items():
         joint = robot.joints[name]
-        commands[joint.bus] += len(fitted.moves)
-        busy_us[joint.bus] += len(fitted.moves) * slot_us(joint, robot)
-        span_s = max(span_s, fitted.moves[-1][0] if fitted.moves else 0.0)
+        commands[joint.bus] += len(fitted.heard_s)
+        busy_us[joint.bus] += len(fitted.heard_s) * slot_us(joint, robot)
+        span_s = max(span_s, float(fitted.heard_s.max(initial=0.0)))
     worst = max(busy_us, key=lambda bus: busy_us[bus])
     ratio = s_from_us(busy_us[worst]) / span_s
     baud_bps = robot.buses[worst].baud_bps

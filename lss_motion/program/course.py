@@ -38,6 +38,10 @@ AUTHORITY_STEPS: Final = 24
 """Over so many grid steps ahead the course must leave ramp to spare for a correction."""
 AUTHORITY_LEAST_RATIO: Final = 0.01
 """A course at its limit leaves no ramp at all; this keeps the division finite."""
+SEGMENT_MAX_S: Final = 1.5
+"""The longest that one move is relied on: a lost command is repaired by its successor."""
+AHEAD_MAX_STEPS: Final = round(SEGMENT_MAX_S / GRID_S)
+"""So many grid steps are looked ahead at the most."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,6 +152,10 @@ class Courses:
         self.start_s = courses[0].start_s
         self.size = len(courses[0].position_deg)
         self.position_deg = np.concatenate([one.position_deg for one in courses])
+        self._padded_deg = np.empty((len(courses), self.size + AHEAD_MAX_STEPS), dtype=np.float32)
+        for row, one in zip(self._padded_deg, courses, strict=True):
+            row[: self.size] = one.position_deg
+            row[self.size :] = one.position_deg[-1]
         self.speed_deg_s = np.concatenate([_speeds(one.position_deg) for one in courses])
         accels = [one.accel_deg_s2() for one in courses]
         ramps = [limit.ramp_deg_s2 for limit in limits]
@@ -167,6 +175,10 @@ class Courses:
     def end_s(self) -> float:
         return self.start_s + GRID_S * (self.size - 1)
 
+    def index(self, time_s: float) -> int:
+        """Return the index of a grid instant."""
+        return round((time_s - self.start_s) / GRID_S)
+
     def first_index(self, times_s: FloatArray) -> IntArray:
         """Return the first index whose instant is not before `times_s`, however far."""
         index: IntArray = np.ceil((times_s - self.start_s) / GRID_S - 1e-9).astype(np.intp)
@@ -179,6 +191,17 @@ class Courses:
         """Return where the flat arrays hold `index` of `joint`; beyond the end, the end."""
         flat: IntArray = joint * self.size + np.minimum(index, self.size - 1)
         return flat
+
+    def ahead_deg(
+        self, joint: IntArray, first: IntArray, steps: int, stride: int
+    ) -> NDArray[np.float32]:
+        """Return positions, (steps, joints), every `stride` grid steps from `first` on.
+
+        Where a course has ended it stands. No further than `AHEAD_MAX_STEPS`.
+        """
+        assert steps * stride <= AHEAD_MAX_STEPS
+        flat = joint * self._padded_deg.shape[1] + np.minimum(first, self.size - 1)
+        return self._padded_deg.take(flat + (stride * np.arange(steps))[:, None])
 
 
 def _speeds(position_deg: FloatArray) -> FloatArray:

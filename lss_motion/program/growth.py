@@ -17,7 +17,8 @@ import numpy as np
 
 from lss_motion.errors import InputError, LineLoadError
 from lss_motion.program.attempt import Attempt, slot_us
-from lss_motion.program.compile import RELAXED_RATIOS, lines_use, moves_of
+from lss_motion.program.columns import moves_of
+from lss_motion.program.compile import RELAXED_RATIOS, lines_use
 from lss_motion.program.course import GRID_S, Course
 from lss_motion.program.drives import lead
 from lss_motion.program.line import LineSchedule, LineUse

@@ -74,18 +74,13 @@ def best_landings(
 
     first = courses.first_index(state.time_s)
     end = np.maximum(courses.first_index(np.minimum(landed_s, last_s)), rest[0][:, None])
+    lasts = end - first[:, None]
     # On a line that is too full, the standstill may be over before the move is heard.
-    steps = np.arange(int((end - first[:, None]).max(initial=0)) + 1)
-    flat = courses.flat(joint[:, None], first[:, None] + steps)
-    times_s = courses.times_s(first)[:, None] + (courses.times_s(steps) - courses.start_s)
-    error_deg = np.zeros_like(landed_s)
-    for trial in range(len(LANDING_RATIOS)):
-        one = trapezoids(starts, target_deg, travel[:, trial : trial + 1], column.ramp_deg_s2).at(
-            times_s
-        )
-        stray = np.abs(one.position_deg - courses.position_deg[flat])
-        stray[steps > (end[:, trial] - first)[:, None]] = 0.0
-        error_deg[:, trial] = stray.max(axis=1)
+    steps = np.arange(int(lasts.max(initial=0)) + 1)[:, None]
+    times_s = courses.times_s(first + steps)[:, :, None]
+    course_deg = courses.position_deg[courses.flat(joint, first + steps)][:, :, None]
+    stray = np.abs(moves.at(times_s).position_deg - course_deg)
+    error_deg = np.where(steps[:, :, None] <= lasts, stray, 0.0).max(axis=0)
     late_s = landed_s - (last_s + SEGMENT_MIN_S)
     error_deg = np.where(late_s > 0.0, TOO_LATE_DEG + late_s, error_deg)
     merit = np.maximum(error_deg, ALIKE_RATIO * column.tolerance_deg)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from lss_motion.program.course import Course, ServoLimits
     from lss_motion.program.moves import Begin
 
-STRETCH_S: Final = 20.0
+STRETCH_S: Final = 10.0
 """A stretch without a standstill is cut about this often. Each cut costs up to one move, in a
 hundred; and lanes enough to fill the arrays come from ten minutes of a few joints."""
 TURN_STEPS: Final = 12

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_left, insort
+from bisect import bisect_left
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -19,21 +19,21 @@ WORST_WINDOW_US = 100_000
 
 
 BUCKET_US = 131_072
-"""Slots are kept by the stretch of time in which they begin, so that ten minutes are as quick to
-search as one second. Any length will do; this one holds a dozen slots on a busy line."""
+"""Slots (starts, ends) are kept by the stretch in which they begin, so that ten minutes are as
+quick to search as one second. Any length will do; this one holds a dozen slots on a busy line."""
 
 
 class LineSchedule:
     """The transmit side of one bus: reserved slots, disjoint, in microseconds of show time."""
 
     def __init__(self) -> None:
-        self._buckets: dict[int, list[tuple[int, int]]] = {}
+        self._buckets: dict[int, tuple[list[int], list[int]]] = {}
         self._longest_us = 0
 
     def copy(self) -> LineSchedule:
         """Return a schedule of its own with the same slots."""
         made = LineSchedule()
-        made._buckets = {key: list(slots) for key, slots in self._buckets.items()}
+        made._buckets = {key: ([*starts], [*ends]) for key, (starts, ends) in self._buckets.items()}
         made._longest_us = self._longest_us
         return made
 
@@ -47,7 +47,10 @@ class LineSchedule:
         if start_us < earliest_us:
             start_us = self._first_free_start(max(earliest_us, latest_end_us - size_us), size_us)
         end_us = start_us + size_us
-        insort(self._buckets.setdefault(start_us // BUCKET_US, []), (start_us, end_us))
+        starts_us, ends_us = self._buckets.setdefault(start_us // BUCKET_US, ([], []))
+        at = bisect_left(starts_us, start_us)
+        starts_us.insert(at, start_us)
+        ends_us.insert(at, end_us)
         self._longest_us = max(self._longest_us, size_us)
         return end_us
 
@@ -55,12 +58,11 @@ class LineSchedule:
         end_us = latest_end_us
         key = (end_us - 1) // BUCKET_US
         while (key + 1) * BUCKET_US > end_us - size_us - self._longest_us:
-            slots = self._buckets.get(key, ())
-            for index in range(bisect_left(slots, (end_us, 0)) - 1, -1, -1):
-                start_us, stop_us = slots[index]
-                if stop_us <= end_us - size_us:
+            starts_us, ends_us = self._buckets.get(key, ((), ()))
+            for at in range(bisect_left(starts_us, end_us) - 1, -1, -1):
+                if ends_us[at] <= end_us - size_us:
                     return end_us
-                end_us = min(end_us, start_us)
+                end_us = starts_us[at]
             key -= 1
         return end_us
 
@@ -68,7 +70,7 @@ class LineSchedule:
         start_us = earliest_us
         key = (start_us - self._longest_us) // BUCKET_US
         while key * BUCKET_US < start_us + size_us:
-            for slot_us, stop_us in self._buckets.get(key, ()):
+            for slot_us, stop_us in zip(*self._buckets.get(key, ((), ())), strict=True):
                 if slot_us >= start_us + size_us:
                     return start_us
                 start_us = max(start_us, stop_us)

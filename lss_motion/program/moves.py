@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -23,8 +23,7 @@ JOINED_DEG: Final = 1e-6
 """A move starts where its predecessor has brought the profile, up to rounding errors."""
 
 
-@dataclass(frozen=True, slots=True)
-class FittedMove:
+class FittedMove(NamedTuple):
     """Move to `target_wire` in `duration_ms` (None: a bare `D`), heard at `heard_s`."""
 
     heard_s: float
@@ -71,11 +70,16 @@ class Moves:
         return trapezoids(states, target_deg, self.travel_deg_s, own.ramp_deg_s2)
 
 
-def in_order(parts: Sequence[Moves]) -> Moves:
-    """Return the moves by joint, and of each joint by time."""
+def nothing() -> Moves:
+    """Return no moves."""
+    none = np.zeros(0)
+    return Moves(np.zeros(0, dtype=np.intp), *(none,) * (len(Moves.__slots__) - 1))
+
+
+def joined(parts: Sequence[Moves]) -> Moves:
+    """Return all moves, one part after the other."""
     names = Moves.__slots__
-    whole = Moves(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-    return whole.take(np.lexsort((whole.heard_s, whole.joint)))
+    return Moves(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def unjoined(moves: Moves, limits: LimitArrays) -> IntArray:

@@ -17,12 +17,11 @@ from lss_motion.program.cone import (
     CONE_RATIO,
     ROOM_RATIO,
     excursion_deg,
-    open_steps,
     opened,
     ramped,
     reach_s,
 )
-from lss_motion.program.course import AUTHORITY_STEPS, GRID_S
+from lss_motion.program.course import AHEAD_MAX_STEPS, AUTHORITY_STEPS, GRID_S
 from lss_motion.program.landing import SEGMENT_MIN_S
 
 if TYPE_CHECKING:
@@ -35,8 +34,9 @@ FOLLOW_RATIO: Final = CONE_RATIO - ROOM_RATIO
 and for the slot that a move is really granted."""
 BEND_MIN_STEPS: Final = 6
 """A bend that comes sooner is passed: for its sake alone no two moves are 30 ms apart."""
-WINDOW_STEPS: Final = (48, 300)
-"""Grid steps looked ahead at first, and where the cone is still open then: `SEGMENT_MAX_S`."""
+NEAR: Final = (64, 1)
+FAR: Final = (AHEAD_MAX_STEPS, 1)
+"""Instants and stride looked ahead at first, and where the cone is still open then."""
 REACH: Final = (20, 5)
 """Steps and stride in which it is judged how far a successor reaches (500 ms); it is only compared,
 so every fifth grid step will do."""
@@ -99,29 +99,52 @@ class Servos:
         )
 
 
-def chosen(courses: Courses, servos: Servos) -> tuple[FloatArray, FloatArray]:
-    """Return the travel speed of each servo's next move, and when its successor is wanted."""
-    speed_deg_s, wanted_s = np.empty(len(servos.joint)), np.empty(len(servos.joint))
-    is_hard = _is_hard(courses, servos)
-    for trials in (QUICK, WIDE):
-        rest = np.flatnonzero(is_hard if trials is WIDE else ~is_hard)
-        for steps in WINDOW_STEPS:
-            if not len(rest):
-                break
-            some = servos.take(rest)
-            cone = opened(courses, some.joint, some.state, some.limits, steps)
-            held = open_steps(*cone)
-            is_long = (held == steps) & (steps < WINDOW_STEPS[-1])
-            is_lost = (held <= SEGMENT_MIN_STEPS) & (trials is QUICK)
-            is_hard[rest[is_lost]] = True
-            now = np.flatnonzero(~is_long & ~is_lost)
-            if len(now):
-                done = rest[now]
-                speed_deg_s[done], wanted_s[done] = _best(
-                    courses, some.take(now), trials, (cone[0][now], cone[1][now])
-                )
-            rest = rest[is_long]
-    return speed_deg_s, wanted_s
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """The travel speed of each servo's next move, and when its successor is wanted.
+
+    `held_steps`: for how many grid steps one move can keep the tolerance.
+    """
+
+    speed_deg_s: FloatArray
+    wanted_s: FloatArray
+    held_steps: IntArray
+
+
+def chosen(courses: Courses, servos: Servos) -> Chosen:
+    """Return how servos that cannot land yet go on."""
+    view = _View(courses, servos)
+    is_hard = _is_hard(courses, servos) | (view.held_steps < SEGMENT_MIN_STEPS)
+    speed_deg_s, wanted_s = np.empty(len(is_hard)), np.empty(len(is_hard))
+    for trials, some in ((QUICK, ~is_hard), (WIDE, is_hard)):
+        rows = np.flatnonzero(some)
+        if len(rows):
+            best = _best(courses, servos.take(rows), trials, view, rows)
+            speed_deg_s[rows], wanted_s[rows] = best
+    return Chosen(speed_deg_s, wanted_s, view.held_steps)
+
+
+class _View:
+    """The cones of servos: near by, and further ahead of those whose cone is still open there."""
+
+    def __init__(self, courses: Courses, servos: Servos) -> None:
+        self._near = opened(courses, servos.joint, servos.state, servos.limits, *NEAR)
+        self.held_steps = self._near.held - 1
+        self._is_far = self.held_steps == NEAR[0] - 1
+        if self._is_far.any():
+            some = servos.take(self._is_far)
+            self._far = opened(courses, some.joint, some.state, some.limits, *FAR)
+            self.held_steps[self._is_far] = FAR[1] * (self._far.held - 1)
+            self._far_row = np.cumsum(self._is_far) - 1
+
+    def at(self, rows: IntArray, steps: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return the lowest and the highest speed of `rows` after `steps`, (rows, any)."""
+        low, high = self._near.at(rows, steps)
+        is_far = self._is_far[rows]
+        if is_far.any():
+            far_rows = self._far_row[rows[is_far]]
+            low[is_far], high[is_far] = self._far.at(far_rows, steps[is_far])
+        return low, high
 
 
 def _is_hard(courses: Courses, servos: Servos) -> BoolArray:
@@ -135,30 +158,34 @@ def _is_hard(courses: Courses, servos: Servos) -> BoolArray:
 
 
 def _best(
-    courses: Courses, servos: Servos, trials: Trials, cone: tuple[FloatArray, FloatArray]
+    courses: Courses, servos: Servos, trials: Trials, view: _View, rows: IntArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the best of the trials: travel speeds and instants of the successors."""
-    cuts, is_held = _cuts(courses, servos, trials, open_steps(*cone))
-    speeds, each = _speeds(courses, servos, trials, cone, cuts, is_held)
-    index = np.repeat(servos.first[:, None] + cuts, each, axis=1)
+    cuts, is_held = _cuts(courses, servos, trials, view.held_steps[rows])
+    index = servos.first[:, None] + cuts
     times_s = courses.times_s(index)
-    start, limits = servos.state.column(), servos.limits.column()
-    position, reached = ramped(
-        start.position_deg, start.speed_deg_s, speeds, times_s - start.time_s, limits.ramp_deg_s2
-    )
     flat = courses.flat(servos.joint[:, None], index)
-    excursion = excursion_deg(courses, flat, position, reached)
-    follows = (excursion <= FOLLOW_RATIO * limits.tolerance_deg) & is_held[:, None]
+    speeds = _speeds(courses, servos, trials, view.at(rows, cuts), (cuts, flat), is_held)
+    start, limits = servos.state.column(), servos.limits
+    ramp = limits.ramp_deg_s2[:, None, None]
+    tau_s = (times_s - start.time_s)[:, :, None]
+    at, speed = start.position_deg[:, :, None], start.speed_deg_s[:, :, None]
+    position, reached = ramped(at, speed, speeds, tau_s, ramp)
+    excursion = excursion_deg(courses, flat[:, :, None], position, reached)
+    follows = excursion <= (FOLLOW_RATIO * limits.tolerance_deg)[:, None, None]
+    follows &= is_held[:, None, None]
     merit = -excursion
-    row, column = np.nonzero(follows)
+    row, cut, trial = np.nonzero(follows)
     if len(row):
-        after = States(times_s[row, column], position[row, column], reached[row, column])
-        joint = servos.joint[row]
-        merit[follows.any(axis=1)] = -np.inf
-        merit[row, column] = reach_s(courses, joint, after, servos.limits.take(row), *REACH)
-        merit[row, column] += 1e-6 * index[row, column]
-    best = np.arange(len(merit)), np.argmax(merit, axis=1)
-    return speeds[best], times_s[best]
+        some = row, cut, trial
+        after = States(times_s[row, cut], position[some], reached[some])
+        merit[follows.any(axis=(1, 2))] = -np.inf
+        reach = reach_s(courses, servos.joint[row], after, limits.take(row), *REACH)
+        merit[some] = reach + 1e-6 * index[row, cut]
+    each = speeds.shape[2]
+    every = np.arange(len(merit))
+    best = np.argmax(merit.reshape(len(merit), -1), axis=1)
+    return speeds[every, best // each, best % each], times_s[every, best // each]
 
 
 def _cuts(
@@ -167,8 +194,8 @@ def _cuts(
     """Return steps until the successor to try, and whether the tolerance is kept so far."""
     least, first = SEGMENT_MIN_STEPS, servos.first
     latest = np.maximum(servos.latest - first, least)
-    is_held = held > least
-    last = np.maximum(np.minimum(held - 1, latest), least)
+    is_held = held >= least
+    last = np.maximum(np.minimum(held, latest), least)
     cuts = np.maximum(np.rint(last[:, None] * np.array(trials.cuts)).astype(np.intp), least)
     columns = [cuts]
     before, after = first + last, first + BEND_MIN_STEPS
@@ -187,24 +214,22 @@ def _speeds(
     courses: Courses,
     servos: Servos,
     trials: Trials,
-    cone: tuple[FloatArray, FloatArray],
-    cuts: IntArray,
+    sides_deg_s: tuple[FloatArray, FloatArray],
+    cuts_flat: tuple[IntArray, IntArray],
     is_held: BoolArray,
-) -> tuple[FloatArray, int]:
-    """Return the travel speeds to try, cut by cut, and how many a cut.
+) -> FloatArray:
+    """Return the travel speeds to try, (servos, cuts, any).
 
     They lie in the cone; where that is closed, between what the ramps can reach.
     """
-    columns = np.minimum(cuts, cone[0].shape[1] - 1)
-    low, high = (np.take_along_axis(side, columns, axis=1) for side in cone)
+    (low, high), (cuts, flat) = sides_deg_s, cuts_flat
     if not is_held.all():
         gain = servos.limits.ramp_deg_s2[:, None] * GRID_S * cuts
         most = servos.limits.speed_max_deg_s[:, None]
         now, held = servos.state.speed_deg_s[:, None], is_held[:, None]
         low = np.where(held, low, np.clip(now - gain, -most, most))
         high = np.where(held, high, np.clip(now + gain, -most, most))
-    flat = courses.flat(servos.joint[:, None], servos.first[:, None] + cuts)
-    own = np.clip(courses.speed_deg_s[flat], low, high)
-    spread = low[:, :, None] + np.array(trials.speeds) * (high - low)[:, :, None]
-    speeds = np.concatenate((own[:, :, None], spread), axis=2)
-    return speeds.reshape(len(cuts), -1), speeds.shape[2]
+    speeds = np.empty((*cuts.shape, 1 + len(trials.speeds)))
+    speeds[:, :, 0] = np.clip(courses.speed_deg_s[flat], low, high)
+    speeds[:, :, 1:] = low[:, :, None] + np.array(trials.speeds) * (high - low)[:, :, None]
+    return speeds

@@ -206,7 +206,19 @@ class Reference:
 
     def sample(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return positions in degrees at `times_s`; at rest before the first piece."""
-        index = np.maximum(np.searchsorted(self._start_s, times_s, side="right") - 1, 0)
+        return self._positions(times_s, np.searchsorted(self._start_s, times_s, side="right"))
+
+    def along(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what `sample` does, quicker where many `times_s`, in order, fall on few pieces."""
+        edges = np.searchsorted(times_s, self._start_s, side="left")
+        counts = np.diff(edges, prepend=0, append=len(times_s))
+        return self._positions(times_s, np.repeat(np.arange(len(counts)), counts))
+
+    def _positions(
+        self, times_s: NDArray[np.float64], begun: NDArray[np.intp]
+    ) -> NDArray[np.float64]:
+        """Return positions at instants before which so many pieces have begun."""
+        index = np.maximum(begun - 1, 0)
         dt = np.maximum(times_s - self._start_s[index], 0.0)
         dt[~np.isfinite(dt)] = 0.0
         found: NDArray[np.float64] = self._position[index] + dt * (

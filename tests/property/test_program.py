@@ -177,7 +177,11 @@ def courses(draw):
 def fitted(course, limits, late=lambda wanted_us: wanted_us):
     """Return the moves for one course and the profile they make; `late` is what the line grants."""
     moves = Fit([course], [limits]).moves(
-        lambda: lambda _joint, wanted_us, after_us: max(late(wanted_us), after_us)
+        lambda: (
+            lambda _joints, wanted_us, after_us: [
+                max(late(wanted), after) for wanted, after in zip(wanted_us, after_us, strict=True)
+            ]
+        )
     )
     return moves, reference(moves, 0, course, limits)
 

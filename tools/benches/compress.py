@@ -67,7 +67,7 @@ def moves_of(course: Course, tolerance_deg: float) -> Moves:
     """Return the moves of our fit, every one granted when it is wanted."""
     joint = next(iter(robot_of(1).joints.values()))
     fit = Fit([course], [servo_limits(joint, tolerance_deg)])
-    return fit.moves(lambda: lambda _joint, wanted_us, _after_us: wanted_us)
+    return fit.moves(lambda: lambda _joints, wanted_us, _after_us: wanted_us)
 
 
 def fewest_segments(course_deg: FloatArray, tolerance_deg: float) -> int:

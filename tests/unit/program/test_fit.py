@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lss_motion.program.course import GRID_S, Course, ServoLimits
-from lss_motion.program.fit import SEGMENT_MAX_S, Fit
+from lss_motion.program.course import GRID_S, SEGMENT_MAX_S, Course, ServoLimits
+from lss_motion.program.fit import Fit
 from lss_motion.program.moves import reference
 from lss_motion.robot.model import Response
 
@@ -21,7 +21,7 @@ LIMITS = ServoLimits(
 def fitted(position_deg):
     """Return the moves for one course, all heard when they are wanted, and the profile they make"""
     course = Course(start_s=0.0, position_deg=np.asarray(position_deg))
-    moves = Fit([course], [LIMITS]).moves(lambda: lambda _joint, wanted_us, _after_us: wanted_us)
+    moves = Fit([course], [LIMITS]).moves(lambda: lambda _joints, wanted_us, _after_us: wanted_us)
     return moves, reference(moves, 0, course, LIMITS)
 
 
