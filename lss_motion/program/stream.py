@@ -158,10 +158,14 @@ class StreamFitter:
         return 2 + math.ceil(ratio)
 
     def _departure(self, step: int, standing_deg: float) -> float | None:
-        """Return when the command that ends the standstill at `step` should be heard."""
+        """Return when the command that ends the standstill at `step` should be heard.
+
+        At the end of a range that the wire cannot say, the standstill itself is off by more than
+        half a unit.
+        """
         half_unit_deg = 0.5 * self._limits.wire_step / self._limits.wire_per_deg
         away = np.abs(self._course_deg[self._index(step) :] - standing_deg)
-        leaves = np.flatnonzero(away > half_unit_deg + STILL_ROUNDING_DEG)
+        leaves = np.flatnonzero(away > max(half_unit_deg, away[0]) + STILL_ROUNDING_DEG)
         return (
             self._profile.hear_s(max(step, self._first) + int(leaves[0])) if leaves.size else None
         )

@@ -19,6 +19,7 @@ from lss_motion.program.text import from_text, to_text
 from lss_motion.program.verify import verify_program
 from lss_motion.robot.model import Response
 from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.sequence.model import Keyframe, Sequence
 
 PERIOD_S = 0.02
 
@@ -116,6 +117,17 @@ def test_targets_of_a_streamed_joint_never_leave_its_range_or_outrun_its_speed(k
     _, position_deg, speed_deg_s, _ = profiles(program, robot)["j1"].table
     assert np.abs(position_deg).max() <= 50.0
     assert np.abs(speed_deg_s).max() <= 180.0 + 0.05 / (4 * PERIOD_S) + 1e-6
+
+
+def test_a_rest_at_the_end_of_a_range_that_the_wire_cannot_say_comes_to_an_end(kit):
+    robot = kit.robot(
+        kit.joint("j1", 2, drive="streamed", position_min_deg=-50.0, position_max_deg=43.27)
+    )
+    frames = (Keyframe(deg={"j1": 0.0}, at_s=0.0), Keyframe(deg={"j1": 43.27}, at_s=1.0))
+    trajectory = kit.plan(Sequence(name="to the end", keyframes=frames), robot)
+    program = compile_program(trajectory, robot)
+    assert program.moves[-1].target_wire == 432
+    assert program.duration_s < 1.5
 
 
 def test_the_end_is_said_until_a_filter_that_missed_some_of_it_has_settled(kit):
