@@ -1,8 +1,8 @@
 """Plays short shows with faults from seeds in virtual time, and judges what was sent, heard, done.
 
-tools/run tools/fuzz.py --seeds 100            seeds 0 to 99
-tools/run tools/fuzz.py --seeds 10000          a night's work
-tools/run tools/fuzz.py --seconds 120          as many as go into two minutes
+tools/run tools/fuzz.py                        10,000 seeds: a night's work
+tools/run tools/fuzz.py --seconds 120 --jobs 2 as many as go into two minutes on two cores
+tools/run tools/fuzz.py --any                  robot, show and keys from the seed, too
 tools/run tools/fuzz.py --from 4711 --seeds 1  one of them again
 
 Promised is: it ends, and without a crash; no command leads out of a joint's range, and no horn
@@ -14,17 +14,28 @@ and a servo that is gone is named.
 from __future__ import annotations
 
 import argparse
+import multiprocessing
+import os
 import sys
+import tempfile
 import time
+from collections import Counter
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from campaign.judge import judged
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
+
+    from campaign.judge import Judged
+
+NIGHT_SEEDS: Final = 10_000
+SAYS_EVERY_S: Final = 60.0
+"""How often it says how far it has come."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -34,27 +45,57 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--seeds", type=int, default=1_000_000, metavar="N")
+    parser.add_argument("--seeds", type=int, default=NIGHT_SEEDS, metavar="N")
     parser.add_argument("--seconds", type=float, default=float("inf"), metavar="S")
     parser.add_argument("--from", type=int, default=0, dest="first", metavar="SEED")
+    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="processes")
+    parser.add_argument("--any", action="store_true", help="any robot, any show, and somebody "
+                        "who plays with the keys")  # fmt: skip
     arguments = parser.parse_args(argv)
-    started_s = time.monotonic()
-    outcomes: dict[str, int] = {}
+    started_s = said_s = time.monotonic()
+    outcomes: Counter[str] = Counter()
     failed = 0
-    for seed in range(arguments.first, arguments.first + arguments.seeds):
-        if time.monotonic() - started_s > arguments.seconds:
-            break
-        result = judged(seed)
-        outcomes[result.outcome] = outcomes.get(result.outcome, 0) + 1
-        for promise in result.broken:
-            print(f"seed {seed}: {promise}", flush=True)
-        if result.broken:
-            failed += 1
-            print("\n".join(f"  {fault}" for fault in result.faults))
-            print(f"  tools/run tools/fuzz.py --from {seed} --seeds 1", flush=True)
-    said = ", ".join(f"{count} {outcome}" for outcome, count in sorted(outcomes.items()))
-    print(f"{sum(outcomes.values())} seeds: {said}; {failed} broke a promise")
+    seeds = range(arguments.first, arguments.first + arguments.seeds)
+    with tempfile.TemporaryDirectory() as plans:
+        os.environ["LSS_MOTION_CACHE_DIR"] = plans  # A million shows that nobody plays again.
+        for seed, result in _played(seeds, arguments.jobs, is_any=arguments.any):
+            outcomes[result.outcome] += 1
+            failed += bool(result.broken)
+            _tell(seed, result, is_any=arguments.any)
+            now_s = time.monotonic()
+            if now_s - said_s > SAYS_EVERY_S:
+                said_s = now_s
+                print(_summary(outcomes, failed, now_s - started_s), flush=True)
+            if now_s - started_s > arguments.seconds:
+                break
+    print(_summary(outcomes, failed, time.monotonic() - started_s))
     return 1 if failed else 0
+
+
+def _played(seeds: Sequence[int], jobs: int, *, is_any: bool) -> Iterator[tuple[int, Judged]]:
+    """Yield what became of the seeds, in their order."""
+    play = partial(judged, is_any=is_any)
+    if jobs == 1:
+        yield from zip(seeds, map(play, seeds), strict=True)
+        return
+    with multiprocessing.Pool(jobs) as pool:
+        yield from zip(seeds, pool.imap(play, seeds), strict=True)
+
+
+def _tell(seed: int, result: Judged, *, is_any: bool) -> None:
+    if not result.broken:
+        return
+    for promise in result.broken:
+        print(f"seed {seed}: {promise}")
+    for fault in result.faults:
+        print(f"  {fault}")
+    again = f"tools/run tools/fuzz.py {'--any ' if is_any else ''}--from {seed} --seeds 1"
+    print(f"  {again}", flush=True)
+
+
+def _summary(outcomes: Counter[str], failed: int, passed_s: float) -> str:
+    said = ", ".join(f"{count} {outcome}" for outcome, count in sorted(outcomes.items()))
+    return f"{outcomes.total()} seeds in {passed_s:.0f} s: {said}; {failed} broke a promise"
 
 
 if __name__ == "__main__":

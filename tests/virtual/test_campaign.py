@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from campaign import judge
+from campaign import judge, witness
 from campaign.shows import show
 
 from lss_motion.player import settings, setup, streamer, track
@@ -40,7 +40,7 @@ def broken(name):
 
 
 def test_a_run_that_does_not_end_is_seen(monkeypatch):
-    monkeypatch.setattr(judge, "RUN_MAX_S", 1.0)
+    monkeypatch.setattr(witness, "RUN_MAX_S", 1.0)
     assert "it hangs" in broken("arm")
 
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from campaign.any_show import any_show
 from campaign.shows import NAMES, RESUME_S, Show, show
+from campaign.witness import Act, HangError, Witness, random_acts
 
 from lss_motion import api
-from lss_motion.player.events import Phase, PhaseEntered
 from lss_motion.player.following import OFFSET_MAX_DEG
 from lss_motion.sim.build import servos_of
 from lss_motion.sim.faults import INSTANT, Fault, FaultKind
@@ -22,19 +23,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lss_motion.player.events import Event
-    from lss_motion.player.player import Player
     from lss_motion.robot.model import Joint
 
 MOVE: Final = re.compile(rb"#(\d+)D(-?\d+)(?:T\d+)?\r")
 SAFE: Final = re.compile(rb"#254H\r(#\d+L\r)*$")
-
-RUN_MAX_S: Final = 150.0
-"""Virtual time. Ten waits of `RESUME_S` with an approach each, and a show at a tenth of its speed,
-take less."""
-TURNS_MAX: Final = 300_000
-SPINS_MAX: Final = 100
-"""Turns at one and the same instant: a player that asks to be woken when nothing is due spins."""
+LIMP: Final = re.compile(rb"#254L\r$")
 
 STEP_NS: Final = 5_000_000
 WINDOW: Final = 4
@@ -85,47 +78,6 @@ LYING_RATIO: Final = 0.5
 it stands, is then told a wrong place; a timed one goes slowly from wherever it is."""
 
 
-class HangError(Exception):
-    """The run goes on and on."""
-
-
-@dataclass
-class _Witness:
-    """Sees all that is sent and all that happens, and ends a run that does not end."""
-
-    sent_data: dict[str, bytearray] = field(default_factory=dict)
-    phases: list[tuple[int, Phase]] = field(default_factory=list)
-    turns: int = 0
-    spins: int = 0
-    end_ns: int = 0
-
-    def sent(self, bus: str, data: bytes, _: int) -> None:
-        self.sent_data.setdefault(bus, bytearray()).extend(data)
-
-    def received(self, bus: str, data: bytes, now_ns: int) -> None:
-        """Say nothing: what the servos answer is their affair."""
-
-    def turned(self, now_ns: int) -> None:
-        """Say nothing: `act` counts."""
-
-    def happened(self, event: Event, now_ns: int) -> None:
-        if isinstance(event, PhaseEntered):
-            self.phases.append((now_ns, event.phase))
-
-    def filenos(self) -> Sequence[int]:
-        return []
-
-    def act(self, driven: Player, now_ns: int) -> None:
-        self.turns += 1
-        self.spins = self.spins + 1 if now_ns == self.end_ns else 0
-        self.end_ns = now_ns
-        is_over = now_ns > RUN_MAX_S * NS_PER_S or self.turns > TURNS_MAX
-        if is_over or self.spins > SPINS_MAX:
-            raise HangError(
-                f"{self.turns} turns and {s_from_ns(now_ns):.0f} s, still {driven.phase.value}"
-            )
-
-
 @dataclass(frozen=True)
 class Judged:
     """What became of a show, and which promises were broken."""
@@ -135,22 +87,27 @@ class Judged:
     faults: tuple[Fault, ...]
 
 
-def judged(seed: int) -> Judged:
-    """Play one seed. Every fourth has only damaged answers, so that all of it can be judged."""
-    name = NAMES[seed % len(NAMES)]
-    played = show(name)
+def judged(seed: int, *, is_any: bool = False) -> Judged:
+    """Play one seed. Every fourth has only damaged answers, so that all of it can be judged.
+
+    With `is_any`, robot and show come from the seed as well, and somebody plays with the keys.
+    """
+    played = any_show(seed) if is_any else show(NAMES[seed % len(NAMES)])
     faults = random_faults(
         seed,
         servo_ids=[joint.servo_id for joint in played.robot.joints.values()],
         duration_s=played.program.duration_s + 1.0,
         kinds=REPLY_KINDS if seed % 4 == 3 else tuple(FaultKind),
     )
-    return Judged(*judged_with(played, faults, seed), faults)
+    acts = random_acts(seed, played.program.duration_s) if is_any else ()
+    return Judged(*judged_with(played, faults, seed, acts), faults)
 
 
-def judged_with(played: Show, faults: Sequence[Fault], seed: int) -> tuple[str, tuple[str, ...]]:
+def judged_with(
+    played: Show, faults: Sequence[Fault], seed: int, acts: Sequence[Act] = ()
+) -> tuple[str, tuple[str, ...]]:
     """Play a show with `faults`; return what became of it, and the promises that it broke."""
-    witness = _Witness()
+    witness = Witness(list(acts))
     observer = api.Observer(controls=witness, make_tap=lambda _: witness)
     try:
         result = api.perform(
@@ -173,7 +130,7 @@ def judged_with(played: Show, faults: Sequence[Fault], seed: int) -> tuple[str, 
 
 class _Judge:
     def __init__(
-        self, played: Show, faults: Sequence[Fault], witness: _Witness, result: api.Result
+        self, played: Show, faults: Sequence[Fault], witness: Witness, result: api.Result
     ) -> None:
         self.robot, self.program = played.robot, played.program
         self.faults = faults
@@ -233,17 +190,19 @@ class _Judge:
             fault.kind is FaultKind.UNPLUGGED and fault.until_s > end_s - 1.0
             for fault in self.faults
         )
+        is_limp = self.robot.end == "limp" and self.result.report["outcome"] == "finished"
+        safe = LIMP if is_limp else SAFE
         is_garbled = bool(self.kinds & (WORD_KINDS | {FaultKind.LOST_COMMAND}))
         broken = []
         for bus, data in self.witness.sent_data.items():
             if not MOVE.search(bytes(data)) or is_gone:
                 continue
-            if not SAFE.search(bytes(data)):
+            if not safe.search(bytes(data)):
                 broken.append(f"the last bytes on bus {bus} are {bytes(data[-20:])!r}")
             heard = self.result.simulated[bus].heard
             assert heard is not None, "perform records"
             lines = b"".join(line for _, line in heard)
-            if not is_garbled and not SAFE.search(lines):
+            if not is_garbled and not safe.search(lines):
                 broken.append(f"the last that bus {bus} heard is {lines[-20:]!r}")
         return broken
 
@@ -255,22 +214,27 @@ class _Judge:
         report = self.result.report
         if self.kinds - set(REPLY_KINDS) or report["faults"] or report["outcome"] != "finished":
             return []
+        if self.witness.has_acted:
+            return []
         broken = []
         for name, joint in self.robot.joints.items():
             if joint.drive != "timed":
                 continue
-            planned = [
-                joint.joint_deg(move.target_wire / joint.model.wire_per_deg)
-                for move in self.program.moves
-                if (move.bus, move.servo_id) == (joint.bus, joint.servo_id)
-            ]
-            sent = self.targets[name][-len(planned) :]
+            planned = self._planned_deg(joint)
+            sent = self.targets[name][len(self.targets[name]) - len(planned) :]
             for wanted_deg, sent_deg in zip(planned, sent, strict=True):
                 if abs(sent_deg - wanted_deg) > OFFSET_MAX_DEG + joint.unit_deg:
                     broken.append(
                         f"{name} was sent to {sent_deg:.1f} deg in place of {wanted_deg:.1f}"
                     )
         return broken
+
+    def _planned_deg(self, joint: Joint) -> list[float]:
+        return [
+            joint.joint_deg(move.target_wire / joint.model.wire_per_deg)
+            for move in self.program.moves
+            if (move.bus, move.servo_id) == (joint.bus, joint.servo_id)
+        ]
 
     # ---- at the horns
 
@@ -337,12 +301,7 @@ class _Judge:
             return []
         if any(self._is_telling_too_late(fault) for fault in self.faults):
             return []
-        last = [
-            move
-            for move in self.program.moves
-            if (move.bus, move.servo_id) == (joint.bus, joint.servo_id)
-        ][-1]
-        wanted_deg = joint.joint_deg(last.target_wire / joint.model.wire_per_deg)
+        wanted_deg = [self.program.start_deg[joint.name], *self._planned_deg(joint)][-1]
         if abs(angle - wanted_deg) <= RESTS_WITHIN_DEG:
             return []
         return [f"{joint.name} rests at {angle:.1f} deg, not {wanted_deg:.1f}; nothing is said"]
