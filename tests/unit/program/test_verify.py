@@ -7,7 +7,9 @@ from lss_motion.errors import PlanningError
 from lss_motion.program.compile import compile_program
 from lss_motion.program.model import Move, Program
 from lss_motion.program.predict import profiles
-from lss_motion.program.verify import verify_program
+from lss_motion.program.response import Piece, Reference
+from lss_motion.program.verify import verify_profiles, verify_program
+from lss_motion.robot.models import SERVO_MODELS
 
 
 def program(*moves, **fields) -> Program:
@@ -58,3 +60,107 @@ def test_every_compiled_program_passes(kit):
     verify_program(
         compile_program(kit.plan(kit.lively(list(robot.joints), 9.0), robot), robot), robot
     )
+
+
+def verify_pieces(joint, kit, *pieces):
+    """Judge a profile of `(start_s, deg, deg/s, deg/s²)`."""
+    verify_profiles({"j0": Reference(Piece(*piece) for piece in pieces)}, kit.robot(joint))
+
+
+def sprint(deg_s, *, from_deg=0.0, at_s=2.0):
+    """From rest to rest, at `deg_s` for an instant, with 500 deg/s²."""
+    ramp_s = deg_s / 500.0
+    middle_deg = from_deg + 0.5 * deg_s * ramp_s
+    end_deg = from_deg + deg_s * ramp_s
+    return (
+        (0.0, from_deg, 0.0, 0.0),
+        (at_s, from_deg, 0.0, 500.0),
+        (at_s + ramp_s, middle_deg, deg_s, -500.0),
+        (at_s + 2.0 * ramp_s, end_deg, 0.0, 0.0),
+    )
+
+
+def test_a_thousandth_of_the_speed_limit_is_the_most_that_passes(kit):
+    verify_pieces(kit.joint(), kit, *sprint(180.17))
+    with pytest.raises(PlanningError, match=r"would reach 180.2 deg/s, allowed 180 deg/s at 2.0"):
+        verify_pieces(kit.joint(), kit, *sprint(180.2))
+
+
+def test_a_thousandth_of_the_acceleration_limit_is_the_most_that_passes(kit):
+    verify_pieces(kit.joint(accel_max_deg_s2=499.6), kit, *sprint(90.0))
+    with pytest.raises(PlanningError, match=r"would reach 500 deg/s², allowed 499 deg/s² at 2.000"):
+        verify_pieces(kit.joint(accel_max_deg_s2=499.0), kit, *sprint(90.0))
+
+
+def test_a_speed_is_seen_at_the_end_of_a_piece_as_well(kit):
+    # Nothing but the jump back to rest says how fast the first piece became.
+    ramp = (0.0, 0.0, 0.0, 500.0), (0.4, 40.0, 0.0, 0.0)
+    with pytest.raises(PlanningError, match=r"would reach 200 deg/s"):
+        verify_pieces(kit.joint(), kit, *ramp)
+
+
+def test_pieces_that_do_not_meet_are_refused_where_they_should(kit):
+    def stepped(deg):
+        first, *others = sprint(90.0)
+        return first, *((at_s, at_deg + deg, *rest) for at_s, at_deg, *rest in others)
+
+    verify_pieces(kit.joint(), kit, *stepped(0.9e-6))
+    with pytest.raises(PlanningError, match=r"'j0' would jump at 2.000 s") as caught:
+        verify_pieces(kit.joint(), kit, *stepped(2e-6))
+    assert caught.value.time_s == pytest.approx(2.0)
+
+
+def test_a_profile_may_be_a_wire_unit_outside_of_the_range_and_no_more(kit):
+    for side in (1.0, -1.0):
+        verify_pieces(kit.joint(), kit, (0.0, side * 90.09, 0.0, 0.0))
+        with pytest.raises(PlanningError, match=rf"at {side * 90.11:.2f} deg, allowed -90 to 90"):
+            verify_pieces(kit.joint(), kit, (0.0, side * 90.11, 0.0, 0.0))
+
+
+def test_a_profile_that_turns_round_outside_of_the_range_is_refused(kit):
+    # Up and back within one piece: 16 deg further than where it begins and ends.
+    swing = (0.0, 75.0, 0.0, 0.0), (1.0, 75.0, 178.885, -1000.0), (1.35777, 75.0, 0.0, 0.0)
+    joint = kit.joint(accel_max_deg_s2=1000.0)
+    verify_pieces(kit.joint(accel_max_deg_s2=1000.0, position_max_deg=91.0), kit, *swing)
+    with pytest.raises(PlanningError, match=r"would be at 91.00 deg, allowed -90 to 90 deg at 1.0"):
+        verify_pieces(joint, kit, *swing)
+
+
+def test_what_a_streamed_joint_may_exceed_is_what_its_wire_rounds(kit):
+    # Half a wire unit in each step of its filter: 0.05 deg / (4 × 20 ms) = 0.625 deg/s.
+    streamed = kit.joint(drive="streamed", filter_count=4)
+    verify_pieces(streamed, kit, *sprint(180.18 + 0.62))
+    with pytest.raises(PlanningError, match=r"would reach 180.81 deg/s, allowed 180"):
+        verify_pieces(streamed, kit, *sprint(180.18 + 0.63))
+    with pytest.raises(PlanningError, match=r"would reach 180.8 deg/s, allowed 180"):
+        verify_pieces(kit.joint(), kit, *sprint(180.18 + 0.62))
+
+
+def stairs(*steps):
+    """A staircase of `(at_s, deg)` that was on its first step for ever."""
+    (_, first_deg), *others = steps
+    return (-np.inf, first_deg, 0.0, 0.0), *((at_s, deg, 0.0, 0.0) for at_s, deg in others)
+
+
+def test_a_stepped_joint_jumps_as_far_as_its_speed_and_the_time_since_allow(kit):
+    board = kit.joint(drive="stepped", model=SERVO_MODELS["LSS-2IO"], speed_max_deg_s=100.0)
+    # A whole degree is what the wire rounds; after 0.5 s another 50.05 deg.
+    verify_pieces(board, kit, *stairs((0.0, 0.0), (1.0, 5.0), (1.5, 56.0)))
+    with pytest.raises(PlanningError, match=r"would jump faster than 100 deg/s at 1.500 s"):
+        verify_pieces(board, kit, *stairs((0.0, 0.0), (1.0, 5.0), (1.5, 56.1), (2.0, 56.0)))
+
+
+def test_no_step_is_quicker_than_the_pulses_that_tell_of_it(kit):
+    board = kit.joint(drive="stepped", model=SERVO_MODELS["LSS-2IO"], speed_max_deg_s=100.0)
+    verify_pieces(board, kit, *stairs((0.0, 0.0), (1.0, 1.0), (1.001, 4.0)))
+    with pytest.raises(PlanningError, match="would jump faster"):
+        verify_pieces(board, kit, *stairs((0.0, 0.0), (1.0, 1.0), (1.001, 4.1)))
+
+
+def test_a_stepped_joint_keeps_its_range(kit):
+    board = kit.joint(drive="stepped", model=SERVO_MODELS["LSS-2IO"])
+    verify_pieces(board, kit, *stairs((0.0, 80.0), (1.0, 91.0)))
+    with pytest.raises(
+        PlanningError, match=r"would be at 91.10 deg, allowed -90 to 90 deg at 1.000"
+    ):
+        verify_pieces(board, kit, *stairs((0.0, 80.0), (1.0, 91.1)))

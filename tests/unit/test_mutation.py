@@ -1,0 +1,45 @@
+from __future__ import annotations
+
+import pytest
+from mutate import explanations
+from mutation.mutants import mutants_of
+
+SOURCE = '''
+"""Text."""
+LIMIT: int = 3
+
+def share(a: float, b: float) -> float | None:
+    """More text."""
+    if not a < b:
+        raise ValueError(f"{a} is not below {b}, by {a - b}")
+    assert b > 0
+    return a / b
+'''
+
+
+def test_each_mutant_changes_one_thing_and_can_be_run():
+    found = {mutant.name: mutant.code for mutant in mutants_of(SOURCE, "share.py")}
+    assert list(found) == [
+        "module: `LIMIT: int = 3` -> `LIMIT: int = 6`",
+        "share: `if not a < b:` -> `if a < b:`",
+        "share: `if not a < b:` -> `if not a <= b:`",
+        "share: `if not a < b:` -> `if not a >= b:`",
+        "share: `raise ValueError(f'{a} is not below {b}, by {a - b}')` -> `pass`",
+        "share: `return a / b` -> `return None`",
+        "share: `return a / b` -> `return a * b`",
+    ]
+    module: dict[str, object] = {}
+    exec(found["share: `return a / b` -> `return a * b`"], module)
+    assert module["share"](2.0, 4.0) == 8.0
+    with pytest.raises(ValueError, match="below"):
+        module["share"](4.0, 2.0)
+
+
+def test_a_reason_is_for_all_mutants_right_above_it():
+    assert explanations("# text\n\na\nb\n    why\n    so\nc\n    no\n") == {
+        "a": "why so",
+        "b": "why so",
+        "c": "no",
+    }
+    with pytest.raises(ValueError, match="no reason below: d"):
+        explanations("c\n    no\nd\n")
