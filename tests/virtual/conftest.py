@@ -21,10 +21,11 @@ MOVE = re.compile(rb"#(\d+)D(-?\d+)T(\d+)\r")
 ROBOT_FIELDS = ("on_fault", "patience_s", "resume_s")
 
 
-def make_robot(count=3, *, end="hold", buses=1, baud_bps=57600, **fields) -> Robot:
+def make_robot(count=3, *, end="hold", buses=1, baud_bps=19200, **fields) -> Robot:
     """`count` equal joints j0, j1, … with the ids 1, 2, …, dealt to the buses in turn.
 
-    What is no field of the robot is one of all joints.
+    What is no field of the robot is one of all joints. The slow line carries a few joints, and what
+    a show costs to play is its questions, which fill the line.
     """
     own = {key: fields.pop(key) for key in ROBOT_FIELDS if key in fields}
     base = Joint(

@@ -36,7 +36,7 @@ def test_colours_come_at_their_time_between_the_moves_and_go_after_the_show(
     stage, kit, has_feedback
 ):
     """All joints at once: the orders are spread over the gaps, and no command is late for them."""
-    robot = kit.robot(18)
+    robot = kit.robot(18, baud_bps=57600)
     every = tuple((name, BLUE) for name in robot.joints)
     show = replace(kit.sequence(18, 4.0), events=(Cue(at_s=2.0, led=every),))
     played = stage.play(robot, show, has_feedback=has_feedback)

@@ -108,7 +108,7 @@ def test_a_servo_that_does_not_take_its_limits_is_not_driven(stage, kit, monkeyp
 
 def test_the_show_slows_down_for_a_weak_joint_and_gets_to_its_end(stage, kit):
     weak = Fault(kind=FaultKind.WEAK, servo_id=1, at_s=1.5, until_s=5.0, speed_ratio=0.05)
-    robot = kit.robot(following_deg=5.0, patience_s=10.0)
+    robot = kit.robot(following_deg=5.0, patience_s=10.0, baud_bps=57600)
     rates = []
 
     def look(player, now_ns):

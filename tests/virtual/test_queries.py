@@ -119,7 +119,8 @@ def test_an_adapter_that_holds_answers_back_is_named_with_its_remedy(stage, kit,
     def slow(bus):
         bus._adapter._latency_ns = latency_ms * 1_000_000
 
-    played = stage.play(sequence=kit.sequence(3, 3.0), on_bus=slow)
+    robot = kit.robot(baud_bps=BAUD_BPS)
+    played = stage.play(robot, kit.sequence(3, 3.0), on_bus=slow)
     warnings = [event.text for event in played.events if isinstance(event, Warned)]
     assert len(warnings) == bool(latency_ms)
     assert all("latency timer" in text and "ms late" in text for text in warnings)

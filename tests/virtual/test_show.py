@@ -15,6 +15,7 @@ from lss_motion.sim.physics import Physics
 
 QUIET = Physics(noise_deg=0.0)
 HOLD, LIMP = b"#254H\r", b"#254L\r"
+FAST_BPS = 57600
 RESTORED = {b"#%dEM1\r", b"#%dAA100\r", b"#%dAD100\r", b"#%dSD3600\r"}
 """What an LSS-ST1 from the factory is set to (seed 000; its top speed is 360 deg/s)."""
 
@@ -109,7 +110,7 @@ def test_marks_are_passed_once_each_in_order(stage, kit):
 
 
 def test_a_show_of_a_minute_with_eighteen_joints_fits_the_line_and_the_horns(stage, kit):
-    robot = kit.robot(18)
+    robot = kit.robot(18, baud_bps=FAST_BPS)
     played = stage.play(robot, kit.sequence(18, 60.0, step_s=(0.8, 1.6)))
     assert played.report["outcome"] == "finished"
     assert played.report["timing"]["missed"] == 0
@@ -266,7 +267,8 @@ def test_a_second_stop_holds_at_once(stage, kit):
         later.append(now_ns)
         player.stop(now_ns)
 
-    played = stage.play(wishes=[(kit.in_show(2.0), kit.stop), (after_first, again)])
+    robot = kit.robot(baud_bps=FAST_BPS)
+    played = stage.play(robot, wishes=[(kit.in_show(2.0), kit.stop), (after_first, again)])
     assert played.report["outcome"] == "stopped"
     at_ns, line = played.bus.heard[-1]
     assert line == HOLD
