@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import signal
 import sys
 from pathlib import Path
@@ -282,14 +281,10 @@ def _cue_text(cue: Cue) -> str:
 
 def _write_results(arguments: argparse.Namespace, result: Result) -> None:
     from lss_motion import api
+    from lss_motion.runtime.report import write_report
 
     if arguments.report is not None:
-        try:
-            arguments.report.write_text(json.dumps(result.report, indent=1) + "\n", "utf-8")
-        except OSError as error:
-            raise InputError(
-                f"cannot write the report: {error.strerror}", path=arguments.report
-            ) from error
+        write_report(result.report, arguments.report)
     if arguments.truth is not None and result.truth is not None:
         api.write_truth(result.truth, arguments.truth)
 

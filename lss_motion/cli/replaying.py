@@ -42,6 +42,9 @@ def add_to(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
     replay.set_defaults(handler=_replay)
     report = commands.add_parser("report", help="print a report of lss-play, or compare two")
     report.add_argument("reports", type=Path, nargs="+", metavar="FILE", help="one or two")
+    report.add_argument(
+        "--plot", type=Path, metavar="F.png", help="draw it (one report); the suffix says how"
+    )
     report.set_defaults(handler=_report)
 
 
@@ -138,10 +141,13 @@ def _plain(event: str) -> str:
 
 
 def _report(arguments: argparse.Namespace) -> int:
+    from lss_motion.cli.report_plot import plot_report
     from lss_motion.cli.report_text import report_lines
 
     if len(arguments.reports) > 2:
         raise InputError(f"{len(arguments.reports)} reports: give one, or two to compare")
+    if arguments.plot is not None and len(arguments.reports) > 1:
+        raise InputError("--plot draws one report; give one")
     found = [_read_report(path) for path in arguments.reports]
     try:
         for report in found:
@@ -152,6 +158,8 @@ def _report(arguments: argparse.Namespace) -> int:
         if len(found) == 2:
             for line in _differences(*found):
                 print(line)
+        if arguments.plot is not None:
+            plot_report(found[0], arguments.plot)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         named = " or ".join(map(str, arguments.reports))
         raise InputError(f"{named} is no whole report of lss-play: {error!r}") from error

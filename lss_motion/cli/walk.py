@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import math
 import signal
 from dataclasses import replace
@@ -87,6 +86,7 @@ def _walk(arguments: argparse.Namespace) -> int:
     from lss_motion.cli.report_text import report_lines
     from lss_motion.connection import with_port
     from lss_motion.gait.model import BodyPose
+    from lss_motion.runtime.report import write_report
 
     if arguments.report is not None and not arguments.report.absolute().parent.is_dir():
         raise InputError("cannot be written: there is no such folder", path=arguments.report)
@@ -100,10 +100,7 @@ def _walk(arguments: argparse.Namespace) -> int:
     say(f"at most {speed_text(top)}, one cycle {gait.cycle_s:.2f} s")
     result, pilot, signal_number = _perform(arguments, gait, robot, top, say, is_asked=is_asked)
     if arguments.report is not None:
-        try:
-            arguments.report.write_text(json.dumps(result.report, indent=1) + "\n", "utf-8")
-        except OSError as error:
-            raise InputError(f"cannot be written: {error}", path=arguments.report) from error
+        write_report(result.report, arguments.report)
     for failed in (result.error, pilot.lost):
         if failed is not None:
             raise failed

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from lss_motion.errors import InputError
 from lss_motion.gait.explain import more_s
+from lss_motion.picture import new_figure, save
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -37,16 +37,7 @@ def plot_gait(gait: Gait, passages: tuple[Paced, ...], path: Path) -> None:
     feet stand, the height of each foot, and the margin (`Stance.margin_mm`). Raises `InputError`
     for a suffix that cannot be drawn or a file that cannot be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(14.0, 8.0), layout="constrained")
-    kinds = FigureCanvasAgg(figure).get_supported_filetypes()
-    if path.suffix.lstrip(".").lower() not in kinds:
-        allowed = ", ".join(f".{kind}" for kind in sorted(kinds))
-        raise InputError(
-            f"cannot draw {path.suffix or 'a file without suffix'}: use {allowed}", path=path
-        )
+    figure = new_figure(path, 14.0, 8.0)
     shapes = figure.subplot_mosaic(
         [["above", "diagram"], ["above", "height"], ["above", "margin"]],
         width_ratios=[1.0, 1.2],
@@ -61,10 +52,7 @@ def plot_gait(gait: Gait, passages: tuple[Paced, ...], path: Path) -> None:
     is_looped = any(more_s(gait, part) > 0.0 for part in passages)
     looped = ", the cycles that are looped drawn once" if is_looped else ""
     figure.suptitle(f"{gait.name}: {gait.pattern.name}{looped}", fontsize=11, x=0.01, ha="left")
-    try:
-        figure.savefig(path, dpi=110)
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", path=path) from error
+    save(figure, path)
 
 
 @dataclass(frozen=True, slots=True)

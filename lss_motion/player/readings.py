@@ -287,17 +287,20 @@ class Reader:
     ) -> None:
         read_s = s_from_ns(asked.heard_ns)
         expected_deg, speed_deg_s = track.profile.at(read_s - track.lead_s)
+        planned_deg = wanted_deg(track, asked.heard_ns)
         believed = track.following.take(
             measured_deg,
             read_s,
             expected_deg=expected_deg,
-            wanted_deg=wanted_deg(track, asked.heard_ns),
+            wanted_deg=planned_deg,
             speed_deg_s=speed_deg_s,
         )
         if not believed:
             self.unbelieved[bus] += 1
             return
         self.watch.position(track, asked.heard_ns)
+        joint_deg = track.joint.joint_deg
+        track.trace.add(read_s - track.origin_s, joint_deg(planned_deg), joint_deg(measured_deg))
 
     def _note_silence(self, bus: str, expired: Asked, now_ns: int) -> None:
         track = self._by_address.get((bus, expired.command.servo_id))

@@ -39,6 +39,13 @@ class Statistics:
         shift = max(0, late_ns.bit_length() - BIN_BITS)
         self._bins[late_ns >> shift << shift | ((1 << shift) - 1)] += 1
 
+    def histogram_us(self) -> list[tuple[int, int]]:
+        """Return how many moves were late by at most so many µs, and by more than the last."""
+        counts: Counter[int] = Counter()
+        for end_ns, count in self._bins.items():
+            counts[1 << max(3, (end_ns // NS_PER_US).bit_length())] += count
+        return sorted(counts.items())
+
     def timing(self) -> dict[str, int]:
         """Return the `timing` object of the report (design 10)."""
         ends_ns = sorted(self._bins)

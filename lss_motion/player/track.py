@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from lss_motion.player.following import Following
+from lss_motion.player.trace import Trace
 from lss_motion.program.course import servo_limits
 from lss_motion.program.drives import lead
 from lss_motion.program.filtered import FilterProfile
@@ -68,6 +69,7 @@ class Track:
     health_ns: int | None = None
     health_count: int = 0
     """When it was last asked how it fares, and how often."""
+    trace: Trace = field(default_factory=Trace)
     is_driven: bool = True
     """Whether it is sent moves: not while nobody knows what its servo would make of them."""
 

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Final
 
+from lss_motion.errors import InputError
 from lss_motion.player.statistics import Statistics
 from lss_motion.units import LINE_BITS_PER_BYTE, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
     from lss_motion.player.player import Player
     from lss_motion.player.track import Track
     from lss_motion.program.model import Program
 
 SCHEMA_VERSION: Final = 1
+_NUMBERS: Final = re.compile(r"\[([-\d.,e\s]+)\]")
 
 
 def make_report(
@@ -43,7 +48,7 @@ def make_report(
         "played_s": round(_played_s(player), 6),
         "run_s": round(run_s, 3),
         "tolerance_deg": program.tolerance_deg,
-        "timing": statistics.timing(),
+        "timing": {**statistics.timing(), "late_histogram_us": statistics.histogram_us()},
         "buses": {name: _bus(player, name, run_s) for name in player.lines},
         "joints": {},
         "stretched": [asdict(stretch) for stretch in program.stretched],
@@ -97,7 +102,26 @@ def _joint(track: Track, program: Program) -> dict[str, Any]:
         "temperature_max_c": track.temperature_max_c,
         "voltage_min_v": track.voltage_min_v,
         "current_max_a": track.current_max_a,
+        "trace": _trace(track),
     }
+
+
+def _trace(track: Track) -> dict[str, list[float]]:
+    """Return readings of the whole show, evenly: seconds since its start, and joint degrees."""
+    points = track.trace.points
+    columns = zip(*points, strict=True) if points else ([], [], [])
+    at_s, planned_deg, measured_deg = ([round(x, 3) for x in column] for column in columns)
+    return {"at_s": at_s, "planned_deg": planned_deg, "measured_deg": measured_deg}
+
+
+def write_report(report: Mapping[str, Any], path: Path) -> None:
+    """Write a report as JSON, each list of numbers on one line. Raises `InputError`."""
+    text = json.dumps(report, indent=1)
+    text = _NUMBERS.sub(lambda found: "[" + " ".join(found[1].split()) + "]", text)
+    try:
+        path.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"cannot write the report: {error.strerror}", path=path) from error
 
 
 def run_seconds(started_ns: int, ended_ns: int) -> float:

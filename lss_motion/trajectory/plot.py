@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from lss_motion.errors import InputError
+from lss_motion.picture import new_figure, save
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -52,19 +51,9 @@ def plot(
     `horn` adds what the horns did: times in s and degrees, (n, joints), in the trajectory's order.
     Raises `InputError` for a suffix that cannot be drawn or a file that cannot be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     count = len(trajectory.joints)
     row_in = max(ROW_HEIGHT_MIN_IN, min(ROW_HEIGHT_IN, 16.0 / count))
-    figure = Figure(figsize=(WIDTH_IN, 1.3 + row_in * max(count, 2)), layout="constrained")
-    canvas = FigureCanvasAgg(figure)
-    kinds = canvas.get_supported_filetypes()
-    if path.suffix.lstrip(".").lower() not in kinds:
-        allowed = ", ".join(f".{kind}" for kind in sorted(kinds))
-        raise InputError(
-            f"cannot draw {path.suffix or 'a file without suffix'}: use {allowed}", path=path
-        )
+    figure = new_figure(path, WIDTH_IN, 1.3 + row_in * max(count, 2))
     axes = figure.subplots(count, 3, sharex=True, squeeze=False)
     times_s, curves = _curves(trajectory)
     for row, name in enumerate(trajectory.joints):
@@ -98,12 +87,7 @@ def plot(
         fontsize=8,
         frameon=False,
     )
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            figure.savefig(path, dpi=110)
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", path=path) from error
+    save(figure, path)
 
 
 def _shown_s(trajectory: Trajectory) -> float:

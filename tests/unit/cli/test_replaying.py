@@ -118,3 +118,43 @@ def test_what_nobody_has_measured_is_shown_as_no_zero(played, tmp_path, capsys):
     rows = {line.split()[0]: line.split()[1:4] for line in capsys.readouterr().out.splitlines()}
     assert rows["base"] == ["0", "-", "-"]
     assert float(rows["elbow"][1]) > 0.0
+
+
+def test_a_report_is_drawn_with_what_was_read_of_every_joint(played, tmp_path, capsys, monkeypatch):
+    import matplotlib as mpl
+
+    monkeypatch.setitem(mpl.rcParams, "svg.fonttype", "none")
+    report, picture = json.loads((played / "a.json").read_text()), tmp_path / "a.svg"
+    assert main(["report", str(played / "a.json"), "--plot", str(picture)]) == EXIT_FINISHED
+    drawn = picture.read_text()
+    for word in (*report["joints"], "lateness", "line in use", "unanswered"):
+        assert word in drawn
+    for joint in report["joints"].values():
+        trace = joint["trace"]
+        at_s = trace["at_s"]
+        assert len(at_s) == len(trace["planned_deg"]) == len(trace["measured_deg"]) > 100
+        assert at_s == sorted(at_s)
+        assert at_s[-1] > report["played_s"] - 0.1
+        off_deg = [a - b for a, b in zip(trace["planned_deg"], trace["measured_deg"], strict=True)]
+        rms_deg = (sum(x * x for x in off_deg) / len(off_deg)) ** 0.5
+        assert rms_deg == pytest.approx(joint["error_rms_deg"], rel=0.1, abs=0.02)
+    counts = [count for _, count in report["timing"]["late_histogram_us"]]
+    assert sum(counts) == report["timing"]["commands"]
+    capsys.readouterr()
+
+
+def test_what_cannot_be_drawn_is_refused_and_nothing_is_written(played, tmp_path, capsys):
+    one, picture = str(played / "a.json"), tmp_path / "a.svg"
+    report = json.loads((played / "a.json").read_text())
+    for joint in report["joints"].values():
+        joint["trace"] = {"at_s": [], "planned_deg": [], "measured_deg": []}
+    (tmp_path / "unread.json").write_text(json.dumps(report))
+    for arguments, words in (
+        ([one, one, "--plot", str(picture)], "draws one report"),
+        ([one, "--plot", str(tmp_path / "a.txt")], "cannot draw .txt"),
+        ([one, "--plot", str(tmp_path / "no" / "a.svg")], "cannot be written"),
+        ([str(tmp_path / "unread.json"), "--plot", str(picture)], "no joint was read"),
+    ):
+        assert main(["report", *arguments]) == EXIT_INPUT
+        assert words in capsys.readouterr().err
+    assert not picture.exists()

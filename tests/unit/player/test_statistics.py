@@ -37,6 +37,13 @@ def test_percentiles_are_right_to_a_bin_and_an_hour_takes_no_more_room_than_a_mi
     assert list(statistics.latest_ns) == lates_ns[-100:]
 
 
+def test_a_histogram_doubles_from_bar_to_bar_and_holds_every_move():
+    statistics = Statistics()
+    for late_us in [0] * 5 + [7, 20, 31, 33, 1000, 1500]:
+        statistics.sent(1000 * late_us)
+    assert statistics.histogram_us() == [(8, 6), (32, 2), (64, 1), (1024, 1), (2048, 1)]
+
+
 def test_early_is_not_late():
     statistics = Statistics()
     statistics.sent(-5_000_000)

@@ -1,0 +1,40 @@
+"""Figures of matplotlib, without a screen: made for a file, and written with errors for people."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING
+
+from lss_motion.errors import InputError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from matplotlib.figure import Figure
+
+DPI = 110
+
+
+def new_figure(path: Path, width_in: float, height_in: float) -> Figure:
+    """Return an empty figure for `path`; raises `InputError` if its suffix cannot be drawn."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    kinds = FigureCanvasAgg(figure).get_supported_filetypes()
+    if path.suffix.lstrip(".").lower() not in kinds:
+        allowed = ", ".join(f".{kind}" for kind in sorted(kinds))
+        raise InputError(
+            f"cannot draw {path.suffix or 'a file without suffix'}: use {allowed}", path=path
+        )
+    return figure
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write the figure; raises `InputError` if the file cannot be written."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # A font without some sign draws a box instead.
+            figure.savefig(path, dpi=DPI)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", path=path) from error
