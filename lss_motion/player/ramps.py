@@ -18,8 +18,12 @@ if TYPE_CHECKING:
 
 RAMP_TICK_NS: Final = 40 * NS_PER_MS
 """At any rate but 1, every moving joint gets a move this often, if the line can carry it."""
+STREAMED_TICK_NS: Final = 20 * NS_PER_MS
+"""A streamed joint gets one for every step of its filter (lss_facts 1.2): over two steps with one
+target the filter is quick in the first and slow in the second."""
 RAMP_LINE_RATIO: Final = 0.5
-"""Moves made on the spot take no more of the line than this."""
+"""Moves made on the spot take no more of the line than this; where there are streamed joints, half
+of it is theirs."""
 RAMP_LEAST_S: Final = 0.3
 RAMP_ACCEL_RATIO: Final = 0.4
 """A change of rate takes no more than this share of any joint's acceleration. Chosen: a course at
@@ -47,17 +51,51 @@ def ramp_s(tracks: Collection[Track], program: Program, show_s: float, change: f
     return over_s
 
 
-def ramp_period_ns(tracks: Collection[Track], lines: Mapping[str, Line]) -> int:
+class RampPeriods(NamedTuple):
+    """How often joints can be told where to go; `tick_ns` is the shorter one."""
+
+    tick_ns: int
+    streamed_ns: int
+    other_ns: int
+
+    def of(self, track: Track) -> int:
+        return self.streamed_ns if track.joint.drive == "streamed" else self.other_ns
+
+    def is_due(self, track: Track, now_ns: int) -> bool:
+        """Return whether a joint has its turn in the tick of `now_ns`, which may come early."""
+        if track.heard_ns is None or self.of(track) == self.tick_ns:
+            return True
+        return now_ns - track.heard_ns >= self.of(track) - self.tick_ns
+
+
+def ramp_periods(tracks: Collection[Track], lines: Mapping[str, Line]) -> RampPeriods:
     """Return how often every joint can be told where to go."""
+    streamed = [track for track in tracks if track.joint.drive == "streamed"]
+    others = [track for track in tracks if track.joint.drive != "streamed"]
+    share = 0.5 if streamed and others else 1.0
+    streamed_ns = max(STREAMED_TICK_NS, round(_busiest_ns(streamed, lines) / share))
+    other_ns = max(RAMP_TICK_NS, round(_busiest_ns(others, lines) / share))
+    tick_ns = (
+        other_ns if not streamed else streamed_ns if not others else min(streamed_ns, other_ns)
+    )
+    return RampPeriods(tick_ns, streamed_ns, other_ns)
+
+
+def _busiest_ns(tracks: Collection[Track], lines: Mapping[str, Line]) -> float:
+    """Return over how long one move for each of `tracks` may be spread on the busiest line."""
     busiest_ns = max(
         sum(
-            line.time_ns(len(encode_move(track.joint.servo_id, -18000, 1000)))
+            line.time_ns(len(encode_move(track.joint.servo_id, -18000, _duration_ms(track))))
             for track in tracks
             if track.joint.bus == bus
         )
         for bus, line in lines.items()
     )
-    return max(RAMP_TICK_NS, round(busiest_ns / RAMP_LINE_RATIO))
+    return busiest_ns / RAMP_LINE_RATIO
+
+
+def _duration_ms(track: Track) -> int | None:
+    return 1000 if track.joint.drive == "timed" else None
 
 
 def spot_moves(
@@ -65,16 +103,20 @@ def spot_moves(
     lines: Mapping[str, Line],
     *,
     now_ns: int,
-    period_ns: int,
+    periods: RampPeriods | None,
     planned_deg: Callable[[Track, int], float],
     ends_ns: int | None,
 ) -> Iterator[SpotMove]:
     """Yield a move for every joint that is off its course, to be on it in one period.
 
     `ends_ns` is when the course comes to rest, if it does: moves from there on reach no further.
-    Each is to be sent before the next one is asked for, since it keeps the line busy.
+    Each is to be sent before the next one is asked for, since it keeps the line busy. Without
+    `periods` all have their turn now, for the last time.
     """
     for track in tracks:
+        if periods is not None and not periods.is_due(track, now_ns):
+            continue
+        period_ns = RAMP_TICK_NS if periods is None else periods.of(track)
         heard_ns = lines[track.joint.bus].heard_ns(0, now_ns)
         ahead_ns = heard_ns + ns_from_s(track.ahead_s(s_from_ns(period_ns)) + track.lead_s)
         aim_deg = planned_deg(track, ahead_ns)

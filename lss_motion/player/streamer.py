@@ -15,7 +15,7 @@ from itertools import chain, takewhile
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.approach import with_room
-from lss_motion.player.ramps import RAMP_TICK_NS, ramp_period_ns, ramp_s, spot_moves
+from lss_motion.player.ramps import RAMP_TICK_NS, ramp_periods, ramp_s, spot_moves
 from lss_motion.player.readings import Reader
 from lss_motion.player.show_clock import ShowClock
 from lss_motion.player.statistics import Statistics
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from lss_motion.player.line import Line
     from lss_motion.player.queries import Questioner
+    from lss_motion.player.ramps import RampPeriods
     from lss_motion.program.growth import Extension
     from lss_motion.protocol.line import Reply
     from lss_motion.robot.model import Robot
@@ -218,7 +219,7 @@ class Streamer:
         state = self.waiting.advance(self.clock, now_ns)
         if state == "begun" and self._tick_ns is not None:
             self._tick_ns = None
-            self._follow_course(now_ns, RAMP_TICK_NS, 0)
+            self._follow_course(now_ns, None, 0)
         elif state in ("met", "timeout") and 0.0 < self.clock.target_rate < 1.0:
             self._tick_ns = now_ns
 
@@ -281,15 +282,15 @@ class Streamer:
         self._skip_due(now_ns)
         late_ns = now_ns - self._tick_ns
         if self.clock.is_ramping(now_ns) or 0.0 < self.clock.target_rate < 1.0:
-            period_ns = ramp_period_ns(self.tracks.values(), self._lines)
-            self._follow_course(now_ns, period_ns, late_ns)
-            self._tick_ns = now_ns + period_ns
+            periods = ramp_periods(self.tracks.values(), self._lines)
+            self._follow_course(now_ns, periods, late_ns)
+            self._tick_ns = now_ns + periods.tick_ns
             if self.clock.is_ramping(now_ns):
                 self._tick_ns = min(self._tick_ns, self.clock.ramp_end_ns)
             return
         self._tick_ns = None
         if self.clock.target_rate == 0.0:
-            self._follow_course(now_ns, RAMP_TICK_NS, late_ns)
+            self._follow_course(now_ns, None, late_ns)
         else:
             self._take_up(now_ns, late_ns)
 
@@ -319,20 +320,21 @@ class Streamer:
             unit_deg = 1.0 / track.limits.wire_per_deg
             if left_s > 0.0 or abs(target_deg - position_deg) > unit_deg or speed_deg_s != 0.0:
                 self.statistics.sent(late_ns)
-                self._send_active(track, max(left_s, s_from_ns(RAMP_TICK_NS)), now_ns)
+                left_s = max(left_s, s_from_ns(RAMP_TICK_NS))
+                self._send_active(track, left_s, now_ns, is_late=True)
 
-    def _follow_course(self, now_ns: int, period_ns: int, late_ns: int) -> None:
+    def _follow_course(self, now_ns: int, periods: RampPeriods | None, late_ns: int) -> None:
         """Send every joint that is off its course a move that brings it there in one period."""
         for track, aim_deg, left_s in spot_moves(
             self.tracks.values(),
             self._lines,
             now_ns=now_ns,
-            period_ns=period_ns,
+            periods=periods,
             planned_deg=self._planned_deg,
             ends_ns=self.clock.ramp_end_ns if self.clock.target_rate == 0.0 else None,
         ):
             self.statistics.sent(late_ns)
-            track.send(self._lines[track.joint.bus], aim_deg, left_s, now_ns)
+            track.send(self._lines[track.joint.bus], aim_deg, left_s, now_ns, is_late=True)
 
     # ---- judging
 

@@ -94,7 +94,7 @@ class Track:
         limits = self.limits
         corrected = target_deg + self.following.offset_deg
         wire = lattice(corrected, limits)
-        low_deg, high_deg = self._reach(s_from_ns(heard_ns))
+        low_deg, high_deg = self._reach(s_from_ns(heard_ns), corrected)
         allowed = lattice(min(max(corrected, low_deg), high_deg), limits)
         again_ns = heard_ns + ns_from_s(self.period_s)
         self.owed = None if allowed == wire else (again_ns, target_deg)
@@ -117,13 +117,23 @@ class Track:
             return 0.5 * period_s
         return period_s + (self.joint.response.loop_s if self.joint.drive == "streamed" else 0.0)
 
-    def _reach(self, heard_s: float) -> tuple[float, float]:
-        """Return between which targets the speed limit allows one to be heard at `heard_s`."""
+    def _reach(self, heard_s: float, towards_deg: float) -> tuple[float, float]:
+        """Return between which targets the limits allow one on the way to another one.
+
+        A filter slows down as abruptly as it is told to: one that is behind goes no faster than it
+        can brake from before it is there.
+        """
         speed_deg_s = self.limits.speed_max_deg_s
         if isinstance(self.profile, FilterProfile):
             ratio = ROOM_BEHIND_RATIO if self.is_behind else ROOM_RATIO
             room_deg = ratio * self.limits.tolerance_deg
-            return self.profile.reach(heard_s, speed_deg_s, self.limits.ramp_deg_s2, room_deg)
+            if self.is_behind:
+                way_deg = abs(towards_deg - self.profile.at(heard_s)[0])
+                speed_deg_s = min(speed_deg_s, (2.0 * self.limits.ramp_deg_s2 * way_deg) ** 0.5)
+            accel_deg_s2, may_stop = self.limits.ramp_deg_s2, not self.is_behind
+            return self.profile.reach(
+                heard_s, speed_deg_s, accel_deg_s2, room_deg, may_stop=may_stop
+            )
         if self.joint.drive == "timed":
             return self.limits.position_min_deg, self.limits.position_max_deg
         passed_s = PULSE_S if self.heard_ns is None else heard_s - s_from_ns(self.heard_ns)
@@ -169,6 +179,12 @@ class Track:
         """Hand over the move to `target_deg` that has `left_s`, corrected and within the limits."""
         if not self.is_driven:
             return
+        if is_late and self.joint.drive == "streamed" and self.heard_ns is not None:
+            # Two words within one step of the filter: nobody knows which of its steps they meet.
+            again_ns = self.heard_ns + ns_from_s(self.period_s)
+            if line.heard_ns(0, now_ns) < again_ns:
+                self.owed, self.is_behind = (again_ns, target_deg), True
+                return
         servo_id = self.joint.servo_id
         target_wire = self.wire_for(target_deg, line.heard_ns(0, now_ns), is_late=is_late)
         duration_ms = None

@@ -76,12 +76,18 @@ class FilterProfile:
         return before_deg + (aim_deg - before_deg) / (1.0 - self.keep_ratio**steps)
 
     def reach(
-        self, heard_s: float, speed_max_deg_s: float, accel_deg_s2: float, room_deg: float
+        self,
+        heard_s: float,
+        speed_max_deg_s: float,
+        accel_deg_s2: float,
+        room_deg: float,
+        *,
+        may_stop: bool = True,
     ) -> tuple[float, float]:
         """Return the least and largest target that keep the limits if heard at `heard_s`.
 
         The next step is no faster than `speed_max_deg_s`, and no faster than the last one but for
-        `accel_deg_s2` and `room_deg`. Slowing down is always allowed.
+        `accel_deg_s2` and `room_deg`; unless it `may_stop`, no slower either.
         """
         step = self.acts_on(heard_s)
         before_deg = self.value(step - 1)
@@ -90,7 +96,11 @@ class FilterProfile:
         most_deg = speed_max_deg_s * self.period_s
         down_deg = self.count * min(most_deg, max(-last_deg, 0.0) + more_deg)
         up_deg = self.count * min(most_deg, max(last_deg, 0.0) + more_deg)
-        return before_deg - down_deg, before_deg + up_deg
+        low_deg, high_deg = before_deg - down_deg, before_deg + up_deg
+        if not may_stop:
+            low_deg = max(low_deg, before_deg + self.count * (last_deg - more_deg))
+            high_deg = min(high_deg, before_deg + self.count * (last_deg + more_deg))
+        return min(low_deg, high_deg), max(low_deg, high_deg)
 
     # ---- commands
 
