@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 BENCHES = (
-    "codec", "states", "plan", "compile", "compress", "horn", "loop", "line", "late", "identify",
+    "codec", "states", "plan", "compile", "compress", "horn", "feedback", "loop", "line", "late", "identify",
     "gait", "scaling",
 )  # fmt: skip
 PACKAGES = ("numpy", "scipy", "toppra", "pyserial", "ruckig")

@@ -25,12 +25,13 @@ def bus_from_robot(
     faults: Sequence[Fault] = (),
     usb_latency_ns: int = 0,
     hand: Hand | None = None,
+    droop_deg: Mapping[str, float] | None = None,
 ) -> SimBus:
     """Return one bus of `robot`, its servos in the order of `servos_of`.
 
     `start_deg` gives joint angles at power-up by joint name. A joint left out stands at 0, or at
     the end of its range that is nearest to 0. Of `faults`, those of other buses are left out.
-    `hand` leads the joints that it names.
+    `hand` leads the joints that it names, and `droop_deg` is what hangs on them (`ServoSpec`).
     """
     bus = robot.buses[bus_name]
     asked_deg = start_deg or {}
@@ -44,6 +45,7 @@ def bus_from_robot(
                 )
             ),
             hand=None if hand is None else hand.led(joint),
+            droop_deg=(droop_deg or {}).get(joint.name, 0.0),
         )
         for joint in (robot.joints[name] for name in servos_of(robot, bus_name))
     ]
