@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -45,6 +45,10 @@ class _Slot(NamedTuple):
     late_max_us: int
 
 
+class TooLateError(Exception):
+    """A command found no slot in time: the attempt is worth nothing to whom said so before."""
+
+
 class Attempt:
     """All joints at one tolerance. `is_tight`: some command is later than its drive allows.
 
@@ -62,10 +66,13 @@ class Attempt:
         begins: Mapping[str, Begin] | None = None,
         lines: Mapping[str, LineSchedule] | None = None,
         turn_s: float = TURN_S,
+        gives_up: Literal["late", "tight"] | None = None,
     ) -> None:
         """Fit `courses`, all on one grid. `seams_s`, `begins` (of timed joints), `turn_s`: `Fit`.
 
-        `lines` holds what is reserved already; no move is due before the courses begin.
+        `lines` holds what is reserved already; no move is due before the courses begin. With
+        `gives_up`, raises `TooLateError` as soon as a command is late: `"tight"`, later than its
+        drive allows.
         """
         self.tolerance_deg = tolerance_deg
         self.fitted: dict[str, Fitted] = {}
@@ -75,7 +82,7 @@ class Attempt:
             min((course.start_s for course in courses.values()), default=0.0)
         )
         self._lines = {bus: (lines or {}).get(bus, LineSchedule()) for bus in robot.buses}
-        self._begins, self._turn_s = begins or {}, turn_s
+        self._begins, self._turn_s, self._gives_up = begins or {}, turn_s, gives_up
         self._slots = {
             name: _Slot(
                 robot.joints[name].bus,
@@ -105,7 +112,9 @@ class Attempt:
         last_s = dict.fromkeys(fitters, s_from_us(self._start_us))
         while queue:
             wanted_s, name = heapq.heappop(queue)
-            granted_us = self._grant(name, us_from_s(wanted_s), us_from_s(last_s[name]))
+            granted_us = self._grant(
+                self._slots[name], us_from_s(wanted_s), us_from_s(last_s[name])
+            )
             last_s[name] = s_from_us(granted_us)
             fitters[name].grant(last_s[name])
             next_s = fitters[name].wanted(last_s[name])
@@ -132,11 +141,12 @@ class Attempt:
             self._lines = {name: line.copy() for name, line in free.items()}
             self.late_max_us, self.is_tight = before
             return lambda indices, wanted_us, after_us: [
-                self._grant(names[index], wanted, after)
+                self._grant(slots[index], wanted, after)
                 for index, wanted, after in zip(indices, wanted_us, after_us, strict=True)
             ]
 
         names = [joint.name for joint in joints]
+        slots = [self._slots[name] for name in names]
         own = [courses[name] for name in names]
         limits = [servo_limits(joint, tolerance_deg) for joint in joints]
         begins = [self._begins[name] for name in names if name in self._begins]
@@ -150,17 +160,19 @@ class Attempt:
                 reference(moves, index, own[index], limits[index], self._begins.get(name)),
             )
 
-    def _grant(self, name: str, wanted_us: int, after_us: int) -> int:
+    def _grant(self, slot: _Slot, wanted_us: int, after_us: int) -> int:
         """Reserve the line for the next move of a joint; return when that move is heard.
 
         It is not heard before `after_us`, and at `wanted_us` if possible at the latest.
         """
-        bus, size_us, late_max_us = self._slots[name]
+        bus, size_us, late_max_us = slot
         earliest_us = max(after_us - size_us, self._start_us)
         heard_us = self._lines[bus].reserve(wanted_us, size_us, earliest_us)
         if heard_us > wanted_us:
             self.late_max_us = max(self.late_max_us, heard_us - wanted_us)
             self.is_tight = self.is_tight or heard_us - wanted_us > late_max_us
+            if self._gives_up == "late" or (self._gives_up is not None and self.is_tight):
+                raise TooLateError
         return heard_us
 
 

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import InputError, LineLoadError
-from lss_motion.program.attempt import Attempt, slot_us
+from lss_motion.program.attempt import Attempt, TooLateError, slot_us
 from lss_motion.program.choose import choices
 from lss_motion.program.columns import columns_of, moves_of
 from lss_motion.program.course import GRID_S, Course
 from lss_motion.program.drives import lead
-from lss_motion.program.fit import TURN_S
 from lss_motion.program.line import LineUse, line_use
 from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
 from lss_motion.program.readings import reading_rate_hz
 from lss_motion.program.seam import closed
+from lss_motion.program.trials import RELAXED_RATIOS, trials
 from lss_motion.program.verify import verify_program
 from lss_motion.trajectory.cues import all_cues, all_marks, all_waits
 from lss_motion.units import s_from_us, us_from_s
@@ -33,11 +33,6 @@ if TYPE_CHECKING:
 
 TOLERANCE_DEG: Final = 0.2
 """How far the predicted horn may be from the plan (design 7)."""
-RELAXED_RATIOS: Final = (1.0, 1.5, 2.5, 4.0, 6.0)
-"""By how much the tolerance is relaxed, step by step, when the line is too slow."""
-TIGHT_TURN_S: Final = 0.02
-"""On a line that is too full at first, commands are placed strictly in the order of time: at the
-worst a third more of them fit, in two to three times the time."""
 PREROLL_S: Final = 0.25
 """The show clock starts this long before the plan, so that all first moves find a slot."""
 SAMPLED_AT_ONCE: Final = 2048
@@ -62,19 +57,24 @@ def compile_program(
     problem: LineLoadError | None = None
     found = choices(robot, lambda driven: _courses(trajectory, driven), tolerance_deg)
     for choice in found:
-        courses = _courses(trajectory, choice.robot)
-        trials = [(1.0, TURN_S), *((ratio, TIGHT_TURN_S) for ratio in RELAXED_RATIOS)]
-        for ratio, turn_s in trials if choice is found[-1] else trials[:2]:
-            attempt = Attempt(courses, choice.robot, tolerance_deg * ratio, seams_s, turn_s=turn_s)
-            if not attempt.is_tight:
-                program = _program(trajectory, choice, courses, attempt, repeat)
-                unread = [use for use in program.line_use.values() if _is_unread(use, robot)]
-                if not unread:
-                    verify_program(program, choice.robot)
-                    return program
-                problem = _unreadable(unread[0], program, robot)
-            else:
-                problem = _overload(attempt, robot)
+        courses, is_unread = _courses(trajectory, choice.robot), False
+        for trial in trials(choice.robot, with_relaxed=choice is found[-1]):
+            if is_unread and trial.ratio == 1.0:
+                continue  # No other placing of as many commands leaves much more room.
+            try:
+                attempt = trial.attempt(courses, tolerance_deg, seams_s)
+            except TooLateError:
+                continue
+            if attempt.is_tight:
+                problem = _overload(attempt, choice.robot)
+                continue
+            program = _program(trajectory, choice, courses, attempt, repeat)
+            unread = [use for use in program.line_use.values() if _is_unread(use, robot)]
+            is_unread = bool(unread)
+            if not unread:
+                verify_program(program, choice.robot)
+                return program
+            problem = _unreadable(unread[0], program, robot)
     assert problem is not None
     raise problem
 

@@ -167,9 +167,11 @@ class Courses:
             [np.maximum(ramp - _highest_ahead(-accel), AUTHORITY_LEAST_RATIO * ramp)
              for accel, ramp in zip(accels, ramps, strict=True)]
         )  # fmt: skip
-        bends = [_bends(one.position_deg, ramp) for one, ramp in zip(courses, ramps, strict=True)]
-        self.bend_before = np.concatenate([_before(some, self.size) for some in bends])
-        self.bend_after = np.concatenate([_after(some, self.size) for some in bends])
+        bends = [
+            joint * self.size + _bends(accel, ramp)
+            for joint, (accel, ramp) in enumerate(zip(accels, ramps, strict=True))
+        ]
+        self._bends = np.concatenate([[-1], *bends, [len(courses) * self.size]])
 
     @property
     def end_s(self) -> float:
@@ -192,6 +194,16 @@ class Courses:
         flat: IntArray = joint * self.size + np.minimum(index, self.size - 1)
         return flat
 
+    def bend_before(self, joint: IntArray, index: IntArray) -> IntArray:
+        """Return the last index not beyond `index` at which `joint` bends; -1 if there is none."""
+        at = np.searchsorted(self._bends, self.flat(joint, index), side="right") - 1
+        return np.maximum(self._bends[at] - joint * self.size, -1)
+
+    def bend_after(self, joint: IntArray, index: IntArray) -> IntArray:
+        """Return the first index from `index` on at which `joint` bends; the size if none."""
+        at = np.searchsorted(self._bends, self.flat(joint, index), side="left")
+        return np.minimum(self._bends[at] - joint * self.size, self.size)
+
     def ahead_deg(
         self, joint: IntArray, first: IntArray, steps: int, stride: int
     ) -> NDArray[np.float32]:
@@ -205,8 +217,12 @@ class Courses:
 
 
 def _speeds(position_deg: FloatArray) -> FloatArray:
-    """Return speeds by central differences."""
-    speed: FloatArray = np.gradient(position_deg, GRID_S) if len(position_deg) > 1 else np.zeros(1)
+    """Return speeds by central differences, one-sided at the ends."""
+    speed = np.zeros(len(position_deg))
+    if len(position_deg) > 1:
+        np.subtract(position_deg[2:], position_deg[:-2], out=speed[1:-1])
+        speed[[0, -1]] = 2.0 * (position_deg[[1, -1]] - position_deg[[0, -2]])
+        speed /= 2.0 * GRID_S
     return speed
 
 
@@ -220,23 +236,8 @@ def _highest_ahead(values: FloatArray) -> FloatArray:
     return highest
 
 
-def _bends(position_deg: FloatArray, ramp_deg_s2: float) -> IntArray:
+def _bends(accel_deg_s2: FloatArray, ramp_deg_s2: float) -> IntArray:
     """Return the grid points at which the acceleration jumps by a good share of the ramp."""
-    accel = np.diff(position_deg, 2, prepend=position_deg[:1], append=0.0)[:-1]
-    jump = np.abs(np.diff(accel, prepend=0.0))
-    found: IntArray = np.flatnonzero(jump > BEND_RATIO * ramp_deg_s2 * GRID_S * GRID_S)
+    jump = np.abs(np.diff(accel_deg_s2, prepend=0.0))
+    found: IntArray = np.flatnonzero(jump > BEND_RATIO * ramp_deg_s2)
     return found
-
-
-def _before(marks: IntArray, size: int) -> IntArray:
-    """Return, for every index, the last of `marks` that is not beyond it; -1 if there is none."""
-    found = np.full(size, -1, dtype=np.intp)
-    found[marks] = marks
-    return np.maximum.accumulate(found)
-
-
-def _after(marks: IntArray, size: int) -> IntArray:
-    """Return, for every index, the first of `marks` not before it; `size` if there is none."""
-    found = np.full(size, size, dtype=np.intp)
-    found[marks] = marks
-    return np.minimum.accumulate(found[::-1])[::-1]

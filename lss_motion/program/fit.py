@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from lss_motion.program.course import Course, ServoLimits
     from lss_motion.program.run import Grant
 
-TURN_S: Final = 0.3
-"""A move waits for those of its stretch that are wanted this much earlier. The line is given away
-in the order of time, or its free time would be cut into pieces too short for what comes."""
+TURN_S: Final = 0.1
+"""A move waits for those of its stretch that are wanted this much earlier: where the line is given
+away in the order of time, nobody has to be late for whom is wanted later."""
 
 
 class Fit:
@@ -49,8 +49,8 @@ class Fit:
         """Take courses on one grid. While one moves, a move is heard at or shortly before a seam.
 
         Between two seams the moves can then be repeated without end. Without `begins`, one a
-        course, all servos stand where their courses do. A shorter turn fills the line better, and
-        takes longer to fit.
+        course, all servos stand where their courses do. A shorter turn fills the line better and
+        takes longer to fit; with `run.RIVALRY_S` nobody waits.
         """
         self._each = list(zip(courses, limits, begins or (None,) * len(courses), strict=True))
         self._task = Task(

@@ -18,13 +18,14 @@ import numpy as np
 from lss_motion.errors import InputError, LineLoadError
 from lss_motion.program.attempt import Attempt, slot_us
 from lss_motion.program.columns import moves_of
-from lss_motion.program.compile import RELAXED_RATIOS, lines_use
+from lss_motion.program.compile import lines_use
 from lss_motion.program.course import GRID_S, Course
 from lss_motion.program.drives import lead
 from lss_motion.program.line import LineSchedule, LineUse
 from lss_motion.program.model import Move, Program, heard_us, ramp_deg_s2, target_deg
 from lss_motion.program.moves import Begin
 from lss_motion.program.response import Profile, Reference
+from lss_motion.program.trials import RELAXED_RATIOS
 from lss_motion.program.verify import verify_profiles
 from lss_motion.units import s_from_ms, s_from_us, us_from_s
 

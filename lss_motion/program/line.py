@@ -43,26 +43,42 @@ class LineSchedule:
         When nothing is free after `earliest_us`, take the first free slot beyond
         `latest_end_us`: the caller sees that it is late.
         """
+        self._longest_us = max(self._longest_us, size_us)
+        start_us = latest_end_us - size_us
+        key = start_us // BUCKET_US
+        bucket = self._buckets.get(key)
+        if bucket and start_us >= earliest_us and latest_end_us <= (key + 1) * BUCKET_US:
+            at = bisect_left(bucket[0], latest_end_us)
+            if at and bucket[1][at - 1] <= start_us:  # Free as it is, which most are.
+                bucket[0].insert(at, start_us)
+                bucket[1].insert(at, latest_end_us)
+                return latest_end_us
         start_us = self._latest_free_end(latest_end_us, size_us) - size_us
         if start_us < earliest_us:
             start_us = self._first_free_start(max(earliest_us, latest_end_us - size_us), size_us)
         end_us = start_us + size_us
-        starts_us, ends_us = self._buckets.setdefault(start_us // BUCKET_US, ([], []))
-        at = bisect_left(starts_us, start_us)
-        starts_us.insert(at, start_us)
-        ends_us.insert(at, end_us)
-        self._longest_us = max(self._longest_us, size_us)
+        bucket = self._buckets.get(start_us // BUCKET_US)
+        if bucket is None:
+            self._buckets[start_us // BUCKET_US] = [start_us], [end_us]
+        else:
+            at = bisect_left(bucket[0], start_us)
+            bucket[0].insert(at, start_us)
+            bucket[1].insert(at, end_us)
         return end_us
 
     def _latest_free_end(self, latest_end_us: int, size_us: int) -> int:
         end_us = latest_end_us
         key = (end_us - 1) // BUCKET_US
         while (key + 1) * BUCKET_US > end_us - size_us - self._longest_us:
-            starts_us, ends_us = self._buckets.get(key, ((), ()))
-            for at in range(bisect_left(starts_us, end_us) - 1, -1, -1):
-                if ends_us[at] <= end_us - size_us:
-                    return end_us
-                end_us = starts_us[at]
+            bucket = self._buckets.get(key)
+            if bucket is not None:
+                starts_us, ends_us = bucket
+                at = bisect_left(starts_us, end_us)
+                while at:
+                    at -= 1
+                    if ends_us[at] <= end_us - size_us:
+                        return end_us
+                    end_us = starts_us[at]
             key -= 1
         return end_us
 

@@ -37,9 +37,9 @@ BEND_MIN_STEPS: Final = 6
 NEAR: Final = (64, 1)
 FAR: Final = (AHEAD_MAX_STEPS, 1)
 """Instants and stride looked ahead at first, and where the cone is still open then."""
-REACH: Final = (20, 5)
-"""Steps and stride in which it is judged how far a successor reaches (500 ms); it is only compared,
-so every fifth grid step will do."""
+REACH: Final = (12, 7)
+"""Steps and stride in which it is judged how far a successor reaches (420 ms); it is only compared,
+so every seventh grid step will do: that costs one move in two hundred."""
 HARD_RATIO: Final = 0.3
 """A course that leaves less than this share of the ramp to spare is hard to follow."""
 
@@ -52,6 +52,7 @@ class Trials:
     `bends`      how many jumps of the acceleration from either end of that move
     `speeds`     where in its cone; besides them, the course's own speed: where the course is at
                  its acceleration limit, only that leaves the servo in step with it
+    `tried`      how many of those speeds a cut or bend is tried with, the course's own first
     `recovery`   grid steps until the successor where the tolerance is lost and must be won back;
                  as many as there are cuts and bends
     """
@@ -59,13 +60,21 @@ class Trials:
     cuts: tuple[float, ...]
     bends: int
     speeds: tuple[float, ...]
+    tried: tuple[int, ...]
     recovery: tuple[int, ...]
+
+    @property
+    def is_tried(self) -> BoolArray:
+        """Which cuts or bends (rows) are tried with which speeds."""
+        tried: BoolArray = np.arange(1 + len(self.speeds)) < np.array(self.tried)[:, None]
+        return tried
 
 
 QUICK: Final = Trials(
     cuts=(0.98, 0.93, 0.85, 0.75),
     bends=1,
     speeds=(0.5, 0.2, 0.8),
+    tried=(1, 4, 4, 2, 2, 2),
     recovery=(2, 4, 7, 12, 20, 32),
 )
 """Chosen by measurement (`tools/bench.py compress`): one cut or speed less costs one move in
@@ -74,6 +83,7 @@ WIDE: Final = Trials(
     cuts=(1.0, 0.93, 0.85, 0.75, 0.6, 0.45, 0.3),
     bends=2,
     speeds=(0.5, 0.25, 0.75, 0.05, 0.95),
+    tried=(6,) * 11,
     recovery=(2, 3, 4, 5, 7, 9, 12, 16, 20, 26, 48),
 )
 """Chosen: where the course is near its acceleration limit, fewer trials lose it by degrees."""
@@ -161,7 +171,7 @@ def _best(
     courses: Courses, servos: Servos, trials: Trials, view: _View, rows: IntArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the best of the trials: travel speeds and instants of the successors."""
-    cuts, is_held = _cuts(courses, servos, trials, view.held_steps[rows])
+    cuts, is_held, is_new = _cuts(courses, servos, trials, view.held_steps[rows])
     index = servos.first[:, None] + cuts
     times_s = courses.times_s(index)
     flat = courses.flat(servos.joint[:, None], index)
@@ -173,7 +183,7 @@ def _best(
     position, reached = ramped(at, speed, speeds, tau_s, ramp)
     excursion = excursion_deg(courses, flat[:, :, None], position, reached)
     follows = excursion <= (FOLLOW_RATIO * limits.tolerance_deg)[:, None, None]
-    follows &= is_held[:, None, None]
+    follows &= (is_new & is_held[:, None])[:, :, None] & trials.is_tried
     merit = -excursion
     row, cut, trial = np.nonzero(follows)
     if len(row):
@@ -190,24 +200,26 @@ def _best(
 
 def _cuts(
     courses: Courses, servos: Servos, trials: Trials, held: IntArray
-) -> tuple[IntArray, BoolArray]:
-    """Return steps until the successor to try, and whether the tolerance is kept so far."""
+) -> tuple[IntArray, BoolArray, BoolArray]:
+    """Return steps until the successor to try, whether the tolerance is kept, and which are new."""
     least, first = SEGMENT_MIN_STEPS, servos.first
     latest = np.maximum(servos.latest - first, least)
     is_held = held >= least
     last = np.maximum(np.minimum(held, latest), least)
     cuts = np.maximum(np.rint(last[:, None] * np.array(trials.cuts)).astype(np.intp), least)
-    columns = [cuts]
+    columns, is_new = [cuts], [np.ones(cuts.shape, dtype=bool)]
     before, after = first + last, first + BEND_MIN_STEPS
     for _ in range(trials.bends):
-        before = courses.bend_before[courses.flat(servos.joint, before)]
-        after = courses.bend_after[courses.flat(servos.joint, after)]
+        before = courses.bend_before(servos.joint, before)
+        after = courses.bend_after(servos.joint, after)
         bends = np.stack((before, after), axis=1) - first[:, None]
         is_within = (bends >= BEND_MIN_STEPS) & (bends <= last[:, None])
         columns.append(np.where(is_within, bends, cuts[:, :1]))
+        is_new.append(is_within)
         before, after = np.maximum(before - 1, 0), after + 1
     recovery = np.minimum(trials.recovery, latest[:, None])
-    return np.where(is_held[:, None], np.concatenate(columns, axis=1), recovery), is_held
+    steps = np.where(is_held[:, None], np.concatenate(columns, axis=1), recovery)
+    return steps, is_held, np.concatenate(is_new, axis=1)
 
 
 def _speeds(

@@ -206,25 +206,14 @@ class Reference:
 
     def sample(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return positions in degrees at `times_s`; at rest before the first piece."""
-        return self._positions(times_s, np.searchsorted(self._start_s, times_s, side="right"))
+        index = np.maximum(np.searchsorted(self._start_s, times_s, side="right") - 1, 0)
+        return _along(times_s, *(column[index] for column in self.table))
 
     def along(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return what `sample` does, quicker where many `times_s`, in order, fall on few pieces."""
-        edges = np.searchsorted(times_s, self._start_s, side="left")
+        edges = np.searchsorted(times_s, self._start_s[1:], side="left")
         counts = np.diff(edges, prepend=0, append=len(times_s))
-        return self._positions(times_s, np.repeat(np.arange(len(counts)), counts))
-
-    def _positions(
-        self, times_s: NDArray[np.float64], begun: NDArray[np.intp]
-    ) -> NDArray[np.float64]:
-        """Return positions at instants before which so many pieces have begun."""
-        index = np.maximum(begun - 1, 0)
-        dt = np.maximum(times_s - self._start_s[index], 0.0)
-        dt[~np.isfinite(dt)] = 0.0
-        found: NDArray[np.float64] = self._position[index] + dt * (
-            self._speed[index] + 0.5 * self._accel[index] * dt
-        )
-        return found
+        return _along(times_s, *(np.repeat(column, counts) for column in self.table))
 
     def at(self, time_s: float) -> tuple[float, float]:
         """Return position and speed at one instant."""
@@ -234,3 +223,17 @@ class Reference:
             return float(self._position[index]), 0.0
         speed, accel = float(self._speed[index]), float(self._accel[index])
         return float(self._position[index]) + dt * (speed + 0.5 * accel * dt), speed + accel * dt
+
+
+def _along(
+    times_s: NDArray[np.float64],
+    start_s: NDArray[np.float64],
+    position_deg: NDArray[np.float64],
+    speed_deg_s: NDArray[np.float64],
+    accel_deg_s2: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return positions on pieces, one an instant; before a piece it stands where that begins."""
+    dt = np.maximum(times_s - start_s, 0.0)
+    dt[~np.isfinite(dt)] = 0.0
+    found: NDArray[np.float64] = position_deg + dt * (speed_deg_s + 0.5 * accel_deg_s2 * dt)
+    return found

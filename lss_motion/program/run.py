@@ -36,7 +36,7 @@ DEPARTURE_STEPS: Final = 80
 follow shows at once."""
 RIVALRY_S: Final = 1.0
 """A move that is wanted this much later than another is of another stretch of the show."""
-LANES_MAX: Final = 1024
+LANES_MAX: Final = 2048
 """So many lanes are fitted side by side: enough for ten minutes of 18 joints, in bounded memory."""
 NEVER: Final = 2**62
 """The index of a stop that never comes."""

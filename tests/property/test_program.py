@@ -480,6 +480,18 @@ def shows(draw):
     return Sequence(name="any", keyframes=tuple(frames)), robot
 
 
+def check_limits(joint, program, start_s, _position_deg, speed_deg_s, accel_deg_s2):
+    """What is asked for is in range, and rounded T and D make no servo faster than it may be."""
+    targets_deg = [m.target_wire * joint.unit_deg for m in program.moves
+                   if m.servo_id == joint.servo_id]  # fmt: skip
+    ends_deg = sorted(map(joint.servo_deg, (joint.position_min_deg, joint.position_max_deg)))
+    assert all(ends_deg[0] - 1e-6 <= target_deg <= ends_deg[1] + 1e-6 for target_deg in targets_deg)
+    lasts_s = np.append(np.where(np.isfinite(start_s[:-1]), np.diff(start_s), 0.0), 0.0)
+    fastest_deg_s = np.maximum(np.abs(speed_deg_s), np.abs(speed_deg_s + accel_deg_s2 * lasts_s))
+    assert fastest_deg_s.max() <= joint.speed_max_deg_s + 1e-6
+    assert np.abs(accel_deg_s2).max() <= joint.accel_max_deg_s2 + 1e-6
+
+
 @settings(LAWS, max_examples=25)
 @given(shows())
 def test_programs_follow_their_plan_stop_on_the_keyframes_and_survive_as_text(show):
@@ -496,6 +508,7 @@ def test_programs_follow_their_plan_stop_on_the_keyframes_and_survive_as_text(sh
         assert np.abs(horn_deg - planned[:, column]).max() <= 0.8
         wanted = round(joint.servo_deg(float(planned[-1, column])) * joint.model.wire_per_deg)
         assert predicted[name].at(999.0)[0] == pytest.approx(wanted / joint.model.wire_per_deg)
+        check_limits(joint, program, *predicted[name].table)
     assert program.line_use["main"].overlaps == 0
     text = to_text(program)
     assert to_text(from_text(text, robot)) == text

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -235,13 +234,15 @@ def test_a_joint_that_the_robot_lacks_is_named(kit):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_faster_line_saves_commands_or_needs_next_to_no_more(kit, seed):
-    """Slots are given one by one, so counts differ by chance; never by more than this."""
+    """Below 115200 bps each line is fitted for itself, so counts differ by chance, but by no more
+    than this; from there on a faster line needs no more at all.
+    """
     joints = [kit.joint(f"j{index}", index + 1) for index in range(8)]
     robots = [kit.robot(*joints, baud_bps=baud_bps) for baud_bps in (57600, 115200, 500000)]
     show = kit.lively(list(robots[0].joints), 4.0, seed=seed)
     programs = [compile_program(kit.plan(show, robot), robot) for robot in robots]
     counts = [len(program.moves) for program in programs]
-    for slower, faster in pairwise(counts):
-        assert faster <= 1.03 * slower + 2
+    assert counts[1] <= 1.03 * counts[0] + 2
+    assert counts[2] <= counts[1]
     tolerances_deg = [program.tolerance_deg for program in programs]
     assert tolerances_deg == sorted(tolerances_deg, reverse=True)
