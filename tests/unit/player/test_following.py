@@ -2,7 +2,14 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.player.following import OFFSET_MAX_DEG, OFFSET_RATE_DEG_S, Following
+from lss_motion.player.following import (
+    ESTIMATE_S,
+    GAIN_MAX,
+    JUMP_MARGIN_DEG,
+    OFFSET_MAX_DEG,
+    OFFSET_RATE_DEG_S,
+    Following,
+)
 
 
 def read(following, measured_deg, read_s, *, expected_deg=0.0, speed_deg_s=0.0):
@@ -94,4 +101,63 @@ def test_errors_are_summed_up():
     read(following, -4.0, 0.3)
     assert following.error_max_deg == 4.0
     assert following.error_rms_deg == pytest.approx((25.0 / 7.0) ** 0.5)
-    assert Following(speed_max_deg_s=1.0).error_rms_deg == 0.0
+    unread = Following(speed_max_deg_s=1.0)
+    assert unread.error_deg == unread.error_max_deg == unread.error_rms_deg == 0.0
+
+
+def test_the_reach_is_what_the_speed_allows_since_then_and_a_margin_no_more():
+    for far_deg, is_believed in ((10.0 + JUMP_MARGIN_DEG, True), (10.1 + JUMP_MARGIN_DEG, False)):
+        following = Following(speed_max_deg_s=100.0)
+        read(following, 0.0, 50.0)
+        assert read(following, far_deg, 50.1) is is_believed
+
+
+def test_the_first_reading_counts_as_much_as_one_may_and_moves_no_command_at_once():
+    following = Following(speed_max_deg_s=100.0)
+    read(following, -2.0, 5.0)
+    assert following.disturbance_deg == pytest.approx(GAIN_MAX * 2.0)
+    assert following.offset_deg == following.offset_max_deg == 0.0
+
+
+def test_a_reading_counts_by_the_time_since_the_last_one_and_a_quarter_at_the_most():
+    for elapsed_s, gain in ((0.009, 0.009 / ESTIMATE_S), (0.1, GAIN_MAX)):
+        following = settled()
+        read(following, -1.0, 0.08 + elapsed_s)
+        assert following.disturbance_deg == pytest.approx(gain)
+
+
+def test_at_its_half_speed_a_reading_counts_half():
+    following = settled()
+    read(following, -1.0, 0.2, speed_deg_s=-30.0)
+    assert following.disturbance_deg == pytest.approx(GAIN_MAX / 2.0)
+
+
+def test_the_error_is_how_far_the_horn_is_short_of_what_was_wanted():
+    following = settled()
+    assert following.error_deg == 0.0
+    following.take(3.0, 0.1, expected_deg=3.5, wanted_deg=5.0, speed_deg_s=0.0)
+    assert following.error_deg == pytest.approx(2.0)
+    assert following.error_max_deg == pytest.approx(2.0)
+    assert following.disturbance_deg > 0.0
+
+
+def test_a_horn_that_was_set_down_elsewhere_is_read_anew_and_what_was_learnt_is_kept():
+    following = settled()
+    for step in range(40):
+        read(following, -1.0, 0.1 + 0.02 * step)
+    learnt_deg = following.offset_deg
+    following.stand(60.0)
+    assert (following.measured_deg, following.read_s, following.standing_deg) == (None, None, 60.0)
+    assert read(following, 60.2, 1.0, expected_deg=61.2)
+    assert following.offset_deg == learnt_deg > 0.5
+    following.stand(-60.0)
+    assert not read(following, 60.2, 1.1), "nothing stands there"
+    following.stand(10.0)
+    assert read(following, 10.1, 1.2), "and what was wild before is no witness"
+
+
+def test_a_wild_reading_is_no_witness_once_another_was_believed():
+    following = settled()
+    assert not read(following, 70.0, 0.1)
+    assert read(following, 0.0, 0.12)
+    assert not read(following, 70.0, 0.14)

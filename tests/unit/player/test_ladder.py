@@ -85,3 +85,64 @@ def test_what_does_not_come_back_ends_the_show_at_the_least(kit):
     assert only.give_up("j0", Cause.SILENT, "is silent").step is FaultStep.HOLD
     limp = ladder(kit, on_fault={Cause.SILENT: (FaultStep.RESUME, FaultStep.LIMP)})
     assert limp.give_up("j0", Cause.SILENT, "is silent").step is FaultStep.LIMP
+
+
+def test_it_is_idle_when_nothing_is_wrong_and_nothing_is_left_to_be_made_good(kit):
+    climb = ladder(kit, on_fault={Cause.ASTRAY: (FaultStep.SLOW,)})
+    assert climb.is_idle is True
+    climb.judge({ASTRAY: "is astray"}, 0)
+    assert climb.is_idle is False
+    climb.judge({}, S)
+    assert climb.is_idle is False, "the show is still slow"
+    climb.judge({}, 2 * S)
+    assert climb.rate_max == 1.0
+    climb.judge({}, 3 * S)
+    assert climb.is_idle is True
+
+
+def test_it_wakes_up_for_the_next_change_of_the_rate_or_the_next_step_whichever_is_first(kit):
+    climb = ladder(kit, on_fault={Cause.ASTRAY: (FaultStep.SLOW, FaultStep.HOLD)})
+    climb.judge({ASTRAY: "is astray"}, S)
+    assert climb.next_wakeup_ns() == S + S // 2
+    climb.judge({ASTRAY: "is astray"}, 5 * S // 2)
+    assert climb.next_wakeup_ns() == 3 * S
+    climb.judge({ASTRAY: "is astray"}, 3 * S)
+    assert climb.next_wakeup_ns() == 7 * S // 2
+
+
+def test_the_show_becomes_faster_as_it_became_slower(kit):
+    climb = ladder(kit, on_fault={Cause.ASTRAY: (FaultStep.SLOW,)})
+    rates = []
+    for turn in range(7):
+        climb.judge({ASTRAY: "is astray"} if turn < 3 else {}, turn * S)
+        rates.append(climb.rate_max)
+    assert rates == [0.5, 0.25, 0.125, 0.25, 0.5, 1.0, 1.0]
+
+
+def test_what_was_put_right_is_forgotten(kit):
+    climb = ladder(kit, on_fault={Cause.ASTRAY: (FaultStep.SLOW, FaultStep.HOLD)})
+    climb.judge({ASTRAY: "is astray"}, 0)
+    climb.forget()
+    assert (climb.rate_max, climb.next_wakeup_ns(), climb.is_idle) == (1.0, None, True)
+    assert steps(climb.judge({ASTRAY: "is astray"}, 2 * S)) == [FaultStep.SLOW]
+
+
+def test_a_servo_waited_for_too_often_gets_the_other_steps_of_its_ladder(kit):
+    climb = ladder(kit, on_fault={Cause.SILENT: (FaultStep.WARN, FaultStep.RESUME, FaultStep.LIMP)})
+    for _ in range(RESUMES_MAX):
+        climb.judge({SILENT: "is silent"}, 0)
+        climb.forget()
+    taken = [steps(climb.judge({SILENT: "is silent"}, at_s * S)) for at_s in (0, 2, 4)]
+    assert taken == [[FaultStep.WARN], [FaultStep.LIMP], []]
+
+
+def test_of_each_trouble_the_farthest_step_is_kept_with_its_latest_words(kit):
+    climb = ladder(kit)
+    assert climb.note("j0", Cause.SILENT, "is silent", FaultStep.HOLD).step is FaultStep.HOLD
+    climb.note("j0", Cause.SILENT, "is silent again", FaultStep.HOLD)
+    climb.note("j0", Cause.SILENT, "is silent once more", FaultStep.WARN)
+    climb.note("j0", Cause.ASTRAY, "is astray", FaultStep.WARN)
+    assert [(fault.kind, fault.cause, fault.step) for fault in climb.faults] == [
+        (Cause.SILENT, "is silent again", FaultStep.HOLD),
+        (Cause.ASTRAY, "is astray", FaultStep.WARN),
+    ]

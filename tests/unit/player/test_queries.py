@@ -4,7 +4,7 @@ from random import Random
 
 import pytest
 
-from lss_motion.player.queries import GRACE_NS, STRAY_NS, WINDOW_MAX
+from lss_motion.player.queries import GRACE_NS, REPLY_MAX_BYTES, STRAY_NS, WINDOW_MAX
 from lss_motion.player.turnaround import REPLY_TIMEOUT_NS, SAMPLES_LEAST, Turnaround
 from lss_motion.protocol.line import Command, Reply, encode
 
@@ -199,3 +199,214 @@ def test_the_next_turnaround_is_rarely_outside_of_what_was_learnt(bounds_us):
         spread_ns = (bounds_us[1] - bounds_us[0]) * US
         assert turnaround.spread_ns <= 1.3 * spread_ns
     assert outside < 0.01 * judged
+
+
+STEADY_US = (400,) * SAMPLES_LEAST
+"""Waits of a servo that always takes as long."""
+ANSWER = b"*5QD100\r"
+
+
+def test_of_a_servo_that_was_never_asked_nothing_is_known(questioner):
+    assert questioner.is_waiting(5) is False
+    assert questioner.give_up_ns is questioner.least_wait_ns is None
+    assert (questioner.depth(5), questioner.quiet_until_ns(5)) == (1, 0)
+    assert questioner.reply_bytes(5, "QD") == REPLY_MAX_BYTES
+    assert questioner.earliest_ns(5, 5) <= 0
+    questioner.ask(ASK, 0)
+    assert questioner.is_waiting(5) is True
+
+
+def test_a_longer_answer_by_one_digit_is_always_allowed_for(questioner, line):
+    learn(questioner, line, 5, STEADY_US)
+    assert questioner.reply_bytes(5, "QD") == len(ANSWER) + 1
+    assert questioner.reply_bytes(5, "QT") == questioner.reply_bytes(6, "QD") == REPLY_MAX_BYTES
+
+
+def test_every_row_that_is_answered_whole_doubles_the_next(questioner, line):
+    now_ns, depths = 0, []
+    for _ in range(8):
+        now_ns = learn(questioner, line, 5, (400,), now_ns)
+        depths.append(questioner.depth(5))
+    assert depths == [2, 4, 8, 16, 32, 64, 64, 64]
+
+
+def given_up(questioner, now_ns, command=ASK):
+    """Ask in vain; return when the servo may be asked again."""
+    questioner.ask(command, now_ns)
+    now_ns = questioner.give_up_ns
+    questioner.expire(now_ns)
+    assert questioner.quiet_until_ns(command.servo_id) == now_ns + STRAY_NS
+    return now_ns + STRAY_NS
+
+
+def test_only_failures_in_a_row_make_a_servo_unknown(questioner, line):
+    now_ns = learn(questioner, line, 5, STEADY_US)
+    for _ in range(3):
+        now_ns = given_up(questioner, now_ns)
+        assert questioner.turnaround(5).is_known
+        now_ns = learn(questioner, line, 5, (400,), now_ns)
+    given_up(questioner, given_up(questioner, now_ns))
+    assert not questioner.turnaround(5).is_known
+
+
+def test_a_servo_that_never_answers_is_still_asked_one_thing(questioner):
+    given_up(questioner, given_up(questioner, 0))
+    assert questioner.depth(5) == 1
+
+
+def test_an_unknown_servo_has_thirty_milliseconds_and_the_longest_answer(questioner, line):
+    questioner.ask(ASK, 0)
+    assert questioner.give_up_ns == line.time_ns(5) + REPLY_TIMEOUT_NS + line.time_ns(
+        REPLY_MAX_BYTES
+    )
+
+
+def test_a_known_servo_has_what_it_took_so_far_and_some_grace(questioner, line):
+    now_ns = learn(questioner, line, 5, STEADY_US)
+    questioner.ask(ASK, now_ns)
+    end_ns = now_ns + line.time_ns(5) + 400 * US + line.time_ns(len(ANSWER) + 1)
+    assert questioner.give_up_ns == end_ns + GRACE_NS
+
+
+def test_the_next_answer_is_waited_for_from_the_last_one_on(questioner, line):
+    now_ns = learn(questioner, line, 5, STEADY_US)
+    for keyword in ("QD", "QT", "QV"):
+        questioner.ask(Command(5, keyword), now_ns)
+    heard_ns = now_ns + line.time_ns(5)
+    [(_, reply)] = questioner.answer(
+        Reply(5, "QD", 100), heard_ns + 400 * US + line.time_ns(len(ANSWER))
+    )
+    assert reply.value == 100, "there is no other question that it could answer"
+    late_ns = now_ns + 9_000_000
+    assert [reply.keyword for _, reply in questioner.answer(Reply(5, "QT", 300), late_ns)] == ["QT"]
+    assert questioner.give_up_ns == late_ns + line.time_ns(REPLY_MAX_BYTES) + GRACE_NS
+    assert [reply.value for _, reply in questioner.answer(Reply(5, "QV", 1), late_ns)] == [1]
+
+
+def test_of_two_servos_the_first_to_be_given_up_counts(questioner, line):
+    for servo_id in (5, 6):
+        now_ns = learn(questioner, line, servo_id, STEADY_US, now_ns=servo_id * 10**9)
+    questioner.ask(ASK, now_ns)
+    first_ns = questioner.give_up_ns
+    questioner.ask(Command(6, "QD"), questioner.earliest_ns(6, 5))
+    assert questioner.give_up_ns == first_ns
+    assert [asked.command.servo_id for asked in questioner.expire(first_ns)] == [5]
+    assert questioner.give_up_ns > first_ns
+
+
+@pytest.mark.parametrize(("wait_us", "count"), [(100, 3), (2_000, 5), (20_000, WINDOW_MAX)])
+def test_so_many_questions_fly_that_the_servo_never_waits_for_one(questioner, line, wait_us, count):
+    # The shortest answer, nine bytes with its spare digit, takes 781 us.
+    now_ns = learn(questioner, line, 5, (wait_us,) * SAMPLES_LEAST)
+    questioner.ask(Command(5, "QMS"), now_ns)
+    name_ns = line.time_ns(len(b"*5QMSLSS-ST1\r"))
+    questioner.answer(Reply(5, "QMS", "LSS-ST1"), line.free_ns + wait_us * US + name_ns)
+    asked = 0
+    while questioner.earliest_ns(5, 5) is not None:
+        questioner.ask(ASK, now_ns)
+        asked += 1
+    assert asked == count
+
+
+def test_the_second_servo_is_heard_when_the_first_has_answered_at_the_latest(questioner, line):
+    for servo_id in (5, 6, 7):
+        now_ns = learn(questioner, line, servo_id, STEADY_US, now_ns=servo_id * 10**9)
+    questioner.ask(ASK, now_ns)
+    end_ns = questioner.give_up_ns - GRACE_NS
+    begins_ns = questioner.earliest_ns(6, 5)
+    assert begins_ns == end_ns - 400 * US - line.time_ns(5)
+    questioner.ask(Command(6, "QD"), begins_ns)
+    assert questioner.earliest_ns(7, 5) is None, "two servos are enough"
+    assert questioner.earliest_ns(5, 5) is None, "it is the turn of the other"
+    assert questioner.earliest_ns(6, 5) is not None
+
+
+@pytest.mark.parametrize(("first", "second"), [(5, 6), (6, 5)])
+def test_two_servos_fly_together_only_if_both_are_known(questioner, line, first, second):
+    now_ns = learn(questioner, line, 5, STEADY_US)
+    questioner.ask(Command(first, "QD"), now_ns)
+    assert questioner.earliest_ns(second, 5) is None
+
+
+def test_the_shortest_wait_of_any_servo_is_known(questioner, line):
+    learn(questioner, line, 5, (700, 300, 900))
+    assert questioner.least_wait_ns == 300 * US
+    learn(questioner, line, 6, (250, 800), now_ns=10**9)
+    learn(questioner, line, 7, (500,), now_ns=2 * 10**9)
+    assert questioner.least_wait_ns == 250 * US
+
+
+def test_only_a_servo_that_had_nothing_else_to_say_shows_how_quick_it_is(questioner, line):
+    now_ns = learn(questioner, line, 5, STEADY_US)
+    for _ in range(3):
+        questioner.ask(ASK, now_ns)
+    heard_ns, size_ns = line.free_ns, line.time_ns(len(ANSWER))
+    first_ns = heard_ns - 2 * line.time_ns(5) + 400 * US + size_ns
+    for arrival_ns in (first_ns, first_ns + size_ns, first_ns + 2 * size_ns):
+        questioner.answer(Reply(5, "QD", 100), arrival_ns)
+    assert (questioner.turnaround(5).earliest_ns, questioner.turnaround(5).latest_ns) == (
+        400 * US,
+        400 * US,
+    )
+
+
+def test_an_answer_that_came_just_before_the_next_question_was_heard_leaves_it_free(
+    questioner, line
+):
+    now_ns = learn(questioner, line, 5, STEADY_US)
+    questioner.ask(ASK, now_ns)
+    questioner.ask(Command(5, "QT"), now_ns + 2_000_000)
+    questioner.answer(Reply(5, "QD", 100), line.free_ns)
+    wait_ns = 300 * US + line.time_ns(len(b"*5QT300\r"))
+    questioner.answer(Reply(5, "QT", 300), line.free_ns + wait_ns)
+    assert questioner.least_wait_ns == 300 * US
+
+
+def test_an_answer_after_a_lost_one_shows_nothing_of_how_quick_the_servo_is(questioner, line):
+    now_ns = learn(questioner, line, 5, STEADY_US)
+    questioner.ask(ASK, now_ns)
+    questioner.ask(Command(5, "QT"), now_ns)
+    questioner.answer(Reply(5, "QT", 300), line.free_ns + 200 * US + line.time_ns(8))
+    assert questioner.least_wait_ns == 400 * US
+
+
+def test_an_answer_may_come_as_soon_as_the_question_was_heard(questioner, line):
+    questioner.ask(ASK, 0)
+    assert questioner.answer(Reply(5, "QD", 100), line.time_ns(5))
+
+
+def test_a_late_answer_says_that_the_servo_is_slower_than_was_known(questioner, line):
+    now_ns = given_up(questioner, learn(questioner, line, 5, STEADY_US))
+    questioner.answer(Reply(5, "QT", 300), now_ns)
+    assert questioner.turnaround(5).is_known, "nobody asked for that"
+    questioner.answer(Reply(5, "QD", 100), now_ns)
+    assert not questioner.turnaround(5).is_known
+    assert questioner.strays == 2
+
+
+def test_no_servo_answers_without_its_name_but_for_its_id(questioner):
+    questioner.ask(Command(1, "QD"), 0)
+    assert not questioner.answer(Reply(None, "QD", 100), 2_000_000)
+    assert not questioner.answer(Reply(None, "QID", 1), 2_000_000)
+    assert questioner.answer(Reply(1, "QD", 100), 2_000_000)
+
+
+@pytest.mark.parametrize(
+    ("values", "strays"),
+    [((1, 2), 2), ((1, 1, 2, 3), 4), ((1, 2, 3), 0)],
+    ids=["lost", "double", "whole"],
+)
+def test_a_doubtful_row_is_thrown_away_and_the_next_is_shorter(questioner, line, values, strays):
+    now_ns = row(questioner, learn(questioner, line, 5, (400,) * 6))
+    for value in values:
+        questioner.answer(Reply(5, "QD", value), now_ns)
+    questioner.answer(Reply(5, "Q", 6), now_ns)
+    assert questioner.strays == strays
+    assert questioner.depth(5) == (32 if strays else 64)
+
+
+def test_two_equal_questions_are_not_told_apart_before_the_row_is_over(questioner, line):
+    now_ns = row(questioner, learn(questioner, line, 5), ("QD", "QD", "Q"))
+    assert questioner.answer(Reply(5, "QD", 1), now_ns) == []
+    assert questioner.answer(Reply(5, "QD", 2), now_ns) == []
+    assert [reply.value for _, reply in questioner.answer(Reply(5, "Q", 6), now_ns)] == [1, 2, 6]

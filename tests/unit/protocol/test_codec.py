@@ -223,3 +223,26 @@ def test_text_after_crc_is_heard_as_said() -> None:
     said = read_command(LSS, command)
     assert said is not None
     assert said.value == "*"
+
+
+def test_the_highest_id_can_be_said() -> None:
+    assert make_command(LSS, 255, "H") == Command(255, "H")
+
+
+@pytest.mark.parametrize("delay_us", [0, 1, 250])
+def test_the_delay_of_a_reply_is_any_whole_number_from_zero_on(delay_us: int) -> None:
+    assert make_command(LSS, 254, "QID", delay_us, firmware=370) == Command(254, "QID", delay_us)
+
+
+def test_a_suffix_that_is_not_known_is_refused_with_those_that_are() -> None:
+    assert make_command(LSS, 5, "QSD", 1) == Command(5, "QSD", 1)
+    with pytest.raises(ProtocolError, match=r"are 0 \(session value\), 1 \(configured value\), "):
+        make_command(LSS, 5, "QSD", 9)
+
+
+def test_what_is_asked_has_no_unit_and_what_is_set_has_that_of_its_row() -> None:
+    asked, told = (read_command(LSS, Command(5, keyword, 1)) for keyword in ("QSD", "SD"))
+    assert asked is not None
+    assert told is not None
+    assert (asked.unit, asked.value) == (Unit.NONE, 1)
+    assert told.unit is told.row.unit is not Unit.NONE

@@ -186,3 +186,20 @@ def test_an_incomplete_line_says_nothing_yet() -> None:
     assert parser.feed(b"*5QD14") == []
     assert parser.feed(b"43") == []
     assert parser.feed(b"\r") == [Reply(5, "QD", 1443)]
+
+
+def test_in_a_group_only_queries_to_one_servo_share_a_section() -> None:
+    queries = [Command(5, "QD"), Command(5, "QT"), Command(5, "QV")]
+    assert encode_group(queries) == b"#5QD0QT0QV0\r"
+    assert encode_group([Command(5, "QD"), Command(5, "D", 100)]) == b"#5QD#5D100\r"
+    assert encode_group([Command(5, "D", 100), Command(5, "QD")]) == b"#5D100#5QD\r"
+    assert encode_group([Reply(5, "QD", 1), Reply(5, "QDT"), Reply(5, "QV", 2)]) == b"*5QD1QDTQV2\r"
+
+
+def test_without_groups_text_is_a_reply_like_any_other() -> None:
+    assert ReplyParser(grouped=False).feed(b"*5QMSLSS-HS1\r") == [Reply(5, "QMS", "LSS-HS1")]
+
+
+@pytest.mark.parametrize("keyword", ["QMS", "QN"])
+def test_text_that_looks_like_a_number_stays_text(keyword: str) -> None:
+    assert ReplyParser().feed(b"*5%b0042\r" % keyword.encode()) == [Reply(5, keyword, "0042")]

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -12,6 +13,9 @@ from lss_motion.trajectory.model import Motion, Trajectory
 from lss_motion.trajectory.path import Path
 from lss_motion.trajectory.planner import plan
 from lss_motion.trajectory.verify import verify
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 def trajectory_of(knots_s, cubics, *, joint="base", **more):
@@ -127,3 +131,229 @@ def test_a_plan_whose_clock_is_hurried_is_refused(make_robot, frame):
     )
     with pytest.raises(PlanningError):
         verify(replace(planned, first=hurried, middle=hurried, last=hurried), make_robot())
+
+
+@dataclass
+class Made:
+    """A pass of any curve: deg over seconds. It counts what it is asked for."""
+
+    curve: Callable[[np.ndarray], np.ndarray]
+    duration_s: float
+    parts: tuple[Trajectory, ...] = ()
+    seams_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    inner_knots_s: tuple[float, ...] = ()
+    asked: int = 0
+
+    @property
+    def knots_s(self):
+        return np.array([0.0, *self.inner_knots_s, self.duration_s])
+
+    def sample(self, times_s, order=0):
+        assert order == 0, "speed and acceleration are not taken on trust"
+        self.asked += len(times_s)
+        deg = self.curve(np.clip(times_s, 0.0, self.duration_s))
+        return deg if deg.ndim == 2 else deg[:, None]
+
+
+def shown(*passes, joints=("base",), loop=None):
+    """A show of the given passes, the middle one as often as needed to make `loop`."""
+    return Trajectory(
+        name="made",
+        joints=joints,
+        first=passes[0],
+        middle=passes[len(passes) // 2],
+        last=passes[-1],
+        loop=loop or len(passes),
+    )
+
+
+def still(times_s):
+    return np.zeros(len(times_s))
+
+
+def swing(deg, seconds):
+    """Out and back without any knot but the ends."""
+    return Made(lambda t: 0.5 * deg * (1.0 - np.cos(2.0 * np.pi * t / seconds)), seconds)
+
+
+def test_what_does_not_move_uses_nothing(make_robot):
+    motion = Made(lambda t: np.zeros((len(t), 2)), 1.0)
+    found = verify(shown(motion, joints=("base", "elbow")), make_robot())
+    assert (found.speed_ratio, found.accel_ratio) == (0.0, 0.0)
+    assert (found.speed_joint, found.speed_at_s) == ("base", 0.0)
+    assert (found.accel_joint, found.accel_at_s) == ("base", 0.0)
+    assert found.samples == motion.asked > 1000
+
+
+def kinked(at_s, duration_s=20.0):
+    """Rest, then a second of coming down to a corner of 4 deg/s, and a second up to rest."""
+
+    def curve(t):
+        away_s = np.minimum(np.abs(t - at_s), 1.0)
+        return 2.0 * away_s - away_s**2
+
+    return Made(curve, duration_s)
+
+
+@pytest.mark.parametrize("at_s", [0.0007, 4.2, *np.arange(8.186, 8.192, 5e-4), 16.38, 18.9])
+def test_a_kink_is_found_wherever_it_is(make_robot, at_s):
+    # 4 deg/s within no time: at least 2000 deg/s² from one millisecond to the next.
+    with pytest.raises(PlanningError, match="acceleration") as caught:
+        verify(shown(kinked(at_s)), make_robot(accel=1500.0), is_from_rest=at_s > 1.0)
+    assert caught.value.time_s == pytest.approx(at_s, abs=0.002)
+
+
+def test_what_begins_in_motion_is_judged_from_there_on(make_robot):
+    gentle = Made(lambda t: 60.0 - 60.0 * (1.0 - t / 2.0) ** 2, 2.0)
+    with pytest.raises(PlanningError, match="acceleration"):
+        verify(shown(gentle), make_robot())
+    verify(shown(gentle), make_robot(), is_from_rest=False)
+    with pytest.raises(PlanningError, match=r"speed 59\.99"):
+        verify(shown(gentle), make_robot(speed=59.0), is_from_rest=False)
+    with pytest.raises(PlanningError, match="speed 314"):
+        verify(shown(swing(110.0, 1.1)), make_robot(speed=300.0, accel=5e3), is_from_rest=False)
+
+
+def test_the_joint_that_leaves_its_range_is_named_with_the_time_and_the_angle(make_robot):
+    for side in (1.0, -1.0):
+        dip = swing(side * 170.01, 8.0).curve
+        motion = Made(lambda t, dip=dip: np.stack([0.5 * dip(t), dip(t)], axis=1), 8.0)
+        with pytest.raises(
+            PlanningError, match=rf"'elbow' would be at {side * 170:.0f}.00"
+        ) as caught:
+            verify(shown(motion, joints=("base", "elbow")), make_robot())
+        # It is beyond 170 deg from 3.98 s on.
+        assert caught.value.time_s == pytest.approx(3.98, abs=0.005)
+        assert caught.value.joint == "elbow"
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_range_may_be_left_by_what_rounding_makes_of_it(make_robot, side):
+    verify(shown(Made(lambda t: still(t) + side * (170.0 + 9e-7), 1.0)), make_robot())
+    with pytest.raises(PlanningError, match="would be at"):
+        verify(shown(Made(lambda t: still(t) + side * (170.0 + 2e-6), 1.0)), make_robot())
+
+
+@pytest.mark.parametrize("is_at_its_end", [True, False])
+@pytest.mark.parametrize("at_s", [1.0, 0.0], ids=["on the way", "first"])
+def test_an_acceleration_that_is_too_much_only_at_one_end_of_a_polynomial_is_found(
+    make_robot, is_at_its_end, at_s
+):
+    # From 0 to 900 deg/s² within 2 ms, then 100 deg/s² until it rests again: no average over the
+    # steps of a millisecond is near 600.
+    jerk, brake, short_s = 4.5e5, 100.0, 0.002
+    peak_deg_s = 0.5 * jerk * short_s**2
+    knots_s = (short_s, short_s + peak_deg_s / brake)
+
+    def nudge(t):
+        up_s = np.clip(t, 0.0, knots_s[0])
+        down_s = np.clip(t - knots_s[0], 0.0, knots_s[1] - knots_s[0])
+        return jerk * up_s**3 / 6.0 + peak_deg_s * down_s - 0.5 * brake * down_s**2
+
+    length_s = 2.0 * at_s + knots_s[1]
+    inner_s = tuple(at_s + knot_s for knot_s in (0.0, *knots_s) if 0.0 < at_s + knot_s < length_s)
+    if is_at_its_end:
+        motion = Made(lambda t: nudge(t - at_s), length_s, inner_knots_s=inner_s)
+    else:
+        turned_s = tuple(length_s - knot_s for knot_s in reversed(inner_s))
+        motion = Made(lambda t: -nudge(length_s - t - at_s), length_s, inner_knots_s=turned_s)
+    verify(shown(motion), make_robot(accel=901.0))
+    with pytest.raises(PlanningError, match=r"reach acceleration 786.375 deg/s² at"):
+        verify(shown(motion), make_robot())
+
+
+def test_passes_that_repeat_one_another_are_looked_at_once(make_robot):
+    motion = swing(30.0, 2.0)
+    verify(shown(motion), make_robot())
+    once, motion.asked = motion.asked, 0
+    found = verify(shown(motion, loop=1000), make_robot())
+    assert once <= motion.asked == found.samples < 1.05 * once
+    motion.asked = 0
+    verify(replace(shown(motion), loop=None), make_robot())
+    assert once <= motion.asked < 1.05 * once
+
+
+GOOD = swing(30.0, 2.0)
+UP = Made(lambda t: 15.0 * (1.0 - np.cos(np.pi * t)), 1.0)
+"""To 30 deg, where it rests."""
+AT_30 = Made(lambda t: still(t) + 30.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("passes", "loop"),
+    [
+        ((GOOD, AT_30, GOOD), 3),
+        ((UP, AT_30, GOOD), 9),
+        ((UP, UP, AT_30), 9),
+        ((UP, AT_30, UP), 9),
+        ((GOOD, kinked(1.5, 3.0), GOOD), 3),
+        ((GOOD, GOOD, kinked(1.5, 3.0)), 6),
+    ],
+    ids=["first seam", "last seam", "middle seam", "end", "middle", "last"],
+)
+def test_every_kind_of_pass_and_of_seam_is_looked_at(make_robot, passes, loop):
+    with pytest.raises(PlanningError):
+        verify(shown(*passes, loop=loop), make_robot(accel=1500.0))
+
+
+def test_a_show_of_three_kinds_of_passes_that_fit_passes(make_robot):
+    down = Made(lambda t: 15.0 * (1.0 + np.cos(np.pi * t)), 1.0)
+    verify(shown(UP, AT_30, down, loop=9), make_robot())
+
+
+def assembled(curve, duration_s, part, *seams_s):
+    """A pass made of trajectories, of which `part` is judged and `curve` is what comes of it."""
+    return Made(curve, duration_s, parts=(part,), seams_s=np.array(seams_s))
+
+
+def test_the_parts_of_a_pass_are_judged_as_shows_of_their_own(make_robot):
+    whole, robot = swing(60.0, 2.0), make_robot()
+    made = verify(shown(assembled(whole.curve, 2.0, shown(whole))), robot)
+    alone = verify(shown(swing(60.0, 2.0)), robot)
+    assert (made.speed_ratio, made.accel_ratio) == (alone.speed_ratio, alone.accel_ratio)
+    assert (made.speed_joint, made.accel_joint) == ("base", "base")
+    assert alone.samples < made.samples < 1.05 * alone.samples
+    bad = assembled(still, 2.0, shown(kinked(1.0, 2.0)))
+    with pytest.raises(PlanningError, match="acceleration"):
+        verify(shown(bad), make_robot(accel=1500.0))
+    verify(shown(bad), make_robot(accel=1500.0), has_parts=False)
+
+
+def test_of_several_parts_the_one_that_asks_for_most_is_kept(make_robot):
+    parts = [shown(swing(deg, 2.0)) for deg in (20.0, 60.0, 40.0)]
+    motion = Made(still, 6.0, parts=tuple(parts), seams_s=np.array([2.0, 4.0]))
+    most = verify(parts[1], make_robot())
+    found = verify(shown(motion), make_robot())
+    assert (found.speed_ratio, found.accel_ratio) == (most.speed_ratio, most.accel_ratio)
+
+
+def test_where_one_part_follows_another_is_looked_at_in_every_pass(make_robot):
+    part, robot = shown(GOOD), make_robot()
+    rest = assembled(still, 5.0, part, 2.0)
+    stepped = assembled(lambda t: np.where(t < 2.0, 0.0, 0.01), 5.0, part, 2.0)
+    lifted = assembled(lambda t: still(t) + 0.01, 5.0, part, 2.0)
+    verify(shown(rest, rest, rest), robot)
+    for passes in ((rest, rest, stepped), (stepped, lifted, lifted), (rest, lifted, lifted)):
+        with pytest.raises(PlanningError):
+            verify(shown(*passes), robot)
+
+
+def test_a_show_of_parts_ends_at_rest(make_robot):
+    part = shown(GOOD)
+    running = assembled(lambda t: np.maximum(t - 4.0, 0.0), 5.0, part)
+    with pytest.raises(PlanningError, match=r"acceleration .* at [45]\."):
+        verify(shown(running), make_robot())
+
+
+def test_no_difference_reaches_beyond_a_short_polynomial(make_robot):
+    # 700 deg/s² for 0.2 ms: over any longer time it looks harmless.
+    short_s, up_deg_s2, down_deg_s2 = 0.0002, 700.0, 70.0
+    peak_deg_s = up_deg_s2 * short_s
+    cubics = [
+        [0.0, 0.0, up_deg_s2 / 2.0, 0.0],
+        [up_deg_s2 * short_s**2 / 2.0, peak_deg_s, -down_deg_s2 / 2.0, 0.0],
+    ]
+    nudge = trajectory_of([0.0, short_s, short_s + peak_deg_s / down_deg_s2], cubics)
+    verify(nudge, make_robot(accel=700.0))
+    with pytest.raises(PlanningError, match=r"acceleration 699.998"):
+        verify(nudge, make_robot(accel=600.0))
