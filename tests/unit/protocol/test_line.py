@@ -203,3 +203,10 @@ def test_without_groups_text_is_a_reply_like_any_other() -> None:
 @pytest.mark.parametrize("keyword", ["QMS", "QN"])
 def test_text_that_looks_like_a_number_stays_text(keyword: str) -> None:
     assert ReplyParser().feed(b"*5%b0042\r" % keyword.encode()) == [Reply(5, keyword, "0042")]
+
+
+@pytest.mark.parametrize("parser", [CommandParser, ReplyParser])
+def test_noise_is_kept_no_longer_than_a_section(parser: type[CommandParser | ReplyParser]) -> None:
+    most = LINE_MAX_BYTES - 1
+    assert parser().feed(b"x" * most) == []
+    assert parser().feed(b"x" * (most + 1)) == [Garbage(b"x" * most)]
