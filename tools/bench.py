@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 BENCHES = (
-    "codec", "states", "plan", "compile", "compress", "horn", "feedback", "loop", "line", "late", "identify",
-    "gait", "scaling",
+    "codec", "states", "plan", "compile", "compress", "horn", "feedback", "loop", "line", "late",
+    "identify", "gait", "scaling", "capacity",
 )  # fmt: skip
 PACKAGES = ("numpy", "scipy", "toppra", "pyserial", "ruckig")
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import serial
 
-from benches.table import Row
+from benches.table import Row, core_seconds
 from lss_motion.protocol.family import Family
 from lss_motion.robot.model import Bus, Joint, Robot, ServoModel
 from lss_motion.sim.bus import SimBus
@@ -19,7 +19,6 @@ from lss_motion.sim.physics import ServoSpec
 from lss_motion.sim.pty import serve
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from multiprocessing.connection import Connection
 
 ST1 = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10)
@@ -43,7 +42,7 @@ LATENESS_TARGET = 1.3
 
 def measure() -> list[Row]:
     """Return the speed in virtual time, the cost in real time, and how late replies are."""
-    ratio = SIMULATED_S / statistics.median(_core_seconds(_move_all) for _ in range(REPEATS))
+    ratio = SIMULATED_S / statistics.median(core_seconds(_move_all) for _ in range(REPEATS))
     cost, lateness = _in_real_time()
     return [
         Row(
@@ -71,13 +70,6 @@ def measure() -> list[Row]:
             is_met=0.9 <= lateness <= LATENESS_TARGET,
         ),
     ]
-
-
-def _core_seconds(do: Callable[[], None]) -> float:
-    """Return how long one call keeps a core busy, whatever else the machine does."""
-    started_s = time.process_time()
-    do()
-    return time.process_time() - started_s
 
 
 def _move_all() -> None:

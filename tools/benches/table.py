@@ -55,6 +55,13 @@ def seconds(do: Callable[[], object]) -> float:
     return time.perf_counter() - started
 
 
+def core_seconds(do: Callable[[], object]) -> float:
+    """Return how long one call keeps a core busy, whatever else the machine does."""
+    started = time.process_time()
+    do()
+    return time.process_time() - started
+
+
 def interleaved(*calls: Callable[[], object], repeats: int) -> list[float]:
     """Return the median time of each call; they take turns, so that noise hits all alike."""
     taken: list[list[float]] = [[] for _ in calls]
