@@ -1,4 +1,15 @@
-"""Places commands on one serial line so that no two overlap, and proves it afterwards."""
+"""Places commands on one serial line so that no two overlap, and proves it afterwards.
+
+Decision: every command is a line of its own, also where the firmware knows group lines (370 and
+later: `#1D0T100#2D0T100` and one CR). A group saves one byte for every command that has no gap
+before it. On a lively show that is 0.5 to 1.5 % of what 18 joints send at 115200 bps and at most
+2.5 % of what 32 send: less than half a percent of the line, since most commands stand alone where
+their joint wants them. For that, one would have to know when a servo takes up a section: at the
+next `#`, or all of them at the CR, which is later by the whole group. The seeds do not know groups,
+the facts have them from queries (lss_facts 2.3), and nobody recorded how moves in a group did. A
+wrong guess costs the horn more than the bytes are worth, and a group that lost one byte or its CR
+can lose more than one command.
+"""
 
 from __future__ import annotations
 

@@ -4,10 +4,10 @@ Ten minutes, 18 joints, 1,200 keyframes, 5 % of them too much to ask: the show o
 Planned cold and compiled in turns in one process; what counts is processor time, which a busy
 machine does not stretch.
 
-Parity is not reached. More than half of what a move costs is choosing and landing it (20 trials,
-each judged at 20 instants of the course, all in arrays); the rest are the line schedule and the
-objects that a program is made of. Fewer trials cost moves (`compress`); one move at a time, as
-before, cost 500 us each.
+Parity is not reached. Half of what a move costs is choosing it (some 15 trials, of which half are
+worth looking how far their successor reaches, all in arrays), a tenth is its slot on the line, the
+rest are the samples of the plan, the objects that a program is made of, and the verifier, which
+follows the finished bytes once more. Fewer trials cost moves (`compress`).
 """
 
 from __future__ import annotations
