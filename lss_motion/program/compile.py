@@ -11,7 +11,7 @@ import numpy as np
 from lss_motion.errors import InputError, LineLoadError
 from lss_motion.program.attempt import Attempt, TooLateError, slot_us
 from lss_motion.program.choose import choices
-from lss_motion.program.columns import columns_of, moves_of
+from lss_motion.program.columns import Columns, columns_of, moves_of
 from lss_motion.program.course import GRID_S, Course
 from lss_motion.program.drives import lead
 from lss_motion.program.line import LineUse, line_use
@@ -68,11 +68,11 @@ def compile_program(
             if attempt.is_tight:
                 problem = _overload(attempt, choice.robot)
                 continue
-            program = _program(trajectory, choice, courses, attempt, repeat)
+            program, columns = _program(trajectory, choice, courses, attempt, repeat)
             unread = [use for use in program.line_use.values() if _is_unread(use, robot)]
             is_unread = bool(unread)
             if not unread:
-                verify_program(program, choice.robot)
+                verify_program(program, choice.robot, columns)
                 return program
             problem = _unreadable(unread[0], program, robot)
     assert problem is not None
@@ -141,14 +141,15 @@ def _program(
     courses: Mapping[str, Course],
     attempt: Attempt,
     repeat: Repeat | None,
-) -> Program:
+) -> tuple[Program, Columns]:
     robot = choice.robot
     moves = moves_of(attempt.fitted, robot)
     if repeat is not None:
         moves = closed(moves, repeat, robot)
     start = trajectory.sample(np.zeros(1))[0]
     end_s = trajectory.duration_s if repeat is None else s_from_us(repeat.to_us)
-    return Program(
+    columns = columns_of(moves, robot)
+    program = Program(
         name=trajectory.name,
         robot=robot.name,
         robot_path=robot.path,
@@ -164,11 +165,12 @@ def _program(
         waits=tuple(point for point in all_waits(trajectory, end_s) if point.at_s <= end_s),
         stretched=trajectory.stretched,
         on_fault=trajectory.on_fault,
-        line_use=lines_use(moves, robot),
+        line_use=lines_use(columns, robot),
         error_max_deg={
             name: _error_max_deg(fitted, courses[name]) for name, fitted in attempt.fitted.items()
         },
     )
+    return program, columns
 
 
 def driving_of(robot: Robot, names: Iterable[str]) -> dict[str, Driving]:
@@ -182,9 +184,9 @@ def driving_of(robot: Robot, names: Iterable[str]) -> dict[str, Driving]:
     return {name: chosen for name, chosen in driving.items() if chosen != TIMED}
 
 
-def lines_use(moves: Sequence[Move], robot: Robot) -> dict[str, LineUse]:
+def lines_use(moves: Sequence[Move] | Columns, robot: Robot) -> dict[str, LineUse]:
     """Return how the moves use each bus: the proof of the schedule, from the bytes alone."""
-    columns = columns_of(moves, robot)
+    columns = moves if isinstance(moves, Columns) else columns_of(moves, robot)
     slots_us = np.stack((columns.due_us, columns.sent_us), axis=1)
     joints = list(robot.joints.values())
     asked = [joints[index] for index in np.unique(columns.joint).tolist()]

@@ -8,6 +8,7 @@ does, the least excursion.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -44,9 +45,9 @@ HARD_RATIO: Final = 0.3
 """A course that leaves less than this share of the ramp to spare is hard to follow."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Trials:
-    """Which moves are tried: every one of some instants with every one of some travel speeds.
+    """Which moves are tried: some instants of the successor, each with some travel speeds.
 
     `cuts`       how much of the longest possible move; what counts is how far its successor reaches
     `bends`      how many jumps of the acceleration from either end of that move
@@ -63,11 +64,11 @@ class Trials:
     tried: tuple[int, ...]
     recovery: tuple[int, ...]
 
-    @property
-    def is_tried(self) -> BoolArray:
-        """Which cuts or bends (rows) are tried with which speeds."""
-        tried: BoolArray = np.arange(1 + len(self.speeds)) < np.array(self.tried)[:, None]
-        return tried
+    @cached_property
+    def pairs(self) -> tuple[IntArray, FloatArray]:
+        """Return the cut or bend of each trial, and its place in the cone; NaN: as the course."""
+        places = [(np.nan, *self.speeds)[:count] for count in self.tried]
+        return np.repeat(np.arange(len(places)), self.tried), np.concatenate(places)
 
 
 QUICK: Final = Trials(
@@ -77,8 +78,8 @@ QUICK: Final = Trials(
     tried=(1, 4, 4, 2, 2, 2),
     recovery=(2, 4, 7, 12, 20, 32),
 )
-"""Chosen by measurement (`tools/bench.py compress`): one cut or speed less costs one move in
-fifty; more save nothing."""
+"""Chosen by measurement (`tools/bench.py compress`): one cut less costs one move in fifty; more
+save nothing, nor do the speeds left out, which won in one of a hundred moves."""
 WIDE: Final = Trials(
     cuts=(1.0, 0.93, 0.85, 0.75, 0.6, 0.45, 0.3),
     bends=2,
@@ -172,30 +173,30 @@ def _best(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the best of the trials: travel speeds and instants of the successors."""
     cuts, is_held, is_new = _cuts(courses, servos, trials, view.held_steps[rows])
+    low, high = _cone(servos, view.at(rows, cuts), cuts, is_held)
     index = servos.first[:, None] + cuts
-    times_s = courses.times_s(index)
     flat = courses.flat(servos.joint[:, None], index)
-    speeds = _speeds(courses, servos, trials, view.at(rows, cuts), (cuts, flat), is_held)
+    own = np.clip(courses.speed_deg_s[flat], low, high)
+    pair, place = trials.pairs
+    spread = low[:, pair] + np.nan_to_num(place) * (high - low)[:, pair]
+    speeds = np.where(np.isnan(place), own[:, pair], spread)
+    times_s = courses.times_s(index)[:, pair]
     start, limits = servos.state.column(), servos.limits
-    ramp = limits.ramp_deg_s2[:, None, None]
-    tau_s = (times_s - start.time_s)[:, :, None]
-    at, speed = start.position_deg[:, :, None], start.speed_deg_s[:, :, None]
-    position, reached = ramped(at, speed, speeds, tau_s, ramp)
-    excursion = excursion_deg(courses, flat[:, :, None], position, reached)
-    follows = excursion <= (FOLLOW_RATIO * limits.tolerance_deg)[:, None, None]
-    follows &= (is_new & is_held[:, None])[:, :, None] & trials.is_tried
+    ramp = limits.ramp_deg_s2[:, None]
+    tau_s = times_s - start.time_s
+    position, reached = ramped(start.position_deg, start.speed_deg_s, speeds, tau_s, ramp)
+    excursion = excursion_deg(courses, flat[:, pair], position, reached)
+    follows = excursion <= (FOLLOW_RATIO * limits.tolerance_deg)[:, None]
+    follows &= (is_new & is_held[:, None])[:, pair]
     merit = -excursion
-    row, cut, trial = np.nonzero(follows)
+    some = row, trial = np.nonzero(follows)
     if len(row):
-        some = row, cut, trial
-        after = States(times_s[row, cut], position[some], reached[some])
-        merit[follows.any(axis=(1, 2))] = -np.inf
+        after = States(times_s[some], position[some], reached[some])
+        merit[follows.any(axis=1)] = -np.inf
         reach = reach_s(courses, servos.joint[row], after, limits.take(row), *REACH)
-        merit[some] = reach + 1e-6 * index[row, cut]
-    each = speeds.shape[2]
-    every = np.arange(len(merit))
-    best = np.argmax(merit.reshape(len(merit), -1), axis=1)
-    return speeds[every, best // each, best % each], times_s[every, best // each]
+        merit[some] = reach + 1e-6 * index[row, pair[trial]]
+    best = np.arange(len(merit)), np.argmax(merit, axis=1)
+    return speeds[best], times_s[best]
 
 
 def _cuts(
@@ -222,26 +223,15 @@ def _cuts(
     return steps, is_held, np.concatenate(is_new, axis=1)
 
 
-def _speeds(
-    courses: Courses,
-    servos: Servos,
-    trials: Trials,
-    sides_deg_s: tuple[FloatArray, FloatArray],
-    cuts_flat: tuple[IntArray, IntArray],
-    is_held: BoolArray,
-) -> FloatArray:
-    """Return the travel speeds to try, (servos, cuts, any).
-
-    They lie in the cone; where that is closed, between what the ramps can reach.
-    """
-    (low, high), (cuts, flat) = sides_deg_s, cuts_flat
-    if not is_held.all():
-        gain = servos.limits.ramp_deg_s2[:, None] * GRID_S * cuts
-        most = servos.limits.speed_max_deg_s[:, None]
-        now, held = servos.state.speed_deg_s[:, None], is_held[:, None]
-        low = np.where(held, low, np.clip(now - gain, -most, most))
-        high = np.where(held, high, np.clip(now + gain, -most, most))
-    speeds = np.empty((*cuts.shape, 1 + len(trials.speeds)))
-    speeds[:, :, 0] = np.clip(courses.speed_deg_s[flat], low, high)
-    speeds[:, :, 1:] = low[:, :, None] + np.array(trials.speeds) * (high - low)[:, :, None]
-    return speeds
+def _cone(
+    servos: Servos, sides_deg_s: tuple[FloatArray, FloatArray], cuts: IntArray, is_held: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the lowest and highest speed of each cut; with no cone, what the ramps can reach."""
+    low, high = sides_deg_s
+    if is_held.all():
+        return low, high
+    gain = servos.limits.ramp_deg_s2[:, None] * GRID_S * cuts
+    most = servos.limits.speed_max_deg_s[:, None]
+    now, held = servos.state.speed_deg_s[:, None], is_held[:, None]
+    low = np.where(held, low, np.clip(now - gain, -most, most))
+    return low, np.where(held, high, np.clip(now + gain, -most, most))
