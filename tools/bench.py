@@ -4,6 +4,7 @@ tools/run tools/bench.py                 everything, in less than ten minutes on
 tools/run tools/bench.py codec plan      some of it, the long way where there is one
 tools/run tools/bench.py scaling --full  shows of up to an hour
 tools/run tools/bench.py all --json F    also as JSON
+tools/run tools/bench.py all --readme    and into the table of the README
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 # Processor time is compared, and threads that wait for each other count twice.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from benches import headline
 from benches.table import Row, shown
 
 if TYPE_CHECKING:
@@ -43,8 +45,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("names", nargs="*", default=["all"], help=" | ".join((*BENCHES, "all")))
     parser.add_argument("--full", action="store_true", help="all there is, however long it takes")
     parser.add_argument("--json", type=Path, metavar="F")
+    parser.add_argument(
+        "--readme", action="store_true", help="keep the figures, show the main ones"
+    )
     arguments = parser.parse_args(argv)
     is_all = "all" in arguments.names
+    if arguments.readme and not is_all:
+        parser.error("--readme is for all of them")
     names = BENCHES if is_all else tuple(arguments.names)
     if unknown := set(names) - set(BENCHES):
         parser.error(f"no such bench: {', '.join(sorted(unknown))}")
@@ -61,11 +68,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     short = [row for some in rows.values() for row in some if row.is_met is False]
     judged = sum(row.is_met is not None for some in rows.values() for row in some)
     print(f"\n{judged - len(short)} of {judged} targets met, {sum(taken_s.values()):.0f} s in all")
+    tables = {name: [row.as_json() for row in some] for name, some in rows.items()}
+    whole = {"machine": about, "seconds": taken_s, "benches": tables}
+    text = json.dumps(whole, indent=1, ensure_ascii=False) + "\n"
     if arguments.json is not None:
-        tables = {name: [row.as_json() for row in some] for name, some in rows.items()}
-        whole = {"machine": about, "seconds": taken_s, "benches": tables}
-        text = json.dumps(whole, indent=1, ensure_ascii=False)
-        arguments.json.write_text(text + "\n", encoding="utf-8")
+        arguments.json.write_text(text, encoding="utf-8")
+    if arguments.readme:
+        headline.FIGURES.write_text(text, encoding="utf-8")
+        headline.write()
     return 1 if short else 0
 
 

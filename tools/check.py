@@ -43,6 +43,7 @@ def main(names: list[str]) -> int:
         "tests": lambda: _run("pytest", "-q"),
         "readme": _readme,
         "guides": _guides,
+        "figures": _figures,
     }
     if unknown := set(names) - set(steps):
         print(f"no such step: {', '.join(sorted(unknown))}; there are {', '.join(steps)}")
@@ -90,6 +91,16 @@ def _readme() -> bool:
     """Run every `tools/run …` line of the README that ends by itself and needs no robot."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     return _typed([line for line in _commands(text) if "my_" not in line], ROOT)
+
+
+def _figures() -> bool:
+    """See whether the table of the README shows the figures that were kept of the last run."""
+    from benches import headline
+
+    if headline.is_current():
+        return True
+    print("the table of the README is not of tools/benches/last.json: tools/bench.py all --readme")
+    return False
 
 
 def _guides() -> bool:

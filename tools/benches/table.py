@@ -48,13 +48,6 @@ def shown(rows: Sequence[Row]) -> str:
     )
 
 
-def seconds(do: Callable[[], object]) -> float:
-    """Return how long one call takes."""
-    started = time.perf_counter()
-    do()
-    return time.perf_counter() - started
-
-
 def core_seconds(do: Callable[[], object]) -> float:
     """Return how long one call keeps a core busy, whatever else the machine does."""
     started = time.process_time()
@@ -63,9 +56,9 @@ def core_seconds(do: Callable[[], object]) -> float:
 
 
 def interleaved(*calls: Callable[[], object], repeats: int) -> list[float]:
-    """Return the median time of each call; they take turns, so that noise hits all alike."""
+    """Return the median processor time of each call; they take turns, so that noise hits all."""
     taken: list[list[float]] = [[] for _ in calls]
     for _ in range(repeats):
         for call, times in zip(calls, taken, strict=True):
-            times.append(seconds(call))
+            times.append(core_seconds(call))
     return [statistics.median(times) for times in taken]

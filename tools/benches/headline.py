@@ -1,0 +1,93 @@
+"""The table at the head of the README, made from what `tools/bench.py all --json` has written."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+FIGURES = ROOT / "tools" / "benches" / "last.json"
+"""The last run of all benches, kept: each figure of the README is in it."""
+README = ROOT / "README.md"
+BEGIN, END = "<!-- headline -->\n", "<!-- end of headline -->\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Pick:
+    """One line of the table: the row of `bench` that begins with `row`, the worst if several."""
+
+    what: str
+    bench: str
+    row: str
+    is_worst: bool = False
+
+
+PICKS = (
+    Pick("plan 10 minutes, 18 joints, verified; against the usual call of toppra", "plan",
+         "authored: 1"),
+    Pick("the same, as fast as the limits allow", "plan", "fastest: 1"),
+    Pick("from rest to rest, against the closed form", "states", "20 moves"),
+    Pick("through keyframes, against ruckig, which stops at each", "states", "fastest through"),
+    Pick("compile it, against planning it", "compile", "compiling"),
+    Pick("moves needed, against the fewest straight segments (worst of 12)", "compress", "",
+         is_worst=True),
+    Pick("horn against plan, RMS; one `D…T…` a keyframe", "horn", "RMS of (a)"),
+    Pick("… `D…T…` to samples at 30 Hz", "horn", "RMS of (b)"),
+    Pick("… bare `D` at 50 Hz, EM0, FPC 3", "horn", "RMS of (c)"),
+    Pick("… line used for commands, 18 servos at 115200 bps", "horn", "line used"),
+    Pick("all of it disturbed, with feedback and without", "feedback",
+         "RMS of all horns, disturbed by: all"),
+    Pick("answers at 115200 bps, against a line that never idles", "line",
+         "18 servos at 115200 bps, v"),
+    Pick("… against asking and waiting", "line", "18 servos at 115200 bps b"),
+    Pick("late at the servo (p50, p99, p99.9, max), against a loop in C", "late", "idle"),
+    Pick("simulator, 40 moving servos", "loop", "40 moving"),
+    Pick("largest robot with a lively show at 115200 bps", "capacity",
+         "largest robot at 115200 bps, lively"),
+)  # fmt: skip
+
+
+def block() -> str:
+    """Return what stands in the README between the marks."""
+    run = json.loads(FIGURES.read_text(encoding="utf-8"))
+    lines = ["| what | ours | against | ratio |", "|---|---|---|---|"]
+    for pick in PICKS:
+        row = _row(pick, run["benches"][pick.bench])
+        ratio = "" if row["ratio"] is None else f"{row['ratio']:.3g}"
+        short = " (short)" if row["is_met"] is False else ""
+        lines.append(f"| {pick.what} | {row['ours']} | {row['reference']} | {ratio}{short} |")
+    about = run["machine"]
+    judged = [row["is_met"] for rows in run["benches"].values() for row in rows]
+    met, targets = judged.count(True), len(judged) - judged.count(None)
+    lines += [
+        "",
+        f"{met} of {targets} targets met, in {sum(run['seconds'].values()):.0f} s; "
+        f"{about['processor']}, load before {about['load before']}; {about['versions']}.",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _row(pick: Pick, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    found = [row for row in rows if row["what"].startswith(pick.row)]
+    assert found, f"no row of {pick.bench} begins with {pick.row!r}"
+    return max(found, key=lambda row: row["ratio"]) if pick.is_worst else found[0]
+
+
+def is_current() -> bool:
+    """Return whether the README shows the figures of the last run."""
+    return _parts()[1] == block()
+
+
+def write() -> None:
+    """Put the figures of the last run into the README."""
+    before, _, after = _parts()
+    README.write_text(before + BEGIN + block() + END + after, encoding="utf-8")
+
+
+def _parts() -> tuple[str, str, str]:
+    text = README.read_text(encoding="utf-8")
+    before, _, rest = text.partition(BEGIN)
+    shown, _, after = rest.partition(END)
+    return before, shown, after
