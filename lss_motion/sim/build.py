@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from lss_motion.sim.hand import Hand
 
 
-def bus_from_robot(
+def bus_from_robot(  # noqa: PLR0913  (the knobs of one bus)
     robot: Robot,
     bus_name: str,
     *,
