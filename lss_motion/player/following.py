@@ -53,11 +53,12 @@ class Following:
         expected_deg: float,
         wanted_deg: float,
         speed_deg_s: float,
+        learns: bool = True,
     ) -> bool:
         """Use a reading taken at `read_s`; return whether it was believed.
 
         `expected_deg` is where the response model puts the horn after all that was sent,
-        `wanted_deg` where the plan wants it.
+        `wanted_deg` where the plan wants it. One from which nothing `learns` is only counted.
         """
         if not self._is_plausible(measured_deg, read_s):
             self.rejected += 1
@@ -69,6 +70,8 @@ class Following:
         self.error_deg = wanted_deg - measured_deg
         self.square_sum_deg2 += self.error_deg * self.error_deg
         self.error_max_deg = max(self.error_max_deg, abs(self.error_deg))
+        if not learns:
+            return True
         gain = GAIN_MAX if is_first else min(GAIN_MAX, elapsed_s / ESTIMATE_S)
         gain /= 1.0 + abs(speed_deg_s) / GAIN_HALF_SPEED_DEG_S
         self.disturbance_deg += gain * (expected_deg - measured_deg - self.disturbance_deg)

@@ -78,6 +78,8 @@ class Reader:
         self._waiting = waiting
         self.watch = Watch()
         self.unbelieved: dict[str, int] = dict.fromkeys(lines, 0)
+        self.unheard: dict[str, Track] = {}
+        """Joints whose servo has missed a move; whoever says it again takes them out."""
         self._questioners = questioners
         self._lines = lines
         self._by_bus: dict[str, list[Track]] = {bus: [] for bus in lines}
@@ -286,18 +288,29 @@ class Reader:
         wanted_deg: Callable[[Track, int], float],
     ) -> None:
         read_s = s_from_ns(asked.heard_ns)
-        expected_deg, speed_deg_s = track.profile.at(read_s - track.lead_s)
+        before_s = track.following.read_s
+        profile_deg, speed_deg_s = track.profile.at(read_s - track.lead_s)
+        course_s = read_s - track.lead_s - track.lag.extra_s
+        expected_deg, _ = track.profile.at(course_s)
         planned_deg = wanted_deg(track, asked.heard_ns)
+        free_deg = measured_deg + track.following.disturbance_deg
+        other = track.hearing.judge(course_s, expected_deg, free_deg)
         believed = track.following.take(
             measured_deg,
             read_s,
             expected_deg=expected_deg,
             wanted_deg=planned_deg,
             speed_deg_s=speed_deg_s,
+            learns=not track.hearing.is_doubtful,
         )
         if not believed:
             self.unbelieved[bus] += 1
             return
+        if other is not None:
+            track.profile = other
+            self.unheard[track.joint.name] = track
+        elif before_s is not None and not track.hearing.is_doubtful:
+            track.lag.take(profile_deg - measured_deg, speed_deg_s, read_s - before_s)
         self.watch.position(track, asked.heard_ns)
         joint_deg = track.joint.joint_deg
         track.trace.add(read_s - track.origin_s, joint_deg(planned_deg), joint_deg(measured_deg))

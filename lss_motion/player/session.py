@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from lss_motion.player.dialogue import Item
     from lss_motion.player.settings import Answers
+    from lss_motion.player.track import Track
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Joint, Robot
 
@@ -46,6 +47,8 @@ class Session:
         self.left_out: set[str] = set()
         """Joints that are sent no move until the end."""
         self.limp: list[Joint] = []
+        self._tracks: dict[str, Track] = {}
+        """Of each joint the last one, for what it learnt."""
 
     @property
     def driven(self) -> list[Joint]:
@@ -145,6 +148,10 @@ class Session:
             start_s=start_s,
         )
         streamer.leave_out(self.left_out)
+        for name, track in streamer.tracks.items():
+            if name in self._tracks:
+                track.learn(self._tracks[name])
+            self._tracks[name] = track
         return streamer
 
     def let_go(self, joint: Joint, now_ns: int) -> None:

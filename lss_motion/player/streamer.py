@@ -11,26 +11,34 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import chain, takewhile
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.approach import with_room
+from lss_motion.player.due import DueMoves
 from lss_motion.player.ramps import RAMP_TICK_NS, ramp_periods, ramp_s, spot_moves
 from lss_motion.player.readings import Reader
 from lss_motion.player.show_clock import ShowClock
 from lss_motion.player.statistics import Statistics
 from lss_motion.player.track import Track, make_tracks
 from lss_motion.player.waiting import Waiting
-from lss_motion.program.model import Move, Program, heard_us
-from lss_motion.units import NS_PER_MS, ns_from_s, s_from_ms, s_from_ns, s_from_us
+from lss_motion.units import (
+    NS_PER_MS,
+    US_PER_S,
+    ns_from_s,
+    s_from_ms,
+    s_from_ns,
+    s_from_us,
+    us_from_s,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Mapping
 
     from lss_motion.player.line import Line
     from lss_motion.player.queries import Questioner
     from lss_motion.player.ramps import RampPeriods
     from lss_motion.program.growth import Extension
+    from lss_motion.program.model import Move, Program
     from lss_motion.protocol.line import Reply
     from lss_motion.robot.model import Robot
 
@@ -73,8 +81,7 @@ class Streamer:
         self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in self.tracks.values()}
         self.clock = ShowClock(start_ns, begin_s, 1.0)
         self.statistics = Statistics()
-        self._upcoming: Iterator[tuple[int, Move]] = program.unrolled()
-        self._next: tuple[int, Move] | None = next(self._upcoming, None)
+        self._moves = DueMoves(program.unrolled(), self._early_us)
         self._tick_ns: int | None = None
         self.waiting = Waiting(program.unrolled_waits(), robot.sensors, begin_s)
         reader = Reader(self.tracks, questioners, lines, self.waiting)
@@ -120,10 +127,7 @@ class Streamer:
         show_s = self.clock.show_s(now_ns)
         if not self.is_open or show_s >= from_s:
             return False
-        upcoming = chain([] if self._next is None else [self._next], self._upcoming)
-        kept = list(takewhile(lambda due: due[0] < extension.from_us, upcoming))
-        self._upcoming = chain(kept, ((move.due_us, move) for move in extension.moves))
-        self._next = next(self._upcoming, None)
+        self._moves.replace_from(extension.from_us, extension.moves)
         self._program = replace(self._program, duration_s=extension.duration_s)
         for name, later in extension.references.items():
             track = self.tracks[name]
@@ -172,9 +176,8 @@ class Streamer:
             self._advance_ramp(now_ns)
         elif self.clock.target_rate > 0.0:
             while (due_ns := self._next_due_ns()) is not None and due_ns <= now_ns:
-                assert self._next is not None
-                self._send_due(*self._next, now_ns, now_ns - due_ns)
-                self._next = next(self._upcoming, None)
+                due = self._moves.pop()
+                self._send_due(due.due_us, due.move, now_ns, now_ns - due_ns)
         self._wait(now_ns)
         self._pay_owed(now_ns)
         if self.reader is not None:
@@ -202,12 +205,17 @@ class Streamer:
     def receive(self, bus: str, reply: Reply, now_ns: int) -> None:
         if self.reader is not None:
             self.reader.receive(bus, reply, now_ns, self._planned_deg)
+            while self.reader.unheard:
+                self._say_again(self.reader.unheard.popitem()[1], now_ns)
 
     def _next_due_ns(self) -> int | None:
         """Return when the next move is due; None: none is, at least before the next wait."""
-        if self._next is None or s_from_us(self._next[0]) >= self.waiting.next_s:
-            return None
-        return self._instant_ns(s_from_us(self._next[0]))
+        due = self._moves.first(US_PER_S * self.waiting.next_s)
+        return None if due is None else self._instant_ns(s_from_us(due.at_us))
+
+    def _early_us(self, move: Move) -> int:
+        """Return by how much a move is to leave earlier than the program says."""
+        return us_from_s(self._by_address[move.bus, move.servo_id].lag.extra_s)
 
     def _instant_ns(self, show_s: float) -> int:
         instant_ns = self.clock.instant_ns(show_s)
@@ -236,32 +244,30 @@ class Streamer:
         track.active = move._replace(due_us=due_us)
         wait_ns = max(0, self._lines[move.bus].free_ns - now_ns)
         self.statistics.sent(late_ns + wait_ns)
-        left_s: float | None = self._left_s(track.active, now_ns)
+        left_s = self._left_s(track, now_ns)
         if late_ns + wait_ns <= ON_TIME_NS:
             heard_ns = self._lines[move.bus].heard_ns(len(move.data), now_ns)
             show_s = self._program.within(self.clock.show_s(heard_ns))
-            left_s = track.turning_s(move, show_s, heard_ns)
-        self._send_active(track, left_s, now_ns, is_late=late_ns + wait_ns > LATE_NS)
+            turning_s = track.turning_s(move, show_s, heard_ns)
+            left_s = s_from_ms(move.duration_ms or 0) if turning_s is None else turning_s
+        track.send_active(
+            self._lines[track.joint.bus], left_s, now_ns, is_late=late_ns + wait_ns > LATE_NS
+        )
 
-    def _left_s(self, move: Move, now_ns: int) -> float:
-        """Return how much run time is left to a move if it is sent now; 0 without a T."""
-        if move.duration_ms is None:
-            return 0.0
-        line = self._lines[move.bus]
-        end_s = s_from_us(heard_us(move, line.bus.baud_bps)) + s_from_ms(move.duration_ms)
+    def _say_again(self, track: Track, now_ns: int) -> None:
+        """Send what is left of a move that its servo has not heard; ramps say all again anyway."""
+        if track.active is None or self._tick_ns is not None:
+            return
+        if self.clock.target_rate < 1.0 or self.clock.is_ramping(now_ns):
+            return
+        track.said_again += 1
+        line, move = self._lines[track.joint.bus], track.active
         heard_ns = line.heard_ns(len(move.data), now_ns)
-        return (end_s - self.clock.show_s(heard_ns)) / self.clock.target_rate
+        show_s = self._program.within(self.clock.show_s(heard_ns))
+        track.rejoin(line, show_s, self._left_s(track, now_ns), now_ns)
 
-    def _send_active(
-        self, track: Track, left_s: float | None, now_ns: int, *, is_late: bool = False
-    ) -> None:
-        """Send the move under way, with its own T at rate 1 or with what is left of it."""
-        move = track.active
-        assert move is not None
-        if left_s is None:
-            left_s = s_from_ms(move.duration_ms or 0) / self.clock.target_rate
-        target_deg = move.target_wire / track.limits.wire_per_deg
-        track.send(self._lines[move.bus], target_deg, left_s, now_ns, is_late=is_late)
+    def _left_s(self, track: Track, now_ns: int) -> float:
+        return track.left_s(self._lines[track.joint.bus], self.clock, now_ns)
 
     def _owed_ns(self) -> list[int]:
         """Return when targets are said again that the speed limit did not let be said at once."""
@@ -271,7 +277,8 @@ class Streamer:
         for track in self.tracks.values():
             if track.owed is not None and track.owed[0] <= now_ns:
                 self.statistics.sent(now_ns - track.owed[0])
-                track.send(self._lines[track.joint.bus], track.owed[1], 0.0, now_ns)
+                left_s = self._left_s(track, now_ns)
+                track.send(self._lines[track.joint.bus], track.owed[1], left_s, now_ns)
 
     # ---- the rate ramps
 
@@ -302,26 +309,23 @@ class Streamer:
 
     def _skip_due(self, now_ns: int) -> None:
         """Take the moves that the show has passed as under way, without sending them."""
-        show_s = self.clock.show_s(now_ns)
-        while self._next is not None and s_from_us(self._next[0]) <= show_s:
-            due_us, move = self._next
+        for due_us, move in self._moves.pass_by(US_PER_S * self.clock.show_s(now_ns)):
             track = self._by_address[move.bus, move.servo_id]
             track.active = move._replace(due_us=due_us)
-            self._next = next(self._upcoming, None)
 
     def _take_up(self, now_ns: int, late_ns: int) -> None:
         """Send every joint what is left of the move under way, now that the rate is steady."""
         for track in self.tracks.values():
             if track.active is None:
                 continue
-            left_s = self._left_s(track.active, now_ns)
+            left_s = self._left_s(track, now_ns)
             target_deg = track.active.target_wire / track.limits.wire_per_deg
             position_deg, speed_deg_s = track.place(now_ns)
             unit_deg = 1.0 / track.limits.wire_per_deg
             if left_s > 0.0 or abs(target_deg - position_deg) > unit_deg or speed_deg_s != 0.0:
                 self.statistics.sent(late_ns)
                 left_s = max(left_s, s_from_ns(RAMP_TICK_NS))
-                self._send_active(track, left_s, now_ns, is_late=True)
+                track.send_active(self._lines[track.joint.bus], left_s, now_ns, is_late=True)
 
     def _follow_course(self, now_ns: int, periods: RampPeriods | None, late_ns: int) -> None:
         """Send every joint that is off its course a move that brings it there in one period."""

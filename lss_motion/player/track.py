@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from lss_motion.player.following import Following
+from lss_motion.player.hearing import Hearing
+from lss_motion.player.lag import Lag
 from lss_motion.player.trace import Trace
 from lss_motion.program.course import servo_limits
 from lss_motion.program.drives import lead
 from lss_motion.program.filtered import FilterProfile
+from lss_motion.program.model import heard_us
 from lss_motion.program.predict import make_profile, profiles
+from lss_motion.program.response import Profile
 from lss_motion.program.step import PULSE_S
 from lss_motion.program.wording import lattice
 from lss_motion.protocol.line import encode_move
-from lss_motion.units import MS_PER_S, ns_from_s, s_from_ms, s_from_ns
+from lss_motion.units import MS_PER_S, ns_from_s, s_from_ms, s_from_ns, s_from_us
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lss_motion.player.line import Line
+    from lss_motion.player.show_clock import ShowClock
     from lss_motion.program.course import ServoLimits
     from lss_motion.program.model import Move, Program
     from lss_motion.program.predict import ServoProfile
@@ -32,6 +38,8 @@ ROOM_RATIO = 2.0
 one by this many tolerances, besides what the acceleration limit allows."""
 ROOM_BEHIND_RATIO = 0.5
 """The same while a joint catches up: half a tolerance is a unit of the wire."""
+JOIN_S = 0.1
+"""A joint that has missed a move catches up in about this time, if its limits allow. Chosen."""
 HISTORY_S = 2.0
 """How long what the profile did is kept: longer than any answer may take."""
 
@@ -60,6 +68,8 @@ class Track:
     """Whether a streamed joint has to catch up with a move that was late."""
     heard_ns: int | None = None
     """When the servo heard its last move."""
+    said_again: int = 0
+    """How often it was told again what it had missed."""
     status: Status | None = None
     temperature_max_c: float | None = None
     voltage_min_v: float | None = None
@@ -69,6 +79,8 @@ class Track:
     health_ns: int | None = None
     health_count: int = 0
     """When it was last asked how it fares, and how often."""
+    hearing: Hearing = field(default_factory=Hearing)
+    lag: Lag = field(default_factory=Lag)
     trace: Trace = field(default_factory=Trace)
     is_driven: bool = True
     """Whether it is sent moves: not while nobody knows what its servo would make of them."""
@@ -78,6 +90,12 @@ class Track:
         self.profile = make_profile(self.joint, position_deg, origin_s=self.origin_s)
         self.owed = None
         self.following.stand(position_deg)
+
+    def learn(self, earlier: Track) -> None:
+        """Take over what was learnt about the same joint: what pulls at it, and how it lags."""
+        self.lag = earlier.lag
+        self.following.disturbance_deg = earlier.following.disturbance_deg
+        self.following.offset_deg = earlier.following.offset_deg
 
     def place(self, heard_ns: int) -> tuple[float, float]:
         """Return position and speed of the profile at `heard_ns`, after all that was sent."""
@@ -150,6 +168,47 @@ class Track:
         heard_s = s_from_ns(heard_ns)
         return self.profile.target_for(aim_deg + offset_deg, heard_s, steps) - offset_deg
 
+    def left_s(self, line: Line, clock: ShowClock, now_ns: int) -> float:
+        """Return how much run time is left to the move under way if it is sent now; 0 if no T."""
+        move = self.active
+        if move is None or move.duration_ms is None:
+            return 0.0
+        end_s = s_from_us(heard_us(move, line.bus.baud_bps)) + s_from_ms(move.duration_ms)
+        heard_ns = line.heard_ns(len(move.data), now_ns)
+        return (end_s - clock.show_s(heard_ns)) / clock.target_rate
+
+    def send_active(self, line: Line, left_s: float, now_ns: int, *, is_late: bool = False) -> None:
+        """Send the move under way, with `left_s` to travel."""
+        assert self.active is not None
+        target_deg = self.active.target_wire / self.limits.wire_per_deg
+        self.send(line, target_deg, left_s, now_ns, is_late=is_late)
+
+    def rejoin(self, line: Line, show_s: float, left_s: float, now_ns: int) -> None:
+        """Send what its servo has missed of the move under way, which has `left_s`.
+
+        A joint that is behind on its way travels faster until it meets the plan; from then on the
+        rest of the move is owed.
+        """
+        assert self.active is not None
+        heard_ns = line.heard_ns(len(self.active.data), now_ns)
+        target_deg = self.active.target_wire / self.limits.wire_per_deg
+        planned_deg, speed_deg_s = self.plan.at(show_s)
+        planned_way_deg = target_deg - planned_deg
+        way_deg = target_deg + self.following.offset_deg - self.place(heard_ns)[0]
+        behind_deg = abs(way_deg) - abs(planned_way_deg)
+        travel_deg_s = abs(speed_deg_s) + max(0.0, behind_deg) / JOIN_S
+        travel_deg_s = min(self.limits.speed_max_deg_s, travel_deg_s)
+        gain_deg_s = travel_deg_s - abs(speed_deg_s)
+        joins_s = math.inf
+        if way_deg * planned_way_deg > 0.0 and behind_deg > self.joint.unit_deg and gain_deg_s > 0:
+            # While it speeds up, half of what it gains is not there yet.
+            joins_s = behind_deg / gain_deg_s + 0.5 * gain_deg_s / self.limits.ramp_deg_s2
+        if joins_s >= left_s:
+            self.send_active(line, left_s, now_ns)
+            return
+        self.send_active(line, abs(way_deg) / travel_deg_s, now_ns)
+        self.owed = (heard_ns + ns_from_s(joins_s), target_deg)
+
     def turning_s(self, move: Move, show_s: float, heard_ns: int) -> float | None:
         """Return how long a move that turns the joint back is to travel; None: it does not.
 
@@ -198,7 +257,10 @@ class Track:
         """Note that the servo hears `D target [T duration]` at `heard_ns`."""
         heard_s = s_from_ns(heard_ns)
         duration_s = None if duration_ms is None else s_from_ms(duration_ms)
-        self.profile.retarget(heard_s, target_wire / self.limits.wire_per_deg, duration_s)
+        target_deg = target_wire / self.limits.wire_per_deg
+        if isinstance(self.profile, Profile):
+            self.hearing.told(self.profile.copy(), heard_s, target_deg, duration_s)
+        self.profile.retarget(heard_s, target_deg, duration_s)
         self.profile.forget_before(heard_s - HISTORY_S)
         self.heard_ns = heard_ns
 

@@ -99,6 +99,8 @@ def _joint(track: Track, program: Program) -> dict[str, Any]:
         "error_max_deg": round(following.error_max_deg, 3),
         "offset_max_deg": round(following.offset_max_deg, 3),
         "predicted_error_max_deg": None if predicted_deg is None else round(predicted_deg, 3),
+        "lag_extra_s": round(track.lag.estimate_s, 4),
+        "said_again": track.said_again,
         "temperature_max_c": track.temperature_max_c,
         "voltage_min_v": track.voltage_min_v,
         "current_max_a": track.current_max_a,

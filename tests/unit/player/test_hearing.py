@@ -1,0 +1,79 @@
+"""Which of the last moves a servo has missed, from where its horn is."""
+
+from __future__ import annotations
+
+import pytest
+
+from lss_motion.player.hearing import Hearing
+from lss_motion.program.response import Profile
+from lss_motion.robot.model import Response
+
+MOVES = ((0.0, 30.0, 0.5), (0.4, -20.0, 0.6), (0.7, 40.0, 0.8))
+
+
+def profile_of(*moves):
+    profile = Profile(0.0, ramp_deg_s2=800.0, speed_max_deg_s=200.0, response=Response())
+    for heard_s, target_deg, duration_s in moves:
+        profile.retarget(heard_s, target_deg, duration_s)
+    return profile
+
+
+def judged(heard, *, until_s=1.6, noise=lambda time_s: 0.0, hz=100.0):
+    """Return when a horn on the course of the moves `heard` is found on another, and that course.
+
+    All of `MOVES` were said.
+    """
+    truth, said, hearing, told = profile_of(*heard), profile_of(), Hearing(), 0
+    time_s = 0.0
+    while time_s < until_s:
+        while told < len(MOVES) and MOVES[told][0] <= time_s:
+            hearing.told(said.copy(), *MOVES[told])
+            said.retarget(*MOVES[told])
+            told += 1
+        measured_deg = truth.at(time_s)[0] + noise(time_s)
+        found = hearing.judge(time_s, said.at(time_s)[0], measured_deg)
+        if found is not None:
+            return time_s, found
+        time_s += 1.0 / hz
+    return None
+
+
+def test_a_servo_that_heard_all_is_never_doubted():
+    assert judged(MOVES) is None
+    assert judged(MOVES, noise=lambda time_s: 0.4 if int(1000 * time_s) % 3 else -0.4) is None
+
+
+@pytest.mark.parametrize("missed", [0, 1, 2])
+def test_the_move_that_was_missed_is_known_soon_after_the_courses_part(missed):
+    heard = [one for index, one in enumerate(MOVES) if index != missed]
+    time_s, found = judged(heard)
+    truth, said = profile_of(*heard), profile_of(*MOVES)
+    parted_s = next(
+        t / 1000 for t in range(1600) if abs(truth.at(t / 1000)[0] - said.at(t / 1000)[0]) > 1.0
+    )
+    assert parted_s < time_s < parted_s + 0.12
+    if missed == len(MOVES) - 1 or MOVES[missed + 1][0] > time_s:
+        heard = [one for one in heard if one[0] <= time_s]
+    assert found.at(time_s)[0] == pytest.approx(profile_of(*heard).at(time_s)[0], abs=1e-9)
+
+
+def test_one_wrong_reading_is_no_proof():
+    """A damaged number that lies on the course without the last move."""
+    alone, said = profile_of(*MOVES[:2]), profile_of(*MOVES)
+
+    def noise(time_s):
+        return alone.at(time_s)[0] - said.at(time_s)[0] if round(100 * time_s) == 100 else 0.0
+
+    assert abs(noise(1.0)) > 3.0
+    assert judged(MOVES, noise=noise) is None
+
+
+def test_a_horn_that_is_held_up_has_not_missed_anything():
+    """It stands where neither course leads."""
+    hearing, said = Hearing(), profile_of()
+    for one in MOVES:
+        hearing.told(said.copy(), *one)
+        said.retarget(*one)
+    for step in range(100):
+        assert hearing.judge(0.8 + step / 100, said.at(0.8 + step / 100)[0], 90.0) is None
+        assert not hearing.is_doubtful

@@ -1,0 +1,68 @@
+"""What the closed loop is worth on servos that are not as assumed."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from lss_motion.sim import build
+from lss_motion.sim.faults import Fault, FaultKind
+from lss_motion.sim.physics import Physics
+
+WRONG_LAG = Physics(lag_s=0.05)
+"""30 ms more than a robot file assumes."""
+LOST = Fault(kind=FaultKind.LOST_COMMAND, ratio=0.02)
+
+
+@pytest.fixture
+def rms_deg(stage, kit, monkeypatch):
+    """Return what plays a lively show and returns RMS of all horns, and what was played."""
+
+    def play(*, droop_deg=0.0, seed=3, **options):
+        robot = kit.robot(3, baud_bps=57600)
+        hanging = partial(build.bus_from_robot, droop_deg=dict.fromkeys(robot.joints, droop_deg))
+        show = kit.sequence(3, 12.0, seed=seed, step_s=(0.5, 0.9))
+        with monkeypatch.context() as patch:
+            patch.setattr(build, "bus_from_robot", hanging)
+            played = stage.play(robot, show, seed=seed, **options)
+        assert played.report["outcome"] == "finished"
+        return float(np.sqrt(np.mean(played.horn_error_deg() ** 2))), played
+
+    return play
+
+
+@pytest.mark.parametrize("seed", [4, 6])
+def test_with_everything_wrong_at_once_horns_stray_half_as_far(rms_deg, seed):
+    """What the ratio is on longer shows, `tools/bench.py feedback` measures."""
+    wrong = {"droop_deg": 2.5, "physics": WRONG_LAG, "faults": [LOST], "seed": seed}
+    closed_deg, played = rms_deg(**wrong)
+    open_deg, _ = rms_deg(has_feedback=False, **wrong)
+    assert closed_deg < open_deg / 2.0
+    assert sum(joint["said_again"] for joint in played.report["joints"].values()) > 0
+
+
+def test_a_wrong_lag_is_learnt_and_commands_leave_earlier_for_it(rms_deg):
+    closed_deg, played = rms_deg(physics=WRONG_LAG)
+    open_deg, _ = rms_deg(physics=WRONG_LAG, has_feedback=False)
+    assert closed_deg < 0.6 * open_deg
+    for joint in played.report["joints"].values():
+        assert 0.02 < joint["lag_extra_s"] < 0.035
+
+
+def test_servos_that_are_as_assumed_are_left_alone(rms_deg):
+    _, played = rms_deg()
+    for joint in played.report["joints"].values():
+        assert joint["said_again"] == 0
+        assert abs(joint["lag_extra_s"]) < 0.004
+
+
+def test_a_command_that_was_lost_is_said_again_and_breaks_no_limit(rms_deg, kit):
+    _, played = rms_deg(faults=[LOST])
+    said_again = sum(joint["said_again"] for joint in played.report["joints"].values())
+    assert 0 < said_again < 0.1 * played.report["timing"]["commands"]
+    end_ns = played.bus.heard[-1][0]
+    speed, accel = played.speeds(0, end_ns)
+    assert np.abs(speed).max() < 1.05 * 180.0
+    assert np.abs(accel).max() < 1.1 * 600.0
