@@ -34,13 +34,12 @@ def rms_deg(stage, kit, monkeypatch):
 
 
 @pytest.mark.parametrize("seed", [4, 6])
-def test_with_everything_wrong_at_once_horns_stray_half_as_far(rms_deg, seed):
-    """What the ratio is on longer shows, `tools/bench.py feedback` measures."""
-    wrong = {"droop_deg": 2.5, "physics": WRONG_LAG, "faults": [LOST], "seed": seed}
-    closed_deg, played = rms_deg(**wrong)
+def test_under_a_load_and_with_a_wrong_lag_horns_stray_three_times_less(rms_deg, seed):
+    """With lost commands besides, `tools/bench.py feedback` measures it: luck decides much."""
+    wrong = {"droop_deg": 2.5, "physics": WRONG_LAG, "seed": seed}
+    closed_deg, _ = rms_deg(**wrong)
     open_deg, _ = rms_deg(has_feedback=False, **wrong)
-    assert closed_deg < open_deg / 2.0
-    assert sum(joint["said_again"] for joint in played.report["joints"].values()) > 0
+    assert closed_deg < open_deg / 3.0
 
 
 def test_a_wrong_lag_is_learnt_and_commands_leave_earlier_for_it(rms_deg):
