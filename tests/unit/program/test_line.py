@@ -63,6 +63,13 @@ def test_every_slot_is_the_best_free_one_wherever_it_lies(seed):
         slots_us.append((wanted_us - size_us, wanted_us))
 
 
+def test_a_slot_across_the_edge_of_a_stretch_sees_what_is_behind_it():
+    line = LineSchedule()
+    assert line.reserve(5_000, 1_000, 0) == 5_000
+    assert line.reserve(BUCKET_US + 1_100, 1_000, 0) == BUCKET_US + 1_100
+    assert line.reserve(BUCKET_US + 600, 1_000, 0) == BUCKET_US + 100
+
+
 def test_a_copy_and_its_original_leave_each_other_alone():
     line = LineSchedule()
     line.reserve(10_000, 1_000, 0)
