@@ -25,7 +25,7 @@ SPEED_DEG_S, FILTER_S, COUNT = 180.0, 0.02, 4
 
 def mixed_robot(kit, **fields):
     """A timed, two streamed (one of them turned round) and a stepped joint."""
-    robot = kit.robot(4, baud_bps=57600, **fields)
+    robot = kit.robot(4, baud_bps=115200, **fields)
     joints = dict(robot.joints)
     joints["j1"] = replace(joints["j1"], drive="streamed", filter_count=COUNT)
     joints["j2"] = replace(joints["j1"], name="j2", servo_id=3, direction=-1, zero_deg=4.2)
