@@ -226,10 +226,15 @@ class _Judge:
         for name, joint in self.robot.joints.items():
             if joint.drive != "timed":
                 continue
-            planned = self._planned_deg(joint)
-            sent = self.targets[name][len(self.targets[name]) - len(planned) :]
-            for wanted_deg, sent_deg in zip(planned, sent, strict=True):
-                if abs(sent_deg - wanted_deg) > OFFSET_MAX_DEG + joint.unit_deg:
+            sent, most_deg = [*self.targets[name]], OFFSET_MAX_DEG + joint.unit_deg
+            # What lies makes the player think that a move was lost: it is said again, in two parts.
+            spare = 2 * report["joints"][name]["said_again"]
+            for wanted_deg in reversed(self._planned_deg(joint)):
+                while spare and abs(sent[-1] - wanted_deg) > most_deg:
+                    sent.pop()
+                    spare -= 1
+                sent_deg = sent.pop()
+                if abs(sent_deg - wanted_deg) > most_deg:
                     broken.append(
                         f"{name} was sent to {sent_deg:.1f} deg in place of {wanted_deg:.1f}"
                     )
