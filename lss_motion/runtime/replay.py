@@ -118,6 +118,7 @@ def replay(entries: list[Entry], player: Player) -> Replayed:
                 result.differing += [(entry, data) for data in sent.values()]
                 while player.next_event() is not None:
                     pass
+                player.next_wakeup_ns()  # A player that is woken later than this asks less.
             case _:
                 pass
     return result

@@ -25,12 +25,15 @@ keyframes:
 
 @pytest.fixture(scope="module")
 def played(tmp_path_factory):
-    """A folder with the log and the report of a short show with lost answers."""
+    """The log and report of a short show with lost answers, on a host that wakes late at times."""
     folder = tmp_path_factory.mktemp("played")
     faults = folder / "faults.yaml"
     (folder / "robot.yaml").write_text(ROBOT)
     (folder / "show.yaml").write_text(SHOW)
-    faults.write_text("faults:\n  - {kind: lost_reply, ratio: 0.02, at_s: 0.5}\n")
+    faults.write_text(
+        "faults:\n  - {kind: lost_reply, ratio: 0.02, at_s: 0.5}\n"
+        "  - {kind: oversleep, ratio: 0.05, late_s: 0.004}\n"
+    )
     words = [str(folder / "show.yaml"), "--virtual", "--quiet", "--faults", str(faults)]
     words += ["--log", str(folder / "a.log"), "--report", str(folder / "a.json")]
     assert play.main(words) == EXIT_FINISHED
