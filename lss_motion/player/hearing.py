@@ -59,20 +59,22 @@ class Hearing:
         `expected_deg` is where its profile has the horn at `at_s` (of the profile, lag taken off),
         `free_deg` where the horn was, less what else pulls at it.
         """
-        self.is_doubtful = False
         off_deg = abs(free_deg - expected_deg)
         nears = [(abs(free_deg - other.profile.at(at_s)[0]), other) for other in self.others]
         nears = [near for near in nears if near[0] - off_deg <= PARTED_DEG]
         self.others = [other for _, other in nears]
-        best_deg, best = min(nears, key=lambda near: near[0], default=(math.inf, None))
+        near_deg, likely = min(nears, key=lambda near: near[0], default=(math.inf, None))
+        if off_deg - near_deg < PARTED_DEG or near_deg > max(NEAR_DEG, NEAR_RATIO * off_deg):
+            likely = None
         for other in self.others:
-            is_likely = other is best and off_deg - best_deg >= PARTED_DEG
-            if not is_likely or best_deg > max(NEAR_DEG, NEAR_RATIO * off_deg):
+            if other is not likely:
                 other.since_s = None
-                continue
-            self.is_doubtful = True
-            other.since_s = at_s if other.since_s is None else other.since_s
-            if at_s - other.since_s >= SURE_S:
-                self.others = []
-                return other.profile
-        return None
+        self.is_doubtful = likely is not None
+        if likely is None:
+            return None
+        if likely.since_s is None:
+            likely.since_s = at_s
+        if at_s - likely.since_s < SURE_S:
+            return None
+        self.others = []
+        return likely.profile

@@ -56,8 +56,11 @@ def _check_limit(least: float) -> Callable[[object], object]:
     def check(limit: object) -> object:
         if limit is None or limit == SERVO:
             return limit
-        is_number = isinstance(limit, int | float) and not isinstance(limit, bool)
-        if is_number and least <= float(str(limit)) < math.inf:
+        if (
+            isinstance(limit, int | float)
+            and not isinstance(limit, bool)
+            and least <= limit < math.inf
+        ):
             return limit
         raise ValueError(f"must be a number, {least:g} or more, or `{SERVO}`")
 

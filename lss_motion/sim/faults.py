@@ -102,7 +102,7 @@ _LINE_KINDS = (
     FaultKind.DOUBLE_COMMAND,
     FaultKind.MERGED_COMMAND,
 )
-_REPLY_KINDS = (
+REPLY_KINDS = (
     FaultKind.LOST_REPLY,
     FaultKind.CORRUPT_REPLY,
     FaultKind.SHORT_REPLY,
@@ -111,6 +111,7 @@ _REPLY_KINDS = (
     FaultKind.LATE_REPLY,
     FaultKind.SPLIT_REPLY,
 )
+"""Of these, no servo notices anything."""
 
 FOREVER_NS = 2**62
 """The end of what does not end: 146 years."""
@@ -174,7 +175,7 @@ class Faults:
     def __init__(self, faults: Iterable[Fault], random: Random) -> None:
         self._faults = tuple(faults)
         self._about_lines = self._of(*_LINE_KINDS)
-        self._about_replies = self._of(*_REPLY_KINDS)
+        self._about_replies = self._of(*REPLY_KINDS)
         self._deafness = self._of(FaultKind.DEAF)
         self._wrong_ids = self._of(FaultKind.WRONG_ID)
         self._random = random

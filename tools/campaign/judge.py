@@ -14,7 +14,7 @@ from campaign.witness import Act, HangError, Witness, random_acts
 from lss_motion import api
 from lss_motion.player.following import OFFSET_MAX_DEG
 from lss_motion.sim.build import servos_of
-from lss_motion.sim.faults import INSTANT, Fault, FaultKind
+from lss_motion.sim.faults import INSTANT, REPLY_KINDS, Fault, FaultKind
 from lss_motion.sim.random_faults import random_faults
 from lss_motion.units import NS_PER_S, s_from_ns
 
@@ -50,16 +50,6 @@ KEYS_EXCESS: Final = 1.5
 nothing for the change of rate, and no ramps of a servo hide that. Known, and not good: the worst
 of 60 random shows needs 1.4."""
 
-REPLY_KINDS: Final = (
-    FaultKind.LOST_REPLY,
-    FaultKind.CORRUPT_REPLY,
-    FaultKind.SHORT_REPLY,
-    FaultKind.DOUBLE_REPLY,
-    FaultKind.MERGED_REPLY,
-    FaultKind.LATE_REPLY,
-    FaultKind.SPLIT_REPLY,
-)
-"""Of these, no servo notices anything."""
 WORD_KINDS: Final = {
     FaultKind.CORRUPT_COMMAND,
     FaultKind.SHORT_COMMAND,
