@@ -90,7 +90,9 @@ def approach(
         for joint in joints
         if joint.drive != "timed"
     }
-    moves = sorted(moves + glide_moves(courses, robot, GLIDE_TOLERANCE_DEG), key=lambda m: m.due_us)
+    moves = sorted(
+        [*moves, *glide_moves(courses, robot, GLIDE_TOLERANCE_DEG)], key=lambda m: m.due_us
+    )
     program = Program(
         name="approach",
         robot=robot.name,

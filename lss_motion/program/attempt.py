@@ -18,7 +18,7 @@ from lss_motion.units import NS_PER_US, line_time_ns, s_from_us, us_from_s
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from lss_motion.program.batch import FloatArray
+    from lss_motion.program.batch import FloatArray, IntArray
     from lss_motion.program.course import Course
     from lss_motion.program.drives import JointFitter
     from lss_motion.program.moves import Begin
@@ -140,13 +140,10 @@ class Attempt:
         def new_line() -> Grant:
             self._lines = {name: line.copy() for name, line in free.items()}
             self.late_max_us, self.is_tight = before
-            return lambda indices, wanted_us, after_us: [
-                self._grant(slots[index], wanted, after)
-                for index, wanted, after in zip(indices, wanted_us, after_us, strict=True)
-            ]
+            return grant
 
         names = [joint.name for joint in joints]
-        slots = [self._slots[name] for name in names]
+        grant = self._grant_of(names)
         own = [courses[name] for name in names]
         limits = [servo_limits(joint, tolerance_deg) for joint in joints]
         begins = [self._begins[name] for name in names if name in self._begins]
@@ -160,6 +157,26 @@ class Attempt:
                 reference(moves, index, own[index], limits[index], self._begins.get(name)),
             )
 
+    def _grant_of(self, names: Sequence[str]) -> Grant:
+        """Return what does `_grant` for many moves at once, of joints that count `names`."""
+        buses, sizes_us, lates_us = zip(*(self._slots[name] for name in names), strict=True)
+        size_us, allowed_us = np.array(sizes_us), np.array(lates_us)
+        of_bus = np.array([list(self._lines).index(bus) for bus in buses])
+
+        def grant(joint: IntArray, wanted_us: IntArray, after_us: IntArray) -> IntArray:
+            heard_us, own_us, bus = np.empty_like(wanted_us), size_us[joint], of_bus[joint]
+            earliest_us = np.maximum(after_us - own_us, self._start_us)
+            for index, line in enumerate(self._lines.values()):
+                some = np.flatnonzero(bus == index)
+                columns = (column[some].tolist() for column in (wanted_us, own_us, earliest_us))
+                heard_us[some] = line.reserve_all(*columns)
+            late_us = heard_us - wanted_us
+            is_tight = bool(np.any(late_us > allowed_us[joint]))
+            self._note_late(int(late_us.max(initial=0)), is_tight=is_tight)
+            return heard_us
+
+        return grant
+
     def _grant(self, slot: _Slot, wanted_us: int, after_us: int) -> int:
         """Reserve the line for the next move of a joint; return when that move is heard.
 
@@ -168,12 +185,16 @@ class Attempt:
         bus, size_us, late_max_us = slot
         earliest_us = max(after_us - size_us, self._start_us)
         heard_us = self._lines[bus].reserve(wanted_us, size_us, earliest_us)
-        if heard_us > wanted_us:
-            self.late_max_us = max(self.late_max_us, heard_us - wanted_us)
-            self.is_tight = self.is_tight or heard_us - wanted_us > late_max_us
-            if self._gives_up == "late" or (self._gives_up is not None and self.is_tight):
-                raise TooLateError
+        late_us = max(heard_us - wanted_us, 0)
+        self._note_late(late_us, is_tight=late_us > late_max_us)
         return heard_us
+
+    def _note_late(self, late_us: int, *, is_tight: bool) -> None:
+        """Note that moves are heard so late, 0 for none, and whether a drive allows less."""
+        self.late_max_us = max(self.late_max_us, late_us)
+        self.is_tight = self.is_tight or is_tight
+        if self._gives_up is not None and (self.is_tight or (late_us and self._gives_up == "late")):
+            raise TooLateError
 
 
 def fitted_alone(joint: Joint, course: Course, tolerance_deg: float) -> Reference:

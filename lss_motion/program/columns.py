@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.program.model import Move
+from lss_motion.program.table import MoveTable, table_of
 from lss_motion.protocol.line import encode_move
 from lss_motion.units import LINE_BITS_PER_BYTE, US_PER_S
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from lss_motion.program.attempt import Fitted
     from lss_motion.program.batch import FloatArray, Index, IntArray
+    from lss_motion.program.model import Move
     from lss_motion.robot.model import Robot
 
 POWERS_OF_TEN: Final = np.array([10, 100, 1_000, 10_000, 100_000, 1_000_000, 10_000_000])
@@ -59,15 +60,15 @@ class Columns:
         )
 
 
-def moves_of(fitted: Mapping[str, Fitted], robot: Robot) -> list[Move]:
+def moves_of(fitted: Mapping[str, Fitted], robot: Robot) -> MoveTable:
     """Return the moves of all joints in the order in which they are due.
 
     Each is due so that its last byte is heard when that was granted.
     """
     if not fitted:
-        return []
+        return table_of(())
     joints = [robot.joints[name] for name in fitted]
-    buses = sorted(robot.buses)
+    buses = tuple(sorted(robot.buses))
     each = [len(own.heard_s) for own in fitted.values()]
     servo_id = np.repeat([joint.servo_id for joint in joints], each)
     bus = np.repeat([buses.index(joint.bus) for joint in joints], each)
@@ -79,17 +80,7 @@ def moves_of(fitted: Mapping[str, Fitted], robot: Robot) -> list[Move]:
     size_bytes = sizes_bytes(servo_id, target_wire, duration_ms)
     due_us = np.rint(heard_s * US_PER_S).astype(np.intp) - line_times_us(size_bytes, baud_bps)
     order = np.lexsort((servo_id, bus, due_us))
-    is_bare = np.isnan(duration_ms)
-    durations = np.where(is_bare, 0.0, duration_ms).astype(np.intp).astype(object)
-    durations[is_bare] = None
-    fields = (
-        due_us[order].tolist(),
-        np.array(buses, dtype=object)[bus[order]].tolist(),
-        servo_id[order].tolist(),
-        target_wire[order].astype(np.intp).tolist(),
-        durations[order].tolist(),
-    )
-    return list(map(Move._make, zip(*fields, strict=True)))
+    return MoveTable(due_us, bus, servo_id, target_wire, duration_ms, buses).take(order)
 
 
 def sizes_bytes(servo_id: IntArray, target_wire: FloatArray, duration_ms: FloatArray) -> IntArray:
@@ -115,22 +106,22 @@ def line_times_us(size_bytes: IntArray, baud_bps: IntArray) -> IntArray:
 
 def columns_of(moves: Sequence[Move], robot: Robot) -> Columns:
     """Return `moves`, every one to a servo of `robot`, in arrays."""
-    joints = {(j.bus, j.servo_id): index for index, j in enumerate(robot.joints.values())}
+    table = table_of(moves)
+    joints = list(robot.joints.values())
+    numbers = {(joint.bus, joint.servo_id): index for index, joint in enumerate(joints)}
+    ids = range(1 + max((joint.servo_id for joint in joints), default=0))
+    index_of = np.array([[numbers.get((bus, one), -1) for one in ids] for bus in table.buses])
+    joint = index_of[table.bus, table.servo_id] if len(table) else table.bus
+    assert joint.min(initial=0) >= 0, "a move to a servo that is not there"
     buses = list(robot.buses)
-    of_bus = np.array([buses.index(j.bus) for j in robot.joints.values()], dtype=np.intp)
-    bauds = np.array([bus.baud_bps for bus in robot.buses.values()], dtype=np.intp)
-    fields = zip(*moves, strict=True) if moves else iter([()] * len(Move._fields))
-    due_us, bus_names, servo_ids, targets, durations = fields
-    joint = np.array([joints[key] for key in zip(bus_names, servo_ids, strict=True)], dtype=np.intp)
-    bus = of_bus[joint]
-    target_wire = np.array(targets, dtype=np.float64)
-    duration_ms = np.array(durations, dtype=np.float64)
+    bus = np.array([buses.index(one.bus) for one in joints], dtype=np.intp)[joint]
+    bauds = np.array([one.baud_bps for one in robot.buses.values()], dtype=np.intp)
     return Columns(
-        np.array(due_us, dtype=np.intp),
+        table.due_us,
         joint,
         bus,
-        target_wire,
-        duration_ms,
+        table.target_wire,
+        table.duration_ms,
         bauds[bus],
-        sizes_bytes(np.array(servo_ids, dtype=np.intp), target_wire, duration_ms),
+        sizes_bytes(table.servo_id, table.target_wire, table.duration_ms),
     )

@@ -11,11 +11,11 @@ import numpy as np
 from lss_motion.errors import InputError, LineLoadError
 from lss_motion.program.attempt import Attempt, TooLateError, slot_us
 from lss_motion.program.choose import choices
-from lss_motion.program.columns import Columns, columns_of, moves_of
+from lss_motion.program.columns import columns_of, moves_of
 from lss_motion.program.course import GRID_S, Course
 from lss_motion.program.drives import lead
 from lss_motion.program.line import LineUse, line_use
-from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
+from lss_motion.program.model import TIMED, Driving, Program, Repeat
 from lss_motion.program.readings import reading_rate_hz
 from lss_motion.program.seam import closed
 from lss_motion.program.trials import RELAXED_RATIOS, trials
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from lss_motion.program.attempt import Fitted
     from lss_motion.program.choose import Choice
+    from lss_motion.program.model import Move
     from lss_motion.robot.model import Robot
     from lss_motion.trajectory.model import Trajectory
 
@@ -68,11 +69,11 @@ def compile_program(
             if attempt.is_tight:
                 problem = _overload(attempt, choice.robot)
                 continue
-            program, columns = _program(trajectory, choice, courses, attempt, repeat)
+            program = _program(trajectory, choice, courses, attempt, repeat)
             unread = [use for use in program.line_use.values() if _is_unread(use, robot)]
             is_unread = bool(unread)
             if not unread:
-                verify_program(program, choice.robot, columns)
+                verify_program(program, choice.robot)
                 return program
             problem = _unreadable(unread[0], program, robot)
     assert problem is not None
@@ -126,7 +127,9 @@ def _courses(trajectory: Trajectory, robot: Robot) -> dict[str, Course]:
     return courses
 
 
-def glide_moves(courses: Mapping[str, Course], robot: Robot, tolerance_deg: float) -> list[Move]:
+def glide_moves(
+    courses: Mapping[str, Course], robot: Robot, tolerance_deg: float
+) -> Sequence[Move]:
     """Return the moves that take joints along courses of their own, with nothing else to do."""
     attempts = (Attempt(courses, robot, tolerance_deg * r) for r in RELAXED_RATIOS)
     for attempt in attempts:
@@ -141,19 +144,18 @@ def _program(
     courses: Mapping[str, Course],
     attempt: Attempt,
     repeat: Repeat | None,
-) -> tuple[Program, Columns]:
+) -> Program:
     robot = choice.robot
-    moves = moves_of(attempt.fitted, robot)
+    moves: Sequence[Move] = moves_of(attempt.fitted, robot)
     if repeat is not None:
-        moves = closed(moves, repeat, robot)
+        moves = tuple(closed(moves, repeat, robot))
     start = trajectory.sample(np.zeros(1))[0]
     end_s = trajectory.duration_s if repeat is None else s_from_us(repeat.to_us)
-    columns = columns_of(moves, robot)
-    program = Program(
+    return Program(
         name=trajectory.name,
         robot=robot.name,
         robot_path=robot.path,
-        moves=tuple(moves),
+        moves=moves,
         duration_s=trajectory.duration_s,
         start_deg={n: float(v) for n, v in zip(trajectory.joints, start, strict=True)},
         tolerance_deg=attempt.tolerance_deg,
@@ -165,12 +167,11 @@ def _program(
         waits=tuple(point for point in all_waits(trajectory, end_s) if point.at_s <= end_s),
         stretched=trajectory.stretched,
         on_fault=trajectory.on_fault,
-        line_use=lines_use(columns, robot),
+        line_use=lines_use(moves, robot),
         error_max_deg={
             name: _error_max_deg(fitted, courses[name]) for name, fitted in attempt.fitted.items()
         },
     )
-    return program, columns
 
 
 def driving_of(robot: Robot, names: Iterable[str]) -> dict[str, Driving]:
@@ -184,9 +185,9 @@ def driving_of(robot: Robot, names: Iterable[str]) -> dict[str, Driving]:
     return {name: chosen for name, chosen in driving.items() if chosen != TIMED}
 
 
-def lines_use(moves: Sequence[Move] | Columns, robot: Robot) -> dict[str, LineUse]:
+def lines_use(moves: Sequence[Move], robot: Robot) -> dict[str, LineUse]:
     """Return how the moves use each bus: the proof of the schedule, from the bytes alone."""
-    columns = moves if isinstance(moves, Columns) else columns_of(moves, robot)
+    columns = columns_of(moves, robot)
     slots_us = np.stack((columns.due_us, columns.sent_us), axis=1)
     joints = list(robot.joints.values())
     asked = [joints[index] for index in np.unique(columns.joint).tolist()]

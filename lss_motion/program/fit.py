@@ -76,7 +76,7 @@ class Fit:
             made, of_lane = made.take(is_kept), of_lane[is_kept]
             new = [lane for lane in lanes if lane not in before]
             grant, heard_us = new_line(), microseconds(made.heard_s)
-            grant(made.joint.tolist(), heard_us, heard_us)
+            grant(made.joint, heard_us, heard_us)
             found, of_new = Run(self._task, new, grant).moves()
             made, of_lane = joined((made, found)), np.append(of_lane, len(known) + of_new)
             order = np.lexsort((made.heard_s, made.joint))

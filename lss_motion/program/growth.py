@@ -202,7 +202,7 @@ def _extension(attempt: Attempt, robot: Robot, splice_us: int, duration_s: float
     moves = moves_of(attempt.fitted, robot)
     return Extension(
         from_us=splice_us,
-        moves=tuple(moves),
+        moves=moves,
         duration_s=duration_s,
         references=references,
         line_use=lines_use(moves, robot),

@@ -11,7 +11,7 @@ from lss_motion.protocol.line import encode_move
 from lss_motion.units import NS_PER_US, line_time_ns, s_from_us
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from lss_motion.program.line import LineUse
@@ -75,7 +75,7 @@ class Program:
     name: str
     robot: str
     robot_path: Path | None = None
-    moves: tuple[Move, ...]
+    moves: Sequence[Move]
     duration_s: float
     """Until the last horn has arrived; `math.inf` with `repeat`."""
     start_deg: Mapping[str, float]

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from lss_motion.program.batch import FloatArray
-    from lss_motion.program.columns import Columns
     from lss_motion.program.model import Program
     from lss_motion.program.response import Piece
     from lss_motion.robot.model import Joint, Robot
@@ -91,15 +90,10 @@ def filter_profile(joint: Joint, position_deg: float, *, origin_s: float = 0.0) 
     )
 
 
-def profiles(
-    program: Program, robot: Robot, columns: Columns | None = None
-) -> dict[str, Reference]:
-    """Return where each servo's profile is at any show time, if every move is heard when due.
-
-    `columns` are those of the program's moves, where they are known already.
-    """
+def profiles(program: Program, robot: Robot) -> dict[str, Reference]:
+    """Return where each servo's profile is at any show time, if every move is heard when due."""
     robot = driven(robot, program)
-    columns = columns or columns_of(program.moves, robot)
+    columns = columns_of(program.moves, robot)
     columns = columns.take(np.argsort(columns.joint, kind="stable"))
     heard_s = columns.heard_us / US_PER_S
     begins_deg = np.zeros(len(robot.joints))

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from lss_motion.program.course import Courses, LimitArrays
     from lss_motion.program.lanes import Lane
 
-    Grant = Callable[[list[int], list[int], list[int]], list[int]]
+    Grant = Callable[[IntArray, IntArray, IntArray], IntArray]
 
 DEPARTURES: Final = 7
 """Instants tried for the first move after a stop."""
@@ -42,8 +42,8 @@ NEVER: Final = 2**62
 """The index of a stop that never comes."""
 
 
-def microseconds(times_s: FloatArray) -> list[int]:
-    whole: list[int] = np.rint(US_PER_S * times_s).astype(np.intp).tolist()
+def microseconds(times_s: FloatArray) -> IntArray:
+    whole: IntArray = np.rint(US_PER_S * times_s).astype(np.intp)
     return whole
 
 
@@ -133,12 +133,12 @@ class Run:
         """Have the next moves granted, put those under way into words, and choose what follows."""
         in_turn = np.argsort(rows.wanted_s, kind="stable")
         granted_us = self._grant(
-            self._joint[rows.lane[in_turn]].tolist(),
+            self._joint[rows.lane[in_turn]],
             microseconds(rows.wanted_s[in_turn]),
             microseconds(rows.state.time_s[in_turn]),
         )
         granted_s = np.empty(len(in_turn))
-        granted_s[in_turn] = np.array(granted_us, dtype=np.float64) / US_PER_S
+        granted_s[in_turn] = granted_us / US_PER_S
         is_new = np.isnan(rows.wish_deg_s)
         begun = self._begun(rows.lane[is_new], granted_s[is_new])
         moved = self._worded(rows.take(~is_new), granted_s[~is_new])

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lss_motion.program.columns import Columns
     from lss_motion.program.model import Program
     from lss_motion.program.response import Reference
     from lss_motion.robot.model import Joint, Robot
@@ -31,7 +30,7 @@ JUMP_MAX_DEG: Final = 1e-6
 """Pieces that follow one another must meet: rounding of numbers, far below the wire's unit."""
 
 
-def verify_program(program: Program, robot: Robot, columns: Columns | None = None) -> None:
+def verify_program(program: Program, robot: Robot) -> None:
     """Raise `PlanningError` where the profile of a servo breaks a limit of its joint.
 
     Position: outside of the range by more than one wire unit. Speed and acceleration: more than
@@ -39,9 +38,9 @@ def verify_program(program: Program, robot: Robot, columns: Columns | None = Non
 
     A streamed joint has no ramps: its steps keep the speed limit but for what the wire rounds, and
     what bounds its acceleration is the plan that it follows. A stepped one jumps, so its jumps are
-    held against the speed limit and the time since the one before. `columns`: as in `profiles`.
+    held against the speed limit and the time since the one before.
     """
-    verify_profiles(profiles(program, robot, columns), driven(robot, program))
+    verify_profiles(profiles(program, robot), driven(robot, program))
 
 
 def verify_profiles(references: Mapping[str, Reference], robot: Robot) -> None:

@@ -10,23 +10,19 @@ import contextlib
 import multiprocessing
 import signal
 import time
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final, overload
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from lss_motion.errors import PlanningError
 from lss_motion.gait.walker import Twist
-from lss_motion.program.model import Move
 from lss_motion.program.response import Reference
 from lss_motion.walking.planner import Planner, Request
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
     from types import TracebackType
-
-    from numpy.typing import NDArray
 
     from lss_motion.gait.model import Gait
     from lss_motion.robot.model import Robot
@@ -39,35 +35,6 @@ START_MAX_S: Final = 60.0
 CLOSE_S: Final = 2.0
 """A planner that has not ended this long after it was told to is ended."""
 LOST: Final = "the process that plans the walk has ended; the robot goes to a stand by itself"
-
-
-class Moves(Sequence[Move]):
-    """Moves as rows of due instant, bus, servo, target and T; each is made when it is asked for."""
-
-    def __init__(self, rows: NDArray[np.int64], buses: tuple[str, ...]) -> None:
-        self._rows = rows
-        self._buses = buses
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    @overload
-    def __getitem__(self, index: int) -> Move: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Move]: ...
-
-    def __getitem__(self, index: int | slice) -> Move | Sequence[Move]:
-        if isinstance(index, slice):
-            return Moves(self._rows[index], self._buses)
-        due_us, bus, servo_id, target_wire, duration_ms = self._rows[index].tolist()
-        return Move(
-            due_us=due_us,
-            bus=self._buses[bus],
-            servo_id=servo_id,
-            target_wire=target_wire,
-            duration_ms=duration_ms,
-        )
 
 
 class PlannerProcess:
@@ -133,31 +100,20 @@ class PlannerProcess:
 
 
 def packed(answer: Answer) -> tuple[Answer, Any]:
-    """Return an answer without its moves and profiles, and those as arrays."""
+    """Return an answer without its profiles, and those as arrays; its moves are arrays already."""
     extension = answer.extension
     if extension is None:
         return answer, None
-    buses = tuple(sorted({move.bus for move in extension.moves}))
-    rows = np.array(
-        [
-            (m.due_us, buses.index(m.bus), m.servo_id, m.target_wire, m.duration_ms or 0)
-            for m in extension.moves
-        ],
-        dtype=np.int64,
-    ).reshape(-1, 5)
     tables = {name: np.stack(own.table) for name, own in extension.references.items()}
-    bare = replace(answer, extension=replace(extension, moves=(), references={}))
-    return bare, (rows, buses, tables)
+    return replace(answer, extension=replace(extension, references={})), tables
 
 
-def unpacked(answer: Answer, arrays: Any) -> Answer:  # noqa: ANN401  (what `packed` returned)
+def unpacked(answer: Answer, tables: Any) -> Answer:  # noqa: ANN401  (what `packed` returned)
     """Return the answer that was packed."""
     if answer.extension is None:
         return answer
-    rows, buses, tables = arrays
     references = {name: Reference.of(tuple(table)) for name, table in tables.items()}
-    extension = replace(answer.extension, moves=Moves(rows, buses), references=references)
-    return replace(answer, extension=extension)
+    return replace(answer, extension=replace(answer.extension, references=references))
 
 
 def _serve(connection: Connection, gait: Gait, robot: Robot, tolerance_deg: float) -> None:

@@ -81,10 +81,11 @@ class WatchedLine(LineSchedule):
         made.windows_us = dict(self.windows_us)
         return made
 
-    def reserve(self, latest_end_us, size_us, earliest_us):
-        end_us = super().reserve(latest_end_us, size_us, earliest_us)
-        self.windows_us[end_us] = (earliest_us + size_us, latest_end_us)
-        return end_us
+    def reserve_all(self, latest_end_us, size_us, earliest_us):
+        ends_us = super().reserve_all(latest_end_us, size_us, earliest_us)
+        for end_us, *wish in zip(ends_us, latest_end_us, size_us, earliest_us, strict=True):
+            self.windows_us[end_us] = (wish[2] + wish[1], wish[0])
+        return ends_us
 
 
 @LAWS

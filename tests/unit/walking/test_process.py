@@ -11,8 +11,9 @@ from lss_motion.errors import PlanningError
 from lss_motion.gait.model import BodyPose
 from lss_motion.gait.steering import eased
 from lss_motion.gait.walker import STILL, Twist
+from lss_motion.program.table import MoveTable
 from lss_motion.walking.planner import Planner, Request
-from lss_motion.walking.process import Moves, PlannerProcess, packed, unpacked
+from lss_motion.walking.process import PlannerProcess, packed, unpacked
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "sequences"
 AHEAD = Request(wanted=Twist(forward_mm_s=15.0), was_taken=False, begins_s=1.0)
@@ -35,7 +36,7 @@ def test_what_is_packed_comes_out_as_it_was(dog):
             assert back.extension.references[name].at(at_s) == reference.at(at_s)
     assert replace(back, extension=None) == replace(answer, extension=None)
     assert [*back.extension.moves[3:5]] == [*answer.extension.moves[3:5]]
-    assert isinstance(back.extension.moves, Moves)
+    assert isinstance(back.extension.moves, MoveTable)
 
 
 def test_a_wish_that_cannot_be_planned_is_an_answer_with_its_reason(dog):
