@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
+from lss_motion.player.judging import take_position, take_target, wants_target
 from lss_motion.player.watch import Watch
 from lss_motion.protocol.codec import read_reply
 from lss_motion.protocol.line import Command, Reply, encode
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from lss_motion.player.track import Track
     from lss_motion.player.waiting import Waiting
 
+TARGET_KEYWORD: Final = "QDT"
+"""Its answer shows whether a servo heard its last move."""
 HEALTH_NS: Final = NS_PER_S // 4
 """Once in this time a servo is asked about its health, one thing after the other."""
 HEALTH_LEAST: Final = 8
@@ -33,7 +36,8 @@ FILL_RATIO: Final = 0.95
 """A servo is asked so often in a row that answers fill this share of their line: between two
 servos there is a gap, since nobody knows when the next one will begin."""
 VISIT_NS: Final = NS_PER_S // 4
-"""But all servos of a bus are visited at least this often."""
+"""But all servos of a bus are visited at least this often. One that is to name its target is as
+urgent as one at rest that was not visited for so long."""
 SPEED_WEIGHT_S_PER_DEG: Final = 0.05
 ERROR_WEIGHT_PER_DEG: Final = 2.0
 """A joint is read sooner the faster it moves and the further it strayed (design 8). Chosen: at
@@ -54,8 +58,8 @@ class _Turn:
 
     track: Track
     left: int
-    is_row: bool = False
-    """Whether it was asked already."""
+    places: int = 0
+    """How often it was asked where it is."""
 
 
 @lru_cache(maxsize=1024)
@@ -135,10 +139,14 @@ class Reader:
         if not self._leave(bus, question, size_bytes, now_ns, quiet_until_ns):
             return False
         turn.left -= 1
-        turn.is_row = True
         turn.track.asked_ns = now_ns
         self._health_wait[bus] += 1
-        if keyword != "QD":
+        if keyword == "QD":
+            turn.places += 1
+        elif keyword == TARGET_KEYWORD:
+            assert turn.track.hearing is not None
+            turn.track.hearing.asks_target()
+        else:
             self._health_wait[bus] = 0
             turn.track.health_ns = now_ns
             turn.track.health_count += 1
@@ -192,6 +200,9 @@ class Reader:
         match reply.keyword:
             case "QD":
                 self._take_position(bus, track, said.value, asked, wanted_deg)
+            case "QDT":
+                if take_target(track, said.value, s_from_ns(asked.heard_ns)):
+                    self.unheard[track.joint.name] = track
             case "Q":
                 self.watch.status(track, int(said.value), self._lines[bus].bus.firmware)
             case "QT":
@@ -223,7 +234,11 @@ class Reader:
         if turn is not None:
             servo_id = turn.track.joint.servo_id
             if turn.left > 0 and questioner.quiet_until_ns(servo_id) <= now_ns:
-                return turn
+                if turn.left == 1 or not any(wants_target(t, now_ns) for t in self._by_bus[bus]):
+                    return turn
+                if turn.places != 1 or wants_target(turn.track, now_ns):
+                    turn.left = 1  # Somebody has to be asked for a target: this row ends.
+                    return turn
         track = self._most_urgent(bus, now_ns)
         self._turns[bus] = None if track is None else _Turn(track, self._depth(bus, track))
         return self._turns[bus]
@@ -252,7 +267,9 @@ class Reader:
         if questioner.owes(servo_id, "QD"):
             fresh = (word for word in HEALTH_KEYWORDS if not questioner.owes(servo_id, word))
             return next(fresh, "QD")
-        is_alone = turn.left == 1 and not turn.is_row
+        if wants_target(track, now_ns) and not questioner.owes(servo_id, TARGET_KEYWORD):
+            return TARGET_KEYWORD
+        is_alone = turn.left == 1 and turn.places == 0
         is_due = track.health_ns is None or now_ns - track.health_ns >= HEALTH_NS
         is_due = is_due and self._health_wait[bus] >= HEALTH_LEAST - 1
         doubt = self.watch.doubts.get(track.joint.name)
@@ -274,7 +291,7 @@ class Reader:
             _, speed_deg_s = track.profile.at(now_s)
             weight = 1.0 + SPEED_WEIGHT_S_PER_DEG * abs(speed_deg_s)
             weight += ERROR_WEIGHT_PER_DEG * abs(track.following.error_deg)
-            merit = (now_ns - track.asked_ns) * weight
+            merit = (now_ns - track.asked_ns) * weight + VISIT_NS * wants_target(track, now_ns)
             if merit > best_merit:
                 best, best_merit = track, merit
         return best
@@ -288,29 +305,13 @@ class Reader:
         wanted_deg: Callable[[Track, int], float],
     ) -> None:
         read_s = s_from_ns(asked.heard_ns)
-        before_s = track.following.read_s
-        profile_deg, speed_deg_s = track.profile.at(read_s - track.lead_s)
-        course_s = read_s - track.lead_s - track.lag.extra_s
-        expected_deg, _ = track.profile.at(course_s)
         planned_deg = wanted_deg(track, asked.heard_ns)
-        free_deg = measured_deg + track.following.disturbance_deg
-        other = track.hearing.judge(course_s, expected_deg, free_deg)
-        believed = track.following.take(
-            measured_deg,
-            read_s,
-            expected_deg=expected_deg,
-            wanted_deg=planned_deg,
-            speed_deg_s=speed_deg_s,
-            learns=not track.hearing.is_doubtful,
-        )
-        if not believed:
+        missed = take_position(track, measured_deg, read_s, planned_deg)
+        if missed is None:
             self.unbelieved[bus] += 1
             return
-        if other is not None:
-            track.profile = other
+        if missed:
             self.unheard[track.joint.name] = track
-        elif before_s is not None and not track.hearing.is_doubtful:
-            track.lag.take(profile_deg - measured_deg, speed_deg_s, read_s - before_s)
         self.watch.position(track, asked.heard_ns)
         joint_deg = track.joint.joint_deg
         track.trace.add(read_s - track.origin_s, joint_deg(planned_deg), joint_deg(measured_deg))

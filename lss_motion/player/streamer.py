@@ -77,7 +77,8 @@ class Streamer:
         first_s = s_from_us(min((m.due_us for m in program.moves), default=0))
         begin_s = min(0.0, first_s) if start_s is None else start_s
         origin_s = s_from_ns(start_ns) - begin_s
-        self.tracks = make_tracks(program, with_room(robot, standing_deg), standing_deg, origin_s)
+        robot = with_room(robot, standing_deg)
+        self.tracks = make_tracks(program, robot, standing_deg, origin_s, has_feedback=has_feedback)
         self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in self.tracks.values()}
         self.clock = ShowClock(start_ns, begin_s, 1.0)
         self.statistics = Statistics()

@@ -79,7 +79,8 @@ class Track:
     health_ns: int | None = None
     health_count: int = 0
     """When it was last asked how it fares, and how often."""
-    hearing: Hearing = field(default_factory=Hearing)
+    hearing: Hearing | None = None
+    """What its servo may have missed; None: nobody judges that."""
     lag: Lag = field(default_factory=Lag)
     trace: Trace = field(default_factory=Trace)
     is_driven: bool = True
@@ -94,6 +95,8 @@ class Track:
     def learn(self, earlier: Track) -> None:
         """Take over what was learnt about the same joint: what pulls at it, and how it lags."""
         self.lag = earlier.lag
+        if self.hearing is not None and earlier.hearing is not None:
+            self.hearing.denials = earlier.hearing.denials
         self.following.disturbance_deg = earlier.following.disturbance_deg
         self.following.offset_deg = earlier.following.offset_deg
 
@@ -258,7 +261,7 @@ class Track:
         heard_s = s_from_ns(heard_ns)
         duration_s = None if duration_ms is None else s_from_ms(duration_ms)
         target_deg = target_wire / self.limits.wire_per_deg
-        if isinstance(self.profile, Profile):
+        if self.hearing is not None and isinstance(self.profile, Profile):
             self.hearing.told(self.profile.copy(), heard_s, target_deg, duration_s)
         self.profile.retarget(heard_s, target_deg, duration_s)
         self.profile.forget_before(heard_s - HISTORY_S)
@@ -266,7 +269,12 @@ class Track:
 
 
 def make_tracks(
-    program: Program, robot: Robot, standing_deg: Mapping[str, float], origin_s: float
+    program: Program,
+    robot: Robot,
+    standing_deg: Mapping[str, float],
+    origin_s: float,
+    *,
+    has_feedback: bool,
 ) -> dict[str, Track]:
     """Return the track of every joint of `program`; its servo stands at `standing_deg`.
 
@@ -283,5 +291,6 @@ def make_tracks(
             limits=servo_limits(joint, program.tolerance_deg),
             lead_s=lead(joint),
             origin_s=origin_s,
+            hearing=Hearing(joint.unit_deg, joint.response.loop_s) if has_feedback else None,
         )
     return tracks

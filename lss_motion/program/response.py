@@ -132,6 +132,11 @@ class Profile:
                 )
         return self._pieces[0].position_deg, 0.0
 
+    @property
+    def target_deg(self) -> float:
+        """Where it comes to rest, if it is told nothing more."""
+        return self._pieces[-1].position_deg
+
     def state(self, time_s: float) -> Piece:
         """Return what a command heard at `time_s` starts from."""
         position_deg, speed_deg_s = self.at(time_s)

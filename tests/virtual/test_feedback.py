@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from functools import partial
 
 import numpy as np
@@ -13,6 +15,7 @@ from lss_motion.sim.physics import Physics
 
 WRONG_LAG = Physics(lag_s=0.05)
 """30 ms more than a robot file assumes."""
+MOVE = re.compile(rb"#(\d+)D-?\d+T\d+\r")
 LOST = Fault(kind=FaultKind.LOST_COMMAND, ratio=0.02)
 
 
@@ -20,8 +23,8 @@ LOST = Fault(kind=FaultKind.LOST_COMMAND, ratio=0.02)
 def rms_deg(stage, kit, monkeypatch):
     """Return what plays a lively show and returns RMS of all horns, and what was played."""
 
-    def play(*, droop_deg=0.0, seed=3, **options):
-        robot = kit.robot(3, baud_bps=57600)
+    def play(*, droop_deg=0.0, seed=3, baud_bps=57600, **options):
+        robot = kit.robot(3, baud_bps=baud_bps)
         hanging = partial(build.bus_from_robot, droop_deg=dict.fromkeys(robot.joints, droop_deg))
         show = kit.sequence(3, 12.0, seed=seed, step_s=(0.5, 0.9))
         with monkeypatch.context() as patch:
@@ -65,3 +68,30 @@ def test_a_command_that_was_lost_is_said_again_and_breaks_no_limit(rms_deg, kit)
     speed, accel = played.speeds(0, end_ns)
     assert np.abs(speed).max() < 1.05 * 180.0
     assert np.abs(accel).max() < 1.1 * 600.0
+
+
+def lost_moves(played):
+    """Return `(instant, servo)` of every move that was sent and that no servo heard."""
+    heard = Counter(played.heard())
+    lost = []
+    for at_ns, _, data in reversed(played.sent):
+        for move in MOVE.finditer(data):
+            heard[move[0]] -= 1
+            if heard[move[0]] < 0:
+                lost.append((at_ns, int(move[1])))
+    return lost
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_what_a_servo_did_not_hear_it_hears_again_at_once(rms_deg, seed):
+    """A fiftieth of a second later, unless the question about it was lost as well."""
+    _, played = rms_deg(faults=[LOST], seed=seed, baud_bps=115200)
+    moves = [(at_ns, MOVE.fullmatch(line)) for at_ns, line in played.bus.heard]
+    heard = [(at_ns, int(move[1])) for at_ns, move in moves if move]
+    late_s = [
+        min((t_ns for t_ns, one in heard if one == servo_id and t_ns > at_ns), default=10**12)
+        - at_ns
+        for at_ns, servo_id in lost_moves(played)
+    ]
+    assert len(late_s) >= 3
+    assert np.median(late_s) < 0.02e9

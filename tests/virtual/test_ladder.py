@@ -10,6 +10,7 @@ import pytest
 from lss_motion.errors import BusError
 from lss_motion.player import setup
 from lss_motion.player.events import PhaseEntered
+from lss_motion.player.following import OFFSET_MAX_DEG
 from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.servo import Servo
@@ -121,7 +122,8 @@ def test_the_show_slows_down_for_a_weak_joint_and_gets_to_its_end(stage, kit):
     assert faults(played) == [("j0", "astray", "slow")]
     assert min(rates) <= 0.5
     assert rates[-1] == 1.0
-    assert np.abs(played.horn_error_deg(from_s=5.5)).max() < 1.0, "it has caught up"
+    assert np.abs(played.horn_error_deg(from_s=5.5)).max() < OFFSET_MAX_DEG, "it has caught up"
+    assert np.abs(played.horn_error_deg()[-1]).max() < 1.0, "and its last move is not corrected"
 
 
 def test_a_joint_that_cannot_catch_up_ends_the_show(stage, kit):

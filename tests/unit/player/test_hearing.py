@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.player.hearing import Hearing
+from lss_motion.player.hearing import ASKS_MAX, DENIALS_MAX, Hearing
 from lss_motion.program.response import Profile
 from lss_motion.robot.model import Response
 
+UNIT_DEG, LOOP_S = 0.1, 0.005
 MOVES = ((0.0, 30.0, 0.5), (0.4, -20.0, 0.6), (0.7, 40.0, 0.8))
 
 
@@ -23,7 +24,7 @@ def judged(heard, *, until_s=1.6, noise=lambda time_s: 0.0, hz=100.0):
 
     All of `MOVES` were said.
     """
-    truth, said, hearing, told = profile_of(*heard), profile_of(), Hearing(), 0
+    truth, said, hearing, told = profile_of(*heard), profile_of(), Hearing(UNIT_DEG, LOOP_S), 0
     time_s = 0.0
     while time_s < until_s:
         while told < len(MOVES) and MOVES[told][0] <= time_s:
@@ -70,10 +71,77 @@ def test_one_wrong_reading_is_no_proof():
 
 def test_a_horn_that_is_held_up_has_not_missed_anything():
     """It stands where neither course leads."""
-    hearing, said = Hearing(), profile_of()
+    hearing, said = Hearing(UNIT_DEG, LOOP_S), profile_of()
     for one in MOVES:
         hearing.told(said.copy(), *one)
         said.retarget(*one)
     for step in range(100):
         assert hearing.judge(0.8 + step / 100, said.at(0.8 + step / 100)[0], 90.0) is None
         assert not hearing.is_doubtful
+
+
+@pytest.fixture
+def told():
+    """Return what was said and heard of all `MOVES`, the last of them at 0.7 s."""
+    hearing, said = Hearing(UNIT_DEG, LOOP_S), profile_of()
+    for one in MOVES:
+        hearing.told(said.copy(), *one)
+        said.retarget(*one)
+    return hearing, said
+
+
+def test_a_servo_that_names_the_target_before_has_missed_the_last_move(told):
+    hearing, _ = told
+    found = hearing.named(0.72, -20.0)
+    assert found.at(1.2) == profile_of(*MOVES[:2]).at(1.2)
+    assert not hearing.others
+
+
+@pytest.mark.parametrize("off_deg", [-UNIT_DEG, 0.0, UNIT_DEG])
+def test_one_that_names_its_target_has_heard_the_last_move(told, off_deg):
+    hearing, _ = told
+    assert hearing.wants_target(0.72)
+    assert hearing.named(0.72, 40.0 + off_deg) is None
+    assert not hearing.wants_target(0.73)
+    # Without one of the moves before the last it would have the same target.
+    assert len(hearing.others) == 2
+    assert all(other.profile.target_deg == 40.0 for other in hearing.others)
+
+
+def test_before_a_servo_takes_a_move_up_its_target_says_nothing(told):
+    hearing, _ = told
+    assert not hearing.wants_target(0.701)
+    assert hearing.named(0.701, -20.0) is None
+    assert len(hearing.others) == 3
+
+
+def test_a_target_that_nobody_told_it_must_be_named_twice(told):
+    """The command may have been damaged, or the answer."""
+    hearing, _ = told
+    assert hearing.named(0.72, 33.0) is None
+    assert hearing.named(0.73, -7.0) is None
+    found = hearing.named(0.74, -7.0)
+    assert found.at(2.5)[0] == -7.0
+    assert found.at(0.7) == profile_of(*MOVES[:2]).at(0.7)
+
+
+def test_a_servo_that_does_not_answer_is_left_to_the_readings(told):
+    hearing, _ = told
+    for _ in range(ASKS_MAX):
+        assert hearing.wants_target(0.72)
+        hearing.asks_target()
+    assert not hearing.wants_target(0.72)
+
+
+def test_a_servo_that_means_something_else_by_it_is_not_asked_for_ever():
+    hearing, said = Hearing(UNIT_DEG, LOOP_S), profile_of()
+    for number in range(DENIALS_MAX + 1):
+        hearing.told(said.copy(), 0.1 * number, 10.0 + number, 0.2)
+        assert hearing.wants_target(0.1 * number + 0.02) is (number < DENIALS_MAX)
+        hearing.named(0.1 * number + 0.02, -50.0)
+
+
+def test_a_move_to_the_same_target_is_not_asked_about(told):
+    hearing, said = told
+    hearing.told(said.copy(), 0.9, 40.0, 0.3)
+    assert not hearing.wants_target(1.0)

@@ -26,7 +26,7 @@ def track_of(kit, joint):
         tolerance_deg=0.2,
         drives={joint.name: Driving(joint.drive, count)},
     )
-    return make_tracks(program, robot, {joint.name: 0.0}, 0.0)[joint.name]
+    return make_tracks(program, robot, {joint.name: 0.0}, 0.0, has_feedback=True)[joint.name]
 
 
 def told(track, target_deg):

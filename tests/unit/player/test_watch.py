@@ -15,7 +15,7 @@ BLOCKED, HOLDING, LIMP = 9, 6, 1
 def track(kit):
     robot = kit.robot(kit.joint(following_deg=5.0))
     program = approach(robot, {"j0": 0.0}, {"j0": 0.0})
-    return make_tracks(program, robot, {"j0": 0.0}, 0.0)["j0"]
+    return make_tracks(program, robot, {"j0": 0.0}, 0.0, has_feedback=True)["j0"]
 
 
 def causes(watch):
