@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 RAMP_TICK_NS: Final = 40 * NS_PER_MS
 """At any rate but 1, every moving joint gets a move this often, if the line can carry it."""
-STREAMED_TICK_NS: Final = 20 * NS_PER_MS
-"""A streamed joint gets one for every step of its filter (lss_facts 1.2): over two steps with one
-target the filter is quick in the first and slow in the second."""
+LED_NS: Final = 20 * NS_PER_MS
+"""A streamed joint that is led gets one for every step of its filter (lss_facts 1.2): over two
+steps with one target the filter is quick in the first and slow in the second."""
 RAMP_LINE_RATIO: Final = 0.5
 """Moves made on the spot take no more of the line than this; where there are streamed joints, half
 of it is theirs."""
@@ -52,20 +52,10 @@ def ramp_s(tracks: Collection[Track], program: Program, show_s: float, change: f
 
 
 class RampPeriods(NamedTuple):
-    """How often joints can be told where to go; `tick_ns` is the shorter one."""
+    """How often joints can be told where to go: those that are led, and all others."""
 
+    led_ns: int
     tick_ns: int
-    streamed_ns: int
-    other_ns: int
-
-    def of(self, track: Track) -> int:
-        return self.streamed_ns if track.joint.drive == "streamed" else self.other_ns
-
-    def is_due(self, track: Track, now_ns: int) -> bool:
-        """Return whether a joint has its turn in the tick of `now_ns`, which may come early."""
-        if track.heard_ns is None or self.of(track) == self.tick_ns:
-            return True
-        return now_ns - track.heard_ns >= self.of(track) - self.tick_ns
 
 
 def ramp_periods(tracks: Collection[Track], lines: Mapping[str, Line]) -> RampPeriods:
@@ -73,12 +63,10 @@ def ramp_periods(tracks: Collection[Track], lines: Mapping[str, Line]) -> RampPe
     streamed = [track for track in tracks if track.joint.drive == "streamed"]
     others = [track for track in tracks if track.joint.drive != "streamed"]
     share = 0.5 if streamed and others else 1.0
-    streamed_ns = max(STREAMED_TICK_NS, round(_busiest_ns(streamed, lines) / share))
-    other_ns = max(RAMP_TICK_NS, round(_busiest_ns(others, lines) / share))
-    tick_ns = (
-        other_ns if not streamed else streamed_ns if not others else min(streamed_ns, other_ns)
+    return RampPeriods(
+        led_ns=max(LED_NS, round(_busiest_ns(streamed, lines) / share)),
+        tick_ns=max(RAMP_TICK_NS, round(_busiest_ns(others, lines) / share)),
     )
-    return RampPeriods(tick_ns, streamed_ns, other_ns)
 
 
 def _busiest_ns(tracks: Collection[Track], lines: Mapping[str, Line]) -> float:
@@ -103,36 +91,35 @@ def spot_moves(
     lines: Mapping[str, Line],
     *,
     now_ns: int,
-    periods: RampPeriods | None,
+    period_ns: int,
     planned_deg: Callable[[Track, int], float],
     ends_ns: int | None,
 ) -> Iterator[SpotMove]:
     """Yield a move for every joint that is off its course, to be on it in one period.
 
     `ends_ns` is when the course comes to rest, if it does: moves from there on reach no further.
-    Each is to be sent before the next one is asked for, since it keeps the line busy. Without
-    `periods` all have their turn now, for the last time.
+    Each is to be sent before the next one is asked for, since it keeps the line busy. Streamed
+    joints are led (`leading.lead`).
     """
     for track in tracks:
-        if periods is not None and not periods.is_due(track, now_ns):
+        if track.joint.drive == "streamed":
             continue
-        period_ns = RAMP_TICK_NS if periods is None else periods.of(track)
+        is_stepped = track.joint.drive == "stepped"
         heard_ns = lines[track.joint.bus].heard_ns(0, now_ns)
-        ahead_ns = heard_ns + ns_from_s(track.ahead_s(s_from_ns(period_ns)) + track.lead_s)
+        # A jump is right in the middle of the time for which it holds.
+        ahead_ns = heard_ns + (period_ns // 2 if is_stepped else period_ns)
+        ahead_ns += ns_from_s(track.lead_s)
         aim_deg = planned_deg(track, ahead_ns)
         position_deg, speed_deg_s = track.place(heard_ns)
         way_deg = aim_deg + track.following.offset_deg - position_deg
         unit_deg = 1.0 / track.limits.wire_per_deg
         if abs(way_deg) < unit_deg and abs(speed_deg_s) < 1.0:
             continue
-        travel_deg_s = min(abs(way_deg) / s_from_ns(period_ns), track.limits.speed_max_deg_s)
-        is_last = ends_ns is not None and ahead_ns >= ends_ns
-        if track.joint.drive != "timed":
-            if not is_last:
-                aim_deg = track.chased(aim_deg, heard_ns, s_from_ns(period_ns))
+        if is_stepped:
             yield SpotMove(track, aim_deg, 0.0)
             continue
-        if not is_last:
+        travel_deg_s = min(abs(way_deg) / s_from_ns(period_ns), track.limits.speed_max_deg_s)
+        if ends_ns is None or ahead_ns < ends_ns:
             beyond_deg = travel_deg_s * LATEST_ARRIVAL_S
             beyond_deg += 0.5 * travel_deg_s * travel_deg_s / track.limits.ramp_deg_s2
             aim_deg += math.copysign(beyond_deg, way_deg)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.approach import with_room
 from lss_motion.player.due import DueMoves
+from lss_motion.player.leading import lead
 from lss_motion.player.ramps import RAMP_TICK_NS, ramp_periods, ramp_s, spot_moves
 from lss_motion.player.readings import Reader
 from lss_motion.player.show_clock import ShowClock
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
 
     from lss_motion.player.line import Line
     from lss_motion.player.queries import Questioner
-    from lss_motion.player.ramps import RampPeriods
     from lss_motion.program.growth import Extension
     from lss_motion.program.model import Move, Program
     from lss_motion.protocol.line import Reply
@@ -50,8 +50,6 @@ REST_DEG_S: Final = 1.0
 """Slower than this a servo is at rest: what is left of a filter's way is below a wire unit."""
 ON_TIME_NS: Final = NS_PER_MS // 2
 """Later than this, and T is computed anew; below, it would not change T."""
-LATE_NS: Final = 5 * NS_PER_MS
-"""By so much, one control loop, a filter may take a move up late anyway."""
 
 
 class Streamer:
@@ -80,6 +78,7 @@ class Streamer:
         robot = with_room(robot, standing_deg)
         self.tracks = make_tracks(program, robot, standing_deg, origin_s, has_feedback=has_feedback)
         self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in self.tracks.values()}
+        self._periods = ramp_periods(self.tracks.values(), lines)
         self.clock = ShowClock(start_ns, begin_s, 1.0)
         self.statistics = Statistics()
         self._moves = DueMoves(program.unrolled(), self._early_us)
@@ -118,7 +117,7 @@ class Streamer:
 
         What was told late, and what a speed limit held back, is on its way for longer.
         """
-        return not self._owed_ns() and all(
+        return not self._again_ns() and all(
             abs(track.place(now_ns)[1]) < REST_DEG_S for track in self.tracks.values()
         )
 
@@ -150,16 +149,12 @@ class Streamer:
         for name, track in self.tracks.items():
             track.is_driven = name not in names
             if not track.is_driven:
-                track.owed = None
+                track.owed = track.led_ns = None
 
     def pose_deg(self, now_ns: int) -> dict[str, float]:
         """Return where every joint stands, corrected, after a ramp to rate 0: joint angles."""
-        pose = {}
-        for name, track in self.tracks.items():
-            low_deg, high_deg = track.limits.position_min_deg, track.limits.position_max_deg
-            servo_deg = self._planned_deg(track, now_ns) + track.following.offset_deg
-            pose[name] = track.joint.joint_deg(min(max(servo_deg, low_deg), high_deg))
-        return pose
+        tracks = self.tracks.items()
+        return {name: t.pose_deg(self._planned_deg(t, now_ns)) for name, t in tracks}
 
     def resume(self, left_out: Iterable[str], now_ns: int) -> None:
         """Go on at rate 0, with servos that were brought to `pose_deg` by somebody else."""
@@ -180,13 +175,13 @@ class Streamer:
                 due = self._moves.pop()
                 self._send_due(due.due_us, due.move, now_ns, now_ns - due_ns)
         self._wait(now_ns)
-        self._pay_owed(now_ns)
+        self._tell_again(now_ns)
         if self.reader is not None:
             self.reader.ask(now_ns, self.quiet_ns(now_ns))
 
     def next_wakeup_ns(self, now_ns: int) -> int | None:
         """Return when `advance` must be called again at the latest."""
-        wakeups_ns = self._owed_ns()
+        wakeups_ns = self._again_ns()
         if self._tick_ns is not None:
             wakeups_ns.append(self._tick_ns)
         elif self.clock.target_rate > 0.0:
@@ -228,17 +223,18 @@ class Streamer:
         state = self.waiting.advance(self.clock, now_ns)
         if state == "begun" and self._tick_ns is not None:
             self._tick_ns = None
-            self._follow_course(now_ns, None, 0)
+            self._follow_course(now_ns, RAMP_TICK_NS, 0)
         elif state in ("met", "timeout") and 0.0 < self.clock.target_rate < 1.0:
             self._tick_ns = now_ns
 
     def quiet_ns(self, now_ns: int) -> int | None:
         """Return until when the lines are free of moves; None: no move is planned."""
+        quiet_ns = self._again_ns()
         if self._tick_ns is not None:
-            return self._tick_ns
-        if self.clock.target_rate <= 0.0 or (due_ns := self._next_due_ns()) is None:
-            return None
-        return max(due_ns, now_ns)
+            quiet_ns.append(self._tick_ns)
+        elif self.clock.target_rate > 0.0 and (due_ns := self._next_due_ns()) is not None:
+            quiet_ns.append(due_ns)
+        return max(min(quiet_ns), now_ns) if quiet_ns else None
 
     def _send_due(self, due_us: int, move: Move, now_ns: int, late_ns: int) -> None:
         track = self._by_address[move.bus, move.servo_id]
@@ -251,9 +247,8 @@ class Streamer:
             show_s = self._program.within(self.clock.show_s(heard_ns))
             turning_s = track.turning_s(move, show_s, heard_ns)
             left_s = s_from_ms(move.duration_ms or 0) if turning_s is None else turning_s
-        track.send_active(
-            self._lines[track.joint.bus], left_s, now_ns, is_late=late_ns + wait_ns > LATE_NS
-        )
+        if track.led_ns is None:
+            track.send_active(self._lines[track.joint.bus], left_s, now_ns)
 
     def _say_again(self, track: Track, now_ns: int) -> None:
         """Send what is left of a move that its servo has not heard; ramps say all again anyway."""
@@ -270,16 +265,21 @@ class Streamer:
     def _left_s(self, track: Track, now_ns: int) -> float:
         return track.left_s(self._lines[track.joint.bus], self.clock, now_ns)
 
-    def _owed_ns(self) -> list[int]:
-        """Return when targets are said again that the speed limit did not let be said at once."""
-        return [track.owed[0] for track in self.tracks.values() if track.owed is not None]
+    def _again_ns(self) -> list[int]:
+        """Return when joints are told what the limits did not let them be told at once."""
+        return [ns for track in self.tracks.values() if (ns := track.again_ns) is not None]
 
-    def _pay_owed(self, now_ns: int) -> None:
+    def _tell_again(self, now_ns: int) -> None:
         for track in self.tracks.values():
-            if track.owed is not None and track.owed[0] <= now_ns:
-                self.statistics.sent(now_ns - track.owed[0])
-                left_s = self._left_s(track, now_ns)
-                track.send(self._lines[track.joint.bus], track.owed[1], left_s, now_ns)
+            if track.again_ns is None or track.again_ns > now_ns:
+                continue
+            self.statistics.sent(now_ns - track.again_ns)
+            line = self._lines[track.joint.bus]
+            if track.owed is not None:
+                track.send(line, track.owed[1], self._left_s(track, now_ns), now_ns)
+                continue
+            is_even = self._tick_ns is None and self.clock.target_rate == 1.0
+            lead(track, line, self._planned_deg, now_ns, self._periods.led_ns, is_even=is_even)
 
     # ---- the rate ramps
 
@@ -290,15 +290,14 @@ class Streamer:
         self._skip_due(now_ns)
         late_ns = now_ns - self._tick_ns
         if self.clock.is_ramping(now_ns) or 0.0 < self.clock.target_rate < 1.0:
-            periods = ramp_periods(self.tracks.values(), self._lines)
-            self._follow_course(now_ns, periods, late_ns)
-            self._tick_ns = now_ns + periods.tick_ns
+            self._follow_course(now_ns, self._periods.tick_ns, late_ns)
+            self._tick_ns = now_ns + self._periods.tick_ns
             if self.clock.is_ramping(now_ns):
                 self._tick_ns = min(self._tick_ns, self.clock.ramp_end_ns)
             return
         self._tick_ns = None
         if self.clock.target_rate == 0.0:
-            self._follow_course(now_ns, None, late_ns)
+            self._follow_course(now_ns, RAMP_TICK_NS, late_ns)
         else:
             self._take_up(now_ns, late_ns)
 
@@ -317,7 +316,7 @@ class Streamer:
     def _take_up(self, now_ns: int, late_ns: int) -> None:
         """Send every joint what is left of the move under way, now that the rate is steady."""
         for track in self.tracks.values():
-            if track.active is None:
+            if track.active is None or track.led_ns is not None:
                 continue
             left_s = self._left_s(track, now_ns)
             target_deg = track.active.target_wire / track.limits.wire_per_deg
@@ -326,20 +325,22 @@ class Streamer:
             if left_s > 0.0 or abs(target_deg - position_deg) > unit_deg or speed_deg_s != 0.0:
                 self.statistics.sent(late_ns)
                 left_s = max(left_s, s_from_ns(RAMP_TICK_NS))
-                track.send_active(self._lines[track.joint.bus], left_s, now_ns, is_late=True)
+                track.send_active(self._lines[track.joint.bus], left_s, now_ns)
 
-    def _follow_course(self, now_ns: int, periods: RampPeriods | None, late_ns: int) -> None:
-        """Send every joint that is off its course a move that brings it there in one period."""
+    def _follow_course(self, now_ns: int, period_ns: int, late_ns: int) -> None:
+        """Bring every joint that is off its course there in one period; lead those streamed."""
+        for track in self.tracks.values():
+            track.lead_from(now_ns)
         for track, aim_deg, left_s in spot_moves(
             self.tracks.values(),
             self._lines,
             now_ns=now_ns,
-            periods=periods,
+            period_ns=period_ns,
             planned_deg=self._planned_deg,
             ends_ns=self.clock.ramp_end_ns if self.clock.target_rate == 0.0 else None,
         ):
             self.statistics.sent(late_ns)
-            track.send(self._lines[track.joint.bus], aim_deg, left_s, now_ns, is_late=True)
+            track.send(self._lines[track.joint.bus], aim_deg, left_s, now_ns)
 
     # ---- judging
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 from lss_motion.player.following import Following
 from lss_motion.player.hearing import Hearing
 from lss_motion.player.lag import Lag
+from lss_motion.player.setpoints import make_setpoints
 from lss_motion.player.trace import Trace
 from lss_motion.program.course import servo_limits
 from lss_motion.program.drives import lead
-from lss_motion.program.filtered import FilterProfile
 from lss_motion.program.model import heard_us
 from lss_motion.program.predict import make_profile, profiles
 from lss_motion.program.response import Profile
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lss_motion.player.line import Line
+    from lss_motion.player.setpoints import Setpoints
     from lss_motion.player.show_clock import ShowClock
     from lss_motion.program.course import ServoLimits
     from lss_motion.program.model import Move, Program
@@ -33,11 +34,6 @@ if TYPE_CHECKING:
     from lss_motion.protocol.constants import Status
     from lss_motion.robot.model import Joint, Robot
 
-ROOM_RATIO = 2.0
-"""A streamed course that was fitted within a tolerance winds: a step may be longer than the last
-one by this many tolerances, besides what the acceleration limit allows."""
-ROOM_BEHIND_RATIO = 0.5
-"""The same while a joint catches up: half a tolerance is a unit of the wire."""
 JOIN_S = 0.1
 """A joint that has missed a move catches up in about this time, if its limits allow. Chosen."""
 HISTORY_S = 2.0
@@ -64,8 +60,10 @@ class Track:
     """The move of the program that is under way, or was last."""
     owed: tuple[int, float] | None = None
     """When to say which target again, because the speed limit did not let it be said at once."""
-    is_behind: bool = False
-    """Whether a streamed joint has to catch up with a move that was late."""
+    setpoints: Setpoints | None = None
+    """What the filter of a streamed joint makes of its targets."""
+    led_ns: int | None = None
+    """When a streamed joint that is off its program is told next where to go; None: it is on it."""
     heard_ns: int | None = None
     """When the servo heard its last move."""
     said_again: int = 0
@@ -89,8 +87,20 @@ class Track:
     def stand(self, position_deg: float) -> None:
         """Note that the servo stands at `position_deg`, wherever it was before."""
         self.profile = make_profile(self.joint, position_deg, origin_s=self.origin_s)
-        self.owed = None
+        self.owed = self.led_ns = None
+        self.setpoints = make_setpoints(self.joint, position_deg, self.limits)
         self.following.stand(position_deg)
+
+    def lead_from(self, now_ns: int) -> None:
+        """Let a streamed joint be led from now on, unless it is already."""
+        if self.joint.drive == "streamed" and self.is_driven and self.led_ns is None:
+            self.led_ns = now_ns
+
+    def pose_deg(self, planned_deg: float) -> float:
+        """Return the joint angle at which the plan, corrected, has it stand."""
+        servo_deg = planned_deg + self.following.offset_deg
+        low_deg, high_deg = self.limits.position_min_deg, self.limits.position_max_deg
+        return self.joint.joint_deg(min(max(servo_deg, low_deg), high_deg))
 
     def learn(self, earlier: Track) -> None:
         """Take over what was learnt about the same joint: what pulls at it, and how it lags."""
@@ -104,23 +114,27 @@ class Track:
         """Return position and speed of the profile at `heard_ns`, after all that was sent."""
         return self.profile.at(s_from_ns(heard_ns))
 
-    def wire_for(self, target_deg: float, heard_ns: int, *, is_late: bool = False) -> int:
+    def wire_for(self, target_deg: float, heard_ns: int) -> int:
         """Return the wire value next to `target_deg` plus the correction, inside the range.
 
-        A timed move keeps the speed limit by its T. The others by their target: what it takes off
-        is owed, to be said again when the servo has come that far. After one that `is_late` they
-        have less room to catch up in than a fitted course has to wind.
+        A timed move keeps the speed limit by its T, the others by their target: what it takes off
+        is owed, to be said again when the servo has come that far, or led to (`lead`).
         """
-        self.is_behind = self.is_behind or is_late
-        limits = self.limits
         corrected = target_deg + self.following.offset_deg
-        wire = lattice(corrected, limits)
-        low_deg, high_deg = self._reach(s_from_ns(heard_ns), corrected)
-        allowed = lattice(min(max(corrected, low_deg), high_deg), limits)
+        wire = lattice(corrected, self.limits)
+        low_deg, high_deg = self._reach(heard_ns)
+        allowed = lattice(min(max(corrected, low_deg), high_deg), self.limits)
         again_ns = heard_ns + ns_from_s(self.period_s)
-        self.owed = None if allowed == wire else (again_ns, target_deg)
-        self.is_behind = is_late or (self.is_behind and self.owed is not None)
+        if self.joint.drive == "streamed":
+            self.led_ns = None if allowed == wire else again_ns
+        else:
+            self.owed = None if allowed == wire else (again_ns, target_deg)
         return allowed
+
+    @property
+    def again_ns(self) -> int | None:
+        """When it is to be told something again, whatever the program says."""
+        return self.led_ns if self.owed is None else self.owed[0]
 
     @property
     def period_s(self) -> float:
@@ -128,48 +142,18 @@ class Track:
         is_streamed = self.joint.drive == "streamed"
         return self.joint.response.filter_s if is_streamed else PULSE_S
 
-    def ahead_s(self, period_s: float) -> float:
-        """Return how far ahead a command aims that is followed by another one after `period_s`.
-
-        A jump is right in the middle of the time for which it holds; a filter takes up a command
-        no sooner than its servo's next loop.
-        """
-        if self.joint.drive == "stepped":
-            return 0.5 * period_s
-        return period_s + (self.joint.response.loop_s if self.joint.drive == "streamed" else 0.0)
-
-    def _reach(self, heard_s: float, towards_deg: float) -> tuple[float, float]:
-        """Return between which targets the limits allow one on the way to another one.
-
-        A filter slows down as abruptly as it is told to: one that is behind goes no faster than it
-        can brake from before it is there.
-        """
-        speed_deg_s = self.limits.speed_max_deg_s
-        if isinstance(self.profile, FilterProfile):
-            ratio = ROOM_BEHIND_RATIO if self.is_behind else ROOM_RATIO
-            room_deg = ratio * self.limits.tolerance_deg
-            if self.is_behind:
-                way_deg = abs(towards_deg - self.profile.at(heard_s)[0])
-                speed_deg_s = min(speed_deg_s, (2.0 * self.limits.ramp_deg_s2 * way_deg) ** 0.5)
-            accel_deg_s2, may_stop = self.limits.ramp_deg_s2, not self.is_behind
-            return self.profile.reach(
-                heard_s, speed_deg_s, accel_deg_s2, room_deg, may_stop=may_stop
-            )
+    def _reach(self, heard_ns: int) -> tuple[float, float]:
+        """Return between which targets the limits allow one."""
+        heard_s = s_from_ns(heard_ns)
+        if self.setpoints is not None:
+            return self.setpoints.allowed(heard_s)
         if self.joint.drive == "timed":
             return self.limits.position_min_deg, self.limits.position_max_deg
         passed_s = PULSE_S if self.heard_ns is None else heard_s - s_from_ns(self.heard_ns)
-        reach_deg = self.joint.unit_deg + speed_deg_s * min(passed_s, 2.0 * PULSE_S)
+        reach_deg = self.limits.speed_max_deg_s * min(passed_s, 2.0 * PULSE_S)
+        reach_deg += self.joint.unit_deg
         position_deg, _ = self.profile.at(heard_s)
         return position_deg - reach_deg, position_deg + reach_deg
-
-    def chased(self, aim_deg: float, heard_ns: int, over_s: float) -> float:
-        """Return the target of a bare `D` that is to bring the servo to `aim_deg` in `over_s`."""
-        if not isinstance(self.profile, FilterProfile):
-            return aim_deg
-        steps = max(1, round(over_s / self.profile.period_s))
-        offset_deg = self.following.offset_deg
-        heard_s = s_from_ns(heard_ns)
-        return self.profile.target_for(aim_deg + offset_deg, heard_s, steps) - offset_deg
 
     def left_s(self, line: Line, clock: ShowClock, now_ns: int) -> float:
         """Return how much run time is left to the move under way if it is sent now; 0 if no T."""
@@ -180,11 +164,11 @@ class Track:
         heard_ns = line.heard_ns(len(move.data), now_ns)
         return (end_s - clock.show_s(heard_ns)) / clock.target_rate
 
-    def send_active(self, line: Line, left_s: float, now_ns: int, *, is_late: bool = False) -> None:
+    def send_active(self, line: Line, left_s: float, now_ns: int) -> None:
         """Send the move under way, with `left_s` to travel."""
         assert self.active is not None
         target_deg = self.active.target_wire / self.limits.wire_per_deg
-        self.send(line, target_deg, left_s, now_ns, is_late=is_late)
+        self.send(line, target_deg, left_s, now_ns)
 
     def rejoin(self, line: Line, show_s: float, left_s: float, now_ns: int) -> None:
         """Send what its servo has missed of the move under way, which has `left_s`.
@@ -235,24 +219,16 @@ class Track:
         least_s = abs(target_deg - position_deg) / self.limits.speed_max_deg_s
         return max(1, round(MS_PER_S * left_s), -int(-MS_PER_S * least_s // 1))
 
-    def send(
-        self, line: Line, target_deg: float, left_s: float, now_ns: int, *, is_late: bool = False
-    ) -> None:
+    def send(self, line: Line, target_deg: float, left_s: float, now_ns: int) -> None:
         """Hand over the move to `target_deg` that has `left_s`, corrected and within the limits."""
         if not self.is_driven:
             return
-        if is_late and self.joint.drive == "streamed" and self.heard_ns is not None:
-            # Two words within one step of the filter: nobody knows which of its steps they meet.
-            again_ns = self.heard_ns + ns_from_s(self.period_s)
-            if line.heard_ns(0, now_ns) < again_ns:
-                self.owed, self.is_behind = (again_ns, target_deg), True
-                return
-        servo_id = self.joint.servo_id
-        target_wire = self.wire_for(target_deg, line.heard_ns(0, now_ns), is_late=is_late)
-        duration_ms = None
-        if self.joint.drive == "timed":
-            guess = encode_move(servo_id, target_wire, max(1, round(MS_PER_S * left_s)))
-            duration_ms = self.duration_for(target_wire, line.heard_ns(len(guess), now_ns), left_s)
+        servo_id, is_timed = self.joint.servo_id, self.joint.drive == "timed"
+        guess_ms = max(1, round(MS_PER_S * left_s)) if is_timed else None
+        guess = encode_move(servo_id, round(target_deg * self.limits.wire_per_deg), guess_ms)
+        heard_ns = line.heard_ns(len(guess), now_ns)
+        target_wire = self.wire_for(target_deg, heard_ns)
+        duration_ms = self.duration_for(target_wire, heard_ns, left_s) if is_timed else None
         heard_ns = line.send(encode_move(servo_id, target_wire, duration_ms), now_ns)
         self.moved(heard_ns, target_wire, duration_ms)
 
@@ -263,6 +239,8 @@ class Track:
         target_deg = target_wire / self.limits.wire_per_deg
         if self.hearing is not None and isinstance(self.profile, Profile):
             self.hearing.told(self.profile.copy(), heard_s, target_deg, duration_s)
+        if self.setpoints is not None:
+            self.setpoints.told(heard_s, target_deg)
         self.profile.retarget(heard_s, target_deg, duration_s)
         self.profile.forget_before(heard_s - HISTORY_S)
         self.heard_ns = heard_ns
@@ -283,12 +261,14 @@ def make_tracks(
     tracks = {}
     for name, plan in profiles(program, robot).items():
         joint, servo_deg = robot.joints[name], standing_deg[name]
+        limits = servo_limits(joint, program.tolerance_deg)
         tracks[name] = Track(
             joint=joint,
             plan=plan,
             profile=make_profile(joint, servo_deg, origin_s=origin_s),
+            setpoints=make_setpoints(joint, servo_deg, limits),
             following=Following(speed_max_deg_s=joint.speed_max_deg_s, standing_deg=servo_deg),
-            limits=servo_limits(joint, program.tolerance_deg),
+            limits=limits,
             lead_s=lead(joint),
             origin_s=origin_s,
             hearing=Hearing(joint.unit_deg, joint.response.loop_s) if has_feedback else None,

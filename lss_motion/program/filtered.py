@@ -70,38 +70,6 @@ class FilterProfile:
         at = bisect_right(self._steps, step) - 1
         return self._values[at] if at >= 0 else self._first_deg
 
-    def target_for(self, aim_deg: float, heard_s: float, steps: int) -> float:
-        """Return the target that, heard at `heard_s`, brings x to `aim_deg` after `steps`."""
-        before_deg = self.value(self.acts_on(heard_s) - 1)
-        return before_deg + (aim_deg - before_deg) / (1.0 - self.keep_ratio**steps)
-
-    def reach(
-        self,
-        heard_s: float,
-        speed_max_deg_s: float,
-        accel_deg_s2: float,
-        room_deg: float,
-        *,
-        may_stop: bool = True,
-    ) -> tuple[float, float]:
-        """Return the least and largest target that keep the limits if heard at `heard_s`.
-
-        The next step is no faster than `speed_max_deg_s`, and no faster than the last one but for
-        `accel_deg_s2` and `room_deg`; unless it `may_stop`, no slower either.
-        """
-        step = self.acts_on(heard_s)
-        before_deg = self.value(step - 1)
-        last_deg = before_deg - self.value(step - 2)
-        more_deg = accel_deg_s2 * self.period_s * self.period_s + room_deg
-        most_deg = speed_max_deg_s * self.period_s
-        down_deg = self.count * min(most_deg, max(-last_deg, 0.0) + more_deg)
-        up_deg = self.count * min(most_deg, max(last_deg, 0.0) + more_deg)
-        low_deg, high_deg = before_deg - down_deg, before_deg + up_deg
-        if not may_stop:
-            low_deg = max(low_deg, before_deg + self.count * (last_deg - more_deg))
-            high_deg = min(high_deg, before_deg + self.count * (last_deg + more_deg))
-        return min(low_deg, high_deg), max(low_deg, high_deg)
-
     # ---- commands
 
     def retarget(self, heard_s: float, target_deg: float, _duration_s: float | None) -> None:

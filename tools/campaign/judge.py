@@ -35,20 +35,12 @@ WINDOW: Final = 4
 SPEED_EXCESS: Final = 1.05
 ACCEL_EXCESS: Final = 1.1
 """As in the tests of the player: what the simulator's loop of 5 ms adds."""
-STREAMED_EXCESS: Final = 1.3
-"""A filter steps every 20 ms; nobody knows when within it a command comes. Its course winds within
-the tolerance of its program from one step to the next, and that is what EM0 makes of it: of 52
-streamed joints of random shows without a fault, the worst winds by 0.94 of that."""
 RANGE_EXCESS_DEG: Final = 0.3
 RESTS_WITHIN_DEG: Final = 4.0
 """A finished show without a fault has its horns this near to its last pose: `following_deg` is 10
 while it moves, and at its end a joint must have arrived (3 deg), besides noise."""
 TELLING_S: Final = 1.5
 """A fault that begins later than this before the end of the run need not have been noticed."""
-KEYS_EXCESS: Final = 1.5
-"""For a streamed joint in a show that somebody pauses and slows: a course at its own limit leaves
-nothing for the change of rate, and no ramps of a servo hide that. Known, and not good: the worst
-of 60 random shows needs 1.4."""
 
 WORD_KINDS: Final = {
     FaultKind.CORRUPT_COMMAND,
@@ -287,8 +279,7 @@ class _Judge:
         speed_deg_s = SPEED_EXCESS * joint.speed_max_deg_s
         accel_deg_s2 = ACCEL_EXCESS * joint.accel_max_deg_s2
         if joint.drive == "streamed":
-            speed_deg_s *= STREAMED_EXCESS
-            accel_deg_s2 *= KEYS_EXCESS if self.witness.has_acted else 1.0
+            # From one step of a filter to the next, a course winds within its tolerance.
             accel_deg_s2 += self.program.tolerance_deg / joint.response.filter_s**2
         for what, values, limit, unit in (
             ("speed", speed, speed_deg_s, "deg/s"),
