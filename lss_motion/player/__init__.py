@@ -5,5 +5,6 @@ setup, settling  before and after the show · events  what happened
 watch         what is wrong · troubles, ladder, recovery  what is done about it
 agenda        marks and cues: what comes at its time and is not motion
 streamer      one program on the show clock · track, following  one joint meanwhile
+setpoints, leading  what a joint in EM0 may be told, and how it is led back to its program
 line, queries, turnaround, readings, dialogue, conversation  what goes over a line and what it means
 """
