@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.cli.controls import KEYS_HELP
 from lss_motion.player.events import Phase
-from lss_motion.units import NS_PER_S, NS_PER_US
+from lss_motion.runtime.real_time import stand_back
+from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from lss_motion.player.track import Track
 
 FRAME_NS: Final = NS_PER_S // 10
+ROOM_NS: Final = 3 * NS_PER_MS
+"""A frame is not handed over so shortly before a move is due: it takes 1 ms (measured)."""
 NOTES_SHOWN: Final = 5
 MARKS_SHOWN: Final = 3
 """Named keyframes that are still to come."""
@@ -62,6 +65,8 @@ class Display:
     def show(self, player: Player, now_ns: int) -> None:
         """Hand over a frame, if it is time for one and the last has been taken."""
         if now_ns < self._next_ns or player.phase in (Phase.CONNECT, Phase.READY):
+            return
+        if player.is_due_within(ROOM_NS, now_ns) and now_ns < self._next_ns + FRAME_NS:
             return
         if self._child is None:
             self._begin()
@@ -232,6 +237,7 @@ def _table(joints: list[list[Any]]) -> Table:
 def main() -> int:
     """Draw what comes in until there is no more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    stand_back()
     from rich.console import Console
     from rich.live import Live
 

@@ -34,6 +34,9 @@ IDLE_NS: Final = 20 * NS_PER_MS
 APPROACHES_MAX: Final = 3
 """Chosen: a move that was lost on the line is said again; a joint that cannot get there is not
 pushed for ever."""
+COUNT_IN_NS: Final = 200 * NS_PER_MS
+"""From when all is in its place to the show's first instant: making a show ready takes time (13 ms
+of processor time for 18 joints, measured), and nothing may be due meanwhile."""
 DRIVING: Final = (Phase.APPROACH, Phase.SHOW)
 
 
@@ -259,7 +262,7 @@ class Phases:
         self._enter(Phase.SHOW)
         self.troubles.forget()
         if self.show is None:
-            self.show = self._session.begin(now_ns)
+            self.show = self._session.begin(now_ns + COUNT_IN_NS)
             self.show.is_open = self.is_open
         else:
             self.show.resume(self._session.left_out, now_ns)

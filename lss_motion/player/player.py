@@ -105,6 +105,11 @@ class Player:
         """The show itself, once it has begun."""
         return self._phases.show
 
+    def is_due_within(self, span_ns: int, now_ns: int) -> bool:
+        """Return whether the show has a move to send that soon."""
+        due_ns = None if self.show is None else self.show.quiet_ns(now_ns)
+        return due_ns is not None and due_ns < now_ns + span_ns
+
     @property
     def show_ended_ns(self) -> int | None:
         return self._phases.show_ended_ns

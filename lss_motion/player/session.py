@@ -125,10 +125,10 @@ class Session:
         program = approach(self.robot, self.standing_deg, place_deg)
         return self._stream(program, self.standing_deg, now_ns, None)
 
-    def begin(self, now_ns: int) -> Streamer:
-        """Return the show, with every joint at its start."""
+    def begin(self, start_ns: int) -> Streamer:
+        """Return the show, which starts at `start_ns`, with every joint at its start."""
         standing = {n: self.robot.joints[n].servo_deg(deg) for n, deg in self.start_deg().items()}
-        return self._stream(self.program, standing, now_ns, self.start_s)
+        return self._stream(self.program, standing, start_ns, self.start_s)
 
     def _stream(
         self,

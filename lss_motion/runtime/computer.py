@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.runtime.devices import list_devices, permission_hint
-from lss_motion.runtime.real_time import set_timer_slack
+from lss_motion.runtime.real_time import prompt_waits
 from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
 if TYPE_CHECKING:
@@ -243,8 +243,7 @@ def _smallest_step_ns() -> int:
 
 def _measure_lates_ns() -> list[int]:
     lates_ns = []
-    set_timer_slack(1)
-    try:
+    with prompt_waits():
         for _ in range(JITTER_WAITS):
             due_ns = time.monotonic_ns() + JITTER_WAIT_NS
             if sys.platform == "win32":
@@ -252,6 +251,4 @@ def _measure_lates_ns() -> list[int]:
             else:
                 select.select([], [], [], JITTER_WAIT_NS / NS_PER_S)
             lates_ns.append(max(time.monotonic_ns() - due_ns, 0))
-    finally:
-        set_timer_slack(0)
     return lates_ns

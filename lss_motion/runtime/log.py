@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError
+from lss_motion.runtime.real_time import stand_back
 from lss_motion.units import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
@@ -137,6 +138,7 @@ def main() -> int:
     """Copy what comes in to the end of a file, until there is no more."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
+    stand_back()
     with Path(sys.argv[1]).open("ab", buffering=0) as file:
         while chunk := os.read(0, 1 << 16):
             file.write(chunk)

@@ -10,7 +10,7 @@ import time
 from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 from lss_motion.runtime.clock import VirtualClock
-from lss_motion.runtime.real_time import set_timer_slack
+from lss_motion.runtime.real_time import prompt_waits
 from lss_motion.units import NS_PER_S, s_from_ns
 
 if TYPE_CHECKING:
@@ -159,16 +159,15 @@ def _wait(
 def _undisturbed(*, is_real: bool) -> Iterator[None]:
     """Keep the garbage collector out while a show runs; in real time ask for fine timers too."""
     was_enabled = gc.isenabled()
-    if is_real:
-        gc.collect()
-        gc.freeze()
-        set_timer_slack(1)
-    gc.disable()
-    try:
-        yield
-    finally:
+    with contextlib.ExitStack() as stack:
         if is_real:
-            set_timer_slack(0)
-            gc.unfreeze()
-        if was_enabled:
-            gc.enable()
+            gc.collect()
+            gc.freeze()
+            stack.callback(gc.unfreeze)
+            stack.enter_context(prompt_waits())
+        gc.disable()
+        try:
+            yield
+        finally:
+            if was_enabled:
+                gc.enable()

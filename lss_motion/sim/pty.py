@@ -12,7 +12,7 @@ import time
 from typing import TYPE_CHECKING
 
 from lss_motion.errors import BusError, InputError
-from lss_motion.runtime.real_time import set_timer_slack
+from lss_motion.runtime.real_time import prompt_waits
 from lss_motion.sim.build import bus_from_robot
 from lss_motion.units import LINE_BITS_PER_BYTE, NS_PER_MS, NS_PER_S, line_time_ns
 
@@ -80,8 +80,7 @@ def serve_buses(
     """Do as `serve` does for buses that are there already."""
     with contextlib.ExitStack() as stack:
         alarm_fd, received = stack.enter_context(_signals())
-        set_timer_slack(1)
-        stack.callback(set_timer_slack, 0)
+        stack.enter_context(prompt_waits())
         ports = []
         for name, bus in buses.items():
             linked = None

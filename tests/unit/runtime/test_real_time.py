@@ -1,11 +1,15 @@
 from __future__ import annotations
 
 import os
+import re
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
 from lss_motion.runtime import real_time as subject
-from lss_motion.runtime.real_time import PRIORITY, real_time
+from lss_motion.runtime.real_time import PRIORITY, SLICE_NS, prompt_waits, real_time
 
 pytestmark = pytest.mark.skipif(
     not hasattr(os, "sched_setscheduler"), reason="this system has no such call"
@@ -63,3 +67,30 @@ def test_nobody_is_asked_for_what_is_not_wanted(system):
     with real_time(is_wanted=False) as refused:
         assert refused == []
     assert system.calls == []
+
+
+def slice_ns():
+    """Return how long this process runs at a time, as Linux tells since 6.12."""
+    path = Path("/proc/self/sched")
+    text = path.read_text(encoding="ascii") if path.exists() else ""
+    match = re.search(r"^se\.slice\s*:\s*(\d+)", text, re.MULTILINE)
+    return None if match is None else int(match[1])
+
+
+@pytest.mark.skipif(slice_ns() is None, reason="this system has no slices, or does not tell them")
+def test_a_player_asks_for_a_short_time_on_the_processor_and_gives_it_back():
+    before_ns = slice_ns()
+    assert before_ns > SLICE_NS
+    with prompt_waits():
+        assert slice_ns() == SLICE_NS
+    assert slice_ns() == before_ns
+
+
+@pytest.mark.skipif(not hasattr(os, "SCHED_BATCH"), reason="this system has no such priority")
+def test_a_helper_never_interrupts_the_player():
+    said = (
+        "import os; from lss_motion.runtime.real_time import stand_back; before = os.nice(0); "
+        "stand_back(); print(os.sched_getscheduler(0) == os.SCHED_BATCH, os.nice(0) > before)"
+    )
+    done = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["True", "True"]
