@@ -9,6 +9,7 @@ import pytest
 
 from lss_motion.errors import BusError, InputError, PlaybackError
 from lss_motion.player.events import MarkPassed, PhaseEntered, Warned
+from lss_motion.player.phases import COUNT_IN_NS
 from lss_motion.robot.models import SERVO_MODELS
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics
@@ -42,6 +43,31 @@ def test_a_show_is_heard_on_time_and_done_by_the_horns(stage, kit):
     assert played.report["timing"]["commands"] > 30
     assert played.report["buses"]["bus0"]["replies"] > 1000
     assert played.report["buses"]["bus0"]["garbage"] == 0
+
+
+@pytest.mark.parametrize("act", ["nothing", "stop", "pause"])
+def test_a_show_is_counted_in_and_may_be_stopped_meanwhile(stage, kit, act):
+    """Making it ready takes a real host time; nothing may be due then."""
+    begun_ns = []
+
+    def in_count_in(player, now_ns):
+        if player.phase == "playing" and not begun_ns:
+            begun_ns.append(now_ns)
+        return bool(begun_ns) and now_ns > begun_ns[0] + COUNT_IN_NS // 2
+
+    robot = kit.robot(baud_bps=FAST_BPS)
+    wishes = {
+        "nothing": [(in_count_in, lambda player, now_ns: None)],
+        "stop": [(in_count_in, kit.stop)],
+        "pause": [(in_count_in, kit.rate(0.0)), (stands, kit.rate(1.0))],
+    }[act]
+    played = stage.play(robot, wishes=wishes)
+    moved = [at_ns for at_ns, line in played.bus.heard if b"D" in line and b"T" in line]
+    show = [at_ns for at_ns in moved if at_ns > begun_ns[0]]
+    assert_ended_safely(played, robot)
+    assert show == [] if act == "stop" else show[0] >= begun_ns[0] + COUNT_IN_NS
+    assert played.report["outcome"] == ("stopped" if act == "stop" else "finished")
+    assert np.abs(played.horn_error_deg()).max() < 0.8
 
 
 def test_without_feedback_the_same_moves_are_heard_and_no_question_in_the_show(stage, kit):
@@ -372,7 +398,7 @@ def test_a_loop_without_end_goes_on_until_it_is_stopped(stage, kit):
     ids=lambda fault: fault.kind.value,
 )
 def test_bad_replies_disturb_no_horn(stage, kit, fault):
-    played = stage.play(faults=[fault])
+    played = stage.play(kit.robot(baud_bps=FAST_BPS), faults=[fault])
     assert played.report["outcome"] == "finished"
     assert np.abs(played.horn_error_deg()).max() < 1.5
     bus = played.report["buses"]["bus0"]
