@@ -1,6 +1,6 @@
 """The timed response model for many servos at once: `response` in arrays.
 
-Every function takes and returns arrays of one shape, an element a servo (or a trial move of one).
+Every function takes and returns arrays, an element a servo, or rows of such: a row for each trial.
 What it says is what `response.Profile` says of each alone, which a test holds.
 """
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     FloatArray = NDArray[np.float64]
+    SingleArray = NDArray[np.float32]
     IntArray = NDArray[np.intp]
     BoolArray = NDArray[np.bool_]
     Index = IntArray | BoolArray | slice
@@ -33,10 +34,6 @@ class States:
 
     def take(self, chosen: Index) -> States:
         return States(self.time_s[chosen], self.position_deg[chosen], self.speed_deg_s[chosen])
-
-    def column(self) -> States:
-        """Return the same in a column, to be combined with rows of trials."""
-        return States(self.time_s[:, None], self.position_deg[:, None], self.speed_deg_s[:, None])
 
 
 def both(one: States, other: States) -> States:
@@ -62,6 +59,12 @@ class Trapezoids:
     peak_deg_s: FloatArray
     first_s: FloatArray
     cruise_s: FloatArray
+
+    def take(self, chosen: IntArray) -> Trapezoids:
+        """Return the moves of the `chosen` servos, in all rows."""
+        moves = (self.sign, self.ramp_deg_s2, self.first_deg_s, self.peak_deg_s, self.first_s)
+        own = (column.take(chosen, axis=-1) for column in (*moves, self.cruise_s))
+        return Trapezoids(self.start.take(chosen), *own)
 
     @property
     def end_s(self) -> FloatArray:

@@ -13,28 +13,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
 from lss_motion.program.course import GRID_S
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from lss_motion.program.batch import FloatArray, IntArray, SingleArray, States
+    from lss_motion.program.course import Courses, Points
 
-    from lss_motion.program.batch import FloatArray, IntArray, States
-    from lss_motion.program.course import Courses, LimitArrays
-
-    SingleArray = NDArray[np.float32]
+Floats = TypeVar("Floats", "SingleArray", "FloatArray")
 
 CONE_RATIO: Final = 0.98
 """How much of the tolerance a cone uses; the rest is for what the wire rounds."""
 ROOM_RATIO: Final = 0.15
 """A profile at or beyond the edge of the tolerance is given this share of it as room, or it could
 not even stay in step with the course."""
-UNREACHED: Final = np.float32(1e20)
-"""Makes what no ramp reaches in time a change of speed beyond all others, without a branch."""
 DIVISOR_LEAST: Final = np.float32(1e-20)
+"""Makes what no ramp reaches in time a change of speed beyond all others, without a branch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,33 +39,32 @@ class Cones:
     """The cones of some servos at some instants: `sides_deg_s` has shape (instants, 2, servos).
 
     Row `k` is `k` strides after the first grid instant that is not before the start. A side is the
-    lowest travel speed, and the highest negated.
+    lowest travel speed, and the highest negated; both counted from the speed at the start. For
+    `held` rows each cone is open: once empty it stays empty.
     """
 
     sides_deg_s: SingleArray
-    stride: int
+    speed_deg_s: SingleArray
+    held: IntArray
 
-    @property
-    def held(self) -> IntArray:
-        """For how many rows each cone is open: once empty it stays empty."""
-        is_open = self.sides_deg_s[:, 0] + self.sides_deg_s[:, 1] <= 0.0
-        held: IntArray = is_open.sum(axis=0, dtype=np.intp)
-        return held
+    def at(self, servos: IntArray, rows: IntArray) -> tuple[SingleArray, SingleArray]:
+        """Return the lowest and the highest speed of some servos in `rows`, (any, servos).
 
-    def at(self, servos: IntArray, steps: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return the lowest and the highest speed of some servos after `steps`, (servos, any)."""
-        row = np.minimum(-(-steps // self.stride), len(self.sides_deg_s) - 1)
-        low = self.sides_deg_s[row, 0, servos[:, None]].astype(np.float64)
-        return low, -self.sides_deg_s[row, 1, servos[:, None]].astype(np.float64)
+        Those of a row in which the cone is empty are the last ones that are known.
+        """
+        known = np.maximum(np.minimum(rows, self.held[servos] - 1), 0)
+        speed = self.speed_deg_s[servos]
+        low, high = (self.sides_deg_s[known, side, servos] for side in (0, 1))
+        return speed + low, speed - high
 
 
 def ramped(
-    position_deg: FloatArray,
-    speed_deg_s: FloatArray,
-    travel_deg_s: FloatArray,
-    tau_s: FloatArray,
-    ramp_deg_s2: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
+    position_deg: Floats,
+    speed_deg_s: Floats,
+    travel_deg_s: Floats,
+    tau_s: Floats,
+    ramp_deg_s2: Floats,
+) -> tuple[Floats, Floats]:
     """Return position and speed after `tau_s` of ramping to, then keeping, `travel_deg_s`."""
     change = travel_deg_s - speed_deg_s
     ramp_s = np.minimum(np.abs(change) / ramp_deg_s2, tau_s)
@@ -77,56 +73,100 @@ def ramped(
     return position, speed_deg_s + gained
 
 
-def excursion_deg(
-    courses: Courses,
-    flat: IntArray,
-    position_deg: FloatArray,
-    speed_deg_s: FloatArray,
-) -> FloatArray:
+def excursion_deg(position_deg: SingleArray, speed_deg_s: SingleArray, at: Points) -> SingleArray:
     """Return how far profiles stray before they are in step with their courses again.
 
-    They are at `position_deg`, `speed_deg_s` at the grid points `flat`, and have the ramp that the
-    course leaves them.
+    They are at points of their courses, and have the ramp that the course leaves them there.
     """
-    error = position_deg - courses.position_deg[flat]
-    faster = speed_deg_s - courses.speed_deg_s[flat]
+    error = position_deg - at.position_deg
+    faster = speed_deg_s - at.speed_deg_s
     is_faster = faster > 0.0
-    ramp = np.where(is_faster, courses.down_deg_s2[flat], courses.up_deg_s2[flat])
     faster *= faster
-    faster /= 2.0 * ramp
+    faster /= 2.0 * np.where(is_faster, at.down_deg_s2, at.up_deg_s2)
     faster += np.where(is_faster, error, -error)
-    excursion: FloatArray = np.maximum(faster, np.abs(error, out=error), out=faster)
+    excursion: SingleArray = np.maximum(faster, np.abs(error, out=error), out=faster)
     return excursion
 
 
-def opened(
-    courses: Courses,
-    joint: IntArray,
-    state: States,
-    limits: LimitArrays,
-    steps: int,
-    stride: int = 1,
-) -> Cones:
-    """Return the cones of profiles that hear a move in `state`, at so many grid instants."""
-    first = courses.first_index(state.time_s)
-    after_s = (courses.times_s(first) - state.time_s).astype(np.float32)
-    tau = after_s + (GRID_S * stride * np.arange(steps, dtype=np.float32))[:, None]
-    offset = courses.ahead_deg(joint, first, steps, stride)
-    offset -= state.position_deg.astype(np.float32)
-    speed = state.speed_deg_s.astype(np.float32)
-    offset -= speed * tau
-    room = np.abs(offset[0]) + ROOM_RATIO * limits.tolerance_deg
-    tolerance = np.maximum(room, CONE_RATIO * limits.tolerance_deg).astype(np.float32)
-    sides = np.empty((steps, 2, len(joint)), dtype=np.float32)
-    np.subtract(offset, tolerance, out=sides[:, 0])
-    np.negative(offset, out=offset)
-    np.subtract(offset, tolerance, out=sides[:, 1])
-    _change(sides, tau, limits.ramp_deg_s2.astype(np.float32))
-    sides[:, 0] += speed
-    sides[:, 1] -= speed
-    np.maximum(sides[0], -limits.speed_max_deg_s.astype(np.float32), out=sides[0])
-    _intersect(sides)
-    return Cones(sides, stride)
+@dataclass(frozen=True, slots=True)
+class Starts:
+    """Profiles that hear a move `after_s` before the grid point `first` of their courses."""
+
+    joint: IntArray
+    first: IntArray
+    after_s: SingleArray
+    position_deg: SingleArray
+    speed_deg_s: SingleArray
+
+    @classmethod
+    def of(cls, courses: Courses, joint: IntArray, first: IntArray, state: States) -> Starts:
+        """Return those of servos in `state`; `first` is the first grid point not before it."""
+        after_s = courses.times_s(first) - state.time_s
+        columns = after_s, state.position_deg, state.speed_deg_s
+        return cls(joint, first, *(column.astype(np.float32) for column in columns))
+
+
+def opened(courses: Courses, starts: Starts, rows: int, stride: int, block: int) -> Cones:
+    """Return the cones of profiles in so many rows.
+
+    Looked at are `block` rows at once, and the next ones only of the cones that are still open.
+    """
+    cones = _Cones(courses, starts)
+    if rows == block:
+        sides, held = cones.sides(0, rows, stride)
+        return Cones(sides, starts.speed_deg_s, held)
+    every = np.empty((rows, 2, len(starts.joint)), dtype=np.float32)
+    held, some = np.zeros(len(starts.joint), dtype=np.intp), np.arange(len(starts.joint))
+    for begin in range(0, rows, block):
+        sides, now_held = cones.sides(begin, block, stride)
+        every[begin : begin + block, :, some] = sides
+        held[some] += now_held
+        still = np.flatnonzero(now_held == block)
+        if not len(still):
+            break
+        some, cones = some[still], cones.after(sides[-1], still)
+    return Cones(every, starts.speed_deg_s, held)
+
+
+class _Cones:
+    """Cones on their way: where they begin, and the sides that they have come to."""
+
+    def __init__(self, courses: Courses, starts: Starts) -> None:
+        self._courses, self._joint, self._first = courses, starts.joint, starts.first
+        ramp, tolerance, speed_max = courses.reach(starts.joint)
+        position, speed, after_s = starts.position_deg, starts.speed_deg_s, starts.after_s
+        off_deg = np.abs(
+            courses.position_deg(starts.joint, starts.first) - position - speed * after_s
+        )
+        room = np.maximum(off_deg + ROOM_RATIO * tolerance, CONE_RATIO * tolerance)
+        self._columns = np.stack((position, speed, after_s, room, ramp))
+        self._least = np.stack((-speed_max - speed, speed - speed_max))
+
+    def after(self, least: SingleArray, chosen: IntArray) -> _Cones:
+        """Return the `chosen` of these, which have come to the sides `least`."""
+        some = object.__new__(_Cones)
+        some._courses = self._courses
+        some._joint, some._first = self._joint[chosen], self._first[chosen]
+        some._columns, some._least = self._columns[:, chosen], least[:, chosen]
+        return some
+
+    def sides(self, begin: int, rows: int, stride: int) -> tuple[SingleArray, IntArray]:
+        """Return sides from row `begin` on, and in how many of these rows each cone is open."""
+        position, speed, after_s, room, ramp = self._columns
+        row = np.arange(begin, begin + rows, dtype=np.float32)
+        tau = after_s + (GRID_S * stride * row)[:, None]
+        first = self._first + begin * stride
+        offset = self._courses.ahead_deg(self._joint, first, rows, stride)
+        offset -= position
+        offset -= speed * tau
+        sides = np.empty((rows, 2, len(first)), dtype=np.float32)
+        np.subtract(offset, room, out=sides[:, 0])
+        np.subtract(-room, offset, out=sides[:, 1])
+        _change(sides, tau, ramp)
+        np.maximum(sides[0], self._least, out=sides[0])
+        _intersect(sides)
+        is_open = sides[:, 0] + sides[:, 1] <= 0.0
+        return sides, is_open.view(np.uint8).sum(axis=0, dtype=np.uint16).astype(np.intp)
 
 
 def _intersect(sides: SingleArray) -> None:
@@ -143,31 +183,18 @@ def _change(offset_deg: SingleArray, tau_s: SingleArray, ramp_deg_s2: SingleArra
     """Replace offsets by the changes of speed that are so far off the unchanged course after `tau`.
 
     A ramp to a change `c` lasts c/a, so that the offset is c·tau - c²/(2a). What no ramp reaches in
-    that time is next to infinite, with the sign of the offset.
+    that time has no root, and becomes next to infinite, with the sign of the offset.
     """
-    spare = np.abs(offset_deg)
-    spare *= -2.0 / ramp_deg_s2
-    spare += (tau_s * tau_s)[:, None]
-    divisor = np.minimum(spare, 0.0)
-    divisor *= UNREACHED
-    np.maximum(spare, 0.0, out=spare)
-    np.sqrt(spare, out=spare)
-    divisor += spare
-    divisor += tau_s[:, None]
-    np.maximum(divisor, DIVISOR_LEAST, out=divisor)
-    offset_deg *= 2.0
-    offset_deg /= divisor
+    half_s = 0.5 * tau_s
+    divisor = np.abs(offset_deg)
+    divisor *= -0.5 / ramp_deg_s2
+    divisor += (half_s * half_s)[:, None]
+    with np.errstate(invalid="ignore"):
+        np.sqrt(divisor, out=divisor)
+    divisor += half_s[:, None]
+    offset_deg /= np.fmax(divisor, DIVISOR_LEAST, out=divisor)
 
 
-def reach_s(
-    courses: Courses,
-    joint: IntArray,
-    state: States,
-    limits: LimitArrays,
-    steps: int,
-    stride: int,
-) -> FloatArray:
-    """Return, per start state, up to when one move can keep the tolerance."""
-    cones = opened(courses, joint, state, limits, steps, stride)
-    reach: FloatArray = state.time_s + GRID_S * stride * cones.held
-    return reach
+def reach_steps(courses: Courses, starts: Starts, rows: int, stride: int) -> IntArray:
+    """Return for how many grid steps one move of each profile can keep the tolerance."""
+    return stride * opened(courses, starts, rows, stride, rows).held

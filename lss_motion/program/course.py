@@ -6,7 +6,7 @@ All angles are servo angles in degrees.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lss_motion.program.batch import FloatArray, Index, IntArray
+    from lss_motion.program.batch import FloatArray, IntArray, SingleArray
     from lss_motion.robot.model import Joint, Response
 
 GRID_S: Final = 0.005
@@ -114,34 +114,48 @@ def servo_limits(joint: Joint, tolerance_deg: float) -> ServoLimits:
 
 
 class LimitArrays:
-    """`ServoLimits` of many servos, an array a field."""
+    """`ServoLimits` of many servos, an array a field; all in one, which is quick to take from."""
 
     def __init__(self, limits: Sequence[ServoLimits]) -> None:
         def column(name: str) -> FloatArray:
             return np.array([getattr(one, name) for one in limits], dtype=np.float64)
 
-        self.speed_max_deg_s = column("speed_max_deg_s")
-        self.ramp_deg_s2 = column("ramp_deg_s2")
-        self.wire_per_deg = column("wire_per_deg")
-        self.tolerance_deg = column("tolerance_deg")
-        self.wire_min = np.ceil(column("position_min_deg") * self.wire_per_deg - 1e-6)
-        self.wire_max = np.floor(column("position_max_deg") * self.wire_per_deg + 1e-6)
-        self.is_exact = np.array([one.response.t_law == "exact" for one in limits])
-        self.forgets_speed = np.array([one.response.retarget == "from_rest" for one in limits])
+        per_deg = column("wire_per_deg")
+        self._fill(
+            np.stack(
+                (
+                    column("speed_max_deg_s"),
+                    column("ramp_deg_s2"),
+                    per_deg,
+                    column("tolerance_deg"),
+                    np.ceil(column("position_min_deg") * per_deg - 1e-6),
+                    np.floor(column("position_max_deg") * per_deg + 1e-6),
+                    np.array([one.response.t_law == "exact" for one in limits]),
+                    np.array([one.response.retarget == "from_rest" for one in limits]),
+                )
+            )
+        )
 
-    def take(self, chosen: Index) -> LimitArrays:
+    def _fill(self, table: FloatArray) -> None:
+        self._table = table
+        self.speed_max_deg_s, self.ramp_deg_s2, self.wire_per_deg = table[:3]
+        self.tolerance_deg, self.wire_min, self.wire_max = table[3:6]
+        self.is_exact, self.forgets_speed = table[6:] != 0.0
+
+    def take(self, chosen: IntArray) -> LimitArrays:
         """Return the limits of the `chosen` servos, in that order."""
         taken = object.__new__(LimitArrays)
-        for name, values in vars(self).items():
-            setattr(taken, name, values[chosen])
+        taken._fill(self._table.take(chosen, axis=1))
         return taken
 
-    def column(self) -> LimitArrays:
-        """Return the same in a column, to be combined with rows of trials."""
-        column = object.__new__(LimitArrays)
-        for name, values in vars(self).items():
-            setattr(column, name, values[:, None])
-        return column
+
+class Points(NamedTuple):
+    """What courses do at some of their grid points, and the ramp that they leave there."""
+
+    position_deg: SingleArray
+    speed_deg_s: SingleArray
+    up_deg_s2: SingleArray
+    down_deg_s2: SingleArray
 
 
 class Courses:
@@ -151,27 +165,26 @@ class Courses:
         assert len({(one.start_s, len(one.position_deg)) for one in courses}) == 1, "one grid"
         self.start_s = courses[0].start_s
         self.size = len(courses[0].position_deg)
-        self.position_deg = np.concatenate([one.position_deg for one in courses])
         self._padded_deg = np.empty((len(courses), self.size + AHEAD_MAX_STEPS), dtype=np.float32)
-        for row, one in zip(self._padded_deg, courses, strict=True):
-            row[: self.size] = one.position_deg
-            row[self.size :] = one.position_deg[-1]
-        self.speed_deg_s = np.concatenate([_speeds(one.position_deg) for one in courses])
-        accels = [one.accel_deg_s2() for one in courses]
-        ramps = [limit.ramp_deg_s2 for limit in limits]
-        self.up_deg_s2 = np.concatenate(
-            [np.maximum(ramp - _highest_ahead(accel), AUTHORITY_LEAST_RATIO * ramp)
-             for accel, ramp in zip(accels, ramps, strict=True)]
-        )  # fmt: skip
-        self.down_deg_s2 = np.concatenate(
-            [np.maximum(ramp - _highest_ahead(-accel), AUTHORITY_LEAST_RATIO * ramp)
-             for accel, ramp in zip(accels, ramps, strict=True)]
-        )  # fmt: skip
-        bends = [
-            joint * self.size + _bends(accel, ramp)
-            for joint, (accel, ramp) in enumerate(zip(accels, ramps, strict=True))
-        ]
+        points = np.empty((len(courses), self.size, len(Points._fields)), dtype=np.float32)
+        bends = []
+        for joint, (one, limit) in enumerate(zip(courses, limits, strict=True)):
+            self._padded_deg[joint, : self.size] = one.position_deg
+            self._padded_deg[joint, self.size :] = one.position_deg[-1]
+            accel, ramp = one.accel_deg_s2().astype(np.float32), limit.ramp_deg_s2
+            least = AUTHORITY_LEAST_RATIO * ramp
+            columns = points[joint].T
+            columns[0] = one.position_deg
+            columns[1] = _speeds(one.position_deg)
+            columns[2] = np.maximum(ramp - _highest_ahead(accel), least)
+            columns[3] = np.maximum(ramp - _highest_ahead(-accel), least)
+            bends.append(joint * self.size + _bends(accel, ramp))
+        self._points = points.reshape(-1, len(Points._fields))
         self._bends = np.concatenate([[-1], *bends, [len(courses) * self.size]])
+        self._reach = np.array(
+            [[one.ramp_deg_s2, one.tolerance_deg, one.speed_max_deg_s] for one in limits],
+            dtype=np.float32,
+        ).T
 
     @property
     def end_s(self) -> float:
@@ -189,24 +202,37 @@ class Courses:
     def times_s(self, index: IntArray) -> FloatArray:
         return self.start_s + GRID_S * index.astype(np.float64)
 
-    def flat(self, joint: IntArray, index: IntArray) -> IntArray:
-        """Return where the flat arrays hold `index` of `joint`; beyond the end, the end."""
+    def _flat(self, joint: IntArray, index: IntArray) -> IntArray:
+        """Return which of all points is `index` of `joint`; beyond the end, the end."""
         flat: IntArray = joint * self.size + np.minimum(index, self.size - 1)
         return flat
 
+    def position_deg(self, joint: IntArray, index: IntArray) -> SingleArray:
+        """Return where joints are at grid points; beyond the end, at the end."""
+        flat = joint * self._padded_deg.shape[1] + np.minimum(index, self.size - 1)
+        return self._padded_deg.take(flat)
+
+    def at(self, joint: IntArray, index: IntArray) -> Points:
+        """Return what the courses of joints do at grid points; beyond the end, at the end."""
+        flat = self._flat(joint, index)
+        found = self._points.take(flat, axis=0)
+        return Points(*np.ascontiguousarray(np.moveaxis(found, -1, 0)))
+
     def bend_before(self, joint: IntArray, index: IntArray) -> IntArray:
         """Return the last index not beyond `index` at which `joint` bends; -1 if there is none."""
-        at = np.searchsorted(self._bends, self.flat(joint, index), side="right") - 1
+        at = np.searchsorted(self._bends, self._flat(joint, index), side="right") - 1
         return np.maximum(self._bends[at] - joint * self.size, -1)
 
     def bend_after(self, joint: IntArray, index: IntArray) -> IntArray:
         """Return the first index from `index` on at which `joint` bends; the size if none."""
-        at = np.searchsorted(self._bends, self.flat(joint, index), side="left")
+        at = np.searchsorted(self._bends, self._flat(joint, index), side="left")
         return np.minimum(self._bends[at] - joint * self.size, self.size)
 
-    def ahead_deg(
-        self, joint: IntArray, first: IntArray, steps: int, stride: int
-    ) -> NDArray[np.float32]:
+    def reach(self, joint: IntArray) -> SingleArray:
+        """Return ramps, tolerances and top speeds of joints, in rows."""
+        return self._reach.take(joint, axis=1)
+
+    def ahead_deg(self, joint: IntArray, first: IntArray, steps: int, stride: int) -> SingleArray:
         """Return positions, (steps, joints), every `stride` grid steps from `first` on.
 
         Where a course has ended it stands. No further than `AHEAD_MAX_STEPS`.
@@ -226,7 +252,7 @@ def _speeds(position_deg: FloatArray) -> FloatArray:
     return speed
 
 
-def _highest_ahead(values: FloatArray) -> FloatArray:
+def _highest_ahead(values: SingleArray) -> SingleArray:
     """Return the highest of each value and its `AUTHORITY_STEPS` - 1 successors."""
     highest, covered = values.copy(), 1
     while covered < AUTHORITY_STEPS:
@@ -236,7 +262,7 @@ def _highest_ahead(values: FloatArray) -> FloatArray:
     return highest
 
 
-def _bends(accel_deg_s2: FloatArray, ramp_deg_s2: float) -> IntArray:
+def _bends(accel_deg_s2: SingleArray, ramp_deg_s2: float) -> IntArray:
     """Return the grid points at which the acceleration jumps by a good share of the ramp."""
     jump = np.abs(np.diff(accel_deg_s2, prepend=0.0))
     found: IntArray = np.flatnonzero(jump > BEND_RATIO * ramp_deg_s2)

@@ -57,33 +57,34 @@ def best_landings(
     limits: LimitArrays,
 ) -> Landings:
     """Return how moves from `state` land on `wire`, where the courses stand over `rest`."""
-    first_s, last_s = (courses.times_s(index)[:, None] for index in rest)
-    column = limits.column()
-    starts = state.column()
-    target_deg = wire[:, None] / column.wire_per_deg
-    left_s = np.maximum(first_s - starts.time_s, SEGMENT_MIN_S)
-    exact = exact_speeds(starts, target_deg, left_s, column.ramp_deg_s2)
-    exact = np.clip(exact, SPEED_LEAST_DEG_S, column.speed_max_deg_s)
-    duration_ms = durations_ms(starts, target_deg, exact * np.array(LANDING_RATIOS), column)
-    travel = speeds_for(
-        starts, target_deg, duration_ms / MS_PER_S, column.ramp_deg_s2, column.is_exact
-    )
-    travel = np.minimum(travel, column.speed_max_deg_s)
-    moves = trapezoids(starts, target_deg, travel, column.ramp_deg_s2)
+    first_s, last_s = (courses.times_s(index) for index in rest)
+    ramp, most = limits.ramp_deg_s2, limits.speed_max_deg_s
+    target_deg = wire / limits.wire_per_deg
+    left_s = np.maximum(first_s - state.time_s, SEGMENT_MIN_S)
+    exact = np.clip(exact_speeds(state, target_deg, left_s, ramp), SPEED_LEAST_DEG_S, most)
+    tried = np.array(LANDING_RATIOS)[:, None] * exact
+    duration_ms = durations_ms(state, target_deg, tried, limits)
+    travel = speeds_for(state, target_deg, duration_ms / MS_PER_S, ramp, limits.is_exact)
+    travel = np.minimum(travel, most)
+    moves = trapezoids(state, target_deg, travel, ramp)
     landed_s = moves.end_s
 
     first = courses.first_index(state.time_s)
-    end = np.maximum(courses.first_index(np.minimum(landed_s, last_s)), rest[0][:, None])
-    lasts = end - first[:, None]
+    end = np.maximum(courses.first_index(np.minimum(landed_s, last_s)), rest[0])
     # On a line that is too full, the standstill may be over before the move is heard.
-    steps = np.arange(int(lasts.max(initial=0)) + 1)[:, None]
-    times_s = courses.times_s(first + steps)[:, :, None]
-    course_deg = courses.position_deg[courses.flat(joint, first + steps)][:, :, None]
-    stray = np.abs(moves.at(times_s).position_deg - course_deg)
-    error_deg = np.where(steps[:, :, None] <= lasts, stray, 0.0).max(axis=0)
+    lasts = 1 + np.maximum(end - first, 0)
+    counts = lasts.max(axis=0)
+    starts = np.cumsum(counts) - counts
+    of = np.repeat(np.arange(len(wire)), counts)
+    step = np.arange(len(of)) - starts[of]
+    index = first[of] + step
+    course_deg = courses.position_deg(joint[of], index)
+    stray = np.abs(moves.take(of).at(courses.times_s(index)).position_deg - course_deg)
+    stray[step >= lasts.take(of, axis=1)] = 0.0
+    error_deg = np.maximum.reduceat(stray, starts, axis=1)
     late_s = landed_s - (last_s + SEGMENT_MIN_S)
     error_deg = np.where(late_s > 0.0, TOO_LATE_DEG + late_s, error_deg)
-    merit = np.maximum(error_deg, ALIKE_RATIO * column.tolerance_deg)
+    merit = np.maximum(error_deg, ALIKE_RATIO * limits.tolerance_deg)
     merit += TOGETHER_DEG_S * np.abs(landed_s - first_s)
-    row = np.arange(len(wire)), np.argmin(merit, axis=1)
-    return Landings(error_deg[row], landed_s[row], duration_ms[row], travel[row])
+    best = np.argmin(merit, axis=0), np.arange(len(wire))
+    return Landings(error_deg[best], landed_s[best], duration_ms[best], travel[best])

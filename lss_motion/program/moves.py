@@ -140,7 +140,8 @@ def _travel(
     duration_s = np.where(is_bare, 1.0, duration_ms) / MS_PER_S
     asked = speeds_for(start, target_deg, duration_s, limits.ramp_deg_s2, limits.is_exact)
     most = limits.speed_max_deg_s
-    return np.where(is_bare, most, np.minimum(asked, most))
+    travel: FloatArray = np.where(is_bare, most, np.minimum(asked, most))
+    return travel
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,20 +13,21 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.program.batch import States
 from lss_motion.program.cone import (
     CONE_RATIO,
     ROOM_RATIO,
+    Starts,
     excursion_deg,
     opened,
     ramped,
-    reach_s,
+    reach_steps,
 )
-from lss_motion.program.course import AHEAD_MAX_STEPS, AUTHORITY_STEPS, GRID_S
+from lss_motion.program.course import AHEAD_MAX_STEPS, AUTHORITY_STEPS, GRID_S, Points
 from lss_motion.program.landing import SEGMENT_MIN_S
 
 if TYPE_CHECKING:
-    from lss_motion.program.batch import BoolArray, FloatArray, Index, IntArray
+    from lss_motion.program.batch import BoolArray, FloatArray, IntArray, SingleArray, States
+    from lss_motion.program.cone import Cones
     from lss_motion.program.course import Courses, LimitArrays
 
 SEGMENT_MIN_STEPS: Final = round(SEGMENT_MIN_S / GRID_S)
@@ -35,9 +36,11 @@ FOLLOW_RATIO: Final = CONE_RATIO - ROOM_RATIO
 and for the slot that a move is really granted."""
 BEND_MIN_STEPS: Final = 6
 """A bend that comes sooner is passed: for its sake alone no two moves are 30 ms apart."""
-NEAR: Final = (64, 1)
-FAR: Final = (AHEAD_MAX_STEPS, 1)
-"""Instants and stride looked ahead at first, and where the cone is still open then."""
+VIEW_STRIDE: Final = 3
+"""How far ahead is seen in steps of so many grid steps: every one would be three times the work and
+saves no move (`tools/bench.py compress`, and the show of `compile`)."""
+VIEW_BLOCK: Final = 50
+"""Rows of a cone looked at at once: 750 ms, and most moves are shorter."""
 REACH: Final = (12, 7)
 """Steps and stride in which it is judged how far a successor reaches (420 ms); it is only compared,
 so every seventh grid step will do: that costs one move in two hundred."""
@@ -65,21 +68,26 @@ class Trials:
     recovery: tuple[int, ...]
 
     @cached_property
-    def pairs(self) -> tuple[IntArray, FloatArray]:
-        """Return the cut or bend of each trial, and its place in the cone; NaN: as the course."""
-        places = [(np.nan, *self.speeds)[:count] for count in self.tried]
-        return np.repeat(np.arange(len(places)), self.tried), np.concatenate(places)
+    def pairs(self) -> tuple[IntArray, IntArray, SingleArray]:
+        """Return the cut or bend of each trial, and of those in the cone, and their places there.
+
+        Those with the course's own speed come first, one for each cut and bend.
+        """
+        own = np.arange(len(self.tried))
+        inside = np.repeat(own, np.array(self.tried) - 1)
+        places = np.concatenate([self.speeds[: count - 1] for count in self.tried])
+        return np.append(own, inside), inside, places.astype(np.float32)[:, None]
 
 
 QUICK: Final = Trials(
     cuts=(0.98, 0.93, 0.85, 0.75),
     bends=1,
-    speeds=(0.5, 0.2, 0.8),
-    tried=(1, 4, 4, 2, 2, 2),
+    speeds=(0.5, 0.2),
+    tried=(1, 3, 3, 1, 1, 1),
     recovery=(2, 4, 7, 12, 20, 32),
 )
 """Chosen by measurement (`tools/bench.py compress`): one cut less costs one move in fifty; more
-save nothing, nor do the speeds left out, which won in one of a hundred moves."""
+save nothing, and half as many speeds again save one move in 250."""
 WIDE: Final = Trials(
     cuts=(1.0, 0.93, 0.85, 0.75, 0.6, 0.45, 0.3),
     bends=2,
@@ -100,7 +108,7 @@ class Servos:
     first: IntArray
     latest: IntArray
 
-    def take(self, chosen: Index) -> Servos:
+    def take(self, chosen: IntArray) -> Servos:
         return Servos(
             self.joint[chosen],
             self.limits.take(chosen),
@@ -124,79 +132,72 @@ class Chosen:
 
 def chosen(courses: Courses, servos: Servos) -> Chosen:
     """Return how servos that cannot land yet go on."""
-    view = _View(courses, servos)
-    is_hard = _is_hard(courses, servos) | (view.held_steps < SEGMENT_MIN_STEPS)
+    starts = Starts.of(courses, servos.joint, servos.first, servos.state)
+    cones = opened(courses, starts, AHEAD_MAX_STEPS // VIEW_STRIDE, VIEW_STRIDE, VIEW_BLOCK)
+    held_steps = VIEW_STRIDE * (cones.held - 1)
+    is_hard = _is_hard(courses, servos) | (held_steps < SEGMENT_MIN_STEPS)
     speed_deg_s, wanted_s = np.empty(len(is_hard)), np.empty(len(is_hard))
     for trials, some in ((QUICK, ~is_hard), (WIDE, is_hard)):
         rows = np.flatnonzero(some)
         if len(rows):
-            best = _best(courses, servos.take(rows), trials, view, rows)
+            best = _best(courses, servos.take(rows), trials, cones, rows)
             speed_deg_s[rows], wanted_s[rows] = best
-    return Chosen(speed_deg_s, wanted_s, view.held_steps)
-
-
-class _View:
-    """The cones of servos: near by, and further ahead of those whose cone is still open there."""
-
-    def __init__(self, courses: Courses, servos: Servos) -> None:
-        self._near = opened(courses, servos.joint, servos.state, servos.limits, *NEAR)
-        self.held_steps = self._near.held - 1
-        self._is_far = self.held_steps == NEAR[0] - 1
-        if self._is_far.any():
-            some = servos.take(self._is_far)
-            self._far = opened(courses, some.joint, some.state, some.limits, *FAR)
-            self.held_steps[self._is_far] = FAR[1] * (self._far.held - 1)
-            self._far_row = np.cumsum(self._is_far) - 1
-
-    def at(self, rows: IntArray, steps: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return the lowest and the highest speed of `rows` after `steps`, (rows, any)."""
-        low, high = self._near.at(rows, steps)
-        is_far = self._is_far[rows]
-        if is_far.any():
-            far_rows = self._far_row[rows[is_far]]
-            low[is_far], high[is_far] = self._far.at(far_rows, steps[is_far])
-        return low, high
+    return Chosen(speed_deg_s, wanted_s, held_steps)
 
 
 def _is_hard(courses: Courses, servos: Servos) -> BoolArray:
     """Return where the course leaves little ramp for the next moves."""
     least = HARD_RATIO * servos.limits.ramp_deg_s2
-    hard = np.zeros(len(servos.joint), dtype=bool)
-    for ahead in (0, AUTHORITY_STEPS):
-        flat = courses.flat(servos.joint, servos.first + ahead)
-        hard |= np.minimum(courses.up_deg_s2[flat], courses.down_deg_s2[flat]) < least
+    index = servos.first + np.array([[0], [AUTHORITY_STEPS]])
+    at = courses.at(servos.joint, index)
+    hard: BoolArray = (np.minimum(at.up_deg_s2, at.down_deg_s2) < least).any(axis=0)
     return hard
 
 
 def _best(
-    courses: Courses, servos: Servos, trials: Trials, view: _View, rows: IntArray
+    courses: Courses, servos: Servos, trials: Trials, cones: Cones, rows: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the best of the trials: travel speeds and instants of the successors."""
-    cuts, is_held, is_new = _cuts(courses, servos, trials, view.held_steps[rows])
-    low, high = _cone(servos, view.at(rows, cuts), cuts, is_held)
-    index = servos.first[:, None] + cuts
-    flat = courses.flat(servos.joint[:, None], index)
-    own = np.clip(courses.speed_deg_s[flat], low, high)
-    pair, place = trials.pairs
-    spread = low[:, pair] + np.nan_to_num(place) * (high - low)[:, pair]
-    speeds = np.where(np.isnan(place), own[:, pair], spread)
-    times_s = courses.times_s(index)[:, pair]
-    start, limits = servos.state.column(), servos.limits
-    ramp = limits.ramp_deg_s2[:, None]
-    tau_s = times_s - start.time_s
-    position, reached = ramped(start.position_deg, start.speed_deg_s, speeds, tau_s, ramp)
-    excursion = excursion_deg(courses, flat[:, pair], position, reached)
-    follows = excursion <= (FOLLOW_RATIO * limits.tolerance_deg)[:, None]
-    follows &= (is_new & is_held[:, None])[:, pair]
+    """Return the best of the trials: travel speeds and instants of the successors.
+
+    The servos are `rows` of the cones. Cuts and bends, and after them the trials, are rows here.
+    """
+    cuts, is_held, is_new = _cuts(courses, servos, trials, VIEW_STRIDE * (cones.held[rows] - 1))
+    low, high = _cone(servos, cones.at(rows, -(-cuts // VIEW_STRIDE)), cuts, is_held)
+    index = servos.first + cuts
+    at = courses.at(servos.joint, index)
+    pair, inside, place = trials.pairs
+    spread = place * (high - low).take(inside, axis=0) + low.take(inside, axis=0)
+    speeds = np.concatenate((np.clip(at.speed_deg_s, low, high), spread))
+    times_s = courses.times_s(index)
+    tau_s = (times_s - servos.state.time_s).astype(np.float32)
+    position, reached = ramped(
+        servos.state.position_deg.astype(np.float32),
+        servos.state.speed_deg_s.astype(np.float32),
+        speeds,
+        tau_s.take(pair, axis=0),
+        servos.limits.ramp_deg_s2.astype(np.float32),
+    )
+    excursion = excursion_deg(position, reached, Points(*(own.take(pair, axis=0) for own in at)))
+    follows = excursion <= (FOLLOW_RATIO * servos.limits.tolerance_deg).astype(np.float32)
+    follows &= (is_new & is_held).take(pair, axis=0)
     merit = -excursion
-    some = row, trial = np.nonzero(follows)
-    if len(row):
-        after = States(times_s[some], position[some], reached[some])
-        merit[follows.any(axis=1)] = -np.inf
-        reach = reach_s(courses, servos.joint[row], after, limits.take(row), *REACH)
-        merit[some] = reach + 1e-6 * index[row, pair[trial]]
-    best = np.arange(len(merit)), np.argmax(merit, axis=1)
-    return speeds[best], times_s[best]
+    some = np.flatnonzero(follows)
+    if len(some):
+        trial, row = np.divmod(some, merit.shape[1])
+        cut = pair.take(trial) * merit.shape[1] + row
+        after = Starts(
+            servos.joint.take(row),
+            index.take(cut),
+            np.zeros(len(some), dtype=np.float32),
+            position.take(some),
+            reached.take(some),
+        )
+        merit[:, follows.any(axis=0)] = -np.inf
+        steps = reach_steps(courses, after, *REACH)
+        # Where two reach as far, the later successor: it is the longer move.
+        merit.put(some, tau_s.take(cut) + GRID_S * steps + 1e-6 * cuts.take(cut))
+    best = np.argmax(merit, axis=0), np.arange(merit.shape[1])
+    return speeds[best], times_s[pair[best[0]], best[1]]
 
 
 def _cuts(
@@ -207,31 +208,34 @@ def _cuts(
     latest = np.maximum(servos.latest - first, least)
     is_held = held >= least
     last = np.maximum(np.minimum(held, latest), least)
-    cuts = np.maximum(np.rint(last[:, None] * np.array(trials.cuts)).astype(np.intp), least)
-    columns, is_new = [cuts], [np.ones(cuts.shape, dtype=bool)]
+    cuts = np.rint(last * np.array(trials.cuts)[:, None]).astype(np.intp)
+    cuts = np.maximum(cuts, least)
+    rows, is_new = [cuts], [np.ones(cuts.shape, dtype=bool)]
     before, after = first + last, first + BEND_MIN_STEPS
     for _ in range(trials.bends):
         before = courses.bend_before(servos.joint, before)
         after = courses.bend_after(servos.joint, after)
-        bends = np.stack((before, after), axis=1) - first[:, None]
-        is_within = (bends >= BEND_MIN_STEPS) & (bends <= last[:, None])
-        columns.append(np.where(is_within, bends, cuts[:, :1]))
+        bends = np.stack((before, after)) - first
+        is_within = (bends >= BEND_MIN_STEPS) & (bends <= last)
+        rows.append(np.where(is_within, bends, cuts[0]))
         is_new.append(is_within)
         before, after = np.maximum(before - 1, 0), after + 1
-    recovery = np.minimum(trials.recovery, latest[:, None])
-    steps = np.where(is_held[:, None], np.concatenate(columns, axis=1), recovery)
-    return steps, is_held, np.concatenate(is_new, axis=1)
+    steps = np.concatenate(rows)
+    if not is_held.all():
+        recovery = np.minimum(np.array(trials.recovery)[:, None], latest)
+        steps = np.where(is_held, steps, recovery)
+    return steps, is_held, np.concatenate(is_new)
 
 
 def _cone(
-    servos: Servos, sides_deg_s: tuple[FloatArray, FloatArray], cuts: IntArray, is_held: BoolArray
-) -> tuple[FloatArray, FloatArray]:
+    servos: Servos, sides_deg_s: tuple[SingleArray, SingleArray], cuts: IntArray, is_held: BoolArray
+) -> tuple[SingleArray, SingleArray]:
     """Return the lowest and highest speed of each cut; with no cone, what the ramps can reach."""
     low, high = sides_deg_s
     if is_held.all():
         return low, high
-    gain = servos.limits.ramp_deg_s2[:, None] * GRID_S * cuts
-    most = servos.limits.speed_max_deg_s[:, None]
-    now, held = servos.state.speed_deg_s[:, None], is_held[:, None]
-    low = np.where(held, low, np.clip(now - gain, -most, most))
-    return low, np.where(held, high, np.clip(now + gain, -most, most))
+    gain = servos.limits.ramp_deg_s2 * GRID_S * cuts
+    most, now = servos.limits.speed_max_deg_s, servos.state.speed_deg_s
+    slowest = np.clip(now - gain, -most, most).astype(np.float32)
+    fastest = np.clip(now + gain, -most, most).astype(np.float32)
+    return np.where(is_held, low, slowest), np.where(is_held, high, fastest)

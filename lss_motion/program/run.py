@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.program.batch import States, both, trapezoids
-from lss_motion.program.cone import CONE_RATIO, reach_s
+from lss_motion.program.cone import CONE_RATIO, Starts, reach_steps
 from lss_motion.program.course import GRID_S, SEGMENT_MAX_S
 from lss_motion.program.landing import SEGMENT_MIN_S, Landings, best_landings
 from lss_motion.program.moves import Moves, joined, nothing
@@ -118,7 +118,9 @@ class Run:
             room = LANES_MAX - len(rows.lane)
             new = [waiting.popleft() for _ in range(min(len(waiting), room))]
             if new:
-                rows = _together(rows, self._entered(np.array(new, dtype=np.intp)))
+                # By joint: what is looked up for neighbours then lies near each other, too.
+                by_joint = np.array(new)[np.argsort(self._joint[new], kind="stable")]
+                rows = _together(rows, self._entered(by_joint))
             is_next = _is_next(rows.wanted_s, self._turn_s)
             rows = _together(rows.take(~is_next), self._advanced(rows.take(is_next)))
         return joined(self._made), np.concatenate(self._of)
@@ -200,15 +202,15 @@ class Run:
         begin_deg, still = self._wire[lane] / limits.wire_per_deg, np.zeros(len(lane))
         state = States(leaves_s, begin_deg, still)
         error_deg = self._landings(lane, state, self._is_near(lane, state)).error_deg
-        trials_s = np.linspace(onset_s, np.maximum(latest_s, onset_s), DEPARTURES, axis=1)
-        rows = np.repeat(np.arange(len(lane)), DEPARTURES)
+        trials_s = np.linspace(onset_s, np.maximum(latest_s, onset_s), DEPARTURES)
+        rows = np.tile(np.arange(len(lane)), DEPARTURES)
         trials = States(trials_s.ravel(), begin_deg[rows], still[rows])
-        reached_s = reach_s(
-            self._courses, joint[rows], trials, limits.take(rows), DEPARTURE_STEPS, 1
-        )
-        best = np.argmax(reached_s.reshape(-1, DEPARTURES), axis=1)
+        first = self._courses.first_index(trials.time_s)
+        starts = Starts.of(self._courses, joint[rows], first, trials)
+        steps = reach_steps(self._courses, starts, DEPARTURE_STEPS, 1)
+        best = np.argmax(trials_s + GRID_S * steps.reshape(trials_s.shape), axis=0)
         lands = error_deg <= CONE_RATIO * limits.tolerance_deg
-        return np.where(lands, leaves_s, trials_s[np.arange(len(lane)), best])
+        return np.where(lands, leaves_s, trials_s[best, np.arange(len(lane))])
 
     # ---- to rest
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 LATEST_ARRIVAL_S: Final = 0.06
 """A successor may be this late before the servo begins to brake. Chosen: three times the worst
 wait for a line on which 18 servos start at once at 115200 bps."""
-AIM_TRIALS: Final = 12
+AIM_TRIALS: Final = 8
 """Neighbouring lattice targets tried for the one that hits the wanted speed best."""
 SPEED_LEAST_DEG_S: Final = 0.01
 """Slower than this is standing still: a lattice step of 0.1° in ten seconds."""
@@ -46,18 +46,15 @@ def aim(
         limits.ramp_deg_s2,
     )
     beyond = speed * LATEST_ARRIVAL_S + 0.5 * speed * speed / limits.ramp_deg_s2
-    column = limits.column()
-    steps = sign[:, None] * np.arange(AIM_TRIALS)
-    wire = lattices(((reached_deg + sign * beyond) * limits.wire_per_deg)[:, None] + steps, column)
-    starts = state.column()
-    target_deg = wire / column.wire_per_deg
-    duration_ms = durations_ms(starts, target_deg, speed[:, None], column)
-    hit = speeds_for(
-        starts, target_deg, duration_ms / MS_PER_S, column.ramp_deg_s2, column.is_exact
-    )
-    hit = np.minimum(hit, column.speed_max_deg_s)
-    row = np.arange(len(speed)), np.argmin(np.abs(hit - speed[:, None]), axis=1)
-    return wire[row], duration_ms[row], hit[row]
+    steps = sign * np.arange(AIM_TRIALS)[:, None]
+    wire = lattices((reached_deg + sign * beyond) * limits.wire_per_deg + steps, limits)
+    target_deg = wire / limits.wire_per_deg
+    duration_ms = durations_ms(state, target_deg, speed, limits)
+    duration_s = duration_ms / MS_PER_S
+    hit = speeds_for(state, target_deg, duration_s, limits.ramp_deg_s2, limits.is_exact)
+    hit = np.minimum(hit, limits.speed_max_deg_s)
+    best = np.argmin(np.abs(hit - speed), axis=0), np.arange(len(speed))
+    return wire[best], duration_ms[best], hit[best]
 
 
 def durations_ms(
