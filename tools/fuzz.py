@@ -27,9 +27,10 @@ from typing import TYPE_CHECKING, Final
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from campaign.judge import judged
+from campaign.shows import SLOW_BPS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from campaign.judge import Judged
 
@@ -49,19 +50,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=float("inf"), metavar="S")
     parser.add_argument("--from", type=int, default=0, dest="first", metavar="SEED")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="processes")
+    parser.add_argument("--slow-bps", type=int, default=SLOW_BPS, metavar="BPS",
+                        help="rate of the slowest line of the three robots")  # fmt: skip
     parser.add_argument("--any", action="store_true", help="any robot, any show, and somebody "
                         "who plays with the keys")  # fmt: skip
     arguments = parser.parse_args(argv)
+    again = "tools/run tools/fuzz.py"
+    again += " --any" if arguments.any else f" --slow-bps {arguments.slow_bps}"
     started_s = said_s = time.monotonic()
     outcomes: Counter[str] = Counter()
     failed = 0
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     with tempfile.TemporaryDirectory() as plans:
         os.environ["LSS_MOTION_CACHE_DIR"] = plans  # A million shows that nobody plays again.
-        for seed, result in _played(seeds, arguments.jobs, is_any=arguments.any):
+        play = partial(judged, is_any=arguments.any, slow_bps=arguments.slow_bps)
+        for seed, result in _played(seeds, arguments.jobs, play):
             outcomes[result.outcome] += 1
             failed += bool(result.broken)
-            _tell(seed, result, is_any=arguments.any)
+            _tell(seed, result, again)
             now_s = time.monotonic()
             if now_s - said_s > SAYS_EVERY_S:
                 said_s = now_s
@@ -72,9 +78,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 1 if failed else 0
 
 
-def _played(seeds: Sequence[int], jobs: int, *, is_any: bool) -> Iterator[tuple[int, Judged]]:
+def _played(
+    seeds: Sequence[int], jobs: int, play: Callable[[int], Judged]
+) -> Iterator[tuple[int, Judged]]:
     """Yield what became of the seeds, in their order."""
-    play = partial(judged, is_any=is_any)
     if jobs == 1:
         yield from zip(seeds, map(play, seeds), strict=True)
         return
@@ -82,15 +89,14 @@ def _played(seeds: Sequence[int], jobs: int, *, is_any: bool) -> Iterator[tuple[
         yield from zip(seeds, pool.imap(play, seeds), strict=True)
 
 
-def _tell(seed: int, result: Judged, *, is_any: bool) -> None:
+def _tell(seed: int, result: Judged, again: str) -> None:
     if not result.broken:
         return
     for promise in result.broken:
         print(f"seed {seed}: {promise}")
     for fault in result.faults:
         print(f"  {fault}")
-    again = f"tools/run tools/fuzz.py {'--any ' if is_any else ''}--from {seed} --seeds 1"
-    print(f"  {again}", flush=True)
+    print(f"  {again} --from {seed} --seeds 1", flush=True)
 
 
 def _summary(outcomes: Counter[str], failed: int, passed_s: float) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from campaign.any_show import any_show
-from campaign.shows import NAMES, RESUME_S, Show, show
+from campaign.shows import NAMES, RESUME_S, SLOW_BPS, Show, show
 from campaign.witness import Act, HangError, Witness, random_acts
 
 from lss_motion import api
@@ -75,12 +75,12 @@ class Judged:
     faults: tuple[Fault, ...]
 
 
-def judged(seed: int, *, is_any: bool = False) -> Judged:
+def judged(seed: int, *, is_any: bool = False, slow_bps: int = SLOW_BPS) -> Judged:
     """Play one seed. Every fourth has only damaged answers, so that all of it can be judged.
 
     With `is_any`, robot and show come from the seed as well, and somebody plays with the keys.
     """
-    played = any_show(seed) if is_any else show(NAMES[seed % len(NAMES)])
+    played = any_show(seed) if is_any else show(NAMES[seed % len(NAMES)], slow_bps)
     faults = random_faults(
         seed,
         servo_ids=[joint.servo_id for joint in played.robot.joints.values()],

@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 
 RESUME_S: Final = 2.0
 """A servo is back 1.25 s after its RESET: some faults are waited for, others given up."""
-SLOW_BPS: Final = 19_200
-"""What a run costs is its questions, and they fill the line; a slow one also has less room."""
+SLOW_BPS: Final = 9_600
+"""Of the slowest line. What a run costs is its questions, and they fill the line; a slow one also
+has less room."""
 NAMES: Final = ("arm", "owl", "pair")
 
 
@@ -30,12 +31,12 @@ class Show:
 
 
 @cache
-def show(name: str) -> Show:
-    """Return one of the shows `NAMES`."""
+def show(name: str, slow_bps: int = SLOW_BPS) -> Show:
+    """Return one of the shows `NAMES`; its slowest line has `slow_bps`."""
     make, keys = {"arm": (_arm, ARM_KEYS), "owl": (_owl, OWL_KEYS), "pair": (_pair, PAIR_KEYS)}[
         name
     ]
-    robot = make()
+    robot = make(slow_bps)
     frames = tuple(
         Keyframe(deg=dict(zip(robot.joints, angles, strict=True)), at_s=at_s)
         for at_s, angles in keys
@@ -87,17 +88,17 @@ def _robot(name: str, joints: list[Joint], **baud_bps: int) -> Robot:
     return Robot(name=name, path=None, buses=buses, joints=named, resume_s=RESUME_S)
 
 
-def _arm() -> Robot:
+def _arm(slow_bps: int) -> Robot:
     """Return three timed joints, the middle one turned round and with a zero of its own."""
     joints = [
         _joint("base", 1),
         _joint("shoulder", 2, direction=-1, zero_deg=15.0),
         _joint("elbow", 3),
     ]
-    return _robot("arm", joints, main=SLOW_BPS)
+    return _robot("arm", joints, main=slow_bps)
 
 
-def _owl() -> Robot:
+def _owl(slow_bps: int) -> Robot:
     """Return a robot with every drive on one bus: a timed, two streamed and a stepped joint."""
     wing = {"drive": "streamed", "speed_max_deg_s": 240.0, "accel_max_deg_s2": 1500.0}
     lid = {
@@ -112,10 +113,10 @@ def _owl() -> Robot:
         _joint("right_wing", 4, direction=-1, **wing),
         _joint("lid", 209, **lid),
     ]
-    return _robot("owl", joints, main=2 * SLOW_BPS)
+    return _robot("owl", joints, main=2 * slow_bps)
 
 
-def _pair() -> Robot:
+def _pair(slow_bps: int) -> Robot:
     """Return two buses with two joints each, one of them slow and one of LSS-PRO."""
     pro = SERVO_MODELS["LSS-P-S1"]
     joints = [
@@ -124,4 +125,4 @@ def _pair() -> Robot:
         _joint("right_pan", 1, "right", model=pro),
         _joint("right_tilt", 5, "right", model=pro),
     ]
-    return _robot("pair", joints, left=SLOW_BPS, right=2 * SLOW_BPS)
+    return _robot("pair", joints, left=slow_bps, right=2 * slow_bps)
