@@ -76,6 +76,8 @@ def _together(one: _Rows, other: _Rows) -> _Rows:
 
 def _is_next(wanted_s: FloatArray, turn_s: float) -> BoolArray:
     """Return which moves to grant now: none that is wanted a turn after one of its stretch."""
+    if turn_s >= RIVALRY_S:
+        return np.ones(len(wanted_s), dtype=bool)
     ordered = np.sort(wanted_s)
     earlier = np.searchsorted(ordered, wanted_s - turn_s)
     rivals = np.searchsorted(ordered, wanted_s - RIVALRY_S)
@@ -122,7 +124,10 @@ class Run:
                 by_joint = np.array(new)[np.argsort(self._joint[new], kind="stable")]
                 rows = _together(rows, self._entered(by_joint))
             is_next = _is_next(rows.wanted_s, self._turn_s)
-            rows = _together(rows.take(~is_next), self._advanced(rows.take(is_next)))
+            if is_next.all():
+                rows = self._advanced(rows)
+            else:
+                rows = _together(rows.take(~is_next), self._advanced(rows.take(is_next)))
         return joined(self._made), np.concatenate(self._of)
 
     def _entered(self, lane: IntArray) -> _Rows:
