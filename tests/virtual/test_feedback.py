@@ -84,7 +84,7 @@ def lost_moves(played):
 
 @pytest.mark.parametrize("seed", [3, 5])
 def test_what_a_servo_did_not_hear_it_hears_again_at_once(rms_deg, seed):
-    """A fiftieth of a second later, unless the question about it was lost as well."""
+    """A row or two of questions later, unless the question about it was lost as well."""
     _, played = rms_deg(faults=[LOST], seed=seed, baud_bps=115200)
     moves = [(at_ns, MOVE.fullmatch(line)) for at_ns, line in played.bus.heard]
     heard = [(at_ns, int(move[1])) for at_ns, move in moves if move]
@@ -94,4 +94,4 @@ def test_what_a_servo_did_not_hear_it_hears_again_at_once(rms_deg, seed):
         for at_ns, servo_id in lost_moves(played)
     ]
     assert len(late_s) >= 3
-    assert np.median(late_s) < 0.02e9
+    assert np.median(late_s) < 0.04e9

@@ -16,7 +16,7 @@ from benches.shows import lively_show, robot_of
 from benches.table import Row
 from lss_motion import api
 from lss_motion.player.events import Phase, PhaseEntered
-from lss_motion.units import LINE_BITS_PER_BYTE, line_time_ns
+from lss_motion.units import LINE_BITS_PER_BYTE, line_time_ns, s_from_ns
 
 if TYPE_CHECKING:
     from lss_motion.player.events import Event
@@ -49,12 +49,15 @@ class _Count:
         self.is_on = False
         self.command_bytes = self.query_bytes = self.queries = 0
         self.reply_bytes = self.replies = 0
+        self._first_ns = self._last_ns = 0
 
     def note(self, event: Event) -> None:
         if isinstance(event, PhaseEntered):
             self.is_on = event.phase is Phase.SHOW
 
     def sent(self, bus: str, data: bytes, now_ns: int) -> None:  # noqa: ARG002
+        if self.is_on:
+            self._first_ns, self._last_ns = self._first_ns or now_ns, now_ns
         for line in data.split(b"\r")[:-1] if self.is_on else ():
             if b"Q" in line:
                 self.queries += 1
@@ -71,6 +74,10 @@ class _Count:
 
     def happened(self, event: Event, now_ns: int) -> None: ...
 
+    @property
+    def lasted_s(self) -> float:
+        return s_from_ns(self._last_ns - self._first_ns)
+
     def limit_hz(self, baud_bps: int, over_s: float) -> float:
         """Return how many answers a second both lines could carry beside the commands."""
         bytes_hz = baud_bps / LINE_BITS_PER_BYTE
@@ -86,8 +93,8 @@ def _in_virtual_time(baud_bps: int) -> list[Row]:
     robot, count = robot_of(SERVOS, baud_bps=baud_bps), _Count()
     observer = api.Observer(on_event=count.note, make_tap=lambda _: count)
     result = api.perform(_program(robot, SHOW_S), robot, is_virtual=True, observer=observer)
-    played_s = result.report["played_s"]
-    got_hz, limit_hz = count.replies / played_s, count.limit_hz(baud_bps, played_s)
+    got_hz = count.replies / count.lasted_s
+    limit_hz = count.limit_hz(baud_bps, count.lasted_s)
     late_us = result.report["timing"]["late_max_us"]
     command_us = line_time_ns(COMMAND_BYTES, baud_bps) // 1000
     what = f"{SERVOS} servos at {baud_bps} bps, virtual time"
@@ -120,8 +127,8 @@ def _against_blocking(baud_bps: int) -> Row:
         for _ in range(ROUNDS):
             count = _Count()
             observer = api.Observer(on_event=count.note, make_tap=lambda _, count=count: count)
-            report = api.perform(program, real, observer=observer).report
-            ours.append(count.replies / report["played_s"])
+            api.perform(program, real, observer=observer)
+            ours.append(count.replies / count.lasted_s)
             theirs.append(_blocking_hz(program, real))
     ours_hz, theirs_hz = sorted(ours)[ROUNDS // 2], sorted(theirs)[ROUNDS // 2]
     ratio = ours_hz / theirs_hz
