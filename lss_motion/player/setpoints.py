@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from lss_motion.program.course import ServoLimits
     from lss_motion.robot.model import Joint
 
-PHASES: Final = 8
-"""Instants of the steps that are looked at, evenly spread over one period: 2.5 ms apart, less than
-one command takes on most lines."""
+PHASES: Final = 16
+"""Instants of the steps that are looked at, evenly spread over one period: 1.25 ms apart, about
+what one command takes on an ordinary line."""
 ROOM_RATIO: Final = 1.0
 """A fitted course winds within its tolerance: a step may differ from the last one by so many
 tolerances, besides what the acceleration limit allows. Of 52 streamed joints of random shows, the

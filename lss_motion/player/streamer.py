@@ -46,8 +46,6 @@ SETTLE_S: Final = 0.15
 """After the last horn should have arrived: time for the servo's own settling."""
 PLAN_HISTORY_S: Final = 5.0
 """How long a plan that grows remembers what it was: longer than any answer may take."""
-REST_DEG_S: Final = 1.0
-"""Slower than this a servo is at rest: what is left of a filter's way is below a wire unit."""
 ON_TIME_NS: Final = NS_PER_MS // 2
 """Later than this, and T is computed anew; below, it would not change T."""
 
@@ -117,9 +115,7 @@ class Streamer:
 
         What was told late, and what a speed limit held back, is on its way for longer.
         """
-        return not self._again_ns() and all(
-            abs(track.place(now_ns)[1]) < REST_DEG_S for track in self.tracks.values()
-        )
+        return not self._again_ns() and all(t.is_at_rest(now_ns) for t in self.tracks.values())
 
     def extend(self, extension: Extension, now_ns: int) -> bool:
         """Replace what is due from the splice of `extension` on; False if it is too late."""

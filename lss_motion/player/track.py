@@ -11,8 +11,9 @@ from lss_motion.player.hearing import Hearing
 from lss_motion.player.lag import Lag
 from lss_motion.player.setpoints import make_setpoints
 from lss_motion.player.trace import Trace
-from lss_motion.program.course import servo_limits
+from lss_motion.program.course import DURATION_MAX_MS, servo_limits
 from lss_motion.program.drives import lead
+from lss_motion.program.filtered import FilterProfile
 from lss_motion.program.model import heard_us
 from lss_motion.program.predict import make_profile, profiles
 from lss_motion.program.response import Profile
@@ -36,6 +37,9 @@ if TYPE_CHECKING:
 
 JOIN_S = 0.1
 """A joint that has missed a move catches up in about this time, if its limits allow. Chosen."""
+REST_DEG_S = 1.0
+"""Slower than this a servo is at rest: what is left of a filter's way is below a wire unit."""
+LONGEST_NS = ns_from_s(s_from_ms(DURATION_MAX_MS))
 HISTORY_S = 2.0
 """How long what the profile did is kept: longer than any answer may take."""
 
@@ -114,6 +118,15 @@ class Track:
         """Return position and speed of the profile at `heard_ns`, after all that was sent."""
         return self.profile.at(s_from_ns(heard_ns))
 
+    def is_at_rest(self, now_ns: int) -> bool:
+        """Return whether its servo should have come to rest; after the longest T it has anyway.
+
+        What is believed of one that took a garbled word for its target may be that it goes on.
+        """
+        if self.heard_ns is not None and now_ns - self.heard_ns > LONGEST_NS:
+            return True
+        return abs(self.place(now_ns)[1]) < REST_DEG_S
+
     def wire_for(self, target_deg: float, heard_ns: int) -> int:
         """Return the wire value next to `target_deg` plus the correction, inside the range.
 
@@ -124,23 +137,19 @@ class Track:
         wire = lattice(corrected, self.limits)
         low_deg, high_deg = self._reach(heard_ns)
         allowed = lattice(min(max(corrected, low_deg), high_deg), self.limits)
-        again_ns = heard_ns + ns_from_s(self.period_s)
-        if self.joint.drive == "streamed":
-            self.led_ns = None if allowed == wire else again_ns
+        is_held_back = allowed != wire
+        if isinstance(self.profile, FilterProfile):
+            next_s = self.profile.hear_s(self.profile.acts_on(s_from_ns(heard_ns)) + 1)
+            self.led_ns = ns_from_s(next_s) if is_held_back else None
         else:
-            self.owed = None if allowed == wire else (again_ns, target_deg)
+            again_ns = heard_ns + ns_from_s(PULSE_S)
+            self.owed = (again_ns, target_deg) if is_held_back else None
         return allowed
 
     @property
     def again_ns(self) -> int | None:
         """When it is to be told something again, whatever the program says."""
         return self.led_ns if self.owed is None else self.owed[0]
-
-    @property
-    def period_s(self) -> float:
-        """How often a bare `D` can tell the servo something new."""
-        is_streamed = self.joint.drive == "streamed"
-        return self.joint.response.filter_s if is_streamed else PULSE_S
 
     def _reach(self, heard_ns: int) -> tuple[float, float]:
         """Return between which targets the limits allow one."""
@@ -229,7 +238,10 @@ class Track:
         heard_ns = line.heard_ns(len(guess), now_ns)
         target_wire = self.wire_for(target_deg, heard_ns)
         duration_ms = self.duration_for(target_wire, heard_ns, left_s) if is_timed else None
-        heard_ns = line.send(encode_move(servo_id, target_wire, duration_ms), now_ns)
+        data = encode_move(servo_id, target_wire, duration_ms)
+        if self.led_ns is not None:
+            self.led_ns -= line.time_ns(len(data))
+        heard_ns = line.send(data, now_ns)
         self.moved(heard_ns, target_wire, duration_ms)
 
     def moved(self, heard_ns: int, target_wire: int, duration_ms: int | None) -> None:

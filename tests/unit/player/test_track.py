@@ -149,7 +149,8 @@ def test_what_is_too_much_is_taken_off_and_the_joint_is_led(kit):
     track = track_of(kit, kit.joint("j0", 2, drive="streamed"))
     ((_, said_deg),) = told(track, 60.0)
     assert 2.0 < said_deg < 10.0
-    assert track.led_ns == STEP_NS + round(FILTER_S * 1e9)
+    acts_on = track.profile.acts_on
+    assert acts_on(track.led_ns / 1e9) == acts_on(STEP_NS / 1e9) + 1, "with the next step"
 
 
 def test_a_stepped_joint_jumps_no_further_than_its_speed_allows(kit):
@@ -171,3 +172,11 @@ def test_correction_and_range_hold_for_bare_targets_too(kit):
     assert track.profile.at(5.0) == (11.5, 0.0)
     led(track, lambda *_: 20.0, now_ns=now_ns + STEP_NS)
     assert track.profile.at(9.0) == (20.0, 0.0)
+
+
+def test_a_servo_that_is_believed_to_go_on_for_ever_is_waited_for_as_long_as_the_longest_move(kit):
+    # It took a garbled word for its target, and said so when it was asked.
+    track = track_of(kit, kit.joint("j0", 1))
+    track.moved(STEP_NS, 100_000, 200)
+    assert not track.is_at_rest(STEP_NS + 9_000_000_000)
+    assert track.is_at_rest(STEP_NS + 11_000_000_000)
