@@ -117,3 +117,10 @@ def test_what_has_to_wait_makes_the_use_longer():
 def test_of_commands_due_at_once_the_shorter_one_goes_first():
     use = line_use("main", 115200, [(0, 3_000), (0, 1_000)])
     assert (use.overlaps, use.late_max_us) == (1, 1_000)
+
+
+def test_the_longest_of_many_is_found_across_the_edge_of_its_stretch():
+    line = LineSchedule()
+    ends_us = line.reserve_all((BUCKET_US + 3_000, 9_000), (4_000, 1_000), (0, 0))
+    assert ends_us == [BUCKET_US + 3_000, 9_000]
+    assert line.reserve(BUCKET_US + 3_000, 1_000, 0) == BUCKET_US - 1_000
