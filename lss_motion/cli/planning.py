@@ -12,7 +12,10 @@ from lss_motion.cli.robots import add_cache_option, reader
 from lss_motion.errors import EXIT_FINISHED, InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from lss_motion.cli.commands import Commands
+    from lss_motion.robot.model import Robot
 
 
 def add_to(commands: Commands) -> None:
@@ -44,30 +47,29 @@ def add_to(commands: Commands) -> None:
     )
 
 
+def _files(arguments: argparse.Namespace) -> tuple[Path, Path | None, Callable[[Path], Robot]]:
+    """Return the file, that of its robot if one is given, and what reads robot files."""
+    return arguments.file, arguments.robot, reader(arguments, may_ask=False)
+
+
 def _check(arguments: argparse.Namespace) -> int:
     from lss_motion.cli import shows
     from lss_motion.cli.check import program_lines
-
-    show = shows.prepare(
-        arguments.file, arguments.robot, read_robot=reader(arguments, may_ask=False)
-    )
-    print("\n".join([*_gait_lines(arguments), *program_lines(show)]))
-    return EXIT_FINISHED
-
-
-def _gait_lines(arguments: argparse.Namespace) -> list[str]:
-    """Return how a gait walks and how safely it stands; nothing for any other file."""
-    from lss_motion.cli import shows
     from lss_motion.gait.explain import gait_lines
     from lss_motion.gait.load import is_gait_file
     from lss_motion.gait.pacing import paced
+    from lss_motion.gait.sequence import sequence_from
 
-    if not is_gait_file(arguments.file):
-        return []
-    gait, robot = shows.load_gait(
-        arguments.file, arguments.robot, read_robot=reader(arguments, may_ask=False)
-    )
-    return gait_lines(gait, paced(gait, robot))
+    lines = []
+    if shows.is_program(arguments.file) or not is_gait_file(arguments.file):
+        show = shows.prepare(*_files(arguments))
+    else:
+        gait, robot = shows.load_gait(*_files(arguments))
+        passages = paced(gait, robot)
+        show = shows.compiled(sequence_from(gait, passages), robot)
+        lines = gait_lines(gait, passages)
+    print("\n".join([*lines, *program_lines(show)]))
+    return EXIT_FINISHED
 
 
 def _plan(arguments: argparse.Namespace) -> int:
@@ -75,9 +77,7 @@ def _plan(arguments: argparse.Namespace) -> int:
     from lss_motion.cli.check import plan_lines
     from lss_motion.cli.tables import plan_table, read_table, write_text
 
-    sequence, robot = shows.load(
-        arguments.file, arguments.robot, read_robot=reader(arguments, may_ask=False)
-    )
+    sequence, robot = shows.load(*_files(arguments))
     trajectory = shows.planned(sequence, robot)
     if arguments.csv is not None:
         write_text(arguments.csv, plan_table(trajectory, arguments.rate_hz))
@@ -100,9 +100,7 @@ def _compile(arguments: argparse.Namespace) -> int:
         raise InputError(
             "must end in .lss, or lss-play takes it for a sequence", path=arguments.output
         )
-    show = shows.prepare(
-        arguments.file, arguments.robot, read_robot=reader(arguments, may_ask=False)
-    )
+    show = shows.prepare(*_files(arguments))
     if arguments.output is None:
         print(to_text(show.program, folder=Path.cwd()), end="")
         return EXIT_FINISHED

@@ -89,10 +89,10 @@ def load_gait(
 def prepare(
     path: Path,
     robot_path: Path | None,
+    read_robot: ReadRobot | None = None,
     *,
     speed_ratio: float = 1.0,
     loop: int | str | None = None,
-    read_robot: ReadRobot | None = None,
 ) -> Show:
     """Return the show in the file at `path`, planned and compiled.
 
@@ -103,10 +103,16 @@ def prepare(
             raise InputError(
                 "--speed and --loop need the sequence, not a compiled program", path=path
             )
-        return _compiled(path, robot_path, read_robot)
+        return _read(path, robot_path, read_robot)
+    return compiled(*load(path, robot_path, read_robot), speed_ratio=speed_ratio, loop=loop)
+
+
+def compiled(
+    sequence: Sequence, robot: Robot, *, speed_ratio: float = 1.0, loop: int | str | None = None
+) -> Show:
+    """Return the show of a sequence that was read already; the rest is as in `prepare`."""
     from lss_motion.program.compile import TOLERANCE_DEG, compile_program
 
-    sequence, robot = load(path, robot_path, read_robot)
     trajectory = planned(sequence, robot, speed_ratio=speed_ratio, loop=loop)
     tolerance_deg = GAIT_TOLERANCE_DEG if walks(sequence) else TOLERANCE_DEG
     program = compile_program(trajectory, robot, tolerance_deg=tolerance_deg)
@@ -140,7 +146,7 @@ def planned(
     return plan(dataclasses.replace(sequence, speed_ratio=speed_ratio), robot)
 
 
-def _compiled(path: Path, robot_path: Path | None, read_robot: ReadRobot | None) -> Show:
+def _read(path: Path, robot_path: Path | None, read_robot: ReadRobot | None) -> Show:
     from lss_motion.program.text import load_program
     from lss_motion.program.verify import verify_program
     from lss_motion.robot.load import load_robot

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
 from lss_motion.protocol.line import encode_move
+from lss_motion.robot.models import RAMP_STEP_DEG_S2, RAMP_STEPS_MAX, ramp_steps
 from lss_motion.units import NS_PER_US, line_time_ns, s_from_us
 
 if TYPE_CHECKING:
@@ -21,11 +22,6 @@ if TYPE_CHECKING:
     from lss_motion.trajectory.model import Mark, Stretch, WaitPoint
 
 T = TypeVar("T")
-
-RAMP_STEP_DEG_S2 = 10
-"""AA and AD count in tens of deg/s² (seed 000, rows A3 and A4; lss_facts 1.3)."""
-RAMP_STEPS_MAX = 100
-"""The largest AA and AD, and the default (lss_facts 1.3)."""
 
 
 class Move(NamedTuple):
@@ -162,8 +158,7 @@ def ramp_setting_deg_s2(joint: Joint) -> int:
 
     With its ramps at the joint's own limit the servo never exceeds it, whatever it hears.
     """
-    step_deg_s2 = RAMP_STEP_DEG_S2 * joint.response.ramp_ratio
-    steps = math.floor(round(joint.accel_max_deg_s2 / step_deg_s2, 6))
+    steps = ramp_steps(joint.accel_max_deg_s2, joint.response.ramp_ratio)
     return min(max(steps, 1), RAMP_STEPS_MAX) * RAMP_STEP_DEG_S2
 
 

@@ -92,15 +92,6 @@ def travel_speed(
     return fast
 
 
-def expected_duration(
-    start: Piece, target_deg: float, travel_deg_s: float, ramp_deg_s2: float, response: Response
-) -> float:
-    """Return the T that makes the servo travel at `travel_deg_s`: inverse of `travel_speed`."""
-    if response.t_law == "cruise":
-        return abs(target_deg - start.position_deg) / travel_deg_s
-    return trapezoid(start, target_deg, travel_deg_s, ramp_deg_s2)[-1].start_s - start.start_s
-
-
 class Profile:
     """The profile of one servo, command by command. Instants passed in must not go back."""
 

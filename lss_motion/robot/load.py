@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -11,7 +10,14 @@ from lss_motion.protocol.line import DISABLED
 from lss_motion.robot.drives import board_problems
 from lss_motion.robot.joint_check import joint_problems
 from lss_motion.robot.model import SERVO, Bus, Joint, Response, Robot
-from lss_motion.robot.models import BAUD_FIRMWARE_MIN, FAMILIES, SERVO_MODELS
+from lss_motion.robot.models import (
+    BAUD_FIRMWARE_MIN,
+    FAMILIES,
+    RAMP_STEP_DEG_S2,
+    RAMP_STEPS_MAX,
+    SERVO_MODELS,
+    ramp_steps,
+)
 from lss_motion.robot.sensors import sensors_of
 from lss_motion.robot.sides import group_problems, grouped, mirror_problems, mirrored
 from lss_motion.spelling import known_names
@@ -272,15 +278,11 @@ def _ladders(entry: JointOnFaultEntry) -> Ladders:
 
 
 def _within_ramps(joint: Joint) -> Joint:
-    """Return the joint with the acceleration that its servo's ramps can express, rounded down.
-
-    Rounded up, the servo would break the limit with every ramp.
-    """
-    facts = FAMILIES[joint.model.family]
-    step = facts.accel_step_deg_s2 * joint.response.ramp_ratio
-    if step == 0.0:
+    """Return the joint with the acceleration that its servo's ramps can express."""
+    facts, ratio = FAMILIES[joint.model.family], joint.response.ramp_ratio
+    if facts.accel_step_deg_s2 == 0.0:
         return joint
-    steps = math.floor(round(joint.accel_max_deg_s2 / step, 6))
+    steps = ramp_steps(joint.accel_max_deg_s2, ratio)
     if joint.accel_max_deg_s2 <= facts.accel_max_deg_s2:
-        steps = min(steps, round(facts.accel_max_deg_s2 / facts.accel_step_deg_s2))
-    return replace(joint, accel_max_deg_s2=step * steps)
+        steps = min(steps, RAMP_STEPS_MAX)
+    return replace(joint, accel_max_deg_s2=RAMP_STEP_DEG_S2 * ratio * steps)

@@ -43,6 +43,11 @@ class FamilyFacts:
     settings: Mapping[str, tuple[int, int]]
 
 
+RAMP_STEP_DEG_S2: Final = 10
+"""AA and AD count in tens of deg/s² (seed 000, rows A3 and A4; seed 001 lines 489 and 514)."""
+RAMP_STEPS_MAX: Final = 100
+"""The largest AA and AD, and the default (lss_facts 1.3)."""
+
 _STIFFNESS: Final = (-10, 10)
 """AS and AH: -4..4 is sensible, -10..10 is accepted (lss_facts section 4, out of range)."""
 
@@ -54,15 +59,15 @@ FAMILIES: Final[Mapping[Family, FamilyFacts]] = MappingProxyType(
         Family.LSS: FamilyFacts(
             drives=("timed", "streamed"),
             wire_per_deg=10,  # seed 000, table row D: 1/10 deg
-            accel_step_deg_s2=10.0,  # design 4; lss_facts 1.3: steps of 10 deg/s², 1..100
-            accel_max_deg_s2=1000.0,
+            accel_step_deg_s2=RAMP_STEP_DEG_S2,
+            accel_max_deg_s2=RAMP_STEPS_MAX * RAMP_STEP_DEG_S2,
             settings=MappingProxyType({"AS": _STIFFNESS, "AH": _STIFFNESS, "LED": _LED}),
         ),
         Family.LSS_PRO: FamilyFacts(
             drives=("timed",),  # EM and FPC are not in its tables: seed 001; lss_facts 8
             wire_per_deg=100,  # seed 001 line 132, table row D: 1/100 deg
-            accel_step_deg_s2=10.0,  # seed 001 lines 489 and 514: 1..100, increments of 10 deg/s²
-            accel_max_deg_s2=1000.0,
+            accel_step_deg_s2=RAMP_STEP_DEG_S2,
+            accel_max_deg_s2=RAMP_STEPS_MAX * RAMP_STEP_DEG_S2,
             settings=MappingProxyType({"LED": _LED}),  # its tables have no AS and AH
         ),
         Family.IO2: FamilyFacts(
@@ -114,3 +119,11 @@ BAUD_FIRMWARE_MIN: Final[Mapping[int, int]] = MappingProxyType(
 
 SERVO_ID_MAX: Final = 250
 """Ids 0 to 250 are usable (lss_facts section 4); this also bounds the joints of one bus to 251."""
+
+
+def ramp_steps(accel_deg_s2: float, ramp_ratio: float) -> int:
+    """Return the AA and AD whose ramps, `ramp_ratio` of what they say, are nearest below.
+
+    Rounded up, the servo would break the limit with every ramp. Not bounded to what exists.
+    """
+    return math.floor(round(accel_deg_s2 / (RAMP_STEP_DEG_S2 * ramp_ratio), 6))

@@ -8,11 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 
 from lss_motion.program import lanes
-from lss_motion.program.batch import States, speeds_for, trapezoids
+from lss_motion.program.batch import States, durations_for, speeds_for, trapezoids
 from lss_motion.program.compile import compile_program
 from lss_motion.program.course import GRID_S, Course, LimitArrays, ServoLimits
 from lss_motion.program.drives import lead
@@ -25,7 +25,6 @@ from lss_motion.program.response import (
     Piece,
     Profile,
     Reference,
-    expected_duration,
     trapezoid,
     travel_speed,
 )
@@ -71,12 +70,15 @@ def test_pieces_join_and_keep_the_ramp_and_end_on_the_target(at, speed, target, 
     assert (pieces[-1].position_deg, pieces[-1].speed_deg_s) == (target, 0.0)
 
 
-@given(angles, angles, st.floats(1.0, 300.0), ramps, st.sampled_from(["cruise", "exact"]))
-def test_travel_speed_and_expected_duration_undo_each_other(at, target, travel, ramp, law):
-    assume(abs(target - at) > 2.0 * travel * travel / ramp)
-    start, response = Piece(0.0, at, 0.0, 0.0), Response(t_law=law)
-    duration_s = expected_duration(start, target, travel, ramp, response)
-    assert travel_speed(start, target, duration_s, ramp, response) == pytest.approx(travel)
+@given(angles, speeds, angles, st.floats(1.0, 300.0), ramps, st.sampled_from(["cruise", "exact"]))
+@example(at=5.0, speed=30.0, target=80.0, travel=70.0, ramp=600.0, law="exact")
+def test_a_servo_travels_as_fast_as_its_t_was_made_for(at, speed, target, travel, ramp, law):
+    assume(abs(target - at) > 2.0 * travel * travel / ramp + 2.0 * speed * speed / ramp)
+    start = States(*(np.array([value]) for value in (1.0, at, speed)))
+    of_one = [np.array([value]) for value in (target, travel, ramp, law == "exact")]
+    (duration_s,) = durations_for(start, *of_one)
+    piece, response = Piece(1.0, at, speed, 0.0), Response(t_law=law)
+    assert travel_speed(piece, target, duration_s, ramp, response) == pytest.approx(travel)
 
 
 def crisp_bus(retarget="keep_speed", t_law="cruise"):

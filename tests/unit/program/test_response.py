@@ -11,9 +11,7 @@ from lss_motion.program.response import (
     Piece,
     Profile,
     Reference,
-    expected_duration,
     trapezoid,
-    travel_speed,
 )
 from lss_motion.robot.model import Response
 
@@ -167,15 +165,6 @@ def test_the_reference_is_the_profile_in_arrays():
     assert reference.sample(times_s) == pytest.approx([deg for deg, _ in expected])
     for time_s, one in zip(times_s, expected, strict=True):
         assert reference.at(float(time_s)) == pytest.approx(one)
-
-
-def test_expected_duration_is_what_travel_speed_takes():
-    start = Piece(0.0, 5.0, 30.0, 0.0)
-    for law in ("cruise", "exact"):
-        response = Response(t_law=law)
-        duration_s = expected_duration(start, 80.0, 70.0, RAMP_DEG_S2, response)
-        speed_deg_s = travel_speed(start, 80.0, duration_s, RAMP_DEG_S2, response)
-        assert speed_deg_s == pytest.approx(70.0, rel=1e-6)
 
 
 def test_exact_law_slows_down_below_the_mean_where_the_start_is_fast():
