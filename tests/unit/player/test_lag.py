@@ -32,7 +32,8 @@ def test_a_lag_is_found_whatever_the_load(lag_s, load_deg):
 
 def test_a_lag_as_assumed_moves_nothing():
     assert swung(0.0).extra_s == 0.0
-    assert swung(0.03).extra_s == pytest.approx(0.03 - DEAD_S, abs=0.003)
+    assert swung(0.03).extra_s == swung(0.03).estimate_s == pytest.approx(0.03, abs=0.003)
+    assert 0.0 < swung(1.5 * DEAD_S).extra_s < 1.5 * DEAD_S
 
 
 def test_no_estimate_goes_beyond_what_a_lag_can_be():
