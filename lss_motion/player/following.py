@@ -82,6 +82,12 @@ class Following:
         self.offset_max_deg = max(self.offset_max_deg, abs(self.offset_deg))
         return True
 
+    def rest(self, disturbance_deg: float) -> None:
+        """Note what is known for sure: so far from its profile a horn comes to rest."""
+        self.disturbance_deg = disturbance_deg
+        self.offset_deg = min(max(disturbance_deg, -OFFSET_MAX_DEG), OFFSET_MAX_DEG)
+        self.offset_max_deg = max(self.offset_max_deg, abs(self.offset_deg))
+
     def stand(self, standing_deg: float) -> None:
         """Begin to read anew, with a horn that stands there; what was learnt is kept."""
         self.standing_deg = standing_deg

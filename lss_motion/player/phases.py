@@ -246,8 +246,12 @@ class Phases:
                 return
             case Verdict.GO_ON:
                 pass
+        learns = self.show is None and session.has_feedback
+        if learns:
+            session.learn_loads(now_ns)
         joint, off_deg = session.furthest(session.place_deg(self.show, now_ns))
-        if off_deg <= setup.ARRIVED_DEG:
+        may_be_pulled = not learns or self._approaches > 1
+        if off_deg <= (setup.ARRIVED_DEG if may_be_pulled else setup.PULLED_DEG):
             self._begin(now_ns)
         elif self._approaches < APPROACHES_MAX:
             self._approach(now_ns)

@@ -94,6 +94,15 @@ class Session:
         self.standing_deg |= standing
         return [joint for joint in self.driven if joint.name not in standing]
 
+    def learn_loads(self, now_ns: int) -> None:
+        """Take in what pulls at every joint that rests where it was sent, or nearly."""
+        for joint in self.driven:
+            if joint.name in self._tracks:
+                track = self._tracks[joint.name]
+                pulled_deg = track.place(now_ns)[0] - self.standing_deg[joint.name]
+                if abs(pulled_deg) <= setup.ARRIVED_DEG:
+                    track.following.rest(pulled_deg)
+
     def start_deg(self) -> dict[str, float]:
         """Return the joint angles at which the show begins, also in its middle."""
         if self.start_s is None:
@@ -126,8 +135,12 @@ class Session:
         return self._stream(program, self.standing_deg, now_ns, None)
 
     def begin(self, start_ns: int) -> Streamer:
-        """Return the show, which starts at `start_ns`, with every joint at its start."""
+        """Return the show, which starts at `start_ns` with every joint at its start.
+
+        Corrected for what pulls at it: servos stand where they were sent.
+        """
         standing = {n: self.robot.joints[n].servo_deg(deg) for n, deg in self.start_deg().items()}
+        standing |= {name: track.place(start_ns)[0] for name, track in self._tracks.items()}
         return self._stream(self.program, standing, start_ns, self.start_s)
 
     def _stream(

@@ -32,6 +32,9 @@ AGREE_WITHIN: Final = {"QV": 500, "QT": 20}
 """What voltage (mV) and temperature (tenths of a degree) may change by in two milliseconds."""
 ARRIVED_DEG: Final = 3.0
 """A joint further from its start than this is sent there again; nearer, it may be its load."""
+PULLED_DEG: Final = 1.0
+"""With feedback a load is known after the first approach. A joint that it keeps further away than
+this is sent there once more, corrected: half a second, and the show begins where it should."""
 LATENCY_BAD_NS: Final = 5 * NS_PER_MS
 """A servo answers within 2 ms (lss_facts 2.2); what takes longer is an adapter's latency timer."""
 FILTER_QUESTIONS: Final = ("QFPC", "QIPE")

@@ -95,3 +95,18 @@ def test_what_a_servo_did_not_hear_it_hears_again_at_once(rms_deg, seed):
     ]
     assert len(late_s) >= 3
     assert np.median(late_s) < 0.04e9
+
+
+def test_under_a_load_a_show_begins_where_it_should(rms_deg):
+    """The approach has shown what pulls, and the first moves must not forget it."""
+    _, played = rms_deg(droop_deg=2.5)
+    is_first = played.result.truth.times_s < 1.0
+    error_deg = np.abs(played.horn_error_deg()[is_first])
+    assert error_deg[0].max() < 0.15
+    assert np.sqrt(np.mean(error_deg**2)) < 0.8
+
+
+def test_without_feedback_nobody_keeps_what_a_servo_may_have_missed(rms_deg):
+    _, played = rms_deg(has_feedback=False, faults=[LOST])
+    assert all(track.hearing is None for track in played.result.player.show.tracks.values())
+    assert not any(b"QDT" in data for _, _, data in played.sent)
