@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from lss_motion.program.course import GRID_S, SEGMENT_MAX_S, Course, ServoLimits
 from lss_motion.program.fit import Fit
@@ -18,26 +21,39 @@ LIMITS = ServoLimits(
 )
 
 
+def all_fitted(rows_deg, limits=LIMITS):
+    """Return moves and profile for each course, all heard when they are wanted."""
+    courses = [Course(start_s=0.0, position_deg=np.asarray(row)) for row in rows_deg]
+    each = [limits] * len(courses)
+    moves = Fit(courses, each).moves(lambda: lambda _joints, wanted_us, _after_us: wanted_us)
+    return [
+        (moves.of(joint), reference(moves, joint, course, limits))
+        for joint, course in enumerate(courses)
+    ]
+
+
 def fitted(position_deg):
-    """Return the moves for one course, all heard when they are wanted, and the profile they make"""
-    course = Course(start_s=0.0, position_deg=np.asarray(position_deg))
-    moves = Fit([course], [LIMITS]).moves(lambda: lambda _joints, wanted_us, _after_us: wanted_us)
-    return moves, reference(moves, 0, course, LIMITS)
+    return all_fitted([position_deg])[0]
 
 
-def test_no_course_is_run_past_the_begin_of_its_rest():
-    """One long slow move could keep the tolerance for a while after the rest began."""
-    random = np.random.default_rng(0)
+def swings(count, seed=0, longest_s=7.5):
+    """Return smooth courses from rest to rest, no two alike."""
+    random = np.random.default_rng(seed)
     times_s = GRID_S * np.arange(1600)
-    ramp = np.clip(np.minimum(times_s - 0.5, 7.5 - times_s) / 1.5, 0.0, 1.0)
+    ramp = np.clip(np.minimum(times_s - 0.5, longest_s - times_s) / 1.5, 0.0, 1.0)
     fade = ramp * ramp * (3.0 - 2.0 * ramp)
-    for _ in range(190):
+    for _ in range(count):
         waves = [
             (random.uniform(2.0, 8.0), random.uniform(0.05, 0.2), random.uniform(0.0, 6.28))
             for _ in range(random.integers(1, 4))
         ]
         swing = sum(size * np.sin(6.283 * rate * times_s + shift) for size, rate, shift in waves)
-        moves, profile = fitted(swing * fade)
+        yield swing * fade
+
+
+def test_no_course_is_run_past_the_begin_of_its_rest():
+    """One long slow move could keep the tolerance for a while after the rest began."""
+    for moves, profile in all_fitted(swings(190)):
         assert moves.heard_s[-1] <= 7.5
         assert moves.target_wire[-1] == 0
         assert profile.at(7.75) == (0.0, 0.0)
@@ -59,3 +75,27 @@ def test_a_standstill_needs_no_move():
 def test_what_is_less_than_half_a_wire_step_is_no_motion():
     times_s = GRID_S * np.arange(400)
     assert len(fitted(0.04 * np.sin(5.0 * times_s))[0]) == 0
+
+
+@pytest.mark.parametrize("law", ["cruise", "exact"])
+@pytest.mark.parametrize("wire_per_deg", [10, 100])
+@pytest.mark.parametrize(("scale", "most"), [(1.0, 218), (4.0, 421)])
+def test_the_tolerance_is_kept_with_few_moves(scale, most, wire_per_deg, law):
+    """`most`: what was measured and two or three more, of 24 courses together."""
+    limits = replace(LIMITS, wire_per_deg=wire_per_deg, response=Response(t_law=law))
+    rows_deg = [scale * row_deg for row_deg in swings(24, seed=3)]
+    found = all_fitted(rows_deg, limits)
+    assert sum(len(moves) for moves, _ in found) <= most
+    for (_, profile), row_deg in zip(found, rows_deg, strict=True):
+        stray_deg = np.abs(profile.sample(GRID_S * np.arange(len(row_deg))) - row_deg)
+        assert stray_deg.max() <= LIMITS.tolerance_deg + 0.002  # The wire rounds.
+
+
+@pytest.mark.parametrize(("accel_deg_s2", "most"), [(300.0, 35), (450.0, 47), (580.0, 50)])
+def test_a_course_near_the_ramp_is_followed(accel_deg_s2, most):
+    times_s = GRID_S * np.arange(1200)
+    fade = np.clip(times_s / 3.0, 0.0, 1.0) ** 2
+    row_deg = accel_deg_s2 / 25.0 * np.sin(5.0 * times_s) * fade
+    moves, profile = fitted(row_deg)
+    assert len(moves) <= most
+    assert np.abs(profile.sample(times_s) - row_deg).max() <= 1.1 * LIMITS.tolerance_deg
