@@ -49,6 +49,7 @@ TARGETS = {
     "trajectory/verify": ("tests/unit/trajectory/test_verify.py",),
     "program/verify": ("tests/unit/program/test_verify.py",),
     "program/line": ("tests/unit/program/test_line.py",),
+    "program/table": ("tests/unit/program/test_table.py",),
     "player/following": ("tests/unit/player/test_following.py",),
     "player/ladder": ("tests/unit/player/test_ladder.py",),
     "player/show_clock": ("tests/unit/player/test_show_clock.py",),

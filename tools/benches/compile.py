@@ -4,7 +4,7 @@ Ten minutes, 18 joints, 1,200 keyframes, 5 % of them too much to ask: the show o
 Planned cold and compiled in turns in one process; what counts is processor time, which a busy
 machine does not stretch.
 
-Parity is nearly reached: 1.05 to 1.15 on a busy machine. A third of what a move costs is seeing how
+Parity is nearly reached: 1.04 to 1.15 on a busy machine. A third of what a move costs is seeing how
 far it and its some ten rivals reach, a third is choosing, wording and landing it, a tenth its slot
 on the line; the rest are the samples of the plan and the verifier, which follows the finished bytes
 once more. Fewer trials cost moves (`compress`).

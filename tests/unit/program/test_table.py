@@ -30,6 +30,7 @@ def test_a_table_is_the_sequence_of_its_moves(count):
     said = moves(count)
     table = table_of(said)
     assert isinstance(table, MoveTable)
+    assert table_of(table) is table
     assert len(table) == count
     assert [*table] == said
     assert [table[index] for index in range(-count, count)] == said + said
