@@ -269,7 +269,7 @@ class Phases:
             self.show = self._session.begin(now_ns + COUNT_IN_NS)
             self.show.is_open = self.is_open
         else:
-            self.show.resume(self._session.left_out, now_ns)
+            self._session.resume(self.show, now_ns)
         self._streamer = self.show
         self.apply_rate(now_ns)
 

@@ -140,8 +140,17 @@ class Session:
         Corrected for what pulls at it: servos stand where they were sent.
         """
         standing = {n: self.robot.joints[n].servo_deg(deg) for n, deg in self.start_deg().items()}
-        standing |= {name: track.place(start_ns)[0] for name, track in self._tracks.items()}
+        standing |= self._places_deg(start_ns)
         return self._stream(self.program, standing, start_ns, self.start_s)
+
+    def resume(self, show: Streamer, now_ns: int) -> None:
+        """Go on with `show` from where the approach sent the servos, and with what it learnt."""
+        show.resume(self._places_deg(now_ns), self.left_out)
+        self._learn(show)
+
+    def _places_deg(self, now_ns: int) -> dict[str, float]:
+        """Return where the last moves sent the servos: servo angles."""
+        return {name: track.place(now_ns)[0] for name, track in self._tracks.items()}
 
     def _stream(
         self,
@@ -161,11 +170,14 @@ class Session:
             start_s=start_s,
         )
         streamer.leave_out(self.left_out)
+        self._learn(streamer)
+        return streamer
+
+    def _learn(self, streamer: Streamer) -> None:
         for name, track in streamer.tracks.items():
             if name in self._tracks:
                 track.learn(self._tracks[name])
             self._tracks[name] = track
-        return streamer
 
     def let_go(self, joint: Joint, now_ns: int) -> None:
         """Take the power from one motor, until the end."""

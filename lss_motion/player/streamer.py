@@ -148,14 +148,14 @@ class Streamer:
                 track.owed = track.led_ns = None
 
     def pose_deg(self, now_ns: int) -> dict[str, float]:
-        """Return where every joint stands, corrected, after a ramp to rate 0: joint angles."""
+        """Return where every joint is to stand after a ramp to rate 0: joint angles."""
         tracks = self.tracks.items()
-        return {name: t.pose_deg(self._planned_deg(t, now_ns)) for name, t in tracks}
+        return {name: t.joint.joint_deg(self._planned_deg(t, now_ns)) for name, t in tracks}
 
-    def resume(self, left_out: Iterable[str], now_ns: int) -> None:
-        """Go on at rate 0, with servos that were brought to `pose_deg` by somebody else."""
-        for name, angle_deg in self.pose_deg(now_ns).items():
-            self.tracks[name].stand(self.tracks[name].joint.servo_deg(angle_deg))
+    def resume(self, standing_deg: Mapping[str, float], left_out: Iterable[str]) -> None:
+        """Go on at rate 0, with servos that somebody else sent to `standing_deg` (servo angles)."""
+        for name, servo_deg in standing_deg.items():
+            self.tracks[name].stand(servo_deg)
         self.leave_out(left_out)
         if self.reader is not None:
             self.reader = self.reader.anew()

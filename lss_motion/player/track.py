@@ -100,12 +100,6 @@ class Track:
         if self.joint.drive == "streamed" and self.is_driven and self.led_ns is None:
             self.led_ns = now_ns
 
-    def pose_deg(self, planned_deg: float) -> float:
-        """Return the joint angle at which the plan, corrected, has it stand."""
-        servo_deg = planned_deg + self.following.offset_deg
-        low_deg, high_deg = self.limits.position_min_deg, self.limits.position_max_deg
-        return self.joint.joint_deg(min(max(servo_deg, low_deg), high_deg))
-
     def learn(self, earlier: Track) -> None:
         """Take over what was learnt about the same joint: what pulls at it, and how it lags."""
         self.lag = earlier.lag

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -110,3 +111,15 @@ def test_without_feedback_nobody_keeps_what_a_servo_may_have_missed(rms_deg):
     _, played = rms_deg(has_feedback=False, faults=[LOST])
     assert all(track.hearing is None for track in played.result.player.show.tracks.values())
     assert not any(b"QDT" in data for _, _, data in played.sent)
+
+
+def test_after_a_recovery_a_load_is_corrected_for_once(rms_deg):
+    """Not by the way back to the show and by the show as well."""
+    reset = Fault(kind=FaultKind.RESET, servo_id=2, at_s=7.0)
+    _, played = rms_deg(droop_deg=2.5, faults=[reset], baud_bps=115200)
+    assert {(f["joint"], f["step"]) for f in played.report["faults"]} == {("j1", "resume")}
+    clock = played.result.player.show.clock
+    shows_s = [clock.show_s(at_ns) for at_ns in range(7_500_000_000, 14_000_000_000, 10_000_000)]
+    from_s = max(a for a, b in pairwise(shows_s) if a == b)
+    error_deg = played.horn_error_deg(from_s=from_s)[:10]
+    assert np.abs(error_deg).max() < 0.8
