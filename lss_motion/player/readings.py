@@ -115,6 +115,7 @@ class Reader:
                 continue
             while self._ask_one(bus, now_ns, quiet_until_ns):
                 pass
+        self.watch.advance(now_ns)
 
     def _note_lateness(self, now_ns: int) -> None:
         """Ask less on a host that has other work: questions cost it time, and moves come first."""
@@ -216,7 +217,7 @@ class Reader:
 
     def wakeups_ns(self, now_ns: int) -> list[int]:
         """Return when something may have to be done, besides an answer coming in."""
-        wakeups_ns = self._waiting.wakeups_ns()
+        wakeups_ns = [*self._waiting.wakeups_ns(), *self.watch.wakeups_ns()]
         for bus, questioner in self._questioners.items():
             if (give_up_ns := questioner.give_up_ns) is not None:
                 wakeups_ns.append(give_up_ns)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lss_motion.player.track import Track
+    from lss_motion.robot.model import Joint
 
     Trouble = tuple[str, Cause]
 
@@ -62,6 +63,8 @@ class Watch:
         self._astray_since_ns: dict[str, int] = {}
         self._answered_ns: dict[str, int] = {}
         self._unanswered: dict[str, int] = {}
+        self._fading: dict[str, Joint] = {}
+        """Joints that are silent if they do not answer before their time is over."""
         self._before: dict[tuple[str, str], float] = {}
 
     def position(self, track: Track, heard_ns: int) -> None:
@@ -109,18 +112,34 @@ class Watch:
         name = track.joint.name
         self._answered_ns[name] = now_ns
         self._unanswered[name] = 0
+        self._fading.pop(name, None)
         self.troubles.pop((name, Cause.SILENT), None)
 
     def unanswered(self, track: Track, now_ns: int) -> None:
-        """Note that a question to a servo was given up."""
-        joint = track.joint
-        silent_ns = now_ns - self._answered_ns.setdefault(joint.name, now_ns)
-        self._unanswered[joint.name] = self._unanswered.get(joint.name, 0) + 1
-        if self._unanswered[joint.name] >= SILENT_ASKS and silent_ns >= ns_from_s(joint.silent_s):
-            self.troubles[joint.name, Cause.SILENT] = (
-                f"is silent: servo {joint.servo_id} has not answered for "
-                f"{s_from_ns(silent_ns):.1f} s. Look at its cable and its power"
-            )
+        """Note that a question to a servo was given up; `advance` judges it."""
+        name = track.joint.name
+        self._answered_ns.setdefault(name, now_ns)
+        self._unanswered[name] = self._unanswered.get(name, 0) + 1
+        if self._unanswered[name] >= SILENT_ASKS:
+            self._fading[name] = track.joint
+
+    def advance(self, now_ns: int) -> None:
+        """Judge who is silent by now: no question that comes late on a full line is waited for."""
+        for name, joint in self._fading.items():
+            silent_ns = now_ns - self._answered_ns[name]
+            if silent_ns >= ns_from_s(joint.silent_s):
+                self.troubles[name, Cause.SILENT] = (
+                    f"is silent: servo {joint.servo_id} has not answered for "
+                    f"{s_from_ns(silent_ns):.1f} s. Look at its cable and its power"
+                )
+
+    def wakeups_ns(self) -> list[int]:
+        """Return when `advance` must be called at the latest."""
+        return [
+            self._answered_ns[name] + ns_from_s(joint.silent_s)
+            for name, joint in self._fading.items()
+            if (name, Cause.SILENT) not in self.troubles
+        ]
 
     def quiet(self) -> set[str]:
         """Return the joints whose last question was not answered."""

@@ -78,10 +78,29 @@ def test_a_servo_is_silent_after_its_time_and_so_many_questions(track):
     watch = Watch()
     watch.answered(track, 0)
     for ask in range(1, SILENT_ASKS + 1):
+        watch.advance(S + ask)
         assert watch.troubles == {}
         watch.unanswered(track, S + ask)
+    watch.advance(S + SILENT_ASKS)
     assert causes(watch) == {Cause.SILENT}
     watch.answered(track, 2 * S)
     for ask in range(20):
         watch.unanswered(track, 2 * S + ask * S // 50)
+        watch.advance(2 * S + ask * S // 50)
         assert watch.troubles == {}, "not before its time"
+
+
+def test_a_servo_is_silent_when_its_time_is_over_whenever_it_was_last_asked(track):
+    watch = Watch()
+    watch.answered(track, 0)
+    for ask in range(SILENT_ASKS):
+        watch.unanswered(track, ask * S // 10)
+    assert watch.wakeups_ns() == [S]
+    watch.advance(S - 1)
+    assert watch.troubles == {}
+    watch.advance(S)
+    assert causes(watch) == {Cause.SILENT}
+    assert watch.wakeups_ns() == []
+    watch.answered(track, S)
+    watch.advance(3 * S)
+    assert (watch.troubles, watch.wakeups_ns()) == ({}, [])
