@@ -286,10 +286,13 @@ class Streamer:
         self._skip_due(now_ns)
         late_ns = now_ns - self._tick_ns
         if self.clock.is_ramping(now_ns) or 0.0 < self.clock.target_rate < 1.0:
-            self._follow_course(now_ns, self._periods.tick_ns, late_ns)
-            self._tick_ns = now_ns + self._periods.tick_ns
+            period_ns = self._periods.tick_ns
             if self.clock.is_ramping(now_ns):
-                self._tick_ns = min(self._tick_ns, self.clock.ramp_end_ns)
+                # A last tick shortly before the end would put twice as much on the line.
+                left_ns = self.clock.ramp_end_ns - now_ns
+                period_ns = left_ns // max(1, left_ns // period_ns)
+            self._follow_course(now_ns, period_ns, late_ns)
+            self._tick_ns = now_ns + period_ns
             return
         self._tick_ns = None
         if self.clock.target_rate == 0.0:
