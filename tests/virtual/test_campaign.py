@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from campaign import judge, witness
 from campaign.shows import show
+from campaign.stale import lawless_ns
 
 from lss_motion.player import settings, setup, streamer, track
+from lss_motion.sim.faults import Fault, FaultKind
 
 SEEDS, CHUNKS = range(200), 20
 FOUND_BPS = 19_200
@@ -21,6 +25,15 @@ FOUND = (
     3076,  # if they are those assumed.
     1634,  # One still deaf from its restart at the end of the approach was not missed.
     2098,  # A garbled word put a horn out of its range, and it was led back from there.
+)
+FOUND_SLOW = (
+    2213,  # A clog kept words for a servo until it had restarted: nobody's doing.
+    2472,  # On a full line, silence was noticed with the next question, when the servo was back.
+)
+FOUND_ANY = (
+    293,  # A joint in EM0 was somewhat too fast.
+    466,  # The last tick of a ramp and the program's moves after it crowded out a joint in EM0.
+    545,  # As 2213; the move under way ended with the ramps with which it had begun.
 )
 
 
@@ -41,8 +54,41 @@ def test_what_once_broke_a_promise_breaks_none(seed):
     assert judge.judged(seed, slow_bps=FOUND_BPS).broken == ()
 
 
+@pytest.mark.parametrize("seed", FOUND_SLOW)
+def test_what_broke_a_promise_on_a_slow_line_breaks_none(seed):
+    assert judge.judged(seed).broken == ()
+
+
+@pytest.mark.parametrize("seed", FOUND_ANY)
+def test_what_broke_a_promise_of_any_robot_breaks_none(seed):
+    assert judge.judged(seed, is_any=True).broken == ()
+
+
 def test_a_second_trouble_is_waited_for_as_long_as_the_first():
     assert judge.judged(768, slow_bps=FOUND_BPS).outcome == "finished"
+
+
+S = 1_000_000_000
+RESET = Fault(kind=FaultKind.RESET, at_s=1.0, servo_id=7)
+CLOG = Fault(kind=FaultKind.CLOGGED, at_s=2.0, until_s=3.0)
+WORD, NEXT = b"#7D100T50\r", b"#7D110T50\r"
+HEARD = [(3 * S + 1, WORD), (3 * S + 2, b"#7AD60\r"), (3 * S + 3, b"#8D1\r"), (4 * S, NEXT)]
+
+
+@pytest.mark.parametrize(
+    ("faults", "written_s", "spans_ns"),
+    [
+        ((RESET, CLOG), 2.1, [(3 * S + 1, 4 * S)]),
+        ((RESET, CLOG), 2.3, []),  # The servo was back: who wrote that should have known.
+        ((RESET,), 2.1, []),
+        ((CLOG,), 2.1, []),
+        ((replace(RESET, servo_id=8), CLOG), 2.1, []),
+        ((RESET, replace(CLOG, at_s=1.0, until_s=2.0)), 2.1, []),
+    ],
+)
+def test_only_words_that_a_clog_kept_past_a_restart_are_nobodys_doing(faults, written_s, spans_ns):
+    writes = [(int(written_s * S), b"#8Q\r" + WORD), (4 * S - 9, NEXT)]
+    assert lawless_ns(7, faults, writes, HEARD) == spans_ns
 
 
 def broken(name):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from campaign.any_show import any_show
 from campaign.shows import NAMES, RESUME_S, SLOW_BPS, Show, show
+from campaign.stale import lawless_ns
 from campaign.witness import Act, HangError, Witness, random_acts
 
 from lss_motion import api
@@ -16,7 +17,7 @@ from lss_motion.player.following import OFFSET_MAX_DEG
 from lss_motion.sim.build import servos_of
 from lss_motion.sim.faults import INSTANT, REPLY_KINDS, Fault, FaultKind
 from lss_motion.sim.random_faults import random_faults
-from lss_motion.units import NS_PER_S, s_from_ns
+from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,6 +36,8 @@ WINDOW: Final = 4
 SPEED_EXCESS: Final = 1.05
 ACCEL_EXCESS: Final = 1.1
 """As in the tests of the player: what the simulator's loop of 5 ms adds."""
+LAGS: Final = 3.0
+"""After so many of its lags a horn does what its servo has told it, to a twentieth."""
 RANGE_EXCESS_DEG: Final = 0.3
 RESTS_WITHIN_DEG: Final = 4.0
 """A finished show without a fault has its horns this near to its last pose: `following_deg` is 10
@@ -258,8 +261,6 @@ class _Judge:
         is_streamed = joint.drive == "streamed"
         kinds = BODY_KINDS | (MISSED_KINDS if is_streamed else set())
         own = [fault for fault in self.faults if fault.servo_id in (None, joint.servo_id)]
-        if any(_is_stale(reset, clog) for reset in own for clog in own):
-            return True
         is_lied_about = any(f.kind in LYING_KINDS and f.ratio >= LYING_RATIO for f in own)
         return any(f.kind in kinds for f in own) or (is_streamed and is_lied_about)
 
@@ -274,8 +275,14 @@ class _Judge:
         for fault in self.faults:
             if fault.kind is FaultKind.RESET and fault.servo_id in (None, joint.servo_id):
                 # Without power a motor stops at once.
-                at = int(fault.at_s * NS_PER_S) // STEP_NS
+                at = ns_from_s(fault.at_s) // STEP_NS
                 accel[max(0, at - 2 * WINDOW) : at + WINDOW] = 0.0
+        lag_ns = ns_from_s(LAGS * joint.response.lag_s)
+        writes = self.witness.writes.get(joint.bus, [])
+        heard = self.result.simulated[joint.bus].heard or []
+        for from_ns, until_ns in lawless_ns(joint.servo_id, self.faults, writes, heard):
+            first, last = from_ns // STEP_NS - 2 * WINDOW, (until_ns + lag_ns) // STEP_NS
+            speed[max(0, first) : last] = accel[max(0, first) : last] = 0.0
         speed_deg_s = SPEED_EXCESS * joint.speed_max_deg_s
         accel_deg_s2 = ACCEL_EXCESS * joint.accel_max_deg_s2
         if joint.drive == "streamed":
@@ -332,15 +339,6 @@ class _Judge:
 
 def _shares(joint: Joint, fault: Fault) -> bool:
     return fault.servo_id in (None, joint.servo_id)
-
-
-def _is_stale(reset: Fault, clog: Fault) -> bool:
-    """Return whether a servo restarted while words for it lay in a clogged line.
-
-    They reach it without its limits, and nobody can take them back.
-    """
-    is_both = reset.kind is FaultKind.RESET and clog.kind is FaultKind.CLOGGED
-    return is_both and clog.at_s <= reset.at_s <= clog.until_s
 
 
 def _outside_deg(joint: Joint, angle: float) -> float:

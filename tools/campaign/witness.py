@@ -59,13 +59,16 @@ class Witness:
     """What somebody is going to do, in order of time."""
     has_acted: bool = False
     sent_data: dict[str, bytearray] = field(default_factory=dict)
+    writes: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)
+    """What was written to each bus, and when."""
     phases: list[tuple[int, Phase]] = field(default_factory=list)
     turns: int = 0
     spins: int = 0
     end_ns: int = 0
 
-    def sent(self, bus: str, data: bytes, _: int) -> None:
+    def sent(self, bus: str, data: bytes, now_ns: int) -> None:
         self.sent_data.setdefault(bus, bytearray()).extend(data)
+        self.writes.setdefault(bus, []).append((now_ns, data))
 
     def received(self, bus: str, data: bytes, now_ns: int) -> None:
         """Say nothing: what the servos answer is their affair."""
