@@ -54,6 +54,11 @@ TARGETS = {
     "player/ladder": ("tests/unit/player/test_ladder.py",),
     "player/show_clock": ("tests/unit/player/test_show_clock.py",),
     "player/queries": ("tests/unit/player/test_queries.py",),
+    "player/hearing": ("tests/unit/player/test_hearing.py",),
+    "player/lag": ("tests/unit/player/test_lag.py",),
+    "player/due": ("tests/unit/player/test_due.py",),
+    "player/statistics": ("tests/unit/player/test_statistics.py",),
+    "player/turnaround": ("tests/unit/player/test_turnaround.py",),
 }
 """Module → the tests that are to notice."""
 WARM = (

@@ -53,7 +53,7 @@ class Statistics:
         count = sums[-1] if sums else 0
 
         def at_ratio(ratio: float) -> int:
-            rank = min(count - 1, int(ratio * count))
+            rank = int(ratio * count)
             above = (end_ns for end_ns, so_far in zip(ends_ns, sums, strict=True) if so_far > rank)
             return min(next(above, 0), self.max_ns)
 

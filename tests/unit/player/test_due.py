@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import count
 from random import Random
 
 import pytest
@@ -40,6 +41,54 @@ def test_all_moves_leave_in_the_order_of_their_instants(seed):
     found = left(due_moves)
     assert [at_us for at_us, _ in found] == sorted(at_us for at_us, _ in found)
     assert sorted(found) == sorted((due - early_us[servo], due) for due, servo in listed)
+
+
+def test_moves_of_one_instant_leave_as_they_stand_in_the_program():
+    due_moves = DueMoves(iter(moves(100, servo_id=5) + moves(100, servo_id=2)), lambda _: 0)
+    assert [due_moves.first(ENDLESS) and due_moves.pop().move.servo_id for _ in "12"] == [5, 2]
+
+
+def test_a_walk_without_end_is_not_looked_through_to_its_end():
+    endless = ((10_000 * number, move(10_000 * number)) for number in count())
+    assert DueMoves(endless, lambda _: 500).first(ENDLESS).due_us == 0
+
+
+def begun(seed):
+    """Return moves of joints that lag differently, some of which have left; and what is to come.
+
+    What is to come are `(due_us, servo_id)`, and how much earlier each servo's moves leave.
+    """
+    random = Random(seed)
+    early_us = {servo_id: random.randint(-30_000, EARLY_MAX_US) for servo_id in range(6)}
+    dues = sorted((random.randrange(1_000_000), servo_id) for servo_id in 25 * list(range(6)))
+    due_moves = DueMoves(
+        iter([(due_us, move(due_us, servo_id)) for due_us, servo_id in dues]),
+        lambda one: early_us[one.servo_id],
+    )
+    for _ in range(40):
+        due_moves.first(ENDLESS)
+        due = due_moves.pop()
+        dues.remove((due.due_us, due.move.servo_id))
+    return due_moves, dues, early_us
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_was_passed_by_is_named_in_order_and_the_rest_leaves_in_order(seed):
+    due_moves, dues, early_us = begun(seed)
+    until_us = Random(seed).choice([dues[3][0], dues[20][0], dues[90][0]])
+    passed = [(due_us, one.servo_id) for due_us, one in due_moves.pass_by(until_us)]
+    assert passed == [one for one in dues if one[0] <= until_us]
+    rest = [(due - early_us[servo], due) for due, servo in dues if due > until_us]
+    assert left(due_moves) == sorted(rest)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_was_due_before_a_replacement_still_leaves_in_order(seed):
+    due_moves, dues, early_us = begun(seed)
+    from_us = Random(seed).choice([dues[3][0], dues[20][0], dues[90][0]])
+    due_moves.replace_from(from_us, [move(from_us + 7, 1)])
+    kept = [one for one in dues if one[0] < from_us] + [(from_us + 7, 1)]
+    assert left(due_moves) == sorted((due - early_us[servo], due) for due, servo in kept)
 
 
 def test_nobody_is_earlier_than_an_estimate_may_be():

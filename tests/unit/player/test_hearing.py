@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.player.hearing import ASKS_MAX, DENIALS_MAX, Hearing
+from lss_motion.player.hearing import ASKS_MAX, DENIALS_MAX, OTHERS_MAX, SURE_S, Hearing, Other
 from lss_motion.program.response import Profile
 from lss_motion.robot.model import Response
 
@@ -75,9 +75,73 @@ def test_a_horn_that_is_held_up_has_not_missed_anything():
     for one in MOVES:
         hearing.told(said.copy(), *one)
         said.retarget(*one)
+    assert not hearing.is_doubtful
     for step in range(100):
         assert hearing.judge(0.8 + step / 100, said.at(0.8 + step / 100)[0], 90.0) is None
         assert not hearing.is_doubtful
+
+
+def standing(deg):
+    return Profile(deg, ramp_deg_s2=800.0, speed_max_deg_s=200.0, response=Response())
+
+
+def doubting(*others_deg):
+    """Return the hearing of a servo that may as well stand at one of `others_deg`."""
+    others = [Other(standing(deg)) for deg in others_deg]
+    return Hearing(UNIT_DEG, LOOP_S, others=others)
+
+
+@pytest.mark.parametrize(
+    ("expected_deg", "others_deg", "free_deg", "found_deg"),
+    [
+        pytest.param(20.0, (5.0, 0.0, -9.0), 0.2, 0.0, id="the nearest of several"),
+        pytest.param(20.0, (0.0,), 3.0, 0.0, id="a weak motor, far from its own course"),
+        pytest.param(0.0, (2.15,), 1.6, 2.15, id="a little off, near its own course"),
+        pytest.param(0.0, (1.4,), 0.9, None, id="between two courses that have hardly parted"),
+        pytest.param(0.0, (3.4,), 2.5, None, id="off both, near its own course"),
+        pytest.param(20.0, (0.0,), 9.0, None, id="off both, far from its own course"),
+    ],
+)
+def test_a_horn_that_stays_near_another_course_is_on_it(
+    expected_deg, others_deg, free_deg, found_deg
+):
+    hearing = doubting(*others_deg)
+    assert hearing.judge(1.0, expected_deg, free_deg) is None, "one reading is no proof"
+    assert hearing.is_doubtful is (found_deg is not None)
+    found = hearing.judge(1.0 + 2.0 * SURE_S, expected_deg, free_deg)
+    assert (found and found.at(1.1)[0]) == found_deg
+    assert not (found and hearing.others), "what it is on is known, and doubted no more"
+
+
+def test_a_horn_that_crosses_another_course_twice_is_not_on_it():
+    hearing = doubting(0.0)
+    for number, free_deg in enumerate((0.0, 9.0, 0.0)):
+        assert hearing.judge(1.0 + number * SURE_S, 20.0, free_deg) is None
+    assert hearing.judge(1.0 + 4 * SURE_S, 20.0, 0.0) is not None
+
+
+def test_a_course_that_a_reading_has_refuted_is_out():
+    hearing = doubting(0.0)
+    hearing.judge(1.0, 20.0, 20.0)
+    for number in range(1, 5):
+        assert hearing.judge(1.0 + number * SURE_S, 20.0, 0.0) is None
+        assert not hearing.is_doubtful
+
+
+def test_what_spoke_for_a_course_before_a_move_is_no_proof_after_it():
+    hearing = doubting(0.0)
+    hearing.judge(1.0, 20.0, 0.0)
+    hearing.told(standing(20.0), 1.0, 1.0, 1.0)
+    assert hearing.judge(1.0 + 2.0 * SURE_S, 20.0, 0.0) is None
+    assert hearing.judge(1.0 + 4.0 * SURE_S, 20.0, 0.0) is not None
+
+
+def test_the_oldest_of_many_moves_counts_as_heard():
+    hearing = Hearing(UNIT_DEG, LOOP_S)
+    for number in range(2 * OTHERS_MAX):
+        hearing.told(standing(float(number)), 0.1 * number, 50.0, 1.0)
+    begins_deg = [other.profile.at(0.0)[0] for other in hearing.others]
+    assert begins_deg == [float(number) for number in range(OTHERS_MAX, 2 * OTHERS_MAX)]
 
 
 @pytest.fixture
@@ -139,6 +203,23 @@ def test_a_servo_that_means_something_else_by_it_is_not_asked_for_ever():
         hearing.told(said.copy(), 0.1 * number, 10.0 + number, 0.2)
         assert hearing.wants_target(0.1 * number + 0.02) is (number < DENIALS_MAX)
         hearing.named(0.1 * number + 0.02, -50.0)
+
+
+def test_one_that_named_its_target_in_between_is_asked_on():
+    hearing = Hearing(UNIT_DEG, LOOP_S)
+    for number in range(2 * DENIALS_MAX):
+        hearing.told(standing(0.0), 0.1 * number, 10.0 + number, 0.2)
+        assert hearing.wants_target(0.1 * number + 0.02)
+        is_named = number == DENIALS_MAX - 1
+        hearing.named(0.1 * number + 0.02, 10.0 + number if is_named else -50.0)
+
+
+def test_a_target_two_units_off_is_another_one(told):
+    hearing, said = told
+    assert hearing.named(0.72, 40.0 + 2.0 * UNIT_DEG) is None
+    assert hearing.wants_target(0.73)
+    hearing.told(said.copy(), 0.9, 40.0 - 2.0 * UNIT_DEG, 0.3)
+    assert hearing.wants_target(1.0)
 
 
 def test_a_move_to_the_same_target_is_not_asked_about(told):

@@ -7,7 +7,7 @@ from random import Random
 import numpy as np
 import pytest
 
-from lss_motion.player.lag import DEAD_S, LAG_MAX_S, Lag
+from lss_motion.player.lag import DEAD_S, LAG_MAX_S, MEMORY_S, Lag
 
 
 def swung(lag_s, *, load_deg=0.0, noise_deg=0.1, seconds=6.0, hz=40.0, swing_deg=30.0):
@@ -54,3 +54,35 @@ def test_one_reading_says_nothing():
     assert lag.estimate_s == 0.0
     lag.take(5.0, 100.0, 0.02)
     assert abs(lag.estimate_s) < 0.002
+
+
+def driven(lag, lag_s, *speeds_deg_s, seconds, load_deg=0.0):
+    """Read a horn that lags by `lag_s` at each of the speeds in turn, for so long in all."""
+    for step in range(round(100 * seconds)):
+        speed = speeds_deg_s[step % len(speeds_deg_s)]
+        lag.take(load_deg + lag_s * speed, speed, 0.01)
+    return lag.estimate_s
+
+
+def test_half_a_second_to_and_fro_tells_the_lag():
+    assert driven(Lag(), 0.03, -100.0, 100.0, seconds=0.5) == pytest.approx(0.03, rel=0.05)
+
+
+def test_a_slow_move_is_hardly_believed():
+    assert 0.01 < driven(Lag(), 0.03, -10.0, 10.0, seconds=2.0) < 0.02
+
+
+def test_one_way_at_two_speeds_tells_a_lag_from_a_load():
+    found_s = driven(Lag(), 0.03, 40.0, 120.0, seconds=4.0, load_deg=3.0)
+    assert found_s == pytest.approx(0.03, rel=0.05)
+
+
+def test_what_was_found_counts_a_third_after_so_much_motion():
+    lag = Lag()
+    driven(lag, 0.04, -100.0, 100.0, seconds=20.0)
+    assert driven(lag, 0.0, -100.0, 100.0, seconds=MEMORY_S) == pytest.approx(0.04 / 2.72, rel=0.05)
+
+
+def test_creeping_for_a_minute_forgets_little():
+    lag = swung(0.03)
+    assert driven(lag, 0.03, -2.0, 2.0, seconds=60.0) == pytest.approx(0.03, rel=0.1)
