@@ -20,6 +20,7 @@ from lss_motion.cli.main import main
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.build import bus_from_robot
 from lss_motion.sim.pty import serve_buses
+from tests.timed_moves import is_move
 
 if TYPE_CHECKING:
     from lss_motion.sim.bus import SimBus
@@ -303,7 +304,7 @@ def test_a_killed_player_leaves_a_robot_that_comes_to_rest_by_itself(folder):
         longest_s = max(
             int(line.rstrip(b"\r").split(b"T")[1]) / 1000
             for line in lines_heard(port)
-            if b"D" in line and b"T" in line
+            if is_move(line)
         )
         last_ns = port.bus.heard[-1][0]
         port.bus.advance(last_ns + int((longest_s + 1.5) * 1e9))

@@ -16,6 +16,7 @@ import pytest
 from lss_motion.cli import shows
 from lss_motion.sim.build import bus_from_robot
 from lss_motion.sim.pty import serve_buses
+from tests.timed_moves import is_move
 
 pytestmark = pytest.mark.realtime
 
@@ -76,7 +77,7 @@ def wait_for(process, text):
 def wait_for_moves(bus, count):
     """Wait, without looking at the clock, until the servos have heard so many moves."""
     turn = threading.Event()
-    while sum(b"D" in line and b"T" in line for _, line in bus.heard) < count:
+    while sum(is_move(line) for _, line in bus.heard) < count:
         turn.wait(0.01)
 
 
@@ -108,7 +109,7 @@ def approached(bus):
     """Return where the approach, the first move of every servo, was to lead, by servo."""
     targets = {}
     for _, line in bus.heard:
-        if b"D" in line and b"T" in line:
+        if is_move(line):
             servo, rest = line[1:].split(b"D")
             targets.setdefault(int(servo), int(rest.split(b"T")[0]) / 10.0)
     _, robot = shows.load_gait(EXAMPLE, None)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,9 +13,7 @@ from lss_motion.robot.models import SERVO_MODELS
 from lss_motion.sequence.model import Keyframe, Sequence
 from lss_motion.sim import build
 from lss_motion.sim.faults import FaultKind
-
-MOVE = re.compile(rb"#(\d+)D(-?\d+)T(\d+)\r")
-
+from tests.timed_moves import is_move
 
 ROBOT_FIELDS = ("on_fault", "patience_s", "resume_s")
 
@@ -120,7 +117,7 @@ class Played:
         return [line for at_ns, line in self.bus.heard if at_ns > after_ns]
 
     def moves(self):
-        return [line for line in self.heard() if MOVE.fullmatch(line)]
+        return [line for line in self.heard() if is_move(line)]
 
     def horn_error_deg(self, from_s=0.0):
         """Return horn minus plan, (instants, joints), at show times from `from_s` on."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from functools import partial
 from itertools import pairwise
@@ -13,10 +12,10 @@ import pytest
 from lss_motion.sim import build
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics
+from tests.timed_moves import MOVE
 
 WRONG_LAG = Physics(lag_s=0.05)
 """30 ms more than a robot file assumes."""
-MOVE = re.compile(rb"#(\d+)D-?\d+T\d+\r")
 LOST = Fault(kind=FaultKind.LOST_COMMAND, ratio=0.02)
 
 

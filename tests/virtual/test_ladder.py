@@ -14,6 +14,7 @@ from lss_motion.player.following import OFFSET_MAX_DEG
 from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.servo import Servo
+from tests.timed_moves import is_move
 
 S = 1_000_000_000
 HOLD = b"#254H\r"
@@ -236,7 +237,7 @@ def test_a_port_that_comes_back_is_played_on_with_the_settings_said_again(stage,
     assert played.report["outcome"] == "finished"
     assert faults(played) == [("", "lost_port", "resume")]
     after = played.heard(after_ns=5 * S)
-    first = next(i for i, line in enumerate(after) if b"D" in line and b"T" in line)
+    first = next(i for i, line in enumerate(after) if is_move(line))
     assert {b"#1AA60\r", b"#2SD1800\r", b"#3EM1\r"} <= set(after[:first])
     assert played.heard()[-1] == HOLD
     assert np.abs(played.horn_error_deg(from_s=2.5)).max() < 1.0

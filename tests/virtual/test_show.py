@@ -13,6 +13,7 @@ from lss_motion.player.phases import COUNT_IN_NS
 from lss_motion.robot.models import SERVO_MODELS
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics
+from tests.timed_moves import is_move
 
 QUIET = Physics(noise_deg=0.0)
 HOLD, LIMP = b"#254H\r", b"#254L\r"
@@ -62,7 +63,7 @@ def test_a_show_is_counted_in_and_may_be_stopped_meanwhile(stage, kit, act):
         "pause": [(in_count_in, kit.rate(0.0)), (stands, kit.rate(1.0))],
     }[act]
     played = stage.play(robot, wishes=wishes)
-    moved = [at_ns for at_ns, line in played.bus.heard if b"D" in line and b"T" in line]
+    moved = [at_ns for at_ns, line in played.bus.heard if is_move(line)]
     show = [at_ns for at_ns in moved if at_ns > begun_ns[0]]
     assert_ended_safely(played, robot)
     assert show == [] if act == "stop" else show[0] >= begun_ns[0] + COUNT_IN_NS
@@ -73,7 +74,7 @@ def test_a_show_is_counted_in_and_may_be_stopped_meanwhile(stage, kit, act):
 def test_without_feedback_the_same_moves_are_heard_and_no_question_in_the_show(stage, kit):
     played = stage.play(has_feedback=False)
     assert np.abs(played.horn_error_deg()).max() < 0.8
-    moves = [at_ns for at_ns, line in played.bus.heard if b"T" in line and b"D" in line]
+    moves = [at_ns for at_ns, line in played.bus.heard if is_move(line)]
     asked = [at_ns for at_ns, line in played.bus.heard if b"Q" in line]
     assert asked
     assert max(asked) < min(moves)
@@ -112,7 +113,7 @@ def test_two_buses_are_played_side_by_side(stage, kit):
     assert np.abs(played.horn_error_deg()).max() < 0.8
     assert_ended_safely(played, robot)
     for bus, own in (("bus0", b"13"), ("bus1", b"24")):
-        said = {line[1:2] for _, line in played.buses[bus].heard if b"T" in line and b"D" in line}
+        said = {line[1:2] for _, line in played.buses[bus].heard if is_move(line)}
         assert said == {bytes([digit]) for digit in own}
 
 
@@ -418,4 +419,4 @@ def test_an_exception_on_the_way_leaves_every_bus_in_the_safe_state(stage, kit):
     assert len(buses) == 2
     for bus in buses:
         assert bus.heard[-1][1] == HOLD
-        assert sum(b"T" in line and b"D" in line for _, line in bus.heard) > 5
+        assert sum(is_move(line) for _, line in bus.heard) > 5
