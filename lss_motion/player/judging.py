@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from lss_motion.player.track import REST_DEG_S
 from lss_motion.units import s_from_ns
 
 if TYPE_CHECKING:
@@ -55,4 +56,6 @@ def take_position(
         track.profile = other
     elif before_s is not None and not track.hearing.is_doubtful:
         track.lag.take(profile_deg - measured_deg, speed_deg_s, read_s - before_s)
+        if track.setpoints is None or abs(speed_deg_s) < REST_DEG_S:
+            track.early_s = track.lag.extra_s
     return other is not None

@@ -64,6 +64,6 @@ def lead(
 
 def _wanted_deg(track: Track, planned_deg: Callable[[Track, int], float], at_s: float) -> float:
     """Return where the filter of a joint should be then: ahead of the horn, and corrected."""
-    at_ns = ns_from_s(at_s + track.lead_s + track.lag.extra_s)
+    at_ns = ns_from_s(at_s + track.lead_s + track.early_s)
     wanted_deg = planned_deg(track, at_ns) + track.following.offset_deg
     return min(max(wanted_deg, track.limits.position_min_deg), track.limits.position_max_deg)

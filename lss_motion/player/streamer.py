@@ -207,7 +207,7 @@ class Streamer:
 
     def _early_us(self, move: Move) -> int:
         """Return by how much a move is to leave earlier than the program says."""
-        return us_from_s(self._by_address[move.bus, move.servo_id].lag.extra_s)
+        return us_from_s(self._by_address[move.bus, move.servo_id].early_s)
 
     def _instant_ns(self, show_s: float) -> int:
         instant_ns = self.clock.instant_ns(show_s)

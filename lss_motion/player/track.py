@@ -84,6 +84,10 @@ class Track:
     hearing: Hearing | None = None
     """What its servo may have missed; None: nobody judges that."""
     lag: Lag = field(default_factory=Lag)
+    early_s: float = 0.0
+    """By how much its moves leave earlier than the program says, for its lag. A joint in EM0 keeps
+    it while it moves: an instant that creeps past a step of the filter, and nobody knows when it
+    steps, leaves out a target or uses one twice, which is more than the acceleration allows."""
     trace: Trace = field(default_factory=Trace)
     is_driven: bool = True
     """Whether it is sent moves: not while nobody knows what its servo would make of them."""
@@ -102,7 +106,7 @@ class Track:
 
     def learn(self, earlier: Track) -> None:
         """Take over what was learnt about the same joint: what pulls at it, and how it lags."""
-        self.lag = earlier.lag
+        self.lag, self.early_s = earlier.lag, earlier.lag.extra_s
         if self.hearing is not None and earlier.hearing is not None:
             self.hearing.denials = earlier.hearing.denials
         self.following.disturbance_deg = earlier.following.disturbance_deg
