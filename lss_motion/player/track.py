@@ -39,6 +39,9 @@ JOIN_S = 0.1
 """A joint that has missed a move catches up in about this time, if its limits allow. Chosen."""
 REST_DEG_S = 1.0
 """Slower than this a servo is at rest: what is left of a filter's way is below a wire unit."""
+REST_DEG = 0.5
+"""And a timed one no further than this from its target. Chosen: what braking from that speed takes,
+with room for what a lost move leaves."""
 LONGEST_NS = ns_from_s(s_from_ms(DURATION_MAX_MS))
 HISTORY_S = 2.0
 """How long what the profile did is kept: longer than any answer may take."""
@@ -123,7 +126,11 @@ class Track:
         """
         if self.heard_ns is not None and now_ns - self.heard_ns > LONGEST_NS:
             return True
-        return abs(self.place(now_ns)[1]) < REST_DEG_S
+        position_deg, speed_deg_s = self.place(now_ns)
+        if isinstance(self.profile, Profile):  # Where it turns round, it is slow as well.
+            off_deg = abs(position_deg - self.profile.target_deg)
+            return abs(speed_deg_s) < REST_DEG_S and off_deg < REST_DEG
+        return abs(speed_deg_s) < REST_DEG_S
 
     def wire_for(self, target_deg: float, heard_ns: int) -> int:
         """Return the wire value next to `target_deg` plus the correction, inside the range.

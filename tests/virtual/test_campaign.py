@@ -33,6 +33,7 @@ FOUND_SLOW = (
 FOUND_ANY = (
     293,  # Instants crept with a lag that was being learnt, past the steps of a joint in EM0.
     1370,  # The same.
+    1444,  # A joint that turned round at the very end of a show was taken for one at rest.
     466,  # The last tick of a ramp and the program's moves after it crowded out a joint in EM0.
     545,  # As 2213; the move under way ended with the ramps with which it had begun.
 )
