@@ -56,6 +56,7 @@ TARGETS = {
     "player/queries": ("tests/unit/player/test_queries.py",),
     "player/hearing": ("tests/unit/player/test_hearing.py",),
     "player/lag": ("tests/unit/player/test_lag.py",),
+    "player/setpoints": ("tests/unit/player/test_setpoints.py", "tests/unit/player/test_track.py"),
     "player/due": ("tests/unit/player/test_due.py",),
     "player/statistics": ("tests/unit/player/test_statistics.py",),
     "player/turnaround": ("tests/unit/player/test_turnaround.py",),

@@ -161,3 +161,28 @@ def test_a_wild_reading_is_no_witness_once_another_was_believed():
     assert not read(following, 70.0, 0.1)
     assert read(following, 0.0, 0.12)
     assert not read(following, 70.0, 0.14)
+
+
+@pytest.mark.parametrize("pulled_deg", [-1.5, 1.5])
+def test_what_is_known_for_sure_is_corrected_at_once(pulled_deg):
+    following = settled()
+    following.rest(pulled_deg)
+    assert following.disturbance_deg == following.offset_deg == pulled_deg
+    assert following.offset_max_deg == 1.5
+    following.rest(0.5)
+    assert (following.offset_deg, following.offset_max_deg) == (0.5, 1.5)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_even_what_is_known_for_sure_is_corrected_no_further_than_a_correction_may_go(sign):
+    following = settled()
+    following.rest(sign * 3.0 * OFFSET_MAX_DEG)
+    assert following.offset_deg == sign * OFFSET_MAX_DEG
+    assert following.disturbance_deg == sign * 3.0 * OFFSET_MAX_DEG
+
+
+def test_a_reading_from_which_nothing_is_learnt_is_believed_and_counted():
+    following = settled()
+    assert following.take(1.0, 0.1, expected_deg=3.0, wanted_deg=3.0, speed_deg_s=0.0, learns=False)
+    assert (following.readings, following.error_deg) == (6, 2.0)
+    assert (following.disturbance_deg, following.offset_deg) == (0.0, 0.0)
