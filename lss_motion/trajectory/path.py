@@ -29,6 +29,11 @@ class Path:
     knots_s: FloatArray
     coefficients: FloatArray
 
+    def __post_init__(self) -> None:
+        # In memory one power lies after the other, as `_chosen` takes them.
+        by_power = np.ascontiguousarray(np.moveaxis(self.coefficients, 1, 0))
+        object.__setattr__(self, "coefficients", np.moveaxis(by_power, 0, 1))
+
     @property
     def length_s(self) -> float:
         return float(self.knots_s[-1] - self.knots_s[0])
