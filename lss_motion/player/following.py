@@ -7,6 +7,7 @@ disturbance (load, backlash, a bent linkage), estimated, and offered as a bounde
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -75,17 +76,19 @@ class Following:
         gain = GAIN_MAX if is_first else min(GAIN_MAX, elapsed_s / ESTIMATE_S)
         gain /= 1.0 + abs(speed_deg_s) / GAIN_HALF_SPEED_DEG_S
         self.disturbance_deg += gain * (expected_deg - measured_deg - self.disturbance_deg)
-        change_deg = min(max(self.disturbance_deg, -OFFSET_MAX_DEG), OFFSET_MAX_DEG)
-        change_deg -= self.offset_deg
-        most_deg = OFFSET_RATE_DEG_S * elapsed_s
-        self.offset_deg += min(max(change_deg, -most_deg), most_deg)
-        self.offset_max_deg = max(self.offset_max_deg, abs(self.offset_deg))
+        self._correct(OFFSET_RATE_DEG_S * elapsed_s)
         return True
 
     def rest(self, disturbance_deg: float) -> None:
         """Note what is known for sure: so far from its profile a horn comes to rest."""
         self.disturbance_deg = disturbance_deg
-        self.offset_deg = min(max(disturbance_deg, -OFFSET_MAX_DEG), OFFSET_MAX_DEG)
+        self._correct(math.inf)
+
+    def _correct(self, most_deg: float) -> None:
+        """Bring the offset to what is disturbed, by `most_deg` and within its bounds."""
+        change_deg = min(max(self.disturbance_deg, -OFFSET_MAX_DEG), OFFSET_MAX_DEG)
+        change_deg -= self.offset_deg
+        self.offset_deg += min(max(change_deg, -most_deg), most_deg)
         self.offset_max_deg = max(self.offset_max_deg, abs(self.offset_deg))
 
     def stand(self, standing_deg: float) -> None:

@@ -250,8 +250,8 @@ class Phases:
         if learns:
             session.learn_loads(now_ns)
         joint, off_deg = session.furthest(session.place_deg(self.show, now_ns))
-        may_be_pulled = not learns or self._approaches > 1
-        if off_deg <= (setup.ARRIVED_DEG if may_be_pulled else setup.PULLED_DEG):
+        is_uncorrected = learns and self._approaches == 1
+        if off_deg <= (setup.PULLED_DEG if is_uncorrected else setup.ARRIVED_DEG):
             self._begin(now_ns)
         elif self._approaches < APPROACHES_MAX:
             self._approach(now_ns)

@@ -83,8 +83,8 @@ def _tightest(
     # A hair inside of both ends: knots have two second derivatives.
     at_s = np.concatenate([grid_s[:-1] + share * steps_s for share in (0.001, 0.5, 0.999)])
     rates = np.tile(authored_rates, (3, 1))
-    speeds = np.abs(path.evaluate(at_s, 1)) * rates
-    accels = np.abs(path.evaluate(at_s, 2)) * rates**2
+    first, second = path.slopes(at_s)
+    speeds, accels = np.abs(first) * rates, np.abs(second) * rates**2
     speed_ratios = (speeds / task.speed_max_deg_s).max(axis=0)
     accel_ratios = np.sqrt((accels / task.accel_max_deg_s2).max(axis=0))
     by_speed, by_accel = int(speed_ratios.argmax()), int(accel_ratios.argmax())

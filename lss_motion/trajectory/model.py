@@ -107,14 +107,15 @@ class Motion:
         inside_s = np.clip(times_s, 0.0, self.duration_s)
         offset_s, rates, slopes = self.clock.positions(inside_s)
         path_s = offset_s + self.path.knots_s[0]
+        if order == 0:
+            return self.path.evaluate(path_s)
+        first, second = self.path.slopes(path_s)
         match order:
-            case 0:
-                return self.path.evaluate(path_s)
             case 1:
-                value = self.path.evaluate(path_s, 1) * rates[:, None]
+                value = first * rates[:, None]
             case 2:
-                value = self.path.evaluate(path_s, 2) * (rates**2)[:, None]
-                value += self.path.evaluate(path_s, 1) * slopes[:, None]
+                value = second * (rates**2)[:, None]
+                value += first * slopes[:, None]
             case _:
                 raise ValueError(f"order {order} is not 0, 1 or 2")
         value[(times_s < 0.0) | (times_s > self.duration_s)] = 0.0

@@ -52,31 +52,15 @@ class Path:
         found = np.searchsorted(self.knots_s, path_s, side="right") - 1
         return np.clip(found, 0, len(self.knots_s) - 2)
 
-    def evaluate(
-        self, path_s: FloatArray, order: int = 0, *, segments: NDArray[np.intp] | None = None
-    ) -> FloatArray:
-        """Return the derivative of that order, (n, joints).
-
-        `segments` chooses the cubics, for limits from the left of a knot.
-        """
-        chosen = self.segments_of(path_s) if segments is None else segments
+    def evaluate(self, path_s: FloatArray) -> FloatArray:
+        """Return the position, (n, joints)."""
+        chosen = self.segments_of(path_s)
         local_s = (path_s - self.knots_s[chosen])[:, None]
-        match order:
-            case 0:
-                value = self._chosen(3, chosen)
-                value *= local_s
-                value += self._chosen(2, chosen)
-                value *= local_s
-                value += self._chosen(1, chosen)
-                value *= local_s
-                value += self._chosen(0, chosen)
-                return value
-            case 1:
-                return self.slopes(path_s, chosen)[0]
-            case 2:
-                return self.slopes(path_s, chosen)[1]
-            case _:
-                raise ValueError(f"order {order} is not 0, 1 or 2")
+        value = self._chosen(3, chosen)
+        for power in (2, 1, 0):
+            value *= local_s
+            value += self._chosen(power, chosen)
+        return value
 
     def _chosen(self, power: int, segments: NDArray[np.intp]) -> FloatArray:
         """Return the coefficient of that power of each chosen cubic, (n, joints).
@@ -86,17 +70,21 @@ class Path:
         return self.coefficients[:, power].take(segments, axis=0)
 
     def slopes(
-        self, path_s: FloatArray, segments: NDArray[np.intp]
+        self, path_s: FloatArray, segments: NDArray[np.intp] | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the first and the second derivative, (n, joints), of the chosen cubics."""
-        local_s = (path_s - self.knots_s[segments])[:, None]
-        cubed = self._chosen(3, segments)
+        """Return the first and the second derivative, (n, joints).
+
+        `segments` chooses the cubics, for limits from the left of a knot.
+        """
+        chosen = self.segments_of(path_s) if segments is None else segments
+        local_s = (path_s - self.knots_s[chosen])[:, None]
+        cubed = self._chosen(3, chosen)
         cubed *= 3.0 * local_s
-        squared = self._chosen(2, segments)
+        squared = self._chosen(2, chosen)
         second = cubed + squared
         first = second + squared
         first *= local_s
-        first += self._chosen(1, segments)
+        first += self._chosen(1, chosen)
         second *= 2.0
         return first, second
 

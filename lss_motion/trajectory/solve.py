@@ -168,7 +168,7 @@ def _squares(task: Task, grid: _Grid, start_max: float, end_max: float) -> Float
         part = grid.part(low, low + BLOCK)
         allowed = task.speed_max_deg_s * (FEASIBLE_RATIO * part.shares[:, None])
         for side, at_s in enumerate((part.points_s[:-1], part.points_s[1:])):
-            speed = np.abs(path.evaluate(at_s, 1, segments=part.segments))
+            speed = np.abs(path.slopes(at_s, part.segments)[0])
             ratio = np.maximum((speed / allowed).max(axis=1), 1.0 / RATE_FREE)
             place = slice(low + side, low + side + len(at_s))
             caps[place] = np.minimum(caps[place], 1.0 / ratio**2)

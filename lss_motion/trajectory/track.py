@@ -126,7 +126,7 @@ def _free(layout: Layout, task: Task) -> tuple[list[Window], Clock]:
 
 def _stop_square(task: Task, knot: int) -> float:
     """Return the squared rate allowed at a stop: any where the path itself rests, else 0."""
-    slopes = np.abs(task.path.evaluate(task.path.knots_s[knot : knot + 1], 1))
+    slopes = np.abs(task.path.slopes(task.path.knots_s[knot : knot + 1])[0])
     return math.inf if np.all(slopes <= REST_RATIO * task.speed_max_deg_s) else 0.0
 
 

@@ -16,9 +16,10 @@ import serial
 from lss_motion.errors import InputError
 from lss_motion.protocol.family import Family
 from lss_motion.protocol.lss import LSS_TABLE
-from lss_motion.robot.model import Bus, Joint, Robot, ServoModel
+from lss_motion.robot.model import Bus, Robot, ServoModel
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.pty import serve
+from tests.joints import joint
 
 pytestmark = pytest.mark.realtime
 
@@ -30,16 +31,7 @@ def make_robot(servo_ids=(5,), bus_names=("main",), baud_bps=115200) -> Robot:
         name: Bus(name=name, port="sim://", baud_bps=baud_bps, firmware=370) for name in bus_names
     }
     joints = {
-        f"{name}{servo_id}": Joint(
-            name=f"{name}{servo_id}",
-            servo_id=servo_id,
-            bus=name,
-            model=ST1,
-            position_min_deg=-90.0,
-            position_max_deg=90.0,
-            speed_max_deg_s=180.0,
-            accel_max_deg_s2=600.0,
-        )
+        f"{name}{servo_id}": joint(f"{name}{servo_id}", servo_id, bus=name, model=ST1)
         for name in bus_names
         for servo_id in servo_ids
     }

@@ -11,12 +11,13 @@ import pytest
 
 from lss_motion.errors import BusError
 from lss_motion.protocol.family import Family
-from lss_motion.robot.model import Bus, Joint, Robot, ServoModel
+from lss_motion.robot.model import Bus, Robot, ServoModel
 from lss_motion.runtime.clock import MonotonicClock, VirtualClock
 from lss_motion.runtime.port import SerialPort
 from lss_motion.sim.build import bus_from_robot
 from lss_motion.sim.port import SimPort
 from lss_motion.sim.pty import serve_buses
+from tests.joints import joint
 
 if TYPE_CHECKING:
     from lss_motion.runtime.port import Port
@@ -27,17 +28,7 @@ ROBOT = Robot(
     path=None,
     buses={"main": Bus(name="main", port="sim://", baud_bps=115200, firmware=370)},
     joints={
-        name: Joint(
-            name=name,
-            servo_id=servo_id,
-            bus="main",
-            model=ST1,
-            position_min_deg=-90.0,
-            position_max_deg=90.0,
-            speed_max_deg_s=180.0,
-            accel_max_deg_s2=600.0,
-        )
-        for name, servo_id in {"pan": 1, "tilt": 2}.items()
+        name: joint(name, servo_id, model=ST1) for name, servo_id in {"pan": 1, "tilt": 2}.items()
     },
 )
 TURNS_MAX = 400

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from lss_motion import api
-from lss_motion.robot.model import Bus, Joint, Robot
-from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.robot.model import Bus, Robot
 from lss_motion.sequence.model import Keyframe, Sequence
 from lss_motion.sim import build
 from lss_motion.sim.faults import FaultKind
+from tests.joints import joint
 from tests.timed_moves import is_move
 
 ROBOT_FIELDS = ("on_fault", "patience_s", "resume_s")
@@ -25,17 +25,7 @@ def make_robot(count=3, *, end="hold", buses=1, baud_bps=19200, **fields) -> Rob
     a show costs to play is its questions, which fill the line.
     """
     own = {key: fields.pop(key) for key in ROBOT_FIELDS if key in fields}
-    base = Joint(
-        name="",
-        servo_id=0,
-        bus="",
-        model=SERVO_MODELS["LSS-ST1"],
-        position_min_deg=-90.0,
-        position_max_deg=90.0,
-        speed_max_deg_s=180.0,
-        accel_max_deg_s2=600.0,
-    )
-    base = replace(base, **fields)
+    base = joint(**fields)
     joints = {
         f"j{i}": replace(base, name=f"j{i}", servo_id=i + 1, bus=f"bus{i % buses}")
         for i in range(count)

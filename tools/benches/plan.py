@@ -239,17 +239,13 @@ def fine_duration_s(show: Sequence, robot: Robot) -> float:
 
     def cells_of(low: int, high: int) -> Cells:
         part = slice(low, high)
-        return Cells(
-            *(
-                path.evaluate(at_s[part], order, segments=segments[part]) / task.accel_max_deg_s2
-                for order in (1, 2)
-                for at_s in (left_s, right_s)
-            )
-        )
+        left, right = (path.slopes(at_s[part], segments[part]) for at_s in (left_s, right_s))
+        both = (side[order] for order in (0, 1) for side in (left, right))
+        return Cells(*(value / task.accel_max_deg_s2 for value in both))
 
     caps = np.full(len(grid_s), task.rate_max**2)
     for side, at_s in ((slice(None, -1), left_s), (slice(1, None), right_s)):
-        ratio = np.abs(path.evaluate(at_s, 1, segments=segments)) / task.speed_max_deg_s
+        ratio = np.abs(path.slopes(at_s, segments)[0]) / task.speed_max_deg_s
         caps[side] = np.minimum(caps[side], 1.0 / np.maximum(ratio.max(axis=1), 1e-3) ** 2)
     squares = fastest_squares(grid_s, cells_of, caps, joints=len(task.speed_max_deg_s))
     rates = np.sqrt(squares)

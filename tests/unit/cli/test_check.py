@@ -8,25 +8,16 @@ from dataclasses import replace
 import pytest
 
 from lss_motion.cli.check import limit_uses, plan_lines
-from lss_motion.robot.model import Bus, Joint, Robot
-from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.robot.model import Bus, Robot
 from lss_motion.sequence.model import Keyframe, Sequence, Timing
 from lss_motion.trajectory.planner import plan
+from tests.joints import joint
 
 
 @pytest.fixture
 def robot() -> Robot:
     joints = {
-        name: Joint(
-            name=name,
-            servo_id=index,
-            bus="main",
-            model=SERVO_MODELS["LSS-ST1"],
-            position_min_deg=-170.0,
-            position_max_deg=170.0,
-            speed_max_deg_s=180.0,
-            accel_max_deg_s2=600.0,
-        )
+        name: joint(name, index, position_min_deg=-170.0, position_max_deg=170.0)
         for index, name in enumerate(("base", "elbow"))
     }
     bus = Bus(name="main", port="sim://", baud_bps=115200, firmware=370)

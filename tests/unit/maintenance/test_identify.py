@@ -17,24 +17,16 @@ from lss_motion.maintenance.identify.motion import HYPOTHESES, Hypothesis, Order
 from lss_motion.maintenance.identify.plan import Window, make_trials, make_window
 from lss_motion.player import settings, setup
 from lss_motion.program.response import Profile
-from lss_motion.robot.model import Bus, Joint, Response, Robot
+from lss_motion.robot.model import Bus, Response, Robot
 from lss_motion.runtime.clock import VirtualClock
 from lss_motion.runtime.runner import run
 from lss_motion.sim.bus import SimBus
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import TICK_NS, Physics, ServoSpec
 from lss_motion.sim.port import SimPort
+from tests.joints import joint
 
-JOINT = Joint(
-    name="elbow",
-    servo_id=3,
-    bus="main",
-    model=MODEL,
-    position_min_deg=-90.0,
-    position_max_deg=90.0,
-    speed_max_deg_s=180.0,
-    accel_max_deg_s2=600.0,
-)
+JOINT = joint("elbow", 3, model=MODEL)
 RESTORED = {b"#3EM1", b"#3AA100", b"#3AD100", b"#3SD3600"}
 
 

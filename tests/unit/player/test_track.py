@@ -17,20 +17,11 @@ from lss_motion.player.setpoints import PHASES, Setpoints
 from lss_motion.player.track import make_tracks
 from lss_motion.program.course import servo_limits
 from lss_motion.program.model import Driving, Program
-from lss_motion.robot.model import Bus, Joint
+from lss_motion.robot.model import Bus
 from lss_motion.robot.models import SERVO_MODELS
+from tests.joints import joint
 
-JOINT = Joint(
-    name="j0",
-    servo_id=2,
-    bus="main",
-    model=SERVO_MODELS["LSS-ST1"],
-    position_min_deg=-90.0,
-    position_max_deg=90.0,
-    speed_max_deg_s=180.0,
-    accel_max_deg_s2=600.0,
-    drive="streamed",
-)
+JOINT = joint(servo_id=2, drive="streamed")
 STEP_NS, FILTER_S, TOLERANCE_DEG = 20_000_000, 0.02, 0.2
 
 

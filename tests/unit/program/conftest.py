@@ -2,34 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from lss_motion.robot.model import Bus, Joint, Response, Robot
-from lss_motion.robot.models import SERVO_MODELS
 from lss_motion.sequence.model import Keyframe, Sequence, Timing
 from lss_motion.trajectory.planner import plan
+from tests.joints import joint
 
 
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path_factory, monkeypatch):
     monkeypatch.setenv("LSS_MOTION_CACHE_DIR", str(tmp_path_factory.mktemp("plans")))
-
-
-def joint(name="j0", servo_id=1, **fields) -> Joint:
-    base = Joint(
-        name=name,
-        servo_id=servo_id,
-        bus="main",
-        model=SERVO_MODELS["LSS-ST1"],
-        position_min_deg=-90.0,
-        position_max_deg=90.0,
-        speed_max_deg_s=180.0,
-        accel_max_deg_s2=600.0,
-    )
-    return replace(base, **fields)
 
 
 def robot(*joints: Joint, baud_bps=115200) -> Robot:

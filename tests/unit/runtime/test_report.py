@@ -8,22 +8,13 @@ import pytest
 from lss_motion.player.events import Faulted
 from lss_motion.player.player import Player
 from lss_motion.program.model import Move, Program, Repeat
-from lss_motion.robot.model import Bus, Joint, Robot
-from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.robot.model import Bus, Robot
 from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.runtime.report import make_report, run_seconds
 from lss_motion.trajectory.model import Stretch
+from tests.joints import joint
 
-JOINT = Joint(
-    name="j0",
-    servo_id=1,
-    bus="main",
-    model=SERVO_MODELS["LSS-ST1"],
-    position_min_deg=-90.0,
-    position_max_deg=90.0,
-    speed_max_deg_s=180.0,
-    accel_max_deg_s2=600.0,
-)
+JOINT = joint()
 BUS = Bus(name="main", port="sim://", baud_bps=115200, firmware=370)
 ROBOT = Robot(name="bench", path=None, buses={"main": BUS}, joints={"j0": JOINT})
 STRETCH = Stretch(

@@ -4,28 +4,20 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.protocol.family import Family
-from lss_motion.robot.model import Bus, Joint, Robot, ServoModel
+from lss_motion.robot.model import Bus, Robot, ServoModel
 from lss_motion.sim.build import bus_from_robot
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.faults_file import load_faults
 from lss_motion.sim.physics import Physics
 from lss_motion.sim.random_faults import random_faults
+from tests.joints import joint
 
 
 @pytest.fixture
 def two_buses():
     model = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10)
     joints = {
-        bus: Joint(
-            name=bus,
-            servo_id=servo_id,
-            bus=bus,
-            model=model,
-            position_min_deg=-90.0,
-            position_max_deg=90.0,
-            speed_max_deg_s=180.0,
-            accel_max_deg_s2=600.0,
-        )
+        bus: joint(bus, servo_id, bus=bus, model=model)
         for servo_id, bus in ((1, "left"), (2, "right"))
     }
     buses = {name: Bus(name=name, port="sim://", baud_bps=115200, firmware=370) for name in joints}
