@@ -168,7 +168,7 @@ class Attempt:
             earliest_us = np.maximum(after_us - own_us, self._start_us)
             for index, line in enumerate(self._lines.values()):
                 some = np.flatnonzero(bus == index)
-                columns = (column[some].tolist() for column in (wanted_us, own_us, earliest_us))
+                columns = (column[some] for column in (wanted_us, own_us, earliest_us))
                 heard_us[some] = line.reserve_all(*columns)
             late_us = heard_us - wanted_us
             is_tight = bool(np.any(late_us > allowed_us[joint]))

@@ -14,39 +14,39 @@ can lose more than one command.
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
+from array import array
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from lss_motion.program.batch import IntArray
 
 WORST_WINDOW_US = 100_000
 """Utilisation is also given for the busiest 100 ms (design 7)."""
-
-
-BUCKET_US = 524_288
-"""Slots (starts, ends) are kept by the stretch in which they begin, so that ten minutes are as
-quick to search as one second. Any length will do; this one holds four dozen slots on a busy line,
-and few moves meet its edges, where searching takes longer."""
+LONG_AGO_US: Final = -(2**62)
+"""When the slot begins and ends that is before all others, so that there always is one."""
 
 
 class LineSchedule:
-    """The transmit side of one bus: reserved slots, disjoint, in microseconds of show time."""
+    """The transmit side of one bus: reserved slots, disjoint, in microseconds of show time.
+
+    Starts and ends lie in order in flat arrays: single slots are mostly reserved in the order of
+    time, at the end of these, and many at once are looked up side by side.
+    """
 
     def __init__(self) -> None:
-        self._buckets: dict[int, tuple[list[int], list[int]]] = {}
-        self._longest_us = 0
+        self._starts_us = array("q", (LONG_AGO_US,))
+        self._ends_us = array("q", (LONG_AGO_US,))
 
     def copy(self) -> LineSchedule:
         """Return a schedule of its own with the same slots."""
         made = LineSchedule()
-        made._buckets = {key: ([*starts], [*ends]) for key, (starts, ends) in self._buckets.items()}
-        made._longest_us = self._longest_us
+        made._starts_us, made._ends_us = self._starts_us[:], self._ends_us[:]
         return made
 
     def reserve(self, latest_end_us: int, size_us: int, earliest_us: int) -> int:
@@ -55,70 +55,82 @@ class LineSchedule:
         When nothing is free after `earliest_us`, take the first free slot beyond
         `latest_end_us`: the caller sees that it is late.
         """
-        return self.reserve_all((latest_end_us,), (size_us,), (earliest_us,))[0]
-
-    def reserve_all(
-        self, latest_end_us: Iterable[int], size_us: Sequence[int], earliest_us: Iterable[int]
-    ) -> list[int]:
-        """Do what `reserve` does for many, in their order."""
-        self._longest_us = max(self._longest_us, max(size_us, default=0))
-        reserved_us = []
-        for latest_us, own_us, begin_us in zip(latest_end_us, size_us, earliest_us, strict=True):
-            end_us, start_us = latest_us, latest_us - own_us
-            key = start_us // BUCKET_US
-            bucket = self._buckets.get(key)
-            if bucket is not None and end_us <= (key + 1) * BUCKET_US:
-                starts_us, ends_us = bucket
-                at = bisect_left(starts_us, end_us)
-                while at and ends_us[at - 1] > start_us:
-                    at -= 1
-                    end_us = starts_us[at]
-                    start_us = end_us - own_us
-                if at and start_us >= begin_us:  # What is before it here is before it anywhere.
-                    starts_us.insert(at, start_us)
-                    ends_us.insert(at, end_us)
-                    reserved_us.append(end_us)
-                    continue
-            reserved_us.append(self._reserved_anywhere(latest_us, own_us, begin_us))
-        return reserved_us
-
-    def _reserved_anywhere(self, latest_end_us: int, size_us: int, earliest_us: int) -> int:
-        """Do what `reserve` does, across the edges of buckets."""
-        start_us = self._latest_free_end(latest_end_us, size_us) - size_us
+        starts_us, ends_us = self._starts_us, self._ends_us
+        end_us, start_us = latest_end_us, latest_end_us - size_us
+        at = bisect_left(starts_us, end_us)
+        while ends_us[at - 1] > start_us:
+            at -= 1
+            end_us = starts_us[at]
+            start_us = end_us - size_us
         if start_us < earliest_us:
-            start_us = self._first_free_start(max(earliest_us, latest_end_us - size_us), size_us)
-        starts_us, ends_us = self._buckets.setdefault(start_us // BUCKET_US, ([], []))
-        at = bisect_left(starts_us, start_us)
+            start_us = max(earliest_us, latest_end_us - size_us)
+            at = bisect_right(ends_us, start_us)
+            while at < len(starts_us) and starts_us[at] < start_us + size_us:
+                start_us = ends_us[at]
+                at += 1
         starts_us.insert(at, start_us)
         ends_us.insert(at, start_us + size_us)
         return start_us + size_us
 
-    def _latest_free_end(self, latest_end_us: int, size_us: int) -> int:
-        end_us = latest_end_us
-        key = (end_us - 1) // BUCKET_US
-        while (key + 1) * BUCKET_US > end_us - size_us - self._longest_us:
-            bucket = self._buckets.get(key)
-            if bucket is not None:
-                starts_us, ends_us = bucket
-                at = bisect_left(starts_us, end_us)
-                while at:
-                    at -= 1
-                    if ends_us[at] <= end_us - size_us:
-                        return end_us
-                    end_us = starts_us[at]
-            key -= 1
-        return end_us
+    def reserve_all(
+        self, latest_end_us: IntArray, size_us: IntArray, earliest_us: IntArray
+    ) -> IntArray:
+        """Do what `reserve` does for many.
 
-    def _first_free_start(self, earliest_us: int, size_us: int) -> int:
-        start_us = earliest_us
-        key = (start_us - self._longest_us) // BUCKET_US
-        while key * BUCKET_US < start_us + size_us:
-            for slot_us, stop_us in zip(*self._buckets.get(key, ((), ())), strict=True):
-                if slot_us >= start_us + size_us:
-                    return start_us
-                start_us = max(start_us, stop_us)
-            key += 1
-        return start_us
+        Of those that are in each other's way, who wishes for later has its place, and the other one
+        goes before it. Whom that takes before its `earliest_us` is served before all others.
+        """
+        reserved_us = np.empty_like(latest_end_us)
+        waiting = np.argsort(latest_end_us, kind="stable")
+        while len(waiting):
+            size, earliest = size_us[waiting], earliest_us[waiting]
+            ends_us = self._latest_free_ends(latest_end_us[waiting], size)
+            is_early = ends_us - size < earliest
+            if not is_early.any():
+                reserved_us[waiting] = ends_us
+                self._keep(ends_us - size, ends_us)
+                break
+            for row in waiting[is_early].tolist():
+                wish = latest_end_us[row], size_us[row], earliest_us[row]
+                reserved_us[row] = self.reserve(*map(int, wish))
+            waiting = waiting[~is_early]
+        return reserved_us
+
+    def _latest_free_ends(self, latest_end_us: IntArray, size_us: IntArray) -> IntArray:
+        """Return where slots end that overlap neither each other nor what is reserved.
+
+        The wishes are in order, and so are the slots.
+        """
+        starts_us, ends_us = (
+            np.frombuffer(own, dtype=np.int64) for own in (self._starts_us, self._ends_us)
+        )
+        sent_us = np.cumsum(size_us)
+        end_us, moved = _apart(latest_end_us, sent_us), np.arange(len(sent_us))
+        while True:
+            before = np.searchsorted(starts_us, end_us[moved]) - 1
+            is_blocked = ends_us[before] > end_us[moved] - size_us[moved]
+            if not is_blocked.any():
+                return end_us
+            freed_us = end_us.copy()
+            freed_us[moved[is_blocked]] = starts_us[before[is_blocked]]
+            freed_us = _apart(freed_us, sent_us)
+            moved, end_us = np.flatnonzero(freed_us != end_us), freed_us
+
+    def _keep(self, starts_us: IntArray, ends_us: IntArray) -> None:
+        """Reserve free slots."""
+        for own, new_us in ((self._starts_us, starts_us), (self._ends_us, ends_us)):
+            own.frombytes(new_us.tobytes())
+            np.frombuffer(own, dtype=np.int64).sort(kind="stable")
+
+
+def _apart(latest_end_us: IntArray, sent_us: IntArray) -> IntArray:
+    """Return where slots end so that each ends before the next one starts.
+
+    The wishes are in order; `sent_us` is what all slots up to each take of the line together.
+    """
+    free_us = np.minimum.accumulate((latest_end_us - sent_us)[::-1])[::-1]
+    ends_us: IntArray = free_us + sent_us
+    return ends_us
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
