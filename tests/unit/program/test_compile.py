@@ -175,7 +175,7 @@ def test_a_line_so_slow_that_moves_come_after_their_standstill_is_refused_as_wel
 
 def test_a_line_that_is_too_slow_is_refused_with_numbers_and_advice(kit):
     with pytest.raises(LineLoadError) as caught:
-        compile_program(*crowd(kit, 24, 9600, length_s=3.0))
+        compile_program(*crowd(kit, 26, 9600, length_s=3.0))
     said = str(caught.value)
     assert "'main' at 9600 bps" in said
     assert "commands need" in said
