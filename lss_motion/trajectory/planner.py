@@ -1,4 +1,7 @@
-"""From what the author wants to what the robot can do: `plan`."""
+"""From what the author wants to what the robot can do: `plan`.
+
+A plan that is remembered needs no planner: what makes one is loaded when there is one to make.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +11,9 @@ from typing import TYPE_CHECKING
 from lss_motion.errors import InputError
 from lss_motion.sequence.model import Timing
 from lss_motion.sequence.speed import at_speed
+from lss_motion.trajectory.cache import name_of, remembered
 from lss_motion.trajectory.cues import planned_cues
-from lss_motion.trajectory.fit import at_ratio
-from lss_motion.trajectory.layers import layered
-from lss_motion.trajectory.play import in_a_row
 from lss_motion.trajectory.span import looped_span
-from lss_motion.trajectory.track import planned_track
-from lss_motion.trajectory.tracks import side_by_side
-from lss_motion.trajectory.verify import verify
 
 if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
@@ -51,6 +49,8 @@ def _planned(sequence: Sequence, robot: Robot) -> Trajectory:
     bare = replace(sequence, layers=(), events=())
     trajectory = base = _base(bare, robot)
     if sequence.layers:
+        from lss_motion.trajectory.layers import layered
+
         trajectory = layered(base, replace(sequence, events=()), robot, _planned)
         slower = trajectory.first.duration_s / max(base.first.duration_s, 1e-9)
         cues = [replace(cue, at_s=slower * cue.at_s) for cue in base.cues]
@@ -67,7 +67,11 @@ def _planned(sequence: Sequence, robot: Robot) -> Trajectory:
 def _base(sequence: Sequence, robot: Robot) -> Trajectory:
     if not sequence.play and not sequence.tracks:
         return _alone(sequence, robot)
+    from lss_motion.trajectory.verify import verify
+
     if sequence.play:
+        from lss_motion.trajectory.play import in_a_row
+
         trajectory = in_a_row(sequence, robot, _planned)
     else:
         if sequence.loop != 1 and not sequence.keyframes:
@@ -75,6 +79,8 @@ def _base(sequence: Sequence, robot: Robot) -> Trajectory:
                 "there is nothing to loop outside of the tracks; give each track its own loop",
                 path=sequence.path,
             )
+        from lss_motion.trajectory.tracks import side_by_side
+
         own = [replace(sequence, tracks=())] if sequence.keyframes else []
         trajectory = side_by_side(sequence, [*own, *sequence.tracks], robot, _alone)
     verify(trajectory, robot, has_parts=False)  # The parts have passed it already.
@@ -85,12 +91,27 @@ def _alone(track: Sequence, robot: Robot) -> Trajectory:
     if track.tracks or track.layers or track.play:
         raise InputError("a track holds keyframes and nothing else", path=track.path)
     if track.loop_span_s is not None:
+        from lss_motion.trajectory.verify import verify
+
         whole = _alone(replace(track, loop=1, loop_span_s=None), robot)
         trajectory = looped_span(track, whole)
         verify(trajectory, robot, has_parts=False)
         return trajectory
     ratio = track.speed_ratio
-    trajectory = planned_track(replace(track, speed_ratio=1.0), robot)
+    trajectory = _keyframes(replace(track, speed_ratio=1.0), robot)
     if track.timing is Timing.FASTEST and ratio < 1.0:
+        from lss_motion.trajectory.fit import at_ratio
+
         return at_ratio(trajectory, ratio)
     return trajectory
+
+
+def _keyframes(track: Sequence, robot: Robot) -> Trajectory:
+    """Return the plan of the keyframes alone, made or remembered."""
+
+    def make() -> Trajectory:
+        from lss_motion.trajectory.track import planned_track
+
+        return planned_track(track, robot)
+
+    return remembered(name_of(track, robot), make)

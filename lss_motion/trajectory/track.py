@@ -10,7 +10,6 @@ import numpy as np
 from lss_motion.errors import PlanningError
 from lss_motion.sequence.model import Timing
 from lss_motion.trajectory import explain
-from lss_motion.trajectory.cache import name_of, remembered
 from lss_motion.trajectory.fit import FIT_TOLERANCE_S, least_fit_s, scaled, slowed_to
 from lss_motion.trajectory.keys import is_timed, named
 from lss_motion.trajectory.layout import Layout, laid_out
@@ -42,14 +41,10 @@ REST_RATIO: Final = 1e-9
 
 
 def planned_track(sequence: Sequence, robot: Robot) -> Trajectory:
-    """Return the plan of the keyframes of `sequence` alone, verified or remembered."""
-
-    def make() -> Trajectory:
-        if sequence.timing is Timing.FIT and is_timed(sequence):
-            return _fitted(sequence, robot)
-        return _verified(_planned(laid_out(sequence, robot)), sequence, robot)
-
-    return remembered(name_of(sequence, robot), make)
+    """Return the plan of the keyframes of `sequence` alone; it has passed the verifier."""
+    if sequence.timing is Timing.FIT and is_timed(sequence):
+        return _fitted(sequence, robot)
+    return _verified(_planned(laid_out(sequence, robot)), sequence, robot)
 
 
 def _verified(trajectory: Trajectory, sequence: Sequence, robot: Robot) -> Trajectory:
