@@ -60,8 +60,8 @@ def test_as_many_questions_as_promised_can_be_sent_in_any_second(kit, seed):
 
 def busy(kit, rate_min_hz):
     """A line of which commands take more than half in the worst second."""
-    joints = [kit.joint(f"j{index}", index + 1) for index in range(8)]
-    robot = kit.robot(*joints, baud_bps=9600)
+    joints = [kit.joint(f"j{index}", index + 1) for index in range(12)]
+    robot = kit.robot(*joints, baud_bps=19200)
     bus = replace(robot.buses["main"], reading_rate_min_hz=rate_min_hz)
     robot = replace(robot, buses={"main": bus})
     return kit.plan(kit.lively(list(robot.joints), 4.0), robot), robot
