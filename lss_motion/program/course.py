@@ -6,6 +6,7 @@ All angles are servo angles in degrees.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -44,7 +45,7 @@ AHEAD_MAX_STEPS: Final = round(SEGMENT_MAX_S / GRID_S)
 """So many grid steps are looked ahead at the most."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Course:
     """What the profile of one servo should do: positions every `GRID_S` from `start_s` on."""
 
@@ -67,19 +68,18 @@ class Course:
         index = int(np.ceil((time_s - self.start_s) / GRID_S - 1e-9))
         return min(max(index, 0), len(self.position_deg) - 1)
 
-    def accel_deg_s2(self) -> FloatArray:
-        """Return the acceleration at every grid point, by differences."""
-        grid = self.position_deg
-        accel: FloatArray = np.diff(grid, 2, prepend=grid[:1], append=grid[-1:])
-        return accel / (GRID_S * GRID_S)
+    @cached_property
+    def steps_deg(self) -> FloatArray:
+        """How far each grid point is from the one before; one less than there are points."""
+        steps: FloatArray = np.diff(self.position_deg)
+        return steps
 
     def rests(self) -> list[tuple[int, int]]:
         """Return `(first, last)` index of every standstill."""
-        still = np.abs(np.diff(self.position_deg)) < STILL_DEG
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], still.astype(np.int8), [0]))))
+        is_still = np.abs(self.steps_deg) < STILL_DEG
+        edges = np.flatnonzero(np.diff(is_still, prepend=False, append=False)).tolist()
         least = round(REST_MIN_S / GRID_S)
-        spans = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-        return [span for span in spans if span[1] - span[0] >= least]
+        return [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= least]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,13 +171,15 @@ class Courses:
         for joint, (one, limit) in enumerate(zip(courses, limits, strict=True)):
             self._padded_deg[joint, : self.size] = one.position_deg
             self._padded_deg[joint, self.size :] = one.position_deg[-1]
-            accel, ramp = one.accel_deg_s2().astype(np.float32), limit.ramp_deg_s2
+            steps = np.zeros(self.size + 1, dtype=np.float32)
+            steps[1:-1] = one.steps_deg
+            accel, ramp = np.diff(steps) / np.float32(GRID_S * GRID_S), limit.ramp_deg_s2
             least = AUTHORITY_LEAST_RATIO * ramp
             columns = points[joint].T
             columns[0] = one.position_deg
-            columns[1] = _speeds(one.position_deg)
-            columns[2] = np.maximum(ramp - _highest_ahead(accel), least)
-            columns[3] = np.maximum(ramp - _highest_ahead(-accel), least)
+            columns[1] = _speeds(steps)
+            columns[2] = np.maximum(ramp - _ahead(np.maximum, accel), least)
+            columns[3] = np.maximum(ramp + _ahead(np.minimum, accel), least)
             bends.append(joint * self.size + _bends(accel, ramp))
         self._points = points.reshape(-1, len(Points._fields))
         self._bends = np.concatenate([[-1], *bends, [len(courses) * self.size]])
@@ -242,24 +244,23 @@ class Courses:
         return self._padded_deg.take(flat + (stride * np.arange(steps))[:, None])
 
 
-def _speeds(position_deg: FloatArray) -> FloatArray:
-    """Return speeds by central differences, one-sided at the ends."""
-    speed = np.zeros(len(position_deg))
-    if len(position_deg) > 1:
-        np.subtract(position_deg[2:], position_deg[:-2], out=speed[1:-1])
-        speed[[0, -1]] = 2.0 * (position_deg[[1, -1]] - position_deg[[0, -2]])
-        speed /= 2.0 * GRID_S
+def _speeds(steps_deg: SingleArray) -> SingleArray:
+    """Return speeds by central differences, one-sided at the ends, of steps from and to rest."""
+    speed = (steps_deg[1:] + steps_deg[:-1]) / np.float32(2.0 * GRID_S)
+    speed[[0, -1]] *= 2.0
     return speed
 
 
-def _highest_ahead(values: SingleArray) -> SingleArray:
-    """Return the highest of each value and its `AUTHORITY_STEPS` - 1 successors."""
-    highest, covered = values.copy(), 1
+def _ahead(most: np.ufunc, values: SingleArray) -> SingleArray:
+    """Return the highest (or lowest) of each value and its `AUTHORITY_STEPS` - 1 successors."""
+    found, other, covered = values.copy(), values.copy(), 1
     while covered < AUTHORITY_STEPS:
         step = min(covered, AUTHORITY_STEPS - covered)
-        highest[:-step] = np.maximum(highest[:-step], highest[step:])
+        most(found[:-step], found[step:], out=other[:-step])
+        other[-step:] = found[-step:]
+        found, other = other, found
         covered += step
-    return highest
+    return found
 
 
 def _bends(accel_deg_s2: SingleArray, ramp_deg_s2: float) -> IntArray:

@@ -8,8 +8,9 @@ where the servo comes to rest for an instant anyway.
 
 from __future__ import annotations
 
-import math
+from bisect import bisect_left
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -18,7 +19,7 @@ from lss_motion.program.course import GRID_S, STILL_ROUNDING_DEG
 from lss_motion.program.wording import lattice
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator
+    from collections.abc import Container, Iterator, Sequence
 
     from lss_motion.program.batch import FloatArray, IntArray
     from lss_motion.program.course import Course, ServoLimits
@@ -32,8 +33,8 @@ TURN_STEPS: Final = 12
 TURN_ACCEL_RATIO: Final = 0.7
 """A servo can stop in step with the course where, for so many grid steps on either side of the
 turning point, the course bends with no more than this share of the ramp."""
-SEARCH_STEPS: Final = 1024
-"""Looked through at once for the end of a standstill."""
+SEARCH_STEPS: Final = 32
+"""Looked through at first for the end of a standstill, and twice as many each further time."""
 
 Stop = tuple[int, int]
 
@@ -87,15 +88,13 @@ def lanes_of(
         wire = lattice(float(course.position_deg[before[1] if before else 0]), limits)
         if begin is not None:
             wire = round(begin.profile.at(course.start_s)[0] * limits.wire_per_deg)
-    ends: list[Stop | None] = [*stops, None]
-    for end in ends:
-        if before is not None and before[1] == last:
-            return
-        end_wire = lattice(float(course.position_deg[end[0] if end else last]), limits)
-        lane = _lane(joint, course, limits, follow_deg, (before, end), (wire, end_wire))
-        if lane is not None:
-            yield lane
-        before, wire = end, end_wire
+    bounds: list[Stop | None] = [before, *stops]
+    at = [stop[0] for stop in stops]
+    if bounds[-1] is None or bounds[-1][1] < last:
+        bounds.append(None)
+        at.append(last)
+    wires = [wire, *(lattice(deg, limits) for deg in course.position_deg[at].tolist())]
+    yield from _lanes(joint, course, limits, follow_deg, bounds, wires)
 
 
 def _stops(course: Course, limits: ServoLimits) -> list[Stop]:
@@ -105,86 +104,96 @@ def _stops(course: Course, limits: ServoLimits) -> list[Stop]:
     edges = [0, *(index for rest in rests for index in rest), len(course.position_deg) - 1]
     if max(b - a for a, b in zip(edges[::2], edges[1::2], strict=True)) < 2 * stretch:
         return rests
-    turns, accels = _turns(course, limits.ramp_deg_s2)
+    turns, accels = (column.tolist() for column in _turns(course, limits.ramp_deg_s2))
     stops = list(rests)
     for start, end in zip(edges[::2], edges[1::2], strict=True):
         now = start
         while now + 2 * stretch < end:
-            low, high = np.searchsorted(
-                turns, (now + stretch, min(now + 2 * stretch, end - stretch))
-            )
+            low = bisect_left(turns, now + stretch)
+            high = bisect_left(turns, min(now + 2 * stretch, end - stretch))
             now += stretch
             if low < high:
-                now = int(turns[low + int(np.argmin(accels[low:high]))])
+                now = turns[min(range(low, high), key=accels.__getitem__)]
                 stops.append((now, now))
     return sorted(stops)
 
 
 def _turns(course: Course, ramp_deg_s2: float) -> tuple[IntArray, FloatArray]:
     """Return the turning points at which a servo can stop, and how sharply the course turns."""
-    steps = np.diff(course.position_deg)
+    steps = course.steps_deg
     turns = 1 + np.flatnonzero(steps[:-1] * steps[1:] < 0.0)
     turns = turns[(turns >= TURN_STEPS) & (turns < len(steps) - TURN_STEPS)]
-    around = turns[:, None] + np.arange(-TURN_STEPS, TURN_STEPS + 1)
-    accels = np.abs(course.accel_deg_s2()[around]).max(axis=1, initial=0.0)
+    around = turns[:, None] + np.arange(-TURN_STEPS - 1, TURN_STEPS + 1)
+    changes = np.abs(np.diff(steps[around], axis=1)).max(axis=1, initial=0.0)
+    accels = changes / (GRID_S * GRID_S)
     is_gentle = accels <= TURN_ACCEL_RATIO * ramp_deg_s2
     return turns[is_gentle], accels[is_gentle]
 
 
-def _lane(
+def _lanes(
     joint: int,
     course: Course,
     limits: ServoLimits,
     follow_deg: float,
-    stops: tuple[Stop | None, Stop | None],
-    wires: tuple[int, int],
-) -> Lane | None:
-    """Return one lane; None where its course never leaves the wire value it begins on."""
-    before, stop = stops
-    last = stop[0] if stop is not None else len(course.position_deg) - 1
-    first = before[0] if before is not None else 0
-    position_deg = wires[0] / limits.wire_per_deg
+    bounds: Sequence[Stop | None],
+    wires: Sequence[int],
+) -> Iterator[Lane]:
+    """Yield the lanes from each of the `bounds` to the next; None is an end of the course.
+
+    There is none where the course never leaves the wire value on which it begins.
+    """
+    end = len(course.position_deg) - 1
+    edges = [
+        (before[0] if before else 0, before[1] if before else end, after[0] if after else end)
+        for before, after in pairwise(bounds)
+    ]
+    first, rested, last = np.array(edges, dtype=np.intp).reshape(-1, 3).T
+    wire, stop_wire = np.array(wires[:-1]), np.array(wires[1:])
+    position_deg = wire / limits.wire_per_deg
     half_unit_deg = 0.5 / limits.wire_per_deg + STILL_ROUNDING_DEG
     leaves = _first_away(course.position_deg, first, last, position_deg, half_unit_deg)
-    if leaves is None:
-        if wires[0] == wires[1]:
-            return None
-        leaves = last
-    onset = min(before[1], leaves) if before is not None else leaves
+    is_moved = (leaves <= last) | (wire != stop_wire)
+    leaves = np.minimum(leaves, last)
+    onset = np.minimum(rested, leaves)
     outside = _first_away(course.position_deg, leaves, last, position_deg, follow_deg)
-    latest = last if outside is None else max(outside - 1, leaves)
-    onset_s, latest_s = course.time_s(onset), course.time_s(latest)
-    return Lane(
-        joint=joint,
-        wire=wires[0],
-        after_s=course.time_s(first),
-        onset_s=onset_s,
-        leaves_s=min(max(_leaves_s(course, onset), onset_s), latest_s),
-        latest_s=latest_s,
-        stop=stop,
-        stop_wire=wires[1],
-    )
+    onset_s, latest_s = course.times_s(onset), course.times_s(np.maximum(outside - 1, leaves))
+    leaves_s = np.minimum(np.maximum(_leaves_s(course, onset), onset_s), latest_s)
+    times_s = (course.times_s(first), onset_s, leaves_s, latest_s)
+    rows = zip(*(column.tolist() for column in times_s), strict=True)
+    for at, (start_s, begin_s, guess_s, end_s) in enumerate(rows):
+        if is_moved[at]:
+            stop, stop_at = bounds[at + 1], wires[at + 1]
+            yield Lane(joint, wires[at], start_s, begin_s, guess_s, end_s, stop, stop_at)
 
 
 def _first_away(
-    grid: FloatArray, first: int, last: int, position_deg: float, distance_deg: float
-) -> int | None:
-    """Return the first index from `first` to `last` further off than `distance_deg`."""
-    while first <= last:
-        some = grid[first : min(first + SEARCH_STEPS, last + 1)]
-        away = np.abs(some - position_deg) > distance_deg
-        if away.any():
-            return first + int(away.argmax())
-        first += SEARCH_STEPS
-    return None
+    grid: FloatArray, first: IntArray, last: IntArray, position_deg: FloatArray, distance_deg: float
+) -> IntArray:
+    """Return the first indices from `first` to `last` further off than `distance_deg`.
+
+    Where there is none, the one after `last`.
+    """
+    found, begin, steps = last + 1, first, SEARCH_STEPS
+    some = np.arange(len(first))
+    while len(some):
+        index = begin[:, None] + np.arange(steps)
+        off_deg = grid.take(index, mode="clip") - position_deg[some, None]
+        is_away = (np.abs(off_deg) > distance_deg) & (index <= last[some, None])
+        step = is_away.argmax(axis=1)
+        is_found = is_away[np.arange(len(some)), step]
+        found[some[is_found]] = begin[is_found] + step[is_found]
+        begin, steps = begin + steps, 2 * steps
+        goes_on = ~is_found & (begin <= last[some])
+        some, begin = some[goes_on], begin[goes_on]
+    return found
 
 
-def _leaves_s(course: Course, onset: int) -> float:
-    """Return when the course leaves its standstill, between two grid points, as a parabola."""
+def _leaves_s(course: Course, onset: IntArray) -> FloatArray:
+    """Return when the course leaves its standstills, between two grid points, as a parabola."""
     grid = course.position_deg
     first, second = (
-        math.sqrt(abs(grid[min(onset + step, len(grid) - 1)] - grid[onset])) for step in (1, 2)
+        np.sqrt(np.abs(grid.take(onset + step, mode="clip") - grid[onset])) for step in (1, 2)
     )
-    if second <= first:
-        return course.time_s(onset)
-    return course.time_s(onset + 1) - GRID_S * first / (second - first)
+    bends = second > first
+    before_s = GRID_S * first / np.where(bends, second - first, 1.0)
+    return np.where(bends, course.times_s(onset + 1) - before_s, course.times_s(onset))
