@@ -6,10 +6,13 @@ import pytest
 
 from lss_motion.player.line import Line
 from lss_motion.player.queries import Questioner
+from lss_motion.player.track import make_tracks
+from lss_motion.program.model import Driving, Program
 from lss_motion.robot.model import Bus, Robot
 from tests.joints import joint
 
 BUS = Bus(name="main", port="sim://", baud_bps=115200, firmware=370)
+TOLERANCE_DEG = 0.2
 
 
 class Kit:
@@ -20,6 +23,24 @@ class Kit:
     def robot(*joints, **fields) -> Robot:
         named = {one.name: one for one in joints or (joint(),)}
         return Robot(name="bench", path=None, buses={"main": BUS}, joints=named, **fields)
+
+    @classmethod
+    def track(cls, joint, moves=(), *, has_feedback=True):
+        """Return the track of a joint that stands at 0 deg, and plans `moves` and nothing else."""
+        robot = cls.robot(joint)
+        count = joint.filter_count if joint.drive == "streamed" else 0
+        program = Program(
+            name="still",
+            robot=robot.name,
+            moves=tuple(moves),
+            duration_s=1.0,
+            start_deg={joint.name: 0.0},
+            tolerance_deg=TOLERANCE_DEG,
+            drives={joint.name: Driving(joint.drive, count)},
+        )
+        standing_deg = {joint.name: 0.0}
+        tracks = make_tracks(program, robot, standing_deg, 0.0, has_feedback=has_feedback)
+        return tracks[joint.name]
 
 
 @pytest.fixture

@@ -5,13 +5,18 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 
+import numpy as np
 import pytest
+from hypothesis import event, example, given
+from hypothesis import strategies as st
 
-from lss_motion.player.setpoints import CLOSING_RATIO, Setpoints, closing_deg
+from lss_motion.player.setpoints import CLOSING_RATIO, PHASES, Setpoints, closing_deg
 from lss_motion.program.course import servo_limits
+from tests.filters import FILTER_S, felt, staircase
+from tests.joints import joint
 
-STEP_S, TOLERANCE_DEG, WEEK_S = 0.02, 0.2, 7 * 86400.0
-STEP_GAIN_DEG = 600.0 * STEP_S**2
+TOLERANCE_DEG, WEEK_S = 0.2, 7 * 86400.0
+STEP_GAIN_DEG = 600.0 * FILTER_S**2
 """So much a step may differ from the last one within 600 deg/s²."""
 
 
@@ -64,7 +69,7 @@ def run_to_the_end(limits, count, sign):
     setpoints = Setpoints(0.0, count=count, limits=limits)
     value, said, values = 0.0, [], [0.0]
     for step in range(1, 100):
-        at_s = step * STEP_S + 0.001
+        at_s = step * FILTER_S + 0.001
         span = setpoints.allowed(at_s)
         said.append(span[1] if sign > 0 else span[0])
         setpoints.told(at_s, said[-1])
@@ -82,7 +87,7 @@ def test_it_brakes_before_the_end_of_the_range_and_no_sooner_than_it_must(limits
     assert sign * values[-1] > 89.8
     steps = [sign * (b - a) for a, b in pairwise(values)]
     gain_deg = STEP_GAIN_DEG + TOLERANCE_DEG
-    assert max(steps) == pytest.approx(180.0 * STEP_S)
+    assert max(steps) == pytest.approx(180.0 * FILTER_S)
     assert max(a - b for a, b in pairwise(steps)) <= gain_deg + 1e-9
     braked = zip(said[1:], pairwise(steps), strict=True)
     partly = [deg for deg, (a, b) in braked if 0.01 < a - b < gain_deg - 0.01]
@@ -106,3 +111,30 @@ def test_what_closes_up_from_afar_brakes_evenly_until_it_is_there(limits, sign, 
 def test_what_is_near_closes_up_by_half_a_step_at_a_time(limits):
     assert closing_deg(0.0, limits) == 0.0
     assert closing_deg(-0.1, limits) == pytest.approx(-0.05)
+
+
+@given(
+    st.lists(
+        st.tuples(st.integers(1_000, 20_000), st.floats(-90.0, 90.0)), min_size=1, max_size=60
+    ),
+    st.sampled_from([2, 3, 5]),
+)
+@example(asked=[(20_000, 90.0)] * 60, count=3)
+def test_whatever_is_asked_and_however_unevenly_no_filter_leaves_its_limits(asked, count):
+    limits = servo_limits(joint(drive="streamed"), TOLERANCE_DEG)
+    setpoints = Setpoints(0.0, count=count, limits=limits)
+    at_us, heard = 0.3, []
+    for gap_us, wanted_deg in asked:
+        at_us += gap_us
+        low_deg, high_deg = setpoints.allowed(at_us / 1e6)
+        if high_deg - low_deg < 1e-9:
+            event("the instants disagree")
+            break
+        target_deg = min(max(wanted_deg, low_deg, -90.0), high_deg, 90.0)
+        setpoints.told(at_us / 1e6, target_deg)
+        heard.append((1e3 * at_us, target_deg))
+    for phase in range(PHASES):
+        values = staircase(heard, count, phase * FILTER_S / PHASES, at_us / 1e6 + FILTER_S)
+        assert np.abs(np.diff(values)).max(initial=0.0) <= 180.0 * FILTER_S + 0.05
+        most_deg_s2 = 600.0 + (TOLERANCE_DEG + 0.05) / FILTER_S**2
+        assert np.abs(felt(values)).max(initial=0.0) <= most_deg_s2
