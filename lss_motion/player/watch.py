@@ -13,7 +13,7 @@ from lss_motion.robot.on_fault import Cause
 from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from lss_motion.player.track import Track
     from lss_motion.robot.model import Joint
@@ -62,9 +62,8 @@ class Watch:
         self._counts: dict[Trouble, int] = {}
         self._astray_since_ns: dict[str, int] = {}
         self._answered_ns: dict[str, int] = {}
-        self._unanswered: dict[str, int] = {}
-        self._fading: dict[str, Joint] = {}
-        """Joints that are silent if they do not answer before their time is over."""
+        self._unanswered: dict[str, tuple[Joint, int]] = {}
+        """Who did not answer the last question, and how many in a row."""
         self._before: dict[tuple[str, str], float] = {}
 
     def position(self, track: Track, heard_ns: int) -> None:
@@ -111,39 +110,40 @@ class Watch:
         """Note that a servo answered, whatever it said."""
         name = track.joint.name
         self._answered_ns[name] = now_ns
-        self._unanswered[name] = 0
-        self._fading.pop(name, None)
+        self._unanswered.pop(name, None)
         self.troubles.pop((name, Cause.SILENT), None)
 
     def unanswered(self, track: Track, now_ns: int) -> None:
         """Note that a question to a servo was given up; `advance` judges it."""
-        name = track.joint.name
-        self._answered_ns.setdefault(name, now_ns)
-        self._unanswered[name] = self._unanswered.get(name, 0) + 1
-        if self._unanswered[name] >= SILENT_ASKS:
-            self._fading[name] = track.joint
+        joint = track.joint
+        self._answered_ns.setdefault(joint.name, now_ns)
+        _, count = self._unanswered.get(joint.name, (joint, 0))
+        self._unanswered[joint.name] = (joint, count + 1)
 
     def advance(self, now_ns: int) -> None:
         """Judge who is silent by now: no question that comes late on a full line is waited for."""
-        for name, joint in self._fading.items():
-            silent_ns = now_ns - self._answered_ns[name]
-            if silent_ns >= ns_from_s(joint.silent_s):
-                self.troubles[name, Cause.SILENT] = (
-                    f"is silent: servo {joint.servo_id} has not answered for "
-                    f"{s_from_ns(silent_ns):.1f} s. Look at its cable and its power"
+        for joint, over_ns in self._fading():
+            if now_ns >= over_ns:
+                silent_s = s_from_ns(now_ns - self._answered_ns[joint.name])
+                self.troubles[joint.name, Cause.SILENT] = (
+                    f"is silent: servo {joint.servo_id} has not answered for {silent_s:.1f} s. "
+                    f"Look at its cable and its power"
                 )
 
     def wakeups_ns(self) -> list[int]:
         """Return when `advance` must be called at the latest."""
-        return [
-            self._answered_ns[name] + ns_from_s(joint.silent_s)
-            for name, joint in self._fading.items()
-            if (name, Cause.SILENT) not in self.troubles
-        ]
+        fading = self._fading()
+        return [ns for joint, ns in fading if (joint.name, Cause.SILENT) not in self.troubles]
 
     def quiet(self) -> set[str]:
         """Return the joints whose last question was not answered."""
-        return {name for name, count in self._unanswered.items() if count}
+        return set(self._unanswered)
+
+    def _fading(self) -> Iterator[tuple[Joint, int]]:
+        """Yield who is silent unless it answers before its time is over, and when that is."""
+        for joint, count in self._unanswered.values():
+            if count >= SILENT_ASKS:
+                yield joint, self._answered_ns[joint.name] + ns_from_s(joint.silent_s)
 
     def _judge(self, track: Track, cause: Cause, keyword: str, text: str, *, is_bad: bool) -> None:
         name = track.joint.name
