@@ -58,6 +58,8 @@ TARGETS = {
     "player/lag": ("tests/unit/player/test_lag.py",),
     "player/setpoints": ("tests/unit/player/test_setpoints.py",),
     "player/leading": ("tests/unit/player/test_leading.py",),
+    "player/watch": ("tests/unit/player/test_watch.py",),
+    "player/track": ("tests/unit/player/test_track.py", "tests/unit/player/test_leading.py"),
     "player/due": ("tests/unit/player/test_due.py",),
     "player/statistics": ("tests/unit/player/test_statistics.py",),
     "player/turnaround": ("tests/unit/player/test_turnaround.py",),

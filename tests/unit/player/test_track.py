@@ -1,13 +1,24 @@
-"""Joints without a T: what the limits take off a target is said again, or led to."""
+"""One joint: what its servo is told, when it is told again, and what is known of it then."""
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import replace
 from itertools import pairwise
 
+import numpy as np
+import pytest
+
+from lss_motion.player.line import Line
+from lss_motion.player.show_clock import ShowClock
+from lss_motion.player.track import JOIN_S, REST_DEG_S
+from lss_motion.program.model import Move
+from lss_motion.robot.model import Bus
 from lss_motion.robot.models import SERVO_MODELS
 
-STEP_NS = 20_000_000
+STEP_NS, LATE_NS = 20_000_000, 50_000_000
+CLOCK = ShowClock(0, 0.0, 1.0)
 
 
 def told(track, target_deg):
@@ -37,6 +48,17 @@ def test_what_is_too_much_is_taken_off_and_the_joint_is_led(kit):
     assert acts_on(track.led_ns / 1e9) == acts_on(STEP_NS / 1e9) + 1, "with the next step"
 
 
+@pytest.mark.parametrize("baud_bps", [9600, 115200])
+def test_a_joint_that_is_led_is_told_so_early_that_it_hears_it_half_a_step_before(kit, baud_bps):
+    line = Line(Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=370))
+    track = kit.track(kit.joint("j0", 2, drive="streamed"))
+    track.led_ns = STEP_NS
+    track.send(line, 60.0, 0.0, STEP_NS)
+    heard_s = (track.again_ns + line.time_ns(len(line.take()))) / 1e9
+    profile = track.profile
+    assert heard_s == pytest.approx(profile.hear_s(profile.acts_on(heard_s)), abs=1e-6)
+
+
 def test_a_stepped_joint_jumps_no_further_than_its_speed_allows(kit):
     joint = kit.joint("j0", 209, drive="stepped", model=SERVO_MODELS["LSS-2IO"])
     track = kit.track(replace(joint, speed_max_deg_s=100.0))
@@ -48,9 +70,283 @@ def test_a_stepped_joint_jumps_no_further_than_its_speed_allows(kit):
     assert said[-1][0] - said[0][0] >= 0.8 * 37.0 / 150.0 * 1e9
 
 
+def test_however_long_a_stepped_joint_stood_it_jumps_no_further_than_in_two_pulses(kit):
+    joint = kit.joint("j0", 209, drive="stepped", model=SERVO_MODELS["LSS-2IO"])
+    track = kit.track(replace(joint, speed_max_deg_s=100.0))
+    track.moved(0, track.wire_for(80.0, 0), None)
+    assert track.place(1)[0] == 3.0, "one pulse, and what whole degrees take"
+    assert track.again_ns == 20_000_000
+    track.moved(STEP_NS, track.wire_for(80.0, STEP_NS), None)
+    assert track.place(STEP_NS)[0] == 6.0
+    for at_s, sign in ((5.0, 1), (9.0, -1)):
+        before_deg, _ = track.place(round(1e9 * at_s))
+        track.moved(round(1e9 * at_s), track.wire_for(80.0 * sign, round(1e9 * at_s)), None)
+        assert track.place(round(1e9 * at_s))[0] - before_deg == 5.0 * sign
+
+
 def test_a_servo_that_is_believed_to_go_on_for_ever_is_waited_for_as_long_as_the_longest_move(kit):
     # It took a garbled word for its target, and said so when it was asked.
     track = kit.track(kit.joint("j0", 1))
-    track.moved(STEP_NS, 100_000, 200)
-    assert not track.is_at_rest(STEP_NS + 9_000_000_000)
-    assert track.is_at_rest(STEP_NS + 11_000_000_000)
+    track.moved(8_000_000_000, 100_000, 200)
+    assert not track.is_at_rest(17_000_000_000)
+    assert track.is_at_rest(19_000_000_000)
+
+
+# ---- timed joints
+
+
+def travel(target_deg, due_s=0.0, lasts_s=1.0):
+    return Move(round(1e6 * due_s), "main", 1, round(10 * target_deg), round(1000 * lasts_s))
+
+
+def timed(kit, *moves, **fields):
+    """Return the track of a joint whose plan hears all of `moves`; the first is under way."""
+    track = kit.track(kit.joint(**fields), moves)
+    track.active = moves[0]
+    return track
+
+
+def rejoin(track, line, show_s):
+    """Say at rate 1 what is left of the move under way; return the bytes."""
+    now_ns = round(1e9 * show_s)
+    heard_s = line.heard_ns(len(track.active.data), now_ns) / 1e9
+    track.rejoin(line, heard_s, track.left_s(line, CLOCK, now_ns), now_ns)
+    return line.take()
+
+
+def far_off_deg(track, from_s, to_s, offset_deg=0.0):
+    """Return by how much the profile is off the plan between two instants, at the most."""
+    instants_s = np.arange(from_s, to_s, 0.005)
+    pairs = [(track.profile.at(s)[0], track.plan.at(s)[0]) for s in instants_s]
+    return max(abs(told_deg - planned_deg - offset_deg) for told_deg, planned_deg in pairs)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(
+    ("late_ns", "offset_deg"), [(LATE_NS, 0.0), (LATE_NS, 1.0), (15_000_000, 0.0)]
+)
+def test_one_that_is_behind_goes_faster_until_it_meets_its_plan_and_arrives_on_time(
+    kit, line, sign, late_ns, offset_deg
+):
+    track = timed(kit, travel(40.0 * sign))
+    track.following.offset_deg = offset_deg
+    track.moved(late_ns, round(10 * (40.0 * sign + offset_deg)), 1000)
+    behind_deg = sign * (offset_deg + track.plan.at(0.3)[0] - track.profile.at(0.3)[0])
+    rejoin(track, line, 0.3)
+    again_ns, target_deg = track.owed
+    assert track.again_ns == again_ns
+    planned_deg, _ = track.plan.at(again_ns / 1e9)
+    position_deg, speed_deg_s = track.profile.at(again_ns / 1e9)
+    assert 0.4 < again_ns / 1e9 < 0.46
+    assert position_deg == pytest.approx(planned_deg + offset_deg, abs=0.1)
+    assert speed_deg_s == pytest.approx(sign * (40.0 + behind_deg / JOIN_S), abs=1.0)
+    track.send(line, target_deg, track.left_s(line, CLOCK, again_ns), again_ns)
+    assert track.owed is None
+    assert far_off_deg(track, again_ns / 1e9, 1.2, offset_deg) < 2.0
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_one_that_is_far_behind_goes_as_fast_as_it_may(kit, line, sign):
+    track = timed(kit, travel(80.0 * sign))
+    assert rejoin(track, line, 0.3) == b"#1D%dT445\r" % (800 * sign)
+    again_ns, target_deg = track.owed
+    track.send(line, target_deg, track.left_s(line, CLOCK, again_ns), again_ns)
+    assert track.owed is None
+    assert far_off_deg(track, 0.95, 1.2) < 5.0
+    assert max(abs(track.profile.at(s)[1]) for s in np.arange(0.3, 1.2, 0.005)) <= 180.0
+
+
+@pytest.mark.parametrize("show_s", [0.9, 1.5])
+def test_one_that_cannot_meet_its_plan_any_more_arrives_as_soon_as_it_may(kit, line, show_s):
+    track = timed(kit, travel(80.0))
+    assert rejoin(track, line, show_s) == b"#1D800T445\r"
+    assert track.owed is None
+    assert track.profile.at(show_s + 0.8) == (80.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("heard_s", "at_deg"), [(-0.05, 0.0), (0.003, 0.0), (None, 39.0), (None, 90.0)]
+)
+def test_one_that_is_not_behind_has_the_rest_of_its_time(kit, line, heard_s, at_deg):
+    track = timed(kit, travel(40.0))
+    track.stand(at_deg)
+    if heard_s is not None:
+        track.moved(round(1e9 * heard_s), 400, 1000)
+    assert rejoin(track, line, 0.3) == b"#1D400T700\r"
+    assert track.owed is None
+
+
+def test_one_whose_plan_is_as_fast_as_it_may_go_has_the_rest_of_its_time(kit, line):
+    track = timed(kit, travel(40.0), speed_max_deg_s=40.0)
+    track.moved(LATE_NS, 400, 1000)
+    assert re.fullmatch(rb"#1D400T7\d\d\r", rejoin(track, line, 0.3))
+    assert track.owed is None
+
+
+def test_what_is_left_of_a_move_is_run_time_from_when_it_is_heard(kit, line):
+    track = timed(kit, travel(40.0, due_s=0.1))
+    assert track.left_s(line, CLOCK, 400_000_000) == pytest.approx(0.7, abs=1e-4)
+    line.send(b"." * 115, 400_000_000)
+    assert track.left_s(line, CLOCK, 400_000_000) == pytest.approx(0.69, abs=1e-4)
+    assert track.left_s(Line(line.bus), ShowClock(0, 0.0, 0.5), 800_000_000) == pytest.approx(
+        1.4, abs=2e-3
+    )
+    track.active = track.active._replace(duration_ms=None)
+    assert track.left_s(line, CLOCK, 0) == 0.0
+    track.active = None
+    assert track.left_s(line, CLOCK, 0) == 0.0
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_one_that_is_turned_back_travels_as_fast_as_its_plan_however_far_off_it_is(kit, line, sign):
+    there, back = travel(40.0 * sign), travel(-10.0 * sign, due_s=0.5, lasts_s=0.6)
+    track = timed(kit, there, back)
+    track.following.offset_deg = 1.5
+    track.moved(100_000_000, 400 * sign + 15, 1000)
+    heard_s = line.heard_ns(len(back.data), 500_000_000) / 1e9
+    left_s = track.turning_s(back, heard_s, round(1e9 * heard_s))
+    track.active = back
+    track.send_active(line, left_s, 500_000_000)
+    for at_s in (0.7, 0.75, 0.8):
+        assert track.profile.at(at_s)[1] == pytest.approx(track.plan.at(at_s)[1], abs=0.3)
+    assert abs(track.plan.at(0.75)[1]) > 40.0, "it travels"
+
+
+def test_else_it_has_its_own_time(kit):
+    there, back = travel(40.0), travel(0.0, due_s=0.5, lasts_s=0.4)
+    track = timed(kit, there, back)
+    at_ns = 500_000_000
+    track.stand(10.0)
+    assert track.turning_s(back, 0.5, at_ns) is not None
+    assert track.turning_s(back._replace(duration_ms=None), 0.5, at_ns) is None
+    assert track.turning_s(there, 0.5, at_ns) is None, "it goes on"
+    assert track.turning_s(back._replace(target_wire=-50), -1.0, at_ns) is None, "the plan rests"
+    assert track.turning_s(there, 3.0, at_ns) is None, "the plan is there"
+    for beyond_deg in (0.0, -10.0):
+        track.stand(beyond_deg)
+        assert track.turning_s(back, 0.5, at_ns) is None, "it has been there"
+
+
+def test_t_is_what_is_left_and_never_so_short_that_the_speed_limit_breaks(kit, line):
+    track = timed(kit, travel(40.0))
+    for left_s, said in ((0.5, b"T500"), (0.1, b"T223"), (0.0, b"T223"), (0.3004, b"T300")):
+        track.stand(0.0)
+        track.send(line, 40.0, left_s, 0)
+        assert line.take() == b"#1D400%b\r" % said
+    track.stand(40.0)
+    track.send(line, 40.0, 0.0, 0)
+    assert line.take() == b"#1D400T1\r"
+
+
+def test_t_counts_from_where_the_servo_is_when_it_hears_it(kit):
+    slow = Line(Bus(name="main", port="sim://", baud_bps=9600, firmware=370))
+    track = timed(kit, travel(-80.0))
+    track.moved(0, -800, 400)
+    before = track.profile.copy()
+    track.send(slow, 80.0, 0.5, 300_000_000)
+    position_deg, speed_deg_s = before.at(track.heard_ns / 1e9)
+    assert speed_deg_s < -150.0, "a byte sooner it is elsewhere"
+    assert slow.take() == b"#1D800T%d\r" % math.ceil((80.0 - position_deg) / 0.18)
+
+
+def test_a_target_is_corrected_and_within_the_range(kit, line):
+    track = timed(kit, travel(40.0), position_max_deg=41.0)
+    track.following.offset_deg = 0.7
+    track.send(line, 40.0, 1.0, 0)
+    track.send(line, 40.9, 1.0, 0)
+    assert line.take() == b"#1D407T1000\r#1D410T1000\r"
+    assert (track.owed, track.again_ns) == (None, None)
+
+
+def test_one_that_is_not_driven_is_told_nothing(kit, line):
+    track = timed(kit, travel(40.0))
+    track.is_driven = False
+    track.send(line, 40.0, 1.0, 0)
+    assert (line.take(), track.heard_ns) == (b"", None)
+
+
+def test_what_was_sent_counts_from_when_its_last_byte_is_heard(kit, line):
+    track = timed(kit, travel(40.0))
+    line.send(b"." * 115, 0)
+    track.send(line, 40.0, 1.0, 0)
+    assert track.heard_ns == line.free_ns == pytest.approx(11e6, rel=0.01)
+    assert track.profile.at(0.011)[0] == 0.0
+    assert track.profile.at(0.5)[0] == pytest.approx(track.plan.at(0.49)[0], abs=0.05)
+    assert track.hearing.last.heard_s == track.heard_ns / 1e9
+    assert track.hearing.last.target_deg == 40.0
+    assert track.hearing.others[-1].profile.at(5.0) == (0.0, 0.0), "as if it had not heard it"
+
+
+def test_an_hour_of_moves_takes_no_more_room_than_a_few_seconds(kit):
+    track = timed(kit, travel(40.0))
+    for index in range(500):
+        track.moved(index * 100_000_000, 400 * (index % 2), 100)
+    assert sum(1 for _ in track.profile.pieces()) < 100
+    assert track.profile.at(48.0)[0] != track.profile.at(48.05)[0], "two seconds are kept"
+
+
+def test_where_it_turns_round_it_is_not_at_rest(kit):
+    track = timed(kit, travel(40.0))
+    assert track.is_at_rest(0)
+    track.moved(0, 400, 1000)
+    track.moved(500_000_000, 0, 500)
+    slow_s = min(np.arange(0.5, 0.7, 0.001), key=lambda s: abs(track.profile.at(s)[1]))
+    assert abs(track.profile.at(slow_s)[1]) < REST_DEG_S
+    assert not track.is_at_rest(round(1e9 * slow_s))
+    assert not track.is_at_rest(900_000_000)
+    assert track.is_at_rest(1_300_000_000)
+    track.moved(1_300_000_000, 400, 500)
+    assert not track.is_at_rest(1_500_000_000)
+    assert track.is_at_rest(2_000_000_000)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_streamed_joint_is_at_rest_when_its_filter_is(kit, sign):
+    track = kit.track(kit.joint("j0", 2, drive="streamed"))
+    track.moved(STEP_NS, 100 * sign, None)
+    assert not track.is_at_rest(STEP_NS + 100_000_000)
+    assert track.is_at_rest(STEP_NS + 500_000_000)
+
+
+def test_one_that_stands_elsewhere_owes_nothing_and_goes_on_from_there(kit):
+    track = kit.track(kit.joint("j0", 2, drive="streamed"))
+    track.moved(STEP_NS, 800, None)
+    track.led_ns, track.owed = 5, (5, 80.0)
+    track.stand(-30.0)
+    assert track.place(10**9) == (-30.0, 0.0)
+    assert (track.again_ns, track.following.standing_deg) == (None, -30.0)
+    low_deg, high_deg = track.setpoints.allowed(0.5)
+    assert low_deg + high_deg == pytest.approx(-60.0)
+
+
+def test_only_a_streamed_joint_that_is_driven_is_led_from_the_first_instant_on(kit):
+    track = kit.track(kit.joint("j0", 2, drive="streamed"))
+    track.lead_from(7)
+    track.lead_from(9)
+    assert track.again_ns == 7
+    track.led_ns, track.is_driven = None, False
+    track.lead_from(9)
+    assert track.again_ns is None
+    track = timed(kit, travel(40.0))
+    track.lead_from(7)
+    assert track.again_ns is None
+
+
+def test_what_was_learnt_about_a_joint_is_kept(kit):
+    earlier, track = timed(kit, travel(40.0)), timed(kit, travel(40.0))
+    for _ in range(200):
+        earlier.lag.take(40.0 * 0.03, 40.0, 0.05)
+        earlier.lag.take(-40.0 * 0.03, -40.0, 0.05)
+    earlier.following.disturbance_deg, earlier.following.offset_deg = 1.5, 1.2
+    earlier.hearing.denials = 3
+    track.learn(earlier)
+    assert track.lag is earlier.lag
+    assert track.early_s == pytest.approx(0.03, abs=2e-3)
+    assert (track.following.disturbance_deg, track.following.offset_deg) == (1.5, 1.2)
+    assert track.hearing.denials == 3
+    open_loop = kit.track(kit.joint(), has_feedback=False)
+    assert open_loop.hearing is None
+    assert (open_loop.said_again, open_loop.health_count) == (0, 0)
+    open_loop.learn(earlier)
+    track.learn(open_loop)
+    assert track.hearing.denials == 3

@@ -1,10 +1,20 @@
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from lss_motion.player.approach import approach
 from lss_motion.player.track import make_tracks
-from lss_motion.player.watch import SILENT_ASKS, Watch
+from lss_motion.player.watch import SILENT_ASKS, STATUS_CAUSES, Watch, status_fault
+from lss_motion.protocol.constants import (
+    PRO_STATUS_FIRMWARE,
+    STATUS_CODES,
+    Family,
+    Status,
+    status_codes,
+)
+from lss_motion.robot.models import SERVO_MODELS
 from lss_motion.robot.on_fault import Cause
 
 S = 1_000_000_000
@@ -41,6 +51,18 @@ def test_a_bad_status_between_good_ones_is_nothing(track):
     assert watch.doubts == {}
 
 
+@pytest.mark.parametrize("status", STATUS_CAUSES)
+def test_what_a_servo_reports_follows_its_name_and_says_what_to_do(kit, status):
+    watch, firmware = Watch(), 780 if status in STATUS_CODES else PRO_STATUS_FIRMWARE
+    track = kit.track(kit.joint(model=SERVO_MODELS["LSS-P-S1"]))
+    for _ in range(2):
+        watch.status(track, status_codes(Family.LSS_PRO, firmware).index(status), firmware)
+    ((place, text),) = watch.troubles.items()
+    assert place == ("j0", STATUS_CAUSES[status])
+    assert re.match(r"(is|reports) .+[:.] .*(Find|Lighten|Look)", text)
+    assert track.status is status
+
+
 def test_a_limp_servo_has_restarted(track):
     watch = Watch()
     watch.status(track, LIMP, 370)
@@ -54,13 +76,33 @@ def test_heat_and_voltage_are_judged_by_the_joints_own_limits(track):
         watch.temperature(track, celsius)
         watch.voltage(track, volt)
         assert watch.troubles == {}
+    assert watch.doubts == {"j0": "QV"}, "asked again at once"
     watch.temperature(track, 77.0)
+    assert watch.doubts == {"j0": "QV"}
     watch.voltage(track, 5.8)
+    assert watch.doubts == {}
     assert causes(watch) == {Cause.HOT, Cause.LOW_VOLTAGE}
     assert "77 C, allowed is 75 C (temperature_max_c)" in watch.troubles["j0", Cause.HOT]
     assert (track.temperature_max_c, track.voltage_min_v) == (76.0, 5.9), "as two readings say"
     watch.temperature(track, 70.0)
     assert causes(watch) == {Cause.LOW_VOLTAGE}
+    watch.temperature(track, 76.0)
+    assert watch.doubts == {"j0": "QT"}
+
+
+def test_what_is_just_allowed_is_no_trouble(track):
+    watch = Watch()
+    for _ in range(3):
+        watch.temperature(track, 75.0)
+        watch.voltage(track, 6.0)
+    assert (watch.troubles, watch.doubts) == ({}, {})
+
+
+def test_before_it_is_driven_a_servo_may_be_limp_and_must_have_no_fault():
+    assert "Find what is in its way" in status_fault(Status.BLOCKED)
+    assert "RESET" in status_fault(Status.SAFE_MODE)
+    assert status_fault(Status.LIMP) is None
+    assert status_fault(Status.HOLDING) is None
 
 
 def test_a_joint_is_astray_after_half_a_second_and_back_at_half_the_tolerance(track):
@@ -101,6 +143,27 @@ def test_a_servo_is_silent_when_its_time_is_over_whenever_it_was_last_asked(trac
     watch.advance(S)
     assert causes(watch) == {Cause.SILENT}
     assert watch.wakeups_ns() == []
-    watch.answered(track, S)
     watch.advance(3 * S)
+    assert "servo 1 has not answered for 3.0 s" in watch.troubles["j0", Cause.SILENT]
+    watch.answered(track, 3 * S)
+    watch.advance(5 * S)
     assert (watch.troubles, watch.wakeups_ns()) == ({}, [])
+
+
+def test_a_servo_that_has_never_answered_is_silent_when_its_time_is_over_since_it_was_missed(track):
+    watch = Watch()
+    for ask in range(SILENT_ASKS):
+        watch.unanswered(track, 7 * S + ask)
+    assert watch.wakeups_ns() == [8 * S]
+    watch.advance(9 * S)
+    assert "has not answered for 2.0 s" in watch.troubles["j0", Cause.SILENT]
+
+
+def test_it_is_known_who_did_not_answer_the_last_question(track):
+    watch = Watch()
+    watch.answered(track, 0)
+    assert watch.quiet() == set()
+    watch.unanswered(track, S)
+    assert watch.quiet() == {"j0"}
+    watch.answered(track, S + 1)
+    assert watch.quiet() == set()
