@@ -68,6 +68,16 @@ def block() -> str:
         f"{met} of {targets} targets met, in {sum(run['seconds'].values()):.0f} s; "
         f"{about['processor']}, load before {about['load before']}; {about['versions']}.",
     ]
+    short = [
+        f"- `{bench}`: {row['what']}: {row['ours']}, target {row['target']}"
+        + (f" ({row['reference']})" if row["reference"] else "")
+        for bench, rows in run["benches"].items()
+        for row in rows
+        if row["is_met"] is False
+    ]
+    if short:
+        lines += ["", "Short of their targets; the head of `tools/benches/BENCH.py` says why:", ""]
+        lines += short
     if float(about["load before"].split(",")[0]) > BUSY_LOAD:
         lines += [
             "",
