@@ -3,6 +3,7 @@
 tools/run tools/mutate.py                       all modules named below, with their figures
 tools/run tools/mutate.py following ladder      some of them, by name
 tools/run tools/mutate.py following --list      what would be changed
+tools/run tools/mutate.py readings --sample 40  only so many of each module, from all over it
 
 A mutant is killed when a test fails, or when the tests take ten times the processor time. One that
 no test can see, because it means the same, stands in `tools/mutation/explained.txt` with a reason;
@@ -31,7 +32,7 @@ from typing import TYPE_CHECKING
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from mutation.mutants import mutants_of
+from mutation.mutants import mutants_of, sampled
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -58,6 +59,7 @@ TARGETS = {
     "player/lag": ("tests/unit/player/test_lag.py",),
     "player/setpoints": ("tests/unit/player/test_setpoints.py",),
     "player/leading": ("tests/unit/player/test_leading.py",),
+    "player/judging": ("tests/unit/player/test_judging.py",),
     "player/watch": ("tests/unit/player/test_watch.py",),
     "player/track": ("tests/unit/player/test_track.py", "tests/unit/player/test_leading.py"),
     "player/due": ("tests/unit/player/test_due.py",),
@@ -86,15 +88,25 @@ STUCK_S = 300
 class Score:
     """What became of the mutants of one module."""
 
+    made: int = 0
+    """How many there are."""
     mutants: int = 0
+    """How many of them were tried."""
     killed: int = 0
     explained: int = 0
     survived: list[str] = field(default_factory=list)
 
+    def add(self, other: Score) -> None:
+        self.made += other.made
+        self.mutants += other.mutants
+        self.killed += other.killed
+        self.explained += other.explained
+        self.survived += other.survived
+
     def shown(self) -> str:
         return (
-            f"{self.mutants:5} mutants {self.killed:5} killed {self.explained:4} explained "
-            f"{len(self.survived):4} survived"
+            f"{self.mutants:5} of {self.made} mutants {self.killed:5} killed "
+            f"{self.explained:4} explained {len(self.survived):4} survived"
         )
 
 
@@ -103,7 +115,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="tools/mutate.py", description=__doc__)
     parser.add_argument("names", nargs="*", help=f"of {', '.join(TARGETS)}; default: all")
     parser.add_argument("--list", action="store_true", help="name the mutants, run nothing")
+    parser.add_argument("--sample", type=int, metavar="N", help="try N mutants of each module")
+    parser.add_argument("--seed", type=int, default=0, help="of the sample; default: 0")
     arguments = parser.parse_args(argv)
+    if arguments.sample is not None and arguments.sample < 1:
+        parser.error(f"a sample of {arguments.sample}: at least 1")
     chosen = [name for name in TARGETS if not arguments.names or _is_named(name, arguments.names)]
     if not chosen:
         parser.error(f"no such module; there are {', '.join(TARGETS)}")
@@ -112,28 +128,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     total, is_good = Score(), True
     for name in chosen:
         mutants = _mutants(name)
+        tried = sampled(mutants, arguments.sample or len(mutants), arguments.seed)
         if arguments.list:
-            print(*(f"{name} {mutant.name}" for mutant in mutants), sep="\n")
+            print(*(f"{name} {mutant.name}" for mutant in tried), sep="\n")
             continue
-        score = _judged(name, mutants, explained)
+        score = _judged(name, tried, explained)
+        score.made = len(mutants)
         known = {f"{name} {mutant.name}" for mutant in mutants}
         stale = [key for key in explained if key.startswith(f"{name} ") and key not in known]
         is_good &= not score.survived and not stale
         print(f"{name:20} {score.shown()}", flush=True)
-        print(
-            *(f"    survived {one}" for one in score.survived),
-            sep="\n",
-            end="\n" * bool(score.survived),
-        )
-        print(
-            *(f"    explained, but no mutant: {key}" for key in stale),
-            sep="\n",
-            end="\n" * bool(stale),
-        )
-        total.mutants += score.mutants
-        total.killed += score.killed
-        total.explained += score.explained
-        total.survived += score.survived
+        for one in score.survived:
+            print(f"    survived {one}")
+        for key in stale:
+            print(f"    explained, but no mutant: {key}")
+        total.add(score)
     if not arguments.list:
         print(f"{'all':20} {total.shown()}")
     return 0 if is_good else 1

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 from mutate import explanations
-from mutation.mutants import mutants_of
+from mutation.mutants import mutants_of, sampled
 
 SOURCE = '''
 """Text."""
@@ -33,6 +33,19 @@ def test_each_mutant_changes_one_thing_and_can_be_run():
     assert module["share"](2.0, 4.0) == 8.0
     with pytest.raises(ValueError, match="below"):
         module["share"](4.0, 2.0)
+
+
+def test_a_sample_is_from_all_over_the_module_and_the_same_for_the_same_seed():
+    mutants = mutants_of(SOURCE, "share.py")
+    for seed in range(20):
+        first, second, third = sampled(mutants, 3, seed)
+        assert first in mutants[:2]
+        assert second in mutants[2:4]
+        assert third in mutants[4:]
+    chosen = [[one.name for one in sampled(mutants, 3, seed)] for seed in range(20)]
+    assert chosen == [[one.name for one in sampled(mutants, 3, seed)] for seed in range(20)]
+    assert {name for names in chosen for name in names} == {one.name for one in mutants}
+    assert sampled(mutants, 9, 0) == mutants
 
 
 def test_a_reason_is_for_all_mutants_right_above_it():

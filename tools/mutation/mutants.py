@@ -7,12 +7,14 @@ state what cannot happen), f-strings and the arguments of `raise` (messages for 
 from __future__ import annotations
 
 import ast
+import random
 from collections import Counter
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from types import CodeType
 
 _COMPARISONS: Final[dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]]] = {
@@ -84,6 +86,15 @@ def mutants_of(source: str, filename: str) -> list[Mutant]:
         made.append(Mutant(name=name, line=line, code=compile(tree, filename, "exec")))
         _put(parent, field, index, old)
     return sorted(made, key=lambda mutant: mutant.line)
+
+
+def sampled(mutants: Sequence[Mutant], count: int, seed: int) -> list[Mutant]:
+    """Return `count` of them, or all if they are fewer: one of each of so many equal stretches."""
+    if count >= len(mutants):
+        return list(mutants)
+    ends = [index * len(mutants) // count for index in range(count + 1)]
+    choice = random.Random(seed).choice  # noqa: S311  (no secret)
+    return [choice(mutants[first:end]) for first, end in pairwise(ends)]
 
 
 _Change = tuple[tuple[str, ...], ast.AST, ast.AST, str, int | None, ast.AST]
