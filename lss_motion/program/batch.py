@@ -76,18 +76,36 @@ class Trapezoids:
     def at(self, times_s: FloatArray) -> States:
         """Return the states at `times_s`, which must not be before the start."""
         tau_s = times_s - self.start.time_s
-        ramp = self.ramp_deg_s2
-        first_s = np.minimum(tau_s, self.first_s)
-        cruise_s = np.clip(tau_s - self.first_s, 0.0, self.cruise_s)
-        last_s = tau_s - self.first_s - self.cruise_s
-        last_s = np.clip(last_s, 0.0, self.peak_deg_s / ramp)
-        gained = np.copysign(ramp, self.peak_deg_s - self.first_deg_s) * first_s
-        way = (self.first_deg_s + 0.5 * gained) * first_s + self.peak_deg_s * cruise_s
-        way += (self.peak_deg_s - 0.5 * ramp * last_s) * last_s
+        first_s, last_s, position_deg = self._after(tau_s)
+        gained = np.copysign(self.ramp_deg_s2, self.peak_deg_s - self.first_deg_s) * first_s
         speed = np.where(
-            tau_s < self.first_s, self.first_deg_s + gained, self.peak_deg_s - ramp * last_s
+            tau_s < self.first_s,
+            self.first_deg_s + gained,
+            self.peak_deg_s - self.ramp_deg_s2 * last_s,
         )
-        return States(times_s, self.start.position_deg + self.sign * way, self.sign * speed)
+        return States(times_s, position_deg, self.sign * speed)
+
+    def positions_deg(self, times_s: FloatArray) -> FloatArray:
+        """Return the positions at `times_s`, which must not be before the start."""
+        return self._after(times_s - self.start.time_s)[2]
+
+    def _after(self, tau_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return for how long profiles have ramped to their peaks and down, and where they are."""
+        first_s = np.minimum(tau_s, self.first_s)
+        left_s = tau_s - self.first_s
+        cruise_s = np.maximum(left_s, 0.0)
+        np.minimum(cruise_s, self.cruise_s, out=cruise_s)
+        left_s -= self.cruise_s
+        np.maximum(left_s, 0.0, out=left_s)
+        last_s = np.minimum(left_s, self.peak_deg_s / self.ramp_deg_s2, out=left_s)
+        change = np.copysign(0.5 * self.ramp_deg_s2, self.peak_deg_s - self.first_deg_s)
+        way = (self.first_deg_s + change * first_s) * first_s
+        cruise_s *= self.peak_deg_s
+        way += cruise_s
+        way += (self.peak_deg_s - 0.5 * self.ramp_deg_s2 * last_s) * last_s
+        way *= self.sign
+        way += self.start.position_deg
+        return first_s, last_s, way
 
 
 def trapezoids(

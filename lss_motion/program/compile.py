@@ -190,7 +190,7 @@ def lines_use(moves: Sequence[Move], robot: Robot) -> dict[str, LineUse]:
     columns = columns_of(moves, robot)
     slots_us = np.stack((columns.due_us, columns.sent_us), axis=1)
     joints = list(robot.joints.values())
-    asked = [joints[index] for index in np.unique(columns.joint).tolist()]
+    asked = [joints[index] for index in np.flatnonzero(np.bincount(columns.joint)).tolist()]
     uses = {}
     for index, (name, bus) in enumerate(robot.buses.items()):
         own_us = slots_us[columns.bus == index]
@@ -202,8 +202,9 @@ def lines_use(moves: Sequence[Move], robot: Robot) -> dict[str, LineUse]:
 
 
 def _error_max_deg(fitted: Fitted, course: Course) -> float:
-    times_s = course.times_s(np.arange(len(course.position_deg)))
-    return float(np.abs(fitted.reference.along(times_s) - course.position_deg).max())
+    error_deg = fitted.reference.on_grid(course.start_s, GRID_S, len(course.position_deg))
+    error_deg -= course.position_deg
+    return max(float(error_deg.max()), -float(error_deg.min()))
 
 
 def _overload(attempt: Attempt, robot: Robot) -> LineLoadError:

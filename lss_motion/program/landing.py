@@ -79,7 +79,9 @@ def best_landings(
     step = np.arange(len(of)) - starts[of]
     index = first[of] + step
     course_deg = courses.position_deg(joint[of], index)
-    stray = np.abs(moves.take(of).at(courses.times_s(index)).position_deg - course_deg)
+    stray = moves.take(of).positions_deg(courses.times_s(index))
+    stray -= course_deg
+    np.abs(stray, out=stray)
     stray[step >= lasts.take(of, axis=1)] = 0.0
     error_deg = np.maximum.reduceat(stray, starts, axis=1)
     late_s = landed_s - (last_s + SEGMENT_MIN_S)

@@ -47,11 +47,12 @@ def _asked(query_us: int, slots_us: IntArray) -> float:
     opens_us = np.concatenate(([due_us[0] - 2 * WINDOW_US], due_us + size_us))
     ends_us = np.append(due_us, opens_us[-1] + 2 * WINDOW_US)
     fit = np.maximum(ends_us - opens_us, 0) // query_us
-    before = np.cumsum(fit) - fit
+    full_us, total = opens_us + fit * query_us, np.cumsum(fit)
     # Queries that have left, as a line that climbs through each gap and is level elsewhere.
-    instants_us = np.stack((opens_us, opens_us + fit * query_us), axis=1).ravel()
-    left = np.stack((before, before + fit), axis=1).ravel().astype(np.float64)
-    edges_us = np.concatenate((instants_us, instants_us + WINDOW_US, ends_us, ends_us + WINDOW_US))
+    instants_us = np.stack((opens_us, full_us), axis=1).ravel()
+    left = np.stack((total - fit, total), axis=1).ravel().astype(np.float64)
+    # Their number within a window stops falling where its end begins to climb, or its begin stops.
+    edges_us = np.concatenate((opens_us, full_us + WINDOW_US, opens_us[:1] + WINDOW_US))
     edges_us = edges_us[(edges_us - WINDOW_US >= opens_us[0]) & (edges_us <= ends_us[-1])]
     within = np.interp(edges_us, instants_us, left)
     within -= np.interp(edges_us - WINDOW_US, instants_us, left)

@@ -205,18 +205,23 @@ class Reference:
         index = np.maximum(np.searchsorted(self._start_s, times_s, side="right") - 1, 0)
         return _along(times_s, *(column[index] for column in self.table))
 
-    def along(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what `sample` does, quicker where many `times_s`, in order, fall on few pieces."""
-        edges = np.searchsorted(times_s, self._start_s[1:], side="left")
-        counts = np.diff(edges, prepend=0, append=len(times_s))
-        starts_s = np.where(np.isfinite(self._start_s), self._start_s, np.inf)
-        dt = times_s - np.repeat(starts_s, counts)
-        np.maximum(dt, 0.0, out=dt)
-        found: NDArray[np.float64] = np.repeat(0.5 * self._accel, counts)
-        found *= dt
-        found += np.repeat(self._speed, counts)
-        found *= dt
-        found += np.repeat(self._position, counts)
+    def on_grid(self, start_s: float, step_s: float, count: int) -> NDArray[np.float64]:
+        """Return what `sample` does at `count` instants every `step_s`, quicker for many."""
+        first = np.ceil((self._start_s - start_s) / step_s)
+        first = np.minimum(np.maximum(first, 0.0), count).astype(np.intp)
+        counts = np.diff(first, append=count)
+        counts[0] += first[0]
+        first_s = start_s + step_s * first
+        dt = first_s - self._start_s
+        dt[~np.isfinite(dt)] = 0.0
+        steps = np.arange(count, dtype=np.float64)
+        steps -= np.repeat(first, counts)
+        found: NDArray[np.float64] = np.repeat(0.5 * step_s * step_s * self._accel, counts)
+        found *= steps
+        found += np.repeat(step_s * (self._speed + self._accel * dt), counts)
+        found *= steps
+        found += np.repeat(_along(first_s, *self.table), counts)
+        found[: first[0]] = self._position[0]
         return found
 
     def at(self, time_s: float) -> tuple[float, float]:

@@ -167,6 +167,19 @@ def test_the_reference_is_the_profile_in_arrays():
         assert reference.at(float(time_s)) == pytest.approx(one)
 
 
+@pytest.mark.parametrize(
+    ("start_s", "step_s"), [(-1.0, 0.005), (0.213, 0.01), (0.9, 0.4), (9.0, 1.0)]
+)
+@pytest.mark.parametrize("begin_s", [-math.inf, 0.0])
+def test_on_a_grid_it_is_what_it_is_anywhere(start_s, step_s, begin_s):
+    moves = trapezoid(Piece(0.0, 5.0, 60.0, 0.0), 90.0, 200.0, RAMP_DEG_S2)
+    first = [Piece(begin_s, 5.0, 0.0, 0.0)] if math.isinf(begin_s) else []
+    for reference in (Reference([*first, *moves]), Reference([Piece(begin_s, 7.0, 0.0, 0.0)])):
+        times_s = start_s + step_s * np.arange(400)
+        found = reference.on_grid(start_s, step_s, 400)
+        assert found == pytest.approx(reference.sample(times_s), abs=1e-9)
+
+
 def test_exact_law_slows_down_below_the_mean_where_the_start_is_fast():
     servo = profile(Response(t_law="exact"))
     servo.retarget(0.0, 300.0, 3.5)
