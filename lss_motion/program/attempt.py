@@ -12,7 +12,7 @@ from lss_motion.program.course import servo_limits
 from lss_motion.program.drives import late_max_s, longest_move, make_fitter
 from lss_motion.program.fit import TURN_S, Fit
 from lss_motion.program.line import LineSchedule
-from lss_motion.program.moves import reference
+from lss_motion.program.moves import references
 from lss_motion.units import NS_PER_US, line_time_ns, s_from_us, us_from_s
 
 if TYPE_CHECKING:
@@ -148,14 +148,10 @@ class Attempt:
         limits = [servo_limits(joint, tolerance_deg) for joint in joints]
         begins = [self._begins[name] for name in names if name in self._begins]
         moves = Fit(own, limits, seams_s, begins, self._turn_s).moves(new_line)
-        for index, name in enumerate(names):
+        made = references(moves, own, limits, begins)
+        for index, (name, reference) in enumerate(zip(names, made, strict=True)):
             some = moves.of(index)
-            self.fitted[name] = Fitted(
-                some.heard_s,
-                some.target_wire,
-                some.duration_ms,
-                reference(moves, index, own[index], limits[index], self._begins.get(name)),
-            )
+            self.fitted[name] = Fitted(some.heard_s, some.target_wire, some.duration_ms, reference)
 
     def _grant_of(self, names: Sequence[str]) -> Grant:
         """Return what does `_grant` for many moves at once, of joints that count `names`."""
@@ -204,7 +200,7 @@ def fitted_alone(joint: Joint, course: Course, tolerance_deg: float) -> Referenc
         moves = Fit([course], [limits]).moves(
             lambda: lambda _joints, wanted_us, _after_us: wanted_us
         )
-        return reference(moves, 0, course, limits)
+        return references(moves, [course], [limits])[0]
     fitter = make_fitter(joint, course, tolerance_deg)
     wanted_s = fitter.wanted(None)
     while wanted_s is not None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from lss_motion.program.batch import States, Trapezoids, speeds_for, trapezoids
+from lss_motion.program.course import LimitArrays
 from lss_motion.program.response import Reference
 from lss_motion.program.wording import lattice
 from lss_motion.units import MS_PER_S
@@ -16,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from lss_motion.program.batch import FloatArray, Index, IntArray
-    from lss_motion.program.course import Course, LimitArrays, ServoLimits
+    from lss_motion.program.course import Course, ServoLimits
     from lss_motion.program.response import Profile
 
 JOINED_DEG: Final = 1e-6
@@ -155,44 +157,64 @@ class Begin:
     first_s: float | None = None
 
 
-def reference(
-    moves: Moves, joint: int, course: Course, limits: ServoLimits, begin: Begin | None = None
-) -> Reference:
-    """Return the profile that the moves of one joint make of its course."""
-    own = moves.of(joint)
-    if begin is not None:
+def references(
+    moves: Moves,
+    courses: Sequence[Course],
+    limits: Sequence[ServoLimits],
+    begins: Sequence[Begin] = (),
+) -> list[Reference]:
+    """Return the profile that the moves of each joint make of its course."""
+    if not begins:
+        firsts = zip(courses, limits, strict=True)
+        wires = [lattice(float(one.position_deg[0]), limit) for one, limit in firsts]
+        per_deg = [limit.wire_per_deg for limit in limits]
+        return from_rest(moves, limits, np.array(wires) / per_deg)
+    found = []
+    for begin, table in zip(begins, _pieces(moves, limits), strict=True):
         before = Reference(begin.profile.pieces())
-        made = Reference.of(pieces_of(own, limits))
-        return before.followed_by(made, float("-inf")) if len(own) else before
-    begin_wire = lattice(float(course.position_deg[0]), limits)
-    return from_rest(own, limits, begin_wire / limits.wire_per_deg)
+        made = Reference.of(table)
+        found.append(before.followed_by(made, float("-inf")) if len(table[0]) else before)
+    return found
 
 
-def from_rest(own: Moves, limits: ServoLimits, begin_deg: float) -> Reference:
-    """Return the profile that moves of one joint make of a servo that stands at `begin_deg`."""
-    first = (float("-inf"), begin_deg, 0.0, 0.0)
-    table = pieces_of(own, limits)
-    return Reference.of(tuple(np.append(v, column) for v, column in zip(first, table, strict=True)))
+def from_rest(
+    moves: Moves, limits: Sequence[ServoLimits], begins_deg: FloatArray
+) -> list[Reference]:
+    """Return the profiles that moves make of servos that stand at `begins_deg`, one a joint."""
+    found = []
+    for begin_deg, table in zip(begins_deg, _pieces(moves, limits), strict=True):
+        first = (float("-inf"), begin_deg, 0.0, 0.0)
+        columns = zip(first, table, strict=True)
+        found.append(Reference.of(tuple(np.append(value, column) for value, column in columns)))
+    return found
 
 
-def pieces_of(own: Moves, limits: ServoLimits) -> tuple[FloatArray, ...]:
-    """Return the pieces of a profile, each until the next one: see `Reference.table`."""
-    states = States(own.heard_s, own.position_deg, own.speed_deg_s)
-    ramp, target_deg = limits.ramp_deg_s2, own.target_wire / limits.wire_per_deg
-    made = trapezoids(states, target_deg, own.travel_deg_s, np.full_like(target_deg, ramp))
-    ramped_s = own.heard_s + made.first_s
-    starts = np.stack([own.heard_s, ramped_s, ramped_s + made.cruise_s, made.end_s], axis=1)
+def _pieces(moves: Moves, limits: Sequence[ServoLimits]) -> list[tuple[FloatArray, ...]]:
+    """Return the pieces of each joint's profile, each until the next one: `Reference.table`."""
+    own = LimitArrays(limits).take(moves.joint)
+    ramp, target_deg = own.ramp_deg_s2, moves.target_wire / own.wire_per_deg
+    states = States(moves.heard_s, moves.position_deg, moves.speed_deg_s)
+    made = trapezoids(states, target_deg, moves.travel_deg_s, ramp)
+    ramped_s = moves.heard_s + made.first_s
+    starts_s = (moves.heard_s, ramped_s, ramped_s + made.cruise_s, made.end_s)
+    ends = np.searchsorted(moves.joint, np.arange(len(limits)), side="right")
+    until_s = np.append(moves.heard_s[1:], np.inf)[: len(moves)]
+    until_s[ends[ends > 0] - 1] = np.inf
+    is_there = np.empty((len(moves), len(starts_s)), dtype=bool)
+    for piece, (start_s, end_s) in enumerate(pairwise((*starts_s, until_s))):
+        is_there[:, piece] = start_s < until_s
+        if piece < len(starts_s) - 1:
+            is_there[:, piece] &= start_s < end_s
     still, peak = np.zeros_like(target_deg), made.sign * made.peak_deg_s
     braking_deg = target_deg - 0.5 * peak * made.peak_deg_s / ramp
-    cruising_deg = braking_deg - peak * made.cruise_s
     accel = made.sign * np.copysign(ramp, made.peak_deg_s - made.first_deg_s)
-    until_s = np.append(own.heard_s[1:], np.inf)[:, None]
-    is_there = starts < until_s
-    is_there[:, :3] &= starts[:, 1:] > starts[:, :3]
     columns = (
-        starts,
-        np.stack([own.position_deg, cruising_deg, braking_deg, target_deg], axis=1),
-        np.stack([own.speed_deg_s, peak, peak, still], axis=1),
-        np.stack([accel, still, -made.sign * ramp, still], axis=1),
+        starts_s,
+        (moves.position_deg, braking_deg - peak * made.cruise_s, braking_deg, target_deg),
+        (moves.speed_deg_s, peak, peak, still),
+        (accel, still, -made.sign * ramp, still),
     )
-    return tuple(column[is_there] for column in columns)
+    edges = np.append(0, np.cumsum(is_there.sum(axis=1)))[ends][:-1]
+    chosen = np.flatnonzero(is_there)
+    every = (np.stack(column, axis=1).take(chosen) for column in columns)
+    return list(zip(*(np.split(column, edges) for column in every), strict=True))

@@ -117,13 +117,13 @@ def profiles(program: Program, robot: Robot) -> dict[str, Reference]:
         begins_deg,
         LimitArrays(limits),
     )
-    found = {}
+    found, made = {}, from_rest(moves, limits, begins_deg)
     for name, (index, own) in slices.items():
-        begin_deg = float(begins_deg[index])
         if is_timed[index]:
-            found[name] = from_rest(moves.of(index), limits[index], begin_deg)
+            found[name] = made[index]
         else:
             targets_deg = columns.target_wire[own] / limits[index].wire_per_deg
+            begin_deg = float(begins_deg[index])
             found[name] = _replayed(robot.joints[name], begin_deg, heard_s[own], targets_deg)
     return found
 

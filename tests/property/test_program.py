@@ -19,7 +19,7 @@ from lss_motion.program.drives import lead
 from lss_motion.program.fit import Fit
 from lss_motion.program.landing import SEGMENT_MIN_S
 from lss_motion.program.line import LineSchedule, line_use
-from lss_motion.program.moves import followed, from_rest, reference
+from lss_motion.program.moves import followed, from_rest, references
 from lss_motion.program.predict import profiles
 from lss_motion.program.response import (
     Piece,
@@ -185,7 +185,7 @@ def fitted(course, limits, late=lambda wanted_us: wanted_us):
             )
         )
     )
-    return moves, reference(moves, 0, course, limits)
+    return moves, references(moves, [course], [limits])[0]
 
 
 def limits_of(wire_per_deg, tolerance_deg=0.2):
@@ -417,8 +417,7 @@ def test_profiles_followed_in_arrays_are_those_of_the_servos_one_by_one(words, l
     columns = np.array(told, dtype=np.float64).reshape(-1, 4).T
     moves = followed(columns[0].astype(int), *columns[1:], begins_deg, LimitArrays(limits))
     times_s = np.arange(-3.0, 20.0, 0.011)
-    for joint, servo in enumerate(servos):
-        own = from_rest(moves.of(joint), limits[joint], begins_deg[joint])
+    for own, servo in zip(from_rest(moves, limits, begins_deg), servos, strict=True):
         expected_deg = Reference(servo.pieces()).sample(times_s)
         assert own.sample(times_s) == pytest.approx(expected_deg, abs=1e-4)
 

@@ -7,7 +7,7 @@ import pytest
 
 from lss_motion.program.course import GRID_S, SEGMENT_MAX_S, Course, ServoLimits
 from lss_motion.program.fit import Fit
-from lss_motion.program.moves import reference
+from lss_motion.program.moves import references
 from lss_motion.robot.model import Response
 
 LIMITS = ServoLimits(
@@ -26,10 +26,8 @@ def all_fitted(rows_deg, limits=LIMITS):
     courses = [Course(start_s=0.0, position_deg=np.asarray(row)) for row in rows_deg]
     each = [limits] * len(courses)
     moves = Fit(courses, each).moves(lambda: lambda _joints, wanted_us, _after_us: wanted_us)
-    return [
-        (moves.of(joint), reference(moves, joint, course, limits))
-        for joint, course in enumerate(courses)
-    ]
+    profiles = references(moves, courses, each)
+    return [(moves.of(joint), profile) for joint, profile in enumerate(profiles)]
 
 
 def fitted(position_deg):
