@@ -43,7 +43,8 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parent.parent
 EXPLAINED = ROOT / "tools" / "mutation" / "explained.txt"
-_PLAYER = ("tests/unit/player", "tests/property/test_player.py")
+_LADDER = "tests/virtual/test_ladder.py"
+_SHOW = "tests/virtual/test_show.py"
 TARGETS = {
     "protocol/codec": ("tests/unit/protocol",),
     "protocol/line": ("tests/unit/protocol", "tests/property/test_protocol.py"),
@@ -60,6 +61,9 @@ TARGETS = {
     "player/setpoints": ("tests/unit/player/test_setpoints.py",),
     "player/leading": ("tests/unit/player/test_leading.py",),
     "player/judging": ("tests/unit/player/test_judging.py",),
+    "player/readings": ("tests/unit/player/test_readings.py",),
+    "player/phases": (_LADDER, _SHOW),
+    "player/streamer": (_SHOW, _LADDER),
     "player/watch": ("tests/unit/player/test_watch.py",),
     "player/track": ("tests/unit/player/test_track.py", "tests/unit/player/test_leading.py"),
     "player/due": ("tests/unit/player/test_due.py",),

@@ -138,10 +138,15 @@ def _replacements(node: ast.AST, field: str) -> Iterator[ast.AST]:
     if isinstance(node, ast.AugAssign) and type(node.op) in _OPERATORS:
         yield ast.AugAssign(node.target, _OPERATORS[type(node.op)](), node.value)
     if isinstance(node, ast.Return) and node.value is not None:
-        if not (isinstance(node.value, ast.Constant) and node.value.value is None):
+        if not _is_nothing(node.value):
             yield ast.Return(ast.Constant(None))
     elif isinstance(node, _DROPPED) or _is_kept_assignment(node):
         yield ast.Pass()
+
+
+def _is_nothing(node: ast.expr) -> bool:
+    """Return whether a test of its truth could not tell it from None, nor should."""
+    return isinstance(node, ast.Constant) and (node.value is None or node.value is False)
 
 
 def _other_expressions(node: ast.expr) -> Iterator[ast.expr]:

@@ -1,0 +1,309 @@
+"""What is asked of whom and when, and what becomes of the answers; the servos are a table."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from lss_motion.player.line import Line
+from lss_motion.player.queries import Questioner
+from lss_motion.player.readings import (
+    BACKLOG_BYTES,
+    HEALTH_KEYWORDS,
+    HEALTH_LEAST,
+    HEALTH_NS,
+    LATE_NS,
+    REST_MAX_NS,
+    REST_RATIO,
+    VISIT_NS,
+    Reader,
+)
+from lss_motion.player.show_clock import ShowClock
+from lss_motion.player.waiting import ASK_NS, Waiting
+from lss_motion.protocol.line import Command, CommandParser, Reply, encode
+from lss_motion.robot.model import Bus, Sensor
+from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.robot.on_fault import Cause
+from lss_motion.sequence.model import Wait
+from lss_motion.trajectory.model import WaitPoint
+
+MS, S = 1_000_000, 1_000_000_000
+WAITS_NS = (300_000, 1_100_000)
+"""A servo begins to answer so long after it heard a question, now one and now the other."""
+KNOWN_NS = 200 * MS
+"""By then it is known how the servos answer."""
+HEALTHY = {"Q": 6, "QT": 300, "QV": 12000, "QC": 200, "QA": 100}
+
+
+def planned_deg(track, at_ns):
+    """Return where a horn is that is on its course: that was the plan."""
+    return track.profile.at(at_ns / 1e9 - track.lead_s)[0]
+
+
+class Desk:
+    """A reader and the servos that answer it, in virtual time."""
+
+    def __init__(self, *tracks, baud_bps=115200, waiting=None):
+        self.tracks = {track.joint.name: track for track in tracks}
+        self.line = Line(Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=370))
+        self.questioner = Questioner(self.line)
+        self.waiting = waiting or Waiting([], {}, 0.0)
+        lines, questioners = {"main": self.line}, {"main": self.questioner}
+        self.reader = Reader(self.tracks, questioners, lines, self.waiting)
+        self.asked = []
+        """`(handed over ns, heard ns, servo id, keyword)`."""
+        self.values = {}
+        """What a servo says, by `(id, keyword)`, else its word of `HEALTHY`; None: nothing."""
+        self._free_ns = self._reply_ns = 0
+        self._parser = CommandParser()
+        self._coming = []
+
+    def run(self, from_ns, until_ns, *, quiet_until_ns=lambda _: None, late_ns=0):
+        now_ns = from_ns
+        while now_ns < until_ns:
+            while self._coming and self._coming[0][0] <= now_ns:
+                arrival_ns, reply = self._coming.pop(0)
+                self.reader.receive("main", reply, arrival_ns, planned_deg)
+            self.ask(now_ns, quiet_until_ns(now_ns))
+            wakeups_ns = [ns + late_ns for ns in self.reader.wakeups_ns(now_ns) if ns > now_ns]
+            wakeups_ns += [arrival_ns for arrival_ns, _ in self._coming[:1]]
+            wakeups_ns += [ns for ns in [quiet_until_ns(now_ns)] if ns is not None]
+            now_ns = max(min(wakeups_ns, default=until_ns), now_ns + 1)
+        return self
+
+    def ask(self, now_ns, quiet_until_ns=None):
+        self.reader.ask(now_ns, quiet_until_ns)
+        for command in self._parser.feed(self.line.take()):
+            size_bytes = len(encode(command))
+            self._free_ns = max(self._free_ns, now_ns) + self.line.time_ns(size_bytes)
+            self.asked.append((now_ns, self._free_ns, command.servo_id, command.keyword))
+            self._answer(command)
+
+    def _answer(self, command):
+        key = (command.servo_id, command.keyword)
+        value = self.values.get(key, HEALTHY.get(command.keyword, self._angle(command)))
+        if value is None:
+            return
+        reply = Reply(command.servo_id, command.keyword, value)
+        begins_ns = max(self._free_ns + WAITS_NS[len(self.asked) % 2], self._reply_ns)
+        self._reply_ns = begins_ns + self.line.time_ns(len(encode(reply)))
+        self._coming.append((self._reply_ns, reply))
+
+    def _angle(self, command):
+        own = [t for t in self.tracks.values() if t.joint.servo_id == command.servo_id]
+        if not own:
+            return None
+        if command.keyword == "QDT":
+            return round(10 * own[0].profile.target_deg)
+        return round(10 * planned_deg(own[0], self._free_ns))
+
+    def counts(self, from_ns=0):
+        """Return how often each servo was asked where it is."""
+        since = (entry for entry in self.asked if entry[0] > from_ns)
+        return Counter(one for *_, one, word in since if word == "QD")
+
+
+def joints(kit, count, **fields):
+    return [kit.track(kit.joint(f"j{i}", i + 1, **fields)) for i in range(count)]
+
+
+def test_every_servo_is_asked_about_its_health_in_turn_and_where_it_is_all_the_time(kit):
+    desk = Desk(*joints(kit, 3)).run(0, S)
+    for servo_id in (1, 2, 3):
+        own = [(at_ns, word) for at_ns, _, one, word in desk.asked if one == servo_id]
+        health = [(at_ns, word) for at_ns, word in own if word != "QD"]
+        words = [word for _, word in health]
+        assert words == [HEALTH_KEYWORDS[i % len(HEALTH_KEYWORDS)] for i in range(len(words))]
+        assert len(words) > 2 * len(HEALTH_KEYWORDS)
+        assert max(b - a for (a, _), (b, _) in pairwise(health)) < 1.2 * HEALTH_NS
+        assert len(own) > 4 * len(health)
+    counts = desk.counts()
+    assert max(counts.values()) < 1.1 * min(counts.values())
+    assert {track.temperature_max_c for track in desk.tracks.values()} == {30.0}
+    assert {track.voltage_min_v for track in desk.tracks.values()} == {12.0}
+    assert {track.current_max_a for track in desk.tracks.values()} == {0.2}
+    assert {track.status.value for track in desk.tracks.values()} == {"holding"}
+
+
+def test_a_slow_line_is_not_spent_on_health(kit):
+    """Nor are so many servos asked several times in a row: all are visited."""
+    desk = Desk(*joints(kit, 40), baud_bps=9600).run(0, 4 * S)
+    words = [word for *_, word in desk.asked]
+    at = [index for index, word in enumerate(words) if word != "QD"]
+    assert {b - a for a, b in pairwise(at)} == {HEALTH_LEAST}
+    assert all(a[2] != b[2] for a, b in pairwise(desk.asked))
+
+
+def test_where_there_is_room_a_servo_that_is_asked_alone_has_its_health_asked_rarely(kit):
+    desk = Desk(*joints(kit, 1))
+    desk.questioner.depth = lambda _: 1
+    desk.run(0, S)
+    health_ns = [at_ns for at_ns, *_, word in desk.asked if word != "QD"]
+    assert np.diff(health_ns) == pytest.approx(HEALTH_NS, abs=5 * MS)
+
+
+def test_the_line_is_filled_with_answers(kit):
+    desk = Desk(*joints(kit, 2)).run(0, S // 2)
+    reply_ns = desk.line.time_ns(len(b"*1QD0\r"))
+    share = sum(1 for at_ns, *_ in desk.asked if at_ns > S // 4) * reply_ns / (S // 4)
+    assert share > 0.85
+
+
+@pytest.mark.parametrize("stray_deg", [0.0, 0.5])
+def test_a_joint_is_asked_more_often_the_faster_it_moves_and_the_further_it_strayed(kit, stray_deg):
+    tracks = joints(kit, 8)
+    other, desk = tracks[1], Desk(*tracks)
+    if stray_deg:
+        desk.values[2, "QD"] = round(10 * stray_deg)
+    else:
+        other.moved(0, 800, 4000)  # 20 deg/s
+    desk.run(0, S)
+    rows = Counter(b[2] for a, b in pairwise(desk.asked) if b[0] > KNOWN_NS and a[2] != b[2])
+    assert rows[2] / rows[1] == pytest.approx(2.0, rel=0.25)
+
+
+def test_all_servos_of_a_bus_are_visited_however_quickly_one_of_them_moves(kit):
+    tracks = joints(kit, 4)
+    desk = Desk(*tracks)
+    for index in range(8):
+        tracks[0].moved(index * 200 * MS, 400 * (index % 2), 200)
+        desk.run(index * 200 * MS, (index + 1) * 200 * MS)
+    for servo_id in (1, 2, 3, 4):
+        own = [at_ns for at_ns, _, one, _ in desk.asked if one == servo_id]
+        assert max(b - a for a, b in pairwise(own)) < 1.5 * VISIT_NS
+
+
+def test_nothing_is_asked_that_would_make_a_move_late(kit):
+    step_ns = 4 * MS
+    desk = Desk(*joints(kit, 2))
+    desk.run(0, S // 3, quiet_until_ns=lambda now_ns: (now_ns // step_ns + 1) * step_ns)
+    assert len(desk.asked) > 200
+    for at_ns, heard_ns, *_ in desk.asked:
+        assert heard_ns <= (at_ns // step_ns + 1) * step_ns
+
+
+def test_what_nobody_expected_waits_for_no_more_than_one_command(kit):
+    desk = Desk(*joints(kit, 2), baud_bps=19200).run(0, S)
+    assert len(desk.asked) > 150
+    backlogs_ns = [heard_ns - at_ns for at_ns, heard_ns, *_ in desk.asked]
+    assert max(backlogs_ns) <= desk.line.time_ns(BACKLOG_BYTES)
+    assert max(backlogs_ns) > desk.line.time_ns(BACKLOG_BYTES - len(b"#1QD\r")), "and for that"
+
+
+@pytest.mark.parametrize("late_ns", [LATE_NS // 2, 5 * MS, 100 * MS])
+def test_a_host_that_wakes_late_is_left_alone_for_a_while(kit, late_ns):
+    desk = Desk(*joints(kit, 2)).run(0, KNOWN_NS)
+    wakeup_ns = min(ns for ns in desk.reader.wakeups_ns(KNOWN_NS) if ns > KNOWN_NS)
+    begun, woken_ns = len(desk.asked), wakeup_ns + late_ns
+    desk.run(woken_ns, woken_ns + 200 * MS)
+    rest_ns = desk.asked[begun][0] - woken_ns
+    if late_ns < LATE_NS:
+        assert rest_ns < 3 * MS
+    else:
+        assert rest_ns == pytest.approx(min(REST_RATIO * late_ns, REST_MAX_NS), abs=MS)
+
+
+def test_a_servo_is_soon_asked_for_its_target_and_what_it_missed_is_known(kit):
+    first, second = joints(kit, 2)
+    desk = Desk(first, second).run(0, KNOWN_NS)
+    for track in (first, second):
+        track.moved(KNOWN_NS, 300, 1000)
+    desk.values[2, "QDT"] = 0
+    desk.run(KNOWN_NS, KNOWN_NS + 100 * MS)
+    asked = [(at_ns, one) for at_ns, _, one, word in desk.asked if word == "QDT"]
+    assert {one for _, one in asked} == {1, 2}
+    assert max(at_ns for at_ns, _ in asked) < KNOWN_NS + 60 * MS
+    assert desk.reader.unheard == {"j1": second}
+    assert second.profile.at(5.0)[0] == 0.0
+
+
+def test_readings_that_tell_of_a_missed_move_are_passed_on(kit):
+    (track,) = joints(kit, 1)
+    desk = Desk(track).run(0, KNOWN_NS)
+    track.moved(KNOWN_NS, 300, 1000)
+    desk.values[1, "QD"], desk.values[1, "QDT"] = 0, None
+    desk.run(KNOWN_NS, KNOWN_NS + 200 * MS)
+    assert desk.reader.unheard == {"j0": track}
+
+
+def test_a_doubt_is_settled_at_once(kit):
+    desk = Desk(*joints(kit, 3)).run(0, KNOWN_NS)
+    desk.values[2, "Q"] = 9
+    desk.run(KNOWN_NS, 2 * KNOWN_NS)
+    own = [at_ns for at_ns, _, *question in desk.asked if question == [2, "Q"]]
+    statuses = [at_ns for at_ns in own if at_ns > KNOWN_NS]
+    assert statuses[1] - statuses[0] < 40 * MS
+    assert desk.reader.watch.troubles.keys() == {("j1", Cause.BLOCKED)}
+
+
+def test_an_rc_servo_is_asked_nothing(kit):
+    joint = kit.joint("j1", 209, drive="stepped", model=SERVO_MODELS["LSS-2IO"])
+    desk = Desk(*joints(kit, 1), kit.track(joint)).run(0, KNOWN_NS)
+    assert {one for _, _, one, _ in desk.asked} == {1}
+
+
+def test_what_is_believed_is_kept_and_what_is_not_is_counted(kit):
+    (track,) = joints(kit, 1)
+    desk = Desk(track).run(0, S // 2)
+    readings = track.following.readings
+    assert desk.counts()[1] - 20 <= readings <= desk.counts()[1]
+    assert desk.reader.unbelieved == {"main": 0}
+    assert len(track.trace.points) == readings
+    assert track.trace.points[5][0] == pytest.approx(desk.asked[6][1] / 1e9, abs=0.01)
+    desk.values[1, "QD"] = 850
+    desk.run(S // 2, S // 2 + 30 * MS)
+    assert desk.reader.unbelieved == {"main": 1}, "until it is said twice"
+    anew = desk.reader.anew()
+    assert (anew.unbelieved, anew.watch.troubles) == ({"main": 1}, {})
+
+
+@pytest.mark.parametrize("value", ["DIS", None])
+def test_an_answer_without_a_number_says_nothing(kit, value):
+    (track,) = joints(kit, 1)
+    desk = Desk(track)
+    desk.ask(MS)
+    desk.reader.receive("main", Reply(1, "Q", value), 3 * MS, lambda *_: 0.0)
+    assert (track.status, track.following.readings) == (None, 0)
+
+
+def test_a_servo_that_falls_silent_is_found_out_when_its_time_is_over(kit):
+    desk = Desk(*joints(kit, 2)).run(0, KNOWN_NS)
+    for word in ("QD", *HEALTH_KEYWORDS):
+        desk.values[2, word] = None
+    desk.run(KNOWN_NS, KNOWN_NS + 900 * MS)
+    assert desk.reader.watch.quiet() == {"j1"}
+    assert desk.reader.watch.troubles == {}
+    desk.run(KNOWN_NS + 900 * MS, KNOWN_NS + 1100 * MS)
+    assert desk.reader.watch.troubles.keys() == {("j1", Cause.SILENT)}
+    words = [word for at_ns, _, one, word in desk.asked if one == 2 and at_ns > KNOWN_NS + 100 * MS]
+    assert len(set(words[:3])) == 3, "a late answer could be taken for that to the same question"
+    assert desk.counts(KNOWN_NS)[1] > 300, "the other one is asked as ever"
+
+
+def test_a_sensor_that_is_waited_for_is_asked_in_time_and_heard(kit):
+    point = WaitPoint(at_s=0.5, wait=Wait(sensor="eye", side="below", threshold=300.0))
+    sensor = Sensor(name="eye", servo_id=209, bus="main")
+    waiting = Waiting([(0.5, point)], {"eye": sensor}, 0.0)
+    desk = Desk(*joints(kit, 2), waiting=waiting)
+    desk.values[209, "QA"] = 500
+    clock = ShowClock(0, 0.0, 1.0)
+    desk.run(0, S // 2)
+    assert not any(one == 209 for _, _, one, _ in desk.asked)
+    assert waiting.advance(clock, S // 2) == "begun"
+    desk.run(S // 2, S)
+    asked_ns = [at_ns for at_ns, _, one, _ in desk.asked if one == 209]
+    assert np.diff(asked_ns) == pytest.approx(ASK_NS, abs=3 * MS)
+    assert waiting.advance(clock, S) is None
+    desk.values[209, "QA"] = 200
+    desk.run(S, S + 3 * ASK_NS)
+    assert waiting.advance(clock, S + 3 * ASK_NS) == "met"
+
+
+def test_the_questions_of_a_bus_are_of_its_own_servos(kit):
+    question = Command(1, "QD")
+    desk = Desk(*joints(kit, 1))
+    desk.ask(0)
+    assert [entry[2:] for entry in desk.asked] == [(question.servo_id, question.keyword)]
