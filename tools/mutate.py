@@ -63,7 +63,7 @@ TARGETS = {
     "player/judging": ("tests/unit/player/test_judging.py",),
     "player/readings": ("tests/unit/player/test_readings.py",),
     "player/phases": (_LADDER, _SHOW),
-    "player/streamer": (_SHOW, _LADDER),
+    "player/streamer": ("tests/unit/player/test_streamer.py",),
     "player/watch": ("tests/unit/player/test_watch.py",),
     "player/track": ("tests/unit/player/test_track.py", "tests/unit/player/test_leading.py"),
     "player/due": ("tests/unit/player/test_due.py",),

@@ -96,7 +96,7 @@ class Streamer:
         return self.waiting.rate_after if self.waiting.is_waiting else self.clock.target_rate
 
     def is_finished(self, now_ns: int) -> bool:
-        """Return whether the show is over, or stands after a ramp to rate 0."""
+        """Return whether the show is over and all at rest; one that stands in between is not."""
         if self.is_open:
             return False
         if self.clock.target_rate == 0.0 and not self.clock.is_ramping(now_ns):
@@ -222,6 +222,7 @@ class Streamer:
             self._follow_course(now_ns, RAMP_TICK_NS, 0)
         elif state in ("met", "timeout") and 0.0 < self.clock.target_rate < 1.0:
             self._tick_ns = now_ns
+            self._advance_ramp(now_ns)
 
     def quiet_ns(self, now_ns: int) -> int | None:
         """Return until when the lines are free of moves; None: no move is planned."""
