@@ -53,8 +53,9 @@ class Cones:
         Those of a row in which the cone is empty are the last ones that are known.
         """
         known = np.maximum(np.minimum(rows, self.held[servos] - 1), 0)
-        speed = self.speed_deg_s[servos]
-        low, high = (self.sides_deg_s[known, side, servos] for side in (0, 1))
+        speed, count = self.speed_deg_s[servos], self.sides_deg_s.shape[2]
+        flat = 2 * count * known + servos
+        low, high = (self.sides_deg_s.take(flat + side * count) for side in (0, 1))
         return speed + low, speed - high
 
 
@@ -90,7 +91,10 @@ def excursion_deg(position_deg: SingleArray, speed_deg_s: SingleArray, at: Point
 
 @dataclass(frozen=True, slots=True)
 class Starts:
-    """Profiles that hear a move `after_s` before the grid point `first` of their courses."""
+    """Profiles that hear a move `after_s` before the grid point `first` of their courses.
+
+    Where that is the same for all, one element says so.
+    """
 
     joint: IntArray
     first: IntArray
@@ -111,20 +115,19 @@ def opened(courses: Courses, starts: Starts, rows: int, stride: int, block: int)
 
     Looked at are `block` rows at once, and the next ones only of the cones that are still open.
     """
-    cones = _Cones(courses, starts)
-    if rows == block:
-        sides, held = cones.sides(0, rows, stride)
-        return Cones(sides, starts.speed_deg_s, held)
-    every = np.empty((rows, 2, len(starts.joint)), dtype=np.float32)
-    held, some = np.zeros(len(starts.joint), dtype=np.intp), np.arange(len(starts.joint))
-    for begin in range(0, rows, block):
-        sides, now_held = cones.sides(begin, block, stride)
+    cones, count = _Cones(courses, starts), len(starts.joint)
+    every = np.empty((rows, 2, count), dtype=np.float32)
+    held = cones.fill(every[:block], 0, stride)
+    some, still = np.arange(count), np.flatnonzero(held == block)
+    for begin in range(block, rows, block):
+        if not len(still):
+            break
+        some, cones = some[still], cones.after(every[begin - 1], some[still], still)
+        sides = np.empty((block, 2, len(some)), dtype=np.float32)
+        now_held = cones.fill(sides, begin, stride)
         every[begin : begin + block, :, some] = sides
         held[some] += now_held
         still = np.flatnonzero(now_held == block)
-        if not len(still):
-            break
-        some, cones = some[still], cones.after(sides[-1], still)
     return Cones(every, starts.speed_deg_s, held)
 
 
@@ -134,39 +137,41 @@ class _Cones:
     def __init__(self, courses: Courses, starts: Starts) -> None:
         self._courses, self._joint, self._first = courses, starts.joint, starts.first
         ramp, tolerance, speed_max = courses.reach(starts.joint)
-        position, speed, after_s = starts.position_deg, starts.speed_deg_s, starts.after_s
-        off_deg = np.abs(
-            courses.position_deg(starts.joint, starts.first) - position - speed * after_s
-        )
+        position, speed, self._after_s = starts.position_deg, starts.speed_deg_s, starts.after_s
+        off_deg = courses.position_deg(starts.joint, starts.first) - position
+        off_deg -= speed * self._after_s
+        np.abs(off_deg, out=off_deg)
         room = np.maximum(off_deg + ROOM_RATIO * tolerance, CONE_RATIO * tolerance)
-        self._columns = np.stack((position, speed, after_s, room, ramp))
+        self._columns = position, speed, room, ramp
         self._least = np.stack((-speed_max - speed, speed - speed_max))
 
-    def after(self, least: SingleArray, chosen: IntArray) -> _Cones:
-        """Return the `chosen` of these, which have come to the sides `least`."""
+    def after(self, sides: SingleArray, servos: IntArray, chosen: IntArray) -> _Cones:
+        """Return the `chosen` of these, `servos` of those that have come to `sides`."""
         some = object.__new__(_Cones)
         some._courses = self._courses
         some._joint, some._first = self._joint[chosen], self._first[chosen]
-        some._columns, some._least = self._columns[:, chosen], least[:, chosen]
+        some._after_s = np.broadcast_to(self._after_s, self._joint.shape)[chosen]
+        position, speed, room, ramp = self._columns
+        some._columns = position[chosen], speed[chosen], room[chosen], ramp[chosen]
+        some._least = sides[:, servos]
         return some
 
-    def sides(self, begin: int, rows: int, stride: int) -> tuple[SingleArray, IntArray]:
-        """Return sides from row `begin` on, and in how many of these rows each cone is open."""
-        position, speed, after_s, room, ramp = self._columns
+    def fill(self, sides: SingleArray, begin: int, stride: int) -> IntArray:
+        """Fill in `sides` from row `begin` on; return in how many of these rows cones are open."""
+        (position, speed, room, ramp), rows = self._columns, len(sides)
         row = np.arange(begin, begin + rows, dtype=np.float32)
-        tau = after_s + (GRID_S * stride * row)[:, None]
-        first = self._first + begin * stride
-        offset = self._courses.ahead_deg(self._joint, first, rows, stride)
+        tau = self._after_s + (GRID_S * stride * row)[:, None]
+        offset = self._courses.ahead_deg(self._joint, self._first + begin * stride, rows, stride)
         offset -= position
         offset -= speed * tau
-        sides = np.empty((rows, 2, len(first)), dtype=np.float32)
         np.subtract(offset, room, out=sides[:, 0])
         np.subtract(-room, offset, out=sides[:, 1])
         _change(sides, tau, ramp)
         np.maximum(sides[0], self._least, out=sides[0])
         _intersect(sides)
-        is_open = sides[:, 0] + sides[:, 1] <= 0.0
-        return sides, is_open.view(np.uint8).sum(axis=0, dtype=np.uint16).astype(np.intp)
+        is_open = np.add(sides[:, 0], sides[:, 1], out=offset) <= 0.0
+        held: IntArray = is_open.view(np.uint8).sum(axis=0, dtype=np.uint16).astype(np.intp)
+        return held
 
 
 def _intersect(sides: SingleArray) -> None:

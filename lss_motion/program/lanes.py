@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.program.course import GRID_S, STILL_ROUNDING_DEG
+from lss_motion.program.landing import SEGMENT_MIN_S
 from lss_motion.program.wording import lattice
 
 if TYPE_CHECKING:
@@ -155,10 +156,14 @@ def _lanes(
     is_moved = (leaves <= last) | (wire != stop_wire)
     leaves = np.minimum(leaves, last)
     onset = np.minimum(rested, leaves)
+    # The landing before may come to rest so much after a turning point.
+    is_turn = np.array([stop is not None and stop[0] == stop[1] for stop in bounds[:-1]])
+    after_s = course.times_s(first) + SEGMENT_MIN_S * is_turn
     outside = _first_away(course.position_deg, leaves, last, position_deg, follow_deg)
-    onset_s, latest_s = course.times_s(onset), course.times_s(np.maximum(outside - 1, leaves))
+    onset_s = np.maximum(course.times_s(onset), after_s)
+    latest_s = np.maximum(course.times_s(np.maximum(outside - 1, leaves)), onset_s)
     leaves_s = np.minimum(np.maximum(_leaves_s(course, onset), onset_s), latest_s)
-    times_s = (course.times_s(first), onset_s, leaves_s, latest_s)
+    times_s = (after_s, onset_s, leaves_s, latest_s)
     rows = zip(*(column.tolist() for column in times_s), strict=True)
     for at, (start_s, begin_s, guess_s, end_s) in enumerate(rows):
         if is_moved[at]:

@@ -167,7 +167,7 @@ def _best(
     at = courses.at(servos.joint, index)
     pair, inside, place = trials.pairs
     spread = place * (high - low).take(inside, axis=0) + low.take(inside, axis=0)
-    speeds = np.concatenate((np.clip(at.speed_deg_s, low, high), spread))
+    speeds = np.concatenate((np.minimum(np.maximum(at.speed_deg_s, low), high), spread))
     times_s = courses.times_s(index)
     tau_s = (times_s - servos.state.time_s).astype(np.float32)
     position, reached = ramped(
@@ -183,16 +183,17 @@ def _best(
     merit = -excursion
     some = np.flatnonzero(follows)
     if len(some):
-        trial, row = np.divmod(some, merit.shape[1])
+        trial = some // merit.shape[1]
+        row = some - trial * merit.shape[1]
         cut = pair.take(trial) * merit.shape[1] + row
         after = Starts(
             servos.joint.take(row),
             index.take(cut),
-            np.zeros(len(some), dtype=np.float32),
+            np.zeros(1, dtype=np.float32),
             position.take(some),
             reached.take(some),
         )
-        merit[:, follows.any(axis=0)] = -np.inf
+        merit = np.where(follows.any(axis=0), np.float32(-np.inf), merit)
         steps = reach_steps(courses, after, *REACH)
         # Where two reach as far, the later successor: it is the longer move.
         merit.put(some, tau_s.take(cut) + GRID_S * steps + 1e-6 * cuts.take(cut))

@@ -1,12 +1,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from lss_motion.program.course import GRID_S, SEGMENT_MAX_S, Course, ServoLimits
 from lss_motion.program.fit import Fit
+from lss_motion.program.landing import SEGMENT_MIN_S
+from lss_motion.program.lanes import lanes_of
 from lss_motion.program.moves import references
 from lss_motion.robot.model import Response
 
@@ -47,6 +50,23 @@ def swings(count, seed=0, longest_s=7.5):
         ]
         swing = sum(size * np.sin(6.283 * rate * times_s + shift) for size, rate, shift in waves)
         yield swing * fade
+
+
+def test_out_of_a_turning_point_nothing_is_heard_while_the_servo_may_still_land_there():
+    """Or the stop would be given up, and all of the stretch fitted once more."""
+    course = Course(start_s=0.0, position_deg=8.0 * np.sin(4.0 * GRID_S * np.arange(12000)))
+    lanes = list(lanes_of(0, course, LIMITS, 0.16, ()))
+    assert len(lanes) > 3
+    for before, lane in pairwise(lanes):
+        first, last = before.stop
+        assert first == last
+        assert lane.after_s == pytest.approx(course.time_s(last) + SEGMENT_MIN_S)
+        assert lane.after_s <= lane.onset_s <= lane.leaves_s <= lane.latest_s
+    lines = []
+    Fit([course], [LIMITS]).moves(
+        lambda: lines.append(1) or (lambda _joints, wanted_us, _after_us: wanted_us)
+    )
+    assert len(lines) == 1
 
 
 def test_no_course_is_run_past_the_begin_of_its_rest():

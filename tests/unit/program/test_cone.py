@@ -1,0 +1,41 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lss_motion.program.batch import States
+from lss_motion.program.cone import Starts, opened
+from lss_motion.program.course import GRID_S, Course, Courses, ServoLimits
+from lss_motion.robot.model import Response
+
+LIMITS = ServoLimits(
+    position_min_deg=-90.0,
+    position_max_deg=90.0,
+    speed_max_deg_s=180.0,
+    ramp_deg_s2=600.0,
+    wire_per_deg=10,
+    tolerance_deg=0.2,
+    response=Response(),
+)
+
+
+@pytest.mark.parametrize("block", [20, 50])
+def test_cones_looked_at_in_blocks_are_those_looked_at_at_once(block):
+    random = np.random.default_rng(4)
+    times_s = GRID_S * np.arange(1200)
+    # Slow enough that some cones are open for long, each in another block.
+    rows = [9.0 * np.sin(rate * times_s) for rate in (0.05, 0.3, 0.8, 2.0, 5.0)]
+    courses = Courses([Course(start_s=0.0, position_deg=row) for row in rows], [LIMITS] * 5)
+    joint = np.repeat(np.arange(5), 40)
+    state_s = random.uniform(0.1, 4.0, len(joint))
+    first = courses.first_index(state_s)
+    at = courses.at(joint, first)
+    off_deg = random.uniform(-0.1, 0.1, len(joint))
+    state = States(state_s, at.position_deg + off_deg, at.speed_deg_s.astype(np.float64))
+    starts = Starts.of(courses, joint, first, state)
+    whole, parts = (opened(courses, starts, 100, 3, size) for size in (100, block))
+    assert len(np.unique(whole.held // block)) >= 2
+    assert parts.held.tolist() == whole.held.tolist()
+    for servo, held in enumerate(whole.held.tolist()):
+        expected = whole.sides_deg_s[:held, :, servo]
+        assert parts.sides_deg_s[:held, :, servo] == pytest.approx(expected, abs=1e-3)
