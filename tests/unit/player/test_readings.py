@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 import numpy as np
 import pytest
 
 from lss_motion.player.line import Line
-from lss_motion.player.queries import Questioner
+from lss_motion.player.queries import STRAY_NS, Questioner
 from lss_motion.player.readings import (
     BACKLOG_BYTES,
+    FILL_RATIO,
     HEALTH_KEYWORDS,
     HEALTH_LEAST,
     HEALTH_NS,
@@ -23,7 +24,8 @@ from lss_motion.player.readings import (
 )
 from lss_motion.player.show_clock import ShowClock
 from lss_motion.player.waiting import ASK_NS, Waiting
-from lss_motion.protocol.line import Command, CommandParser, Reply, encode
+from lss_motion.player.watch import SILENT_ASKS
+from lss_motion.protocol.line import CommandParser, Reply, encode
 from lss_motion.robot.model import Bus, Sensor
 from lss_motion.robot.models import SERVO_MODELS
 from lss_motion.robot.on_fault import Cause
@@ -46,7 +48,8 @@ def planned_deg(track, at_ns):
 class Desk:
     """A reader and the servos that answer it, in virtual time."""
 
-    def __init__(self, *tracks, baud_bps=115200, waiting=None):
+    def __init__(self, *tracks, baud_bps=115200, waiting=None, waits_ns=WAITS_NS):
+        self._waits_ns = waits_ns
         self.tracks = {track.joint.name: track for track in tracks}
         self.line = Line(Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=370))
         self.questioner = Questioner(self.line)
@@ -88,7 +91,7 @@ class Desk:
         if value is None:
             return
         reply = Reply(command.servo_id, command.keyword, value)
-        begins_ns = max(self._free_ns + WAITS_NS[len(self.asked) % 2], self._reply_ns)
+        begins_ns = max(self._free_ns + self._waits_ns[len(self.asked) % 2], self._reply_ns)
         self._reply_ns = begins_ns + self.line.time_ns(len(encode(reply)))
         self._coming.append((self._reply_ns, reply))
 
@@ -118,6 +121,8 @@ def test_every_servo_is_asked_about_its_health_in_turn_and_where_it_is_all_the_t
         words = [word for _, word in health]
         assert words == [HEALTH_KEYWORDS[i % len(HEALTH_KEYWORDS)] for i in range(len(words))]
         assert len(words) > 2 * len(HEALTH_KEYWORDS)
+        assert words[:6] == ["Q", "QT", "Q", "QV", "Q", "QC"]
+        assert all("QD" in (a, b) for (_, a), (_, b) in pairwise(own)), "one thing at a time"
         assert max(b - a for (a, _), (b, _) in pairwise(health)) < 1.2 * HEALTH_NS
         assert len(own) > 4 * len(health)
     counts = desk.counts()
@@ -145,10 +150,11 @@ def test_where_there_is_room_a_servo_that_is_asked_alone_has_its_health_asked_ra
     assert np.diff(health_ns) == pytest.approx(HEALTH_NS, abs=5 * MS)
 
 
-def test_the_line_is_filled_with_answers(kit):
-    desk = Desk(*joints(kit, 2)).run(0, S // 2)
+@pytest.mark.parametrize("baud_bps", [19200, 115200])
+def test_the_line_is_filled_with_answers(kit, baud_bps):
+    desk = Desk(*joints(kit, 2), baud_bps=baud_bps).run(0, S)
     reply_ns = desk.line.time_ns(len(b"*1QD0\r"))
-    share = sum(1 for at_ns, *_ in desk.asked if at_ns > S // 4) * reply_ns / (S // 4)
+    share = sum(1 for at_ns, *_ in desk.asked if at_ns > S // 4) * reply_ns / (0.75 * S)
     assert share > 0.85
 
 
@@ -196,6 +202,9 @@ def test_what_nobody_expected_waits_for_no_more_than_one_command(kit):
 @pytest.mark.parametrize("late_ns", [LATE_NS // 2, 5 * MS, 100 * MS])
 def test_a_host_that_wakes_late_is_left_alone_for_a_while(kit, late_ns):
     desk = Desk(*joints(kit, 2)).run(0, KNOWN_NS)
+    for track in desk.tracks.values():
+        for _ in range(SILENT_ASKS):
+            desk.reader.watch.unanswered(track, KNOWN_NS)
     wakeup_ns = min(ns for ns in desk.reader.wakeups_ns(KNOWN_NS) if ns > KNOWN_NS)
     begun, woken_ns = len(desk.asked), wakeup_ns + late_ns
     desk.run(woken_ns, woken_ns + 200 * MS)
@@ -204,6 +213,15 @@ def test_a_host_that_wakes_late_is_left_alone_for_a_while(kit, late_ns):
         assert rest_ns < 3 * MS
     else:
         assert rest_ns == pytest.approx(min(REST_RATIO * late_ns, REST_MAX_NS), abs=MS)
+
+
+def test_what_is_done_between_two_wakeups_is_not_late(kit):
+    desk = Desk(*joints(kit, 2)).run(0, KNOWN_NS)
+    wakeup_ns = min(ns for ns in desk.reader.wakeups_ns(KNOWN_NS) if ns > KNOWN_NS)
+    desk.ask(wakeup_ns)
+    desk.ask(wakeup_ns + 5 * MS)
+    desk.run(wakeup_ns + 5 * MS, wakeup_ns + 10 * MS)
+    assert desk.asked[-1][0] > wakeup_ns + 7 * MS
 
 
 def test_a_servo_is_soon_asked_for_its_target_and_what_it_missed_is_known(kit):
@@ -247,12 +265,13 @@ def test_an_rc_servo_is_asked_nothing(kit):
 
 def test_what_is_believed_is_kept_and_what_is_not_is_counted(kit):
     (track,) = joints(kit, 1)
+    track.origin_s = 0.25
     desk = Desk(track).run(0, S // 2)
     readings = track.following.readings
     assert desk.counts()[1] - 20 <= readings <= desk.counts()[1]
     assert desk.reader.unbelieved == {"main": 0}
     assert len(track.trace.points) == readings
-    assert track.trace.points[5][0] == pytest.approx(desk.asked[6][1] / 1e9, abs=0.01)
+    assert track.trace.points[5][0] == pytest.approx(desk.asked[6][1] / 1e9 - 0.25, abs=0.01)
     desk.values[1, "QD"] = 850
     desk.run(S // 2, S // 2 + 30 * MS)
     assert desk.reader.unbelieved == {"main": 1}, "until it is said twice"
@@ -265,7 +284,8 @@ def test_an_answer_without_a_number_says_nothing(kit, value):
     (track,) = joints(kit, 1)
     desk = Desk(track)
     desk.ask(MS)
-    desk.reader.receive("main", Reply(1, "Q", value), 3 * MS, lambda *_: 0.0)
+    desk.reader.receive("main", Reply(1, "QD", value), 3 * MS, planned_deg)
+    assert desk.questioner.answered_count == 1
     assert (track.status, track.following.readings) == (None, 0)
 
 
@@ -281,6 +301,38 @@ def test_a_servo_that_falls_silent_is_found_out_when_its_time_is_over(kit):
     words = [word for at_ns, _, one, word in desk.asked if one == 2 and at_ns > KNOWN_NS + 100 * MS]
     assert len(set(words[:3])) == 3, "a late answer could be taken for that to the same question"
     assert desk.counts(KNOWN_NS)[1] > 300, "the other one is asked as ever"
+    desk.values.clear()
+    desk.run(KNOWN_NS + 1100 * MS, KNOWN_NS + 1300 * MS)
+    assert (desk.reader.watch.troubles, desk.reader.watch.quiet()) == ({}, set())
+
+
+def test_where_nobody_else_is_to_be_asked_the_silent_one_is_asked_on(kit):
+    desk = Desk(*joints(kit, 1)).run(0, KNOWN_NS)
+    for word in ("QD", *HEALTH_KEYWORDS):
+        desk.values[1, word] = None
+    desk.run(KNOWN_NS, KNOWN_NS + S)
+    asked_ns = [at_ns for at_ns, *_ in desk.asked if at_ns > KNOWN_NS + 20 * MS]
+    assert len(asked_ns) > 5
+    assert max(np.diff(asked_ns)) < 2 * STRAY_NS
+
+
+def test_a_joint_that_is_read_off_its_course_is_astray(kit):
+    (track,) = joints(kit, 1, following_deg=1.0)
+    desk = Desk(track)
+    desk.values[1, "QD"] = 30
+    desk.run(0, 700 * MS)
+    assert desk.reader.watch.troubles.keys() == {("j0", Cause.ASTRAY)}
+
+
+def test_a_row_is_as_long_as_it_must_be_for_answers_to_fill_their_line(kit):
+    desk = Desk(*joints(kit, 3), waits_ns=(300_000, 450_000)).run(0, S // 2)
+    line, spread_ns = desk.line, desk.questioner.turnaround(1).spread_ns
+    reply_ns, gap_ns = line.time_ns(len(b"*1QD00\r")), spread_ns // 2 + line.time_ns(1)
+    shares = {count: count * reply_ns / (count * reply_ns + gap_ns) for count in range(1, 40)}
+    least = min(count for count, share in shares.items() if share >= FILL_RATIO)
+    rows = Counter(len(list(row)) for _, row in groupby(desk.asked, key=lambda entry: entry[2]))
+    assert least > 2
+    assert rows.most_common(1)[0][0] == least
 
 
 def test_a_sensor_that_is_waited_for_is_asked_in_time_and_heard(kit):
@@ -300,10 +352,3 @@ def test_a_sensor_that_is_waited_for_is_asked_in_time_and_heard(kit):
     desk.values[209, "QA"] = 200
     desk.run(S, S + 3 * ASK_NS)
     assert waiting.advance(clock, S + 3 * ASK_NS) == "met"
-
-
-def test_the_questions_of_a_bus_are_of_its_own_servos(kit):
-    question = Command(1, "QD")
-    desk = Desk(*joints(kit, 1))
-    desk.ask(0)
-    assert [entry[2:] for entry in desk.asked] == [(question.servo_id, question.keyword)]
