@@ -76,7 +76,7 @@ class HandsOn:
             for joint in self.joints
             for keyword in also_ask
         ]
-        self._dialogue: Dialogue | None = self._ask([*more, *setup.questions(self.joints)])
+        self._dialogue: Dialogue | None = self._ask([*setup.questions(self.joints), *more])
         self._has_set = self._has_acted = False
         self._stops = 0
         self._now_ns = 0

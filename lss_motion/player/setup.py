@@ -24,8 +24,10 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Bus, Joint, Robot, Sensor
 
 QUESTIONS: Final = ("QMS", "QF", "Q", "QSD", "QAA", "QAD", "QEM", "QV", "QT", "QD")
-"""Asked of every servo before anything moves. Without QD the show does not start. A servo that
-answers that but not the others is driven: no document says which family answers all."""
+"""Asked of every servo before anything moves. Without QD the show does not start. One that answers
+QMS and QD but not the others is driven: no document says which family answers all. By its first
+question a servo counts as silent (`dialogue.TRIES`), so that is QMS, which all three documents
+have."""
 PLACE_WITHIN_DEG: Final = 2.0
 """Two positions that agree: noise, and a hand that lets go of an arm."""
 AGREE_WITHIN: Final = {"QV": 500, "QT": 20}
@@ -48,14 +50,18 @@ LIMIT_SLACK_RATIO: Final = 0.999
 
 
 def questions(joints: Iterable[Joint], lit: Container[str] = ()) -> list[Item]:
-    """Return what to ask before a show that changes the colours of the joints `lit`."""
+    """Return what to ask before a show that changes the colours of the joints `lit`.
+
+    What only some servos know comes last.
+    """
     joints = list(joints)
-    return settings_questions(joints, lit) + [
+    known = [
         _question(joint, keyword)
         for joint in joints
         for keyword in _asked_of(joint)
         if keyword in FAMILY_TABLES[joint.model.family].by_keyword
     ]
+    return known + settings_questions(joints, lit)
 
 
 def _asked_of(joint: Joint) -> tuple[str, ...]:
@@ -63,7 +69,7 @@ def _asked_of(joint: Joint) -> tuple[str, ...]:
         case "stepped":
             return IO2_QUESTIONS
         case "streamed":
-            return (*FILTER_QUESTIONS, *QUESTIONS)
+            return (*QUESTIONS, *FILTER_QUESTIONS)
         case _:
             return QUESTIONS
 
@@ -146,10 +152,13 @@ def _check_drive(joint: Joint, answers: Answers, robot: Robot) -> None:
         )
     unknown = [key[1:] for key in FILTER_ESSENTIAL if stored(joint, answers, key) is None]
     if joint.drive == "streamed" and unknown:
+        firmware = answers.get((joint.bus, joint.servo_id, "QF"))
+        is_old = isinstance(firmware, int) and firmware < FILTER_FIRMWARE_MIN
+        why = f"has firmware {firmware}" if is_old else f"does not say its {' and '.join(unknown)}"
         raise InputError(
-            f"joint {joint.name!r}: servo {joint.servo_id} does not say its {' and '.join(unknown)}"
-            f", so it cannot be streamed and set back. That needs an LSS with firmware "
-            f"{FILTER_FIRMWARE_MIN} or later; otherwise use `drive: timed`",
+            f"joint {joint.name!r}: servo {joint.servo_id} {why}, so it cannot be streamed and set "
+            f"back. That needs an LSS with firmware {FILTER_FIRMWARE_MIN} or later; otherwise use "
+            f"`drive: timed`",
             path=robot.path,
         )
 

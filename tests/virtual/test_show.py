@@ -203,6 +203,16 @@ def test_a_servo_that_is_set_to_less_than_the_file_asks_is_refused(stage, kit, k
     assert_nothing_moved(played)
 
 
+def test_a_servo_that_is_too_old_to_be_streamed_is_named_with_its_firmware(stage, kit):
+    robot = kit.robot(drive="streamed")
+    old = replace(robot, buses={"bus0": replace(robot.buses["bus0"], firmware=362)})
+    played = stage.play(robot, wired=old)
+    assert isinstance(played.result.error, InputError)
+    assert "servo 1 has firmware 362" in str(played.result.error)
+    assert "firmware 368 or later" in str(played.result.error)
+    assert_nothing_moved(played)
+
+
 def test_other_firmware_is_a_warning(stage, kit):
     robot = kit.robot()
     said = replace(robot.buses["bus0"], firmware=368)

@@ -60,6 +60,16 @@ def test_the_settings_of_the_file_are_asked_for_too(kit):
     assert {b"#1QAS\r", b"#1QAH\r", b"#1QD\r"} <= set(sent(setup.questions([one])))
 
 
+@pytest.mark.parametrize("drive", ["timed", "streamed", "stepped"])
+def test_the_first_question_is_one_that_all_documents_have(kit, drive):
+    """By it a servo counts as silent: QFPC is nothing that an old firmware knows."""
+    model = SERVO_MODELS["LSS-2IO" if drive == "stepped" else "LSS-ST1"]
+    asked = sent(setup.questions([kit.joint(model=model, drive=drive, settings={"AS": -2})]))
+    assert asked[0] == b"#1QMS\r"
+    assert asked[-1] == b"#1QAS\r"
+    assert len(set(asked)) == len(asked) > 3
+
+
 def test_an_order_counts_as_taken_only_when_the_servo_answers_with_it(kit):
     orders = settings.session_orders([kit.joint()], answers())
     said = {("main", 1, f"Q{order.command.keyword}"): order.command.value for order in orders}
