@@ -15,6 +15,7 @@ from lss_motion.player.line import Line
 from lss_motion.player.queries import Questioner
 from lss_motion.protocol.codec import read_reply
 from lss_motion.protocol.constants import Status, status_from
+from lss_motion.protocol.families import FAMILY_TABLES
 from lss_motion.protocol.family import Family
 from lss_motion.protocol.line import Command, Reply
 from lss_motion.protocol.table import Device
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 QUICK: Final = ("QD", "QWD", "QC")
 SLOW: Final = ("Q", "QT", "QV")
-"""Asked in turn, one a round."""
+"""Asked in turn, one a round, if the servo's family has a word for it."""
 HISTORY: Final = 40
 """Positions that a sparkline shows."""
 MISSES_MAX: Final = 3
@@ -210,4 +211,6 @@ def _keywords(reading: Reading, round_: int) -> tuple[str, ...]:
         return ("QA",) if target.device is Device.ANALOG else ("QD",)
     if reading.misses or not reading.at_ns:
         return ("QD",)
-    return (*QUICK, SLOW[round_ % len(SLOW)])
+    known = FAMILY_TABLES[target.family].by_keyword
+    slow = [word for word in SLOW if word in known]
+    return (*QUICK, slow[round_ % len(slow)])

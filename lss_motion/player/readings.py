@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.player.judging import take_position, take_target, wants_target
 from lss_motion.player.watch import Watch
 from lss_motion.protocol.codec import read_reply
+from lss_motion.protocol.families import FAMILY_TABLES
+from lss_motion.protocol.family import Family
 from lss_motion.protocol.line import Command, Reply, encode
 from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
 
@@ -28,7 +30,8 @@ HEALTH_NS: Final = NS_PER_S // 4
 HEALTH_LEAST: Final = 8
 """Where the line is slow, at most one question in so many is about health."""
 HEALTH_KEYWORDS: Final = ("Q", "QT", "Q", "QV", "Q", "QC")
-"""Status, temperature, voltage, current: a fault is known after half a second."""
+"""Status, temperature, voltage, current: a fault is known after half a second. A servo is not asked
+what its family has no word for, as an LSS-PRO for its voltage."""
 BACKLOG_BYTES: Final = 12
 """Questions that have not left yet are never more than this, `#12D-450T50`: a command that nobody
 expected, as to stop, waits no longer than for one other command."""
@@ -60,6 +63,13 @@ class _Turn:
     left: int
     places: int = 0
     """How often it was asked where it is."""
+
+
+@lru_cache(maxsize=len(Family))
+def _health_words(family: Family) -> tuple[str, ...]:
+    """Return what a servo of that family is asked about its health, in turn."""
+    known = FAMILY_TABLES[family].by_keyword
+    return tuple(word for word in HEALTH_KEYWORDS if word in known)
 
 
 @lru_cache(maxsize=1024)
@@ -263,8 +273,9 @@ class Reader:
         """
         questioner, track = self._questioners[bus], turn.track
         servo_id = track.joint.servo_id
+        words = _health_words(track.joint.model.family)
         if questioner.owes(servo_id, "QD"):
-            fresh = (word for word in HEALTH_KEYWORDS if not questioner.owes(servo_id, word))
+            fresh = (word for word in words if not questioner.owes(servo_id, word))
             return next(fresh, "QD")
         if wants_target(track, now_ns) and not questioner.owes(servo_id, TARGET_KEYWORD):
             return TARGET_KEYWORD
@@ -274,7 +285,7 @@ class Reader:
         doubt = self.watch.doubts.get(track.joint.name)
         if turn.left > 1 or (is_alone and doubt is None and not is_due):
             return "QD"
-        return doubt or HEALTH_KEYWORDS[track.health_count % len(HEALTH_KEYWORDS)]
+        return doubt or words[track.health_count % len(words)]
 
     def _most_urgent(self, bus: str, now_ns: int) -> Track | None:
         """Return the joint whose reading is oldest, relative to how fast it moves and strayed."""

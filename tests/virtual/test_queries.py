@@ -9,6 +9,8 @@ import pytest
 
 from lss_motion.player.events import MarkPassed, Warned
 from lss_motion.player.following import Following
+from lss_motion.protocol.lss_pro import PRO_TABLE
+from lss_motion.robot.models import SERVO_MODELS
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics, Turnaround
 from lss_motion.units import line_time_ns
@@ -139,3 +141,13 @@ def test_a_host_that_wakes_late_asks_less_and_still_reads_every_joint(stage, kit
     assert not late.report["faults"]
     for joint in late.report["joints"].values():
         assert joint["readings"] > 10 * late.report["played_s"]
+
+
+def test_an_lss_pro_is_asked_only_what_its_document_has_and_answers_all_of_it(stage, kit):
+    robot = kit.robot(2, baud_bps=BAUD_BPS, model=SERVO_MODELS["LSS-P-S1"])
+    played = stage.play(robot, kit.sequence(2, 3.0))
+    bus = played.report["buses"]["bus0"]
+    assert bus["timeouts"] == bus["rejected"] == 0
+    assert bus["replies"] > 1000
+    asked = {word for line in played.heard() if (word := line.decode()[2:-1]).startswith("Q")}
+    assert {"Q", "QT", "QC", "QD"} <= asked <= set(PRO_TABLE.by_keyword)

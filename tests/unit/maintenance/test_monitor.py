@@ -78,6 +78,15 @@ def test_everything_of_every_servo_is_read(watched, spec):
     assert (pin.position_deg, sensor.raw) == (0.0, 426.0)
 
 
+def test_an_lss_pro_answers_all_that_it_is_asked(watched, spec):
+    """It has no word for its voltage."""
+    one = target(2, "LSS-P-S1", Family.LSS_PRO)
+    watch, _, connection = watched(spec(2, "LSS-P-S1"), targets=[one])
+    asked = {line.decode()[2:-1] for _, line in connection.simulated["main"].heard}
+    assert asked == {"QD", "QWD", "QC", "Q", "QT"}
+    assert watch.readings[0].temperature_c == pytest.approx(25.0, abs=1.0)
+
+
 def test_the_line_is_used(watched, spec):
     """18 servos at 115200 bps: what 4 questions and answers a servo need, and little more."""
     specs = [spec(number) for number in range(1, 19)]
