@@ -107,8 +107,8 @@ class Streamer:
     def is_standing(self, now_ns: int) -> bool:
         """Return whether a ramp to rate 0 has ended and every horn should have come to rest."""
         settled_ns = self.clock.ramp_end_ns + ns_from_s(SETTLE_S)
-        is_over = self.clock.target_rate == 0.0 and now_ns >= settled_ns
-        return is_over and self._has_arrived(now_ns)
+        is_still = self.clock.target_rate == 0.0 and now_ns >= settled_ns
+        return is_still and self._has_arrived(now_ns)
 
     def _has_arrived(self, now_ns: int) -> bool:
         """Return whether every servo should be at rest where it was told to go.
@@ -249,9 +249,9 @@ class Streamer:
 
     def _say_again(self, track: Track, now_ns: int) -> None:
         """Send what is left of a move that its servo has not heard; ramps say all again anyway."""
-        if track.active is None or self._tick_ns is not None:
+        if self._tick_ns is not None or self.clock.target_rate < 1.0:
             return
-        if self.clock.target_rate < 1.0 or self.clock.is_ramping(now_ns):
+        if track.active is None or not track.is_driven:
             return
         track.said_again += 1
         line, move = self._lines[track.joint.bus], track.active
@@ -267,6 +267,7 @@ class Streamer:
         return [ns for track in self.tracks.values() if (ns := track.again_ns) is not None]
 
     def _tell_again(self, now_ns: int) -> None:
+        is_even = self._tick_ns is None and self.clock.target_rate == 1.0
         for track in self.tracks.values():
             if track.again_ns is None or track.again_ns > now_ns:
                 continue
@@ -274,9 +275,8 @@ class Streamer:
             line = self._lines[track.joint.bus]
             if track.owed is not None:
                 track.send(line, track.owed[1], self._left_s(track, now_ns), now_ns)
-                continue
-            is_even = self._tick_ns is None and self.clock.target_rate == 1.0
-            lead(track, line, self._planned_deg, now_ns, self._periods.led_ns, is_even=is_even)
+            else:
+                lead(track, line, self._planned_deg, now_ns, self._periods.led_ns, is_even=is_even)
 
     # ---- the rate ramps
 
@@ -321,8 +321,8 @@ class Streamer:
             left_s = self._left_s(track, now_ns)
             target_deg = track.active.target_wire / track.limits.wire_per_deg
             position_deg, speed_deg_s = track.place(now_ns)
-            unit_deg = 1.0 / track.limits.wire_per_deg
-            if left_s > 0.0 or abs(target_deg - position_deg) > unit_deg or speed_deg_s != 0.0:
+            off_deg = abs(target_deg - position_deg)
+            if left_s > 0.0 or off_deg > track.joint.unit_deg or speed_deg_s != 0.0:
                 self.statistics.sent(late_ns)
                 left_s = max(left_s, s_from_ns(RAMP_TICK_NS))
                 track.send_active(self._lines[track.joint.bus], left_s, now_ns)
@@ -330,7 +330,7 @@ class Streamer:
     def _follow_course(self, now_ns: int, period_ns: int, late_ns: int) -> None:
         """Bring every joint that is off its course there in one period; lead those streamed."""
         for track in self.tracks.values():
-            track.lead_from(now_ns)
+            track.leave_program(now_ns)
         for track, aim_deg, left_s in spot_moves(
             self.tracks.values(),
             self._lines,

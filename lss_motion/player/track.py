@@ -102,9 +102,14 @@ class Track:
         self.setpoints = make_setpoints(self.joint, position_deg, self.limits)
         self.following.stand(position_deg)
 
-    def lead_from(self, now_ns: int) -> None:
-        """Let a streamed joint be led from now on, unless it is already."""
-        if self.joint.drive == "streamed" and self.is_driven and self.led_ns is None:
+    def leave_program(self, now_ns: int) -> None:
+        """Note that moves made on the spot take the place of the program's: the rate is not 1.
+
+        What a timed joint is owed of the program is over; a streamed one is led from now on.
+        """
+        if self.joint.drive == "timed":
+            self.owed = None
+        elif self.joint.drive == "streamed" and self.is_driven and self.led_ns is None:
             self.led_ns = now_ns
 
     def learn(self, earlier: Track) -> None:

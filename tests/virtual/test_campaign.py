@@ -28,6 +28,7 @@ FOUND = (
 )
 FOUND_SLOW = (
     2213,  # A clog kept words for a servo until it had restarted: nobody's doing.
+    10514,  # A show that braked was still owed the end of a catch-up, with no time left for it.
     2472,  # On a full line, silence was noticed with the next question, when the servo was back.
 )
 FOUND_ANY = (
@@ -35,6 +36,7 @@ FOUND_ANY = (
     1370,  # The same.
     1444,  # A joint that turned round at the very end of a show was taken for one at rest.
     466,  # The last tick of a ramp and the program's moves after it crowded out a joint in EM0.
+    20125,  # A garbled word put a horn out of its range; what led it back was corrected meanwhile.
     545,  # As 2213; the move under way ended with the ramps with which it had begun.
 )
 

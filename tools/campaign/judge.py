@@ -7,6 +7,22 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from campaign.allowances import (
+    ACCEL_EXCESS,
+    BODY_KINDS,
+    LAGS,
+    LED_BACK_DEG,
+    LYING_KINDS,
+    LYING_RATIO,
+    MISSED_KINDS,
+    RANGE_EXCESS_DEG,
+    RESTS_WITHIN_DEG,
+    SPEED_EXCESS,
+    STEP_NS,
+    TELLING_S,
+    WINDOW,
+    WORD_KINDS,
+)
 from campaign.any_show import any_show
 from campaign.shows import NAMES, RESUME_S, SLOW_BPS, Show, show
 from campaign.stale import lawless_ns
@@ -29,44 +45,6 @@ if TYPE_CHECKING:
 MOVE: Final = re.compile(rb"#(\d+)D(-?\d+)(?:T\d+)?\r")
 SAFE: Final = re.compile(rb"#254H\r(#\d+L\r)*$")
 LIMP: Final = re.compile(rb"#254L\r$")
-
-STEP_NS: Final = 5_000_000
-WINDOW: Final = 4
-"""Speeds are differences over 20 ms: a servo's own loop is 5 ms, that of its filter 20 ms."""
-SPEED_EXCESS: Final = 1.05
-ACCEL_EXCESS: Final = 1.1
-"""As in the tests of the player: what the simulator's loop of 5 ms adds."""
-LAGS: Final = 3.0
-"""After so many of its lags a horn does what its servo has told it, to a twentieth."""
-RANGE_EXCESS_DEG: Final = 0.3
-RESTS_WITHIN_DEG: Final = 4.0
-"""A finished show without a fault has its horns this near to its last pose: `following_deg` is 10
-while it moves, and at its end a joint must have arrived (3 deg), besides noise."""
-TELLING_S: Final = 1.5
-"""A fault that begins later than this before the end of the run need not have been noticed."""
-
-WORD_KINDS: Final = {
-    FaultKind.CORRUPT_COMMAND,
-    FaultKind.SHORT_COMMAND,
-    FaultKind.MERGED_COMMAND,
-}
-"""With these a servo hears what nobody said: its horn is not the player's doing."""
-MISSED_KINDS: Final = {
-    FaultKind.LOST_COMMAND,
-    FaultKind.CLOGGED,
-    FaultKind.UNPLUGGED,
-    FaultKind.DEAF,
-    FaultKind.RESET,
-}
-"""With these a servo misses what was said, and hears the next of it: a timed one keeps its limits
-all the same, for they are set in it; one in EM0 has none."""
-BODY_KINDS: Final = {FaultKind.STUCK, FaultKind.WEAK, FaultKind.HOT}
-"""With these a horn does what the motor makes of it."""
-
-LYING_KINDS: Final = {FaultKind.CORRUPT_REPLY, FaultKind.SHORT_REPLY}
-LYING_RATIO: Final = 0.5
-"""With so many damaged answers two of them lie alike, and a joint in EM0, which is told first where
-it stands, is then told a wrong place; a timed one goes slowly from wherever it is."""
 
 
 @dataclass(frozen=True)
@@ -160,13 +138,14 @@ class _Judge:
                 out_deg = _outside_deg(joint, angle)
                 if out_deg > max(joint.unit_deg, last_deg):
                     broken.append(f"{name} was sent to {angle:.1f} deg")
-                last_deg = min(last_deg, out_deg) if out_deg > joint.unit_deg else last_deg
+                if out_deg > joint.unit_deg:
+                    last_deg = min(last_deg, out_deg + LED_BACK_DEG)
         return broken
 
     def _garbled_reach_deg(self, joint: Joint) -> float:
         """Return how far outside of its range a horn was put by words that nobody said.
 
-        A bare `D` leads it back from there step by step, each no further out than the last.
+        A bare `D` leads it back from there step by step (`LED_BACK_DEG`).
         """
         if joint.drive == "timed" or not self.kinds & WORD_KINDS:
             return 0.0
@@ -329,7 +308,7 @@ class _Judge:
             if fault.kind is FaultKind.DEAF
             and fault.kind not in INSTANT
             and fault.ratio >= 1.0
-            and fault.servo_id in (None, joint.servo_id)
+            and _shares(joint, fault)
             and joint.drive != "stepped"
             and min(fault.until_s, end_s) - fault.at_s > RESUME_S + TELLING_S
             and not named & {j.name for j in self.robot.joints.values() if _shares(j, fault)}

@@ -293,6 +293,33 @@ def test_but_not_while_the_show_is_slowed_down_since_all_is_said_again_anyway(ki
     assert stage.streamer.reader.unheard == {}
 
 
+def test_what_it_is_owed_of_that_is_over_when_the_show_brakes(kit):
+    stage = Stage(kit, has_feedback=True).run(0.4)
+    stage.track.stand(0.0)
+    stage.streamer.reader.unheard["j0"] = stage.track
+    stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns)
+    assert stage.track.owed is not None, "it catches up, and then has the rest of the move"
+    set_rate(stage, 0.0)
+    stage.run(3.0)
+    assert stage.track.owed is None
+    assert stage.streamer.is_standing(stage.now_ns)
+    pose_deg = stage.streamer.pose_deg(stage.now_ns)["j0"]
+    assert stage.track.place(stage.now_ns)[0] == pytest.approx(pose_deg, abs=0.2)
+
+
+def test_one_that_is_left_out_is_owed_nothing_and_does_not_keep_the_show(kit):
+    stage = Stage(kit, has_feedback=True).run(0.4)
+    stage.track.stand(0.0)
+    stage.streamer.leave_out({"j0"})
+    sent = len(stage.sent)
+    stage.streamer.reader.unheard["j0"] = stage.track
+    stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns)
+    stage.run(END_S + SETTLE_S)
+    assert (len(stage.sent), stage.track.said_again) == (sent, 0)
+    stage.track.stand(-20.0)
+    assert stage.streamer.is_finished(stage.now_ns)
+
+
 def test_a_show_that_repeats_goes_on_and_is_never_over(kit):
     moves = (move(0.1, 40.0), move(1.1, 0.0))
     repeat = Repeat(from_us=0, to_us=2_000_000)

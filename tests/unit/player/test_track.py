@@ -319,16 +319,17 @@ def test_one_that_stands_elsewhere_owes_nothing_and_goes_on_from_there(kit):
     assert low_deg + high_deg == pytest.approx(-60.0)
 
 
-def test_only_a_streamed_joint_that_is_driven_is_led_from_the_first_instant_on(kit):
+def test_off_the_program_one_that_is_streamed_and_driven_is_led_and_none_is_owed_a_move(kit):
     track = kit.track(kit.joint("j0", 2, drive="streamed"))
-    track.lead_from(7)
-    track.lead_from(9)
+    track.leave_program(7)
+    track.leave_program(9)
     assert track.again_ns == 7
     track.led_ns, track.is_driven = None, False
-    track.lead_from(9)
+    track.leave_program(9)
     assert track.again_ns is None
     track = timed(kit, travel(40.0))
-    track.lead_from(7)
+    track.owed = (9, 40.0)
+    track.leave_program(7)
     assert track.again_ns is None
 
 

@@ -1,0 +1,48 @@
+"""What the judge of the campaign allows: how exact it can be, and what which fault excuses."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from lss_motion.sim.faults import FaultKind
+
+STEP_NS: Final = 5_000_000
+WINDOW: Final = 4
+"""Speeds are differences over 20 ms: a servo's own loop is 5 ms, that of its filter 20 ms."""
+SPEED_EXCESS: Final = 1.05
+ACCEL_EXCESS: Final = 1.1
+"""As in the tests of the player: what the simulator's loop of 5 ms adds."""
+LAGS: Final = 3.0
+"""After so many of its lags a horn does what its servo has told it, to a twentieth."""
+RANGE_EXCESS_DEG: Final = 0.3
+LED_BACK_DEG: Final = 1.0
+"""A bare `D` leads a horn that something else has put outside of its range back in steps; a step is
+no further out than the furthest in before by more than what is corrected meanwhile."""
+RESTS_WITHIN_DEG: Final = 4.0
+"""A finished show without a fault has its horns this near to its last pose: `following_deg` is 10
+while it moves, and at its end a joint must have arrived (3 deg), besides noise."""
+TELLING_S: Final = 1.5
+"""A fault that begins later than this before the end of the run need not have been noticed."""
+
+WORD_KINDS: Final = {
+    FaultKind.CORRUPT_COMMAND,
+    FaultKind.SHORT_COMMAND,
+    FaultKind.MERGED_COMMAND,
+}
+"""With these a servo hears what nobody said: its horn is not the player's doing."""
+MISSED_KINDS: Final = {
+    FaultKind.LOST_COMMAND,
+    FaultKind.CLOGGED,
+    FaultKind.UNPLUGGED,
+    FaultKind.DEAF,
+    FaultKind.RESET,
+}
+"""With these a servo misses what was said, and hears the next of it: a timed one keeps its limits
+all the same, for they are set in it; one in EM0 has none."""
+BODY_KINDS: Final = {FaultKind.STUCK, FaultKind.WEAK, FaultKind.HOT}
+"""With these a horn does what the motor makes of it."""
+
+LYING_KINDS: Final = {FaultKind.CORRUPT_REPLY, FaultKind.SHORT_REPLY}
+LYING_RATIO: Final = 0.5
+"""With so many damaged answers two of them lie alike, and a joint in EM0, which is told first where
+it stands, is then told a wrong place; a timed one goes slowly from wherever it is."""
