@@ -10,7 +10,7 @@ from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.units import NS_PER_S, ns_from_s
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection, Mapping
 
     from lss_motion.robot.model import Robot
     from lss_motion.robot.on_fault import Ladders
@@ -75,6 +75,21 @@ class Ladder:
                 taken.append(self._take(joint, cause, text, climb.step))
         self._slow(now_ns)
         return taken
+
+    def taken_up(self, troubles: Collection[tuple[str, Cause]]) -> set[str]:
+        """Return the joints that were only warned of as silent, answer, and are to be resumed."""
+        silent = {
+            name
+            for (name, cause), climb in self._climbs.items()
+            if cause is Cause.SILENT and climb.step is not FaultStep.RESUME
+        }
+        back = {name for name in silent if (name, Cause.SILENT) not in troubles}
+        for name in sorted(back):
+            steps = self._robot.ladder(Cause.RESTARTED, self._robot.joints[name], self._show)
+            if FaultStep.RESUME not in steps or self._resumes >= RESUMES_MAX:
+                back.remove(name)
+        self._resumes += len(back)
+        return back
 
     def begin(self, joint: str, cause: Cause, text: str, now_ns: int) -> Faulted:
         """Take the first step about a trouble. `joint` is empty for that of a port."""

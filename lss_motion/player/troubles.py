@@ -6,6 +6,7 @@ from enum import Enum, auto
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import BusError
+from lss_motion.player.events import Warned
 from lss_motion.player.ladder import Ladder
 from lss_motion.player.recovery import Recovery
 from lss_motion.robot.on_fault import ENDING, Cause, FaultStep
@@ -29,6 +30,13 @@ SILENT_TEXT: Final = (
 )
 
 
+ABSENT: Final = (Cause.SILENT, Cause.RESTARTED)
+"""With these nobody knows whether a servo still has the limits that it was given."""
+LEFT_OUT_TEXT: Final = (
+    "is sent no move until it is back and has its settings again (`on_fault`: `restarted: resume`)"
+)
+
+
 class Verdict(Enum):
     """What is to become of the show."""
 
@@ -48,7 +56,7 @@ class Troubles:
         self.ladder = Ladder(session.robot, session.program.on_fault)
         self.lost: dict[str, str] = {}
         self.recovery: Recovery | None = None
-        self.events: list[Faulted] = []
+        self.events: list[Faulted | Warned] = []
         self._session = session
 
     def forget(self) -> None:
@@ -64,20 +72,19 @@ class Troubles:
             return Verdict.GO_ON
         if self.ladder.is_idle and not streamer.reader.watch.troubles:
             return Verdict.GO_ON
-        watched = {
-            (name, cause): text
-            for (name, cause), text in streamer.reader.watch.troubles.items()
-            if name not in self._session.left_out
-        }
+        troubles = streamer.reader.watch.troubles.items()
+        watched = {trouble: text for trouble, text in troubles if self._is_watched(*trouble)}
+        back = self.ladder.taken_up({trouble for trouble, _ in troubles})
         taken = self.ladder.judge(watched, now_ns)
         for fault in taken:
             self._take(fault, now_ns)
         streamer.leave_out(self._session.left_out)
         if any(fault.step in ENDING for fault in taken):
             return Verdict.END
-        gone = {fault.joint for fault in taken if fault.step is FaultStep.RESUME}
+        gone = back | {fault.joint for fault in taken if fault.step is FaultStep.RESUME}
         if not gone:
             return Verdict.GO_ON
+        self._session.left_out -= gone
         # What took one servo's power may have taken that of others, not noticed yet.
         gone |= streamer.reader.watch.quiet()
         self._miss([joint for joint in self._session.driven if joint.name in gone], now_ns)
@@ -193,6 +200,15 @@ class Troubles:
         joint = self._session.robot.joints[fault.joint]
         if fault.step is FaultStep.LIMP:
             self._session.let_go(joint, now_ns)
-        is_absent = fault.kind in (Cause.SILENT, Cause.RESTARTED)
-        if fault.step is FaultStep.LIMP or (is_absent and fault.step is not FaultStep.RESUME):
+        is_absent = fault.kind in ABSENT and fault.step is not FaultStep.RESUME
+        if fault.step is FaultStep.LIMP or is_absent:
+            if is_absent and fault.step not in ENDING and joint.name not in self._session.left_out:
+                self.events.append(Warned(f"joint {joint.name!r} {LEFT_OUT_TEXT}"))
             self._session.left_out.add(joint.name)
+
+    def _is_watched(self, name: str, cause: Cause) -> bool:
+        """Return whether a trouble of a joint is judged: of one left out, only that it is gone."""
+        if name not in self._session.left_out:
+            return True
+        is_let_go = any(joint.name == name for joint in self._session.limp)
+        return cause in ABSENT and not is_let_go

@@ -31,9 +31,10 @@ Ladder = Annotated[
 class JointOnFaultEntry(FileModel, title="on_fault of a joint"):
     """What is done when something is wrong with a joint: a step, or a ladder of steps.
 
-    warn: say so. slow: slow the show for all joints until this one has caught up. resume: brake,
-    wait until it is back, go back to the place and go on. hold: brake and end the show. limp: let
-    this joint go, and end the show. The next step is taken after patience_s.
+    warn: say so; one that is silent or has restarted is sent no move until it is back and has its
+    settings again (restarted: resume). slow: slow the show for all joints until this one has caught
+    up. resume: brake, wait until it is back, go back to the place and go on. hold: brake and end
+    the show. limp: let this joint go, and end the show. The next step is taken after patience_s.
     """
 
     astray: Ladder = Field(

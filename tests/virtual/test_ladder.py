@@ -9,7 +9,7 @@ import pytest
 
 from lss_motion.errors import BusError
 from lss_motion.player import setup
-from lss_motion.player.events import PhaseEntered
+from lss_motion.player.events import PhaseEntered, Warned
 from lss_motion.player.following import OFFSET_MAX_DEG
 from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.sim.faults import Fault, FaultKind
@@ -164,14 +164,42 @@ def test_a_blocked_joint_is_let_go_alone_where_that_is_asked_for(stage, kit):
 
 
 def test_a_joint_that_is_silent_may_be_left_out_of_the_show(stage, kit):
-    robot = kit.robot(on_fault={Cause.SILENT: (FaultStep.WARN,)})
+    warn = dict.fromkeys((Cause.SILENT, Cause.RESTARTED), (FaultStep.WARN,))
+    robot = kit.robot(on_fault=warn)
     reset = Fault(kind=FaultKind.RESET, servo_id=2, at_s=2.0)
     played = stage.play(robot, faults=[reset])
     assert played.report["outcome"] == "finished"
-    assert faults(played) == [("j1", "silent", "warn")]
+    assert ("j1", "silent", "warn") in faults(played)
     after = played.heard(after_ns=int((2.0 + RESET_S) * S))
     assert not any(line.startswith(b"#2D") for line in after)
     assert any(line.startswith(b"#1D") for line in after)
+    assert [e.text for e in played.events if isinstance(e, Warned)] == [
+        "joint 'j1' is sent no move until it is back and has its settings again "
+        "(`on_fault`: `restarted: resume`)"
+    ]
+
+
+@pytest.mark.parametrize("kind", [FaultKind.RESET, FaultKind.DEAF])
+def test_one_that_was_left_out_is_taken_up_again_when_it_answers(stage, kit, kind):
+    sequence = kit.sequence(3, 9.0, swing_deg=30.0, step_s=(0.5, 0.9))
+    robot = kit.robot(on_fault={Cause.SILENT: (FaultStep.WARN,)})
+    gone = Fault(kind=kind, servo_id=2, at_s=2.0, until_s=4.0)
+    played = stage.play(robot, sequence, faults=[gone])
+    assert played.report["outcome"] == "finished"
+    assert ("j1", "silent", "warn") in faults(played)
+    assert phases(played).count("playing") == 2
+    after = [line for line in played.heard(after_ns=int(4.0 * S)) if line.startswith(b"#2")]
+    moved = next(at for at, line in enumerate(after) if is_move(line))
+    assert any(line.startswith(b"#2QSD") for line in after[:moved]), "it has its settings first"
+    horn_deg = played.bus.horn_deg(np.array([played.bus.heard[-1][0]]))[0, 1]
+    assert horn_deg == pytest.approx(sequence.keyframes[-1].deg["j1"], abs=1.5)
+
+
+def test_after_the_warning_comes_the_next_step_for_one_that_stays_silent(stage, kit):
+    robot = kit.robot(on_fault={Cause.SILENT: (FaultStep.WARN, FaultStep.HOLD)})
+    played = stage.play(robot, faults=[Fault(kind=FaultKind.DEAF, servo_id=2, at_s=2.0)])
+    assert (played.report["outcome"], faults(played)) == ("fault", [("j1", "silent", "hold")])
+    assert played.heard()[-1] == HOLD
 
 
 @pytest.mark.parametrize(
