@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import re
@@ -149,21 +150,37 @@ def _report(arguments: argparse.Namespace) -> int:
     if arguments.plot is not None and len(arguments.reports) > 1:
         raise InputError("--plot draws one report; give one")
     found = [_read_report(path) for path in arguments.reports]
-    try:
-        for report in found:
+    for path, report in zip(arguments.reports, found, strict=True):
+        with _whole(path):
             for line in report_lines(report):
                 print(line)
             for fault in report.get("faults", []):
-                print(f"fault: joint {fault['joint']!r} {fault['cause']}")
-        if len(found) == 2:
-            for line in _differences(*found):
-                print(line)
-        if arguments.plot is not None:
+                named = f"joint {fault['joint']!r} " if fault["joint"] else ""
+                print(f"fault: {named}{fault['cause']}")
+    if len(found) == 2:
+        for line in _differences(*found):
+            print(line)
+    if arguments.plot is not None:
+        with _whole(arguments.reports[0]):
             plot_report(found[0], arguments.plot)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        named = " or ".join(map(str, arguments.reports))
-        raise InputError(f"{named} is no whole report of lss-play: {error!r}") from error
     return EXIT_FINISHED
+
+
+@contextlib.contextmanager
+def _whole(path: Path) -> Iterator[None]:
+    """Blame the report at `path` for what of it is missing or of the wrong kind."""
+    try:
+        yield
+    except InputError:
+        raise
+    except KeyError as error:
+        raise InputError(
+            f"no whole report of lss-play: {error.args[0]!r} is missing", path=path
+        ) from error
+    except (TypeError, ValueError, AttributeError) as error:
+        raise InputError(
+            "no whole report of lss-play: something in it is of the wrong kind", path=path
+        ) from error
 
 
 def _read_report(path: Path) -> dict[str, Any]:

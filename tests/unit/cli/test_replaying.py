@@ -105,12 +105,36 @@ def test_a_report_is_printed_and_two_are_compared(played, tmp_path, capsys):
     assert "the numbers are the same" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("text", ["[]", "{", '{"schema": 1}', '{"schema": 2}'])
-def test_what_is_no_report_is_refused(tmp_path, capsys, text):
-    path = tmp_path / "a.json"
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("[]", "not a report"),
+        ("{", "not a report"),
+        ('{"schema": 1}', "'timing' is missing"),
+        ('{"schema": 1, "timing": 5, "planned_s": []}', "wrong kind"),
+        ('{"schema": 2}', "not a report"),
+    ],
+)
+def test_what_is_no_report_is_refused(played, tmp_path, capsys, text, why):
+    path = tmp_path / "b.json"
     path.write_text(text)
-    assert main(["report", str(path)]) == EXIT_INPUT
-    assert "a.json" in capsys.readouterr().err
+    assert main(["report", str(played / "a.json"), str(path)]) == EXIT_INPUT
+    said = capsys.readouterr().err
+    assert said.startswith(f"{path}: ")
+    assert why in said
+    assert "Error" not in said
+
+
+def test_a_fault_of_a_port_names_no_joint(played, tmp_path, capsys):
+    report = json.loads((played / "a.json").read_text())
+    report["faults"] = [
+        {"joint": joint, "cause": "is gone", "kind": "silent", "step": "hold"}
+        for joint in ("", "base")
+    ]
+    (tmp_path / "faulty.json").write_text(json.dumps(report))
+    assert main(["report", str(tmp_path / "faulty.json")]) == EXIT_FINISHED
+    faults = [line for line in capsys.readouterr().out.splitlines() if line.startswith("fault")]
+    assert faults == ["fault: is gone", "fault: joint 'base' is gone"]
 
 
 def test_what_nobody_has_measured_is_shown_as_no_zero(played, tmp_path, capsys):
@@ -155,11 +179,11 @@ def test_what_cannot_be_drawn_is_refused_and_nothing_is_written(played, tmp_path
         joint["trace"] = {"at_s": [], "planned_deg": [], "measured_deg": []}
     (tmp_path / "unread.json").write_text(json.dumps(report))
     for arguments, words in (
-        ([one, one, "--plot", str(picture)], "draws one report"),
-        ([one, "--plot", str(tmp_path / "a.txt")], "cannot draw .txt"),
-        ([one, "--plot", str(tmp_path / "no" / "a.svg")], "cannot be written"),
-        ([str(tmp_path / "unread.json"), "--plot", str(picture)], "no joint was read"),
+        ([one, one, "--plot", str(picture)], "lss-motion: --plot draws one report"),
+        ([one, "--plot", str(tmp_path / "a.txt")], f"{tmp_path}/a.txt: cannot draw .txt"),
+        ([one, "--plot", f"{tmp_path}/no/a.svg"], f"{tmp_path}/no/a.svg: cannot be written"),
+        ([f"{tmp_path}/unread.json", "--plot", str(picture)], "lss-motion: no joint was read"),
     ):
         assert main(["report", *arguments]) == EXIT_INPUT
-        assert words in capsys.readouterr().err
+        assert capsys.readouterr().err.startswith(words)
     assert not picture.exists()
