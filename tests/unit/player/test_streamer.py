@@ -16,6 +16,7 @@ from lss_motion.player.streamer import SETTLE_S, Streamer
 from lss_motion.program.growth import Extension
 from lss_motion.program.model import Driving, Move, Program, Repeat
 from lss_motion.program.predict import profiles
+from lss_motion.program.response import Reference
 from lss_motion.protocol.line import Reply
 from lss_motion.robot.model import Bus, Sensor
 from lss_motion.sequence.model import Wait
@@ -137,6 +138,7 @@ def test_a_show_starts_with_what_is_due_before_its_time_0(kit):
     stage = Stage(kit, (move(-0.05, 40.0), move(1.2, -20.0))).run(3.0)
     assert [at_s for at_s, _ in stage.sent] == pytest.approx([0.0, 1.25])
     assert stage.streamer.show_s(START_NS) == -0.05
+    assert stage.track.origin_s == pytest.approx(START_NS / 1e9 + 0.05)
 
 
 def test_it_is_over_when_all_has_come_to_rest_and_not_before(kit):
@@ -241,6 +243,7 @@ def test_back_at_full_speed_the_move_under_way_is_taken_up_with_what_is_left_of_
     ramp_end_s = (stage.streamer.clock.ramp_end_ns - START_NS) / 1e9
     taken_up = [line for at_s, line in stage.sent if at_s >= ramp_end_s - 1e-9]
     assert len(taken_up) == 2, "what is left, and the next one"
+    assert stage.streamer.statistics.timing()["commands"] == len(stage.sent)
     shown_s = stage.streamer.clock.show_s(stage.streamer.clock.ramp_end_ns)
     left_ms = int(MOVE.fullmatch(taken_up[0])[3])
     assert left_ms == pytest.approx(1000 * (2.1 - shown_s), abs=3)
@@ -253,6 +256,9 @@ def test_a_late_tick_of_a_ramp_is_counted_and_the_last_one_ends_with_it(kit):
     set_rate(stage, 0.0)
     stage.run(2.0, late_s=0.003)
     assert stage.streamer.statistics.max_ns == pytest.approx(3 * MS, abs=MS // 10)
+    (pose_deg,) = stage.streamer.pose_deg(stage.now_ns).values()
+    assert stage.track.place(stage.now_ns)[0] == pytest.approx(pose_deg, abs=0.1)
+    assert stage.streamer.statistics.timing()["commands"] == len(stage.sent)
     ticks_s = sorted({at_s for at_s, _ in stage.sent if at_s > 0.5})
     assert min(b - a for a, b in pairwise(ticks_s)) > 0.02
 
@@ -260,7 +266,11 @@ def test_a_late_tick_of_a_ramp_is_counted_and_the_last_one_ends_with_it(kit):
 def test_it_may_start_anywhere_from_rest(kit):
     stage = Stage(kit, (move(0.1, 80.0, 2.0), move(2.6, -20.0)), start_s=0.6, duration_s=4.0)
     stage.track.stand(stage.track.plan.at(0.6)[0])
+    clock = stage.streamer.clock
+    assert clock.rate(START_NS) == 0.0
+    assert clock.show_s(START_NS + 100 * MS) < 0.62
     stage.run(6.0)
+    assert sum(at_s < 0.25 for at_s, _ in stage.sent) > 4
     assert stage.places[0][1] == pytest.approx(0.6)
     assert stage.off_deg() < 3.0
     assert stage.sent[-1][1] == b"#1D-200T800\r"
@@ -276,7 +286,8 @@ def test_what_a_servo_has_not_heard_is_said_again_at_once(kit):
     assert stage.track.said_again == 1
     stage.run(3.0)
     assert [at_s for at_s, _ in stage.sent[:2]] == [0.1, 0.4]
-    assert MOVE.fullmatch(stage.sent[1][1])[2] == b"400"
+    assert [MOVE.fullmatch(line)[2] for _, line in stage.sent] == [b"400"] * 3 + [b"-200"]
+    assert 0.5 < stage.sent[2][0] < 0.9, "when it has met its plan"
     assert stage.off_deg(from_s=1.0) < 1.0
 
 
@@ -364,25 +375,33 @@ def test_what_is_not_due_yet_may_be_replaced(kit):
     stage.run(0.5)
     moves = (move(1.0, 40.0), move(1.5, 60.0))
     whole = replace(stage.program, moves=(*THERE_AND_BACK[:1], *moves))
-    later = profiles(whole, stage.robot)
+    table = profiles(whole, stage.robot)["j0"].table
+    later = Reference.of(tuple(column[table[0] > 0.95] for column in table))
+    planned_deg, _ = stage.track.plan.at(0.5)
     extension = Extension(
-        from_us=1_000_000, moves=moves, duration_s=3.0, references=later, line_use={},
+        from_us=1_000_000, moves=moves, duration_s=3.0, references={"j0": later}, line_use={},
         tolerance_deg=0.2,
     )  # fmt: skip
     assert stage.streamer.extend(extension, stage.now_ns)
     stage.run(1.2)
+    assert stage.track.plan.at(0.5)[0] == pytest.approx(planned_deg), "an answer may be so old"
     assert not stage.streamer.extend(extension, stage.now_ns), "that would be too late"
-    stage.run(5.0)
+    stage.run(2.6)
     assert [at_s for at_s, _ in stage.sent] == pytest.approx([0.1, 1.0, 1.5])
     assert stage.off_deg() < 0.1
-    assert not stage.streamer.is_finished(stage.now_ns)
     stage.streamer.is_open = False
+    assert not stage.streamer.is_finished(stage.now_ns)
+    stage.run(3.0 + SETTLE_S)
     assert stage.streamer.is_finished(stage.now_ns)
 
 
 def test_lines_are_quiet_until_the_next_move(kit):
     stage = Stage(kit).run(0.5)
     assert stage.streamer.quiet_ns(stage.now_ns) == START_NS + 1200 * MS
+    stage.track.owed = (START_NS + 800 * MS, 40.0)
+    assert stage.streamer.quiet_ns(stage.now_ns) == START_NS + 800 * MS
+    assert stage.streamer.next_wakeup_ns(stage.now_ns) == START_NS + 800 * MS
+    stage.track.owed = None
     stage.run(1.5)
     assert stage.streamer.quiet_ns(stage.now_ns) is None
     stage.track.owed = (START_NS + 1600 * MS, 5.0)
@@ -398,6 +417,8 @@ def test_a_streamed_joint_is_led_through_a_pause_and_then_has_its_own_moves_agai
     set_rate(stage, 0.0)
     stage.run(2.0)
     assert stage.streamer.is_standing(stage.now_ns)
+    ramp_s = [at_s for at_s, _ in stage.sent if 0.52 < at_s < 0.78]
+    assert np.diff(ramp_s) == pytest.approx(0.02, abs=2e-3), "with every step of its filter"
     still = len(stage.sent)
     stage.run(2.5)
     assert len(stage.sent) == still, "nothing is said while it stands"
@@ -405,6 +426,9 @@ def test_a_streamed_joint_is_led_through_a_pause_and_then_has_its_own_moves_agai
     stage.run(6.0)
     own = {one.data for one in moves}
     assert all(line in own for at_s, line in stage.sent if at_s > 3.5)
+    assert min(np.diff([at_s for at_s, _ in stage.sent if at_s > 2.6])) > 0.01
+    assert stage.streamer.statistics.timing()["commands"] == len(stage.sent)
+    assert stage.streamer.statistics.max_ns < MS
     assert stage.off_deg() < 2.5
     assert stage.streamer.is_finished(stage.now_ns)
 
@@ -425,3 +449,86 @@ def test_after_a_recovery_it_goes_on_at_rate_0_from_where_servos_were_sent(kit):
     stage.run(6.0)
     assert stage.track.place(stage.now_ns) == (-20.0, 0.0)
     assert re.fullmatch(rb"#1D-200T\d+\r", stage.sent[-1][1])
+
+
+def test_a_joint_that_rests_at_its_place_is_told_nothing_when_a_pause_ends(kit):
+    moves = (move(0.1, 40.0), move(2.0, -20.0))
+    stage = Stage(kit, moves, duration_s=3.0).run(1.0)
+    set_rate(stage, 0.0)
+    stage.run(2.0)
+    set_rate(stage, 1.0)
+    stage.run(5.0)
+    assert [line for _, line in stage.sent] == [one.data for one in moves]
+
+
+def test_in_a_pause_it_wakes_when_it_stands_and_is_not_over_even_at_its_end(kit):
+    stage = Stage(kit).run(END_S + 0.05)
+    set_rate(stage, 0.0)
+    stage.step()
+    while stage.streamer.clock.is_ramping(stage.now_ns):
+        stage.now_ns = stage.streamer.next_wakeup_ns(stage.now_ns)
+        stage.step()
+    settled_ns = stage.streamer.clock.ramp_end_ns + round(1e9 * SETTLE_S)
+    assert stage.streamer.next_wakeup_ns(stage.now_ns) == settled_ns
+    assert stage.streamer.show_s(settled_ns) > END_S + SETTLE_S
+    assert not stage.streamer.is_finished(settled_ns)
+
+
+def test_a_small_change_of_the_rate_takes_no_longer_than_it_must(kit):
+    stage = Stage(kit, (move(0.1, 80.0),)).run(0.5)
+    set_rate(stage, 0.9)
+    assert stage.streamer.clock.ramp_end_ns - stage.now_ns == 300 * MS
+
+
+def test_between_two_ticks_of_a_slower_show_lines_are_quiet(kit):
+    stage = Stage(kit)
+    set_rate(stage, 0.5)
+    stage.run(0.71)
+    wakeup_ns = stage.streamer.next_wakeup_ns(stage.now_ns)
+    assert stage.streamer.quiet_ns(stage.now_ns) == wakeup_ns < stage.now_ns + 40 * MS
+
+
+def test_what_is_left_out_owes_nothing_and_the_others_what_they_owe(kit):
+    stage = Stage(kit)
+    stage.track.owed = (START_NS + S, 5.0)
+    stage.streamer.leave_out(())
+    assert stage.track.again_ns == START_NS + S
+    stage.streamer.leave_out({"j0"})
+    assert stage.track.again_ns is None
+
+
+def test_the_reader_asks_while_lines_are_quiet_and_hears_every_answer(kit):
+    stage, calls = Stage(kit, has_feedback=True), []
+    stage.streamer.reader.ask = lambda *args: calls.append(args)
+    stage.streamer.reader.receive = lambda *args: calls.append(args[:3])
+    stage.step()
+    assert calls == [(START_NS, START_NS + 100 * MS)]
+    reply = Reply(1, "QD", 5)
+    stage.streamer.receive("main", reply, START_NS + MS)
+    assert calls[1:] == [("main", reply, START_NS + MS)]
+
+
+def test_before_its_first_move_a_servo_cannot_have_missed_one(kit):
+    stage = Stage(kit, has_feedback=True).run(0.05)
+    stage.streamer.reader.unheard["j0"] = stage.track
+    stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns)
+    assert (stage.line.take(), stage.track.said_again) == (b"", 0)
+
+
+@pytest.mark.parametrize("is_met", [True, False])
+def test_a_slower_show_stands_at_a_wait_on_its_path_and_goes_on_as_slowly(kit, is_met):
+    waits = (waits_at(0.6, timeout_s=2.0),)
+    stage = Stage(kit, waits=waits, has_feedback=True)
+    set_rate(stage, 0.5)
+    stage.run(2.5)
+    assert stage.streamer.show_s(stage.now_ns) == 0.6
+    (pose_deg,) = stage.streamer.pose_deg(stage.now_ns).values()
+    assert stage.track.place(stage.now_ns)[0] == pytest.approx(pose_deg, abs=0.1)
+    if is_met:
+        for _ in range(2):
+            stage.streamer.waiting.answered("main", 209, 100)
+    stage.run(8.0)
+    assert stage.off_deg() < 4.0
+    begins_s = 2.5 if is_met else 3.0
+    assert min(at_s for at_s, _ in stage.sent if at_s > 2.0) == pytest.approx(begins_s, abs=0.3)
+    assert stage.track.place(stage.now_ns) == (-20.0, 0.0)
