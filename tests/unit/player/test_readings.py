@@ -171,9 +171,13 @@ def test_a_joint_is_asked_more_often_the_faster_it_moves_and_the_further_it_stra
     assert rows[2] / rows[1] == pytest.approx(2.0, rel=0.25)
 
 
-def test_all_servos_of_a_bus_are_visited_however_quickly_one_of_them_moves(kit):
+@pytest.mark.parametrize("waits_ns", [WAITS_NS, (300_000, 5_000_000)])
+@pytest.mark.parametrize("stray_deg", [0.0, 3.0, 9.0])
+def test_all_servos_of_a_bus_are_visited_whatever_one_of_them_does(kit, stray_deg, waits_ns):
     tracks = joints(kit, 4)
-    desk = Desk(*tracks)
+    desk = Desk(*tracks, waits_ns=waits_ns)
+    if stray_deg:
+        desk.values[1, "QD"] = round(10 * stray_deg)
     for index in range(8):
         tracks[0].moved(index * 200 * MS, 400 * (index % 2), 200)
         desk.run(index * 200 * MS, (index + 1) * 200 * MS)
