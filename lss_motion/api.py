@@ -228,16 +228,21 @@ def _performing(
         return
     from lss_motion.runtime.performer import Performer
 
-    with Performer(program.cues) as performer:
-        for text in performer.warnings:
+    performer = Performer(program.cues)
+
+    def perform_and_tell(event: Event) -> None:
+        if isinstance(event, CueReached):
+            performer.perform(event.cue)
+        tell(event)
+
+    try:
+        with performer:
+            for text in performer.warnings:
+                tell(Warned(text))
+            yield perform_and_tell
+    finally:
+        for text in performer.undone():
             tell(Warned(text))
-
-        def perform_and_tell(event: Event) -> None:
-            if isinstance(event, CueReached):
-                performer.perform(event.cue)
-            tell(event)
-
-        yield perform_and_tell
 
 
 def _unheard(event: Event) -> None:

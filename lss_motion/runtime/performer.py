@@ -1,7 +1,9 @@
 """Functions and sounds of a show, in a process of their own: they can never delay a command.
 
 The player's process writes one JSON object a line to its standard input and never waits; what a
-full pipe does not take is lost, and counted. Run as `python -m lss_motion.runtime.performer`.
+full pipe does not take is lost. One is done after the other, and a dot comes back for each that is
+done, so that the player can say at the end what was not. Run as
+`python -m lss_motion.runtime.performer`.
 """
 
 from __future__ import annotations
@@ -13,6 +15,8 @@ import os
 import shutil
 import subprocess
 import sys
+from collections import deque
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError
@@ -32,8 +36,11 @@ SOUND_PLAYERS: Final = (
     ("aplay", "-q"),
 )
 """Programs that play a sound file, the first that the system has. The last knows WAV only."""
+DOTS_MAX: Final = 4096
 CLOSE_S: Final = 5.0
 """After the show, functions and sounds may go on for so long."""
+NAMED_MAX: Final = 5
+"""So many that were not done are named; of more it is said how many."""
 
 
 class Performer:
@@ -41,7 +48,10 @@ class Performer:
 
     def __init__(self, cues: Collection[Cue]) -> None:
         wanted = list({(cue.run, cue.folder) for cue in cues if cue.run})
-        self.lost = 0
+        self.lost: list[Cue] = []
+        """What the full pipe did not take."""
+        self.begun: deque[Cue] = deque()
+        """What was set off and is not done, oldest first."""
         self.warnings: list[str] = []
         if any(cue.sound for cue in cues) and sound_player() is None:
             names = ", ".join(words[0] for words in SOUND_PLAYERS)
@@ -61,8 +71,9 @@ class Performer:
             self._child.kill()
             self._child.communicate()
             raise InputError(answer or "the process for functions and sounds did not start")
-        self._pipe_fd = self._child.stdin.fileno()
+        self._pipe_fd, self._dots_fd = self._child.stdin.fileno(), self._child.stdout.fileno()
         os.set_blocking(self._pipe_fd, False)
+        os.set_blocking(self._dots_fd, False)
 
     def perform(self, cue: Cue) -> None:
         """Set off a function or a sound; never waits."""
@@ -74,7 +85,31 @@ class Performer:
             # Up to 4096 bytes a pipe takes a line as a whole or not at all.
             os.write(self._pipe_fd, line)
         except (BlockingIOError, BrokenPipeError):
-            self.lost += 1
+            self.lost.append(cue)
+        else:
+            self.begun.append(cue)
+        self._note_done()
+
+    def undone(self) -> list[str]:
+        """Return, once this is closed, what was not done of all that was set off: a warning."""
+        left = [f"{_named(cue)} at {cue.at_s:g} s" for cue in (*self.begun, *self.lost)]
+        if not left:
+            return []
+        if self.begun:
+            left[0] += " (not at its end)"
+        named = ", ".join(left[:NAMED_MAX])
+        more = f" and {len(left) - NAMED_MAX} more" if len(left) > NAMED_MAX else ""
+        return [
+            f"not done: {named}{more}. Each waits until the one before it returns; after the show "
+            f"there are {CLOSE_S:g} s. Let a slow function start a thread"
+        ]
+
+    def _note_done(self) -> None:
+        """Take in the dots, so that their pipe is never full; never waits."""
+        with contextlib.suppress(BlockingIOError):
+            while dots := os.read(self._dots_fd, DOTS_MAX):
+                for _ in dots:
+                    self.begun.popleft()
 
     def __enter__(self) -> Performer:
         return self
@@ -94,7 +129,12 @@ class Performer:
         except subprocess.TimeoutExpired:
             self._child.kill()
             self._child.wait()
+        self._note_done()
         self._child.stdout.close()
+
+
+def _named(cue: Cue) -> str:
+    return f"run {cue.run}" if cue.run else f"sound {Path(cue.sound).name}"
 
 
 def sound_player() -> tuple[str, ...] | None:
@@ -123,8 +163,9 @@ def load_function(run: str, folder: str) -> Callable[[float], Any]:
 
 def main() -> int:
     """Do what comes in until there is no more, then wait for the sounds."""
-    # What a function prints goes to the screen, not to the player.
-    answers, sys.stdout = sys.stdout, sys.stderr
+    # What a function prints, or a program that it starts, goes to the screen, not to the player.
+    answers, sys.stdout = os.fdopen(os.dup(1), "w"), sys.stderr
+    os.dup2(2, 1)
     functions = {}
     try:
         for run, folder in json.loads(sys.stdin.readline()):
@@ -146,6 +187,7 @@ def main() -> int:
             except Exception as error:  # noqa: BLE001  whatever a function of the user raises
                 text = f"run: {said['run']}: {type(error).__name__}: {error}"
                 print(text, file=sys.stderr)  # noqa: T201
+        print(".", end="", file=answers, flush=True)
     for sound in sounds:
         sound.wait()
     return 0

@@ -3,10 +3,13 @@ from __future__ import annotations
 import os
 import stat
 import sys
+from types import SimpleNamespace
 
 import pytest
 
+from lss_motion import api
 from lss_motion.errors import InputError
+from lss_motion.player.events import CueReached, Warned
 from lss_motion.runtime.performer import Performer
 from lss_motion.sequence.model import Cue
 
@@ -40,7 +43,7 @@ def test_functions_are_called_with_the_time_of_the_show(folder):
         for one in cues:
             performer.perform(one)
     assert (folder / "fog").read_text() == "1.5 2.5 "
-    assert performer.lost == 0
+    assert performer.undone() == []
 
 
 def test_what_a_function_raises_is_said_and_the_next_one_still_comes(folder, capfd):
@@ -75,10 +78,50 @@ def test_without_any_player_of_sounds_that_is_said_and_nothing_fails(monkeypatch
 
 
 def test_a_function_that_never_returns_delays_nobody(folder, monkeypatch):
-    """What the pipe does not take is lost, and counted; the process is ended after the show."""
+    """What the pipe does not take is lost; the process is ended after the show."""
     monkeypatch.setattr("lss_motion.runtime.performer.CLOSE_S", 0.1)
     stay = cue(folder, "stay")
     with Performer([stay]) as performer:
         for _ in range(3000):
             performer.perform(stay)
-    assert performer.lost > 0
+    assert performer.lost
+    assert "and 2995 more" in performer.undone()[0]
+
+
+def test_what_was_not_run_behind_a_slow_function_is_named(folder, monkeypatch):
+    monkeypatch.setattr("lss_motion.runtime.performer.CLOSE_S", 1.0)
+    cues = [cue(folder, "fog", 0.5), cue(folder, "stay", 1.0), cue(folder, "fog", 2.0)]
+    cues.append(Cue(at_s=2.5, sound="/far/bell.wav"))
+    with Performer(cues) as performer:
+        for one in cues:
+            performer.perform(one)
+    [text] = performer.undone()
+    assert text.startswith(
+        "not done: run effects:stay at 1 s (not at its end), run effects:fog at 2 s, sound "
+        "bell.wav at 2.5 s. "
+    )
+    assert (folder / "fog").read_text() == "0.5 "
+
+
+def test_neither_a_function_nor_its_programs_can_print_into_what_is_counted(folder, capfd):
+    (folder / "loud.py").write_text(
+        "import os, subprocess\n"
+        "def shout(at_s):\n    print('...')\n    os.write(1, b'....')\n"
+        "    subprocess.run(['echo', '.....'])\n"
+    )
+    loud = Cue(at_s=0.0, run="loud:shout", folder=str(folder))
+    with Performer([loud]) as performer:
+        performer.perform(loud)
+    assert performer.undone() == []
+    assert "....." in capfd.readouterr().err
+
+
+def test_a_show_ends_with_a_warning_of_what_was_not_run(folder, monkeypatch):
+    monkeypatch.setattr("lss_motion.runtime.performer.CLOSE_S", 0.1)
+    stay, told = cue(folder, "stay", 1.0), []
+    program = SimpleNamespace(cues=[stay])
+    with api._performing(program, told.append, is_virtual=False) as on_event:
+        on_event(CueReached(stay, 1.0))
+    assert told[0] == CueReached(stay, 1.0)
+    assert [event.text[:31] for event in told[1:]] == ["not done: run effects:stay at 1"]
+    assert isinstance(told[1], Warned)
