@@ -220,14 +220,19 @@ def _performing(
 ) -> Iterator[Callable[[Event], None]]:
     """Yield what is to be told of events: it sets off functions and sounds, then tells `on_event`.
 
-    In virtual time nothing is set off: an hour of sounds would come at once.
+    In virtual time nothing is set off: an hour of sounds would come at once. Raises `InputError`
+    for a function that is not there.
     """
     tell = on_event or _unheard
-    if is_virtual or not any(cue.run or cue.sound for cue in program.cues):
+    if not any(cue.run or cue.sound for cue in program.cues):
         yield tell
         return
-    from lss_motion.runtime.performer import Performer
+    from lss_motion.runtime.performer import Performer, check_functions
 
+    if is_virtual:
+        check_functions(program.cues)
+        yield tell
+        return
     performer = Performer(program.cues)
 
     def perform_and_tell(event: Event) -> None:

@@ -20,9 +20,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError
+from lss_motion.sequence.functions import function_problem
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable, Collection, Iterable
     from types import TracebackType
 
     from lss_motion.sequence.model import Cue
@@ -140,6 +141,16 @@ def _named(cue: Cue) -> str:
 def sound_player() -> tuple[str, ...] | None:
     """Return the command that plays a sound file when its path follows; None: there is none."""
     return next((words for words in SOUND_PLAYERS if shutil.which(words[0])), None)
+
+
+def check_functions(cues: Iterable[Cue]) -> None:
+    """Raise `InputError` for a function that is not there, without running its module.
+
+    A compiled program may have left its folder.
+    """
+    for run, folder in {(cue.run, cue.folder): None for cue in cues if cue.run}:
+        if problem := function_problem(run, folder):
+            raise InputError(f"run: {run!r} cannot be used: {problem}")
 
 
 def load_function(run: str, folder: str) -> Callable[[float], Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from lss_motion.protocol.constants import Led
+from lss_motion.sequence.functions import function_problem
 from lss_motion.sequence.model import Cue
 from lss_motion.spelling import known_names
 
@@ -42,6 +43,8 @@ def cues(
         if entry.sound is not None and not (folder / entry.sound).is_file():
             looked = folder / entry.sound
             note((*place, "sound"), f"sound file {entry.sound!r} not found; looked for {looked}")
+        if entry.run is not None and (problem := function_problem(entry.run, str(folder))):
+            note((*place, "run"), f"run: {entry.run!r} cannot be used: {problem}")
         known = {} if robot is None else robot.joints
         for name in entry.led or () if robot is not None else ():
             if name not in known:

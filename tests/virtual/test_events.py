@@ -127,3 +127,9 @@ def test_an_event_after_the_end_is_refused(stage, kit):
     with pytest.raises(InputError, match="never reached") as caught:
         stage.compile(kit.robot(2), show)
     assert caught.value.line == 12
+
+
+def test_a_function_that_is_not_there_is_refused_in_virtual_time_as_well(stage, kit):
+    show = replace(kit.sequence(1, 2.0), events=(Cue(at_s=1.0, run="nomodule:f", folder="/"),))
+    with pytest.raises(InputError, match="run: 'nomodule:f' cannot be used"):
+        stage.play(kit.robot(1), show)

@@ -9,6 +9,8 @@ KEYS = "  - {at_s: 0, pose: home}\n  - {at_s: 2, pose: out}\n"
 
 def test_events_are_read(load, folder):
     (folder / "bell.wav").touch()
+    (folder / "effects").mkdir()
+    (folder / "effects" / "smoke.py").write_text("def fog(at_s): pass\n")
     show = load(
         KEYS
         + "events:\n"
@@ -32,6 +34,9 @@ def test_events_are_read(load, folder):
         ("{at_s: 1, led: {bose: red}}", "unknown joint 'bose'"),
         ("{at_s: 1, led: {base: pink}}", "'pink'"),
         ("{at_s: 1, run: fog}", "'fog'"),
+        ("{at_s: 1, run: 'nomodule:fog'}", "there is no module 'nomodule' in "),
+        ("{at_s: 1, run: 'json.none:fog'}", "there is no module 'json.none' in "),
+        ("{at_s: 1, run: 'json:lods'}", "did you mean 'loads'?"),
         ("{at_s: 1, sound: none.wav}", "sound file 'none.wav' not found"),
         ("{at_s: 1, say: a, lead_s: 1}", "lead_s belongs to a sound"),
         ("{say: a}", "at_s"),
