@@ -23,6 +23,8 @@ YES_HELP: Final = "move a real robot without asking first; it is checked all the
 YES_KEYS: Final = "yY"
 NO_KEYS: Final = "nNqQ\r\n\x1b\x03\x04"
 """Enter alone is no, as the question says."""
+LEFT: Final = (0, 2, 4)
+"""The columns of words."""
 
 
 def must_ask(arguments: argparse.Namespace, robot: Robot) -> bool:
@@ -45,12 +47,13 @@ def must_ask(arguments: argparse.Namespace, robot: Robot) -> bool:
 
 def table_lines(servos: Sequence[Found]) -> list[str]:
     """Return what the servos said, one line each, as a person wants to see it."""
-    head = ("joint", "servo", "model", "firmware", "at", "to start", "V", "°C", "deg/s", "deg/s²")
+    head = ("joint", "servo", "model", "firmware", "status", "at", "to start", "V", "°C", "deg/s",
+            "deg/s²")  # fmt: skip
     rows = [head, *map(_row, servos)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
     return [
         "  ".join(
-            text.ljust(width) if column in (0, 2) else text.rjust(width)
+            text.ljust(width) if column in LEFT else text.rjust(width)
             for column, (text, width) in enumerate(zip(row, widths, strict=True))
         ).rstrip()
         for row in rows
@@ -63,6 +66,7 @@ def _row(found: Found) -> tuple[str, ...]:
         str(found.servo_id),
         found.model or "-",
         "-" if found.firmware is None else str(found.firmware),
+        found.status or "-",
         f"{found.position_deg:.1f}",
         f"{found.start_deg - found.position_deg:+.1f}",
         _number(found.voltage_v, 1),

@@ -92,6 +92,7 @@ class Found:
     servo_id: int
     model: str | None
     firmware: int | None
+    status: str | None
     position_deg: float
     start_deg: float
     voltage_v: float | None

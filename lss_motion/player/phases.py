@@ -198,7 +198,7 @@ class Phases:
         except LssMotionError as error:
             self._fail(error)
             return
-        found = setup.found(session.joints, session.had, session.start_deg())
+        found = setup.found(session.joints, session.had, robot, session.start_deg())
         self.events.append(Checked(tuple(found)))
         if self._must_ask:
             self._enter(Phase.READY)

@@ -37,6 +37,8 @@ ARRIVED_DEG: Final = 3.0
 PULLED_DEG: Final = 1.0
 """With feedback a load is known after the first approach. A joint that it keeps further away than
 this is sent there once more, corrected: half a second, and the show begins where it should."""
+OUTSIDE_DEG: Final = 1.0
+"""A joint may stand so far outside of its range unsaid: a load may have pulled it there. Chosen."""
 LATENCY_BAD_NS: Final = 5 * NS_PER_MS
 """A servo answers within 2 ms (lss_facts 2.2); what takes longer is an adapter's latency timer."""
 FILTER_QUESTIONS: Final = ("QFPC", "QIPE")
@@ -99,7 +101,36 @@ def findings(
     questioners: Mapping[str, Questioner],
 ) -> list[str]:
     """Return all warnings about servos and ports; raise as `check_answers` does."""
-    return check_answers(joints, answers, robot) + check_latency(robot.buses, questioners)
+    joints = list(joints)
+    return (
+        check_answers(joints, answers, robot)
+        + check_range(joints, answers)
+        + check_latency(robot.buses, questioners)
+    )
+
+
+def check_range(joints: Iterable[Joint], answers: Answers) -> list[str]:
+    """Return a warning for every joint that stands where it may not: it will be led back.
+
+    An RC servo on a 2IO does not say where it stands.
+    """
+    warnings = []
+    for joint in joints:
+        servo_deg = stored(joint, answers, "QD")
+        if servo_deg is None or joint.drive == "stepped":
+            continue
+        angle_deg, least_deg, most_deg = (
+            joint.joint_deg(servo_deg),
+            joint.position_min_deg,
+            joint.position_max_deg,
+        )
+        if not least_deg - OUTSIDE_DEG <= angle_deg <= most_deg + OUTSIDE_DEG:
+            warnings.append(
+                f"joint {joint.name!r} stands at {angle_deg:.1f} deg, outside of its range of "
+                f"{least_deg:g} to {most_deg:g} deg, and is led back into it. See that its way is "
+                f"free, and that `zero_deg` and `direction` are right (lss-motion calibrate)"
+            )
+    return warnings
 
 
 def sensor_questions(program: Program, robot: Robot) -> list[Item]:
@@ -195,15 +226,13 @@ def _check_joint(joint: Joint, answers: Answers, robot: Robot, warnings: list[st
             f"joint {joint.name!r}: servo {joint.servo_id} has firmware {firmware}, the robot "
             f"file says {bus.firmware}"
         )
-    status = answers.get((joint.bus, joint.servo_id, "Q"))
-    if isinstance(status, int):
-        state = status_from(status, joint.model.family, bus.firmware)
-        if state in (Status.SAFE_MODE, Status.ERROR):
-            raise PlaybackError(
-                f"joint {joint.name!r}: servo {joint.servo_id} reports {state.value}; find the "
-                f"cause, then RESET it",
-                joint=joint.name,
-            )
+    status = _status(joint, answers, robot)
+    if status in (Status.SAFE_MODE, Status.ERROR):
+        raise PlaybackError(
+            f"joint {joint.name!r}: servo {joint.servo_id} reports {status.value}; find the "
+            f"cause, then RESET it",
+            joint=joint.name,
+        )
     needs: dict[str, float] = {"QSD": joint.speed_max_deg_s}
     if joint.drive == "timed":
         needs |= dict.fromkeys(("QAA", "QAD"), ramp_setting_deg_s2(joint))
@@ -217,6 +246,14 @@ def _check_joint(joint: Joint, answers: Answers, robot: Robot, warnings: list[st
                 f"in the robot file, or configure the servo",
                 path=robot.path,
             )
+
+
+def _status(joint: Joint, answers: Answers, robot: Robot) -> Status | None:
+    """Return what a servo says that it is doing, if it said so."""
+    code = answers.get((joint.bus, joint.servo_id, "Q"))
+    if not isinstance(code, int):
+        return None
+    return status_from(code, joint.model.family, robot.buses[joint.bus].firmware)
 
 
 def check_latency(buses: Mapping[str, Bus], questioners: Mapping[str, Questioner]) -> list[str]:
@@ -236,7 +273,9 @@ def check_latency(buses: Mapping[str, Bus], questioners: Mapping[str, Questioner
     return warnings
 
 
-def found(joints: Iterable[Joint], answers: Answers, start_deg: Mapping[str, float]) -> list[Found]:
+def found(
+    joints: Iterable[Joint], answers: Answers, robot: Robot, start_deg: Mapping[str, float]
+) -> list[Found]:
     """Return what is known of every servo, for people to look at before anything moves."""
     rows = []
     for joint in joints:
@@ -244,12 +283,14 @@ def found(joints: Iterable[Joint], answers: Answers, start_deg: Mapping[str, flo
         firmware = answers.get((joint.bus, joint.servo_id, "QF"))
         said = {key: stored(joint, answers, key) for key in ("QD", "QV", "QT", "QSD", "QAA")}
         assert said["QD"] is not None, "checked before"
+        status = _status(joint, answers, robot)
         rows.append(
             Found(
                 joint=joint.name,
                 servo_id=joint.servo_id,
                 model=None if model is None else str(model),
                 firmware=firmware if isinstance(firmware, int) else None,
+                status=None if status is None else status.value,
                 position_deg=joint.joint_deg(said["QD"]),
                 start_deg=start_deg[joint.name],
                 voltage_v=said["QV"],

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from lss_motion import api
+from lss_motion.player.events import Warned
 from lss_motion.robot.models import SERVO_MODELS
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics
@@ -117,6 +118,8 @@ def test_a_streamed_joint_that_stands_outside_of_its_range_is_led_back(stage, ki
     robot = mixed_robot(kit)
     played = stage.play(robot, start_deg={"j1": 130.0}, physics=QUIET)
     assert played.report["outcome"] == "finished"
+    warnings = [event.text for event in played.events if isinstance(event, Warned)]
+    assert [text.partition(",")[0] for text in warnings] == ["joint 'j1' stands at 130.0 deg"]
     told = [deg for _, deg in bare(played, STREAMED_ID)]
     assert told[0] == pytest.approx(130.0, abs=0.2)
     begun_ns = bare(played, STREAMED_ID)[0][0]

@@ -8,6 +8,7 @@ PAN = Found(
     servo_id=7,
     model="LSS-HT1",
     firmware=370,
+    status="limp",
     position_deg=-12.34,
     start_deg=30.0,
     voltage_v=11.96,
@@ -20,6 +21,7 @@ SILENT = Found(
     servo_id=120,
     model=None,
     firmware=None,
+    status=None,
     position_deg=0.0,
     start_deg=0.0,
     voltage_v=None,
@@ -36,6 +38,7 @@ def test_what_was_found_is_a_line_each_with_where_it_is_and_how_far_it_has_to_go
         "7",
         "LSS-HT1",
         "370",
+        "limp",
         "-12.3",
         "+42.3",
         "12.0",
@@ -43,5 +46,17 @@ def test_what_was_found_is_a_line_each_with_where_it_is_and_how_far_it_has_to_go
         "180",
         "600",
     ]
-    assert silent.split() == ["a_longer_name", "120", "-", "-", "0.0", "+0.0", "-", "-", "-", "-"]
+    assert silent.split() == [
+        "a_longer_name",
+        "120",
+        "-",
+        "-",
+        "-",
+        "0.0",
+        "+0.0",
+        "-",
+        "-",
+        "-",
+        "-",
+    ]
     assert [len(line) for line in (pan, silent)] == [len(head)] * 2

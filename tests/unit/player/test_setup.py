@@ -108,3 +108,21 @@ def test_the_safe_state_goes_to_every_bus(kit):
 def test_a_joint_that_was_let_go_stays_so(kit):
     one = kit.joint()
     assert setup.safe_bytes(kit.robot(one), limp=[one]) == {"main": b"#254H\r#1L\r"}
+
+
+@pytest.mark.parametrize(("wire", "is_said"), [(-905, False), (905, False), (1201, True)])
+def test_a_joint_that_stands_outside_of_its_range_is_named_with_both(kit, wire, is_said):
+    one = kit.joint(position_min_deg=-90.0, position_max_deg=90.0, direction=-1)
+    texts = setup.check_range([one], answers(QD=wire))
+    assert [text.partition(", and")[0] for text in texts] == [
+        "joint 'j0' stands at -120.1 deg, outside of its range of -90 to 90 deg"
+    ] * is_said
+
+
+def test_a_servo_says_whether_it_is_limp_before_it_moves(kit):
+    one = kit.joint()
+    said = [
+        setup.found([one], answers(Q=code), kit.robot(one), {"j0": 0.0})[0].status
+        for code in (1, 6, "silent")
+    ]
+    assert said == ["limp", "holding", None]
