@@ -265,6 +265,6 @@ def _ahead(most: np.ufunc, values: SingleArray) -> SingleArray:
 
 def _bends(accel_deg_s2: SingleArray, ramp_deg_s2: float) -> IntArray:
     """Return the grid points at which the acceleration jumps by a good share of the ramp."""
-    jump = np.abs(np.diff(accel_deg_s2, prepend=0.0))
+    jump = np.abs(np.diff(accel_deg_s2, prepend=np.float32(0.0)))
     found: IntArray = np.flatnonzero(jump > BEND_RATIO * ramp_deg_s2)
     return found

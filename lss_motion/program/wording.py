@@ -64,7 +64,8 @@ def durations_ms(
     speed = np.maximum(speed_deg_s, SPEED_LEAST_DEG_S)
     wanted_s = durations_for(start, target_deg, speed, limits.ramp_deg_s2, limits.is_exact)
     duration_ms = np.rint(MS_PER_S * wanted_s)
-    duration_ms = np.clip(duration_ms, DURATION_MIN_MS, DURATION_MAX_MS)
+    np.minimum(duration_ms, DURATION_MAX_MS, out=duration_ms)
+    np.maximum(duration_ms, DURATION_MIN_MS, out=duration_ms)
     away_deg = np.abs(target_deg - start.position_deg)
     duration_ms += away_deg * MS_PER_S > limits.speed_max_deg_s * duration_ms
     return duration_ms
@@ -72,7 +73,10 @@ def durations_ms(
 
 def lattices(wire: FloatArray, limits: LimitArrays) -> FloatArray:
     """Return the whole wire values nearest to `wire` inside the range of the joints."""
-    return np.clip(np.rint(wire), limits.wire_min, limits.wire_max)
+    whole: FloatArray = np.rint(wire)
+    np.minimum(whole, limits.wire_max, out=whole)
+    np.maximum(whole, limits.wire_min, out=whole)
+    return whole
 
 
 def lattice(position_deg: float, limits: ServoLimits) -> int:
