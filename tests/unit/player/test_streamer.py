@@ -41,18 +41,27 @@ class Stage:
     """A streamer on a line, in virtual time."""
 
     def __init__(
-        self, kit, moves=THERE_AND_BACK, *, joint=None, start_s=None, has_feedback=False, **fields
+        self,
+        kit,
+        moves=THERE_AND_BACK,
+        *,
+        joint=None,
+        others=(),
+        start_s=None,
+        has_feedback=False,
+        **fields,
     ):
         """With feedback, too, no question is asked."""
         joint = joint or kit.joint("j0", 1)
+        standing_deg = dict.fromkeys(["j0", *(other.name for other in others)], 0.0)
         sensors = {"eye": Sensor(name="eye", servo_id=209, bus="main")}
-        self.robot = kit.robot(joint, sensors=sensors)
+        self.robot = kit.robot(joint, *others, sensors=sensors)
         streamed = {"j0": Driving("streamed", joint.filter_count)}
         self.program = Program(
             name="show",
             robot="bench",
             moves=moves,
-            start_deg={"j0": 0.0},
+            start_deg=standing_deg,
             tolerance_deg=0.2,
             drives=streamed if joint.drive == "streamed" else {},
             **{"duration_s": END_S, **fields},
@@ -63,7 +72,7 @@ class Stage:
             self.robot,
             lines={"main": self.line},
             questioners={"main": Questioner(self.line)},
-            standing_deg={"j0": 0.0},
+            standing_deg=standing_deg,
             has_feedback=has_feedback,
             start_ns=START_NS,
             start_s=start_s,
@@ -158,6 +167,14 @@ def test_what_was_told_late_is_waited_for(kit):
     assert not stage.streamer.is_finished(stage.now_ns)
     assert not stage.streamer.is_finished(START_NS + 3 * S)
     assert stage.streamer.is_finished(START_NS + round(3.5e9))
+
+
+def test_all_joints_must_have_come_to_rest(kit):
+    moves = (move(0.1, 40.0), move(0.2, 40.0, servo_id=2))
+    stage = Stage(kit, moves, others=[kit.joint("j1", 2)], duration_s=0.3).run(0.6)
+    assert stage.streamer.tracks["j0"].is_at_rest(START_NS + 1040 * MS)
+    assert not stage.streamer.is_finished(START_NS + 1040 * MS)
+    assert stage.streamer.is_finished(START_NS + 1200 * MS)
 
 
 @pytest.mark.parametrize(("late_s", "said"), [(0.0004, b"T800"), (0.2, b"T600"), (0.9, b"T223")])
@@ -424,12 +441,15 @@ def test_a_streamed_joint_is_led_through_a_pause_and_then_has_its_own_moves_agai
     assert len(stage.sent) == still, "nothing is said while it stands"
     set_rate(stage, 1.0)
     stage.run(6.0)
+    ramp_s = [at_s for at_s, _ in stage.sent if 2.7 < at_s < 2.8]
+    assert len(ramp_s) > 3
+    assert np.diff(ramp_s) == pytest.approx(0.02, abs=2e-3)
     own = {one.data for one in moves}
     assert all(line in own for at_s, line in stage.sent if at_s > 3.5)
     assert min(np.diff([at_s for at_s, _ in stage.sent if at_s > 2.6])) > 0.01
     assert stage.streamer.statistics.timing()["commands"] == len(stage.sent)
     assert stage.streamer.statistics.max_ns < MS
-    assert stage.off_deg() < 2.5
+    assert stage.off_deg() < 1.0
     assert stage.streamer.is_finished(stage.now_ns)
 
 
@@ -532,3 +552,12 @@ def test_a_slower_show_stands_at_a_wait_on_its_path_and_goes_on_as_slowly(kit, i
     begins_s = 2.5 if is_met else 3.0
     assert min(at_s for at_s, _ in stage.sent if at_s > 2.0) == pytest.approx(begins_s, abs=0.3)
     assert stage.track.place(stage.now_ns) == (-20.0, 0.0)
+
+
+def test_before_the_first_move_another_rate_says_nothing(kit):
+    stage = Stage(kit, (move(2.0, 40.0),), duration_s=3.0)
+    set_rate(stage, 0.5)
+    stage.run(0.5)
+    set_rate(stage, 1.0)
+    stage.run(5.0)
+    assert [line for _, line in stage.sent] == [b"#1D400T800\r"]
