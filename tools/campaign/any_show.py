@@ -12,10 +12,12 @@ from lss_motion.errors import LssMotionError
 from lss_motion.protocol.family import Family
 from lss_motion.robot.model import Bus, Joint, Robot
 from lss_motion.robot.models import FAMILIES, SERVO_MODELS
+from lss_motion.robot.on_fault import Cause, FaultStep, ladder_problem
 from lss_motion.sequence.model import Keyframe, Sequence
 
 if TYPE_CHECKING:
     from lss_motion.robot.model import ServoModel
+    from lss_motion.robot.on_fault import Ladders
 
 JOINTS_MAX: Final = 8
 BAUDS_BPS: Final = (19_200, 38_400, 57_600, 115_200)
@@ -25,6 +27,7 @@ STEPS_S: Final = (0.3, 0.9)
 TRIES_MAX: Final = 40
 """Of what is drawn, most can be planned and carried; one of a million seeds cannot 40 times."""
 MODELS: Final = ("LSS-ST1", "LSS-ST1", "LSS-HT1", "LSS-HS1", "LSS-P-S1", "LSS-2IO")
+LADDERS_EVERY: Final = 3
 RC_IDS: Final = (209, 210, 211)
 
 
@@ -68,8 +71,16 @@ def _robot(random: Random, seed: int) -> Robot:
         },
         joints=joints,
         resume_s=RESUME_S,
+        on_fault=_ladders(seed) if seed % LADDERS_EVERY == 0 else {},
         end=random.choice(("hold", "hold", "limp")),
     )
+
+
+def _ladders(seed: int) -> Ladders:
+    """Return what is done about some of what may be wrong: any ladder that makes sense."""
+    random = Random(f"{seed}/ladders")
+    drawn = {cause: tuple(random.sample(list(FaultStep), random.randint(1, 3))) for cause in Cause}
+    return {cause: steps for cause, steps in drawn.items() if not ladder_problem(cause, steps)}
 
 
 def _joint(random: Random, name: str, bus: str, servo_id: int, model: ServoModel) -> Joint:
