@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from dataclasses import dataclass, field
 from functools import partial
@@ -12,11 +11,12 @@ import numpy as np
 
 from lss_motion.connection import ask_limits, connect, is_simulated, with_port
 from lss_motion.errors import BusError, InputError, LssMotionError
-from lss_motion.player.events import CueReached, Warned
+from lss_motion.player.events import Warned
 from lss_motion.player.player import Player
 from lss_motion.program.compile import compile_program as compile  # noqa: A004
 from lss_motion.robot.load import load_robot
 from lss_motion.runtime.clock import MonotonicClock, VirtualClock
+from lss_motion.runtime.performer import performing
 from lss_motion.runtime.real_time import real_time
 from lss_motion.runtime.reopening import ReopeningPort
 from lss_motion.runtime.report import make_report, run_seconds
@@ -26,7 +26,7 @@ from lss_motion.trajectory.planner import plan
 from lss_motion.units import NS_PER_MS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -157,24 +157,22 @@ def perform(  # noqa: PLR0913  (the wishes of one run)
     With `trajectory`, the report says how far the simulated horns were from it. `faults` befall
     the simulated buses, and in virtual time the host. While `is_open`, the show does not end with
     the program but waits for what `observer.controls` extend it by; with `must_ask` nothing moves
-    before they say `go`. `is_real_time` asks the system for real-time priority and locked memory;
-    what it refuses is warned of. Raises `InputError` or `BusError` only for what stops it before
-    the first byte.
+    before they say `go`. `is_real_time` asks for real-time priority and locked memory; what is
+    refused is warned of. Raises `InputError` or `BusError` only before the first byte.
     """
     simulated = is_simulated(robot)
-    if program.waits and not has_feedback:
-        raise InputError("the show waits for a sensor, which must be asked: not with --no-feedback")
-    _check_bus(faults, simulated=simulated, is_virtual=is_virtual)
+    _check(program, faults, has_feedback=has_feedback, simulated=simulated, is_virtual=is_virtual)
     clock = _clock(faults, is_virtual=is_virtual, seed=seed)
     connection = connect(robot.buses, robot=robot, clock=clock, seed=seed, faults=faults)
     started_ns = clock.now_ns()
     wishes = {"has_feedback": has_feedback, "must_ask": must_ask, "is_open": is_open}
     player = Player(program, robot, start_s=start_s, **wishes)
     error, observer = None, observer or Observer()
+    note = _Noting(observer.on_event)
     try:
         with (
             real_time(is_wanted=is_real_time) as refused,
-            _performing(program, observer.on_event, is_virtual=is_virtual) as on_event,
+            performing(program.cues, note, is_virtual=is_virtual) as on_event,
         ):
             for text in refused:
                 on_event(Warned(text))
@@ -198,6 +196,7 @@ def perform(  # noqa: PLR0913  (the wishes of one run)
         run_s=run_seconds(started_ns, clock.now_ns()),
         is_simulated=simulated,
         outcome=_outcome(player, error),
+        warnings=note.warnings,
         horn_error_deg=_horn_error_deg(truth, trajectory),
     )
     return Result(
@@ -214,44 +213,18 @@ def _outcome(player: Player, error: LssMotionError | None) -> str:
     return "lost" if is_lost and player.show is not None else player.outcome or "stopped"
 
 
-@contextlib.contextmanager
-def _performing(
-    program: Program, on_event: Callable[[Event], None] | None, *, is_virtual: bool
-) -> Iterator[Callable[[Event], None]]:
-    """Yield what is to be told of events: it sets off functions and sounds, then tells `on_event`.
+class _Noting:
+    """Tells `on_event` of events, and keeps the texts of warnings."""
 
-    In virtual time nothing is set off: an hour of sounds would come at once. Raises `InputError`
-    for a function that is not there.
-    """
-    tell = on_event or _unheard
-    if not any(cue.run or cue.sound for cue in program.cues):
-        yield tell
-        return
-    from lss_motion.runtime.performer import Performer, check_functions
+    def __init__(self, on_event: Callable[[Event], None] | None) -> None:
+        self.warnings: list[str] = []
+        self._on_event = on_event
 
-    if is_virtual:
-        check_functions(program.cues)
-        yield tell
-        return
-    performer = Performer(program.cues)
-
-    def perform_and_tell(event: Event) -> None:
-        if isinstance(event, CueReached):
-            performer.perform(event.cue)
-        tell(event)
-
-    try:
-        with performer:
-            for text in performer.warnings:
-                tell(Warned(text))
-            yield perform_and_tell
-    finally:
-        for text in performer.undone():
-            tell(Warned(text))
-
-
-def _unheard(event: Event) -> None:
-    """Tell nobody."""
+    def __call__(self, event: Event) -> None:
+        if isinstance(event, Warned):
+            self.warnings.append(event.text)
+        if self._on_event is not None:
+            self._on_event(event)
 
 
 def _reopening(connection: Connection, player: Player) -> dict[str, ReopeningPort]:
@@ -269,8 +242,17 @@ def _reopening(connection: Connection, player: Player) -> dict[str, ReopeningPor
     }
 
 
-def _check_bus(faults: Sequence[Fault], *, simulated: bool, is_virtual: bool) -> None:
-    """Refuse what a real bus cannot do, and faults that could not happen."""
+def _check(
+    program: Program,
+    faults: Sequence[Fault],
+    *,
+    has_feedback: bool,
+    simulated: bool,
+    is_virtual: bool,
+) -> None:
+    """Refuse what cannot be played so: waits, a real bus, faults that could not happen."""
+    if program.waits and not has_feedback:
+        raise InputError("the show waits for a sensor, which must be asked: not with --no-feedback")
     if is_virtual and not simulated:
         raise InputError("--virtual needs the simulated bus: use it with --port sim://")
     if not faults:

@@ -12,8 +12,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import BusError, LssMotionError
-from lss_motion.player.events import Event, Phase
-from lss_motion.player.phases import Phases
+from lss_motion.player.events import Event, Phase, Warned
+from lss_motion.player.gaps import Gaps
+from lss_motion.player.phases import DRIVING, Phases
 from lss_motion.player.session import Session
 from lss_motion.player.troubles import Verdict
 from lss_motion.program.predict import driven
@@ -56,12 +57,14 @@ class Player:
         self.questioners = session.questioners
         self._phases = Phases(session, must_ask=must_ask, is_open=is_open)
         self._may_grow = is_open
+        self._gaps = Gaps()
         self._stops = 0
 
     # ---- the four calls
 
     def data_to_send(self, now_ns: int) -> Mapping[str, bytes]:
         """Return what must be written now, per bus; buses with nothing to write are left out."""
+        self._note_gap(now_ns)
         self._phases.advance(now_ns)
         return {name: data for name, line in self.lines.items() if (data := line.take())}
 
@@ -72,7 +75,9 @@ class Player:
 
     def next_wakeup_ns(self) -> int | None:
         """Return when `data_to_send` must be called at the latest; None when it is over."""
-        return self._phases.next_wakeup_ns()
+        wakeup_ns = self._phases.next_wakeup_ns()
+        self._gaps.expect(wakeup_ns)
+        return wakeup_ns
 
     def next_event(self) -> Event | None:
         return self._phases.events.popleft() if self._phases.events else None
@@ -80,6 +85,12 @@ class Player:
     def safe_bytes(self) -> Mapping[str, bytes]:
         """Return the last bytes for each bus if it ends here; none if nothing was ever moved."""
         return self._phases.safe_bytes()
+
+    def _note_gap(self, now_ns: int) -> None:
+        show_s = None if self.show is None else self.show.show_s(now_ns)
+        text = self._gaps.text(now_ns, show_s)
+        if text is not None and self.phase in DRIVING:
+            self._phases.events.append(Warned(text))
 
     # ---- what there is to know
 

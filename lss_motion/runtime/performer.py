@@ -20,12 +20,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError
+from lss_motion.player.events import CueReached, Warned
 from lss_motion.sequence.functions import function_problem
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable
+    from collections.abc import Callable, Collection, Iterable, Iterator
     from types import TracebackType
 
+    from lss_motion.player.events import Event
     from lss_motion.sequence.model import Cue
 
 SOUND_PLAYERS: Final = (
@@ -136,6 +138,37 @@ class Performer:
 
 def _named(cue: Cue) -> str:
     return f"run {cue.run}" if cue.run else f"sound {Path(cue.sound).name}"
+
+
+@contextlib.contextmanager
+def performing(
+    cues: Collection[Cue], tell: Callable[[Event], None], *, is_virtual: bool
+) -> Iterator[Callable[[Event], None]]:
+    """Yield what is to be told of events: it sets off functions and sounds, then tells `tell`.
+
+    In virtual time nothing is set off: an hour of sounds would come at once. Raises `InputError`
+    for a function that is not there.
+    """
+    if is_virtual:
+        check_functions(cues)
+    if is_virtual or not any(cue.run or cue.sound for cue in cues):
+        yield tell
+        return
+    performer = Performer(cues)
+
+    def perform_and_tell(event: Event) -> None:
+        if isinstance(event, CueReached):
+            performer.perform(event.cue)
+        tell(event)
+
+    try:
+        with performer:
+            for text in performer.warnings:
+                tell(Warned(text))
+            yield perform_and_tell
+    finally:
+        for text in performer.undone():
+            tell(Warned(text))
 
 
 def sound_player() -> tuple[str, ...] | None:

@@ -13,7 +13,7 @@ from lss_motion.player.statistics import Statistics
 from lss_motion.units import LINE_BITS_PER_BYTE, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from lss_motion.player.player import Player
@@ -30,6 +30,7 @@ def make_report(
     run_s: float,
     is_simulated: bool,
     outcome: str,
+    warnings: Sequence[str] = (),
     horn_error_deg: Mapping[str, tuple[float, float]] | None = None,
 ) -> dict[str, Any]:
     """Return the report of a run that took `run_s` in all, from the first question on.
@@ -56,6 +57,7 @@ def make_report(
             {"joint": f.joint, "cause": f.cause, "kind": f.kind, "step": f.step}
             for f in player.faults
         ],
+        "warnings": list(warnings),
     }
     for name, track in (show.tracks if show is not None else {}).items():
         report["joints"][name] = _joint(track, program)

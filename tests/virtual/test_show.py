@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -211,6 +212,20 @@ def test_a_servo_that_is_too_old_to_be_streamed_is_named_with_its_firmware(stage
     assert "servo 1 has firmware 362" in str(played.result.error)
     assert "firmware 368 or later" in str(played.result.error)
     assert_nothing_moved(played)
+
+
+@pytest.mark.parametrize(("late_s", "is_said"), [(3.0, True), (0.1, False)])
+def test_a_process_that_was_stopped_for_a_while_says_so_in_its_report(stage, kit, late_s, is_said):
+    sleep = Fault(kind=FaultKind.OVERSLEEP, at_s=4.0, until_s=4.05, late_s=late_s)
+    played = stage.play(kit.robot(1), kit.sequence(1), faults=[sleep])
+    warnings = [event.text for event in played.events if isinstance(event, Warned)]
+    assert played.report["warnings"] == warnings
+    assert len(warnings) == is_said
+    clock = played.result.player.show.clock
+    for text in warnings:
+        said_s, show_s = map(float, re.findall(r"[0-9.]+(?= s[ ,])", text))
+        assert said_s == pytest.approx(late_s, abs=0.05)
+        assert show_s == pytest.approx(clock.show_s(7_000_000_000), abs=0.05)
 
 
 def test_other_firmware_is_a_warning(stage, kit):

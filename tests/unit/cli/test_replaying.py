@@ -125,16 +125,19 @@ def test_what_is_no_report_is_refused(played, tmp_path, capsys, text, why):
     assert "Error" not in said
 
 
-def test_a_fault_of_a_port_names_no_joint(played, tmp_path, capsys):
+def test_faults_and_warnings_are_printed_and_that_of_a_port_names_no_joint(
+    played, tmp_path, capsys
+):
     report = json.loads((played / "a.json").read_text())
     report["faults"] = [
         {"joint": joint, "cause": "is gone", "kind": "silent", "step": "hold"}
         for joint in ("", "base")
     ]
+    report["warnings"] = ["it was late"]
     (tmp_path / "faulty.json").write_text(json.dumps(report))
     assert main(["report", str(tmp_path / "faulty.json")]) == EXIT_FINISHED
-    faults = [line for line in capsys.readouterr().out.splitlines() if line.startswith("fault")]
-    assert faults == ["fault: is gone", "fault: joint 'base' is gone"]
+    said = capsys.readouterr().out.splitlines()
+    assert said[-3:] == ["fault: is gone", "fault: joint 'base' is gone", "warning: it was late"]
 
 
 def test_what_nobody_has_measured_is_shown_as_no_zero(played, tmp_path, capsys):

@@ -3,14 +3,12 @@ from __future__ import annotations
 import os
 import stat
 import sys
-from types import SimpleNamespace
 
 import pytest
 
-from lss_motion import api
 from lss_motion.errors import InputError
 from lss_motion.player.events import CueReached, Warned
-from lss_motion.runtime.performer import Performer
+from lss_motion.runtime.performer import Performer, performing
 from lss_motion.sequence.model import Cue
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="plays a shell script")
@@ -119,8 +117,7 @@ def test_neither_a_function_nor_its_programs_can_print_into_what_is_counted(fold
 def test_a_show_ends_with_a_warning_of_what_was_not_run(folder, monkeypatch):
     monkeypatch.setattr("lss_motion.runtime.performer.CLOSE_S", 0.1)
     stay, told = cue(folder, "stay", 1.0), []
-    program = SimpleNamespace(cues=[stay])
-    with api._performing(program, told.append, is_virtual=False) as on_event:
+    with performing([stay], told.append, is_virtual=False) as on_event:
         on_event(CueReached(stay, 1.0))
     assert told[0] == CueReached(stay, 1.0)
     assert [event.text[:31] for event in told[1:]] == ["not done: run effects:stay at 1"]

@@ -71,5 +71,9 @@ def test_faults_are_named():
     assert json.loads(json.dumps(report(playing)["faults"])) == [said]
 
 
+def test_warnings_are_kept():
+    assert report(player(), warnings=["it was late"])["warnings"] == ["it was late"]
+
+
 def test_run_seconds_are_seconds():
     assert run_seconds(1_000_000_000, 3_500_000_000) == 2.5

@@ -1,0 +1,29 @@
+from __future__ import annotations
+
+from lss_motion.player.gaps import GAP_NS, NAMED_MAX, Gaps
+
+S = 1_000_000_000
+
+
+def test_only_what_is_far_later_than_was_asked_for_is_named():
+    gaps = Gaps()
+    assert gaps.text(9 * S, None) is None
+    for wakeup_ns, now_ns, is_named in (
+        (10 * S, 9 * S, False),
+        (10 * S, 10 * S + GAP_NS - 1, False),
+        (10 * S, 10 * S + GAP_NS, True),
+        (None, 99 * S, False),
+    ):
+        gaps.expect(wakeup_ns)
+        assert (gaps.text(now_ns, None) is not None) is is_named
+        assert gaps.text(now_ns + S, None) is None, "it was named"
+
+
+def test_it_is_said_how_long_and_where_and_not_for_ever():
+    gaps, texts = Gaps(), []
+    for _ in range(NAMED_MAX + 5):
+        gaps.expect(2 * S)
+        texts.append(gaps.text(5 * S, 7.25))
+    assert texts[0].startswith("this program was held up for 3.00 s, up to 7.25 s of the show")
+    assert [text is None for text in texts] == [False] * NAMED_MAX + [True] * 5
+    assert texts[NAMED_MAX - 1].endswith("More of this is not told")
