@@ -11,7 +11,6 @@ import contextlib
 import json
 import math
 import os
-import signal
 import subprocess
 import sys
 from typing import TYPE_CHECKING, Any, Final
@@ -82,6 +81,7 @@ class Display:
         self._child = subprocess.Popen(  # noqa: S603  (our own words)
             [sys.executable, "-m", "lss_motion.cli.display", self._keys_help],
             stdin=subprocess.PIPE,
+            start_new_session=True,  # Ctrl-C is for the player, even while this starts.
         )
         assert self._child.stdin is not None
         self._pipe_fd = self._child.stdin.fileno()
@@ -236,7 +236,6 @@ def _table(joints: list[list[Any]]) -> Table:
 
 def main() -> int:
     """Draw what comes in until there is no more."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     stand_back()
     from rich.console import Console
     from rich.live import Live

@@ -98,8 +98,8 @@ class Phases:
         return self._now_ns + IDLE_NS if wakeup_ns is None else max(wakeup_ns, self._now_ns)
 
     def safe_bytes(self) -> Mapping[str, bytes]:
-        """Return the last bytes for each bus if it ends here; none if nothing was ever moved."""
-        if not self.has_moved:
+        """Return the last bytes for each bus if it ends here; none if all were only ever asked."""
+        if not self._has_set:
             return {}
         is_limp = self._session.robot.end == "limp" and self.outcome == "finished"
         return self._session.safe_bytes(is_limp=is_limp)

@@ -83,7 +83,7 @@ class Player:
         return self._phases.events.popleft() if self._phases.events else None
 
     def safe_bytes(self) -> Mapping[str, bytes]:
-        """Return the last bytes for each bus if it ends here; none if nothing was ever moved."""
+        """Return the last bytes for each bus if it ends here; none if all were only ever asked."""
         return self._phases.safe_bytes()
 
     def _note_gap(self, now_ns: int) -> None:

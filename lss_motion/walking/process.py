@@ -11,6 +11,7 @@ import multiprocessing
 import signal
 import time
 from dataclasses import replace
+from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -21,6 +22,7 @@ from lss_motion.program.response import Reference
 from lss_motion.walking.planner import Planner, Request
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from multiprocessing.connection import Connection
     from types import TracebackType
 
@@ -49,7 +51,8 @@ class PlannerProcess:
         self._process = context.Process(
             target=_serve, args=(other, gait, robot, tolerance_deg), daemon=True
         )
-        self._process.start()
+        with _unheard():
+            self._process.start()
         other.close()
         self.planning_s = 0.0
 
@@ -99,6 +102,22 @@ class PlannerProcess:
             raise PlanningError(LOST) from error
 
 
+@contextlib.contextmanager
+def _unheard() -> Iterator[None]:
+    """Let a process that is started meanwhile hear nothing of the keyboard: the player does."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    resource_tracker.ensure_running()  # It would let them through again when it starts.
+    before = signal.pthread_sigmask(
+        signal.SIG_BLOCK, (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP)
+    )
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def packed(answer: Answer) -> tuple[Answer, Any]:
     """Return an answer without its profiles, and those as arrays; its moves are arrays already."""
     extension = answer.extension
@@ -118,7 +137,6 @@ def unpacked(answer: Answer, tables: Any) -> Answer:  # noqa: ANN401  (what `pac
 
 def _serve(connection: Connection, gait: Gait, robot: Robot, tolerance_deg: float) -> None:
     """Answer until the other end is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     planner = Planner(gait, robot, tolerance_deg)
     first = Request(wanted=FIRST, was_taken=False, begins_s=FIRST_S)
     planner.answer(first)  # Loads all that planning needs.
