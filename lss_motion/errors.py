@@ -25,7 +25,8 @@ EXIT_NO_PLAN = 3
 EXIT_UNREACHABLE = 4
 EXIT_NOT_FOLLOWED = 5
 EXIT_INTERRUPTED = 130
-EXIT_TERMINATED = 143
+EXIT_OF_SIGNAL = 128
+"""A signal is this and its number, as in any shell: 129 hangup, 130 interrupt, 143 terminate."""
 
 
 class LssMotionError(Exception):

@@ -19,7 +19,15 @@ if TYPE_CHECKING:
 KEYS_HELP: Final = "space pause, + - speed, q stop"
 RATE_STEP: Final = 0.1
 RATE_LEAST: Final = 0.1
-_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
+_SIGNALS: Final = tuple(
+    getattr(signal, name)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+    if hasattr(signal, name)
+)
+"""What asks a run to end: Ctrl-C, `kill`, a terminal that is closed (a dropped ssh), Ctrl-\\."""
+_HANGUP: Final = getattr(signal, "SIGHUP", None)
+UNHEARD_MAX: Final = 5
+"""So many signals that nobody takes end a program that hangs, as they would any other."""
 
 
 def is_at_keyboard() -> bool:
@@ -53,6 +61,7 @@ class Inputs:
     def __init__(self) -> None:
         self.signal_number: int | None = None
         self._pending: list[int] = []
+        self._has_hung_up = False
         self._stack = contextlib.ExitStack()
         self._keys_fd: int | None = None
         self._wake, self._alarm = socket.socketpair()
@@ -64,7 +73,8 @@ class Inputs:
         before = signal.set_wakeup_fd(self._alarm.fileno(), warn_on_full_buffer=False)
         self._stack.callback(signal.set_wakeup_fd, before)
         for number in _SIGNALS:
-            self._stack.callback(signal.signal, number, signal.signal(number, self._note))
+            if number != _HANGUP or signal.getsignal(number) is not signal.SIG_IGN:  # nohup
+                self._stack.callback(signal.signal, number, signal.signal(number, self._note))
         with contextlib.suppress(OSError, ValueError, ImportError):
             self._read_keys()
         return self
@@ -96,7 +106,14 @@ class Inputs:
         return count, self._keys()
 
     def _note(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002
+        if number == _HANGUP:
+            # Of one closed terminal the system and its shell tell more than once.
+            if self._has_hung_up:
+                return
+            self._has_hung_up = True
         self._pending.append(number)
+        if len(self._pending) > UNHEARD_MAX:
+            raise KeyboardInterrupt
 
     def _keys(self) -> str:
         if self._keys_fd is None or not select.select([self._keys_fd], [], [], 0.0)[0]:
@@ -116,7 +133,12 @@ class Inputs:
             return
         stdin = sys.stdin.fileno()
         before: list[Any] = termios.tcgetattr(stdin)
-        self._stack.callback(termios.tcsetattr, stdin, termios.TCSADRAIN, before)
+
+        def restore() -> None:
+            with contextlib.suppress(termios.error):  # The terminal may be gone.
+                termios.tcsetattr(stdin, termios.TCSADRAIN, before)
+
+        self._stack.callback(restore)
         tty.setcbreak(stdin)
         self._keys_fd = stdin
 

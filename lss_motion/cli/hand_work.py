@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import add_command
+from lss_motion.cli.messages import ended_by
 from lss_motion.cli.robots import robot_at
-from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, EXIT_TERMINATED, InputError
+from lss_motion.errors import EXIT_FINISHED, InputError
 
 if TYPE_CHECKING:
     import argparse
@@ -117,5 +117,5 @@ def _run(arguments: argparse.Namespace, hands_on: HandsOn, controls: HandsContro
     if controls.error is not None:
         raise controls.error
     if controls.signal_number is not None:
-        return EXIT_TERMINATED if controls.signal_number == signal.SIGTERM else EXIT_INTERRUPTED
+        return ended_by(controls.signal_number)
     return EXIT_FINISHED

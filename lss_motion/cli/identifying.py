@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -10,8 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import add_command
+from lss_motion.cli.messages import ended_by
 from lss_motion.cli.robots import robot_at
-from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, EXIT_TERMINATED, InputError
+from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, InputError
 
 if TYPE_CHECKING:
     import argparse
@@ -92,9 +92,8 @@ def _identify(arguments: argparse.Namespace) -> int:
             for joint in joints:
                 experiment = _measured(connection, robot, joint, span_deg, terminal)
                 if experiment.is_stopped:
-                    is_term = terminal.signal_number == signal.SIGTERM
                     print(f"{joint.name}: stopped; nothing was measured", file=sys.stderr)
-                    return EXIT_TERMINATED if is_term else EXIT_INTERRUPTED
+                    return ended_by(terminal.signal_number)
                 _conclude(arguments, path, joint, experiment)
                 path = path if arguments.no_write else arguments.output or path
     return EXIT_FINISHED

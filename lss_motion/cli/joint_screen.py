@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Final
 
+from lss_motion.cli.messages import put
 from lss_motion.units import NS_PER_S, s_from_ns
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ class Screen:
     def say(self, text: str) -> None:
         """Print a line for good, above what is drawn."""
         self._clear()
-        print(text, flush=True)
+        put(text)
 
     def show(self, lines: Sequence[str], now_ns: int) -> None:
         """Draw the lines in place of those before, if it is time."""
@@ -38,12 +39,12 @@ class Screen:
             return
         self._next_ns = now_ns + FRAME_NS
         self._clear()
-        print("\n".join(lines), file=sys.stderr, flush=True)
+        put("\n".join(lines), sys.stderr)
         self._drawn_count = len(lines)
 
     def _clear(self) -> None:
         if self._drawn_count:
-            print(f"\x1b[{self._drawn_count}A\x1b[J", end="", file=sys.stderr, flush=True)
+            put(f"\x1b[{self._drawn_count}A\x1b[J", sys.stderr, end="")
         self._drawn_count = 0
 
 

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.cli.messages import guarded
+from lss_motion.cli.messages import Printer, ended_by, guarded, nothing, put
 from lss_motion.cli.preflight import YES_HELP, Agreement, must_ask, table_lines
 from lss_motion.cli.report_text import report_lines
 from lss_motion.cli.robots import add_cache_option, reader
 from lss_motion.errors import (
     EXIT_FINISHED,
-    EXIT_INTERRUPTED,
     EXIT_NOT_FOLLOWED,
-    EXIT_TERMINATED,
     InputError,
 )
 from lss_motion.protocol.constants import Led
@@ -26,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from lss_motion.api import Result
+    from lss_motion.cli.controls import Terminal
     from lss_motion.cli.shows import Show
     from lss_motion.player.events import Event
     from lss_motion.robot.model import Robot
@@ -35,9 +33,10 @@ if TYPE_CHECKING:
 DESCRIPTION = "Play a sequence (YAML) or a compiled program (.lss) on a robot."
 EPILOG = """\
 A real robot is checked, what was found is shown, and you are asked before anything moves.
-While it plays: space pauses, + and - change the speed, q or Ctrl-C stops and holds; a second
-Ctrl-C stops at once. Exit codes: 0 played to the end, 2 your files or arguments, 3 no plan or the
-line cannot carry it, 4 port or servos not reachable, 5 the robot did not follow, 130 interrupted.
+While it plays: space pauses, + and - change the speed, q or Ctrl-C stops and holds, as does a
+signal or a terminal that is closed; a second Ctrl-C stops at once. Exit codes: 0 played to the end,
+2 your files or arguments, 3 no plan or the line cannot carry it, 4 port or servos not reachable,
+5 the robot did not follow, 130 interrupted, 128 and its number for any other signal.
 """
 WAITING: Final = {
     "begun": "        waiting for {}",
@@ -105,6 +104,7 @@ def play(arguments: argparse.Namespace) -> int:
     """Do what `lss-play` was asked for; return the exit code."""
     from lss_motion import api
     from lss_motion.cli import shows
+    from lss_motion.cli.controls import Terminal
 
     show = shows.prepare(
         arguments.file,
@@ -115,37 +115,46 @@ def play(arguments: argparse.Namespace) -> int:
     )
     robot = api.with_port(show.robot, arguments.port)
     _check(arguments, show, is_simulated=api.is_simulated(robot))
-    say = _nothing if arguments.quiet else _say
     if arguments.dry_run:
         from lss_motion.cli.check import program_lines
 
-        for line in program_lines(show):
-            say(line)
+        for line in [] if arguments.quiet else program_lines(show):
+            print(line)
         return EXIT_FINISHED
-    if api.is_simulated(robot):
-        how = "in virtual time" if arguments.virtual else "in real time"
-        say(f"{show.program.name}: no hardware, the robot {robot.name!r} is simulated {how}")
     is_asked = not arguments.virtual and must_ask(arguments, robot)
-    result, signal_number = _perform(arguments, show, robot, say, is_asked=is_asked)
-    _write_results(arguments, result)
-    if result.error is not None:
-        raise result.error
-    for line in report_lines(result.report):
-        say(line)
-    if result.report["outcome"] == "stopped":
-        return EXIT_TERMINATED if signal_number == signal.SIGTERM else EXIT_INTERRUPTED
-    if result.report["outcome"] == "fault":
-        from lss_motion.robot.on_fault import ENDING, FaultStep
+    with contextlib.ExitStack() as stack:
+        printer = Printer()
+        stack.callback(printer.finish)
+        say = nothing if arguments.quiet else printer.say
+        if api.is_simulated(robot):
+            how = "in virtual time" if arguments.virtual else "in real time"
+            say(f"{show.program.name}: no hardware, the robot {robot.name!r} is simulated {how}")
+        terminal = stack.enter_context(Terminal())
+        result = _perform(arguments, show, robot, say, terminal, is_asked=is_asked)
+        _write_results(arguments, result)
+        if result.error is not None:
+            raise result.error
+        for line in report_lines(result.report):
+            say(line)
+        return _exit_code(result, terminal)
 
-        for fault in result.player.faults:
-            if fault.step in ENDING:
-                let_go = ", this joint let go" if fault.step is FaultStep.LIMP else ""
-                print(
-                    f"lss-play: {fault}. The show was stopped and the robot holds{let_go}",
-                    file=sys.stderr,
-                )
-        return EXIT_NOT_FOLLOWED
-    return EXIT_FINISHED
+
+def _exit_code(result: Result, terminal: Terminal) -> int:
+    """Return the exit code of a show; say what ended it early, if that was a fault."""
+    match result.report["outcome"]:
+        case "stopped":
+            return ended_by(terminal.signal_number)
+        case "fault":
+            from lss_motion.robot.on_fault import ENDING, FaultStep
+
+            for fault in result.player.faults:
+                if fault.step in ENDING:
+                    let_go = ", this joint let go" if fault.step is FaultStep.LIMP else ""
+                    ending = f"The show was stopped and the robot holds{let_go}"
+                    put(f"lss-play: {fault}. {ending}", sys.stderr)
+            return EXIT_NOT_FOLLOWED
+        case _:
+            return EXIT_FINISHED
 
 
 def _check(arguments: argparse.Namespace, show: Show, *, is_simulated: bool) -> None:
@@ -170,11 +179,12 @@ def _perform(
     show: Show,
     robot: Robot,
     say: Callable[[str], None],
+    terminal: Terminal,
     *,
     is_asked: bool,
-) -> tuple[Result, int | None]:
+) -> Result:
     from lss_motion import api
-    from lss_motion.cli.controls import Noted, Terminal
+    from lss_motion.cli.controls import Noted
     from lss_motion.cli.display import Display
 
     with contextlib.ExitStack() as stack:
@@ -189,7 +199,6 @@ def _perform(
             played = {**_played(arguments), "must_ask": is_asked, "limits": robot.asked}
             log = ByteLog(arguments.log, played=played, may_wait=arguments.virtual)
             logs.append(stack.enter_context(log))
-        terminal = stack.enter_context(Terminal())
         controls = Noted(terminal, logs[0]) if logs else terminal
         note = logs[0].asked_for if logs else None
         observer = api.Observer(
@@ -198,7 +207,7 @@ def _perform(
             controls=Agreement(controls, terminal, robot.name, note),
             make_tap=logs[0].started if logs else None,
         )
-        result = api.perform(
+        return api.perform(
             show.program,
             robot,
             is_virtual=arguments.virtual,
@@ -211,7 +220,6 @@ def _perform(
             is_real_time=arguments.real_time,
             must_ask=is_asked,
         )
-        return result, terminal.signal_number
 
 
 def _played(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -232,10 +240,6 @@ def _faults(arguments: argparse.Namespace, robot: Robot) -> Sequence[Fault]:
     from lss_motion.sim.faults_file import load_faults
 
     return load_faults(arguments.faults, robot)
-
-
-def _nothing(text: str) -> None:
-    """Say nothing."""
 
 
 def tell(event: Event, say: Callable[[str], None]) -> None:
@@ -287,10 +291,6 @@ def _write_results(arguments: argparse.Namespace, result: Result) -> None:
         write_report(result.report, arguments.report)
     if arguments.truth is not None and result.truth is not None:
         api.write_truth(result.truth, arguments.truth)
-
-
-def _say(text: str) -> None:
-    print(text, flush=True)
 
 
 def _ratio(text: str) -> float:

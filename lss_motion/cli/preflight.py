@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Final
 
+from lss_motion.cli.messages import put
 from lss_motion.connection import is_simulated
 from lss_motion.errors import InputError
 from lss_motion.player.events import Phase
@@ -126,4 +127,4 @@ class Agreement:
 
 
 def _ask(text: str) -> None:
-    print(text, end="", file=sys.stderr, flush=True)
+    put(text, sys.stderr, end="")

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import add_command
 from lss_motion.cli.exchange import fit_text, tolerance
+from lss_motion.cli.messages import ended_by
 from lss_motion.cli.robots import robot_at
 from lss_motion.errors import (
     EXIT_FINISHED,
-    EXIT_INTERRUPTED,
-    EXIT_TERMINATED,
     BusError,
     InputError,
 )
@@ -107,7 +105,7 @@ def _record(arguments: argparse.Namespace) -> int:
     if lost is not None:
         raise lost
     if controls.signal_number is not None:
-        return EXIT_TERMINATED if controls.signal_number == signal.SIGTERM else EXIT_INTERRUPTED
+        return ended_by(controls.signal_number)
     return EXIT_FINISHED
 
 

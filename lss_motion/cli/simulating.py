@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import add_command
-from lss_motion.errors import EXIT_INTERRUPTED, EXIT_TERMINATED, InputError
+from lss_motion.cli.messages import ended_by
+from lss_motion.errors import InputError
 
 if TYPE_CHECKING:
     from lss_motion.cli.commands import Commands
@@ -102,7 +102,7 @@ def _sim(arguments: argparse.Namespace) -> int:
         hand=None if arguments.hand is None else hand_of(arguments.hand, robot),
         announce=lambda text: print(text, flush=True),
     )
-    return EXIT_TERMINATED if number == signal.SIGTERM else EXIT_INTERRUPTED
+    return ended_by(number)
 
 
 def _latency(text: str) -> int:

@@ -5,19 +5,17 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
-import signal
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.cli.commands import add_command
+from lss_motion.cli.messages import Printer, ended_by, nothing
 from lss_motion.cli.preflight import YES_HELP, Agreement, must_ask
 from lss_motion.cli.robots import add_cache_option, reader
 from lss_motion.errors import (
     EXIT_FINISHED,
-    EXIT_INTERRUPTED,
     EXIT_NOT_FOLLOWED,
-    EXIT_TERMINATED,
     InputError,
     PlanningError,
 )
@@ -83,10 +81,12 @@ def add_to(commands: Commands) -> None:
 def _walk(arguments: argparse.Namespace) -> int:
     from lss_motion import api
     from lss_motion.cli import shows
+    from lss_motion.cli.controls import Terminal
     from lss_motion.cli.report_text import report_lines
     from lss_motion.connection import with_port
     from lss_motion.gait.model import BodyPose
     from lss_motion.runtime.report import write_report
+    from lss_motion.walking.wishes import Wishes
 
     if arguments.report is not None and not arguments.report.absolute().parent.is_dir():
         raise InputError("cannot be written: there is no such folder", path=arguments.report)
@@ -94,26 +94,32 @@ def _walk(arguments: argparse.Namespace) -> int:
     gait, top = fastest(replace(gait, start=BodyPose()), robot, arguments)
     robot = with_port(robot, arguments.port)
     is_asked = must_ask(arguments, robot)
-    say: Callable[[str], None] = _nothing if arguments.quiet else _say
-    if api.is_simulated(robot):
-        say(f"{gait.name}: no hardware, the robot {robot.name!r} is simulated in real time")
-    say(f"at most {speed_text(top)}, one cycle {gait.cycle_s:.2f} s")
-    result, pilot, signal_number = _perform(arguments, gait, robot, top, say, is_asked=is_asked)
-    if arguments.report is not None:
-        write_report(result.report, arguments.report)
-    for failed in (result.error, pilot.lost):
-        if failed is not None:
-            raise failed
-    say(f"{pilot.taken} stretches walked, {pilot.late} planned too late")
-    for line in report_lines(result.report):
-        say(line)
-    match result.report["outcome"]:
-        case "stopped":
-            return EXIT_TERMINATED if signal_number == signal.SIGTERM else EXIT_INTERRUPTED
-        case "fault":
-            return EXIT_NOT_FOLLOWED
-        case _:
-            return EXIT_FINISHED
+    with contextlib.ExitStack() as stack:
+        printer = Printer()
+        stack.callback(printer.finish)
+        say: Callable[[str], None] = nothing if arguments.quiet else printer.say
+        if api.is_simulated(robot):
+            say(f"{gait.name}: no hardware, the robot {robot.name!r} is simulated in real time")
+        say(f"at most {speed_text(top)}, one cycle {gait.cycle_s:.2f} s")
+        wishes = Wishes(top)
+        terminal = stack.enter_context(Terminal(wishes.press))
+        steered = (wishes, terminal)
+        result, pilot = _perform(arguments, gait, robot, steered, say, is_asked=is_asked)
+        if arguments.report is not None:
+            write_report(result.report, arguments.report)
+        for failed in (result.error, pilot.lost):
+            if failed is not None:
+                raise failed
+        say(f"{pilot.taken} stretches walked, {pilot.late} planned too late")
+        for line in report_lines(result.report):
+            say(line)
+        match result.report["outcome"]:
+            case "stopped":
+                return ended_by(terminal.signal_number)
+            case "fault":
+                return EXIT_NOT_FOLLOWED
+            case _:
+                return EXIT_FINISHED
 
 
 def fastest(gait: Gait, robot: Robot, arguments: argparse.Namespace) -> tuple[Gait, Twist]:
@@ -150,29 +156,31 @@ class Reins:
     """Keys, gamepad and signals of one walk, between two commands."""
 
     def __init__(
-        self, pilot: Pilot, wishes: Wishes, link: PlannerProcess, say: Callable[[str], None]
+        self,
+        pilot: Pilot,
+        wishes: Wishes,
+        link: PlannerProcess,
+        terminal: Terminal,
+        say: Callable[[str], None],
     ) -> None:
-        self.terminal: Terminal | None = None
         self.gamepad: Gamepad | None = None
         self.sits: tuple[Any, Any] | None = None
         """The poses in which it stands and sits, if it can sit."""
         self._pilot = pilot
         self._wishes = wishes
         self._link = link
+        self._terminal = terminal
         self._say = say
         self._is_sitting = False
         self._said: object = None
 
     def filenos(self) -> Sequence[int]:
-        found = [self._link.fileno()]
-        for source in (self.terminal, self.gamepad):
-            found += [] if source is None else source.filenos()
-        return found
+        gamepad = [] if self.gamepad is None else self.gamepad.filenos()
+        return [self._link.fileno(), *self._terminal.filenos(), *gamepad]
 
     def act(self, driven: Player, now_ns: int) -> None:
         """Apply what was asked for since the last call."""
-        if self.terminal is not None:
-            self.terminal.act(driven, now_ns)
+        self._terminal.act(driven, now_ns)
         if self.gamepad is not None and (stick := self.gamepad.stick()) is not None:
             self._wishes.steer(*stick)
         wishes, pilot = self._wishes, self._pilot
@@ -201,15 +209,14 @@ def _perform(
     arguments: argparse.Namespace,
     gait: Gait,
     robot: Robot,
-    top: Twist,
+    steered: tuple[Wishes, Terminal],
     say: Callable[[str], None],
     *,
     is_asked: bool,
-) -> tuple[Result, Pilot, int | None]:
+) -> tuple[Result, Pilot]:
     import sys
 
     from lss_motion import api
-    from lss_motion.cli.controls import Terminal
     from lss_motion.cli.display import Display
     from lss_motion.cli.play import tell
     from lss_motion.cli.shows import GAIT_TOLERANCE_DEG
@@ -218,10 +225,9 @@ def _perform(
     from lss_motion.walking.pilot import Pilot
     from lss_motion.walking.planner import Planner
     from lss_motion.walking.process import PlannerProcess
-    from lss_motion.walking.wishes import Wishes
 
     planner = Planner(gait, robot, GAIT_TOLERANCE_DEG)
-    wishes = Wishes(top)
+    wishes, terminal = steered
     with contextlib.ExitStack() as stack:
         link = stack.enter_context(PlannerProcess(gait, robot, GAIT_TOLERANCE_DEG))
         pilot = Pilot(
@@ -235,12 +241,11 @@ def _perform(
             display = Display(KEYS_HELP, say=say)
             stack.callback(display.close)
         note = say if display is None else display.note
-        reins = Reins(pilot, wishes, link, note)
+        reins = Reins(pilot, wishes, link, terminal, note)
         if gait.sit is not None:
             reins.sits = (BodyPose(), gait.sit)
         if arguments.gamepad is not None:
             reins.gamepad = stack.enter_context(Gamepad(arguments.gamepad))
-        reins.terminal = stack.enter_context(Terminal(wishes.press))
         result = api.perform(
             planner.program,
             robot,
@@ -249,12 +254,12 @@ def _perform(
             observer=api.Observer(
                 on_event=lambda event: tell(event, note),
                 on_turn=None if display is None else display.show,
-                controls=Agreement(reins, reins.terminal, robot.name),
+                controls=Agreement(reins, terminal, robot.name),
             ),
             is_open=True,
             must_ask=is_asked,
         )
-        return result, pilot, reins.terminal.signal_number
+        return result, pilot
 
 
 def speed_text(twist: Twist) -> str:
@@ -270,11 +275,3 @@ def _speed(text: str) -> float:
     if not (math.isfinite(value) and 0.0 < value <= 10_000.0):
         raise argparse.ArgumentTypeError(f"{text} is not a speed above 0")
     return value
-
-
-def _nothing(text: str) -> None:
-    """Say nothing."""
-
-
-def _say(text: str) -> None:
-    print(text, flush=True)

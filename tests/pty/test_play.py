@@ -134,6 +134,38 @@ def at_a_keyboard(folder, port, *options):
         os.close(terminal)
 
 
+@contextmanager
+def on_a_terminal(folder, port, *options):
+    """Play with a terminal for all it says and hears; yields the process and the other end."""
+    (folder / "sway.yaml").write_text(SWAY % 1)
+    other_end, terminal = pty.openpty()
+    command = [sys.executable, "-c", IN_FRONT, "play", str(folder / "sway.yaml"), "--port",
+               port.path, *options]  # fmt: skip
+    process = subprocess.Popen(command, stdin=terminal, stdout=terminal, stderr=terminal)
+    os.close(terminal)
+    with os.fdopen(other_end, "r+b", buffering=0) as screen:
+        try:
+            yield process, screen
+        finally:
+            process.kill()
+            process.wait()
+
+
+def read_until(screen, text):
+    """Read what stands on the screen until it is `text`; or, for None, until nobody writes."""
+    said = b""
+    while text is None or text not in said:
+        try:
+            more = screen.read(4096)
+        except OSError:  # Nobody has the terminal open any more.
+            more = b""
+        if not more:
+            assert text is None, f"it never said {text}: {said}"
+            break
+        said += more
+    return said
+
+
 def wait_for_question(process):
     """Read until the question, which ends no line; return what was said before."""
     said = ""
@@ -220,7 +252,9 @@ def test_a_show_reaches_its_end_and_every_keyframe_over_a_real_terminal(folder):
     assert said["joints"]["pan"]["readings"] > 20
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGQUIT, 131)]
+)
 def test_a_signal_in_the_middle_brakes_restores_and_holds(folder, number, code):
     with simulated(folder) as port:
         with playing(folder, port, loop="forever") as process:
@@ -230,13 +264,37 @@ def test_a_signal_in_the_middle_brakes_restores_and_holds(folder, number, code):
             _, errors = process.communicate(timeout=20)
         assert process.returncode == code
         assert errors == ""
-        heard = [line.rstrip(b"\r") for line in lines_heard(port)]
-        assert heard[-1] == b"#254H"
-        for setting in SESSION_BEFORE:
-            assert setting in heard[-12:]
+        assert_restored_and_held(port)
         end_ns = port.bus.heard[-1][0]
         last = port.bus.horn_deg(np.arange(end_ns - 100_000_000, end_ns, 5_000_000))
         assert np.ptp(last, axis=0).max() < 0.2  # It stood still before it was told to hold.
+
+
+def assert_restored_and_held(port):
+    heard = [line.rstrip(b"\r") for line in lines_heard(port)]
+    assert heard[-1] == b"#254H"
+    for setting in SESSION_BEFORE:
+        assert setting in heard[-12:]
+
+
+def test_a_terminal_that_is_closed_in_the_middle_brakes_restores_and_holds(folder):
+    with simulated(folder) as port, on_a_terminal(folder, port, "--yes") as (process, screen):
+        read_until(screen, b"playing")
+        wait_for_moves(port, 6)
+        screen.close()
+        assert process.wait(timeout=20) == 129
+        assert_restored_and_held(port)
+
+
+def test_an_interrupt_while_helpers_start_is_theirs_to_ignore_and_the_robot_holds(folder):
+    with simulated(folder) as port, on_a_terminal(folder, port, "--yes") as (process, screen):
+        said = read_until(screen, b"preparing")
+        screen.write(b"\x03")
+        said += read_until(screen, None)
+        assert process.wait(timeout=20) == 130
+        for sign in (b"Traceback", b"Fatal", b"KeyboardInterrupt"):
+            assert sign not in said
+        assert_restored_and_held(port)
 
 
 def wait_for_moves(port, count):

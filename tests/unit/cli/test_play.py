@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -226,3 +229,30 @@ def test_every_example_plays_with_the_horn_within_a_degree(name, tmp_path):
     said = json.loads(report.read_text())
     assert said["timing"]["missed"] == 0
     assert all(joint["horn_error_rms_deg"] < 1.0 for joint in said["joints"].values())
+
+
+def test_an_interrupt_after_the_show_loses_no_report(folder, monkeypatch):
+    from lss_motion.runtime import report as reports
+
+    write_report, path = reports.write_report, folder / "r.json"
+
+    def interrupted(report, path):
+        signal.raise_signal(signal.SIGINT)
+        write_report(report, path)
+
+    monkeypatch.setattr(reports, "write_report", interrupted)
+    assert main([str(folder / "nod.yaml"), "--virtual", "--quiet", "--report", str(path)]) == 0
+    assert json.loads(path.read_text())["outcome"] == "finished"
+
+
+def test_a_full_disk_under_standard_output_ends_no_show(folder):
+    report = folder / "r.json"
+    command = [sys.executable, "-m", "lss_motion.cli.play", str(folder / "nod.yaml"), "--virtual"]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*command, "--report", str(report)], stdout=full, stderr=subprocess.PIPE, check=False
+        )
+    assert done.returncode == 0
+    [line] = done.stderr.decode().splitlines()
+    assert "standard output cannot be written to (No space left on device)" in line
+    assert json.loads(report.read_text())["played_s"] == 2.0
