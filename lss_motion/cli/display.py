@@ -38,6 +38,8 @@ MARKS_SHOWN: Final = 3
 """Named keyframes that are still to come."""
 BAR_CHARS: Final = 60
 US_PER_MS: Final = 1000
+CLOSE_S: Final = 2.0
+"""A screen that takes nothing for so long is left alone."""
 
 
 class Display:
@@ -88,16 +90,15 @@ class Display:
         os.set_blocking(self._pipe_fd, False)
 
     def close(self) -> None:
+        """Hand over what was noted since the last frame, and clear the frame."""
         if self._child is None:
             return
-        assert self._child.stdin is not None
-        with contextlib.suppress(OSError):
-            self._child.stdin.close()
+        last = json.dumps({"notes": self._notes}).encode() + b"\n"
         try:
-            self._child.wait(timeout=2.0)
+            self._child.communicate(self._rest + last, timeout=CLOSE_S)
         except subprocess.TimeoutExpired:
             self._child.kill()
-            self._child.wait()
+            self._child.communicate()
 
 
 class Memory:
@@ -205,11 +206,15 @@ def rendered(frame: dict[str, Any], notes: list[str], keys_help: str) -> Rendera
     )
 
 
+def is_trouble(note: str) -> bool:
+    """Return whether a note is one that must not vanish with the frame."""
+    return note.startswith(("warning:", "fault:"))
+
+
 def _note_text(note: str) -> Text:
     from rich.text import Text
 
-    is_bad = note.startswith(("warning:", "fault:"))
-    return Text(note, style="bold yellow" if is_bad else "dim")
+    return Text(note, style="bold yellow" if is_trouble(note) else "dim")
 
 
 def _table(joints: list[list[Any]]) -> Table:
@@ -245,8 +250,13 @@ def main() -> int:
     with Live(console=console, auto_refresh=False, transient=True) as live:
         for line in sys.stdin:
             frame = json.loads(line)
-            notes += frame["notes"]
-            live.update(rendered(frame, notes, sys.argv[1]), refresh=True)
+            for note in frame["notes"]:
+                if is_trouble(note):
+                    console.print(_note_text(note))  # Above the frame, for good.
+                else:
+                    notes.append(note)
+            if "phase" in frame:
+                live.update(rendered(frame, notes, sys.argv[1]), refresh=True)
     return 0
 
 

@@ -154,11 +154,6 @@ def _report(arguments: argparse.Namespace) -> int:
         with _whole(path):
             for line in report_lines(report):
                 print(line)
-            for fault in report.get("faults", []):
-                named = f"joint {fault['joint']!r} " if fault["joint"] else ""
-                print(f"fault: {named}{fault['cause']}")
-            for text in report.get("warnings", []):
-                print(f"warning: {text}")
     if len(found) == 2:
         for line in _differences(*found):
             print(line)

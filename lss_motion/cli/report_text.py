@@ -40,4 +40,8 @@ def report_lines(report: dict[str, Any]) -> list[str]:
             if "horn_error_rms_deg" in joint:
                 line += f"  {joint['horn_error_rms_deg']:13.2f} {joint['horn_error_max_deg']:5.2f}"
             lines.append(line)
+    for fault in report.get("faults", []):
+        named = f"joint {fault['joint']!r} " if fault["joint"] else ""
+        lines.append(f"fault: {named}{fault['cause']} ({fault['step']})")
+    lines += [f"warning: {text}" for text in report.get("warnings", [])]
     return lines

@@ -8,7 +8,8 @@ from rich.console import Console
 
 from lss_motion import api
 from lss_motion.cli import shows
-from lss_motion.cli.display import KEYS_HELP, Memory, frame_of, rendered
+from lss_motion.cli.display import KEYS_HELP, Display, Memory, frame_of, is_trouble, rendered
+from lss_motion.player.events import Phase
 
 WAVE = Path(__file__).parents[3] / "sequences" / "wave.yaml"
 
@@ -77,3 +78,25 @@ def test_what_goes_wrong_stands_out_and_the_keys_are_seen_on_a_low_terminal(fram
 def test_before_the_show_there_is_a_frame_too(frames):
     assert frames[0]["phase"] == "connecting"
     assert "connecting" in drawn(frames[0])
+
+
+def test_what_goes_wrong_stays_on_the_screen_and_so_does_what_comes_last(capfd):
+    show = shows.prepare(WAVE, None, loop=1)
+    display, noted = Display(), []
+
+    def look(player, now_ns):
+        display.show(player, now_ns)
+        if player.phase is Phase.SHOW and not noted:
+            noted.append(now_ns)
+            display.note("fault: joint 'a' is stuck")
+            display.note("an ordinary line")
+
+    observer = api.Observer(on_turn=look)
+    api.perform(show.program, show.robot, is_virtual=True, observer=observer)
+    display.note("warning: the last word")
+    display.close()
+    lines = capfd.readouterr().err.splitlines()
+    assert [line for line in lines if is_trouble(line)] == [
+        "fault: joint 'a' is stuck",
+        "warning: the last word",
+    ]

@@ -256,3 +256,14 @@ def test_a_full_disk_under_standard_output_ends_no_show(folder):
     [line] = done.stderr.decode().splitlines()
     assert "standard output cannot be written to (No space left on device)" in line
     assert json.loads(report.read_text())["played_s"] == 2.0
+
+
+def test_the_closing_lines_name_what_went_wrong(folder, capsys):
+    (folder / "faults.yaml").write_text("faults:\n  - {kind: stuck, servo: 1, at_s: 1.2}\n")
+    main([str(folder / "nod.yaml"), "--virtual", "--loop", "3", "--faults",
+          str(folder / "faults.yaml")])  # fmt: skip
+    said = capsys.readouterr().out
+    ending = said[said.index("nod: fault after") :].splitlines()
+    lines = [line for line in ending if line.startswith("fault: joint 'pan'")]
+    assert lines
+    assert lines[-1].endswith(" (hold)")

@@ -137,7 +137,11 @@ def test_faults_and_warnings_are_printed_and_that_of_a_port_names_no_joint(
     (tmp_path / "faulty.json").write_text(json.dumps(report))
     assert main(["report", str(tmp_path / "faulty.json")]) == EXIT_FINISHED
     said = capsys.readouterr().out.splitlines()
-    assert said[-3:] == ["fault: is gone", "fault: joint 'base' is gone", "warning: it was late"]
+    assert said[-3:] == [
+        "fault: is gone (hold)",
+        "fault: joint 'base' is gone (hold)",
+        "warning: it was late",
+    ]
 
 
 def test_what_nobody_has_measured_is_shown_as_no_zero(played, tmp_path, capsys):
