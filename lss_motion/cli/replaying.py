@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import re
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -23,8 +23,6 @@ Without options: what went over each bus, what happened, and how often each serv
 asked what. --servo shows every line that a servo heard, with its instant. --again makes the
 player of the same show live through the log, and says whether it would send the same bytes; exit
 code 5 if not."""
-_ENUM: Final = re.compile(r"<\w+\.\w+: '([^']*)'>")
-_PHASE: Final = re.compile(r"^PhaseEntered\(phase=(.*)\)$")
 SHOWN_DIFFERENCES: Final = 5
 COMPARED: Final = ("timing", "buses", "joints")
 """The parts of two reports that are set side by side."""
@@ -53,6 +51,12 @@ def _replay(arguments: argparse.Namespace) -> int:
     from lss_motion.runtime.replay import read_log
 
     played, entries = read_log(arguments.log)
+    if not entries or entries[-1].way != "#":
+        print(
+            f"warning: {arguments.log} is cut, its end is missing: the player was killed, or plays "
+            f"on. At most its last tenth of a second is lost",
+            file=sys.stderr,
+        )
     if arguments.again:
         return _again(arguments.log, played, entries)
     lines = _servo(entries, arguments.servo) if arguments.servo is not None else _summary(entries)
@@ -94,21 +98,31 @@ def _again(path: Path, played: dict[str, Any], entries: list[Entry]) -> int:
     return EXIT_NOT_FOLLOWED if count else EXIT_FINISHED
 
 
-def _servo(entries: list[Entry], servo_id: int) -> Iterator[str]:
+def _servo(entries: list[Entry], servo_id: int) -> list[str]:
     from lss_motion.protocol.constants import BROADCAST_ID
     from lss_motion.protocol.line import Command, CommandParser
     from lss_motion.runtime.replay import heard
 
     parser = CommandParser(grouped=False)
+    lines, ids = [], set()
     for at_ns, bus, line in heard(entries):
         for item in parser.feed(line):
-            if isinstance(item, Command) and item.servo_id in (servo_id, BROADCAST_ID):
-                yield f"{s_from_ns(at_ns):12.6f} {bus} {line[:-1].decode('ascii', 'replace')}"
+            if not isinstance(item, Command):
+                continue
+            ids.add(item.servo_id)
+            if item.servo_id in (servo_id, BROADCAST_ID):
+                said = line[:-1].decode("ascii", "replace")
+                lines.append(f"{s_from_ns(at_ns):12.6f} {bus} {said}")
+    if servo_id not in ids:
+        there = ", ".join(map(str, sorted(ids - {BROADCAST_ID}))) or "none"
+        raise InputError(f"no line of this log is for servo {servo_id}; there are: {there}")
+    return lines
 
 
 def _summary(entries: list[Entry]) -> Iterator[str]:
     from collections import Counter
 
+    from lss_motion.cli.logged_events import event_lines
     from lss_motion.protocol.line import Command, CommandParser
     from lss_motion.runtime.replay import heard
 
@@ -121,9 +135,9 @@ def _summary(entries: list[Entry]) -> Iterator[str]:
         )
         yield f"bus {bus}: {sent} bytes to the servos, {came} from them"
     for entry in entries:
-        if entry.way in "!=?":
-            word = {"!": "", "=": "asked for ", "?": "lost: "}[entry.way]
-            yield f"{s_from_ns(entry.at_ns):12.6f} {word}{_plain(entry.text)}"
+        texts = {"=": [f"asked for {entry.text}"], "?": [f"lost: {entry.text}"]}.get(entry.way, [])
+        for text in event_lines(entry.text) if entry.way == "!" else texts:
+            yield f"{s_from_ns(entry.at_ns):12.6f} {text}"
     counts: dict[tuple[str, int], Counter[str]] = {}
     parser = CommandParser(grouped=False)
     for _, bus, line in heard(entries):
@@ -133,12 +147,6 @@ def _summary(entries: list[Entry]) -> Iterator[str]:
     for (bus, servo_id), words in sorted(counts.items()):
         told = ", ".join(f"{word} {count}" for word, count in words.most_common())
         yield f"servo {servo_id} on {bus}: {told}"
-
-
-def _plain(event: str) -> str:
-    """Return an event of a log as a person reads it, short enough for a line."""
-    event = _PHASE.sub(r"\1", _ENUM.sub(r"\1", event))
-    return f"checked {event.count('Found(')} servos" if event.startswith("Checked(") else event
 
 
 def _report(arguments: argparse.Namespace) -> int:

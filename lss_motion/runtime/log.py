@@ -7,11 +7,13 @@ r"""Every byte both ways with its instant, and all that happened, in a file that
     0.004180007 - .
     1.203004100 - = rate 0.5
     1.203104100 - ! MarkPassed(label='up', show_s=1.0)
+    1.203104100 - #
 
 Seconds since the run began; `>` to the servos, `<` from them: what was written or arrived at once,
 carriage returns as `\r`, other odd bytes as `\xNN`. `.` the player was asked and had nothing to
 send, `=` what a person asked for, `!` what happened; `?` so many lines were lost, since the disk
-did not keep up. With these lines the player's decisions can be made again (`runtime.replay`).
+did not keep up; `#` the end, without which a log was cut. With these lines the player's decisions
+can be made again (`runtime.replay`).
 
 The file is written by a process of its own, which the player's never waits for; it goes on when
 the player is killed. Run as `python -m lss_motion.runtime.log FILE`.
@@ -57,7 +59,7 @@ class ByteLog:
     def __init__(
         self, path: Path, *, played: Mapping[str, Any] | None = None, may_wait: bool = False
     ) -> None:
-        self._start_ns = self._flushed_ns = 0
+        self._start_ns = self._flushed_ns = self._last_ns = 0
         self._lost = 0
         head = FIRST_LINE + "\n" + (f"# played: {json.dumps(played)}\n" if played else "")
         try:
@@ -76,7 +78,7 @@ class ByteLog:
 
     def started(self, start_ns: int) -> ByteLog:
         """Count the seconds from `start_ns`."""
-        self._start_ns = self._flushed_ns = start_ns
+        self._start_ns = self._flushed_ns = self._last_ns = start_ns
         return self
 
     def sent(self, bus: str, data: bytes, now_ns: int) -> None:
@@ -99,6 +101,7 @@ class ByteLog:
         self._line(f"{bus} {way} {_escaped(data.decode('latin-1'))}", now_ns)
 
     def _line(self, text: str, now_ns: int) -> None:
+        self._last_ns = now_ns
         if len(self._held) > HELD_MAX_BYTES:
             self._lost += 1
         else:
@@ -122,6 +125,7 @@ class ByteLog:
         trace: TracebackType | None,
     ) -> None:
         """Wait until everything is in the file, but not for ever."""
+        self._line("- #", self._last_ns)
         with contextlib.suppress(OSError, subprocess.TimeoutExpired):
             os.set_blocking(self._pipe_fd, True)
             self._child.communicate(bytes(self._held), timeout=CLOSE_S)

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
     from lss_motion.player.player import Player
 
-    Way = Literal[">", "<", ".", "=", "!", "?"]
+    Way = Literal[">", "<", ".", "=", "!", "?", "#"]
 
-_LINE: Final = re.compile(r"(\d{1,9})\.(\d{9}) (\S+) ([><.=!?])(?: (.*))?")
+_LINE: Final = re.compile(r"(\d{1,9})\.(\d{9}) (\S+) ([><.=!?#])(?: (.*))?")
 
 
 @dataclass(frozen=True, slots=True)

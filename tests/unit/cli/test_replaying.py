@@ -5,8 +5,20 @@ import json
 import pytest
 
 from lss_motion.cli import play
+from lss_motion.cli.logged_events import event_lines
 from lss_motion.cli.main import main
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_NOT_FOLLOWED
+from lss_motion.player.events import (
+    CueReached,
+    Faulted,
+    MarkPassed,
+    Phase,
+    PhaseEntered,
+    Waited,
+    Warned,
+)
+from lss_motion.robot.on_fault import Cause, FaultStep
+from lss_motion.sequence.model import Cue
 
 ROBOT = """\
 robot: test
@@ -72,6 +84,40 @@ def test_a_log_says_what_each_servo_heard_and_what_happened(played, capsys):
     assert len([line for line in lines if "#2D" in line]) == moves[1]
     assert lines[-1].endswith("#254H")
     assert not any("#3" in line for line in lines)
+    assert main(["replay", str(played / "a.log"), "--servo", "77"]) == EXIT_INPUT
+    assert "no line of this log is for servo 77; there are: 1, 2, 3" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("is_cut", [True, False])
+def test_a_log_that_was_cut_is_read_and_named(played, tmp_path, capsys, is_cut):
+    lines = (played / "a.log").read_text().splitlines(keepends=True)
+    path = tmp_path / "cut.log"
+    path.write_text("".join(lines[: len(lines) // 2] if is_cut else lines))
+    for option in ([], ["--again"], ["--servo", "1"]):
+        assert main(["replay", str(path), *option]) == EXIT_FINISHED
+        assert (f"warning: {path} is cut" in capsys.readouterr().err) is is_cut
+
+
+@pytest.mark.parametrize(
+    ("event", "lines"),
+    [
+        (PhaseEntered(Phase.SHOW), ["playing"]),
+        (MarkPassed("wave \u00fc", 2.0), ["2.00 s wave \u00fc"]),
+        (MarkPassed("", 1.6), ["1.60 s a keyframe"]),
+        (Warned("it's late"), ["warning: it's late"]),
+        (
+            Faulted("elbow", "is stuck", Cause.STUCK, FaultStep.SLOW),
+            ["fault: joint 'elbow' is stuck (slow)"],
+        ),
+        (CueReached(Cue(at_s=1.0, led=(("base", 1),)), 1.0), ["1.00 s led base red"]),
+        (Waited("a visitor", "met"), ["a visitor: going on"]),
+        ("Strange(x=1)", ["Strange(x=1)"]),
+        ("__import__('os').getcwd()", ["__import__('os').getcwd()"]),
+    ],
+)
+def test_an_event_of_a_log_has_the_words_that_it_had_on_the_screen(event, lines):
+    written = event if isinstance(event, str) else repr(event)
+    assert event_lines(written.encode("unicode_escape").decode("ascii")) == lines
 
 
 @pytest.mark.parametrize(

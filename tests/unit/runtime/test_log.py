@@ -23,6 +23,7 @@ def read_back(path):
     first, *lines = path.read_text("ascii").split("\n")
     assert first == FIRST_LINE
     assert lines.pop() == ""
+    assert lines.pop().endswith(" - #")
     found = []
     for line in lines:
         whole_s, left_ns, bus, way, text = LINE.fullmatch(line).groups()
@@ -69,6 +70,7 @@ def test_lines_look_as_the_docstring_draws_them(tmp_path):
         "0.004180007 - .",
         "1.203004100 - = rate 0.5",
         "1.203104100 - ! MarkPassed(label='up', show_s=1.0)",
+        "1.203104100 - #",
     ]
 
 
@@ -88,7 +90,7 @@ def test_a_disk_that_does_not_keep_up_delays_nobody_and_what_is_lost_is_said(tmp
     [said] = [line for line in lines if " ? " in line]
     lost = int(said.split()[3])
     assert lost > 0
-    assert len(lines) == 2 + count + 20 - lost
+    assert len(lines) == 3 + count + 20 - lost
 
 
 def test_a_log_is_whole_when_the_player_is_killed(tmp_path):
@@ -105,6 +107,7 @@ def test_a_log_is_whole_when_the_player_is_killed(tmp_path):
             break
         time.sleep(0.05)
     assert len(path.read_text().splitlines()) > 800, "all but the last tenth of a second"
+    assert "#\n" not in path.read_text(), "its end is missing"
 
 
 def test_what_was_noted_is_there_after_a_crash(tmp_path):
