@@ -64,7 +64,7 @@ class Phases:
         self._dialogue: Dialogue | Settling | None = session.ask(questions)
         self._approaches = 0
         self._now_ns = 0
-        self._has_set = False
+        self.has_set = False
 
     def advance(self, now_ns: int) -> None:
         """Do all that is due."""
@@ -99,7 +99,7 @@ class Phases:
 
     def safe_bytes(self) -> Mapping[str, bytes]:
         """Return the last bytes for each bus if it ends here; none if all were only ever asked."""
-        if not self._has_set:
+        if not self.has_set:
             return {}
         is_limp = self._session.robot.end == "limp" and self.outcome == "finished"
         return self._session.safe_bytes(is_limp=is_limp)
@@ -206,7 +206,7 @@ class Phases:
             self.prepare()
 
     def prepare(self) -> None:
-        self._has_set = True
+        self.has_set = True
         self._approaches = 0
         self._enter(Phase.PREPARE)
         self._dialogue = self._session.settle()
@@ -317,7 +317,7 @@ class Phases:
         self._streamer = None
         self._enter(Phase.RESTORE)
         session = self._session
-        orders = session.restoring_orders() if self._has_set else []
+        orders = session.restoring_orders() if self.has_set else []
         self._dialogue = session.ask(orders)
 
     def finish(self, now_ns: int) -> None:

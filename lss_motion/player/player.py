@@ -52,10 +52,10 @@ class Player:
         """
         self.program = program
         self.robot = robot = driven(robot, program)
-        session = Session(program, robot, has_feedback=has_feedback, start_s=start_s)
-        self.lines = session.lines
-        self.questioners = session.questioners
-        self._phases = Phases(session, must_ask=must_ask, is_open=is_open)
+        self._session = Session(program, robot, has_feedback=has_feedback, start_s=start_s)
+        self.lines = self._session.lines
+        self.questioners = self._session.questioners
+        self._phases = Phases(self._session, must_ask=must_ask, is_open=is_open)
         self._may_grow = is_open
         self._gaps = Gaps()
         self._stops = 0
@@ -182,8 +182,10 @@ class Player:
             self._phases.end("stopped", now_ns)
 
     def abort(self, now_ns: int) -> None:
-        """End at once: the safe state is all that is still sent, if anything ever moved."""
+        """End at once: the safe state is all that is still sent; settings are not given back."""
         self._phases.outcome = self.outcome or "stopped"
+        if self._phases.has_set and (text := self._session.unrestored_text()):
+            self._phases.events.append(Warned(text))
         self._phases.finish(now_ns)
 
     def end_show(self, now_ns: int) -> None:

@@ -25,11 +25,14 @@ def telling_orders(joints: Iterable[Joint], had: Answers) -> list[Item]:
     All that a session changes is lost together; what it did not change, a restart does not either.
     """
     telling: dict[tuple[str, int], Item] = {}
-    for order in settings.session_orders(joints, had):
-        address = (order.bus, order.command.servo_id)
-        if had.get((*address, f"Q{order.command.keyword}")) != order.command.value:
-            telling.setdefault(address, order)
+    for order in changing_orders(joints, had):
+        telling.setdefault((order.bus, order.command.servo_id), order)
     return list(telling.values())
+
+
+def changing_orders(joints: Iterable[Joint], had: Answers) -> list[Item]:
+    """Return the settings for the show that servos had otherwise before."""
+    return untaken(settings.session_orders(joints, had), had)
 
 
 @dataclass(slots=True)

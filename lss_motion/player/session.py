@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from lss_motion.player import settings, setup
 from lss_motion.player.agenda import Agenda
@@ -10,7 +10,7 @@ from lss_motion.player.approach import approach
 from lss_motion.player.dialogue import Dialogue
 from lss_motion.player.line import Line
 from lss_motion.player.queries import Questioner
-from lss_motion.player.recovery import telling_orders
+from lss_motion.player.recovery import changing_orders, telling_orders
 from lss_motion.player.settling import Settling, is_answered, read_back, untaken
 from lss_motion.player.streamer import Streamer
 from lss_motion.program.predict import profiles
@@ -23,6 +23,12 @@ if TYPE_CHECKING:
     from lss_motion.player.track import Track
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Joint, Robot
+
+UNRESTORED_TEXT: Final = (
+    "stopped at once, so the servos were not given back their settings: {} stay as this show "
+    "needed them until their power is off, and the next show takes them for the servos' own. "
+    "Switch their power off and on, or RESET them; hold the robot, it goes limp"
+)
 
 
 class Session:
@@ -87,6 +93,12 @@ class Session:
 
     def restoring_orders(self) -> list[Item]:
         return settings.restoring_orders(self.joints, self.had, self.agenda.lit)
+
+    def unrestored_text(self) -> str:
+        """Return what to say of settings that are not given back; nothing if none was changed."""
+        orders = changing_orders(self.joints, self.had)
+        words = ", ".join(sorted({order.command.keyword for order in orders}))
+        return UNRESTORED_TEXT.format(words) if words else ""
 
     def note_places(self, answers: Answers) -> list[Joint]:
         """Take in where the driven servos stand; return those who did not say."""

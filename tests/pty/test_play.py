@@ -312,10 +312,13 @@ def test_a_second_interrupt_stops_at_once(folder):
             process.send_signal(signal.SIGINT)
             wait_for(process, "stopping")
             process.send_signal(signal.SIGINT)
-            _, errors = process.communicate(timeout=20)
+            said, errors = process.communicate(timeout=20)
         assert process.returncode == 130
         assert errors == ""
         assert lines_heard(port)[-1].rstrip(b"\r") == b"#254H"
+        warning = next(line for line in said.splitlines() if line.startswith("warning: stopped"))
+        assert "AA, AD, SD stay" in warning
+        assert "power off and on" in warning
 
 
 def test_a_port_that_vanishes_is_an_error_and_no_traceback(folder):
