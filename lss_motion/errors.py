@@ -6,6 +6,7 @@
      │    └── LineLoadError              3   the bus cannot carry the plan
      ├── ProtocolError(ValueError)       2   a command that cannot be expressed on the wire
      ├── BusError(OSError)               4   the port or the servos cannot be reached
+     │    └── LostPortError              4   a port that was open is gone
      └── PlaybackError                   5   the robot did not follow
 
 Nothing below `BusError` can come from a bad file, and nothing above it from the robot.
@@ -99,6 +100,10 @@ class BusError(LssMotionError, OSError):
         super().__init__(reason)
         self.reason = reason
         self.url = url
+
+
+class LostPortError(BusError):
+    """A port that was open is gone: nobody on it can be told anything."""
 
 
 class PlaybackError(LssMotionError):

@@ -16,6 +16,7 @@ from lss_motion.errors import (
     EXIT_FINISHED,
     EXIT_NOT_FOLLOWED,
     InputError,
+    LostPortError,
 )
 from lss_motion.protocol.constants import Led
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from lss_motion.api import Result
     from lss_motion.cli.controls import Terminal
     from lss_motion.cli.shows import Show
+    from lss_motion.errors import LssMotionError
     from lss_motion.player.events import Event
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.model import Cue
@@ -134,10 +136,24 @@ def play(arguments: argparse.Namespace) -> int:
         result = _perform(arguments, show, robot, say, terminal, is_asked=is_asked)
         _write_results(arguments, result)
         if result.error is not None:
-            raise result.error
+            raise _explained(result.error, result)
         for line in report_lines(result.report):
             say(line)
         return _exit_code(result, terminal)
+
+
+def _explained(error: LssMotionError, result: Result) -> LssMotionError:
+    """Return the error that ended a run; of a lost port, with what became of robot and show."""
+    if not isinstance(error, LostPortError) or not result.player.safe_bytes():
+        return error
+    text = (
+        f"{error.reason}. Its servos could not be told to hold: they come to rest by themselves, "
+        f"and keep the settings of the show until their power is off"
+    )
+    if result.player.show is not None:
+        played_s = result.report["played_s"]
+        text += f". The show had come to {played_s:.2f} s; --from {played_s:.2f} goes on from there"
+    return LostPortError(text, url=error.url)
 
 
 def _exit_code(result: Result, terminal: Terminal) -> int:

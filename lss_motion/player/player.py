@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.errors import BusError, LssMotionError
+from lss_motion.errors import LostPortError, LssMotionError
 from lss_motion.player.events import Event, Phase, Warned
 from lss_motion.player.gaps import Gaps
 from lss_motion.player.phases import DRIVING, Phases
@@ -203,7 +203,7 @@ class Player:
         """Brake on the other buses, and wait for this one, as `on_fault` says."""
         verdict = self._phases.troubles.lose(bus, reason, now_ns)
         if verdict is Verdict.END:
-            self._phases.error = BusError(reason, url=self.robot.buses[bus].port)
+            self._phases.error = LostPortError(reason, url=self.robot.buses[bus].port)
             self._phases.end("fault", now_ns)
         elif self.phase is not Phase.STOP:
             self._phases.recover(now_ns)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import Enum, auto
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.errors import BusError
+from lss_motion.errors import BusError, LostPortError
 from lss_motion.player.events import Warned
 from lss_motion.player.ladder import Ladder
 from lss_motion.player.recovery import Recovery
@@ -157,7 +157,7 @@ class Troubles:
         waited = f"and was not back after {robot.resume_s:g} s"
         error = None
         for bus, reason in self.lost.items():
-            error = BusError(f"{reason}, {waited}", url=robot.buses[bus].port)
+            error = LostPortError(f"{reason}, {waited}", url=robot.buses[bus].port)
             self.events.append(self.ladder.give_up("", Cause.LOST_PORT, error.reason))
         for joint in [] if self.lost else self.recovery.absent(answers):
             text = (

@@ -6,7 +6,7 @@ import contextlib
 import time
 from typing import TYPE_CHECKING, Final, Protocol
 
-from lss_motion.errors import BusError
+from lss_motion.errors import BusError, LostPortError
 from lss_motion.runtime.devices import permission_hint
 from lss_motion.units import NS_PER_MS
 
@@ -19,6 +19,8 @@ POLL_NS: Final = 2 * NS_PER_MS
 """How often a port that cannot be waited on is looked at (Windows, `loop://`)."""
 
 IN_USE: Final = "another program has it open; end that one first (LSS Config? another lss-motion?)"
+
+GONE: Final = "the device is gone, or another program reads from it. Look at its plug and cable"
 
 
 class Port(Protocol):
@@ -67,7 +69,7 @@ class SerialPort:
         try:
             self._serial.write(data)
         except (serial.SerialException, OSError) as error:
-            raise self._lost(error) from error
+            raise self._lost() from error
 
     def read(self) -> bytes:
         import serial
@@ -75,7 +77,7 @@ class SerialPort:
         try:
             return bytes(self._serial.read(READ_MAX_BYTES))
         except (serial.SerialException, OSError) as error:
-            raise self._lost(error) from error
+            raise self._lost() from error
 
     def fileno(self) -> int | None:
         try:
@@ -93,8 +95,8 @@ class SerialPort:
         with contextlib.suppress(Exception):
             self._serial.close()
 
-    def _lost(self, error: Exception) -> BusError:
-        return BusError(f"lost port {self.url}: {_reason(error, self.url)}", url=self.url)
+    def _lost(self) -> LostPortError:
+        return LostPortError(f"lost port {self.url}: {GONE}", url=self.url)
 
 
 def _reason(error: Exception, url: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from lss_motion.errors import BusError
+from lss_motion.errors import BusError, LostPortError
 
 if TYPE_CHECKING:
     from lss_motion.runtime.clock import Clock
@@ -49,5 +49,5 @@ class SimPort:
         """Return the instant; raise `BusError` if the port was unplugged since it was opened."""
         now_ns = self._clock.now_ns()
         if any(self._opened_ns < from_ns <= now_ns for from_ns, _ in self._outages_ns):
-            raise BusError(f"lost port {self.url}: it was unplugged", url=self.url)
+            raise LostPortError(f"lost port {self.url}: it was unplugged", url=self.url)
         return now_ns

@@ -321,15 +321,21 @@ def test_a_second_interrupt_stops_at_once(folder):
         assert "power off and on" in warning
 
 
-def test_a_port_that_vanishes_is_an_error_and_no_traceback(folder):
+def test_a_port_that_vanishes_is_an_error_that_says_what_became_of_robot_and_show(folder):
+    report = folder / "r.json"
     with simulated(folder) as port:
-        with playing(folder, port, loop="forever") as process:
+        with playing(folder, port, "--report", str(report), loop="forever") as process:
             wait_for(process, "playing")
             wait_for_moves(port, 6)
             port.unplug()
             _, errors = process.communicate(timeout=20)
         assert process.returncode == 4
         assert "lost port" in errors
+        assert "the device is gone" in errors
+        assert "could not be told to hold" in errors
+        played_s = json.loads(report.read_text())["played_s"]
+        assert 0.0 < played_s < 60.0
+        assert f"--from {played_s:.2f}" in errors
         assert "Traceback" not in errors
 
 
