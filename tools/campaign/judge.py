@@ -263,10 +263,11 @@ class _Judge:
             first, last = from_ns // STEP_NS - 2 * WINDOW, (until_ns + lag_ns) // STEP_NS
             speed[max(0, first) : last] = accel[max(0, first) : last] = 0.0
         speed_deg_s = SPEED_EXCESS * joint.speed_max_deg_s
-        accel_deg_s2 = ACCEL_EXCESS * joint.accel_max_deg_s2
+        accel_deg_s2 = joint.accel_max_deg_s2
         if joint.drive == "streamed":
             # From one step of a filter to the next, a course winds within its tolerance.
             accel_deg_s2 += self.program.tolerance_deg / joint.response.filter_s**2
+        accel_deg_s2 *= ACCEL_EXCESS
         for what, values, limit, unit in (
             ("speed", speed, speed_deg_s, "deg/s"),
             ("acceleration", accel, accel_deg_s2, "deg/s²"),
