@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from lss_motion.runtime.log import ByteLog
 
-KEYS_HELP: Final = "space pause, + - speed, q stop"
+KEYS_HELP: Final = "space pause, - slower, + up to full speed, q stop"
 RATE_STEP: Final = 0.1
 RATE_LEAST: Final = 0.1
 _SIGNALS: Final = tuple(

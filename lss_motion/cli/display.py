@@ -13,7 +13,7 @@ import math
 import os
 import subprocess
 import sys
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from lss_motion.cli.controls import KEYS_HELP
 from lss_motion.player.events import Phase
@@ -34,6 +34,11 @@ FRAME_NS: Final = NS_PER_S // 10
 ROOM_NS: Final = 3 * NS_PER_MS
 """A frame is not handed over so shortly before a move is due: it takes 1 ms (measured)."""
 NOTES_SHOWN: Final = 5
+PAUSED: Final = "paused"
+TITLES: Final = ("joint", "target", "measured", "error", "correction", "status", "°C")
+LEFT_OUT_FIRST: Final = ("correction", "°C", "target", "measured", "status")
+"""Where the terminal is narrow; who it is and how far off remains."""
+GAP_CHARS: Final = 2
 MARKS_SHOWN: Final = 3
 """Named keyframes that are still to come."""
 BAR_CHARS: Final = 60
@@ -137,8 +142,9 @@ def frame_of(player: Player, now_ns: int, notes: list[str], memory: Memory) -> d
     """Return what there is to see of a run at this instant, as plain values."""
     show, program = player.show, player.program
     latest_ns = show.statistics.latest_ns if show is not None else ()
+    is_standing = player.is_paused and player.phase is Phase.SHOW
     return {
-        "phase": player.phase.value,
+        "phase": PAUSED if is_standing else player.phase.value,
         "name": program.name,
         "port": ", ".join(sorted({line.bus.port for line in player.lines.values()})),
         "show_s": None if show is None else round(program.within(show.show_s(now_ns)), 2),
@@ -155,22 +161,30 @@ def frame_of(player: Player, now_ns: int, notes: list[str], memory: Memory) -> d
 
 
 def _joint(track: Track, now_ns: int) -> list[Any]:
-    measured_deg = track.following.measured_deg
-    joint = track.joint
+    """Return what there is to see of a joint: target, measured and error as of one reading."""
+    joint, measured_deg = track.joint, track.following.measured_deg
+    if measured_deg is None:
+        target_deg, error_deg = track.place(now_ns)[0], 0.0
+    else:
+        error_deg = track.following.error_deg
+        target_deg = measured_deg + error_deg
     return [
         joint.name,
-        round(joint.joint_deg(track.place(now_ns)[0]), 1),
+        round(joint.joint_deg(target_deg), 1),
         None if measured_deg is None else round(joint.joint_deg(measured_deg), 1),
-        round(track.following.error_deg, 2),
+        round(joint.direction * error_deg, 2),
         joint.following_deg,
-        round(track.following.offset_deg, 2),
+        round(joint.direction * track.following.offset_deg, 2),
         "" if track.status is None else track.status.value,
         track.temperature_max_c,
     ]
 
 
-def rendered(frame: dict[str, Any], notes: list[str], keys_help: str) -> RenderableType:
-    """Return a frame as rich draws it: what matters most on top, since terminals are low."""
+def rendered(frame: dict[str, Any], notes: list[str], keys_help: str, width: int) -> RenderableType:
+    """Return a frame as rich draws it: what matters most on top, since terminals are low.
+
+    Of a table wider than `width` characters, the columns that matter least are left out.
+    """
     from rich.console import Group
     from rich.padding import Padding
     from rich.progress_bar import ProgressBar
@@ -179,7 +193,9 @@ def rendered(frame: dict[str, Any], notes: list[str], keys_help: str) -> Rendera
     show_s, whole_s = frame["show_s"] or 0.0, frame["whole_s"]
     head = f"{frame['name']} on {frame['port']}  {frame['phase']}"
     head += f"  {max(show_s, 0.0):.1f}" + (f" of {whole_s:.1f} s" if whole_s else " s")
-    head += (" again and again" if frame["is_endless"] else "") + f"  speed {frame['rate']:.0%}"
+    head += " again and again" if frame["is_endless"] else ""
+    if frame["phase"] != PAUSED:
+        head += f"  speed {frame['rate']:.0%}" + (" (full)" if frame["rate"] == 1.0 else "")
     total_s = whole_s or max(show_s, 1.0)
     bar = ProgressBar(total=total_s, completed=min(max(show_s, 0.0), total_s), width=BAR_CHARS)
     marks = Text()
@@ -202,7 +218,7 @@ def rendered(frame: dict[str, Any], notes: list[str], keys_help: str) -> Rendera
         ),
         Text(keys_help, style="dim"),
         *shown,
-        _table(frame["joints"]),
+        _table(frame["joints"], width),
     )
 
 
@@ -217,25 +233,35 @@ def _note_text(note: str) -> Text:
     return Text(note, style="bold yellow" if is_trouble(note) else "dim")
 
 
-def _table(joints: list[list[Any]]) -> Table:
+def _table(joints: list[list[Any]], width: int) -> Table:
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=None, pad_edge=False)
-    for title in ("joint", "target", "measured", "error", "correction", "status", "°C"):
-        table.add_column(title, justify="left" if title in ("joint", "status") else "right")
+    rows = []
     for name, target, measured, error, allowed, offset, status, celsius in joints:
         # Half of what ends the show is worth a look.
         style = "red" if abs(error) > allowed else "yellow" if abs(error) > allowed / 2 else ""
-        table.add_row(
+        cells = (
             name,
             f"{target:.1f}",
             "-" if measured is None else f"{measured:.1f}",
-            Text(f"{error:+.2f}", style=style),
+            f"{error:+.2f}",
             f"{offset:+.2f}",
             status,
             "-" if celsius is None else f"{celsius:.0f}",
         )
+        styles = {"error": style}
+        rows.append({t: Text(c, styles.get(t, "")) for t, c in zip(TITLES, cells, strict=True)})
+    needed = {title: max(len(title), *(len(row[title]) for row in rows), 0) for title in TITLES}
+    for title in LEFT_OUT_FIRST:
+        if sum(needed.values()) + GAP_CHARS * (len(needed) - 1) > width:
+            del needed[title]
+    table = Table(box=None, pad_edge=False)
+    for title in needed:
+        side: Literal["left", "right"] = "left" if title in ("joint", "status") else "right"
+        table.add_column(title, justify=side, no_wrap=True)
+    for row in rows:
+        table.add_row(*(row[title] for title in needed))
     return table
 
 
@@ -256,7 +282,7 @@ def main() -> int:
                 else:
                     notes.append(note)
             if "phase" in frame:
-                live.update(rendered(frame, notes, sys.argv[1]), refresh=True)
+                live.update(rendered(frame, notes, sys.argv[1], console.width), refresh=True)
     return 0
 
 

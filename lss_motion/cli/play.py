@@ -35,11 +35,12 @@ if TYPE_CHECKING:
 DESCRIPTION = "Play a sequence (YAML) or a compiled program (.lss) on a robot."
 EPILOG = """\
 A real robot is checked, what was found is shown, and you are asked before anything moves.
-While it plays: space pauses, + and - change the speed, q or Ctrl-C stops and holds, as does a
-signal or a terminal that is closed; a second Ctrl-C stops at once, and leaves the servos the
-settings of the show until their power is off. Exit codes: 0 played to the end, 2 your files or
-arguments, 3 no plan or the line cannot carry it, 4 port or servos not reachable, 5 the robot did
-not follow, 130 interrupted, 128 and its number for any other signal.
+While it plays: space pauses, - slows down, + goes up to full speed (the plan's own, no faster),
+q or Ctrl-C stops and holds, as does a signal or a terminal that is closed; a second Ctrl-C stops
+at once, and leaves the servos the settings of the show until their power is off. Exit codes:
+0 played to the end, 2 your files or arguments, 3 no plan or the line cannot carry it, 4 port or
+servos not reachable, 5 the robot did not follow, 130 interrupted, 128 and its number for any other
+signal.
 """
 WAITING: Final = {
     "begun": "        waiting for {}",

@@ -103,6 +103,11 @@ class Player:
         return self.phase is Phase.DONE
 
     @property
+    def is_paused(self) -> bool:
+        """Whether a person wants the show to stand still for a while."""
+        return self._phases.rate == 0.0
+
+    @property
     def outcome(self) -> Outcome | None:
         return self._phases.outcome
 

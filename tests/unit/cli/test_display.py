@@ -29,9 +29,9 @@ def frames():
     return found
 
 
-def drawn(frame, notes=(), height=24):
+def drawn(frame, notes=(), width=100):
     out = io.StringIO()
-    Console(file=out, width=100, height=height).print(rendered(frame, list(notes), KEYS_HELP))
+    Console(file=out, width=width).print(rendered(frame, list(notes), KEYS_HELP, width))
     return out.getvalue()
 
 
@@ -100,3 +100,43 @@ def test_what_goes_wrong_stays_on_the_screen_and_so_does_what_comes_last(capfd):
         "fault: joint 'a' is stuck",
         "warning: the last word",
     ]
+
+
+def test_target_measured_and_error_are_of_one_instant(frames):
+    rows = [row for frame in in_show(frames) for row in frame["joints"] if row[2] is not None]
+    assert len(rows) > 100
+    assert any(abs(target) > 20.0 for _, target, *_ in rows)
+    for _, target, measured, error, *_ in rows:
+        assert abs(target - measured - error) < 0.11
+
+
+def test_a_pause_is_called_one_and_full_speed_too(frames):
+    head = drawn(in_show(frames)[20]).splitlines()[0]
+    assert "playing" in head
+    assert "speed 100% (full)" in head
+    show, found = shows.prepare(WAVE, None, loop=1), []
+
+    def look(player, now_ns):
+        if player.phase is Phase.SHOW and not found:
+            player.set_rate(0.0, now_ns)
+            found.append(frame_of(player, now_ns, [], Memory()))
+            player.set_rate(1.0, now_ns)
+
+    observer = api.Observer(on_turn=look)
+    api.perform(show.program, show.robot, is_virtual=True, observer=observer)
+    head = drawn(found[0]).splitlines()[0]
+    assert "paused" in head
+    assert "playing" not in head
+    assert "speed" not in head
+
+
+def test_on_a_narrow_terminal_columns_are_left_out_and_none_is_cut(frames):
+    frame = in_show(frames)[20]
+    for width in (24, 40, 60, 100):
+        text = drawn(frame, width=width)
+        assert "…" not in text
+        lines = text.splitlines()
+        for name, _, _, error, *_ in frame["joints"]:
+            [line] = [line for line in lines if line.split()[:1] == [name]]
+            assert f"{error:+.2f}" in line.split()
+        assert ("correction" in text) is (width >= 60)
