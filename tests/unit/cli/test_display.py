@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+import os
 from pathlib import Path
 
 import pytest
@@ -93,6 +94,8 @@ def test_what_goes_wrong_stays_on_the_screen_and_so_does_what_comes_last(capfd):
 
     observer = api.Observer(on_turn=look)
     api.perform(show.program, show.robot, is_virtual=True, observer=observer)
+    # The keyboard's signals go to the session of the terminal.
+    assert os.getsid(display._child.pid) == display._child.pid
     display.note("warning: the last word")
     display.close()
     lines = capfd.readouterr().err.splitlines()
