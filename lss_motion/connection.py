@@ -39,10 +39,13 @@ SIMULATED: Final = "sim://"
 def with_port(robot: Robot, port: str | None) -> Robot:
     """Return the robot with `port` in place of that of its bus.
 
-    Raises `InputError` if it has several buses: then the robot file must say which is where.
+    Raises `InputError` for an empty one, and if the robot has several buses: then the robot file
+    must say which is where.
     """
     if port is None:
         return robot
+    if not port:
+        raise InputError("--port is empty: give a device such as /dev/ttyUSB0, or sim://")
     if port != SIMULATED and len(robot.buses) > 1:
         raise InputError(
             f"robot {robot.name!r} has {len(robot.buses)} buses; --port names only one. Write the "

@@ -34,6 +34,11 @@ def s_from_ms(duration_ms: float) -> float:
     return duration_ms / MS_PER_S
 
 
+def significant(value: float, digits: int = 4) -> str:
+    """Return a number for people: so many digits count, and there is no exponent."""
+    return f"{float(f'{value:.{digits}g}'):.15g}"
+
+
 def line_time_ns(size_bytes: int, baud_bps: int) -> int:
     """How long `size_bytes` occupy a line of `baud_bps`, rounded up."""
     return -(-size_bytes * LINE_BITS_PER_BYTE * NS_PER_S // baud_bps)

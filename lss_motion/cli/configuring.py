@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from lss_motion.cli.commands import add_command
 from lss_motion.cli.robots import robot_at
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
+from lss_motion.robot.models import other_model
 
 if TYPE_CHECKING:
     import argparse
@@ -173,9 +174,9 @@ def _targets(
     for name, joint in joints.items():
         if not found[name].model.startswith(joint.model.name):
             raise InputError(
-                f"joint {name!r}: servo {joint.servo_id} is a {found[name].model}, the robot "
-                f"file says {joint.model.name}",
+                f"joint {name!r}: {other_model(joint, found[name].model)}",
                 path=robot.path,
+                line=joint.lines.get("model"),
             )
     return [found[name] for name in joints]
 

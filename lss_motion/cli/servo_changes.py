@@ -204,7 +204,9 @@ def _find(connection: Connection, kept: Kept, arguments: argparse.Namespace) -> 
         servo_settings.all_at(connection, kept.bus, [kept.servo_id])  # Says what is wrong.
         raise BusError(f"servo {kept.servo_id} answers only now and then; check its plug")
     if own.model != kept.model:
-        raise InputError(f"servo {kept.servo_id} is a {own.model}; the backup is of a {kept.model}")
+        raise InputError(
+            f"servo {kept.servo_id} is an {own.model}; the backup is of an {kept.model}"
+        )
     if not arguments.force:
         raise InputError(
             f"servo {kept.servo_id} has serial number {own.serial_number}, the backup is of "

@@ -31,6 +31,7 @@ from lss_motion.gait.pacing import (
 )
 from lss_motion.gait.passage import Walking, lean_s_of, stepping
 from lss_motion.gait.walker import INSTANT_S, STILL, Foot, Stepper, Twist, Walker
+from lss_motion.units import significant
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -204,7 +205,8 @@ class Steering:
             ):
                 if used > USED_MAX_RATIO * allowed:
                     raise PlanningError(
-                        f"joint {name!r} would need {used:.4g} {unit}, allowed {allowed:g} {unit}",
+                        f"joint {name!r} would need {significant(used)} {unit}, allowed "
+                        f"{allowed:g} {unit}",
                         joint=name,
                     )
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from lss_motion.maintenance.look import HOT_C, SUPPLY_MAX_V, SUPPLY_MIN_V
 from lss_motion.protocol.constants import SafeModeCause, Status
 from lss_motion.protocol.family import Family
+from lss_motion.robot.models import other_model
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -66,10 +67,7 @@ def differences(robot: Robot, bus: Bus, looks: Sequence[Look]) -> Iterator[str]:
                 f"Check its plug and its power; has it another id?"
             )
         elif look.present.model and not look.present.model.startswith(joint.model.name):
-            yield (
-                f"joint {joint.name!r}: servo {servo_id} is a {look.present.model}, the robot "
-                f"file says {joint.model.name}"
-            )
+            yield (f"joint {joint.name!r}: {other_model(joint, look.present.model)}")
         elif look.baud_bps != bus.baud_bps and not look.present.is_shared:
             yield (
                 f"joint {joint.name!r}: servo {servo_id} listens at {look.baud_bps} bps, the "

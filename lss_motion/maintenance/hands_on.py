@@ -265,7 +265,7 @@ def _session(robot: Robot, name: str, *, is_soft: bool) -> Joint:
     joint = robot.joints[name]
     if joint.model.family is Family.IO2:
         raise InputError(
-            f"joint {name!r} is on a {joint.model.name}, which does not know where its servos "
+            f"joint {name!r} is on an {joint.model.name}, which does not know where its servos "
             "are; leave it out with --joints",
             path=robot.path,
         )

@@ -13,6 +13,7 @@ from lss_motion.protocol.constants import BROADCAST_ID, Status, status_from
 from lss_motion.protocol.families import FAMILY_TABLES
 from lss_motion.protocol.line import Command, encode
 from lss_motion.robot.drives import FILTER_FIRMWARE_MIN
+from lss_motion.robot.models import other_model
 from lss_motion.units import NS_PER_MS
 
 if TYPE_CHECKING:
@@ -191,6 +192,7 @@ def _check_drive(joint: Joint, answers: Answers, robot: Robot) -> None:
             f"back. That needs an LSS with firmware {FILTER_FIRMWARE_MIN} or later; otherwise use "
             f"`drive: timed`",
             path=robot.path,
+            line=joint.lines.get("drive"),
         )
 
 
@@ -216,9 +218,9 @@ def _check_joint(joint: Joint, answers: Answers, robot: Robot, warnings: list[st
     model = answers.get((joint.bus, joint.servo_id, "QMS"))
     if model is not None and not str(model).startswith(joint.model.name):
         raise InputError(
-            f"joint {joint.name!r}: the robot file says {joint.model.name}, but servo "
-            f"{joint.servo_id} is a {model}",
+            f"joint {joint.name!r}: {other_model(joint, str(model))}",
             path=robot.path,
+            line=joint.lines.get("model"),
         )
     firmware = answers.get((joint.bus, joint.servo_id, "QF"))
     if isinstance(firmware, int) and firmware != bus.firmware:
@@ -239,12 +241,14 @@ def _check_joint(joint: Joint, answers: Answers, robot: Robot, warnings: list[st
     for keyword, needed in needs.items():
         allowed = stored(joint, answers, keyword)
         if allowed is not None and allowed < LIMIT_SLACK_RATIO * needed:
-            unit = "deg/s" if keyword == "QSD" else "deg/s²"
+            is_speed = keyword == "QSD"
+            unit = "deg/s" if is_speed else "deg/s²"
             raise InputError(
                 f"joint {joint.name!r}: the robot file asks for {needed:g} {unit}, but servo "
                 f"{joint.servo_id} is set to {allowed:g} {unit} ({keyword[1:]}). Lower the limit "
                 f"in the robot file, or configure the servo",
                 path=robot.path,
+                line=joint.lines.get("speed_max_deg_s" if is_speed else "accel_max_deg_s2"),
             )
 
 

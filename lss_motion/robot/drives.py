@@ -35,7 +35,7 @@ def drive_problem(model: ServoModel, drive: Drive) -> str:
     if drive in allowed:
         return ""
     why = _WHY.get((model.family, drive), _STEPPED_WHY)
-    return f"a {model.name} cannot be {drive}: {why}; it can be {' or '.join(allowed)}"
+    return f"an {model.name} cannot be {drive}: {why}; it can be {' or '.join(allowed)}"
 
 
 def can_be_streamed(joint: Joint, bus: Bus) -> bool:

@@ -31,7 +31,7 @@ def joint_problems(
     if joint.speed_max_deg_s > model.speed_max_deg_s:
         yield (
             place("speed_max_deg_s"),
-            f"joint {joint.name!r}: {joint.speed_max_deg_s:g} deg/s is faster than a "
+            f"joint {joint.name!r}: {joint.speed_max_deg_s:g} deg/s is faster than an "
             f"{model.name} can turn without load, {model.speed_max_deg_s:g} deg/s",
         )
     if joint.drive == "timed" and joint.accel_max_deg_s2 > facts.accel_max_deg_s2:

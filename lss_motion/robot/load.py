@@ -49,7 +49,7 @@ def load_robot(path: Path | str) -> Robot:
     source = read_yaml(Path(path))
     content, problems, left_out = validate(RobotFile, source)
     if content is not None:
-        loader = _Loader(content, left_out)
+        loader = _Loader(content, left_out, source.line)
         robot = loader.robot(source.path)
         problems += loader.problems
         if not problems:
@@ -99,6 +99,7 @@ class _Loader:
 
     content: RobotFile
     left_out: frozenset[Location]
+    line: Callable[[Location], int]
     problems: list[Problem] = field(default_factory=list)
 
     def robot(self, path: Path) -> Robot:
@@ -198,6 +199,7 @@ class _Loader:
             response=Response(**fields.get("response", {})),
             on_fault=_ladders(entry.on_fault),
             unread=unread,
+            lines={key: self.line(place) for key, place in merged.places.items()},
             **{key: fields[key] for key in _PLAIN if key in fields},
         )
         for location, reason in joint_problems(joint, merged.place):

@@ -127,6 +127,8 @@ class Joint:
     drive: Drive | Literal["auto"] = "timed"
     filter_count: int = 4
     """FPC of a streamed joint. Chosen: see `program.stream`."""
+    lines: Mapping[str, int] = field(default_factory=dict, compare=False, repr=False)
+    """Where the robot file says it: the line of each field."""
 
     @property
     def unit_deg(self) -> float:

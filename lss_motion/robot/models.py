@@ -13,7 +13,7 @@ from lss_motion.robot.model import ServoModel
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from lss_motion.robot.model import Drive
+    from lss_motion.robot.model import Drive, Joint
 
 PRO_SPEED_MAX_ASSUMED_DEG_S: Final = 180.0
 """Assumption: no document gives the top speed of an LSS-PRO. Twice what real arms use (90 deg/s,
@@ -119,6 +119,16 @@ BAUD_FIRMWARE_MIN: Final[Mapping[int, int]] = MappingProxyType(
 
 SERVO_ID_MAX: Final = 250
 """Ids 0 to 250 are usable (lss_facts section 4); this also bounds the joints of one bus to 251."""
+
+
+def other_model(joint: Joint, said: str) -> str:
+    """Return what to say of a servo that says that it is another model than the robot file does."""
+    known = next((name for name in SERVO_MODELS if said.startswith(name)), None)
+    remedy = "" if known is None else f"; if it is the right servo, write `model: {known}` there"
+    return (
+        f"servo {joint.servo_id} is an {said}, the robot file says {joint.model.name}{remedy}. "
+        f"Look whether the servo of this joint has another id, or hangs on another bus"
+    )
 
 
 def ramp_steps(accel_deg_s2: float, ramp_ratio: float) -> int:

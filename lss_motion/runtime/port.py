@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import time
 from typing import TYPE_CHECKING, Final, Protocol
 
@@ -18,6 +19,7 @@ READ_MAX_BYTES: Final = 4096
 POLL_NS: Final = 2 * NS_PER_MS
 """How often a port that cannot be waited on is looked at (Windows, `loop://`)."""
 
+NO_PORT: Final = "that is no serial device. `lss-motion scan` says which there are"
 IN_USE: Final = "another program has it open; end that one first (LSS Config? another lss-motion?)"
 
 GONE: Final = "the device is gone, or another program reads from it. Look at its plug and cable"
@@ -101,14 +103,21 @@ class SerialPort:
 
 def _reason(error: Exception, url: str) -> str:
     """Return what to tell a person about a failure to open or use a port."""
-    text = str(error)
+    hints = {
+        errno.ENOENT: "there is no such device; is it plugged in?",
+        errno.EACCES: permission_hint(url),
+        errno.EBUSY: IN_USE,
+        errno.EAGAIN: IN_USE,
+        errno.ENOTTY: NO_PORT,
+        errno.EISDIR: NO_PORT,
+    }
+    return hints.get(_number(error), str(error))
+
+
+def _number(error: BaseException) -> int:
+    """Return the number that the system gave an error, also one that pyserial only quotes."""
     if isinstance(error, OSError) and error.errno is not None:
-        hints = {
-            2: "there is no such device; is it plugged in?",
-            13: permission_hint(url),
-            16: IN_USE,
-            11: IN_USE,
-        }
-        if hint := hints.get(error.errno):
-            return hint
-    return text
+        return error.errno
+    cause = error.__context__  # `termios.error` is no OSError, but has one's arguments.
+    first = cause.args[0] if cause is not None and cause.args else 0
+    return first if isinstance(first, int) else 0

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import InputError
+from lss_motion.units import significant
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -137,8 +138,8 @@ def check_jumps(total: Sum, show: Sequence) -> None:
                 column = int((deg + speed).argmax())
                 raise InputError(
                     f"layer {sheet.layer.sequence.name!r} would make joint "
-                    f"{total.joints[column]!r} jump by {deg[column]:.3g} deg and "
-                    f"{speed[column]:.3g} deg/s at {at_s:g} s; give it a fade_s",
+                    f"{total.joints[column]!r} jump by {significant(deg[column], 3)} deg and "
+                    f"{significant(speed[column], 3)} deg/s at {at_s:g} s; give it a fade_s",
                     path=show.path,
                     line=sheet.layer.line,
                 )

@@ -8,6 +8,7 @@ import numpy as np
 
 from lss_motion.errors import PlanningError
 from lss_motion.trajectory.model import Mark, Stretch
+from lss_motion.units import significant
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -156,8 +157,9 @@ def _missed(
         unit = "deg/s" if worst.limit == "speed" else "deg/s²"
         joint = worst.joint
         why = (
-            f": joint {worst.joint!r} would need {worst.limit} {worst.authored:.4g} {unit} "
-            f"between {worst.from_s:.3f} s and {worst.to_s:.3f} s, allowed {worst.allowed:g} {unit}"
+            f": joint {worst.joint!r} would need {worst.limit} {significant(worst.authored)} "
+            f"{unit} between {worst.from_s:.3f} s and {worst.to_s:.3f} s, allowed "
+            f"{worst.allowed:g} {unit}"
         )
     return PlanningError(
         f"{place}anchor{name} at {keyframe.at_s:g} s cannot be met{after}, it would be "

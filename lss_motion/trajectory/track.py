@@ -18,6 +18,7 @@ from lss_motion.trajectory.retime import slowed_windows, strained
 from lss_motion.trajectory.solve import solve
 from lss_motion.trajectory.timeline import authored_clock, stopping_clock
 from lss_motion.trajectory.verify import verify
+from lss_motion.units import significant
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -173,8 +174,8 @@ def _fitted(sequence: Sequence, robot: Robot) -> Trajectory:
         unit = "deg/s" if worst.limit == "speed" else "deg/s²"
         raise PlanningError(
             f"one pass cannot be done in {wanted_s:g} s with the author's proportions: joint "
-            f"{worst.joint!r} would need {worst.limit} {worst.authored:.4g} {unit}, allowed "
-            f"{worst.allowed:g} {unit}; the least duration is {least_s:.3f} s",
+            f"{worst.joint!r} would need {worst.limit} {significant(worst.authored)} {unit}, "
+            f"allowed {worst.allowed:g} {unit}; the least duration is {least_s:.3f} s",
             joint=worst.joint,
             time_s=worst.from_s,
         )

@@ -58,7 +58,7 @@ def test_a_servo_is_measured_and_its_file_says_so(on_terminal, servo, lss_motion
     ("specs", "faults", "code", "text"),
     [
         ([{"servo_id": 2}], [], 4, "no answer from 1 of 1 servos: pan"),
-        ([{"servo_id": 1, "model": "LSS-P-S1"}], [], 2, "servo 1 is a LSS-P-S1"),
+        ([{"servo_id": 1, "model": "LSS-P-S1"}], [], 2, "servo 1 is an LSS-P-S1"),
         ([{"servo_id": 1, "start_deg": 95.0}], [], 2, "outside its range"),
         ([{"servo_id": 1}], [("hot", {"temperature_c": 95.0})], 5, "safe mode"),
         ([{"servo_id": 1}], [("stuck", {})], 5, "blocked"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.connection import connect
+from lss_motion.connection import connect, with_port
 from lss_motion.errors import BusError, InputError
 from lss_motion.player.dialogue import Item
 from lss_motion.protocol.line import Command
@@ -75,3 +75,8 @@ def test_nothing_stays_open_when_one_port_does_not_open(tmp_path, robot, monkeyp
 def test_a_simulated_port_needs_a_robot(robot):
     with pytest.raises(InputError, match="give one"):
         connect(robot.buses)
+
+
+def test_an_empty_port_is_no_port(robot):
+    with pytest.raises(InputError, match="--port is empty"):
+        with_port(robot, "")

@@ -174,7 +174,9 @@ def test_a_servo_of_another_model_is_refused(stage, kit):
     other = replace(robot.joints["j2"], model=SERVO_MODELS["LSS-HS1"])
     played = stage.play(robot, wired=replace(robot, joints={**robot.joints, "j2": other}))
     assert isinstance(played.result.error, InputError)
-    assert "'j2': the robot file says LSS-ST1, but servo 3 is a LSS-HS1" in str(played.result.error)
+    said = str(played.result.error)
+    assert "joint 'j2': servo 3 is an LSS-HS1, the robot file says LSS-ST1" in said
+    assert "write `model: LSS-HS1` there" in said
     assert_nothing_moved(played)
 
 

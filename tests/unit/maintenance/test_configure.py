@@ -256,7 +256,7 @@ def test_a_backup_is_not_written_into_another_servo_unless_forced(connected, spe
     assert servos(other)[5].eeprom["O"] == 33
     pro = connected(spec(5, "LSS-P-S1"))
     code, _, errors = configure(pro, *words, "--force")
-    assert (code, "the backup is of a LSS-ST1" in errors) == (EXIT_INPUT, True)
+    assert (code, "the backup is of an LSS-ST1" in errors) == (EXIT_INPUT, True)
 
 
 @pytest.mark.parametrize(
@@ -388,7 +388,7 @@ def test_a_model_that_is_not_the_joints_is_not_written_to(connected, spec, confi
     connection = connected(spec(1), spec(2, "LSS-P-S1"))
     code, _, errors = configure(connection, "robot.yaml", "--yes")
     assert code == EXIT_INPUT
-    assert "joint 'tilt': servo 2 is a LSS-P-S1" in errors
+    assert "joint 'tilt': servo 2 is an LSS-P-S1" in errors
 
 
 def test_what_is_asked_and_answered_no_writes_nothing(connected, spec, configure, monkeypatch):

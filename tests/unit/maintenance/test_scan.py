@@ -139,7 +139,7 @@ joints: {arm: {id: 1}, hand: {id: 2}, foot: {id: 3, model: LSS-HT1}}
     looks = survey(connection, bus, 115200)
     missing, other = findings.differences(robot, bus, looks)
     assert "joint 'hand': servo 2 does not answer" in missing
-    assert "joint 'foot': servo 3 is a LSS-ST1, the robot file says LSS-HT1" in other
+    assert "joint 'foot': servo 3 is an LSS-ST1, the robot file says LSS-HT1" in other
     assert list(findings.unnamed(robot, bus, looks)) == [
         "servo 9 (LSS-ST1) is not in the robot file"
     ]

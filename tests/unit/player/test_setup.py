@@ -1,8 +1,11 @@
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 
-from lss_motion.errors import BusError
+from lss_motion.errors import BusError, InputError
 from lss_motion.player import settings, settling, setup
 from lss_motion.player.approach import approach
 from lss_motion.program.predict import profiles
@@ -108,6 +111,12 @@ def test_the_safe_state_goes_to_every_bus(kit):
 def test_a_joint_that_was_let_go_stays_so(kit):
     one = kit.joint()
     assert setup.safe_bytes(kit.robot(one), limp=[one]) == {"main": b"#254H\r#1L\r"}
+
+
+def test_a_servo_of_another_model_is_refused_at_the_line_that_names_the_model(kit):
+    robot = replace(kit.robot(one := kit.joint(lines={"model": 7})), path=Path("arm.yaml"))
+    with pytest.raises(InputError, match=r"^arm.yaml:7: joint 'j0': servo 1 is an LSS-HT1"):
+        setup.check_answers([one], answers(QMS="LSS-HT1"), robot)
 
 
 @pytest.mark.parametrize(("wire", "is_said"), [(-905, False), (905, False), (1201, True)])

@@ -219,9 +219,9 @@ def test_text_carries_the_drives_and_reads_them_back(kit):
         ("j9=stepped", "", "no joint 'j9'"),
         ("j1=streamed:4", "0 main #2D10T500", "'j1' is streamed: its D takes no T"),
         ("j2=stepped", "0 main #209D15", "D15 is not a multiple of 10"),
-        ("j1=stepped", "0 main #2D10", "a LSS-ST1 cannot be stepped"),
-        ("j1=streamed:4", "0 main #209D10T50", "a LSS-2IO cannot be timed"),
-        ("j2=streamed:4", "0 main #209D10", "a LSS-2IO cannot be streamed"),
+        ("j1=stepped", "0 main #2D10", "an LSS-ST1 cannot be stepped"),
+        ("j1=streamed:4", "0 main #209D10T50", "an LSS-2IO cannot be timed"),
+        ("j2=streamed:4", "0 main #209D10", "an LSS-2IO cannot be streamed"),
     ],
 )
 def test_drives_that_do_not_fit_the_robot_are_refused(kit, drives, moves, said):

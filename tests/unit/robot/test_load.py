@@ -50,6 +50,11 @@ def test_the_desk_arm_reads_as_it_is_written() -> None:
     assert robot.end == "hold"
 
 
+def test_a_joint_knows_the_line_of_each_field_also_of_a_default(robot_path: Path) -> None:
+    arm = load(robot_path, START + "  arm:\n    id: 1\n    speed_max_deg_s: 90\n").joints["arm"]
+    assert (arm.lines["model"], arm.lines["speed_max_deg_s"]) == (2, 6)
+
+
 def test_a_robot_needs_no_more_than_joints(robot_path: Path) -> None:
     robot = load(
         robot_path,
@@ -109,7 +114,7 @@ def test_a_joint_wins_over_defaults_key_by_key(robot_path: Path) -> None:
         ("  a: {id: 1, accel_max_deg_s2: servos}", 4, "0.1 or more, or `servo`"),
         ("  a: {id: 1, model: LSS-2IO, speed_max_deg_s: servo}", 4, "on a 2IO knows no limits"),
         ("  a: {id: 1, drive: streamed, accel_max_deg_s2: servo}", 4, "do not act while it is"),
-        ("  a: {id: 1, speed_max_deg_s: 361}", 4, "faster than a LSS-ST1 can turn"),
+        ("  a: {id: 1, speed_max_deg_s: 361}", 4, "faster than an LSS-ST1 can turn"),
         ("  a: {id: 1, accel_max_deg_s2: 1001}", 4, "more than the ramps of the servo (AA, AD)"),
         ("  a: {id: 1, drive: stepped}", 4, "whole degrees are for the RC servos of an LSS-2IO"),
         ("  a: {id: 1, model: LSS-P-S1, drive: streamed}", 4, "no document gives an LSS-PRO the"),
@@ -182,7 +187,7 @@ def test_a_wrong_default_is_reported_once_at_its_own_line(robot_path: Path) -> N
     text = START.replace("180", "400") + "  a: {id: 1}\n  b: {id: 2}\n"
     ((line, reason),) = refusals(robot_path, text)
     assert line == 2
-    assert "faster than a LSS-ST1" in reason
+    assert "faster than an LSS-ST1" in reason
 
 
 def test_an_unreadable_default_is_not_also_called_missing(robot_path: Path) -> None:

@@ -22,7 +22,13 @@ def test_bytes_written_to_a_loop_come_back():
 
 @pytest.mark.parametrize(
     ("url", "said"),
-    [("/dev/no-such-port", "there is no such device"), ("nosuch://", "cannot open port nosuch://")],
+    [
+        ("/dev/no-such-port", "there is no such device"),
+        ("nosuch://", "cannot open port nosuch://"),
+        (__file__, ": that is no serial device"),
+        ("/", ": that is no serial device"),
+        ("/dev/null", ": that is no serial device"),
+    ],
 )
 def test_a_port_that_cannot_be_opened_is_named(url, said):
     with pytest.raises(BusError, match=said) as caught:

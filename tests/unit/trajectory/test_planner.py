@@ -109,6 +109,12 @@ def test_a_missed_anchor_says_which_by_how_much_and_why(make_robot, frame):
     assert "allowed 600 deg/s²" in message
 
 
+def test_a_far_too_short_move_is_told_in_plain_numbers(make_robot, frame):
+    frames = [frame(0.0, base=0.0), frame(0.05, base=100.0, anchor=True)]
+    with pytest.raises(PlanningError, match=r"would need acceleration 240000 deg/s²"):
+        plan(sequence(*frames), make_robot())
+
+
 def test_an_anchor_after_a_rest_long_enough_is_met(make_robot, frame):
     frames = [
         frame(0.0, base=0.0),
