@@ -192,10 +192,6 @@ class Courses:
     def end_s(self) -> float:
         return self.start_s + GRID_S * (self.size - 1)
 
-    def index(self, time_s: float) -> int:
-        """Return the index of a grid instant."""
-        return round((time_s - self.start_s) / GRID_S)
-
     def first_index(self, times_s: FloatArray) -> IntArray:
         """Return the first index whose instant is not before `times_s`, however far."""
         index: IntArray = np.ceil((times_s - self.start_s) / GRID_S - 1e-9).astype(np.intp)

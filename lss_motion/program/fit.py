@@ -85,7 +85,7 @@ class Fit:
             late = [known[lane] for lane in of_lane[unjoined(made, self._task.limits)]]
             if not late:
                 return made
-            stops = {(lane.joint, self._task.courses.index(lane.after_s)) for lane in late}
+            stops = {(lane.joint, lane.first) for lane in late}
             assert not stops & refused, "a lane without stops always joins"
             refused |= stops
 

@@ -44,13 +44,15 @@ Stop = tuple[int, int]
 class Lane:
     """One joint from a stop to the next. Instants in seconds.
 
-    The first move is to be heard between `onset_s` and `latest_s`; `leaves_s` is the best guess.
-    `stop` is the standstill on whose wire value it ends, `(first, last)` index of the course's
-    grid; None at the end of a course in motion. `begin`: what it comes out of, if not a stop.
+    It comes out of the stop that begins at the index `first` of the course's grid. The first move
+    is to be heard between `onset_s` and `latest_s`; `leaves_s` is the best guess. `stop` is the
+    standstill on whose wire value it ends, `(first, last)` index of the grid; None at the end of a
+    course in motion. `begin`: what it comes out of, if not a stop.
     """
 
     joint: int
     wire: int
+    first: int
     after_s: float
     onset_s: float
     leaves_s: float
@@ -81,7 +83,7 @@ def lanes_of(
         before = stops.pop(0) if stops else None
         wire = lattice(float(course.position_deg[before[0] if before else last]), limits)
         start_s, first_s = course.start_s, begin.first_s
-        yield Lane(joint, 0, start_s, first_s, first_s, first_s, before, wire, begin)
+        yield Lane(joint, 0, 0, start_s, first_s, first_s, first_s, before, wire, begin)
         if before is None:
             return
     else:
@@ -167,8 +169,8 @@ def _lanes(
     rows = zip(*(column.tolist() for column in times_s), strict=True)
     for at, (start_s, begin_s, guess_s, end_s) in enumerate(rows):
         if is_moved[at]:
-            stop, stop_at = bounds[at + 1], wires[at + 1]
-            yield Lane(joint, wires[at], start_s, begin_s, guess_s, end_s, stop, stop_at)
+            stop, stop_at, index = bounds[at + 1], wires[at + 1], edges[at][0]
+            yield Lane(joint, wires[at], index, start_s, begin_s, guess_s, end_s, stop, stop_at)
 
 
 def _first_away(

@@ -10,7 +10,7 @@ from lss_motion.program.course import GRID_S, SEGMENT_MAX_S, Course, ServoLimits
 from lss_motion.program.fit import Fit
 from lss_motion.program.landing import SEGMENT_MIN_S
 from lss_motion.program.lanes import lanes_of
-from lss_motion.program.moves import references
+from lss_motion.program.moves import from_rest, references
 from lss_motion.robot.model import Response
 
 LIMITS = ServoLimits(
@@ -59,7 +59,7 @@ def test_out_of_a_turning_point_nothing_is_heard_while_the_servo_may_still_land_
     assert len(lanes) > 3
     for before, lane in pairwise(lanes):
         first, last = before.stop
-        assert first == last
+        assert first == last == lane.first
         assert lane.after_s == pytest.approx(course.time_s(last) + SEGMENT_MIN_S)
         assert lane.after_s <= lane.onset_s <= lane.leaves_s <= lane.latest_s
     lines = []
@@ -67,6 +67,29 @@ def test_out_of_a_turning_point_nothing_is_heard_while_the_servo_may_still_land_
         lambda: lines.append(1) or (lambda _joints, wanted_us, _after_us: wanted_us)
     )
     assert len(lines) == 1
+
+
+def test_a_turning_point_at_which_the_line_is_late_is_travelled_through():
+    course = Course(start_s=0.0, position_deg=8.0 * np.sin(4.0 * GRID_S * np.arange(12000)))
+    lanes = list(lanes_of(0, course, LIMITS, 0.16, ()))
+    turn_us = round(1e6 * course.time_s(lanes[1].first))
+    attempts = []
+
+    def new_line():
+        attempts.append(len(attempts))
+
+        def grant(_joints, wanted_us, _after_us):
+            is_late = (wanted_us > turn_us - 800_000) & (wanted_us < turn_us + 30_000)
+            return wanted_us + 150_000 * (is_late & (len(attempts) == 1))
+
+        return grant
+
+    moves = Fit([course], [LIMITS]).moves(new_line)
+    assert len(attempts) == 2
+    profile = from_rest(moves, [LIMITS], np.zeros(1))[0]
+    times_s = np.arange(0.0, 59.0, 0.01)
+    stray_deg = np.abs(profile.sample(times_s) - 8.0 * np.sin(4.0 * times_s))
+    assert stray_deg[times_s > turn_us / 1e6 - 2.0].max() < 2.0 * LIMITS.tolerance_deg
 
 
 def test_no_course_is_run_past_the_begin_of_its_rest():
