@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.program.course import GRID_S, STILL_ROUNDING_DEG
-from lss_motion.program.landing import SEGMENT_MIN_S
 from lss_motion.program.wording import lattice
 
 if TYPE_CHECKING:
@@ -158,9 +157,9 @@ def _lanes(
     is_moved = (leaves <= last) | (wire != stop_wire)
     leaves = np.minimum(leaves, last)
     onset = np.minimum(rested, leaves)
-    # The landing before may come to rest so much after a turning point.
+    # The landing before may come to rest a little after a turning point.
     is_turn = np.array([stop is not None and stop[0] == stop[1] for stop in bounds[:-1]])
-    after_s = course.times_s(first) + SEGMENT_MIN_S * is_turn
+    after_s = course.times_s(first) + GRID_S * is_turn
     outside = _first_away(course.position_deg, leaves, last, position_deg, follow_deg)
     onset_s = np.maximum(course.times_s(onset), after_s)
     latest_s = np.maximum(course.times_s(np.maximum(outside - 1, leaves)), onset_s)

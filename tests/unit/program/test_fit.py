@@ -8,7 +8,6 @@ import pytest
 
 from lss_motion.program.course import GRID_S, SEGMENT_MAX_S, Course, ServoLimits
 from lss_motion.program.fit import Fit
-from lss_motion.program.landing import SEGMENT_MIN_S
 from lss_motion.program.lanes import lanes_of
 from lss_motion.program.moves import from_rest, references
 from lss_motion.robot.model import Response
@@ -60,7 +59,7 @@ def test_out_of_a_turning_point_nothing_is_heard_while_the_servo_may_still_land_
     for before, lane in pairwise(lanes):
         first, last = before.stop
         assert first == last == lane.first
-        assert lane.after_s == pytest.approx(course.time_s(last) + SEGMENT_MIN_S)
+        assert lane.after_s == pytest.approx(course.time_s(last) + GRID_S)
         assert lane.after_s <= lane.onset_s <= lane.leaves_s <= lane.latest_s
     lines = []
     Fit([course], [LIMITS]).moves(
