@@ -2,6 +2,10 @@
 
 The limit is physics alone: both lines of the bus never idle, the commands first. Nobody can reach
 it, since nobody knows beforehand when a servo will begin to answer.
+
+Over a pseudo-terminal both clients, and the robot, wait for a processor: ours got 2.75 (115200 bps)
+and 3.3 times (500000) as many answers on a quiet virtual machine, and 2.4 and 2.8 on the same one
+while its owner took much of it away.
 """
 
 from __future__ import annotations
