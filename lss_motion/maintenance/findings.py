@@ -67,7 +67,7 @@ def differences(robot: Robot, bus: Bus, looks: Sequence[Look]) -> Iterator[str]:
                 f"Check its plug and its power; has it another id?"
             )
         elif look.present.model and not look.present.model.startswith(joint.model.name):
-            yield (f"joint {joint.name!r}: {other_model(joint, look.present.model)}")
+            yield f"joint {joint.name!r}: {other_model(joint, look.present.model)}"
         elif look.baud_bps != bus.baud_bps and not look.present.is_shared:
             yield (
                 f"joint {joint.name!r}: servo {servo_id} listens at {look.baud_bps} bps, the "

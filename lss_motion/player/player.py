@@ -87,8 +87,7 @@ class Player:
         return self._phases.safe_bytes()
 
     def _note_gap(self, now_ns: int) -> None:
-        show_s = None if self.show is None else self.show.show_s(now_ns)
-        text = self._gaps.text(now_ns, show_s)
+        text = self._gaps.text(now_ns, None if self.show is None else self.show.show_s)
         if text is not None and self.phase in DRIVING:
             self._phases.events.append(Warned(text))
 

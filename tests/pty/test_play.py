@@ -115,13 +115,18 @@ sys.exit(main(sys.argv[1:]))
 """Runs `lss-motion` with the terminal as its own, as a shell's job in the foreground has it."""
 
 
+def in_front(folder, port, *options):
+    """Return the command that plays a short show in the foreground of its terminal."""
+    (folder / "sway.yaml").write_text(SWAY % 1)
+    return [sys.executable, "-c", IN_FRONT, "play", str(folder / "sway.yaml"), "--port",
+            port.path, *options]  # fmt: skip
+
+
 @contextmanager
 def at_a_keyboard(folder, port, *options):
     """Play from a terminal; yields the process and its keyboard."""
-    (folder / "sway.yaml").write_text(SWAY % 1)
     keyboard, terminal = pty.openpty()
-    command = [sys.executable, "-c", IN_FRONT, "play", str(folder / "sway.yaml"), "--port",
-               port.path, *options]  # fmt: skip
+    command = in_front(folder, port, *options)
     process = subprocess.Popen(
         command, stdin=terminal, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
@@ -137,10 +142,8 @@ def at_a_keyboard(folder, port, *options):
 @contextmanager
 def on_a_terminal(folder, port, *options):
     """Play with a terminal for all it says and hears; yields the process and the other end."""
-    (folder / "sway.yaml").write_text(SWAY % 1)
     other_end, terminal = pty.openpty()
-    command = [sys.executable, "-c", IN_FRONT, "play", str(folder / "sway.yaml"), "--port",
-               port.path, *options]  # fmt: skip
+    command = in_front(folder, port, *options)
     process = subprocess.Popen(command, stdin=terminal, stdout=terminal, stderr=terminal)
     os.close(terminal)
     with os.fdopen(other_end, "r+b", buffering=0) as screen:

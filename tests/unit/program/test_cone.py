@@ -5,18 +5,10 @@ import pytest
 
 from lss_motion.program.batch import States
 from lss_motion.program.cone import Starts, opened
-from lss_motion.program.course import GRID_S, Course, Courses, ServoLimits
-from lss_motion.robot.model import Response
+from lss_motion.program.course import GRID_S, Course, Courses, servo_limits
+from tests.joints import joint
 
-LIMITS = ServoLimits(
-    position_min_deg=-90.0,
-    position_max_deg=90.0,
-    speed_max_deg_s=180.0,
-    ramp_deg_s2=600.0,
-    wire_per_deg=10,
-    tolerance_deg=0.2,
-    response=Response(),
-)
+LIMITS = servo_limits(joint(), 0.2)
 
 
 @pytest.mark.parametrize("block", [20, 50])

@@ -6,21 +6,14 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lss_motion.program.course import GRID_S, SEGMENT_MAX_S, Course, ServoLimits
+from lss_motion.program.course import GRID_S, SEGMENT_MAX_S, Course, servo_limits
 from lss_motion.program.fit import Fit
 from lss_motion.program.lanes import lanes_of
 from lss_motion.program.moves import from_rest, references
 from lss_motion.robot.model import Response
+from tests.joints import joint
 
-LIMITS = ServoLimits(
-    position_min_deg=-90.0,
-    position_max_deg=90.0,
-    speed_max_deg_s=180.0,
-    ramp_deg_s2=600.0,
-    wire_per_deg=10,
-    tolerance_deg=0.2,
-    response=Response(),
-)
+LIMITS = servo_limits(joint(), 0.2)
 
 
 def all_fitted(rows_deg, limits=LIMITS):
