@@ -84,6 +84,7 @@ class _Manners:
     reply_bytes: dict[str, int] = field(default_factory=dict)
     least_bytes: int = 1
     """The shortest answer that is to be expected."""
+    answered_ns: int | None = None
 
     def note_size(self, keyword: str, size_bytes: int) -> None:
         """Note how long an answer was: the next one may have a digit more."""
@@ -128,6 +129,10 @@ class Questioner:
     def quiet_until_ns(self, servo_id: int) -> int:
         """Return until when a servo is left alone after a timeout."""
         return self._known(servo_id).quiet_until_ns
+
+    def answered_ns(self, servo_id: int) -> int | None:
+        """Return when a servo last gave an answer that was believed; None: never."""
+        return self._known(servo_id).answered_ns
 
     def turnaround(self, servo_id: int) -> Turnaround:
         return self._known(servo_id).turnaround
@@ -207,7 +212,9 @@ class Questioner:
         flight.held.append((asked, reply))
         manners.owed.clear()
         self._predict(servo_id, flight)
-        return self._believed(servo_id, flight)
+        if believed := self._believed(servo_id, flight):
+            manners.answered_ns = now_ns
+        return believed
 
     def expire(self, now_ns: int) -> list[Asked]:
         """Give up the questions whose time is over; return them."""

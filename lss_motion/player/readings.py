@@ -194,7 +194,7 @@ class Reader:
                 self._waiting.answered(bus, asked.command.servo_id, said.value)
             track = self._by_address.get((bus, asked.command.servo_id))
             if track is not None:
-                self.watch.answered(track, now_ns)
+                self.watch.answered(track)
                 self._take(bus, track, asked, said, wanted_deg)
 
     def _take(
@@ -329,4 +329,5 @@ class Reader:
     def _note_silence(self, bus: str, expired: Asked, now_ns: int) -> None:
         track = self._by_address.get((bus, expired.command.servo_id))
         if track is not None:
-            self.watch.unanswered(track, now_ns)
+            since_ns = self._questioners[bus].answered_ns(track.joint.servo_id)
+            self.watch.unanswered(track, now_ns if since_ns is None else since_ns)

@@ -61,9 +61,8 @@ class Watch:
         """By joint: what was said once and must be asked again at once."""
         self._counts: dict[Trouble, int] = {}
         self._astray_since_ns: dict[str, int] = {}
-        self._answered_ns: dict[str, int] = {}
-        self._unanswered: dict[str, tuple[Joint, int]] = {}
-        """Who did not answer the last question, and how many in a row."""
+        self._unanswered: dict[str, tuple[Joint, int, int]] = {}
+        """Who did not answer the last question, how many in a row, and when it last answered."""
         self._before: dict[tuple[str, str], float] = {}
 
     def position(self, track: Track, heard_ns: int) -> None:
@@ -106,25 +105,27 @@ class Watch:
         )
         self._judge(track, Cause.LOW_VOLTAGE, "QV", text, is_bad=voltage_v < limit_v)
 
-    def answered(self, track: Track, now_ns: int) -> None:
+    def answered(self, track: Track) -> None:
         """Note that a servo answered, whatever it said."""
         name = track.joint.name
-        self._answered_ns[name] = now_ns
         self._unanswered.pop(name, None)
         self.troubles.pop((name, Cause.SILENT), None)
 
-    def unanswered(self, track: Track, now_ns: int) -> None:
-        """Note that a question to a servo was given up; `advance` judges it."""
+    def unanswered(self, track: Track, since_ns: int) -> None:
+        """Note that a question to a servo was given up; `advance` judges it.
+
+        `since_ns` is when it last answered anything, be it before the show: a servo that restarts
+        between two phases must be missed before it is back and hears a move without its limits.
+        """
         joint = track.joint
-        self._answered_ns.setdefault(joint.name, now_ns)
-        _, count = self._unanswered.get(joint.name, (joint, 0))
-        self._unanswered[joint.name] = (joint, count + 1)
+        _, count, first_ns = self._unanswered.get(joint.name, (joint, 0, since_ns))
+        self._unanswered[joint.name] = (joint, count + 1, first_ns)
 
     def advance(self, now_ns: int) -> None:
         """Judge who is silent by now: no question that comes late on a full line is waited for."""
-        for joint, over_ns in self._fading():
-            if now_ns >= over_ns:
-                silent_s = s_from_ns(now_ns - self._answered_ns[joint.name])
+        for joint, since_ns in self._fading():
+            if now_ns >= since_ns + ns_from_s(joint.silent_s):
+                silent_s = s_from_ns(now_ns - since_ns)
                 self.troubles[joint.name, Cause.SILENT] = (
                     f"is silent: servo {joint.servo_id} has not answered for {silent_s:.1f} s. "
                     f"Look at its cable and its power"
@@ -132,18 +133,21 @@ class Watch:
 
     def wakeups_ns(self) -> list[int]:
         """Return when `advance` must be called at the latest."""
-        fading = self._fading()
-        return [ns for joint, ns in fading if (joint.name, Cause.SILENT) not in self.troubles]
+        return [
+            since_ns + ns_from_s(joint.silent_s)
+            for joint, since_ns in self._fading()
+            if (joint.name, Cause.SILENT) not in self.troubles
+        ]
 
     def quiet(self) -> set[str]:
         """Return the joints whose last question was not answered."""
         return set(self._unanswered)
 
     def _fading(self) -> Iterator[tuple[Joint, int]]:
-        """Yield who is silent unless it answers before its time is over, and when that is."""
-        for joint, count in self._unanswered.values():
+        """Yield who is silent unless it answers within its time, and when it last answered."""
+        for joint, count, since_ns in self._unanswered.values():
             if count >= SILENT_ASKS:
-                yield joint, self._answered_ns[joint.name] + ns_from_s(joint.silent_s)
+                yield joint, since_ns
 
     def _judge(self, track: Track, cause: Cause, keyword: str, text: str, *, is_bad: bool) -> None:
         name = track.joint.name

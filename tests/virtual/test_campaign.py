@@ -30,6 +30,7 @@ FOUND_SLOW = (
     2213,  # A clog kept words for a servo until it had restarted: nobody's doing.
     10514,  # A show that braked was still owed the end of a catch-up, with no time left for it.
     2472,  # On a full line, silence was noticed with the next question, when the servo was back.
+    15857,  # Silent since before the show: counted from the show's own first question, too late.
 )
 FOUND_ANY = (
     293,  # Instants crept with a lag that was being learnt, past the steps of a joint in EM0.

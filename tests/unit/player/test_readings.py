@@ -203,6 +203,20 @@ def test_what_nobody_expected_waits_for_no_more_than_one_command(kit):
     assert max(backlogs_ns) > desk.line.time_ns(BACKLOG_BYTES - len(b"#1QD\r")), "and for that"
 
 
+def test_silence_is_counted_from_the_last_answer_and_not_from_the_first_question(kit):
+    """A servo that restarts between two phases is missed before it is back (seed 15857)."""
+    desk = Desk(*joints(kit, 2)).run(0, KNOWN_NS)
+    desk.values |= {(1, word): None for word in ("QD", "QDT", *HEALTHY)}
+    desk.run(KNOWN_NS, KNOWN_NS + 100 * MS)
+    answered_ns = desk.questioner.answered_ns(1)
+    assert KNOWN_NS - 50 * MS < answered_ns < KNOWN_NS + 50 * MS
+    desk.reader = desk.reader.anew()
+    desk.run(KNOWN_NS + 300 * MS, answered_ns + S - 1)
+    assert desk.reader.watch.troubles == {}
+    desk.run(answered_ns + S, answered_ns + S + MS)
+    assert set(desk.reader.watch.troubles) == {("j0", Cause.SILENT)}
+
+
 @pytest.mark.parametrize("late_ns", [LATE_NS // 2, 5 * MS, 100 * MS])
 def test_a_host_that_wakes_late_is_left_alone_for_a_while(kit, late_ns):
     desk = Desk(*joints(kit, 2)).run(0, KNOWN_NS)
