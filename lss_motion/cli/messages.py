@@ -14,7 +14,13 @@ import sys
 from collections import deque
 from typing import TYPE_CHECKING, Final, TextIO
 
-from lss_motion.errors import EXIT_INTERRUPTED, EXIT_OF_SIGNAL, InputError, LssMotionError
+from lss_motion.errors import (
+    EXIT_INPUT,
+    EXIT_INTERRUPTED,
+    EXIT_OF_SIGNAL,
+    InputError,
+    LssMotionError,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -98,7 +104,11 @@ def guarded(program: str, do: Callable[[], int]) -> int:
     except KeyboardInterrupt:
         put(f"{program}: interrupted", sys.stderr)
         return EXIT_INTERRUPTED
-    except BrokenPipeError:  # `lss-motion schema | head`: the reader has seen enough.
+    except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        if isinstance(error, BrokenPipeError):  # `schema | head`: the reader has seen enough.
+            return 0
+        what = error.filename or "standard output"
+        put(f"{program}: {what} cannot be used: {error.strerror}", sys.stderr)
+        return EXIT_INPUT
     return code

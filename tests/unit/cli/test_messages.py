@@ -6,8 +6,12 @@ import os
 import subprocess
 import sys
 from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
 
 from lss_motion.cli.messages import Printer
+from lss_motion.errors import EXIT_INPUT
 
 
 def test_a_terminal_without_superscripts_gets_a_question_mark_and_no_traceback():
@@ -67,3 +71,22 @@ def test_a_pipe_whose_reader_has_gone_is_given_up_and_that_is_said_once(monkeypa
     said = capsys.readouterr().err
     assert said.count("warning: standard output cannot be written to") == 1
     assert "Broken pipe" in said
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no full device")
+@pytest.mark.parametrize("arguments", [["schema", "robot"], ["reference", "LSS"]])
+def test_a_full_disk_under_standard_output_is_one_line_that_names_it(arguments):
+    command = [sys.executable, "-m", "lss_motion.cli.main", *arguments]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, check=False)
+    said = "lss-motion: standard output cannot be used: No space left on device\n"
+    assert (done.returncode, done.stderr.decode()) == (EXIT_INPUT, said)
+
+
+def test_a_reader_that_has_seen_enough_is_no_error():
+    command = [sys.executable, "-m", "lss_motion.cli.main", "schema", "robot"]
+    read_fd, write_fd = os.pipe()
+    os.close(read_fd)
+    done = subprocess.run(command, stdout=write_fd, stderr=subprocess.PIPE, check=False)
+    os.close(write_fd)
+    assert (done.returncode, done.stderr) == (0, b"")
