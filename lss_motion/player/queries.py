@@ -131,7 +131,7 @@ class Questioner:
         return self._known(servo_id).quiet_until_ns
 
     def answered_ns(self, servo_id: int) -> int | None:
-        """Return when a servo last gave an answer that was believed; None: never."""
+        """Return when a servo last answered, were it believed or not; None: never."""
         return self._known(servo_id).answered_ns
 
     def turnaround(self, servo_id: int) -> Turnaround:
@@ -208,13 +208,11 @@ class Questioner:
         while (passed := flight.waiting.popleft()) is not asked:
             flight.is_doubtful = True
             self._lost.append(passed)
-        flight.arrived_ns = now_ns
+        flight.arrived_ns = manners.answered_ns = now_ns
         flight.held.append((asked, reply))
         manners.owed.clear()
         self._predict(servo_id, flight)
-        if believed := self._believed(servo_id, flight):
-            manners.answered_ns = now_ns
-        return believed
+        return self._believed(servo_id, flight)
 
     def expire(self, now_ns: int) -> list[Asked]:
         """Give up the questions whose time is over; return them."""

@@ -41,6 +41,9 @@ servos there is a gap, since nobody knows when the next one will begin."""
 VISIT_NS: Final = NS_PER_S // 4
 """But all servos of a bus are visited at least this often. One that is to name its target is as
 urgent as one at rest that was not visited for so long."""
+LONGEST_NS: Final = NS_PER_S // 2
+"""And whoever was not asked for so long comes next, however fast the others move: a servo that
+restarts, which takes more than a second, must be missed before it is back."""
 SPEED_WEIGHT_S_PER_DEG: Final = 0.05
 ERROR_WEIGHT_PER_DEG: Final = 2.0
 """A joint is read sooner the faster it moves and the further it strayed (design 8). Chosen: at
@@ -189,12 +192,16 @@ class Reader:
     def receive(
         self, bus: str, reply: Reply, now_ns: int, wanted_deg: Callable[[Track, int], float]
     ) -> None:
-        for asked, said in self._questioners[bus].answer(reply, now_ns):
+        questioner = self._questioners[bus]
+        believed = questioner.answer(reply, now_ns)
+        sender = self._by_address.get((bus, reply.servo_id or 0))
+        if sender is not None and questioner.answered_ns(sender.joint.servo_id) == now_ns:
+            self.watch.answered(sender)
+        for asked, said in believed:
             if said.keyword == "QA":
                 self._waiting.answered(bus, asked.command.servo_id, said.value)
             track = self._by_address.get((bus, asked.command.servo_id))
             if track is not None:
-                self.watch.answered(track)
                 self._take(bus, track, asked, said, wanted_deg)
 
     def _take(
@@ -301,7 +308,10 @@ class Reader:
             _, speed_deg_s = track.profile.at(now_s)
             weight = 1.0 + SPEED_WEIGHT_S_PER_DEG * abs(speed_deg_s)
             weight += ERROR_WEIGHT_PER_DEG * abs(track.following.error_deg)
-            merit = (now_ns - track.asked_ns) * weight + VISIT_NS * wants_target(track, now_ns)
+            age_ns = now_ns - track.asked_ns
+            merit = age_ns * weight + VISIT_NS * wants_target(track, now_ns)
+            if age_ns > LONGEST_NS:
+                merit += age_ns * NS_PER_S
             if merit > best_merit:
                 best, best_merit = track, merit
         return best
@@ -330,4 +340,4 @@ class Reader:
         track = self._by_address.get((bus, expired.command.servo_id))
         if track is not None:
             since_ns = self._questioners[bus].answered_ns(track.joint.servo_id)
-            self.watch.unanswered(track, now_ns if since_ns is None else since_ns)
+            self.watch.unanswered(track, now_ns, now_ns if since_ns is None else since_ns)

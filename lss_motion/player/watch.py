@@ -6,6 +6,7 @@ trouble begins with the second reading in a row that says so.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.protocol.constants import Status, status_from
@@ -26,7 +27,8 @@ BACK_RATIO: Final = 0.5
 """It is back when it is off by less than this share of `following_deg`."""
 CONFIRMATIONS: Final = 2
 SILENT_ASKS: Final = 4
-"""So many questions in a row must stay unanswered; on a slow line `silent_s` alone says little."""
+"""So many questions in a row must stay unanswered, and not all at once, as when a clog takes a
+whole row of them: on a slow line, or a busy computer, `silent_s` alone says little."""
 STATUS_CAUSES: Final = {
     Status.STUCK: Cause.STUCK,
     Status.BLOCKED: Cause.BLOCKED,
@@ -52,6 +54,17 @@ def status_fault(status: Status) -> str | None:
     return None if cause is Cause.RESTARTED else STATUS_TEXTS[cause]
 
 
+@dataclass(slots=True)
+class _Unanswered:
+    """A servo that has not answered since `since_ns`, as was first noticed at `first_ns`."""
+
+    joint: Joint
+    since_ns: int
+    first_ns: int
+    count: int = 0
+    is_more_than_once: bool = False
+
+
 class Watch:
     """What is wrong now: `troubles`, by joint and cause, in words that name a remedy."""
 
@@ -61,8 +74,8 @@ class Watch:
         """By joint: what was said once and must be asked again at once."""
         self._counts: dict[Trouble, int] = {}
         self._astray_since_ns: dict[str, int] = {}
-        self._unanswered: dict[str, tuple[Joint, int, int]] = {}
-        """Who did not answer the last question, how many in a row, and when it last answered."""
+        self._unanswered: dict[str, _Unanswered] = {}
+        """Who did not answer the last question."""
         self._before: dict[tuple[str, str], float] = {}
 
     def position(self, track: Track, heard_ns: int) -> None:
@@ -111,15 +124,16 @@ class Watch:
         self._unanswered.pop(name, None)
         self.troubles.pop((name, Cause.SILENT), None)
 
-    def unanswered(self, track: Track, since_ns: int) -> None:
+    def unanswered(self, track: Track, now_ns: int, since_ns: int) -> None:
         """Note that a question to a servo was given up; `advance` judges it.
 
         `since_ns` is when it last answered anything, be it before the show: a servo that restarts
         between two phases must be missed before it is back and hears a move without its limits.
         """
         joint = track.joint
-        _, count, first_ns = self._unanswered.get(joint.name, (joint, 0, since_ns))
-        self._unanswered[joint.name] = (joint, count + 1, first_ns)
+        known = self._unanswered.setdefault(joint.name, _Unanswered(joint, since_ns, now_ns))
+        known.count += 1
+        known.is_more_than_once = now_ns > known.first_ns
 
     def advance(self, now_ns: int) -> None:
         """Judge who is silent by now: no question that comes late on a full line is waited for."""
@@ -145,9 +159,9 @@ class Watch:
 
     def _fading(self) -> Iterator[tuple[Joint, int]]:
         """Yield who is silent unless it answers within its time, and when it last answered."""
-        for joint, count, since_ns in self._unanswered.values():
-            if count >= SILENT_ASKS:
-                yield joint, since_ns
+        for one in self._unanswered.values():
+            if one.count >= SILENT_ASKS and one.is_more_than_once:
+                yield one.joint, one.since_ns
 
     def _judge(self, track: Track, cause: Cause, keyword: str, text: str, *, is_bad: bool) -> None:
         name = track.joint.name

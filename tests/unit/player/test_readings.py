@@ -17,6 +17,7 @@ from lss_motion.player.readings import (
     HEALTH_LEAST,
     HEALTH_NS,
     LATE_NS,
+    LONGEST_NS,
     REST_MAX_NS,
     REST_RATIO,
     VISIT_NS,
@@ -25,7 +26,7 @@ from lss_motion.player.readings import (
 from lss_motion.player.show_clock import ShowClock
 from lss_motion.player.waiting import ASK_NS, Waiting
 from lss_motion.player.watch import SILENT_ASKS
-from lss_motion.protocol.line import CommandParser, Reply, encode
+from lss_motion.protocol.line import Command, CommandParser, Reply, encode
 from lss_motion.robot.model import Bus, Sensor
 from lss_motion.robot.models import SERVO_MODELS
 from lss_motion.robot.on_fault import Cause
@@ -217,12 +218,34 @@ def test_silence_is_counted_from_the_last_answer_and_not_from_the_first_question
     assert set(desk.reader.watch.troubles) == {("j0", Cause.SILENT)}
 
 
+def test_who_answers_is_not_silent_be_it_believed_or_not(kit):
+    desk = Desk(*joints(kit, 2))
+    for track in desk.tracks.values():
+        desk.reader.watch.unanswered(track, 0, 0)
+    for _ in range(2):
+        desk.questioner.ask(Command(1, "QD"), 0)
+    desk.reader.receive("main", Reply(1, "QD", 7), 2 * MS, planned_deg)
+    assert desk.reader.watch.quiet() == {"j1"}
+    assert not desk.tracks["j0"].trace.points, "there is another question that it could answer"
+    desk.reader.receive("main", Reply(2, "QD", 7), 3 * MS, planned_deg)
+    assert desk.reader.watch.quiet() == {"j1"}, "nobody asked"
+
+
+def test_no_servo_waits_for_long_because_others_are_busier(kit):
+    """One that restarts must be missed before it is back, whatever the others do meanwhile."""
+    desk = Desk(*joints(kit, 18), baud_bps=57600)
+    desk.values |= {(servo_id, "QD"): 200 for servo_id in range(2, 19)}
+    heard_ns = [h for _, h, one, _ in desk.run(0, 4 * S).asked if one == 1 and h > KNOWN_NS]
+    longest_ns = max(b - a for a, b in pairwise(heard_ns))
+    assert 0.8 * LONGEST_NS < longest_ns < 1.3 * LONGEST_NS
+
+
 @pytest.mark.parametrize("late_ns", [LATE_NS // 2, 5 * MS, 100 * MS])
 def test_a_host_that_wakes_late_is_left_alone_for_a_while(kit, late_ns):
     desk = Desk(*joints(kit, 2)).run(0, KNOWN_NS)
     for track in desk.tracks.values():
-        for _ in range(SILENT_ASKS):
-            desk.reader.watch.unanswered(track, KNOWN_NS)
+        for ask in range(SILENT_ASKS):
+            desk.reader.watch.unanswered(track, KNOWN_NS + ask, KNOWN_NS)
     wakeup_ns = min(ns for ns in desk.reader.wakeups_ns(KNOWN_NS) if ns > KNOWN_NS)
     begun, woken_ns = len(desk.asked), wakeup_ns + late_ns
     desk.run(woken_ns, woken_ns + 200 * MS)
