@@ -131,7 +131,7 @@ class Questioner:
         return self._known(servo_id).quiet_until_ns
 
     def answered_ns(self, servo_id: int) -> int | None:
-        """Return when a servo last answered, were it believed or not; None: never."""
+        """Return when a servo last answered, be it believed or too late; None: never."""
         return self._known(servo_id).answered_ns
 
     def turnaround(self, servo_id: int) -> Turnaround:
@@ -196,7 +196,7 @@ class Questioner:
         """
         servo_id, asked = self._asked_for(reply, now_ns)
         if asked is None:
-            self._note_stray(servo_id, reply.keyword)
+            self._note_stray(servo_id, reply.keyword, now_ns)
             return []
         flight, manners = self._flights[servo_id], self._known(servo_id)
         self.answered_count += 1
@@ -253,12 +253,15 @@ class Questioner:
                 return servo_id, asked if now_ns >= asked.heard_ns else None
         return servo_id, None
 
-    def _note_stray(self, servo_id: int, keyword: str) -> None:
+    def _note_stray(self, servo_id: int, keyword: str, now_ns: int) -> None:
         self.strays += 1
-        if (flight := self._flights.get(servo_id)) is not None:
+        flight, manners = self._flights.get(servo_id), self._manners.get(servo_id)
+        if flight is not None:
             flight.is_doubtful = True
-        elif (manners := self._manners.get(servo_id)) is not None and keyword in manners.owed:
-            manners.turnaround.forget()
+        if manners is not None and keyword in manners.owed:
+            manners.answered_ns = now_ns
+            if flight is None:
+                manners.turnaround.forget()
 
     def _believed(self, servo_id: int, flight: _Flight) -> list[tuple[Asked, Reply]]:
         """Return, and no longer hold, the answers that no other question could mean."""

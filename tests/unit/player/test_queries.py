@@ -76,6 +76,17 @@ def test_a_known_servo_is_given_up_sooner(questioner, line):
     assert 10_000_000 < questioner.give_up_ns - now_ns < GRACE_NS + 4_000_000 < unknown_ns
 
 
+def test_who_answers_too_late_is_there(questioner):
+    questioner.ask(ASK, 0)
+    assert questioner.answered_ns(5) is None
+    now_ns = questioner.give_up_ns
+    questioner.expire(now_ns)
+    assert not questioner.answer(Reply(5, "QT", 300), now_ns + US)
+    assert questioner.answered_ns(5) is None, "nobody asked for that"
+    assert not questioner.answer(Reply(5, "QD", 100), now_ns + 2 * US)
+    assert questioner.answered_ns(5) == now_ns + 2 * US
+
+
 def test_a_late_answer_is_never_taken_for_the_next(questioner):
     """The servo is left alone until its answer can no longer come; others are asked meanwhile."""
     questioner.ask(ASK, 0)
