@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 from lss_motion.runtime.clock import VirtualClock
 from lss_motion.runtime.real_time import prompt_waits
-from lss_motion.units import NS_PER_S, s_from_ns
+from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -22,6 +22,12 @@ if TYPE_CHECKING:
 
 IDLE_NS: Final = NS_PER_S // 20
 """The loop turns at least this often, so that keys and the display are never starved."""
+
+
+TAKES_STEP_NS: Final = 5 * NS_PER_US
+TAKES_MAX_NS: Final = NS_PER_MS
+"""A decision takes 0.1 to 0.5 ms here (measured). Chosen: a hundred of them settle what they take,
+and a computer that is slow for a moment makes no command early by more than one unit of T."""
 
 
 class Driven(Protocol):
@@ -84,11 +90,13 @@ def run(
     """
     try:
         with _undisturbed(is_real=not isinstance(clock, VirtualClock)):
+            leaving = _Leaving(clock)
             while True:
-                now_ns = clock.now_ns()
+                now_ns = leaving.next_ns()
                 if controls is not None:
                     controls.act(driven, now_ns)
-                _write(driven, ports, clock.now_ns(), tap)
+                if _write(driven, ports, leaving.next_ns(), tap):
+                    leaving.has_left()
                 while (event := driven.next_event()) is not None:
                     if tap is not None:
                         tap.happened(event, now_ns)
@@ -99,27 +107,57 @@ def run(
                     return
                 if on_turn is not None:
                     on_turn(driven, now_ns)
-                _wait(ports, clock, wakeup_ns, controls)
-                _read(driven, ports, clock, tap)
+                _wait(ports, clock, wakeup_ns - leaving.takes_ns, controls)
+                _read(driven, ports, leaving, tap)
     except BaseException:
         _make_safe(driven, ports, clock, tap)
         raise
 
 
-def _write(driven: Driven, ports: Mapping[str, Port], now_ns: int, tap: Tap | None) -> None:
-    sent = driven.data_to_send(now_ns)
+class _Leaving:
+    """When what is decided now will leave: to decide takes time, which is learnt.
+
+    As many decisions take longer as take less (a step up or down after each). On a virtual clock
+    they take none.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self.takes_ns = 0
+        self._clock = clock
+        self._begun_ns = self._said_ns = clock.now_ns()
+
+    def next_ns(self) -> int:
+        """Return when what is decided from now on will leave."""
+        self._begun_ns = self._clock.now_ns()
+        self._said_ns = max(self._said_ns, self._begun_ns + self.takes_ns)
+        return self._said_ns
+
+    def has_left(self) -> None:
+        took_ns = self._clock.now_ns() - self._begun_ns
+        step_ns = TAKES_STEP_NS if took_ns > self.takes_ns else -TAKES_STEP_NS
+        self.takes_ns = min(max(0, self.takes_ns + step_ns), TAKES_MAX_NS)
+
+    def now_ns(self) -> int:
+        """Return what time it is, or what `next_ns` has said: time does not go back."""
+        return max(self._said_ns, self._clock.now_ns())
+
+
+def _write(driven: Driven, ports: Mapping[str, Port], leaves_ns: int, tap: Tap | None) -> bool:
+    """Write what `driven` decides to send, which leaves at `leaves_ns`; return whether it did."""
+    sent = driven.data_to_send(leaves_ns)
     for bus, data in sent.items():
         ports[bus].write(data)
         if tap is not None:
-            tap.sent(bus, data, now_ns)
+            tap.sent(bus, data, leaves_ns)
     if tap is not None and not sent:
-        tap.turned(now_ns)
+        tap.turned(leaves_ns)
+    return bool(sent)
 
 
-def _read(driven: Driven, ports: Mapping[str, Port], clock: Clock, tap: Tap | None) -> None:
+def _read(driven: Driven, ports: Mapping[str, Port], leaving: _Leaving, tap: Tap | None) -> None:
     for bus, port in ports.items():
         if data := port.read():
-            now_ns = clock.now_ns()
+            now_ns = leaving.now_ns()
             driven.receive_data(bus, data, now_ns)
             if tap is not None:
                 tap.received(bus, data, now_ns)

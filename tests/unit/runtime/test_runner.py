@@ -8,9 +8,10 @@ import pytest
 
 from lss_motion.errors import BusError
 from lss_motion.runtime.clock import VirtualClock
-from lss_motion.runtime.runner import run
+from lss_motion.runtime.runner import TAKES_MAX_NS, TAKES_STEP_NS, run
 
 BUSES = ("a", "b", "c")
+STEP_NS = 10_000_000
 
 
 class Port:
@@ -72,6 +73,33 @@ class Player:
 
     def next_event(self):
         return self.events.pop(0) if self.events else None
+
+
+class SlowPlayer(Player):
+    """Says its number every 10 ms, and takes its time to find out what to say."""
+
+    def __init__(self, clock, takes_ns):
+        super().__init__()
+        self.told = []
+        self._clock = clock
+        self._takes_ns = takes_ns
+
+    def data_to_send(self, now_ns):
+        assert now_ns >= self._now_ns, "time does not go back"
+        self._now_ns = now_ns
+        if now_ns < self._said * STEP_NS:
+            return {}
+        self._said += 1
+        self._clock.advance_to(self._clock.now_ns() + self._takes_ns)
+        self.told.append(now_ns)
+        return {"a": b"%d" % self._said}
+
+    def receive_data(self, bus, data, now_ns):
+        assert now_ns >= self._now_ns, "time does not go back"
+        super().receive_data(bus, data, now_ns)
+
+    def next_wakeup_ns(self):
+        return None if self._said >= 400 else self._said * STEP_NS
 
 
 class Tap:
@@ -157,3 +185,21 @@ def test_controls_act_before_every_writing():
     clock, player = VirtualClock(), Player()
     run(player, ports_for(clock), clock, controls=Controls())
     assert acts == [(10 * turn, turn) for turn in range(10)]
+
+
+@pytest.mark.parametrize(
+    ("takes_ns", "learnt_ns"), [(0, 0), (300_000, 300_000), (5 * TAKES_MAX_NS, TAKES_MAX_NS)]
+)
+def test_what_takes_time_to_decide_leaves_when_it_was_to(takes_ns, learnt_ns):
+    """A player is told when its bytes will leave; a computer too slow for that is not waited for."""
+    clock = VirtualClock()
+    arrivals = [(at * STEP_NS - 50_000, b"!") for at in range(1, 400)]
+    port, player = Port(clock, arrivals=arrivals), SlowPlayer(clock, takes_ns)
+    run(player, {"a": port}, clock)
+    assert player.told[0] == 0
+    settled = list(zip(player.told, port.written, strict=True))[250:]
+    for number, (told_ns, (written_ns, _)) in enumerate(settled, start=250):
+        assert told_ns == pytest.approx(number * STEP_NS, abs=2 * TAKES_STEP_NS)
+        late_ns = takes_ns - learnt_ns
+        assert written_ns == pytest.approx(told_ns + late_ns, abs=2 * TAKES_STEP_NS)
+    assert len(player.received) > 390
