@@ -27,13 +27,18 @@ class Due(NamedTuple):
 
 
 class DueMoves:
-    """Moves `(due_us, move)` in order of time; `early_us` says how much earlier one is to leave."""
+    """Moves `(due_us, move)` in order of time; `early_us` says how much earlier one is to leave.
+
+    What is believed of a lag changes: no move overtakes one of the same servo for that.
+    """
 
     def __init__(self, moves: Iterator[tuple[int, Move]], early_us: Callable[[Move], int]) -> None:
         self._upcoming = moves
         self._head: tuple[int, Move] | None = next(moves, None)
         self._early_us = early_us
         self._soon: list[Due] = []
+        self._newest_us: dict[tuple[str, int], int] = {}
+        """When the last move of each servo that was looked at leaves."""
         self._number = 0
 
     def first(self, before_us: float) -> Due | None:
@@ -43,7 +48,9 @@ class DueMoves:
             if self._soon and due_us - EARLY_MAX_US > self._soon[0].at_us:
                 break
             self._number += 1
+            servo = (move.bus, move.servo_id)
             at_us = due_us - min(self._early_us(move), EARLY_MAX_US)
+            at_us = self._newest_us[servo] = max(at_us, self._newest_us.get(servo, at_us))
             heapq.heappush(self._soon, Due(at_us, self._number, due_us, move))
             self._head = next(self._upcoming, None)
         return self._soon[0] if self._soon else None
@@ -65,8 +72,8 @@ class DueMoves:
 
     def replace_from(self, from_us: int, moves: Iterable[Move]) -> None:
         """Let `moves` follow in place of all that is due at `from_us` or later."""
-        self._soon = [due for due in self._soon if due.due_us < from_us]
-        heapq.heapify(self._soon)
+        self._soon = sorted(due for due in self._soon if due.due_us < from_us)
+        self._newest_us = {(due.move.bus, due.move.servo_id): due.at_us for due in self._soon}
         waiting = chain([] if self._head is None else [self._head], self._upcoming)
         kept = list(takewhile(lambda due: due[0] < from_us, waiting))
         self._upcoming = chain(kept, ((move.due_us, move) for move in moves))

@@ -31,6 +31,7 @@ FOUND_SLOW = (
     10514,  # A show that braked was still owed the end of a catch-up, with no time left for it.
     2472,  # On a full line, silence was noticed with the next question, when the servo was back.
     15857,  # Silent since before the show: counted from the show's own first question, too late.
+    20098,  # A lag was believed to be 60 ms at once: moves overtook earlier ones of their joint.
 )
 FOUND_ANY = (
     293,  # Instants crept with a lag that was being learnt, past the steps of a joint in EM0.

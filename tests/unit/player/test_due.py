@@ -43,6 +43,23 @@ def test_all_moves_leave_in_the_order_of_their_instants(seed):
     assert sorted(found) == sorted((due - early_us[servo], due) for due, servo in listed)
 
 
+def test_a_move_overtakes_none_of_its_servo_when_its_lag_is_believed_longer():
+    """Seed 20098: damaged answers made a lag of 60 ms, and a joint went to and fro."""
+    early_us = {1: 0, 2: 0}
+    both = sorted(moves(*range(0, 400_000, 20_000)) + moves(*range(0, 400_000, 20_000), servo_id=2))
+    due_moves = DueMoves(iter(both), lambda one: early_us[one.servo_id])
+    found = []
+    while due_moves.first(ENDLESS) is not None:
+        found.append(due_moves.pop())
+        early_us[1] = EARLY_MAX_US if len(found) % 8 < 4 else 0
+    for servo_id in (1, 2):
+        own = [due for due in found if due.move.servo_id == servo_id]
+        assert [due.due_us for due in own] == list(range(0, 400_000, 20_000))
+        assert all(0 <= due.due_us - due.at_us <= EARLY_MAX_US for due in own)
+    assert [due.at_us for due in found] == sorted(due.at_us for due in found)
+    assert len({due.due_us - due.at_us for due in found}) > 2
+
+
 def test_moves_of_one_instant_leave_as_they_stand_in_the_program():
     due_moves = DueMoves(iter(moves(100, servo_id=5) + moves(100, servo_id=2)), lambda _: 0)
     assert [due_moves.first(ENDLESS) and due_moves.pop().move.servo_id for _ in "12"] == [5, 2]

@@ -191,7 +191,7 @@ def test_controls_act_before_every_writing():
     ("takes_ns", "learnt_ns"), [(0, 0), (300_000, 300_000), (5 * TAKES_MAX_NS, TAKES_MAX_NS)]
 )
 def test_what_takes_time_to_decide_leaves_when_it_was_to(takes_ns, learnt_ns):
-    """A player is told when its bytes will leave; a computer too slow for that is not waited for."""
+    """A player is told when its bytes will leave, if it takes no longer than can be learnt."""
     clock = VirtualClock()
     arrivals = [(at * STEP_NS - 50_000, b"!") for at in range(1, 400)]
     port, player = Port(clock, arrivals=arrivals), SlowPlayer(clock, takes_ns)
