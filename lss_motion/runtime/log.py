@@ -9,8 +9,9 @@ r"""Every byte both ways with its instant, and all that happened, in a file that
     1.203104100 - ! MarkPassed(label='up', show_s=1.0)
     1.203104100 - #
 
-Seconds since the run began; `>` to the servos, `<` from them: what was written or arrived at once,
-carriage returns as `\r`, other odd bytes as `\xNN`. `.` the player was asked and had nothing to
+Seconds since the run began; `>` to the servos, at the instant for which it was meant to be written,
+`<` from them: what was written or arrived at once, carriage returns as `\r`, other odd bytes as
+`\xNN`. `.` the player was asked and had nothing to
 send, `=` what a person asked for, `!` what happened; `?` so many lines were lost, since the disk
 did not keep up; `#` the end, without which a log was cut. With these lines the player's decisions
 can be made again (`runtime.replay`).
