@@ -56,13 +56,13 @@ def status_fault(status: Status) -> str | None:
 
 @dataclass(slots=True)
 class _Unanswered:
-    """A servo that has not answered since `since_ns`, as was first noticed at `first_ns`."""
+    """A servo that has not answered since `since_ns`; which was noticed first and last when."""
 
     joint: Joint
     since_ns: int
     first_ns: int
+    last_ns: int
     count: int = 0
-    is_more_than_once: bool = False
 
 
 class Watch:
@@ -131,9 +131,10 @@ class Watch:
         between two phases must be missed before it is back and hears a move without its limits.
         """
         joint = track.joint
-        known = self._unanswered.setdefault(joint.name, _Unanswered(joint, since_ns, now_ns))
+        new = _Unanswered(joint, since_ns, first_ns=now_ns, last_ns=now_ns)
+        known = self._unanswered.setdefault(joint.name, new)
         known.count += 1
-        known.is_more_than_once = now_ns > known.first_ns
+        known.last_ns = now_ns
 
     def advance(self, now_ns: int) -> None:
         """Judge who is silent by now: no question that comes late on a full line is waited for."""
@@ -160,7 +161,7 @@ class Watch:
     def _fading(self) -> Iterator[tuple[Joint, int]]:
         """Yield who is silent unless it answers within its time, and when it last answered."""
         for one in self._unanswered.values():
-            if one.count >= SILENT_ASKS and one.is_more_than_once:
+            if one.count >= SILENT_ASKS and one.last_ns > one.first_ns:
                 yield one.joint, one.since_ns
 
     def _judge(self, track: Track, cause: Cause, keyword: str, text: str, *, is_bad: bool) -> None:
