@@ -3,13 +3,19 @@
 Meanwhile a loop in C sends the same moves at the same distances to a second simulated robot: what
 it cannot do on this machine at this time, nobody can. (In turns would not do: what the owner of a
 virtual machine takes away of it changes from minute to minute.) What the loop does alone is shown
-too: the rest is what the player, its screen and its robot, which is a process here, cost it.
+too: the rest is what the player, its screen and its robot, which is a process here, cost it. A
+process in C notes at the far end of the port what comes through (`native.tapped`).
 
 Shown are the quantiles of all moves; judged is the median of the rounds. On a virtual machine even
 a process of the highest real-time priority, bound to one processor, finds 10 ms of it gone once a
 second and 100 ms once a minute (measured), and that comes to one of the two or to the other: more
 often to a player that reads a thousand answers a second than to a loop that sleeps. So each row
 comes with another, less the time in which a processor was away while a move was late (`native`).
+
+Where this is short beside busy programs: a player takes a third of a processor here, which is about
+the share that an ordinary process gets beside them and the robots, and who has had his share waits
+for the next tick, 4 ms. With `--real-time` it does not wait; what is left is a move that falls due
+while an answer is being worked out, which takes up to a millisecond.
 """
 
 from __future__ import annotations
