@@ -38,6 +38,7 @@ FOUND_ANY = (
     1370,  # The same.
     1444,  # A joint that turned round at the very end of a show was taken for one at rest.
     466,  # The last tick of a ramp and the program's moves after it crowded out a joint in EM0.
+    40515,  # A joint was let go in full swing, as its ladder says: without power it stops at once.
     20125,  # A garbled word put a horn out of its range; what led it back was corrected meanwhile.
     21548,  # What the simulator's loop adds was counted on a part of what is allowed.
     545,  # As 2213; the move under way ended with the ramps with which it had begun.

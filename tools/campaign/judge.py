@@ -251,14 +251,13 @@ class _Judge:
         span_s = s_from_ns(WINDOW * STEP_NS)
         speed = (angles[WINDOW:] - angles[:-WINDOW]) / span_s
         accel = (speed[WINDOW:] - speed[:-WINDOW]) / span_s
-        for fault in self.faults:
-            if fault.kind is FaultKind.RESET and fault.servo_id in (None, joint.servo_id):
-                # Without power a motor stops at once.
-                at = ns_from_s(fault.at_s) // STEP_NS
-                accel[max(0, at - 2 * WINDOW) : at + WINDOW] = 0.0
-        lag_ns = ns_from_s(LAGS * joint.response.lag_s)
         writes = self.witness.writes.get(joint.bus, [])
         heard = self.result.simulated[joint.bus].heard or []
+        for instant_ns in self._powerless_ns(joint, heard):
+            # Without power a motor stops at once.
+            at = instant_ns // STEP_NS
+            accel[max(0, at - 2 * WINDOW) : at + WINDOW] = 0.0
+        lag_ns = ns_from_s(LAGS * joint.response.lag_s)
         for from_ns, until_ns in lawless_ns(joint.servo_id, self.faults, writes, heard):
             first, last = from_ns // STEP_NS - 2 * WINDOW, (until_ns + lag_ns) // STEP_NS
             speed[max(0, first) : last] = accel[max(0, first) : last] = 0.0
@@ -279,6 +278,16 @@ class _Judge:
                     f"at {worst * s_from_ns(STEP_NS):.2f} s, allowed is {limit:.0f}"
                 )
         return broken + self._rest(joint, float(angles[-1]))
+
+    def _powerless_ns(self, joint: Joint, heard: Sequence[tuple[int, bytes]]) -> list[int]:
+        """Return when a servo restarted, or heard that it is to be limp (`on_fault`, `end`)."""
+        resets = [
+            ns_from_s(fault.at_s)
+            for fault in self.faults
+            if fault.kind is FaultKind.RESET and _shares(joint, fault)
+        ]
+        limp = (b"#%dL\r" % joint.servo_id, b"#254L\r")
+        return resets + [heard_ns for heard_ns, line in heard if line in limp]
 
     def _rest(self, joint: Joint, angle: float) -> list[str]:
         """Judge where a joint stands after a show that says that all went well."""
