@@ -109,6 +109,6 @@ def guarded(program: str, do: Callable[[], int]) -> int:
         if isinstance(error, BrokenPipeError):  # `schema | head`: the reader has seen enough.
             return 0
         what = error.filename or "standard output"
-        put(f"{program}: {what} cannot be used: {error.strerror}", sys.stderr)
+        put(f"{program}: {what} cannot be used: {error.strerror or error}", sys.stderr)
         return EXIT_INPUT
     return code
