@@ -41,13 +41,18 @@ def put(text: str, stream: TextIO | None = None, *, end: str = "\n") -> None:
     try:
         print(text, end=end, file=stream, flush=True)
     except OSError as error:
-        with contextlib.suppress(OSError, ValueError):
-            nowhere_fd = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere_fd, stream.fileno())
-            os.close(nowhere_fd)
+        _give_up(stream)
         if stream is sys.stdout:
             reason = f"standard output cannot be written to ({error.strerror})"
             put(f"warning: {reason}; all goes on without it", sys.stderr)
+
+
+def _give_up(stream: TextIO) -> None:
+    """Let what else is printed to `stream` go nowhere."""
+    with contextlib.suppress(OSError, ValueError):
+        nowhere_fd = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere_fd, stream.fileno())
+        os.close(nowhere_fd)
 
 
 class Printer:
@@ -105,7 +110,8 @@ def guarded(program: str, do: Callable[[], int]) -> int:
         put(f"{program}: interrupted", sys.stderr)
         return EXIT_INTERRUPTED
     except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if error.filename is None:
+            _give_up(sys.stdout)
         if isinstance(error, BrokenPipeError):  # `schema | head`: the reader has seen enough.
             return 0
         what = error.filename or "standard output"

@@ -83,6 +83,19 @@ def test_a_full_disk_under_standard_output_is_one_line_that_names_it(arguments):
     assert (done.returncode, done.stderr.decode()) == (EXIT_INPUT, said)
 
 
+def test_a_file_that_fails_loses_nothing_of_what_was_said_before():
+    program = (
+        "import sys; from lss_motion.cli.messages import guarded\n"
+        "def do():\n    print('said before'); open('/no/such/file')\n"
+        "sys.exit(guarded('lss-motion', do))"
+    )
+    command = [sys.executable, "-c", program]
+    held = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    done = subprocess.run(command, capture_output=True, text=True, env=held, check=False)
+    assert (done.returncode, done.stdout) == (EXIT_INPUT, "said before\n")
+    assert done.stderr == ("lss-motion: /no/such/file cannot be used: No such file or directory\n")
+
+
 def test_a_reader_that_has_seen_enough_is_no_error():
     command = [sys.executable, "-m", "lss_motion.cli.main", "schema", "robot"]
     read_fd, write_fd = os.pipe()
