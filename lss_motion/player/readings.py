@@ -194,13 +194,12 @@ class Reader:
     ) -> None:
         questioner = self._questioners[bus]
         believed = questioner.answer(reply, now_ns)
-        sender = self._by_address.get((bus, reply.servo_id or 0))
-        if sender is not None and questioner.answered_ns(sender.joint.servo_id) == now_ns:
-            self.watch.answered(sender)
+        track = None if reply.servo_id is None else self._by_address.get((bus, reply.servo_id))
+        if track is not None and questioner.answered_ns(track.joint.servo_id) == now_ns:
+            self.watch.answered(track)
         for asked, said in believed:
             if said.keyword == "QA":
                 self._waiting.answered(bus, asked.command.servo_id, said.value)
-            track = self._by_address.get((bus, asked.command.servo_id))
             if track is not None:
                 self._take(bus, track, asked, said, wanted_deg)
 
@@ -296,7 +295,7 @@ class Reader:
 
     def _most_urgent(self, bus: str, now_ns: int) -> Track | None:
         """Return the joint whose reading is oldest, relative to how fast it moves and strayed."""
-        best, best_merit = None, -1.0
+        best, best_merit = None, (-1, 0.0)
         now_s = s_from_ns(now_ns)
         questioner = self._questioners[bus]
         for track in self._by_bus[bus]:
@@ -309,9 +308,8 @@ class Reader:
             weight = 1.0 + SPEED_WEIGHT_S_PER_DEG * abs(speed_deg_s)
             weight += ERROR_WEIGHT_PER_DEG * abs(track.following.error_deg)
             age_ns = now_ns - track.asked_ns
-            merit = age_ns * weight + VISIT_NS * wants_target(track, now_ns)
-            if age_ns > LONGEST_NS:
-                merit += age_ns * NS_PER_S
+            overdue_ns = age_ns if age_ns > LONGEST_NS else 0
+            merit = overdue_ns, age_ns * weight + VISIT_NS * wants_target(track, now_ns)
             if merit > best_merit:
                 best, best_merit = track, merit
         return best

@@ -221,32 +221,29 @@ def tapped(robot: Robot) -> Iterator[tuple[Robot, Callable[[], Heard]] | None]:
 
 def _lines(log: str, baud_bps: int) -> Heard:
     """Return when each line of a tap's log had come over a wire of `baud_bps`."""
-    byte_ns = line_time_ns(1, baud_bps)
     lines: Heard = []
-    free_ns, line = 0, bytearray()
+    free_ns, line = 0, b""
     for entry in log.splitlines():
         instant, data = entry.split()
-        free_ns = max(free_ns, int(instant))
-        for byte in bytes.fromhex(data):
-            free_ns += byte_ns
-            line.append(byte)
-            if byte == ord("\r"):
-                lines.append((free_ns, bytes(line)))
-                line.clear()
+        for piece in bytes.fromhex(data).splitlines(keepends=True):
+            free_ns = max(free_ns, int(instant)) + line_time_ns(len(piece), baud_bps)
+            line += piece
+            if line.endswith(b"\r"):
+                lines.append((free_ns, line))
+                line = b""
     return lines
 
 
 @contextlib.contextmanager
 def away(*, is_wanted: bool = True) -> Iterator[Away]:
     """Note meanwhile when each processor is away; needs leave for real-time priority."""
-    if not is_wanted:
-        yield Away([])
-        return
     with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as stack:
-        program = compiled(WATCH_C, Path(name), "watch")
+        program = compiled(WATCH_C, Path(name), "watch") if is_wanted else None
+        if program is None:
+            yield Away([])
+            return
         files: list[Path] = []
-        for processor in os.sched_getaffinity(0) if program is not None else ():
-            assert program is not None
+        for processor in os.sched_getaffinity(0):
             file = Path(name) / f"{processor}.txt"
             with file.open("w") as output:
                 process = subprocess.Popen([program, str(processor)], stdout=output)

@@ -239,7 +239,7 @@ class _Judge:
         """Return whether a horn may do what nobody told it to."""
         is_streamed = joint.drive == "streamed"
         kinds = BODY_KINDS | (MISSED_KINDS if is_streamed else set())
-        own = [fault for fault in self.faults if fault.servo_id in (None, joint.servo_id)]
+        own = [fault for fault in self.faults if _shares(joint, fault)]
         is_lied_about = any(f.kind in LYING_KINDS and f.ratio >= LYING_RATIO for f in own)
         return any(f.kind in kinds for f in own) or (is_streamed and is_lied_about)
 
