@@ -84,6 +84,7 @@ class _Manners:
     reply_bytes: dict[str, int] = field(default_factory=dict)
     least_bytes: int = 1
     """The shortest answer that is to be expected."""
+    asked_ns: int = 0
     answered_ns: int | None = None
 
     def note_size(self, keyword: str, size_bytes: int) -> None:
@@ -109,6 +110,8 @@ class Questioner:
 
     def __init__(self, line: Line) -> None:
         self._line = line
+        self.last_ns = 0
+        """When anybody was asked last."""
         self.asked_count = 0
         self.answered_count = 0
         self.timeouts = 0
@@ -129,6 +132,10 @@ class Questioner:
     def quiet_until_ns(self, servo_id: int) -> int:
         """Return until when a servo is left alone after a timeout."""
         return self._known(servo_id).quiet_until_ns
+
+    def asked_ns(self, servo_id: int) -> int:
+        """Return when a servo was last asked; 0: never."""
+        return self._known(servo_id).asked_ns
 
     def answered_ns(self, servo_id: int) -> int | None:
         """Return when a servo last answered, be it believed or too late; None: never."""
@@ -186,6 +193,7 @@ class Questioner:
         flight.counts[command.keyword] += 1
         flight.waiting.append(Asked(command, heard_ns, reply_bytes))
         self._predict(servo_id, flight)
+        self._known(servo_id).asked_ns = self.last_ns = now_ns
         self.asked_count += 1
 
     def answer(self, reply: Reply, now_ns: int) -> list[tuple[Asked, Reply]]:

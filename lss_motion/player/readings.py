@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.judging import take_position, take_target, wants_target
+from lss_motion.player.questions import TARGET_KEYWORD, health_words, question_of
 from lss_motion.player.watch import Watch
 from lss_motion.protocol.codec import read_reply
-from lss_motion.protocol.families import FAMILY_TABLES
-from lss_motion.protocol.family import Family
 from lss_motion.protocol.line import Command, Reply, encode
 from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
 
@@ -23,15 +21,10 @@ if TYPE_CHECKING:
     from lss_motion.player.track import Track
     from lss_motion.player.waiting import Waiting
 
-TARGET_KEYWORD: Final = "QDT"
-"""Its answer shows whether a servo heard its last move."""
 HEALTH_NS: Final = NS_PER_S // 4
 """Once in this time a servo is asked about its health, one thing after the other."""
 HEALTH_LEAST: Final = 8
 """Where the line is slow, at most one question in so many is about health."""
-HEALTH_KEYWORDS: Final = ("Q", "QT", "Q", "QV", "Q", "QC")
-"""Status, temperature, voltage, current: a fault is known after half a second. A servo is not asked
-what its family has no word for, as an LSS-PRO for its voltage."""
 BACKLOG_BYTES: Final = 12
 """Questions that have not left yet are never more than this, `#12D-450T50`: a command that nobody
 expected, as to stop, waits no longer than for one other command."""
@@ -56,6 +49,10 @@ REST_RATIO: Final = 4
 REST_MAX_NS: Final = NS_PER_S // 20
 """Then nothing is asked for four times as long: a process that leaves its processor alone is woken
 sooner when a move is due. Chosen, with an end, so that all joints are still read."""
+STARVED_NS: Final = 20 * NS_PER_MS
+"""When nothing was asked on a bus for so long, whoever is missed there is asked behind the moves,
+however many: on a host that is late every time some are due always. Chosen; a question makes the
+next move later by less than another move would."""
 
 
 @dataclass(slots=True)
@@ -66,20 +63,6 @@ class _Turn:
     left: int
     places: int = 0
     """How often it was asked where it is."""
-
-
-@lru_cache(maxsize=len(Family))
-def _health_words(family: Family) -> tuple[str, ...]:
-    """Return what a servo of that family is asked about its health, in turn."""
-    known = FAMILY_TABLES[family].by_keyword
-    return tuple(word for word in HEALTH_KEYWORDS if word in known)
-
-
-@lru_cache(maxsize=1024)
-def _question(servo_id: int, keyword: str) -> tuple[Command, int]:
-    """Return a question and its size in bytes: the same few are asked all the time."""
-    question = Command(servo_id, keyword)
-    return question, len(encode(question))
 
 
 class Reader:
@@ -123,6 +106,8 @@ class Reader:
         for bus, questioner in self._questioners.items():
             for expired in questioner.expire(now_ns):
                 self._note_silence(bus, expired, now_ns)
+            if now_ns - questioner.last_ns > STARVED_NS:
+                self._ask_missed(bus, now_ns)
             if now_ns < self._rest_until_ns:
                 self._next_ns[bus] = self._rest_until_ns
                 continue
@@ -149,11 +134,11 @@ class Reader:
         if turn is None:
             return False
         keyword = self._keyword(bus, turn, now_ns)
-        question, size_bytes = _question(turn.track.joint.servo_id, keyword)
+        question, size_bytes = question_of(turn.track.joint.servo_id, keyword)
         if not self._leave(bus, question, size_bytes, now_ns, quiet_until_ns):
             return False
         turn.left -= 1
-        turn.track.asked_ns = now_ns
+        turn.track.visited_ns = now_ns
         self._health_wait[bus] += 1
         if keyword == "QD":
             turn.places += 1
@@ -188,6 +173,23 @@ class Reader:
             return False
         questioner.ask(question, now_ns)
         return True
+
+    def _ask_missed(self, bus: str, now_ns: int) -> None:
+        """Ask whom nobody asked for long, or who did not answer, whatever else is to be sent.
+
+        That is no visit: whose turn it is does not change.
+        """
+        questioner, quiet = self._questioners[bus], self.watch.quiet()
+        waits_ns = [(questioner.asked_ns(t.joint.servo_id), t) for t in self._by_bus[bus]]
+        for asked_ns, track in sorted(waits_ns, key=lambda wait: wait[0]):
+            if now_ns - asked_ns <= LONGEST_NS and track.joint.name not in quiet:
+                continue
+            servo_id = track.joint.servo_id
+            question, size_bytes = question_of(servo_id, self._fresh(bus, track))
+            earliest_ns = questioner.earliest_ns(servo_id, size_bytes)
+            if earliest_ns is not None and earliest_ns <= now_ns:
+                questioner.ask(question, now_ns)
+                return
 
     def receive(
         self, bus: str, reply: Reply, now_ns: int, wanted_deg: Callable[[Track, int], float]
@@ -279,19 +281,24 @@ class Reader:
         """
         questioner, track = self._questioners[bus], turn.track
         servo_id = track.joint.servo_id
-        words = _health_words(track.joint.model.family)
         if questioner.owes(servo_id, "QD"):
-            fresh = (word for word in words if not questioner.owes(servo_id, word))
-            return next(fresh, "QD")
+            return self._fresh(bus, track)
         if wants_target(track, now_ns) and not questioner.owes(servo_id, TARGET_KEYWORD):
             return TARGET_KEYWORD
         is_alone = turn.left == 1 and turn.places == 0
         is_due = track.health_ns is None or now_ns - track.health_ns >= HEALTH_NS
         is_due = is_due and self._health_wait[bus] >= HEALTH_LEAST - 1
         doubt = self.watch.doubts.get(track.joint.name)
+        words = health_words(track.joint.model.family)
         if turn.left > 1 or (is_alone and doubt is None and not is_due):
             return "QD"
         return doubt or words[track.health_count % len(words)]
+
+    def _fresh(self, bus: str, track: Track) -> str:
+        """Return what to ask so that no answer that the servo owes can be taken for its answer."""
+        questioner, servo_id = self._questioners[bus], track.joint.servo_id
+        words = ("QD", *health_words(track.joint.model.family))
+        return next((word for word in words if not questioner.owes(servo_id, word)), "QD")
 
     def _most_urgent(self, bus: str, now_ns: int) -> Track | None:
         """Return the joint whose reading is oldest, relative to how fast it moves and strayed."""
@@ -302,12 +309,12 @@ class Reader:
             servo_id = track.joint.servo_id
             if questioner.is_waiting(servo_id) or questioner.quiet_until_ns(servo_id) > now_ns:
                 continue
-            if track.asked_ns is None or track.joint.name in self.watch.doubts:
+            if track.visited_ns is None or track.joint.name in self.watch.doubts:
                 return track
             _, speed_deg_s = track.profile.at(now_s)
             weight = 1.0 + SPEED_WEIGHT_S_PER_DEG * abs(speed_deg_s)
             weight += ERROR_WEIGHT_PER_DEG * abs(track.following.error_deg)
-            age_ns = now_ns - track.asked_ns
+            age_ns = now_ns - track.visited_ns
             overdue_ns = age_ns if age_ns > LONGEST_NS else 0
             merit = overdue_ns, age_ns * weight + VISIT_NS * wants_target(track, now_ns)
             if merit > best_merit:

@@ -79,8 +79,8 @@ class Track:
     temperature_max_c: float | None = None
     voltage_min_v: float | None = None
     current_max_a: float | None = None
-    asked_ns: int | None = None
-    """When its servo was last asked anything."""
+    visited_ns: int | None = None
+    """When it was last the turn of its servo to be asked."""
     health_ns: int | None = None
     health_count: int = 0
     """When it was last asked how it fares, and how often."""

@@ -32,6 +32,7 @@ FOUND_SLOW = (
     2472,  # On a full line, silence was noticed with the next question, when the servo was back.
     15857,  # Silent since before the show: counted from the show's own first question, too late.
     20098,  # A lag was believed to be 60 ms at once: moves overtook earlier ones of their joint.
+    32164,  # A host that overslept every time never asked anything: a restart went unnoticed.
 )
 FOUND_ANY = (
     293,  # Instants crept with a lag that was being learnt, past the steps of a joint in EM0.
@@ -65,12 +66,6 @@ def test_what_once_broke_a_promise_breaks_none(seed):
 @pytest.mark.parametrize("seed", FOUND_SLOW)
 def test_what_broke_a_promise_on_a_slow_line_breaks_none(seed):
     assert judge.judged(seed).broken == ()
-
-
-@pytest.mark.xfail(strict=True, reason="a host that oversleeps every time has no time to ask")
-def test_a_restart_is_noticed_by_a_host_that_is_late_every_time():
-    """Open. Moves due at each wakeup keep the line, so no question leaves for two seconds."""
-    assert judge.judged(32164).broken == ()
 
 
 @pytest.mark.parametrize("seed", FOUND_ANY)

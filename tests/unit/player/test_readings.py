@@ -10,16 +10,17 @@ import pytest
 
 from lss_motion.player.line import Line
 from lss_motion.player.queries import STRAY_NS, Questioner
+from lss_motion.player.questions import HEALTH_KEYWORDS
 from lss_motion.player.readings import (
     BACKLOG_BYTES,
     FILL_RATIO,
-    HEALTH_KEYWORDS,
     HEALTH_LEAST,
     HEALTH_NS,
     LATE_NS,
     LONGEST_NS,
     REST_MAX_NS,
     REST_RATIO,
+    STARVED_NS,
     VISIT_NS,
     Reader,
 )
@@ -204,6 +205,21 @@ def test_what_nobody_expected_waits_for_no_more_than_one_command(kit):
     assert max(backlogs_ns) > desk.line.time_ns(BACKLOG_BYTES - len(b"#1QD\r")), "and for that"
 
 
+def test_on_a_full_line_who_is_missed_is_asked_all_the_same(kit):
+    """Seed 32164: on a host that was late every time, moves were due always, and nobody asked."""
+    desk = Desk(*joints(kit, 4)).run(0, KNOWN_NS)
+    desk.values |= {(2, word): None for word in ("QD", "QDT", *HEALTHY)}
+    begun, now_ns = len(desk.asked), KNOWN_NS
+    while now_ns < KNOWN_NS + 3 * S:
+        desk.run(now_ns, now_ns + 1, quiet_until_ns=lambda at_ns: at_ns)
+        now_ns += 45 * MS
+    asked = desk.asked[begun:]
+    assert {one for *_, one, _ in asked} == {1, 2, 3, 4}
+    assert set(desk.reader.watch.troubles) == {("j1", Cause.SILENT)}
+    instants_ns = [at_ns for at_ns, *_ in asked]
+    assert min(b - a for a, b in pairwise(instants_ns)) > STARVED_NS
+
+
 def test_silence_is_counted_from_the_last_answer_and_not_from_the_first_question(kit):
     """A servo that restarts between two phases is missed before it is back (seed 15857)."""
     desk = Desk(*joints(kit, 2)).run(0, KNOWN_NS)
@@ -249,7 +265,10 @@ def test_a_host_that_wakes_late_is_left_alone_for_a_while(kit, late_ns):
     wakeup_ns = min(ns for ns in desk.reader.wakeups_ns(KNOWN_NS) if ns > KNOWN_NS)
     begun, woken_ns = len(desk.asked), wakeup_ns + late_ns
     desk.run(woken_ns, woken_ns + 200 * MS)
-    rest_ns = desk.asked[begun][0] - woken_ns
+    asked_ns = [at_ns - woken_ns for at_ns, *_ in desk.asked[begun:]]
+    if late_ns >= STARVED_NS:
+        assert asked_ns.pop(0) == 0, "one of those that did not answer is asked all the same"
+    rest_ns = asked_ns[0]
     if late_ns < LATE_NS:
         assert rest_ns < 3 * MS
     else:
