@@ -254,10 +254,10 @@ class Streamer:
         if track.active is None or not track.is_driven:
             return
         track.said_again += 1
-        line, move = self._lines[track.joint.bus], track.active
-        heard_ns = line.heard_ns(len(move.data), now_ns)
-        show_s = self._program.within(self.clock.show_s(heard_ns))
-        track.rejoin(line, show_s, self._left_s(track, now_ns), now_ns)
+        line, within = self._lines[track.joint.bus], self._program.within
+        heard_s = self.clock.show_s(line.heard_ns(len(track.active.data), now_ns))
+        begun_s, left_s = track.begun_s(line), self._left_s(track, now_ns)
+        track.rejoin(line, within(begun_s), within(heard_s), left_s, now_ns)
 
     def _left_s(self, track: Track, now_ns: int) -> float:
         return track.left_s(self._lines[track.joint.bus], self.clock, now_ns)
@@ -274,7 +274,7 @@ class Streamer:
             self.statistics.sent(now_ns - track.again_ns)
             line = self._lines[track.joint.bus]
             if track.owed is not None:
-                track.send(line, track.owed[1], self._left_s(track, now_ns), now_ns)
+                track.tell_owed(line, now_ns)
             else:
                 lead(track, line, self._planned_deg, now_ns, self._periods.led_ns, is_even=is_even)
 

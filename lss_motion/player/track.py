@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from lss_motion.player.following import Following
 from lss_motion.player.hearing import Hearing
@@ -47,6 +47,15 @@ HISTORY_S = 2.0
 """How long what the profile did is kept: longer than any answer may take."""
 
 
+class Owed(NamedTuple):
+    """A target that a joint is to be told again."""
+
+    again_ns: int
+    target_deg: float
+    travel_deg_s: float = math.inf
+    """How fast it is to go there, for a joint that is told so."""
+
+
 @dataclass(slots=True)
 class Track:
     """One joint. Angles are servo degrees; instants are of the run clock.
@@ -65,7 +74,7 @@ class Track:
     """When the show time was 0, on the run clock."""
     active: Move | None = None
     """The move of the program that is under way, or was last."""
-    owed: tuple[int, float] | None = None
+    owed: Owed | None = None
     """When to say which target again, because the speed limit did not let it be said at once."""
     setpoints: Setpoints | None = None
     """What the filter of a streamed joint makes of its targets."""
@@ -153,13 +162,13 @@ class Track:
             self.led_ns = ns_from_s(next_s) if is_held_back else None
         else:
             again_ns = heard_ns + ns_from_s(PULSE_S)
-            self.owed = (again_ns, target_deg) if is_held_back else None
+            self.owed = Owed(again_ns, target_deg) if is_held_back else None
         return allowed
 
     @property
     def again_ns(self) -> int | None:
         """When it is to be told something again, whatever the program says."""
-        return self.led_ns if self.owed is None else self.owed[0]
+        return self.led_ns if self.owed is None else self.owed.again_ns
 
     def _reach(self, heard_ns: int) -> tuple[float, float]:
         """Return between which targets the limits allow one."""
@@ -174,46 +183,84 @@ class Track:
         position_deg, _ = self.profile.at(heard_s)
         return position_deg - reach_deg, position_deg + reach_deg
 
+    def begun_s(self, line: Line) -> float:
+        """Return the show time at which the move under way is heard if all goes well."""
+        assert self.active is not None
+        return s_from_us(heard_us(self.active, line.bus.baud_bps))
+
     def left_s(self, line: Line, clock: ShowClock, now_ns: int) -> float:
         """Return how much run time is left to the move under way if it is sent now; 0 if no T."""
         move = self.active
         if move is None or move.duration_ms is None:
             return 0.0
-        end_s = s_from_us(heard_us(move, line.bus.baud_bps)) + s_from_ms(move.duration_ms)
+        end_s = self.begun_s(line) + s_from_ms(move.duration_ms)
         heard_ns = line.heard_ns(len(move.data), now_ns)
         return (end_s - clock.show_s(heard_ns)) / clock.target_rate
 
+    @property
+    def _target_deg(self) -> float:
+        """The target of the move under way."""
+        assert self.active is not None
+        return self.active.target_wire / self.limits.wire_per_deg
+
     def send_active(self, line: Line, left_s: float, now_ns: int) -> None:
         """Send the move under way, with `left_s` to travel."""
-        assert self.active is not None
-        target_deg = self.active.target_wire / self.limits.wire_per_deg
-        self.send(line, target_deg, left_s, now_ns)
+        self.send(line, self._target_deg, left_s, now_ns)
 
-    def rejoin(self, line: Line, show_s: float, left_s: float, now_ns: int) -> None:
+    def rejoin(self, line: Line, begun_s: float, show_s: float, left_s: float, now_ns: int) -> None:
         """Send what its servo has missed of the move under way, which has `left_s`.
 
-        A joint that is behind on its way travels faster until it meets the plan; from then on the
-        rest of the move is owed.
+        The move began at the show time `begun_s`; what is sent now is heard at `show_s`. A joint
+        that is behind on its way travels faster until it meets the plan; from then on the rest of
+        the move is owed.
         """
         assert self.active is not None
         heard_ns = line.heard_ns(len(self.active.data), now_ns)
-        target_deg = self.active.target_wire / self.limits.wire_per_deg
-        planned_deg, speed_deg_s = self.plan.at(show_s)
-        planned_way_deg = target_deg - planned_deg
-        way_deg = target_deg + self.following.offset_deg - self.place(heard_ns)[0]
+        planned_deg, planned_deg_s = self.plan.at(show_s)
+        position_deg, own_deg_s = self.place(heard_ns)
+        planned_way_deg = self._target_deg - planned_deg
+        way_deg = self._target_deg + self.following.offset_deg - position_deg
+        sense, ramp_deg_s2 = math.copysign(1.0, way_deg), self.limits.ramp_deg_s2
+        travel_deg_s = self._travel_deg_s(begun_s)
+        # Until both travel: what it falls behind while it speeds up, less what the plan does.
+        slower_deg_s = max(0.0, travel_deg_s - sense * own_deg_s)
+        planned_slower_deg_s = max(0.0, travel_deg_s - sense * planned_deg_s)
         behind_deg = abs(way_deg) - abs(planned_way_deg)
-        travel_deg_s = abs(speed_deg_s) + max(0.0, behind_deg) / JOIN_S
-        travel_deg_s = min(self.limits.speed_max_deg_s, travel_deg_s)
-        gain_deg_s = travel_deg_s - abs(speed_deg_s)
-        joins_s = math.inf
-        if way_deg * planned_way_deg > 0.0 and behind_deg > self.joint.unit_deg and gain_deg_s > 0:
-            # While it speeds up, half of what it gains is not there yet.
-            joins_s = behind_deg / gain_deg_s + 0.5 * gain_deg_s / self.limits.ramp_deg_s2
-        if joins_s >= left_s:
+        behind_deg += 0.5 * (slower_deg_s**2 - planned_slower_deg_s**2) / ramp_deg_s2
+        faster_deg_s = min(
+            self.limits.speed_max_deg_s - travel_deg_s,
+            behind_deg / JOIN_S,
+            math.sqrt(max(0.0, behind_deg * ramp_deg_s2)),
+        )
+        is_on_its_way = way_deg * planned_way_deg * travel_deg_s > 0.0
+        if not (is_on_its_way and behind_deg > self.joint.unit_deg and faster_deg_s > 0.0):
             self.send_active(line, left_s, now_ns)
             return
-        self.send_active(line, abs(way_deg) / travel_deg_s, now_ns)
-        self.owed = (heard_ns + ns_from_s(joins_s), target_deg)
+        self.send_active(line, abs(way_deg) / (travel_deg_s + faster_deg_s), now_ns)
+        # What it gains less while it speeds up it gains more while it slows down again.
+        joins_s = slower_deg_s / ramp_deg_s2 + behind_deg / faster_deg_s
+        if joins_s < left_s:
+            self.owed = Owed(heard_ns + ns_from_s(joins_s), self._target_deg, travel_deg_s)
+
+    def _travel_deg_s(self, begun_s: float) -> float:
+        """Return how fast the move under way, begun at `begun_s`, is to travel between ramps."""
+        move = self.active
+        assert move is not None
+        assert move.duration_ms is not None
+        planned_deg, _ = self.plan.at(begun_s)
+        travel_deg_s = abs(self._target_deg - planned_deg) / s_from_ms(move.duration_ms)
+        return min(travel_deg_s, self.limits.speed_max_deg_s)
+
+    def tell_owed(self, line: Line, now_ns: int) -> None:
+        """Send what it is owed: a timed joint travels on as planned.
+
+        To let it have what T has left would not do: ramps come on top of T, so that half-way
+        through a move less of T is left than of the way.
+        """
+        assert self.owed is not None
+        _, target_deg, travel_deg_s = self.owed
+        way_deg = target_deg + self.following.offset_deg - self.place(now_ns)[0]
+        self.send(line, target_deg, abs(way_deg) / travel_deg_s, now_ns)
 
     def turning_s(self, move: Move, show_s: float, heard_ns: int) -> float | None:
         """Return how long a move that turns the joint back is to travel; None: it does not.

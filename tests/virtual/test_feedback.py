@@ -88,19 +88,23 @@ def lost_moves(played):
     return lost
 
 
-@pytest.mark.parametrize("seed", [5, 6])
-def test_what_a_servo_did_not_hear_it_hears_again_at_once(rms_deg, seed):
-    """A row or two of questions later, unless the question about it was lost as well."""
-    _, played = rms_deg(faults=[LOST], seed=seed, baud_bps=115200)
+def unheard_ns(played):
+    """Return for every move that was lost how long its servo heard none."""
     moves = [(at_ns, MOVE.fullmatch(line)) for at_ns, line in played.bus.heard]
     heard = [(at_ns, int(move[1])) for at_ns, move in moves if move]
-    late_s = [
+    return [
         min((t_ns for t_ns, one in heard if one == servo_id and t_ns > at_ns), default=10**12)
         - at_ns
         for at_ns, servo_id in lost_moves(played)
     ]
-    assert len(late_s) >= 3
-    assert np.median(late_s) < 0.04e9
+
+
+def test_what_a_servo_did_not_hear_it_hears_again_at_once(rms_deg):
+    """A row or two of questions later, unless the question about it was lost as well."""
+    shows = [rms_deg(faults=[LOST], seed=seed, baud_bps=115200)[1] for seed in (5, 6, 7)]
+    late_ns = [ns for played in shows for ns in unheard_ns(played)]
+    assert len(late_ns) >= 12
+    assert np.median(late_ns) < 0.04e9
 
 
 def test_under_a_load_a_show_begins_where_it_should(rms_deg):

@@ -13,6 +13,7 @@ import pytest
 from lss_motion.player.line import Line
 from lss_motion.player.queries import Questioner
 from lss_motion.player.streamer import SETTLE_S, Streamer
+from lss_motion.player.track import Owed
 from lss_motion.program.growth import Extension
 from lss_motion.program.model import Driving, Move, Program, Repeat
 from lss_motion.program.predict import profiles
@@ -415,13 +416,13 @@ def test_what_is_not_due_yet_may_be_replaced(kit):
 def test_lines_are_quiet_until_the_next_move(kit):
     stage = Stage(kit).run(0.5)
     assert stage.streamer.quiet_ns(stage.now_ns) == START_NS + 1200 * MS
-    stage.track.owed = (START_NS + 800 * MS, 40.0)
+    stage.track.owed = Owed(START_NS + 800 * MS, 40.0)
     assert stage.streamer.quiet_ns(stage.now_ns) == START_NS + 800 * MS
     assert stage.streamer.next_wakeup_ns(stage.now_ns) == START_NS + 800 * MS
     stage.track.owed = None
     stage.run(1.5)
     assert stage.streamer.quiet_ns(stage.now_ns) is None
-    stage.track.owed = (START_NS + 1600 * MS, 5.0)
+    stage.track.owed = Owed(START_NS + 1600 * MS, 5.0)
     assert stage.streamer.quiet_ns(stage.now_ns) == START_NS + 1600 * MS
     assert stage.streamer.quiet_ns(START_NS + 1700 * MS) == START_NS + 1700 * MS
 
@@ -510,7 +511,7 @@ def test_between_two_ticks_of_a_slower_show_lines_are_quiet(kit):
 
 def test_what_is_left_out_owes_nothing_and_the_others_what_they_owe(kit):
     stage = Stage(kit)
-    stage.track.owed = (START_NS + S, 5.0)
+    stage.track.owed = Owed(START_NS + S, 5.0)
     stage.streamer.leave_out(())
     assert stage.track.again_ns == START_NS + S
     stage.streamer.leave_out({"j0"})
