@@ -49,10 +49,6 @@ REST_RATIO: Final = 4
 REST_MAX_NS: Final = NS_PER_S // 20
 """Then nothing is asked for four times as long: a process that leaves its processor alone is woken
 sooner when a move is due. Chosen, with an end, so that all joints are still read."""
-STARVED_NS: Final = 20 * NS_PER_MS
-"""When nothing was asked on a bus for so long, whoever is missed there is asked behind the moves,
-however many: on a host that is late every time some are due always. Chosen; a question makes the
-next move later by less than another move would."""
 
 
 @dataclass(slots=True)
@@ -100,13 +96,17 @@ class Reader:
         reader.unbelieved = self.unbelieved
         return reader
 
+    def is_starved(self, now_ns: int) -> bool:
+        """Return whether on some bus nothing was asked for too long."""
+        return any(one.is_starved(now_ns) for one in self._questioners.values())
+
     def ask(self, now_ns: int, quiet_until_ns: int | None) -> None:
         """Ask on every bus as long as its line is free by `quiet_until_ns`; None is for ever."""
         self._note_lateness(now_ns)
         for bus, questioner in self._questioners.items():
             for expired in questioner.expire(now_ns):
                 self._note_silence(bus, expired, now_ns)
-            if now_ns - questioner.last_ns > STARVED_NS:
+            if questioner.is_starved(now_ns):
                 self._ask_missed(bus, now_ns)
             if now_ns < self._rest_until_ns:
                 self._next_ns[bus] = self._rest_until_ns

@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.approach import with_room
+from lss_motion.player.catching_up import on_time_s, rejoin, tell_owed
 from lss_motion.player.due import DueMoves
 from lss_motion.player.leading import lead
 from lss_motion.player.ramps import RAMP_TICK_NS, ramp_periods, ramp_s, spot_moves
@@ -22,15 +23,7 @@ from lss_motion.player.show_clock import ShowClock
 from lss_motion.player.statistics import Statistics
 from lss_motion.player.track import Track, make_tracks
 from lss_motion.player.waiting import Waiting
-from lss_motion.units import (
-    NS_PER_MS,
-    US_PER_S,
-    ns_from_s,
-    s_from_ms,
-    s_from_ns,
-    s_from_us,
-    us_from_s,
-)
+from lss_motion.units import NS_PER_MS, US_PER_S, ns_from_s, s_from_ns, s_from_us, us_from_s
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -81,6 +74,8 @@ class Streamer:
         self.statistics = Statistics()
         self._moves = DueMoves(program.unrolled(), self._early_us)
         self._tick_ns: int | None = None
+        self._has_moved = False
+        """Whether moves left in this turn."""
         self.waiting = Waiting(program.unrolled_waits(), robot.sensors, begin_s)
         reader = Reader(self.tracks, questioners, lines, self.waiting)
         self.reader = reader if has_feedback else None
@@ -163,16 +158,22 @@ class Streamer:
     # ---- sending
 
     def advance(self, now_ns: int) -> None:
-        """Hand over to the lines what must leave by now: moves first, then a question."""
+        """Hand over to the lines what must leave by now: moves, or else questions.
+
+        Questions take time to choose: they follow in the next turn, when the moves have left. But
+        on a host that is late every time, moves are due then as well.
+        """
+        self._has_moved = False
         if self._tick_ns is not None:
             self._advance_ramp(now_ns)
         elif self.clock.target_rate > 0.0:
             while (due_ns := self._next_due_ns()) is not None and due_ns <= now_ns:
                 due = self._moves.pop()
                 self._send_due(due.due_us, due.move, now_ns, now_ns - due_ns)
+                self._has_moved = True
         self._wait(now_ns)
         self._tell_again(now_ns)
-        if self.reader is not None:
+        if self.reader is not None and (not self._has_moved or self.reader.is_starved(now_ns)):
             self.reader.ask(now_ns, self.quiet_ns(now_ns))
 
     def next_wakeup_ns(self, now_ns: int) -> int | None:
@@ -192,6 +193,7 @@ class Streamer:
             wakeups_ns.append(self.clock.ramp_end_ns + ns_from_s(SETTLE_S))
         if self.reader is not None:
             wakeups_ns += self.reader.wakeups_ns(now_ns)
+            wakeups_ns += [now_ns + 1] if self._has_moved else []
         return min((w for w in wakeups_ns if w > now_ns), default=None)
 
     def receive(self, bus: str, reply: Reply, now_ns: int) -> None:
@@ -240,10 +242,7 @@ class Streamer:
         self.statistics.sent(late_ns + wait_ns)
         left_s = self._left_s(track, now_ns)
         if late_ns + wait_ns <= ON_TIME_NS:
-            heard_ns = self._lines[move.bus].heard_ns(len(move.data), now_ns)
-            show_s = self._program.within(self.clock.show_s(heard_ns))
-            turning_s = track.turning_s(move, show_s, heard_ns)
-            left_s = s_from_ms(move.duration_ms or 0) if turning_s is None else turning_s
+            left_s = on_time_s(track, self._lines[move.bus], self._plan_s, now_ns)
         if track.led_ns is None:
             track.send_active(self._lines[track.joint.bus], left_s, now_ns)
 
@@ -254,10 +253,8 @@ class Streamer:
         if track.active is None or not track.is_driven:
             return
         track.said_again += 1
-        line, within = self._lines[track.joint.bus], self._program.within
-        heard_s = self.clock.show_s(line.heard_ns(len(track.active.data), now_ns))
-        begun_s, left_s = track.begun_s(line), self._left_s(track, now_ns)
-        track.rejoin(line, within(begun_s), within(heard_s), left_s, now_ns)
+        line = self._lines[track.joint.bus]
+        rejoin(track, line, self.clock, self._program.within, now_ns)
 
     def _left_s(self, track: Track, now_ns: int) -> float:
         return track.left_s(self._lines[track.joint.bus], self.clock, now_ns)
@@ -274,7 +271,7 @@ class Streamer:
             self.statistics.sent(now_ns - track.again_ns)
             line = self._lines[track.joint.bus]
             if track.owed is not None:
-                track.tell_owed(line, now_ns)
+                tell_owed(track, line, now_ns)
             else:
                 lead(track, line, self._planned_deg, now_ns, self._periods.led_ns, is_even=is_even)
 
@@ -346,5 +343,8 @@ class Streamer:
 
     def _planned_deg(self, track: Track, instant_ns: int) -> float:
         """Return where the plan wants the horn; its profile is early by the lead of the joint."""
-        show_s = self._program.within(self.clock.show_s(instant_ns) - track.lead_s)
-        return track.plan.at(show_s)[0]
+        return track.plan.at(self._plan_s(instant_ns, track.lead_s))[0]
+
+    def _plan_s(self, instant_ns: int, early_s: float = 0.0) -> float:
+        """Return the instant of the plan that is so much before the show time of `instant_ns`."""
+        return self._program.within(self.clock.show_s(instant_ns) - early_s)

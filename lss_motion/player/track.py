@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from lss_motion.protocol.constants import Status
     from lss_motion.robot.model import Joint, Robot
 
-JOIN_S = 0.1
-"""A joint that has missed a move catches up in about this time, if its limits allow. Chosen."""
 REST_DEG_S = 1.0
 """Slower than this a servo is at rest: what is left of a filter's way is below a wire unit."""
 REST_DEG = 0.5
@@ -198,85 +196,14 @@ class Track:
         return (end_s - clock.show_s(heard_ns)) / clock.target_rate
 
     @property
-    def _target_deg(self) -> float:
+    def target_deg(self) -> float:
         """The target of the move under way."""
         assert self.active is not None
         return self.active.target_wire / self.limits.wire_per_deg
 
     def send_active(self, line: Line, left_s: float, now_ns: int) -> None:
         """Send the move under way, with `left_s` to travel."""
-        self.send(line, self._target_deg, left_s, now_ns)
-
-    def rejoin(self, line: Line, begun_s: float, show_s: float, left_s: float, now_ns: int) -> None:
-        """Send what its servo has missed of the move under way, which has `left_s`.
-
-        The move began at the show time `begun_s`; what is sent now is heard at `show_s`. A joint
-        that is behind on its way travels faster until it meets the plan; from then on the rest of
-        the move is owed.
-        """
-        assert self.active is not None
-        heard_ns = line.heard_ns(len(self.active.data), now_ns)
-        planned_deg, planned_deg_s = self.plan.at(show_s)
-        position_deg, own_deg_s = self.place(heard_ns)
-        planned_way_deg = self._target_deg - planned_deg
-        way_deg = self._target_deg + self.following.offset_deg - position_deg
-        sense, ramp_deg_s2 = math.copysign(1.0, way_deg), self.limits.ramp_deg_s2
-        travel_deg_s = self._travel_deg_s(begun_s)
-        # Until both travel: what it falls behind while it speeds up, less what the plan does.
-        slower_deg_s = max(0.0, travel_deg_s - sense * own_deg_s)
-        planned_slower_deg_s = max(0.0, travel_deg_s - sense * planned_deg_s)
-        behind_deg = abs(way_deg) - abs(planned_way_deg)
-        behind_deg += 0.5 * (slower_deg_s**2 - planned_slower_deg_s**2) / ramp_deg_s2
-        faster_deg_s = min(
-            self.limits.speed_max_deg_s - travel_deg_s,
-            behind_deg / JOIN_S,
-            math.sqrt(max(0.0, behind_deg * ramp_deg_s2)),
-        )
-        is_on_its_way = way_deg * planned_way_deg * travel_deg_s > 0.0
-        if not (is_on_its_way and behind_deg > self.joint.unit_deg and faster_deg_s > 0.0):
-            self.send_active(line, left_s, now_ns)
-            return
-        self.send_active(line, abs(way_deg) / (travel_deg_s + faster_deg_s), now_ns)
-        # What it gains less while it speeds up it gains more while it slows down again.
-        joins_s = slower_deg_s / ramp_deg_s2 + behind_deg / faster_deg_s
-        if joins_s < left_s:
-            self.owed = Owed(heard_ns + ns_from_s(joins_s), self._target_deg, travel_deg_s)
-
-    def _travel_deg_s(self, begun_s: float) -> float:
-        """Return how fast the move under way, begun at `begun_s`, is to travel between ramps."""
-        move = self.active
-        assert move is not None
-        assert move.duration_ms is not None
-        planned_deg, _ = self.plan.at(begun_s)
-        travel_deg_s = abs(self._target_deg - planned_deg) / s_from_ms(move.duration_ms)
-        return min(travel_deg_s, self.limits.speed_max_deg_s)
-
-    def tell_owed(self, line: Line, now_ns: int) -> None:
-        """Send what it is owed: a timed joint travels on as planned.
-
-        To let it have what T has left would not do: ramps come on top of T, so that half-way
-        through a move less of T is left than of the way.
-        """
-        assert self.owed is not None
-        _, target_deg, travel_deg_s = self.owed
-        way_deg = target_deg + self.following.offset_deg - self.place(now_ns)[0]
-        self.send(line, target_deg, abs(way_deg) / travel_deg_s, now_ns)
-
-    def turning_s(self, move: Move, show_s: float, heard_ns: int) -> float | None:
-        """Return how long a move that turns the joint back is to travel; None: it does not.
-
-        Its target may be near, and T short: what the profile is off the plan would change the
-        travel speed by many times. So the speed of the plan is kept instead of its end.
-        """
-        if move.duration_ms is None:
-            return None
-        target_deg = move.target_wire / self.limits.wire_per_deg
-        planned_deg, speed_deg_s = self.plan.at(show_s)
-        planned_way_deg = target_deg - planned_deg
-        way_deg = target_deg + self.following.offset_deg - self.place(heard_ns)[0]
-        if speed_deg_s * planned_way_deg >= 0.0 or way_deg * planned_way_deg <= 0.0:
-            return None
-        return s_from_ms(move.duration_ms) * way_deg / planned_way_deg
+        self.send(line, self.target_deg, left_s, now_ns)
 
     def duration_for(self, target_wire: int, heard_ns: int, left_s: float) -> int:
         """Return T: what is left, but never so short that the joint's speed limit breaks."""

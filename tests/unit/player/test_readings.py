@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lss_motion.player.line import Line
-from lss_motion.player.queries import STRAY_NS, Questioner
+from lss_motion.player.queries import STARVED_NS, STRAY_NS, Questioner
 from lss_motion.player.questions import HEALTH_KEYWORDS
 from lss_motion.player.readings import (
     BACKLOG_BYTES,
@@ -20,7 +20,6 @@ from lss_motion.player.readings import (
     LONGEST_NS,
     REST_MAX_NS,
     REST_RATIO,
-    STARVED_NS,
     VISIT_NS,
     Reader,
 )

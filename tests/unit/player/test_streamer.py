@@ -144,6 +144,19 @@ def test_every_move_leaves_when_it_is_due_as_it_is(kit):
     assert stage.off_deg() < 0.05
 
 
+@pytest.mark.parametrize("is_starved", [False, True])
+def test_questions_wait_until_the_moves_have_left_unless_they_have_waited_too_long(kit, is_starved):
+    dense = [move(0.1 + 0.02 * number, 40.0) for number in range(10)]
+    stage, asked_ns = Stage(kit, dense, has_feedback=True), set()
+    stage.streamer.reader.ask = lambda *_: asked_ns.add(stage.now_ns)
+    stage.streamer.reader.is_starved = lambda _: is_starved
+    stage.run(0.3)
+    sent_ns = {START_NS + round(1e9 * at_s) for at_s, _ in stage.sent}
+    assert len(sent_ns) == len(dense)
+    assert sent_ns & asked_ns == (sent_ns if is_starved else set())
+    assert {at_ns + 1 for at_ns in sent_ns} <= asked_ns
+
+
 def test_a_show_starts_with_what_is_due_before_its_time_0(kit):
     stage = Stage(kit, (move(-0.05, 40.0), move(1.2, -20.0))).run(3.0)
     assert [at_s for at_s, _ in stage.sent] == pytest.approx([0.0, 1.25])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import replace
 from itertools import pairwise
 
@@ -12,10 +11,10 @@ import pytest
 
 from lss_motion.player.line import Line
 from lss_motion.player.show_clock import ShowClock
-from lss_motion.player.track import JOIN_S, REST_DEG_S, Owed
-from lss_motion.program.model import Move
+from lss_motion.player.track import REST_DEG_S, Owed
 from lss_motion.robot.model import Bus
 from lss_motion.robot.models import SERVO_MODELS
+from tests.timed_moves import timed, travel
 
 STEP_NS, LATE_NS = 20_000_000, 50_000_000
 CLOCK = ShowClock(0, 0.0, 1.0)
@@ -95,107 +94,6 @@ def test_a_servo_that_is_believed_to_go_on_for_ever_is_waited_for_as_long_as_the
 # ---- timed joints
 
 
-def travel(target_deg, due_s=0.0, lasts_s=1.0):
-    return Move(round(1e6 * due_s), "main", 1, round(10 * target_deg), round(1000 * lasts_s))
-
-
-def timed(kit, *moves, **fields):
-    """Return the track of a joint whose plan hears all of `moves`; the first is under way."""
-    track = kit.track(kit.joint(**fields), moves)
-    track.active = moves[0]
-    return track
-
-
-def rejoin(track, line, show_s):
-    """Say at rate 1 what is left of the move under way; return the bytes."""
-    now_ns = round(1e9 * show_s)
-    heard_s = line.heard_ns(len(track.active.data), now_ns) / 1e9
-    track.rejoin(line, track.begun_s(line), heard_s, track.left_s(line, CLOCK, now_ns), now_ns)
-    return line.take()
-
-
-def far_off_deg(track, from_s, to_s, offset_deg=0.0):
-    """Return by how much the profile is off the plan between two instants, at the most."""
-    instants_s = np.arange(from_s, to_s, 0.005)
-    pairs = [(track.profile.at(s)[0], track.plan.at(s)[0]) for s in instants_s]
-    return max(abs(told_deg - planned_deg - offset_deg) for told_deg, planned_deg in pairs)
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize(
-    ("late_ns", "offset_deg"), [(LATE_NS, 0.0), (LATE_NS, 1.0), (15_000_000, 0.0)]
-)
-def test_one_that_is_behind_goes_faster_until_it_meets_its_plan_and_arrives_on_time(
-    kit, line, sign, late_ns, offset_deg
-):
-    track = timed(kit, travel(40.0 * sign))
-    track.following.offset_deg = offset_deg
-    track.moved(late_ns, round(10 * (40.0 * sign + offset_deg)), 1000)
-    behind_deg = sign * (offset_deg + track.plan.at(0.3)[0] - track.profile.at(0.3)[0])
-    rejoin(track, line, 0.3)
-    again_ns = track.owed.again_ns
-    assert track.again_ns == again_ns
-    _, speed_deg_s = track.profile.at(again_ns / 1e9)
-    assert 0.4 < again_ns / 1e9 < 0.46
-    assert speed_deg_s == pytest.approx(sign * (40.0 + behind_deg / JOIN_S), abs=1.0)
-    track.tell_owed(line, again_ns)
-    assert track.owed is None
-    slows_down_s = behind_deg / JOIN_S / track.limits.ramp_deg_s2
-    assert far_off_deg(track, again_ns / 1e9 + slows_down_s, 1.2, offset_deg) < 0.15
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("show_s", [0.05, 0.2, 0.5])
-@pytest.mark.parametrize("way_deg", [20.0, 40.0])
-def test_one_that_still_rests_meets_its_plan_and_does_not_pass_it(kit, line, sign, show_s, way_deg):
-    track = timed(kit, travel(way_deg * sign))
-    rejoin(track, line, show_s)
-    again_ns = track.owed.again_ns
-    track.tell_owed(line, again_ns)
-    instants_s = np.arange(show_s, 1.2, 0.005)
-    ahead_deg = [sign * (track.profile.at(s)[0] - track.plan.at(s)[0]) for s in instants_s]
-    assert max(ahead_deg) < 0.2
-    assert far_off_deg(track, again_ns / 1e9 + 0.2, 1.2) < 0.2
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_one_that_is_far_behind_goes_as_fast_as_it_may(kit, line, sign):
-    track = timed(kit, travel(80.0 * sign))
-    assert rejoin(track, line, 0.3) == b"#1D%dT445\r" % (800 * sign)
-    again_ns = track.owed.again_ns
-    track.tell_owed(line, again_ns)
-    assert track.owed is None
-    assert far_off_deg(track, 0.95, 1.2) < 0.2
-    assert max(abs(track.profile.at(s)[1]) for s in np.arange(0.3, 1.2, 0.005)) <= 180.0
-
-
-@pytest.mark.parametrize("show_s", [0.9, 1.5])
-def test_one_that_cannot_meet_its_plan_any_more_arrives_as_soon_as_it_may(kit, line, show_s):
-    track = timed(kit, travel(80.0))
-    assert rejoin(track, line, show_s) == b"#1D800T445\r"
-    assert track.owed is None
-    assert track.profile.at(show_s + 0.8) == (80.0, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("heard_s", "at_deg"), [(-0.05, 0.0), (0.003, 0.0), (None, 39.0), (None, 90.0)]
-)
-def test_one_that_is_not_behind_has_the_rest_of_its_time(kit, line, heard_s, at_deg):
-    track = timed(kit, travel(40.0))
-    track.stand(at_deg)
-    if heard_s is not None:
-        track.moved(round(1e9 * heard_s), 400, 1000)
-    assert rejoin(track, line, 0.3) == b"#1D400T700\r"
-    assert track.owed is None
-
-
-def test_one_whose_plan_is_as_fast_as_it_may_go_has_the_rest_of_its_time(kit, line):
-    track = timed(kit, travel(40.0), speed_max_deg_s=40.0)
-    track.moved(LATE_NS, 400, 1000)
-    assert re.fullmatch(rb"#1D400T7\d\d\r", rejoin(track, line, 0.3))
-    assert track.owed is None
-
-
 def test_what_is_left_of_a_move_is_run_time_from_when_it_is_heard(kit, line):
     track = timed(kit, travel(40.0, due_s=0.1))
     assert track.left_s(line, CLOCK, 400_000_000) == pytest.approx(0.7, abs=1e-4)
@@ -208,36 +106,6 @@ def test_what_is_left_of_a_move_is_run_time_from_when_it_is_heard(kit, line):
     assert track.left_s(line, CLOCK, 0) == 0.0
     track.active = None
     assert track.left_s(line, CLOCK, 0) == 0.0
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_one_that_is_turned_back_travels_as_fast_as_its_plan_however_far_off_it_is(kit, line, sign):
-    there, back = travel(40.0 * sign), travel(-10.0 * sign, due_s=0.5, lasts_s=0.6)
-    track = timed(kit, there, back)
-    track.following.offset_deg = 1.5
-    track.moved(100_000_000, 400 * sign + 15, 1000)
-    heard_s = line.heard_ns(len(back.data), 500_000_000) / 1e9
-    left_s = track.turning_s(back, heard_s, round(1e9 * heard_s))
-    track.active = back
-    track.send_active(line, left_s, 500_000_000)
-    for at_s in (0.7, 0.75, 0.8):
-        assert track.profile.at(at_s)[1] == pytest.approx(track.plan.at(at_s)[1], abs=0.3)
-    assert abs(track.plan.at(0.75)[1]) > 40.0, "it travels"
-
-
-def test_else_it_has_its_own_time(kit):
-    there, back = travel(40.0), travel(0.0, due_s=0.5, lasts_s=0.4)
-    track = timed(kit, there, back)
-    at_ns = 500_000_000
-    track.stand(10.0)
-    assert track.turning_s(back, 0.5, at_ns) is not None
-    assert track.turning_s(back._replace(duration_ms=None), 0.5, at_ns) is None
-    assert track.turning_s(there, 0.5, at_ns) is None, "it goes on"
-    assert track.turning_s(back._replace(target_wire=-50), -1.0, at_ns) is None, "the plan rests"
-    assert track.turning_s(there, 3.0, at_ns) is None, "the plan is there"
-    for beyond_deg in (0.0, -10.0):
-        track.stand(beyond_deg)
-        assert track.turning_s(back, 0.5, at_ns) is None, "it has been there"
 
 
 def test_t_is_what_is_left_and_never_so_short_that_the_speed_limit_breaks(kit, line):
