@@ -194,15 +194,22 @@ class Trajectory:
         """
         times_s = np.asarray(times_s, dtype=np.float64)
         passes = self._passes_of(times_s)
-        values = np.empty((len(times_s), len(self.joints)))
-        for index in np.unique(passes):
-            chosen = passes == index
-            motion = self.motion_of(int(index))
-            local_s = times_s[chosen] - self.pass_start_s(int(index))
-            values[chosen] = motion.sample(np.clip(local_s, 0.0, motion.duration_s), order)
+        found = np.unique(passes).tolist()
+        if len(found) == 1:  # As usual; to choose rows would take as long as to find their values.
+            values = self._sample_pass(found[0], times_s, order)
+        else:
+            values = np.empty((len(times_s), len(self.joints)))
+            for index in found:
+                chosen = passes == index
+                values[chosen] = self._sample_pass(index, times_s[chosen], order)
         if order > 0:
             values[(times_s < 0.0) | (times_s > self.duration_s)] = 0.0
         return values
+
+    def _sample_pass(self, index: int, times_s: FloatArray, order: int) -> FloatArray:
+        motion = self.motion_of(index)
+        local_s = np.clip(times_s - self.pass_start_s(index), 0.0, motion.duration_s)
+        return motion.sample(local_s, order)
 
     def _passes_of(self, times_s: FloatArray) -> NDArray[np.intp]:
         """Return the pass of every instant; a seam belongs to the pass that it starts."""

@@ -36,6 +36,9 @@ RANGE_SLACK_DEG: Final = 1e-6
 BLOCK: Final = 8192
 """Samples at a time. Chosen: 18 joints then stay in the processor's cache (measured)."""
 
+SIDE_BY_SIDE: Final = 64
+"""Samples of which the largest is looked for at once. Chosen: the quickest of 8 to 256."""
+
 SEAM_S: Final = 0.004
 """How far around a seam of two passes is sampled again: enough for second differences."""
 
@@ -82,7 +85,7 @@ class _Worst:
         """
         if not len(sizes):
             return
-        ratios = (sizes.max(axis=0) - noise) / limits
+        ratios = (extreme(np.maximum, sizes) - noise) / limits
         column = int(ratios.argmax())
         if ratios[column] > self.ratio:
             self.ratio, self.column = float(ratios[column]), column
@@ -194,7 +197,8 @@ class _Checks:
         self.samples += len(times_s)
         low_deg, high_deg = self.low_deg - RANGE_SLACK_DEG, self.high_deg + RANGE_SLACK_DEG
         # Written so that NaN is outside as well.
-        is_within = (deg.min(axis=0) >= low_deg) & (deg.max(axis=0) <= high_deg)
+        is_within = extreme(np.minimum, deg) >= low_deg
+        is_within &= extreme(np.maximum, deg) <= high_deg
         if not is_within.all():
             is_inside = (deg >= low_deg) & (deg <= high_deg)
             row, column = divmod(int(np.argmin(is_inside)), deg.shape[1])
@@ -212,6 +216,20 @@ class _Checks:
         latest_s = max(1.0, float(np.abs(times_s).max()))
         reach_deg = np.maximum(np.abs(self.low_deg), np.abs(self.high_deg))
         return np.asarray(ROUNDING * (latest_s * self.speed_deg_s + reach_deg))
+
+
+def extreme(of: np.ufunc, samples: FloatArray) -> FloatArray:
+    """Return the `np.maximum` or `np.minimum` of each column of `samples`, (n, joints).
+
+    NaN if there is one. Rows are laid side by side first: along long rows numpy takes a tenth of
+    the time (measured).
+    """
+    count = len(samples) // SIDE_BY_SIDE * SIDE_BY_SIDE
+    found = [samples[count:]]
+    if count:
+        rows = of.reduce(samples[:count].reshape(-1, SIDE_BY_SIDE * samples.shape[1]), axis=0)
+        found.append(rows.reshape(SIDE_BY_SIDE, -1))
+    return np.asarray(of.reduce(np.concatenate(found), axis=0))
 
 
 def _shortened(trajectory: Trajectory) -> Trajectory:

@@ -12,7 +12,7 @@ from lss_motion.trajectory.clock import Clock
 from lss_motion.trajectory.model import Motion, Trajectory
 from lss_motion.trajectory.path import Path
 from lss_motion.trajectory.planner import plan
-from lss_motion.trajectory.verify import verify
+from lss_motion.trajectory.verify import extreme, verify
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -357,3 +357,12 @@ def test_no_difference_reaches_beyond_a_short_polynomial(make_robot):
     verify(nudge, make_robot(accel=700.0))
     with pytest.raises(PlanningError, match=r"acceleration 699.998"):
         verify(nudge, make_robot(accel=600.0))
+
+
+@pytest.mark.parametrize("count", [1, 63, 64, 65, 200])
+def test_extremes_are_those_of_every_row_and_nan_if_there_is_one(count):
+    samples = np.random.default_rng(count).normal(size=(count, 3))
+    assert extreme(np.maximum, samples).tolist() == samples.max(axis=0).tolist()
+    assert extreme(np.minimum, samples).tolist() == samples.min(axis=0).tolist()
+    samples[-1, 1] = np.nan
+    assert np.isnan(extreme(np.maximum, samples)).tolist() == [False, True, False]
