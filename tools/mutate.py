@@ -66,6 +66,10 @@ TARGETS = {
     "player/streamer": ("tests/unit/player/test_streamer.py",),
     "player/watch": ("tests/unit/player/test_watch.py",),
     "player/track": ("tests/unit/player/test_track.py", "tests/unit/player/test_leading.py"),
+    "player/catching_up": (
+        "tests/unit/player/test_catching_up.py",
+        "tests/unit/player/test_streamer.py",
+    ),
     "player/due": ("tests/unit/player/test_due.py",),
     "player/statistics": ("tests/unit/player/test_statistics.py",),
     "player/turnaround": ("tests/unit/player/test_turnaround.py",),

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.player.track import Owed
-from lss_motion.units import ns_from_s, s_from_ms
+from lss_motion.player.track import LONGEST_NS, REST_DEG_S, Owed
+from lss_motion.units import ns_from_s, s_from_ms, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -44,14 +44,10 @@ def rejoin(
     planned_slower_deg_s = max(0.0, travel_deg_s - sense * planned_deg_s)
     behind_deg = abs(way_deg) - abs(planned_way_deg)
     behind_deg += 0.5 * (slower_deg_s**2 - planned_slower_deg_s**2) / ramp_deg_s2
-    faster_deg_s = min(
-        track.limits.speed_max_deg_s - travel_deg_s,
-        behind_deg / JOIN_S,
-        math.sqrt(max(0.0, behind_deg * ramp_deg_s2)),
-    )
+    faster_deg_s = _faster_deg_s(track, travel_deg_s, behind_deg)
     left_s = track.left_s(line, clock, now_ns)
-    is_on_its_way = way_deg * planned_way_deg * travel_deg_s > 0.0
-    if not (is_on_its_way and behind_deg > track.joint.unit_deg and faster_deg_s > 0.0):
+    is_on_its_way = way_deg * planned_way_deg > 0.0 and travel_deg_s > REST_DEG_S
+    if not is_on_its_way or faster_deg_s <= 0.0:
         track.send_active(line, left_s, now_ns)
         return
     track.send_active(line, abs(way_deg) / (travel_deg_s + faster_deg_s), now_ns)
@@ -59,6 +55,17 @@ def rejoin(
     joins_s = slower_deg_s / ramp_deg_s2 + behind_deg / faster_deg_s
     if joins_s < left_s:
         track.owed = Owed(heard_ns + ns_from_s(joins_s), track.target_deg, travel_deg_s)
+
+
+def _faster_deg_s(track: Track, travel_deg_s: float, behind_deg: float) -> float:
+    """Return by how much faster than `travel_deg_s` a joint is to travel to close up."""
+    if behind_deg <= track.joint.unit_deg:
+        return 0.0
+    return min(
+        track.limits.speed_max_deg_s - travel_deg_s,
+        behind_deg / JOIN_S,
+        math.sqrt(behind_deg * track.limits.ramp_deg_s2),
+    )
 
 
 def _travel_deg_s(track: Track, begun_s: float) -> float:
@@ -72,11 +79,12 @@ def _travel_deg_s(track: Track, begun_s: float) -> float:
 
 
 def tell_owed(track: Track, line: Line, now_ns: int) -> None:
-    """Send what a joint is owed: a timed one travels on as planned."""
+    """Send what a joint is owed: a timed one travels on as planned, but with no longer T."""
     assert track.owed is not None
     _, target_deg, travel_deg_s = track.owed
     way_deg = target_deg + track.following.offset_deg - track.place(now_ns)[0]
-    track.send(line, target_deg, abs(way_deg) / travel_deg_s, now_ns)
+    left_s = min(abs(way_deg) / travel_deg_s, s_from_ns(LONGEST_NS))
+    track.send(line, target_deg, left_s, now_ns)
 
 
 def on_time_s(track: Track, line: Line, show_s: Callable[[int], float], now_ns: int) -> float:

@@ -10,6 +10,7 @@ import pytest
 from lss_motion.player import catching_up
 from lss_motion.player.catching_up import JOIN_S, on_time_s, tell_owed
 from lss_motion.player.show_clock import ShowClock
+from lss_motion.player.track import Owed
 from tests.timed_moves import timed, travel
 
 LATE_NS = 50_000_000
@@ -53,10 +54,17 @@ def test_one_that_is_behind_goes_faster_until_it_meets_its_plan_and_arrives_on_t
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("show_s", [0.05, 0.2, 0.5])
-@pytest.mark.parametrize("way_deg", [20.0, 40.0])
-def test_one_that_still_rests_meets_its_plan_and_does_not_pass_it(kit, line, sign, show_s, way_deg):
+@pytest.mark.parametrize(
+    ("way_deg", "show_s", "heard_s"),
+    [(20.0, 0.05, None), (20.0, 0.5, None), (40.0, 0.2, None), (80.0, 0.05, None)]
+    + [(80.0, 0.2, None), (80.0, 0.2, 0.15), (80.0, 0.1, 0.05)],
+)
+def test_one_that_rests_or_gathers_speed_meets_its_plan_and_does_not_pass_it(
+    kit, line, sign, way_deg, show_s, heard_s
+):
     track = timed(kit, travel(way_deg * sign))
+    if heard_s is not None:
+        track.moved(round(1e9 * heard_s), round(10 * way_deg * sign), 1000)
     rejoin(track, line, show_s)
     again_ns = track.owed.again_ns
     tell_owed(track, line, again_ns)
@@ -64,6 +72,17 @@ def test_one_that_still_rests_meets_its_plan_and_does_not_pass_it(kit, line, sig
     ahead_deg = [sign * (track.profile.at(s)[0] - track.plan.at(s)[0]) for s in instants_s]
     assert max(ahead_deg) < 0.2
     assert far_off_deg(track, again_ns / 1e9 + 0.2, 1.2) < 0.2
+
+
+def test_how_fast_it_goes_on_counts_from_where_its_move_began(kit, line):
+    further = travel(80.0, due_s=1.5)
+    track = timed(kit, travel(40.0), further)
+    track.moved(0, 400, 1000)
+    track.active = further
+    rejoin(track, line, 1.8)
+    assert track.owed.travel_deg_s == pytest.approx(40.0, abs=0.1)
+    tell_owed(track, line, track.owed.again_ns)
+    assert far_off_deg(track, 2.2, 2.7) < 0.2
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -95,6 +114,23 @@ def test_one_that_is_not_behind_has_the_rest_of_its_time(kit, line, heard_s, at_
         track.moved(round(1e9 * heard_s), 400, 1000)
     assert rejoin(track, line, 0.3) == b"#1D400T700\r"
     assert track.owed is None
+
+
+def test_one_whose_move_ends_where_it_began_has_the_rest_of_its_time(kit, line):
+    back = travel(18.7, due_s=0.5, lasts_s=0.4)
+    track = timed(kit, travel(40.0), back)
+    track.active = back
+    assert track.plan.at(track.begun_s(line))[0] == pytest.approx(18.7, abs=0.1)
+    track.stand(40.0)
+    assert rejoin(track, line, 0.6) == b"#1D187T300\r"
+    assert track.owed is None
+
+
+def test_what_is_owed_is_told_with_no_longer_t_than_any_move(kit, line):
+    track = timed(kit, travel(80.0))
+    track.owed = Owed(0, 80.0, 2.0)
+    tell_owed(track, line, 0)
+    assert line.take() == b"#1D800T9999\r"
 
 
 def test_one_whose_plan_is_as_fast_as_it_may_go_has_the_rest_of_its_time(kit, line):
