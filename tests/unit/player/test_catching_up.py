@@ -56,8 +56,15 @@ def test_one_that_is_behind_goes_faster_until_it_meets_its_plan_and_arrives_on_t
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize(
     ("way_deg", "show_s", "heard_s"),
-    [(20.0, 0.05, None), (20.0, 0.5, None), (40.0, 0.2, None), (80.0, 0.05, None)]
-    + [(80.0, 0.2, None), (80.0, 0.2, 0.15), (80.0, 0.1, 0.05)],
+    [
+        (20.0, 0.05, None),
+        (20.0, 0.5, None),
+        (40.0, 0.2, None),
+        (80.0, 0.05, None),
+        (80.0, 0.2, None),
+        (80.0, 0.2, 0.15),
+        (80.0, 0.1, 0.05),
+    ],
 )
 def test_one_that_rests_or_gathers_speed_meets_its_plan_and_does_not_pass_it(
     kit, line, sign, way_deg, show_s, heard_s
