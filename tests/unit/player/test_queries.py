@@ -2,7 +2,13 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.player.queries import GRACE_NS, REPLY_MAX_BYTES, STRAY_NS, WINDOW_MAX
+from lss_motion.player.queries import (
+    GRACE_NS,
+    REPLY_MAX_BYTES,
+    STARVED_NS,
+    STRAY_NS,
+    WINDOW_MAX,
+)
 from lss_motion.player.turnaround import REPLY_TIMEOUT_NS, SAMPLES_LEAST
 from lss_motion.protocol.line import Command, Reply, encode
 
@@ -32,6 +38,16 @@ def test_an_answer_ends_the_question(questioner, line):
     assert reply.value == 100
     assert (questioner.asked_count, questioner.answered_count, questioner.strays) == (1, 1, 0)
     assert not questioner.is_waiting(5)
+
+
+def test_who_was_asked_when_and_whether_nobody_was_for_too_long(questioner):
+    assert (questioner.asked_ns(5), questioner.asked_ns(6)) == (0, 0)
+    assert questioner.is_starved(STARVED_NS + 1)
+    questioner.ask(ASK, 7 * STARVED_NS)
+    assert (questioner.asked_ns(5), questioner.asked_ns(6)) == (7 * STARVED_NS, 0)
+    assert not questioner.is_starved(8 * STARVED_NS)
+    assert questioner.is_starved(8 * STARVED_NS + 1)
+    assert 10_000 * US <= STARVED_NS <= 50_000 * US
 
 
 @pytest.mark.parametrize(
