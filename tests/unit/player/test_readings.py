@@ -215,8 +215,22 @@ def test_on_a_full_line_who_is_missed_is_asked_all_the_same(kit):
     asked = desk.asked[begun:]
     assert {one for *_, one, _ in asked} == {1, 2, 3, 4}
     assert set(desk.reader.watch.troubles) == {("j1", Cause.SILENT)}
+    most = 3 * S // LONGEST_NS
+    assert Counter(one for *_, one, _ in asked)[1] <= most, "who answers is not missed"
     instants_ns = [at_ns for at_ns, *_ in asked]
     assert min(b - a for a, b in pairwise(instants_ns)) > STARVED_NS
+
+
+def test_one_bus_on_which_nobody_was_asked_is_enough():
+    lines = {
+        name: Line(Bus(name=name, port="sim://", baud_bps=115200, firmware=370))
+        for name in ("left", "right")
+    }
+    questioners = {name: Questioner(line) for name, line in lines.items()}
+    reader = Reader({}, questioners, lines, Waiting([], {}, 0.0))
+    for name, is_starved in (("left", True), ("right", False)):
+        questioners[name].ask(Command(1, "QD"), S)
+        assert reader.is_starved(S + 1) == is_starved
 
 
 def test_silence_is_counted_from_the_last_answer_and_not_from_the_first_question(kit):
