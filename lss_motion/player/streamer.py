@@ -316,9 +316,8 @@ class Streamer:
             if track.active is None or track.led_ns is not None:
                 continue
             left_s = self._left_s(track, now_ns)
-            target_deg = track.active.target_wire / track.limits.wire_per_deg
             position_deg, speed_deg_s = track.place(now_ns)
-            off_deg = abs(target_deg - position_deg)
+            off_deg = abs(track.target_deg - position_deg)
             if left_s > 0.0 or off_deg > track.joint.unit_deg or speed_deg_s != 0.0:
                 self.statistics.sent(late_ns)
                 left_s = max(left_s, s_from_ns(RAMP_TICK_NS))
