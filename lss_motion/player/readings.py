@@ -97,8 +97,10 @@ class Reader:
         return reader
 
     def is_starved(self, now_ns: int) -> bool:
-        """Return whether on some bus nothing was asked for too long."""
-        return any(one.is_starved(now_ns) for one in self._questioners.values())
+        """Return whether on some bus with servos to ask nothing was asked for too long."""
+        return any(
+            self._questioners[bus].is_starved(now_ns) for bus, own in self._by_bus.items() if own
+        )
 
     def ask(self, now_ns: int, quiet_until_ns: int | None) -> None:
         """Ask on every bus as long as its line is free by `quiet_until_ns`; None is for ever."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from itertools import groupby, pairwise
 
 import numpy as np
@@ -221,13 +222,17 @@ def test_on_a_full_line_who_is_missed_is_asked_all_the_same(kit):
     assert min(b - a for a, b in pairwise(instants_ns)) > STARVED_NS
 
 
-def test_one_bus_on_which_nobody_was_asked_is_enough():
+def test_one_bus_on_which_nobody_was_asked_is_enough_if_somebody_can_be_asked(kit):
+    """On `blind` is an RC servo alone, which knows no answer but its last command."""
+    buses, drives = ("left", "right", "blind"), ("timed", "timed", "stepped")
     lines = {
-        name: Line(Bus(name=name, port="sim://", baud_bps=115200, firmware=370))
-        for name in ("left", "right")
+        name: Line(Bus(name=name, port="sim://", baud_bps=115200, firmware=370)) for name in buses
     }
+    tracks = {bus: kit.track(kit.joint(bus, 1)) for bus in buses}
+    for track, bus, drive in zip(tracks.values(), buses, drives, strict=True):
+        track.joint = replace(track.joint, bus=bus, drive=drive)
     questioners = {name: Questioner(line) for name, line in lines.items()}
-    reader = Reader({}, questioners, lines, Waiting([], {}, 0.0))
+    reader = Reader(tracks, questioners, lines, Waiting([], {}, 0.0))
     for name, is_starved in (("left", True), ("right", False)):
         questioners[name].ask(Command(1, "QD"), S)
         assert reader.is_starved(S + 1) == is_starved
