@@ -8,6 +8,7 @@ configure, monitor, send) run on `StandInTime`: waiting takes no time, but the c
 from __future__ import annotations
 
 import contextlib
+import gc
 import io
 import json
 import math
@@ -19,6 +20,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
+from unittest.mock import patch
 
 from freezing.folders import Item
 
@@ -113,6 +115,8 @@ def run_step(step: Step, root: Path) -> list[Item]:
         stack.enter_context(contextlib.redirect_stderr(errors))
         if step.is_real_time:
             stack.enter_context(TIME.active())
+            # A run in real time begins with it, which takes long in this process of many cases.
+            stack.enter_context(patch.object(gc, "collect"))
         code = _run(step.words)
     texts = {"out": _plain(out.getvalue(), root), "err": _plain(errors.getvalue(), root)}
     items = [Item(step.name, "numbers", f"exit code {code}\n")]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from freezing.capture import Step
-from freezing.inputs import FAULTS, FOREIGN, ROBOTS
+from freezing.inputs import FAULTS, FOREIGN, MAPS, ROBOTS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -154,8 +154,9 @@ def _imports() -> Iterator[Step]:
         mapped, made = f"{name}_map.yaml", f"{name}_imported.yaml"
         yield Step(f"{name}.map", (*words, "--make-map", mapped), (mapped,), is_quick=True)
         yield Step(name, (*words, "-o", made), (made,), is_quick=True)
-        words = (*words, "--map", mapped, "-o", f"mapped_{made}", "--tolerance-deg", "0.5")
-        yield Step(f"{name}.mapped", words, (f"mapped_{made}",))
+        used = f"{name}_joints.yaml" if file in MAPS else mapped
+        words = (*words, "--map", used, "-o", f"mapped_{made}", "--tolerance-deg", "0.5")
+        yield Step(f"{name}.mapped", words, (f"mapped_{made}",), is_quick=file in MAPS)
     yield from _planned("recorded_csv_imported.yaml")
 
 

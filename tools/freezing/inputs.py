@@ -190,6 +190,20 @@ FOREIGN: Final[dict[str, bytes]] = {
 }
 """A small whole file for each reader."""
 
+_PULSE: Final = "{name: base, scale: 0.09, offset_deg: -135}"
+_IDS: Final = ", ".join(f"ID{n}: {{skip: true}}" for n in range(31) if n not in (1, 3))
+MAPS: Final = {
+    "hulks.json": "base.yaw: {name: base}",
+    "blender.json": "base: {scale: 1.5, offset_deg: -15}",
+    "bottango.json": f'"10": {_PULSE}',
+    "maestro.xml": f"base: {_PULSE}",
+    "ssc32.csv": "PIN0: {name: base}, PIN1: {name: elbow, sign: -1}",
+    "pypose.ppr": "ID1: {name: base, scale: 0.5}, ID2: {name: elbow, scale: 0.5}",
+    "robotis.mtn": f"ID1: {{name: base}}, ID3: {{name: elbow}}, {_IDS}".partition(", ID26")[0],
+    "robotis.bin": f"ID1: {{name: base}}, ID3: {{name: elbow}}, {_IDS}",
+}
+"""What the joints are, for files that do not say it; the others take the map that is made."""
+
 
 def write_inputs(folder: Path) -> None:
     """Write all input files that are not examples."""
@@ -209,6 +223,9 @@ def write_inputs(folder: Path) -> None:
     }
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
+    for name, rows in MAPS.items():
+        path = folder / f"{name.replace('.', '_')}_joints.yaml"
+        path.write_text(f"joints: {{{rows}}}\n", encoding="utf-8")
     for name, data in FOREIGN.items():
         (folder / name).write_bytes(data)
 
