@@ -30,3 +30,9 @@ if hasattr(signal, "SIGHUP"):
 def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Keep plans in a folder of the test run, not in the user's cache."""
     os.environ["LSS_MOTION_CACHE_DIR"] = str(tmp_path_factory.mktemp("cache"))
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--update-golden", action="store_true", help="write the files of tests/golden anew"
+    )
