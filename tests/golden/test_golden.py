@@ -73,8 +73,8 @@ def help_text(text: str) -> str:
     """
     usage, blank, rest = text.partition("\n\n")
     rest = re.sub(r"(-\w) (\S+), (--[\w-]+ \2)", r"\1, \3", rest)
-    rest = re.sub(r"\n {6,}(?=\S)", " ", rest)
-    rest = re.sub(r"(?<=\S) {2,}(?=\S)", " ", rest)
+    rest = re.sub(r"(?<=\S)\n {6,}(?=\S)", "  ", rest)
+    rest = re.sub(r"(?<=\S) {2,}(?=\S)", "  ", rest)
     return " ".join(usage.split()) + blank + rest
 
 
