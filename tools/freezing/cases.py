@@ -23,7 +23,7 @@ QUICK_FAULTS: Final = {
 }
 """Fault plans of the quick set, by robot; the whole set has every plan on `FAULT_ROBOTS`."""
 FAULT_ROBOTS: Final = ("timed", "streamed", "ladders", "mixed", "pro")
-QUICK_PLAYS: Final = ("tracks",)
+QUICK_PLAYS: Final = ("nod",)
 """Examples that the quick set plays; their shows are short."""
 LONG_S: Final = {"hexapod_show": 42, "hexapod_dance": 22, "hexapod_walk": 20, "show": 15}
 """Examples that take long to play, and about how long; they begin first."""
@@ -61,7 +61,8 @@ def _examples(sequences: Path) -> Iterator[Case]:
         if name not in LONG_S:
             half = _play("half", file, "--speed", "0.5", "--no-feedback", seed=2)
             steps += [_play("play7", file, seed=7), half]
-        steps.append(_play("blind", file, "--no-feedback", is_quick=path.parent == sequences))
+        is_quick = path.parent == sequences and name not in ("hexapod_show", "hexapod_dance")
+        steps.append(_play("blind", file, "--no-feedback", is_quick=is_quick))
         yield Case(f"example.{name}", tuple(steps), LONG_S.get(name, 12))
 
 
@@ -101,7 +102,7 @@ def _families() -> Iterator[Case]:
             _play("program", "program.lss", seed=3, is_quick=robot == "timed"),
             _play("half", file, "--speed", "0.5", seed=4),
             _play("loop", file, "--loop", "2", seed=6),
-            _play("from", file, "--from", "0.8", seed=5, is_quick=robot == "mixed"),
+            _play("from", file, "--from", "0.8", seed=5, is_quick=robot == "timed"),
         ]
         yield Case(f"family.{robot}", tuple(steps), 15)
     steps = [
