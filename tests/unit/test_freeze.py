@@ -28,7 +28,7 @@ ITEMS = (
 )
 
 
-def frozen(folder: Path, items=ITEMS, *, is_full=False, cases="all") -> Path:
+def frozen(folder: Path, items=ITEMS, *, is_full=False, cases="all, *") -> Path:
     write_items(folder, "case", items, is_full=is_full)
     write_manifest(folder, {"cases": cases})
     return folder
@@ -86,9 +86,13 @@ def test_what_is_only_in_one_folder_fails(tmp_path: Path) -> None:
 
 
 def test_folders_of_other_cases_or_unfinished_ones_are_not_compared(tmp_path: Path) -> None:
-    a, b = frozen(tmp_path / "a"), frozen(tmp_path / "b", cases="quick")
-    with pytest.raises(ValueError, match="cases is all and quick"):
+    a, b = frozen(tmp_path / "a"), frozen(tmp_path / "b", cases="quick, *")
+    with pytest.raises(ValueError, match="cases is all, \\* and quick, \\*"):
         compare_folders(a, b)
+    with pytest.raises(ValueError, match="cases is all and quick"):
+        compare_folders(a, b, "case")
+    part = frozen(tmp_path / "part", cases="all, ca*")
+    assert compare_folders(a, part, "ca*").failures == []
     (b / "manifest.json").unlink()
     with pytest.raises(ValueError, match="no complete write"):
         compare_folders(a, b)
