@@ -83,3 +83,8 @@ def __getattr__(name: str) -> object:
     if name not in _HOME:
         raise AttributeError(f"module 'lss_motion' has no attribute {name!r}")
     return getattr(import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    """Return all public names, those that are imported on first use included."""
+    return sorted({*globals(), *__all__})

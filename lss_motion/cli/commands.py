@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, TypeAlias
 
+from lss_motion import __version__
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -28,3 +30,10 @@ def add_command(
     )
     added.set_defaults(handler=handler)
     return added
+
+
+def add_version(parser: argparse.ArgumentParser) -> None:
+    """Add `--version`, which prints the program and its version."""
+    parser.add_argument(
+        "--version", action="version", version=f"%(prog)s {__version__}", help="print the version"
+    )

@@ -24,6 +24,7 @@ from lss_motion.cli import (
     simulating,
     walk,
 )
+from lss_motion.cli.commands import add_version
 from lss_motion.cli.messages import guarded
 
 if TYPE_CHECKING:
@@ -62,6 +63,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="lss-motion", description="Plan, check, compile and simulate motion of smart servos."
     )
+    add_version(parser)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for group in GROUPS:
         group.add_to(commands)

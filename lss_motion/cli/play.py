@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from lss_motion.cli.commands import add_version
 from lss_motion.cli.messages import Printer, ended_by, guarded, nothing, put
 from lss_motion.cli.preflight import YES_HELP, Agreement, must_ask, table_lines
 from lss_motion.cli.report_text import report_lines
@@ -63,6 +64,7 @@ def make_parser() -> argparse.ArgumentParser:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    add_version(parser)
     add_arguments(parser)
     return parser
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
 from lss_motion.protocol.line import encode_move
 from lss_motion.robot.models import RAMP_STEP_DEG_S2, RAMP_STEPS_MAX, ramp_steps
+from lss_motion.spelling import counted, duration_text
 from lss_motion.units import NS_PER_US, line_time_ns, s_from_us
 
 if TYPE_CHECKING:
@@ -93,6 +94,12 @@ class Program:
     """What this show does otherwise than its robot when something goes wrong."""
     error_max_deg: Mapping[str, float] = field(default_factory=dict)
     """Largest distance, per joint, between the predicted horn and the plan."""
+
+    def __repr__(self) -> str:
+        """Return one line: name, duration and counts."""
+        duration = duration_text(self.duration_s)
+        counts = f"{counted(self.start_deg, 'joint')}, {counted(self.moves, 'move')}"
+        return f"Program({self.name!r}, {duration}, {counts})"
 
     @cached_property
     def pass_s(self) -> float:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from lss_motion.protocol.family import Family  # noqa: TC001 (importable from here)
 from lss_motion.robot.on_fault import DEFAULTS
+from lss_motion.spelling import counted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -192,6 +193,11 @@ class Robot:
     """How long a trouble may last on one step of its ladder before the next is taken."""
     resume_s: float = RESUME_S
     """How long what is gone is waited for."""
+
+    def __repr__(self) -> str:
+        """Return one line: name and counts."""
+        counts = f"{counted(self.joints, 'joint')}, {counted(self.buses, 'bus', 'buses')}"
+        return f"Robot({self.name!r}, {counts}, {counted(self.poses, 'pose')})"
 
     @property
     def unread(self) -> list[Joint]:

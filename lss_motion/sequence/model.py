@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Literal
 
+from lss_motion.spelling import counted
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
@@ -161,3 +163,11 @@ class Sequence:
     on_fault: Ladders = field(default_factory=dict)
     """What this show does otherwise than its robot when something goes wrong; of the sequences
     that it plays, nobody asks."""
+
+    def __repr__(self) -> str:
+        """Return one line: name, counts of what it holds, and how often it is played."""
+        held = {"keyframe": self.keyframes, "track": self.tracks, "part": self.play}
+        held |= {"layer": self.layers, "event": self.events}
+        counts = [counted(things, one) for one, things in held.items() if things]
+        loops = [] if self.loop == 1 else [f"loop {self.loop or 'forever'}"]
+        return f"Sequence({', '.join([repr(self.name), *counts, *loops])})"

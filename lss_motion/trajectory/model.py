@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
+from lss_motion.spelling import counted, duration_text
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -157,6 +159,12 @@ class Trajectory:
     """What is not motion, in the first pass, at planned times."""
     on_fault: Ladders = field(default_factory=dict)
     """What the show does otherwise than its robot when something goes wrong."""
+
+    def __repr__(self) -> str:
+        """Return one line: name, duration and counts."""
+        duration = duration_text(self.duration_s)
+        counts = f"{counted(self.joints, 'joint')}, {counted(self.marks, 'keyframe')}"
+        return f"Trajectory({self.name!r}, {duration}, {counts})"
 
     @property
     def duration_s(self) -> float:

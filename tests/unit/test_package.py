@@ -1,0 +1,74 @@
+"""The package as others use it: names, versions, types and what an interpreter prints."""
+
+from __future__ import annotations
+
+import rlcompleter
+import subprocess
+import sys
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+import lss_motion as lss
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
+LINE_CHARS_MAX = 100
+
+
+def test_dir_lists_every_public_name_and_each_can_be_used():
+    names = dir(lss)
+    assert set(lss.__all__) <= set(names)
+    assert {"plan", "Trajectory", "__version__"} <= set(names)
+    for name in names:
+        getattr(lss, name)
+
+
+def test_tab_completes_names_that_are_imported_on_first_use():
+    """In an interpreter of its own: here the names may be imported already."""
+    code = (
+        "import rlcompleter, lss_motion\n"
+        "completer = rlcompleter.Completer({'lss': lss_motion})\n"
+        "print([completer.complete('lss.load_', i) for i in range(3)])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "lss.load_robot(" in done.stdout
+    assert "lss.load_sequence(" in done.stdout
+    assert rlcompleter.Completer({"lss": lss}).complete("lss.no_such_name", 0) is None
+
+
+def test_type_checkers_find_the_types():
+    assert resources.files("lss_motion").joinpath("py.typed").is_file()
+
+
+@pytest.mark.parametrize("program", ["lss-motion", "lss-play"])
+def test_a_program_prints_its_version(program):
+    module = {"lss-motion": "main", "lss-play": "play"}[program]
+    command = [sys.executable, "-m", f"lss_motion.cli.{module}", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == f"{program} {lss.__version__}\n"
+
+
+@pytest.mark.parametrize("name", ["wave", "playlist", "tracks", "hexapod_walk"])
+def test_large_values_print_as_one_line_with_name_and_counts(name):
+    sequence = lss.load_sequence(EXAMPLES / f"{name}.yaml")
+    assert sequence.robot_path is not None
+    robot = lss.load_robot(sequence.robot_path)
+    trajectory = lss.plan(sequence, robot)
+    program = lss.compile(trajectory, robot)
+    for value, stated in [
+        (robot, (robot.name, f"{len(robot.joints)} joints")),
+        (sequence, (sequence.name,)),
+        (trajectory, (sequence.name, f"{trajectory.duration_s:.3f} s")),
+        (program, (sequence.name, f"{len(program.moves)} moves")),
+    ]:
+        text = repr(value)
+        assert "\n" not in text
+        assert len(text) <= LINE_CHARS_MAX, text
+        for part in (type(value).__name__, *stated):
+            assert part in text, text
+
+
+def test_what_a_sequence_holds_is_in_its_line():
+    assert "keyframes, loop 3" in repr(lss.load_sequence(EXAMPLES / "wave.yaml"))
+    assert "5 parts, 2 layers" in repr(lss.load_sequence(EXAMPLES / "playlist.yaml"))
