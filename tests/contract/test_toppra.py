@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from lss_motion.trajectory.parameterize import Cells, _stage_solver, fastest_squares
 
 PYPROJECT = Path(__file__).resolve().parents[2] / "pyproject.toml"
