@@ -40,7 +40,7 @@ def main(names: list[str]) -> int:
         "types": lambda: _run("mypy"),
         "imports": lambda: _run("lint-imports", "--no-cache"),
         "size": _sizes,
-        "tests": lambda: _run("pytest", "-q"),
+        "tests": lambda: _run("pytest"),  # the README's test command
         "readme": _readme,
         "guides": _guides,
         "figures": _figures,
