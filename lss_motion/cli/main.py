@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from lss_motion.cli import (
     configuring,
     doctoring,
+    examples,
     exchange,
     gaits,
     hand_work,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 GROUPS = (
+    examples,
     planning,
     playing,
     simulating,

@@ -1,0 +1,148 @@
+"""`lss-motion example`: the shows that come with the package, written where a person wants them.
+
+In a wheel they are in `lss_motion/examples`, in a checkout in `sequences/`.
+"""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from lss_motion.cli.commands import add_command, add_force, refuse_overwriting
+from lss_motion.errors import EXIT_FINISHED, InputError
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterator
+
+    from lss_motion.cli.commands import Commands
+
+DESCRIPTION: Final = """\
+List the examples, or write one into the current folder, with its robot and all files it is made of.
+
+  lss-motion example             names, and what each shows
+  lss-motion example wave        writes wave.yaml and robots/desk_arm.yaml
+  lss-play wave.yaml             plays it, simulated
+"""
+
+SCHEMA: Final = re.compile(r"\$schema=(\S+)")
+SUMMARY_CHARS_MAX: Final = 80
+CHECKOUT_FOLDER: Final = "sequences"
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command of this module."""
+    example = add_command(
+        commands, "example", _example, "list the examples, or write one here", DESCRIPTION
+    )
+    example.add_argument("name", nargs="?", metavar="NAME", help="such as wave; default: list all")
+    add_force(example)
+
+
+def _example(arguments: argparse.Namespace) -> int:
+    names = sorted(path.stem for path in _folder().glob("*.yaml"))
+    if arguments.name is None:
+        width = max(map(len, names))
+        for name in names:
+            print(f"{name:{width}}  {_summary(name)}")
+        return EXIT_FINISHED
+    name = arguments.name.removesuffix(".yaml")
+    if name not in names:
+        from lss_motion.spelling import known_names
+
+        raise InputError(f"unknown example {arguments.name!r}; {known_names(name, names)}")
+    for path in write_example(name, Path(), is_forced=arguments.force):
+        print(f"wrote {path}")
+    print(f"play it: lss-play {name}.yaml")
+    return EXIT_FINISHED
+
+
+def write_example(name: str, folder: Path, *, is_forced: bool) -> list[Path]:
+    """Write an example and all files it refers to; return those that were not there already.
+
+    Raises `InputError` before anything is written if one would replace a different file.
+    """
+    texts = {folder / part: _text(part) for part in _parts(f"{name}.yaml")}
+    fresh = {path: text for path, text in texts.items() if not _has(path, text)}
+    for path in fresh:
+        refuse_overwriting(path, is_forced=is_forced)
+    from lss_motion.cli.tables import write_text
+
+    for path, text in fresh.items():
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"cannot make its folder: {error.strerror}", path=path) from error
+        write_text(path, text)
+    return list(fresh)
+
+
+def _folder() -> Path:
+    package = Path(__file__).resolve().parent.parent
+    packaged = package / "examples"
+    found = packaged if packaged.is_dir() else package.parent / CHECKOUT_FOLDER
+    if not found.is_dir():
+        raise InputError("this installation holds no examples; install lss-motion again")
+    return found
+
+
+def _text(part: str) -> str:
+    """Return a file of the examples; the commands in its comments are as typed beside it."""
+    text = (_folder() / part).read_text(encoding="utf-8")
+    return text.replace(f"{CHECKOUT_FOLDER}/", "")
+
+
+def _has(path: Path, text: str) -> bool:
+    try:
+        return path.read_text(encoding="utf-8") == text
+    except (OSError, ValueError):
+        return False
+
+
+def _parts(name: str) -> list[str]:
+    """Return the paths of an example and of all files it refers to, relative to its folder."""
+    found, pending = [], [name]
+    while pending:
+        part = pending.pop()
+        if part not in found:
+            found.append(part)
+            pending += [posixpath.normpath(posixpath.join(posixpath.dirname(part), other))
+                        for other in _references(part)]  # fmt: skip
+    return found
+
+
+def _references(part: str) -> Iterator[str]:
+    """Yield every path of another file that stands in a file, relative to its folder."""
+    if not part.endswith(".yaml"):
+        return
+    import yaml
+
+    text = _text(part)
+    if schema := SCHEMA.search(text):  # With it, editors complete and check.
+        yield schema[1]
+    pending: list[Any] = [yaml.safe_load(text)]
+    while pending:
+        match pending.pop():
+            case dict() as table:
+                pending += table.values()
+            case list() as row:
+                pending += row
+            case str() as value if value.endswith(".yaml"):
+                yield value
+            case _:
+                pass
+
+
+def _summary(name: str) -> str:
+    """Return the first sentence at the head of an example; of a long one what is before `:`."""
+    words = []
+    for line in _text(f"{name}.yaml").splitlines():
+        if not line.startswith("#"):
+            break
+        if SCHEMA.search(line) is None:
+            words += line.lstrip("# ").split()
+    sentence = re.match(r".*?\.(?=\s|$)", " ".join(words))
+    text = "" if sentence is None else sentence[0].rstrip(".")
+    return text if len(text) <= SUMMARY_CHARS_MAX else text.partition(":")[0]

@@ -1,0 +1,132 @@
+"""The wheel holds all that a person needs: built here, and used in an empty folder."""
+
+from __future__ import annotations
+
+import email
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+from readme_hook import portable
+
+import lss_motion
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    (found,) = folder.glob("*.whl")
+    return found
+
+
+@pytest.fixture
+def lss(wheel, tmp_path):
+    """Return what runs a program of the wheel, without the checkout, in an empty folder."""
+    site, folder = tmp_path / "site", tmp_path / "empty"
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(site)
+    folder.mkdir()
+    modules = {"lss-motion": "lss_motion.cli.main", "lss-play": "lss_motion.cli.play"}
+
+    def run(program: str, *words: str, folder: Path = folder) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", modules[program], *words],
+            cwd=folder,
+            env={**os.environ, "PYTHONPATH": str(site)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    run.folder = folder
+    where = "import lss_motion; print(lss_motion.__file__)"
+    command = [sys.executable, "-c", where]
+    shown = subprocess.run(
+        command, cwd=folder, env={**os.environ, "PYTHONPATH": str(site)},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert shown.stdout.startswith(str(site)), "the wheel is what is tried, not the checkout"
+    return run
+
+
+def test_an_example_is_listed_written_and_played_in_an_empty_folder(lss):
+    listed = lss("lss-motion", "example")
+    rows = dict(line.split(maxsplit=1) for line in listed.stdout.splitlines())
+    assert set(rows) == {path.stem for path in (ROOT / "sequences").glob("*.yaml")}
+    assert rows["wave"].startswith("The arm says hello")
+    written = lss("lss-motion", "example", "wave")
+    assert written.returncode == 0, written.stderr
+    assert {"wave.yaml", "robots/desk_arm.yaml", "schema/sequence.schema.json"} <= {
+        path.relative_to(lss.folder).as_posix() for path in lss.folder.rglob("*.*")
+    }
+    played = lss("lss-play", "wave.yaml", "--virtual")
+    assert played.returncode == 0, played.stderr
+    assert "wave: finished" in played.stdout
+
+
+def test_every_example_is_written_whole(lss):
+    """With the parts and robots of play lists, layers and gaits."""
+    for path in sorted((ROOT / "sequences").glob("*.yaml")):
+        folder = lss.folder / path.stem
+        folder.mkdir()
+        assert lss("lss-motion", "example", path.stem, folder=folder).returncode == 0
+        original = lss_motion.load_sequence(path)
+        written = lss_motion.load_sequence(folder / path.name)
+        assert written == original
+        assert written.robot_path is not None
+        assert written.robot_path.is_relative_to(folder)
+
+
+def test_an_edited_file_is_overwritten_with_force_only(lss):
+    lss("lss-motion", "example", "wave")
+    again = lss("lss-motion", "example", "fastest")
+    assert again.stdout.splitlines()[0] == "wrote fastest.yaml", "an equal robot file is no hurdle"
+    robot = lss.folder / "robots" / "desk_arm.yaml"
+    original = robot.read_text(encoding="utf-8")
+    robot.write_text("robot: mine\n", encoding="utf-8")
+    (lss.folder / "wave.yaml").unlink()
+    refused = lss("lss-motion", "example", "wave")
+    assert refused.returncode == 2
+    assert "desk_arm.yaml: is there already" in refused.stderr
+    assert "--force" in refused.stderr
+    assert robot.read_text(encoding="utf-8") == "robot: mine\n"
+    assert not (lss.folder / "wave.yaml").exists(), "nothing is written by halves"
+    assert lss("lss-motion", "example", "wave", "--force").returncode == 0
+    assert robot.read_text(encoding="utf-8") == original
+
+
+def test_an_unknown_example_is_answered_with_the_nearest_name(lss):
+    refused = lss("lss-motion", "example", "wafe")
+    assert refused.returncode == 2
+    assert "did you mean 'wave'?" in refused.stderr
+
+
+def test_the_wheel_has_types_version_programs_and_a_readme_that_stands_alone(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+        (info,) = [name for name in names if name.endswith("/METADATA")]
+        metadata = email.message_from_bytes(archive.read(info))
+        programs = archive.read(info.replace("METADATA", "entry_points.txt")).decode()
+    assert "lss_motion/py.typed" in names
+    assert {name.split("/")[0] for name in names} == {"lss_motion", info.split("/")[0]}
+    assert metadata["Version"] == lss_motion.__version__
+    assert "lss-play = lss_motion.cli.play:main" in programs
+    text = metadata.get_payload()
+    assert "# lss_motion" in text
+    assert "](sequences/" not in text
+
+
+def test_with_a_repository_pictures_and_links_of_the_readme_lead_there():
+    text = "![An arm](a/b.png), [guides](g.md), [other](https://example.org/x)"
+    assert portable(text, "https://example.org/r/") == (
+        "![An arm](https://example.org/r/raw/HEAD/a/b.png), "
+        "[guides](https://example.org/r/blob/HEAD/g.md), [other](https://example.org/x)"
+    )
+    assert portable(text, None) == "*An arm.*, guides, [other](https://example.org/x)"
