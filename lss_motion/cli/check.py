@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+import re
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from lss_motion.spelling import counted
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from lss_motion.cli.shows import Show
     from lss_motion.program.model import Program
@@ -24,6 +28,9 @@ BLOCK: Final = 8192
 
 FULL_RATIO: Final = 0.995
 """A limit that is used up to here is used up: planning keeps a thousandth or so of it free."""
+
+_ROBOT_KEYS: Final = re.compile(r"^(buses|joints)\s*:", re.MULTILINE)
+"""Keys at the top of a robot file, and of no other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,3 +193,84 @@ def drive_lines(program: Program) -> list[str]:
         why = program.drive_reasons.get(name, "as the robot file says").partition(": ")
         lines.append(f"joint {name}: {how}{within}; {why[2] or why[0]}")
     return lines
+
+
+def show_as_json(show: Show) -> dict[str, Any]:
+    """Return what `check` finds in a show, for other programs; angles in degrees."""
+    program, trajectory = show.program, show.trajectory
+    uses = [] if trajectory is None else limit_uses(trajectory, show.robot)
+    joints: dict[str, dict[str, Any]] = {name: {} for name in program.start_deg}
+    for use in uses:
+        joints[use.joint.name] |= {
+            "speed_deg_s": use.speed_deg_s,
+            "speed_max_deg_s": use.joint.speed_max_deg_s,
+            "speed_at_s": use.speed_at_s,
+            "accel_deg_s2": use.accel_deg_s2,
+            "accel_max_deg_s2": use.joint.accel_max_deg_s2,
+            "accel_at_s": use.accel_at_s,
+        }
+    for name, error_deg in program.error_max_deg.items():
+        joints[name]["error_max_deg"] = error_deg
+    return {
+        "kind": "show",
+        "name": program.name,
+        "robot": program.robot,
+        "duration_s": program.duration_s if trajectory is None else trajectory.duration_s,
+        "tolerance_deg": program.tolerance_deg,
+        "joints": joints,
+        "stretched": [asdict(stretch) for stretch in program.stretched],
+        "buses": {name: asdict(use) for name, use in program.line_use.items()},
+    }
+
+
+def is_robot_file(path: Path) -> bool:
+    """Return whether a file describes a robot; raises `InputError` if it is unreadable."""
+    from lss_motion.source_file import read_text
+
+    return path.suffix.lower() in (".yaml", ".yml") and bool(_ROBOT_KEYS.search(read_text(path)))
+
+
+def robot_lines(robot: Robot) -> list[str]:
+    """Return what a robot file describes: its buses, and the limits of each joint."""
+    counts = [counted(robot.joints, "joint"), counted(robot.poses, "pose")]
+    lines = [f"{robot.name}: {', '.join(counts)}, {counted(robot.buses, 'bus', 'buses')}"]
+    lines += [f"bus {b.name}: {b.port} at {b.baud_bps} bps" for b in robot.buses.values()]
+    width = max(len(name) for name in (*robot.joints, "joint"))
+    lines.append(f"{'joint':{width}}   id  model          range deg        deg/s   deg/s²")
+    for joint in robot.joints.values():
+        reach = f"{joint.position_min_deg:g} to {joint.position_max_deg:g}"
+        speed, accel = (
+            "servo" if limit in joint.unread else f"{value:g}"
+            for limit, value in (
+                ("speed_max_deg_s", joint.speed_max_deg_s),
+                ("accel_max_deg_s2", joint.accel_max_deg_s2),
+            )
+        )
+        lines.append(
+            f"{joint.name:{width}}  {joint.servo_id:3d}  {joint.model.name:13}  {reach:15}  "
+            f"{speed:>5}  {accel:>7}"
+        )
+    return lines
+
+
+def robot_as_json(robot: Robot) -> dict[str, Any]:
+    """Return what `check` finds in a robot file, for other programs; null where servos decide."""
+    return {
+        "kind": "robot",
+        "name": robot.name,
+        "buses": {b.name: {"port": b.port, "baud_bps": b.baud_bps} for b in robot.buses.values()},
+        "joints": {
+            joint.name: {
+                "bus": joint.bus,
+                "id": joint.servo_id,
+                "model": joint.model.name,
+                "range_deg": [joint.position_min_deg, joint.position_max_deg],
+                **{
+                    limit: None if limit in joint.unread else getattr(joint, limit)
+                    for limit in ("speed_max_deg_s", "accel_max_deg_s2")
+                },
+            }
+            for joint in robot.joints.values()
+        },
+        "poses": list(robot.poses),
+    }

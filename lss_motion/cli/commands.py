@@ -3,17 +3,36 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, TypeAlias
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from lss_motion import __version__
 from lss_motion.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
+    from collections.abc import Callable, Sequence
 
     Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # noqa: SLF001
     """What `add_subparsers` returns; argparse has no public name for it."""
+
+
+class CommandParser(argparse.ArgumentParser):
+    """The parser of one command: it refuses an unknown option with its own usage.
+
+    argparse leaves that to the parser of the program, which shows the list of commands.
+    """
+
+    def parse_known_args(  # type: ignore[override]  # as argparse calls it for a command
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """Return the arguments; end with the usage of this command if one is unknown."""
+        found, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f"unknown arguments: {' '.join(unknown)}")
+        return found, unknown
 
 
 def add_command(
@@ -56,3 +75,46 @@ def refuse_overwriting(path: Path | None, *, is_forced: bool) -> None:
     """
     if path is not None and path.exists() and not is_forced:
         raise InputError("is there already; choose another name, or add --force", path=path)
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add `--json`, for `print_json`."""
+    parser.add_argument("--json", action="store_true", help="print JSON for other programs")
+
+
+def print_json(value: Any) -> None:  # noqa: ANN401  JSON
+    """Print a value as JSON; what is not finite (a show without end) becomes null."""
+    sys.stdout.write(json.dumps(_finite(value), indent=2, ensure_ascii=False, default=str) + "\n")
+
+
+def _finite(value: Any) -> Any:  # noqa: ANN401  JSON
+    if isinstance(value, dict):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def add_robot(parser: argparse.ArgumentParser, *, is_required: bool) -> None:
+    """Add the robot of a command that is about a robot and no other file: ROBOT or `--robot`.
+
+    The rule of all commands: `--robot FILE` names the robot file. A command whose first file is a
+    show has only that; one about the robot itself accepts the file alone as well.
+    """
+    group = parser.add_mutually_exclusive_group(required=is_required)
+    group.add_argument("robot", nargs="?", action=_Robot, metavar="ROBOT", help="a robot file")
+    group.add_argument("--robot", action=_Robot, metavar="FILE", help="the same")
+
+
+class _Robot(argparse.Action):
+    """Keeps the robot file that was given; an argument that was left out changes nothing."""
+
+    def __call__(
+        self,
+        _parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: object,
+        _option: str | None = None,
+    ) -> None:
+        if values is not None:
+            setattr(namespace, self.dest, Path(str(values)))

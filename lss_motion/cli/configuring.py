@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lss_motion.cli.commands import add_command
+from lss_motion.cli.commands import add_command, add_robot
 from lss_motion.cli.robots import robot_at
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
 from lss_motion.robot.models import other_model
@@ -43,7 +43,7 @@ def add_to(commands: Commands) -> None:
     configure = add_command(
         commands, "configure", _configure, "read, compare and write settings", DESCRIPTION
     )
-    configure.add_argument("robot", nargs="?", type=Path, metavar="ROBOT", help="a robot file")
+    add_robot(configure, is_required=False)
     configure.add_argument("--port", metavar="URL", help="serial device or URL")
     configure.add_argument("--baud", type=int, metavar="BPS", help="without ROBOT; default 115200")
     configure.add_argument("--joint", action="append", metavar="NAME", help="only this; repeatable")
@@ -57,7 +57,9 @@ def add_to(commands: Commands) -> None:
     configure.add_argument("--dry-run", action="store_true", help="show the differences only")
     configure.add_argument("--yes", action="store_true", help="do not ask")
     configure.add_argument(
-        "--force", action="store_true", help="also what may make a servo unreachable"
+        "--force",
+        action="store_true",
+        help="also what may make a servo unreachable; overwrite a backup",
     )
     modes = configure.add_mutually_exclusive_group()
     modes.add_argument("--new-id", type=int, metavar="N", help="give one servo another id")
@@ -86,7 +88,9 @@ def _configure(arguments: argparse.Namespace) -> int:
             return servo_changes.restore(connection, arguments)
         targets = _targets(connection, robot, arguments)
         if arguments.backup is not None:
-            return servo_changes.back_up(connection, targets, arguments.backup)
+            return servo_changes.back_up(
+                connection, targets, arguments.backup, is_forced=arguments.force
+            )
         wanted = _wanted(targets, robot, arguments)
         if not any(wanted.values()):
             return _show(connection, targets, arguments)

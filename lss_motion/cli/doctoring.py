@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING
 
-from lss_motion.cli.commands import add_command
+from lss_motion.cli.commands import add_command, add_json, print_json
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_UNREACHABLE
 
 if TYPE_CHECKING:
@@ -22,15 +23,17 @@ Exit code 0: fit to play (hints may be left) · 2: a package · 4: a port may no
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    add_command(commands, "doctor", _doctor, "check this computer", DESCRIPTION)
+    add_json(add_command(commands, "doctor", _doctor, "check this computer", DESCRIPTION))
 
 
-def _doctor(_arguments: argparse.Namespace) -> int:
+def _doctor(arguments: argparse.Namespace) -> int:
     from lss_motion.runtime.computer import Level, examine
 
     findings = examine()
     width = max(len(finding.subject) for finding in findings)
-    for finding in findings:
+    if arguments.json:
+        print_json({"findings": [dataclasses.asdict(finding) for finding in findings]})
+    for finding in [] if arguments.json else findings:
         print(f"{finding.level:4}  {finding.subject:{width}}  {finding.said}")
         if finding.fix:
             print(f"{'':6}{'':{width}}  → {finding.fix}")

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import add_command
+from lss_motion.cli.commands import add_command, add_force, refuse_overwriting
 from lss_motion.cli.robots import add_cache_option, reader
 from lss_motion.errors import EXIT_FINISHED, InputError
 
@@ -85,6 +85,7 @@ def add_to(commands: Commands) -> None:
     target.add_argument(
         "--make-map", type=Path, metavar="M.yaml", help="write a map file to begin with, no more"
     )
+    add_force(imported)
     exported = add_command(
         commands, "export", _export, "write the motion of a sequence for other tools"
     )
@@ -112,13 +113,12 @@ def _import(arguments: argparse.Namespace) -> int:
     from lss_motion.sequence.write import write_sequence
     from lss_motion.trajectory.planner import plan
 
+    refuse_overwriting(arguments.make_map or arguments.output, is_forced=arguments.force)
     robot = reader(arguments, may_ask=False)(arguments.robot)
     motion = read_motion(
         arguments.file, format_name=arguments.format_name, motion_name=arguments.motion
     )
     if arguments.make_map is not None:
-        if arguments.make_map.exists():
-            raise InputError("is there already; move it away first", path=arguments.make_map)
         write_text(arguments.make_map, map_template(motion, robot))
         print(f"{arguments.make_map}: {len(motion.channels)} joints; edit it, then use --map")
         return EXIT_FINISHED

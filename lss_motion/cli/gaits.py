@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lss_motion.cli.commands import add_command
+from lss_motion.cli.commands import add_command, add_force, refuse_overwriting
 from lss_motion.cli.robots import add_cache_option, reader
 from lss_motion.errors import EXIT_FINISHED
 
@@ -26,6 +26,7 @@ def add_to(commands: Commands) -> None:
     gait.add_argument(
         "-o", "--output", type=Path, metavar="S.yaml", help="write the keyframes as a sequence"
     )
+    add_force(gait)
     gait.add_argument("--plot", type=Path, metavar="F.png", help="draw it; the suffix says how")
 
 
@@ -37,6 +38,7 @@ def _gait(arguments: argparse.Namespace) -> int:
     from lss_motion.sequence.write import write_sequence
     from lss_motion.trajectory.planner import plan
 
+    refuse_overwriting(arguments.output, is_forced=arguments.force)
     gait, robot = shows.load_gait(arguments.file, arguments.robot, reader(arguments, may_ask=False))
     passages = paced(gait, robot)
     sequence = sequence_from(gait, passages)

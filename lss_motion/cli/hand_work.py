@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import add_command
+from lss_motion.cli.commands import add_command, add_robot
 from lss_motion.cli.messages import ended_by
 from lss_motion.cli.robots import robot_at
 from lss_motion.errors import EXIT_FINISHED, InputError
@@ -48,7 +47,7 @@ def add_to(commands: Commands) -> None:
         CALIBRATE_TEXT,
     )
     for command in (jog, calibrate):
-        command.add_argument("--robot", type=Path, required=True, metavar="FILE")
+        add_robot(command, is_required=True)
         command.add_argument("--port", metavar="URL", help="serial device or URL")
         command.add_argument(
             "--joints", nargs="+", metavar="NAME", help="joints or groups; default: all"

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import add_command
+from lss_motion.cli.commands import add_command, add_force, refuse_overwriting
 from lss_motion.cli.messages import ended_by
 from lss_motion.cli.robots import robot_at
 from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, InputError
@@ -60,6 +60,7 @@ def add_to(commands: Commands) -> None:
     )
     added.add_argument("--yes", action="store_true", help="move without asking first")
     added.add_argument("-o", "--output", type=Path, metavar="FILE", help="write a copy instead")
+    add_force(added)
     added.add_argument("--no-write", action="store_true", help="print only")
     added.add_argument(
         "--virtual", action="store_true", help="simulated bus in virtual time; deterministic"
@@ -124,8 +125,7 @@ def _check(arguments: argparse.Namespace, *, simulated: bool) -> None:
     if not (simulated or arguments.yes or sys.stdin.isatty()):
         raise InputError("the joint will move, and nobody is there to agree; give --yes")
     output = arguments.output
-    if output is not None and output.exists():
-        raise InputError("it exists; choose another name", path=output)
+    refuse_overwriting(output, is_forced=arguments.force)
     if output is not None and not output.absolute().parent.is_dir():
         raise InputError("cannot be written: there is no such folder", path=output)
 

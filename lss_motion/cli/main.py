@@ -7,6 +7,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from lss_motion.cli import (
+    completion,
     configuring,
     doctoring,
     examples,
@@ -25,7 +26,7 @@ from lss_motion.cli import (
     simulating,
     walk,
 )
-from lss_motion.cli.commands import add_version
+from lss_motion.cli.commands import CommandParser, add_version
 from lss_motion.cli.messages import guarded
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ GROUPS = (
     identifying,
     walk,
     reference,
+    completion,
 )
 """Each has `add_to(commands)`, and imports nothing heavy before a command of its own runs."""
 
@@ -63,10 +65,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of `lss-motion` with all its commands."""
     parser = argparse.ArgumentParser(
-        prog="lss-motion", description="Plan, check, compile and simulate motion of smart servos."
+        prog="lss-motion",
+        description="Plan, check, compile and simulate motion of smart servos.",
+        epilog="Tab completion: lss-motion completion --help",
     )
     add_version(parser)
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=CommandParser)
     for group in GROUPS:
         group.add_to(commands)
     return parser

@@ -6,7 +6,7 @@ import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from lss_motion.cli.commands import add_command
+from lss_motion.cli.commands import add_command, add_robot
 from lss_motion.cli.robots import robot_at
 from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, BusError, InputError
 from lss_motion.units import ns_from_s
@@ -40,7 +40,7 @@ def add_to(commands: Commands) -> None:
     monitor = add_command(
         commands, "monitor", _monitor, "show how all servos do, live", DESCRIPTION
     )
-    monitor.add_argument("robot", nargs="?", type=Path, metavar="ROBOT", help="a robot file")
+    add_robot(monitor, is_required=False)
     monitor.add_argument("--port", metavar="URL", help="serial device or URL")
     monitor.add_argument("--baud", type=int, default=115200, metavar="BPS", help="without ROBOT")
     monitor.add_argument("--csv", type=Path, metavar="FILE", help="write every reading")

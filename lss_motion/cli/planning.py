@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lss_motion.cli.commands import add_command
+from lss_motion.cli.commands import add_command, add_json, print_json
 from lss_motion.cli.robots import add_cache_option, reader
 from lss_motion.errors import EXIT_FINISHED, InputError
 
@@ -23,6 +23,7 @@ def add_to(commands: Commands) -> None:
     check = add_command(
         commands, "check", _check, "validate, plan, compile; say what was slowed and why"
     )
+    add_json(check)
     plan = add_command(commands, "plan", _plan, "plan a sequence; write it as a table or a picture")
     plan.add_argument("--csv", type=Path, metavar="F", help="write t_s,<joint>... in degrees")
     plan.add_argument("--plot", type=Path, metavar="F.png", help="draw it; the suffix says how")
@@ -36,7 +37,8 @@ def add_to(commands: Commands) -> None:
     compiled = add_command(commands, "compile", _compile, "compile a sequence to a program (.lss)")
     compiled.add_argument("-o", "--output", type=Path, metavar="F.lss", help="default: print it")
     for added in (check, plan, compiled):
-        added.add_argument("file", type=Path, metavar="FILE", help="a sequence")
+        kinds = "a sequence, a gait, a program or a robot" if added is check else "a sequence"
+        added.add_argument("file", type=Path, metavar="FILE", help=kinds)
         added.add_argument("--robot", type=Path, metavar="FILE", help="use this robot file")
         add_cache_option(added)
     schema = add_command(
@@ -54,12 +56,25 @@ def _files(arguments: argparse.Namespace) -> tuple[Path, Path | None, Callable[[
 
 def _check(arguments: argparse.Namespace) -> int:
     from lss_motion.cli import shows
-    from lss_motion.cli.check import program_lines
+    from lss_motion.cli.check import (
+        is_robot_file,
+        program_lines,
+        robot_as_json,
+        robot_lines,
+        show_as_json,
+    )
     from lss_motion.gait.explain import gait_lines
     from lss_motion.gait.load import is_gait_file
     from lss_motion.gait.pacing import paced
     from lss_motion.gait.sequence import sequence_from
 
+    if is_robot_file(arguments.file):
+        robot = reader(arguments, may_ask=False)(arguments.file)
+        if arguments.json:
+            print_json(robot_as_json(robot))
+        else:
+            print("\n".join(robot_lines(robot)))
+        return EXIT_FINISHED
     lines = []
     if shows.is_program(arguments.file) or not is_gait_file(arguments.file):
         show = shows.prepare(*_files(arguments))
@@ -68,7 +83,10 @@ def _check(arguments: argparse.Namespace) -> int:
         passages = paced(gait, robot)
         show = shows.compiled(sequence_from(gait, passages), robot)
         lines = gait_lines(gait, passages)
-    print("\n".join([*lines, *program_lines(show)]))
+    if arguments.json:
+        print_json(show_as_json(show))
+    else:
+        print("\n".join([*lines, *program_lines(show)]))
     return EXIT_FINISHED
 
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import add_command
+from lss_motion.cli.commands import add_command, add_force, refuse_overwriting
 from lss_motion.cli.exchange import fit_text, tolerance
 from lss_motion.cli.messages import ended_by
 from lss_motion.cli.robots import robot_at
@@ -62,7 +62,7 @@ def add_to(commands: Commands) -> None:
         metavar="DEG",
         help="how far the keys may lead away from what was shown (default 1)",
     )
-    record.add_argument("--force", action="store_true", help="write over what is there")
+    add_force(record)
     record.add_argument(
         "--hand",
         metavar="FILE|SEED",
@@ -110,8 +110,7 @@ def _record(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace, *, simulated: bool) -> None:
-    if arguments.output.exists() and not arguments.force:
-        raise InputError("is there already; --force writes over it", path=arguments.output)
+    refuse_overwriting(arguments.output, is_forced=arguments.force)
     if not arguments.output.absolute().parent.is_dir():
         raise InputError("cannot be written: there is no such folder", path=arguments.output)
     if not simulated and (arguments.virtual or arguments.hand is not None):

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from lss_motion.cli.commands import add_json, print_json
 from lss_motion.errors import EXIT_FINISHED, EXIT_NOT_FOLLOWED, InputError
 from lss_motion.units import s_from_ns
 
@@ -44,6 +45,7 @@ def add_to(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
     report.add_argument(
         "--plot", type=Path, metavar="F.png", help="draw it (one report); the suffix says how"
     )
+    add_json(report)
     report.set_defaults(handler=_report)
 
 
@@ -158,11 +160,14 @@ def _report(arguments: argparse.Namespace) -> int:
     if arguments.plot is not None and len(arguments.reports) > 1:
         raise InputError("--plot draws one report; give one")
     found = [_read_report(path) for path in arguments.reports]
-    for path, report in zip(arguments.reports, found, strict=True):
+    shown = [] if arguments.json else zip(arguments.reports, found, strict=True)
+    for path, report in shown:
         with _whole(path):
             for line in report_lines(report):
                 print(line)
-    if len(found) == 2:
+    if arguments.json:
+        print_json(found[0] if len(found) == 1 else {"first": found[0], "second": found[1]})
+    elif len(found) == 2:
         for line in _differences(*found):
             print(line)
     if arguments.plot is not None:

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from lss_motion.cli.commands import add_command
+from lss_motion.cli.commands import (
+    add_command,
+    add_force,
+    add_json,
+    print_json,
+    refuse_overwriting,
+)
 from lss_motion.cli.robots import robot_at
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
 
@@ -42,17 +49,30 @@ def add_to(commands: Commands) -> None:
     scan.add_argument(
         "-o", "--output", type=Path, metavar="FILE", help="write a robot file to begin with"
     )
+    add_force(scan)
+    add_json(scan)
 
 
 def _scan(arguments: argparse.Namespace) -> int:
+    """Scan; with --json the lines for people go to standard error."""
+    if not arguments.json:
+        return _scanned(arguments, [])
+    found: list[dict[str, Any]] = []
+    with contextlib.redirect_stdout(sys.stderr):
+        code = _scanned(arguments, found)
+    print_json({"buses": found})
+    return code
+
+
+def _scanned(arguments: argparse.Namespace, found: list[dict[str, Any]]) -> int:
+    """Scan and print; append what was found on each bus to `found`."""
     from lss_motion.connection import connect
     from lss_motion.protocol.constants import BAUD_RATES_BPS
 
     if arguments.baud is not None and arguments.baud not in BAUD_RATES_BPS:
         allowed = ", ".join(map(str, BAUD_RATES_BPS))
         raise InputError(f"--baud {arguments.baud}: servos know {allowed}")
-    if arguments.output is not None and arguments.output.exists():
-        raise InputError("it exists; choose another name", path=arguments.output)
+    refuse_overwriting(arguments.output, is_forced=arguments.force)
     robot = None
     if arguments.robot is not None:
         robot = robot_at(arguments.robot, arguments.port)
@@ -65,7 +85,9 @@ def _scan(arguments: argparse.Namespace) -> int:
             print("The servos are simulated: nothing here says anything about a real robot.")
         for bus in buses.values():
             looks = survey(connection, bus, arguments.baud)
-            is_well = _tell(bus, robot, looks) and is_well
+            problems, notes = _tell(bus, robot, looks)
+            found.append(_as_json(bus, looks, problems, notes))
+            is_well = is_well and not problems
             if arguments.output is not None:
                 _write_starter(arguments.output, bus, looks)
     return EXIT_FINISHED if is_well else EXIT_UNREACHABLE
@@ -188,8 +210,33 @@ def _bus(port: str | None) -> Bus:
     return Bus(name="main", port=port, baud_bps=115200, firmware=370)
 
 
-def _tell(bus: Bus, robot: Robot | None, looks: Sequence[Look]) -> bool:
-    """Print what was found on a bus; return whether all of it can be worked with."""
+def _as_json(
+    bus: Bus, looks: Sequence[Look], problems: Sequence[str], notes: Sequence[str]
+) -> dict[str, Any]:
+    return {
+        "bus": bus.name,
+        "port": bus.port,
+        "servos": [
+            {
+                "id": look.servo_id,
+                "baud_bps": look.baud_bps,
+                "model": look.present.model,
+                "is_shared": look.present.is_shared,
+                "firmware": look.firmware,
+                "position_deg": look.position_deg,
+                "voltage_v": look.voltage_v,
+                "temperature_c": look.temperature_c,
+                "status": None if look.status is None else look.status.value,
+            }
+            for look in looks
+        ],
+        "problems": problems,
+        "notes": notes,
+    }
+
+
+def _tell(bus: Bus, robot: Robot | None, looks: Sequence[Look]) -> tuple[list[str], list[str]]:
+    """Print what was found on a bus; return the problems and the notes about it."""
     from lss_motion.maintenance import findings
 
     names = {}
@@ -210,7 +257,7 @@ def _tell(bus: Bus, robot: Robot | None, looks: Sequence[Look]) -> bool:
     for kind, texts in (("note", notes), ("problem", problems)):
         for text in texts:
             print(f"{kind}: {text}")
-    return not problems
+    return problems, notes
 
 
 def _write_starter(path: Path, bus: Bus, looks: Sequence[Look]) -> None:

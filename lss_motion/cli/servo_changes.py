@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from lss_motion.cli import servo_settings
+from lss_motion.cli.commands import refuse_overwriting
 from lss_motion.cli.configuring import agree
 from lss_motion.cli.scanning import ask_alone, roll_call
 from lss_motion.cli.tables import write_text
@@ -125,10 +126,11 @@ def give_rate(connection: Connection, robot: Robot | None, arguments: argparse.N
     return EXIT_FINISHED
 
 
-def back_up(connection: Connection, targets: Sequence[Target], path: Path) -> int:
+def back_up(
+    connection: Connection, targets: Sequence[Target], path: Path, *, is_forced: bool
+) -> int:
     """Write all that servos store to a file."""
-    if path.exists():
-        raise InputError("it exists; choose another name for the backup", path=path)
+    refuse_overwriting(path, is_forced=is_forced)
     found = servo_settings.read_whole(connection, targets)
     present = {
         (bus, p.servo_id): p

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import add_command
+from lss_motion.cli.commands import add_command, add_robot
 from lss_motion.cli.messages import ended_by
 from lss_motion.errors import InputError
 
@@ -36,7 +36,7 @@ def add_to(commands: Commands) -> None:
         commands, "sim", _sim, "simulate a robot behind a pseudo-terminal", DESCRIPTION
     )
     sim.epilog = _faults_text()
-    sim.add_argument("robot", type=Path, metavar="ROBOT", help="a robot file")
+    add_robot(sim, is_required=True)
     sim.add_argument("--link", type=Path, metavar="PATH", help="symbolic link to the port")
     sim.add_argument("--seed", type=int, default=0, metavar="N", help="of all that is chance")
     sim.add_argument("--faults", type=Path, metavar="FILE", help="what goes wrong; see below")

@@ -108,7 +108,7 @@ def test_what_exists_is_not_overwritten_and_no_rate_is_guessed(lss_motion, tmp_p
     (tmp_path / "mine.yaml").write_text("mine")
     code, _, errors = lss_motion("scan", "/dev/null", "-o", tmp_path / "mine.yaml")
     assert code == EXIT_INPUT
-    assert "it exists" in errors
+    assert "is there already" in errors
     code, _, errors = lss_motion("scan", "/dev/null", "--baud", 31250)
     assert code == EXIT_INPUT
     assert "servos know 9600" in errors

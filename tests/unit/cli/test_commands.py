@@ -1,0 +1,136 @@
+"""What all commands have in common: usage, JSON, completion, and files that are there already."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from lss_motion.cli.main import main, make_parser
+from lss_motion.cli.play import main as play
+
+SEQUENCES = Path(__file__).resolve().parents[3] / "sequences"
+ROBOT = str(SEQUENCES / "robots" / "desk_arm.yaml")
+WAVE = str(SEQUENCES / "wave.yaml")
+
+
+@pytest.mark.parametrize("command", ["check", "scan", "sim", "report"])
+def test_a_wrong_option_shows_the_usage_of_that_command(command, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([command, WAVE, "--bogus"])
+    assert ended.value.code == 2
+    errors = capsys.readouterr().err
+    assert errors.startswith(f"usage: lss-motion {command} ")
+    assert "--bogus" in errors
+
+
+def shown(capsys, *words, code=0):
+    assert main(list(words)) == code
+    return json.loads(capsys.readouterr().out)
+
+
+def test_check_as_json_has_limits_and_lines(capsys):
+    found = shown(capsys, "check", WAVE, "--json")
+    assert (found["name"], found["duration_s"]) == ("wave", pytest.approx(19.5))
+    for joint in found["joints"].values():
+        assert 0.0 < joint["speed_deg_s"] <= joint["speed_max_deg_s"]
+        assert joint["error_max_deg"] <= found["tolerance_deg"]
+    assert found["buses"]["main"]["commands"] > 100
+
+
+def test_a_robot_file_is_checked_alone(capsys, tmp_path):
+    assert main(["check", ROBOT]) == 0
+    assert "desk_arm: 5 joints" in capsys.readouterr().out
+    found = shown(capsys, "check", ROBOT, "--json")
+    assert found["joints"]["shoulder"]["range_deg"] == [-90, 90]
+    wrong = tmp_path / "arm.yaml"
+    text = Path(ROBOT).read_text(encoding="utf-8").replace("[-90, 90]", "[90, -90]")
+    wrong.write_text(text, encoding="utf-8")
+    assert main(["check", str(wrong)]) == 2
+    assert str(wrong) in capsys.readouterr().err
+
+
+def test_doctor_and_scan_as_json(capsys):
+    main(["doctor", "--json"])
+    findings = json.loads(capsys.readouterr().out)["findings"]
+    assert {"Python", "packages"} <= {finding["subject"] for finding in findings}
+    (bus,) = shown(capsys, "scan", "--robot", ROBOT, "--baud", "115200", "--json")["buses"]
+    assert [servo["id"] for servo in bus["servos"]] == [1, 2, 3, 4, 5]
+    assert bus["problems"] == []
+
+
+def test_a_report_as_json_is_the_report(capsys, tmp_path):
+    path = tmp_path / "report.json"
+    assert play([WAVE, "--virtual", "--quiet", "--loop", "1", "--report", str(path)]) == 0
+    capsys.readouterr()
+    report = json.loads(path.read_text(encoding="utf-8"))
+    assert shown(capsys, "report", str(path), "--json") == report
+    assert shown(capsys, "report", str(path), str(path), "--json")["second"] == report
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (["scan", "--robot", ROBOT, "--baud", "115200", "-o"], 0),
+        (["configure", ROBOT, "--backup"], 0),
+        (["import", str(SEQUENCES / "motion.csv"), "--robot", ROBOT, "-o"], 0),
+        (["gait", str(SEQUENCES / "quadruped_trot.yaml"), "-o"], 0),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_a_yaml_file_is_overwritten_with_force_only(words, code, capsys, tmp_path):
+    path = tmp_path / "kept.yaml"
+    path.write_text("mine\n", encoding="utf-8")
+    table = tmp_path / "motion.csv"
+    table.write_text("t_s,base\n0,0\n1,20\n2,0\n", encoding="utf-8")
+    words = [str(table) if word.endswith("motion.csv") else word for word in words]
+    assert main([*words, str(path)]) == 2
+    assert f"{path}: is there already" in capsys.readouterr().err
+    assert path.read_text(encoding="utf-8") == "mine\n"
+    assert main([*words, str(path), "--force"]) == code
+    assert path.read_text(encoding="utf-8") != "mine\n"
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+def test_bash_completes_commands_options_and_files(capsys, tmp_path):
+    assert main(["completion", "bash"]) == 0
+    script = tmp_path / "completion.bash"
+    script.write_text(capsys.readouterr().out, encoding="utf-8")
+    (tmp_path / "my_show.yaml").touch()
+
+    def completed(*words: str) -> list[str]:
+        typed = " ".join(f"'{word}'" for word in words)
+        code = (
+            f"source {script}; COMP_WORDS=({typed}); COMP_CWORD={len(words) - 1}; "
+            f"completer=$(complete -p {words[0]} | sed 's/.*-F \\([^ ]*\\).*/\\1/'); "
+            '"$completer"; printf "%s\\n" "${COMPREPLY[@]}"'
+        )
+        done = subprocess.run(
+            ["bash", "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+        return done.stdout.split()
+
+    assert {"check", "compile", "completion"} <= set(completed("lss-motion", "c"))
+    assert "--json" in completed("lss-motion", "check", "--j")
+    assert "my_show.yaml" in completed("lss-play", "my_")
+    assert "--real-time" in completed("lss-play", "--re")
+
+
+def test_help_names_the_completion():
+    command = [sys.executable, "-m", "lss_motion.cli.main", "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "lss-motion completion" in done.stdout
+
+
+@pytest.mark.parametrize("command", ["sim", "configure", "monitor", "jog", "calibrate"])
+def test_a_command_about_a_robot_accepts_its_file_with_and_without_the_option(command, capsys):
+    parser = make_parser()
+    for words in ([ROBOT], ["--robot", ROBOT]):
+        assert parser.parse_args([command, *words]).robot == Path(ROBOT)
+    with pytest.raises(SystemExit):
+        parser.parse_args([command, ROBOT, "--robot", ROBOT])
+    assert "not allowed with" in capsys.readouterr().err
