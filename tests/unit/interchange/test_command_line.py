@@ -53,7 +53,7 @@ def test_an_imported_motion_is_written_and_its_feasibility_told(folder: Path, ca
     assert "every keyframe is on time" in capsys.readouterr().out
     sequence = load_sequence(folder / "out.yaml")
     assert [keyframe.at_s for keyframe in sequence.keyframes] == [0.0, 1.0]
-    assert run(folder, "motions.yaml", "--motion", "quick", "-o", "out.yaml") == 0
+    assert run(folder, "motions.yaml", "--motion", "quick", "-o", "out.yaml", "--force") == 0
     assert "longer: joint 'pan' would need" in capsys.readouterr().out
 
 
