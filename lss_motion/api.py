@@ -57,7 +57,7 @@ __all__ = [
 ]
 
 TRUTH_STEP_S: Final = 0.01
-"""The truth is written at 100 Hz of show time (design 10)."""
+"""The truth is written at 100 Hz of show time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +118,7 @@ def play(
     seed: int = 0,
     has_feedback: bool = True,
 ) -> dict[str, Any]:
-    """Play `program` on `robot` and return the report (design 10).
+    """Play `program` on `robot` and return the report.
 
     `port` overrides the robot file's. `is_virtual` needs a simulated robot: its time passes as
     fast as the computer can, and the same `seed` gives the same bytes. Raises `BusError` when a

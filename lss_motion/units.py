@@ -11,7 +11,7 @@ US_PER_S: Final = 1_000_000
 MS_PER_S: Final = 1_000
 
 LINE_BITS_PER_BYTE: Final = 10
-"""Start bit, eight data bits, stop bit (8N1; seed 000 gives no other frame)."""
+"""Start bit, eight data bits, stop bit (8N1: FACTS.md W1)."""
 
 
 def ns_from_s(duration_s: float) -> int:

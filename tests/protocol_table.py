@@ -216,9 +216,7 @@ IO2_ROWS = (
 )
 
 LSS_EXAMPLES = (
-    Example(
-        33, "#5PD1443", 5, "D", 144.3, meant="#5D1443", decision="a misprint of D (design decision)"
-    ),
+    Example(33, "#5PD1443", 5, "D", 144.3, meant="#5D1443", decision="a misprint of D (FACTS C7)"),
     Example(49, "#5P1456T1263", 5, "P", 1456, modifiers={"T": 1263}),
     Example(64, "#5QD", 5, "QD", None),
     Example(79, "*5QD1443", 5, "QD", 144.3),
@@ -261,7 +259,7 @@ LSS_EXAMPLES = (
         "D",
         145.6,
         meant="#5D1456",
-        decision="a misprint of D (design decision)",
+        decision="a misprint of D (FACTS C7)",
     ),
     Example(306, "#5QD", 5, "QD", None),
     Example(306, "*5QD132", 5, "QD", 13.2),
@@ -388,7 +386,7 @@ PRO_EXAMPLES = (
         5,
         "CO",
         -50.0,
-        decision="tenths by the table (design decision); the text says -5.00",
+        decision="tenths by the table (FACTS P3); the text says -5.00",
     ),
     Example(91, "#5CSR10", 5, "CSR", 10),
     Example(93, "#5SR4", 5, "SR", 4),

@@ -1,4 +1,4 @@
-"""Measures what the design promises, each figure next to a peer or a limit in the same run.
+"""Measures what the package promises, each figure next to a peer or a limit in the same run.
 
 tools/run tools/bench.py                 everything, in less than ten minutes on two quiet cores
 tools/run tools/bench.py codec plan      some of it, the long way where there is one

@@ -70,7 +70,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of design section 10."""
+    """Add the options of `lss-play`."""
     parser.add_argument("file", type=Path, metavar="FILE", help="sequence.yaml or program.lss")
     parser.add_argument("--port", metavar="URL", help="serial device or URL; sim:// is simulated")
     parser.add_argument("--robot", type=Path, metavar="FILE", help="use this robot file")

@@ -15,11 +15,9 @@ if TYPE_CHECKING:
     from lss_motion.protocol.table import FamilyTable, Row
 
 SOURCES: Final = """\
-Sources: `000:146` is line 146 of a document: 000 the LSS communication protocol 106.1 of
-2019-02-22, 001 the LSS-PRO one of 2023-12-14, 004 the 2IO one for the 2RC mode of 2020-02-07.
-`facts` is what real servos and the maker's code add to them. Since: the first firmware.""".replace(
-    "\n", " "
-)
+Sources: `LSS 8` is command 8 of the LSS communication protocol 106.1 of 2019-02-22, `PRO` names
+a section of the LSS-PRO one of 2023-12-14, `2IO 3` a command of the 2RC mode of 2020-02-07.
+`FACTS M5` is a row of lss_motion/FACTS.md. Since: the first firmware.""".replace("\n", " ")
 
 FAMILIES: Final = ("LSS", "LSS-PRO", "LSS-2IO")
 

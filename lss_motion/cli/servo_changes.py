@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
 
 FACTORY_ID = 0
-"""The id of a smart servo from the factory (lss_facts 4)."""
+"""The id of a smart servo from the factory (FACTS.md R1)."""
 
 
 def apply(

@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from lss_motion.maintenance.settings import Change, Values
 
 RESET_WAIT_S: Final = RESET_S + 0.25
-"""How long a servo is left alone after RESET: it is deaf for 1.25 s (lss_facts 4), and libraries
+"""How long a servo is left alone after RESET: it is deaf for 1.25 s (FACTS.md R4), and libraries
 wait 1.5 s and more."""
 ROUNDS: Final = 4
 """How often a thing is tried until it is so: a line may lose a command, a servo may restart."""
 SETTLE_S: Final = 0.02
-"""Between writing and reading back: 10 ms is what careful users leave (lss_facts 4), doubled."""
+"""Between writing and reading back: 10 ms is what careful users leave (FACTS.md R9), doubled."""
 
 
 def targets_at(connection: Connection, bus: str, names: Mapping[int, str]) -> list[Target]:

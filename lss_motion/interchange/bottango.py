@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from lss_motion.interchange.reader import FloatArray, ForeignMotion
 
 FULL_SIGNAL: Final = 8192.0
-"""formats.md F2: Y runs from 0 to 8192."""
+"""FACTS.md F2: Y runs from 0 to 8192."""
 
 SAMPLE_MS: Final = 10.0
 """Curves are read off at 100 Hz; the reduction afterwards keeps what matters."""
@@ -111,7 +111,7 @@ class _Reading:
         at, unit = _SIGNALS[kind]
         if len(words) < at + 1:
             self.fields.refuse(f"{where}: {line!r:.60} is cut short")
-        # The id of a servo behind I2C is its address and its channel in one (formats.md F2).
+        # The id of a servo behind I2C is its address and its channel in one (FACTS.md F2).
         effector = "".join(words[: at - 1])
         low, high = (self._number(word, where) for word in words[at - 1 : at + 1])
         controller.signals[effector] = (low, high, unit)

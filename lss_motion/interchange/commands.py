@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 TENTHS_PER_DEG: Final = 10.0
-"""Seed 000, table row D: tenths of a degree."""
+"""FACTS.md C1: tenths of a degree."""
 
 ID_MAX: Final = 250
 """Of an LSS; an SSC-32 has 32 channels."""

@@ -29,7 +29,7 @@ CHANNELS_MAX: Final = 24
 
 TARGET_MAX: Final = 65_535
 DURATION_MAX_MS: Final = 65_535
-"""Both are 16-bit numbers (formats.md F4)."""
+"""Both are 16-bit numbers (FACTS.md F4)."""
 
 OFF: Final = 0
 """A target that switches the channel off."""

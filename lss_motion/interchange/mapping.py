@@ -26,7 +26,7 @@ TURN_DEG: Final = 360.0
 
 WRAP_MIN_DEG: Final = 270.0
 """Two samples of a recording this far apart are an encoder that wrapped, not a motion: at 10 Hz
-that would be 2700 deg/s, and the fastest servo does 600 (lss_facts section 3)."""
+that would be 2700 deg/s, and the fastest servo does 600 (FACTS.md E1)."""
 
 PULSE_DEG_PER_US: Final = 0.09
 PULSE_OFFSET_DEG: Final = -135.0

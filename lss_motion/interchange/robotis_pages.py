@@ -36,7 +36,7 @@ TIME_BASED: Final = 10
 
 UNIT_S: Final = 0.0078125
 SPEED_NORMAL: Final = 32
-"""Times are as given at this speed (motions/README.md: t = x * 32 / speed * 7.8125 ms)."""
+"""Times are as given at this speed (FACTS.md F13: t = x * 32 / speed * 7.8125 ms)."""
 
 NOT_KEYED: Final = 0x4000
 """Bit of a position that a step leaves as it is."""

@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from lss_motion.interchange.reader import ForeignMotion, RefusedMotion
 
 SERVOS_COUNT: Final = 26
-"""formats.md F5: 26 values, by id from 0."""
+"""FACTS.md F5: 26 values, by id from 0."""
 
 POSITIONS_COUNT: Final = 1024
 RANGE_DEG: Final = 300.0
-"""AX servos: 1024 positions over 300 deg, 512 in the middle (formats.md F5)."""
+"""AX servos: 1024 positions over 300 deg, 512 in the middle (FACTS.md F5)."""
 
 REPEAT_MAX: Final = 255
 """A byte in the binary form."""

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 SOFT: Final[Mapping[str, int]] = {"AH": -10, "AS": -4}
 """Session settings with which a hand can push a holding joint: the softest that the documents
-allow (seed 000, AH and AS). How soft that is, no document says."""
+allow (FACTS.md M24, M25). How soft that is, no document says."""
 
 GIVE_WAY_DEG: Final = 1.0
 """A soft joint that was pushed this far is sent to where it is, within its range: what H does to a

@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     Answers = Mapping[tuple[str, int, str], int | str | None]
 
 HOT_C: Final = 65.0
-"""Warn from here on; at 85 °C a servo lets go (seed 000, QT). Chosen: time to do something."""
+"""Warn from here on; at 85 °C a servo lets go (FACTS.md S7). Chosen: time to do something."""
 SUPPLY_MIN_V: Final = 6.0
 SUPPLY_MAX_V: Final = 12.6
-"""The range of the datasheets (lss_facts 3)."""
+"""The range of the datasheets (FACTS.md E4)."""
 CURRENT_MAX_A: Final = 1.5
-"""What users plan for in the long run (lss_facts 3)."""
+"""What users plan for in the long run (FACTS.md E5)."""
 BAD_STATUS: Final = (Status.STUCK, Status.BLOCKED, Status.SAFE_MODE, Status.ERROR)
 
 _QUESTIONS: Final = ("QF", "QN", "QD", "QV", "QT", "Q")
@@ -104,5 +104,5 @@ def cause_of(look_: Look, answers: Answers) -> SafeModeCause | None:
 
 
 def _is_answered_by(present: Present, keyword: str) -> bool:
-    """Ask a 2IO for positions only at its digital pins, where RC servos are (lss_facts 3)."""
+    """Ask a 2IO for positions only at its digital pins, where RC servos are (FACTS.md B2)."""
     return keyword != "QD" or "LSS-2IO-" not in present.model or "-D" in present.model

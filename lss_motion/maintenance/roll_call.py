@@ -2,7 +2,7 @@
 
 Every question here is one that moves nothing and changes nothing. `QMS` is asked because all
 three families answer it; a broadcast only says that somebody is there, since all answer at once,
-and a 2IO does not answer it at all (lss_facts 3).
+and a 2IO does not answer it at all (FACTS.md B13).
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ RATES_BPS: Final = (
     115200,
     *(rate for rate in sorted(BAUD_RATES_BPS, reverse=True) if rate != 115200),
 )
-"""The factory's rate first (lss_facts 3), then from the fastest: those take the least time."""
+"""The factory's rate first (FACTS.md W23), then from the fastest: those take the least time."""
 TURNAROUND_NS: Final = 2 * NS_PER_MS
 """From a question to its answer, at most, while ids are called one after the other: 1.8 ms of
-older firmware (lss_facts 2.2). What comes later may meet another answer; those ids are asked
+older firmware (FACTS.md W13). What comes later may meet another answer; those ids are asked
 again alone."""
 HELD_BACK_NS: Final = 20 * NS_PER_MS
-"""How long an adapter may hold an answer back: 16 ms (lss_facts 2.5) and a little more."""
+"""How long an adapter may hold an answer back: 16 ms (FACTS.md H1) and a little more."""
 CALLS: Final = 2
 """How often everybody is called: an answer can be lost, or look like another's."""
 ASKED_ALONE: Final = 2
 ASKED_AGAIN: Final = 4
 """How often an id is asked alone; again when one answer was damaged. Firmware up to 368 damages
-some answers by itself (lss_facts 2.4), so one bad answer proves nothing."""
+some answers by itself (FACTS.md W21), so one bad answer proves nothing."""
 
 _CLEAN: Final = re.compile(rb"\*([0-9]+)(QMS|QN)([!-)+-~]+)\r")
 
@@ -63,7 +63,7 @@ class Present:
 
 
 def family_of(model: str) -> Family:
-    """Return the family that a model string names (lss_facts 3; LSS where it says neither)."""
+    """Return the family that a model string names (FACTS.md P18; LSS where it says neither)."""
     if model.startswith("LSS-2IO"):
         return Family.IO2
     return Family.LSS_PRO if model.startswith("LSS-P-") else Family.LSS

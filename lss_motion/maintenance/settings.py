@@ -43,7 +43,7 @@ class Target:
 
     @property
     def device(self) -> Device | None:
-        """Return which part of a 2IO it is (lss_facts 3); None: a smart servo."""
+        """Return which part of a 2IO it is (FACTS.md B2); None: a smart servo."""
         if self.family is not Family.IO2:
             return None
         if self.model.endswith("-LED"):
@@ -117,7 +117,7 @@ def changes(target: Target, had: Values, wanted: Mapping[str, int | None]) -> li
 FRAME: Final = ("G", "O")
 """What an angle means: direction and origin."""
 FIRST: Final = ("FP", "FD")
-"""The two first positions; writing one forgets the other (seed 000, FP)."""
+"""The two first positions; writing one forgets the other (FACTS.md C16)."""
 
 
 def orders(needed: Iterable[Change], *, is_session: bool) -> list[Item]:
@@ -138,7 +138,7 @@ def goes_limp(change: Change, *, is_session: bool) -> bool:
 def limp_orders(needed: Iterable[Change]) -> list[Item]:
     """Return what lets go the servos whose angles get another meaning.
 
-    One that holds a position might go where that position then is (lss_facts 4).
+    One that holds a position might go where that position then is (FACTS.md R11).
     """
     return [
         Item(bus=target.bus, command=Command(target.servo_id, "L"), is_question=False)

@@ -37,7 +37,7 @@ MISSES_MAX: Final = 3
 """Rounds without any answer after which a servo counts as silent."""
 BENCHED_NS: Final = 2 * NS_PER_S
 """How long a silent servo is left out, so that the others do not wait for it all the time; the
-maker's library waits 15 s (lss_facts 2.5)."""
+maker's library waits 15 s (FACTS.md H6)."""
 
 
 @dataclass(slots=True, kw_only=True)

@@ -22,7 +22,7 @@ GAIN_MAX: Final = 0.25
 GAIN_HALF_SPEED_DEG_S: Final = 30.0
 """At this speed a reading counts half: a lag wrong by 10 ms already looks like 0.3 deg there."""
 OFFSET_MAX_DEG: Final = 3.0
-"""A correction is never larger (design 8: bounded)."""
+"""A correction is never larger (FACTS.md A20)."""
 OFFSET_RATE_DEG_S: Final = 10.0
 """A correction never changes faster: a tenth of an ordinary move's speed."""
 

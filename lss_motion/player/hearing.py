@@ -1,7 +1,7 @@
 """Whether a servo heard its last moves: it is asked for its target, and where the horn is tells.
 
 A line without acknowledgement loses a command now and then, and the servo goes on with the one
-before. So after every move that changes the target the servo is asked for it (QDT, seed 000: "the
+before. So after every move to another target the servo is asked for it (QDT, FACTS.md C2: "the
 target angle during and after an action"): one that names the target before has missed the move.
 And besides the profile after all that was said, those without one of the last moves are kept until
 a target or the readings have decided: they tell as well once the courses part.
@@ -36,7 +36,7 @@ of its own, and is not asked any more: a line that loses every fifth command doe
 moves."""
 TAKEN_UP_LOOPS: Final = 1.5
 """So many control ticks after it heard a move a servo names its target. Assumed, with half a tick
-to spare: the seeds say that a target is known during an action, not from when on."""
+to spare: no document says from when on (FACTS.md C2)."""
 SAME_UNITS: Final = 1.5
 """Targets that differ by no more units of the wire than this are the same: a servo that counts in
 its own units may be one off."""

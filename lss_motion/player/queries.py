@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 GRACE_NS: Final = 10 * NS_PER_MS
 """An answer is given up so long after the latest instant that is known of its servo."""
 REPLY_MAX_BYTES: Final = 24
-"""The longest answer that is waited for: a serial number (lss_facts 4)."""
+"""The longest answer that is waited for: a serial number (FACTS.md C15)."""
 STRAY_NS: Final = 100 * NS_PER_MS
 """After a timeout the servo is left alone this long, so that a late answer is not taken for the
 answer to the next question."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 RAMP_TICK_NS: Final = 40 * NS_PER_MS
 """At any rate but 1, every moving joint gets a move this often, if the line can carry it."""
 LED_NS: Final = 20 * NS_PER_MS
-"""A streamed joint that is led gets one for every step of its filter (lss_facts 1.2): over two
+"""A streamed joint that is led gets one for every step of its filter (FACTS.md M6): over two
 steps with one target the filter is quick in the first and slow in the second."""
 RAMP_LINE_RATIO: Final = 0.5
 """Moves made on the spot take no more of the line than this; where there are streamed joints, half

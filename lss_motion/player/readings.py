@@ -39,7 +39,7 @@ LONGEST_NS: Final = NS_PER_S // 2
 restarts, which takes more than a second, must be missed before it is back."""
 SPEED_WEIGHT_S_PER_DEG: Final = 0.05
 ERROR_WEIGHT_PER_DEG: Final = 2.0
-"""A joint is read sooner the faster it moves and the further it strayed (design 8). Chosen: at
+"""A joint is read sooner the faster it moves and the further it strayed (FACTS.md A25). Chosen: at
 20 deg/s, or at half a degree of error, twice as often as one at rest on its place."""
 
 

@@ -41,13 +41,13 @@ this is sent there once more, corrected: half a second, and the show begins wher
 OUTSIDE_DEG: Final = 1.0
 """A joint may stand so far outside of its range unsaid: a load may have pulled it there. Chosen."""
 LATENCY_BAD_NS: Final = 5 * NS_PER_MS
-"""A servo answers within 2 ms (lss_facts 2.2); what takes longer is an adapter's latency timer."""
+"""A servo answers within 2 ms (FACTS.md W14); what takes longer is an adapter's latency timer."""
 FILTER_QUESTIONS: Final = ("QFPC", "QIPE")
-"""Asked of streamed servos as well. IPE makes the filter step by itself (lss_facts 1.2); a servo
+"""Asked of streamed servos as well. IPE makes the filter step by itself (FACTS.md M8); a servo
 that does not answer QIPE is taken to do so, as from the factory."""
 FILTER_ESSENTIAL: Final = ("QD", "QEM", "QFPC")
 IO2_QUESTIONS: Final = ("QMS", "QG", "QD")
-"""An RC servo on a 2IO knows no more, and QD is only its last command (lss_facts 3)."""
+"""An RC servo on a 2IO knows no more, and QD is only its last command (FACTS.md B8, B10)."""
 LIMIT_SLACK_RATIO: Final = 0.999
 """Limits read back from a servo are rounded to its wire unit."""
 
@@ -309,7 +309,7 @@ def found(
 def safe_bytes(
     robot: Robot, *, is_limp: bool = False, limp: Iterable[Joint] = ()
 ) -> dict[str, bytes]:
-    """Return, per bus, the last bytes of every run: hold where it is, or go limp (design 8).
+    """Return, per bus, the last bytes of every run: hold where it is, or go limp (FACTS.md A24).
 
     The joints of `limp` are let go, whatever the others do.
     """

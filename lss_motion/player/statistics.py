@@ -47,7 +47,7 @@ class Statistics:
         return sorted(counts.items())
 
     def timing(self) -> dict[str, int]:
-        """Return the `timing` object of the report (design 10)."""
+        """Return the `timing` object of the report."""
         ends_ns = sorted(self._bins)
         sums = list(accumulate(self._bins[end_ns] for end_ns in ends_ns))
         count = sums[-1] if sums else 0

@@ -13,7 +13,7 @@ SAMPLES_LEAST: Final = 4
 """Before so many answers nothing is known: then no two servos are asked at once."""
 REPLY_TIMEOUT_NS: Final = 30 * NS_PER_MS
 """What a servo that is not known yet may take: 10 ms is what the tighter libraries wait
-(lss_facts 2.5), and a USB adapter may add its 16 ms timer."""
+(FACTS.md H5), and a USB adapter may add its 16 ms timer."""
 MARGIN_SAMPLES: Final = 4
 """The next answer may be earlier or later than any of n that are remembered by 4/n of their spread.
 Chosen: of values spread evenly, one in some hundred goes beyond."""

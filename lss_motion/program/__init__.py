@@ -1,4 +1,4 @@
-"""Trajectory → Program: response models, fit, line schedule, text form (design 7).
+"""Trajectory → Program: response models, fit, line schedule, text form (ARCHITECTURE.md).
 
 response, batch  what servos do with timed moves, one by one and many at once
 course, cone  what profiles should do, and which travel speeds keep them near it

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from lss_motion.trajectory.model import Trajectory
 
 TOLERANCE_DEG: Final = 0.2
-"""How far the predicted horn may be from the plan (design 7)."""
+"""How far the predicted horn may be from the plan (FACTS.md A18)."""
 PREROLL_S: Final = 0.25
 """The show clock starts this long before the plan, so that all first moves find a slot."""
 SAMPLED_AT_ONCE: Final = 2048

@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
 GRID_S: Final = 0.005
 """Step of the course. At 1000 deg/s² the course bends 3 thousandths of a degree within it, and
-1 ms steps save no command that is worth five times the work (performance.md, section C)."""
+1 ms steps save no command that is worth five times the work (FACTS.md N9)."""
 REST_MIN_S: Final = 0.02
 """A standstill shorter than this is travelled through."""
 STILL_ROUNDING_DEG: Final = 1e-6
 """A course is where it was if it is nearest to the same wire value, up to rounding errors."""
 DURATION_MAX_MS: Final = 9_999
 """The largest T sent. The documents name no limit; with four digits a move keeps to the 15
-characters that an LSS-2IO on the bus can bear (lss_facts 3)."""
+characters that an LSS-2IO on the bus can bear (FACTS.md B4)."""
 STILL_DEG: Final = 1e-7
 """Less than this between two grid steps is standing still."""
 BEND_RATIO: Final = 0.2

@@ -4,7 +4,7 @@ Every `Response.filter_s` the servo's own target makes one step: `x += (target -
 `count` the FPC of the session. A command is taken up at the next control loop (`loop_s`), and
 counts from the first step after that. In between, x stands still; what the horn can follow of
 this staircase is its mean over one period, a polyline, and that is what is predicted here. The
-horn follows it `Response.lag_s` later. Sources: `robot.model.Response`, lss_facts 1.2.
+horn follows it `Response.lag_s` later. Sources: `robot.model.Response`, FACTS.md M6.
 """
 
 from __future__ import annotations

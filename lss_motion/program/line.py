@@ -5,8 +5,8 @@ later: `#1D0T100#2D0T100` and one CR). A group saves one byte for every command 
 before it. On a lively show that is 0.5 to 1.5 % of what 18 joints send at 115200 bps and at most
 2.5 % of what 32 send: less than half a percent of the line, since most commands stand alone where
 their joint wants them. For that, one would have to know when a servo takes up a section: at the
-next `#`, or all of them at the CR, which is later by the whole group. The seeds do not know groups,
-the facts have them from queries (lss_facts 2.3), and nobody recorded how moves in a group did. A
+next `#`, or all of them at the CR, which is later by the whole group. The documents do not know
+groups; real buses use them for queries (FACTS.md W17), but no result for moves is known (W20). A
 wrong guess costs the horn more than the bytes are worth, and a group that lost one byte or its CR
 can lose more than one command.
 """
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from lss_motion.program.batch import IntArray
 
 WORST_WINDOW_US = 100_000
-"""Utilisation is also given for the busiest 100 ms (design 7)."""
+"""Utilisation is also given for the busiest 100 ms (FACTS.md A21)."""
 LONG_AGO_US: Final = -(2**62)
 """When the slot begins and ends that is before all others, so that there always is one."""
 

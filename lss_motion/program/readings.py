@@ -24,7 +24,7 @@ WINDOW_US: Final = US_PER_S
 """Readings are counted over a second: a joint that nobody heard of for so long is silent."""
 TURNAROUND_US: Final = 1_800
 """From the end of a query to the start of its answer. Assumed: what the slowest firmware takes at
-the most (lss_facts 2.2, not measured), with no two questions in flight."""
+the most (FACTS.md W13, W14; not measured), with no two questions in flight."""
 
 
 def reading_rate_hz(joints: Sequence[Joint], baud_bps: int, slots_us: IntArray) -> float:

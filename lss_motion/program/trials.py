@@ -21,7 +21,7 @@ TIGHT_TURN_S: Final = 0.02
 """Where somebody was late for the line at first, when nobody waited for a turn, commands are placed
 strictly in the order of time: a third more of them fit, in two to three times the time."""
 SLOWEST_SHARED_BPS: Final = 115_200
-"""The usual rate (lss_facts 4: the default of every library). A slower line is fitted for itself
+"""The usual rate (FACTS.md W23: the default of every library). A slower line is fitted for itself
 alone, or the usual one would pay for it with moves further from where they are wanted."""
 
 

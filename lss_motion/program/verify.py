@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Joint, Robot
 
 EXCESS_MAX_RATIO: Final = 1.001
-"""A limit may be exceeded by 0.1 %: design 6."""
+"""A limit may be exceeded by 0.1 % (FACTS.md A19)."""
 JUMP_MAX_DEG: Final = 1e-6
 """Pieces that follow one another must meet: rounding of numbers, far below the wire's unit."""
 

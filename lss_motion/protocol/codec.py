@@ -74,7 +74,7 @@ def read_command(family: Family, command: Command) -> Statement | None:
     """Return what a command says, or None if the family has no such command.
 
     The range is not judged: what a servo makes of a value outside it is `Row.kept`. A family
-    without modifiers (2IO) hears past them (facts 3); another refuses those it does not know.
+    without modifiers (2IO) hears past them (FACTS.md B5); another refuses those it does not know.
     """
     table = FAMILY_TABLES[family]
     found = table.by_keyword.get(command.keyword)
@@ -141,7 +141,7 @@ def read_reply(family: Family, reply: Reply, *, suffix: int | None = None) -> St
 
 
 def identify_reply(family: Family, servo_id: int, asked_id: int, *, firmware: int) -> Reply:
-    """Return what servo `servo_id` answers to `#<asked_id>QID` (three shapes: facts 4)."""
+    """Return what servo `servo_id` answers to `#<asked_id>QID` (three shapes: FACTS.md C5)."""
     if asked_id != BROADCAST_ID:
         return Reply(servo_id, "QID", servo_id)
     match family:

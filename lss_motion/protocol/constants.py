@@ -12,25 +12,25 @@ if TYPE_CHECKING:
 
 ID_MIN: Final = 0
 ID_MAX: Final = 250
-"""000:167: ids that a servo may be given."""
+"""Ids that a servo may be given (FACTS.md R1)."""
 BROADCAST_ID: Final = 254
-"""000:167: every servo acts on it."""
+"""Every servo acts on it (FACTS.md R1)."""
 BUTTON_ID: Final = 255
-"""000:437: what a servo answers to after its button was held at power-up."""
+"""What a servo answers to after its button was held at power-up (FACTS.md R2)."""
 
 GROUP_FIRMWARE: Final = 370
 """First LSS firmware with group lines, reply slots, `QID<delay>` and a reply to a broadcast QID
-that names its sender, `*5QID5` (facts 2.2, 2.3, 4)."""
+that names its sender, `*5QID5` (FACTS.md W16 to W19, C5)."""
 
 RESET_S: Final = 1.25
-"""How long a servo is deaf after RESET (facts 4)."""
+"""How long a servo is deaf after RESET (FACTS.md R4)."""
 
 DEG_S_PER_RPM: Final = 6.0
 """One turn a minute."""
 
 PULSE_MIN_US: Final = 500
 PULSE_MAX_US: Final = 2500
-"""000:287, 004:40."""
+"""FACTS.md C11; LSS-2IO: B7."""
 
 BAUD_RATES_BPS: Final[Mapping[int, int]] = {
     9600: 0,
@@ -45,11 +45,11 @@ BAUD_RATES_BPS: Final[Mapping[int, int]] = {
     750000: 369,
     921600: 369,
 }
-"""Rate → first firmware. 000:447 and, above 500000, facts 3 (369 experimental, 370 released)."""
+"""Rate → first firmware. FACTS.md W22; 369 is experimental, 370 released."""
 
 
 class Led(IntEnum):
-    """LED colours of all families: 000:165, 001:185, 004:15. 000:397 shifts them by mistake."""
+    """LED colours of all families (FACTS.md C8)."""
 
     OFF = 0
     RED = 1
@@ -62,7 +62,7 @@ class Led(IntEnum):
 
 
 class Blink(IntFlag):
-    """When the LED blinks: 000:663-670."""
+    """When the LED blinks (FACTS.md C9)."""
 
     LIMP = 1
     HOLDING = 2
@@ -73,7 +73,7 @@ class Blink(IntFlag):
 
 
 class Gyre(IntEnum):
-    """Which way positive angles turn: 000:166."""
+    """Which way positive angles turn (FACTS.md C13)."""
 
     CLOCKWISE = 1
     COUNTERCLOCKWISE = -1
@@ -97,7 +97,7 @@ class Status(Enum):
 
 
 class SafeModeCause(IntEnum):
-    """The answer to `Q1`: 001:411-415, facts 4."""
+    """The answer to `Q1` (FACTS.md S5)."""
 
     NONE = 0
     CURRENT = 1
@@ -118,7 +118,7 @@ STATUS_CODES: Final = (
     Status.BLOCKED,
     Status.SAFE_MODE,
 )
-"""000:520-530, 001:393-403. 000:530 prints `*5Q9` for 10, a misprint."""
+"""FACTS.md S1; the LSS page prints `*5Q9` for 10, a misprint (C7)."""
 
 PRO_STATUS_CODES: Final = (
     Status.UNKNOWN,
@@ -129,10 +129,10 @@ PRO_STATUS_CODES: Final = (
     Status.HOLDING,
     Status.ERROR,
 )
-"""Newer LSS-PRO firmware (facts 3, maker's driver of December 2024)."""
+"""Newer LSS-PRO firmware (FACTS.md P5, maker's driver of December 2024)."""
 
 PRO_STATUS_FIRMWARE: Final = 781
-"""First LSS-PRO firmware with the newer codes. Assumed: 001:122 documents the older for 780."""
+"""First LSS-PRO firmware with the newer codes. Assumed (FACTS.md P5)."""
 
 
 def status_codes(family: Family, firmware: int) -> tuple[Status, ...]:

@@ -1,4 +1,4 @@
-"""The rows of the 2IO board's language in its 2RC mode: document 004 and the published sketch."""
+"""The rows of the 2IO board's language in its 2RC mode (FACTS.md B)."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 SECTION_MAX_CHARS: Final = 15
 """Longest `#…` without its CR that may pass a 2IO, whoever it is for: the board's line buffer
-is 16 bytes, fed by every byte on the bus, and is not checked (facts 3)."""
+is 16 bytes, fed by every byte on the bus, and is not checked (FACTS.md B4)."""
 
 BAUD_MAX_BPS: Final = 500000
-"""004:129; so a 2IO cannot join a faster bus."""
+"""FACTS.md B3: a 2IO cannot join a faster bus."""
 
 PIN_IDS: Final[Mapping[str, int]] = {
     "MASTER": 207,
@@ -29,7 +29,7 @@ PIN_IDS: Final[Mapping[str, int]] = {
     "D10": 210,
     "D11": 211,
 }
-"""004:117-123. `QMS` of the master is `LSS-2IO-LED`, of the others `LSS-2IO-<pin>` (facts 3)."""
+"""FACTS.md B1. `QMS` of the master is `LSS-2IO-LED`, of the others `LSS-2IO-<pin>` (B2)."""
 
 _LSS: Final = LSS_TABLE.row
 
@@ -37,20 +37,20 @@ ROWS: Final = (
     replace(
         _LSS("L"),
         meaning="no more pulses: the servo is limp",
-        source="004:12, 30-34",
+        source="2IO 1",
         devices=(Device.SERVO,),
     ),
     replace(
         _LSS("P"),
         meaning="pulse width",
-        source="004:13, 36-46",
+        source="2IO 2",
         modifiers=(),
         devices=(Device.SERVO,),
         note="QP answers the last command.",
     ),
     replace(
         _LSS("D"),
-        source="004:18, 48-58, facts 3",
+        source="2IO 3, FACTS B6",
         step=10,
         minimum=-900,
         maximum=900,
@@ -62,23 +62,23 @@ ROWS: Final = (
     ),
     replace(
         _LSS("LED"),
-        source="004:19, 60-76, facts 3",
+        source="2IO 4, FACTS B11",
         suffixes=None,
         outside=Outside.ZEROED,
         default=0,
         devices=(Device.MASTER,),
-        note="004 lets QLED be broadcast; the sketch never answers a broadcast.",
+        note="2IO 4 lets QLED be broadcast; the sketch never answers a broadcast.",
     ),
     replace(
         _LSS("G"),
-        source="004:20, 78-96, facts 3",
+        source="2IO 5, FACTS B9",
         suffixes=None,
         devices=(Device.SERVO, Device.ANALOG),
         note="An analog pin at -1 answers 1024 minus its value.",
     ),
     replace(
         _LSS("QID"),
-        source="004:21, 98-112",
+        source="2IO 6",
         queries=(),
         default=None,
         needs_reset=False,
@@ -88,26 +88,26 @@ ROWS: Final = (
     ),
     replace(
         _LSS("QB"),
-        source="004:22, 127-143",
+        source="2IO 7",
         choices={rate: since for rate, since in BAUD_RATES_BPS.items() if rate <= BAUD_MAX_BPS},
         sets_session=True,
         needs_reset=False,
         devices=(Device.MASTER,),
         note="Acts at once.",
     ),
-    replace(_LSS("QMS"), source="004:23, 145-153"),
-    replace(_LSS("RESET"), source="004:24, 155-159", actions=("RESET",), devices=(Device.MASTER,)),
+    replace(_LSS("QMS"), source="2IO 8"),
+    replace(_LSS("RESET"), source="2IO 9", actions=("RESET",), devices=(Device.MASTER,)),
     replace(
         _LSS("DEFAULT"),
         meaning="factory values, at once",
-        source="004:25, 161-165",
+        source="2IO 10",
         devices=(Device.MASTER,),
         note="There is no CONFIRM.",
     ),
     Row(
         name="A",
         meaning="value of an analog pin, raw or as the distance of a sensor",
-        source="004:26, 167-187, facts 3",
+        source="2IO 11, FACTS B15",
         queries=("QA",),
         suffixes={
             1: Suffix.GP2Y0A41SK0F,
@@ -116,7 +116,7 @@ ROWS: Final = (
         },
         devices=(Device.ANALOG,),
         note="The suffix is not echoed: *203QA50 is 50 mm of sensor 1. Clamped by the board to 30"
-        " to 310, 90 to 810 and 190 to 1510 mm (facts 3).",
+        " to 310, 90 to 810 and 190 to 1510 mm (FACTS B15).",
     ),
 )
 

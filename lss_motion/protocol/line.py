@@ -22,14 +22,14 @@ LINE_MAX_BYTES: Final = 64
 form, `#254MD-32768T65535SD65535CH65535`. Of a group line only each section is bounded."""
 
 TEXT_REPLIES: Final = ("QMS", "QN")
-"""Queries answered with text that runs into the keyword (`*5QMSLSS-HS1`): seed 000 lines 497, 503.
-A serial number keeps its leading zeros and may hold letters (lss_facts 4)."""
+"""Queries answered with text that runs into the keyword (`*5QMSLSS-HS1`): FACTS.md C15.
+A serial number keeps its leading zeros and may hold letters (C15)."""
 
 DISABLED: Final = "DIS"
-"""The value of a first position that is not set: seed 000 line 471."""
+"""The value of a first position that is not set (FACTS.md C16)."""
 
 TEXT_COMMAND: Final = "CRC"
-"""The one command whose value may be no number (`#5CRC*`): seed 000 line 557."""
+"""The one command whose value may be no number (`#5CRC*`) (FACTS.md R14)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ def encode_move(servo_id: int, position_wire: int, duration_ms: int | None) -> b
 
 
 def encode_group(items: Sequence[Command] | Sequence[Reply]) -> bytes:
-    """Return one line of many sections (firmware 370: lss_facts 2.3).
+    """Return one line of many sections (firmware 370: FACTS.md W17).
 
     Neighbouring queries to one servo share a section, and a `0` keeps their keywords apart.
     """
@@ -127,7 +127,7 @@ class ReplyParser:
     """Bytes from the servos → replies, in any chunks. Never raises and keeps at most one section.
 
     `*` always starts anew, so noise never hides the reply after it. With `grouped` the section
-    before a `*` counts, and a section may hold several replies (lss_facts 2.3). Pass False where
+    before a `*` counts, and a section may hold several replies (FACTS.md W18). Pass False where
     no group was asked: then replies that ran into each other are garbage, not wrong numbers.
     """
 
@@ -219,7 +219,7 @@ def _replies(piece: bytes) -> list[Reply]:
             return []
         keyword = match[1].decode()
         if replies and not keyword.startswith("Q"):
-            keyword = "Q" + keyword  # `*15QD960T400` answers QD and QT (lss_facts 2.3).
+            keyword = "Q" + keyword  # `*15QD960T400` answers QD and QT (FACTS.md W18).
         replies.append(Reply(servo_id, keyword, _reply_value(keyword, match[2])))
         position = match.end()
     return replies

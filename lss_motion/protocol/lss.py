@@ -1,4 +1,4 @@
-"""The rows of the LSS language as document 000 has them, and the table that all rows make."""
+"""The rows of the LSS language of the protocol page of 2019, and the table that all rows make."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from lss_motion.protocol.table import (
 )
 
 LSS_FIRMWARE: Final = 370
-"""Still the latest in June 2025 (facts 4)."""
+"""Still the latest in June 2025 (FACTS.md V6)."""
 
 CURRENT_MODIFIERS: Final = ("CH", "CL")
 
@@ -32,21 +32,21 @@ MOTION: Final = (
     Row(
         name="L",
         meaning="limp",
-        source="000:138, 203-207",
+        source="LSS 1",
         actions=("L",),
         value=Value.NONE,
     ),
     Row(
         name="H",
         meaning="halt and hold",
-        source="000:139, 209-213",
+        source="LSS 2",
         actions=("H",),
         value=Value.NONE,
     ),
     Row(
         name="MD",
         meaning="move relative to the present position",
-        source="000:142, 229-233",
+        source="LSS 5",
         actions=("MD",),
         unit=Unit.DEG,
         wire_per_unit=TENTHS,
@@ -55,7 +55,7 @@ MOTION: Final = (
     Row(
         name="P",
         meaning="position as a pulse, within the angular range",
-        source="000:149, 283-294",
+        source="LSS 8",
         actions=("P",),
         queries=("QP",),
         unit=Unit.US,
@@ -68,30 +68,30 @@ MOTION: Final = (
     Row(
         name="D",
         meaning="position",
-        source="000:152, 296-308, 118-124",
+        source="LSS 9",
         actions=("D",),
         queries=("QD",),
         unit=Unit.DEG,
         wire_per_unit=TENTHS,
         modifiers=("T", "SD", *CURRENT_MODIFIERS),
         note="Unbounded: virtual turns. #5PD1443 and #5PD1456 are misprints of D. T, S and SD do"
-        " nothing in EM0 (facts 1.1).",
+        " nothing in EM0 (FACTS M3).",
     ),
     Row(
         name="DT",
         meaning="target position",
-        source="000:152, 311-315",
+        source="LSS 9",
         queries=("QDT",),
         unit=Unit.DEG,
         wire_per_unit=TENTHS,
         answer=Answer.OPTIONAL,
         note="Nothing after QDT without a target or in wheel mode. In EM0 it is the filtered"
-        " target (facts 1.2).",
+        " target (FACTS M9).",
     ),
     Row(
         name="WD",
         meaning="wheel mode: speed",
-        source="000:153, 317-327",
+        source="LSS 10",
         actions=("WD",),
         queries=("QWD",),
         unit=Unit.DEG_S,
@@ -101,7 +101,7 @@ MOTION: Final = (
     Row(
         name="WR",
         meaning="wheel mode: speed",
-        source="000:154, 329-339",
+        source="LSS 11",
         actions=("WR",),
         queries=("QWR",),
         unit=Unit.RPM,
@@ -113,7 +113,7 @@ MODIFIERS: Final = (
     Row(
         name="T",
         meaning="duration of a move",
-        source="000:140, 215-221",
+        source="LSS 3",
         is_modifier=True,
         unit=Unit.MS,
         minimum=1,
@@ -121,7 +121,7 @@ MODIFIERS: Final = (
     Row(
         name="S",
         meaning="speed of a pulse move",
-        source="000:141, 223-227",
+        source="LSS 4",
         is_modifier=True,
         unit=Unit.US_S,
         minimum=1,
@@ -129,17 +129,17 @@ MODIFIERS: Final = (
     Row(
         name="SD",
         meaning="speed of a move",
-        source="facts 1.3",
+        source="FACTS M17",
         is_modifier=True,
         unit=Unit.DEG_S,
         wire_per_unit=TENTHS,
         minimum=1,
-        note="Later firmware. Tenths as in the example 001:606; others read whole degrees.",
+        note="Later firmware. Tenths as in the example of the PRO page; others read whole degrees.",
     ),
     Row(
         name="CH",
         meaning="current at which a move halts and holds",
-        source="facts 1.3",
+        source="FACTS M18",
         is_modifier=True,
         unit=Unit.AMPERE,
         wire_per_unit=THOUSANDTHS,
@@ -149,7 +149,7 @@ MODIFIERS: Final = (
     Row(
         name="CL",
         meaning="current at which a move goes limp",
-        source="facts 1.3",
+        source="FACTS M18",
         is_modifier=True,
         unit=Unit.AMPERE,
         wire_per_unit=THOUSANDTHS,
@@ -163,7 +163,7 @@ SETTINGS: Final = (
     Row(
         name="O",
         meaning="origin offset from the factory zero",
-        source="000:143-145, 235-257",
+        source="LSS 6",
         actions=("O",),
         queries=("QO",),
         configs=("CO",),
@@ -171,12 +171,12 @@ SETTINGS: Final = (
         unit=Unit.DEG,
         wire_per_unit=TENTHS,
         default=0,
-        note="Set G before O (facts 4).",
+        note="Set G before O (FACTS R10).",
     ),
     Row(
         name="AR",
         meaning="total angular range of P and RC mode",
-        source="000:146-148, 259-281",
+        source="LSS 7",
         actions=("AR",),
         queries=("QAR",),
         configs=("CAR",),
@@ -185,12 +185,12 @@ SETTINGS: Final = (
         wire_per_unit=TENTHS,
         minimum=1,
         default=1800,
-        note="The reply is *5QAR1800; *5AR1800 in 000:277 is a misprint (facts 4).",
+        note="The reply is *5QAR1800; *5AR1800 in LSS 7 is a misprint (FACTS C6).",
     ),
     Row(
         name="SD",
         meaning="maximum speed",
-        source="000:155-160, 341-364",
+        source="LSS 12",
         actions=("SD",),
         queries=("QSD",),
         configs=("CSD",),
@@ -203,7 +203,7 @@ SETTINGS: Final = (
     Row(
         name="SR",
         meaning="maximum speed",
-        source="000:161-164, 366-389",
+        source="LSS 13",
         actions=("SR",),
         queries=("QSR",),
         configs=("CSR",),
@@ -211,12 +211,12 @@ SETTINGS: Final = (
         unit=Unit.RPM,
         minimum=0,
         mirrors="SD",
-        note="Overwrites SD and the other way round. #5SD45 in 000:368 is a misprint of SR.",
+        note="Overwrites SD and the other way round. #5SD45 in LSS 13 is a misprint of SR.",
     ),
     Row(
         name="LED",
         meaning="LED colour",
-        source="000:165, 391-407",
+        source="LSS 14",
         actions=("LED",),
         queries=("QLED",),
         configs=("CLED",),
@@ -224,12 +224,12 @@ SETTINGS: Final = (
         minimum=0,
         maximum=7,
         default=7,
-        note="000:165 says 0 to 8 and 000:397 shifts 6 to 8; the list of 0 to 7 is right.",
+        note="LSS 14 says 0 to 8 and its text shifts 6 to 8; 0 to 7 is right (FACTS C8).",
     ),
     Row(
         name="G",
         meaning="gyre, the direction of positive angles",
-        source="000:166, 409-427",
+        source="LSS 15",
         actions=("G",),
         queries=("QG",),
         configs=("CG",),
@@ -240,7 +240,7 @@ SETTINGS: Final = (
     Row(
         name="ID",
         meaning="identification number",
-        source="000:167, 429-443",
+        source="LSS 16",
         queries=("QID",),
         configs=("CID",),
         minimum=0,
@@ -250,12 +250,12 @@ SETTINGS: Final = (
         needs_reset=True,
         suffix_is_delay=True,
         note="Up to 369 a broadcast is answered *QID5, later *5QID5. The suffix (370) is a reply"
-        " delay: 200 us + id times suffix us (facts 2.2).",
+        " delay: 200 us + id times suffix us (FACTS W16).",
     ),
     Row(
         name="B",
         meaning="baud rate",
-        source="000:168, 445-461",
+        source="LSS 17",
         queries=("QB",),
         configs=("CB",),
         unit=Unit.BPS,
@@ -263,13 +263,13 @@ SETTINGS: Final = (
         default=115200,
         sets_session=False,
         needs_reset=True,
-        note="000:168 says 9600; every library and later page 115200 (facts 3). QB answers the"
-        " rate to come (facts 4).",
+        note="LSS 17 says 9600; every library and later page 115200 (FACTS W23). QB answers the"
+        " rate to come (FACTS R7).",
     ),
     Row(
         name="FP",
         meaning="first position in RC mode",
-        source="000:169-171, 463-477",
+        source="LSS 18",
         queries=("QFP",),
         configs=("CFP",),
         value=Value.OPTIONAL,
@@ -280,13 +280,13 @@ SETTINGS: Final = (
         sets_session=False,
         needs_reset=True,
         answer=Answer.DISABLED,
-        note="#5CP1550 in 000:475 is a misprint of CFP. CFP and CFD overwrite each other. Range"
+        note="#5CP1550 in LSS 18 is a misprint of CFP. CFP and CFD overwrite each other. Range"
         " and end points as of P (assumed).",
     ),
     Row(
         name="FD",
         meaning="first position",
-        source="000:172, 479-493",
+        source="LSS 19",
         queries=("QFD",),
         configs=("CFD",),
         value=Value.OPTIONAL,
@@ -298,12 +298,12 @@ SETTINGS: Final = (
         sets_session=False,
         needs_reset=True,
         answer=Answer.DISABLED,
-        note="#5CD64 in 000:491 is a misprint of CFD. Clamped (facts 4).",
+        note="#5CD64 in LSS 19 is a misprint of CFD. Clamped (FACTS C17).",
     ),
     Row(
         name="CRC",
         meaning="RC mode after the next reset: 1 position, 2 wheel, anything else none",
-        source="000:180-182, 550-563",
+        source="LSS 27",
         configs=("CRC",),
         value=Value.OPTIONAL,
         outside=Outside.TAKEN,
@@ -315,7 +315,7 @@ SETTINGS: Final = (
     Row(
         name="AS",
         meaning="angular stiffness",
-        source="000:190, 597-623",
+        source="LSS A1",
         actions=("AS",),
         queries=("QAS",),
         configs=("CAS",),
@@ -323,12 +323,12 @@ SETTINGS: Final = (
         minimum=-10,
         maximum=10,
         default=0,
-        note="000:190 says -4 to +4, 000:611 takes -10 to +10 and calls more than 4 erratic.",
+        note="Table of LSS A1: -4 to +4; its text takes -10 to +10 and calls more than 4 erratic.",
     ),
     Row(
         name="AH",
         meaning="angular holding stiffness",
-        source="000:191, 625-643",
+        source="LSS A2",
         actions=("AH",),
         queries=("QAH",),
         configs=("CAH",),
@@ -336,12 +336,12 @@ SETTINGS: Final = (
         minimum=-10,
         maximum=10,
         default=4,
-        note="000:191 says default 1; firmware 36x has 4 (facts 4).",
+        note="LSS A2 says default 1; firmware 36x has 4 (FACTS M25).",
     ),
     Row(
         name="AA",
         meaning="angular acceleration in EM1",
-        source="000:192, 001:494-510, facts 1.3",
+        source="LSS A3, FACTS M20",
         actions=("AA",),
         queries=("QAA",),
         configs=("CAA",),
@@ -357,7 +357,7 @@ SETTINGS: Final = (
     Row(
         name="AD",
         meaning="angular deceleration in EM1",
-        source="000:193, 001:512-528, facts 1.3",
+        source="LSS A4, FACTS M20",
         actions=("AD",),
         queries=("QAD",),
         configs=("CAD",),
@@ -372,25 +372,25 @@ SETTINGS: Final = (
     Row(
         name="EM",
         meaning="motion profile on (1) or off (0)",
-        source="000:194, facts 1.1",
+        source="LSS A5, FACTS M1",
         actions=("EM",),
         queries=("QEM",),
         configs=("CEM",),
         suffixes=SESSION_OR_CONFIG,
         choices={0: 0, 1: 0},
         default=1,
-        note="CEM is not in 000; the maker's code uses it.",
+        note="CEM is not in the page; the maker's code uses it.",
     ),
     Row(
         name="LB",
         meaning="states in which the LED blinks, added up",
-        source="000:195-199, 657-679, facts 5",
+        source="LSS A6, FACTS C9",
         queries=("QLB",),
         configs=("CLB",),
         minimum=0,
         maximum=63,
         default=0,
-        note="QLB is not in 000; the maker's libraries ask it.",
+        note="QLB is not in the page; the maker's libraries ask it.",
     ),
 )
 
@@ -398,22 +398,22 @@ TELEMETRY: Final = (
     Row(
         name="MS",
         meaning="model",
-        source="000:173, 495-499",
+        source="LSS 20",
         queries=("QMS",),
         answer=Answer.TEXT,
     ),
     Row(
         name="N",
         meaning="serial number",
-        source="000:174, 501-505",
+        source="LSS 21",
         queries=("QN",),
         answer=Answer.TEXT,
-        note="Text: 18 and more characters, not always digits (facts 4).",
+        note="Text: 18 and more characters, not always digits (FACTS C15).",
     ),
     Row(
         name="F",
         meaning="firmware version",
-        source="000:175, 507-511, 001:656",
+        source="LSS 22, FACTS C14",
         queries=("QF",),
         suffixes={3: Suffix.FULL_VERSION},
         answer=Answer.VERSION,
@@ -421,23 +421,23 @@ TELEMETRY: Final = (
     Row(
         name="Q",
         meaning="status",
-        source="000:176, 513-530, facts 4",
+        source="LSS 23, FACTS S5",
         queries=("Q",),
         suffixes={**SESSION_ONLY, 1: Suffix.CAUSE},
     ),
     Row(
         name="V",
         meaning="supply voltage",
-        source="000:177, 532-536",
+        source="LSS 24",
         queries=("QV",),
         unit=Unit.VOLT,
         wire_per_unit=THOUSANDTHS,
-        note="Millivolts; 'one decimal' in 000:536 is wrong (facts 4).",
+        note="Millivolts; 'one decimal' in LSS 24 is wrong (FACTS C10).",
     ),
     Row(
         name="T",
         meaning="temperature",
-        source="000:178, 538-542",
+        source="LSS 25",
         queries=("QT",),
         unit=Unit.CELSIUS,
         wire_per_unit=TENTHS,
@@ -445,7 +445,7 @@ TELEMETRY: Final = (
     Row(
         name="C",
         meaning="current",
-        source="000:179, 544-548",
+        source="LSS 26",
         queries=("QC",),
         unit=Unit.AMPERE,
         wire_per_unit=THOUSANDTHS,
@@ -456,28 +456,28 @@ MAINTENANCE: Final = (
     Row(
         name="RESET",
         meaning="restart with the configured values",
-        source="000:183, 565-569",
+        source="LSS 28",
         actions=("RESET", "RS"),
         value=Value.NONE,
     ),
     Row(
         name="DEFAULT",
         meaning="factory values, after CONFIRM",
-        source="000:184, 571-581",
+        source="LSS 29",
         actions=("DEFAULT",),
         value=Value.NONE,
     ),
     Row(
         name="UPDATE",
         meaning="firmware update mode, after CONFIRM",
-        source="000:185, 583-593",
+        source="LSS 30",
         actions=("UPDATE",),
         value=Value.NONE,
     ),
     Row(
         name="CONFIRM",
         meaning="do what DEFAULT or UPDATE announced, then restart",
-        source="000:577-581, 589-593",
+        source="LSS 29, 30",
         actions=("CONFIRM",),
         value=Value.NONE,
     ),

@@ -1,4 +1,4 @@
-"""The rows of the LSS language that document 000 does not have: later firmware, maker's code."""
+"""The rows of the LSS language that the page of 2019 lacks: later firmware, maker's code."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LATER: Final = (
     Row(
         name="FPC",
         meaning="filter position count in EM0",
-        source="facts 1.2",
+        source="FACTS M5",
         actions=("FPC",),
         queries=("QFPC",),
         configs=("CFPC",),
@@ -30,7 +30,7 @@ LATER: Final = (
     Row(
         name="MMD",
         meaning="maximum motor duty in EM0",
-        source="facts 1.1, 1.3",
+        source="FACTS M11",
         actions=("MMD",),
         queries=("QMMD",),
         minimum=255,
@@ -42,7 +42,7 @@ LATER: Final = (
     Row(
         name="IPE",
         meaning="the servo itself applies the last D about every 20 ms in EM0",
-        source="facts 1.2",
+        source="FACTS M8",
         actions=("IPE",),
         queries=("QIPE",),
         choices={0: 0, 1: 0},
@@ -52,14 +52,14 @@ LATER: Final = (
     Row(
         name="S",
         meaning="present speed as a pulse",
-        source="001:609-615, facts 5",
+        source="PRO Speed (SD) modifier, FACTS C10",
         queries=("QS",),
         unit=Unit.US_S,
     ),
     Row(
         name="VT",
         meaning="target speed",
-        source="facts 1.3",
+        source="FACTS C20",
         queries=("QVT",),
         unit=Unit.DEG_S,
         wire_per_unit=TENTHS,
@@ -69,7 +69,7 @@ LATER: Final = (
     Row(
         name="M",
         meaning="move relative to the present position, as a pulse",
-        source="001:373-379, facts 1.3",
+        source="PRO (Relative) Move in Degrees, FACTS C20",
         actions=("M",),
         unit=Unit.US,
         firmware=370,
@@ -77,7 +77,7 @@ LATER: Final = (
     Row(
         name="MD_RAW",
         meaning="motor duty without control",
-        source="facts 1.3",
+        source="FACTS M29",
         actions=("RDM",),
         queries=("QMD",),
         minimum=-1023,
@@ -87,7 +87,7 @@ LATER: Final = (
     Row(
         name="CSL",
         meaning="soft limit of the current",
-        source="facts 1.3, 3",
+        source="FACTS C20",
         actions=("SCSL",),
         queries=("QCSL",),
         minimum=100,
@@ -99,7 +99,7 @@ LATER: Final = (
     Row(
         name="HD",
         meaning="distance from the target at which holding begins",
-        source="facts 1.3",
+        source="FACTS M28",
         actions=("HD",),
         queries=("QHD",),
         configs=("CHD",),
@@ -114,7 +114,7 @@ LATER: Final = (
     Row(
         name="LE",
         meaning="software position limits on (1) or off (0)",
-        source="facts 1.3",
+        source="FACTS C20",
         queries=("QLE",),
         configs=("CLE",),
         choices={0: 0, 1: 0},
@@ -125,7 +125,7 @@ LATER: Final = (
     Row(
         name="LP",
         meaning="upper software position limit",
-        source="facts 1.3",
+        source="FACTS C20",
         queries=("QLP",),
         configs=("CLP",),
         unit=Unit.DEG,
@@ -136,7 +136,7 @@ LATER: Final = (
     Row(
         name="LN",
         meaning="lower software position limit",
-        source="facts 1.3",
+        source="FACTS C20",
         queries=("QLN",),
         configs=("CLN",),
         unit=Unit.DEG,
@@ -147,7 +147,7 @@ LATER: Final = (
     Row(
         name="SLOTCOUNT",
         meaning="number of reply slots on the bus",
-        source="facts 2.3",
+        source="FACTS W19",
         actions=("SLOTCOUNT",),
         queries=("QSLOTCOUNT",),
         minimum=0,
@@ -158,7 +158,7 @@ LATER: Final = (
     Row(
         name="SLOT",
         meaning="this servo's reply slot",
-        source="facts 2.3",
+        source="FACTS W19",
         actions=("SLOT",),
         queries=("QSLOT",),
         minimum=0,
@@ -169,7 +169,7 @@ LATER: Final = (
     Row(
         name="PROTOCOL",
         meaning="shape of the replies to a group: each with a CR (0), or one CR for all (1)",
-        source="facts 2.3",
+        source="FACTS W18",
         actions=("PROTOCOL",),
         queries=("QPROTOCOL",),
         choices={0: 0, 1: 0},
@@ -180,7 +180,7 @@ LATER: Final = (
     Row(
         name="ABR",
         meaning="automatic baud rate from the first byte after power-up",
-        source="facts 4",
+        source="FACTS R15",
         actions=("ABR",),
         queries=("QABR",),
         configs=("CABR",),

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from lss_motion.protocol.table import Row
 
 _FIRST: Final = ("G", "AR")
-"""Written before the others: G before O (facts 4), and AR before what is a pulse within it."""
+"""Written before the others: G before O (FACTS.md R10), and AR before what is a pulse within it."""
 
 
 @cache

@@ -1,8 +1,8 @@
 """What one row of a family's table says: the type of the rows, and no row.
 
-Sources are written `000:146` (document and line) or `facts 1.2` (section). The documents: 000 is
-the LSS communication protocol 106.1 of 2019-02-22, 001 the LSS-PRO one of 2023-12-14, 004 the 2IO
-one for the 2RC mode of 2020-02-07; `facts` is what real servos and the maker's code add to them.
+Sources are written `LSS 8` or `2IO 3` (document and command), `PRO Step Mode (SM)` (document and
+section), or `FACTS M5` (row of FACTS.md, which names the documents: the LSS communication protocol
+106.1 of 2019-02-22, the LSS-PRO one of 2023-12-14, the 2IO one for the 2RC mode of 2020-02-07).
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Answer(StrEnum):
 
 
 class Suffix(StrEnum):
-    """What the number after a query asks for. It is not echoed in the reply (design 11)."""
+    """What the number after a query asks for. It is not echoed in the reply (FACTS.md C3)."""
 
     SESSION = "session value"
     CONFIGURED = "configured value"
@@ -111,9 +111,9 @@ class Device(StrEnum):
 
 SESSION_ONLY: Final = {0: Suffix.SESSION}
 SESSION_OR_CONFIG: Final = {0: Suffix.SESSION, 1: Suffix.CONFIGURED}
-"""000:98-108, 001:87-97: `1` asks for the EEPROM; `0` is the same as no suffix."""
+"""FACTS.md C4: `1` asks for the EEPROM; `0` is the same as no suffix."""
 SPEED: Final = {**SESSION_OR_CONFIG, 2: Suffix.INSTANTANEOUS, 3: Suffix.TARGET}
-"""000:354-358, 001:560-564."""
+"""FACTS.md C4."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

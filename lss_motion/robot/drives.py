@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Bus, Drive, Joint, ServoModel
 
 FILTER_FIRMWARE_MIN: Final = 368
-"""Firmware 368 brought FPC (lss_facts 1.2)."""
+"""Firmware 368 brought FPC (FACTS.md M5)."""
 RC_RANGE_DEG: Final = 90.0
-"""An LSS-2IO turns its RC servos by ±90 (seed 004 line 40; lss_facts 3)."""
+"""An LSS-2IO turns its RC servos by ±90 (FACTS.md B6)."""
 DURATION_DIGITS_MS: Final = 9_999
 """The longest T that a move on the bus is given (`program.course.DURATION_MAX_MS`)."""
 

@@ -31,10 +31,10 @@ ANGLE_MAX_DEG: Final = 36_000.0
 """A hundred turns: more than any winch, and a slip of the key is still noticed."""
 
 SPEED_MIN_DEG_S: Final = 0.1
-"""The unit of SD on the wire (seed 000, table row SD: tenths of a degree per second)."""
+"""The unit of SD on the wire (FACTS.md C24: tenths of a degree per second)."""
 
 FILTER_COUNT_MAX: Final = 20
-"""The largest FPC that anybody was seen to use (lss_facts 1.2)."""
+"""The largest FPC that anybody was seen to use (FACTS.md M10)."""
 
 ACCEL_MIN_DEG_S2: Final = 0.1
 """Three orders below the smallest ramp of a servo; less is a typing error."""

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 FOLLOWING_DEG: Final = 10.0
 """Chosen: ten times what a healthy joint strays, and nothing hits anything yet."""
 TEMPERATURE_MAX_C: Final = 75.0
-"""Chosen: ten degrees below the safe mode of an LSS (seed 000, QT)."""
+"""Chosen: ten degrees below the safe mode of an LSS (FACTS.md S7)."""
 VOLTAGE_MIN_V: Final = 6.0
-"""The least that an LSS is made for (lss_facts 3); no document gives it for an LSS-PRO."""
+"""The least that an LSS is made for (FACTS.md E4); no document gives it for an LSS-PRO."""
 SILENT_S: Final = 1.0
 """Chosen: shorter than the 1.25 s for which a servo that restarts is deaf, so that it is noticed
 before it could be driven without its settings; long enough for a line that loses every third
@@ -37,7 +37,7 @@ SERVO: Final = "servo"
 """In place of a limit in a robot file: what the servo itself is set to."""
 
 Drive = Literal["timed", "streamed", "stepped"]
-"""How a joint is commanded (design 7): `D…T…` in EM1; bare `D` through the filter of EM0; whole
+"""How a joint is commanded (FACTS.md M1): `D…T…` in EM1; bare `D` through the filter of EM0; whole
 degrees to the RC servo of a 2IO."""
 
 
@@ -50,9 +50,9 @@ class Response:
     `filter_s`     in EM0 the filter steps this often (20 ms, four ticks: maker's staff). When it
                    does so within its period nobody can know, so it is taken to be half-way
     `ramp_ratio`   its ramps are this many times what AA and AD say; that a step of theirs is
-                   10 deg/s² has weak sources (lss_facts 1.3)
+                   10 deg/s² has weak sources (FACTS.md M20)
     `retarget`     a new `D…T…` in mid-move starts from the profile's position and speed
-                   (`keep_speed`) or from rest (`from_rest`); no document says (design 11)
+                   (`keep_speed`) or from rest (`from_rest`); no document says (FACTS.md A10)
     `t_law`        `cruise`: travel speed = distance / T, so the ramps come on top;
                    `exact`: the whole move takes T
     """

@@ -58,7 +58,7 @@ RESUMABLE: Final = frozenset({Cause.SILENT, Cause.RESTARTED, Cause.LOST_PORT})
 DEFAULTS: Final[Ladders] = MappingProxyType(
     {
         Cause.ASTRAY: (FaultStep.SLOW, FaultStep.HOLD),
-        # Seed 000, status 8: the motor cannot make the move at its present speed.
+        # Status 8 (FACTS.md S2): the motor cannot make the move at its present speed.
         Cause.STUCK: (FaultStep.SLOW, FaultStep.HOLD),
         Cause.BLOCKED: (FaultStep.HOLD,),
         Cause.SAFE_MODE: (FaultStep.HOLD,),

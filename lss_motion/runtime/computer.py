@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 LATENCY_MAX_MS: Final = 1
-"""More makes every answer wait (lss_facts 2.5)."""
+"""More makes every answer wait (FACTS.md H1)."""
 RESOLUTION_MAX_NS: Final = 10 * NS_PER_US
 """A hundredth of a command's line time at 115200 bps. Chosen."""
 JITTER_WAIT_NS: Final = 2 * NS_PER_MS
 JITTER_WAITS: Final = 250
 """Half a second of waits as the runner waits."""
 LATE_MAX_NS: Final = NS_PER_MS
-"""One command's line time at 115200 bps: later than that, it is late (design 12)."""
+"""One command's line time at 115200 bps: later than that, it is late (FACTS.md W25)."""
 PORT_GRABBERS: Final = {
     "ModemManager": "it opens new serial ports and talks to them for half a minute: "
     "`sudo systemctl disable --now ModemManager`, if there is no modem",

@@ -1,4 +1,4 @@
-"""What a run came to, as the JSON object of design section 10."""
+"""What a run came to, as the JSON object that `lss-play --report` writes."""
 
 from __future__ import annotations
 

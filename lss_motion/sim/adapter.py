@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 PACKET_BYTES = 62
 """What an adapter of the FTDI kind collects at most: 64 bytes of USB, two of them its status.
-Common knowledge about the chip; lss_facts 2.5 speaks of its latency timer only."""
+Common knowledge about the chip; see FACTS.md H3."""
 
 
 @dataclass(slots=True)
@@ -26,7 +26,7 @@ class Adapter:
     """Delivers the servos' bytes: each as it comes, or, with a latency, in packets.
 
     With a latency the bytes of a packet wait for the next tick of a timer, or until the packet
-    is full (lss_facts 2.5: 16 ms, or 1 ms where the host asks for it).
+    is full (FACTS.md H1: 16 ms, or 1 ms where the host asks for it).
     """
 
     def __init__(self, latency_ns: int) -> None:

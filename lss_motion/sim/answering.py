@@ -56,7 +56,7 @@ class Answering:
             self._send(answer, self._start_ns(answer, heard_ns))
 
     def send_in_turn(self, heard_ns: int, answers: Sequence[Answer]) -> None:
-        """Answer a group: one servo after another, in the order of the line (lss_facts 2.3)."""
+        """Answer a group: one servo after another, in the order of the line (FACTS.md W17)."""
         start_ns = heard_ns + self._turnaround.group_ns
         previous: Talker | None = None
         for answer in answers:

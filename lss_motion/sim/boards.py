@@ -23,22 +23,22 @@ if TYPE_CHECKING:
     from lss_motion.sim.physics import ServoSpec
 
 RESET_NS: Final = 30 * NS_PER_MS
-"""How long a board is deaf after RESET: the watchdog's time (lss_facts 3). What its boot loader
+"""How long a board is deaf after RESET: the watchdog's time (FACTS.md B14). What its boot loader
 takes on top is not known."""
 
 OVERRUN_JUMP_RATIO: Final = 0.5
 """How often a section that overruns the buffer makes an output jump. Assumed: what the bytes
-beyond the buffer overwrite depends on the build (lss_facts 3 only says that nothing checks)."""
+beyond the buffer overwrite depends on the build (FACTS.md B4: nothing checks it)."""
 
 RAW_MAX: Final = 1023
-"""Ten bits of the converter (lss_facts 3: a gyre of -1 answers 1024 minus the value)."""
+"""Ten bits of the converter (FACTS.md B9: a gyre of -1 answers 1024 minus the value)."""
 
 DEG_MAX: Final = 180
 PULSE_SPAN_US: Final = PULSE_MAX_US - PULSE_MIN_US
-"""The board thinks in 0 to 180 whole degrees and 500 to 2500 us (lss_facts 3, seed 004 line 40)."""
+"""The board thinks in 0 to 180 whole degrees and 500 to 2500 us (FACTS.md B6, B7)."""
 
 _SECTION: Final = re.compile(rb"#([0-9]+)([A-Za-z]+)(-?[0-9]+)?")
-"""What the board reads of a section; whatever follows it passes over (lss_facts 3)."""
+"""What the board reads of a section; whatever follows it passes over (FACTS.md B5)."""
 
 
 class Sensor(NamedTuple):
@@ -68,7 +68,7 @@ SENSORS: Final[Mapping[Suffix, Sensor]] = MappingProxyType(
         Suffix.GP2Y0A02YK0F: Sensor(94620, 17, 190, 1510),
     }
 )
-"""lss_facts 3, from the published sketch."""
+"""From the published sketch (FACTS.md B15)."""
 
 
 @dataclass(slots=True)
@@ -227,7 +227,7 @@ class Board:
             self._release(pin, now_ns)
 
     def _restore_factory(self, now_ns: int) -> None:
-        """Forget everything at once, ids and rate as well (seed 004 line 163: "all values")."""
+        """Forget everything at once, ids and rate as well ("all values": FACTS.md B14)."""
         self.baud_bps = IO2_TABLE.row("QB").default or self.baud_bps
         self._config_led = 0
         for pin in self.pins:
@@ -265,7 +265,7 @@ class Board:
     def _value(self, pin: Pin, row: Row, suffix: int | None) -> int | str | None:
         """Return what a query answers; None: nothing at all."""
         match row.name:
-            case "D":  # With a gyre of -1 the sketch forgets the middle: nonsense (lss_facts 3).
+            case "D":  # With a gyre of -1 the sketch forgets the middle: nonsense (FACTS.md B9).
                 return 10 * pin.gyre * pin.written_deg - 900
             case "P":
                 return pin.pulse_us if pin.gyre == 1 else PULSE_MIN_US + PULSE_MAX_US - pin.pulse_us

@@ -160,7 +160,7 @@ class Drives:
         return Motion.ACCELERATING if is_faster else Motion.DECELERATING
 
     def target_deg(self, index: int) -> float | None:
-        """Return the target; in EM0 what the filter has made of it so far (lss_facts 1.2)."""
+        """Return the target; in EM0 what the filter has made of it so far (FACTS.md M9)."""
         if self.mode[index] is Mode.FILTER:
             return self._horns.phases[index].position_deg
         return self._target_deg[index]
@@ -181,7 +181,7 @@ def _timed(
 
 
 def _filtered(position_deg: float, chase: Chase) -> float:
-    """Return one step of the EM0 filter: `x = (x*(FPC-1)+target)/FPC` (lss_facts 1.2)."""
+    """Return one step of the EM0 filter: `x = (x*(FPC-1)+target)/FPC` (FACTS.md M6)."""
     count = max(chase.filter_count, 1)
     stepped_deg = (position_deg * (count - 1) + chase.target_deg) / count
     is_near = abs(stepped_deg - chase.target_deg) < FILTER_SETTLED_DEG

@@ -148,7 +148,7 @@ class Motors:
         return Motion.BLOCKED if stuck_s >= self.physics.blocked_s else Motion.STUCK
 
     def target_deg(self, index: int, now_ns: int) -> float | None:
-        """Return the target; in EM0 what the filter has made of it so far (lss_facts 1.2)."""
+        """Return the target; in EM0 what the filter has made of it so far (FACTS.md M9)."""
         self._catch_up(index, now_ns)
         return self._drives.target_deg(index)
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lss_motion.sim.settings import Settings
 
 DUTY_MAX = 1023
-"""Full motor duty of MMD and RDM (lss_facts 1.1)."""
+"""Full motor duty of MMD and RDM (FACTS.md M11, M29)."""
 
 MA_PER_A = 1000.0
 
@@ -130,7 +130,7 @@ class Moves:
 
     def _order(self, now_ns: int, order: Order, modifiers: dict[str, float]) -> None:
         limit: tuple[float, Halt | Limp] | None = None
-        if "CL" in modifiers:  # It takes precedence over CH (lss_facts 1.3).
+        if "CL" in modifiers:  # It takes precedence over CH (FACTS.md M18).
             limit = (modifiers["CL"] * MA_PER_A, Limp())
         elif "CH" in modifiers:
             limit = (modifiers["CH"] * MA_PER_A, Halt())

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class Motion(IntEnum):
-    """What a servo is doing; the values are the status codes of LSS (seed 000, Q)."""
+    """What a servo is doing; the values are the status codes of LSS (FACTS.md S1)."""
 
     LIMP = 1
     FREE_MOVING = 2
@@ -26,7 +26,7 @@ class Motion(IntEnum):
 
 
 class SafeCause(IntEnum):
-    """Why a servo is in safe mode; the values are the answers to Q1 (lss_facts 4)."""
+    """Why a servo is in safe mode; the values are the answers to Q1 (FACTS.md S5)."""
 
     NONE = 0
     CURRENT = 1

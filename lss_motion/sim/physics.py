@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     from lss_motion.sim.hand import Led
 
 TICK_NS = 5_000_000
-"""One control loop of a servo: 5 ms (lss_facts 1.2: "4 servo loops of 5 ms", maker's staff)."""
+"""One control loop of a servo: 5 ms (FACTS.md M7)."""
 
 FILTER_TICKS = 4
-"""The EM0 filter steps every 20 ms, four control loops (lss_facts 1.2)."""
+"""The EM0 filter steps every 20 ms, four control loops (FACTS.md M6)."""
 
 RESET_NS = 1_250_000_000
-"""How long a servo is deaf after RESET: 1.25 s (lss_facts 4, wiki-158)."""
+"""How long a servo is deaf after RESET: 1.25 s (FACTS.md R4)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,11 +32,11 @@ class Turnaround:
     single_min_ns: int
     single_max_ns: int
     group_ns: int = 3_000_000
-    """Before the first reply to a group line: 3 ms measured at 921600 (lss_facts 2.2)."""
+    """Before the first reply to a group line: 3 ms measured at 921600 (FACTS.md W15)."""
     group_gap_ns: int = 150_000
-    """Between two servos of a group: 0.5 ms each, less its bytes (lss_facts 2.2)."""
+    """Between two servos of a group: 0.5 ms each, less its bytes (FACTS.md W15)."""
     broadcast_ns: int = 200_000
-    """Before slot 0 of an ordered broadcast: 200 µs + id times slot (lss_facts 2.2)."""
+    """Before slot 0 of an ordered broadcast: 200 µs + id times slot (FACTS.md W16)."""
     slot_ns: int = 1_000_000
     """Width of a SLOT. Assumed; only the slot of QID is given in its command."""
 
@@ -50,26 +50,26 @@ class Physics:
                             only that a stiffer servo keeps closer to the position asked for.
     `droop_per_stiffness_ratio`  one step of AH divides the droop under load by this. Assumed.
     `ramp_ratio`            ramps are this many times what AA and AD say. That a step of theirs is
-                            10 deg/s² has weak sources (lss_facts 1.3: D); 1 takes them at their
+                            10 deg/s² has weak sources (FACTS.md M20); 1 takes them at their
                             word.
-    `retarget`, `t_law`     design 11: what a `D…T…` in mid-move starts from, and what T times.
-    `noise_deg`             half width of the uniform noise of a position reading (lss_facts 7.4:
+    `retarget`, `t_law`     FACTS.md A10, A11: what a `D…T…` in mid-move starts from, what T times.
+    `noise_deg`             half width of the uniform noise of a position reading (FACTS.md E7:
                             one tenth).
-    `supply_v`              battery without load: lss_facts 3 gives 12 V as nominal.
+    `supply_v`              battery without load: 12 V is nominal (FACTS.md E4).
     `supply_ohm`            resistance of battery and wiring. Assumed.
-    `supply_min_v` … `supply_max_v`  the range of the datasheets, 6 to 12.6 V (lss_facts 3); safe
+    `supply_min_v` … `supply_max_v`  the range of the datasheets, 6 to 12.6 V (FACTS.md E4); safe
                             mode outside it. That the servos trip just there is assumed.
     `nominal_v`             voltage at which a model's top speed holds; speed is proportional to
-                            voltage, as for any brushed motor. 12 V: lss_facts 3.
-    `idle_ma`               current of the electronics: 70 mA (lss_facts 3, ROS2ctl).
+                            voltage, as for any brushed motor. 12 V: FACTS.md E4, E8.
+    `idle_ma`               current of the electronics: 70 mA (FACTS.md E6).
     `running_ma`            more current at top speed without load. Assumed.
     `load_ma_per_deg`       more current for each degree of droop that is held up. Assumed.
     `stall_ma`              current of a motor that pushes and cannot turn. Assumed.
     `ambient_c`             temperature of the room and of a servo at power-up. Assumed.
     `heating_c_per_a2`      steady rise of temperature per squared ampere of motor current. Assumed
-                            so that 1.5 A, which users plan for (lss_facts 3), can be sustained.
+                            so that 1.5 A, which users plan for (FACTS.md E5), can be sustained.
     `heating_s`             time constant of that rise. Assumed.
-    `temperature_max_c`     safe mode above it: 85 C (seed 000, QT).
+    `temperature_max_c`     safe mode above it: 85 C (FACTS.md S7).
     `stall_deg`             a horn this far behind and not turning is stuck. Assumed.
     `blocked_s`, `safe_s`   how long stuck until blocked (9), until safe mode (10). Assumed.
     `hand_give_ratio`       share of the way to where a hand wants it that a powered horn gives, at
@@ -115,7 +115,7 @@ class Physics:
 class ServoSpec:
     """One servo on the bus when the power comes on.
 
-    `start_deg`   servo angle of the horn at power-up, within ±180 (lss_facts 3: turns are lost)
+    `start_deg`   servo angle of the horn at power-up, within ±180 (FACTS.md R5: turns are lost)
     `droop_deg`   how far the load pulls the horn below a held position when its arm is level;
                   the pull goes with the cosine of the angle from `level_deg` and is towards
                   negative angles. 0: nothing hangs on it
@@ -144,23 +144,23 @@ class ServoSpec:
 
 
 FAST_REPLY_FIRMWARE = 369
-"""From here on queries are answered faster (lss_facts 4, firmware timeline)."""
+"""From here on queries are answered faster (FACTS.md V5)."""
 
 
 CORRUPT_REPLY_RATIO = 0.001
-"""Share of replies that a firmware up to 368 damages. Assumed; lss_facts 2.4: "occasionally"."""
+"""Share of replies that a firmware up to 368 damages. Assumed; FACTS.md W21."""
 
 CORRUPT_SERIAL_RATIO = 10.0
 """How much oftener that befalls a reply to QN, where it was "most prevalent". Assumed."""
 
 
 def corrupt_reply_ratio_of(firmware: int) -> float:
-    """Default of a firmware: a race up to 368 damages replies on a free line (lss_facts 2.4)."""
+    """Default of a firmware: a race up to 368 damages replies on a free line (FACTS.md W21)."""
     return 0.0 if firmware >= FAST_REPLY_FIRMWARE else CORRUPT_REPLY_RATIO
 
 
 def turnaround_of(firmware: int) -> Turnaround:
-    """Default of a firmware: 0.2-1.0 ms, older ones 1.0-1.8 ms (lss_facts 2.2; not measured)."""
+    """Default of a firmware: 0.2-1.0 ms, older ones 1.0-1.8 ms (FACTS.md W14; not measured)."""
     if firmware >= FAST_REPLY_FIRMWARE:
         return Turnaround(single_min_ns=200_000, single_max_ns=1_000_000)
     return Turnaround(single_min_ns=1_000_000, single_max_ns=1_800_000)

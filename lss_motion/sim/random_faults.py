@@ -14,7 +14,7 @@ ROWS_MAX = 4
 """Chosen: enough to meet each other, few enough to tell afterwards which it was."""
 
 LATE_MAX_S = 0.05
-"""Chosen: beyond every timeout of a host for one reply (lss_facts 2.5: 5 to 100 ms)."""
+"""Chosen: beyond every timeout of a host for one reply (FACTS.md H5: 5 to 100 ms)."""
 
 DRIFT_MAX_PPM = 200.0
 """Chosen: twice what two cheap crystals differ."""

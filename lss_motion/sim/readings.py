@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 PULSE_MID_US = 1500
 PULSE_HALF_US = 1000
-"""1500 µs is the middle and ±1000 µs the ends of the angular range (seed 000, P)."""
+"""1500 µs is the middle and ±1000 µs the ends of the angular range (FACTS.md C11)."""
 
 STATUS_OF = {
     Motion.LIMP: Status.LIMP,
@@ -116,7 +116,7 @@ class Readings:
         return PULSE_HALF_US / (range_deg / 2.0)
 
     def _pulse_us(self, now_ns: int) -> int:
-        """Return the position as a pulse; a negative end point where it is outside (seed 000)."""
+        """Return the position as a pulse; a negative end point where it is outside (FACTS C11)."""
         pulse_us = PULSE_MID_US + self.position_deg(now_ns) * self.pulse_us_per_deg()
         if pulse_us < PULSE_MIN_US:
             return -PULSE_MIN_US
@@ -142,7 +142,7 @@ class Readings:
     def _is_outside(self, now_ns: int) -> bool:
         """Return whether the horn rests outside its software limits.
 
-        That status 7 ("outside limits": seed 000 says no more) means these is assumed.
+        That status 7 ("outside limits": the page says no more, FACTS.md S3) means these is assumed.
         """
         settings = self._settings
         if not settings.number("LE"):

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from lss_motion.sim.physics import ServoSpec
 
 ORDERED_FIRMWARE = 370
-"""First firmware that orders replies: groups, slots, QID with a delay (lss_facts 2.2, 2.3)."""
+"""First firmware that orders replies: groups, slots, QID with a delay (FACTS.md W16 to W19)."""
 
 
 class Servo:
@@ -119,7 +119,7 @@ class Servo:
         return Reply(sender, command.keyword, value)
 
     def _broadcast_sender(self) -> int | None:
-        """Return the id that stands before the answer to `#254QID` (design 11)."""
+        """Return the id that stands before the answer to `#254QID` (FACTS.md C5)."""
         if self._table.family is Family.LSS_PRO:
             return BROADCAST_ID
         return self.servo_id if self._firmware >= ORDERED_FIRMWARE else None
@@ -127,7 +127,7 @@ class Servo:
     def _set(self, command: Command, row: Row, now_ns: int, *, is_config: bool) -> None:
         value = command.value
         if row.name == "CRC" and value not in {1, 2}:
-            value = 0  # Any other value, or none: stay in smart mode (seed 000, CRC).
+            value = 0  # Any other value, or none: stay in smart mode (FACTS.md R14).
         is_needless = value is None and row.answer is Answer.DISABLED
         if isinstance(value, int) or is_needless:
             number = value if isinstance(value, int) else None
@@ -156,7 +156,7 @@ class Servo:
                 self._apply_stiffness(now_ns)
             case "MMD":
                 self._apply_duty()
-            case "FD" | "FP":  # CFP and CFD overwrite each other (seed 000, FP).
+            case "FD" | "FP":  # CFP and CFD overwrite each other (FACTS.md C16).
                 self.settings.eeprom["FP" if row.name == "FD" else "FD"] = None
             case _:
                 pass

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 SAMPLE_S: Final = 0.001
-"""Sampling at 1 kHz: design 6."""
+"""Sampling at 1 kHz (FACTS.md A19)."""
 
 EXCESS_MAX_RATIO: Final = 1.001
-"""A limit may be exceeded by 0.1 %: design 6."""
+"""A limit may be exceeded by 0.1 % (FACTS.md A19)."""
 
 RANGE_SLACK_DEG: Final = 1e-6
 """A joint may be this far outside of its range: rounding, far below the wire's unit."""

@@ -123,7 +123,7 @@ def test_a_move_ends_where_it_was_sent(way):
         way.port.write(b"#1QD\r")
         (reply,) = way.read_lines(1)
         angle = int(reply.removeprefix(b"*1QD"))
-        if abs(angle - 200) <= 15:  # What the maker's own tests accept (lss_facts 1.3).
+        if abs(angle - 200) <= 15:  # What the maker's own tests accept (FACTS.md M23).
             break
     assert abs(angle - 200) <= 15
 

@@ -20,7 +20,7 @@ QUIET = Physics(noise_deg=0.0)
 HOLD, LIMP = b"#254H\r", b"#254L\r"
 FAST_BPS = 57600
 RESTORED = {b"#%dEM1\r", b"#%dAA100\r", b"#%dAD100\r", b"#%dSD3600\r"}
-"""What an LSS-ST1 from the factory is set to (seed 000; its top speed is 360 deg/s)."""
+"""What an LSS-ST1 from the factory is set to (FACTS.md M20; top speed 360 deg/s: E1)."""
 
 
 def assert_ended_safely(played, robot, safe=HOLD):

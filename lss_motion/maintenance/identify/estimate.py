@@ -30,7 +30,7 @@ DECIDED_RATIO: Final = 1.15
 """A hypothesis counts as wrong if its readings miss by this much more than those of the best."""
 MISFIT_MAX_DEG: Final = 0.7
 """Above this no hypothesis explains the readings, and nothing that was fitted may be believed.
-Several times what a reading scatters (lss_facts 7.4: 0.1 deg)."""
+Several times what a reading scatters (FACTS.md E7: 0.1 deg)."""
 LOOP_PERIODS_S: Final = (0.001, 0.025)
 """Between these a control period is looked for."""
 LOOP_COHERENCE_LEAST: Final = 0.72

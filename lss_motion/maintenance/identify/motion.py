@@ -23,7 +23,7 @@ TINY_DEG_S: float = 1e-6
 
 
 class Hypothesis(NamedTuple):
-    """What no document says of `D…T…` (design 11); named as in `robot.model.Response`."""
+    """What no document says of `D…T…` (FACTS.md A10, A11); named as in `robot.model.Response`."""
 
     retarget: Literal["keep_speed", "from_rest"]
     t_law: Literal["cruise", "exact"]

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 SETTLE_S: Final = 0.3
 """A horn rests when two halves of this long agree, after its profile has ended."""
 SETTLED_DEG: Final = 0.12
-"""How well they agree: one tenth is what a reading scatters (lss_facts 7.4)."""
+"""How well they agree: one tenth is what a reading scatters (FACTS.md E7)."""
 FAST_S: Final = 0.05
 """A speed is a difference over this long: the scatter of two readings is 4 deg/s of it."""
 

@@ -33,7 +33,7 @@ def test_every_family_has_its_table() -> None:
 def test_a_row_names_its_source_and_a_keyword_and_means_something(
     table: FamilyTable, row: Row
 ) -> None:
-    assert re.match(r"(000|001|004):\d+|facts \d", row.source)
+    assert re.match(r"(LSS|2IO) A?\d|PRO \S|FACTS [A-Z]\d", row.source)
     assert row.meaning
     keywords = (*row.actions, *row.queries, *row.configs)
     assert keywords or row.is_modifier
