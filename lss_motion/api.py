@@ -17,8 +17,8 @@ from lss_motion.program.compile import compile_program as compile  # noqa: A004
 from lss_motion.robot.load import load_robot
 from lss_motion.runtime.clock import MonotonicClock, VirtualClock
 from lss_motion.runtime.performer import performing
+from lss_motion.runtime.port import ReopeningPort
 from lss_motion.runtime.real_time import real_time
-from lss_motion.runtime.reopening import ReopeningPort
 from lss_motion.runtime.report import make_report, run_seconds
 from lss_motion.runtime.runner import run
 from lss_motion.sequence import load as sequences
@@ -100,7 +100,7 @@ def load_sequence(path: Path | str, robot: Robot | None = None) -> Show:
     value and remedy; its `more` holds all further problems, those of other files included.
     """
     from lss_motion.gait.load import is_gait_file, load_gait
-    from lss_motion.gait.sequence import gait_as_sequence, sequence_of
+    from lss_motion.gait.to_sequence import gait_as_sequence, sequence_of
 
     if is_gait_file(path):
         gait = load_gait(path, robot)
@@ -272,14 +272,14 @@ def _clock(
         return MonotonicClock()
     if not faults:
         return VirtualClock()
-    from lss_motion.sim.host import SleepyClock
+    from lss_motion.sim.clocks import SleepyClock
 
     return SleepyClock(faults, seed=seed)
 
 
 def _truth(player: Player, robot: Robot, buses: Mapping[str, SimBus]) -> Truth | None:
     """Return the horns of the show's joints at every 10 ms of show time that was played."""
-    from lss_motion.sim.build import servos_of
+    from lss_motion.sim.bus import servos_of
 
     if player.show is None or player.show_ended_ns is None:
         return None

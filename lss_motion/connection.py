@@ -13,9 +13,9 @@ import dataclasses
 from typing import TYPE_CHECKING, Any, Final, Self
 
 from lss_motion.errors import InputError
+from lss_motion.maintenance.discovery import Pause
 from lss_motion.maintenance.limits import answered, questions
-from lss_motion.maintenance.pause import Pause
-from lss_motion.player.conversation import Conversation
+from lss_motion.player.transactions import Conversation
 from lss_motion.runtime.clock import MonotonicClock, VirtualClock
 from lss_motion.runtime.port import SerialPort
 from lss_motion.runtime.runner import D, run
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from types import TracebackType
 
-    from lss_motion.player.dialogue import Item
+    from lss_motion.player.transactions import Item
     from lss_motion.robot.model import Bus, Robot
     from lss_motion.runtime.clock import Clock
     from lss_motion.runtime.port import Port
@@ -182,7 +182,7 @@ class Connection:
         """Open a simulated bus with the servos of `robot`."""
         if robot is None:
             raise InputError("sim:// simulates the servos of a robot file; give one")
-        from lss_motion.sim.build import bus_from_robot
+        from lss_motion.sim.bus import bus_from_robot
         from lss_motion.sim.port import SimPort
 
         options: dict[str, Any] = {"faults": faults} if faults else {}

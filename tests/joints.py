@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from lss_motion.robot.model import Joint
-from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.robot.servo_models import SERVO_MODELS
 
 
 def joint(name="j0", servo_id=1, **fields) -> Joint:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from lss_motion.protocol.family import Family
+from lss_motion.protocol.constants import Family
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

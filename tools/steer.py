@@ -24,7 +24,7 @@ from lss_motion.gait.kinematics import forward
 from lss_motion.gait.model import BodyPose
 from lss_motion.gait.patterns import PATTERNS
 from lss_motion.gait.steering import eased
-from lss_motion.gait.walker import STILL, Twist
+from lss_motion.gait.stepping import STILL, Twist
 from lss_motion.player.events import Phase
 from lss_motion.walking.local import LocalLink
 from lss_motion.walking.pilot import Pilot

@@ -15,7 +15,7 @@ import subprocess
 import sys
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from lss_motion.cli.controls import KEYS_HELP
+from lss_motion.cli.terminal import KEYS_HELP
 from lss_motion.player.events import Phase
 from lss_motion.runtime.real_time import stand_back
 from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
+    from lss_motion.player.joint_state import JointState
     from lss_motion.player.player import Player
-    from lss_motion.player.track import Track
 
 FRAME_NS: Final = NS_PER_S // 10
 ROOM_NS: Final = 3 * NS_PER_MS
@@ -160,7 +160,7 @@ def frame_of(player: Player, now_ns: int, notes: list[str], memory: Memory) -> d
     }
 
 
-def _joint(track: Track, now_ns: int) -> list[Any]:
+def _joint(track: JointState, now_ns: int) -> list[Any]:
     """Return what there is to see of a joint: target, measured and error as of one reading."""
     joint, measured_deg = track.joint, track.following.measured_deg
     if measured_deg is None:

@@ -50,7 +50,7 @@ def _example(arguments: argparse.Namespace) -> int:
         return EXIT_FINISHED
     name = arguments.name.removesuffix(".yaml")
     if name not in names:
-        from lss_motion.spelling import known_names
+        from lss_motion.files.source import known_names
 
         raise InputError(f"unknown example {arguments.name!r}; {known_names(name, names)}")
     for path in write_example(name, Path(), is_forced=arguments.force):

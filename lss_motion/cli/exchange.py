@@ -6,8 +6,13 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import add_command, add_force, refuse_overwriting
-from lss_motion.cli.robots import add_cache_option, reader
+from lss_motion.cli.commands import (
+    add_cache_option,
+    add_command,
+    add_force,
+    reader,
+    refuse_overwriting,
+)
 from lss_motion.errors import EXIT_FINISHED, InputError
 
 if TYPE_CHECKING:
@@ -104,11 +109,10 @@ def add_to(commands: Commands) -> None:
 
 
 def _import(arguments: argparse.Namespace) -> int:
-    from lss_motion.cli.check import plan_lines
+    from lss_motion.cli.planning import plan_lines
     from lss_motion.cli.tables import write_text
-    from lss_motion.interchange.importing import imported
+    from lss_motion.interchange.importing import imported, read_motion
     from lss_motion.interchange.mapping import load_map, map_template
-    from lss_motion.interchange.motions import read_motion
     from lss_motion.sequence.model import Interpolation
     from lss_motion.sequence.write import write_sequence
     from lss_motion.trajectory.planner import plan

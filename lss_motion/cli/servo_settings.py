@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.scanning import ask_alone
+from lss_motion.cli.scan import ask_alone
 from lss_motion.errors import BusError, InputError
 from lss_motion.maintenance import settings
 from lss_motion.maintenance.settings import Target
-from lss_motion.player.dialogue import Item
+from lss_motion.player.transactions import Item
 from lss_motion.protocol.codec import make_command
-from lss_motion.protocol.constants import RESET_S
-from lss_motion.protocol.family import Family
+from lss_motion.protocol.constants import RESET_S, Family
 from lss_motion.protocol.line import Command
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from lss_motion.connection import Connection
-    from lss_motion.maintenance.roll_call import Present
+    from lss_motion.maintenance.discovery import Present
     from lss_motion.maintenance.settings import Change, Values
 
 RESET_WAIT_S: Final = RESET_S + 0.25

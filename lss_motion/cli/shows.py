@@ -50,7 +50,7 @@ def load(
     That of a gait file is what its robot walks. `read_robot` reads robot files.
     """
     from lss_motion.gait.load import is_gait_file
-    from lss_motion.gait.sequence import gait_as_sequence, sequence_of
+    from lss_motion.gait.to_sequence import gait_as_sequence, sequence_of
     from lss_motion.robot.load import load_robot
     from lss_motion.sequence.load import load_sequence
 

@@ -1,4 +1,7 @@
-"""`lss-motion walk GAIT`: a walk that is steered with keys or a gamepad while it goes."""
+"""`lss-motion walk GAIT`: a walk that is steered with keys or a gamepad while it goes.
+
+`lss-motion gait`: what a gait file comes to, before a robot is involved.
+"""
 
 from __future__ import annotations
 
@@ -9,31 +12,31 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.cli.commands import add_command
-from lss_motion.cli.messages import Printer, ended_by, nothing
-from lss_motion.cli.preflight import YES_HELP, Agreement, must_ask
-from lss_motion.cli.robots import add_cache_option, reader
-from lss_motion.errors import (
-    EXIT_FINISHED,
-    EXIT_NOT_FOLLOWED,
-    InputError,
-    PlanningError,
+from lss_motion.cli.commands import (
+    add_cache_option,
+    add_command,
+    add_force,
+    reader,
+    refuse_overwriting,
 )
+from lss_motion.cli.messages import Printer, ended_by, nothing
+from lss_motion.cli.play import YES_HELP, Agreement, must_ask
+from lss_motion.errors import EXIT_FINISHED, EXIT_NOT_FOLLOWED, InputError, PlanningError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from lss_motion.api import Result
     from lss_motion.cli.commands import Commands
-    from lss_motion.cli.controls import Terminal
+    from lss_motion.cli.terminal import Terminal
     from lss_motion.gait.model import Gait
-    from lss_motion.gait.walker import Twist
+    from lss_motion.gait.stepping import Twist
     from lss_motion.player.player import Player
     from lss_motion.robot.model import Robot
-    from lss_motion.walking.gamepad import Gamepad
+    from lss_motion.walking.inputs import Gamepad, Wishes
     from lss_motion.walking.pilot import Pilot
     from lss_motion.walking.process import PlannerProcess
-    from lss_motion.walking.wishes import Wishes
+
 
 TOP_STRIDE_MM: Final = 40.0
 TOP_TURN_DEG: Final = 12.0
@@ -54,7 +57,8 @@ there when it is let go, on Ctrl-C, and when planning is late. A second Ctrl-C s
 
 
 def add_to(commands: Commands) -> None:
-    """Add the command of this module."""
+    """Add the commands of this module."""
+    _add_gait_to(commands)
     text = "walk, steered live with keys or a gamepad"
     walk = add_command(commands, "walk", _walk, text, f"{DESCRIPTION}\nKeys: {KEYS_HELP}.")
     walk.add_argument("file", type=Path, metavar="GAIT", help="a gait file")
@@ -81,12 +85,12 @@ def add_to(commands: Commands) -> None:
 def _walk(arguments: argparse.Namespace) -> int:
     from lss_motion import api
     from lss_motion.cli import shows
-    from lss_motion.cli.controls import Terminal
-    from lss_motion.cli.report_text import report_lines
+    from lss_motion.cli.report import report_lines
+    from lss_motion.cli.terminal import Terminal
     from lss_motion.connection import with_port
     from lss_motion.gait.model import BodyPose
     from lss_motion.runtime.report import write_report
-    from lss_motion.walking.wishes import Wishes
+    from lss_motion.walking.inputs import Wishes
 
     if arguments.report is not None and not arguments.report.absolute().parent.is_dir():
         raise InputError("cannot be written: there is no such folder", path=arguments.report)
@@ -129,7 +133,7 @@ def fastest(gait: Gait, robot: Robot, arguments: argparse.Namespace) -> tuple[Ga
     """
     from lss_motion.gait.model import Walk
     from lss_motion.gait.steering import eased
-    from lss_motion.gait.walker import STILL
+    from lss_motion.gait.stepping import STILL
 
     wanted, guessed = STILL, {}
     for name, guess in (
@@ -221,7 +225,7 @@ def _perform(
     from lss_motion.cli.play import tell
     from lss_motion.cli.shows import GAIT_TOLERANCE_DEG
     from lss_motion.gait.model import BodyPose
-    from lss_motion.walking.gamepad import Gamepad
+    from lss_motion.walking.inputs import Gamepad
     from lss_motion.walking.pilot import Pilot
     from lss_motion.walking.planner import Planner
     from lss_motion.walking.process import PlannerProcess
@@ -275,3 +279,39 @@ def _speed(text: str) -> float:
     if not (math.isfinite(value) and 0.0 < value <= 10_000.0):
         raise argparse.ArgumentTypeError(f"{text} is not a speed above 0")
     return value
+
+
+def _add_gait_to(commands: Commands) -> None:
+    gait = add_command(
+        commands, "gait", _gait, "say how a gait walks; write it as keyframes or a picture"
+    )
+    gait.add_argument("file", type=Path, metavar="FILE", help="a gait file")
+    gait.add_argument("--robot", type=Path, metavar="FILE", help="use this robot file")
+    add_cache_option(gait)
+    gait.add_argument(
+        "-o", "--output", type=Path, metavar="S.yaml", help="write the keyframes as a sequence"
+    )
+    add_force(gait)
+    gait.add_argument("--plot", type=Path, metavar="F.png", help="draw it; the suffix says how")
+
+
+def _gait(arguments: argparse.Namespace) -> int:
+    from lss_motion.cli import shows
+    from lss_motion.gait.pacing import gait_lines, paced
+    from lss_motion.gait.to_sequence import sequence_from
+    from lss_motion.sequence.write import write_sequence
+    from lss_motion.trajectory.planner import plan
+
+    refuse_overwriting(arguments.output, is_forced=arguments.force)
+    gait, robot = shows.load_gait(arguments.file, arguments.robot, reader(arguments, may_ask=False))
+    passages = paced(gait, robot)
+    sequence = sequence_from(gait, passages)
+    plan(sequence, robot)  # Its own judge has to agree before anything is written.
+    if arguments.output is not None:
+        write_sequence(sequence, arguments.output, comments=[f"What {arguments.file} comes to."])
+    if arguments.plot is not None:
+        from lss_motion.gait.plot import plot_gait
+
+        plot_gait(gait, passages, arguments.plot)
+    print("\n".join(gait_lines(gait, passages)))
+    return EXIT_FINISHED

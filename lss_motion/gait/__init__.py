@@ -7,7 +7,7 @@ servo is known beyond its limits.
 
 from lss_motion.gait.load import gait_schema, is_gait_file, load_gait
 from lss_motion.gait.pacing import paced
-from lss_motion.gait.sequence import sequence_from, sequence_of
+from lss_motion.gait.to_sequence import sequence_from, sequence_of
 
 __all__ = [
     "gait_schema",

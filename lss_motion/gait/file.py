@@ -9,12 +9,12 @@ from typing import Annotated, Final, Literal
 
 from pydantic import AfterValidator, Field
 
+from lss_motion.files.validation import FileModel, Name, Text
 from lss_motion.gait.model import LegKind
 from lss_motion.gait.patterns import PATTERNS
 from lss_motion.robot.file import AngleDeg  # noqa: TC001  (pydantic reads it)
 from lss_motion.sequence.file import Loop, TimeS  # noqa: TC001  (pydantic reads them)
-from lss_motion.sequence.timing import TIME_MAX_S
-from lss_motion.validation import FileModel, Name, Text
+from lss_motion.sequence.keyframes import TIME_MAX_S
 
 LENGTH_MAX_MM: Final = 10_000.0
 """Chosen: ten metres; more is a slip of the key or another unit."""

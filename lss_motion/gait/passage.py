@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING, Final, Protocol
 import numpy as np
 
 from lss_motion.gait.curves import blend, through
-from lss_motion.gait.kinematics import neutral_mm
-from lss_motion.gait.stance import Stance
-from lss_motion.gait.steps import Steps, steps
-from lss_motion.gait.travel import Travel, travel
+from lss_motion.gait.kinematics import Stance, neutral_mm
+from lss_motion.gait.stepping import Steps, Travel, steps, travel
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from lss_motion.gait.explain import more_s
+from lss_motion.gait.pacing import more_s
 from lss_motion.picture import new_figure, save
 
 if TYPE_CHECKING:
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from lss_motion.gait.kinematics import Stance
     from lss_motion.gait.model import Gait
     from lss_motion.gait.pacing import Paced
-    from lss_motion.gait.stance import Stance
 
     FloatArray = NDArray[np.float64]
 

@@ -30,7 +30,7 @@ from lss_motion.gait.pacing import (
     paced,
 )
 from lss_motion.gait.passage import Walking, lean_s_of, stepping
-from lss_motion.gait.walker import INSTANT_S, STILL, Foot, Stepper, Twist, Walker
+from lss_motion.gait.stepping import INSTANT_S, STILL, Foot, Stepper, Twist, Walker
 from lss_motion.units import significant
 
 if TYPE_CHECKING:

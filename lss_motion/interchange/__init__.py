@@ -7,9 +7,17 @@ make a sequence of it (`sequence_for`). `exported` turns samples of a plan into 
 """
 
 from lss_motion.interchange.export import EXPORT_NAMES, Samples, exported
-from lss_motion.interchange.importing import Imported, import_motion, imported, sequence_for
+from lss_motion.interchange.importing import (
+    FORMAT_NAMES,
+    READERS,
+    Imported,
+    import_motion,
+    imported,
+    read_motion,
+    read_motions,
+    sequence_for,
+)
 from lss_motion.interchange.mapping import MotionMap, load_map, map_template, mapped
-from lss_motion.interchange.motions import FORMAT_NAMES, READERS, read_motion, read_motions
 from lss_motion.interchange.reader import (
     Channel,
     ForeignMotion,

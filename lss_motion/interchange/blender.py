@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.interchange.json_source import JsonFields, parsed_json, starts_json
-from lss_motion.interchange.poses import recording
-from lss_motion.interchange.reader import DIGITS, VALUES_MAX, Channel, Unit, summarised
+from lss_motion.interchange.fields import JsonFields, parsed_json, starts_json
+from lss_motion.interchange.reader import DIGITS, VALUES_MAX, Channel, Unit, recording, summarised
 
 if TYPE_CHECKING:
     from pathlib import Path

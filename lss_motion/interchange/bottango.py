@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.interchange.json_source import NUMBER_MAX, JsonFields, parsed_json, starts_json
-from lss_motion.interchange.poses import recording, thinned
-from lss_motion.interchange.reader import VALUES_MAX, Channel, Unit, summarised
-from lss_motion.sequence.timing import TIME_MAX_S
+from lss_motion.interchange.fields import NUMBER_MAX, JsonFields, parsed_json, starts_json
+from lss_motion.interchange.reader import VALUES_MAX, Channel, Unit, recording, summarised, thinned
+from lss_motion.sequence.keyframes import TIME_MAX_S
 from lss_motion.units import s_from_ms
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from lss_motion.interchange.poses import thinned
+from lss_motion.interchange.fields import TextLines
 from lss_motion.interchange.reader import (
     VALUES_MAX,
     Channel,
@@ -24,10 +24,10 @@ from lss_motion.interchange.reader import (
     is_dense,
     motion_label,
     summarised,
+    thinned,
 )
-from lss_motion.interchange.text_lines import TextLines
+from lss_motion.sequence.keyframes import TIME_MAX_S
 from lss_motion.sequence.model import Interpolation
-from lss_motion.sequence.timing import TIME_MAX_S
 from lss_motion.units import s_from_ms, s_from_us
 
 if TYPE_CHECKING:

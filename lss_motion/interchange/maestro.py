@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Final
 from xml.parsers import expat
 
 from lss_motion.errors import InputError
-from lss_motion.interchange.poses import Pose, motion_of_poses
-from lss_motion.interchange.reader import Unit, read_or_refused, summarised
-from lss_motion.interchange.text_lines import TextLines
+from lss_motion.interchange.fields import TextLines
+from lss_motion.interchange.reader import Pose, Unit, motion_of_poses, read_or_refused, summarised
 from lss_motion.units import s_from_ms
 
 if TYPE_CHECKING:

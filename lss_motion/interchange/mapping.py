@@ -1,26 +1,34 @@
-"""From another robot's joints to ours: names, units, signs, scales, offsets and full turns."""
+"""From another robot's joints to ours: names, units, signs, scales, offsets and full turns.
+
+The keys of a map file: what another robot's joints are on ours.
+
+Importing this module imports pydantic, so it is imported where a file is read.
+"""
 
 from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import numpy as np
+from pydantic import AfterValidator, Field
 
 from lss_motion.errors import InputError
+from lss_motion.files.source import known_names
+from lss_motion.files.validation import FileModel, Name
+from lss_motion.files.yaml_source import Problem, read_yaml
 from lss_motion.interchange.reader import DEG_PER_UNIT, Channel, Unit, summarised
-from lss_motion.spelling import known_names
-from lss_motion.yaml_source import Problem, read_yaml
+from lss_motion.robot.file import AngleDeg  # noqa: TC001  (pydantic reads it)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from lss_motion.interchange.map_file import MapEntry
+    from lss_motion.files.yaml_source import YamlSource
     from lss_motion.interchange.reader import FloatArray, ForeignMotion
     from lss_motion.robot.model import Joint, Robot
-    from lss_motion.yaml_source import YamlSource
+
 
 TURN_DEG: Final = 360.0
 
@@ -43,8 +51,7 @@ class MotionMap:
 
 def load_map(path: Path) -> MotionMap:
     """Return the map in the file at `path`, or raise `InputError` with file and line."""
-    from lss_motion.interchange.map_file import MapFile
-    from lss_motion.validation import validate
+    from lss_motion.files.validation import validate
 
     source = read_yaml(path)
     content, problems, _ = validate(MapFile, source)
@@ -217,3 +224,41 @@ def _guess(channel: Channel, robot: Robot) -> str:
 
 def _shown(text: str) -> str:
     return "".join(char if char.isprintable() else "?" for char in text)
+
+
+SCALE_MAX: Final = 1e6
+"""Degrees per unit: a spindle of 1 mm a turn makes 360,000 of a metre."""
+
+
+def _check_sign(sign: int) -> int:
+    if sign not in {1, -1}:
+        raise ValueError("must be 1 or -1")
+    return sign
+
+
+class MapEntry(FileModel, title="mapped joint"):
+    """One joint: `angle = offset_deg + sign * scale * value`, the value in degrees if an angle."""
+
+    name: Name | None = Field(
+        default=None, description="Joint of our robot. Default: the same name."
+    )
+    skip: bool = Field(default=False, description="Leave this joint out.")
+    unit: Literal["deg", "rad", "us", "m", "raw"] | None = Field(
+        default=None, description="What the values are. Default: what the file says."
+    )
+    sign: Annotated[int, AfterValidator(_check_sign)] = Field(
+        default=1, description="-1 where our joint turns the other way."
+    )
+    scale: float | None = Field(
+        default=None,
+        gt=0.0,
+        le=SCALE_MAX,
+        description="Degrees of our joint per unit; needed where the unit is no angle.",
+    )
+    offset_deg: AngleDeg = Field(default=0.0, description="Angle of our joint at value 0.")
+
+
+class MapFile(FileModel, title="map file"):
+    """How the joints of a motion file become joints of a robot."""
+
+    joints: Annotated[dict[str, MapEntry], Field(min_length=1)]

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.interchange.poses import Pose, motion_of_poses
-from lss_motion.interchange.reader import read_or_refused
-from lss_motion.interchange.robotis_text import ax_deg
-from lss_motion.interchange.text_lines import TextLines
+from lss_motion.interchange.fields import TextLines
+from lss_motion.interchange.reader import Pose, motion_of_poses, read_or_refused
+from lss_motion.interchange.robotis import ax_deg
 from lss_motion.units import s_from_ms
 
 if TYPE_CHECKING:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from lss_motion.interchange.json_source import JsonFields, parsed_json, starts_json
-from lss_motion.interchange.poses import Pose, motion_of_poses
-from lss_motion.interchange.reader import summarised
+from lss_motion.interchange.fields import JsonFields, parsed_json, starts_json
+from lss_motion.interchange.reader import Pose, motion_of_poses, summarised
 
 if TYPE_CHECKING:
     from pathlib import Path

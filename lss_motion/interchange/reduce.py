@@ -2,6 +2,21 @@
 
 The interpolation is the one that the planner follows between keys: this module knows its shape, so
 that the error that it reports is that of the motion that will be played.
+
+Which samples of a recorded curve are its keys: the fewest that can be found in reasonable time.
+
+Keys grow from the ends and rests until the curve fits, then what is not needed goes, then the rest
+is moved to where more of it can go.
+
+The shape of a motion between its keys, as `trajectory.curves` plans it.
+
+Written here again because the planner stands above this package; a test holds the two together.
+
+What the samples of a recording ask of a servo, and the spline through them that asks no more.
+
+A spline through samples exactly swings about where the acceleration jumps, so a motion that sits
+at its limits would be slowed there when it is planned again. The spline whose control points are
+the samples does not: its speeds and accelerations are averages of the recording's own.
 """
 
 from __future__ import annotations
@@ -13,18 +28,416 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import InputError
-from lss_motion.interchange.interpolant import interpolated
-from lss_motion.interchange.key_choice import Curve, refined_keys, rough_keys
 from lss_motion.interchange.reader import DIGITS, Unit
-from lss_motion.interchange.samples import EVENING_MAX_DEG, drive, evened
+from lss_motion.sequence.keyframes import KEYFRAMES_MAX
 from lss_motion.sequence.model import Interpolation
-from lss_motion.sequence.timing import KEYFRAMES_MAX
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from lss_motion.interchange.interpolant import FloatArray, IntArray
+    from numpy.typing import NDArray
+
     from lss_motion.interchange.reader import Channel, ForeignMotion
+
+    FloatArray = NDArray[np.float64]
+    IntArray = NDArray[np.intp]
+
+
+LINEAR_RAMP_RATIO: Final = 0.25
+"""Each ramp of a `linear` move takes this share of it, as in `trajectory.curves`."""
+
+
+def interpolated(
+    ease: Interpolation, key_times_s: FloatArray, key_values: FloatArray, times_s: FloatArray
+) -> FloatArray:
+    """Return what keys lead to at the increasing `times_s`: from rest to rest, still outside.
+
+    `ease` is `spline`, `smooth` or `linear`.
+    """
+    if len(key_times_s) == 1:
+        return np.full(len(times_s), key_values[0])
+    # How many of the samples each span has; the last one has those after it as well.
+    bounds = np.searchsorted(times_s, key_times_s[1:-1], side="left")
+    counts = np.diff(np.concatenate([[0], bounds, [len(times_s)]]))
+    return Spans.between(ease, key_times_s, key_values).at(times_s, counts)
+
+
+@dataclass(frozen=True, slots=True)
+class Spans:
+    """What lies between keys: cubics of the share of each span, or moves with even ramps."""
+
+    starts_s: FloatArray
+    lengths_s: FloatArray
+    start: FloatArray
+    moved: FloatArray
+    slopes: FloatArray | None
+    """At all keys; None for `linear`."""
+
+    @classmethod
+    def between(cls, ease: Interpolation, times_s: FloatArray, values: FloatArray) -> Spans:
+        """Return the spans between two keys or more."""
+        lengths_s, moved = np.diff(times_s), np.diff(values)
+        slopes = None
+        if ease is not Interpolation.LINEAR:
+            assert ease in {Interpolation.SMOOTH, Interpolation.SPLINE}, ease
+            find_slopes = _monotone_slopes if ease is Interpolation.SMOOTH else _spline_slopes
+            slopes = find_slopes(lengths_s, moved / lengths_s)
+        return cls(times_s[:-1], lengths_s, values[:-1], moved, slopes)
+
+    def at(self, times_s: FloatArray, counts: IntArray) -> FloatArray:
+        """Return the values at `times_s`, of which each span has the next of `counts`."""
+        scale = 1.0 / self.lengths_s
+        share = times_s * np.repeat(scale, counts)
+        share -= np.repeat(self.starts_s * scale, counts)
+        np.clip(share, 0.0, 1.0, out=share)
+        if self.slopes is None:
+            return np.repeat(self.start, counts) + np.repeat(self.moved, counts) * _trapezoid(share)
+        linear, square, cube = self._coefficients(self.slopes)
+        values = share * np.repeat(cube, counts)
+        values += np.repeat(square, counts)
+        values *= share
+        values += np.repeat(linear, counts)
+        values *= share
+        values += np.repeat(self.start, counts)
+        return values
+
+    def peaks(self) -> tuple[FloatArray, FloatArray]:
+        """Return the largest speed and acceleration within each span; not for `linear`."""
+        assert self.slopes is not None
+        linear, square, cube = self._coefficients(self.slopes)
+        accel = 2.0 * np.maximum(np.abs(square), np.abs(square + 3.0 * cube)) / self.lengths_s**2
+        turn = np.divide(-square, 3.0 * cube, out=np.zeros_like(cube), where=cube != 0.0)
+        turn = np.clip(turn, 0.0, 1.0)
+        speed = np.abs(linear + turn * (2.0 * square + turn * 3.0 * cube)) / self.lengths_s
+        at_keys = np.abs(self.slopes)
+        return np.maximum(speed, np.maximum(at_keys[:-1], at_keys[1:])), accel
+
+    def extremes(self) -> tuple[FloatArray, FloatArray]:
+        """Return the least and the largest value of each span; not for `linear`."""
+        assert self.slopes is not None
+        linear, square, cube = self._coefficients(self.slopes)
+        ends = np.stack([np.zeros_like(linear), self.moved])
+        # Where 3 cube s² + 2 square s + linear is 0, in the form that also holds for cube = 0.
+        root = np.sqrt(np.maximum(square**2 - 3.0 * cube * linear, 0.0))
+        near = -(square + np.copysign(root, square))
+        turns = [
+            np.divide(linear, near, out=np.zeros_like(near), where=near != 0.0),
+            np.divide(near, 3.0 * cube, out=np.zeros_like(near), where=cube != 0.0),
+        ]
+        inside = [np.clip(turn, 0.0, 1.0) for turn in turns]
+        values = np.stack([*ends, *(s * (linear + s * (square + s * cube)) for s in inside)])
+        return self.start + values.min(axis=0), self.start + values.max(axis=0)
+
+    def _coefficients(self, slopes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return those of the share, its square and its cube."""
+        before, after = slopes[:-1] * self.lengths_s, slopes[1:] * self.lengths_s
+        square = 3.0 * self.moved - 2.0 * before - after
+        return before, square, before + after - 2.0 * self.moved
+
+
+def _trapezoid(share: FloatArray) -> FloatArray:
+    """Return the way covered of a move from rest to rest with even ramps."""
+    ramp = LINEAR_RAMP_RATIO
+    speed = 1.0 / (1.0 - ramp)
+    rest = 1.0 - share
+    up, down = 0.5 * speed * share**2 / ramp, 1.0 - 0.5 * speed * rest**2 / ramp
+    cruise = speed * (share - 0.5 * ramp)
+    return np.where(share < ramp, up, np.where(rest < ramp, down, cruise))
+
+
+def _monotone_slopes(lengths_s: FloatArray, secants: FloatArray) -> FloatArray:
+    """Return slopes at all keys, 0 at both ends and where the direction turns.
+
+    Fritsch and Butland's weighted harmonic mean (SIAM J. Sci. Stat. Comput. 5, 1984).
+    """
+    before_s, after_s = lengths_s[:-1], lengths_s[1:]
+    is_monotone = secants[:-1] * secants[1:] > 0.0
+    before = np.where(is_monotone, secants[:-1], 1.0)
+    after = np.where(is_monotone, secants[1:], 1.0)
+    weight, other = 2.0 * after_s + before_s, after_s + 2.0 * before_s
+    mean = (weight + other) / (weight / before + other / after)
+    slopes = np.zeros(len(lengths_s) + 1)
+    slopes[1:-1] = np.where(is_monotone, mean, 0.0)
+    return slopes
+
+
+def _spline_slopes(lengths_s: FloatArray, secants: FloatArray) -> FloatArray:
+    """Return slopes that make the second derivative continuous, 0 at both ends."""
+    from scipy.linalg import solve_banded
+
+    slopes = np.zeros(len(lengths_s) + 1)
+    if len(lengths_s) < 2:
+        return slopes
+    inverse, pulls = 1.0 / lengths_s, 3.0 * secants / lengths_s
+    bands = np.zeros((3, len(slopes) - 2))
+    bands[0, 1:] = inverse[1:-1]
+    bands[1] = 2.0 * (inverse[:-1] + inverse[1:])
+    bands[2, :-1] = inverse[1:-1]
+    slopes[1:-1] = solve_banded((1, 1), bands, pulls[:-1] + pulls[1:], check_finite=False)
+    return slopes
+
+
+APART: Final = 4
+"""Keys tried at once are so many apart: taking one out changes a smooth curve from two keys before
+it to two after it, and a spline little beyond that."""
+
+PULL: Final = 6
+"""How many keys away a key still bends a spline: by 0.27 to the power of this, 0.04 %."""
+
+OUT_DEG: Final = 1e-7
+"""Rounding of a spline that rests at the end of a range."""
+
+EXCESS_SLACK: Final = 5e-5
+"""Half of what the planner takes for rounding (`trajectory.solve.FEASIBLE_RATIO`)."""
+
+REST_MIN_S: Final = 0.25
+"""A joint that stays for so long was put there; its corners are the first keys to try."""
+
+FAR_APART: Final = 12
+"""For the last keys: so far apart not even splines touch each other (each key on the way leaves a
+quarter of a change, so 0.02 % here)."""
+
+SHIFTS: Final = (-16, -8, -4, -2, -1, 1, 2, 4, 8, 16)
+"""How many samples a key is moved at a time to bring the curve closer."""
+
+ROUNDS: Final = 2
+"""Rounds of moving keys and taking out what that frees."""
+
+SWEEPS_MAX: Final = 12
+"""Rounds of taking out keys. Measured: the last rounds of recordings take out less than 0.1 %."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Curve:
+    """One joint's recording, how far its keys may lead away from it, and how hard they may drive.
+
+    `key_values` are the angles that samples have as keys. `speed_max_deg_s`, `accel_max_deg_s2`:
+    what a spline may ask for around each sample; infinite where nobody minds. It may not leave
+    `range_deg` either, unless a key does.
+    """
+
+    times_s: FloatArray
+    values: FloatArray
+    key_values: FloatArray
+    speed_max_deg_s: FloatArray
+    accel_max_deg_s2: FloatArray
+    tolerance_deg: float
+    ease: Interpolation
+    range_deg: tuple[float, float] = (-np.inf, np.inf)
+    step_s: float = 0.0
+    """0, or only the samples next to its multiples may be keys."""
+
+    @property
+    def candidates(self) -> NDArray[np.bool_]:
+        """Which samples may be keys."""
+        if self.step_s == 0.0:
+            return np.ones(len(self.times_s), dtype=np.bool_)
+        return np.concatenate([[True], np.diff(np.round(self.times_s / self.step_s)) > 0.0])
+
+    def fits(self, keys: IntArray) -> bool:
+        return float(self.error_deg(keys).max()) <= self.tolerance_deg
+
+    def error_deg(self, keys: IntArray) -> FloatArray:
+        """Return how far the keys (the first and the last sample among them) lead away.
+
+        A span that asks for more than it may counts as off by more than the tolerance, most so in
+        its middle.
+        """
+        counts = np.diff(keys)
+        counts[-1] += 1
+        spans = Spans.between(self.ease, self.times_s[keys], self.key_values[keys])
+        error_deg = spans.at(self.times_s, counts)
+        error_deg -= self.values
+        np.abs(error_deg, out=error_deg)
+        if self.ease is Interpolation.SPLINE:
+            self._blame(keys, spans, error_deg)
+        return error_deg
+
+    def _blame(self, keys: IntArray, spans: Spans, error_deg: FloatArray) -> None:
+        speed, accel = spans.peaks()
+        excess = np.maximum(
+            speed / _most(self.speed_max_deg_s, keys), accel / _most(self.accel_max_deg_s2, keys)
+        )
+        low_deg, high_deg = spans.extremes()
+        is_out = (low_deg < self.range_deg[0] - OUT_DEG) | (high_deg > self.range_deg[1] + OUT_DEG)
+        for span in np.flatnonzero(is_out | (excess > 1.0 + EXCESS_SLACK)).tolist():
+            first, last = int(keys[span]), int(keys[span + 1])
+            off = 2.0 * np.abs(np.arange(first, last) - 0.5 * (first + last)) / (last - first)
+            blame_deg = self.tolerance_deg * (1.0 + float(excess[span]) * (1.5 - off))
+            np.maximum(error_deg[first:last], blame_deg, out=error_deg[first:last])
+
+
+def _most(per_sample: FloatArray, keys: IntArray) -> FloatArray:
+    """Return the largest value of each span, both of its keys included."""
+    inside = np.maximum.reduceat(per_sample, keys[:-1])
+    return np.maximum(inside, per_sample[keys[1:]])
+
+
+def rough_keys(curve: Curve) -> IntArray:
+    """Return samples that fit as keys, nearly the fewest."""
+    if float(np.abs(curve.values - curve.key_values[0]).max()) <= curve.tolerance_deg:
+        return np.zeros(1, dtype=np.intp)
+    keys = _grown(curve)
+    if not curve.fits(keys):
+        return keys  # The candidates are too few: the caller will say so.
+    return _pruned(curve, keys, APART)
+
+
+def refined_keys(curve: Curve, keys: IntArray) -> IntArray:
+    """Return fewer keys yet: moved to where more of them can go."""
+    if len(keys) == 1 or not curve.fits(keys):
+        return keys
+    for _ in range(ROUNDS):
+        shifted = _shifted(curve, keys)
+        if not curve.fits(shifted):
+            break  # Splines that were shifted side by side; rare.
+        keys = _pruned(curve, shifted, APART)
+    return _pruned(curve, keys, FAR_APART)
+
+
+def _grown(curve: Curve) -> IntArray:
+    """Return keys that fit: from all rests on, the worst sample of every bad span becomes a key."""
+    is_candidate = curve.candidates
+    rests = _rests(curve)
+    keys = np.union1d([0, len(curve.times_s) - 1], rests[is_candidate[rests]])
+    while True:
+        error_deg = curve.error_deg(keys)
+        bad = np.maximum.reduceat(error_deg, keys[:-1]) > curve.tolerance_deg
+        is_open = is_candidate.copy()
+        is_open[keys] = False
+        error_deg[~is_open] = -1.0
+        worst_deg = np.maximum.reduceat(error_deg, keys[:-1])
+        bad |= _around(bad & (worst_deg < 0.0))
+        spans = np.repeat(np.arange(len(keys) - 1), np.diff(keys))
+        is_worst = (error_deg[: keys[-1]] == worst_deg[spans]) & (bad & (worst_deg >= 0.0))[spans]
+        found = np.flatnonzero(is_worst)
+        if not len(found):
+            return keys
+        _, first_of_span = np.unique(spans[found], return_index=True)
+        keys = np.union1d(keys, found[first_of_span])
+
+
+def _around(is_full: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the spans near those that are bad with no sample left: their keys pull at these."""
+    reach = np.ones(2 * PULL + 1)
+    return np.asarray(np.convolve(is_full, reach)[PULL:-PULL] > 0.0)
+
+
+def _rests(curve: Curve) -> IntArray:
+    """Return both ends of every stretch in which a joint stays within half the tolerance."""
+    times_s = curve.times_s
+    ends: list[int] = []
+    first = 0
+    low = high = float(curve.values[0])
+    for index, value in enumerate(curve.values.tolist()):
+        low, high = min(low, value), max(high, value)
+        if high - low > 0.5 * curve.tolerance_deg:
+            if times_s[index - 1] - times_s[first] >= REST_MIN_S:
+                ends += [first, index - 1]
+            first, low, high = index, value, value
+    if times_s[-1] - times_s[first] >= REST_MIN_S:
+        ends += [first, len(times_s) - 1]
+    return np.array(ends, dtype=np.intp)
+
+
+def _pruned(curve: Curve, keys: IntArray, apart: int) -> IntArray:
+    """Return the keys without those that are not needed, tried `apart` keys from each other."""
+    for _ in range(SWEEPS_MAX):
+        before = len(keys)
+        for phase in range(apart):
+            tried = np.arange(1 + phase, len(keys) - 1, apart)
+            while len(tried):
+                error_deg = curve.error_deg(np.delete(keys, tried))
+                worst_deg = np.maximum.reduceat(error_deg, keys)
+                is_bad = _is_near_bad(worst_deg > curve.tolerance_deg, tried)
+                if not is_bad.any():
+                    keys = np.delete(keys, tried)
+                    break
+                tried = tried[~is_bad]
+        if len(keys) == before:
+            break
+    return keys
+
+
+def _shifted(curve: Curve, keys: IntArray) -> IntArray:
+    """Return the keys, each moved to a sample nearby where that brings the curve closer."""
+    is_candidate = curve.candidates
+    keys = keys.copy()
+    for phase in range(APART):
+        tried = np.arange(1 + phase, len(keys) - 1, APART)
+        if not len(tried):
+            continue
+        # Each has the samples from two keys before it to two after it for itself.
+        starts = keys[np.maximum(tried - APART // 2, 0)]
+        starts[0] = 0
+        best = np.add.reduceat(curve.error_deg(keys) ** 2, starts)
+        for step in SHIFTS:
+            moved = keys.copy()
+            moved[tried] += step
+            fits = (moved[tried] > keys[tried - 1]) & (moved[tried] < keys[tried + 1])
+            fits &= is_candidate[np.clip(moved[tried], 0, len(curve.times_s) - 1)]
+            moved[tried[~fits]] = keys[tried[~fits]]
+            error_deg = curve.error_deg(moved)
+            total = np.add.reduceat(error_deg**2, starts)
+            is_within = np.maximum.reduceat(error_deg, starts) <= curve.tolerance_deg
+            is_better = fits & is_within & (total < best)
+            keys[tried[is_better]] = moved[tried[is_better]]
+            best[is_better] = total[is_better]
+    return keys
+
+
+def _is_near_bad(bad_spans: NDArray[np.bool_], tried: IntArray) -> NDArray[np.bool_]:
+    """Return which of the `tried` keys to blame for spans gone bad: the nearest of each."""
+    bad = np.flatnonzero(bad_spans)
+    is_blamed = np.zeros(len(tried), dtype=np.bool_)
+    # Span n lies between keys n and n + 1.
+    after = np.clip(np.searchsorted(tried, bad + 1), 0, len(tried) - 1)
+    before = np.maximum(after - 1, 0)
+    is_nearer = bad - tried[before] <= tried[after] - bad - 1
+    is_blamed[np.where(is_nearer, before, after)] = True
+    return is_blamed
+
+
+EVENING_MAX_DEG: Final = 0.02
+"""How far a key may be from its sample: 1000 deg/s² (all that the ramps of a servo can express)
+at 100 Hz come to 0.017 deg. Where it would be more, the sample itself is the key."""
+
+EVEN_RATIO: Final = 0.01
+"""Steps of time that differ by less are even. Chosen: microseconds at 1 kHz are 0.1 %."""
+
+REPEAT_DEG: Final = 1e-9
+"""Samples this near are at rest and stay what they are."""
+
+
+def evened(times_s: FloatArray, values: FloatArray, most_deg: float) -> FloatArray:
+    """Return the values at the samples of the uniform cubic B-spline that they control.
+
+    From rest to rest, as keys are. No value is moved by more than `most_deg`: then it stays.
+    """
+    if len(values) < 3:
+        return values
+    steps_s = np.diff(times_s)
+    steps_s = np.concatenate([steps_s[:1], steps_s, steps_s[-1:]])
+    is_even = np.abs(np.diff(steps_s)) <= EVEN_RATIO * steps_s[1:]
+    around = np.concatenate([values[1:2], values, values[-2:-1]])
+    by = (around[:-2] - 2.0 * values + around[2:]) / 6.0
+    is_moved = is_even & (np.abs(by) <= most_deg) & (np.abs(by) > REPEAT_DEG)
+    return np.where(is_moved, values + by, values)
+
+
+def drive(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return speed and acceleration of the recording around each sample, without signs."""
+    if len(values) < 3:
+        return np.full(len(values), np.inf), np.full(len(values), np.inf)
+    steps_s = np.diff(times_s)
+    speeds = np.diff(values) / steps_s
+    accels = np.abs(2.0 * np.diff(speeds) / (steps_s[1:] + steps_s[:-1]))
+    speeds = np.abs(speeds)
+    return (
+        np.maximum(np.append(speeds, 0.0), np.append(0.0, speeds)),
+        np.concatenate([accels[:1], accels, accels[-1:]]),
+    )
+
 
 TOLERANCE_DEG: Final = 1.0
 """How far keys may lead away from a recording, if nobody says otherwise (issue: `--tolerance-deg`).

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.interchange.poses import thinned
+from lss_motion.interchange.fields import TextLines
 from lss_motion.interchange.reader import (
     Channel,
     ForeignMotion,
@@ -22,9 +22,9 @@ from lss_motion.interchange.reader import (
     motion_label,
     read_or_refused,
     summarised,
+    thinned,
 )
-from lss_motion.interchange.text_lines import TextLines
-from lss_motion.sequence.timing import TIME_MAX_S
+from lss_motion.sequence.keyframes import TIME_MAX_S
 from lss_motion.units import s_from_ms
 
 if TYPE_CHECKING:

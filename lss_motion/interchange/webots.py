@@ -6,9 +6,8 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.interchange.poses import Pose, motion_of_poses
-from lss_motion.interchange.reader import summarised, unit_of_ros_joint
-from lss_motion.interchange.text_lines import TextLines
+from lss_motion.interchange.fields import TextLines
+from lss_motion.interchange.reader import Pose, motion_of_poses, summarised, unit_of_ros_joint
 
 if TYPE_CHECKING:
     from pathlib import Path

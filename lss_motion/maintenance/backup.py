@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.maintenance.roll_call import family_of
+from lss_motion.files.source import known_names
+from lss_motion.files.yaml_source import Problem, read_yaml
+from lss_motion.maintenance.discovery import family_of
 from lss_motion.maintenance.settings import said
-from lss_motion.protocol.storing import storable
-from lss_motion.spelling import known_names
-from lss_motion.yaml_source import Problem, read_yaml
+from lss_motion.protocol.codec import storable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -61,8 +61,8 @@ def backup_text(servos: Iterable[Kept]) -> str:
 
 def read_backup(path: Path) -> list[Kept]:
     """Return the servos of a backup file. Raises `InputError` with file and line."""
+    from lss_motion.files.validation import validate
     from lss_motion.maintenance.backup_file import BackupFile
-    from lss_motion.validation import validate
 
     source = read_yaml(path)
     content, problems, _ = validate(BackupFile, source)

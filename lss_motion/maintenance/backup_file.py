@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from lss_motion.files.validation import FileModel, Name, Text
 from lss_motion.protocol.constants import ID_MAX
-from lss_motion.validation import FileModel, Name, Text
 
 
 class ServoEntry(FileModel, title="servo"):

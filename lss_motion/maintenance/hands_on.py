@@ -5,6 +5,8 @@ are and get their settings back. A joint that is let go falls; the caller asks f
 
 Phases: connect (who is there?), prepare (the joint's limits for the session, as for a show), show
 (the person's part), restore, done.
+
+Asking servos where they are, one after the other, as fast as their line allows.
 """
 
 from __future__ import annotations
@@ -12,26 +14,166 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import deque
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError, LssMotionError
-from lss_motion.maintenance.polling import IDLE_NS, Poller
-from lss_motion.player import settings, setup
-from lss_motion.player.dialogue import Dialogue, Item
-from lss_motion.player.events import Event, Phase, PhaseEntered, Warned
-from lss_motion.player.line import Line
-from lss_motion.player.queries import Questioner
-from lss_motion.protocol.codec import make_command
-from lss_motion.protocol.family import Family
-from lss_motion.protocol.line import Command
-from lss_motion.units import MS_PER_S
+from lss_motion.player import handshake
+from lss_motion.player.events import Event, Faulted, Phase, PhaseEntered, Warned
+from lss_motion.player.query_tracker import QueryTracker
+from lss_motion.player.serial_line import SerialLine
+from lss_motion.player.transactions import Dialogue, Item
+from lss_motion.protocol.codec import make_command, read_reply
+from lss_motion.protocol.constants import Family, Status, status_from
+from lss_motion.protocol.line import Command, encode
+from lss_motion.robot.on_fault import Cause, FaultStep
+from lss_motion.units import MS_PER_S, NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from lss_motion.maintenance.polling import Reading
-    from lss_motion.player.settings import Answers
+    from lss_motion.player.handshake import Answers
+    from lss_motion.protocol.line import Reply
     from lss_motion.robot.model import Joint, Robot
+
+
+STATUS_NS: Final = NS_PER_S // 2
+"""How often one joint, the next each time, is asked for its status: safe mode is noticed."""
+SILENT_NS: Final = NS_PER_S
+"""A joint without an answer for so long is named. Chosen: nobody waits longer to be told."""
+IDLE_NS: Final = 20 * NS_PER_MS
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Where a joint was when its servo heard the question, in joint degrees."""
+
+    joint: str
+    at_ns: int
+    deg: float
+
+
+class Poller:
+    """Orders before questions, as many of these in flight as can be told apart.
+
+    The latest angles are in `readings`; `take()` returns what came since the last call.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        joints: Iterable[Joint],
+        lines: Mapping[str, SerialLine],
+        questioners: Mapping[str, QueryTracker],
+    ) -> None:
+        self.readings: dict[str, Reading] = {}
+        self.faults: deque[Faulted] = deque()
+        self._robot = robot
+        self._lines = lines
+        self._questioners = questioners
+        self._fresh: list[Reading] = []
+        self._owners = {(joint.bus, joint.servo_id): joint for joint in joints}
+        owners = self._owners.values()
+        self._turns = {bus: deque(j for j in owners if j.bus == bus) for bus in lines}
+        self._status_turns = {bus: deque(turn) for bus, turn in self._turns.items()}
+        self._status_ns = dict.fromkeys(lines, 0)
+        self._next_ns = dict.fromkeys(lines, 0)
+        """When the next question may be asked, if that was known."""
+        self._orders: dict[str, deque[Command]] = {bus: deque() for bus in lines}
+        self._named: set[str] = set()
+
+    def order(self, joint: Joint, command: Command) -> None:
+        """Send an order before the next question."""
+        self._orders[joint.bus].append(command)
+
+    @property
+    def has_orders(self) -> bool:
+        return any(self._orders.values())
+
+    def take(self) -> list[Reading]:
+        fresh, self._fresh = self._fresh, []
+        return fresh
+
+    def advance(self, now_ns: int) -> None:
+        """Send what can be sent now."""
+        for bus, line in self._lines.items():
+            self._questioners[bus].expire(now_ns)
+            while self._orders[bus] and line.free_ns <= now_ns:
+                line.send(encode(self._orders[bus].popleft()), now_ns)
+            while self._ask(bus, now_ns):
+                pass
+
+    def receive(self, bus: str, reply: Reply, now_ns: int) -> None:
+        for asked, answer in self._questioners[bus].answer(reply, now_ns):
+            joint = self._owners[bus, asked.command.servo_id]
+            if asked.command.keyword == "Q":
+                self._notice_status(joint, answer)
+                continue
+            said = read_reply(joint.model.family, answer)
+            if said is not None and isinstance(said.value, int | float):
+                self.note(joint, asked.heard_ns, float(said.value))
+
+    def note(self, joint: Joint, at_ns: int, servo_deg: float) -> None:
+        """Take in that a servo was at an angle."""
+        reading = Reading(joint.name, at_ns, joint.joint_deg(servo_deg))
+        self.readings[joint.name] = reading
+        self._fresh.append(reading)
+        self._named.discard(f"{joint.name} does not answer")
+
+    def next_wakeup_ns(self, now_ns: int) -> int:
+        wakeups_ns = [now_ns + IDLE_NS]
+        for bus, questioner in self._questioners.items():
+            wakeups_ns.append(self._next_ns[bus])
+            if (give_up_ns := questioner.give_up_ns) is not None:
+                wakeups_ns.append(give_up_ns)
+        return min(wakeup_ns for wakeup_ns in wakeups_ns if wakeup_ns > now_ns)
+
+    def _ask(self, bus: str, now_ns: int) -> bool:
+        """Ask the next servo, if it may be asked now; return whether it was."""
+        questioner, line = self._questioners[bus], self._lines[bus]
+        is_status_due = now_ns >= self._status_ns[bus]
+        turn = self._status_turns[bus] if is_status_due else self._turns[bus]
+        for _ in range(len(turn)):
+            joint = turn[0]
+            self._notice_silence(joint, now_ns)
+            if questioner.quiet_until_ns(joint.servo_id) <= now_ns:
+                break
+            turn.rotate(-1)
+        else:
+            return False
+        if questioner.is_waiting(joint.servo_id):  # Equal questions are believed as a row only.
+            return False
+        command = Command(joint.servo_id, "Q" if is_status_due else "QD")
+        earliest_ns = questioner.earliest_ns(joint.servo_id, len(encode(command)))
+        if earliest_ns is None:
+            return False
+        self._next_ns[bus] = max(earliest_ns, line.free_ns)
+        if self._next_ns[bus] > now_ns:
+            return False
+        questioner.ask(command, now_ns)
+        turn.rotate(-1)
+        if is_status_due:
+            self._status_ns[bus] = now_ns + STATUS_NS
+        return True
+
+    def _notice_silence(self, joint: Joint, now_ns: int) -> None:
+        if now_ns - self.readings[joint.name].at_ns > SILENT_NS:
+            self._name(joint, "does not answer", Cause.SILENT)
+
+    def _notice_status(self, joint: Joint, reply: Reply) -> None:
+        if not isinstance(reply.value, int):
+            return
+        firmware = self._robot.buses[joint.bus].firmware
+        state = status_from(reply.value, joint.model.family, firmware)
+        if state in (Status.SAFE_MODE, Status.ERROR):
+            cause = Cause.ERROR if state is Status.ERROR else Cause.SAFE_MODE
+            self._name(joint, f"reports {state.value}", cause)
+
+    def _name(self, joint: Joint, text: str, cause: Cause) -> None:
+        if (key := f"{joint.name} {text}") not in self._named:
+            self._named.add(key)
+            self.faults.append(Faulted(joint.name, text, cause, FaultStep.WARN))
+
 
 SOFT: Final[Mapping[str, int]] = {"AH": -10, "AS": -4}
 """Session settings with which a hand can push a holding joint: the softest that the documents
@@ -64,10 +206,10 @@ class HandsOn:
         self.phase = Phase.CONNECT
         self.error: LssMotionError | None = None
         self.limp: set[str] = set()
-        self.lines = {name: Line(robot.buses[name]) for name in robot.buses}
+        self.lines = {name: SerialLine(robot.buses[name]) for name in robot.buses}
         self._is_soft = is_soft
         self._held_deg: dict[str, float] = {}
-        self._questioners = {name: Questioner(line) for name, line in self.lines.items()}
+        self._questioners = {name: QueryTracker(line) for name, line in self.lines.items()}
         self._poller = Poller(robot, self.joints, self.lines, self._questioners)
         self._events: deque[Event] = deque([PhaseEntered(Phase.CONNECT)])
         self._answers: Answers = {}
@@ -76,7 +218,7 @@ class HandsOn:
             for joint in self.joints
             for keyword in also_ask
         ]
-        self._dialogue: Dialogue | None = self._ask([*setup.questions(self.joints), *more])
+        self._dialogue: Dialogue | None = self._ask([*handshake.questions(self.joints), *more])
         self._has_set = self._has_acted = False
         self._stops = 0
         self._now_ns = 0
@@ -117,7 +259,7 @@ class HandsOn:
 
     def safe_bytes(self) -> Mapping[str, bytes]:
         """Return the last bytes if it ends here: hold, if any servo was let go, held or moved."""
-        return setup.safe_bytes(self.robot) if self._has_acted else {}
+        return handshake.safe_bytes(self.robot) if self._has_acted else {}
 
     # ---- what a person may ask for
 
@@ -197,7 +339,7 @@ class HandsOn:
                 self._connected()
             case Phase.PREPARE:
                 for joint in self.joints:
-                    angle_deg = settings.stored(joint, self._answers, "QD")
+                    angle_deg = handshake.stored(joint, self._answers, "QD")
                     assert angle_deg is not None, "essential, so it was answered"
                     self._poller.note(joint, now_ns, angle_deg)
                 self._enter(Phase.SHOW)
@@ -206,7 +348,7 @@ class HandsOn:
 
     def _connected(self) -> None:
         try:
-            for text in setup.check_answers(self.joints, self._answers, self.robot):
+            for text in handshake.check_answers(self.joints, self._answers, self.robot):
                 self._events.append(Warned(text))
         except LssMotionError as error:
             self.error = error
@@ -214,9 +356,9 @@ class HandsOn:
             return
         self._has_set = True
         self._enter(Phase.PREPARE)
-        orders = settings.session_orders(self.joints, self._answers)
-        orders += settings.unsure_orders(self.joints, self._answers)
-        self._dialogue = self._ask([*setup.settings_questions(self.joints), *orders])
+        orders = handshake.session_orders(self.joints, self._answers)
+        orders += handshake.unsure_orders(self.joints, self._answers)
+        self._dialogue = self._ask([*handshake.settings_questions(self.joints), *orders])
 
     def _restore(self) -> None:
         if self._dialogue is not None:
@@ -229,7 +371,7 @@ class HandsOn:
                 for joint in self.joints
             ]
         if self._has_set:
-            orders += settings.restoring_orders(self.joints, self._answers)
+            orders += handshake.restoring_orders(self.joints, self._answers)
         self._dialogue = self._ask(orders)
 
     def _finish(self, now_ns: int) -> None:

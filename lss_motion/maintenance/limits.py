@@ -9,9 +9,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import BusError, InputError
-from lss_motion.player.dialogue import Item
+from lss_motion.player.transactions import Item
+from lss_motion.protocol.codec import storable
 from lss_motion.protocol.line import Command
-from lss_motion.protocol.storing import storable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping

@@ -8,11 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.player.dialogue import Item
-from lss_motion.protocol.constants import Led
-from lss_motion.protocol.family import Family
+from lss_motion.player.transactions import Item
+from lss_motion.protocol.codec import storable
+from lss_motion.protocol.constants import Family, Led
 from lss_motion.protocol.line import DISABLED, Command
-from lss_motion.protocol.storing import storable
 from lss_motion.protocol.table import Answer, Device, Suffix
 
 if TYPE_CHECKING:

@@ -5,35 +5,277 @@ resume, a change of speed) or is steady below 1, moves made on the spot follow t
 the rate of the moment, so that no joint leaves its path: the ramps of a servo do not slow down
 with the show, so the program's own moves would. When the rate is 1 again, every joint is sent the
 move of the program that is under way, with what is left of its time.
+
+The moves of a program in the order in which they leave, each earlier by what its joint lags.
+
+Says what T a timed joint is told where it is not on its plan, so that it gets there.
+
+T is for travelling at one speed: the ramps of the servo come on top of it. So what is left of a
+move is judged by its way and its speed, and not by what is left of T.
+
+Leads a streamed joint that is off its program along its path, one step of its filter at a time.
+
+It is off because its targets were late, or held back by its limits, or because the rate of the
+show is not 1. Its next target is made on the spot: as far as its plan goes in the next step, and a
+little further to close up on it. What is too much for its limits, `Setpoints` takes off.
 """
 
 from __future__ import annotations
 
+import heapq
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from itertools import chain, takewhile
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.player.approach import with_room
-from lss_motion.player.catching_up import on_time_s, rejoin, tell_owed
-from lss_motion.player.due import DueMoves
-from lss_motion.player.leading import lead
-from lss_motion.player.ramps import RAMP_TICK_NS, ramp_periods, ramp_s, spot_moves
-from lss_motion.player.readings import Reader
-from lss_motion.player.show_clock import ShowClock
-from lss_motion.player.statistics import Statistics
-from lss_motion.player.track import Track, make_tracks
-from lss_motion.player.waiting import Waiting
-from lss_motion.units import NS_PER_MS, US_PER_S, ns_from_s, s_from_ns, s_from_us, us_from_s
+from lss_motion.player.cues import Waiting
+from lss_motion.player.estimators import LAG_MAX_S
+from lss_motion.player.joint_state import (
+    LONGEST_NS,
+    REST_DEG_S,
+    JointState,
+    Owed,
+    Statistics,
+    closing_deg,
+    make_joint_states,
+)
+from lss_motion.player.polling import PollScheduler
+from lss_motion.player.show_clock import RAMP_TICK_NS, ShowClock, ramp_periods, ramp_s, spot_moves
+from lss_motion.program.streamed import FilterProfile
+from lss_motion.protocol.line import encode_move
+from lss_motion.units import (
+    NS_PER_MS,
+    US_PER_S,
+    ns_from_s,
+    s_from_ms,
+    s_from_ns,
+    s_from_us,
+    us_from_s,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
-    from lss_motion.player.line import Line
-    from lss_motion.player.queries import Questioner
-    from lss_motion.program.growth import Extension
+    from lss_motion.player.query_tracker import QueryTracker
+    from lss_motion.player.serial_line import SerialLine
     from lss_motion.program.model import Move, Program
+    from lss_motion.program.splice import Extension
     from lss_motion.protocol.line import Reply
     from lss_motion.robot.model import Robot
+
+
+EARLY_MAX_US: Final = us_from_s(LAG_MAX_S)
+
+
+class Due(NamedTuple):
+    """A move that leaves at the show time `at_us`; the program has it at `due_us`."""
+
+    at_us: int
+    number: int
+    due_us: int
+    move: Move
+
+
+class DueMoves:
+    """Moves `(due_us, move)` in order of time; `early_us` says how much earlier one is to leave.
+
+    What is believed of a lag changes: no move overtakes one of the same servo for that.
+    """
+
+    def __init__(self, moves: Iterator[tuple[int, Move]], early_us: Callable[[Move], int]) -> None:
+        self._upcoming = moves
+        self._head: tuple[int, Move] | None = next(moves, None)
+        self._early_us = early_us
+        self._soon: list[Due] = []
+        self._newest_us: dict[tuple[str, int], int] = {}
+        """When the last move of each servo that was looked at leaves."""
+        self._number = 0
+
+    def first(self, before_us: float) -> Due | None:
+        """Return the next move to leave of those that are due before `before_us`."""
+        while self._head is not None and self._head[0] < before_us:
+            due_us, move = self._head
+            if self._soon and due_us - EARLY_MAX_US > self._soon[0].at_us:
+                break
+            self._number += 1
+            servo = (move.bus, move.servo_id)
+            at_us = due_us - min(self._early_us(move), EARLY_MAX_US)
+            at_us = self._newest_us[servo] = max(at_us, self._newest_us.get(servo, at_us))
+            heapq.heappush(self._soon, Due(at_us, self._number, due_us, move))
+            self._head = next(self._upcoming, None)
+        return self._soon[0] if self._soon else None
+
+    def pop(self) -> Due:
+        """Return what `first` returned, and go on to the next."""
+        return heapq.heappop(self._soon)
+
+    def pass_by(self, until_us: float) -> list[tuple[int, Move]]:
+        """Return all that is due until then and has not left, in order of time; it never will."""
+        passed = [due for due in self._soon if due.due_us <= until_us]
+        self._soon = [due for due in self._soon if due.due_us > until_us]
+        heapq.heapify(self._soon)
+        found = [(due.due_us, due.move) for due in sorted(passed, key=lambda due: due.number)]
+        while self._head is not None and self._head[0] <= until_us:
+            found.append(self._head)
+            self._head = next(self._upcoming, None)
+        return found
+
+    def replace_from(self, from_us: int, moves: Iterable[Move]) -> None:
+        """Let `moves` follow in place of all that is due at `from_us` or later."""
+        self._soon = sorted(due for due in self._soon if due.due_us < from_us)
+        self._newest_us = {(due.move.bus, due.move.servo_id): due.at_us for due in self._soon}
+        waiting = chain([] if self._head is None else [self._head], self._upcoming)
+        kept = list(takewhile(lambda due: due[0] < from_us, waiting))
+        self._upcoming = chain(kept, ((move.due_us, move) for move in moves))
+        self._head = next(self._upcoming, None)
+
+
+JOIN_S: Final = 0.1
+"""A joint that has missed a move catches up in about this time, if its limits allow. Chosen."""
+
+
+def rejoin(
+    track: JointState,
+    line: SerialLine,
+    clock: ShowClock,
+    within: Callable[[float], float],
+    now_ns: int,
+) -> None:
+    """Send what the servo has missed of the move under way.
+
+    A joint that is behind on its way travels faster until it meets the plan; from then on the rest
+    of the move is owed. `within` turns a show time into one of the plan.
+    """
+    assert track.active is not None
+    heard_ns = line.heard_ns(len(track.active.data), now_ns)
+    planned_deg, planned_deg_s = track.plan.at(within(clock.show_s(heard_ns)))
+    position_deg, own_deg_s = track.place(heard_ns)
+    planned_way_deg = track.target_deg - planned_deg
+    way_deg = track.target_deg + track.following.offset_deg - position_deg
+    sense, ramp_deg_s2 = math.copysign(1.0, way_deg), track.limits.ramp_deg_s2
+    travel_deg_s = _travel_deg_s(track, within(track.begun_s(line)))
+    # Until both travel: what it falls behind while it speeds up, less what the plan does.
+    slower_deg_s = max(0.0, travel_deg_s - sense * own_deg_s)
+    planned_slower_deg_s = max(0.0, travel_deg_s - sense * planned_deg_s)
+    behind_deg = abs(way_deg) - abs(planned_way_deg)
+    behind_deg += 0.5 * (slower_deg_s**2 - planned_slower_deg_s**2) / ramp_deg_s2
+    faster_deg_s = _faster_deg_s(track, travel_deg_s, behind_deg)
+    left_s = track.left_s(line, clock, now_ns)
+    is_on_its_way = way_deg * planned_way_deg > 0.0 and travel_deg_s > REST_DEG_S
+    if not is_on_its_way or faster_deg_s <= 0.0:
+        track.send_active(line, left_s, now_ns)
+        return
+    track.send_active(line, abs(way_deg) / (travel_deg_s + faster_deg_s), now_ns)
+    # What it gains less while it speeds up it gains more while it slows down again.
+    joins_s = slower_deg_s / ramp_deg_s2 + behind_deg / faster_deg_s
+    if joins_s < left_s:
+        track.owed = Owed(heard_ns + ns_from_s(joins_s), track.target_deg, travel_deg_s)
+
+
+def _faster_deg_s(track: JointState, travel_deg_s: float, behind_deg: float) -> float:
+    """Return by how much faster than `travel_deg_s` a joint is to travel to close up."""
+    if behind_deg <= track.joint.unit_deg:
+        return 0.0
+    return min(
+        track.limits.speed_max_deg_s - travel_deg_s,
+        behind_deg / JOIN_S,
+        math.sqrt(behind_deg * track.limits.ramp_deg_s2),
+    )
+
+
+def _travel_deg_s(track: JointState, begun_s: float) -> float:
+    """Return how fast the move under way, begun at `begun_s`, is to travel between its ramps."""
+    move = track.active
+    assert move is not None
+    assert move.duration_ms is not None
+    planned_deg, _ = track.plan.at(begun_s)
+    travel_deg_s = abs(track.target_deg - planned_deg) / s_from_ms(move.duration_ms)
+    return min(travel_deg_s, track.limits.speed_max_deg_s)
+
+
+def tell_owed(track: JointState, line: SerialLine, now_ns: int) -> None:
+    """Send what a joint is owed: a timed one travels on as planned, but with no longer T."""
+    assert track.owed is not None
+    _, target_deg, travel_deg_s = track.owed
+    way_deg = target_deg + track.following.offset_deg - track.place(now_ns)[0]
+    left_s = min(abs(way_deg) / travel_deg_s, s_from_ns(LONGEST_NS))
+    track.send(line, target_deg, left_s, now_ns)
+
+
+def on_time_s(
+    track: JointState, line: SerialLine, show_s: Callable[[int], float], now_ns: int
+) -> float:
+    """Return how long the move under way, sent on time, is to travel; 0 if it has no T.
+
+    That is its T, unless it turns the joint back. Its target may be near then, and T short: what
+    the profile is off the plan would change the travel speed by many times. So the speed of the
+    plan is kept instead of its end. `show_s` turns an instant into one of the plan.
+    """
+    move = track.active
+    assert move is not None
+    if move.duration_ms is None:
+        return 0.0
+    heard_ns = line.heard_ns(len(move.data), now_ns)
+    planned_deg, speed_deg_s = track.plan.at(show_s(heard_ns))
+    planned_way_deg = track.target_deg - planned_deg
+    way_deg = track.target_deg + track.following.offset_deg - track.place(heard_ns)[0]
+    planned_s = s_from_ms(move.duration_ms)
+    if speed_deg_s * planned_way_deg >= 0.0 or way_deg * planned_way_deg <= 0.0:
+        return planned_s
+    return planned_s * way_deg / planned_way_deg
+
+
+ON_PROGRAM_RATIO: Final = 1.0
+"""Nearer to its plan than this share of its program's tolerance, a joint is on it again."""
+
+
+def lead(
+    track: JointState,
+    line: SerialLine,
+    planned_deg: Callable[[JointState, int], float],
+    now_ns: int,
+    period_ns: int,
+    *,
+    is_even: bool,
+) -> None:
+    """Tell a joint where to go, and note when to tell it again: every `period_ns`, if that can be.
+
+    That ends when it rests where its plan does, or, where the rate of the show `is_even` at 1, when
+    it is so near to its plan that the move of the program that is under way does the same.
+    """
+    profile, limits = track.profile, track.limits
+    assert isinstance(profile, FilterProfile), "only streamed joints are led"
+    here_wire = round(track.place(now_ns)[0] * limits.wire_per_deg)
+    size = len(encode_move(track.joint.servo_id, here_wire, None))
+    step = profile.acts_on(s_from_ns(line.heard_ns(size, now_ns)))
+    steps = max(1, round(s_from_ns(period_ns) / profile.period_s))
+    from_s = profile.step_s(step) - 0.5 * profile.period_s
+    from_deg = _wanted_deg(track, planned_deg, from_s)
+    to_deg = _wanted_deg(track, planned_deg, from_s + steps * profile.period_s)
+    off_deg = from_deg - profile.value(step - 1)
+    is_near = abs(off_deg) <= ON_PROGRAM_RATIO * limits.tolerance_deg
+    if is_even and is_near and track.active is not None:
+        track.send_active(line, 0.0, now_ns)
+        return
+    target_deg = to_deg
+    is_at_rest = from_deg == to_deg and abs(off_deg) <= 1.0 / limits.wire_per_deg
+    if not is_at_rest:
+        way_deg = to_deg - from_deg + closing_deg(off_deg, limits)
+        target_deg = profile.value(step - 1) + way_deg / (1.0 - profile.keep_ratio**steps)
+    track.send(line, target_deg - track.following.offset_deg, 0.0, now_ns)
+    if not is_at_rest:
+        track.led_ns = ns_from_s(profile.hear_s(step + steps)) - line.time_ns(size)
+
+
+def _wanted_deg(
+    track: JointState, planned_deg: Callable[[JointState, int], float], at_s: float
+) -> float:
+    """Return where the filter of a joint should be then: ahead of the horn, and corrected."""
+    at_ns = ns_from_s(at_s + track.lead_s + track.early_s)
+    wanted_deg = planned_deg(track, at_ns) + track.following.offset_deg
+    return min(max(wanted_deg, track.limits.position_min_deg), track.limits.position_max_deg)
+
 
 SETTLE_S: Final = 0.15
 """After the last horn should have arrived: time for the servo's own settling."""
@@ -51,8 +293,8 @@ class Streamer:
         program: Program,
         robot: Robot,
         *,
-        lines: Mapping[str, Line],
-        questioners: Mapping[str, Questioner],
+        lines: Mapping[str, SerialLine],
+        questioners: Mapping[str, QueryTracker],
         standing_deg: Mapping[str, float],
         has_feedback: bool,
         start_ns: int,
@@ -67,7 +309,9 @@ class Streamer:
         begin_s = min(0.0, first_s) if start_s is None else start_s
         origin_s = s_from_ns(start_ns) - begin_s
         robot = with_room(robot, standing_deg)
-        self.tracks = make_tracks(program, robot, standing_deg, origin_s, has_feedback=has_feedback)
+        self.tracks = make_joint_states(
+            program, robot, standing_deg, origin_s, has_feedback=has_feedback
+        )
         self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in self.tracks.values()}
         self._periods = ramp_periods(self.tracks.values(), lines)
         self.clock = ShowClock(start_ns, begin_s, 1.0)
@@ -77,7 +321,7 @@ class Streamer:
         self._has_moved = False
         """Whether moves left in this turn."""
         self.waiting = Waiting(program.unrolled_waits(), robot.sensors, begin_s)
-        reader = Reader(self.tracks, questioners, lines, self.waiting)
+        reader = PollScheduler(self.tracks, questioners, lines, self.waiting)
         self.reader = reader if has_feedback else None
         if start_s is not None:
             self._begin_at(start_ns)
@@ -246,7 +490,7 @@ class Streamer:
         if track.led_ns is None:
             track.send_active(self._lines[track.joint.bus], left_s, now_ns)
 
-    def _say_again(self, track: Track, now_ns: int) -> None:
+    def _say_again(self, track: JointState, now_ns: int) -> None:
         """Send what is left of a move that its servo has not heard; ramps say all again anyway."""
         if self._tick_ns is not None or self.clock.target_rate < 1.0:
             return
@@ -256,7 +500,7 @@ class Streamer:
         line = self._lines[track.joint.bus]
         rejoin(track, line, self.clock, self._program.within, now_ns)
 
-    def _left_s(self, track: Track, now_ns: int) -> float:
+    def _left_s(self, track: JointState, now_ns: int) -> float:
         return track.left_s(self._lines[track.joint.bus], self.clock, now_ns)
 
     def _again_ns(self) -> list[int]:
@@ -340,7 +584,7 @@ class Streamer:
 
     # ---- judging
 
-    def _planned_deg(self, track: Track, instant_ns: int) -> float:
+    def _planned_deg(self, track: JointState, instant_ns: int) -> float:
         """Return where the plan wants the horn; its profile is early by the lead of the joint."""
         return track.plan.at(self._plan_s(instant_ns, track.lead_s))[0]
 

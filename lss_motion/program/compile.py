@@ -9,16 +9,21 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import InputError, LineLoadError
-from lss_motion.program.attempt import Attempt, TooLateError, slot_us
-from lss_motion.program.choose import choices
-from lss_motion.program.columns import columns_of, moves_of
-from lss_motion.program.course import GRID_S, Course
 from lss_motion.program.drives import lead
 from lss_motion.program.line import LineUse, line_use
 from lss_motion.program.model import TIMED, Driving, Program, Repeat
-from lss_motion.program.readings import reading_rate_hz
-from lss_motion.program.seam import closed
-from lss_motion.program.trials import RELAXED_RATIOS, trials
+from lss_motion.program.reference import GRID_S, Course
+from lss_motion.program.schedule import (
+    RELAXED_RATIOS,
+    Attempt,
+    TooLateError,
+    candidates,
+    choices,
+    closed,
+    reading_rate_hz,
+    slot_us,
+)
+from lss_motion.program.table import columns_of, moves_of
 from lss_motion.program.verify import verify_program
 from lss_motion.trajectory.cues import all_cues, all_marks, all_waits
 from lss_motion.units import s_from_us, us_from_s
@@ -26,9 +31,8 @@ from lss_motion.units import s_from_us, us_from_s
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from lss_motion.program.attempt import Fitted
-    from lss_motion.program.choose import Choice
     from lss_motion.program.model import Move
+    from lss_motion.program.schedule import Choice, Fitted
     from lss_motion.robot.model import Robot
     from lss_motion.trajectory.model import Trajectory
 
@@ -59,7 +63,7 @@ def compile_program(
     found = choices(robot, lambda driven: _courses(trajectory, driven), tolerance_deg)
     for choice in found:
         courses, is_unread = _courses(trajectory, choice.robot), False
-        for trial in trials(choice.robot, with_relaxed=choice is found[-1]):
+        for trial in candidates(choice.robot, with_relaxed=choice is found[-1]):
             if is_unread and trial.ratio == 1.0:
                 continue  # No other placing of as many commands leaves much more room.
             try:

@@ -9,18 +9,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from lss_motion.program.course import DURATION_MAX_MS, servo_limits
-from lss_motion.program.predict import filter_profile
-from lss_motion.program.step import PULSE_S, StepFitter
-from lss_motion.program.stream import StreamFitter
-from lss_motion.program.wording import LATEST_ARRIVAL_S, lattice
+from lss_motion.program.quantize import LATEST_ARRIVAL_S, lattice
+from lss_motion.program.reference import DURATION_MAX_MS, servo_limits
+from lss_motion.program.stepped import PULSE_S, StepFitter
+from lss_motion.program.streamed import StreamFitter
+from lss_motion.program.verify import filter_profile
 from lss_motion.protocol.line import encode_move
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from lss_motion.program.course import Course
     from lss_motion.program.moves import FittedMove
+    from lss_motion.program.reference import Course
     from lss_motion.program.response import Reference
     from lss_motion.robot.model import Joint
 

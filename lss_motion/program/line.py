@@ -24,7 +24,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from lss_motion.program.batch import IntArray
+    from lss_motion.program.response import IntArray
 
 WORST_WINDOW_US = 100_000
 """Utilisation is also given for the busiest 100 ms (FACTS.md A21)."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
+from lss_motion.files.source import counted, duration_text
 from lss_motion.protocol.line import encode_move
-from lss_motion.robot.models import RAMP_STEP_DEG_S2, RAMP_STEPS_MAX, ramp_steps
-from lss_motion.spelling import counted, duration_text
+from lss_motion.robot.servo_models import RAMP_STEP_DEG_S2, RAMP_STEPS_MAX, ramp_steps
 from lss_motion.units import NS_PER_US, line_time_ns, s_from_us
 
 if TYPE_CHECKING:

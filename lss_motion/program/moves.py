@@ -8,18 +8,16 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from lss_motion.program.batch import States, Trapezoids, speeds_for, trapezoids
-from lss_motion.program.course import LimitArrays
-from lss_motion.program.response import Reference
-from lss_motion.program.wording import lattice
+from lss_motion.program.quantize import lattice
+from lss_motion.program.reference import LimitArrays
+from lss_motion.program.response import Reference, States, Trapezoids, speeds_for, trapezoids
 from lss_motion.units import MS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from lss_motion.program.batch import FloatArray, Index, IntArray
-    from lss_motion.program.course import Course, ServoLimits
-    from lss_motion.program.response import Profile
+    from lss_motion.program.reference import Course, ServoLimits
+    from lss_motion.program.response import FloatArray, Index, IntArray, Profile
 
 JOINED_DEG: Final = 1e-6
 """A move starts where its predecessor has brought the profile, up to rounding errors."""

@@ -1,4 +1,7 @@
-"""Moves in columns, one by one made when they are asked for: tens of thousands cost nothing."""
+"""Moves in columns, one by one made when they are asked for: tens of thousands cost nothing.
+
+The moves of a program in arrays, and what they take of their lines.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,16 @@ from typing import TYPE_CHECKING, Final, overload
 import numpy as np
 
 from lss_motion.program.model import Move
+from lss_motion.protocol.line import encode_move
+from lss_motion.units import LINE_BITS_PER_BYTE, US_PER_S
 
 if TYPE_CHECKING:
-    from lss_motion.program.batch import FloatArray, Index, IntArray
+    from collections.abc import Mapping
+
+    from lss_motion.program.response import FloatArray, Index, IntArray
+    from lss_motion.program.schedule import Fitted
+    from lss_motion.robot.model import Robot
+
 
 MADE_AT_ONCE: Final = 256
 """So many moves are made at once, so that whoever plays them never waits for all."""
@@ -91,4 +101,112 @@ def table_of(moves: Sequence[Move]) -> MoveTable:
         np.array(target_wire, dtype=np.float64),
         np.array(duration_ms, dtype=np.float64),
         buses,
+    )
+
+
+POWERS_OF_TEN: Final = np.array([10, 100, 1_000, 10_000, 100_000, 1_000_000, 10_000_000])
+"""No angle and no T on the wire has more digits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Moves, an element each. `joint` and `bus` count those of the robot, in its order."""
+
+    due_us: IntArray
+    joint: IntArray
+    bus: IntArray
+    target_wire: FloatArray
+    duration_ms: FloatArray
+    """NaN for a bare `D`."""
+    baud_bps: IntArray
+    size_bytes: IntArray
+
+    @property
+    def sent_us(self) -> IntArray:
+        """How long each keeps its line busy, rounded up to whole microseconds."""
+        return line_times_us(self.size_bytes, self.baud_bps)
+
+    @property
+    def heard_us(self) -> IntArray:
+        """When the last byte of each reaches the servos, if it leaves when it is due."""
+        spent = self.size_bytes * (LINE_BITS_PER_BYTE * US_PER_S) // self.baud_bps
+        heard: IntArray = self.due_us + spent
+        return heard
+
+    def take(self, chosen: Index) -> Columns:
+        return Columns(
+            self.due_us[chosen],
+            self.joint[chosen],
+            self.bus[chosen],
+            self.target_wire[chosen],
+            self.duration_ms[chosen],
+            self.baud_bps[chosen],
+            self.size_bytes[chosen],
+        )
+
+
+def moves_of(fitted: Mapping[str, Fitted], robot: Robot) -> MoveTable:
+    """Return the moves of all joints in the order in which they are due.
+
+    Each is due so that its last byte is heard when that was granted.
+    """
+    if not fitted:
+        return table_of(())
+    joints = [robot.joints[name] for name in fitted]
+    buses = tuple(sorted(robot.buses))
+    each = [len(own.heard_s) for own in fitted.values()]
+    servo_id = np.repeat([joint.servo_id for joint in joints], each)
+    bus = np.repeat([buses.index(joint.bus) for joint in joints], each)
+    baud_bps = np.repeat([robot.buses[joint.bus].baud_bps for joint in joints], each)
+    heard_s, target_wire, duration_ms = (
+        np.concatenate([getattr(own, name) for own in fitted.values()])
+        for name in ("heard_s", "target_wire", "duration_ms")
+    )
+    size_bytes = sizes_bytes(servo_id, target_wire, duration_ms)
+    due_us = np.rint(heard_s * US_PER_S).astype(np.intp) - line_times_us(size_bytes, baud_bps)
+    order = np.lexsort((servo_id, bus, due_us))
+    return MoveTable(due_us, bus, servo_id, target_wire, duration_ms, buses).take(order)
+
+
+def sizes_bytes(servo_id: IntArray, target_wire: FloatArray, duration_ms: FloatArray) -> IntArray:
+    """Return the lengths of what `encode_move` makes of these; NaN is a bare `D`."""
+    size = len(encode_move(0, 0, None)) - 2 + _digits(servo_id) + _digits(np.abs(target_wire))
+    size += target_wire < 0.0
+    timed = len("T") + _digits(np.nan_to_num(duration_ms))
+    found: IntArray = size + np.where(np.isnan(duration_ms), 0, timed)
+    return found
+
+
+def _digits(whole: FloatArray | IntArray) -> IntArray:
+    """Return how many digits whole numbers have that are not negative."""
+    found: IntArray = 1 + np.searchsorted(POWERS_OF_TEN, whole, side="right")
+    return found
+
+
+def line_times_us(size_bytes: IntArray, baud_bps: IntArray) -> IntArray:
+    """Return how long so many bytes keep lines busy, rounded up to whole microseconds."""
+    spent: IntArray = -(-size_bytes * (LINE_BITS_PER_BYTE * US_PER_S) // baud_bps)
+    return spent
+
+
+def columns_of(moves: Sequence[Move], robot: Robot) -> Columns:
+    """Return `moves`, every one to a servo of `robot`, in arrays."""
+    table = table_of(moves)
+    joints = list(robot.joints.values())
+    numbers = {(joint.bus, joint.servo_id): index for index, joint in enumerate(joints)}
+    ids = range(1 + max((joint.servo_id for joint in joints), default=0))
+    index_of = np.array([[numbers.get((bus, one), -1) for one in ids] for bus in table.buses])
+    joint = index_of[table.bus, table.servo_id] if len(table) else table.bus
+    assert joint.min(initial=0) >= 0, "a move to a servo that is not there"
+    buses = list(robot.buses)
+    bus = np.array([buses.index(one.bus) for one in joints], dtype=np.intp)[joint]
+    bauds = np.array([one.baud_bps for one in robot.buses.values()], dtype=np.intp)
+    return Columns(
+        table.due_us,
+        joint,
+        bus,
+        table.target_wire,
+        table.duration_ms,
+        bauds[bus],
+        sizes_bytes(table.servo_id, table.target_wire, table.duration_ms),
     )

@@ -17,10 +17,18 @@
 
 `due_us` is show time in microseconds; 0 is the start of the plan. `drives` names the joints that
 are not timed, with the FPC of the streamed ones; where every joint is timed there is no such line.
+
+One cue as a line of a program's text: its instant and a JSON object of what happens.
+
+# cue: 1500000 {"led": {"elbow": 1}}
+# cue: 2000000 {"sound": "/home/me/show/bell.wav", "lead_s": 0.1}
+
+The line of a program's text form that says what the show waits for.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import re
@@ -29,20 +37,88 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
 from lss_motion.program.compile import lines_use
-from lss_motion.program.cue_text import cue_line, read_cue
 from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
-from lss_motion.program.wait_text import read_wait, wait_line
-from lss_motion.robot.drives import drive_problem
+from lss_motion.protocol.constants import Led
 from lss_motion.robot.on_fault import ladders_from, ladders_text
+from lss_motion.robot.servo_models import drive_problem
+from lss_motion.sequence.model import Cue, Wait
 from lss_motion.trajectory.model import Mark, WaitPoint
 from lss_motion.units import s_from_us, us_from_s
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Collection, Container, Mapping
 
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.robot.on_fault import Ladders
-    from lss_motion.sequence.model import Cue
+
+
+def cue_line(cue: Cue) -> str:
+    """Return the text after `# cue: `."""
+    said = {
+        "led": dict(cue.led),
+        "say": cue.say,
+        "run": cue.run,
+        "folder": cue.folder,
+        "sound": cue.sound,
+        "lead_s": cue.lead_s,
+    }
+    kept = {key: value for key, value in said.items() if value}
+    return f"{us_from_s(cue.at_s)} {json.dumps(kept)}"
+
+
+def read_cue(text: str, joints: Collection[str]) -> Cue:
+    """Return what `cue_line` wrote; raise ValueError with a reason for anything else."""
+    at_us, _, body = text.partition(" ")
+    try:
+        said = json.loads(body)
+        at_s = s_from_us(int(at_us))
+    except ValueError as error:
+        raise ValueError("a cue is a whole number of us and a JSON object") from error
+    if not isinstance(said, dict):
+        raise ValueError("a cue is a whole number of us and a JSON object")  # noqa: TRY004
+    led, lead_s = said.pop("led", {}), said.pop("lead_s", 0.0)
+    if not isinstance(led, dict) or not all(code in set(Led) for code in led.values()):
+        raise ValueError(f"led is joints with colours from {min(Led)} to {max(Led)}")
+    if unknown := sorted(led.keys() - set(joints)):
+        raise ValueError(f"the robot has no joint {unknown[0]!r}")
+    if not isinstance(lead_s, int | float) or not 0.0 <= lead_s < 1e6:
+        raise ValueError("lead_s is a time in seconds from 0 on")
+    if not said.keys() <= {"say", "run", "folder", "sound"} or not all(
+        isinstance(value, str) for value in said.values()
+    ):
+        raise ValueError("a cue has led, say, run with folder, or sound with lead_s")
+    return Cue(at_s=at_s, led=tuple(led.items()), lead_s=float(lead_s), **said)
+
+
+_NUMBER = r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)"
+_WAIT: Final = re.compile(rf"(\d+) (\S+) (below|above) {_NUMBER}(?: timeout {_NUMBER})?")
+
+
+def wait_line(point: WaitPoint) -> str:
+    """Return `1750000 eye below 300 timeout 60`: when, what for, and how long at most."""
+    wait = point.wait
+    timeout = "" if wait.timeout_s is None else f" timeout {wait.timeout_s:.9g}"
+    at_us = us_from_s(point.at_s)
+    return f"{at_us} {wait.sensor} {wait.side} {wait.threshold:.9g}{timeout}"
+
+
+def read_wait(text: str, sensors: Container[str]) -> WaitPoint:
+    """Return what `wait_line` wrote. Raises `ValueError` with the reason for anything else."""
+    match = _WAIT.fullmatch(text)
+    if match is None:
+        raise ValueError(
+            f"{text!r} is not of the form `<us> <sensor> below|above <value> [timeout <s>]`"
+        )
+    if match[2] not in sensors:
+        raise ValueError(f"the robot has no sensor {match[2]!r}")
+    wait = Wait(
+        sensor=match[2],
+        side="below" if match[3] == "below" else "above",
+        threshold=float(match[4]),
+        timeout_s=None if match[5] is None else float(match[5]),
+    )
+    return WaitPoint(at_s=s_from_us(int(match[1])), wait=wait)
+
 
 FIRST_LINE: Final = "# lss_motion program 1"
 FOREVER: Final = "forever"

@@ -7,7 +7,7 @@ codec      physical values ⇄ commands and replies, checked against the rows
 constants  status, LED, gyre and baud codes
 """
 
-from lss_motion.protocol.family import Family
+from lss_motion.protocol.constants import Family
 from lss_motion.protocol.line import (
     Command,
     CommandParser,

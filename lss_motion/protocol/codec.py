@@ -2,25 +2,29 @@
 
 What we say is checked and refused with the allowed range (`ProtocolError`). What we hear is never
 refused: what the table does not know or cannot read is None.
+
+What a servo keeps without power: which rows those are, and their values on the wire.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cache
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, assert_never
 
 from lss_motion.errors import ProtocolError
-from lss_motion.protocol.constants import BROADCAST_ID, BUTTON_ID, GROUP_FIRMWARE
+from lss_motion.protocol.constants import BROADCAST_ID, BUTTON_ID, GROUP_FIRMWARE, Family
 from lss_motion.protocol.families import FAMILY_TABLES
-from lss_motion.protocol.family import Family
 from lss_motion.protocol.line import DISABLED, Command, Reply
-from lss_motion.protocol.table import Answer, Form, Suffix, Unit, Value
+from lss_motion.protocol.table import Answer, Form, Suffix, Unit, Value, unknown_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lss_motion.protocol.table import FamilyTable, Row
+
 
 _SENSOR_SUFFIXES: Final = (Suffix.GP2Y0A41SK0F, Suffix.GP2Y0A21YK0F, Suffix.GP2Y0A02YK0F)
 
@@ -228,3 +232,41 @@ def _is_readable(answer: Answer, value: int | str | None) -> bool:
             return isinstance(value, str)
         case _:
             assert_never(answer)
+
+
+_FIRST: Final = ("G", "AR")
+"""Written before the others: G before O (FACTS.md R10), and AR before what is a pulse within it."""
+
+
+@cache
+def storable(family: Family) -> Mapping[str, Row]:
+    """Return the rows that can be configured, by name, in the order in which to write them.
+
+    Without the id, which names the servo, and without rows that say the same in another unit.
+    """
+    rows = [
+        row
+        for row in FAMILY_TABLES[family].rows
+        if row.configs and row.mirrors is None and row.name != "ID"
+    ]
+    rows.sort(key=lambda row: row.name not in _FIRST)
+    return MappingProxyType({row.name: row for row in rows})
+
+
+def stored_wire(family: Family, name: str, value: float | None) -> int | None:
+    """Return a stored value as it is on the wire; None, for a first position only: there is none.
+
+    Raises ProtocolError for what the family does not store, or not with this value, with what is
+    allowed.
+    """
+    rows = storable(family)
+    if name not in rows:
+        raise ProtocolError(unknown_text(name, rows, f"setting that {family} stores"))
+    row = rows[name]
+    if value is None:
+        if row.answer is not Answer.DISABLED:
+            raise ProtocolError(f"{name} has no DIS: {row.allowed()}")
+        return None
+    wire = make_command(family, 0, row.configs[0], value).value
+    assert isinstance(wire, int)
+    return wire

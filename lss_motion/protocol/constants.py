@@ -1,14 +1,24 @@
-"""Codes and fixed numbers of the bus that are no command: ids, colours, states, baud rates."""
+"""Which bus languages there are.
+
+Codes and fixed numbers of the bus that are no command: ids, colours, states, baud rates.
+"""
 
 from __future__ import annotations
 
-from enum import Enum, IntEnum, IntFlag
+from enum import Enum, IntEnum, IntFlag, StrEnum
 from typing import TYPE_CHECKING, Final
-
-from lss_motion.protocol.family import Family
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+
+class Family(StrEnum):
+    """Which of the three bus languages a servo speaks."""
+
+    LSS = "LSS"
+    LSS_PRO = "LSS-PRO"
+    IO2 = "LSS-2IO"
+
 
 ID_MIN: Final = 0
 ID_MAX: Final = 250

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.protocol.family import Family
+from lss_motion.protocol.constants import Family
 from lss_motion.protocol.io2 import IO2_TABLE
 from lss_motion.protocol.lss import LSS_TABLE
 from lss_motion.protocol.lss_pro import PRO_TABLE

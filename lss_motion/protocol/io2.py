@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.protocol.constants import BAUD_RATES_BPS
-from lss_motion.protocol.family import Family
+from lss_motion.protocol.constants import BAUD_RATES_BPS, Family
 from lss_motion.protocol.lss import LSS_TABLE
 from lss_motion.protocol.table import Device, Outside, Row, Suffix, make_table
 

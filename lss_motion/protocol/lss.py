@@ -1,12 +1,13 @@
-"""The rows of the LSS language of the protocol page of 2019, and the table that all rows make."""
+"""The rows of the LSS language of the protocol page of 2019, and the table that all rows make.
+
+The rows of the LSS language that the page of 2019 lacks: later firmware, maker's code.
+"""
 
 from __future__ import annotations
 
 from typing import Final
 
-from lss_motion.protocol.constants import BAUD_RATES_BPS, ID_MAX, PULSE_MAX_US, PULSE_MIN_US
-from lss_motion.protocol.family import Family
-from lss_motion.protocol.lss_later import LATER
+from lss_motion.protocol.constants import BAUD_RATES_BPS, ID_MAX, PULSE_MAX_US, PULSE_MIN_US, Family
 from lss_motion.protocol.table import (
     SESSION_ONLY,
     SESSION_OR_CONFIG,
@@ -22,6 +23,186 @@ from lss_motion.protocol.table import (
     Value,
     make_table,
 )
+
+LATER: Final = (
+    Row(
+        name="FPC",
+        meaning="filter position count in EM0",
+        source="FACTS M5",
+        actions=("FPC",),
+        queries=("QFPC",),
+        configs=("CFPC",),
+        suffixes=SESSION_OR_CONFIG,
+        minimum=0,
+        maximum=255,
+        default=5,
+        firmware=368,
+        note="The upper bound is assumed; robots use 0 to 20.",
+    ),
+    Row(
+        name="MMD",
+        meaning="maximum motor duty in EM0",
+        source="FACTS M11",
+        actions=("MMD",),
+        queries=("QMMD",),
+        minimum=255,
+        maximum=1023,
+        default=1023,
+        firmware=368,
+        note="The default is assumed: no limit.",
+    ),
+    Row(
+        name="IPE",
+        meaning="the servo itself applies the last D about every 20 ms in EM0",
+        source="FACTS M8",
+        actions=("IPE",),
+        queries=("QIPE",),
+        choices={0: 0, 1: 0},
+        default=1,
+        firmware=368,
+    ),
+    Row(
+        name="S",
+        meaning="present speed as a pulse",
+        source="PRO Speed (SD) modifier, FACTS C10",
+        queries=("QS",),
+        unit=Unit.US_S,
+    ),
+    Row(
+        name="VT",
+        meaning="target speed",
+        source="FACTS C20",
+        queries=("QVT",),
+        unit=Unit.DEG_S,
+        wire_per_unit=TENTHS,
+        firmware=370,
+        note="Unit as of QSD3 (assumed).",
+    ),
+    Row(
+        name="M",
+        meaning="move relative to the present position, as a pulse",
+        source="PRO (Relative) Move in Degrees, FACTS C20",
+        actions=("M",),
+        unit=Unit.US,
+        firmware=370,
+    ),
+    Row(
+        name="MD_RAW",
+        meaning="motor duty without control",
+        source="FACTS M29",
+        actions=("RDM",),
+        queries=("QMD",),
+        minimum=-1023,
+        maximum=1023,
+        firmware=370,
+    ),
+    Row(
+        name="CSL",
+        meaning="soft limit of the current",
+        source="FACTS C20",
+        actions=("SCSL",),
+        queries=("QCSL",),
+        minimum=100,
+        maximum=500,
+        default=500,
+        firmware=370,
+        note="No source names the unit or the default; 500 is assumed.",
+    ),
+    Row(
+        name="HD",
+        meaning="distance from the target at which holding begins",
+        source="FACTS M28",
+        actions=("HD",),
+        queries=("QHD",),
+        configs=("CHD",),
+        suffixes=SESSION_OR_CONFIG,
+        unit=Unit.DEG,
+        wire_per_unit=TENTHS,
+        minimum=0,
+        default=30,
+        firmware=370,
+        note="Tenths are assumed.",
+    ),
+    Row(
+        name="LE",
+        meaning="software position limits on (1) or off (0)",
+        source="FACTS C20",
+        queries=("QLE",),
+        configs=("CLE",),
+        choices={0: 0, 1: 0},
+        default=0,
+        firmware=370,
+        note="The default is assumed.",
+    ),
+    Row(
+        name="LP",
+        meaning="upper software position limit",
+        source="FACTS C20",
+        queries=("QLP",),
+        configs=("CLP",),
+        unit=Unit.DEG,
+        wire_per_unit=TENTHS,
+        default=1200,
+        firmware=370,
+    ),
+    Row(
+        name="LN",
+        meaning="lower software position limit",
+        source="FACTS C20",
+        queries=("QLN",),
+        configs=("CLN",),
+        unit=Unit.DEG,
+        wire_per_unit=TENTHS,
+        default=-1200,
+        firmware=370,
+    ),
+    Row(
+        name="SLOTCOUNT",
+        meaning="number of reply slots on the bus",
+        source="FACTS W19",
+        actions=("SLOTCOUNT",),
+        queries=("QSLOTCOUNT",),
+        minimum=0,
+        maximum=ID_MAX + 1,
+        default=0,
+        firmware=370,
+    ),
+    Row(
+        name="SLOT",
+        meaning="this servo's reply slot",
+        source="FACTS W19",
+        actions=("SLOT",),
+        queries=("QSLOT",),
+        minimum=0,
+        maximum=ID_MAX,
+        default=0,
+        firmware=370,
+    ),
+    Row(
+        name="PROTOCOL",
+        meaning="shape of the replies to a group: each with a CR (0), or one CR for all (1)",
+        source="FACTS W18",
+        actions=("PROTOCOL",),
+        queries=("QPROTOCOL",),
+        choices={0: 0, 1: 0},
+        default=0,
+        firmware=370,
+        note="Which number means which is assumed.",
+    ),
+    Row(
+        name="ABR",
+        meaning="automatic baud rate from the first byte after power-up",
+        source="FACTS R15",
+        actions=("ABR",),
+        queries=("QABR",),
+        configs=("CABR",),
+        suffixes=SESSION_OR_CONFIG,
+        choices={0: 0, 1: 0},
+        default=0,
+        firmware=370,
+    ),
+)
+
 
 LSS_FIRMWARE: Final = 370
 """Still the latest in June 2025 (FACTS.md V6)."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Final
 
-from lss_motion.protocol.family import Family
+from lss_motion.protocol.constants import Family
 from lss_motion.protocol.lss import LSS_TABLE
 from lss_motion.protocol.table import (
     HUNDREDTHS,

@@ -18,7 +18,7 @@ from lss_motion.errors import ProtocolError
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from lss_motion.protocol.family import Family
+    from lss_motion.protocol.constants import Family
 
 WIRE_MIN: Final = -(2**31)
 WIRE_MAX: Final = 2**31 - 1

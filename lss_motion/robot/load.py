@@ -1,35 +1,196 @@
-"""robot.yaml → Robot: defaults are merged, and everything that must agree is checked here."""
+"""robot.yaml → Robot: defaults are merged, and everything that must agree is checked here.
+
+What must agree within one joint of a robot file.
+
+The analog inputs that a robot file names.
+
+Groups of joints, and which joint is the mirror image of which.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
+from lss_motion.errors import ProtocolError
+from lss_motion.files.source import known_names
+from lss_motion.files.yaml_source import Location, Problem, read_yaml
+from lss_motion.protocol.constants import Family
 from lss_motion.protocol.line import DISABLED
-from lss_motion.robot.drives import board_problems
-from lss_motion.robot.joint_check import joint_problems
-from lss_motion.robot.model import SERVO, Bus, Joint, Response, Robot
-from lss_motion.robot.models import (
+from lss_motion.robot.model import SERVO, Bus, Joint, Response, Robot, Sensor
+from lss_motion.robot.servo_models import (
     BAUD_FIRMWARE_MIN,
     FAMILIES,
     RAMP_STEP_DEG_S2,
     RAMP_STEPS_MAX,
     SERVO_MODELS,
+    board_problems,
     ramp_steps,
 )
-from lss_motion.robot.sensors import sensors_of
-from lss_motion.robot.sides import group_problems, grouped, mirror_problems, mirrored
-from lss_motion.spelling import known_names
-from lss_motion.yaml_source import Location, Problem, read_yaml
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
-    from lss_motion.robot.file import JointDefaults, JointEntry, RobotFile
+    from lss_motion.robot.file import (
+        JointDefaults,
+        JointEntry,
+        JointOnFaultEntry,
+        MirrorEntry,
+        RobotFile,
+        SensorEntry,
+    )
     from lss_motion.robot.model import ServoModel
     from lss_motion.robot.on_fault import Ladders
-    from lss_motion.robot.on_fault_file import JointOnFaultEntry
+
+    Image = tuple[str, Literal[1, -1]]
+
+
+def joint_problems(
+    joint: Joint, place: Callable[[str], Location]
+) -> Iterator[tuple[Location, str]]:
+    """Yield what is wrong with a joint, and where; `place` says where a key of it stands."""
+    model, facts = joint.model, FAMILIES[joint.model.family]
+    if joint.position_min_deg >= joint.position_max_deg:
+        yield (
+            place("range_deg"),
+            f"joint {joint.name!r}: range_deg must rise, but goes from "
+            f"{joint.position_min_deg:g} to {joint.position_max_deg:g}",
+        )
+    yield from _unread_problems(joint, place)
+    if joint.speed_max_deg_s > model.speed_max_deg_s:
+        yield (
+            place("speed_max_deg_s"),
+            f"joint {joint.name!r}: {joint.speed_max_deg_s:g} deg/s is faster than an "
+            f"{model.name} can turn without load, {model.speed_max_deg_s:g} deg/s",
+        )
+    if joint.drive == "timed" and joint.accel_max_deg_s2 > facts.accel_max_deg_s2:
+        yield (
+            place("accel_max_deg_s2"),
+            f"joint {joint.name!r}: {joint.accel_max_deg_s2:g} deg/s² is more than the ramps of "
+            f"the servo (AA, AD) can express, {facts.accel_max_deg_s2:g} deg/s²; a joint with "
+            f"`drive: streamed` needs none",
+        )
+    if joint.drive in ("timed", "auto") and joint.accel_max_deg_s2 < facts.accel_step_deg_s2:
+        yield (
+            place("accel_max_deg_s2"),
+            f"joint {joint.name!r}: {joint.accel_max_deg_s2:g} deg/s² is less than the ramps of "
+            f"the servo (AA, AD) can express, {facts.accel_step_deg_s2:g} deg/s²",
+        )
+    for keyword, value in joint.settings.items():
+        where = place(f"settings.{keyword}")
+        if keyword not in facts.settings:
+            known = known_names(keyword, facts.settings)
+            yield where, f"joint {joint.name!r}: unknown setting {keyword!r}; {known}"
+        elif not facts.settings[keyword][0] <= value <= facts.settings[keyword][1]:
+            least, most = facts.settings[keyword]
+            yield where, f"joint {joint.name!r}: {keyword} {value} must be {least} to {most}"
+    if joint.stored:
+        yield from _stored_problems(joint, place)
+
+
+def _unread_problems(
+    joint: Joint, place: Callable[[str], Location]
+) -> Iterator[tuple[Location, str]]:
+    if joint.unread and joint.model.family is Family.IO2:
+        yield (
+            place(max(joint.unread)),
+            f"joint {joint.name!r}: an RC servo on a 2IO knows no limits; give a number",
+        )
+    elif "accel_max_deg_s2" in joint.unread and joint.drive == "streamed":
+        yield (
+            place("accel_max_deg_s2"),
+            f"joint {joint.name!r}: the ramps of a servo do not act while it is streamed; give a "
+            f"number",
+        )
+
+
+def _stored_problems(
+    joint: Joint, place: Callable[[str], Location]
+) -> Iterator[tuple[Location, str]]:
+    # Only a file that has the key pays for the tables of the protocol.
+    from lss_motion.protocol.codec import stored_wire
+
+    for keyword, stored in joint.stored.items():
+        try:
+            stored_wire(joint.model.family, keyword, stored)
+        except ProtocolError as error:
+            yield place(f"stored.{keyword}"), f"joint {joint.name!r}: {error}"
+
+
+def sensors_of(
+    entries: Mapping[str, SensorEntry], buses: Iterable[str], joints: Mapping[str, Joint]
+) -> tuple[dict[str, Sensor], list[Problem]]:
+    """Return the sensors by name, and what is wrong with them."""
+    known = list(buses)
+    owners = {(joint.bus, joint.servo_id): f"joint {name!r}" for name, joint in joints.items()}
+    sensors: dict[str, Sensor] = {}
+    problems = []
+    for name, entry in entries.items():
+        place = ("sensors", name)
+        bus = entry.bus or (known[0] if len(known) == 1 else None)
+        if bus is None:
+            reason = f"sensor {name!r} has no 'bus', and there are several: {', '.join(known)}"
+            problems.append(Problem((*place, "bus"), reason))
+        elif bus not in known:
+            reason = f"unknown bus {bus!r}; {known_names(bus, known)}"
+            problems.append(Problem((*place, "bus"), reason))
+        elif (
+            owner := owners.setdefault((bus, entry.id), f"sensor {name!r}")
+        ) != f"sensor {name!r}":
+            reason = f"{owner} and sensor {name!r} both have id {entry.id} on bus {bus!r}"
+            problems.append(Problem((*place, "id"), reason))
+        else:
+            sensors[name] = Sensor(name=name, servo_id=entry.id, bus=bus, kind=entry.kind)
+    return sensors, problems
+
+
+def grouped(
+    groups: Mapping[str, Sequence[str]], joints: Collection[str]
+) -> dict[str, tuple[str, ...]]:
+    """Return the joints of every group, in the order of `joints`."""
+    return {
+        group: tuple(name for name in joints if name in members)
+        for group, members in groups.items()
+    }
+
+
+def group_problems(
+    groups: Mapping[str, Sequence[str]], joints: Collection[str]
+) -> Iterator[Problem]:
+    """Yield every member that is no joint, and every group that is called like one."""
+    for group, members in groups.items():
+        if group in joints:
+            yield Problem(("groups", group), f"group {group!r} has the name of a joint")
+        for index, name in enumerate(members):
+            if name not in joints:
+                reason = f"group {group!r}: unknown joint {name!r}; {known_names(name, joints)}"
+                yield Problem(("groups", group, index), reason)
+
+
+def mirrored(entry: MirrorEntry) -> dict[str, Image]:
+    """Return the image of every joint that has one, and the sign of its angle there."""
+    images: dict[str, Image] = {}
+    for left, right in entry.same.items():
+        images |= {left: (right, 1), right: (left, 1)}
+    for left, right in entry.opposite.items():
+        images |= {left: (right, -1), right: (left, -1)}
+    return images
+
+
+def mirror_problems(entry: MirrorEntry, joints: Collection[str]) -> Iterator[Problem]:
+    """Yield every pair with a joint that is unknown, or has an image already."""
+    seen: set[str] = set()
+    for key, pairs in (("same", entry.same), ("opposite", entry.opposite)):
+        for left, right in pairs.items():
+            place = ("mirror", key, left)
+            for name in sorted({left, right}):
+                if name not in joints:
+                    yield Problem(place, f"unknown joint {name!r}; {known_names(name, joints)}")
+                elif name in seen:
+                    yield Problem(place, f"joint {name!r} has a mirror image already; keep one")
+            seen |= {left, right}
+
 
 SIMULATED_PORT: Final = "sim://"
 """Every simulated bus is its own, so several may have this port; a real port carries one bus."""
@@ -43,8 +204,8 @@ def load_robot(path: Path | str) -> Robot:
     Joints keep the order of the file. Raises `InputError` with file, line, value and remedy;
     its `more` holds all further problems of the file.
     """
+    from lss_motion.files.validation import validate
     from lss_motion.robot.file import RobotFile
-    from lss_motion.validation import validate
 
     source = read_yaml(Path(path))
     content, problems, left_out = validate(RobotFile, source)
@@ -59,7 +220,7 @@ def load_robot(path: Path | str) -> Robot:
 
 def robot_schema() -> dict[str, Any]:
     """Return the JSON Schema of a robot file."""
-    from lss_motion.json_schema import json_schema
+    from lss_motion.files.validation import json_schema
     from lss_motion.robot.file import RobotFile
 
     return json_schema(RobotFile)
@@ -274,7 +435,7 @@ _PLAIN: Final = (
 
 
 def _ladders(entry: JointOnFaultEntry) -> Ladders:
-    from lss_motion.robot.on_fault_file import ladders
+    from lss_motion.robot.file import ladders
 
     return ladders(entry)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Literal
 
-from lss_motion.protocol.family import Family  # noqa: TC001 (importable from here)
+from lss_motion.files.source import counted
+from lss_motion.protocol.constants import Family  # noqa: TC001 (importable from here)
 from lss_motion.robot.on_fault import DEFAULTS
-from lss_motion.spelling import counted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -12,9 +12,9 @@ from tempfile import NamedTemporaryFile
 from typing import TYPE_CHECKING, Any, Literal
 
 from lss_motion.errors import InputError
+from lss_motion.files.source import read_data, text_of
+from lss_motion.files.yaml_edit import set_comment, set_values
 from lss_motion.robot.load import load_robot
-from lss_motion.source_file import read_data, text_of
-from lss_motion.yaml_edit import set_comment, set_values
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -16,7 +16,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.runtime.devices import list_devices, permission_hint
+from lss_motion.runtime.port import list_devices, permission_hint
 from lss_motion.runtime.real_time import prompt_waits
 from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US
 

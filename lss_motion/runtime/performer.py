@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError
 from lss_motion.player.events import CueReached, Warned
-from lss_motion.sequence.functions import function_problem
+from lss_motion.sequence.load import function_problem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator

@@ -1,18 +1,165 @@
-"""What the runner needs of a port, and the one that is real: pyserial."""
+"""What the runner needs of a port, and the one that is real: pyserial.
+
+A port that is opened again when it was lost, as long as somebody still wants it.
+
+The serial devices of this computer: their names, and what keeps us from opening one.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import os
 import time
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol
 
 from lss_motion.errors import BusError, LostPortError
-from lss_motion.runtime.devices import permission_hint
 from lss_motion.units import NS_PER_MS
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import serial
+
+    from lss_motion.runtime.clock import Clock
+
+
+REOPEN_NS: Final = 100 * NS_PER_MS
+"""How often a lost port is looked for. Chosen: nobody notices a tenth of a second, and to look for
+a device that is not there takes microseconds."""
+
+
+class ReopeningPort:
+    """A port that takes what is written while it is lost, and drops it.
+
+    `waits` is asked when the port is lost, and while it is: False ends it with `BusError`. `lost`
+    is told the reason and the instant, `found` that it is open again.
+    """
+
+    def __init__(
+        self,
+        port: Port,
+        reopen: Callable[[], Port],
+        clock: Clock,
+        *,
+        waits: Callable[[], bool],
+        lost: Callable[[str, int], None],
+        found: Callable[[], None],
+    ) -> None:
+        self.url = port.url
+        self._port: Port | None = port
+        self._reopen = reopen
+        self._clock = clock
+        self._waits = waits
+        self._lost = lost
+        self._found = found
+        self._next_ns = 0
+
+    def write(self, data: bytes) -> None:
+        if self._port is None:
+            return
+        try:
+            self._port.write(data)
+        except BusError as error:
+            self._lose(error)
+
+    def read(self) -> bytes:
+        if self._port is None:
+            self._look()
+            return b""
+        try:
+            return self._port.read()
+        except BusError as error:
+            self._lose(error)
+            return b""
+
+    def fileno(self) -> int | None:
+        return None if self._port is None else self._port.fileno()
+
+    def next_arrival_ns(self) -> int | None:
+        return self._next_ns if self._port is None else self._port.next_arrival_ns()
+
+    def close(self) -> None:
+        if self._port is not None:
+            self._port.close()
+
+    def _lose(self, error: BusError) -> None:
+        if not self._waits():
+            raise error
+        assert self._port is not None
+        self._port.close()
+        self._port = None
+        now_ns = self._clock.now_ns()
+        self._next_ns = now_ns + REOPEN_NS
+        self._lost(error.reason, now_ns)
+
+    def _look(self) -> None:
+        now_ns = self._clock.now_ns()
+        if now_ns < self._next_ns:
+            return
+        self._next_ns = now_ns + REOPEN_NS
+        try:
+            self._port = self._reopen()
+        except BusError:
+            return
+        self._found()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Device:
+    """A serial port that the system knows. `name` is what its USB chip calls itself."""
+
+    path: str
+    name: str
+    is_usb: bool
+
+
+def list_devices() -> list[Device]:
+    """Return the serial ports of this computer, those on USB first."""
+    from serial.tools.list_ports import comports
+
+    found = [
+        Device(path=port.device, name=_name(port), is_usb=port.vid is not None)
+        for port in comports()
+    ]
+    return sorted(found, key=lambda device: (not device.is_usb, device.path))
+
+
+def permission_hint(path: str) -> str:
+    """Return how to get the permission to open a device: which group to join, where there is one.
+
+    Never raises.
+    """
+    try:
+        import grp
+
+        group = grp.getgrgid(Path(path).stat().st_gid).gr_name
+        user = os.environ.get("USER") or "$USER"
+    except (ImportError, KeyError, OSError):
+        return "no permission; on Linux join the group that owns it, usually `dialout`"
+    if group == "root":
+        return (
+            "no permission: it belongs to root alone. `sudo chmod a+rw` helps until it is plugged "
+            "in again; a udev rule that gives it to `dialout` helps for good"
+        )
+    return (
+        f"no permission: it belongs to the group `{group}`. Join it with "
+        f"`sudo usermod -aG {group} {user}`, then log out and in again"
+    )
+
+
+def _name(port: object) -> str:
+    """Return what a port of pyserial's list is called, and its serial number where it has one."""
+    words = [getattr(port, key, None) for key in ("manufacturer", "product")]
+    name = " ".join(str(word) for word in words if word)
+    if not name:
+        description = getattr(port, "description", None)
+        name = "" if description in (None, "n/a") else str(description)
+    serial_number = getattr(port, "serial_number", None)
+    return f"{name} ({serial_number})" if serial_number else name or "no name"
+
 
 READ_MAX_BYTES: Final = 4096
 """Taken in one go; a 115200 line delivers that in a third of a second."""

@@ -9,15 +9,15 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError
-from lss_motion.player.statistics import Statistics
+from lss_motion.player.joint_state import Statistics
 from lss_motion.units import LINE_BITS_PER_BYTE, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from lss_motion.player.joint_state import JointState
     from lss_motion.player.player import Player
-    from lss_motion.player.track import Track
     from lss_motion.program.model import Program
 
 SCHEMA_VERSION: Final = 1
@@ -92,7 +92,7 @@ def _bus(player: Player, name: str, run_s: float) -> dict[str, Any]:
     }
 
 
-def _joint(track: Track, program: Program) -> dict[str, Any]:
+def _joint(track: JointState, program: Program) -> dict[str, Any]:
     following = track.following
     predicted_deg = program.error_max_deg.get(track.joint.name)
     return {
@@ -110,7 +110,7 @@ def _joint(track: Track, program: Program) -> dict[str, Any]:
     }
 
 
-def _trace(track: Track) -> dict[str, list[float]]:
+def _trace(track: JointState) -> dict[str, list[float]]:
     """Return readings of the whole show, evenly: seconds since its start, and joint degrees."""
     points = track.trace.points
     columns = zip(*points, strict=True) if points else ([], [], [])

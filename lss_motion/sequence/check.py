@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
-from lss_motion.spelling import known_names
+from lss_motion.files.source import known_names
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,11 +9,13 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import ConfigDict, Field, PlainValidator, WithJsonSchema
 
-from lss_motion.robot.file import AngleDeg  # noqa: TC001  (pydantic reads it)
-from lss_motion.robot.on_fault_file import OnFaultEntry
+from lss_motion.files.validation import FileModel, Name, Text
+from lss_motion.robot.file import (
+    AngleDeg,
+    OnFaultEntry,
+)
+from lss_motion.sequence.keyframes import KEYFRAMES_MAX, TIME_MAX_S
 from lss_motion.sequence.parts import STEPS_MAX
-from lss_motion.sequence.timing import KEYFRAMES_MAX, TIME_MAX_S
-from lss_motion.validation import FileModel, Name, Text
 
 TIME_MIN_S: Final = 0.001
 """The unit of T on the wire: one millisecond."""

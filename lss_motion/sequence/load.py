@@ -1,29 +1,146 @@
-"""sequence.yaml → Sequence: the file, its robot, and the files that it is made of."""
+"""sequence.yaml → Sequence: the file, its robot, and the files that it is made of.
+
+Whether the function of an event is there, as far as that is seen without running its module.
+
+The `events` of a sequence file: colours, words, functions and sounds at times of the show.
+"""
 
 from __future__ import annotations
 
+import ast
+import contextlib
+import importlib
 from dataclasses import dataclass, field, replace
+from importlib.machinery import PathFinder
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError
+from lss_motion.files.source import known_names
+from lss_motion.files.yaml_source import Location, Problem, read_yaml
+from lss_motion.protocol.constants import Led
 from lss_motion.robot.load import load_robot
 from lss_motion.sequence.check import check_sequence
-from lss_motion.sequence.cues import cues
-from lss_motion.sequence.frames import TrackLoader
-from lss_motion.sequence.mirror import mirrored
-from lss_motion.sequence.model import Sequence, Timing
-from lss_motion.sequence.parts import Part, PartLoader
-from lss_motion.sequence.speed import at_speed
-from lss_motion.sequence.timing import timing_of
-from lss_motion.yaml_source import Location, Problem, read_yaml
+from lss_motion.sequence.keyframes import TrackLoader, at_speed, timing_of
+from lss_motion.sequence.model import Cue, Sequence, Timing
+from lss_motion.sequence.parts import Part, PartLoader, mirrored
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
+    from collections.abc import Sequence as AbcSequence
+    from importlib.machinery import ModuleSpec
 
+    from lss_motion.files.yaml_source import YamlSource
     from lss_motion.robot.model import Robot
-    from lss_motion.sequence.file import SequenceFile
-    from lss_motion.yaml_source import YamlSource
+    from lss_motion.sequence.file import EventEntry, SequenceFile
+
+
+DYNAMIC: Final = frozenset({"__getattr__", "exec", "globals", "setattr", "vars"})
+"""A module with one of these, or with a star import, may have names that its text does not show."""
+
+
+def function_problem(run: str, folder: str) -> str:
+    """Return why `module:function` cannot be called, or nothing.
+
+    The module is looked for in `folder`, then among those installed. What only running it would
+    show is not found: the process that runs functions does that, before a show in real time moves.
+    """
+    module_name, _, name = run.partition(":")
+    spec = _find(module_name, folder)
+    if spec is None:
+        return f"there is no module {module_name!r} in {folder}, nor is one installed"
+    if spec.origin is None or not spec.origin.endswith(".py"):
+        return ""
+    try:
+        tree = ast.parse(Path(spec.origin).read_bytes())
+    except (SyntaxError, ValueError) as error:
+        line = f":{error.lineno}" if isinstance(error, SyntaxError) else ""
+        return f"{spec.origin}{line} is no Python: {error.args[0]}"
+    except OSError as error:
+        return f"{spec.origin} cannot be read: {error.strerror}"
+    if name in (names := _names(tree)) or names & DYNAMIC:
+        return ""
+    functions = [node.name for node in tree.body if isinstance(node, ast.FunctionDef)]
+    return f"{spec.origin} has no function {name!r}; {known_names(name, functions)}"
+
+
+def _find(module_name: str, folder: str) -> ModuleSpec | None:
+    """Return where a module is. No package is imported on the way, as `find_spec` would do."""
+    importlib.invalidate_caches()
+    path, *inner = module_name.split(".")
+    spec = PathFinder.find_spec(path, [folder])
+    if spec is None:
+        with contextlib.suppress(ValueError):  # Of a module that was made without one.
+            spec = find_spec(path)
+    for name in inner:
+        if spec is None or spec.submodule_search_locations is None:
+            return None
+        path = f"{path}.{name}"
+        spec = PathFinder.find_spec(path, list(spec.submodule_search_locations))
+    return spec
+
+
+def _names(tree: ast.Module) -> set[str]:
+    """Return every name that a module may have, and those of `DYNAMIC` that it uses."""
+    names = set()
+    for node in ast.walk(tree):
+        match node:
+            case ast.FunctionDef() | ast.AsyncFunctionDef() | ast.ClassDef():
+                names.add(node.name)
+            case ast.Name() if isinstance(node.ctx, ast.Store) or node.id in DYNAMIC:
+                names.add(node.id)
+            case ast.alias():
+                names.add("globals" if node.name == "*" else node.asname or node.name)
+            case _:
+                pass
+    return names
+
+
+KINDS = ("led", "say", "run", "sound")
+
+
+def cues(
+    entries: AbcSequence[EventEntry],
+    left_out: frozenset[Location],
+    source: YamlSource,
+    robot: Robot | None,
+    note: Callable[[Location, str], None],
+) -> Iterator[Cue]:
+    """Yield what the entries mean; `note` is told what is wrong and where."""
+    folder = source.path.absolute().parent
+    for index, entry in enumerate(entries):
+        place: Location = ("events", index)
+        if place in left_out:
+            continue
+        given = [kind for kind in KINDS if getattr(entry, kind) is not None]
+        if len(given) != 1:
+            note(
+                place, f"an event is one of {', '.join(KINDS)}, not {' and '.join(given) or 'none'}"
+            )
+            continue
+        if entry.lead_s and entry.sound is None:
+            note((*place, "lead_s"), "lead_s belongs to a sound")
+        if entry.sound is not None and not (folder / entry.sound).is_file():
+            looked = folder / entry.sound
+            note((*place, "sound"), f"sound file {entry.sound!r} not found; looked for {looked}")
+        if entry.run is not None and (problem := function_problem(entry.run, str(folder))):
+            note((*place, "run"), f"run: {entry.run!r} cannot be used: {problem}")
+        known = {} if robot is None else robot.joints
+        for name in entry.led or () if robot is not None else ():
+            if name not in known:
+                note((*place, "led", name), f"unknown joint {name!r}; {known_names(name, known)}")
+        led = {} if entry.led is None else entry.led
+        yield Cue(
+            at_s=entry.at_s,
+            led=tuple((name, int(Led[colour.upper()])) for name, colour in led.items()),
+            say=entry.say or "",
+            run=entry.run or "",
+            sound="" if entry.sound is None else str(folder / entry.sound),
+            lead_s=entry.lead_s,
+            folder=str(folder) if entry.run else "",
+            line=source.line(place),
+        )
 
 
 def load_sequence(
@@ -45,13 +162,14 @@ def load_sequence(
 
 def sequence_schema() -> dict[str, Any]:
     """Return the JSON Schema of a sequence file."""
-    from lss_motion.json_schema import json_schema
+    from lss_motion.files.validation import json_schema
     from lss_motion.sequence.file import SequenceFile
 
     return json_schema(SequenceFile)
 
 
 def _load(path: Path, robot: Robot | None, part: Part) -> Sequence:
+    from lss_motion.files.validation import validate
     from lss_motion.sequence.file import (
         EventEntry,
         KeyframeEntry,
@@ -59,7 +177,6 @@ def _load(path: Path, robot: Robot | None, part: Part) -> Sequence:
         SequenceFile,
         StepEntry,
     )
-    from lss_motion.validation import validate
 
     if (other := part.other(path, robot)) is not None:
         return other
@@ -132,7 +249,7 @@ class _Loader:
     errors: list[InputError] = field(default_factory=list)
 
     def sequence(self) -> Sequence:
-        from lss_motion.robot.on_fault_file import ladders
+        from lss_motion.robot.file import ladders
 
         content = self.content
         main = TrackLoader(

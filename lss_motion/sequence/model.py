@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Literal
 
-from lss_motion.spelling import counted
+from lss_motion.files.source import counted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -1,4 +1,7 @@
-"""The sequence files that a sequence file plays one after the other, or lays on top."""
+"""The sequence files that a sequence file plays one after the other, or lays on top.
+
+A sequence with left and right exchanged.
+"""
 
 from __future__ import annotations
 
@@ -6,20 +9,55 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, Literal
 
 from lss_motion.errors import InputError
+from lss_motion.files.source import known_names
+from lss_motion.files.yaml_source import Location, Problem
 from lss_motion.sequence.check import check_sequence, jumps
-from lss_motion.sequence.mirror import mirrored
+from lss_motion.sequence.keyframes import at_speed
 from lss_motion.sequence.model import Layer, Sequence, Step, Timing, Wait
-from lss_motion.sequence.speed import at_speed
-from lss_motion.spelling import known_names
-from lss_motion.yaml_source import Location, Problem
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
+    from lss_motion.files.yaml_source import YamlSource
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.file import LayerEntry, SequenceFile, StepEntry, WaitEntry
-    from lss_motion.yaml_source import YamlSource
+
+    Images = Mapping[str, tuple[str, Literal[1, -1]]]
+
+
+def mirrored(sequence: Sequence, images: Images) -> Sequence:
+    """Return the sequence as seen in a mirror; joints without an image stay as they are.
+
+    `images` gives for a joint the one on the other side and the sign of the angle there.
+    """
+    return replace(
+        sequence,
+        keyframes=tuple(
+            replace(frame, deg=_exchanged(frame.deg, images)) for frame in sequence.keyframes
+        ),
+        tracks=tuple(mirrored(track, images) for track in sequence.tracks),
+        play=tuple(
+            replace(step, sequence=step.sequence and mirrored(step.sequence, images))
+            for step in sequence.play
+        ),
+        layers=tuple(
+            replace(
+                layer,
+                sequence=mirrored(layer.sequence, images),
+                joints=tuple(images.get(name, (name, 1))[0] for name in layer.joints),
+            )
+            for layer in sequence.layers
+        ),
+    )
+
+
+def _exchanged(angles_deg: Mapping[str, float], images: Images) -> dict[str, float]:
+    exchanged = {}
+    for name, angle_deg in angles_deg.items():
+        image, sign = images.get(name, (name, 1))
+        exchanged[image] = angle_deg if sign == 1 else -angle_deg
+    return exchanged
 
 
 STEPS_MAX: Final = 1000

@@ -11,7 +11,7 @@ from lss_motion.protocol.constants import BROADCAST_ID, PULSE_MAX_US, PULSE_MIN_
 from lss_motion.protocol.io2 import IO2_TABLE, PIN_IDS, SECTION_MAX_CHARS
 from lss_motion.protocol.line import Command, Reply
 from lss_motion.protocol.table import Device, Form, Suffix
-from lss_motion.sim.orders import Chase, Limp
+from lss_motion.sim.profile import Chase, Limp
 from lss_motion.units import NS_PER_MS
 
 if TYPE_CHECKING:

@@ -1,32 +1,33 @@
-"""One serial line with servos on it, as a pure function of time: no clock, no thread, no port."""
+"""One serial line with servos on it, as a pure function of time: no clock, no thread, no port.
+
+From a robot file to simulated buses: which servo hangs on which line, and how it starts.
+"""
 
 from __future__ import annotations
 
 from random import Random
 from typing import TYPE_CHECKING
 
-from lss_motion.protocol.constants import BROADCAST_ID
-from lss_motion.protocol.family import Family
+from lss_motion.protocol.constants import BROADCAST_ID, Family
 from lss_motion.protocol.line import Command, CommandParser
-from lss_motion.sim.adapter import Adapter
-from lss_motion.sim.answering import Answer, Answering
 from lss_motion.sim.boards import RAW_MAX, make_boards
-from lss_motion.sim.drift import Drift
+from lss_motion.sim.clocks import Drift
 from lss_motion.sim.faults import FaultKind, Faults
 from lss_motion.sim.motors import Motors
-from lss_motion.sim.physics import TICK_NS, Physics
+from lss_motion.sim.physics import TICK_NS, Physics, ServoSpec
 from lss_motion.sim.servo import ORDERED_FIRMWARE, Servo
 from lss_motion.sim.truth import Truth
-from lss_motion.sim.wire import HostLine, ServoLine
+from lss_motion.sim.wire import Adapter, Answer, Answering, HostLine, ServoLine
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
 
+    from lss_motion.robot.model import Robot
     from lss_motion.sim.faults import Fault, Turn
-    from lss_motion.sim.physics import ServoSpec
+    from lss_motion.sim.hand import Hand
 
 
 class SimBus:
@@ -275,3 +276,54 @@ class SimBus:
         for board in self._boards:
             for pin in board.pins if servo_id is None else board.meant(servo_id):
                 pin.raw = raw
+
+
+def bus_from_robot(  # noqa: PLR0913  (the knobs of one bus)
+    robot: Robot,
+    bus_name: str,
+    *,
+    seed: int = 0,
+    start_deg: Mapping[str, float] | None = None,
+    physics: Physics | None = None,
+    faults: Sequence[Fault] = (),
+    usb_latency_ns: int = 0,
+    hand: Hand | None = None,
+    droop_deg: Mapping[str, float] | None = None,
+) -> SimBus:
+    """Return one bus of `robot`, its servos in the order of `servos_of`.
+
+    `start_deg` gives joint angles at power-up by joint name. A joint left out stands at 0, or at
+    the end of its range that is nearest to 0. Of `faults`, those of other buses are left out.
+    `hand` leads the joints that it names, and `droop_deg` is what hangs on them (`ServoSpec`).
+    """
+    bus = robot.buses[bus_name]
+    asked_deg = start_deg or {}
+    specs = [
+        ServoSpec(
+            servo_id=joint.servo_id,
+            model=joint.model,
+            start_deg=joint.servo_deg(
+                asked_deg.get(
+                    joint.name, min(max(0.0, joint.position_min_deg), joint.position_max_deg)
+                )
+            ),
+            hand=None if hand is None else hand.led(joint),
+            droop_deg=(droop_deg or {}).get(joint.name, 0.0),
+        )
+        for joint in (robot.joints[name] for name in servos_of(robot, bus_name))
+    ]
+    return SimBus(
+        specs,
+        baud_bps=bus.baud_bps,
+        firmware=bus.firmware,
+        seed=seed,
+        physics=physics,
+        faults=[fault for fault in faults if fault.bus in (None, bus_name)],
+        usb_latency_ns=usb_latency_ns,
+        inputs=[one.servo_id for one in robot.sensors.values() if one.bus == bus_name],
+    )
+
+
+def servos_of(robot: Robot, bus_name: str) -> list[str]:
+    """Return the names of the joints on a bus, in the order of the robot file."""
+    return [joint.name for joint in robot.joints.values() if joint.bus == bus_name]

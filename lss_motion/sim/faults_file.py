@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from lss_motion.protocol.family import Family
+from lss_motion.files.source import known_names
+from lss_motion.files.validation import FileModel, validate
+from lss_motion.files.yaml_source import Problem, read_yaml
+from lss_motion.protocol.constants import Family
 from lss_motion.protocol.io2 import PIN_IDS
 from lss_motion.sim.boards import RAW_MAX, SENSORS
 from lss_motion.sim.faults import ABOUT_LINE, INSTANT, STEADY, Fault, FaultKind
-from lss_motion.spelling import known_names
-from lss_motion.validation import FileModel, validate
-from lss_motion.yaml_source import Problem, read_yaml
 
 if TYPE_CHECKING:
     from lss_motion.robot.model import Robot

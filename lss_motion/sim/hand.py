@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import InputError
-from lss_motion.source_file import read_text
+from lss_motion.files.source import read_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from lss_motion.errors import BusError, InputError
 from lss_motion.runtime.real_time import prompt_waits
-from lss_motion.sim.build import bus_from_robot
+from lss_motion.sim.bus import bus_from_robot
 from lss_motion.units import LINE_BITS_PER_BYTE, NS_PER_MS, NS_PER_S, line_time_ns
 
 if TYPE_CHECKING:

@@ -1,26 +1,414 @@
-"""The firmware of one smart servo: what it does and answers when it hears a command."""
+"""The firmware of one smart servo: what it does and answers when it hears a command.
+
+What a servo makes of the commands that move it: orders to its motor.
+
+What a servo remembers: its EEPROM and its session, by the rows of its family's table.
+
+What a servo knows of itself and answers when asked, in wire units.
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from lss_motion.protocol.constants import BROADCAST_ID
+from lss_motion.protocol.constants import (
+    BROADCAST_ID,
+    DEG_S_PER_RPM,
+    PULSE_MAX_US,
+    PULSE_MIN_US,
+    Family,
+    Status,
+    status_codes,
+)
 from lss_motion.protocol.families import FAMILY_TABLES
-from lss_motion.protocol.family import Family
 from lss_motion.protocol.line import DISABLED, Reply
-from lss_motion.protocol.table import Answer, Form
-from lss_motion.sim.moves import DUTY_MAX, Moves
+from lss_motion.protocol.table import Answer, Form, Suffix
 from lss_motion.sim.physics import RESET_NS
-from lss_motion.sim.readings import Readings
-from lss_motion.sim.settings import Settings
+from lss_motion.sim.profile import Chase, Halt, Limp, Motion, Move, Ramps, Wheel
+from lss_motion.units import s_from_ms
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
     from random import Random
 
     from lss_motion.protocol.line import Command
-    from lss_motion.protocol.table import Row
+    from lss_motion.protocol.table import FamilyTable, Row
+    from lss_motion.robot.model import ServoModel
     from lss_motion.sim.motors import Motors
     from lss_motion.sim.physics import ServoSpec
+    from lss_motion.sim.profile import Order
+
+
+class Settings:
+    """Wire values by the name of their row. A setting in another unit writes the row it mirrors."""
+
+    def __init__(
+        self,
+        table: FamilyTable,
+        firmware: int,
+        factory: Mapping[str, int],
+        eeprom: Mapping[str, int],
+    ) -> None:
+        self.table = table
+        self._rows = {row.name: row for row in table.rows if not row.is_modifier}
+        self._firmware = firmware
+        self._factory: dict[str, int | None] = {
+            row.name: factory.get(row.name, row.default)
+            for row in table.rows
+            if (row.actions or row.configs) and row.mirrors is None
+        }
+        self.eeprom = {**self._factory, **eeprom}
+        self.session = dict(self.eeprom)
+
+    def restart(self) -> None:
+        self.session = dict(self.eeprom)
+
+    def restore_factory(self) -> None:
+        """Forget every configuration but the id, which no document says to be lost or kept.
+
+        Assumed: a servo that lost its id could not be told apart from its neighbours.
+        """
+        self.eeprom = {**self._factory, "ID": self.eeprom.get("ID")}
+
+    def row(self, name: str) -> Row:
+        return self._rows[name]
+
+    def factory(self, name: str) -> int:
+        return self._factory.get(name) or 0
+
+    def number(self, name: str) -> int:
+        """Return a session value as it is on the wire; 0 where there is none."""
+        return self.session.get(name) or 0
+
+    def physical(self, name: str) -> float:
+        """Return a session value in the physical unit of its row."""
+        return self.row(name).physical(self.number(name))
+
+    def write(self, row: Row, value: int | None, *, is_config: bool) -> bool:
+        """Store a value as the servo would; return whether it was taken."""
+        if value is not None:
+            kept = row.kept(value)
+            too_new = row.choices is not None and row.choices.get(value, 0) > self._firmware
+            if kept is None or too_new:
+                return False
+            value = kept
+        if row.mirrors is not None:
+            row, value = self.row(row.mirrors), self._mirrored(row, value)
+        if row.name == "SD" and value is not None:
+            value = min(value, self._factory["SD"] or value)
+        if is_config:
+            self.eeprom[row.name] = value
+        self.session[row.name] = value
+        return True
+
+    def read(self, row: Row, *, is_configured: bool) -> int | None:
+        """Return what a query of this row answers."""
+        values = self.eeprom if is_configured or not row.sets_session else self.session
+        if row.mirrors is None:
+            return values.get(row.name)
+        stored = self.row(row.mirrors)
+        wire = values.get(stored.name)
+        return None if wire is None else round(stored.physical(wire) / DEG_S_PER_RPM)
+
+    def _mirrored(self, row: Row, value: int | None) -> int | None:
+        assert row.mirrors is not None
+        if value is None:
+            return None
+        return self.row(row.mirrors).wire(row.physical(value) * DEG_S_PER_RPM)
+
+
+PULSE_MID_US = 1500
+PULSE_HALF_US = 1000
+"""1500 µs is the middle and ±1000 µs the ends of the angular range (FACTS.md C11)."""
+
+STATUS_OF = {
+    Motion.LIMP: Status.LIMP,
+    Motion.FREE_MOVING: Status.FREE_MOVING,
+    Motion.ACCELERATING: Status.ACCELERATING,
+    Motion.TRAVELING: Status.TRAVELING,
+    Motion.DECELERATING: Status.DECELERATING,
+    Motion.HOLDING: Status.HOLDING,
+    Motion.OUTSIDE_LIMITS: Status.OUTSIDE_LIMITS,
+    Motion.STUCK: Status.STUCK,
+    Motion.BLOCKED: Status.BLOCKED,
+    Motion.SAFE_MODE: Status.SAFE_MODE,
+}
+
+
+class Readings:
+    """The answers of servo `index`. Positions scatter as its encoder does."""
+
+    def __init__(
+        self,
+        index: int,
+        motors: Motors,
+        settings: Settings,
+        *,
+        spec: ServoSpec,
+        firmware: int,
+        random: Random,
+    ) -> None:
+        self._index = index
+        self._motors = motors
+        self._settings = settings
+        self._table: FamilyTable = settings.table
+        self._answers = spec.answers
+        self._firmware = firmware
+        self._random = random
+        self._serial_number = f"{random.randrange(10**7, 10**8)}"
+        self._last_target = 0
+        self._measured: dict[str, Callable[[int], int | str | None]] = {
+            "D": lambda now_ns: self._wire("D", self.position_deg(now_ns)),
+            "DT": self._target,
+            "P": self._pulse_us,
+            "WD": lambda now_ns: self._wire("WD", self._speed_deg_s(now_ns)),
+            "WR": lambda now_ns: round(self._speed_deg_s(now_ns) / DEG_S_PER_RPM),
+            "S": lambda now_ns: round(self._speed_deg_s(now_ns) * self.pulse_us_per_deg()),
+            "VT": lambda _: self._wire("VT", motors.travel_deg_s(index)),
+            "Q": self._status,
+            "V": lambda _: self._wire("V", motors.power.supply_v()),
+            "T": lambda now_ns: self._wire("T", motors.temperature_c(index, now_ns)),
+            "TP": lambda now_ns: self._wire("TP", motors.temperature_c(index, now_ns)),
+            "TM": lambda now_ns: self._wire("TM", motors.temperature_c(index, now_ns)),
+            "C": lambda _: self._wire("C", motors.current_ma(index) / 1000.0),
+            "MS": lambda _: spec.model.name,
+            "N": lambda _: self._serial_number,
+            "F": lambda _: self._firmware,
+            "FR": lambda _: self._firmware,
+        }
+
+    def value(self, row: Row, suffix: Suffix | None, now_ns: int) -> int | str | None:
+        """Return what a query of `row` answers at `now_ns`; None: nothing after the keyword."""
+        match suffix:
+            case Suffix.CAUSE:
+                return int(self._motors.safe_cause[self._index])
+            case Suffix.FULL_VERSION:
+                return f"{self._firmware}.0.0"
+            case Suffix.INSTANTANEOUS:
+                return _speed_in(row, abs(self._speed_deg_s(now_ns)))
+            case Suffix.TARGET:
+                return _speed_in(row, self._motors.travel_deg_s(self._index))
+            case Suffix.CONFIGURED:
+                return self._settings.read(row, is_configured=True)
+            case _ if row.name in self._answers:
+                return self._answers[row.name]
+            case _:
+                measure = self._measured.get(row.name)
+                if measure is not None:
+                    return measure(now_ns)
+                value = self._settings.read(row, is_configured=False)
+                return 0 if value is None and row.answer is Answer.INTEGER else value
+
+    def position_deg(self, now_ns: int) -> float:
+        """Return the angle that the encoder shows, as the host sees angles."""
+        raw_deg = self._motors.horn_deg(self._index, now_ns)
+        scatter_deg = self._random.uniform(-1.0, 1.0) * self._motors.physics.noise_deg
+        return self._motors.seen_deg(self._index, raw_deg) + scatter_deg
+
+    def pulse_us_per_deg(self) -> float:
+        range_deg = self._settings.physical("AR") or self._table.row("QAR").physical(1)
+        return PULSE_HALF_US / (range_deg / 2.0)
+
+    def _pulse_us(self, now_ns: int) -> int:
+        """Return the position as a pulse; a negative end point where it is outside (FACTS C11)."""
+        pulse_us = PULSE_MID_US + self.position_deg(now_ns) * self.pulse_us_per_deg()
+        if pulse_us < PULSE_MIN_US:
+            return -PULSE_MIN_US
+        return -PULSE_MAX_US if pulse_us > PULSE_MAX_US else round(pulse_us)
+
+    def _target(self, now_ns: int) -> int | None:
+        """Return the target; without one nothing, or what it last was where a number is due."""
+        target_deg = self._motors.target_deg(self._index, now_ns)
+        if target_deg is not None:
+            self._last_target = self._wire("D", self._motors.seen_deg(self._index, target_deg))
+        elif self._table.row("QDT").answer is Answer.OPTIONAL:
+            return None
+        return self._last_target
+
+    def _status(self, now_ns: int) -> int:
+        motion = self._motors.motion(self._index, now_ns)
+        if motion in {Motion.LIMP, Motion.HOLDING} and self._is_outside(now_ns):
+            motion = Motion.OUTSIDE_LIMITS
+        status = STATUS_OF[motion]
+        codes = status_codes(self._table.family, self._firmware)
+        return codes.index(status if status in codes else Status.ERROR)
+
+    def _is_outside(self, now_ns: int) -> bool:
+        """Return whether the horn rests outside its software limits.
+
+        That status 7 ("outside limits": the page says no more, FACTS.md S3) means these is assumed.
+        """
+        settings = self._settings
+        if not settings.number("LE"):
+            return False
+        seen_deg = self._motors.seen_deg(self._index, self._motors.horn_deg(self._index, now_ns))
+        return not settings.physical("LN") <= seen_deg <= settings.physical("LP")
+
+    def _speed_deg_s(self, now_ns: int) -> float:
+        gyre = float(self._motors.gyre[self._index])
+        return gyre * self._motors.horn_deg_s(self._index, now_ns)
+
+    def _wire(self, name: str, physical: float) -> int:
+        return self._settings.row(name).wire(physical)
+
+
+def _speed_in(row: Row, speed_deg_s: float) -> int:
+    """Return a speed in the unit of `row`, which is SD's or, mirroring it, SR's."""
+    return row.wire(speed_deg_s if row.mirrors is None else speed_deg_s / DEG_S_PER_RPM)
+
+
+DUTY_MAX = 1023
+"""Full motor duty of MMD and RDM (FACTS.md M11, M29)."""
+
+MA_PER_A = 1000.0
+
+
+class Moves:
+    """The motion commands of servo `index`."""
+
+    def __init__(
+        self,
+        index: int,
+        motors: Motors,
+        settings: Settings,
+        readings: Readings,
+        *,
+        model: ServoModel,
+        firmware: int,
+    ) -> None:
+        self._index = index
+        self._motors = motors
+        self._settings = settings
+        self._readings = readings
+        self._model = model
+        self._firmware = firmware
+        self._ramps: Ramps | None = None
+
+    def obey(self, name: str, command: Command, now_ns: int) -> bool:
+        """Do what the row `name` says; return False if that row does not move a servo.
+
+        A command without the value that it needs does nothing.
+        """
+        value = command.value if isinstance(command.value, int) else None
+        match name, value:
+            case "L", _:
+                self._order(now_ns, Limp(), {})
+            case "H", _:
+                self._order(now_ns, Halt(), {})
+            case (("D" | "MD" | "P" | "M" | "WD" | "WR" | "MD_RAW"), None):
+                pass
+            case (("D" | "MD" | "P" | "M"), int()):
+                self._go(command, self._asked_deg(name, value, now_ns), now_ns)
+            case "WD", int():
+                self._turn(command, self._degrees("WD", value), now_ns)
+            case "WR", int():
+                self._turn(command, value * DEG_S_PER_RPM, now_ns)
+            case "MD_RAW", int():
+                self._push(value, now_ns)
+            case _:
+                return False
+        return True
+
+    def start_at(self, seen_deg: float, now_ns: int) -> None:
+        """Go to the first position, from `now_ns` on."""
+        raw_deg = self._motors.raw_deg(self._index, seen_deg)
+        self._order(now_ns, Move(raw_deg, self._session_ramps()), {})
+
+    def forget_ramps(self) -> None:
+        """Read AA, AD and SD anew before the next move."""
+        self._ramps = None
+
+    def _asked_deg(self, name: str, value: int, now_ns: int) -> float:
+        """Return where a position command points, as the host sees angles."""
+        readings = self._readings
+        match name:
+            case "P":
+                pulse_us = min(max(value, PULSE_MIN_US), PULSE_MAX_US) - PULSE_MID_US
+                return pulse_us / readings.pulse_us_per_deg()
+            case "M":
+                return readings.position_deg(now_ns) + value / readings.pulse_us_per_deg()
+            case "MD":
+                return readings.position_deg(now_ns) + self._degrees("MD", value)
+            case _:
+                return self._degrees("D", value)
+
+    def _go(self, command: Command, seen_deg: float, now_ns: int) -> None:
+        """Move to an angle as the host sees it, with the modifiers that belong to the command."""
+        settings = self._settings
+        modifiers = self._modifiers(command)
+        if settings.number("LE"):
+            low_deg, high_deg = settings.physical("LN"), settings.physical("LP")
+            seen_deg = min(max(seen_deg, low_deg), high_deg)
+        raw_deg = self._motors.raw_deg(self._index, seen_deg)
+        if not self._has_profile():
+            is_repeated = settings.session.get("IPE", 1) != 0
+            chase = Chase(raw_deg, settings.number("FPC"), is_repeated)
+            self._order(now_ns, chase, modifiers)
+            return
+        ramps = self._session_ramps()
+        speed_deg_s = min(ramps.speed_deg_s, modifiers.get("SD", ramps.speed_deg_s))
+        if "S" in modifiers:
+            speed_deg_s = min(speed_deg_s, modifiers["S"] / self._readings.pulse_us_per_deg())
+        duration_s = s_from_ms(modifiers["T"]) if "T" in modifiers else None
+        move = Move(raw_deg, ramps._replace(speed_deg_s=speed_deg_s), duration_s)
+        self._order(now_ns, move, modifiers)
+
+    def _turn(self, command: Command, seen_deg_s: float, now_ns: int) -> None:
+        ramps = self._session_ramps()
+        speed_deg_s = min(max(seen_deg_s, -ramps.speed_deg_s), ramps.speed_deg_s)
+        raw_deg_s = float(self._motors.gyre[self._index]) * speed_deg_s
+        wheel = Wheel(raw_deg_s, ramps if self._has_profile() else None)
+        self._order(now_ns, wheel, self._modifiers(command))
+
+    def _push(self, duty: int, now_ns: int) -> None:
+        """Turn with a share of the motor's power and nothing that controls it (RDM)."""
+        duty = min(max(duty, -DUTY_MAX), DUTY_MAX)
+        self._settings.session["MD_RAW"] = duty
+        top_deg_s = float(self._motors.gyre[self._index]) * self._model.speed_max_deg_s
+        self._order(now_ns, Wheel(top_deg_s * duty / DUTY_MAX, None, is_free=True), {})
+
+    def _order(self, now_ns: int, order: Order, modifiers: dict[str, float]) -> None:
+        limit: tuple[float, Halt | Limp] | None = None
+        if "CL" in modifiers:  # It takes precedence over CH (FACTS.md M18).
+            limit = (modifiers["CL"] * MA_PER_A, Limp())
+        elif "CH" in modifiers:
+            limit = (modifiers["CH"] * MA_PER_A, Halt())
+        self._motors.limit_current(self._index, limit)
+        self._motors.order(self._index, now_ns, order)
+
+    def _has_profile(self) -> bool:
+        """Return whether this is EM1; where there is no EM, it always is."""
+        return self._settings.session.get("EM", 1) != 0
+
+    def _session_ramps(self) -> Ramps:
+        """Return what AA, AD and SD say. A value of 0 acts as the smallest step (assumed)."""
+        if self._ramps is None:
+            ratio = self._motors.physics.ramp_ratio
+            self._ramps = Ramps(
+                speed_deg_s=min(self._at_least_one("SD"), self._model.speed_max_deg_s),
+                accel_deg_s2=ratio * self._at_least_one("AA"),
+                decel_deg_s2=ratio * self._at_least_one("AD"),
+            )
+        return self._ramps
+
+    def _at_least_one(self, name: str) -> float:
+        return self._degrees(name, max(abs(self._settings.number(name)), 1))
+
+    def _degrees(self, name: str, value: int) -> float:
+        return self._settings.row(name).physical(value)
+
+    def _modifiers(self, command: Command) -> dict[str, float]:
+        """Return the modifiers in physical units; those that do not belong here do nothing."""
+        table = self._settings.table
+        allowed = table.row(command.keyword).modifiers
+        return {
+            name: row.physical(value)
+            for name, value in command.modifiers
+            if name in allowed
+            and (row := table.modifiers[name]).firmware <= self._firmware
+            and row.allows(value)
+        }
+
 
 ORDERED_FIRMWARE = 370
 """First firmware that orders replies: groups, slots, QID with a delay (FACTS.md W16 to W19)."""

@@ -1,18 +1,31 @@
-"""The two serial lines of a bus, byte by byte: when each arrives and what collisions leave."""
+"""The two serial lines of a bus, byte by byte: when each arrives and what collisions leave.
+
+The USB adapter between the host and the line: what it holds back, and when it is not there.
+
+How replies leave: after which turnaround, in which order, and what happens to them.
+"""
 
 from __future__ import annotations
 
 import heapq
 from collections import deque
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from random import Random
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+from lss_motion.protocol.constants import BROADCAST_ID
+from lss_motion.protocol.line import Command, Reply, encode
+from lss_motion.sim.faults import damaged
+from lss_motion.sim.physics import CORRUPT_SERIAL_RATIO, corrupt_reply_ratio_of, turnaround_of
+from lss_motion.sim.servo import ORDERED_FIRMWARE, Servo
 from lss_motion.units import line_time_ns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from random import Random
 
-    from lss_motion.sim.adapter import Adapter
+    from lss_motion.sim.faults import Faults
+    from lss_motion.sim.physics import Physics
+
 
 LINE_KEPT_BYTES = 4096
 """A line without CR is cut after this many bytes; forty servos in one group need under 1000."""
@@ -150,3 +163,153 @@ class ServoLine:
         if self._current is not None:
             ends_ns = [self._current[0], *ends_ns]
         return min(due_ns, ends_ns[room_bytes - 1])
+
+
+PACKET_BYTES = 62
+"""What an adapter of the FTDI kind collects at most: 64 bytes of USB, two of them its status.
+Common knowledge about the chip; see FACTS.md H3."""
+
+
+@dataclass(slots=True)
+class Packet:
+    """Bytes that reach the host together."""
+
+    due_ns: int
+    data: bytearray = field(default_factory=bytearray)
+
+
+class Adapter:
+    """Delivers the servos' bytes: each as it comes, or, with a latency, in packets.
+
+    With a latency the bytes of a packet wait for the next tick of a timer, or until the packet
+    is full (FACTS.md H1: 16 ms, or 1 ms where the host asks for it).
+    """
+
+    def __init__(self, latency_ns: int) -> None:
+        self._latency_ns = latency_ns
+        self._origin_ns = 0
+        self._outages_ns: Sequence[tuple[int, int]] = ()
+        self._packets: deque[Packet] = deque()
+        self._delivered = bytearray()
+        """Without a latency: what has come since the last `read`."""
+
+    def start(self, now_ns: int, outages_ns: Sequence[tuple[int, int]]) -> None:
+        """Start the timer. In an outage the adapter is unplugged."""
+        self._origin_ns = now_ns
+        self._outages_ns = outages_ns
+
+    def take(self, end_ns: int, value: int) -> None:
+        """Take a byte that has arrived at `end_ns`; bytes come in order of time."""
+        if not self._latency_ns:
+            if not self._is_lost(end_ns):
+                self._delivered.append(value)
+            return
+        last = self._packets[-1] if self._packets else None
+        is_full = last is not None and len(last.data) == PACKET_BYTES
+        if last is None or is_full or last.due_ns < end_ns:
+            last = Packet(self.due_ns(end_ns))
+            self._packets.append(last)
+        last.data.append(value)
+        if len(last.data) == PACKET_BYTES:
+            last.due_ns = end_ns
+
+    def read(self, now_ns: int) -> bytes:
+        """Return what has been delivered by `now_ns`, the present instant."""
+        data, self._delivered = self._delivered, bytearray()
+        while self._packets and self._packets[0].due_ns <= now_ns:
+            packet = self._packets.popleft()
+            if not self._is_lost(packet.due_ns):
+                data += packet.data
+        return bytes(data)
+
+    def due_ns(self, end_ns: int) -> int:
+        """Return when a byte that arrives at `end_ns` is delivered at the latest."""
+        if not self._latency_ns:
+            return end_ns
+        return end_ns + (self._origin_ns - end_ns) % self._latency_ns
+
+    def room_bytes(self) -> int | None:
+        """Return how many bytes still fill the present packet; None: there are no packets."""
+        if not self._latency_ns:
+            return None
+        used = len(self._packets[-1].data) if self._packets else 0
+        return PACKET_BYTES - used % PACKET_BYTES
+
+    def _is_lost(self, due_ns: int) -> bool:
+        outages_ns = self._outages_ns
+        return bool(outages_ns) and any(a_ns <= due_ns < z_ns for a_ns, z_ns in outages_ns)
+
+
+class Talker(Protocol):
+    """What sends one reply after the other: a servo, or a board for all its pins."""
+
+    sent_ns: int
+    random: Random
+
+
+class Answer(NamedTuple):
+    """A reply, the command that it answers, and who says so as which id."""
+
+    talker: Talker
+    servo_id: int
+    command: Command
+    reply: Reply
+
+
+class Answering:
+    """Puts replies on the line from the servos to the host."""
+
+    def __init__(
+        self, line: ServoLine, faults: Faults, *, physics: Physics, firmware: int, seed: int
+    ) -> None:
+        self._line = line
+        self._faults = faults
+        self._turnaround = physics.turnaround or turnaround_of(firmware)
+        self._is_ordered = firmware >= ORDERED_FIRMWARE
+        ratio = physics.corrupt_reply_ratio
+        self._race_ratio = corrupt_reply_ratio_of(firmware) if ratio is None else ratio
+        self._race = Random(f"{seed}/race")
+
+    def send_each(self, heard_ns: int, answers: Sequence[Answer]) -> None:
+        """Let everybody answer as soon as it can; several at once damage each other's bytes."""
+        for answer in answers:
+            self._send(answer, self._start_ns(answer, heard_ns))
+
+    def send_in_turn(self, heard_ns: int, answers: Sequence[Answer]) -> None:
+        """Answer a group: one servo after another, in the order of the line (FACTS.md W17)."""
+        start_ns = heard_ns + self._turnaround.group_ns
+        previous: Talker | None = None
+        for answer in answers:
+            if previous is not None and answer.talker is not previous:
+                start_ns += self._turnaround.group_gap_ns
+            previous = answer.talker
+            start_ns = self._send(answer, start_ns)
+
+    def _start_ns(self, answer: Answer, heard_ns: int) -> int:
+        """Return when somebody begins to answer one query."""
+        turnaround, command, servo = self._turnaround, answer.command, answer.talker
+        is_slotted = self._is_ordered and command.servo_id == BROADCAST_ID
+        if is_slotted and isinstance(servo, Servo):
+            if command.keyword == "QID" and isinstance(command.value, int):
+                slot_ns = command.value * 1000 * servo.servo_id
+                return heard_ns + turnaround.broadcast_ns + slot_ns
+            if servo.settings.number("SLOTCOUNT"):
+                slot_ns = turnaround.slot_ns * servo.settings.number("SLOT")
+                return heard_ns + turnaround.broadcast_ns + slot_ns
+        wait_ns = servo.random.randint(turnaround.single_min_ns, turnaround.single_max_ns)
+        return heard_ns + wait_ns
+
+    def _send(self, answer: Answer, start_ns: int) -> int:
+        """Send one reply once its sender has sent the one before; return when it ends."""
+        talker, servo_id, _, reply = answer
+        sender = self._faults.sender(servo_id, start_ns)
+        if sender != servo_id and reply.servo_id == servo_id:
+            reply = replace(reply, servo_id=sender)
+        data = encode(reply)
+        if self._race_ratio and isinstance(talker, Servo):
+            ratio = self._race_ratio * (CORRUPT_SERIAL_RATIO if reply.keyword == "QN" else 1.0)
+            if self._race.random() < ratio:
+                data = damaged(data, self._race)
+        for piece, begin_ns in self._faults.sent(servo_id, data, start_ns):
+            talker.sent_ns = self._line.send(piece, max(begin_ns, talker.sent_ns))
+        return max(start_ns, talker.sent_ns)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.sequence.model import Interpolation
+from lss_motion.trajectory.keys import PATH_DECIMALS, least_move_s
 from lss_motion.trajectory.path import Path
-from lss_motion.trajectory.spacing import PATH_DECIMALS, least_move_s
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.robot.model import Joint, Robot
-    from lss_motion.trajectory.keys import Key
-    from lss_motion.trajectory.spacing import Spacing
+    from lss_motion.trajectory.keys import Key, Spacing
 
     FloatArray = NDArray[np.float64]
 

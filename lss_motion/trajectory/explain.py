@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
     from lss_motion.sequence.model import Keyframe
     from lss_motion.sequence.model import Sequence as Show
-    from lss_motion.trajectory.clock import Clock
+    from lss_motion.trajectory.keys import Spacing
+    from lss_motion.trajectory.model import Clock
     from lss_motion.trajectory.path import Path
-    from lss_motion.trajectory.solve import Task, Window
-    from lss_motion.trajectory.spacing import Spacing
+    from lss_motion.trajectory.solver import Task, Window
 
     FloatArray = NDArray[np.float64]
 

@@ -1,24 +1,203 @@
 """From what the author wants to what the robot can do: `plan`.
 
 A plan that is remembered needs no planner: what makes one is loaded when there is one to make.
+
+Verified plans on disk, found by content, so that a plan made once costs next to nothing again.
+
+An entry is named by a hash of the whole question (what the author wants and every limit), so that
+it can never answer another one. It holds a plan that has passed the verifier, and a hash of
+itself: what is read back is what was verified, to the bit, and need not be verified again.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
+import hashlib
+import io
+import json
+import os
+import tempfile
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
 
 from lss_motion.errors import InputError
+from lss_motion.sequence.keyframes import at_speed
 from lss_motion.sequence.model import Timing
-from lss_motion.sequence.speed import at_speed
-from lss_motion.trajectory.cache import name_of, remembered
 from lss_motion.trajectory.cues import planned_cues
-from lss_motion.trajectory.span import looped_span
+from lss_motion.trajectory.keys import looped_span
+from lss_motion.trajectory.model import Clock, Mark, Motion, Stretch, Trajectory, motions_of
+from lss_motion.trajectory.path import Path as JointPath
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.model import Sequence
-    from lss_motion.trajectory.model import Trajectory
+
+
+PLANNER_VERSION: Final = 3
+"""Part of every name: to be raised whenever the same question gets another answer."""
+
+DIRECTORY_VARIABLE: Final = "LSS_MOTION_CACHE_DIR"
+"""Environment variable that moves the cache."""
+
+BYTES_MAX: Final = 128 * 1024 * 1024
+"""The oldest entries go when the cache grows beyond this. Chosen: some fifty long shows."""
+
+PIECES_MIN: Final = 64
+"""Plans with fewer polynomials and steady stretches are made as quickly as they are read."""
+
+SUFFIX: Final = ".plan.npz"
+
+_DIGEST_BYTES: Final = 32
+"""Length of SHA-256, which stands before the content."""
+
+_PARTS: Final = ("first", "middle", "last")
+_PATH: Final = ("knots_s", "coefficients")
+_CLOCK: Final = ("times_s", "path_s", "rates", "rate_slopes")
+
+
+def directory() -> Path:
+    """Return where plans are kept: `LSS_MOTION_CACHE_DIR`, else the user's cache folder."""
+    if chosen := os.environ.get(DIRECTORY_VARIABLE):
+        return Path(chosen)
+    import platformdirs
+
+    return Path(platformdirs.user_cache_dir("lss_motion", appauthor=False)) / "plans"
+
+
+def name_of(sequence: Sequence, robot: Robot) -> str:
+    """Return the name of a question: a hash of the keys, their times and the limits they meet."""
+    digest = hashlib.sha256(repr(PLANNER_VERSION).encode())
+    digest.update(
+        repr(
+            (
+                sequence.name,
+                str(sequence.timing),
+                sequence.fit_duration_s,
+                sequence.loop,
+                [
+                    (
+                        joint.name,
+                        joint.position_min_deg,
+                        joint.position_max_deg,
+                        joint.speed_max_deg_s,
+                        joint.accel_max_deg_s2,
+                    )
+                    for joint in robot.joints.values()
+                ],
+            )
+        ).encode()
+    )
+    for frame in sequence.keyframes:
+        digest.update(
+            repr(
+                (
+                    frame.at_s,
+                    frame.hold_s,
+                    frame.is_anchor,
+                    str(frame.ease),
+                    frame.label,
+                    [(name, float(angle_deg)) for name, angle_deg in frame.deg.items()],
+                )
+            ).encode()
+        )
+    return digest.hexdigest()
+
+
+def remembered(name: str, make: Callable[[], Trajectory]) -> Trajectory:
+    """Return the plan stored under `name`, or make and store it. `make` returns a verified one.
+
+    A damaged entry counts as none and is replaced. A cache that cannot be written is no error:
+    the plan is only not remembered.
+    """
+    path = directory() / f"{name}{SUFFIX}"
+    trajectory = _load(path)
+    if trajectory is None:
+        trajectory = make()
+        motions = {id(part): part for part in motions_of(trajectory)}.values()
+        if sum(len(m.path.knots_s) + len(m.clock.rates) for m in motions) >= PIECES_MIN:
+            _store(path, trajectory)
+    return trajectory
+
+
+def _load(path: Path) -> Trajectory | None:
+    try:
+        whole = path.read_bytes()
+    except OSError:
+        return None
+    digest, content = whole[:_DIGEST_BYTES], whole[_DIGEST_BYTES:]
+    if hashlib.sha256(content).digest() != digest:
+        return None
+    with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+        facts: dict[str, Any] = json.loads(stored["facts"].tobytes())
+        motions = [
+            Motion(
+                path=JointPath(**{key: stored[f"{number}.{key}"] for key in _PATH}),
+                clock=Clock(**{key: stored[f"{number}.{key}"] for key in _CLOCK}),
+            )
+            for number in range(max(facts["parts"]) + 1)
+        ]
+    parts = (motions[number] for number in facts["parts"])
+    return Trajectory(
+        name=facts["name"],
+        joints=tuple(facts["joints"]),
+        **dict(zip(_PARTS, parts, strict=True)),
+        loop=facts["loop"],
+        is_periodic=facts["is_periodic"],
+        stretched=tuple(Stretch(**stretch) for stretch in facts["stretched"]),
+        marks=tuple(Mark(**mark) for mark in facts["marks"]),
+    )
+
+
+def _store(path: Path, trajectory: Trajectory) -> None:
+    motions: list[Motion] = []
+    numbers = []
+    for motion in motions_of(trajectory):
+        if not any(motion is earlier for earlier in motions):
+            motions.append(motion)
+        numbers.append(next(n for n, earlier in enumerate(motions) if motion is earlier))
+    facts = {
+        "parts": numbers,
+        "name": trajectory.name,
+        "joints": trajectory.joints,
+        "loop": trajectory.loop,
+        "is_periodic": trajectory.is_periodic,
+        "stretched": [asdict(stretch) for stretch in trajectory.stretched],
+        "marks": [asdict(mark) for mark in trajectory.marks],
+    }
+    arrays = {"facts": np.frombuffer(json.dumps(facts).encode(), dtype=np.uint8)}
+    for number, motion in enumerate(motions):
+        arrays |= {f"{number}.{key}": getattr(motion.path, key) for key in _PATH}
+        arrays |= {f"{number}.{key}": getattr(motion.clock, key) for key in _CLOCK}
+    content = io.BytesIO()
+    np.savez(content, allow_pickle=False, **arrays)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
+            part.write(hashlib.sha256(content.getbuffer()).digest())
+            part.write(content.getbuffer())
+        # A reader sees the whole entry or none.
+        Path(part.name).replace(path)
+        _trim(path.parent)
+    except OSError:
+        return
+
+
+def _trim(folder: Path) -> None:
+    """Remove the oldest entries beyond `BYTES_MAX`."""
+    entries = sorted(
+        ((entry.stat(), entry) for entry in folder.glob(f"*{SUFFIX}")),
+        key=lambda pair: pair[0].st_mtime_ns,
+        reverse=True,
+    )
+    total = 0
+    for status, entry in entries:
+        total += status.st_size
+        if total > BYTES_MAX:
+            entry.unlink(missing_ok=True)
 
 
 def plan(sequence: Sequence, robot: Robot) -> Trajectory:
@@ -70,7 +249,7 @@ def _base(sequence: Sequence, robot: Robot) -> Trajectory:
     from lss_motion.trajectory.verify import verify
 
     if sequence.play:
-        from lss_motion.trajectory.play import in_a_row
+        from lss_motion.trajectory.playlist import in_a_row
 
         trajectory = in_a_row(sequence, robot, _planned)
     else:
@@ -100,7 +279,7 @@ def _alone(track: Sequence, robot: Robot) -> Trajectory:
     ratio = track.speed_ratio
     trajectory = _keyframes(replace(track, speed_ratio=1.0), robot)
     if track.timing is Timing.FASTEST and ratio < 1.0:
-        from lss_motion.trajectory.fit import at_ratio
+        from lss_motion.trajectory.retime import at_ratio
 
         return at_ratio(trajectory, ratio)
     return trajectory
@@ -110,7 +289,7 @@ def _keyframes(track: Sequence, robot: Robot) -> Trajectory:
     """Return the plan of the keyframes alone, made or remembered."""
 
     def make() -> Trajectory:
-        from lss_motion.trajectory.track import planned_track
+        from lss_motion.trajectory.tracks import planned_track
 
         return planned_track(track, robot)
 

@@ -1,26 +1,44 @@
-"""How fast a path may be followed: at rate 1 where that is legal, slower only where it is not.
+"""How fast a path is followed: rates along the path become a clock.
+
+How fast a path may be followed: at rate 1 where that is legal, slower only where it is not.
 
 A path whose parameter is the authored time is followed at rate 1 wherever that breaks no limit.
 Only windows around the segments where it does are given to the solver, widened until rate 1 is
 reached at both of their ends, which makes the result that of solving the whole.
+
+From rates along a path to a clock: windows, steady stretches, rests that give time back.
+
+Durations that are given: the author's times scaled, or the fastest motion slowed.
+
+A sequence laid out along a path: every pass that differs, one after the other.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.trajectory.path import peaks
-from lss_motion.trajectory.solve import FEASIBLE_RATIO, runs, solve
+from lss_motion.errors import InputError, PlanningError
+from lss_motion.trajectory.curves import JointKeys, build_path, joint_keys, seam_slope_deg_s
+from lss_motion.trajectory.keys import SAME_INSTANT_S, Spacing, is_timed, keys_by_joint, spaced
+from lss_motion.trajectory.model import Clock, Motion, Trajectory, motions_of
+from lss_motion.trajectory.path import Path, concatenate, peaks
+from lss_motion.trajectory.solver import FEASIBLE_RATIO, RATE_FREE, Task, runs, solve
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
     from numpy.typing import NDArray
 
-    from lss_motion.trajectory.path import Path
-    from lss_motion.trajectory.solve import Task, Window
+    from lss_motion.robot.model import Robot
+    from lss_motion.sequence.model import Sequence as Show
+    from lss_motion.trajectory.solver import Window
 
     FloatArray = NDArray[np.float64]
+
 
 WINDOW_MIN_S: Final = 0.2
 """How far a window grows at least. Chosen: braking from rate 1 takes a few tenths of a second."""
@@ -79,3 +97,281 @@ def _widen(
         wanted_s -= float(path.knots_s[segment + 1] - path.knots_s[segment])
         is_active[segment] = True
         segment += step
+
+
+class _Pieces:
+    """Collects the pieces of a clock in order."""
+
+    def __init__(self) -> None:
+        self.path_s: list[FloatArray] = []
+        self.spent_s: list[FloatArray] = []
+        self.rates: list[FloatArray] = []
+        self.slopes: list[FloatArray] = []
+        self.now_s = 0.0
+
+    def follow(self, window: Window) -> None:
+        rates = np.sqrt(window.squares)
+        steps_s = np.diff(window.grid_s)
+        self._add(
+            window.grid_s[:-1],
+            2.0 * steps_s / (rates[:-1] + rates[1:]),
+            rates[:-1],
+            np.diff(window.squares) / (2.0 * steps_s),
+        )
+
+    def go(self, from_s: float, to_s: float, spent_s: float) -> None:
+        """Follow the path at one rate, which takes `spent_s`."""
+        rate = (to_s - from_s) / spent_s if spent_s > 0.0 else 0.0
+        self._add(np.array([from_s]), np.array([spent_s]), np.array([rate]), np.zeros(1))
+
+    def _add(
+        self, path_s: FloatArray, spent_s: FloatArray, rates: FloatArray, slopes: FloatArray
+    ) -> None:
+        self.path_s.append(path_s)
+        self.spent_s.append(spent_s)
+        self.rates.append(rates)
+        self.slopes.append(slopes)
+        self.now_s += float(spent_s.sum())
+
+    def clock(self, end_s: float) -> Clock:
+        if not self.spent_s:
+            self.go(end_s, end_s, 0.0)
+        spent_s = np.concatenate(self.spent_s)
+        return Clock(
+            times_s=np.concatenate([[0.0], np.cumsum(spent_s)]),
+            path_s=np.append(np.concatenate(self.path_s), end_s),
+            rates=np.concatenate(self.rates),
+            rate_slopes=np.concatenate(self.slopes),
+        )
+
+
+def authored_clock(
+    path: Path,
+    windows: Sequence[Window],
+    seams: Sequence[int],
+    authored: Callable[[FloatArray], FloatArray],
+) -> Clock:
+    """Return the clock that runs at rate 1 outside of `windows`, with a boundary at all `seams`.
+
+    A rest gives up as much of itself as the motion is late when it begins. `authored` maps path
+    positions to authored times.
+    """
+    is_rest = path.rests
+    kinds = np.where(is_rest, -1, 0)
+    for number, window in enumerate(windows, start=1):
+        kinds[window.first : window.end] = number
+    changes = 1 + np.flatnonzero(np.diff(kinds))
+    bounds = np.unique(
+        np.concatenate([[0], changes, np.asarray(seams, dtype=np.intp), [len(kinds)]])
+    )
+    pieces = _Pieces()
+    followed = 0
+    for first, end in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
+        from_s, to_s = float(path.knots_s[first]), float(path.knots_s[end])
+        kind = int(kinds[first])
+        if kind > 0:
+            if kind > followed:
+                pieces.follow(windows[kind - 1])
+                followed = kind
+            continue
+        spent_s = to_s - from_s
+        if kind < 0:
+            begin_s, finish_s = authored(np.array([from_s, to_s])).tolist()
+            if pieces.now_s - begin_s > SAME_INSTANT_S:
+                spent_s = max(0.0, finish_s - pieces.now_s)
+        pieces.go(from_s, to_s, spent_s)
+    return pieces.clock(float(path.knots_s[-1]))
+
+
+def stopping_clock(
+    windows: Sequence[Window], pauses_s: Mapping[float, float], end_s: float
+) -> Clock:
+    """Return the clock that follows `windows` and stays at path positions for their pause."""
+    pieces = _Pieces()
+    for window in windows:
+        _pause(pieces, float(window.grid_s[0]), pauses_s)
+        pieces.follow(window)
+    _pause(pieces, end_s, pauses_s)
+    return pieces.clock(end_s)
+
+
+def _pause(pieces: _Pieces, at_s: float, pauses_s: Mapping[float, float]) -> None:
+    if (pause_s := pauses_s.get(at_s, 0.0)) > 0.0:
+        pieces.go(at_s, at_s, pause_s)
+
+
+def slowed(clock: Clock, ratio: float) -> Clock:
+    """Return the clock with all motion slowed by `ratio`; pauses keep their length."""
+    is_pause = (clock.rates == 0.0) & (clock.rate_slopes == 0.0)
+    spent_s = np.diff(clock.times_s) * np.where(is_pause, 1.0, ratio)
+    return Clock(
+        times_s=np.concatenate([[0.0], np.cumsum(spent_s)]),
+        path_s=clock.path_s,
+        rates=clock.rates / ratio,
+        rate_slopes=clock.rate_slopes / ratio**2,
+    )
+
+
+def pause_s(clock: Clock) -> float:
+    """Return how long the clock stands still in all."""
+    is_pause = (clock.rates == 0.0) & (clock.rate_slopes == 0.0)
+    return float(np.diff(clock.times_s)[is_pause].sum())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """A checked sequence and the paths of its passes: one, or those that differ (two or three)."""
+
+    sequence: Show
+    robot: Robot
+    keys: Mapping[str, JointKeys]
+    spacing: Spacing
+    paths: tuple[Path, ...]
+    is_timed: bool
+
+    def authored(self, path_s: FloatArray) -> FloatArray:
+        """Return the authored time of positions along all passes."""
+        length_s = self.spacing.length_s
+        if len(self.paths) == 1 or length_s == 0.0:
+            return self.spacing.authored(path_s)
+        passes = np.clip(np.floor(path_s / length_s), 0, len(self.paths) - 1)
+        period_s = float(self.spacing.authored_s[-1])
+        return passes * period_s + self.spacing.authored(path_s - passes * length_s)
+
+    def seams(self) -> tuple[int, ...]:
+        """Return the knots of the joined path where one pass ends and the next starts."""
+        counts = np.cumsum([len(path.knots_s) - 1 for path in self.paths])
+        return tuple(counts[:-1].tolist())
+
+    def task(self, caps: Mapping[int, float]) -> Task:
+        joints = [self.robot.joints[name] for name in self.keys]
+        return Task(
+            path=concatenate(self.paths),
+            speed_max_deg_s=np.array([joint.speed_max_deg_s for joint in joints]),
+            accel_max_deg_s2=np.array([joint.accel_max_deg_s2 for joint in joints]),
+            rate_max=1.0 if self.is_timed else RATE_FREE,
+            knot_caps=caps,
+        )
+
+
+def laid_out(sequence: Show, robot: Robot, *, may_flow: bool = True) -> Layout:
+    """Return the layout of a sequence; `may_flow` False lets every pass end at rest."""
+    checked = keys_by_joint(sequence, robot)
+    if not checked:
+        raise InputError("the sequence moves no joint", path=sequence.path)
+    spacing = spaced(sequence, checked, robot)
+    keys = {name: joint_keys(own, spacing) for name, own in checked.items()}
+    length_s = spacing.length_s
+    slopes: dict[str, float] = {}
+    if sequence.loop != 1 and may_flow:
+        slopes = {name: seam_slope_deg_s(own, length_s) for name, own in keys.items()}
+    if not any(slopes.values()):
+        paths: tuple[Path, ...] = (build_path(keys, robot, length_s),)
+    else:
+        first = build_path(keys, robot, length_s, end_slopes=slopes)
+        middle = build_path(keys, robot, length_s, start_slopes=slopes, end_slopes=slopes)
+        last = build_path(keys, robot, length_s, start_slopes=slopes)
+        paths = (first, last) if sequence.loop == 2 else (first, middle, last)
+    return Layout(
+        sequence=sequence,
+        robot=robot,
+        keys=keys,
+        spacing=spacing,
+        paths=paths,
+        is_timed=is_timed(sequence),
+    )
+
+
+FIT_TOLERANCE_S: Final = 0.001
+"""A fitted pass is as long as wanted, to the millisecond."""
+
+FIT_STEPS: Final = 24
+"""Bisections to find the least feasible duration: a ratio of 1e-7."""
+
+
+def slowed_to(trajectory: Trajectory, wanted_s: float) -> Trajectory:
+    """Slow the motion of a fastest trajectory so that one pass takes `wanted_s`."""
+    motions = motions_of(trajectory)
+    clock = motions[1].clock
+    paused_s = pause_s(clock)
+    moving_s = clock.duration_s - paused_s
+    if clock.duration_s > wanted_s + FIT_TOLERANCE_S:
+        raise PlanningError(
+            f"one pass cannot be done in {wanted_s:g} s: the fastest takes "
+            f"{clock.duration_s:.3f} s, of which {paused_s:g} s are holds"
+        )
+    if moving_s <= 0.0:
+        raise PlanningError(
+            f"nothing moves, so that {wanted_s:g} s cannot be filled; give a hold of that length"
+        )
+    ratio = max(1.0, (wanted_s - paused_s) / moving_s)
+    return _reclocked(trajectory, lambda clock: slowed(clock, ratio))
+
+
+def at_ratio(trajectory: Trajectory, ratio: float) -> Trajectory:
+    """Slow a fastest trajectory down to `ratio` of its speed, pauses included."""
+    return _reclocked(
+        trajectory,
+        lambda clock: Clock(
+            times_s=clock.times_s / ratio,
+            path_s=clock.path_s,
+            rates=clock.rates * ratio,
+            rate_slopes=clock.rate_slopes * ratio**2,
+        ),
+    )
+
+
+def _reclocked(trajectory: Trajectory, change: Callable[[Clock], Clock]) -> Trajectory:
+    """Return the trajectory with other clocks on the same paths; same passes stay the same."""
+    motions = motions_of(trajectory)
+    changed = {id(m): Motion(path=m.path, clock=change(m.clock)) for m in motions}
+    first, middle, last = (changed[id(motion)] for motion in motions)
+    reached_s = [mark.planned_s for mark in trajectory.marks]
+    moved_s = np.interp(reached_s, motions[0].clock.times_s, first.clock.times_s).tolist()
+    return replace(
+        trajectory,
+        first=first,
+        middle=middle,
+        last=last,
+        marks=tuple(
+            replace(mark, planned_s=at_s)
+            for mark, at_s in zip(trajectory.marks, moved_s, strict=True)
+        ),
+    )
+
+
+def scaled(sequence: Show, wanted_s: float) -> Show:
+    """Return the sequence with times and holds scaled so that it lasts `wanted_s`."""
+    lasts_s = max(((frame.at_s or 0.0) + frame.hold_s for frame in sequence.keyframes), default=0.0)
+    if not lasts_s > 0.0:
+        raise InputError("all times are 0 s: there is nothing to fit", path=sequence.path)
+    ratio = wanted_s / lasts_s
+    return replace(
+        sequence,
+        keyframes=tuple(
+            replace(
+                frame,
+                at_s=None if frame.at_s is None else frame.at_s * ratio,
+                hold_s=frame.hold_s * ratio,
+            )
+            for frame in sequence.keyframes
+        ),
+    )
+
+
+def least_fit_s(sequence: Show, robot: Robot) -> float:
+    """Return the least duration at which nothing must be slowed."""
+
+    def is_feasible(duration_s: float) -> bool:
+        layout = laid_out(scaled(sequence, duration_s), robot)
+        is_authored = np.array_equal(layout.spacing.path_s, layout.spacing.authored_s)
+        return bool(is_authored and not strained(layout.task({})).any())
+
+    high_s = sequence.fit_duration_s or 0.0
+    while not is_feasible(high_s):
+        high_s *= 2.0
+    low_s = 0.5 * high_s
+    for _ in range(FIT_STEPS):
+        middle_s = 0.5 * (low_s + high_s)
+        low_s, high_s = (low_s, middle_s) if is_feasible(middle_s) else (middle_s, high_s)
+    return math.ceil(high_s * 1000.0) / 1000.0

@@ -12,14 +12,14 @@ from collections import deque
 from typing import TYPE_CHECKING, Final, Protocol
 
 from lss_motion.errors import PlanningError
-from lss_motion.gait.walker import STILL
+from lss_motion.gait.stepping import STILL
 from lss_motion.player.events import Phase
 from lss_motion.units import s_from_ns
 from lss_motion.walking.planner import Request
 
 if TYPE_CHECKING:
     from lss_motion.gait.model import BodyPose
-    from lss_motion.gait.walker import Twist
+    from lss_motion.gait.stepping import Twist
     from lss_motion.player.player import Player
     from lss_motion.walking.planner import Answer
 

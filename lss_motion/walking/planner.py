@@ -12,17 +12,17 @@ from lss_motion.gait.curves import spline
 from lss_motion.gait.model import BodyPose, Move
 from lss_motion.gait.pacing import paced
 from lss_motion.gait.steering import HISTORY_S, Steering
-from lss_motion.gait.walker import STILL
-from lss_motion.program.growth import Growth, splice_lead_s, standing
+from lss_motion.gait.stepping import STILL
 from lss_motion.program.model import Program
-from lss_motion.trajectory.moving import moving
+from lss_motion.program.splice import Growth, splice_lead_s, standing
+from lss_motion.trajectory.tracks import moving
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.gait.model import Gait
-    from lss_motion.gait.walker import Twist, Walker
-    from lss_motion.program.growth import Extension
+    from lss_motion.gait.stepping import Twist, Walker
+    from lss_motion.program.splice import Extension
     from lss_motion.robot.model import Robot
 
     FloatArray = NDArray[np.float64]

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from lss_motion.errors import PlanningError
-from lss_motion.gait.walker import Twist
+from lss_motion.gait.stepping import Twist
 from lss_motion.program.response import Reference
 from lss_motion.walking.planner import Planner, Request
 

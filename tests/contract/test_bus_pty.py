@@ -14,7 +14,7 @@ import pytest
 import serial
 
 from lss_motion.errors import InputError
-from lss_motion.protocol.family import Family
+from lss_motion.protocol.constants import Family
 from lss_motion.protocol.lss import LSS_TABLE
 from lss_motion.robot.model import Bus, Robot, ServoModel
 from lss_motion.sim.faults import Fault, FaultKind

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import pytest
 
 from lss_motion.protocol.codec import read_reply
+from lss_motion.protocol.constants import Family
 from lss_motion.protocol.families import FAMILY_TABLES
-from lss_motion.protocol.family import Family
 from lss_motion.protocol.line import Reply, ReplyParser
 from lss_motion.protocol.table import Answer, Device, Form, Suffix
 from lss_motion.robot.model import ServoModel

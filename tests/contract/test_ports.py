@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import pytest
 
 from lss_motion.errors import BusError
-from lss_motion.protocol.family import Family
+from lss_motion.protocol.constants import Family
 from lss_motion.robot.model import Bus, Robot, ServoModel
 from lss_motion.runtime.clock import MonotonicClock, VirtualClock
 from lss_motion.runtime.port import SerialPort
-from lss_motion.sim.build import bus_from_robot
+from lss_motion.sim.bus import bus_from_robot
 from lss_motion.sim.port import SimPort
 from lss_motion.sim.pty import serve_buses
 from tests.joints import joint

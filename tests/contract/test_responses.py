@@ -10,11 +10,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from lss_motion.program.filtered import FilterProfile
 from lss_motion.program.response import Reference
-from lss_motion.program.step import StepProfile
+from lss_motion.program.stepped import StepProfile
+from lss_motion.program.streamed import FilterProfile
 from lss_motion.robot.model import Response
-from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.bus import SimBus
 from lss_motion.sim.physics import Physics, ServoSpec
 

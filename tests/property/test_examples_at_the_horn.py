@@ -10,7 +10,7 @@ import pytest
 
 from lss_motion import api
 from lss_motion.cli import shows
-from lss_motion.sim.build import servos_of
+from lss_motion.sim.bus import servos_of
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
 NAMES = ("wave", "show", "tracks", "fastest", "playlist", "hexapod_walk", "quadruped_trot")

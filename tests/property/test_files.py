@@ -13,16 +13,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from lss_motion.errors import InputError
+from lss_motion.files.validation import NAME_PATTERN
 from lss_motion.interchange import read_motion
 from lss_motion.interchange.bitbots import BitBotsReader
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.model import Bus, Joint, Robot
-from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sequence.check import check_sequence
 from lss_motion.sequence.load import load_sequence
 from lss_motion.sequence.model import Interpolation, Keyframe, Sequence, Timing
 from lss_motion.sequence.write import sequence_text
-from lss_motion.validation import NAME_PATTERN
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
 WAVE = (EXAMPLES / "wave.yaml").read_text(encoding="utf-8")

@@ -16,7 +16,7 @@ from lss_motion.gait.load import load_gait
 from lss_motion.gait.model import BodyPose, Leg, LegKind, Walk
 from lss_motion.gait.pacing import paced
 from lss_motion.gait.patterns import PATTERNS
-from lss_motion.gait.sequence import sequence_from
+from lss_motion.gait.to_sequence import sequence_from
 from lss_motion.robot.load import load_robot
 from lss_motion.trajectory.planner import plan
 

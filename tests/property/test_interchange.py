@@ -21,8 +21,7 @@ from lss_motion.interchange import (
     reduced,
 )
 from lss_motion.interchange.fuzzing import fuzz_one
-from lss_motion.interchange.interpolant import interpolated
-from lss_motion.interchange.reduce import ROUNDING_DEG
+from lss_motion.interchange.reduce import ROUNDING_DEG, interpolated
 from lss_motion.sequence.model import Interpolation
 
 PAGE = bytearray(512)

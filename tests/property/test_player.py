@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lss_motion.player.following import OFFSET_MAX_DEG, Following
+from lss_motion.player.estimators import OFFSET_MAX_DEG, DisturbanceEstimator
 from lss_motion.player.show_clock import ShowClock
 
 MS = 1_000_000
@@ -94,7 +94,7 @@ readings = st.lists(
 
 @given(readings)
 def test_whatever_is_read_the_offset_is_bounded_and_changes_slowly(read):
-    following, now_s = Following(speed_max_deg_s=180.0), 0.0
+    following, now_s = DisturbanceEstimator(speed_max_deg_s=180.0), 0.0
     for wait_ms, wild_deg, near_deg in read:
         for measured_deg in (near_deg, wild_deg):
             now_s += wait_ms / 1e3
@@ -113,7 +113,7 @@ def test_whatever_is_read_the_offset_is_bounded_and_changes_slowly(read):
 
 @given(st.floats(-2.5, 2.5), st.integers(5, 100))
 def test_a_constant_disturbance_is_found_whatever_the_rate_of_readings(droop_deg, period_ms):
-    following = Following(speed_max_deg_s=180.0, standing_deg=0.0)
+    following = DisturbanceEstimator(speed_max_deg_s=180.0, standing_deg=0.0)
     offsets = []
     for step in range(400):
         following.take(

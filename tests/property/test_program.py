@@ -11,26 +11,29 @@ import pytest
 from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 
-from lss_motion.program import lanes
-from lss_motion.program.batch import States, durations_for, speeds_for, trapezoids
+from lss_motion.program import segments
 from lss_motion.program.compile import compile_program
-from lss_motion.program.course import GRID_S, Course, LimitArrays, ServoLimits
 from lss_motion.program.drives import lead
 from lss_motion.program.fit import Fit
-from lss_motion.program.landing import SEGMENT_MIN_S
 from lss_motion.program.line import LineSchedule, line_use
 from lss_motion.program.moves import followed, from_rest, references
-from lss_motion.program.predict import profiles
+from lss_motion.program.reference import GRID_S, Course, LimitArrays, ServoLimits
 from lss_motion.program.response import (
     Piece,
     Profile,
     Reference,
+    States,
+    durations_for,
+    speeds_for,
     trapezoid,
+    trapezoids,
     travel_speed,
 )
+from lss_motion.program.search import SEGMENT_MIN_S
 from lss_motion.program.text import from_text, to_text
+from lss_motion.program.verify import profiles
 from lss_motion.robot.model import Bus, Joint, Response, Robot
-from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sequence.model import Keyframe, Sequence
 from lss_motion.sim.bus import SimBus
 from lss_motion.sim.physics import TICK_NS, Physics, ServoSpec
@@ -368,7 +371,7 @@ def test_nothing_drifts_in_ten_minutes(law):
 def test_stops_where_a_long_course_turns_cost_next_to_nothing(monkeypatch):
     course = swing_about(120.0, seed=5)
     moves, _ = fitted(course, limits_of(10))
-    monkeypatch.setattr(lanes, "STRETCH_S", 1e9)
+    monkeypatch.setattr(segments, "STRETCH_S", 1e9)
     whole, _ = fitted(course, limits_of(10))
     assert list(moves.heard_s) != list(whole.heard_s), "it was cut"
     assert len(moves) <= len(whole) * 1.03

@@ -24,7 +24,7 @@ from lss_motion.protocol.line import (
 from lss_motion.protocol.table import WIRE_MAX, WIRE_MIN, Answer, Form, Row, Value
 
 if TYPE_CHECKING:
-    from lss_motion.protocol.family import Family
+    from lss_motion.protocol.constants import Family
 
 IDS = st.integers(0, 255)
 WIRE = st.integers(WIRE_MIN, WIRE_MAX)

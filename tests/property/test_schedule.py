@@ -7,16 +7,16 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from lss_motion.program.attempt import Attempt, slot_us
-from lss_motion.program.columns import moves_of, sizes_bytes
 from lss_motion.program.compile import PREROLL_S, compile_program
-from lss_motion.program.course import GRID_S, Course
 from lss_motion.program.drives import late_max_s
 from lss_motion.program.line import LineSchedule, line_use
 from lss_motion.program.model import heard_us
+from lss_motion.program.reference import GRID_S, Course
+from lss_motion.program.schedule import Attempt, slot_us
+from lss_motion.program.table import moves_of, sizes_bytes
 from lss_motion.protocol.line import encode_move
 from lss_motion.robot.model import Bus, Joint, Robot
-from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sequence.model import Keyframe, Sequence
 from lss_motion.trajectory.planner import plan
 from lss_motion.units import line_time_ns, us_from_s

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from lss_motion.cli.main import main
-from lss_motion.protocol.family import Family
+from lss_motion.protocol.constants import Family
 from lss_motion.robot.model import ServoModel
 from lss_motion.sim.bus import SimBus
 from lss_motion.sim.physics import Physics, ServoSpec

@@ -20,7 +20,7 @@ import pytest
 
 from lss_motion.robot.load import load_robot
 from lss_motion.sequence.load import load_sequence
-from lss_motion.sim.build import bus_from_robot
+from lss_motion.sim.bus import bus_from_robot
 from lss_motion.sim.hand import Hand
 from lss_motion.sim.pty import serve_buses
 

@@ -18,7 +18,7 @@ import pytest
 
 from lss_motion.cli.main import main
 from lss_motion.robot.load import load_robot
-from lss_motion.sim.build import bus_from_robot
+from lss_motion.sim.bus import bus_from_robot
 from lss_motion.sim.pty import serve_buses
 from tests.timed_moves import is_move
 

@@ -9,7 +9,7 @@ import serial
 
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_UNREACHABLE
 from lss_motion.robot.load import load_robot
-from lss_motion.runtime import devices
+from lss_motion.runtime import port as runtime_port
 from lss_motion.sim.faults import Fault, FaultKind
 
 pytestmark = pytest.mark.realtime
@@ -89,8 +89,8 @@ def test_without_permission_the_group_to_join_is_named(lss_motion, tmp_path, mon
 
 def test_without_a_port_those_of_the_computer_are_shown(lss_motion, monkeypatch):
     def found(*known):
-        ports = [devices.Device(path=path, name="FT232R", is_usb=True) for path in known]
-        monkeypatch.setattr(devices, "list_devices", lambda: ports)
+        ports = [runtime_port.Device(path=path, name="FT232R", is_usb=True) for path in known]
+        monkeypatch.setattr(runtime_port, "list_devices", lambda: ports)
         return lss_motion("scan")
 
     code, out, errors = found("/dev/ttyUSB0", "/dev/ttyUSB1")

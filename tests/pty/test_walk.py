@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from lss_motion.cli import shows
-from lss_motion.sim.build import bus_from_robot
+from lss_motion.sim.bus import bus_from_robot
 from lss_motion.sim.pty import serve_buses
 from tests.timed_moves import is_move
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lss_motion.spelling import LISTED_MAX, known_names
+from lss_motion.files.source import LISTED_MAX, known_names
 
 
 def test_the_nearest_name_is_offered_whatever_its_case() -> None:

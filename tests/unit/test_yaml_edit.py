@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from lss_motion.errors import InputError
-from lss_motion.yaml_edit import set_comment, set_values
+from lss_motion.files.yaml_edit import set_comment, set_values
 
 FILE = Path("robot.yaml")
 WRIST = ("joints", "wrist", "response")

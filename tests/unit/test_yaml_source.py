@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.source_file import FILE_MAX_BYTES
-from lss_motion.yaml_source import NODES_MAX, PROBLEMS_MAX, Problem, YamlSource, read_yaml
+from lss_motion.files.source import FILE_MAX_BYTES
+from lss_motion.files.yaml_source import NODES_MAX, PROBLEMS_MAX, Problem, YamlSource, read_yaml
 
 if TYPE_CHECKING:
     from pathlib import Path

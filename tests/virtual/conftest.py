@@ -10,7 +10,7 @@ import pytest
 from lss_motion import api
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.sequence.model import Keyframe, Sequence
-from lss_motion.sim import build
+from lss_motion.sim import bus as sim_bus
 from lss_motion.sim.faults import FaultKind
 from tests.joints import joint
 from tests.timed_moves import is_move
@@ -156,7 +156,7 @@ class Stage:
         if program is None:
             program, trajectory = self.compile(robot, sequence or make_sequence(len(robot.joints)))
         buses, events, sent = {}, [], []
-        make = build.bus_from_robot
+        make = sim_bus.bus_from_robot
 
         def made(_, name, *, seed=0, **rest):
             buses[name] = make(
@@ -189,7 +189,7 @@ class Stage:
 
         controls = Wishes(*wishes)
         with self._monkeypatch.context() as patch:
-            patch.setattr(build, "bus_from_robot", made)
+            patch.setattr(sim_bus, "bus_from_robot", made)
             result = api.perform(
                 program,
                 robot,

@@ -9,7 +9,7 @@ from campaign import judge, witness
 from campaign.shows import show
 from campaign.stale import lawless_ns
 
-from lss_motion.player import settings, setup, streamer, track
+from lss_motion.player import handshake, joint_state, streamer
 from lss_motion.sim.faults import Fault, FaultKind
 
 SEEDS, CHUNKS = range(200), 20
@@ -110,21 +110,21 @@ def test_a_run_that_does_not_end_is_seen(monkeypatch):
 
 
 def test_a_crash_is_seen(monkeypatch):
-    monkeypatch.setattr(setup, "check_latency", lambda *_: 1 / 0)
+    monkeypatch.setattr(handshake, "check_latency", lambda *_: 1 / 0)
     assert "it crashed: ZeroDivisionError" in broken("arm")
 
 
 def test_a_horn_beyond_its_limits_is_seen(monkeypatch):
-    monkeypatch.setattr(settings, "session_orders", lambda *_: [])
+    monkeypatch.setattr(handshake, "session_orders", lambda *_: [])
     monkeypatch.setattr(streamer.Streamer, "_left_s", lambda *_: 0.01)
     monkeypatch.setattr(streamer, "ON_TIME_NS", -1)
     assert "acceleration" in broken("arm")
 
 
 def test_a_command_that_was_moved_too_far_is_seen(monkeypatch):
-    wire_for = track.Track.wire_for
+    wire_for = joint_state.JointState.wire_for
     monkeypatch.setattr(
-        track.Track,
+        joint_state.JointState,
         "wire_for",
         lambda self, target, at_ns: wire_for(self, target + 4.0, at_ns),
     )
@@ -132,7 +132,7 @@ def test_a_command_that_was_moved_too_far_is_seen(monkeypatch):
 
 
 def test_a_missing_safe_state_is_seen(monkeypatch):
-    monkeypatch.setattr(setup, "safe_bytes", lambda *_, **__: {})
+    monkeypatch.setattr(handshake, "safe_bytes", lambda *_, **__: {})
     assert "the last bytes on bus main" in broken("arm")
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from lss_motion import api
 from lss_motion.player.events import Warned
-from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics
 

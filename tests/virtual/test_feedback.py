@@ -11,10 +11,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lss_motion.sim import build
-from lss_motion.sim.drives import FILTER_NS
+from lss_motion.sim import bus
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics
+from lss_motion.sim.profile import FILTER_NS
 from tests.timed_moves import MOVE
 
 WRONG_LAG = Physics(lag_s=0.05)
@@ -31,10 +31,10 @@ def rms_deg(stage, kit, monkeypatch):
 
     def play(*, droop_deg=0.0, seed=3, baud_bps=57600, **options):
         robot = kit.robot(3, baud_bps=baud_bps)
-        hanging = partial(build.bus_from_robot, droop_deg=dict.fromkeys(robot.joints, droop_deg))
+        hanging = partial(bus.bus_from_robot, droop_deg=dict.fromkeys(robot.joints, droop_deg))
         show = kit.sequence(3, 12.0, seed=seed, step_s=(0.5, 0.9))
         with monkeypatch.context() as patch:
-            patch.setattr(build, "bus_from_robot", hanging)
+            patch.setattr(bus, "bus_from_robot", hanging)
             played = stage.play(robot, show, seed=seed, **options)
         assert played.report["outcome"] == "finished"
         return float(np.sqrt(np.mean(played.horn_error_deg() ** 2))), played

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from lss_motion import api
-from lss_motion.program.growth import standing
 from lss_motion.program.model import Program
-from lss_motion.trajectory.moving import moving
+from lss_motion.program.splice import standing
+from lss_motion.trajectory.tracks import moving
 
 
 def wave(robot, from_s, to_s, swing_deg):

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import BusError
-from lss_motion.player import setup
+from lss_motion.player import handshake
+from lss_motion.player.estimators import OFFSET_MAX_DEG
 from lss_motion.player.events import PhaseEntered, Warned
-from lss_motion.player.following import OFFSET_MAX_DEG
 from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.servo import Servo
@@ -95,8 +95,8 @@ def test_a_servo_that_does_not_say_what_its_limits_were_is_given_them_all_the_sa
 
 
 def test_a_servo_that_does_not_take_its_limits_is_not_driven(stage, kit, monkeypatch):
-    asked = [word for word in setup.QUESTIONS if word != "QAA"]
-    monkeypatch.setattr(setup, "QUESTIONS", asked)
+    asked = [word for word in handshake.QUESTIONS if word != "QAA"]
+    monkeypatch.setattr(handshake, "QUESTIONS", asked)
     obey = Servo.obey
     monkeypatch.setattr(
         Servo,

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lss_motion.player.estimators import DisturbanceEstimator
 from lss_motion.player.events import MarkPassed, Warned
-from lss_motion.player.following import Following
 from lss_motion.protocol.lss_pro import PRO_TABLE
-from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics, Turnaround
 from lss_motion.units import line_time_ns
@@ -31,7 +31,7 @@ COMMAND_US = line_time_ns(len(b"#12D-450T50\r"), BAUD_BPS) // 1000
 def believed(monkeypatch):
     """Collect what every joint believed: `(joint's Following, angle, instant)`."""
     taken = []
-    take = Following.take
+    take = DisturbanceEstimator.take
 
     def noted(self, measured_deg, read_s, **rest):
         is_believed = take(self, measured_deg, read_s, **rest)
@@ -39,7 +39,7 @@ def believed(monkeypatch):
             taken.append((self, measured_deg, read_s))
         return is_believed
 
-    monkeypatch.setattr(Following, "take", noted)
+    monkeypatch.setattr(DisturbanceEstimator, "take", noted)
     return taken
 
 

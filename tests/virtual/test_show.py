@@ -10,8 +10,8 @@ import pytest
 
 from lss_motion.errors import BusError, InputError, PlaybackError
 from lss_motion.player.events import MarkPassed, PhaseEntered, Warned
-from lss_motion.player.phases import COUNT_IN_NS
-from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.player.player import COUNT_IN_NS
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics
 from tests.timed_moves import is_move

@@ -13,9 +13,9 @@ from lss_motion.cli import shows
 from lss_motion.gait.kinematics import forward
 from lss_motion.gait.model import BodyPose
 from lss_motion.gait.steering import eased
-from lss_motion.gait.walker import STILL, Twist
+from lss_motion.gait.stepping import STILL, Twist
 from lss_motion.player.events import Phase
-from lss_motion.sim import build
+from lss_motion.sim import bus as sim_bus
 from lss_motion.walking.local import LocalLink
 from lss_motion.walking.pilot import Pilot
 from lss_motion.walking.planner import Planner
@@ -42,14 +42,14 @@ class Walk:
         link = LocalLink(self.planner, takes_s)
         self.pilot = Pilot(link, phase_s=self.planner.phase_s, splice_s=self.planner.splice_s)
         self.script, self.acted_ns = list(script), []
-        buses, make = {}, build.bus_from_robot
+        buses, make = {}, sim_bus.bus_from_robot
 
         def made(robot, bus, **rest):
             buses[bus] = make(robot, bus, **rest)
             return buses[bus]
 
         with monkeypatch.context() as patch:
-            patch.setattr(build, "bus_from_robot", made)
+            patch.setattr(sim_bus, "bus_from_robot", made)
             self.result = api.perform(
                 self.planner.program,
                 self.robot,

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lss_motion.runtime.real_time import PRIORITY
-from lss_motion.sim.build import bus_from_robot
+from lss_motion.sim.bus import bus_from_robot
 from lss_motion.sim.pty import serve_buses
 
 if TYPE_CHECKING:

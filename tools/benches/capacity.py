@@ -22,9 +22,9 @@ from lss_motion import api
 from lss_motion.errors import LineLoadError
 from lss_motion.player.events import Phase, PhaseEntered
 from lss_motion.program.compile import TOLERANCE_DEG
-from lss_motion.robot.models import SERVO_ID_MAX
+from lss_motion.robot.servo_models import SERVO_ID_MAX
 from lss_motion.sequence.model import Keyframe, Sequence
-from lss_motion.sim.build import bus_from_robot
+from lss_motion.sim.bus import bus_from_robot
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from benches.shows import lively_show, robot_of
 from benches.table import Row
 from lss_motion import api
-from lss_motion.program.course import GRID_S, Course, servo_limits
 from lss_motion.program.fit import Fit
+from lss_motion.program.reference import GRID_S, Course, servo_limits
 
 if TYPE_CHECKING:
     from lss_motion.program.moves import Moves

@@ -15,8 +15,8 @@ import numpy as np
 from benches.shows import lively_show, robot_of
 from benches.table import Row
 from lss_motion import api
-from lss_motion.robot.models import SERVO_MODELS
-from lss_motion.sim import build
+from lss_motion.robot.servo_models import SERVO_MODELS
+from lss_motion.sim import bus
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics
 
@@ -95,11 +95,11 @@ def _rms_deg(
     program = api.compile(trajectory, robot)
     faults: Sequence[Fault] = disturbance.get("faults", ())
     made = partial(
-        build.bus_from_robot,
+        bus.bus_from_robot,
         droop_deg=disturbance.get("droop_deg"),
         physics=disturbance.get("physics"),
     )
-    with patch.object(build, "bus_from_robot", made):
+    with patch.object(bus, "bus_from_robot", made):
         result = api.perform(
             program,
             robot,

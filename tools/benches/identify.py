@@ -17,10 +17,10 @@ from benches.table import Row
 from lss_motion.connection import Connection
 from lss_motion.maintenance.identify.estimate import identify
 from lss_motion.maintenance.identify.experiment import Experiment
-from lss_motion.maintenance.identify.plan import make_window
-from lss_motion.player import settings, setup
+from lss_motion.maintenance.identify.trials import make_window
+from lss_motion.player import handshake
 from lss_motion.robot.model import Bus, Joint, Robot
-from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.runtime.clock import VirtualClock
 from lss_motion.sim.bus import SimBus
 from lss_motion.sim.physics import TICK_NS, Physics, ServoSpec
@@ -80,8 +80,8 @@ def blind(seed: int) -> Blind:
     bus = SimBus([spec], baud_bps=115200, firmware=370, seed=seed, physics=physics)
     bus.record()
     connection.ports["main"] = SimPort(bus, connection.clock)
-    answers = connection.ask(setup.questions([joint]))
-    standing_deg = settings.stored(joint, answers, "QD")
+    answers = connection.ask(handshake.questions([joint]))
+    standing_deg = handshake.stored(joint, answers, "QD")
     assert standing_deg is not None
     window = make_window(joint, standing_deg, span_deg)
     experiment = Experiment(joint, robot, answers, window, standing_deg=standing_deg)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import serial
 
 from benches.table import Row, core_seconds
-from lss_motion.protocol.family import Family
+from lss_motion.protocol.constants import Family
 from lss_motion.robot.model import Bus, Joint, Robot, ServoModel
 from lss_motion.runtime.real_time import prompt_waits
 from lss_motion.sim.bus import SimBus

@@ -21,7 +21,7 @@ from benches.shows import lively_show, robot_of
 from benches.table import Row, core_seconds
 from lss_motion import api
 from lss_motion.player.events import Phase, PhaseEntered
-from lss_motion.sim.build import bus_from_robot
+from lss_motion.sim.bus import bus_from_robot
 from lss_motion.units import NS_PER_US, ns_from_s
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lss_motion.robot.model import Bus, Joint, Robot
-from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sequence.model import Keyframe, Sequence
 
 SPEED_MAX_DEG_S = 200.0

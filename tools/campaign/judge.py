@@ -29,8 +29,8 @@ from campaign.stale import lawless_ns
 from campaign.witness import Act, HangError, Witness, random_acts
 
 from lss_motion import api
-from lss_motion.player.following import OFFSET_MAX_DEG
-from lss_motion.sim.build import servos_of
+from lss_motion.player.estimators import OFFSET_MAX_DEG
+from lss_motion.sim.bus import servos_of
 from lss_motion.sim.faults import INSTANT, REPLY_KINDS, Fault, FaultKind
 from lss_motion.sim.random_faults import random_faults
 from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns

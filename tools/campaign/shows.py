@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion import api
 from lss_motion.robot.model import Bus, Joint, Robot
-from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sequence.model import Keyframe, Sequence
 
 if TYPE_CHECKING:

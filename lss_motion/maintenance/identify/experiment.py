@@ -3,37 +3,168 @@
 The four calls of everything that the runner drives (`runtime.runner.Driven`), no port and no
 clock. Phases: prepare (session settings), hold, the trials, and whatever happens, restore the
 settings and hold.
+
+Asks one servo where it is as often as the line allows, and now and then how it fares.
+
+Where a horn must not be: the words for it, or nothing while all is well.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import BusError, LssMotionError, PlaybackError
-from lss_motion.maintenance.identify.asking import Asking
-from lss_motion.maintenance.identify.judging import not_arrived, outside
-from lss_motion.maintenance.identify.motion import Order
-from lss_motion.maintenance.identify.plan import Kind, PlannedMove, TrialPlan, make_trials
-from lss_motion.maintenance.identify.recording import SETTLE_S, Recording, Trial
-from lss_motion.player import settings, setup
-from lss_motion.player.dialogue import Dialogue
-from lss_motion.player.line import Line
+from lss_motion.maintenance.identify.fit import Order
+from lss_motion.maintenance.identify.trials import (
+    SETTLE_S,
+    Kind,
+    PlannedMove,
+    Recording,
+    Trial,
+    TrialPlan,
+    make_trials,
+)
+from lss_motion.player import handshake
+from lss_motion.player.health import status_fault
+from lss_motion.player.query_tracker import QueryTracker
+from lss_motion.player.serial_line import SerialLine
+from lss_motion.player.transactions import Dialogue
 from lss_motion.program.model import ramp_deg_s2, ramp_setting_deg_s2
 from lss_motion.program.response import Profile
+from lss_motion.protocol.codec import read_reply
+from lss_motion.protocol.constants import Status, status_from
 from lss_motion.protocol.line import Command, encode, encode_move
-from lss_motion.units import ns_from_s, s_from_ms, s_from_ns
+from lss_motion.units import NS_PER_MS, ns_from_s, s_from_ms, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from lss_motion.maintenance.identify.plan import Window
-    from lss_motion.player.dialogue import Item
+    from lss_motion.maintenance.identify.trials import Window
     from lss_motion.player.events import Event
-    from lss_motion.player.settings import Answers
+    from lss_motion.player.handshake import Answers
+    from lss_motion.player.transactions import Item
+    from lss_motion.protocol.line import Reply
     from lss_motion.robot.model import Joint, Robot
+
+
+READ_EVERY_NS: Final = 6 * NS_PER_MS
+"""So often, if the line allows: ten readings in a ramp of 60 ms."""
+STATUS_EVERY: Final = 10
+"""One question in so many asks how the servo fares."""
+SILENT_ASKS: Final = 6
+"""So many questions in a row without an answer, with a pause after each, and it is silent."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answered:
+    """What an answer said: a position, or what is wrong with the servo, or neither."""
+
+    asked_ns: int
+    """When the servo had the question complete."""
+    turnaround_s: float
+    reading_deg: float | None = None
+    fault: str | None = None
+
+
+class Asking:
+    """Questions to the servo of one joint, one at a time.
+
+    A servo that is stuck must say so twice: a horn that turns back stands still for a moment.
+    """
+
+    def __init__(self, joint: Joint, line: SerialLine) -> None:
+        self.questioner = QueryTracker(line)
+        self._joint = joint
+        self._line = line
+        self._next_ns = 0
+        self._count = 0
+        self._silent_count = 0
+        self._status: Status | None = None
+
+    @property
+    def is_silent(self) -> bool:
+        return self._silent_count >= SILENT_ASKS
+
+    def ask(self, now_ns: int, quiet_until_ns: int | None) -> None:
+        """Ask, if it is time and the line stays free until `quiet_until_ns`; None is for ever."""
+        questioner, servo_id = self.questioner, self._joint.servo_id
+        self._silent_count += len(questioner.expire(now_ns))
+        if questioner.is_waiting(servo_id):
+            return
+        self._next_ns = max(self._next_ns, questioner.quiet_until_ns(servo_id))
+        if now_ns < self._next_ns:
+            return
+        is_status = self._count % STATUS_EVERY == STATUS_EVERY - 1
+        question = Command(servo_id, "Q" if is_status else "QD")
+        ends_ns = self._line.heard_ns(len(encode(question)), now_ns)
+        if quiet_until_ns is not None and ends_ns > quiet_until_ns:
+            self._next_ns = quiet_until_ns
+            return
+        questioner.ask(question, now_ns)
+        self._count += 1
+        self._next_ns = now_ns + READ_EVERY_NS
+
+    def next_wakeup_ns(self) -> int:
+        give_up_ns = self.questioner.give_up_ns
+        return self._next_ns if give_up_ns is None else give_up_ns
+
+    def receive(self, reply: Reply, now_ns: int) -> Answered | None:
+        """Return what `reply` says; None if it answers nothing that was asked."""
+        answers = self.questioner.answer(reply, now_ns)
+        if not answers:
+            return None
+        asked, _ = answers[-1]  # One question at a time: there is no other.
+        self._silent_count = 0
+        wait_ns = now_ns - asked.heard_ns - self._line.time_ns(len(encode(reply)))
+        turnaround_s = max(0.0, s_from_ns(wait_ns))
+        said = read_reply(self._joint.model.family, reply)
+        if said is None or not isinstance(said.value, int | float):
+            return Answered(asked.heard_ns, turnaround_s)
+        if reply.keyword == "QD":
+            return Answered(asked.heard_ns, turnaround_s, reading_deg=float(said.value))
+        firmware = self._line.bus.firmware
+        status = status_from(int(said.value), self._joint.model.family, firmware)
+        before, self._status = self._status, status
+        is_passing = status is Status.STUCK and before is not Status.STUCK
+        fault = None if is_passing else status_fault(status)
+        return Answered(asked.heard_ns, turnaround_s, fault=fault)
+
+
+ARRIVED_RATIO: Final = 0.5
+"""A horn that made less than this share of its way is held by something."""
+WAY_LEAST_DEG: Final = 2.0
+"""Shorter ways are not judged: a load or play may take them up."""
+GUARD_DEG: Final = 2.0
+"""Readings this far outside the window end it: more than noise, less than harm."""
+
+
+def not_arrived(
+    joint: Joint, *, way_deg: float, from_deg: float, rest_deg: float, target_deg: float
+) -> str:
+    """Return what to say of a horn that rested at `from_deg`, was told to go, and now rests."""
+    if way_deg < WAY_LEAST_DEG or abs(rest_deg - from_deg) >= ARRIVED_RATIO * way_deg:
+        return ""
+    return (
+        f"was told to go to {joint.joint_deg(target_deg):.1f} deg and stays at "
+        f"{joint.joint_deg(rest_deg):.1f} deg: it is blocked, or its load is too heavy. Free it, "
+        f"and begin again"
+    )
+
+
+def outside(joint: Joint, window: Window, reading_deg: float) -> str:
+    """Return what to say of a horn at `reading_deg`."""
+    if window.low_deg - GUARD_DEG <= reading_deg <= window.high_deg + GUARD_DEG:
+        return ""
+    low, high = sorted((joint.joint_deg(window.low_deg), joint.joint_deg(window.high_deg)))
+    return (
+        f"is at {joint.joint_deg(reading_deg):.1f} deg and was to stay within {low:.1f} to "
+        f"{high:.1f} deg"
+    )
+
 
 HOLD_MS: Final = 300
 """T of the first command, which takes the joint to where it already stands."""
@@ -71,7 +202,7 @@ class Experiment:
         self.is_stopped = False
         self.recording = Recording(window, float(ramp_setting_deg_s2(joint)), joint.speed_max_deg_s)
         self._answers: Answers = dict(answers)
-        self._line = Line(robot.buses[joint.bus])
+        self._line = SerialLine(robot.buses[joint.bus])
         self._asking = Asking(joint, self._line)
         self._standing_deg = self._target_deg = self._rested_deg = standing_deg
         self._profile = Profile(
@@ -80,9 +211,11 @@ class Experiment:
             speed_max_deg_s=joint.speed_max_deg_s,
             response=joint.response,
         )
-        orders = settings.session_orders([joint], answers)
-        orders += settings.unsure_orders([joint], answers)
-        self._dialogue: Dialogue | None = self._ask([*setup.settings_questions([joint]), *orders])
+        orders = handshake.session_orders([joint], answers)
+        orders += handshake.unsure_orders([joint], answers)
+        self._dialogue: Dialogue | None = self._ask(
+            [*handshake.settings_questions([joint]), *orders]
+        )
         self._plans: deque[TrialPlan] = deque()
         self._planned = 0
         self._droop_deg = 0.0
@@ -139,7 +272,7 @@ class Experiment:
         """Return the last bytes if it ends here: the settings it found, and hold."""
         if not self._has_moved:
             return {}
-        restored = settings.restoring_orders([self.joint], self._answers)
+        restored = handshake.restoring_orders([self.joint], self._answers)
         return {self.joint.bus: b"".join(encode(i.command) for i in restored) + self._hold_bytes()}
 
     # ---- what a person may ask for
@@ -270,7 +403,7 @@ class Experiment:
     def _restore(self) -> None:
         self._take_answers()
         self.state = State.RESTORE
-        self._dialogue = self._ask(settings.restoring_orders([self.joint], self._answers))
+        self._dialogue = self._ask(handshake.restoring_orders([self.joint], self._answers))
 
     def _abort(self, now_ns: int) -> None:
         self._take_answers()

@@ -6,7 +6,7 @@ import signal
 
 import pytest
 
-from lss_motion.cli.controls import UNHEARD_MAX, Inputs
+from lss_motion.cli.terminal import UNHEARD_MAX, Inputs
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,12 @@ from functools import partial
 import pytest
 
 from lss_motion import api
-from lss_motion.cli import identifying
+from lss_motion.cli import identify
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError
-from lss_motion.protocol.family import Family
+from lss_motion.protocol.constants import Family
 from lss_motion.robot.load import load_robot
-from lss_motion.sim import build
+from lss_motion.sim import bus
 from lss_motion.sim.physics import Physics
 
 ROBOT = """
@@ -67,8 +67,8 @@ def rms_deg(robot_file, *, has_feedback):
 def test_a_show_follows_many_times_better_with_what_was_identified(
     folder, monkeypatch, capsys, physics, difference, better_ratio
 ):
-    odd = partial(build.bus_from_robot, physics=physics)
-    monkeypatch.setattr(build, "bus_from_robot", odd)
+    odd = partial(bus.bus_from_robot, physics=physics)
+    monkeypatch.setattr(bus, "bus_from_robot", odd)
     asked = ["identify", "--robot", "robot.yaml", "pan", "--virtual", "-o", "found.yaml"]
     assert main(asked) == 0
     said = capsys.readouterr().out
@@ -110,4 +110,4 @@ def test_an_rc_servo_has_nothing_to_measure(folder):
     model = replace(robot.joints["pan"].model, name="LSS-2IO", family=Family.IO2)
     rc = replace(robot, joints={"eye": replace(robot.joints["pan"], name="eye", model=model)})
     with pytest.raises(InputError, match="does not say where it is"):
-        identifying._joints(rc, ["eye"])
+        identify._joints(rc, ["eye"])

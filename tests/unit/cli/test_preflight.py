@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from lss_motion.cli.preflight import table_lines
+from lss_motion.cli.play import table_lines
 from lss_motion.player.events import Found
 
 PAN = Found(

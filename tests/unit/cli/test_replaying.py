@@ -5,8 +5,8 @@ import json
 import pytest
 
 from lss_motion.cli import play
-from lss_motion.cli.logged_events import event_lines
 from lss_motion.cli.main import main
+from lss_motion.cli.replay import event_lines
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_NOT_FOLLOWED
 from lss_motion.player.events import (
     CueReached,

@@ -9,7 +9,7 @@ import pytest
 
 from lss_motion.cli.main import main
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_UNREACHABLE
-from lss_motion.protocol.family import Family
+from lss_motion.protocol.constants import Family
 from lss_motion.robot.model import ServoModel
 from lss_motion.sim.bus import SimBus
 from lss_motion.sim.faults import Fault, FaultKind

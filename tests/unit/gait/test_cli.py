@@ -8,9 +8,8 @@ from dataclasses import replace
 import pytest
 
 from lss_motion.cli.main import main
-from lss_motion.gait.explain import gait_lines
 from lss_motion.gait.model import BodyPose, Move
-from lss_motion.gait.pacing import paced
+from lss_motion.gait.pacing import gait_lines, paced
 from lss_motion.gait.plot import plot_gait
 from lss_motion.sequence.load import load_sequence
 

@@ -6,9 +6,9 @@ import jsonschema
 import pytest
 
 from lss_motion.errors import InputError
+from lss_motion.files.yaml_source import read_yaml
 from lss_motion.gait.load import gait_schema, is_gait_file, load_gait
 from lss_motion.gait.model import BodyPose, LegKind, Move, Walk, Wave
-from lss_motion.yaml_source import read_yaml
 
 NAMES = ("hexapod_walk", "hexapod_dance", "quadruped_trot")
 BASE = """\

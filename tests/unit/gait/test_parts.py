@@ -10,7 +10,7 @@ from lss_motion.cli import shows
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError
 from lss_motion.gait.load import load_gait
-from lss_motion.gait.sequence import sequence_of
+from lss_motion.gait.to_sequence import sequence_of
 from lss_motion.trajectory.planner import plan
 
 

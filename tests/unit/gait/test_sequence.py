@@ -8,7 +8,7 @@ import pytest
 from lss_motion.errors import InputError
 from lss_motion.gait.model import LAID_OUT_CYCLES, BodyPose, Move
 from lss_motion.gait.pacing import joints_of, paced
-from lss_motion.gait.sequence import sequence_from, sequence_of
+from lss_motion.gait.to_sequence import sequence_from, sequence_of
 from lss_motion.sequence.check import check_sequence
 from lss_motion.sequence.load import load_sequence
 from lss_motion.sequence.model import Interpolation, Timing

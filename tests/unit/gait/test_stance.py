@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lss_motion.gait.stance import Stance
+from lss_motion.gait.kinematics import Stance
 
 SQUARE = [[100, 80, 0], [-100, 80, 0], [100, -80, 0], [-100, -80, 0]]
 

@@ -10,7 +10,7 @@ from lss_motion.gait.kinematics import forward, neutral_mm
 from lss_motion.gait.model import BodyPose
 from lss_motion.gait.patterns import PATTERNS
 from lss_motion.gait.steering import Steering, eased
-from lss_motion.gait.walker import STILL, Twist
+from lss_motion.gait.stepping import STILL, Twist
 
 ALL = [*PATTERNS[6], *PATTERNS[4]]
 STATIC = [name for known in PATTERNS.values() for name, own in known.items() if own.is_static]

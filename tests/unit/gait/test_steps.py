@@ -3,8 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lss_motion.gait.steps import steps
-from lss_motion.gait.travel import travel
+from lss_motion.gait.stepping import steps, travel
 
 NEUTRAL = np.array([80.0, 150.0])
 

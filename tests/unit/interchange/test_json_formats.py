@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from lss_motion.interchange.blender import TENTHS, BlenderReader
+from lss_motion.interchange.fields import parsed_json
 from lss_motion.interchange.hulks import HulksReader
-from lss_motion.interchange.json_source import parsed_json
 from lss_motion.interchange.pypot import PypotReader
 from lss_motion.interchange.reader import Unit
 

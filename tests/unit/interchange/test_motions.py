@@ -17,7 +17,7 @@ from lss_motion.interchange import (
     read_motions,
     sequence_for,
 )
-from lss_motion.interchange.poses import Pose, motion_of_poses
+from lss_motion.interchange.reader import Pose, motion_of_poses
 from lss_motion.robot.load import load_robot
 from lss_motion.sequence.load import load_sequence
 from lss_motion.sequence.model import Timing
@@ -111,7 +111,7 @@ def test_times_that_are_none_of_a_show_are_moved_to_its_start(tmp_path: Path, st
 
 
 def test_a_file_beyond_the_limit_is_refused(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr("lss_motion.interchange.motions.FILE_MAX_BYTES", 100)
+    monkeypatch.setattr("lss_motion.interchange.importing.FILE_MAX_BYTES", 100)
     path = tmp_path / "big.csv"
     path.write_text("t_s,HeadPan\n" + "0,1\n" * 50, encoding="utf-8")
     with pytest.raises(InputError, match="is larger than 0 MB, the most that is read"):

@@ -9,9 +9,14 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.interchange import Channel, ForeignMotion, Unit, imported, reduced
-from lss_motion.interchange.interpolant import Spans, interpolated
-from lss_motion.interchange.reduce import ROUNDING_DEG, Limits
-from lss_motion.interchange.samples import EVENING_MAX_DEG, evened
+from lss_motion.interchange.reduce import (
+    EVENING_MAX_DEG,
+    ROUNDING_DEG,
+    Limits,
+    Spans,
+    evened,
+    interpolated,
+)
 from lss_motion.sequence.model import Interpolation, Keyframe, Sequence
 from lss_motion.trajectory.planner import plan
 

@@ -9,12 +9,7 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.interchange.reader import ForeignMotion, RefusedMotion
-from lss_motion.interchange.robotis_pages import (
-    NOT_KEYED,
-    PAGE_BYTES,
-    TORQUE_OFF,
-    RobotisPagesReader,
-)
+from lss_motion.interchange.robotis import NOT_KEYED, PAGE_BYTES, TORQUE_OFF, RobotisPagesReader
 
 PATH = Path("m.bin")
 Step = tuple[dict[int, int], int, int]

@@ -7,8 +7,7 @@ import re
 import pytest
 
 from lss_motion.interchange.reader import ForeignMotion, RefusedMotion, Unit
-from lss_motion.interchange.ros import RosReader
-from lss_motion.interchange.yaml_tree import NODES_MAX
+from lss_motion.interchange.ros import NODES_MAX, RosReader
 
 MESSAGE = """\
 joint_names: [a, b]

@@ -10,7 +10,7 @@ from lss_motion.errors import InputError
 from lss_motion.interchange.maestro import MaestroReader
 from lss_motion.interchange.pypose import PyPoseReader
 from lss_motion.interchange.reader import ForeignMotion, RefusedMotion, Unit
-from lss_motion.interchange.robotis_text import RobotisTextReader
+from lss_motion.interchange.robotis import RobotisTextReader
 from lss_motion.interchange.ssc32_table import Ssc32TableReader
 from lss_motion.interchange.webots import WebotsReader
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lss_motion.connection import Connection
-from lss_motion.protocol.family import Family
+from lss_motion.protocol.constants import Family
 from lss_motion.robot.model import Bus, ServoModel
 from lss_motion.runtime.clock import VirtualClock
 from lss_motion.sim.bus import SimBus

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lss_motion.maintenance.cleaning import HAND_DEG_S2, STEP_S, at_rest, cleaned, within
+from lss_motion.maintenance.take import HAND_DEG_S2, STEP_S, at_rest, cleaned, within
 
 
 def read(seed: int, rate_hz: float = 40.0):

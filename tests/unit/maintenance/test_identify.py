@@ -10,12 +10,12 @@ import pytest
 from benches.identify import MODEL, blind, faults
 from lss_motion.connection import Connection
 from lss_motion.errors import BusError, InputError, PlaybackError
-from lss_motion.maintenance.identify import findings
+from lss_motion.maintenance.identify import summary
 from lss_motion.maintenance.identify.estimate import identify
 from lss_motion.maintenance.identify.experiment import Experiment, State
-from lss_motion.maintenance.identify.motion import HYPOTHESES, Hypothesis, Order, Shape, horn_deg
-from lss_motion.maintenance.identify.plan import Window, make_trials, make_window
-from lss_motion.player import settings, setup
+from lss_motion.maintenance.identify.fit import HYPOTHESES, Hypothesis, Order, Shape, horn_deg
+from lss_motion.maintenance.identify.trials import Window, make_trials, make_window
+from lss_motion.player import handshake
 from lss_motion.program.response import Profile
 from lss_motion.robot.model import Bus, Response, Robot
 from lss_motion.runtime.clock import VirtualClock
@@ -48,9 +48,9 @@ class Bench:
         self.bus = SimBus([spec], baud_bps=baud_bps, firmware=370, **options)
         self.bus.record()
         self.connection.ports["main"] = SimPort(self.bus, self.connection.clock)
-        answers = self.connection.ask(setup.questions([joint]))
-        setup.check_answers([joint], answers, self.robot)
-        self.standing_deg = settings.stored(joint, answers, "QD")
+        answers = self.connection.ask(handshake.questions([joint]))
+        handshake.check_answers([joint], answers, self.robot)
+        self.standing_deg = handshake.stored(joint, answers, "QD")
         window = make_window(joint, self.standing_deg, span_deg)
         self.experiment = Experiment(
             joint, self.robot, answers, window, standing_deg=self.standing_deg
@@ -128,13 +128,13 @@ def test_a_servo_too_weak_for_its_limit_is_told_with_its_top_speed():
     assert found.is_top
     assert found.top_deg_s.value == pytest.approx(0.4 * 360.0, rel=0.1)
     assert any(
-        "lower it, or check the supply" in line for line in findings.difference_lines(found, joint)
+        "lower it, or check the supply" in line for line in summary.difference_lines(found, joint)
     )
 
 
 def test_what_is_as_assumed_is_not_called_different_and_what_no_model_explains_is_refused():
     bench = Bench()
-    assert findings.difference_lines(bench.identified(), bench.joint) == []
+    assert summary.difference_lines(bench.identified(), bench.joint) == []
     swinging = np.random.default_rng(0).normal(0.0, 3.0, 1000)
     for trial in bench.experiment.recording.trials:
         trial.readings_deg = (swinging[: len(trial.times_s)] + trial.readings_deg).tolist()

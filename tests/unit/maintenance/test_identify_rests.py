@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lss_motion.maintenance.identify.motion import Order
-from lss_motion.maintenance.identify.plan import Kind, Window
-from lss_motion.maintenance.identify.recording import Recording, Trial
-from lss_motion.maintenance.identify.rests import read_rests
+from lss_motion.maintenance.identify.estimate import read_rests
+from lss_motion.maintenance.identify.fit import Order
+from lss_motion.maintenance.identify.trials import Kind, Recording, Trial, Window
 
 WINDOW = Window(-20.0, 20.0)
 

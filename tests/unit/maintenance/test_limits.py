@@ -9,7 +9,7 @@ from lss_motion.connection import ask_limits, connect
 from lss_motion.errors import BusError, InputError
 from lss_motion.maintenance.backup import Kept
 from lss_motion.maintenance.limits import answered, from_backup, questions
-from lss_motion.player.dialogue import Item
+from lss_motion.player.transactions import Item
 from lss_motion.protocol.line import Command
 from lss_motion.robot.load import load_robot
 from lss_motion.runtime.clock import VirtualClock

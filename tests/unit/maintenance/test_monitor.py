@@ -8,13 +8,11 @@ import pytest
 
 from lss_motion import connection as connections
 from lss_motion.cli.main import main
-from lss_motion.cli.monitor_screen import rendered, sparkline
-from lss_motion.maintenance.alarms import Alarms, Thresholds
+from lss_motion.cli.monitor import rendered, sparkline
+from lss_motion.maintenance.monitor import Alarms, Reading, Thresholds, Watch
 from lss_motion.maintenance.settings import Target
-from lss_motion.maintenance.watch import Reading, Watch
-from lss_motion.player.dialogue import Item
-from lss_motion.protocol.constants import Status
-from lss_motion.protocol.family import Family
+from lss_motion.player.transactions import Item
+from lss_motion.protocol.constants import Family, Status
 from lss_motion.protocol.line import Command
 from lss_motion.runtime.runner import run
 from lss_motion.sim.faults import Fault, FaultKind

@@ -6,10 +6,10 @@ import dataclasses
 
 import pytest
 
-from lss_motion.cli.scanning import roll_call, survey
+from lss_motion.cli.scan import roll_call, survey
 from lss_motion.maintenance import findings
-from lss_motion.maintenance.roll_call import called, is_doubtful, judged
-from lss_motion.maintenance.starter import starter_file
+from lss_motion.maintenance.discovery import called, is_doubtful, judged
+from lss_motion.maintenance.findings import starter_file
 from lss_motion.protocol.constants import SafeModeCause, Status
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.faults import Fault, FaultKind

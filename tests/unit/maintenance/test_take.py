@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lss_motion.maintenance.polling import Reading
+from lss_motion.maintenance.hands_on import Reading
 from lss_motion.maintenance.take import Take, sequence_of
 from lss_motion.robot.load import load_robot
 from lss_motion.sequence.load import load_sequence

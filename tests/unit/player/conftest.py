@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.player.line import Line
-from lss_motion.player.queries import Questioner
-from lss_motion.player.track import make_tracks
+from lss_motion.player.joint_state import make_joint_states
+from lss_motion.player.query_tracker import QueryTracker
+from lss_motion.player.serial_line import SerialLine
 from lss_motion.program.model import Driving, Program
 from lss_motion.robot.model import Bus, Robot
 from tests.joints import joint
@@ -39,7 +39,7 @@ class Kit:
             drives={joint.name: Driving(joint.drive, count)},
         )
         standing_deg = {joint.name: 0.0}
-        tracks = make_tracks(program, robot, standing_deg, 0.0, has_feedback=has_feedback)
+        tracks = make_joint_states(program, robot, standing_deg, 0.0, has_feedback=has_feedback)
         return tracks[joint.name]
 
 
@@ -50,9 +50,9 @@ def kit():
 
 @pytest.fixture
 def line():
-    return Line(BUS)
+    return SerialLine(BUS)
 
 
 @pytest.fixture
 def questioner(line):
-    return Questioner(line)
+    return QueryTracker(line)

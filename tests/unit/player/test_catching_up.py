@@ -7,10 +7,10 @@ import re
 import numpy as np
 import pytest
 
-from lss_motion.player import catching_up
-from lss_motion.player.catching_up import JOIN_S, on_time_s, tell_owed
+from lss_motion.player import streamer
+from lss_motion.player.joint_state import Owed
 from lss_motion.player.show_clock import ShowClock
-from lss_motion.player.track import Owed
+from lss_motion.player.streamer import JOIN_S, on_time_s, tell_owed
 from tests.timed_moves import timed, travel
 
 LATE_NS = 50_000_000
@@ -19,7 +19,7 @@ CLOCK = ShowClock(0, 0.0, 1.0)
 
 def rejoin(track, line, show_s):
     """Say at rate 1 what is left of the move under way; return the bytes."""
-    catching_up.rejoin(track, line, CLOCK, lambda show_s: show_s, round(1e9 * show_s))
+    streamer.rejoin(track, line, CLOCK, lambda show_s: show_s, round(1e9 * show_s))
     return line.take()
 
 

@@ -4,9 +4,9 @@ from itertools import pairwise
 
 import pytest
 
-from lss_motion.player.dialogue import AGREE_TRIES, TRIES, Dialogue, Item
-from lss_motion.player.line import Line
-from lss_motion.player.queries import Questioner
+from lss_motion.player.query_tracker import QueryTracker
+from lss_motion.player.serial_line import SerialLine
+from lss_motion.player.transactions import AGREE_TRIES, TRIES, Dialogue, Item
 from lss_motion.protocol.line import Command, Reply
 
 
@@ -22,8 +22,8 @@ class Bench:
     """Plays the time and the servos; `replies` maps what is said to what is answered, and when."""
 
     def __init__(self, items, replies, kit, buses=("main",)):
-        self.lines = {bus: Line(kit.bus) for bus in buses}
-        self.questioners = {bus: Questioner(line) for bus, line in self.lines.items()}
+        self.lines = {bus: SerialLine(kit.bus) for bus in buses}
+        self.questioners = {bus: QueryTracker(line) for bus, line in self.lines.items()}
         self.dialogue = Dialogue(items, self.lines, self.questioners)
         self.said = []
         self._replies = replies

@@ -7,7 +7,7 @@ from random import Random
 
 import pytest
 
-from lss_motion.player.due import EARLY_MAX_US, DueMoves
+from lss_motion.player.streamer import EARLY_MAX_US, DueMoves
 from lss_motion.program.model import Move
 
 ENDLESS = float("inf")

@@ -2,13 +2,13 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.player.following import (
+from lss_motion.player.estimators import (
     ESTIMATE_S,
     GAIN_MAX,
     JUMP_MARGIN_DEG,
     OFFSET_MAX_DEG,
     OFFSET_RATE_DEG_S,
-    Following,
+    DisturbanceEstimator,
 )
 
 
@@ -22,8 +22,8 @@ def read(following, measured_deg, read_s, *, expected_deg=0.0, speed_deg_s=0.0):
     )
 
 
-def settled(**fields) -> Following:
-    following = Following(speed_max_deg_s=100.0, **fields)
+def settled(**fields) -> DisturbanceEstimator:
+    following = DisturbanceEstimator(speed_max_deg_s=100.0, **fields)
     for step in range(5):
         assert read(following, 0.0, 0.02 * step)
     return following
@@ -55,7 +55,7 @@ def test_two_wild_readings_that_disagree_are_not():
 
 
 def test_a_wild_first_reading_moves_nothing_where_the_horn_stood_before_is_known():
-    following = Following(speed_max_deg_s=100.0, standing_deg=0.0)
+    following = DisturbanceEstimator(speed_max_deg_s=100.0, standing_deg=0.0)
     assert not read(following, 70.0, 0.0)
     assert read(following, 0.2, 0.02) is False, "the two do not agree"
     assert read(following, 0.2, 0.04)
@@ -101,19 +101,19 @@ def test_errors_are_summed_up():
     read(following, -4.0, 0.3)
     assert following.error_max_deg == 4.0
     assert following.error_rms_deg == pytest.approx((25.0 / 7.0) ** 0.5)
-    unread = Following(speed_max_deg_s=1.0)
+    unread = DisturbanceEstimator(speed_max_deg_s=1.0)
     assert unread.error_deg == unread.error_max_deg == unread.error_rms_deg == 0.0
 
 
 def test_the_reach_is_what_the_speed_allows_since_then_and_a_margin_no_more():
     for far_deg, is_believed in ((10.0 + JUMP_MARGIN_DEG, True), (10.1 + JUMP_MARGIN_DEG, False)):
-        following = Following(speed_max_deg_s=100.0)
+        following = DisturbanceEstimator(speed_max_deg_s=100.0)
         read(following, 0.0, 50.0)
         assert read(following, far_deg, 50.1) is is_believed
 
 
 def test_the_first_reading_counts_as_much_as_one_may_and_moves_no_command_at_once():
-    following = Following(speed_max_deg_s=100.0)
+    following = DisturbanceEstimator(speed_max_deg_s=100.0)
     read(following, -2.0, 5.0)
     assert following.disturbance_deg == pytest.approx(GAIN_MAX * 2.0)
     assert following.offset_deg == following.offset_max_deg == 0.0

@@ -1,12 +1,12 @@
 from __future__ import annotations
 
-from lss_motion.player.gaps import GAP_NS, NAMED_MAX, Gaps
+from lss_motion.player.player import GAP_NS, NAMED_MAX, StallDetector
 
 S = 1_000_000_000
 
 
 def test_only_what_is_far_later_than_was_asked_for_is_named():
-    gaps = Gaps()
+    gaps = StallDetector()
     assert gaps.text(9 * S, None) is None
     for wakeup_ns, now_ns, is_named in (
         (10 * S, 9 * S, False),
@@ -20,7 +20,7 @@ def test_only_what_is_far_later_than_was_asked_for_is_named():
 
 
 def test_it_is_said_how_long_and_where_and_not_for_ever():
-    gaps, texts = Gaps(), []
+    gaps, texts = StallDetector(), []
     for _ in range(NAMED_MAX + 5):
         gaps.expect(2 * S)
         texts.append(gaps.text(5 * S, lambda _: 7.25))

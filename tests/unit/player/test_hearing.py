@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.player.hearing import ASKS_MAX, DENIALS_MAX, OTHERS_MAX, SURE_S, Hearing, Other
+from lss_motion.player.estimators import (
+    ASKS_MAX,
+    DENIALS_MAX,
+    OTHERS_MAX,
+    SURE_S,
+    LostMoveDetector,
+    Other,
+)
 from lss_motion.program.response import Profile
 from lss_motion.robot.model import Response
 
@@ -24,7 +31,12 @@ def judged(heard, *, until_s=1.6, noise=lambda time_s: 0.0, hz=100.0):
 
     All of `MOVES` were said.
     """
-    truth, said, hearing, told = profile_of(*heard), profile_of(), Hearing(UNIT_DEG, LOOP_S), 0
+    truth, said, hearing, told = (
+        profile_of(*heard),
+        profile_of(),
+        LostMoveDetector(UNIT_DEG, LOOP_S),
+        0,
+    )
     time_s = 0.0
     while time_s < until_s:
         while told < len(MOVES) and MOVES[told][0] <= time_s:
@@ -71,7 +83,7 @@ def test_one_wrong_reading_is_no_proof():
 
 def test_a_horn_that_is_held_up_has_not_missed_anything():
     """It stands where neither course leads."""
-    hearing, said = Hearing(UNIT_DEG, LOOP_S), profile_of()
+    hearing, said = LostMoveDetector(UNIT_DEG, LOOP_S), profile_of()
     for one in MOVES:
         hearing.told(said.copy(), *one)
         said.retarget(*one)
@@ -88,7 +100,7 @@ def standing(deg):
 def doubting(*others_deg):
     """Return the hearing of a servo that may as well stand at one of `others_deg`."""
     others = [Other(standing(deg)) for deg in others_deg]
-    return Hearing(UNIT_DEG, LOOP_S, others=others)
+    return LostMoveDetector(UNIT_DEG, LOOP_S, others=others)
 
 
 @pytest.mark.parametrize(
@@ -137,7 +149,7 @@ def test_what_spoke_for_a_course_before_a_move_is_no_proof_after_it():
 
 
 def test_the_oldest_of_many_moves_counts_as_heard():
-    hearing = Hearing(UNIT_DEG, LOOP_S)
+    hearing = LostMoveDetector(UNIT_DEG, LOOP_S)
     for number in range(2 * OTHERS_MAX):
         hearing.told(standing(float(number)), 0.1 * number, 50.0, 1.0)
     begins_deg = [other.profile.at(0.0)[0] for other in hearing.others]
@@ -147,7 +159,7 @@ def test_the_oldest_of_many_moves_counts_as_heard():
 @pytest.fixture
 def told():
     """Return what was said and heard of all `MOVES`, the last of them at 0.7 s."""
-    hearing, said = Hearing(UNIT_DEG, LOOP_S), profile_of()
+    hearing, said = LostMoveDetector(UNIT_DEG, LOOP_S), profile_of()
     for one in MOVES:
         hearing.told(said.copy(), *one)
         said.retarget(*one)
@@ -198,7 +210,7 @@ def test_a_servo_that_does_not_answer_is_left_to_the_readings(told):
 
 
 def test_a_servo_that_means_something_else_by_it_is_not_asked_for_ever():
-    hearing, said = Hearing(UNIT_DEG, LOOP_S), profile_of()
+    hearing, said = LostMoveDetector(UNIT_DEG, LOOP_S), profile_of()
     for number in range(DENIALS_MAX + 1):
         hearing.told(said.copy(), 0.1 * number, 10.0 + number, 0.2)
         assert hearing.wants_target(0.1 * number + 0.02) is (number < DENIALS_MAX)
@@ -206,7 +218,7 @@ def test_a_servo_that_means_something_else_by_it_is_not_asked_for_ever():
 
 
 def test_one_that_named_its_target_in_between_is_asked_on():
-    hearing = Hearing(UNIT_DEG, LOOP_S)
+    hearing = LostMoveDetector(UNIT_DEG, LOOP_S)
     for number in range(2 * DENIALS_MAX):
         hearing.told(standing(0.0), 0.1 * number, 10.0 + number, 0.2)
         assert hearing.wants_target(0.1 * number + 0.02)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lss_motion.player.judging import take_position, take_target, wants_target
-from lss_motion.player.lag import DEAD_S
+from lss_motion.player.estimators import DEAD_S
+from lss_motion.player.polling import take_position, take_target, wants_target
 
 MS, LAG_S = 1_000_000, 0.03
 """A horn lags by so much more than is assumed."""

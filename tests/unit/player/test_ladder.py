@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from lss_motion.player.ladder import RESUMES_MAX, SLOW_RATE_LEAST, Ladder
+from lss_motion.player.faults import RESUMES_MAX, SLOW_RATE_LEAST, FaultEscalation
 from lss_motion.robot.on_fault import Cause, FaultStep
 
 S = 1_000_000_000
@@ -13,7 +13,7 @@ SILENT = ("j0", Cause.SILENT)
 
 
 def ladder(kit, show=None, **fields):
-    return Ladder(kit.robot(kit.joint(), patience_s=2.0, **fields), show or {})
+    return FaultEscalation(kit.robot(kit.joint(), patience_s=2.0, **fields), show or {})
 
 
 def steps(taken):
@@ -66,7 +66,7 @@ def test_a_trouble_that_is_over_begins_at_the_foot_again(kit):
 )
 def test_the_joint_wins_over_the_show_and_the_show_over_the_robot(kit, joint, show, robot, taken):
     one = replace(kit.joint(), on_fault=joint)
-    climb = Ladder(kit.robot(one, on_fault=robot), show)
+    climb = FaultEscalation(kit.robot(one, on_fault=robot), show)
     assert steps(climb.judge({ASTRAY: "is astray"}, 0)) == [taken]
 
 

@@ -7,12 +7,12 @@ from random import Random
 import numpy as np
 import pytest
 
-from lss_motion.player.lag import DEAD_S, LAG_MAX_S, MEMORY_S, Lag
+from lss_motion.player.estimators import DEAD_S, LAG_MAX_S, MEMORY_S, LagEstimator
 
 
 def swung(lag_s, *, load_deg=0.0, noise_deg=0.1, seconds=6.0, hz=40.0, swing_deg=30.0):
     """Return the estimate after readings of a joint that swings once a second and a half."""
-    random, lag = Random(1), Lag()
+    random, lag = Random(1), LagEstimator()
     times_s = np.arange(0.0, seconds, 1.0 / hz)
     rate = 2.0 * np.pi / 1.5
     for time_s in times_s.tolist():
@@ -50,7 +50,7 @@ def test_at_rest_nothing_is_learnt_and_nothing_forgotten():
 
 
 def test_one_reading_says_nothing():
-    lag = Lag()
+    lag = LagEstimator()
     assert lag.estimate_s == 0.0
     lag.take(5.0, 100.0, 0.02)
     assert abs(lag.estimate_s) < 0.002
@@ -65,20 +65,20 @@ def driven(lag, lag_s, *speeds_deg_s, seconds, load_deg=0.0):
 
 
 def test_half_a_second_to_and_fro_tells_the_lag():
-    assert driven(Lag(), 0.03, -100.0, 100.0, seconds=0.5) == pytest.approx(0.03, rel=0.05)
+    assert driven(LagEstimator(), 0.03, -100.0, 100.0, seconds=0.5) == pytest.approx(0.03, rel=0.05)
 
 
 def test_a_slow_move_is_hardly_believed():
-    assert 0.01 < driven(Lag(), 0.03, -10.0, 10.0, seconds=2.0) < 0.02
+    assert 0.01 < driven(LagEstimator(), 0.03, -10.0, 10.0, seconds=2.0) < 0.02
 
 
 def test_one_way_at_two_speeds_tells_a_lag_from_a_load():
-    found_s = driven(Lag(), 0.03, 40.0, 120.0, seconds=4.0, load_deg=3.0)
+    found_s = driven(LagEstimator(), 0.03, 40.0, 120.0, seconds=4.0, load_deg=3.0)
     assert found_s == pytest.approx(0.03, rel=0.05)
 
 
 def test_what_was_found_counts_a_third_after_so_much_motion():
-    lag = Lag()
+    lag = LagEstimator()
     driven(lag, 0.04, -100.0, 100.0, seconds=20.0)
     assert driven(lag, 0.0, -100.0, 100.0, seconds=MEMORY_S) == pytest.approx(0.04 / 2.72, rel=0.05)
 

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lss_motion.player.leading import lead
-from lss_motion.player.line import Line
+from lss_motion.player.serial_line import SerialLine
+from lss_motion.player.streamer import lead
 from lss_motion.program.model import Move
 from lss_motion.robot.model import Bus
 from tests.filters import FILTER_S, felt, staircase
@@ -36,7 +36,7 @@ def led(
 
     Return when it heard which target: `(ns, degrees)`.
     """
-    line = Line(Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=370))
+    line = SerialLine(Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=370))
     track.led_ns, heard = now_ns, []
 
     def planned(_, at_ns):

@@ -2,14 +2,14 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.player.queries import (
+from lss_motion.player.polling import REPLY_TIMEOUT_NS, SAMPLES_LEAST
+from lss_motion.player.query_tracker import (
     GRACE_NS,
     REPLY_MAX_BYTES,
     STARVED_NS,
     STRAY_NS,
     WINDOW_MAX,
 )
-from lss_motion.player.turnaround import REPLY_TIMEOUT_NS, SAMPLES_LEAST
 from lss_motion.protocol.line import Command, Reply, encode
 
 ASK = Command(5, "QD")

@@ -9,12 +9,12 @@ from itertools import groupby, pairwise
 import numpy as np
 import pytest
 
-from lss_motion.player.line import Line
-from lss_motion.player.queries import STARVED_NS, STRAY_NS, Questioner
-from lss_motion.player.questions import HEALTH_KEYWORDS
-from lss_motion.player.readings import (
+from lss_motion.player.cues import ASK_NS, Waiting
+from lss_motion.player.health import SILENT_ASKS
+from lss_motion.player.polling import (
     BACKLOG_BYTES,
     FILL_RATIO,
+    HEALTH_KEYWORDS,
     HEALTH_LEAST,
     HEALTH_NS,
     LATE_NS,
@@ -22,15 +22,15 @@ from lss_motion.player.readings import (
     REST_MAX_NS,
     REST_RATIO,
     VISIT_NS,
-    Reader,
+    PollScheduler,
 )
+from lss_motion.player.query_tracker import STARVED_NS, STRAY_NS, QueryTracker
+from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.show_clock import ShowClock
-from lss_motion.player.waiting import ASK_NS, Waiting
-from lss_motion.player.watch import SILENT_ASKS
 from lss_motion.protocol.line import Command, CommandParser, Reply, encode
 from lss_motion.robot.model import Bus, Sensor
-from lss_motion.robot.models import SERVO_MODELS
 from lss_motion.robot.on_fault import Cause
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sequence.model import Wait
 from lss_motion.trajectory.model import WaitPoint
 
@@ -53,11 +53,11 @@ class Desk:
     def __init__(self, *tracks, baud_bps=115200, waiting=None, waits_ns=WAITS_NS):
         self._waits_ns = waits_ns
         self.tracks = {track.joint.name: track for track in tracks}
-        self.line = Line(Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=370))
-        self.questioner = Questioner(self.line)
+        self.line = SerialLine(Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=370))
+        self.questioner = QueryTracker(self.line)
         self.waiting = waiting or Waiting([], {}, 0.0)
         lines, questioners = {"main": self.line}, {"main": self.questioner}
-        self.reader = Reader(self.tracks, questioners, lines, self.waiting)
+        self.reader = PollScheduler(self.tracks, questioners, lines, self.waiting)
         self.asked = []
         """`(handed over ns, heard ns, servo id, keyword)`."""
         self.values = {}
@@ -226,13 +226,14 @@ def test_one_bus_on_which_nobody_was_asked_is_enough_if_somebody_can_be_asked(ki
     """On `blind` is an RC servo alone, which knows no answer but its last command."""
     buses, drives = ("left", "right", "blind"), ("timed", "timed", "stepped")
     lines = {
-        name: Line(Bus(name=name, port="sim://", baud_bps=115200, firmware=370)) for name in buses
+        name: SerialLine(Bus(name=name, port="sim://", baud_bps=115200, firmware=370))
+        for name in buses
     }
     tracks = {bus: kit.track(kit.joint(bus, 1)) for bus in buses}
     for track, bus, drive in zip(tracks.values(), buses, drives, strict=True):
         track.joint = replace(track.joint, bus=bus, drive=drive)
-    questioners = {name: Questioner(line) for name, line in lines.items()}
-    reader = Reader(tracks, questioners, lines, Waiting([], {}, 0.0))
+    questioners = {name: QueryTracker(line) for name, line in lines.items()}
+    reader = PollScheduler(tracks, questioners, lines, Waiting([], {}, 0.0))
     for name, is_starved in (("left", True), ("right", False)):
         questioners[name].ask(Command(1, "QD"), S)
         assert reader.is_starved(S + 1) == is_starved

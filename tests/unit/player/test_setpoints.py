@@ -10,8 +10,8 @@ import pytest
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from lss_motion.player.setpoints import CLOSING_RATIO, PHASES, Setpoints, closing_deg
-from lss_motion.program.course import servo_limits
+from lss_motion.player.joint_state import CLOSING_RATIO, PHASES, Setpoints, closing_deg
+from lss_motion.program.reference import servo_limits
 from tests.filters import FILTER_S, felt, staircase
 from tests.joints import joint
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 
 from lss_motion.errors import BusError, InputError
-from lss_motion.player import settings, settling, setup
+from lss_motion.player import handshake
 from lss_motion.player.approach import approach
-from lss_motion.program.predict import profiles
+from lss_motion.program.verify import profiles
 from lss_motion.protocol.line import encode
-from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.robot.servo_models import SERVO_MODELS
 
 ANSWERS = {"QMS": "LSS-ST1", "QF": 370, "Q": 1, "QSD": 3600, "QAA": 100, "QAD": 100, "QEM": 1}
 
@@ -25,63 +25,63 @@ def sent(items):
 
 
 def test_good_answers_raise_nothing_and_warn_of_nothing(kit):
-    assert setup.check_answers([kit.joint()], answers(), kit.robot()) == []
+    assert handshake.check_answers([kit.joint()], answers(), kit.robot()) == []
 
 
 @pytest.mark.parametrize("said", ["silent", None, "DIS"])
 def test_a_servo_that_does_not_say_where_it_is_counts_as_silent(kit, said):
     with pytest.raises(BusError, match=r"j0 \(id 1 on bus 'main'\)"):
-        setup.check_answers([kit.joint()], answers(QD=said), kit.robot())
+        handshake.check_answers([kit.joint()], answers(QD=said), kit.robot())
 
 
 def test_a_servo_that_answers_little_but_its_place_is_driven_and_given_its_limits(kit):
     known = answers(**dict.fromkeys(ANSWERS, "silent"))
-    assert setup.check_answers([kit.joint()], known, kit.robot()) == []
-    assert settings.session_orders([kit.joint()], known) == []
+    assert handshake.check_answers([kit.joint()], known, kit.robot()) == []
+    assert handshake.session_orders([kit.joint()], known) == []
     limits = [b"#1EM1\r", b"#1AA60\r", b"#1AD60\r", b"#1SD1800\r"]
-    assert sent(settings.unsure_orders([kit.joint()], known)) == limits
-    assert settings.unsure_orders([kit.joint()], answers()) == []
-    assert settings.restoring_orders([kit.joint()], known) == []
+    assert sent(handshake.unsure_orders([kit.joint()], known)) == limits
+    assert handshake.unsure_orders([kit.joint()], answers()) == []
+    assert handshake.restoring_orders([kit.joint()], known) == []
 
 
 def test_the_session_gets_the_joints_own_limits(kit):
     one = kit.joint(accel_max_deg_s2=455.0, speed_max_deg_s=123.4, settings={"AS": -2})
-    orders = settings.session_orders([one], answers())
+    orders = handshake.session_orders([one], answers())
     assert sent(orders) == [b"#1EM1\r", b"#1AA45\r", b"#1AD45\r", b"#1SD1234\r", b"#1AS-2\r"]
 
 
 def test_what_was_read_is_given_back_to_the_letter(kit):
     one = kit.joint(settings={"AS": -2})
     had = answers(QEM=0, QAA=77, QAD=33, QSD=2000, QAS=4)
-    orders = settings.restoring_orders([one], had)
+    orders = handshake.restoring_orders([one], had)
     once = [b"#1EM0\r", b"#1AA77\r", b"#1AD33\r", b"#1SD2000\r", b"#1AS4\r"]
-    assert sent(orders) == settings.RESTORING_TIMES * once
+    assert sent(orders) == handshake.RESTORING_TIMES * once
 
 
 def test_the_settings_of_the_file_are_asked_for_too(kit):
     one = kit.joint(settings={"AS": -2, "AH": 3})
-    assert {b"#1QAS\r", b"#1QAH\r", b"#1QD\r"} <= set(sent(setup.questions([one])))
+    assert {b"#1QAS\r", b"#1QAH\r", b"#1QD\r"} <= set(sent(handshake.questions([one])))
 
 
 @pytest.mark.parametrize("drive", ["timed", "streamed", "stepped"])
 def test_the_first_question_is_one_that_all_documents_have(kit, drive):
     """By it a servo counts as silent: QFPC is nothing that an old firmware knows."""
     model = SERVO_MODELS["LSS-2IO" if drive == "stepped" else "LSS-ST1"]
-    asked = sent(setup.questions([kit.joint(model=model, drive=drive, settings={"AS": -2})]))
+    asked = sent(handshake.questions([kit.joint(model=model, drive=drive, settings={"AS": -2})]))
     assert asked[0] == b"#1QMS\r"
     assert asked[-1] == b"#1QAS\r"
     assert len(set(asked)) == len(asked) > 3
 
 
 def test_an_order_counts_as_taken_only_when_the_servo_answers_with_it(kit):
-    orders = settings.session_orders([kit.joint()], answers())
+    orders = handshake.session_orders([kit.joint()], answers())
     said = {("main", 1, f"Q{order.command.keyword}"): order.command.value for order in orders}
-    assert sent(settling.read_back(orders)) == [b"#1QEM\r", b"#1QAA\r", b"#1QAD\r", b"#1QSD\r"]
-    assert settling.untaken(orders, said) == []
-    assert sent(settling.untaken(orders, {**said, ("main", 1, "QAD"): 100})) == [b"#1AD60\r"]
+    assert sent(handshake.read_back(orders)) == [b"#1QEM\r", b"#1QAA\r", b"#1QAD\r", b"#1QSD\r"]
+    assert handshake.untaken(orders, said) == []
+    assert sent(handshake.untaken(orders, {**said, ("main", 1, "QAD"): 100})) == [b"#1AD60\r"]
     said.pop(("main", 1, "QSD"))
-    (order,) = settling.untaken(orders, said)
-    error = settling.untaken_error(order, said, [kit.joint()])
+    (order,) = handshake.untaken(orders, said)
+    error = handshake.untaken_error(order, said, [kit.joint()])
     assert "joint 'j0': servo 1 was set to SD 1800 4 times and answers nothing" in str(error)
 
 
@@ -98,31 +98,31 @@ def test_the_approach_brings_all_joints_home_together_at_the_slow_speed(kit):
 
 def test_units_of_a_reading_belong_to_the_family(kit):
     pro = kit.joint(model=SERVO_MODELS["LSS-P-S1"])
-    assert settings.stored(pro, answers(QD=1234), "QD") == 12.34
-    assert settings.stored(kit.joint(), answers(QD=1234), "QD") == 123.4
-    assert settings.stored(kit.joint(), answers(), "QT") is None
+    assert handshake.stored(pro, answers(QD=1234), "QD") == 12.34
+    assert handshake.stored(kit.joint(), answers(QD=1234), "QD") == 123.4
+    assert handshake.stored(kit.joint(), answers(), "QT") is None
 
 
 def test_the_safe_state_goes_to_every_bus(kit):
-    assert setup.safe_bytes(kit.robot()) == {"main": b"#254H\r"}
-    assert setup.safe_bytes(kit.robot(), is_limp=True) == {"main": b"#254L\r"}
+    assert handshake.safe_bytes(kit.robot()) == {"main": b"#254H\r"}
+    assert handshake.safe_bytes(kit.robot(), is_limp=True) == {"main": b"#254L\r"}
 
 
 def test_a_joint_that_was_let_go_stays_so(kit):
     one = kit.joint()
-    assert setup.safe_bytes(kit.robot(one), limp=[one]) == {"main": b"#254H\r#1L\r"}
+    assert handshake.safe_bytes(kit.robot(one), limp=[one]) == {"main": b"#254H\r#1L\r"}
 
 
 def test_a_servo_of_another_model_is_refused_at_the_line_that_names_the_model(kit):
     robot = replace(kit.robot(one := kit.joint(lines={"model": 7})), path=Path("arm.yaml"))
     with pytest.raises(InputError, match=r"^arm.yaml:7: joint 'j0': servo 1 is an LSS-HT1"):
-        setup.check_answers([one], answers(QMS="LSS-HT1"), robot)
+        handshake.check_answers([one], answers(QMS="LSS-HT1"), robot)
 
 
 @pytest.mark.parametrize(("wire", "is_said"), [(-905, False), (905, False), (1201, True)])
 def test_a_joint_that_stands_outside_of_its_range_is_named_with_both(kit, wire, is_said):
     one = kit.joint(position_min_deg=-90.0, position_max_deg=90.0, direction=-1)
-    texts = setup.check_range([one], answers(QD=wire))
+    texts = handshake.check_range([one], answers(QD=wire))
     assert [text.partition(", and")[0] for text in texts] == [
         "joint 'j0' stands at -120.1 deg, outside of its range of -90 to 90 deg"
     ] * is_said
@@ -131,7 +131,7 @@ def test_a_joint_that_stands_outside_of_its_range_is_named_with_both(kit, wire, 
 def test_a_servo_says_whether_it_is_limp_before_it_moves(kit):
     one = kit.joint()
     said = [
-        setup.found([one], answers(Q=code), kit.robot(one), {"j0": 0.0})[0].status
+        handshake.found([one], answers(Q=code), kit.robot(one), {"j0": 0.0})[0].status
         for code in (1, 6, "silent")
     ]
     assert said == ["limp", "holding", None]

@@ -4,7 +4,7 @@ from random import Random
 
 import pytest
 
-from lss_motion.player.statistics import MISSED_NS, Statistics
+from lss_motion.player.joint_state import MISSED_NS, Statistics
 
 
 def test_lateness_becomes_percentiles():

@@ -10,14 +10,14 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lss_motion.player.line import Line
-from lss_motion.player.queries import Questioner
+from lss_motion.player.joint_state import Owed
+from lss_motion.player.query_tracker import QueryTracker
+from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.streamer import SETTLE_S, Streamer
-from lss_motion.player.track import Owed
-from lss_motion.program.growth import Extension
 from lss_motion.program.model import Driving, Move, Program, Repeat
-from lss_motion.program.predict import profiles
 from lss_motion.program.response import Reference
+from lss_motion.program.splice import Extension
+from lss_motion.program.verify import profiles
 from lss_motion.protocol.line import Reply
 from lss_motion.robot.model import Bus, Sensor
 from lss_motion.sequence.model import Wait
@@ -67,12 +67,12 @@ class Stage:
             drives=streamed if joint.drive == "streamed" else {},
             **{"duration_s": END_S, **fields},
         )
-        self.line = Line(Bus(name="main", port="sim://", baud_bps=115200, firmware=370))
+        self.line = SerialLine(Bus(name="main", port="sim://", baud_bps=115200, firmware=370))
         self.streamer = Streamer(
             self.program,
             self.robot,
             lines={"main": self.line},
-            questioners={"main": Questioner(self.line)},
+            questioners={"main": QueryTracker(self.line)},
             standing_deg=standing_deg,
             has_feedback=has_feedback,
             start_ns=START_NS,

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from lss_motion.player.trace import POINTS_MAX, Trace
+from lss_motion.player.joint_state import POINTS_MAX, Trace
 
 
 @pytest.mark.parametrize("count", [1, POINTS_MAX, POINTS_MAX + 1, 54_321])

@@ -9,11 +9,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lss_motion.player.line import Line
+from lss_motion.player.joint_state import REST_DEG_S, Owed
+from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.show_clock import ShowClock
-from lss_motion.player.track import REST_DEG_S, Owed
 from lss_motion.robot.model import Bus
-from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.robot.servo_models import SERVO_MODELS
 from tests.timed_moves import timed, travel
 
 STEP_NS, LATE_NS = 20_000_000, 50_000_000
@@ -49,7 +49,7 @@ def test_what_is_too_much_is_taken_off_and_the_joint_is_led(kit):
 
 @pytest.mark.parametrize("baud_bps", [9600, 115200])
 def test_a_joint_that_is_led_is_told_so_early_that_it_hears_it_half_a_step_before(kit, baud_bps):
-    line = Line(Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=370))
+    line = SerialLine(Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=370))
     track = kit.track(kit.joint("j0", 2, drive="streamed"))
     track.led_ns = STEP_NS
     track.send(line, 60.0, 0.0, STEP_NS)
@@ -99,7 +99,7 @@ def test_what_is_left_of_a_move_is_run_time_from_when_it_is_heard(kit, line):
     assert track.left_s(line, CLOCK, 400_000_000) == pytest.approx(0.7, abs=1e-4)
     line.send(b"." * 115, 400_000_000)
     assert track.left_s(line, CLOCK, 400_000_000) == pytest.approx(0.69, abs=1e-4)
-    assert track.left_s(Line(line.bus), ShowClock(0, 0.0, 0.5), 800_000_000) == pytest.approx(
+    assert track.left_s(SerialLine(line.bus), ShowClock(0, 0.0, 0.5), 800_000_000) == pytest.approx(
         1.4, abs=2e-3
     )
     track.active = track.active._replace(duration_ms=None)
@@ -120,7 +120,7 @@ def test_t_is_what_is_left_and_never_so_short_that_the_speed_limit_breaks(kit, l
 
 
 def test_t_counts_from_where_the_servo_is_when_it_hears_it(kit):
-    slow = Line(Bus(name="main", port="sim://", baud_bps=9600, firmware=370))
+    slow = SerialLine(Bus(name="main", port="sim://", baud_bps=9600, firmware=370))
     track = timed(kit, travel(-80.0))
     track.moved(0, -800, 400)
     before = track.profile.copy()

@@ -6,13 +6,13 @@ from random import Random
 
 import pytest
 
-from lss_motion.player.turnaround import REPLY_TIMEOUT_NS, SAMPLES_LEAST, WINDOW, Turnaround
+from lss_motion.player.polling import REPLY_TIMEOUT_NS, SAMPLES_LEAST, WINDOW, ReplyLatency
 
 US = 1000
 
 
 def taught(*waits_us):
-    turnaround = Turnaround()
+    turnaround = ReplyLatency()
     for wait_us in waits_us:
         turnaround.take(wait_us * US)
     return turnaround
@@ -26,7 +26,7 @@ def known(turnaround):
 def test_the_next_turnaround_is_rarely_outside_of_what_was_learnt(bounds_us):
     random, outside, judged = Random(4), 0, 0
     for _ in range(200):
-        turnaround = Turnaround()
+        turnaround = ReplyLatency()
         for _ in range(40):
             waited_ns = random.randint(bounds_us[0] * US, bounds_us[1] * US)
             if turnaround.is_known:
@@ -40,13 +40,13 @@ def test_the_next_turnaround_is_rarely_outside_of_what_was_learnt(bounds_us):
 
 
 def test_before_a_few_answers_nothing_is_known():
-    assert known(Turnaround()) == (False, 0, REPLY_TIMEOUT_NS, None)
+    assert known(ReplyLatency()) == (False, 0, REPLY_TIMEOUT_NS, None)
     assert known(taught(*[400] * (SAMPLES_LEAST - 1))) == (False, 0, REPLY_TIMEOUT_NS, 400 * US)
     assert known(taught(*[400] * SAMPLES_LEAST)) == (True, 400 * US, 400 * US, 400 * US)
 
 
 def test_a_servo_that_is_not_known_may_take_a_library_wait_and_the_timer_of_an_adapter():
-    assert Turnaround().latest_ns >= 26_000 * US
+    assert ReplyLatency().latest_ns >= 26_000 * US
 
 
 def test_few_answers_leave_more_room_than_many():
@@ -66,4 +66,4 @@ def test_an_answer_of_long_ago_is_forgotten():
 def test_a_servo_that_has_changed_its_ways_is_learnt_anew():
     turnaround = taught(*[400] * WINDOW)
     turnaround.forget()
-    assert known(turnaround) == known(Turnaround())
+    assert known(turnaround) == known(ReplyLatency())

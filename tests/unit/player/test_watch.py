@@ -5,8 +5,8 @@ import re
 import pytest
 
 from lss_motion.player.approach import approach
-from lss_motion.player.track import make_tracks
-from lss_motion.player.watch import SILENT_ASKS, STATUS_CAUSES, Watch, status_fault
+from lss_motion.player.health import SILENT_ASKS, STATUS_CAUSES, Watch, status_fault
+from lss_motion.player.joint_state import make_joint_states
 from lss_motion.protocol.constants import (
     PRO_STATUS_FIRMWARE,
     STATUS_CODES,
@@ -14,8 +14,8 @@ from lss_motion.protocol.constants import (
     Status,
     status_codes,
 )
-from lss_motion.robot.models import SERVO_MODELS
 from lss_motion.robot.on_fault import Cause
+from lss_motion.robot.servo_models import SERVO_MODELS
 
 S = 1_000_000_000
 BLOCKED, HOLDING, LIMP = 9, 6, 1
@@ -25,7 +25,7 @@ BLOCKED, HOLDING, LIMP = 9, 6, 1
 def track(kit):
     robot = kit.robot(kit.joint(following_deg=5.0))
     program = approach(robot, {"j0": 0.0}, {"j0": 0.0})
-    return make_tracks(program, robot, {"j0": 0.0}, 0.0, has_feedback=True)["j0"]
+    return make_joint_states(program, robot, {"j0": 0.0}, 0.0, has_feedback=True)["j0"]
 
 
 def causes(watch):

@@ -9,7 +9,7 @@ from lss_motion.errors import InputError, LineLoadError
 from lss_motion.program.compile import PREROLL_S, compile_program
 from lss_motion.program.drives import lead
 from lss_motion.program.model import heard_us, ramp_deg_s2
-from lss_motion.program.predict import profiles
+from lss_motion.program.verify import profiles
 from lss_motion.sequence.model import Timing
 from lss_motion.units import line_time_ns
 
@@ -127,7 +127,7 @@ def test_direction_and_zero_are_respected(kit):
 
 
 def test_lss_pro_joints_are_told_hundredths(kit):
-    from lss_motion.robot.models import SERVO_MODELS
+    from lss_motion.robot.servo_models import SERVO_MODELS
 
     pro = kit.joint(model=SERVO_MODELS["LSS-P-S1"], speed_max_deg_s=90.0, accel_max_deg_s2=200.0)
     sequence = kit.keys((0.0, {"j0": 0.0}), (2.0, {"j0": 33.33}))

@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lss_motion.program.batch import States
-from lss_motion.program.cone import Starts, opened
-from lss_motion.program.course import GRID_S, Course, Courses, servo_limits
+from lss_motion.program.cones import Starts, opened
+from lss_motion.program.reference import GRID_S, Course, Courses, servo_limits
+from lss_motion.program.response import States
 from tests.joints import joint
 
 LIMITS = servo_limits(joint(), 0.2)

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.program.cue_text import cue_line, read_cue
+from lss_motion.program.text import cue_line, read_cue
 from lss_motion.sequence.model import Cue
 
 

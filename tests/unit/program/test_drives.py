@@ -11,14 +11,13 @@ import pytest
 
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.program.compile import compile_program
-from lss_motion.program.filtered import FilterProfile
 from lss_motion.program.model import Driving
-from lss_motion.program.predict import profiles
-from lss_motion.program.step import PULSE_S
+from lss_motion.program.stepped import PULSE_S
+from lss_motion.program.streamed import FilterProfile
 from lss_motion.program.text import from_text, to_text
-from lss_motion.program.verify import verify_program
+from lss_motion.program.verify import profiles, verify_program
 from lss_motion.robot.model import Response
-from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sequence.model import Keyframe, Sequence
 
 PERIOD_S = 0.02

@@ -6,10 +6,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lss_motion.program.course import GRID_S, SEGMENT_MAX_S, Course, servo_limits
 from lss_motion.program.fit import Fit
-from lss_motion.program.lanes import lanes_of
 from lss_motion.program.moves import from_rest, references
+from lss_motion.program.reference import GRID_S, SEGMENT_MAX_S, Course, servo_limits
+from lss_motion.program.segments import segments_of
 from lss_motion.robot.model import Response
 from tests.joints import joint
 
@@ -47,7 +47,7 @@ def swings(count, seed=0, longest_s=7.5):
 def test_out_of_a_turning_point_nothing_is_heard_while_the_servo_may_still_land_there():
     """Or the stop would be given up, and all of the stretch fitted once more."""
     course = Course(start_s=0.0, position_deg=8.0 * np.sin(4.0 * GRID_S * np.arange(12000)))
-    lanes = list(lanes_of(0, course, LIMITS, 0.16, ()))
+    lanes = list(segments_of(0, course, LIMITS, 0.16, ()))
     assert len(lanes) > 3
     for before, lane in pairwise(lanes):
         first, last = before.stop
@@ -63,7 +63,7 @@ def test_out_of_a_turning_point_nothing_is_heard_while_the_servo_may_still_land_
 
 def test_a_turning_point_at_which_the_line_is_late_is_travelled_through():
     course = Course(start_s=0.0, position_deg=8.0 * np.sin(4.0 * GRID_S * np.arange(12000)))
-    lanes = list(lanes_of(0, course, LIMITS, 0.16, ()))
+    lanes = list(segments_of(0, course, LIMITS, 0.16, ()))
     turn_us = round(1e6 * course.time_s(lanes[1].first))
     attempts = []
 

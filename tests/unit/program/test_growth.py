@@ -5,11 +5,11 @@ import pytest
 
 from lss_motion.errors import LineLoadError
 from lss_motion.program.drives import lead
-from lss_motion.program.growth import standing
 from lss_motion.program.line import line_use
 from lss_motion.program.model import Program, heard_us, target_deg
 from lss_motion.program.response import Profile
-from lss_motion.trajectory.moving import moving
+from lss_motion.program.splice import standing
+from lss_motion.trajectory.tracks import moving
 from lss_motion.units import s_from_ms, s_from_us
 
 TOLERANCE_DEG = 0.1

@@ -6,9 +6,8 @@ from itertools import pairwise
 
 import pytest
 
-from lss_motion.program.attempt import sent_us
 from lss_motion.program.model import Move, Repeat
-from lss_motion.program.seam import closed
+from lss_motion.program.schedule import closed, sent_us
 
 REPEAT = Repeat(from_us=1_000_000, to_us=2_000_000)
 

@@ -6,9 +6,8 @@ from random import Random
 
 import pytest
 
-from lss_motion.program.columns import columns_of
 from lss_motion.program.model import Move, Program
-from lss_motion.program.table import MADE_AT_ONCE, MoveTable, table_of
+from lss_motion.program.table import MADE_AT_ONCE, MoveTable, columns_of, table_of
 
 
 def moves(count: int) -> list[Move]:

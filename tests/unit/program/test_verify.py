@@ -6,10 +6,9 @@ import pytest
 from lss_motion.errors import PlanningError
 from lss_motion.program.compile import compile_program
 from lss_motion.program.model import Move, Program
-from lss_motion.program.predict import profiles
 from lss_motion.program.response import Piece, Reference
-from lss_motion.program.verify import verify_profiles, verify_program
-from lss_motion.robot.models import SERVO_MODELS
+from lss_motion.program.verify import profiles, verify_profiles, verify_program
+from lss_motion.robot.servo_models import SERVO_MODELS
 
 
 def program(*moves, **fields) -> Program:

@@ -14,7 +14,7 @@ from lss_motion.protocol.codec import (
     read_command,
     read_reply,
 )
-from lss_motion.protocol.family import Family
+from lss_motion.protocol.constants import Family
 from lss_motion.protocol.line import Command, CommandParser, Reply, encode
 from lss_motion.protocol.table import Suffix, Unit
 

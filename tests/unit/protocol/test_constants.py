@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.protocol.constants import Blink, Led, SafeModeCause, Status, status_from
-from lss_motion.protocol.family import Family
+from lss_motion.protocol.constants import Blink, Family, Led, SafeModeCause, Status, status_from
 
 
 def test_the_documented_status_codes_are_0_to_10() -> None:

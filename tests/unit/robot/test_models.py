@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from lss_motion.protocol.family import Family
-from lss_motion.robot.models import BAUD_FIRMWARE_MIN, FAMILIES, SERVO_MODELS
+from lss_motion.protocol.constants import Family
+from lss_motion.robot.servo_models import BAUD_FIRMWARE_MIN, FAMILIES, SERVO_MODELS
 
 
 def test_every_model_has_the_wire_unit_of_its_family() -> None:

@@ -10,7 +10,7 @@ from lss_motion.cli.main import main
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_UNREACHABLE
 from lss_motion.runtime import computer
 from lss_motion.runtime.computer import Level
-from lss_motion.runtime.devices import Device
+from lss_motion.runtime.port import Device
 
 US = 1000
 

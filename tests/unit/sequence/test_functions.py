@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from lss_motion.sequence.functions import function_problem
+from lss_motion.sequence.load import function_problem
 
 
 @pytest.fixture

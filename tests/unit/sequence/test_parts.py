@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from lss_motion.errors import InputError
+from lss_motion.sequence.keyframes import at_speed
 from lss_motion.sequence.load import load_sequence
-from lss_motion.sequence.speed import at_speed
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -10,9 +10,9 @@ import jsonschema
 import pytest
 
 from lss_motion import api
+from lss_motion.files.yaml_source import read_yaml
 from lss_motion.robot.load import load_robot, robot_schema
 from lss_motion.sequence.load import load_sequence, sequence_schema
-from lss_motion.yaml_source import read_yaml
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "sequences"
 ROBOTS = sorted((EXAMPLES / "robots").glob("*.yaml"))

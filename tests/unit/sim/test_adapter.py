@@ -1,7 +1,6 @@
 from random import Random
 
-from lss_motion.sim.adapter import PACKET_BYTES, Adapter
-from lss_motion.sim.wire import ServoLine
+from lss_motion.sim.wire import PACKET_BYTES, Adapter, ServoLine
 
 MS = 1_000_000
 BYTE_NS = 100_000  # at 100000 bps

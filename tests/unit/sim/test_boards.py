@@ -1,6 +1,6 @@
 import pytest
 
-from lss_motion.protocol.family import Family
+from lss_motion.protocol.constants import Family
 from lss_motion.protocol.table import Suffix
 from lss_motion.robot.model import ServoModel
 from lss_motion.sim.boards import SENSORS

@@ -3,9 +3,9 @@ from dataclasses import replace
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.protocol.family import Family
+from lss_motion.protocol.constants import Family
 from lss_motion.robot.model import Bus, Robot, ServoModel
-from lss_motion.sim.build import bus_from_robot
+from lss_motion.sim.bus import bus_from_robot
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.faults_file import load_faults
 from lss_motion.sim.physics import Physics

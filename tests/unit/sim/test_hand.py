@@ -7,7 +7,7 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.robot.load import load_robot
-from lss_motion.sim.build import bus_from_robot
+from lss_motion.sim.bus import bus_from_robot
 from lss_motion.sim.hand import Hand, hand_from_seed, hand_of
 
 ARM = Path(__file__).resolve().parents[3] / "sequences" / "robots" / "desk_arm.yaml"

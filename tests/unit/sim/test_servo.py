@@ -2,8 +2,8 @@ import re
 
 import pytest
 
+from lss_motion.protocol.constants import Family
 from lss_motion.protocol.families import FAMILY_TABLES
-from lss_motion.protocol.family import Family
 from lss_motion.protocol.table import Answer
 from lss_motion.robot.model import ServoModel
 from lss_motion.sim.physics import Physics

@@ -1,7 +1,6 @@
 from random import Random
 
-from lss_motion.sim.adapter import Adapter
-from lss_motion.sim.wire import HostLine, ServoLine
+from lss_motion.sim.wire import Adapter, HostLine, ServoLine
 
 BYTE_NS = 100_000  # at 100000 bps
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lss_motion.sequence.model import Sequence, Timing
-from lss_motion.trajectory import cache
+from lss_motion.trajectory import planner
 from lss_motion.trajectory.planner import plan
 
 
@@ -17,8 +17,8 @@ def show(frame):
 
 def test_a_plan_is_remembered_and_the_same_again(show, make_robot, monkeypatch):
     first = plan(show, make_robot())
-    monkeypatch.setattr("lss_motion.trajectory.track.slowed_windows", None)
-    monkeypatch.setattr("lss_motion.trajectory.track.verify", None)
+    monkeypatch.setattr("lss_motion.trajectory.tracks.slowed_windows", None)
+    monkeypatch.setattr("lss_motion.trajectory.tracks.verify", None)
     again = plan(show, make_robot())
     times_s = np.linspace(0.0, first.duration_s, 99)
     assert np.array_equal(first.sample(times_s), again.sample(times_s))
@@ -31,7 +31,7 @@ def test_passes_that_differ_are_remembered_as_they_are(frame, make_robot, loop, 
     frames = [frame(0.0, base=0.0), frame(0.3, base=90.0), frame(0.9, base=-90.0)]
     show = Sequence(name="s", keyframes=(*frames, frame(1.2, base=0.0)), loop=loop)
     first = plan(show, make_robot())
-    monkeypatch.setattr("lss_motion.trajectory.track.verify", None)
+    monkeypatch.setattr("lss_motion.trajectory.tracks.verify", None)
     again = plan(show, make_robot())
     assert again.is_periodic
     assert again.first is not again.middle
@@ -49,14 +49,16 @@ def test_passes_that_differ_are_remembered_as_they_are(frame, make_robot, loop, 
     ],
 )
 def test_another_wish_is_another_question(show, make_robot, change):
-    assert cache.name_of(show, make_robot()) != cache.name_of(replace(show, **change), make_robot())
+    assert planner.name_of(show, make_robot()) != planner.name_of(
+        replace(show, **change), make_robot()
+    )
 
 
 def test_every_field_of_a_keyframe_and_every_limit_is_part_of_the_question(show, frame, make_robot):
     def asked(speed=180.0, accel=600.0, reach=170.0, **fields):
         frames = (frame(0.0, base=0.0), frame(**{"at_s": 0.2, "base": 90.0} | fields))
         robot = make_robot(speed=speed, accel=accel, reach=reach)
-        return cache.name_of(replace(show, keyframes=frames), robot)
+        return planner.name_of(replace(show, keyframes=frames), robot)
 
     names = [
         asked(),
@@ -77,13 +79,13 @@ def test_every_field_of_a_keyframe_and_every_limit_is_part_of_the_question(show,
 def test_other_limits_are_another_question(show, make_robot):
     quick, slow = plan(show, make_robot()), plan(show, make_robot(speed=90.0))
     assert slow.duration_s > quick.duration_s
-    assert len(list(cache.directory().glob(f"*{cache.SUFFIX}"))) == 2
+    assert len(list(planner.directory().glob(f"*{planner.SUFFIX}"))) == 2
 
 
 @pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 not a zip", None])
 def test_a_damaged_entry_is_replaced(show, make_robot, damage):
     planned = plan(show, make_robot())
-    (entry,) = cache.directory().glob(f"*{cache.SUFFIX}")
+    (entry,) = planner.directory().glob(f"*{planner.SUFFIX}")
     whole = entry.read_bytes()
     middle = len(whole) // 2
     flipped = whole[:middle] + bytes([whole[middle] ^ 0xFF]) + whole[middle + 1 :]
@@ -94,13 +96,13 @@ def test_a_damaged_entry_is_replaced(show, make_robot, damage):
 
 def test_a_cache_that_cannot_be_written_is_no_error(show, make_robot, monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
-    monkeypatch.setenv(cache.DIRECTORY_VARIABLE, str(tmp_path / "file" / "below"))
+    monkeypatch.setenv(planner.DIRECTORY_VARIABLE, str(tmp_path / "file" / "below"))
     assert plan(show, make_robot()).duration_s > 0.2
 
 
 def test_the_cache_stays_bounded(show, make_robot, monkeypatch):
-    monkeypatch.setattr(cache, "BYTES_MAX", 60_000)
+    monkeypatch.setattr(planner, "BYTES_MAX", 60_000)
     for speed in range(60, 120, 5):
         plan(show, make_robot(speed=float(speed)))
-    sizes = [entry.stat().st_size for entry in cache.directory().iterdir()]
+    sizes = [entry.stat().st_size for entry in planner.directory().iterdir()]
     assert 0 < sum(sizes) <= 60_000

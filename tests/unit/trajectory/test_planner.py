@@ -474,7 +474,7 @@ def test_a_legal_show_and_a_remembered_one_need_no_toppra() -> None:
             print(*(name in sys.modules for name in names))
 
         plan(show(0.1), robot)
-        print_loaded("toppra", "lss_motion.trajectory.track", "lss_motion.trajectory.verify")
+        print_loaded("toppra", "lss_motion.trajectory.tracks", "lss_motion.trajectory.verify")
         plan(show(3.0), robot)
         print_loaded("toppra", "scipy", "matplotlib")
         """

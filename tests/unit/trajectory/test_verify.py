@@ -8,8 +8,7 @@ import pytest
 
 from lss_motion.errors import PlanningError
 from lss_motion.sequence.model import Sequence, Timing
-from lss_motion.trajectory.clock import Clock
-from lss_motion.trajectory.model import Motion, Trajectory
+from lss_motion.trajectory.model import Clock, Motion, Trajectory
 from lss_motion.trajectory.path import Path
 from lss_motion.trajectory.planner import plan
 from lss_motion.trajectory.verify import extreme, verify

@@ -10,7 +10,7 @@ from lss_motion.cli import shows
 from lss_motion.errors import PlanningError
 from lss_motion.gait.model import BodyPose
 from lss_motion.gait.steering import eased
-from lss_motion.gait.walker import STILL, Twist
+from lss_motion.gait.stepping import STILL, Twist
 from lss_motion.program.table import MoveTable
 from lss_motion.walking.planner import Planner, Request
 from lss_motion.walking.process import PlannerProcess, packed, unpacked

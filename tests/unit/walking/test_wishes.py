@@ -5,9 +5,8 @@ import os
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.gait.walker import STILL, Twist
-from lss_motion.walking.gamepad import EVENT, Gamepad
-from lss_motion.walking.wishes import Wishes
+from lss_motion.gait.stepping import STILL, Twist
+from lss_motion.walking.inputs import EVENT, Gamepad, Wishes
 
 TOP = Twist(forward_mm_s=40.0, left_mm_s=20.0, turn_deg_s=10.0)
 UP, RIGHT = "\x1b[A", "\x1b[C"

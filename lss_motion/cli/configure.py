@@ -1,0 +1,443 @@
+"""`lss-motion configure`: what servos store, compared with what is wanted, written and kept.
+
+The steps of `lss-motion configure` that a person sees: differences, questions, outcomes.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lss_motion.cli import servo_settings
+from lss_motion.cli.commands import add_command, add_robot, refuse_overwriting, robot_at
+from lss_motion.cli.scan import ask_alone, roll_call
+from lss_motion.cli.tables import write_text
+from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
+from lss_motion.maintenance import settings
+from lss_motion.maintenance.backup import Kept, backup_text, read_backup
+from lss_motion.protocol.constants import Family
+from lss_motion.protocol.io2 import PIN_IDS
+from lss_motion.robot.servo_models import other_model
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Mapping, Sequence
+
+    from lss_motion.cli.commands import Commands
+    from lss_motion.connection import Connection
+    from lss_motion.maintenance.discovery import Present
+    from lss_motion.maintenance.settings import Target
+    from lss_motion.robot.model import Bus, Robot
+
+    Wanted = Mapping[str, Mapping[str, int | None]]
+
+
+DESCRIPTION = """\
+Compare what servos store with what is wanted; show the differences, ask, write, read back.
+
+  lss-motion configure my_robot.yaml                      writes each joint's `stored:` settings
+  lss-motion configure my_robot.yaml --set LED=3          one setting, all joints
+  lss-motion configure my_robot.yaml --session            `stored:` and `settings:` until power-off
+  lss-motion configure --port P --id 0 --new-id 5         a new id, for one servo at a time
+  lss-motion configure my_robot.yaml --new-baud 500000    all servos of a line together
+  lss-motion configure my_robot.yaml --backup b.yaml      all that they store; --restore writes it
+
+Without anything to set it shows what is stored. Names and units are those of
+`lss-motion reference`; in a robot file: `stored: {G: -1, O: 2.5, LED: 3, FD: DIS}`.
+Some settings act after a RESET: the servo is restarted, and is limp for a moment.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command of this module."""
+    configure = add_command(
+        commands, "configure", _configure, "read, compare and write settings", DESCRIPTION
+    )
+    add_robot(configure, is_required=False)
+    configure.add_argument("--port", metavar="URL", help="serial device or URL")
+    configure.add_argument("--baud", type=int, metavar="BPS", help="without ROBOT; default 115200")
+    configure.add_argument("--joint", action="append", metavar="NAME", help="only this; repeatable")
+    configure.add_argument(
+        "--id", action="append", type=int, metavar="N", dest="ids", help="only this; repeatable"
+    )
+    configure.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", dest="sets", help="repeatable"
+    )
+    configure.add_argument("--session", action="store_true", help="until power-off only")
+    configure.add_argument("--dry-run", action="store_true", help="show the differences only")
+    configure.add_argument("--yes", action="store_true", help="do not ask")
+    configure.add_argument(
+        "--force",
+        action="store_true",
+        help="also what may make a servo unreachable; overwrite a backup",
+    )
+    modes = configure.add_mutually_exclusive_group()
+    modes.add_argument("--new-id", type=int, metavar="N", help="give one servo another id")
+    modes.add_argument("--new-baud", type=int, metavar="BPS", help="give a line another rate")
+    modes.add_argument("--backup", type=Path, metavar="FILE", help="write all settings to a file")
+    modes.add_argument("--restore", type=Path, metavar="FILE", help="write them back")
+
+
+def _configure(arguments: argparse.Namespace) -> int:
+    from lss_motion.connection import connect
+
+    robot = None
+    if arguments.robot is not None:
+        robot = robot_at(arguments.robot, arguments.port)
+    _check(arguments, robot)
+    buses = {"main": _bus(arguments)} if robot is None else robot.buses
+    with connect(buses, robot=robot) as connection:
+        if connection.simulated:
+            print("The servos are simulated: what is written is forgotten when this command ends.")
+        if arguments.new_id is not None:
+            return give_id(connection, arguments)
+        if arguments.new_baud is not None:
+            return give_rate(connection, robot, arguments)
+        if arguments.restore is not None:
+            return restore(connection, arguments)
+        targets = _targets(connection, robot, arguments)
+        if arguments.backup is not None:
+            return back_up(connection, targets, arguments.backup, is_forced=arguments.force)
+        wanted = _wanted(targets, robot, arguments)
+        if not any(wanted.values()):
+            return _show(connection, targets, arguments)
+        return apply(connection, targets, wanted, arguments)
+
+
+def agree(arguments: argparse.Namespace, question: str) -> bool:
+    """Ask a person; `--yes` is the answer of one who is not there."""
+    if arguments.yes:
+        return True
+    if not sys.stdin.isatty():
+        raise InputError("nobody is there to ask; add --yes to go on without asking")
+    print(f"{question} [y/N] ", end="", flush=True)
+    return sys.stdin.readline().strip().lower() in {"y", "yes"}
+
+
+def _check(arguments: argparse.Namespace, robot: Robot | None) -> None:
+    """Refuse what cannot be meant."""
+    if robot is None and arguments.port is None:
+        raise InputError("give a ROBOT file, or --port and --id of a servo")
+    if robot is None and arguments.joint:
+        raise InputError("--joint needs a ROBOT file; without one, --id names the servo")
+    if robot is not None and arguments.baud is not None:
+        raise InputError("the robot file says the baud rate; --baud is for --port without one")
+    _check_numbers(arguments)
+    for name in arguments.joint or ():
+        if robot is not None and name not in robot.joints:
+            from lss_motion.files.source import known_names
+
+            raise InputError(f"unknown joint {name!r}; {known_names(name, robot.joints)}")
+    is_other = any(
+        mode is not None
+        for mode in (arguments.new_id, arguments.new_baud, arguments.backup, arguments.restore)
+    )
+    if is_other and (arguments.sets or arguments.session):
+        raise InputError("--set and --session write settings; --new-id and the like go without")
+    if arguments.new_id is not None and len(arguments.ids or ()) != 1:
+        raise InputError("--new-id is for one servo: say which with --id")
+
+
+def _check_numbers(arguments: argparse.Namespace) -> None:
+    from lss_motion.protocol.constants import BAUD_RATES_BPS, ID_MAX
+
+    for option, rate in (("--baud", arguments.baud), ("--new-baud", arguments.new_baud)):
+        if rate is not None and rate not in BAUD_RATES_BPS:
+            raise InputError(f"{option} {rate}: servos know {', '.join(map(str, BAUD_RATES_BPS))}")
+    for servo_id in [
+        *(arguments.ids or ()),
+        *([] if arguments.new_id is None else [arguments.new_id]),
+    ]:
+        if not 0 <= servo_id <= ID_MAX:
+            raise InputError(f"id {servo_id}: allowed are 0 to {ID_MAX}")
+
+
+def _bus(arguments: argparse.Namespace) -> Bus:
+    from lss_motion.robot.model import Bus
+
+    return Bus(name="main", port=arguments.port, baud_bps=arguments.baud or 115200, firmware=370)
+
+
+def _targets(
+    connection: Connection, robot: Robot | None, arguments: argparse.Namespace
+) -> list[Target]:
+    """Return the servos that are meant, each of which has answered."""
+    from lss_motion.cli.scan import roll_call
+    from lss_motion.cli.servo_settings import targets_at
+
+    if robot is None:
+        ids = arguments.ids or [present.servo_id for present in roll_call(connection, "main")]
+        if not ids:
+            raise BusError(
+                f"nobody answers on {arguments.port}; `lss-motion scan {arguments.port}` says more"
+            )
+        return targets_at(connection, "main", {servo_id: f"servo {servo_id}" for servo_id in ids})
+    joints = {
+        name: joint
+        for name, joint in robot.joints.items()
+        if name in (arguments.joint or robot.joints)
+        and joint.servo_id in (arguments.ids or [joint.servo_id])
+    }
+    found: dict[str, Target] = {}
+    for bus in robot.buses:
+        names = {joint.servo_id: name for name, joint in joints.items() if joint.bus == bus}
+        found |= {target.name: target for target in targets_at(connection, bus, names)}
+    for name, joint in joints.items():
+        if not found[name].model.startswith(joint.model.name):
+            raise InputError(
+                f"joint {name!r}: {other_model(joint, found[name].model)}",
+                path=robot.path,
+                line=joint.lines.get("model"),
+            )
+    return [found[name] for name in joints]
+
+
+def _wanted(
+    targets: Sequence[Target], robot: Robot | None, arguments: argparse.Namespace
+) -> dict[str, dict[str, int | None]]:
+    """Return the wire values that the robot file and `--set` ask for, by target."""
+    from lss_motion.protocol.codec import stored_wire
+
+    given = dict(_assigned(text) for text in arguments.sets)
+    wanted: dict[str, dict[str, int | None]] = {}
+    for target in targets:
+        stored: dict[str, float | None] = dict(given)
+        if robot is not None and not given:
+            stored = dict(robot.joints[target.name].stored)
+        values = {name: stored_wire(target.family, name, value) for name, value in stored.items()}
+        if arguments.session:
+            if robot is not None and not given:
+                values |= robot.joints[target.name].settings
+            session = target.rows(is_session=True)
+            for name in [name for name in values if name not in session]:
+                if name in given:
+                    raise InputError(f"{name} has no value for the session; leave --session out")
+                del values[name]
+        wanted[target.name] = values
+    return wanted
+
+
+def _assigned(text: str) -> tuple[str, float | None]:
+    name, separator, value = text.partition("=")
+    try:
+        return name.upper(), None if value.upper() == "DIS" else float(value)
+    except ValueError:
+        hint = "write NAME=VALUE, such as LED=3; FD=DIS switches a first position off"
+        problem = f"{value!r} is not a number" if separator else "there is no ="
+        raise InputError(f"--set {text}: {problem}; {hint}") from None
+
+
+def _show(connection: Connection, targets: Sequence[Target], arguments: argparse.Namespace) -> int:
+    """Print what servos store, or go by now."""
+    from lss_motion.cli.servo_settings import read
+    from lss_motion.maintenance.settings import said
+
+    found = read(connection, targets, is_session=arguments.session)
+    is_whole = True
+    for target in targets:
+        print(f"{target.name} (id {target.servo_id}, {target.model}):")
+        for name, row in target.rows(is_session=arguments.session).items():
+            is_whole = is_whole and name in found[target.name]
+            value = found[target.name].get(name)
+            shown = said(row, value) if name in found[target.name] else "no answer"
+            print(f"  {name:10} {shown:16} {row.meaning}")
+    return EXIT_FINISHED if is_whole else EXIT_UNREACHABLE
+
+
+FACTORY_ID = 0
+"""The id of a smart servo from the factory (FACTS.md R1)."""
+
+
+def apply(
+    connection: Connection,
+    targets: Sequence[Target],
+    wanted: Mapping[str, Mapping[str, int | None]],
+    arguments: argparse.Namespace,
+) -> int:
+    """Show the differences, ask, write. `wanted` is by the name of the target."""
+    is_session = arguments.session
+    needed = servo_settings.differing(connection, targets, wanted, is_session=is_session)
+    if not needed:
+        print(f"nothing to write: {len(targets)} servos are as wanted")
+        return EXIT_FINISHED
+    print("\n".join(map(str, needed)))
+    dangers = {
+        text
+        for change in needed
+        for text in settings.dangers([change], connection.buses[change.target.bus].baud_bps)
+    }
+    if dangers and not arguments.force:
+        raise InputError("; ".join([*sorted(dangers), "--force writes it all the same"]))
+    if arguments.dry_run:
+        return EXIT_FINISHED
+    limp = {c.target.name for c in needed if settings.goes_limp(c, is_session=is_session)}
+    if limp:
+        print(f"These let go meanwhile: {', '.join(sorted(limp))}. Support what they hold.")
+    if not agree(arguments, f"Write {len(needed)} settings?"):
+        print("nothing was written")
+        return EXIT_FINISHED
+    done = servo_settings.write(connection, targets, wanted, is_session=is_session)
+    print(f"written and read back: {len(done)} settings")
+    return EXIT_FINISHED
+
+
+def give_id(connection: Connection, arguments: argparse.Namespace) -> int:
+    """Give the one servo at an id another one."""
+    bus = next(iter(connection.buses))
+    (old_id,), new_id = arguments.ids, arguments.new_id
+    if len(connection.buses) > 1:
+        raise InputError("--new-id needs one line: give --port and --baud instead of ROBOT")
+    if old_id == new_id:
+        raise InputError(f"it has id {old_id} already")
+    (present,) = servo_settings.all_at(connection, bus, [old_id])
+    print(f"{present.model}: id {old_id} → {new_id}")
+    if arguments.dry_run or not agree(
+        arguments, f"Restart the servo with id {old_id} as {new_id}?"
+    ):
+        print("nothing was written")
+        return EXIT_FINISHED
+    present = servo_settings.renumber(connection, bus, old_id, new_id)
+    number = f", serial number {present.serial_number}" if present.serial_number else ""
+    print(f"the {present.model}{number} now has id {new_id}")
+    return EXIT_FINISHED
+
+
+def give_rate(connection: Connection, robot: Robot | None, arguments: argparse.Namespace) -> int:
+    """Give all servos of a line another rate; one of several only with `--force`."""
+    if len(connection.buses) > 1:
+        raise InputError("--new-baud changes one line: give --port and --baud instead of ROBOT")
+    (bus,) = connection.buses.values()
+    rate_bps = arguments.new_baud
+    everybody = roll_call(connection, bus.name)
+    if not everybody:
+        raise BusError(f"nobody answers on {bus.port} at {bus.baud_bps} bps", url=bus.port)
+    shared = [present.servo_id for present in everybody if present.is_shared]
+    if shared:
+        raise BusError(f"several servos share id {shared[0]}; give each its own first (--new-id)")
+    expected = set(arguments.ids or [present.servo_id for present in everybody])
+    if robot is not None and not arguments.ids:
+        expected = {joint.servo_id for joint in robot.joints.values()}
+        missing = expected - {present.servo_id for present in everybody}
+        if missing and not arguments.force:
+            listed = ", ".join(map(str, sorted(missing)))
+            raise InputError(
+                f"servo {listed} does not answer and would stay at {bus.baud_bps} bps, where it "
+                f"then is alone; plug it in, or add --force"
+            )
+        expected |= {present.servo_id for present in everybody}
+    chosen = [present for present in everybody if present.servo_id in expected]
+    left = [str(present.servo_id) for present in everybody if present.servo_id not in expected]
+    if left and not arguments.force:
+        raise InputError(
+            f"servo {', '.join(left)} would stay at {bus.baud_bps} bps: a line carries one rate. "
+            f"Leave --id out to change all, or add --force"
+        )
+    print(f"{len(chosen)} ids go from {bus.baud_bps} to {rate_bps} bps; servos are limp meanwhile.")
+    if arguments.dry_run or not agree(arguments, "Go on?"):
+        print("nothing was written")
+        return EXIT_FINISHED
+    lost = servo_settings.change_rate(connection, bus.name, chosen, rate_bps)
+    if lost:
+        listed = ", ".join(map(str, lost))
+        print(f"servo {listed} does not answer at {rate_bps} bps; see `lss-motion scan {bus.port}`")
+        return EXIT_UNREACHABLE
+    print(f"all answer at {rate_bps} bps; write `baud_bps: {rate_bps}` into the robot file")
+    return EXIT_FINISHED
+
+
+def back_up(
+    connection: Connection, targets: Sequence[Target], path: Path, *, is_forced: bool
+) -> int:
+    """Write all that servos store to a file."""
+    refuse_overwriting(path, is_forced=is_forced)
+    found = servo_settings.read_whole(connection, targets)
+    present = {
+        (bus, p.servo_id): p
+        for bus in {target.bus for target in targets}
+        for p in ask_alone(connection, bus, {t.servo_id: t.model for t in targets if t.bus == bus})
+    }
+    servos = [
+        Kept(
+            bus=target.bus,
+            servo_id=target.servo_id,
+            model=target.model,
+            serial_number=present[target.bus, target.servo_id].serial_number,
+            settings=found[target.name],
+        )
+        for target in targets
+        if (target.bus, target.servo_id) in present
+    ]
+    if len(servos) != len(targets):
+        raise BusError("a servo stopped answering while its settings were read; try again")
+    write_text(path, backup_text(servos))
+    count = sum(len(kept.settings) for kept in servos)
+    print(f"wrote {path}: {count} settings of {len(servos)} servos")
+    return EXIT_FINISHED
+
+
+def restore(connection: Connection, arguments: argparse.Namespace) -> int:
+    """Write a backup back. A servo that has its factory id again gets its own first."""
+    servos = [
+        kept
+        for kept in read_backup(arguments.restore)
+        if kept.servo_id in (arguments.ids or [kept.servo_id])
+    ]
+    targets, wanted, moves = [], {}, []
+    for kept in servos:
+        if kept.bus not in connection.buses:
+            known = ", ".join(connection.buses)
+            raise InputError(
+                f"there is no bus {kept.bus!r} here, but {known}", path=arguments.restore
+            )
+        name = f"servo {kept.servo_id}" + (f" on {kept.bus}" if len(connection.buses) > 1 else "")
+        now_id = _find(connection, kept, arguments)
+        (target,) = servo_settings.targets_at(connection, kept.bus, {now_id: name})
+        if now_id != kept.servo_id:
+            moves.append((target, kept.servo_id))
+        targets.append(target)
+        wanted[target.name] = kept.settings
+    for target, servo_id in moves:
+        print(f"{target.model}: id {target.servo_id} → {servo_id}")
+    if moves and (
+        arguments.dry_run or not agree(arguments, f"Give {len(moves)} servos their ids?")
+    ):
+        print("nothing was written")
+        return EXIT_FINISHED
+    for target, servo_id in moves:
+        servo_settings.renumber(connection, target.bus, target.servo_id, servo_id)
+        index = targets.index(target)
+        (targets[index],) = servo_settings.targets_at(
+            connection, target.bus, {servo_id: target.name}
+        )
+    return apply(connection, targets, wanted, arguments)
+
+
+def _find(connection: Connection, kept: Kept, arguments: argparse.Namespace) -> int:
+    """Return the id at which the servo of a backup answers now: its own, or that of the factory."""
+    pin = kept.model.removeprefix("LSS-2IO-").replace("LED", "MASTER")
+    factory_id = PIN_IDS.get(pin, FACTORY_ID)
+    found = ask_alone(connection, kept.bus, dict.fromkeys((kept.servo_id, factory_id), ""))
+    for present in found:
+        if not present.is_shared and _is_same(present, kept):
+            return present.servo_id
+    own = next((present for present in found if present.servo_id == kept.servo_id), None)
+    if own is None or own.is_shared:
+        servo_settings.all_at(connection, kept.bus, [kept.servo_id])  # Says what is wrong.
+        raise BusError(f"servo {kept.servo_id} answers only now and then; check its plug")
+    if own.model != kept.model:
+        raise InputError(
+            f"servo {kept.servo_id} is an {own.model}; the backup is of an {kept.model}"
+        )
+    if not arguments.force:
+        raise InputError(
+            f"servo {kept.servo_id} has serial number {own.serial_number}, the backup is of "
+            f"{kept.serial_number}; --force writes it into the new servo"
+        )
+    return own.servo_id
+
+
+def _is_same(present: Present, kept: Kept) -> bool:
+    if present.model != kept.model:
+        return False
+    return present.family is Family.IO2 or present.serial_number == kept.serial_number

@@ -1,0 +1,261 @@
+"""`lss-motion identify`: measure how servos really respond, and write it into the robot file."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.cli.commands import add_command, add_force, refuse_overwriting, robot_at
+from lss_motion.cli.messages import ended_by
+from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, InputError
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+
+    from lss_motion.cli.commands import Commands
+    from lss_motion.cli.terminal import Terminal
+    from lss_motion.connection import Connection
+    from lss_motion.maintenance.identify.estimate import Identified
+    from lss_motion.maintenance.identify.experiment import Experiment
+    from lss_motion.robot.model import Joint, Robot
+
+
+DESCRIPTION: Final = """\
+Measure how servos really respond, with small moves of one joint after the other.
+
+  lss-motion identify --robot my_robot.yaml elbow        asks, moves, measures, writes
+  lss-motion identify --robot my_robot.yaml elbow wrist --span-deg 30 --yes
+  lss-motion identify --robot my_robot.yaml elbow -o measured.yaml
+
+Measured are: how soon the servo answers, how late the horn does what it is told (dead time, lag),
+the period at which it takes commands up, what a new command in mid-move starts from, what T
+means, its ramps and top speed, how far its load pulls it, and the play of its gears. The joint
+must be free. It moves for half a minute within --span-deg of where it stands, never outside its
+range_deg and never faster than its limits. Ctrl-C brakes and holds; a second one stops at once.
+
+What is found goes into the joint's `response` in the robot file, its uncertainty into a comment
+above it; all else in the file stays as it is. What a show assumes and the servo does not do is
+listed. Exit codes: 0 measured, 2 your files or arguments, 4 port or servo not reachable, 5 the
+joint did not move as it should, 130 interrupted.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command of this module."""
+    added = add_command(
+        commands, "identify", _identify, "measure how servos really respond", DESCRIPTION
+    )
+    added.add_argument("joints", nargs="+", metavar="JOINT", help="joints that are free to move")
+    added.add_argument("--robot", type=Path, required=True, metavar="FILE", help="a robot file")
+    added.add_argument("--port", metavar="URL", help="serial device or URL; sim:// is simulated")
+    added.add_argument(
+        "--span-deg",
+        type=float,
+        metavar="DEG",
+        help="move no further to either side (default 20)",
+    )
+    added.add_argument("--yes", action="store_true", help="move without asking first")
+    added.add_argument("-o", "--output", type=Path, metavar="FILE", help="write a copy instead")
+    add_force(added)
+    added.add_argument("--no-write", action="store_true", help="print only")
+    added.add_argument(
+        "--virtual", action="store_true", help="simulated bus in virtual time; deterministic"
+    )
+    added.add_argument("--seed", type=int, default=0, metavar="N", help="of the simulated bus")
+
+
+def _identify(arguments: argparse.Namespace) -> int:
+    from lss_motion.cli.terminal import Terminal
+    from lss_motion.connection import ask_limits, connect, is_simulated
+    from lss_motion.maintenance.identify.trials import SPAN_DEG
+    from lss_motion.runtime.clock import MonotonicClock, VirtualClock
+
+    span_deg = SPAN_DEG if arguments.span_deg is None else arguments.span_deg
+    robot = ask_limits(robot_at(arguments.robot, arguments.port))
+    joints = _joints(robot, arguments.joints)
+    simulated = is_simulated(robot)
+    _check(arguments, simulated=simulated)
+    if simulated:
+        print(f"The robot {robot.name!r} is simulated: nothing here says anything about a real one")
+    buses = {name: robot.buses[name] for name in {joint.bus for joint in joints}}
+    clock = VirtualClock() if arguments.virtual else MonotonicClock()
+    with connect(buses, robot=robot, clock=clock, seed=arguments.seed) as connection:
+        _announce(connection, robot, joints, span_deg)
+        if not (simulated or arguments.yes or _is_agreed()):
+            print("nothing was moved")
+            return EXIT_INTERRUPTED
+        with Terminal() as terminal:
+            path = arguments.robot
+            for joint in joints:
+                experiment = _measured(connection, robot, joint, span_deg, terminal)
+                if experiment.is_stopped:
+                    print(f"{joint.name}: stopped; nothing was measured", file=sys.stderr)
+                    return ended_by(terminal.signal_number)
+                _conclude(arguments, path, joint, experiment)
+                path = path if arguments.no_write else arguments.output or path
+    return EXIT_FINISHED
+
+
+def _joints(robot: Robot, names: Sequence[str]) -> list[Joint]:
+    """Return the joints as they are measured: in EM1, whatever drive they are played with."""
+    from lss_motion.files.source import known_names
+    from lss_motion.protocol.constants import Family
+
+    for name in dict.fromkeys(names):
+        if name not in robot.joints:
+            hint = known_names(name, robot.joints)
+            raise InputError(f"unknown joint {name!r}; {hint}", path=robot.path)
+        if robot.joints[name].model.family is Family.IO2:
+            raise InputError(
+                f"joint {name!r} is the RC servo of an LSS-2IO, which does not say where it is: "
+                f"nothing can be measured",
+                path=robot.path,
+            )
+    return [replace(robot.joints[name], drive="timed") for name in dict.fromkeys(names)]
+
+
+def _check(arguments: argparse.Namespace, *, simulated: bool) -> None:
+    """Refuse what would only be noticed after the moves, or when nobody is there to answer."""
+    if arguments.virtual and not simulated:
+        raise InputError("--virtual needs the simulated bus: use it with --port sim://")
+    if not (simulated or arguments.yes or sys.stdin.isatty()):
+        raise InputError("the joint will move, and nobody is there to agree; give --yes")
+    output = arguments.output
+    refuse_overwriting(output, is_forced=arguments.force)
+    if output is not None and not output.absolute().parent.is_dir():
+        raise InputError("cannot be written: there is no such folder", path=output)
+
+
+def _announce(
+    connection: Connection, robot: Robot, joints: Sequence[Joint], span_deg: float
+) -> None:
+    """Ask every servo, refuse what cannot be measured, and say what is going to move."""
+    from lss_motion.maintenance.identify.trials import about_s, make_trials, make_window
+    from lss_motion.player import handshake
+
+    answers = connection.ask(handshake.questions(joints))
+    for text in handshake.check_answers(joints, answers, robot):
+        print(f"warning: {text}", file=sys.stderr)
+    for joint in joints:
+        standing_deg = handshake.stored(joint, answers, "QD")
+        assert standing_deg is not None, "check_answers raises without it"
+        window = make_window(joint, standing_deg, span_deg)
+        low, high = sorted((joint.joint_deg(window.low_deg), joint.joint_deg(window.high_deg)))
+        lasts_s = about_s(make_trials(joint, window, standing_deg))
+        print(
+            f"{joint.name} (servo {joint.servo_id}) stands at {joint.joint_deg(standing_deg):.1f} "
+            f"deg and will move between {low:.1f} and {high:.1f} deg for about {lasts_s:.0f} s, at "
+            f"most at {joint.speed_max_deg_s:g} deg/s"
+        )
+
+
+def _is_agreed() -> bool:
+    print("Nothing may touch it or be in its way. Ctrl-C stops. Begin? [y/N] ", end="", flush=True)
+    return sys.stdin.readline().strip().lower() in {"y", "yes"}
+
+
+def _measured(
+    connection: Connection, robot: Robot, joint: Joint, span_deg: float, terminal: Terminal
+) -> Experiment:
+    """Run the trials of one joint; raise what went wrong."""
+    from lss_motion.maintenance.identify.experiment import Experiment
+    from lss_motion.maintenance.identify.trials import make_window
+    from lss_motion.player import handshake
+    from lss_motion.runtime.runner import run
+
+    answers = connection.ask(handshake.questions([joint]))
+    handshake.check_answers([joint], answers, robot)
+    standing_deg = handshake.stored(joint, answers, "QD")
+    assert standing_deg is not None, "check_answers raises without it"
+    window = make_window(joint, standing_deg, span_deg)
+    experiment = Experiment(joint, robot, answers, window, standing_deg=standing_deg)
+    progress = _Progress(joint.name)
+    run(
+        experiment,
+        connection.ports,
+        connection.clock,
+        on_turn=progress.show,
+        controls=_OneSpeed(terminal),
+    )
+    progress.clear()
+    if experiment.error is not None and not experiment.is_stopped:
+        raise experiment.error
+    return experiment
+
+
+def _conclude(
+    arguments: argparse.Namespace, path: Path, joint: Joint, experiment: Experiment
+) -> None:
+    """Say what was found, and write it into the robot file that is at `path` by now."""
+    from lss_motion.maintenance.identify import summary
+    from lss_motion.maintenance.identify.estimate import identify
+    from lss_motion.robot.write import write_response
+
+    found: Identified = identify(joint, experiment.recording)
+    for line in summary.summary_lines(found):
+        print(line)
+    differences = summary.difference_lines(found, joint)
+    print(
+        f"{joint.name} differs from what the robot file assumes:"
+        if differences
+        else f"{joint.name} is as the robot file assumes"
+    )
+    for line in differences:
+        print(f"  - {line}")
+    if arguments.no_write:
+        return
+    values = summary.response_values(found, joint)
+    today = datetime.now(tz=UTC).date().isoformat()
+    comments = summary.comment_lines(found, today)
+    output = arguments.output or path
+    write_response(path, joint.name, values, comments, output=output)
+    print(f"{joint.name}: written to {output}", flush=True)
+
+
+class _OneSpeed:
+    """Keys and signals for what can be stopped but has one speed only."""
+
+    def __init__(self, terminal: Terminal) -> None:
+        self._terminal = terminal
+
+    def filenos(self) -> Sequence[int]:
+        return self._terminal.filenos()
+
+    def act(self, driven: Experiment, now_ns: int) -> None:
+        self._terminal.act(_Stoppable(driven), now_ns)
+
+
+class _Stoppable:
+    """An experiment as the terminal steers it."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        self._experiment = experiment
+
+    def stop(self, now_ns: int) -> None:
+        self._experiment.stop(now_ns)
+
+    def set_rate(self, rate: float, now_ns: int) -> None:
+        """Do nothing: what is measured is measured at one speed."""
+
+
+class _Progress:
+    """How far a measurement is, on a screen that somebody looks at."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._is_shown = sys.stderr.isatty()
+        self._percent = -1
+
+    def show(self, driven: Experiment, now_ns: int) -> None:  # noqa: ARG002  (the runner's)
+        percent = int(100.0 * driven.progress_ratio)
+        if self._is_shown and percent != self._percent:
+            self._percent = percent
+            print(f"\r{self._name}: {percent} %", end="", file=sys.stderr, flush=True)
+
+    def clear(self) -> None:
+        if self._is_shown:
+            print("\r", end="", file=sys.stderr, flush=True)

@@ -1,0 +1,359 @@
+"""`lss-motion monitor`: how all servos do, live.
+
+What `lss-motion monitor` shows and writes: a table that lives, lines, CSV, beeps.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, Self, TextIO
+
+from lss_motion.cli.commands import add_command, add_robot, robot_at
+from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, BusError, InputError
+from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterable, Sequence
+
+    from rich.console import RenderableType
+
+    from lss_motion.cli.commands import Commands
+    from lss_motion.connection import Connection
+    from lss_motion.maintenance.monitor import Alarms, Reading, Watch
+    from lss_motion.maintenance.settings import Target
+    from lss_motion.robot.model import Robot
+
+
+DESCRIPTION = """\
+Show position, speed, current, supply, temperature and status of all servos, as fast as the line
+allows. Asks only; moves and changes nothing. Ctrl-C ends it.
+
+  lss-motion monitor my_robot.yaml
+  lss-motion monitor --port /dev/ttyUSB0 --csv evening.csv
+  lss-motion monitor my_robot.yaml --for 10 | cat      lines instead of a table
+
+It beeps once when a servo gets hot, takes much current, is badly supplied, is stuck or in safe
+mode, or falls silent. Angles and speeds are those of the servos, not of joints.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command of this module."""
+    monitor = add_command(
+        commands, "monitor", _monitor, "show how all servos do, live", DESCRIPTION
+    )
+    add_robot(monitor, is_required=False)
+    monitor.add_argument("--port", metavar="URL", help="serial device or URL")
+    monitor.add_argument("--baud", type=int, default=115200, metavar="BPS", help="without ROBOT")
+    monitor.add_argument("--csv", type=Path, metavar="FILE", help="write every reading")
+    monitor.add_argument("--for", type=_seconds, metavar="S", dest="for_s", help="end after S s")
+    monitor.add_argument(
+        "--every", type=_seconds, default=1.0, metavar="S", help="between lines; default 1"
+    )
+    monitor.add_argument("--hot-c", type=float, default=65.0, metavar="C", help="default 65")
+    monitor.add_argument("--current-a", type=float, default=1.5, metavar="A", help="default 1.5")
+    monitor.add_argument(
+        "--supply-v",
+        type=float,
+        nargs=2,
+        default=(6.0, 12.6),
+        metavar=("MIN", "MAX"),
+        help="default 6 12.6",
+    )
+    monitor.add_argument("--quiet", action="store_true", help="do not beep")
+
+
+def _monitor(arguments: argparse.Namespace) -> int:
+    from lss_motion.connection import connect
+    from lss_motion.maintenance.monitor import Alarms, Thresholds, Watch
+    from lss_motion.robot.model import Bus
+
+    if arguments.robot is None and arguments.port is None:
+        raise InputError("give a ROBOT file, or --port")
+    robot = None
+    if arguments.robot is not None:
+        robot = robot_at(arguments.robot, arguments.port)
+    main = Bus(name="main", port=arguments.port or "", baud_bps=arguments.baud, firmware=370)
+    buses = {"main": main} if robot is None else robot.buses
+    alarms = Alarms(
+        Thresholds(
+            temperature_max_c=arguments.hot_c,
+            current_max_a=arguments.current_a,
+            supply_min_v=arguments.supply_v[0],
+            supply_max_v=arguments.supply_v[1],
+        )
+    )
+    with contextlib.ExitStack() as stack:
+        table = None if arguments.csv is None else stack.enter_context(_open(arguments.csv))
+        connection = stack.enter_context(connect(buses, robot=robot))
+        if connection.simulated:
+            print("The servos are simulated: nothing here says anything about a real robot.")
+        watch = Watch(_dated(connection, _targets(connection, robot)), connection.buses)
+        screen = stack.enter_context(
+            Screen(watch, alarms, every_s=arguments.every, is_quiet=arguments.quiet)
+        )
+        recorder = None if table is None else Recorder(table)
+        return _run(connection, watch, screen, recorder, arguments.for_s)
+
+
+def _run(
+    connection: Connection,
+    watch: Watch,
+    screen: Screen,
+    recorder: Recorder | None,
+    for_s: float | None,
+) -> int:
+    from lss_motion.runtime.runner import run
+
+    started_ns = connection.clock.now_ns()
+    end_ns = None if for_s is None else started_ns + ns_from_s(for_s)
+
+    def on_turn(watch: Watch, now_ns: int) -> None:
+        fresh = watch.take_fresh()
+        if recorder is not None:
+            recorder.write(fresh, started_ns)
+        screen.update(now_ns, started_ns)
+        if end_ns is not None and now_ns >= end_ns:
+            watch.stop()
+
+    try:
+        run(watch, connection.ports, connection.clock, on_turn=on_turn)
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
+    return EXIT_FINISHED
+
+
+def _targets(connection: Connection, robot: Robot | None) -> list[Target]:
+    """Return whom to watch: the joints of the robot, there or not, or everybody who answers."""
+    from lss_motion.cli.scan import roll_call
+    from lss_motion.maintenance.settings import Target
+
+    if robot is not None:
+        return [
+            Target(
+                name=joint.name,
+                bus=joint.bus,
+                servo_id=joint.servo_id,
+                model=joint.model.name,
+                family=joint.model.family,
+                firmware=robot.buses[joint.bus].firmware,
+            )
+            for joint in robot.joints.values()
+        ]
+    found = [present for present in roll_call(connection, "main") if not present.is_shared]
+    if not found:
+        bus = connection.buses["main"]
+        raise BusError(
+            f"no servo with an id of its own answers on {bus.port} at {bus.baud_bps} bps; "
+            f"`lss-motion scan {bus.port}` says more",
+            url=bus.port,
+        )
+    return [
+        Target(
+            name=f"servo {present.servo_id}",
+            bus="main",
+            servo_id=present.servo_id,
+            model=present.model,
+            family=present.family,
+            firmware=370,
+        )
+        for present in found
+        if not present.model.endswith("-LED")
+    ]
+
+
+def _dated(connection: Connection, targets: Sequence[Target]) -> list[Target]:
+    """Return the targets with the firmware that they say: it decides what a status means."""
+    from dataclasses import replace
+
+    from lss_motion.player.transactions import Item
+    from lss_motion.protocol.constants import Family
+    from lss_motion.protocol.line import Command
+
+    answers = connection.ask(
+        Item(bus=target.bus, command=Command(target.servo_id, "QF"), is_question=True, tries=1)
+        for target in targets
+        if target.family is not Family.IO2
+    )
+    dated = []
+    for target in targets:
+        firmware = answers.get((target.bus, target.servo_id, "QF"))
+        dated.append(replace(target, firmware=firmware) if isinstance(firmware, int) else target)
+    return dated
+
+
+def _open(path: Path) -> TextIO:
+    try:
+        return path.open("w", encoding="utf-8", newline="")
+    except OSError as error:
+        raise InputError(f"cannot write it: {error.strerror}", path=path) from error
+
+
+def _seconds(text: str) -> float:
+    import argparse
+
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = 0.0
+    if not 0.0 < seconds < 1e9:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds above 0")
+    return seconds
+
+
+FRAME_NS: Final = NS_PER_S // 8
+BARS: Final = "▁▂▃▄▅▆▇█"
+SPARK_LEAST_DEG: Final = 1.0
+"""A horn that moves less than this shows a flat line, not its noise."""
+SETTLED_S: Final = 1.0
+"""Until everything has been asked once, lines would have holes; nobody waits longer than this."""
+CSV_HEAD: Final = (
+    "t_s",
+    "servo",
+    "position_deg",
+    "speed_deg_s",
+    "current_a",
+    "voltage_v",
+    "temperature_c",
+    "status",
+)
+
+
+class Screen:
+    """A table where there is a terminal, lines where there is none; beeps for new alarms."""
+
+    def __init__(self, watch: Watch, alarms: Alarms, *, every_s: float, is_quiet: bool) -> None:
+        self._watch = watch
+        self._alarms = alarms
+        self._is_quiet = is_quiet
+        self._is_live = sys.stdout.isatty()
+        self._every_ns = FRAME_NS if self._is_live else ns_from_s(every_s)
+        self._next_ns = 0
+        self._stack = contextlib.ExitStack()
+
+    def __enter__(self) -> Self:
+        if self._is_live:
+            from rich.live import Live
+
+            self._live = self._stack.enter_context(Live(auto_refresh=False))
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()
+
+    def update(self, now_ns: int, started_ns: int) -> None:
+        """Show what is known, if it is time to."""
+        for text in self._alarms.update(self._watch.readings):
+            if not self._is_quiet:
+                print("\a", end="", file=sys.stderr, flush=True)
+            if not self._is_live:
+                print(f"{s_from_ns(now_ns - started_ns):7.1f} s  ALARM  {text}", flush=True)
+        if now_ns < self._next_ns:
+            return
+        self._next_ns = now_ns + self._every_ns
+        elapsed_s = s_from_ns(now_ns - started_ns)
+        if self._is_live:
+            self._live.update(rendered(self._watch, self._alarms, elapsed_s), refresh=True)
+        elif elapsed_s >= SETTLED_S or self._watch.has_asked_all:
+            print("\n".join(_lines(self._watch.readings, elapsed_s)), flush=True)
+        else:
+            self._next_ns = now_ns
+
+
+class Recorder:
+    """Writes readings as CSV, one row a servo and round."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+        self._writer = csv.writer(file, lineterminator="\n")
+        self._writer.writerow(CSV_HEAD)
+
+    def write(self, readings: Iterable[Reading], started_ns: int) -> None:
+        for reading in readings:
+            values = (
+                reading.position_deg,
+                reading.speed_deg_s,
+                reading.current_a,
+                reading.voltage_v,
+                reading.temperature_c,
+            )
+            self._writer.writerow(
+                [
+                    f"{s_from_ns(reading.at_ns - started_ns):.3f}",
+                    reading.target.name,
+                    *("" if value is None else f"{value:g}" for value in values),
+                    "" if reading.status is None else reading.status.value,
+                ]
+            )
+        self._file.flush()
+
+
+def rendered(watch: Watch, alarms: Alarms, elapsed_s: float) -> RenderableType:
+    """Return what a terminal shows."""
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False)
+    for title in ("servo", "id"):
+        table.add_column(title)
+    for title in ("position", "", "speed", "current", "supply", "heat", "status"):
+        table.add_column(title, justify="left" if title in ("", "status") else "right")
+    wrong = {name for name, _ in alarms.active}
+    for reading in watch.readings:
+        name = reading.target.name
+        table.add_row(
+            Text(name, style="red" if name in wrong else ""),
+            str(reading.target.servo_id),
+            *_cells(reading),
+        )
+    rates = ", ".join(
+        f"{name} {rounds / max(elapsed_s, 0.1):.0f} rounds/s"
+        for name, rounds in watch.rounds.items()
+    )
+    notes = [Text(text, style="red") for text in alarms.active.values()]
+    foot = Text(f"{elapsed_s:.0f} s   {rates}   Ctrl-C ends", style="dim")
+    return Group(table, *notes, foot)
+
+
+def sparkline(values: Sequence[float]) -> str:
+    """Return values as little bars, from the lowest to the highest of them."""
+    if not values:
+        return ""
+    low, span = min(values), max(values) - min(values)
+    if span < SPARK_LEAST_DEG:
+        return BARS[0] * len(values)
+    return "".join(BARS[round((value - low) / span * (len(BARS) - 1))] for value in values)
+
+
+def _cells(reading: Reading) -> tuple[str, ...]:
+    if reading.is_silent:
+        return ("-", "", "-", "-", "-", "-", "silent")
+    position = _said(reading.position_deg, "{:z.1f} deg")
+    return (
+        position if reading.raw is None else f"{reading.raw:.0f} raw",
+        sparkline(reading.positions_deg),
+        _said(reading.speed_deg_s, "{:z.0f} deg/s"),
+        _said(reading.current_a, "{:.2f} A"),
+        _said(reading.voltage_v, "{:.1f} V"),
+        _said(reading.temperature_c, "{:.0f} °C"),
+        "-" if reading.status is None else reading.status.value,
+    )
+
+
+def _lines(readings: Sequence[Reading], elapsed_s: float) -> list[str]:
+    width = max(len(reading.target.name) for reading in readings)
+    lines = []
+    for reading in readings:
+        cells = [cell for column, cell in enumerate(_cells(reading)) if column != 1]
+        shown = "  ".join(f"{cell:>10}" for cell in cells[:-1])
+        lines.append(f"{elapsed_s:7.1f} s  {reading.target.name:{width}}  {shown}  {cells[-1]}")
+    return lines
+
+
+def _said(value: float | None, form: str) -> str:
+    return "-" if value is None else form.format(value)

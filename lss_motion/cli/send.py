@@ -1,0 +1,155 @@
+"""`lss-motion send`: one command or question to one servo, from the shell."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lss_motion.cli.commands import add_command, robot_at
+from lss_motion.errors import EXIT_FINISHED, BusError, InputError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from lss_motion.cli.commands import Commands
+    from lss_motion.protocol.codec import Statement
+    from lss_motion.protocol.constants import Family
+    from lss_motion.protocol.line import Command
+    from lss_motion.robot.model import Robot
+
+
+DESCRIPTION = """\
+Send one command to one servo and print what it answers.
+
+  lss-motion send --port /dev/ttyUSB0 --id 5 QD            *5QD132   13.2 deg
+  lss-motion send --port /dev/ttyUSB0 --id 5 D 90 T 500    90 deg in 500 ms; values with units of
+                                                           the reference page, not of the wire
+  lss-motion send --port /dev/ttyUSB0 --id 5 --raw D900T500
+  lss-motion send --robot my_robot.yaml --id 5 QV          port and family from the robot file
+
+A query that is not answered ends with exit code 4; an action is never answered.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command of this module."""
+    send = add_command(
+        commands, "send", _send, "send one command to one servo; print the reply", DESCRIPTION
+    )
+    send.add_argument("--port", metavar="URL", help="serial device or URL")
+    send.add_argument("--robot", type=Path, metavar="FILE", help="simulated if its port is sim://")
+    send.add_argument("--baud", type=int, default=115200, metavar="BPS", help="default 115200")
+    send.add_argument("--firmware", type=int, metavar="N", help="default: the newest known")
+    send.add_argument("--family", choices=("LSS", "LSS-PRO", "LSS-2IO"), help="default LSS")
+    send.add_argument("--id", type=int, required=True, metavar="N", dest="servo_id")
+    send.add_argument("--raw", action="store_true", help="send the words as they are")
+    send.add_argument(
+        "words", nargs="+", metavar="WORD", help="KEYWORD [VALUE [MODIFIER VALUE]...]"
+    )
+
+
+def _send(arguments: argparse.Namespace) -> int:
+    from lss_motion.connection import connect
+    from lss_motion.player.transactions import Item
+    from lss_motion.protocol.constants import Family
+    from lss_motion.robot.model import Bus
+
+    robot = _robot(arguments)
+    bus = Bus(name="main", port=arguments.port or "", baud_bps=arguments.baud, firmware=0)
+    family = Family(arguments.family or Family.LSS)
+    if robot is not None:
+        joint = next((j for j in robot.joints.values() if j.servo_id == arguments.servo_id), None)
+        bus = next(iter(robot.buses.values())) if joint is None else robot.buses[joint.bus]
+        if joint is not None and arguments.family is None:
+            family = joint.model.family
+    command = _command(arguments, family)
+    is_question = command.keyword.startswith("Q")
+    with connect({bus.name: bus}, robot=robot) as connection:
+        answers = connection.ask([Item(bus=bus.name, command=command, is_question=is_question)])
+    if not is_question:
+        return EXIT_FINISHED
+    address = (bus.name, command.servo_id, command.keyword)
+    if address not in answers:
+        raise BusError(
+            f"no answer to {command.keyword} from servo {command.servo_id} on {bus.port} at "
+            f"{bus.baud_bps} bps",
+            url=bus.port,
+        )
+    print(_answer(family, command, answers[address]))
+    return EXIT_FINISHED
+
+
+def _robot(arguments: argparse.Namespace) -> Robot | None:
+
+    if arguments.robot is None:
+        if arguments.port is None or arguments.port.startswith("sim://"):
+            raise InputError("give --port, or --robot with the servos to simulate")
+        return None
+    return robot_at(arguments.robot, arguments.port)
+
+
+def _command(arguments: argparse.Namespace, family: Family) -> Command:
+    """Return what the words say: raw, or with values in physical units."""
+    from lss_motion.protocol.codec import make_command
+    from lss_motion.protocol.line import Command, CommandParser
+
+    words: list[str] = arguments.words
+    if arguments.raw:
+        line = f"#{arguments.servo_id}{''.join(words)}\r".encode("ascii", "replace")
+        parsed = CommandParser().feed(line)
+        if len(parsed) != 1 or not isinstance(parsed[0], Command):
+            raise InputError(f"{line!r} is not one command of the form #<id><KEYWORD><value>")
+        return parsed[0]
+    numbers = [_number(word) for word in words[1::2]]
+    if len(words) % 2 == 1 and len(words) > 1:
+        raise InputError("after the keyword come a value, then pairs of modifier and value")
+    modifiers = dict(zip([word.upper() for word in words[2::2]], numbers[1:], strict=True))
+    return make_command(
+        family,
+        arguments.servo_id,
+        words[0],
+        numbers[0] if numbers else None,
+        modifiers,
+        firmware=arguments.firmware,
+    )
+
+
+def _number(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        raise InputError(f"{word!r} is not a number") from None
+
+
+def _answer(family: Family, command: Command, value: int | str | None) -> str:
+    from lss_motion.protocol.codec import read_reply
+    from lss_motion.protocol.line import Reply, encode
+
+    reply = Reply(command.servo_id, command.keyword, value)
+    line = encode(reply)[:-1].decode("ascii")
+    suffix = command.value if isinstance(command.value, int) else None
+    said = read_reply(family, reply, suffix=suffix)
+    return line if said is None else f"{line}   {_meaning(family, command, said)}".rstrip()
+
+
+def _meaning(family: Family, command: Command, said: Statement) -> str:
+    """Return the value with its unit, and in words where it is a code."""
+    from lss_motion.protocol.constants import Led, SafeModeCause, status_from
+
+    if said.value is None:
+        return "no value"
+    if isinstance(said.value, int):
+        try:
+            match command.keyword, command.value:
+                case "Q", 1:
+                    return SafeModeCause(said.value).name.lower().replace("_", " ")
+                case "Q", _:
+                    return status_from(said.value, family, 0).value
+                case "QLED", _:
+                    return Led(said.value).name.lower()
+                case _:
+                    pass
+        except ValueError:  # A code that no document names: the number has to do.
+            pass
+    text = f"{said.value:g}" if isinstance(said.value, float) else str(said.value)
+    return f"{text} {said.unit.value}"

@@ -1,0 +1,212 @@
+"""Keys and signals while a show runs: space pauses, + and − change the speed, q and Ctrl-C stop."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import socket
+import sys
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from types import FrameType, TracebackType
+
+    from lss_motion.runtime.log import ByteLog
+
+
+KEYS_HELP: Final = "space pause, - slower, + up to full speed, q stop"
+RATE_STEP: Final = 0.1
+RATE_LEAST: Final = 0.1
+_SIGNALS: Final = tuple(
+    getattr(signal, name)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+    if hasattr(signal, name)
+)
+"""What asks a run to end: Ctrl-C, `kill`, a terminal that is closed (a dropped ssh), Ctrl-\\."""
+_HANGUP: Final = getattr(signal, "SIGHUP", None)
+UNHEARD_MAX: Final = 5
+"""So many signals that nobody takes end a program that hangs, as they would any other."""
+
+
+def is_at_keyboard() -> bool:
+    """Return whether standard input is a terminal in the foreground, from which keys can be read.
+
+    Never on a system without Unix terminals.
+    """
+    try:
+        import termios  # noqa: F401  (Windows has none)
+
+        stdin = sys.stdin.fileno()
+        return os.isatty(stdin) and os.tcgetpgrp(stdin) == os.getpgrp()
+    except (OSError, ValueError, ImportError):
+        return False
+
+
+class Steered(Protocol):
+    """What a person at the terminal steers: a show, or something else that moves."""
+
+    def stop(self, now_ns: int) -> None: ...
+
+    def set_rate(self, rate: float, now_ns: int) -> None: ...
+
+
+class Inputs:
+    """Keys and signals as they come; a context manager.
+
+    `signal_number` is the last signal that asked the run to end, or None.
+    """
+
+    def __init__(self) -> None:
+        self.signal_number: int | None = None
+        self._pending: list[int] = []
+        self._has_hung_up = False
+        self._stack = contextlib.ExitStack()
+        self._keys_fd: int | None = None
+        self._wake, self._alarm = socket.socketpair()
+
+    def __enter__(self) -> Self:
+        for end in (self._wake, self._alarm):
+            end.setblocking(False)  # noqa: FBT003
+            self._stack.callback(end.close)
+        before = signal.set_wakeup_fd(self._alarm.fileno(), warn_on_full_buffer=False)
+        self._stack.callback(signal.set_wakeup_fd, before)
+        for number in _SIGNALS:
+            if number != _HANGUP or signal.getsignal(number) is not signal.SIG_IGN:  # nohup
+                self._stack.callback(signal.signal, number, signal.signal(number, self._note))
+        with contextlib.suppress(OSError, ValueError, ImportError):
+            self._read_keys()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.close()
+
+    def filenos(self) -> Sequence[int]:
+        return [self._wake.fileno()] + ([] if self._keys_fd is None else [self._keys_fd])
+
+    @property
+    def has_keys(self) -> bool:
+        """Whether keys are read at all: from a terminal in the foreground."""
+        return self._keys_fd is not None
+
+    def take(self) -> tuple[int, str]:
+        """Return how many signals came since the last call, and which keys."""
+        with contextlib.suppress(BlockingIOError):
+            self._wake.recv(64)
+        count = len(self._pending)
+        if count:
+            self.signal_number = self._pending[-1]
+            del self._pending[:count]
+        return count, self._keys()
+
+    def _note(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002
+        if number == _HANGUP:
+            # Of one closed terminal the system and its shell tell more than once.
+            if self._has_hung_up:
+                return
+            self._has_hung_up = True
+        self._pending.append(number)
+        if len(self._pending) > UNHEARD_MAX:
+            raise KeyboardInterrupt
+
+    def _keys(self) -> str:
+        if self._keys_fd is None or not select.select([self._keys_fd], [], [], 0.0)[0]:
+            return ""
+        with contextlib.suppress(OSError):
+            if keys := os.read(self._keys_fd, 32):
+                return keys.decode("ascii", "ignore")
+        self._keys_fd = None  # The terminal is gone: nothing more will come.
+        return ""
+
+    def _read_keys(self) -> None:
+        """Take single keys from the terminal, if standard input is one in the foreground."""
+        import termios
+        import tty
+
+        if not is_at_keyboard():
+            return
+        stdin = sys.stdin.fileno()
+        before: list[Any] = termios.tcgetattr(stdin)
+
+        def restore() -> None:
+            with contextlib.suppress(termios.error):  # The terminal may be gone.
+                termios.tcsetattr(stdin, termios.TCSADRAIN, before)
+
+        self._stack.callback(restore)
+        tty.setcbreak(stdin)
+        self._keys_fd = stdin
+
+
+class Terminal(Inputs):
+    """Turns keys and signals into wishes for the player.
+
+    Faster than planned is not offered: the plan is within the limits at its own speed only. With
+    `on_keys`, keys mean what it makes of them.
+    """
+
+    def __init__(self, on_keys: Callable[[str], None] | None = None) -> None:
+        super().__init__()
+        self._on_keys = on_keys
+        self._rate = 1.0
+        self._is_paused = False
+
+    def act(self, driven: Steered, now_ns: int) -> None:
+        """Apply what came since the last call."""
+        signals_count, keys = self.take()
+        for _ in range(signals_count):
+            driven.stop(now_ns)
+        if self._on_keys is not None:
+            self._on_keys(keys)
+            return
+        for key in keys:
+            self._press(key, driven, now_ns)
+
+    def _press(self, key: str, driven: Steered, now_ns: int) -> None:
+        match key:
+            case " ":
+                self._is_paused = not self._is_paused
+                driven.set_rate(0.0 if self._is_paused else self._rate, now_ns)
+            case "+" | "=" | "-" | "_":
+                step = RATE_STEP if key in "+=" else -RATE_STEP
+                self._rate = round(min(max(self._rate + step, RATE_LEAST), 1.0), 3)
+                if not self._is_paused:
+                    driven.set_rate(self._rate, now_ns)
+            case "q" | "Q":
+                driven.stop(now_ns)
+            case _:
+                pass
+
+
+class Noted:
+    """Controls whose wishes are noted in a log."""
+
+    def __init__(self, terminal: Terminal, log: ByteLog) -> None:
+        self._terminal = terminal
+        self._log = log
+
+    def filenos(self) -> Sequence[int]:
+        return self._terminal.filenos()
+
+    def act(self, driven: Steered, now_ns: int) -> None:
+        self._terminal.act(_NotedSteering(driven, self._log), now_ns)
+
+
+class _NotedSteering:
+    def __init__(self, driven: Steered, log: ByteLog) -> None:
+        self._driven = driven
+        self._log = log
+
+    def set_rate(self, rate: float, now_ns: int) -> None:
+        self._log.asked_for(f"rate {rate!r}", now_ns)
+        self._driven.set_rate(rate, now_ns)
+
+    def stop(self, now_ns: int) -> None:
+        self._log.asked_for("stop", now_ns)
+        self._driven.stop(now_ns)

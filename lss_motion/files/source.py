@@ -1,0 +1,84 @@
+"""Reads the authors' files: bounded, and refused with the file and the line.
+
+Files as people give them: bounded, and refused in words with the line.
+
+Words for people: the names near an unknown one, counts, durations.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sized
+    from pathlib import Path
+
+
+FILE_MAX_BYTES: Final = 16_000_000
+"""10,000 keyframes of 40 joints are 8 MB; twice that, and an endless device still ends."""
+
+
+def read_data(path: Path, max_bytes: int = FILE_MAX_BYTES) -> bytes:
+    """Return the content of a file of at most `max_bytes`, or raise `InputError`."""
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(max_bytes + 1)
+    except FileNotFoundError:
+        raise InputError("file not found; check the name", path=path) from None
+    except IsADirectoryError:
+        raise InputError("is a folder; name a file in it", path=path) from None
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have.
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError(f"cannot be read: {reason}", path=path) from error
+    if len(data) > max_bytes:
+        most = f"{max_bytes // 1_000_000} MB"
+        raise InputError(f"is larger than {most}, the most that is read", path=path)
+    return data
+
+
+def text_of(data: bytes, path: Path) -> str:
+    """Return UTF-8 text without its byte-order mark, or raise `InputError`."""
+    if b"\0" in data:
+        raise InputError("is a binary file (or UTF-16); a text file in UTF-8 is needed", path=path)
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        reason = f"byte 0x{data[error.start]:02x} is not UTF-8; save the file as UTF-8"
+        raise InputError(reason, path=path, line=line) from error
+
+
+def read_text(path: Path) -> str:
+    """Return the UTF-8 text of a file, or raise `InputError`."""
+    return text_of(read_data(path), path)
+
+
+LISTED_MAX: Final = 20
+"""More names than this are a wall, not a help."""
+
+
+def known_names(word: str, names: Iterable[str]) -> str:
+    """Return which of `names` was probably meant and what there is to choose from."""
+    choices = list(names)
+    if not choices:
+        return "there are none"
+    by_lower = {name.lower(): name for name in reversed(choices)}
+    near = difflib.get_close_matches(word.lower(), by_lower, n=1)
+    meant = f"did you mean {by_lower[near[0]]!r}? " if near else ""
+    listed = ", ".join(choices[:LISTED_MAX])
+    more = f" and {len(choices) - LISTED_MAX} more" if len(choices) > LISTED_MAX else ""
+    return f"{meant}there are: {listed}{more}"
+
+
+def counted(things: Sized, one: str, many: str | None = None) -> str:
+    """Return how many things there are, such as `1 joint` or `5 joints`."""
+    return f"{len(things)} {one if len(things) == 1 else many or one + 's'}"
+
+
+def duration_text(duration_s: float) -> str:
+    """Return a duration in seconds, or `forever` for an infinite one."""
+    return "forever" if math.isinf(duration_s) else f"{duration_s:.3f} s"

@@ -1,0 +1,279 @@
+"""YAML text as plain values that remember their lines; nothing here knows robots or shows."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+from lss_motion.errors import InputError
+from lss_motion.files.source import read_text
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+
+Location = tuple[str | int, ...]
+"""The way from the top of a file to a value: keys of mappings and indices of lists."""
+
+NODES_MAX: Final = 1_000_000
+"""10,000 keyframes of 40 joints are 850,000 keys and values; aliases count as what they repeat."""
+
+DEPTH_MAX: Final = 16
+"""Our files are 5 deep. Without a bound, thousands of brackets cost quadratic time."""
+
+NUMBER_MAX_CHARS: Final = 40
+"""Longer digits are no measurement; Python refuses thousands of them with its own error."""
+
+PROBLEMS_MAX: Final = 50
+"""More than this nobody reads; the rest is counted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Something wrong at one place of a file."""
+
+    location: Location
+    reason: str
+
+
+@dataclass(slots=True)
+class _Lines:
+    """The line of every key and item of one mapping or list, and the same for what is inside."""
+
+    own: int
+    of: dict[str | int, int] = field(default_factory=dict)
+    inside: dict[str | int, _Lines] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class YamlSource:
+    """The content of one file: `value` is made of dict, list, str, int, float, bool and None.
+
+    `problems` holds what YAML would accept in silence and we do not: a key given twice, and a
+    key or an item without a value (its value is None).
+    """
+
+    path: Path
+    value: dict[str, object]
+    problems: tuple[Problem, ...]
+    _lines: _Lines
+
+    def line(self, location: Location) -> int:
+        """Return the line, from 1, of `location`, or of the nearest existing place above it."""
+        lines, line = self._lines, self._lines.own
+        for part in location:
+            line = lines.of.get(part, line)
+            inside = lines.inside.get(part)
+            if inside is None:
+                break
+            lines = inside
+        return line
+
+    def error(self, problems: list[Problem]) -> InputError:
+        """Return one error with all `problems` (at least one), in the order of the lines."""
+        first_of_each: dict[Location, Problem] = {}
+        for problem in problems:
+            first_of_each.setdefault(problem.location, problem)
+        placed = sorted(
+            ((self.line(problem.location), problem.reason) for problem in first_of_each.values()),
+            key=lambda found: found[0],
+        )
+        errors = [InputError(reason, path=self.path, line=line) for line, reason in placed]
+        if len(errors) > PROBLEMS_MAX:
+            unsaid = InputError(f"and {len(errors) - PROBLEMS_MAX} more problems", path=self.path)
+            errors = [*errors[:PROBLEMS_MAX], unsaid]
+        top = errors[0]
+        return InputError(top.reason, path=self.path, line=top.line, more=errors[1:])
+
+
+def read_yaml(path: Path) -> YamlSource:
+    """Return the one mapping that the file holds, or raise `InputError` with the line.
+
+    Scalars follow YAML 1.2 (`yes` and `1:30` are text, `1e3` and `010` are numbers). Anchors and
+    aliases work; tags, merge keys, several documents and keys that are no text do not.
+    """
+    import yaml
+
+    text = read_text(path)
+    loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
+    builder = _Builder(path, yaml.parse(text, Loader=loader))
+    try:
+        value, lines = builder.document()
+    except yaml.YAMLError as error:
+        raise _syntax_error(error, path, text) from error
+    if value is None and lines is None:
+        raise InputError("is empty", path=path)
+    if not isinstance(value, dict) or lines is None:
+        raise InputError("must hold keys and values, such as `name: value`", path=path, line=1)
+    return YamlSource(path, value, tuple(builder.problems), lines)
+
+
+def _syntax_error(error: Exception, path: Path, text: str) -> InputError:
+    mark = getattr(error, "problem_mark", None)
+    reason = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
+    if mark is None:  # A character that YAML does not allow anywhere: only its position is known.
+        position = getattr(error, "position", None)
+        line = None if position is None else text.count("\n", 0, position) + 1
+        return InputError(f"not YAML: {reason}", path=path, line=line)
+    lines = text.split("\n")
+    line = min(mark.line + 1, len(lines))
+    hint = ""
+    if "\t" in lines[line - 1][: mark.column + 1]:
+        hint = "; indent with spaces, not with tabs"
+    return InputError(f"not YAML: {reason}{hint}", path=path, line=line)
+
+
+@dataclass(slots=True)
+class _Node:
+    """A finished value, its lines (of a mapping or list), and how many nodes it stands for."""
+
+    value: object
+    lines: _Lines | None
+    weight: int
+
+
+class _Builder:
+    """Makes values from YAML events; a loop over an explicit depth, so that no input overflows."""
+
+    def __init__(self, path: Path, events: Iterator[Any]) -> None:
+        self.problems: list[Problem] = []
+        self._path = path
+        self._events = events
+        self._anchors: dict[str, _Node | None] = {}
+        self._nodes_count = 0
+
+    def document(self) -> tuple[object, _Lines | None]:
+        root: _Node | None = None
+        for event in self._events:
+            match type(event).__name__:
+                case "DocumentStartEvent" if root is not None:
+                    raise self._error(event, "a second document starts here; one is allowed")
+                case "ScalarEvent" | "AliasEvent" | "MappingStartEvent" | "SequenceStartEvent":
+                    root = self._node(event, ())
+                case _:
+                    pass
+        return (None, None) if root is None else (root.value, root.lines)
+
+    def _node(self, event: Any, location: Location) -> _Node:  # noqa: ANN401  yaml seam
+        kind = type(event).__name__
+        if kind == "AliasEvent":
+            node = self._repeated(event)
+            self._count(event, node.weight)
+            return node
+        self._count(event, 1)
+        if event.tag is not None:
+            raise self._error(event, f"tag {event.tag!r} is not accepted; remove it")
+        if len(location) > DEPTH_MAX:
+            raise self._error(event, f"nested more than {DEPTH_MAX} deep")
+        if event.anchor is not None:
+            self._anchors[event.anchor] = None  # Open: an alias inside would never end.
+        match kind:
+            case "ScalarEvent":
+                node = _Node(_scalar(event), None, 1)
+            case "MappingStartEvent":
+                node = self._mapping(event, location)
+            case _:
+                node = self._list(event, location)
+        if event.anchor is not None:
+            self._anchors[event.anchor] = node
+        return node
+
+    def _mapping(self, start: Any, location: Location) -> _Node:  # noqa: ANN401  yaml seam
+        value: dict[str, object] = {}
+        lines = _Lines(start.start_mark.line + 1)
+        weight = 1
+        while type(event := next(self._events)).__name__ != "MappingEndEvent":
+            key = self._key(event)
+            node = self._node(next(self._events), (*location, key))
+            weight += 1 + node.weight
+            self._place((*location, key), event.start_mark.line + 1, node, lines)
+            value.pop(key, None)
+            value[key] = node.value
+        return _Node(value, lines, weight)
+
+    def _list(self, start: Any, location: Location) -> _Node:  # noqa: ANN401  yaml seam
+        value: list[object] = []
+        lines = _Lines(start.start_mark.line + 1)
+        weight = 1
+        while type(event := next(self._events)).__name__ != "SequenceEndEvent":
+            node = self._node(event, (*location, len(value)))
+            weight += node.weight
+            self._place((*location, len(value)), event.start_mark.line + 1, node, lines)
+            value.append(node.value)
+        return _Node(value, lines, weight)
+
+    def _place(self, location: Location, line: int, node: _Node, lines: _Lines) -> None:
+        """Note where a key or an item is, and what is wrong with it."""
+        part = location[-1]
+        if part in lines.of:
+            self._problem(location, f"{part!r} is given twice, first in line {lines.of[part]}")
+        elif node.value is None:
+            self._problem(location, f"{_name(part)} has no value; give one or remove it")
+        lines.of[part] = line
+        if node.lines is not None:
+            lines.inside[part] = node.lines
+
+    def _problem(self, location: Location, reason: str) -> None:
+        self.problems.append(Problem(location, reason))
+
+    def _key(self, event: Any) -> str:  # noqa: ANN401  yaml seam
+        if type(event).__name__ != "ScalarEvent" or event.tag is not None:
+            raise self._error(event, "a key must be plain text")
+        if event.value == "<<":
+            raise self._error(event, "merge keys (`<<`) are not supported; repeat the keys")
+        self._count(event, 1)
+        return str(event.value)
+
+    def _repeated(self, event: Any) -> _Node:  # noqa: ANN401  yaml seam
+        if event.anchor not in self._anchors:
+            raise self._error(
+                event, f"alias *{event.anchor} has no anchor &{event.anchor} above it"
+            )
+        node = self._anchors[event.anchor]
+        if node is None:
+            raise self._error(event, f"alias *{event.anchor} stands inside its own anchor")
+        return node
+
+    def _count(self, event: Any, weight: int) -> None:  # noqa: ANN401  yaml seam
+        self._nodes_count += weight
+        if self._nodes_count > NODES_MAX:
+            raise self._error(event, f"more than {NODES_MAX:,} keys and values")
+
+    def _error(self, event: Any, reason: str) -> InputError:  # noqa: ANN401  yaml seam
+        return InputError(reason, path=self._path, line=event.start_mark.line + 1)
+
+
+def _name(part: str | int) -> str:
+    return f"item {part + 1}" if isinstance(part, int) else repr(part)
+
+
+_WORDS: Final[dict[str, object]] = {
+    **dict.fromkeys(["", "~", "null", "Null", "NULL"]),
+    **dict.fromkeys(["true", "True", "TRUE"], True),
+    **dict.fromkeys(["false", "False", "FALSE"], False),
+    **dict.fromkeys([".inf", ".Inf", ".INF", "+.inf", "+.Inf", "+.INF"], float("inf")),
+    **dict.fromkeys(["-.inf", "-.Inf", "-.INF"], float("-inf")),
+    **dict.fromkeys([".nan", ".NaN", ".NAN"], float("nan")),
+}
+"""The words of the YAML 1.2 core schema (section 10.3.2) that are no text."""
+
+_NUMBERS: Final[tuple[tuple[re.Pattern[str], Callable[[str], object]], ...]] = (
+    (re.compile(r"[-+]?[0-9]+"), int),
+    (re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"), float),
+)
+"""Decimal numbers of the same schema. Octal and hexadecimal ones stay text: no angle is one."""
+
+
+def _scalar(event: Any) -> object:  # noqa: ANN401  yaml seam
+    text = str(event.value)
+    if event.style in {"'", '"', "|", ">"}:
+        return text
+    if text in _WORDS:
+        return _WORDS[text]
+    if len(text) <= NUMBER_MAX_CHARS:
+        for pattern, number in _NUMBERS:
+            if pattern.fullmatch(text):
+                return number(text)
+    return text

@@ -1,0 +1,109 @@
+"""Gait → Sequence: what `lss-play` plays when it is given a gait file."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from lss_motion.errors import InputError
+from lss_motion.gait.load import is_gait_file, load_gait
+from lss_motion.gait.model import LEAD_IN_CYCLES, Walk
+from lss_motion.gait.pacing import action_at, joints_of, paced
+from lss_motion.gait.passage import Walking
+from lss_motion.sequence.keyframes import KEYFRAMES_MAX
+from lss_motion.sequence.model import Interpolation, Keyframe, Sequence, Timing
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from lss_motion.gait.model import Gait
+    from lss_motion.gait.pacing import Paced
+    from lss_motion.robot.model import Robot
+
+
+class Span(NamedTuple):
+    """How often a sequence is looped, and which part of it; None: forever, all of it."""
+
+    loop: int | None
+    span_s: tuple[float, float] | None = None
+
+
+TIME_DECIMALS = 6
+"""Key times are rounded to a microsecond, for people to read."""
+
+
+def sequence_of(gait: Gait, robot: Robot) -> Sequence:
+    """Return the keyframes that make `robot` do what `gait` says; raises what `paced` raises.
+
+    Only the joints of the legs are keyed. The sequence starts and ends at rest.
+    """
+    return sequence_from(gait, paced(gait, robot))
+
+
+def gait_as_sequence(path: Path, robot: Robot) -> Sequence | None:
+    """Return the keyframes of the gait file at `path`; None if it is none.
+
+    Raises what `load_gait` and `paced` raise.
+    """
+    return sequence_of(load_gait(path, robot), robot) if is_gait_file(path) else None
+
+
+def sequence_from(gait: Gait, passages: tuple[Paced, ...]) -> Sequence:
+    """Return the keyframes of passages that `paced` returned for `gait`."""
+    names = joints_of(gait)
+    keyframes: list[Keyframe] = []
+    start_s, span = 0.0, Span(gait.loop)
+    for part in passages:
+        owners = [action_at(part.passage, at_s) for at_s in part.times_s.tolist()]
+        is_labelled: set[int] = set()
+        rows = part.angles_deg.tolist()
+        times_s = (part.times_s * part.pace_ratio).tolist()
+        # Where a passage joins the one before, they share the key, unless a hold lies between.
+        for index in range(1 if keyframes else 0, len(rows)):
+            is_last = index == len(rows) - 1
+            action = part.actions[owners[index]]
+            is_first = owners[index] not in is_labelled
+            is_labelled.add(owners[index])
+            keyframes.append(
+                Keyframe(
+                    deg=dict(zip(names, rows[index], strict=True)),
+                    at_s=round(start_s + times_s[index], TIME_DECIMALS),
+                    hold_s=part.hold_s if is_last else 0.0,
+                    ease=Interpolation.SPLINE,
+                    label=action.label if is_first else "",
+                    line=action.line,
+                )
+            )
+        span = _span(gait, part, start_s) or span
+        start_s = (keyframes[-1].at_s or 0.0) + part.hold_s
+    if len(keyframes) > KEYFRAMES_MAX:
+        raise InputError(
+            f"the gait comes to {len(keyframes):,} keyframes, at most {KEYFRAMES_MAX:,} are "
+            "planned in one piece; only the longest walk of a gait without loop may be longer, so "
+            "make it shorter walks, or more gaits in a play list",
+            path=gait.path,
+        )
+    return Sequence(
+        name=gait.name,
+        keyframes=tuple(keyframes),
+        path=gait.path,
+        robot_path=gait.robot_path,
+        timing=Timing.AUTHORED,
+        loop=span.loop,
+        loop_span_s=span.span_s,
+    )
+
+
+def _span(gait: Gait, part: Paced, start_s: float) -> Span | None:
+    """Return the cycle of this passage that is looped and how often; None if there is none."""
+    for index, action in enumerate(part.actions):
+        if not isinstance(action, Walk) or action.more_cycles == 0:
+            continue
+        assert isinstance(part.passage, Walking)
+        steady_s = float(part.passage.begins_s[index]) + LEAD_IN_CYCLES * gait.cycle_s
+        from_s, to_s = (
+            round(start_s + part.pace_ratio * at_s, TIME_DECIMALS)
+            for at_s in (steady_s, steady_s + gait.cycle_s)
+        )
+        more = action.more_cycles
+        return Span(None if more is None else more + 1, (from_s, to_s))
+    return None

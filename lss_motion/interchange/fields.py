@@ -1,0 +1,174 @@
+"""Values taken out of JSON and text of other tools, with the place for messages.
+
+JSON of other tools: parsed without surprises, and values taken out with their place.
+
+Numbers in lines of text, taken out with their line: what the text formats share.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NoReturn
+
+from lss_motion.errors import InputError
+from lss_motion.files.source import text_of
+from lss_motion.interchange.reader import VALUES_MAX
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+NUMBER_MAX: Final = 1e9
+"""Larger numbers are no time, angle, pulse or position that any of the formats knows."""
+
+COMMAS_MAX: Final = 2 * VALUES_MAX
+COLONS_MAX: Final = VALUES_MAX
+"""The wordiest format (pypot) has two numbers and one key for each value of a recording. Without a
+bound, 64 MB of empty lists, or of keys, parse into gigabytes."""
+
+
+def starts_json(data: bytes, bracket: bytes) -> bool:
+    """Return whether `data` looks like a JSON object (`{`) or list (`[`)."""
+    return data[:1024].removeprefix(b"\xef\xbb\xbf").lstrip().startswith(bracket)
+
+
+def parsed_json(path: Path, data: bytes) -> object:
+    """Return the content of a JSON file: no NaN, no key twice; `InputError` with the line."""
+
+    def once(pairs: list[tuple[str, object]]) -> dict[str, object]:
+        values = dict(pairs)
+        if len(values) < len(pairs):
+            counts = Counter(name for name, _ in pairs)
+            twice = counts.most_common(1)[0][0]
+            raise InputError(f"key {twice!r:.60} is given twice in one object", path=path)
+        return values
+
+    def refused(constant: str) -> NoReturn:
+        raise InputError(f"{constant} is no number that a joint can reach", path=path)
+
+    if data.count(b",") > COMMAS_MAX or data.count(b":") > COLONS_MAX:
+        raise InputError(f"holds more than {VALUES_MAX:,} values, the most that is read", path=path)
+    try:
+        return json.loads(text_of(data, path), object_pairs_hook=once, parse_constant=refused)
+    except json.JSONDecodeError as error:
+        raise InputError(f"not JSON: {error.msg}", path=path, line=error.lineno) from error
+    except InputError:
+        raise
+    except (RecursionError, ValueError) as error:  # ValueError: thousands of digits.
+        raise InputError(f"not JSON that can be read: {error}", path=path) from error
+
+
+@dataclass(frozen=True, slots=True)
+class JsonFields:
+    """Takes typed values out of one file; every refusal says where in the file."""
+
+    path: Path
+
+    def mapping(self, value: object, where: str) -> dict[str, object]:
+        """Return `value` as an object, or raise `InputError`."""
+        if not isinstance(value, dict):
+            self.refuse(f"{where} must be an object, such as {{...}}")
+        return value
+
+    def items(self, values: dict[str, object], key: str, where: str) -> list[object]:
+        """Return the list under `key`, which has at least one entry, or raise `InputError`."""
+        listed = values.get(key)
+        if not isinstance(listed, list) or not listed:
+            self.refuse(f"{where} must have a list {key!r} with at least one entry")
+        return listed
+
+    def text(self, values: dict[str, object], key: str, where: str) -> str:
+        """Return the text under `key`, or raise `InputError`."""
+        value = values.get(key)
+        if not isinstance(value, str):
+            self.refuse(f"{where} must have a text {key!r}")
+        return value
+
+    def number(self, values: dict[str, object], key: str, where: str) -> float:
+        """Return the number under `key`, or raise `InputError`."""
+        if key not in values:
+            self.refuse(f"{where} has no {key!r}")
+        return self.plain_number(values[key], f"{where}.{key}")
+
+    def plain_number(self, value: object, where: str) -> float:
+        """Return `value` as a finite number of sensible size, or raise `InputError`."""
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            self.refuse(f"{where} is {value!r:.60}, but must be a number")
+        number = float(value) if abs(value) < NUMBER_MAX else math.inf  # No float of a huge integer
+        if not math.isfinite(number):
+            self.refuse(f"{where} is {value!r:.60}, which is out of all bounds")
+        return number
+
+    def duration(self, values: dict[str, object], key: str, where: str) -> float:
+        """Return the number of seconds under `key`, 0 or more, or raise `InputError`."""
+        number = self.number(values, key, where)
+        if number < 0.0:
+            self.refuse(f"{where}.{key} is {number:g}, but must be 0 s or more")
+        return number
+
+    def refuse(self, reason: str) -> NoReturn:
+        """Raise `InputError`."""
+        raise InputError(reason, path=self.path)
+
+
+NUMBER_MAX_CHARS: Final = 40
+"""Longer digits are no measurement."""
+
+_NUMBER: Final = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d{1,3})?", re.ASCII)
+
+VALUE_MAX: Final = 1e12
+"""Seconds since 1970 are 1.7e9, milliseconds 1.7e12 / 1000; nothing larger is meant."""
+
+LINES_MAX: Final = 5_000_000
+"""A long table has a line for each of its 4,000,000 values at most, and some to explain them.
+Without a bound, 64 MB of short lines are a gigabyte of text objects."""
+
+
+@dataclass(frozen=True, slots=True)
+class TextLines:
+    """The lines of one text file, from 1; every refusal says which."""
+
+    path: Path
+    text: str
+
+    @classmethod
+    def of(cls, path: Path, data: bytes) -> TextLines:
+        """Return the lines of a UTF-8 file with any line ends, or raise `InputError`."""
+        text = text_of(data, path).replace("\r\n", "\n").replace("\r", "\n")
+        if text.count("\n") > LINES_MAX:
+            raise InputError(f"has more than {LINES_MAX:,} lines, the most that is read", path=path)
+        return cls(path, text)
+
+    def numbered(self) -> Iterator[tuple[int, str]]:
+        """Yield number and content of every line that holds something."""
+        for number, line in enumerate(self.text.split("\n"), start=1):
+            if line.strip():
+                yield number, line.strip()
+
+    def number(self, word: str, line: int, *, has_commas: bool = False) -> float:
+        """Return a finite number; a decimal comma only where `has_commas`."""
+        word = word.strip()
+        is_number = len(word) <= NUMBER_MAX_CHARS and _NUMBER.fullmatch(word)
+        if not is_number or ("," in word and not has_commas):
+            self.refuse(line, f"{word!r:.60} is not a number")
+        value = float(word.replace(",", "."))
+        if not abs(value) <= VALUE_MAX:
+            self.refuse(line, f"{word!r:.60} is out of all bounds")
+        return value
+
+    def whole(self, word: str, line: int, most: int) -> int:
+        """Return a whole number from 0 to `most`."""
+        word = word.strip()
+        is_number = word.isascii() and word.isdigit() and len(word) <= NUMBER_MAX_CHARS
+        if not is_number or int(word) > most:
+            self.refuse(line, f"{word!r:.60} is not a whole number from 0 to {most}")
+        return int(word)
+
+    def refuse(self, line: int | None, reason: str) -> NoReturn:
+        """Raise `InputError`."""
+        raise InputError(reason, path=self.path, line=line)

@@ -1,0 +1,370 @@
+"""Robotis motion files: `.mtn` text and binary pages.
+
+Robotis `.mtn` text (RoboPlus Motion): pages of up to seven steps, positions of servos by id.
+
+512 of 1024 is 0 deg and 300 deg are the whole range (AX servos, `motor_type` 0). A step's values
+are 26 positions, the pause after it and the time it takes, in seconds; times are divided by the
+page's speed. Pages link to each other by number; each is a motion of its own here.
+
+Binary motion files of Robotis humanoids: pages of 512 bytes with up to seven steps.
+
+A page is 64 bytes of header (name, repeat at 15, schedule at 16, steps at 20, speed at 22, next at
+25, exit at 26, checksum at 31) and seven steps of 31 positions (16 bit, low byte first), pause and
+time. Times are in 7.8125 ms, divided by speed / 32. The bytes of a page sum up to 255.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.errors import InputError
+from lss_motion.interchange.fields import TextLines
+from lss_motion.interchange.reader import Pose, motion_of_poses, read_or_refused, summarised
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from lss_motion.interchange.reader import ForeignMotion, RefusedMotion
+
+
+SERVOS_COUNT: Final = 26
+"""FACTS.md F5: 26 values, by id from 0."""
+
+POSITIONS_COUNT: Final = 1024
+RANGE_DEG: Final = 300.0
+"""AX servos: 1024 positions over 300 deg, 512 in the middle (FACTS.md F5)."""
+
+REPEAT_MAX: Final = 255
+"""A byte in the binary form."""
+
+SPEED_MAX: Final = 100.0
+"""Chosen: real pages are played at 0.5 to 3 times their speed; more is a slip of the key."""
+
+
+def ax_deg(position: float) -> float:
+    """Return the angle of an AX position."""
+    return (position - POSITIONS_COUNT / 2) * RANGE_DEG / POSITIONS_COUNT
+
+
+@dataclass(slots=True)
+class _Page:
+    number: int
+    line: int
+    name: str = ""
+    links: str = ""
+    repeat: int = 1
+    speed_ratio: float = 1.0
+    steps: list[tuple[int, list[float]]] = field(default_factory=list)
+    has_compliance: bool = False
+
+    @property
+    def title(self) -> str:
+        return self.name or f"page {self.number}"
+
+
+@dataclass(frozen=True, slots=True)
+class RobotisTextReader:
+    """Reads `type=motion` … `page_begin` … `step=` … `page_end`; joints are `ID<n>`."""
+
+    name: str = "mtn"
+
+    def recognises(self, data: bytes) -> bool:
+        head = data[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
+        return head.startswith(b"type=motion") or (b"page_begin" in head and b"=" in head)
+
+    def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
+        lines = TextLines.of(path, data)
+        enabled, pages = _parsed(lines)
+        found = [
+            read_or_refused(page.title, partial(_motion, lines, page, enabled))
+            for page in pages
+            if page.steps
+        ]
+        if not found:
+            lines.refuse(None, "has no page with a step")
+        return tuple(found)
+
+
+def _parsed(lines: TextLines) -> tuple[list[int], list[_Page]]:
+    """Return the enabled ids and all pages, the empty ones too: they count in the numbering."""
+    enabled = list(range(SERVOS_COUNT))
+    pages: list[_Page] = []
+    page: _Page | None = None
+    for number, line in lines.numbered():
+        key, _, value = line.partition("=")
+        match key.strip():
+            case "page_begin" if page is None:
+                page = _Page(len(pages) + 1, number)
+            case "page_end" if page is not None:
+                pages.append(page)
+                page = None
+            case "page_begin" | "page_end":
+                lines.refuse(number, f"{key} stands where no page can {key[5:]}")
+            case "enable" if page is None:
+                flags = _row(lines, value, number, SERVOS_COUNT)
+                enabled = [servo for servo, flag in enumerate(flags) if flag]
+            case "motor_type":
+                types = _row(lines, value, number, SERVOS_COUNT)
+                if odd := [servo for servo in enabled if types[servo]]:
+                    lines.refuse(
+                        number,
+                        f"servo {odd[0]} is of type {types[odd[0]]:g}; only type 0 (AX, 1024 "
+                        "positions over 300 deg) is known",
+                    )
+            case _ if page is not None:
+                _read_page(lines, page, key.strip(), value.strip(), number)
+            case _:
+                pass  # type=, version=: nothing that a motion needs.
+    if page is not None:
+        lines.refuse(page.line, "this page has no page_end: the file is cut short")
+    return enabled, pages
+
+
+def _read_page(lines: TextLines, page: _Page, key: str, value: str, number: int) -> None:
+    match key:
+        case "name":
+            page.name = value
+        case "play_param":
+            following, leaving, repeat, speed, _ = _row(lines, value, number, 5)
+            if not 0.0 < speed <= SPEED_MAX:
+                lines.refuse(number, f"speed {speed:g} must be more than 0, at most {SPEED_MAX:g}")
+            if not 0.0 <= repeat <= REPEAT_MAX:
+                lines.refuse(number, f"repeat {repeat:g} is not in 0 to {REPEAT_MAX}")
+            page.repeat, page.speed_ratio = max(1, int(repeat)), speed
+            if following or leaving:
+                page.links = f"page {following:g} as next, page {leaving:g} as exit"
+        case "compliance":
+            page.has_compliance = True
+        case "step":
+            page.steps.append((number, _row(lines, value, number, SERVOS_COUNT + 2)))
+        case _:
+            lines.refuse(number, f"{key!r:.40} is no key of a page")
+
+
+def _row(lines: TextLines, text: str, number: int, count: int) -> list[float]:
+    words = text.split()
+    if len(words) != count:
+        lines.refuse(number, f"{len(words)} values where {count} belong")
+    return [lines.number(word, number) for word in words]
+
+
+def _motion(lines: TextLines, page: _Page, enabled: list[int]) -> ForeignMotion:
+    poses: list[Pose] = []
+    end_s = 0.0
+    for turn in range(page.repeat):
+        for index, (number, values) in enumerate(page.steps, start=1):
+            pause_s, play_s = values[-2] / page.speed_ratio, values[-1] / page.speed_ratio
+            if play_s <= 0.0 or pause_s < 0.0:
+                lines.refuse(number, f"step {index} of page {page.number} takes {play_s:g} s")
+            for servo in enabled:
+                if not 0.0 <= values[servo] < POSITIONS_COUNT:
+                    lines.refuse(number, f"position {values[servo]:g} of servo {servo}: 0 to 1023")
+            poses.append(
+                Pose(
+                    at_s=end_s + play_s,
+                    values={f"ID{servo}": ax_deg(values[servo]) for servo in enabled},
+                    hold_s=pause_s,
+                    place=f"page {page.number}, turn {turn + 1}, step {index}",
+                    line=number,
+                )
+            )
+            end_s += play_s + pause_s
+    found = [f"links to {page.links}"] if page.links else []
+    found += ["compliance and inertia"] if page.has_compliance else []
+    comments = (
+        f"Imported from {lines.path.name} (Robotis motion, page {page.number}); 512 = 0 deg.",
+        *summarised(found),
+    )
+    return motion_of_poses(lines.path, page.title, poses, comments=comments)
+
+
+PAGE_BYTES: Final = 512
+PAGES_MAX: Final = 256
+"""The number of a page is a byte."""
+
+STEP_BYTES: Final = 64
+STEPS_MAX: Final = 7
+BINARY_SERVOS_COUNT: Final = 31
+CHECKSUM: Final = 0xFF
+TIME_BASED: Final = 10
+"""Schedule of pages whose steps give times; 0 gives speeds, which depend on where a robot is."""
+
+UNIT_S: Final = 0.0078125
+SPEED_NORMAL: Final = 32
+"""Times are as given at this speed (FACTS.md F13: t = x * 32 / speed * 7.8125 ms)."""
+
+NOT_KEYED: Final = 0x4000
+"""Bit of a position that a step leaves as it is."""
+
+TORQUE_OFF: Final = 0x2000
+"""Bit of a position of a servo that the step lets go limp."""
+
+BINARY_POSITIONS_COUNT: Final = 4096
+ZERO: Final = 2048
+"""4096 positions over 360 deg, 2048 = 0 deg; older files have 1024 (see `robotis_text`)."""
+
+
+@dataclass(frozen=True, slots=True)
+class _BinaryPage:
+    """One page with its steps: (positions, pause, time) as in the file."""
+
+    number: int
+    data: bytes
+
+    @property
+    def title(self) -> str:
+        shown = "".join(chr(byte) if 32 <= byte < 127 else " " for byte in self.data[:14])
+        return shown.strip() or f"page {self.number}"
+
+    @property
+    def is_whole(self) -> bool:
+        return sum(self.data) & 0xFF == CHECKSUM
+
+    @property
+    def steps(self) -> list[tuple[tuple[int, ...], int, int]]:
+        count = min(self.data[20], STEPS_MAX)
+        rows = (STEP_BYTES + index * STEP_BYTES for index in range(count))
+        return [
+            (struct.unpack_from(f"<{BINARY_SERVOS_COUNT}H", self.data, at), self.data[at + 62],
+             self.data[at + 63])
+            for at in rows
+        ]  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class RobotisPagesReader:
+    """Reads up to 256 pages; a motion for every page with steps, joints are `ID<n>`."""
+
+    name: str = "robotis-bin"
+
+    def recognises(self, data: bytes) -> bool:
+        if not data or len(data) % PAGE_BYTES or len(data) > PAGES_MAX * PAGE_BYTES:
+            return False
+        pages = _pages(data)
+        # Page 0 is often never written; of the others, a text has no chance to sum up right.
+        return b"\0" in data and sum(page.is_whole for page in pages) * 2 > len(pages)
+
+    def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
+        if not data or len(data) % PAGE_BYTES or len(data) > PAGES_MAX * PAGE_BYTES:
+            raise InputError(
+                f"{len(data)} bytes are not 1 to {PAGES_MAX} pages of {PAGE_BYTES}: cut short, or "
+                "another format",
+                path=path,
+            )
+        pages = [page for page in _pages(data) if page.is_whole and page.data[20]]
+        broken = [page.number for page in _pages(data) if not page.is_whole and any(page.data)]
+        if not pages:
+            raise InputError("has no page with steps and a right checksum", path=path)
+        unused = _unused(pages)
+        scale = _Scale(_is_fine(pages, unused), unused, broken)
+        return tuple(
+            read_or_refused(page.title, partial(_binary_motion, path, page, scale))
+            for page in pages
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Scale:
+    """What the whole file tells about its positions."""
+
+    is_fine: bool
+    """4096 positions over 360 deg, not 1024 over 300."""
+    unused: Sequence[int]
+    broken: Sequence[int]
+
+    def deg(self, position: int) -> float:
+        return (
+            (position - ZERO) * 360.0 / BINARY_POSITIONS_COUNT if self.is_fine else ax_deg(position)
+        )
+
+
+def _pages(data: bytes) -> list[_BinaryPage]:
+    starts = range(0, len(data), PAGE_BYTES)
+    return [_BinaryPage(n, data[at : at + PAGE_BYTES]) for n, at in enumerate(starts)]
+
+
+def _is_position(value: int) -> bool:
+    return not value & (NOT_KEYED | TORQUE_OFF) and value < BINARY_POSITIONS_COUNT
+
+
+def _unused(pages: Sequence[_BinaryPage]) -> list[int]:
+    """Return the ids that no step moves: always 0, let go, not keyed or no position at all."""
+    used = {
+        servo
+        for page in pages
+        for positions, _, _ in page.steps
+        for servo, value in enumerate(positions)
+        if _is_position(value) and value
+    }
+    return [servo for servo in range(BINARY_SERVOS_COUNT) if servo not in used]
+
+
+def _is_fine(pages: Sequence[_BinaryPage], unused: Sequence[int]) -> bool:
+    return any(
+        _is_position(value) and value >= 1024 and servo not in unused
+        for page in pages
+        for positions, _, _ in page.steps
+        for servo, value in enumerate(positions)
+    )
+
+
+def _binary_motion(path: Path, page: _BinaryPage, scale: _Scale) -> ForeignMotion:
+    header = page.data
+    if header[20] > STEPS_MAX:
+        raise _error(path, page, f"{header[20]} steps, at most {STEPS_MAX} have room")
+    if header[16] != TIME_BASED:
+        raise _error(
+            path, page, f"schedule {header[16]} gives speeds, not times; only {TIME_BASED} is read"
+        )
+    if not header[22]:
+        raise _error(path, page, "speed 0: it would never move")
+    unit_s = UNIT_S * SPEED_NORMAL / header[22]
+    poses: list[Pose] = []
+    left_out: list[str] = []
+    end_s = 0.0
+    for turn in range(max(1, header[15])):
+        for index, (positions, pause, time) in enumerate(page.steps, start=1):
+            place = f"page {page.number}, turn {turn + 1}, step {index}"
+            if not time:
+                raise InputError(f"{place}: takes no time", path=path)
+            values, odd = _values(positions, scale)
+            left_out += odd
+            pose = Pose(
+                at_s=end_s + time * unit_s, values=values, hold_s=pause * unit_s, place=place
+            )
+            poses.append(pose)
+            end_s = pose.at_s + pose.hold_s
+    links = [f"page {n} as {what}" for n, what in ((header[25], "next"), (header[26], "exit")) if n]
+    scale_words = "4096 positions a turn" if scale.is_fine else "1024 positions over 300 deg"
+    found = [f"ids {', '.join(map(str, scale.unused))}, which no step moves"] * bool(scale.unused)
+    found += [f"pages {', '.join(map(str, scale.broken))}: wrong checksum"] * bool(scale.broken)
+    found += [f"links to {', '.join(links)}"] * bool(links)
+    comments = (
+        f"Imported from {path.name} (Robotis motion, page {page.number}); {scale_words}.",
+        *summarised([*found, *left_out, "gains and acceleration time"]),
+    )
+    return motion_of_poses(path, page.title, poses, comments=comments)
+
+
+def _values(positions: Sequence[int], scale: _Scale) -> tuple[dict[str, float], list[str]]:
+    """Return the angles by joint, and what is no angle."""
+    values: dict[str, float] = {}
+    odd: list[str] = []
+    for servo, value in enumerate(positions):
+        if servo in scale.unused or value & NOT_KEYED:
+            continue
+        if value & TORQUE_OFF:
+            odd.append(f"ID{servo} goes limp")
+        elif not _is_position(value):
+            odd.append(f"ID{servo} at {value}, which is no position")
+        else:
+            values[f"ID{servo}"] = scale.deg(value)
+    return values, odd
+
+
+def _error(path: Path, page: _BinaryPage, reason: str) -> InputError:
+    return InputError(f"page {page.number} ({page.title!r}): {reason}", path=path)

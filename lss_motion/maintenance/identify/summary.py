@@ -1,0 +1,181 @@
+"""What was identified, in words, and what of it belongs into the robot file."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.units import MS_PER_S
+
+if TYPE_CHECKING:
+    from lss_motion.maintenance.identify.estimate import Identified, Measured
+    from lss_motion.robot.model import Joint
+
+
+SIGMAS: Final = 3.0
+"""A difference of less than so many standard errors is none."""
+TIME_DIFFERENCE_S: Final = 0.001
+RAMP_DIFFERENCE_RATIO: Final = 0.03
+DROOP_DIFFERENCE_DEG: Final = 0.3
+"""Smaller differences from what is assumed do not matter for playing."""
+MISFIT_RATIO: Final = 1.3
+MISFIT_LEAST_DEG: Final = 0.02
+"""What is left unexplained beyond this was not noise."""
+
+
+def response_values(found: Identified, joint: Joint) -> dict[str, float | str]:
+    """Return the fields of `response` that were measured.
+
+    `lag_s` is what playing leads by beyond half a control loop (`program.compile.lead`), so that
+    the sum is right even where no loop was found. A law that was not decided is left out.
+    """
+    loop_s = joint.response.loop_s if found.loop_s is None else found.loop_s.value
+    values: dict[str, float | str] = {
+        "lag_s": round(max(0.0, found.delay_s.value - 0.5 * loop_s), 4)
+    }
+    ratio = ramp_ratio(found)
+    if ratio != 1.0 or joint.response.ramp_ratio != 1.0:
+        values["ramp_ratio"] = ratio
+    if found.loop_s is not None:
+        values["loop_s"] = round(loop_s, 5)
+    if found.retarget.is_sure:
+        values["retarget"] = found.retarget.value
+    if found.t_law.is_sure:
+        values["t_law"] = found.t_law.value
+    return values
+
+
+def ramp_ratio(found: Identified) -> float:
+    """Return how the ramps compare with what AA and AD say: 1 unless they clearly differ.
+
+    The response model has one ramp for both: the slower one, so that no plan asks for more.
+    """
+    ramp = min(found.accel_deg_s2, found.decel_deg_s2)
+    away_deg_s2 = abs(ramp.value - found.ramp_deg_s2)
+    if away_deg_s2 <= max(RAMP_DIFFERENCE_RATIO * found.ramp_deg_s2, SIGMAS * ramp.error):
+        return 1.0
+    return round(ramp.value / found.ramp_deg_s2, 3)
+
+
+def summary_lines(found: Identified) -> list[str]:
+    """Return all that was measured, a line each."""
+    loop = "no grid found"
+    if found.loop_s is not None:
+        loop = f"every {MS_PER_S * found.loop_s.value:.3f} ms"
+    least_ms, middle_ms, most_ms = (MS_PER_S * s for s in found.turnaround_s)
+    reached = "its top" if found.is_top else "the fastest asked for; its top is higher"
+    low, middle, high = found.droop_deg
+    retarget = "keeps its speed" if found.retarget.value == "keep_speed" else "starts from rest"
+    law = (
+        "distance / T, ramps on top" if found.t_law.value == "cruise" else "the whole move takes T"
+    )
+    return [
+        f"{found.joint}: {found.readings} readings between {found.low_deg:.1f} and "
+        f"{found.high_deg:.1f} deg, unexplained {found.misfit_deg:.2f} deg, scatter at rest "
+        f"{found.noise_deg:.2f} deg",
+        f"  answers after       {middle_ms:.2f} ms ({least_ms:.2f} to {most_ms:.2f})",
+        f"  command to horn     {_ms(found.delay_s)} on average: lag {_ms(found.lag_s)}, dead time "
+        f"{_ms(found.dead_s)}",
+        f"  takes commands up   {loop}",
+        f"  command in mid-move {retarget}{_doubt(found.retarget.is_sure)}",
+        f"  meaning of T        {law}{_doubt(found.t_law.is_sure)}",
+        f"  ramps               {_of(found.accel_deg_s2)} up, {_of(found.decel_deg_s2)} down, set "
+        f"to {found.ramp_deg_s2:.0f} deg/s²",
+        f"  speed               {_of(found.top_deg_s)} deg/s, {reached}",
+        f"  load pulls it by    {_deg(low)} deg at {found.low_deg:.0f}, {_deg(middle)} in the "
+        f"middle, {_deg(high)} at {found.high_deg:.0f} (± {_deg(found.droop_error_deg)})",
+        f"  play                {_deg(found.play_deg.value)} ± {_deg(found.play_deg.error)} deg",
+    ]
+
+
+def difference_lines(found: Identified, joint: Joint) -> list[str]:
+    """Return what differs from what the robot file assumes, and what to do about it."""
+    assumed, lines = joint.response, []
+    values = response_values(found, joint)
+    lag_s = float(values["lag_s"])
+    if abs(lag_s - assumed.lag_s) > max(TIME_DIFFERENCE_S, SIGMAS * found.delay_s.error):
+        lines.append(
+            f"lag_s is {MS_PER_S * lag_s:.1f} ms, not {MS_PER_S * assumed.lag_s:.1f}: moves would "
+            f"be that much {'late' if lag_s > assumed.lag_s else 'early'}"
+        )
+    if found.loop_s is None:
+        lines.append(f"no control loop was seen; loop_s stays {MS_PER_S * assumed.loop_s:g} ms")
+    elif abs(found.loop_s.value - assumed.loop_s) > 0.02 * assumed.loop_s:
+        lines.append(
+            f"loop_s is {MS_PER_S * found.loop_s.value:.2f} ms, not {MS_PER_S * assumed.loop_s:g}"
+        )
+    for key, decided in (("retarget", found.retarget), ("t_law", found.t_law)):
+        was = getattr(assumed, key)
+        if not decided.is_sure:
+            lines.append(f"{key} could not be told; it stays {was}. A larger --span-deg may help")
+        elif decided.value != was:
+            lines.append(f"{key} is {decided.value}, not {was}")
+    return lines + _limits(found, joint)
+
+
+def _limits(found: Identified, joint: Joint) -> list[str]:
+    """Return what the servo cannot do that the robot file asks for."""
+    lines = []
+    expected_deg_s2 = joint.response.ramp_ratio * found.ramp_deg_s2
+    for name, ramp in (("up (AA)", found.accel_deg_s2), ("down (AD)", found.decel_deg_s2)):
+        away_deg_s2 = abs(ramp.value - expected_deg_s2)
+        if away_deg_s2 > max(RAMP_DIFFERENCE_RATIO * expected_deg_s2, SIGMAS * ramp.error):
+            lines.append(
+                f"the ramp {name} is {ramp.value:.0f} deg/s², not {expected_deg_s2:.0f}, where "
+                f"{found.ramp_deg_s2:.0f} is set; ramp_ratio stands for the slower of the two"
+            )
+    if found.is_top:
+        lines.append(
+            f"it turns at most {found.top_deg_s.value:.0f} deg/s, and speed_max_deg_s asks for "
+            f"{joint.speed_max_deg_s:g}; lower it, or check the supply"
+        )
+    if found.misfit_deg > MISFIT_RATIO * found.noise_deg + MISFIT_LEAST_DEG:
+        lines.append(
+            f"the model misses by {found.misfit_deg:.2f} deg where readings scatter by "
+            f"{found.noise_deg:.2f}: gears that fall to their other side, or a load that swings; "
+            f"believe the errors less"
+        )
+    droop_deg = max(found.droop_deg, key=abs)
+    if abs(droop_deg) > DROOP_DIFFERENCE_DEG:
+        lines.append(
+            f"its load pulls it by up to {droop_deg:.1f} deg; a stiffer hold (settings: AH) or "
+            f"feedback makes up for it"
+        )
+    return lines
+
+
+def comment_lines(found: Identified, when: str) -> list[str]:
+    """Return what stands above the joint in its robot file: the uncertainties, and the rest."""
+    loop = "no loop seen"
+    if found.loop_s is not None:
+        loop = f"loop {MS_PER_S * found.loop_s.value:.2f} ms"
+    top = "top speed" if found.is_top else "top speed above"
+    middle = found.droop_deg[1]
+    sure = [
+        f"{decided.value}{_doubt(decided.is_sure)}" for decided in (found.retarget, found.t_law)
+    ]
+    return [
+        f"{when}: delay {_ms(found.delay_s)} (lag {_ms(found.lag_s)}), {loop},",
+        f"{', '.join(sure)}, ramps {_of(found.accel_deg_s2)}, {_of(found.decel_deg_s2)} deg/s² at "
+        f"{found.ramp_deg_s2:.0f},",
+        f"{top} {found.top_deg_s.value:.0f} deg/s, droop {_deg(middle)} ± "
+        f"{_deg(found.droop_error_deg)} deg, play {_deg(found.play_deg.value)} ± "
+        f"{_deg(found.play_deg.error)} deg,",
+        f"answers after {MS_PER_S * found.turnaround_s[1]:.2f} ms",
+    ]
+
+
+def _doubt(is_sure: bool) -> str:  # noqa: FBT001  (one word)
+    return "" if is_sure else " (not sure)"
+
+
+def _ms(time_s: Measured) -> str:
+    return f"{MS_PER_S * time_s.value:.1f} ± {MS_PER_S * time_s.error:.1f} ms"
+
+
+def _of(number: Measured) -> str:
+    return f"{number.value:.0f} ± {number.error:.0f}"
+
+
+def _deg(angle_deg: float) -> str:
+    """Return an angle to a hundredth; what rounds to nothing has no sign."""
+    return f"{round(angle_deg, 2) + 0.0:.2f}"

@@ -1,0 +1,230 @@
+"""Cues, marks and waits for sensors: what happens at its time and is not motion.
+
+What comes at its time in a show and is not motion: marks that are passed, cues that are due.
+
+Waits for a sensor: when the show stands still, what is asked meanwhile, when it goes on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from itertools import dropwhile
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.player.events import CueReached, MarkPassed, Waited
+from lss_motion.protocol.io2 import IO2_TABLE
+from lss_motion.protocol.line import Command, encode
+from lss_motion.units import NS_PER_MS, NS_PER_US, ns_from_s
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from lss_motion.player.events import Event, WaitState
+    from lss_motion.player.serial_line import SerialLine
+    from lss_motion.player.show_clock import ShowClock
+    from lss_motion.player.streamer import Streamer
+    from lss_motion.program.model import Program
+    from lss_motion.robot.model import Robot, Sensor
+    from lss_motion.sequence.model import Wait
+    from lss_motion.trajectory.model import WaitPoint
+
+
+LIT_KEYWORD = "LED"
+"""What a cue may change at a servo."""
+
+
+class Agenda:
+    """Marks and cues of one program, in every pass. Lights the LEDs of servos between moves."""
+
+    def __init__(self, program: Program, robot: Robot) -> None:
+        self._robot = robot
+        self._marks = program.unrolled_marks()
+        self._cues = program.unrolled_cues()
+        self._mark = next(self._marks, None)
+        self._cue = next(self._cues, None)
+        self._lights: deque[tuple[str, Command]] = deque()
+        self.lit = {name for cue in program.cues for name, _ in cue.led}
+        """Joints whose LEDs this show changes."""
+
+    def begin_at(self, show_s: float | None) -> None:
+        """Pass over what a show that starts at `show_s` leaves out; None is its beginning."""
+        if show_s is None:
+            return
+        while self._mark is not None and self._mark[0] < show_s:
+            self._mark = next(self._marks, None)
+        while self._cue is not None and self._cue[0] < show_s:
+            self._cue = next(self._cues, None)
+
+    def advance(
+        self, streamer: Streamer, lines: Mapping[str, SerialLine], now_ns: int
+    ) -> list[Event]:
+        """Return what the show has come to, and hand over the LED orders that fit between moves."""
+        show_s = streamer.show_s(now_ns)
+        events: list[Event] = []
+        while self._mark is not None and self._mark[0] <= show_s:
+            events.append(MarkPassed(self._mark[1].label, self._mark[0]))
+            self._mark = next(self._marks, None)
+        while self._cue is not None and self._cue[0] <= show_s:
+            start_s, cue = self._cue
+            events.append(CueReached(cue, start_s + cue.lead_s))
+            for name, colour in cue.led:
+                joint = self._robot.joints[name]
+                order = Command(joint.servo_id, LIT_KEYWORD, colour)
+                self._lights.append((joint.bus, order))
+            self._cue = next(self._cues, None)
+        if self._lights:
+            self._light(streamer.quiet_ns(now_ns), lines, now_ns)
+        return events
+
+    def wakeup_ns(
+        self, streamer: Streamer | None, lines: Mapping[str, SerialLine], now_ns: int
+    ) -> int | None:
+        """Return when `advance` has something to do at the latest, if the rate stays as it is.
+
+        While it changes, and when only moves leave no room, the streamer is awake often enough.
+        """
+        wakeups_ns = []
+        if self._lights and lines[self._lights[0][0]].free_ns > now_ns:
+            wakeups_ns.append(lines[self._lights[0][0]].free_ns)
+        nexts = [due[0] for due in (self._mark, self._cue) if due is not None]
+        if nexts and streamer is not None and not streamer.clock.is_ramping(now_ns):
+            due_ns = streamer.clock.instant_ns(min(nexts))
+            if due_ns is not None:
+                # What was rounded down is not passed yet.
+                wakeups_ns.append(max(due_ns, now_ns + NS_PER_US))
+        return min(wakeups_ns, default=None)
+
+    def _light(self, quiet_ns: int | None, lines: Mapping[str, SerialLine], now_ns: int) -> None:
+        while self._lights:
+            bus, order = self._lights[0]
+            data = encode(order)
+            is_free = lines[bus].free_ns <= now_ns
+            if not is_free or (quiet_ns and lines[bus].heard_ns(len(data), now_ns) > quiet_ns):
+                return
+            lines[bus].send(data, now_ns)
+            self._lights.popleft()
+
+
+ASK_NS: Final = 40 * NS_PER_MS
+"""A sensor that is waited for is asked so often. The Sharp sensors measure every 40 ms or so."""
+TIMES_MET: Final = 2
+"""So many answers in a row must say so: no line protects an answer from a flipped bit."""
+
+SUFFIXES: Final = {
+    kind.name: number for number, kind in (IO2_TABLE.row("QA").suffixes or {}).items()
+}
+"""What is added to `QA` so that the board answers in mm of that sensor."""
+
+
+class Waiting:
+    """The waits of one show, one after the other. Times are those of the show clock."""
+
+    def __init__(
+        self,
+        points: Iterable[tuple[float, WaitPoint]],
+        sensors: Mapping[str, Sensor],
+        from_s: float,
+    ) -> None:
+        """Take the waits with their show times; those before `from_s` are left out."""
+        self._points = dropwhile(lambda due: due[0] < from_s, points)
+        self._sensors = sensors
+        self._next: tuple[float, Wait] | None = None
+        self._go_on()
+        self._since_ns: int | None = None
+        self._asked_ns: int | None = None
+        self._met = 0
+        self._notices: list[Waited] = []
+        self.rate_after = 1.0
+        """How fast the show goes on after the wait that is under way."""
+
+    @property
+    def next_s(self) -> float:
+        """When the show has to stand still next; `math.inf`: never."""
+        return math.inf if self._next is None else self._next[0]
+
+    @property
+    def is_waiting(self) -> bool:
+        return self._since_ns is not None
+
+    @property
+    def text(self) -> str:
+        """What is waited for, for people."""
+        assert self._next is not None
+        wait = self._next[1]
+        unit = self._sensors[wait.sensor].unit
+        return f"{wait.sensor} {wait.side} {wait.threshold:g}{' mm' if unit == 'mm' else ''}"
+
+    def advance(self, clock: ShowClock, now_ns: int) -> WaitState | None:
+        """Let the show stand still when it has come to a wait, and go on when that is over."""
+        state: WaitState | None
+        if self.is_waiting:
+            text, state = self.text, self._ended(now_ns)
+            if state is not None:
+                clock.ramp_to(self.rate_after, now_ns, 0.0)
+        elif self._next is not None and clock.show_s(now_ns) >= self.next_s:
+            text, state = self.text, "begun"
+            self.rate_after = clock.target_rate
+            clock.stand_at(self.next_s, now_ns)
+            self._since_ns, self._asked_ns, self._met = now_ns, None, 0
+        else:
+            return None
+        if state is not None:
+            self._notices.append(Waited(text, state))
+        return state
+
+    def take_notices(self) -> list[Waited]:
+        """Return what happened since the last call."""
+        notices, self._notices = self._notices, []
+        return notices
+
+    def question(self, bus: str, now_ns: int) -> Command | None:
+        """Return what is to be asked now on `bus`, if anything."""
+        if self._since_ns is None or self._next is None:
+            return None
+        sensor = self._sensors[self._next[1].sensor]
+        if sensor.bus != bus:
+            return None
+        if self._asked_ns is not None and now_ns < self._asked_ns + ASK_NS:
+            return None
+        return Command(sensor.servo_id, "QA", SUFFIXES.get(sensor.kind))
+
+    def asked(self, now_ns: int) -> None:
+        self._asked_ns = now_ns
+
+    def answered(self, bus: str, servo_id: int, value: int | str | None) -> None:
+        """Take an answer to `QA`; those of other inputs are passed over."""
+        if self._since_ns is None or self._next is None or not isinstance(value, int):
+            return
+        sensor = self._sensors[self._next[1].sensor]
+        if (sensor.bus, sensor.servo_id) == (bus, servo_id):
+            self._met = self._met + 1 if self._next[1].is_met(value) else 0
+
+    def wakeups_ns(self) -> list[int]:
+        """Return when there is something to ask or to end."""
+        if self._since_ns is None:
+            return []
+        asks_ns = [] if self._asked_ns is None else [self._asked_ns + ASK_NS]
+        end_ns = self._end_ns()
+        return asks_ns if end_ns is None else [*asks_ns, end_ns]
+
+    def _ended(self, now_ns: int) -> WaitState | None:
+        """Return whether the show goes on, and why; the next wait is then the one to come."""
+        outcome: WaitState | None = "met" if self._met >= TIMES_MET else None
+        end_ns = self._end_ns()
+        if outcome is None and end_ns is not None and now_ns >= end_ns:
+            outcome = "timeout"
+        if outcome is not None:
+            self._go_on()
+        return outcome
+
+    def _go_on(self) -> None:
+        self._since_ns = None
+        due = next(self._points, None)
+        self._next = None if due is None else (due[0], due[1].wait)
+
+    def _end_ns(self) -> int | None:
+        assert self._next is not None
+        if self._since_ns is None or self._next[1].timeout_s is None:
+            return None
+        return self._since_ns + ns_from_s(self._next[1].timeout_s)

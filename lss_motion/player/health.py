@@ -1,0 +1,192 @@
+"""What is wrong with which joint, from what it answers and from what it does not.
+
+One answer is no proof: a bus without checksums can deliver a wrong number that looks right, so a
+trouble begins with the second reading in a row that says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.protocol.constants import Status, status_from
+from lss_motion.robot.on_fault import Cause
+from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from lss_motion.player.joint_state import JointState
+    from lss_motion.robot.model import Joint
+
+    Trouble = tuple[str, Cause]
+
+
+ASTRAY_NS: Final = NS_PER_S // 2
+"""A joint must be off by more than `following_deg` this long: one late move is no reason."""
+BACK_RATIO: Final = 0.5
+"""It is back when it is off by less than this share of `following_deg`."""
+CONFIRMATIONS: Final = 2
+SILENT_ASKS: Final = 4
+"""So many questions in a row must stay unanswered, and not all at once, as when a clog takes a
+whole row of them: on a slow line, or a busy computer, `silent_s` alone says little."""
+STATUS_CAUSES: Final = {
+    Status.STUCK: Cause.STUCK,
+    Status.BLOCKED: Cause.BLOCKED,
+    Status.SAFE_MODE: Cause.SAFE_MODE,
+    Status.ERROR: Cause.ERROR,
+    Status.LIMP: Cause.RESTARTED,
+}
+STATUS_TEXTS: Final = {
+    Cause.STUCK: "is stuck: it cannot make the move at its present speed. Lighten its load, or "
+    "lower speed_max_deg_s",
+    Cause.BLOCKED: "is blocked: it cannot move at full power. Find what is in its way",
+    Cause.SAFE_MODE: "is in safe mode: current, voltage or temperature out of bounds. Find the "
+    "cause, then RESET it",
+    Cause.ERROR: "reports an error. Find the cause, then RESET it",
+    Cause.RESTARTED: "is limp although it is driven: it has restarted, or something let it go. "
+    "Look at its power supply",
+}
+
+
+def status_fault(status: Status) -> str | None:
+    """Return what is wrong with a servo that need not be driven, if its status says so."""
+    cause = STATUS_CAUSES.get(status, Cause.RESTARTED)
+    return None if cause is Cause.RESTARTED else STATUS_TEXTS[cause]
+
+
+@dataclass(slots=True)
+class _Unanswered:
+    """A servo that has not answered since `since_ns`; which was noticed first and last when."""
+
+    joint: Joint
+    since_ns: int
+    first_ns: int
+    last_ns: int
+    count: int = 0
+
+
+class Watch:
+    """What is wrong now: `troubles`, by joint and cause, in words that name a remedy."""
+
+    def __init__(self) -> None:
+        self.troubles: dict[Trouble, str] = {}
+        self.doubts: dict[str, str] = {}
+        """By joint: what was said once and must be asked again at once."""
+        self._counts: dict[Trouble, int] = {}
+        self._astray_since_ns: dict[str, int] = {}
+        self._unanswered: dict[str, _Unanswered] = {}
+        """Who did not answer the last question."""
+        self._before: dict[tuple[str, str], float] = {}
+
+    def position(self, track: JointState, heard_ns: int) -> None:
+        """Judge the last reading that `track` believed; the servo heard the question then."""
+        joint, error_deg = track.joint, abs(track.following.error_deg)
+        trouble = (joint.name, Cause.ASTRAY)
+        if error_deg <= joint.following_deg:
+            self._astray_since_ns.pop(joint.name, None)
+            if error_deg <= BACK_RATIO * joint.following_deg:
+                self.troubles.pop(trouble, None)
+        elif heard_ns - self._astray_since_ns.setdefault(joint.name, heard_ns) > ASTRAY_NS:
+            self.troubles[trouble] = (
+                f"is {error_deg:.1f} deg off its course, allowed is {joint.following_deg:g} deg "
+                f"(following_deg). Look for what holds it, or lower its limits"
+            )
+
+    def status(self, track: JointState, code: int, firmware: int) -> None:
+        track.status = status_from(code, track.joint.model.family, firmware)
+        present = STATUS_CAUSES.get(track.status)
+        for cause, text in STATUS_TEXTS.items():
+            self._judge(track, cause, "Q", text, is_bad=cause is present)
+
+    def temperature(self, track: JointState, temperature_c: float) -> None:
+        confirmed_c = self._twice(track, "QT", temperature_c, min)
+        track.temperature_max_c = max(confirmed_c, track.temperature_max_c or confirmed_c)
+        limit_c = track.joint.temperature_max_c
+        text = (
+            f"is hot: {temperature_c:.0f} C, allowed is {limit_c:g} C (temperature_max_c). Let it "
+            f"rest, or give it less to carry"
+        )
+        self._judge(track, Cause.HOT, "QT", text, is_bad=temperature_c > limit_c)
+
+    def voltage(self, track: JointState, voltage_v: float) -> None:
+        confirmed_v = self._twice(track, "QV", voltage_v, max)
+        track.voltage_min_v = min(confirmed_v, track.voltage_min_v or confirmed_v)
+        limit_v = track.joint.voltage_min_v
+        text = (
+            f"has {voltage_v:.1f} V, needed are {limit_v:g} V (voltage_min_v). Charge the battery, "
+            f"or look at the wires"
+        )
+        self._judge(track, Cause.LOW_VOLTAGE, "QV", text, is_bad=voltage_v < limit_v)
+
+    def answered(self, track: JointState) -> None:
+        """Note that a servo answered, whatever it said."""
+        name = track.joint.name
+        self._unanswered.pop(name, None)
+        self.troubles.pop((name, Cause.SILENT), None)
+
+    def unanswered(self, track: JointState, now_ns: int, since_ns: int) -> None:
+        """Note that a question to a servo was given up; `advance` judges it.
+
+        `since_ns` is when it last answered anything, be it before the show: a servo that restarts
+        between two phases must be missed before it is back and hears a move without its limits.
+        """
+        joint = track.joint
+        new = _Unanswered(joint, since_ns, first_ns=now_ns, last_ns=now_ns)
+        known = self._unanswered.setdefault(joint.name, new)
+        known.count += 1
+        known.last_ns = now_ns
+
+    def advance(self, now_ns: int) -> None:
+        """Judge who is silent by now: no question that comes late on a full line is waited for."""
+        for joint, since_ns in self._fading():
+            if now_ns >= since_ns + ns_from_s(joint.silent_s):
+                silent_s = s_from_ns(now_ns - since_ns)
+                self.troubles[joint.name, Cause.SILENT] = (
+                    f"is silent: servo {joint.servo_id} has not answered for {silent_s:.1f} s. "
+                    f"Look at its cable and its power"
+                )
+
+    def wakeups_ns(self) -> list[int]:
+        """Return when `advance` must be called at the latest."""
+        return [
+            since_ns + ns_from_s(joint.silent_s)
+            for joint, since_ns in self._fading()
+            if (joint.name, Cause.SILENT) not in self.troubles
+        ]
+
+    def quiet(self) -> set[str]:
+        """Return the joints whose last question was not answered."""
+        return set(self._unanswered)
+
+    def _fading(self) -> Iterator[tuple[Joint, int]]:
+        """Yield who is silent unless it answers within its time, and when it last answered."""
+        for one in self._unanswered.values():
+            if one.count >= SILENT_ASKS and one.last_ns > one.first_ns:
+                yield one.joint, one.since_ns
+
+    def _judge(
+        self, track: JointState, cause: Cause, keyword: str, text: str, *, is_bad: bool
+    ) -> None:
+        name = track.joint.name
+        if not is_bad:
+            if self._counts.pop((name, cause), 0) and self.doubts.get(name) == keyword:
+                del self.doubts[name]
+            self.troubles.pop((name, cause), None)
+            return
+        count = self._counts[name, cause] = self._counts.get((name, cause), 0) + 1
+        if count < CONFIRMATIONS:
+            self.doubts[name] = keyword
+            return
+        if self.doubts.get(name) == keyword:
+            del self.doubts[name]
+        self.troubles[name, cause] = text
+
+    def _twice(
+        self, track: JointState, keyword: str, value: float, choose: Callable[[float, float], float]
+    ) -> float:
+        """Return what this reading and the one before it both say."""
+        place = (track.joint.name, keyword)
+        before = self._before.get(place, value)
+        self._before[place] = value
+        return choose(before, value)

@@ -1,0 +1,56 @@
+"""What the player believes about one serial line: when it is free, and what came in."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from lss_motion.protocol.line import Garbage, Reply, ReplyParser
+from lss_motion.units import line_time_ns
+
+if TYPE_CHECKING:
+    from lss_motion.robot.model import Bus
+
+
+class SerialLine:
+    """One bus. Bytes that are handed over go out in order, at the baud rate."""
+
+    def __init__(self, bus: Bus) -> None:
+        self.bus = bus
+        self.free_ns = 0
+        self.sent_bytes = 0
+        self.replies = 0
+        self.garbage = 0
+        self._parser = ReplyParser(grouped=False)
+        self._out = bytearray()
+
+    def time_ns(self, size_bytes: int) -> int:
+        return line_time_ns(size_bytes, self.bus.baud_bps)
+
+    def heard_ns(self, size_bytes: int, now_ns: int) -> int:
+        """Return when the last of `size_bytes` would arrive if they were handed over now."""
+        return max(now_ns, self.free_ns) + self.time_ns(size_bytes)
+
+    def send(self, data: bytes, now_ns: int) -> int:
+        """Hand over `data`; return when its last byte arrives at the servos."""
+        self.free_ns = self.heard_ns(len(data), now_ns)
+        self.sent_bytes += len(data)
+        self._out += data
+        return self.free_ns
+
+    def take(self) -> bytes:
+        """Return what was handed over since the last call."""
+        out = bytes(self._out)
+        self._out.clear()
+        return out
+
+    def receive(self, data: bytes) -> list[Reply]:
+        """Return the replies in `data`; the rest is counted."""
+        received: list[Reply] = []
+        for item in self._parser.feed(data):
+            match item:
+                case Reply():
+                    self.replies += 1
+                    received.append(item)
+                case Garbage():
+                    self.garbage += 1
+        return received

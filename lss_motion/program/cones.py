@@ -1,0 +1,206 @@
+"""Which travel speeds keep profiles near their courses, and for how long: *cones*, closed form.
+
+A profile at `position`, `speed` that hears a move ramps to the move's travel speed and keeps it.
+Its position after `tau` grows with that speed, so each instant of the course, widened by the
+tolerance, allows an interval of speeds; the intersection of all up to an instant is the cone there.
+
+Cones are what fitting spends its time on, so they are laid out for it: an instant a row and a
+servo a column, so that intersecting goes through memory in order; in single precision, whose
+rounding (1e-5 deg) is far below what the wire can say; both sides at once, the upper one negated.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, TypeVar
+
+import numpy as np
+
+from lss_motion.program.reference import GRID_S
+
+if TYPE_CHECKING:
+    from lss_motion.program.reference import Courses, Points
+    from lss_motion.program.response import FloatArray, IntArray, SingleArray, States
+
+
+Floats = TypeVar("Floats", "SingleArray", "FloatArray")
+
+CONE_RATIO: Final = 0.98
+"""How much of the tolerance a cone uses; the rest is for what the wire rounds."""
+ROOM_RATIO: Final = 0.15
+"""A profile at or beyond the edge of the tolerance is given this share of it as room, or it could
+not even stay in step with the course."""
+DIVISOR_LEAST: Final = np.float32(1e-20)
+"""Makes what no ramp reaches in time a change of speed beyond all others, without a branch."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cones:
+    """The cones of some servos at some instants: `sides_deg_s` has shape (instants, 2, servos).
+
+    Row `k` is `k` strides after the first grid instant that is not before the start. A side is the
+    lowest travel speed, and the highest negated; both counted from the speed at the start. For
+    `held` rows each cone is open: once empty it stays empty.
+    """
+
+    sides_deg_s: SingleArray
+    speed_deg_s: SingleArray
+    held: IntArray
+
+    def at(self, servos: IntArray, rows: IntArray) -> tuple[SingleArray, SingleArray]:
+        """Return the lowest and the highest speed of some servos in `rows`, (any, servos).
+
+        Those of a row in which the cone is empty are the last ones that are known.
+        """
+        known = np.maximum(np.minimum(rows, self.held[servos] - 1), 0)
+        speed, count = self.speed_deg_s[servos], self.sides_deg_s.shape[2]
+        flat = 2 * count * known + servos
+        low, high = (self.sides_deg_s.take(flat + side * count) for side in (0, 1))
+        return speed + low, speed - high
+
+
+def ramped(
+    position_deg: Floats,
+    speed_deg_s: Floats,
+    travel_deg_s: Floats,
+    tau_s: Floats,
+    ramp_deg_s2: Floats,
+) -> tuple[Floats, Floats]:
+    """Return position and speed after `tau_s` of ramping to, then keeping, `travel_deg_s`."""
+    change = travel_deg_s - speed_deg_s
+    ramp_s = np.minimum(np.abs(change) / ramp_deg_s2, tau_s)
+    gained = np.copysign(ramp_deg_s2, change) * ramp_s
+    position = position_deg + speed_deg_s * tau_s + gained * (tau_s - 0.5 * ramp_s)
+    return position, speed_deg_s + gained
+
+
+def excursion_deg(position_deg: SingleArray, speed_deg_s: SingleArray, at: Points) -> SingleArray:
+    """Return how far profiles stray before they are in step with their courses again.
+
+    They are at points of their courses, and have the ramp that the course leaves them there.
+    """
+    error = position_deg - at.position_deg
+    faster = speed_deg_s - at.speed_deg_s
+    is_faster = faster > 0.0
+    faster *= faster
+    faster /= 2.0 * np.where(is_faster, at.down_deg_s2, at.up_deg_s2)
+    faster += np.where(is_faster, error, -error)
+    excursion: SingleArray = np.maximum(faster, np.abs(error, out=error), out=faster)
+    return excursion
+
+
+@dataclass(frozen=True, slots=True)
+class Starts:
+    """Profiles that hear a move `after_s` before the grid point `first` of their courses.
+
+    Where that is the same for all, one element says so.
+    """
+
+    joint: IntArray
+    first: IntArray
+    after_s: SingleArray
+    position_deg: SingleArray
+    speed_deg_s: SingleArray
+
+    @classmethod
+    def of(cls, courses: Courses, joint: IntArray, first: IntArray, state: States) -> Starts:
+        """Return those of servos in `state`; `first` is the first grid point not before it."""
+        after_s = courses.times_s(first) - state.time_s
+        columns = after_s, state.position_deg, state.speed_deg_s
+        return cls(joint, first, *(column.astype(np.float32) for column in columns))
+
+
+def opened(courses: Courses, starts: Starts, rows: int, stride: int, block: int) -> Cones:
+    """Return the cones of profiles in so many rows.
+
+    Looked at are `block` rows at once, and the next ones only of the cones that are still open.
+    """
+    cones, count = _Cones(courses, starts), len(starts.joint)
+    every = np.empty((rows, 2, count), dtype=np.float32)
+    held = cones.fill(every[:block], 0, stride)
+    some, still = np.arange(count), np.flatnonzero(held == block)
+    for begin in range(block, rows, block):
+        if not len(still):
+            break
+        some, cones = some[still], cones.after(every[begin - 1], some[still], still)
+        sides = np.empty((block, 2, len(some)), dtype=np.float32)
+        now_held = cones.fill(sides, begin, stride)
+        every[begin : begin + block, :, some] = sides
+        held[some] += now_held
+        still = np.flatnonzero(now_held == block)
+    return Cones(every, starts.speed_deg_s, held)
+
+
+class _Cones:
+    """Cones on their way: where they begin, and the sides that they have come to."""
+
+    def __init__(self, courses: Courses, starts: Starts) -> None:
+        self._courses, self._joint, self._first = courses, starts.joint, starts.first
+        ramp, tolerance, speed_max = courses.reach(starts.joint)
+        position, speed, self._after_s = starts.position_deg, starts.speed_deg_s, starts.after_s
+        off_deg = courses.position_deg(starts.joint, starts.first) - position
+        off_deg -= speed * self._after_s
+        np.abs(off_deg, out=off_deg)
+        room = np.maximum(off_deg + ROOM_RATIO * tolerance, CONE_RATIO * tolerance)
+        self._columns = position, speed, room, ramp
+        self._least = np.stack((-speed_max - speed, speed - speed_max))
+
+    def after(self, sides: SingleArray, servos: IntArray, chosen: IntArray) -> _Cones:
+        """Return the `chosen` of these, `servos` of those that have come to `sides`."""
+        some = object.__new__(_Cones)
+        some._courses = self._courses
+        some._joint, some._first = self._joint[chosen], self._first[chosen]
+        some._after_s = np.broadcast_to(self._after_s, self._joint.shape)[chosen]
+        position, speed, room, ramp = self._columns
+        some._columns = position[chosen], speed[chosen], room[chosen], ramp[chosen]
+        some._least = sides[:, servos]
+        return some
+
+    def fill(self, sides: SingleArray, begin: int, stride: int) -> IntArray:
+        """Fill in `sides` from row `begin` on; return in how many of these rows cones are open."""
+        (position, speed, room, ramp), rows = self._columns, len(sides)
+        row = np.arange(begin, begin + rows, dtype=np.float32)
+        tau = self._after_s + (GRID_S * stride * row)[:, None]
+        offset = self._courses.ahead_deg(self._joint, self._first + begin * stride, rows, stride)
+        offset -= position
+        offset -= speed * tau
+        np.subtract(offset, room, out=sides[:, 0])
+        np.subtract(-room, offset, out=sides[:, 1])
+        _change(sides, tau, ramp)
+        np.maximum(sides[0], self._least, out=sides[0])
+        _intersect(sides)
+        is_open = np.add(sides[:, 0], sides[:, 1], out=offset) <= 0.0
+        held: IntArray = is_open.view(np.uint8).sum(axis=0, dtype=np.uint16).astype(np.intp)
+        return held
+
+
+def _intersect(sides: SingleArray) -> None:
+    """Let every row be the highest up to it: block by block, in few steps for many rows."""
+    size = next(n for n in range(math.isqrt(len(sides)), 0, -1) if len(sides) % n == 0)
+    blocks = sides.reshape(-1, size, *sides.shape[1:])
+    for row in range(1, size):
+        np.maximum(blocks[:, row], blocks[:, row - 1], out=blocks[:, row])
+    for block, before in zip(blocks[1:], blocks, strict=False):
+        np.maximum(block, before[-1], out=block)
+
+
+def _change(offset_deg: SingleArray, tau_s: SingleArray, ramp_deg_s2: SingleArray) -> None:
+    """Replace offsets by the changes of speed that are so far off the unchanged course after `tau`.
+
+    A ramp to a change `c` lasts c/a, so that the offset is c·tau - c²/(2a). What no ramp reaches in
+    that time has no root, and becomes next to infinite, with the sign of the offset.
+    """
+    half_s = 0.5 * tau_s
+    divisor = np.abs(offset_deg)
+    divisor *= -0.5 / ramp_deg_s2
+    divisor += (half_s * half_s)[:, None]
+    with np.errstate(invalid="ignore"):
+        np.sqrt(divisor, out=divisor)
+    divisor += half_s[:, None]
+    offset_deg /= np.fmax(divisor, DIVISOR_LEAST, out=divisor)
+
+
+def reach_steps(courses: Courses, starts: Starts, rows: int, stride: int) -> IntArray:
+    """Return for how many grid steps one move of each profile can keep the tolerance."""
+    return stride * opened(courses, starts, rows, stride, rows).held

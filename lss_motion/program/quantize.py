@@ -1,0 +1,88 @@
+"""Puts travel speeds into what the wire can say: targets on their lattice, whole milliseconds."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.program.cones import ramped
+from lss_motion.program.reference import DURATION_MAX_MS
+from lss_motion.program.response import States, durations_for, speeds_for
+from lss_motion.units import MS_PER_S
+
+if TYPE_CHECKING:
+    from lss_motion.program.reference import LimitArrays, ServoLimits
+    from lss_motion.program.response import FloatArray
+
+
+LATEST_ARRIVAL_S: Final = 0.06
+"""A successor may be this late before the servo begins to brake. Chosen: three times the worst
+wait for a line on which 18 servos start at once at 115200 bps."""
+AIM_TRIALS: Final = 8
+"""Neighbouring lattice targets tried for the one that hits the wanted speed best."""
+SPEED_LEAST_DEG_S: Final = 0.01
+"""Slower than this is standing still: a lattice step of 0.1° in ten seconds."""
+
+DURATION_MIN_MS: Final = 10
+"""The smallest T sent: two control ticks of the servo. Only a landing that comes back to where the
+profile is passing could ask for less, and a horn that is elsewhere would answer it with a jerk."""
+
+
+def aim(
+    state: States, speed_deg_s: FloatArray, next_s: FloatArray, limits: LimitArrays
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return target, T and travel speed that come nearest to `speed_deg_s` up to `next_s`.
+
+    Target in wire units, T in ms. The target lies beyond where the profile is at `next_s`.
+    """
+    sign = np.where(speed_deg_s >= 0.0, 1.0, -1.0)
+    speed = np.abs(speed_deg_s)
+    reached_deg, _ = ramped(
+        state.position_deg,
+        state.speed_deg_s,
+        speed_deg_s,
+        next_s - state.time_s,
+        limits.ramp_deg_s2,
+    )
+    beyond = speed * LATEST_ARRIVAL_S + 0.5 * speed * speed / limits.ramp_deg_s2
+    steps = sign * np.arange(AIM_TRIALS)[:, None]
+    wire = lattices((reached_deg + sign * beyond) * limits.wire_per_deg + steps, limits)
+    target_deg = wire / limits.wire_per_deg
+    duration_ms = durations_ms(state, target_deg, speed, limits)
+    duration_s = duration_ms / MS_PER_S
+    hit = speeds_for(state, target_deg, duration_s, limits.ramp_deg_s2, limits.is_exact)
+    hit = np.minimum(hit, limits.speed_max_deg_s)
+    best = np.argmin(np.abs(hit - speed), axis=0), np.arange(len(speed))
+    return wire[best], duration_ms[best], hit[best]
+
+
+def durations_ms(
+    start: States, target_deg: FloatArray, speed_deg_s: FloatArray, limits: LimitArrays
+) -> FloatArray:
+    """Return T for travel speeds: rounded, but never so that one breaks its speed limit."""
+    speed = np.maximum(speed_deg_s, SPEED_LEAST_DEG_S)
+    wanted_s = durations_for(start, target_deg, speed, limits.ramp_deg_s2, limits.is_exact)
+    duration_ms = np.rint(MS_PER_S * wanted_s)
+    np.minimum(duration_ms, DURATION_MAX_MS, out=duration_ms)
+    np.maximum(duration_ms, DURATION_MIN_MS, out=duration_ms)
+    away_deg = np.abs(target_deg - start.position_deg)
+    duration_ms += away_deg * MS_PER_S > limits.speed_max_deg_s * duration_ms
+    return duration_ms
+
+
+def lattices(wire: FloatArray, limits: LimitArrays) -> FloatArray:
+    """Return the whole wire values nearest to `wire` inside the range of the joints."""
+    whole: FloatArray = np.rint(wire)
+    np.minimum(whole, limits.wire_max, out=whole)
+    np.maximum(whole, limits.wire_min, out=whole)
+    return whole
+
+
+def lattice(position_deg: float, limits: ServoLimits) -> int:
+    """Return the wire value nearest to `position_deg` inside the joint's range."""
+    per_deg = limits.wire_per_deg / limits.wire_step
+    low = math.ceil(limits.position_min_deg * per_deg - 1e-6)
+    high = math.floor(limits.position_max_deg * per_deg + 1e-6)
+    return limits.wire_step * min(max(round(position_deg * per_deg), low), high)

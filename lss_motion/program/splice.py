@@ -1,0 +1,242 @@
+"""Programs that grow while they are played: what is still ahead is replaced from an instant on.
+
+A program that grows is always complete: it ends at rest. An extension replaces all moves that are
+due at or after an instant, its splice, by others, which end at rest as well. So a player that gets
+no further extension, or gets it too late, plays to that end.
+
+The moves of an extension start from where the moves before the splice will have brought the
+profiles of the servos, in motion: no joint stops, and nothing is compiled twice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.errors import InputError, LineLoadError
+from lss_motion.program.compile import lines_use
+from lss_motion.program.drives import lead
+from lss_motion.program.line import LineSchedule, LineUse
+from lss_motion.program.model import Move, Program, heard_us, ramp_deg_s2, target_deg
+from lss_motion.program.moves import Begin
+from lss_motion.program.reference import GRID_S, Course
+from lss_motion.program.response import Profile, Reference
+from lss_motion.program.schedule import RELAXED_RATIOS, Attempt, slot_us
+from lss_motion.program.table import moves_of
+from lss_motion.program.verify import verify_profiles
+from lss_motion.units import s_from_ms, s_from_us, us_from_s
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from lss_motion.robot.model import Robot
+    from lss_motion.trajectory.model import Trajectory
+
+
+HISTORY_S: Final = 1.0
+"""Pieces of a profile that ended this long before a splice are forgotten: longer than any lead."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Extension:
+    """Moves that replace all those of a program that are due at or after `from_us`.
+
+    Show time; `duration_s` is until the last horn has arrived, `references` the profiles from the
+    splice on.
+    """
+
+    from_us: int
+    moves: Sequence[Move]
+    duration_s: float
+    references: Mapping[str, Reference]
+    line_use: Mapping[str, LineUse]
+    tolerance_deg: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Growth:
+    """How far a program has grown. Never changes: an extension that is not played is forgotten."""
+
+    robot: Robot
+    tolerance_deg: float
+    profiles: Mapping[str, Profile]
+    """What the servos do after all moves before the last splice."""
+    moves: Sequence[Move] = ()
+    """Those from the last splice on."""
+    duration_s: float = 0.0
+    _lead_s: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_lead_s", splice_lead_s(self.robot, self.profiles))
+
+    def extended(self, trajectory: Trajectory, *, starts_s: float, from_s: float) -> Extension:
+        """Return the extension that follows `trajectory` from show time `from_s` on.
+
+        The trajectory starts at show time `starts_s`, is until `from_s` what is played already,
+        and ends at rest. Raises `LineLoadError` if the line cannot carry it at any tolerance.
+        """
+        if missing := [name for name in trajectory.joints if name not in self.profiles]:
+            raise InputError(f"joint {missing[0]!r} is not one of the program's")
+        splice_us = us_from_s(from_s - self._lead_s)
+        courses = self._courses(trajectory, starts_s, s_from_us(splice_us))
+        grown = self.at(splice_us)
+        begins = {
+            name: Begin(
+                grown[name].copy(),
+                None if _stands(grown[name], s_from_us(splice_us))
+                else self.takes_over_s(name, splice_us),
+            )
+            for name in courses
+        }  # fmt: skip
+        tight: Attempt | None = None
+        for ratio in RELAXED_RATIOS:
+            lines = {bus: _line(self, bus, splice_us) for bus in self.robot.buses}
+            attempt = Attempt(
+                courses, self.robot, self.tolerance_deg * ratio, begins=begins, lines=lines
+            )
+            if not attempt.is_tight:
+                return _extension(attempt, self.robot, splice_us, starts_s + trajectory.duration_s)
+            tight = attempt
+        assert tight is not None
+        raise _overload(tight, self.robot)
+
+    def taken(self, extension: Extension) -> Growth:
+        """Return how far the program has grown once it has been extended."""
+        return replace(
+            self,
+            profiles=self.at(extension.from_us),
+            moves=extension.moves,
+            duration_s=extension.duration_s,
+        )
+
+    def at(self, splice_us: int) -> dict[str, Profile]:
+        """Return the profiles after the moves that are due before `splice_us`."""
+        by_address = {
+            (joint.bus, joint.servo_id): name
+            for name in self.profiles
+            for joint in (self.robot.joints[name],)
+        }
+        profiles = {name: profile.copy() for name, profile in self.profiles.items()}
+        for move in self.moves:
+            if move.due_us >= splice_us:
+                break
+            name = by_address[move.bus, move.servo_id]
+            heard_s = s_from_us(heard_us(move, self.robot.buses[move.bus].baud_bps))
+            angle = target_deg(self.robot.joints[name], move.target_wire)
+            profiles[name].retarget(heard_s, angle, s_from_ms(move.duration_ms or 0))
+        for profile in profiles.values():
+            profile.forget_before(s_from_us(splice_us) - HISTORY_S)
+        return profiles
+
+    def takes_over_s(self, name: str, splice_us: int) -> float:
+        """Return when a joint in motion must hear its first move after a splice, at the latest.
+
+        That is when it would have heard its next one anyway, or before the plan changes.
+        """
+        joint = self.robot.joints[name]
+        changes_s = s_from_us(splice_us) + self._lead_s - lead(joint)
+        for move in self.moves:
+            if move.due_us >= splice_us and (move.bus, move.servo_id) == (
+                joint.bus,
+                joint.servo_id,
+            ):
+                return min(
+                    s_from_us(heard_us(move, self.robot.buses[joint.bus].baud_bps)), changes_s
+                )
+        return changes_s
+
+    def _courses(
+        self, trajectory: Trajectory, starts_s: float, splice_s: float
+    ) -> dict[str, Course]:
+        """Return what the profiles have to do from the splice on."""
+        end_s = starts_s + trajectory.duration_s
+        steps = int(np.ceil((end_s - splice_s) / GRID_S)) + round(self._lead_s / GRID_S) + 2
+        times_s = splice_s - starts_s + GRID_S * np.arange(steps, dtype=np.float64)
+        courses = {}
+        for column, name in enumerate(trajectory.joints):
+            joint = self.robot.joints[name]
+            angles_deg = trajectory.sample(times_s + lead(joint))[:, column]
+            servo_deg = joint.zero_deg + joint.direction * angles_deg
+            courses[name] = Course(start_s=splice_s, position_deg=servo_deg)
+        return courses
+
+
+def standing(program: Program, robot: Robot) -> Growth:
+    """Return the growth of a program that has no moves yet: every joint stands.
+
+    Raises `InputError` for a joint that is not timed.
+    """
+    profiles = {}
+    for name, joint_deg in program.start_deg.items():
+        joint = robot.joints[name]
+        if joint.drive != "timed":
+            raise InputError(f"joint {name!r} is {joint.drive}; only timed joints are steered live")
+        profiles[name] = Profile(
+            round(joint.servo_deg(joint_deg) / joint.unit_deg) * joint.unit_deg,
+            ramp_deg_s2=ramp_deg_s2(joint),
+            speed_max_deg_s=joint.speed_max_deg_s,
+            response=joint.response,
+        )
+    return Growth(robot=robot, tolerance_deg=program.tolerance_deg, profiles=profiles)
+
+
+def splice_lead_s(robot: Robot, names: Mapping[str, Profile]) -> float:
+    """Return how long before a change of the plan the moves must be others.
+
+    Servos are sent what they do early, by their lag, and one after the other.
+    """
+    joints = [robot.joints[name] for name in names]
+    queue_us = max(
+        sum(slot_us(joint, robot) for joint in joints if joint.bus == bus.name)
+        for bus in robot.buses.values()
+    )
+    return max(lead(joint) for joint in joints) + s_from_us(queue_us) + GRID_S
+
+
+def _extension(attempt: Attempt, robot: Robot, splice_us: int, duration_s: float) -> Extension:
+    """Return what came of an attempt; raises `PlanningError` if its bytes break a limit."""
+    references = {name: fitted.reference for name, fitted in attempt.fitted.items()}
+    verify_profiles(references, robot)
+    moves = moves_of(attempt.fitted, robot)
+    return Extension(
+        from_us=splice_us,
+        moves=moves,
+        duration_s=duration_s,
+        references=references,
+        line_use=lines_use(moves, robot),
+        tolerance_deg=attempt.tolerance_deg,
+    )
+
+
+def _overload(attempt: Attempt, robot: Robot) -> LineLoadError:
+    """Return the error that says how much is too much, and what would help."""
+    uses = lines_use(moves_of(attempt.fitted, robot), robot).values()
+    use = max(uses, key=lambda own: own.utilisation_ratio)
+    return LineLoadError(
+        f"bus {use.bus!r} at {use.baud_bps} bps cannot carry this stretch: some commands would be "
+        f"{attempt.late_max_us / 1e3:.0f} ms late, even with a tolerance of "
+        f"{attempt.tolerance_deg:.2f} deg. What would help: a faster baud rate or a slower gait",
+        bus=use.bus,
+        utilisation_ratio=use.utilisation_ratio,
+    )
+
+
+def _line(growth: Growth, bus: str, splice_us: int) -> LineSchedule:
+    """Return the schedule of a line on which the last move before the splice may still go out."""
+    schedule = LineSchedule()
+    ends_us = [
+        heard_us(move, growth.robot.buses[bus].baud_bps)
+        for move in growth.moves
+        if move.bus == bus and move.due_us < splice_us
+    ]
+    if ends_us and ends_us[-1] > splice_us:
+        schedule.reserve(ends_us[-1], ends_us[-1] - splice_us, splice_us)
+    return schedule
+
+
+def _stands(profile: Profile, at_s: float) -> bool:
+    """Return whether a profile has come to rest for good."""
+    *_, last = profile.pieces()
+    return last.start_s <= at_s

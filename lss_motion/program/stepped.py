@@ -1,0 +1,114 @@
+"""Whole degrees to the RC servo of a 2IO: the `stepped` drive, its response model and its fit.
+
+A command makes the servo jump, so that the profile is a staircase: best when each of its steps is
+made where the course is half-way between two whole degrees.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.program.moves import FittedMove
+from lss_motion.program.quantize import lattice
+from lss_motion.program.reference import GRID_S, STILL_ROUNDING_DEG
+from lss_motion.program.response import Piece, Reference
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from lss_motion.program.reference import Course, ServoLimits
+
+
+PULSE_S: Final = 0.02
+"""An RC servo hears of its target 50 times a second (general knowledge of RC pulses; no document
+of the board gives it), so that steps in quicker succession would be lost."""
+SEARCH_STEPS: Final = 1024
+"""Grid points looked through at once for the next step."""
+
+
+class StepProfile:
+    """What one servo was told, command by command: it jumps there."""
+
+    def __init__(self, position_deg: float) -> None:
+        self._times_s = [-math.inf]
+        self._values = [position_deg]
+
+    def at(self, time_s: float) -> tuple[float, float]:
+        """Return position and speed at `time_s`; a jump has no speed."""
+        for start_s, value in zip(reversed(self._times_s), reversed(self._values), strict=True):
+            if start_s <= time_s:
+                return value, 0.0
+        return self._values[0], 0.0
+
+    def retarget(self, heard_s: float, target_deg: float, _duration_s: float | None) -> None:
+        """Take up `D target` at `heard_s`. T does nothing."""
+        self._times_s.append(heard_s)
+        self._values.append(target_deg)
+
+    def forget_before(self, time_s: float) -> None:
+        """Drop history that ends before `time_s`, so that memory stays bounded."""
+        while len(self._times_s) > 1 and self._times_s[1] <= time_s:
+            del self._times_s[0], self._values[0]
+
+    def pieces(self) -> Iterator[Piece]:
+        for start_s, value in zip(self._times_s, self._values, strict=True):
+            yield Piece(start_s, value, 0.0, 0.0)
+
+
+class StepFitter:
+    """Fits one joint, step by step; see `drives.JointFitter`."""
+
+    def __init__(self, course: Course, limits: ServoLimits, seams_s: Sequence[float]) -> None:
+        self._course = course
+        self._limits = limits
+        self._seams_s = sorted(seams_s)
+        self._hold = round(0.5 * PULSE_S / GRID_S)
+        wire = lattice(float(course.position_deg[0]), limits)
+        self._standing_deg = wire / limits.wire_per_deg
+        self._profile = StepProfile(self._standing_deg)
+        self.moves: list[FittedMove] = []
+
+    def wanted(self, granted_s: float | None) -> float | None:
+        """Return when the next step is to be heard at the latest; None when none is needed."""
+        if granted_s is None:
+            return self._next(self._course.start_s)
+        self._emit(granted_s)
+        wanted_s = self._next(granted_s + PULSE_S)
+        seam = bisect_left(self._seams_s, granted_s + PULSE_S)
+        if seam == len(self._seams_s):
+            return wanted_s
+        return min(self._seams_s[seam], math.inf if wanted_s is None else wanted_s)
+
+    def grant(self, granted_s: float) -> None:
+        """Nothing depends on when the successor is heard."""
+
+    def reference(self) -> Reference:
+        """Return the whole profile that the steps so far make."""
+        return Reference(self._profile.pieces())
+
+    def _emit(self, heard_s: float) -> None:
+        """Go to the whole degree that is nearest to the course while this step is held."""
+        course = self._course.position_deg
+        index = min(self._course.index(heard_s) + self._hold, len(course) - 1)
+        wire = lattice(float(course[index]), self._limits)
+        self._standing_deg = wire / self._limits.wire_per_deg
+        self._profile.retarget(heard_s, self._standing_deg, None)
+        self.moves.append(FittedMove(heard_s, wire, None))
+
+    def _next(self, from_s: float) -> float | None:
+        """Return when, from `from_s` on, another whole degree is nearer to the course."""
+        limits, course = self._limits, self._course.position_deg
+        half_unit_deg = 0.5 * limits.wire_step / limits.wire_per_deg
+        room_deg = max(half_unit_deg, limits.tolerance_deg) + STILL_ROUNDING_DEG
+        first = self._course.index(from_s)
+        while first < len(course):
+            some = course[first + self._hold : first + self._hold + SEARCH_STEPS]
+            away = np.flatnonzero(np.abs(some - self._standing_deg) > room_deg)
+            if away.size:
+                return max(self._course.time_s(first + int(away[0])), from_s)
+            first += SEARCH_STEPS
+        return None

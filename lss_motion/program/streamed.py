@@ -1,0 +1,293 @@
+"""The `streamed` drive: the response model of EM0 and the fit of bare `D` commands.
+
+Fits bare `D`s to the course of one joint in EM0: the `streamed` drive.
+
+Every command is the *inverse* of the servo's filter: a target so far beyond the course that the
+filter, which goes only part of the way in each of its steps, is on the course all the same. One
+command serves as many steps as it can within the tolerance. Where the course comes to rest, the
+target is the resting place, repeated until the filter must have settled whatever was lost.
+
+FPC is a trade: a longer filter is straighter between its commands, so fewer are needed, but its
+targets lie further ahead, and so does the place at which a robot without a host comes to rest
+(FPC times 20 ms of motion). On simulated servos and the lively show of the benchmarks, six joints
+take 5.2, 4.3, 3.8 and 3.0 % of a 115200 line with an FPC of 3, 4, 5 and 8; their horns are 0.19 to
+0.22 deg off (RMS, without feedback) with each of them, which is what not knowing the instants of
+the filter's steps costs. 4 is chosen as the middle.
+
+How a servo in EM0 is assumed to move on bare `D`s: the streamed response model.
+
+Every `Response.filter_s` the servo's own target makes one step: `x += (target - x) / count`, with
+`count` the FPC of the session. A command is taken up at the next control loop (`loop_s`), and
+counts from the first step after that. In between, x stands still; what the horn can follow of
+this staircase is its mean over one period, a polyline, and that is what is predicted here. The
+horn follows it `Response.lag_s` later. Sources: `robot.model.Response`, FACTS.md M6.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.program.cones import CONE_RATIO
+from lss_motion.program.moves import FittedMove
+from lss_motion.program.quantize import lattice
+from lss_motion.program.reference import GRID_S, STILL_DEG, STILL_ROUNDING_DEG
+from lss_motion.program.response import Piece, Reference
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from lss_motion.program.reference import Course, ServoLimits
+    from lss_motion.robot.model import Response
+
+
+SETTLED_DEG: Final = 0.05
+"""Nearer than this the filter is on its target: half of what the wire can say (assumed)."""
+ROUNDING: Final = 1e-6
+"""Of a step or a loop: instants this much before one still count for it."""
+
+
+class FilterProfile:
+    """The filter of one servo, command by command. Instants passed to `retarget` must not go back.
+
+    `step_s` is one of the instants at which the filter steps.
+    """
+
+    def __init__(
+        self, position_deg: float, *, count: int, response: Response, step_s: float
+    ) -> None:
+        self.period_s = response.filter_s
+        self.count = count
+        self.keep_ratio = 1.0 - 1.0 / count
+        self._loop_s = response.loop_s
+        self._step_s = step_s
+        self._target_deg = position_deg
+        self._steps: list[int] = []
+        self._values: list[float] = []
+        self._first_deg = position_deg
+
+    # ---- steps
+
+    def acts_on(self, heard_s: float) -> int:
+        """Return the first step for which a command heard at `heard_s` counts."""
+        loops = math.ceil((heard_s - self._step_s) / self._loop_s - ROUNDING)
+        return math.floor(loops * self._loop_s / self.period_s + ROUNDING) + 1
+
+    def hear_s(self, step: int) -> float:
+        """Return when a command for `step` is best heard: in the middle of all that count."""
+        return self.step_s(step) - self._loop_s - 0.5 * self.period_s
+
+    def step_s(self, step: int) -> float:
+        return self._step_s + step * self.period_s
+
+    def value(self, step: int) -> float:
+        """Return x after `step`, with what has been heard so far."""
+        if not self._steps:
+            return self._first_deg
+        self._extend(step)
+        if step >= self._steps[-1]:
+            return self._values[-1]
+        at = bisect_right(self._steps, step) - 1
+        return self._values[at] if at >= 0 else self._first_deg
+
+    # ---- commands
+
+    def retarget(self, heard_s: float, target_deg: float, _duration_s: float | None) -> None:
+        """Take up `D target` at `heard_s`; the filter goes on from where it is. T does nothing."""
+        step = self.acts_on(heard_s)
+        before_deg = self.value(step - 1)
+        while self._steps and self._steps[-1] >= step - 1:
+            self._steps.pop()
+            self._values.pop()
+        self._steps.append(step - 1)
+        self._values.append(before_deg)
+        self._target_deg = target_deg
+
+    def _extend(self, step: int) -> None:
+        """Make the steps up to `step`, or until the filter is on its target."""
+        value, last = self._values[-1], self._steps[-1]
+        while last < step and value != self._target_deg:
+            value = self._target_deg + self.keep_ratio * (value - self._target_deg)
+            if abs(value - self._target_deg) < SETTLED_DEG:
+                value = self._target_deg
+            last += 1
+            self._steps.append(last)
+            self._values.append(value)
+
+    # ---- the polyline
+
+    def at(self, time_s: float) -> tuple[float, float]:
+        """Return mean position and speed at `time_s`."""
+        place = (time_s - self._step_s) / self.period_s - 0.5
+        if not self._steps or not math.isfinite(place):
+            return (self._values[-1] if self._values else self._first_deg), 0.0
+        step = math.floor(place)
+        low, high = self.value(step), self.value(step + 1)
+        return low + (place - step) * (high - low), (high - low) / self.period_s
+
+    def forget_before(self, time_s: float) -> None:
+        """Drop history that ends before `time_s`, so that memory stays bounded."""
+        step = math.floor((time_s - self._step_s) / self.period_s - 0.5)
+        kept = bisect_right(self._steps, step) - 1
+        if kept > 0:
+            self._first_deg = self._values[kept]
+            del self._steps[:kept], self._values[:kept]
+
+    def pieces(self) -> Iterator[Piece]:
+        """Yield the polyline; its first piece has no beginning, its last one no end."""
+        yield Piece(-math.inf, self._first_deg, 0.0, 0.0)
+        if not self._steps:
+            return
+        self._extend(self._steps[-1] + 10_000)
+        knots = list(zip(self._steps, self._values, strict=True))
+        for (step, value), (after, reached) in pairwise(knots):
+            start_s = self.step_s(step) + 0.5 * self.period_s
+            speed_deg_s = (reached - value) / ((after - step) * self.period_s)
+            yield Piece(start_s, value, speed_deg_s, 0.0)
+        last, value = knots[-1]
+        yield Piece(self.step_s(last) + 0.5 * self.period_s, value, 0.0, 0.0)
+
+
+STEPS_MAX: Final = 16
+"""The most steps that one command is relied on (320 ms): a lost one is repaired by the next."""
+BEND_LEAST_RATIO: Final = 0.25
+"""A course at its limit bends so far between two steps that a narrow tolerance is all used up;
+this share of it is then left for the fit."""
+
+
+class StreamFitter:
+    """Fits one joint, command by command; see `drives.JointFitter`."""
+
+    def __init__(self, course: Course, limits: ServoLimits, profile: FilterProfile) -> None:
+        """Fit `course`; `profile` stands where the course begins."""
+        self._limits = limits
+        self._profile = profile
+        self._first = profile.acts_on(course.start_s) + 1
+        last = profile.acts_on(course.end_s) - 1
+        steps = np.arange(self._first, max(last, self._first) + 1)
+        middle_s = profile.step_s(0) + profile.period_s * (steps + 0.5)
+        grid_s = course.start_s + GRID_S * np.arange(len(course.position_deg))
+        self._course_deg = np.interp(middle_s, grid_s, course.position_deg)
+        is_still = np.abs(np.diff(self._course_deg, append=self._course_deg[-1])) < STILL_DEG
+        self._is_still = is_still.tolist()
+        self._values = self._course_deg.tolist()
+        bend_deg = limits.ramp_deg_s2 * profile.period_s * profile.period_s / 8.0
+        self._room_deg = max(
+            CONE_RATIO * limits.tolerance_deg - bend_deg, BEND_LEAST_RATIO * bend_deg
+        )
+        self._pending: tuple[float, int] | None = None
+        self._repeats = 0
+        self.moves: list[FittedMove] = []
+
+    def wanted(self, granted_s: float | None) -> float | None:
+        """Return when the next command is to be heard at the latest; None when none is needed."""
+        if granted_s is None:
+            return self._departure(self._first, self._values[0])
+        step = max(self._profile.acts_on(granted_s), self._first)
+        if self._is_still[self._index(step)]:
+            return self._rest(granted_s, step)
+        self._repeats = 0
+        self._pending = granted_s, step
+        held, _, _ = self._targets(step, self._most(step))
+        return self._profile.hear_s(step + max(held, 1))
+
+    def grant(self, granted_s: float) -> None:
+        """Settle the pending command, now that its successor is known to be heard then."""
+        if self._pending is None:
+            return
+        heard_s, step = self._pending
+        self._pending = None
+        steps = min(max(self._profile.acts_on(granted_s) - step, 1), self._most(step))
+        self._emit(heard_s, self._best(step, steps))
+
+    def reference(self) -> Reference:
+        """Return the whole profile that the commands so far make."""
+        return Reference(self._profile.pieces())
+
+    def _emit(self, heard_s: float, target_deg: float) -> None:
+        wire = lattice(target_deg, self._limits)
+        self._profile.retarget(heard_s, wire / self._limits.wire_per_deg, None)
+        self.moves.append(FittedMove(heard_s, wire, None))
+
+    def _index(self, step: int) -> int:
+        return min(max(step - self._first, 0), len(self._values) - 1)
+
+    # ---- on the way
+
+    def _most(self, step: int) -> int:
+        """Return for how many steps a command may serve: not beyond where the next rest begins."""
+        index = self._index(step)
+        ahead = self._is_still[index : index + STEPS_MAX]
+        return max(ahead.index(True) if True in ahead else len(ahead), 1)
+
+    def _targets(self, step: int, most: int) -> tuple[int, float, float]:
+        """Return for how many steps from `step` on one target keeps the tolerance, and which do.
+
+        They are within the range, and so near that no step breaks the speed limit.
+        """
+        limits, profile = self._limits, self._profile
+        before_deg, index = profile.value(step - 1), self._index(step)
+        reach_deg = profile.count * profile.period_s * limits.speed_max_deg_s
+        low = max(limits.position_min_deg, before_deg - reach_deg)
+        high = min(limits.position_max_deg, before_deg + reach_deg)
+        tolerance_deg, kept = self._room_deg, 1.0
+        for held, course_deg in enumerate(self._values[index : index + most]):
+            kept *= profile.keep_ratio
+            middle = (course_deg - kept * before_deg) / (1.0 - kept)
+            room = tolerance_deg / (1.0 - kept)
+            if max(low, middle - room) > min(high, middle + room):
+                return held, low, high
+            low, high = max(low, middle - room), min(high, middle + room)
+        return most, low, high
+
+    def _best(self, step: int, steps: int) -> float:
+        """Return the target with the least squared error over `steps`, within what is allowed."""
+        _, low, high = self._targets(step, steps)
+        index = self._index(step)
+        course_deg = self._course_deg[index : index + steps]
+        kept = self._profile.keep_ratio ** np.arange(1, len(course_deg) + 1)
+        wanted, gained = course_deg - kept * self._profile.value(step - 1), 1.0 - kept
+        target_deg = float(np.dot(gained, wanted) / np.dot(gained, gained))
+        return min(max(target_deg, low), high)
+
+    # ---- at rest
+
+    def _rest(self, granted_s: float, step: int) -> float | None:
+        """Say where the course rests; return when to say it again, or when the rest ends."""
+        rest_deg = self._values[self._index(step)]
+        if self._repeats == 0:
+            self._repeats = self._settling_steps(step, rest_deg)
+        self._emit(granted_s, rest_deg)
+        self._repeats -= 1
+        leaves_s = self._departure(
+            step, lattice(rest_deg, self._limits) / self._limits.wire_per_deg
+        )
+        again_s = self._profile.hear_s(step + 1)
+        if self._repeats == 0:
+            return leaves_s
+        return again_s if leaves_s is None else min(again_s, leaves_s)
+
+    def _settling_steps(self, step: int, rest_deg: float) -> int:
+        """Return how often the end is said: until a filter that missed two steps has settled."""
+        away_deg = max(abs(self._profile.value(step - lost) - rest_deg) for lost in (1, 2, 3))
+        if away_deg <= SETTLED_DEG or self._profile.count == 1:
+            return 2
+        ratio = math.log(SETTLED_DEG / away_deg) / math.log(self._profile.keep_ratio)
+        return 2 + math.ceil(ratio)
+
+    def _departure(self, step: int, standing_deg: float) -> float | None:
+        """Return when the command that ends the standstill at `step` should be heard.
+
+        At the end of a range that the wire cannot say, the standstill itself is off by more than
+        half a unit.
+        """
+        half_unit_deg = 0.5 * self._limits.wire_step / self._limits.wire_per_deg
+        away = np.abs(self._course_deg[self._index(step) :] - standing_deg)
+        leaves = np.flatnonzero(away > max(half_unit_deg, away[0]) + STILL_ROUNDING_DEG)
+        return (
+            self._profile.hear_s(max(step, self._first) + int(leaves[0])) if leaves.size else None
+        )

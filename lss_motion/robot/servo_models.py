@@ -1,0 +1,225 @@
+"""The table of servo models, and what each family can do that playing needs.
+
+Which drive fits which servo model, and what an LSS-2IO asks of the bus that it is on.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.protocol.constants import Family
+from lss_motion.protocol.io2 import BAUD_MAX_BPS, SECTION_MAX_CHARS
+from lss_motion.protocol.line import encode_move
+from lss_motion.robot.model import ServoModel
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from lss_motion.robot.model import Bus, Drive, Joint
+
+
+PRO_SPEED_MAX_ASSUMED_DEG_S: Final = 180.0
+"""Assumption: no document gives the top speed of an LSS-PRO. Twice what real arms use (90 deg/s,
+FACTS.md P9), so that a sober setting is never refused."""
+
+RC_SPEED_MAX_ASSUMED_DEG_S: Final = 400.0
+"""Assumption: an RC servo on a 2IO can be of any make; 0.15 s for 60 deg is a common one."""
+
+IO2_WIRE_STEP: Final = 10
+"""A 2IO takes tenths of a degree and makes whole degrees of them (FACTS.md B6)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FamilyFacts:
+    """What all models of a family have in common.
+
+    `drives` are those that it can be commanded with, its usual one first.
+    `accel_max_deg_s2` is what the ramps AA and AD can express; a timed joint cannot follow more.
+    `settings` are the session settings that a robot file may set, with their least and largest
+    value. EM, FPC, AA, AD and SD are not among them: the player sets those to what the plan needs.
+    """
+
+    wire_per_deg: int
+    drives: tuple[Drive, ...]
+    accel_step_deg_s2: float
+    accel_max_deg_s2: float
+    settings: Mapping[str, tuple[int, int]]
+
+
+RAMP_STEP_DEG_S2: Final = 10
+"""AA and AD count in tens of deg/s² (FACTS.md M20)."""
+RAMP_STEPS_MAX: Final = 100
+"""The largest AA and AD, and the default (FACTS.md M20)."""
+
+_STIFFNESS: Final = (-10, 10)
+"""AS and AH: -4..4 is sensible, -10..10 is accepted (FACTS.md M24, M25)."""
+
+_LED: Final = (0, 7)
+"""0 off to 7 white, all families (FACTS.md C8)."""
+
+FAMILIES: Final[Mapping[Family, FamilyFacts]] = MappingProxyType(
+    {
+        Family.LSS: FamilyFacts(
+            drives=("timed", "streamed"),
+            wire_per_deg=10,  # 1/10 deg (FACTS.md C1)
+            accel_step_deg_s2=RAMP_STEP_DEG_S2,
+            accel_max_deg_s2=RAMP_STEPS_MAX * RAMP_STEP_DEG_S2,
+            settings=MappingProxyType({"AS": _STIFFNESS, "AH": _STIFFNESS, "LED": _LED}),
+        ),
+        Family.LSS_PRO: FamilyFacts(
+            drives=("timed",),  # EM and FPC are not in its tables: FACTS.md P10
+            wire_per_deg=100,  # 1/100 deg (FACTS.md P1)
+            accel_step_deg_s2=RAMP_STEP_DEG_S2,
+            accel_max_deg_s2=RAMP_STEPS_MAX * RAMP_STEP_DEG_S2,
+            settings=MappingProxyType({"LED": _LED}),  # its tables have no AS and AH
+        ),
+        Family.IO2: FamilyFacts(
+            drives=("stepped",),
+            wire_per_deg=10,  # tenths (FACTS.md B6)
+            accel_step_deg_s2=0.0,  # no ramps: it jumps
+            accel_max_deg_s2=math.inf,
+            settings=MappingProxyType({}),
+        ),
+    }
+)
+
+
+def _model(name: str, family: Family, speed_max_deg_s: float) -> ServoModel:
+    return ServoModel(
+        name=name,
+        family=family,
+        speed_max_deg_s=speed_max_deg_s,
+        wire_per_deg=FAMILIES[family].wire_per_deg,
+        wire_step=IO2_WIRE_STEP if family is Family.IO2 else 1,
+    )
+
+
+SERVO_MODELS: Final[Mapping[str, ServoModel]] = MappingProxyType(
+    {
+        model.name: model
+        for model in (
+            # No-load speeds of the LSS: FACTS.md E1.
+            _model("LSS-ST1", Family.LSS, 360.0),
+            _model("LSS-HS1", Family.LSS, 600.0),
+            _model("LSS-HT1", Family.LSS, 360.0),
+            _model("LSS-P-S1", Family.LSS_PRO, PRO_SPEED_MAX_ASSUMED_DEG_S),
+            _model("LSS-P-M1", Family.LSS_PRO, PRO_SPEED_MAX_ASSUMED_DEG_S),
+            _model("LSS-P-L1", Family.LSS_PRO, PRO_SPEED_MAX_ASSUMED_DEG_S),
+            _model("LSS-2IO", Family.IO2, RC_SPEED_MAX_ASSUMED_DEG_S),
+        )
+    }
+)
+
+BAUD_FIRMWARE_MIN: Final[Mapping[int, int]] = MappingProxyType(
+    {
+        # The rates of every firmware (FACTS.md W22).
+        **dict.fromkeys([9600, 19200, 38400, 57600, 115200, 230400, 250000, 460800, 500000], 0),
+        # Firmware 369 added these (FACTS.md W22).
+        **dict.fromkeys([750000, 921600], 369),
+    }
+)
+"""The baud rates that a servo recognises, and from which firmware; no others exist."""
+
+SERVO_ID_MAX: Final = 250
+"""Ids 0 to 250 are usable (FACTS.md R1); this also bounds the joints of one bus to 251."""
+
+
+def other_model(joint: Joint, said: str) -> str:
+    """Return what to say of a servo that says that it is another model than the robot file does."""
+    known = next((name for name in SERVO_MODELS if said.startswith(name)), None)
+    remedy = "" if known is None else f"; if it is the right servo, write `model: {known}` there"
+    return (
+        f"servo {joint.servo_id} is an {said}, the robot file says {joint.model.name}{remedy}. "
+        f"Look whether the servo of this joint has another id, or hangs on another bus"
+    )
+
+
+def ramp_steps(accel_deg_s2: float, ramp_ratio: float) -> int:
+    """Return the AA and AD whose ramps, `ramp_ratio` of what they say, are nearest below.
+
+    Rounded up, the servo would break the limit with every ramp. Not bounded to what exists.
+    """
+    return math.floor(round(accel_deg_s2 / (RAMP_STEP_DEG_S2 * ramp_ratio), 6))
+
+
+FILTER_FIRMWARE_MIN: Final = 368
+"""Firmware 368 brought FPC (FACTS.md M5)."""
+RC_RANGE_DEG: Final = 90.0
+"""An LSS-2IO turns its RC servos by ±90 (FACTS.md B6)."""
+DURATION_DIGITS_MS: Final = 9_999
+"""The longest T that a move on the bus is given (`program.course.DURATION_MAX_MS`)."""
+
+_WHY: Final = {
+    (Family.LSS_PRO, "streamed"): "no document gives an LSS-PRO the filter (FPC) that it needs",
+    (Family.IO2, "timed"): "an RC servo knows no T; it jumps",
+    (Family.IO2, "streamed"): "an RC servo has no filter; it jumps",
+}
+_STEPPED_WHY: Final = "whole degrees are for the RC servos of an LSS-2IO"
+
+
+def drive_problem(model: ServoModel, drive: Drive) -> str:
+    """Return why a servo of that model cannot be driven so, or nothing if it can."""
+    allowed = FAMILIES[model.family].drives
+    if drive in allowed:
+        return ""
+    why = _WHY.get((model.family, drive), _STEPPED_WHY)
+    return f"an {model.name} cannot be {drive}: {why}; it can be {' or '.join(allowed)}"
+
+
+def can_be_streamed(joint: Joint, bus: Bus) -> bool:
+    """Return whether a servo of that model and firmware has the filter of EM0."""
+    return "streamed" in FAMILIES[joint.model.family].drives and bus.firmware >= FILTER_FIRMWARE_MIN
+
+
+def board_problems(
+    buses: Mapping[str, Bus], joints: Mapping[str, Joint]
+) -> Iterator[tuple[tuple[str, str, str], str]]:
+    """Yield place and reason of every drive, line and range that model and bus do not allow."""
+    has_board = {j.bus for j in joints.values() if j.model.family is Family.IO2}
+    for name in sorted(has_board):
+        if buses[name].baud_bps > BAUD_MAX_BPS:
+            yield (
+                ("buses", name, "baud_bps"),
+                f"{buses[name].baud_bps} bps is too fast for the LSS-2IO on bus {name!r}; at most "
+                f"{BAUD_MAX_BPS}",
+            )
+    for joint in joints.values():
+        bus = buses[joint.bus]
+        if joint.drive != "auto" and (reason := drive_problem(joint.model, joint.drive)):
+            yield ("joints", joint.name, "drive"), f"joint {joint.name!r}: {reason}"
+        if joint.drive == "streamed" and bus.firmware < FILTER_FIRMWARE_MIN:
+            yield (
+                ("joints", joint.name, "drive"),
+                f"joint {joint.name!r} cannot be streamed: that needs firmware "
+                f"{FILTER_FIRMWARE_MIN} or later, but bus {bus.name!r} has {bus.firmware}",
+            )
+        if joint.model.family is Family.IO2:
+            yield from _rc_range_problems(joint)
+        elif joint.bus in has_board and len(_longest(joint)) > SECTION_MAX_CHARS:
+            yield (
+                ("joints", joint.name, "id"),
+                f"joint {joint.name!r}: {_longest(joint).decode()} has more than the "
+                f"{SECTION_MAX_CHARS} characters that the LSS-2IO on bus {joint.bus!r} can bear; "
+                f"give it a shorter id or another bus",
+            )
+
+
+def _rc_range_problems(joint: Joint) -> Iterator[tuple[tuple[str, str, str], str]]:
+    ends = (joint.servo_deg(joint.position_min_deg), joint.servo_deg(joint.position_max_deg))
+    if max(map(abs, ends)) > RC_RANGE_DEG:
+        yield (
+            ("joints", joint.name, "range_deg"),
+            f"joint {joint.name!r}: its servo would go to {max(ends, key=abs):g} deg; an LSS-2IO "
+            f"turns its servos by ±{RC_RANGE_DEG:g}",
+        )
+
+
+def _longest(joint: Joint) -> bytes:
+    """Return the longest move of a timed or streamed joint, without its CR."""
+    duration_ms = None if joint.drive == "streamed" else DURATION_DIGITS_MS
+    ends = (joint.servo_deg(joint.position_min_deg), joint.servo_deg(joint.position_max_deg))
+    wires = (round(end * joint.model.wire_per_deg) for end in ends)
+    return max((encode_move(joint.servo_id, wire, duration_ms)[:-1] for wire in wires), key=len)

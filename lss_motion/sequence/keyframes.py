@@ -1,0 +1,285 @@
+"""The keyframes of a track: times made absolute, poses made angles.
+
+The keyframes of one track: times made absolute, poses made angles, everything checked.
+
+When keyframes are due: which timing a file means, and its relative times made absolute.
+
+A sequence at another speed: every time in it divided by its `speed_ratio`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.errors import InputError
+from lss_motion.files.source import known_names
+from lss_motion.files.yaml_source import Location, Problem
+from lss_motion.sequence.check import SAME_TIME_S, joint_problems, jumps, loop_problem
+from lss_motion.sequence.model import Interpolation, Keyframe, Sequence, Timing
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterator, Mapping
+    from collections.abc import Sequence as AbcSequence
+
+    from lss_motion.files.yaml_source import YamlSource
+    from lss_motion.robot.model import Robot
+    from lss_motion.sequence.file import KeyframeEntry, TrackEntry
+    from lss_motion.sequence.model import Layer, Step
+
+
+KEYFRAMES_MAX: Final = 10_000
+"""Chosen: hours of lively show; cost grows with it, and a runaway export is noticed."""
+
+TIME_MAX_S: Final = 86_400.0
+"""Chosen: a day. A longer show is a loop, and a slip of the key is noticed."""
+
+
+def has_times(content: TrackEntry) -> bool:
+    """Return whether any keyframe says when it is due."""
+    return any(_has_time(entry) for entry in content.keyframes)
+
+
+def timing_of(content: TrackEntry) -> Timing:
+    """Return the timing that the file asks for; without a word, keyframes with times decide."""
+    if content.timing is not None:
+        return Timing(content.timing)
+    return Timing.AUTHORED if has_times(content) else Timing.FASTEST
+
+
+def timing_problems(content: TrackEntry) -> Iterator[Problem]:
+    """Yield where `timing`, `duration_s`, the times and the anchors contradict each other."""
+    timing = timing_of(content)
+    if timing is Timing.FIT and content.duration_s is None:
+        yield Problem(("timing",), "timing: fit needs 'duration_s', the time that one pass takes")
+    if timing is not Timing.FIT and content.duration_s is not None:
+        yield Problem(
+            ("duration_s",),
+            f"duration_s ({content.duration_s:g}) belongs to timing: fit; add that, or remove it",
+        )
+    if timing is Timing.AUTHORED and not has_times(content) and len(content.keyframes) > 1:
+        yield Problem(
+            ("timing",),
+            "timing: authored, but no keyframe has 'at_s' or 'after_s'; give them, or write "
+            "timing: fastest",
+        )
+    for index, entry in enumerate(content.keyframes):
+        if timing is Timing.FASTEST and _has_time(entry):
+            key = "after_s" if entry.at_s is None else "at_s"
+            yield Problem(
+                ("keyframes", index, key),
+                f"{key}: timing: fastest finds the times itself; remove it, or write timing: "
+                "authored",
+            )
+        if entry.anchor and timing is not Timing.AUTHORED:
+            yield Problem(
+                ("keyframes", index, "anchor"),
+                f"an anchor keeps an authored time, but timing is {timing}; remove it, or give "
+                "times and write timing: authored",
+            )
+
+
+def absolute_times(
+    entries: AbcSequence[KeyframeEntry], unread: Container[int]
+) -> tuple[list[float | None], list[Problem]]:
+    """Return the time of every keyframe, and what is wrong with the times.
+
+    None stands for a time that cannot be known, because of that keyframe or of one before it.
+    A time that meets the end of the keyframe before within rounding is exactly that end.
+    """
+    times_s: list[float | None] = []
+    problems: list[Problem] = []
+    end_s: float | None = 0.0
+    for index, entry in enumerate(entries):
+        before_s = times_s[-1] if times_s else None
+        if index in unread:
+            at_s = None
+        else:
+            at_s, found = _time(index, entry, before_s, end_s)
+            problems += [Problem(("keyframes", index, key), reason) for key, reason in found]
+        times_s.append(at_s)
+        end_s = None if at_s is None else at_s + entry.hold_s
+    return times_s, problems
+
+
+def _has_time(entry: KeyframeEntry) -> bool:
+    return entry.at_s is not None or entry.after_s is not None
+
+
+def _time(
+    index: int, entry: KeyframeEntry, before_s: float | None, end_s: float | None
+) -> tuple[float | None, list[tuple[str, str]]]:
+    """Return the time of one keyframe; `end_s` is when the one before ends, its hold included."""
+    match entry.at_s, entry.after_s:
+        case None, None if index == 0:
+            return 0.0, []
+        case None, None:
+            return None, [("at_s", "a keyframe needs 'at_s' or 'after_s', like the others")]
+        case None, float(after_s):
+            if end_s is None:
+                return None, []
+            at_s, key = end_s + after_s, "after_s"
+        case float(at_s), None:
+            key = "at_s"
+        case _:
+            return None, [("after_s", "'at_s' and 'after_s' exclude each other; keep one")]
+    if end_s is not None and abs(at_s - end_s) < SAME_TIME_S:
+        at_s = end_s
+    return at_s, [(key, reason) for reason in _order_problems(key, at_s, before_s, end_s)]
+
+
+def _order_problems(
+    key: str, at_s: float, before_s: float | None, end_s: float | None
+) -> Iterator[str]:
+    if at_s > TIME_MAX_S:
+        yield f"{key}: comes to {at_s:g} s, more than a day ({TIME_MAX_S:g} s)"
+    if before_s is None or end_s is None:
+        return
+    if at_s <= before_s:
+        yield f"{key}: times must increase, but this is {at_s:g} s after {before_s:g} s"
+    elif at_s < end_s:
+        yield (
+            f"{key}: {at_s:g} s is before the end of the keyframe before, which is held until "
+            f"{end_s:g} s; come later, or shorten its hold_s"
+        )
+
+
+@dataclass(slots=True)
+class TrackLoader:
+    """Builds the sequence of one track and notes what does not fit, unless its part is left out.
+
+    `place` is where the track stands in the file; `left_out` and `problems` count from there.
+    """
+
+    content: TrackEntry
+    place: Location
+    left_out: frozenset[Location]
+    source: YamlSource
+    robot: Robot | None
+    is_offset: bool = False
+    """Whether its angles are added to others, so that no range says anything about them."""
+    is_looped_in_part: bool = False
+    problems: list[Problem] = field(default_factory=list)
+
+    def sequence(self, name: str) -> Sequence:
+        content, unread = self.content, self._unread()
+        keyframes = [self._keyframe(i, entry) for i, entry in enumerate(content.keyframes)]
+        if not unread and not self.left_out & {("timing",), ("duration_s",)}:
+            for problem in timing_problems(content):
+                self._note(problem.location, problem.reason)
+        timing = timing_of(content)
+        if timing is not Timing.FASTEST and (has_times(content) or timing is Timing.AUTHORED):
+            keyframes = self._timed(keyframes, unread)
+        if self.robot is not None:
+            self._check_joints(keyframes, self.robot)
+        loop = None if content.loop == "forever" else content.loop
+        is_whole = not self.problems and not self.left_out and self.robot is not None
+        is_looped = loop != 1 and not self.is_looped_in_part
+        if is_looped and is_whole and (reason := loop_problem(keyframes)):
+            self._note(("keyframes", len(keyframes) - 1), reason)
+        return Sequence(
+            name=name,
+            keyframes=tuple(keyframes),
+            path=self.source.path,
+            robot_path=None if self.robot is None else self.robot.path,
+            timing=timing,
+            fit_duration_s=content.duration_s,
+            loop=loop,
+        )
+
+    def _unread(self) -> frozenset[int]:
+        """Return the keyframes that could not be read: in their place stands a blank."""
+        return frozenset(part for _, *rest in self.left_out for part in rest if type(part) is int)
+
+    def _note(self, location: Location, reason: str) -> None:
+        self.problems.append(Problem((*self.place, *location), reason))
+
+    def _keyframe(self, index: int, entry: KeyframeEntry) -> Keyframe:
+        is_read = ("keyframes", index) not in self.left_out
+        if not entry.deg and entry.pose is None and is_read:
+            self._note(("keyframes", index), "a keyframe names joints: give 'pose' or 'deg'")
+        return Keyframe(
+            deg={**self._pose(index, entry.pose), **(entry.deg or {})},
+            hold_s=entry.hold_s,
+            is_anchor=entry.anchor,
+            ease=Interpolation(entry.ease or self.content.interpolation),
+            label=entry.label or entry.pose or "",
+            line=self.source.line((*self.place, "keyframes", index)),
+        )
+
+    def _pose(self, index: int, name: str | None) -> Mapping[str, float]:
+        if name is None or self.robot is None:
+            return {}
+        if name not in self.robot.poses:
+            known = known_names(name, self.robot.poses)
+            self._note(("keyframes", index, "pose"), f"unknown pose {name!r}; {known}")
+        return self.robot.poses.get(name, {})
+
+    def _timed(self, keyframes: list[Keyframe], unread: frozenset[int]) -> list[Keyframe]:
+        times_s, problems = absolute_times(self.content.keyframes, unread)
+        if has_times(self.content):  # Otherwise the one problem of all of them is noted already.
+            for problem in problems:
+                self._note(problem.location, problem.reason)
+        timed = [replace(k, at_s=at_s) for k, at_s in zip(keyframes, times_s, strict=True)]
+        for index, reason in jumps(timed):
+            self._note(("keyframes", index), reason)
+        return timed
+
+    def _check_joints(self, keyframes: list[Keyframe], robot: Robot) -> None:
+        for index, name, reason in joint_problems(keyframes, robot, is_offset=self.is_offset):
+            is_own = name in (self.content.keyframes[index].deg or {})
+            key = ("deg", name) if is_own else ("pose",)
+            self._note(("keyframes", index, *key), reason)
+
+
+def at_speed(sequence: Sequence, ratio: float = 1.0) -> Sequence:
+    """Return the sequence with `ratio` and its own `speed_ratio` put into its times.
+
+    What is left to a planner is the `speed_ratio` of a sequence whose timing is `fastest`: at
+    most 1, else `InputError`.
+    """
+    ratio *= sequence.speed_ratio
+    is_fastest = bool(sequence.keyframes) and sequence.timing is Timing.FASTEST
+    if is_fastest and ratio > 1.0:
+        raise InputError(
+            f"speed {ratio:g}: the sequence is planned as fast as the limits allow; 1 is the most",
+            path=sequence.path,
+        )
+    duration_s, span_s = sequence.fit_duration_s, sequence.loop_span_s
+    return replace(
+        sequence,
+        speed_ratio=ratio if is_fastest else 1.0,
+        keyframes=sequence.keyframes
+        if is_fastest or ratio == 1.0
+        else tuple(_frame(frame, ratio) for frame in sequence.keyframes),
+        loop_span_s=None if span_s is None else (span_s[0] / ratio, span_s[1] / ratio),
+        fit_duration_s=None if duration_s is None else duration_s / ratio,
+        tracks=tuple(at_speed(track, ratio) for track in sequence.tracks),
+        play=tuple(_step(step, ratio) for step in sequence.play),
+        layers=tuple(_layer(layer, ratio) for layer in sequence.layers),
+        events=tuple(replace(cue, at_s=cue.at_s / ratio) for cue in sequence.events),
+    )
+
+
+def _frame(frame: Keyframe, ratio: float) -> Keyframe:
+    at_s = None if frame.at_s is None else frame.at_s / ratio
+    return replace(frame, at_s=at_s, hold_s=frame.hold_s / ratio)
+
+
+def _step(step: Step, ratio: float) -> Step:
+    return replace(
+        step,
+        sequence=None if step.sequence is None else at_speed(step.sequence, ratio),
+        pause_s=step.pause_s / ratio,
+        move_s=None if step.move_s is None else step.move_s / ratio,
+    )
+
+
+def _layer(layer: Layer, ratio: float) -> Layer:
+    return replace(
+        layer,
+        sequence=at_speed(layer.sequence, ratio),
+        from_s=layer.from_s / ratio,
+        to_s=None if layer.to_s is None else layer.to_s / ratio,
+        fade_s=layer.fade_s / ratio,
+    )

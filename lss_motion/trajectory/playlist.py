@@ -1,0 +1,212 @@
+"""Play lists: sequences one after the other, and the moves from where one ends to the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.errors import InputError
+from lss_motion.sequence.check import loop_problem
+from lss_motion.sequence.model import Keyframe, Sequence
+from lss_motion.trajectory.cues import all_cues, all_marks, all_waits
+from lss_motion.trajectory.model import Trajectory, WaitPoint
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
+    from lss_motion.robot.model import Robot
+    from lss_motion.sequence.model import Step, Wait
+
+    FloatArray = NDArray[np.float64]
+
+
+SAME_DEG: Final = 1e-9
+"""Angles closer than this need no move."""
+
+WAIT_SETTLE_S: Final = 0.05
+"""A wait begins so long after the joints have come to rest: their horns lag the plan."""
+
+WAIT_LEAD_S: Final = 0.25
+"""And they rest so long after it: moves are sent before they are to be seen. Chosen: what the
+beginning of a show allows for the same reason."""
+
+PEAK_RATIO: Final = 1.5
+"""A smooth move from rest to rest is, in the middle, this much faster than on average."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InARow:
+    """A pass in which trajectories follow one another, each from rest to rest.
+
+    `parts[k]` starts at `starts_s[k]`, where the joints are at `poses_deg[k]`; a joint that it
+    does not move stays there.
+    """
+
+    joints: tuple[str, ...]
+    parts: tuple[Trajectory, ...]
+    starts_s: FloatArray
+    poses_deg: FloatArray
+    duration_s: float
+
+    @property
+    def seams_s(self) -> FloatArray:
+        return self.starts_s
+
+    @property
+    def knots_s(self) -> FloatArray:
+        found = [
+            start_s + part.knots_until(part.duration_s)
+            for start_s, part in zip(self.starts_s.tolist(), self.parts, strict=True)
+        ]
+        return np.unique(np.concatenate([[0.0], *found, [self.duration_s]]))
+
+    def sample(self, times_s: FloatArray, order: int = 0) -> FloatArray:
+        times_s = np.asarray(times_s, dtype=np.float64)
+        inside_s = np.clip(times_s, 0.0, self.duration_s)
+        chosen = np.clip(np.searchsorted(self.starts_s, inside_s, side="right") - 1, 0, None)
+        values = (
+            self.poses_deg[chosen] if order == 0 else np.zeros((len(times_s), len(self.joints)))
+        )
+        for index in np.unique(chosen).tolist():
+            part, rows = self.parts[index], np.flatnonzero(chosen == index)
+            columns = np.array([self.joints.index(name) for name in part.joints], dtype=np.intp)
+            local_s = inside_s[rows] - self.starts_s[index]
+            values[np.ix_(rows, columns)] = part.sample(local_s, order)
+        if order > 0:
+            values[(times_s < 0.0) | (times_s > self.duration_s)] = 0.0
+        return values
+
+
+@dataclass(slots=True)
+class _Row:
+    """Collects parts, and where every joint stands after them."""
+
+    robot: Robot
+    plan: Callable[[Sequence, Robot], Trajectory]
+    pose_deg: dict[str, float]
+    parts: list[tuple[float, Trajectory, dict[str, float]]]
+    waits: list[WaitPoint]
+    now_s: float = 0.0
+
+    def append(self, part: Trajectory) -> None:
+        self.parts.append((self.now_s, part, dict(self.pose_deg)))
+        waits = all_waits(part, part.duration_s)
+        self.waits += [replace(point, at_s=point.at_s + self.now_s) for point in waits]
+        end_deg = part.sample(np.array([part.duration_s]))[0].tolist()
+        self.pose_deg |= zip(part.joints, end_deg, strict=True)
+        self.now_s += part.duration_s
+
+    def wait(self, wait: Wait) -> None:
+        """Rest, and wait in the middle of it."""
+        self.waits.append(WaitPoint(at_s=self.now_s + WAIT_SETTLE_S, wait=wait))
+        self.now_s += WAIT_SETTLE_S + WAIT_LEAD_S
+
+    def move_to(self, target_deg: Mapping[str, float], move_s: float | None) -> None:
+        """Go to the angles, in `move_s` or at the approach speed; not at all if there already."""
+        ways = {
+            name: (self.pose_deg[name], angle_deg)
+            for name, angle_deg in target_deg.items()
+            if name in self.pose_deg and abs(self.pose_deg[name] - angle_deg) > SAME_DEG
+        }
+        if not ways:
+            return
+        longest_deg = max(abs(to_deg - from_deg) for from_deg, to_deg in ways.values())
+        if move_s is None:
+            move_s = PEAK_RATIO * longest_deg / self.robot.approach_speed_deg_s
+        frames = (
+            Keyframe(deg={name: way[0] for name, way in ways.items()}, at_s=0.0),
+            Keyframe(deg={name: way[1] for name, way in ways.items()}, at_s=move_s, label="move"),
+        )
+        self.append(self.plan(Sequence(name="move", keyframes=frames), self.robot))
+
+
+def in_a_row(
+    show: Sequence, robot: Robot, plan: Callable[[Sequence, Robot], Trajectory]
+) -> Trajectory:
+    """Return the steps of a play list, one after the other, as often as the list is looped.
+
+    Every step begins and ends at rest. Where the robot stands elsewhere than a step begins, it
+    moves there first: in the step's `move_s`, else at the robot's approach speed.
+    """
+    planned = [(step, *_planned(step, robot, plan)) for step in show.play]
+    start_deg: dict[str, float] = {}
+    for _, part, _ in planned:
+        start_deg = {**(_start(part) if part else {}), **start_deg}
+    row = _Row(robot, plan, dict(start_deg), [], [])
+    for step, part, times in planned:
+        row.now_s += step.pause_s
+        if step.wait is not None:
+            row.wait(step.wait)
+        for _ in range(times):
+            if part is not None:
+                row.move_to(_start(part), step.move_s)
+                row.append(part)
+    if show.loop != 1:
+        row.move_to(start_deg, None)
+    return _trajectory(show, row, robot)
+
+
+def _planned(
+    step: Step, robot: Robot, plan: Callable[[Sequence, Robot], Trajectory]
+) -> tuple[Trajectory | None, int]:
+    """Return the plan of a step and how often it is to be played."""
+    sequence = step.sequence
+    if sequence is None:
+        return None, 1
+    is_plain = bool(sequence.keyframes) and not sequence.tracks and not sequence.layers
+    is_plain = is_plain and sequence.loop_span_s is None
+    may_flow = step.times > 1 and is_plain and not loop_problem(sequence.keyframes)
+    if may_flow and sequence.loop is not None:
+        # It ends where it begins, so that it can go on without a stop.
+        return plan(replace(sequence, loop=sequence.loop * step.times), robot), 1
+    return plan(sequence, robot), step.times
+
+
+def _start(part: Trajectory) -> dict[str, float]:
+    return dict(zip(part.joints, part.sample(np.zeros(1))[0].tolist(), strict=True))
+
+
+def _trajectory(show: Sequence, row: _Row, robot: Robot) -> Trajectory:
+    joints = tuple(name for name in robot.joints if name in row.pose_deg)
+    parts = row.parts
+    if not parts:
+        raise InputError("the play list moves no joint", path=show.path)
+    whole = InARow(
+        joints=joints,
+        parts=tuple(part for _, part, _ in parts),
+        starts_s=np.array([start_s for start_s, _, _ in parts]),
+        poses_deg=np.array([[pose_deg[name] for name in joints] for _, _, pose_deg in parts]),
+        duration_s=row.now_s,
+    )
+    return Trajectory(
+        name=show.name,
+        joints=joints,
+        first=whole,
+        middle=whole,
+        last=whole,
+        loop=show.loop,
+        stretched=tuple(
+            replace(stretch, from_s=stretch.from_s + start_s, to_s=stretch.to_s + start_s)
+            for start_s, part, _ in parts
+            for stretch in part.stretched
+        ),
+        marks=tuple(
+            replace(
+                mark,
+                planned_s=mark.planned_s + start_s,
+                authored_s=None if mark.authored_s is None else mark.authored_s + start_s,
+            )
+            for start_s, part, _ in parts
+            for mark in all_marks(part, part.duration_s)
+        ),
+        waits=tuple(row.waits),
+        cues=tuple(
+            replace(cue, at_s=cue.at_s + start_s)
+            for start_s, part, _ in parts
+            for cue in all_cues(part, part.duration_s)
+        ),
+    )

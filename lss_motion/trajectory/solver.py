@@ -1,0 +1,476 @@
+"""The largest rates along a path, from toppra's solver.
+
+The fence around toppra: the fastest rates along a path, stage by stage, from its own solver.
+
+toppra's compiled stage solver is driven directly: the same two passes as its `TOPPRA` class makes,
+in a third of the time (measured, identical results), in blocks that bound memory, with an end
+rate that may be free, and with second derivatives that differ on both sides of a knot.
+
+The largest rates along one stretch of a path: a grid, one solve, and repair where it errs.
+
+The solver holds the limits at grid points; between them they may be exceeded a little. Only the
+cells where that matters are divided or given lower limits, and only their surroundings are solved
+again, as far as the rates change: the result is that of solving the whole again.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from lss_motion.errors import PlanningError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
+    from lss_motion.trajectory.path import Path
+
+    FloatArray = NDArray[np.float64]
+
+
+GROUP_ROWS: Final = 12
+"""Rows of one toppra constraint. It multiplies them by a matrix of so many rows squared, so that
+many small constraints are made quicker than one of all rows (measured: 4 to 12 are alike)."""
+
+BLOCK_CELLS: Final = 690
+"""Cells of one solver object. OpenBLAS runs products of more than 262144 multiplications on
+several threads, which for such small ones costs five times as much (measured: 15 µs a cell
+instead of 3); and small blocks bound memory."""
+
+KEPT_ROWS: Final = 700_000
+"""Cells times joints whose solvers are kept for the second pass; about 200 bytes each. Chosen:
+half of the time for a 10-minute show of 18 joints, in 140 MB."""
+
+BISECTIONS: Final = 60
+"""Halvings to find the largest square where the solver fails: to the last bit."""
+
+PREFER_SMALL_SLOPE: Final = 1e-9
+"""Weight of the slope beside the square in the objective, as in toppra: of equals, the smaller."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """Derivatives of the path at both ends of consecutive cells, (n, joints).
+
+    All are divided by the acceleration limits, so that the limit of every row is 1.
+    """
+
+    speed_left: FloatArray
+    speed_right: FloatArray
+    accel_left: FloatArray
+    accel_right: FloatArray
+
+
+def fastest_squares(
+    grid_s: FloatArray,
+    cells_of: Callable[[int, int], Cells],
+    caps: FloatArray,
+    *,
+    joints: int,
+    start_max: float = math.inf,
+    end_max: float = math.inf,
+) -> FloatArray:
+    """Return the largest squared rate at every grid point that the limits allow.
+
+    The acceleration rows hold at both ends of every cell (toppra's `Interpolation` scheme, with
+    each cell's own one-sided derivatives). `caps` bounds the squared rates; `start_max` and
+    `end_max` bound them further at the ends. Raises `PlanningError` with the path position if
+    the path itself is not finite there; rate 0 is possible on any other.
+    """
+    upper = caps.copy()
+    upper[-1] = min(upper[-1], end_max)
+    count = len(grid_s) - 1
+    size = BLOCK_CELLS
+    starts = range(0, count, size)
+
+    def block(first: int) -> _Block:
+        end = min(first + size, count)
+        return _Block(grid_s[first : end + 1], cells_of(first, end), caps[first : end + 1])
+
+    kept: dict[int, _Block] = {}
+    for first in reversed(starts):
+        backward = block(first)
+        backward.fill_upper(upper[first : first + size + 1])
+        if first * joints < KEPT_ROWS:
+            kept[first] = backward
+    squares = np.zeros(count + 1)
+    squares[0] = min(upper[0], start_max)
+    for first in starts:
+        part = slice(first, first + size + 1)
+        forward = kept.pop(first) if first in kept else block(first)
+        forward.fill_squares(squares[part], upper[part])
+    return squares
+
+
+class _Block:
+    """Consecutive cells and a toppra solver for them.
+
+    Each row is |row · slope + tilt · square| ≤ 1, for a joint at the left or the right of a cell.
+    """
+
+    def __init__(self, grid_s: FloatArray, cells: Cells, caps: FloatArray) -> None:
+        self.doubled_s = 2.0 * np.diff(grid_s)
+        right = cells.speed_right + self.doubled_s[:, None] * cells.accel_right
+        self.rows = np.concatenate([cells.speed_left, right], axis=1)
+        self.tilts = np.concatenate([cells.accel_left, cells.accel_right], axis=1)
+        if not (np.isfinite(self.rows).all() and np.isfinite(self.tilts).all()):
+            at_s = float(grid_s[0])
+            raise PlanningError(f"the path is not finite near {at_s:g} s", time_s=at_s)
+        self.caps = caps
+        self.solve = _stage_solver(grid_s - grid_s[0], self.rows, self.tilts, caps)
+
+    def fill_upper(self, upper: FloatArray) -> None:
+        """Fill all but the last with the largest square from which the rest can be driven.
+
+        Rate 0 is always possible (nothing moves), so the smallest one needs no solving.
+        """
+        objective = np.array([PREFER_SMALL_SLOPE, -1.0])
+        following = float(upper[-1])
+        for cell in range(len(self.doubled_s) - 1, -1, -1):
+            found = self.solve(cell, None, objective, math.nan, math.nan, 0.0, following)[1]
+            if math.isnan(found):
+                found = self._largest_square(cell, following)
+            upper[cell] = following = max(found, 0.0)
+
+    def fill_squares(self, squares: FloatArray, upper: FloatArray) -> None:
+        """Fill all but the first, each as large as the one before allows."""
+        objective = np.array([0.0, -1.0])
+        square = float(squares[0])
+        limits = upper[1:].tolist()
+        for cell, step_s in enumerate(self.doubled_s.tolist()):
+            limit = limits[cell]
+            objective[0] = -step_s
+            slope = self.solve(cell, None, objective, square, square, 0.0, limit)[0]
+            if math.isnan(slope):
+                slope = self._slopes(cell, square)[1]
+            square = min(max(square + step_s * slope, 0.0), limit)
+            squares[cell + 1] = square
+
+    # The solver's tolerances are absolute, so that it now and then calls a stage infeasible that
+    # is not, or just by rounding (toppra then lowers the rate by 0.1 %, which would be a visible
+    # delay where thousands of stages run at rate 1). These two answer for it then.
+
+    def _slopes(self, cell: int, square: float) -> tuple[float, float]:
+        """Return the smallest and largest slope that the rows of a cell allow at a square."""
+        rows, middles = self.rows[cell], self.tilts[cell] * square
+        is_bound = rows != 0.0
+        width, middle = 1.0 / np.abs(rows[is_bound]), -middles[is_bound] / rows[is_bound]
+        return (
+            float(np.max(middle - width, initial=-math.inf)),
+            float(np.min(middle + width, initial=math.inf)),
+        )
+
+    def _largest_square(self, cell: int, following: float) -> float:
+        """Return the largest square of a cell from which `following` is not exceeded."""
+        steepest = float(np.abs(self.tilts[cell][self.rows[cell] == 0.0]).max(initial=0.0))
+        low, high = 0.0, float(self.caps[cell])
+        if steepest > 0.0:
+            high = min(high, 1.0 / steepest)
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            smallest, largest = self._slopes(cell, middle)
+            smallest = max(smallest, -middle / self.doubled_s[cell])
+            largest = min(largest, (following - middle) / self.doubled_s[cell])
+            low, high = (middle, high) if smallest <= largest else (low, middle)
+        return low
+
+
+def _stage_solver(
+    grid_s: FloatArray, rows: FloatArray, tilts: FloatArray, caps: FloatArray
+) -> Callable[..., Any]:
+    """Return toppra's `solve_stagewise_optim` for these cells; importing it takes a second."""
+    from toppra.constraint import LinearConstraint
+    from toppra.solverwrapper.cy_seidel_solverwrapper import seidelWrapper
+
+    class Limits(LinearConstraint):  # type: ignore[misc]  # toppra is untyped
+        """Rows in both directions, or caps. The last grid point has no rows of its own."""
+
+        def __init__(self, *parameters: FloatArray | None) -> None:
+            super().__init__()
+            self.identical = True
+            self.parameters = parameters
+
+        def compute_constraint_params(self, *_: object) -> tuple[FloatArray | None, ...]:
+            return self.parameters
+
+    class Duration:
+        """All that the solver asks of a path: how long it is, for a scale that is then 1."""
+
+        duration = float(grid_s[-1])
+
+    bounds = np.stack([np.zeros_like(caps), caps], axis=1)
+    limits = [Limits(None, None, None, None, None, None, bounds)]
+    moving = np.flatnonzero(rows.any(axis=0) | tilts.any(axis=0))
+    for first in range(0, len(moving), GROUP_ROWS):
+        group = moving[first : first + GROUP_ROWS]
+        by_slope, by_square = np.zeros((2, len(caps), len(group)))
+        by_slope[:-1], by_square[:-1] = rows[:, group], tilts[:, group]
+        unit = np.eye(len(group))
+        both, ones = np.concatenate([unit, -unit]), np.ones(2 * len(group))
+        nothing = np.zeros_like(by_slope)
+        limits.append(Limits(by_slope, by_square, nothing, both, ones, None, None))
+    solve: Callable[..., Any] = seidelWrapper(limits, Duration(), grid_s).solve_stagewise_optim
+    return solve
+
+
+CELL_S: Final = 0.025
+"""Longest grid cell, in path seconds: acceleration is then exceeded by 0.28 % at most before
+repair (measured: 50 ms 1.8 %, 25 ms 0.28 %, 12.5 ms 0.06 %)."""
+
+CELLS_MIN: Final = 32
+"""Cells a segment has at least. A single move is then 0.4 % slower than its closed form, and
+`fastest` as a whole 0.4 % slower than on a fine grid (measured; 20 cells: 1 %)."""
+
+REFINEMENT: Final = 4
+"""Where an author's time is lost, cells are divided by this, because it is the excess, not the
+duration, that should be within 2 % of the least (measured: 9 % without)."""
+
+CELL_MIN_S: Final = 1e-4
+"""Shorter segments are not divided below this. Chosen: a tenth of what the line can express."""
+
+FEASIBLE_RATIO: Final = 1.0 + 1e-4
+"""What is within this of a limit is legal, so that a speed authored exactly at the limit is not
+slowed by rounding. A tenth of what the verifier allows."""
+
+REPAIR_RATIO: Final = 1.0 + 5e-4
+"""Cells that exceed a limit by more are repaired. Half of what the verifier allows."""
+
+SPLIT_RATIO: Final = 1.005
+"""A cell that exceeds a limit by more is split in two; below, its limits are lowered a little."""
+
+REPAIRS_MAX: Final = 12
+"""Rounds of repair. Measured over random sequences: at most 5 were needed."""
+
+REACH_CELLS: Final = 6
+"""How many cells on either side of a repaired one are solved again at first; doubled until the
+rates at both ends are what they were."""
+
+RATE_SLACK: Final = 1e-7
+"""Rates this close are equal: the solver's own precision."""
+
+RATE_FREE: Final = 100.0
+"""Cap of the rate where no author's time binds; path lengths are near the least times, so that
+rates are of the order of 1."""
+
+MARGIN_RATIO: Final = 1.0 - 1e-3
+"""Share of the limits that long paths ask for where no author's time is at stake, so that hardly
+a cell needs repair (measured: 2 of 38,000 instead of 2,300, for 0.05 % of the duration)."""
+
+MARGIN_CELLS: Final = 1000
+"""Shorter paths are repaired in no time, and end up closer to the limits. Chosen."""
+
+CHECKS: Final = (0.0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1.0)
+"""Where in a cell the limits are checked for repair. With five, a hump of 0.15 % was missed."""
+
+BLOCK: Final = 2048
+"""Cells that are checked at a time. Chosen: 18 joints then stay in the processor's cache."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """A path, the limits of its joints, and how fast it may be followed at most.
+
+    `knot_caps` bounds the squared rate at single knots, by index.
+    """
+
+    path: Path
+    speed_max_deg_s: FloatArray
+    accel_max_deg_s2: FloatArray
+    rate_max: float = 1.0
+    knot_caps: Mapping[int, float]
+    cells_min: int = CELLS_MIN
+    """Cells a segment has at least: fewer where knots are dense already."""
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Squared rates over a grid from one knot to another; `first` and `end` are their indices."""
+
+    first: int
+    end: int
+    grid_s: FloatArray
+    squares: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Grid:
+    """Cells in a row: the segment of each, and the share of the limits that it may use."""
+
+    points_s: FloatArray
+    segments: NDArray[np.intp]
+    shares: FloatArray
+
+    def part(self, low: int, high: int) -> _Grid:
+        """Return the cells from `low` to before `high`."""
+        return _Grid(self.points_s[low : high + 1], self.segments[low:high], self.shares[low:high])
+
+    def divided(self, counts: NDArray[np.intp]) -> _Grid:
+        """Return the grid with each cell divided into its count of equal parts."""
+        steps_s = np.repeat(np.diff(self.points_s) / counts, counts)
+        within = np.arange(len(steps_s)) - np.repeat(np.cumsum(counts) - counts, counts)
+        starts_s = np.repeat(self.points_s[:-1], counts) + within * steps_s
+        return _Grid(
+            np.append(starts_s, self.points_s[-1]),
+            np.repeat(self.segments, counts),
+            np.repeat(self.shares, counts),
+        )
+
+
+def solve(
+    task: Task, first: int, end: int, *, start_max: float = math.inf, end_max: float = math.inf
+) -> Window:
+    """Return the largest rates from knot `first` to knot `end`, repaired until limits hold.
+
+    `start_max` and `end_max` bound the squared rates at the ends. What is left after
+    `REPAIRS_MAX` rounds, if anything, is for the verifier to judge.
+    """
+    is_authored = task.rate_max == 1.0
+    grid = _grid(task.path, first, end, task.cells_min)
+    if not is_authored and len(grid.segments) > MARGIN_CELLS:
+        grid.shares[:] = MARGIN_RATIO
+    squares = _squares(task, grid, start_max, end_max)
+    if is_authored:
+        is_slow = np.minimum(squares[:-1], squares[1:]) < 1.0
+        grid = grid.divided(np.where(is_slow, REFINEMENT, 1))
+        squares = _squares(task, grid, start_max, end_max)
+    excess = _excess(task, grid, squares)
+    for _ in range(REPAIRS_MAX):
+        if not (excess > REPAIR_RATIO).any():
+            break
+        grid, squares, excess = _repaired(task, grid, squares, excess, (start_max, end_max))
+    return Window(first, end, grid.points_s, squares)
+
+
+def _grid(path: Path, first: int, end: int, cells_min: int) -> _Grid:
+    """Return grid points from knot to knot, every knot among them."""
+    lengths_s = path.segment_lengths_s[first:end]
+    counts = np.maximum(np.ceil(lengths_s / CELL_S), cells_min)
+    counts = np.clip(counts, 1.0, np.maximum(1.0, np.floor(lengths_s / CELL_MIN_S))).astype(np.intp)
+    whole = _Grid(path.knots_s[first : end + 1], np.arange(first, end), np.ones(end - first))
+    return whole.divided(counts)
+
+
+def _squares(task: Task, grid: _Grid, start_max: float, end_max: float) -> FloatArray:
+    path, points_s, segments = task.path, grid.points_s, grid.segments
+    caps = np.full(len(points_s), task.rate_max**2)
+    for low in range(0, len(segments), BLOCK):
+        part = grid.part(low, low + BLOCK)
+        allowed = task.speed_max_deg_s * (FEASIBLE_RATIO * part.shares[:, None])
+        for side, at_s in enumerate((part.points_s[:-1], part.points_s[1:])):
+            speed = np.abs(path.slopes(at_s, part.segments)[0])
+            ratio = np.maximum((speed / allowed).max(axis=1), 1.0 / RATE_FREE)
+            place = slice(low + side, low + side + len(at_s))
+            caps[place] = np.minimum(caps[place], 1.0 / ratio**2)
+    for knot, cap in task.knot_caps.items():
+        at_knot = points_s == path.knots_s[knot]
+        caps[at_knot] = np.minimum(caps[at_knot], cap)
+
+    def cells_of(low: int, high: int) -> Cells:
+        part = grid.part(low, high)
+        limits = task.accel_max_deg_s2 * (FEASIBLE_RATIO * part.shares[:, None])
+        left, left_bend = path.slopes(part.points_s[:-1], part.segments)
+        right, right_bend = path.slopes(part.points_s[1:], part.segments)
+        return Cells(left / limits, right / limits, left_bend / limits, right_bend / limits)
+
+    squares = fastest_squares(
+        points_s,
+        cells_of,
+        caps,
+        joints=path.coefficients.shape[2],
+        start_max=start_max,
+        end_max=end_max,
+    )
+    squares[np.abs(squares - task.rate_max**2) < RATE_SLACK] = task.rate_max**2
+    return squares
+
+
+def _excess(task: Task, grid: _Grid, squares: FloatArray) -> FloatArray:
+    """Return for each cell the largest part of a limit that is used inside it."""
+    excess = np.zeros(len(grid.segments))
+    for low in range(0, len(excess), BLOCK):
+        part = grid.part(low, low + BLOCK)
+        steps_s = np.diff(part.points_s)
+        starts, growth = squares[low : low + len(steps_s)], np.diff(squares[low : low + BLOCK + 1])
+        slopes = (growth / (2.0 * steps_s))[:, None]
+        worst = np.zeros(len(steps_s))
+        for share in CHECKS:
+            square = np.maximum(starts + share * growth, 0.0)[:, None]
+            first, second = task.path.slopes(part.points_s[:-1] + share * steps_s, part.segments)
+            second *= square
+            second += first * slopes
+            first *= np.sqrt(square)
+            for used, limits in (
+                (first, task.speed_max_deg_s),
+                (second, task.accel_max_deg_s2),
+            ):
+                np.abs(used, out=used)
+                np.divide(used, limits, out=used)
+                np.maximum(worst, used.max(axis=1), out=worst)
+        excess[low : low + len(steps_s)] = worst
+    return excess
+
+
+def _repaired(
+    task: Task,
+    grid: _Grid,
+    squares: FloatArray,
+    excess: FloatArray,
+    end_maxima: tuple[float, float],
+) -> tuple[_Grid, FloatArray, FloatArray]:
+    """Divide the worst cells, lower the limits of the others, and solve around both again."""
+    is_split = excess > SPLIT_RATIO
+    is_lowered = (excess > REPAIR_RATIO) & ~is_split
+    shares = np.where(
+        is_lowered, grid.shares * FEASIBLE_RATIO / np.maximum(excess, 1.0), grid.shares
+    )
+    counts = np.where(is_split, 2, 1)
+    divided = _Grid(grid.points_s, grid.segments, shares).divided(counts)
+    # Within a cell the square is linear, so that dividing it changes nothing yet.
+    start = np.interp(divided.points_s, grid.points_s, squares)
+    after = start.copy()
+    is_new = np.repeat(is_split | is_lowered, counts)
+    places = runs(is_new)
+    if sum(high - low + 2 * REACH_CELLS for low, high in places) > len(is_new) // 2:
+        places = [(0, len(is_new))]
+    for low, high in places:
+        _resolve(task, divided, after, (low, high), end_maxima)
+    is_changed = after != start
+    is_dirty = is_new | is_changed[:-1] | is_changed[1:]
+    known = np.repeat(excess, counts)
+    for low, high in runs(is_dirty):
+        known[low:high] = _excess(task, divided.part(low, high), after[low : high + 1])
+    return divided, after, known
+
+
+def _resolve(
+    task: Task,
+    grid: _Grid,
+    squares: FloatArray,
+    cells: tuple[int, int],
+    end_maxima: tuple[float, float],
+) -> None:
+    """Solve again around `cells`, as far to either side as the rates have to change."""
+    count = len(grid.segments)
+    left = right = REACH_CELLS
+    while True:
+        low, high = max(0, cells[0] - left), min(count, cells[1] + right)
+        start_max = end_maxima[0] if low == 0 else float(squares[low])
+        end_max = end_maxima[1] if high == count else float(squares[high])
+        found = _squares(task, grid.part(low, high), start_max, end_max)
+        is_left_met = low == 0 or found[0] >= squares[low] - RATE_SLACK
+        is_right_met = high == count or found[-1] >= squares[high] - RATE_SLACK
+        if is_left_met and is_right_met:
+            squares[low : high + 1] = found
+            return
+        left, right = left * (1 if is_left_met else 2), right * (1 if is_right_met else 2)
+
+
+def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return (first, end) of every run of set flags; `end` is the first index after it."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return list(zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True))
