@@ -198,10 +198,11 @@ def _maintenance() -> Iterator[Step]:
 
 
 def _identify() -> Iterator[Step]:
-    words = ("lss-motion", "identify", "--virtual", "--yes", "--seed", "3", "-o", "measured.yaml")
+    words = ("lss-motion", "identify", "--virtual", "--yes", "--seed", "3")
     for robot, joint in (("timed", "elbow"), ("streamed", "base"), ("pro", "base")):
-        arguments = (*words, "--robot", f"{robot}.yaml", joint)
-        yield Step(robot, arguments, ("measured.yaml",), is_quick=robot == "timed")
+        made = f"{robot}_measured.yaml"
+        arguments = (*words, "--robot", f"{robot}.yaml", joint, "-o", made)
+        yield Step(robot, arguments, (made,), is_quick=robot == "timed")
 
 
 def _record() -> Iterator[Step]:
