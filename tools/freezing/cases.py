@@ -203,8 +203,11 @@ def _maintenance() -> Iterator[Step]:
 
 def _identify() -> Iterator[Step]:
     words = ("lss-motion", "identify", "--virtual", "--yes", "--seed", "3")
-    for robot, joint in (("timed", "elbow"), ("streamed", "base"), ("pro", "base")):
-        made = f"{robot}_measured.yaml"
+    for robot, joint, made in (
+        ("timed", "elbow", "measured.yaml"),
+        ("streamed", "base", "streamed_measured.yaml"),
+        ("pro", "base", "pro_measured.yaml"),
+    ):
         arguments = (*words, "--robot", f"{robot}.yaml", joint, "-o", made)
         yield Step(robot, arguments, (made,), is_quick=robot == "timed")
 
