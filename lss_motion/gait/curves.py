@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lss_motion.splines import clamped_slopes, monotone_slopes
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -32,20 +34,14 @@ def lift(ratio: FloatArray) -> FloatArray:
 def through(times_s: FloatArray, values: FloatArray, at_s: FloatArray) -> FloatArray:
     """Return the curve through `values`, (n, k), at rest at both ends and where they turn.
 
-    Never beyond the values: Fritsch and Butland's slopes (SIAM J. Sci. Stat. Comput. 5, 1984).
+    It never leaves the range of the values around it (`splines.monotone_slopes`).
     """
-    length_s = np.diff(times_s)[:, None]
-    secant = np.diff(values, axis=0) / length_s
+    length_s = np.diff(times_s)
     slope = np.zeros_like(values)
-    before, after = secant[:-1], secant[1:]
-    product = before * after
-    weight = (2.0 * length_s[1:] + length_s[:-1]) * after
-    weight += (length_s[1:] + 2.0 * length_s[:-1]) * before
-    total = 3.0 * (length_s[1:] + length_s[:-1])
-    slope[1:-1] = np.divide(total * product, weight, out=np.zeros_like(product), where=product > 0)
+    slope[1:-1] = monotone_slopes(length_s, np.diff(values, axis=0) / length_s[:, None])
     piece = np.clip(np.searchsorted(times_s, at_s, side="right") - 1, 0, len(times_s) - 2)
     return hermite(
-        length_s[piece],
+        length_s[piece, None],
         (values[piece], values[piece + 1]),
         (slope[piece], slope[piece + 1]),
         (at_s - times_s[piece])[:, None],
@@ -95,16 +91,5 @@ class Spline:
 
 def spline(step_s: float, values: FloatArray) -> Spline:
     """Return the clamped spline through `values`, (n, k), n at least 2."""
-    slopes = np.zeros_like(values)
-    count = len(values)
-    if count > 2:
-        pulls = 3.0 * (values[2:] - values[:-2]) / step_s
-        factors = np.zeros(count - 2)
-        for row in range(count - 2):  # Thomas elimination of the system 1, 4, 1.
-            before = factors[row - 1] if row else 0.0
-            factors[row] = 1.0 / (4.0 - before)
-            previous = slopes[row] if row else 0.0
-            slopes[row + 1] = (pulls[row] - previous) * factors[row]
-        for row in range(count - 4, -1, -1):
-            slopes[row + 1] -= factors[row] * slopes[row + 2]
-    return Spline(step_s, values, slopes)
+    lengths_s = np.full(len(values) - 1, step_s)
+    return Spline(step_s, values, clamped_slopes(lengths_s, np.diff(values, axis=0) / step_s))

@@ -9,6 +9,7 @@ import numpy as np
 
 from lss_motion.gait.pacing import more_s
 from lss_motion.picture import new_figure, save
+from lss_motion.splines import runs
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -104,11 +105,7 @@ def _over_time(shapes: dict[str, Any], gait: Gait, start_s: float, sample: _Samp
     times_s = start_s + sample.times_s
     for row, (leg, colour) in enumerate(zip(gait.legs, _colours(gait), strict=True)):
         down = sample.stance.is_down[:, row]
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], down, [False]]).astype(np.int8)))
-        bars = [
-            (times_s[first], times_s[end - 1] - times_s[first])
-            for first, end in zip(edges[0::2], edges[1::2], strict=True)
-        ]
+        bars = [(times_s[first], times_s[end - 1] - times_s[first]) for first, end in runs(down)]
         shapes["diagram"].broken_barh(bars, (row - 0.35, 0.7), color=colour)
         shapes["height"].plot(
             times_s,

@@ -31,6 +31,7 @@ from lss_motion.errors import InputError
 from lss_motion.interchange.reader import DIGITS, Unit
 from lss_motion.sequence.keyframes import KEYFRAMES_MAX
 from lss_motion.sequence.model import Interpolation
+from lss_motion.splines import clamped_slopes, monotone_slopes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -80,8 +81,12 @@ class Spans:
         slopes = None
         if ease is not Interpolation.LINEAR:
             assert ease in {Interpolation.SMOOTH, Interpolation.SPLINE}, ease
-            find_slopes = _monotone_slopes if ease is Interpolation.SMOOTH else _spline_slopes
-            slopes = find_slopes(lengths_s, moved / lengths_s)
+            secants = moved / lengths_s
+            if ease is Interpolation.SPLINE:
+                slopes = clamped_slopes(lengths_s, secants, with_scipy=True)
+            else:
+                slopes = np.zeros(len(times_s))
+                slopes[1:-1] = monotone_slopes(lengths_s, secants)
         return cls(times_s[:-1], lengths_s, values[:-1], moved, slopes)
 
     def at(self, times_s: FloatArray, counts: IntArray) -> FloatArray:
@@ -143,38 +148,6 @@ def _trapezoid(share: FloatArray) -> FloatArray:
     up, down = 0.5 * speed * share**2 / ramp, 1.0 - 0.5 * speed * rest**2 / ramp
     cruise = speed * (share - 0.5 * ramp)
     return np.where(share < ramp, up, np.where(rest < ramp, down, cruise))
-
-
-def _monotone_slopes(lengths_s: FloatArray, secants: FloatArray) -> FloatArray:
-    """Return slopes at all keys, 0 at both ends and where the direction turns.
-
-    Fritsch and Butland's weighted harmonic mean (SIAM J. Sci. Stat. Comput. 5, 1984).
-    """
-    before_s, after_s = lengths_s[:-1], lengths_s[1:]
-    is_monotone = secants[:-1] * secants[1:] > 0.0
-    before = np.where(is_monotone, secants[:-1], 1.0)
-    after = np.where(is_monotone, secants[1:], 1.0)
-    weight, other = 2.0 * after_s + before_s, after_s + 2.0 * before_s
-    mean = (weight + other) / (weight / before + other / after)
-    slopes = np.zeros(len(lengths_s) + 1)
-    slopes[1:-1] = np.where(is_monotone, mean, 0.0)
-    return slopes
-
-
-def _spline_slopes(lengths_s: FloatArray, secants: FloatArray) -> FloatArray:
-    """Return slopes that make the second derivative continuous, 0 at both ends."""
-    from scipy.linalg import solve_banded
-
-    slopes = np.zeros(len(lengths_s) + 1)
-    if len(lengths_s) < 2:
-        return slopes
-    inverse, pulls = 1.0 / lengths_s, 3.0 * secants / lengths_s
-    bands = np.zeros((3, len(slopes) - 2))
-    bands[0, 1:] = inverse[1:-1]
-    bands[1] = 2.0 * (inverse[:-1] + inverse[1:])
-    bands[2, :-1] = inverse[1:-1]
-    slopes[1:-1] = solve_banded((1, 1), bands, pulls[:-1] + pulls[1:], check_finite=False)
-    return slopes
 
 
 APART: Final = 4

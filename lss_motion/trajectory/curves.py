@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.sequence.model import Interpolation
+from lss_motion.splines import clamped_slopes, monotone_slopes, runs
 from lss_motion.trajectory.keys import PATH_DECIMALS, least_move_s
 from lss_motion.trajectory.path import Path
 
@@ -93,7 +94,7 @@ def seam_slope_deg_s(keys: JointKeys, length_s: float) -> float:
     ):
         return 0.0
     lengths_s, secants = keys.lengths_s, keys.secants_deg_s
-    return float(_monotone_slopes(lengths_s[[-1, 0]], secants[[-1, 0]])[0])
+    return float(monotone_slopes(lengths_s[[-1, 0]], secants[[-1, 0]])[0])
 
 
 def build_path(
@@ -172,57 +173,19 @@ def _slopes(keys: JointKeys, start_slope: float, end_slope: float) -> FloatArray
         return slopes
     is_flowing = keys.are(*_FLOWING)
     is_passed = ~keys.is_held[1:-1] & is_flowing[1:] & is_flowing[:-1]
-    slopes[1:-1] = np.where(is_passed, _monotone_slopes(keys.lengths_s, keys.secants_deg_s), 0.0)
+    slopes[1:-1] = np.where(is_passed, monotone_slopes(keys.lengths_s, keys.secants_deg_s), 0.0)
     slopes[0], slopes[-1] = start_slope, end_slope
     is_spline = keys.are(Interpolation.SPLINE)
     inner = is_spline[1:] & is_spline[:-1] & is_passed
-    for first, last in _runs(inner):
+    for first, last in runs(inner):
         knots = slice(first, last + 2)
-        slopes[knots] = _spline_slopes(
-            keys.lengths_s[first : last + 1], keys.secants_deg_s[first : last + 1], slopes[knots]
+        slopes[knots] = clamped_slopes(
+            keys.lengths_s[first : last + 1],
+            keys.secants_deg_s[first : last + 1],
+            start=float(slopes[first]),
+            end=float(slopes[last + 1]),
         )
     return slopes
-
-
-def _monotone_slopes(lengths_s: FloatArray, secants: FloatArray) -> FloatArray:
-    """Return slopes at inner knots that never overshoot, 0 where the secants differ in sign.
-
-    Fritsch and Butland's weighted harmonic mean (SIAM J. Sci. Stat. Comput. 5, 1984).
-    """
-    before_s, after_s = lengths_s[:-1], lengths_s[1:]
-    before, after = secants[:-1], secants[1:]
-    is_monotone = before * after > 0.0
-    before, after = np.where(is_monotone, before, 1.0), np.where(is_monotone, after, 1.0)
-    weight, other = 2.0 * after_s + before_s, after_s + 2.0 * before_s
-    mean = (weight + other) / (weight / before + other / after)
-    return np.where(is_monotone, mean, 0.0)
-
-
-def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return (first, end) of every run of set flags; `end` is the first index after it."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return list(zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True))
-
-
-def _spline_slopes(lengths_s: FloatArray, secants: FloatArray, slopes: FloatArray) -> FloatArray:
-    """Return slopes that make the second derivative continuous; those at both ends stay.
-
-    The tridiagonal system of a clamped cubic spline, by Thomas elimination.
-    """
-    inverse = (1.0 / lengths_s).tolist()
-    pulls = (3.0 * secants / lengths_s).tolist()
-    solved = slopes.tolist()
-    factors = [0.0]
-    partial = [solved[0]]
-    for knot in range(1, len(inverse)):
-        before, after = inverse[knot - 1], inverse[knot]
-        pivot = 2.0 * (before + after) - before * factors[-1]
-        right = pulls[knot - 1] + pulls[knot] - before * partial[-1]
-        factors.append(after / pivot)
-        partial.append(right / pivot)
-    for knot in range(len(solved) - 2, 0, -1):
-        solved[knot] = partial[knot] - factors[knot] * solved[knot + 1]
-    return np.array(solved)
 
 
 _Pieces = tuple["FloatArray", "FloatArray", "FloatArray"]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final, Literal
 import numpy as np
 
 from lss_motion.errors import PlanningError
+from lss_motion.splines import runs
 from lss_motion.trajectory.model import Mark, Stretch
 from lss_motion.units import significant
 
@@ -47,8 +48,7 @@ def stretches(
         spent_s = 2.0 * np.diff(window.grid_s) / (rates[:-1] + rates[1:])
         lost_s = spent_s - np.diff(authored_s)
         is_slow = lost_s > 1e-6 * spent_s
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], is_slow, [False]]).astype(np.int8)))
-        for first, end in zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True):
+        for first, end in runs(is_slow):
             by_s = float(lost_s[first:end].sum())
             if by_s < STRETCH_MIN_S:
                 continue

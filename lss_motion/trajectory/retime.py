@@ -22,11 +22,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import InputError, PlanningError
+from lss_motion.splines import runs
 from lss_motion.trajectory.curves import JointKeys, build_path, joint_keys, seam_slope_deg_s
 from lss_motion.trajectory.keys import SAME_INSTANT_S, Spacing, is_timed, keys_by_joint, spaced
 from lss_motion.trajectory.model import Clock, Motion, Trajectory, motions_of
 from lss_motion.trajectory.path import Path, concatenate, peaks
-from lss_motion.trajectory.solver import FEASIBLE_RATIO, RATE_FREE, Task, runs, solve
+from lss_motion.trajectory.solver import FEASIBLE_RATIO, RATE_FREE, Task, solve
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

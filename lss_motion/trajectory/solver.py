@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from lss_motion.errors import PlanningError
+from lss_motion.splines import runs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -468,9 +469,3 @@ def _resolve(
             squares[low : high + 1] = found
             return
         left, right = left * (1 if is_left_met else 2), right * (1 if is_right_met else 2)
-
-
-def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return (first, end) of every run of set flags; `end` is the first index after it."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return list(zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True))
