@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from lss_motion.cli.shows import Show
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Joint, Robot
-    from lss_motion.trajectory.model import Stretch, Trajectory
+    from lss_motion.trajectory.model import SlowSpan, Trajectory
 
 
 def add_to(commands: Commands) -> None:
@@ -258,7 +258,7 @@ def _margin_lines(trajectory: Trajectory, uses: Sequence[Use]) -> list[str]:
     ]
 
 
-def stretch_text(stretch: Stretch) -> str:
+def stretch_text(stretch: SlowSpan) -> str:
     """Return one stretched span in words."""
     unit = "deg/s" if stretch.limit == "speed" else "deg/s²"
     return (

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Drive, Joint
     from lss_motion.robot.on_fault import Ladders
     from lss_motion.sequence.model import Cue
-    from lss_motion.trajectory.model import Mark, Stretch, WaitPoint
+    from lss_motion.trajectory.model import Mark, SlowSpan, WaitPoint
 
 T = TypeVar("T")
 
@@ -88,7 +88,7 @@ class Program:
     waits: tuple[WaitPoint, ...] = ()
     """When the show clock stands still until a sensor says so."""
     """What is not motion, by the show time at which it is set off."""
-    stretched: tuple[Stretch, ...] = ()
+    stretched: tuple[SlowSpan, ...] = ()
     line_use: Mapping[str, LineUse] = field(default_factory=dict)
     on_fault: Ladders = field(default_factory=dict)
     """What this show does otherwise than its robot when something goes wrong."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import InputError
-from lss_motion.trajectory.keys import Span
+from lss_motion.trajectory.keys import LoopedSpan
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -93,7 +93,7 @@ def _passes(trajectory: Trajectory, end_s: float) -> Iterator[tuple[float, float
         return
     first_s = trajectory.first.duration_s
     yield 0.0, 1.0
-    if isinstance(trajectory.middle, Span):
+    if isinstance(trajectory.middle, LoopedSpan):
         return  # What there is to say has the time of the show already.
     index = 1
     while first_s > 0.0 and (trajectory.loop is None or index < trajectory.loop):

@@ -8,7 +8,7 @@ import numpy as np
 
 from lss_motion.errors import PlanningError
 from lss_motion.splines import runs
-from lss_motion.trajectory.model import Mark, Stretch
+from lss_motion.trajectory.model import Mark, SlowSpan
 from lss_motion.units import significant
 
 if TYPE_CHECKING:
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from lss_motion.sequence.model import Keyframe
     from lss_motion.sequence.model import Sequence as Show
     from lss_motion.trajectory.keys import Spacing
-    from lss_motion.trajectory.model import Clock
+    from lss_motion.trajectory.model import PathClock
     from lss_motion.trajectory.path import Path
-    from lss_motion.trajectory.solver import Task, Window
+    from lss_motion.trajectory.solver import RateTask, RateWindow
 
     FloatArray = NDArray[np.float64]
 
@@ -33,13 +33,13 @@ STRETCH_MIN_S: Final = 1e-5
 """Spans stretched by less are not worth a line: a hundredth of a millisecond."""
 
 
-def stretches(
-    task: Task,
+def slow_spans(
+    task: RateTask,
     joints: Sequence[str],
-    windows: Sequence[Window],
-    clock: Clock,
+    windows: Sequence[RateWindow],
+    clock: PathClock,
     authored: Callable[[FloatArray], FloatArray],
-) -> tuple[Stretch, ...]:
+) -> tuple[SlowSpan, ...]:
     """Return every span in which the path takes longer than authored, in planned time."""
     found = []
     for window in windows:
@@ -58,7 +58,7 @@ def stretches(
             )
             from_s, to_s = clock.times_of(window.grid_s[[first, end]]).tolist()
             found.append(
-                Stretch(
+                SlowSpan(
                     from_s=from_s,
                     to_s=to_s,
                     by_s=by_s,
@@ -72,7 +72,7 @@ def stretches(
 
 
 def _tightest(
-    task: Task, grid_s: FloatArray, spent_s: FloatArray, lost_s: FloatArray
+    task: RateTask, grid_s: FloatArray, spent_s: FloatArray, lost_s: FloatArray
 ) -> tuple[int, Literal["speed", "acceleration"], float, float]:
     """Return joint, limit, what the authored times ask for and what is allowed, where it is worst.
 
@@ -96,7 +96,7 @@ def _tightest(
     return by_accel, "acceleration", float(wanted), float(allowed)
 
 
-def marks(keyframes: Items[Keyframe], spacing: Spacing, clock: Clock) -> tuple[Mark, ...]:
+def marks(keyframes: Items[Keyframe], spacing: Spacing, clock: PathClock) -> tuple[Mark, ...]:
     """Return when each keyframe is wanted and when it is reached in the first pass."""
     planned_s = clock.times_of(spacing.reached_s).tolist()
     return tuple(
@@ -113,9 +113,9 @@ def marks(keyframes: Items[Keyframe], spacing: Spacing, clock: Clock) -> tuple[M
 def check_anchors(
     show: Show,
     spacing: Spacing,
-    clock: Clock,
+    clock: PathClock,
     authored: Callable[[FloatArray], FloatArray],
-    stretched: Sequence[Stretch],
+    stretched: Sequence[SlowSpan],
 ) -> None:
     """Raise `PlanningError` for the first anchor that is not met, in any pass that `clock` spans.
 
@@ -142,7 +142,7 @@ def _missed(
     index: int,
     wanted_s: float,
     planned_s: float,
-    stretched: Sequence[Stretch],
+    stretched: Sequence[SlowSpan],
     *,
     after: str = "",
 ) -> PlanningError:

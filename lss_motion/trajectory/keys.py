@@ -215,7 +215,7 @@ def least_move_s(move_deg: FloatArray, speed_deg_s: float, accel_deg_s2: float) 
     return np.where(is_triangle, triangle_s, trapezoid_s)
 
 
-def spaced(sequence: Sequence, keys: Mapping[str, tuple[Key, ...]], robot: Robot) -> Spacing:
+def spacing_of(sequence: Sequence, keys: Mapping[str, tuple[Key, ...]], robot: Robot) -> Spacing:
     """Return the spacing of the keyframes: authored if the sequence is timed, else as needed."""
     is_authored = is_timed(sequence)
     needs = _needs(keys, robot, is_authored=is_authored)
@@ -288,7 +288,7 @@ SEAM_DEG_S: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Span:
+class LoopedSpan:
     """A pass that is a stretch of one pass of `whole`, joints in motion at its ends."""
 
     whole: Trajectory
@@ -323,7 +323,7 @@ class Span:
         return values
 
 
-def looped_span(sequence: Show, whole: Trajectory) -> Trajectory:
+def with_looped_span(sequence: Show, whole: Trajectory) -> Trajectory:
     """Return `whole`, one pass of all keyframes of `sequence`, with its `loop_span_s` looped.
 
     Raises `InputError` where the joints do not end the part as they began it, in motion too.
@@ -341,9 +341,9 @@ def looped_span(sequence: Show, whole: Trajectory) -> Trajectory:
     skipped_s = 0.0 if sequence.loop is None else (sequence.loop - 1) * (to_s - from_s)
     return replace(
         whole,
-        first=Span(whole=whole, from_s=0.0, to_s=to_s),
-        middle=Span(whole=whole, from_s=from_s, to_s=to_s),
-        last=Span(whole=whole, from_s=from_s, to_s=whole.duration_s),
+        first=LoopedSpan(whole=whole, from_s=0.0, to_s=to_s),
+        middle=LoopedSpan(whole=whole, from_s=from_s, to_s=to_s),
+        last=LoopedSpan(whole=whole, from_s=from_s, to_s=whole.duration_s),
         loop=sequence.loop,
         is_periodic=True,
         marks=tuple(

@@ -14,11 +14,11 @@ import numpy as np
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.trajectory import explain
 from lss_motion.trajectory.keys import SAME_INSTANT_S
-from lss_motion.trajectory.model import Motion, Trajectory
+from lss_motion.trajectory.model import PathMotion, Trajectory
 from lss_motion.trajectory.path import Path, cubics
-from lss_motion.trajectory.planner import PLANNER_VERSION, remembered
+from lss_motion.trajectory.planner import PLANNER_VERSION, cached
 from lss_motion.trajectory.retime import authored_clock, slowed_windows
-from lss_motion.trajectory.solver import Task
+from lss_motion.trajectory.solver import RateTask
 from lss_motion.trajectory.verify import verify
 from lss_motion.units import significant
 
@@ -42,7 +42,7 @@ SIDE_S: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Sheet:
+class PlacedLayer:
     """One layer with its plan, over the show from `from_s` to `to_s`."""
 
     layer: Layer
@@ -52,13 +52,13 @@ class Sheet:
 
     def weights(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return how much of the layer counts at each instant, and how fast that grows."""
-        rise, rise_slope = _eased(times_s - self.from_s, self.layer.fade_s)
-        fall, fall_slope = _eased(self.to_s - times_s, self.layer.fade_s)
+        rise, rise_slope = _smooth_step(times_s - self.from_s, self.layer.fade_s)
+        fall, fall_slope = _smooth_step(self.to_s - times_s, self.layer.fade_s)
         weight = self.layer.weight
         return weight * rise * fall, weight * (rise_slope * fall - rise * fall_slope)
 
 
-def _eased(since_s: FloatArray, fade_s: float) -> tuple[FloatArray, FloatArray]:
+def _smooth_step(since_s: FloatArray, fade_s: float) -> tuple[FloatArray, FloatArray]:
     """Return a smooth step from 0 to 1 within `fade_s`, and its slope."""
     if fade_s <= 0.0:
         return np.where(since_s >= 0.0, 1.0, 0.0), np.zeros_like(since_s)
@@ -67,12 +67,12 @@ def _eased(since_s: FloatArray, fade_s: float) -> tuple[FloatArray, FloatArray]:
 
 
 @dataclass(frozen=True, slots=True)
-class Sum:
+class LayeredSum:
     """The show and its layers, as if there were no limits."""
 
     joints: tuple[str, ...]
     base: Trajectory
-    sheets: tuple[Sheet, ...]
+    sheets: tuple[PlacedLayer, ...]
     rest_deg: FloatArray
     """Where a joint is that only layers move."""
 
@@ -90,12 +90,12 @@ class Sum:
         for sheet in self.sheets:
             rows = np.flatnonzero((times_s >= sheet.from_s) & (times_s <= sheet.to_s))
             if len(rows):
-                self._lay(sheet, times_s[rows], rows, (deg, speed))
+                self._add_layer(sheet, times_s[rows], rows, (deg, speed))
         return deg, speed
 
-    def _lay(
+    def _add_layer(
         self,
-        sheet: Sheet,
+        sheet: PlacedLayer,
         times_s: FloatArray,
         rows: NDArray[np.intp],
         below: tuple[FloatArray, FloatArray],
@@ -113,7 +113,7 @@ class Sum:
         below[1][place] += weight * top_speed + growth * top_deg
 
 
-def summed(base: Trajectory, sheets: tuple[Sheet, ...], robot: Robot) -> Sum:
+def layered_sum(base: Trajectory, sheets: tuple[PlacedLayer, ...], robot: Robot) -> LayeredSum:
     """Return the sum; raise `InputError` for a layer that adds to what nothing below moves."""
     rest_deg: dict[str, float] = {}
     for sheet in sheets:
@@ -133,10 +133,10 @@ def summed(base: Trajectory, sheets: tuple[Sheet, ...], robot: Robot) -> Sum:
             )
         moved |= own
     joints = tuple(name for name in robot.joints if name in moved)
-    return Sum(joints, base, sheets, np.array([rest_deg.get(name, 0.0) for name in joints]))
+    return LayeredSum(joints, base, sheets, np.array([rest_deg.get(name, 0.0) for name in joints]))
 
 
-def check_jumps(total: Sum, show: Sequence) -> None:
+def check_jumps(total: LayeredSum, show: Sequence) -> None:
     """Raise `InputError` where a layer begins or ends with a jump of angle or speed."""
     for sheet in total.sheets:
         for at_s in (sheet.from_s, sheet.to_s):
@@ -195,33 +195,33 @@ def layered(
             "still as well; put the layers into the parts that it plays",
             path=show.path,
         )
-    sheets = tuple(_sheet(layer, base, robot, plan) for layer in show.layers)
-    total = summed(base, sheets, robot)
+    sheets = tuple(_placed(layer, base, robot, plan) for layer in show.layers)
+    total = layered_sum(base, sheets, robot)
     check_jumps(total, show)
-    path = _followed(total, robot, show)
+    path = _as_cubics(total, robot, show)
     limits = [robot.joints[name] for name in total.joints]
-    task = Task(
+    task = RateTask(
         path=path,
         speed_max_deg_s=np.array([joint.speed_max_deg_s for joint in limits]),
         accel_max_deg_s2=np.array([joint.accel_max_deg_s2 for joint in limits]),
         knot_caps={},
         cells_min=CELLS_MIN,
     )
-    trajectory = remembered(
-        _name_of(task, show, base, robot), lambda: _retimed(task, total, show, robot)
+    trajectory = cached(
+        _cache_name(task, show, base, robot), lambda: _retimed(task, total, show, robot)
     )
     _check_anchors(trajectory, show)
     return trajectory
 
 
-def _sheet(
+def _placed(
     layer: Layer, base: Trajectory, robot: Robot, plan: Callable[[Sequence, Robot], Trajectory]
-) -> Sheet:
+) -> PlacedLayer:
     trajectory = plan(layer.sequence, _unbounded(robot) if layer.mode == "add" else robot)
     end_s = layer.from_s + trajectory.duration_s
     if trajectory.loop is None:
         end_s = max(base.duration_s, layer.from_s)
-    return Sheet(layer, trajectory, layer.from_s, end_s if layer.to_s is None else layer.to_s)
+    return PlacedLayer(layer, trajectory, layer.from_s, end_s if layer.to_s is None else layer.to_s)
 
 
 def _unbounded(robot: Robot) -> Robot:
@@ -233,7 +233,7 @@ def _unbounded(robot: Robot) -> Robot:
     return replace(robot, joints=joints)
 
 
-def _followed(total: Sum, robot: Robot, show: Sequence) -> Path:
+def _as_cubics(total: LayeredSum, robot: Robot, show: Sequence) -> Path:
     """Return the sum as cubics: exact where it is one, else divided until it is followed."""
     end_s = total.duration_s
     knots = [total.base.knots_until(end_s), np.array([0.0, end_s])]
@@ -273,7 +273,7 @@ def _followed(total: Sum, robot: Robot, show: Sequence) -> Path:
         knots_s = np.sort(np.concatenate([knots_s, middles_s]))
 
 
-def _name_of(task: Task, show: Sequence, base: Trajectory, robot: Robot) -> str:
+def _cache_name(task: RateTask, show: Sequence, base: Trajectory, robot: Robot) -> str:
     digest = hashlib.sha256()
     for array in (task.path.knots_s, task.path.coefficients):
         digest.update(np.ascontiguousarray(array).tobytes())
@@ -282,11 +282,11 @@ def _name_of(task: Task, show: Sequence, base: Trajectory, robot: Robot) -> str:
     return digest.hexdigest()
 
 
-def _retimed(task: Task, total: Sum, show: Sequence, robot: Robot) -> Trajectory:
+def _retimed(task: RateTask, total: LayeredSum, show: Sequence, robot: Robot) -> Trajectory:
     """Return the sum at its own times, slower where a limit binds."""
     windows = slowed_windows(task)
     clock = authored_clock(task.path, windows, (), lambda path_s: path_s)
-    motion = Motion(path=task.path, clock=clock)
+    motion = PathMotion(path=task.path, clock=clock)
 
     def moved(times_s: list[float]) -> list[float]:
         return [float(at_s) for at_s in clock.times_of(np.array(times_s))]
@@ -302,7 +302,7 @@ def _retimed(task: Task, total: Sum, show: Sequence, robot: Robot) -> Trajectory
             for mark in sheet.trajectory.marks
             if mark.planned_s + sheet.from_s <= sheet.to_s
         ]
-    stretched = [*explain.stretches(task, total.joints, windows, clock, lambda path_s: path_s)]
+    stretched = [*explain.slow_spans(task, total.joints, windows, clock, lambda path_s: path_s)]
     for stretch in total.base.stretched:
         from_s, to_s = moved([stretch.from_s, stretch.to_s])
         stretched.append(replace(stretch, from_s=from_s, to_s=to_s))

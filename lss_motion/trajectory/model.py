@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stretch:
+class SlowSpan:
     """A span that had to be slower than its author wanted. Times are planned times."""
 
     from_s: float
@@ -78,11 +78,11 @@ class Pass(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Motion:
+class PathMotion:
     """One pass of a single track: a path and the clock that follows it."""
 
     path: Path
-    clock: Clock
+    clock: PathClock
 
     @property
     def parts(self) -> tuple[Trajectory, ...]:
@@ -154,7 +154,7 @@ class Trajectory:
     loop: int | None = 1
     """How often it is played; None is forever, and then `last` is never reached."""
     is_periodic: bool = False
-    stretched: tuple[Stretch, ...] = ()
+    stretched: tuple[SlowSpan, ...] = ()
     marks: tuple[Mark, ...] = ()
     cues: tuple[Cue, ...] = ()
     waits: tuple[WaitPoint, ...] = ()
@@ -231,17 +231,17 @@ class Trajectory:
         return passes if self.loop is None else np.minimum(passes, self.loop - 1)
 
 
-def motions_of(trajectory: Trajectory) -> tuple[Motion, Motion, Motion]:
+def motions_of(trajectory: Trajectory) -> tuple[PathMotion, PathMotion, PathMotion]:
     """Return first, middle and last pass of a single track, for whom needs path and clock."""
     first, middle, last = trajectory.first, trajectory.middle, trajectory.last
-    assert isinstance(first, Motion), "made of parts"
-    assert isinstance(middle, Motion), "made of parts"
-    assert isinstance(last, Motion), "made of parts"
+    assert isinstance(first, PathMotion), "made of parts"
+    assert isinstance(middle, PathMotion), "made of parts"
+    assert isinstance(last, PathMotion), "made of parts"
     return first, middle, last
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Clock:
+class PathClock:
     """Path position over time. Piece i starts at `times_s[i]` and `path_s[i]`.
 
     `rates[i]` is how fast the path is followed there (1: one path second a second) and
@@ -281,11 +281,11 @@ class Clock:
         spent_s = np.where(is_moving, distance_s / np.where(is_moving, mean_rates, 1.0), 0.0)
         return np.minimum(self.times_s[pieces] + spent_s, self.times_s[pieces + 1])
 
-    def cut(self, from_s: float, to_s: float) -> Clock:
+    def cut(self, from_s: float, to_s: float) -> PathClock:
         """Return the part between two path positions that are boundaries, starting at 0 and 0."""
         first = int(np.argmin(np.abs(self.path_s[:-1] - from_s)))
         last = len(self.path_s) - 1 - int(np.argmin(np.abs(self.path_s[:0:-1] - to_s)))
-        return Clock(
+        return PathClock(
             times_s=self.times_s[first : last + 1] - self.times_s[first],
             path_s=self.path_s[first : last + 1] - self.path_s[first],
             rates=self.rates[first:last],
@@ -293,9 +293,9 @@ class Clock:
         )
 
 
-def steady(length_s: float) -> Clock:
+def steady_clock(length_s: float) -> PathClock:
     """Return the clock that follows a path of that length at rate 1."""
-    return Clock(
+    return PathClock(
         times_s=np.array([0.0, length_s]),
         path_s=np.array([0.0, length_s]),
         rates=np.ones(1),

@@ -26,8 +26,15 @@ from lss_motion.errors import InputError
 from lss_motion.sequence.keyframes import at_speed
 from lss_motion.sequence.model import Timing
 from lss_motion.trajectory.cues import planned_cues
-from lss_motion.trajectory.keys import looped_span
-from lss_motion.trajectory.model import Clock, Mark, Motion, Stretch, Trajectory, motions_of
+from lss_motion.trajectory.keys import with_looped_span
+from lss_motion.trajectory.model import (
+    Mark,
+    PathClock,
+    PathMotion,
+    SlowSpan,
+    Trajectory,
+    motions_of,
+)
 from lss_motion.trajectory.path import Path as JointPath
 
 if TYPE_CHECKING:
@@ -59,7 +66,7 @@ _PATH: Final = ("knots_s", "coefficients")
 _CLOCK: Final = ("times_s", "path_s", "rates", "rate_slopes")
 
 
-def directory() -> Path:
+def cache_directory() -> Path:
     """Return where plans are kept: `LSS_MOTION_CACHE_DIR`, else the user's cache folder."""
     if chosen := os.environ.get(DIRECTORY_VARIABLE):
         return Path(chosen)
@@ -68,7 +75,7 @@ def directory() -> Path:
     return Path(platformdirs.user_cache_dir("lss_motion", appauthor=False)) / "plans"
 
 
-def name_of(sequence: Sequence, robot: Robot) -> str:
+def cache_name(sequence: Sequence, robot: Robot) -> str:
     """Return the name of a question: a hash of the keys, their times and the limits they meet."""
     digest = hashlib.sha256(repr(PLANNER_VERSION).encode())
     digest.update(
@@ -107,13 +114,13 @@ def name_of(sequence: Sequence, robot: Robot) -> str:
     return digest.hexdigest()
 
 
-def remembered(name: str, make: Callable[[], Trajectory]) -> Trajectory:
+def cached(name: str, make: Callable[[], Trajectory]) -> Trajectory:
     """Return the plan stored under `name`, or make and store it. `make` returns a verified one.
 
     A damaged entry counts as none and is replaced. A cache that cannot be written is no error:
     the plan is only not remembered.
     """
-    path = directory() / f"{name}{SUFFIX}"
+    path = cache_directory() / f"{name}{SUFFIX}"
     trajectory = _load(path)
     if trajectory is None:
         trajectory = make()
@@ -134,9 +141,9 @@ def _load(path: Path) -> Trajectory | None:
     with np.load(io.BytesIO(content), allow_pickle=False) as stored:
         facts: dict[str, Any] = json.loads(stored["facts"].tobytes())
         motions = [
-            Motion(
+            PathMotion(
                 path=JointPath(**{key: stored[f"{number}.{key}"] for key in _PATH}),
-                clock=Clock(**{key: stored[f"{number}.{key}"] for key in _CLOCK}),
+                clock=PathClock(**{key: stored[f"{number}.{key}"] for key in _CLOCK}),
             )
             for number in range(max(facts["parts"]) + 1)
         ]
@@ -147,13 +154,13 @@ def _load(path: Path) -> Trajectory | None:
         **dict(zip(_PARTS, parts, strict=True)),
         loop=facts["loop"],
         is_periodic=facts["is_periodic"],
-        stretched=tuple(Stretch(**stretch) for stretch in facts["stretched"]),
+        stretched=tuple(SlowSpan(**stretch) for stretch in facts["stretched"]),
         marks=tuple(Mark(**mark) for mark in facts["marks"]),
     )
 
 
 def _store(path: Path, trajectory: Trajectory) -> None:
-    motions: list[Motion] = []
+    motions: list[PathMotion] = []
     numbers = []
     for motion in motions_of(trajectory):
         if not any(motion is earlier for earlier in motions):
@@ -226,7 +233,7 @@ def _check_limits(robot: Robot) -> None:
 def _planned(sequence: Sequence, robot: Robot) -> Trajectory:
     """Return the plan of a sequence whose times are final."""
     bare = replace(sequence, layers=(), events=())
-    trajectory = base = _base(bare, robot)
+    trajectory = base = _planned_base(bare, robot)
     if sequence.layers:
         from lss_motion.trajectory.layers import layered
 
@@ -243,37 +250,37 @@ def _planned(sequence: Sequence, robot: Robot) -> Trajectory:
     return trajectory
 
 
-def _base(sequence: Sequence, robot: Robot) -> Trajectory:
+def _planned_base(sequence: Sequence, robot: Robot) -> Trajectory:
     if not sequence.play and not sequence.tracks:
-        return _alone(sequence, robot)
+        return _planned_track(sequence, robot)
     from lss_motion.trajectory.verify import verify
 
     if sequence.play:
-        from lss_motion.trajectory.playlist import in_a_row
+        from lss_motion.trajectory.playlist import planned_play_list
 
-        trajectory = in_a_row(sequence, robot, _planned)
+        trajectory = planned_play_list(sequence, robot, _planned)
     else:
         if sequence.loop != 1 and not sequence.keyframes:
             raise InputError(
                 "there is nothing to loop outside of the tracks; give each track its own loop",
                 path=sequence.path,
             )
-        from lss_motion.trajectory.tracks import side_by_side
+        from lss_motion.trajectory.tracks import planned_tracks
 
         own = [replace(sequence, tracks=())] if sequence.keyframes else []
-        trajectory = side_by_side(sequence, [*own, *sequence.tracks], robot, _alone)
+        trajectory = planned_tracks(sequence, [*own, *sequence.tracks], robot, _planned_track)
     verify(trajectory, robot, has_parts=False)  # The parts have passed it already.
     return trajectory
 
 
-def _alone(track: Sequence, robot: Robot) -> Trajectory:
+def _planned_track(track: Sequence, robot: Robot) -> Trajectory:
     if track.tracks or track.layers or track.play:
         raise InputError("a track holds keyframes and nothing else", path=track.path)
     if track.loop_span_s is not None:
         from lss_motion.trajectory.verify import verify
 
-        whole = _alone(replace(track, loop=1, loop_span_s=None), robot)
-        trajectory = looped_span(track, whole)
+        whole = _planned_track(replace(track, loop=1, loop_span_s=None), robot)
+        trajectory = with_looped_span(track, whole)
         verify(trajectory, robot, has_parts=False)
         return trajectory
     ratio = track.speed_ratio
@@ -293,4 +300,4 @@ def _keyframes(track: Sequence, robot: Robot) -> Trajectory:
 
         return planned_track(track, robot)
 
-    return remembered(name_of(track, robot), make)
+    return cached(cache_name(track, robot), make)

@@ -39,7 +39,7 @@ PEAK_RATIO: Final = 1.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class InARow:
+class PlayListPass:
     """A pass in which trajectories follow one another, each from rest to rest.
 
     `parts[k]` starts at `starts_s[k]`, where the joints are at `poses_deg[k]`; a joint that it
@@ -82,7 +82,7 @@ class InARow:
 
 
 @dataclass(slots=True)
-class _Row:
+class _StepCollector:
     """Collects parts, and where every joint stands after them."""
 
     robot: Robot
@@ -124,7 +124,7 @@ class _Row:
         self.append(self.plan(Sequence(name="move", keyframes=frames), self.robot))
 
 
-def in_a_row(
+def planned_play_list(
     show: Sequence, robot: Robot, plan: Callable[[Sequence, Robot], Trajectory]
 ) -> Trajectory:
     """Return the steps of a play list, one after the other, as often as the list is looped.
@@ -136,7 +136,7 @@ def in_a_row(
     start_deg: dict[str, float] = {}
     for _, part, _ in planned:
         start_deg = {**(_start(part) if part else {}), **start_deg}
-    row = _Row(robot, plan, dict(start_deg), [], [])
+    row = _StepCollector(robot, plan, dict(start_deg), [], [])
     for step, part, times in planned:
         row.now_s += step.pause_s
         if step.wait is not None:
@@ -170,12 +170,12 @@ def _start(part: Trajectory) -> dict[str, float]:
     return dict(zip(part.joints, part.sample(np.zeros(1))[0].tolist(), strict=True))
 
 
-def _trajectory(show: Sequence, row: _Row, robot: Robot) -> Trajectory:
+def _trajectory(show: Sequence, row: _StepCollector, robot: Robot) -> Trajectory:
     joints = tuple(name for name in robot.joints if name in row.pose_deg)
     parts = row.parts
     if not parts:
         raise InputError("the play list moves no joint", path=show.path)
-    whole = InARow(
+    whole = PlayListPass(
         joints=joints,
         parts=tuple(part for _, part, _ in parts),
         starts_s=np.array([start_s for start_s, _, _ in parts]),

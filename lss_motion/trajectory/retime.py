@@ -24,10 +24,10 @@ import numpy as np
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.splines import runs
 from lss_motion.trajectory.curves import JointKeys, build_path, joint_keys, seam_slope_deg_s
-from lss_motion.trajectory.keys import SAME_INSTANT_S, Spacing, is_timed, keys_by_joint, spaced
-from lss_motion.trajectory.model import Clock, Motion, Trajectory, motions_of
+from lss_motion.trajectory.keys import SAME_INSTANT_S, Spacing, is_timed, keys_by_joint, spacing_of
+from lss_motion.trajectory.model import PathClock, PathMotion, Trajectory, motions_of
 from lss_motion.trajectory.path import Path, concatenate, peaks
-from lss_motion.trajectory.solver import FEASIBLE_RATIO, RATE_FREE, Task, solve
+from lss_motion.trajectory.solver import FEASIBLE_RATIO, RATE_FREE, RateTask, solve
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.model import Sequence as Show
-    from lss_motion.trajectory.solver import Window
+    from lss_motion.trajectory.solver import RateWindow
 
     FloatArray = NDArray[np.float64]
 
@@ -45,21 +45,21 @@ WINDOW_MIN_S: Final = 0.2
 """How far a window grows at least. Chosen: braking from rate 1 takes a few tenths of a second."""
 
 
-def strained(task: Task) -> NDArray[np.bool_]:
+def segments_over_limits(task: RateTask) -> NDArray[np.bool_]:
     """Return which segments cannot be followed at rate 1."""
     speed, accel = peaks(task.path)
     is_fast = np.any(speed > task.speed_max_deg_s * FEASIBLE_RATIO, axis=1)
     return np.asarray(is_fast | np.any(accel > task.accel_max_deg_s2 * FEASIBLE_RATIO, axis=1))
 
 
-def slowed_windows(task: Task) -> list[Window]:
+def slowed_windows(task: RateTask) -> list[RateWindow]:
     """Return the windows where rate 1 is left, in order; none if the path is legal as it is."""
     is_rest = task.path.rests
-    is_active = strained(task)
+    is_active = segments_over_limits(task)
     for knot, cap in task.knot_caps.items():
         if cap < 1.0:
             is_active[knot - 1 : knot + 1] = True
-    solved: dict[tuple[int, int], Window] = {}
+    solved: dict[tuple[int, int], RateWindow] = {}
     for run in runs(is_active):
         for step in (-1, +1):
             _widen(is_active, is_rest, task.path, run, step)
@@ -110,7 +110,7 @@ class _Pieces:
         self.slopes: list[FloatArray] = []
         self.now_s = 0.0
 
-    def follow(self, window: Window) -> None:
+    def follow(self, window: RateWindow) -> None:
         rates = np.sqrt(window.squares)
         steps_s = np.diff(window.grid_s)
         self._add(
@@ -134,11 +134,11 @@ class _Pieces:
         self.slopes.append(slopes)
         self.now_s += float(spent_s.sum())
 
-    def clock(self, end_s: float) -> Clock:
+    def clock(self, end_s: float) -> PathClock:
         if not self.spent_s:
             self.go(end_s, end_s, 0.0)
         spent_s = np.concatenate(self.spent_s)
-        return Clock(
+        return PathClock(
             times_s=np.concatenate([[0.0], np.cumsum(spent_s)]),
             path_s=np.append(np.concatenate(self.path_s), end_s),
             rates=np.concatenate(self.rates),
@@ -148,10 +148,10 @@ class _Pieces:
 
 def authored_clock(
     path: Path,
-    windows: Sequence[Window],
+    windows: Sequence[RateWindow],
     seams: Sequence[int],
     authored: Callable[[FloatArray], FloatArray],
-) -> Clock:
+) -> PathClock:
     """Return the clock that runs at rate 1 outside of `windows`, with a boundary at all `seams`.
 
     A rest gives up as much of itself as the motion is late when it begins. `authored` maps path
@@ -185,8 +185,8 @@ def authored_clock(
 
 
 def stopping_clock(
-    windows: Sequence[Window], pauses_s: Mapping[float, float], end_s: float
-) -> Clock:
+    windows: Sequence[RateWindow], pauses_s: Mapping[float, float], end_s: float
+) -> PathClock:
     """Return the clock that follows `windows` and stays at path positions for their pause."""
     pieces = _Pieces()
     for window in windows:
@@ -201,11 +201,11 @@ def _pause(pieces: _Pieces, at_s: float, pauses_s: Mapping[float, float]) -> Non
         pieces.go(at_s, at_s, pause_s)
 
 
-def slowed(clock: Clock, ratio: float) -> Clock:
+def slowed_clock(clock: PathClock, ratio: float) -> PathClock:
     """Return the clock with all motion slowed by `ratio`; pauses keep their length."""
     is_pause = (clock.rates == 0.0) & (clock.rate_slopes == 0.0)
     spent_s = np.diff(clock.times_s) * np.where(is_pause, 1.0, ratio)
-    return Clock(
+    return PathClock(
         times_s=np.concatenate([[0.0], np.cumsum(spent_s)]),
         path_s=clock.path_s,
         rates=clock.rates / ratio,
@@ -213,7 +213,7 @@ def slowed(clock: Clock, ratio: float) -> Clock:
     )
 
 
-def pause_s(clock: Clock) -> float:
+def pause_s(clock: PathClock) -> float:
     """Return how long the clock stands still in all."""
     is_pause = (clock.rates == 0.0) & (clock.rate_slopes == 0.0)
     return float(np.diff(clock.times_s)[is_pause].sum())
@@ -244,9 +244,9 @@ class Layout:
         counts = np.cumsum([len(path.knots_s) - 1 for path in self.paths])
         return tuple(counts[:-1].tolist())
 
-    def task(self, caps: Mapping[int, float]) -> Task:
+    def task(self, caps: Mapping[int, float]) -> RateTask:
         joints = [self.robot.joints[name] for name in self.keys]
-        return Task(
+        return RateTask(
             path=concatenate(self.paths),
             speed_max_deg_s=np.array([joint.speed_max_deg_s for joint in joints]),
             accel_max_deg_s2=np.array([joint.accel_max_deg_s2 for joint in joints]),
@@ -260,7 +260,7 @@ def laid_out(sequence: Show, robot: Robot, *, may_flow: bool = True) -> Layout:
     checked = keys_by_joint(sequence, robot)
     if not checked:
         raise InputError("the sequence moves no joint", path=sequence.path)
-    spacing = spaced(sequence, checked, robot)
+    spacing = spacing_of(sequence, checked, robot)
     keys = {name: joint_keys(own, spacing) for name, own in checked.items()}
     length_s = spacing.length_s
     slopes: dict[str, float] = {}
@@ -306,14 +306,14 @@ def slowed_to(trajectory: Trajectory, wanted_s: float) -> Trajectory:
             f"nothing moves, so that {wanted_s:g} s cannot be filled; give a hold of that length"
         )
     ratio = max(1.0, (wanted_s - paused_s) / moving_s)
-    return _reclocked(trajectory, lambda clock: slowed(clock, ratio))
+    return _reclocked(trajectory, lambda clock: slowed_clock(clock, ratio))
 
 
 def at_ratio(trajectory: Trajectory, ratio: float) -> Trajectory:
     """Slow a fastest trajectory down to `ratio` of its speed, pauses included."""
     return _reclocked(
         trajectory,
-        lambda clock: Clock(
+        lambda clock: PathClock(
             times_s=clock.times_s / ratio,
             path_s=clock.path_s,
             rates=clock.rates * ratio,
@@ -322,10 +322,10 @@ def at_ratio(trajectory: Trajectory, ratio: float) -> Trajectory:
     )
 
 
-def _reclocked(trajectory: Trajectory, change: Callable[[Clock], Clock]) -> Trajectory:
+def _reclocked(trajectory: Trajectory, change: Callable[[PathClock], PathClock]) -> Trajectory:
     """Return the trajectory with other clocks on the same paths; same passes stay the same."""
     motions = motions_of(trajectory)
-    changed = {id(m): Motion(path=m.path, clock=change(m.clock)) for m in motions}
+    changed = {id(m): PathMotion(path=m.path, clock=change(m.clock)) for m in motions}
     first, middle, last = (changed[id(motion)] for motion in motions)
     reached_s = [mark.planned_s for mark in trajectory.marks]
     moved_s = np.interp(reached_s, motions[0].clock.times_s, first.clock.times_s).tolist()
@@ -366,7 +366,7 @@ def least_fit_s(sequence: Show, robot: Robot) -> float:
     def is_feasible(duration_s: float) -> bool:
         layout = laid_out(scaled(sequence, duration_s), robot)
         is_authored = np.array_equal(layout.spacing.path_s, layout.spacing.authored_s)
-        return bool(is_authored and not strained(layout.task({})).any())
+        return bool(is_authored and not segments_over_limits(layout.task({})).any())
 
     high_s = sequence.fit_duration_s or 0.0
     while not is_feasible(high_s):

@@ -273,7 +273,7 @@ BLOCK: Final = 2048
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Task:
+class RateTask:
     """A path, the limits of its joints, and how fast it may be followed at most.
 
     `knot_caps` bounds the squared rate at single knots, by index.
@@ -289,7 +289,7 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class RateWindow:
     """Squared rates over a grid from one knot to another; `first` and `end` are their indices."""
 
     first: int
@@ -323,8 +323,8 @@ class _Grid:
 
 
 def solve(
-    task: Task, first: int, end: int, *, start_max: float = math.inf, end_max: float = math.inf
-) -> Window:
+    task: RateTask, first: int, end: int, *, start_max: float = math.inf, end_max: float = math.inf
+) -> RateWindow:
     """Return the largest rates from knot `first` to knot `end`, repaired until limits hold.
 
     `start_max` and `end_max` bound the squared rates at the ends. What is left after
@@ -344,7 +344,7 @@ def solve(
         if not (excess > REPAIR_RATIO).any():
             break
         grid, squares, excess = _repaired(task, grid, squares, excess, (start_max, end_max))
-    return Window(first, end, grid.points_s, squares)
+    return RateWindow(first, end, grid.points_s, squares)
 
 
 def _grid(path: Path, first: int, end: int, cells_min: int) -> _Grid:
@@ -356,7 +356,7 @@ def _grid(path: Path, first: int, end: int, cells_min: int) -> _Grid:
     return whole.divided(counts)
 
 
-def _squares(task: Task, grid: _Grid, start_max: float, end_max: float) -> FloatArray:
+def _squares(task: RateTask, grid: _Grid, start_max: float, end_max: float) -> FloatArray:
     path, points_s, segments = task.path, grid.points_s, grid.segments
     caps = np.full(len(points_s), task.rate_max**2)
     for low in range(0, len(segments), BLOCK):
@@ -390,7 +390,7 @@ def _squares(task: Task, grid: _Grid, start_max: float, end_max: float) -> Float
     return squares
 
 
-def _excess(task: Task, grid: _Grid, squares: FloatArray) -> FloatArray:
+def _excess(task: RateTask, grid: _Grid, squares: FloatArray) -> FloatArray:
     """Return for each cell the largest part of a limit that is used inside it."""
     excess = np.zeros(len(grid.segments))
     for low in range(0, len(excess), BLOCK):
@@ -417,7 +417,7 @@ def _excess(task: Task, grid: _Grid, squares: FloatArray) -> FloatArray:
 
 
 def _repaired(
-    task: Task,
+    task: RateTask,
     grid: _Grid,
     squares: FloatArray,
     excess: FloatArray,
@@ -449,7 +449,7 @@ def _repaired(
 
 
 def _resolve(
-    task: Task,
+    task: RateTask,
     grid: _Grid,
     squares: FloatArray,
     cells: tuple[int, int],

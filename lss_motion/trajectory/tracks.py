@@ -19,7 +19,7 @@ from lss_motion.errors import PlanningError
 from lss_motion.sequence.model import Timing
 from lss_motion.trajectory import explain
 from lss_motion.trajectory.keys import is_timed, named
-from lss_motion.trajectory.model import Motion, Trajectory, steady
+from lss_motion.trajectory.model import PathMotion, Trajectory, steady_clock
 from lss_motion.trajectory.path import cubics
 from lss_motion.trajectory.retime import (
     FIT_TOLERANCE_S,
@@ -28,10 +28,10 @@ from lss_motion.trajectory.retime import (
     laid_out,
     least_fit_s,
     scaled,
+    segments_over_limits,
     slowed_to,
     slowed_windows,
     stopping_clock,
-    strained,
 )
 from lss_motion.trajectory.solver import solve
 from lss_motion.trajectory.verify import verify
@@ -44,8 +44,8 @@ if TYPE_CHECKING:
 
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.model import Sequence as Show
-    from lss_motion.trajectory.model import Clock
-    from lss_motion.trajectory.solver import Task, Window
+    from lss_motion.trajectory.model import PathClock
+    from lss_motion.trajectory.solver import RateTask, RateWindow
 
     FloatArray = NDArray[np.float64]
 
@@ -103,20 +103,20 @@ def _planned(layout: Layout) -> Trajectory:
     return _planned(laid_out(layout.sequence, layout.robot, may_flow=False))
 
 
-def _seam_rates(layout: Layout, clock: Clock) -> list[float]:
+def _seam_rates(layout: Layout, clock: PathClock) -> list[float]:
     seams_s = [count * layout.spacing.length_s for count in range(1, len(layout.paths))]
     times_s = clock.times_of(np.array(seams_s))
     return [float(rate) for rate in clock.positions(times_s)[1]]
 
 
-def _timed(layout: Layout, task: Task) -> tuple[list[Window], Clock]:
-    windows: list[Window] = []
-    if strained(task).any() or task.knot_caps:
+def _timed(layout: Layout, task: RateTask) -> tuple[list[RateWindow], PathClock]:
+    windows: list[RateWindow] = []
+    if segments_over_limits(task).any() or task.knot_caps:
         windows = slowed_windows(task)
     return windows, authored_clock(task.path, windows, layout.seams(), layout.authored)
 
 
-def _free(layout: Layout, task: Task) -> tuple[list[Window], Clock]:
+def _free(layout: Layout, task: RateTask) -> tuple[list[RateWindow], PathClock]:
     """Time-optimal between the holds, at which everything rests."""
     pauses_s: dict[float, float] = {}
     for count in range(len(layout.paths)):
@@ -140,16 +140,18 @@ def _free(layout: Layout, task: Task) -> tuple[list[Window], Clock]:
     return windows, stopping_clock(windows, pauses_s, end_s)
 
 
-def _stop_square(task: Task, knot: int) -> float:
+def _stop_square(task: RateTask, knot: int) -> float:
     """Return the squared rate allowed at a stop: any where the path itself rests, else 0."""
     slopes = np.abs(task.path.slopes(task.path.knots_s[knot : knot + 1])[0])
     return math.inf if np.all(slopes <= REST_RATIO * task.speed_max_deg_s) else 0.0
 
 
-def _assembled(layout: Layout, task: Task, windows: list[Window], clock: Clock) -> Trajectory:
+def _assembled(
+    layout: Layout, task: RateTask, windows: list[RateWindow], clock: PathClock
+) -> Trajectory:
     sequence, spacing = layout.sequence, layout.spacing
     stretched = (
-        explain.stretches(task, tuple(layout.keys), windows, clock, layout.authored)
+        explain.slow_spans(task, tuple(layout.keys), windows, clock, layout.authored)
         if layout.is_timed
         else ()
     )
@@ -157,7 +159,7 @@ def _assembled(layout: Layout, task: Task, windows: list[Window], clock: Clock) 
         explain.check_anchors(sequence, spacing, clock, layout.authored, stretched)
     marks = explain.marks(sequence.keyframes, spacing, clock)
     motions = [
-        Motion(path=path, clock=clock.cut(start_s, start_s + path.length_s))
+        PathMotion(path=path, clock=clock.cut(start_s, start_s + path.length_s))
         for path, start_s in zip(
             layout.paths,
             [count * spacing.length_s for count in range(len(layout.paths))],
@@ -213,7 +215,7 @@ PERIOD_SLACK_S: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Together:
+class ParallelPass:
     """A pass in which tracks move side by side: their show time from `from_s` on."""
 
     joints: tuple[str, ...]
@@ -244,7 +246,7 @@ class Together:
         return values
 
 
-def side_by_side(
+def planned_tracks(
     show: Show,
     tracks: Sequence[Show],
     robot: Robot,
@@ -265,7 +267,7 @@ def side_by_side(
         track if track.loop is not None else _fitting(source, track, length_s, robot, plan)
         for source, track in zip(tracks, planned, strict=True)
     ]
-    whole = Together(
+    whole = ParallelPass(
         joints=_joints(finite, robot),
         parts=tuple(finite),
         from_s=0.0,
@@ -296,8 +298,8 @@ def _endless(show: Show, tracks: Sequence[Trajectory], robot: Robot) -> Trajecto
     )
     joints, parts = _joints(tracks, robot), tuple(tracks)
     period_s = _common_period_s(looped)
-    first = Together(joints=joints, parts=parts, from_s=0.0, duration_s=begun_s)
-    cycle = Together(joints=joints, parts=parts, from_s=begun_s, duration_s=period_s)
+    first = ParallelPass(joints=joints, parts=parts, from_s=0.0, duration_s=begun_s)
+    cycle = ParallelPass(joints=joints, parts=parts, from_s=begun_s, duration_s=period_s)
     return _merged(show, tracks, first, cycle, loop=None)
 
 
@@ -327,7 +329,12 @@ def _joints(tracks: Sequence[Trajectory], robot: Robot) -> tuple[str, ...]:
 
 
 def _merged(
-    show: Show, tracks: Sequence[Trajectory], first: Together, cycle: Together, *, loop: int | None
+    show: Show,
+    tracks: Sequence[Trajectory],
+    first: ParallelPass,
+    cycle: ParallelPass,
+    *,
+    loop: int | None,
 ) -> Trajectory:
     return Trajectory(
         name=show.name,
@@ -344,7 +351,7 @@ def _merged(
     )
 
 
-def moving(
+def given_motion(
     name: str,
     joints: Sequence[str],
     robot: Robot,
@@ -362,7 +369,7 @@ def moving(
     columns = [joints.index(joint) for joint in order]
     knots_s = times_s - times_s[0]
     path = cubics(knots_s, angles_deg[:, columns], speeds_deg_s[:, columns])
-    motion = Motion(path=path, clock=steady(path.length_s))
+    motion = PathMotion(path=path, clock=steady_clock(path.length_s))
     trajectory = Trajectory(
         name=name, joints=tuple(order), first=motion, middle=motion, last=motion
     )

@@ -104,7 +104,7 @@ def verify(
     are known to be good. `is_from_rest` False does not look before the start: it is in motion.
     """
     checks = _Checks(trajectory, robot)
-    for motion in {id(part): part for _, part, _ in _spans(checks.trajectory)}.values():
+    for motion in {id(part): part for _, part, _ in _passes(checks.trajectory)}.values():
         for part in {id(part): part for part in motion.parts if has_parts}.values():
             checks.include(verify(part, robot))
     for times_s in _blocks(checks.trajectory):
@@ -112,7 +112,7 @@ def verify(
             checks.uniform(times_s)
         elif (from_s := times_s[times_s >= 0.0]).size > 2:
             checks.uniform(from_s)
-    for times_s, step_s in _sides(checks.trajectory):
+    for times_s, step_s in _one_sided_steps(checks.trajectory):
         checks.one_sided(times_s, step_s)
     return checks.verdict()
 
@@ -239,7 +239,7 @@ def _shortened(trajectory: Trajectory) -> Trajectory:
     return trajectory
 
 
-def _spans(trajectory: Trajectory) -> Iterator[tuple[float, Pass, bool]]:
+def _passes(trajectory: Trajectory) -> Iterator[tuple[float, Pass, bool]]:
     """Yield start, motion and whether it is new, for every pass."""
     seen: list[Pass] = []
     for index in range(trajectory.loop or 1):
@@ -251,16 +251,16 @@ def _spans(trajectory: Trajectory) -> Iterator[tuple[float, Pass, bool]]:
 
 def _blocks(trajectory: Trajectory) -> Iterator[FloatArray]:
     """Yield instants at equal steps that overlap by two, so that no difference is missed."""
-    for from_s, to_s in _stretches(trajectory):
+    for from_s, to_s in _sampled_spans(trajectory):
         count = math.ceil((to_s - from_s + 2.0 * SEAM_S) / SAMPLE_S)
         for first in range(0, count, BLOCK):
             steps = np.arange(first, min(first + BLOCK, count) + 2, dtype=np.float64)
             yield from_s - SEAM_S + SAMPLE_S * steps
 
 
-def _stretches(trajectory: Trajectory) -> Iterator[tuple[float, float]]:
+def _sampled_spans(trajectory: Trajectory) -> Iterator[tuple[float, float]]:
     """Yield what must be sampled: new passes, and where one pass or part follows another."""
-    for start_s, motion, is_new in _spans(trajectory):
+    for start_s, motion, is_new in _passes(trajectory):
         if is_new and not motion.parts:
             yield start_s, start_s + motion.duration_s
             continue
@@ -271,9 +271,9 @@ def _stretches(trajectory: Trajectory) -> Iterator[tuple[float, float]]:
     yield trajectory.duration_s, trajectory.duration_s
 
 
-def _sides(trajectory: Trajectory) -> Iterator[tuple[FloatArray, FloatArray]]:
+def _one_sided_steps(trajectory: Trajectory) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield instants just inside both ends of every polynomial, and steps into it."""
-    for start_s, motion, is_new in _spans(trajectory):
+    for start_s, motion, is_new in _passes(trajectory):
         if not is_new or motion.parts:
             continue
         knots_s = motion.knots_s

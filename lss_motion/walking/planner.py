@@ -15,7 +15,7 @@ from lss_motion.gait.steering import HISTORY_S, Steering
 from lss_motion.gait.stepping import STILL
 from lss_motion.program.model import Program
 from lss_motion.program.splice import Growth, splice_lead_s, standing
-from lss_motion.trajectory.tracks import moving
+from lss_motion.trajectory.tracks import given_motion
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -170,7 +170,7 @@ class Planner:
         starts_s: float,
         from_s: float,
     ) -> Extension:
-        trajectory = moving(
+        trajectory = given_motion(
             self._gait.name,
             self._steering().joints,
             self._robot,

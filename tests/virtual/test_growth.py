@@ -8,7 +8,7 @@ import pytest
 from lss_motion import api
 from lss_motion.program.model import Program
 from lss_motion.program.splice import standing
-from lss_motion.trajectory.tracks import moving
+from lss_motion.trajectory.tracks import given_motion
 
 
 def wave(robot, from_s, to_s, swing_deg):
@@ -18,7 +18,7 @@ def wave(robot, from_s, to_s, swing_deg):
     angles = swing_deg * np.sin(np.pi * share) ** 2 * np.ones(len(robot.joints))
     speeds = np.gradient(angles, 0.02, axis=0)
     speeds[-1] = 0.0
-    return moving(
+    return given_motion(
         "wave",
         list(robot.joints),
         robot,

@@ -9,7 +9,7 @@ from lss_motion.program.line import line_use
 from lss_motion.program.model import Program, heard_us, target_deg
 from lss_motion.program.response import Profile
 from lss_motion.program.splice import standing
-from lss_motion.trajectory.tracks import moving
+from lss_motion.trajectory.tracks import given_motion
 from lss_motion.units import s_from_ms, s_from_us
 
 TOLERANCE_DEG = 0.1
@@ -47,7 +47,7 @@ def swing(robot, seed, *, from_s, length_s, before=None):
 def planned(robot, motion):
     times_s, angles, speeds = motion
     speeds[-1] = 0.0
-    return moving(
+    return given_motion(
         "swing",
         list(robot.joints),
         robot,

@@ -11,13 +11,13 @@ from lss_motion.program.model import Move, Program, Repeat
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.runtime.report import make_report, run_seconds
-from lss_motion.trajectory.model import Stretch
+from lss_motion.trajectory.model import SlowSpan
 from tests.joints import joint
 
 JOINT = joint()
 BUS = Bus(name="main", port="sim://", baud_bps=115200, firmware=370)
 ROBOT = Robot(name="bench", path=None, buses={"main": BUS}, joints={"j0": JOINT})
-STRETCH = Stretch(
+STRETCH = SlowSpan(
     from_s=3.0, to_s=3.4, by_s=0.12, joint="j0", limit="speed", authored=300.0, allowed=180.0
 )
 

@@ -49,7 +49,7 @@ def test_passes_that_differ_are_remembered_as_they_are(frame, make_robot, loop, 
     ],
 )
 def test_another_wish_is_another_question(show, make_robot, change):
-    assert planner.name_of(show, make_robot()) != planner.name_of(
+    assert planner.cache_name(show, make_robot()) != planner.cache_name(
         replace(show, **change), make_robot()
     )
 
@@ -58,7 +58,7 @@ def test_every_field_of_a_keyframe_and_every_limit_is_part_of_the_question(show,
     def asked(speed=180.0, accel=600.0, reach=170.0, **fields):
         frames = (frame(0.0, base=0.0), frame(**{"at_s": 0.2, "base": 90.0} | fields))
         robot = make_robot(speed=speed, accel=accel, reach=reach)
-        return planner.name_of(replace(show, keyframes=frames), robot)
+        return planner.cache_name(replace(show, keyframes=frames), robot)
 
     names = [
         asked(),
@@ -79,13 +79,13 @@ def test_every_field_of_a_keyframe_and_every_limit_is_part_of_the_question(show,
 def test_other_limits_are_another_question(show, make_robot):
     quick, slow = plan(show, make_robot()), plan(show, make_robot(speed=90.0))
     assert slow.duration_s > quick.duration_s
-    assert len(list(planner.directory().glob(f"*{planner.SUFFIX}"))) == 2
+    assert len(list(planner.cache_directory().glob(f"*{planner.SUFFIX}"))) == 2
 
 
 @pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 not a zip", None])
 def test_a_damaged_entry_is_replaced(show, make_robot, damage):
     planned = plan(show, make_robot())
-    (entry,) = planner.directory().glob(f"*{planner.SUFFIX}")
+    (entry,) = planner.cache_directory().glob(f"*{planner.SUFFIX}")
     whole = entry.read_bytes()
     middle = len(whole) // 2
     flipped = whole[:middle] + bytes([whole[middle] ^ 0xFF]) + whole[middle + 1 :]
@@ -104,5 +104,5 @@ def test_the_cache_stays_bounded(show, make_robot, monkeypatch):
     monkeypatch.setattr(planner, "BYTES_MAX", 60_000)
     for speed in range(60, 120, 5):
         plan(show, make_robot(speed=float(speed)))
-    sizes = [entry.stat().st_size for entry in planner.directory().iterdir()]
+    sizes = [entry.stat().st_size for entry in planner.cache_directory().iterdir()]
     assert 0 < sum(sizes) <= 60_000

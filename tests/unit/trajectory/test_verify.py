@@ -8,7 +8,7 @@ import pytest
 
 from lss_motion.errors import PlanningError
 from lss_motion.sequence.model import Sequence, Timing
-from lss_motion.trajectory.model import Clock, Motion, Trajectory
+from lss_motion.trajectory.model import PathClock, PathMotion, Trajectory
 from lss_motion.trajectory.path import Path
 from lss_motion.trajectory.planner import plan
 from lss_motion.trajectory.verify import extreme, verify
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 def trajectory_of(knots_s, cubics, *, joint="base", **more):
     """One joint along a path that is followed at rate 1; `cubics` in rising powers."""
     path = Path(knots_s=np.array(knots_s), coefficients=np.array(cubics, dtype=float)[:, :, None])
-    clock = Clock(
+    clock = PathClock(
         times_s=np.array([0.0, knots_s[-1]]),
         path_s=np.array([0.0, knots_s[-1]]),
         rates=np.ones(1),
         rate_slopes=np.zeros(1),
     )
-    motion = Motion(path=path, clock=clock)
+    motion = PathMotion(path=path, clock=clock)
     return Trajectory(
         name="made", joints=(joint,), first=motion, middle=motion, last=motion, **more
     )
