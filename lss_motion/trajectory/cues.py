@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import InputError
-from lss_motion.trajectory.keys import LoopedSpan
+from lss_motion.trajectory.model import LoopedSpan
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

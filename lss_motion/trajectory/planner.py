@@ -26,7 +26,6 @@ from lss_motion.errors import InputError
 from lss_motion.sequence.keyframes import at_speed
 from lss_motion.sequence.model import Timing
 from lss_motion.trajectory.cues import planned_cues
-from lss_motion.trajectory.keys import with_looped_span
 from lss_motion.trajectory.model import (
     Mark,
     PathClock,
@@ -34,6 +33,7 @@ from lss_motion.trajectory.model import (
     SlowSpan,
     Trajectory,
     motions_of,
+    with_looped_span,
 )
 from lss_motion.trajectory.path import Path as JointPath
 
