@@ -1,9 +1,12 @@
-"""Figures of matplotlib, without a screen: made for a file, and written with errors for people."""
+"""Figures of matplotlib without a screen: made for a file, with errors for people.
+
+Used by `trajectory.plot` and `gait.plot`. matplotlib is imported when a figure is made.
+"""
 
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
 
@@ -12,7 +15,8 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-DPI = 110
+DPI: Final = 110
+"""Chosen: text is readable at full size on a screen."""
 
 
 def new_figure(path: Path, width_in: float, height_in: float) -> Figure:
@@ -34,7 +38,8 @@ def save(figure: Figure, path: Path) -> None:
     """Write the figure; raises `InputError` if the file cannot be written."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # A font without some sign draws a box instead.
+            # A character that the font does not have is drawn as a box; the warning is no help.
+            warnings.simplefilter("ignore")
             figure.savefig(path, dpi=DPI)
     except OSError as error:
         raise InputError(f"cannot be written: {error.strerror}", path=path) from error

@@ -1,6 +1,24 @@
 """Sequences to trajectories: paths through keyframes, followed as fast as limits and author allow.
 
-`planner.plan` makes a `model.Trajectory`, `verify.verify` is its independent judge, `plot.plot`
-draws it. toppra is imported by `parameterize` alone, and only when something must be slowed or
-hurried.
+`planner.plan` is the way in. It returns a `model.Trajectory` that has passed `verify.verify`.
+
+| file          | what it is                                           | called by               |
+|---------------|------------------------------------------------------|-------------------------|
+| `planner.py`  | `plan`: sequence and robot to trajectory; cache      | api, cli                |
+| `model.py`    | `Trajectory`, its passes, the clock of a path        | program, player, cli    |
+| `tracks.py`   | keyframes of a track, parallel tracks, given motion  | planner, walking        |
+| `playlist.py` | steps one after the other, and the moves between     | planner                 |
+| `layers.py`   | layers blended on top of a show                      | planner                 |
+| `cues.py`     | marks, cues and waits in every pass of a loop        | program, playlist       |
+| `keys.py`     | the keys of each joint, checked, with path positions | retime, curves, tracks  |
+| `curves.py`   | the cubics between keys, for each interpolation      | retime                  |
+| `path.py`     | cubics of all joints over the path position          | all that plan           |
+| `retime.py`   | paths of a sequence, and the clock that follows them | tracks, layers, planner |
+| `solver.py`   | largest legal rates along a path; imports toppra     | retime, tracks          |
+| `verify.py`   | independent check against all limits                 | tracks, layers, planner |
+| `explain.py`  | slowed spans, marks, anchors that are met or missed  | tracks, layers          |
+| `plot.py`     | a picture of a trajectory                            | cli                     |
+
+toppra takes a second to import. It is imported only where a motion must be slowed or made as fast
+as possible; a plan from the cache loads neither toppra nor the modules that make plans.
 """

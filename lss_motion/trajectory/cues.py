@@ -1,4 +1,4 @@
-"""Marks and cues on the clock of the plan, in every pass of a loop."""
+"""Marks, cues and waits at planned times, in every pass of a loop."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from lss_motion.trajectory.model import Mark, Trajectory, WaitPoint
 
 LATE_SLACK_S: Final = 1e-6
-"""A cue at the very end is not beyond it: above the error of adding decimals."""
+"""A cue at the end of a pass may lie beyond it by the rounding error of added decimals."""
 
 
 def planned_cues(sequence: Sequence, trajectory: Trajectory) -> tuple[Cue, ...]:
-    """Return the cues of `sequence` when the plan comes to where its author wanted them.
+    """Return the cues of `sequence` at planned times.
 
-    Between two keyframes they move as the keyframes do. Raises `InputError` for one that no pass
-    ever reaches.
+    A cue between two keyframes is moved as they are, in proportion. Raises `InputError` for a cue
+    after the end of a pass.
     """
     pairs = sorted(
         (mark.authored_s, mark.planned_s)
@@ -62,7 +62,7 @@ def all_cues(trajectory: Trajectory, end_s: float) -> tuple[Cue, ...]:
 def all_marks(trajectory: Trajectory, end_s: float) -> tuple[Mark, ...]:
     """Return the marks of all passes that begin before `end_s`, in order of time.
 
-    The author's times count from when the pass begins.
+    Both times of a mark are in show time; the authored one counts from the start of its pass.
     """
     return tuple(
         replace(
@@ -85,16 +85,16 @@ def all_waits(trajectory: Trajectory, end_s: float) -> tuple[WaitPoint, ...]:
 
 
 def _passes(trajectory: Trajectory, end_s: float) -> Iterator[tuple[float, float]]:
-    """Yield when every pass starts, and its duration as a ratio of that of the first.
+    """Yield the start of every pass, and its duration as a ratio of that of the first.
 
-    A pass that starts in motion takes a little less time; what it holds moves along.
+    A pass that starts in motion is shorter than the first; its marks and cues are scaled with it.
     """
     if not trajectory.marks and not trajectory.cues and not trajectory.waits:
         return
     first_s = trajectory.first.duration_s
     yield 0.0, 1.0
     if isinstance(trajectory.middle, LoopedSpan):
-        return  # What there is to say has the time of the show already.
+        return  # Marks, cues and waits of a looped span are in show time already.
     index = 1
     while first_s > 0.0 and (trajectory.loop is None or index < trajectory.loop):
         start_s = trajectory.pass_start_s(index)

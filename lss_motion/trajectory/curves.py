@@ -1,4 +1,8 @@
-"""The shape of the motion between keys: smooth, spline, linear and hold, as piecewise cubics."""
+"""The curve of a joint between its keys: smooth, spline, linear and hold, as piecewise cubics.
+
+Everything here is over the path position; time, speed limits and rates come later (`retime`). Only
+`hold` uses the joint's limits: its move starts as late as they allow.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ import numpy as np
 from lss_motion.sequence.model import Interpolation
 from lss_motion.splines import clamped_slopes, monotone_slopes, runs
 from lss_motion.trajectory.keys import PATH_DECIMALS, least_move_s
-from lss_motion.trajectory.path import Path
+from lss_motion.trajectory.path import Path, hermite
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,19 +27,22 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 ANGLE_DECIMALS: Final = 9
-"""Angles are rounded to this, so that what differs by rounding alone is no move."""
+"""Angles are rounded to this, so that a difference by rounding alone is no move."""
 
 LINEAR_RAMP_RATIO: Final = 0.25
-"""Each ramp of a `linear` move takes this share of it. Chosen: peak speed is 4/3 of the mean, and
-all joints share the law, so that the line stays straight."""
+"""Each ramp of a `linear` move takes this share of its duration. Chosen: the peak speed is 4/3 of
+the mean. All joints use the same share, so that the line stays straight."""
 
 _FLOWING: Final = (Interpolation.SMOOTH, Interpolation.SPLINE)
-"""What a joint may pass through a key in motion between; `linear` and `hold` stop there."""
+"""Between two of these a joint passes its key in motion; `linear` and `hold` stop at keys."""
 
 
 @dataclass(frozen=True, slots=True)
 class JointKeys:
-    """The keys of one joint along the path: reached, left, angle, and the ease towards each."""
+    """The keys of one joint along the path: where each is reached and left, its angle and its ease.
+
+    `eases[k]` shapes the move that ends at key k.
+    """
 
     reached_s: FloatArray
     left_s: FloatArray
@@ -52,12 +59,12 @@ class JointKeys:
         return np.diff(self.deg) / self.lengths_s
 
     def are(self, *kinds: Interpolation) -> NDArray[np.bool_]:
-        """For each move whether its ease is one of `kinds`."""
+        """Return for each move whether its ease is one of `kinds`."""
         return np.array([ease in kinds for ease in self.eases[1:]], dtype=np.bool_)
 
 
 def joint_keys(own: tuple[Key, ...], spacing: Spacing) -> JointKeys:
-    """Return the keys with positions; keys that repeat what holds anyway are merged."""
+    """Return the keys with their path positions; a key within an earlier hold is merged with it."""
     reached_s: list[float] = []
     left_s: list[float] = []
     is_held: list[bool] = []
@@ -83,7 +90,7 @@ def joint_keys(own: tuple[Key, ...], spacing: Spacing) -> JointKeys:
 
 
 def seam_slope_deg_s(keys: JointKeys, length_s: float) -> float:
-    """Return the slope of a joint where one pass joins the next; 0 where the author rests."""
+    """Return the slope of a joint where one pass joins the next; 0 where the joint rests there."""
     if (
         len(keys.deg) < 2
         or keys.reached_s[0] > 0.0
@@ -105,7 +112,7 @@ def build_path(
     start_slopes: Mapping[str, float] | None = None,
     end_slopes: Mapping[str, float] | None = None,
 ) -> Path:
-    """Return the path of one pass. Slopes are those at its ends, 0 where not given."""
+    """Return the path of one pass. `start_slopes` and `end_slopes`: joint to slope, 0 if absent."""
     pieces = [
         _pieces(
             own,
@@ -192,12 +199,10 @@ _Pieces = tuple["FloatArray", "FloatArray", "FloatArray"]
 
 
 def _flowing(keys: JointKeys, slopes: FloatArray, moves: NDArray[np.intp]) -> _Pieces:
-    """Hermite cubics between keys."""
+    """Return Hermite cubics between keys."""
     length_s, secant = keys.lengths_s[moves], keys.secants_deg_s[moves]
     before, after = slopes[moves], slopes[moves + 1]
-    square = (3.0 * secant - 2.0 * before - after) / length_s
-    cube = (before + after - 2.0 * secant) / length_s**2
-    cubics = np.stack([keys.deg[moves], before, square, cube], axis=1)
+    cubics = hermite(keys.deg[moves], secant, before, after, length_s)
     return keys.left_s[moves], keys.reached_s[moves + 1], cubics
 
 
@@ -207,7 +212,10 @@ def _linear(keys: JointKeys, moves: NDArray[np.intp]) -> _Pieces:
 
 
 def _late(keys: JointKeys, joint: Joint, moves: NDArray[np.intp]) -> _Pieces:
-    """Trapezoids at the joint's limits that end on the key; squeezed where there is no room."""
+    """Return trapezoids at the joint's limits that end at the key.
+
+    Where the time between the keys is too short for one, it fills that time.
+    """
     distance_deg = np.abs(keys.deg[moves + 1] - keys.deg[moves])
     needed_s = least_move_s(distance_deg, joint.speed_max_deg_s, joint.accel_max_deg_s2)
     start_s = np.maximum(keys.reached_s[moves + 1] - needed_s, keys.left_s[moves])
@@ -227,14 +235,14 @@ def _late(keys: JointKeys, joint: Joint, moves: NDArray[np.intp]) -> _Pieces:
 def _trapezoids(
     keys: JointKeys, moves: NDArray[np.intp], starts_s: FloatArray, ramps: FloatArray
 ) -> _Pieces:
-    """Rest-to-rest moves that end at the keys; each ramp takes its share `ramps` of the move."""
+    """Return rest-to-rest moves that end at the keys; `ramps` is each ramp's share of the move."""
     ends_s = keys.reached_s[moves + 1]
     from_deg, to_deg = keys.deg[moves], keys.deg[moves + 1]
     spent_s = ends_s - starts_s
     first_s = np.round(starts_s + ramps * spent_s, PATH_DECIMALS)
     second_s = np.round(ends_s - ramps * spent_s, PATH_DECIMALS)
     second_s = np.maximum(first_s, second_s)
-    # From the rounded instants, so that the pieces meet exactly.
+    # Computed from the rounded positions, so that the pieces meet exactly.
     up_s, down_s = first_s - starts_s, ends_s - second_s
     speed = _ratio(to_deg - from_deg, spent_s - 0.5 * (up_s + down_s))
     nothing = np.zeros_like(speed)

@@ -1,4 +1,4 @@
-"""What planning did to the author's times: stretched spans, marks, anchors met or missed."""
+"""Results of planning compared with the author's times: slowed spans, marks, missed anchors."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from lss_motion.units import significant
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from collections.abc import Sequence as Items
 
     from numpy.typing import NDArray
 
@@ -30,7 +29,7 @@ ANCHOR_TOLERANCE_S: Final = 0.001
 """An anchor is met to the millisecond: the finest that a command can express."""
 
 STRETCH_MIN_S: Final = 1e-5
-"""Spans stretched by less are not worth a line: a hundredth of a millisecond."""
+"""Spans slowed by less are not reported: a hundredth of a millisecond."""
 
 
 def slow_spans(
@@ -53,7 +52,7 @@ def slow_spans(
             if by_s < STRETCH_MIN_S:
                 continue
             cells = slice(first, end)
-            column, limit, wanted, allowed = _tightest(
+            column, limit, needed, allowed = _worst_limit(
                 task, window.grid_s[first : end + 1], spent_s[cells], lost_s[cells]
             )
             from_s, to_s = clock.times_of(window.grid_s[[first, end]]).tolist()
@@ -64,24 +63,25 @@ def slow_spans(
                     by_s=by_s,
                     joint=joints[column],
                     limit=limit,
-                    authored=wanted,
+                    authored=needed,
                     allowed=allowed,
                 )
             )
     return tuple(found)
 
 
-def _tightest(
+def _worst_limit(
     task: RateTask, grid_s: FloatArray, spent_s: FloatArray, lost_s: FloatArray
 ) -> tuple[int, Literal["speed", "acceleration"], float, float]:
-    """Return joint, limit, what the authored times ask for and what is allowed, where it is worst.
+    """Return the joint and limit that are exceeded most: joint, limit, authored and allowed value.
 
-    Speed falls with the rate and acceleration with its square, so the root makes them comparable.
+    Speed is proportional to the rate and acceleration to its square; the square root of the
+    acceleration ratio makes both comparable.
     """
     path: Path = task.path
     steps_s = np.diff(grid_s)
     authored_rates = (steps_s / np.maximum(spent_s - lost_s, 1e-9))[:, None]
-    # A hair inside of both ends: knots have two second derivatives.
+    # Slightly inside of both ends: at a knot the second derivative has two values.
     at_s = np.concatenate([grid_s[:-1] + share * steps_s for share in (0.001, 0.5, 0.999)])
     rates = np.tile(authored_rates, (3, 1))
     first, second = path.slopes(at_s)
@@ -90,14 +90,14 @@ def _tightest(
     accel_ratios = np.sqrt((accels / task.accel_max_deg_s2).max(axis=0))
     by_speed, by_accel = int(speed_ratios.argmax()), int(accel_ratios.argmax())
     if speed_ratios[by_speed] >= accel_ratios[by_accel]:
-        wanted, allowed = speeds[:, by_speed].max(), task.speed_max_deg_s[by_speed]
-        return by_speed, "speed", float(wanted), float(allowed)
-    wanted, allowed = accels[:, by_accel].max(), task.accel_max_deg_s2[by_accel]
-    return by_accel, "acceleration", float(wanted), float(allowed)
+        needed, allowed = speeds[:, by_speed].max(), task.speed_max_deg_s[by_speed]
+        return by_speed, "speed", float(needed), float(allowed)
+    needed, allowed = accels[:, by_accel].max(), task.accel_max_deg_s2[by_accel]
+    return by_accel, "acceleration", float(needed), float(allowed)
 
 
-def marks(keyframes: Items[Keyframe], spacing: Spacing, clock: PathClock) -> tuple[Mark, ...]:
-    """Return when each keyframe is wanted and when it is reached in the first pass."""
+def marks(keyframes: Sequence[Keyframe], spacing: Spacing, clock: PathClock) -> tuple[Mark, ...]:
+    """Return the mark of each keyframe: its authored time and when the first pass reaches it."""
     planned_s = clock.times_of(spacing.reached_s).tolist()
     return tuple(
         Mark(
@@ -119,7 +119,7 @@ def check_anchors(
 ) -> None:
     """Raise `PlanningError` for the first anchor that is not met, in any pass that `clock` spans.
 
-    A show that is repeated without end must also end each pass on time.
+    In a show with several passes each pass must also end on time, so that later anchors are met.
     """
     anchors = [index for index, keyframe in enumerate(show.keyframes) if keyframe.is_anchor]
     if not anchors:
@@ -128,38 +128,43 @@ def check_anchors(
     passes = round(float(clock.path_s[-1]) / length_s) if length_s > 0.0 else 1
     for count in range(passes):
         at_s = spacing.reached_s[anchors] + count * length_s
-        wanted_s, planned_s = authored(at_s), clock.times_of(at_s)
-        for index, wanted, planned in zip(anchors, wanted_s, planned_s, strict=True):
-            if abs(planned - wanted) > ANCHOR_TOLERANCE_S:
-                raise _missed(show, index, float(wanted), float(planned), stretched)
+        due_s, planned_s = authored(at_s), clock.times_of(at_s)
+        for index, due, planned in zip(anchors, due_s, planned_s, strict=True):
+            if abs(planned - due) > ANCHOR_TOLERANCE_S:
+                raise _missed(show, index, float(due), float(planned), stretched)
     late_s = clock.duration_s - float(authored(clock.path_s[-1:])[0])
     if show.loop != 1 and late_s > ANCHOR_TOLERANCE_S:
         raise _missed(show, anchors[0], 0.0, late_s, stretched, after=" in the passes after this")
 
 
+def place_of(show: Show, keyframe: Keyframe) -> str:
+    """Return file and line of a keyframe as messages begin; empty where they are not known."""
+    is_unknown = show.path is None or keyframe.line is None
+    return "" if is_unknown else f"{show.path}:{keyframe.line}: "
+
+
 def _missed(
     show: Show,
     index: int,
-    wanted_s: float,
+    due_s: float,
     planned_s: float,
     stretched: Sequence[SlowSpan],
     *,
     after: str = "",
 ) -> PlanningError:
     keyframe = show.keyframes[index]
-    place = "" if show.path is None or keyframe.line is None else f"{show.path}:{keyframe.line}: "
+    place = place_of(show, keyframe)
     name = f" {keyframe.label!r}" if keyframe.label else ""
-    late_s = planned_s - wanted_s
+    late_s = planned_s - due_s
     earlier = [stretch for stretch in stretched if stretch.from_s < planned_s] or [*stretched]
     why, joint = "", None
     if earlier:
         worst = max(earlier, key=lambda stretch: stretch.by_s)
-        unit = "deg/s" if worst.limit == "speed" else "deg/s²"
         joint = worst.joint
         why = (
             f": joint {worst.joint!r} would need {worst.limit} {significant(worst.authored)} "
-            f"{unit} between {worst.from_s:.3f} s and {worst.to_s:.3f} s, allowed "
-            f"{worst.allowed:g} {unit}"
+            f"{worst.unit} between {worst.from_s:.3f} s and {worst.to_s:.3f} s, allowed "
+            f"{worst.allowed:g} {worst.unit}"
         )
     return PlanningError(
         f"{place}anchor{name} at {keyframe.at_s:g} s cannot be met{after}, it would be "

@@ -1,8 +1,8 @@
-"""Which joint must be where, and when: a sequence seen joint by joint, checked for sense.
+"""A sequence joint by joint: the keys of each joint, checked, and their positions along the path.
 
-Where along the path each keyframe lies: the authored seconds, or what a move needs at least.
-
-A sequence of which a part is looped: what leads in, the part again and again, what leads out.
+The path position is in seconds (`_s`). If the author's times count (`is_timed`), it is the authored
+time, plus what must be added where keys are too close together. Otherwise keyframes are as far
+apart as their moves need at least.
 """
 
 from __future__ import annotations
@@ -29,10 +29,23 @@ if TYPE_CHECKING:
 
 
 SAME_INSTANT_S: Final = 1e-9
-"""Times closer than this are one instant. Chosen: a thousandth of what the line can express."""
+"""Times closer than this are one instant. Chosen: a thousandth of a program's unit of time."""
 
 SAME_ANGLE_DEG: Final = 1e-9
 """Angles closer than this are equal. Chosen: a 10^7th of the wire's unit."""
+
+HOPELESS_RATIO: Final = 0.1
+"""An authored move gets at least this share of the duration that it needs alone. Chosen: such a
+move is slowed tenfold anyway, and smaller shares make the solver inaccurate (keys 1 ms apart would
+need path rates near 0.002)."""
+
+PASSING_RATIO: Final = 0.5
+"""An authored move never gets more than this share of its duration at full speed, because samples
+of a motion are closer together than moves from rest to rest could be. Chosen: samples of a motion
+within the limits keep their times, and so do those of a motion up to twice as fast."""
+
+PATH_DECIMALS: Final = 9
+"""Path positions are rounded to 1 ns, so that equal instants of different joints compare equal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,16 +59,16 @@ class Key:
 
 
 def is_timed(sequence: Sequence) -> bool:
-    """Whether the author's times count (False: only the order of the keyframes does)."""
+    """Return whether the author's times count; False: only the order of the keyframes counts."""
     if sequence.timing is Timing.FASTEST:
         return False
     return any(keyframe.at_s is not None for keyframe in sequence.keyframes)
 
 
 def keys_by_joint(sequence: Sequence, robot: Robot) -> dict[str, tuple[Key, ...]]:
-    """Return the keys of every joint that the sequence names, in the order of the robot.
+    """Return the keys of every joint in the sequence, in the order of the robot.
 
-    Raises `InputError`, with everything that is wrong, for what cannot be meant.
+    Raises one `InputError` with all problems of the sequence.
     """
     problems = _problems(sequence, robot)
     has_times = is_timed(sequence)
@@ -123,7 +136,7 @@ def _problems(sequence: Sequence, robot: Robot) -> list[InputError]:
 
 
 def named(keyframe: Keyframe) -> str:
-    """Return how messages call a keyframe: its label, else its time."""
+    """Return the name of a keyframe in messages: its label, else its time."""
     if keyframe.label:
         return repr(keyframe.label)
     return "without time" if keyframe.at_s is None else f"at {keyframe.at_s:g} s"
@@ -155,7 +168,7 @@ def _angle_problems(keyframe: Keyframe, robot: Robot) -> list[str]:
 
 
 def _clash(held: Key, key: Key, joint: str, sequence: Sequence) -> InputError | None:
-    """Return what is wrong if `key` comes while the joint is still held at another angle."""
+    """Return the problem if `key` comes while the joint is still held at another angle."""
     free_s = (sequence.keyframes[held.index].at_s or 0.0) + held.hold_s
     at_s = sequence.keyframes[key.index].at_s or 0.0
     if at_s >= free_s - SAME_INSTANT_S or abs(key.deg - held.deg) <= SAME_ANGLE_DEG:
@@ -168,26 +181,12 @@ def _clash(held: Key, key: Key, joint: str, sequence: Sequence) -> InputError | 
     )
 
 
-HOPELESS_RATIO: Final = 0.1
-"""An authored move gets at least this share of the time that it needs alone. Chosen: such a move
-is slowed tenfold anyway, and below this the numbers of the solver lose their footing (keys 1 ms
-apart would need path rates near 0.002)."""
-
-PASSING_RATIO: Final = 0.5
-"""But never more than this share of the time at full speed: samples that a joint passes in motion
-are closer than a move from rest to rest could be, and stay where their author put them. Chosen: no
-sample of a motion within the limits is ever moved, nor one of a motion up to twice as fast."""
-
-PATH_DECIMALS: Final = 9
-"""Path positions are rounded to 1 ns, so that equal instants of different joints are equal."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spacing:
-    """Path position of each keyframe when it is reached and when its hold ends.
+    """Path positions at which each keyframe is reached, and at which its hold ends.
 
-    `path_s` and `authored_s` map positions to authored times, piecewise linearly; without
-    authored times they are equal and `pauses` are not part of the path.
+    `path_s` and `authored_s` map positions to authored times, piecewise linearly. Without
+    authored times both are equal, and holds are not part of the path.
     """
 
     reached_s: FloatArray
@@ -205,7 +204,7 @@ class Spacing:
 
 
 def least_move_s(move_deg: FloatArray, speed_deg_s: float, accel_deg_s2: float) -> FloatArray:
-    """Return how long moves from rest to rest take at the limits: a trapezoid or a triangle."""
+    """Return the least durations of moves from rest to rest: trapezoids or triangles of speed."""
     distance_deg = np.abs(move_deg)
     is_triangle = distance_deg <= speed_deg_s**2 / accel_deg_s2
     triangle_s = 2.0 * np.sqrt(distance_deg / accel_deg_s2)
@@ -214,7 +213,7 @@ def least_move_s(move_deg: FloatArray, speed_deg_s: float, accel_deg_s2: float) 
 
 
 def spacing_of(sequence: Sequence, keys: Mapping[str, tuple[Key, ...]], robot: Robot) -> Spacing:
-    """Return the spacing of the keyframes: authored if the sequence is timed, else as needed."""
+    """Return the spacing of the keyframes: authored if the sequence is timed, else the least."""
     is_authored = is_timed(sequence)
     needs = _needs(keys, robot, is_authored=is_authored)
     if is_authored:
@@ -232,9 +231,9 @@ def spacing_of(sequence: Sequence, keys: Mapping[str, tuple[Key, ...]], robot: R
 def _needs(
     keys: Mapping[str, tuple[Key, ...]], robot: Robot, *, is_authored: bool
 ) -> dict[int, list[tuple[int, float]]]:
-    """For each keyframe: the keyframes that its joints come from, and how far apart they must be.
+    """Return for each keyframe pairs: an earlier keyframe, and the least path distance from it.
 
-    Without an author's times that is how long the move takes.
+    Without authored times the distance is the least duration of the move between the two.
     """
     needs: dict[int, list[tuple[int, float]]] = {}
     for name, own in keys.items():
@@ -258,7 +257,7 @@ def _timed(sequence: Sequence, needs: Mapping[int, list[tuple[int, float]]]) -> 
     path_s = np.zeros(2 * count)
     last_s = last_authored_s = 0.0
     for event in order.tolist():
-        # Adding the extra only where there is some keeps authored times exact to the last bit.
+        # Where nothing was added so far, the difference is exactly 0 and authored times stay exact.
         position_s = authored_s[event] + (last_s - last_authored_s)
         index, is_end = divmod(event, 2)
         if not is_end:

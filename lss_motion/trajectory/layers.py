@@ -1,6 +1,7 @@
 """Layers: sequences on top of a show, blended in; the limits hold for the sum.
 
-A show and its layers blended, as if there were no limits: angles and speeds at any instant.
+The show and its layers are first summed as if there were no limits (`LayeredSum`), then followed
+by cubics, then slowed where the sum exceeds a limit.
 """
 
 from __future__ import annotations
@@ -35,142 +36,23 @@ if TYPE_CHECKING:
 
 JUMP_DEG: Final = 1e-6
 JUMP_DEG_S: Final = 1e-3
-"""Angles and speeds that differ by less on both sides of an instant are equal: rounding."""
+"""Angles and speeds on both sides of an instant are equal if they differ by less: rounding."""
 
 SIDE_S: Final = 1e-9
-"""How far from an instant both of its sides are."""
-
-
-@dataclass(frozen=True, slots=True)
-class PlacedLayer:
-    """One layer with its plan, over the show from `from_s` to `to_s`."""
-
-    layer: Layer
-    trajectory: Trajectory
-    from_s: float
-    to_s: float
-
-    def weights(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return how much of the layer counts at each instant, and how fast that grows."""
-        rise, rise_slope = _smooth_step(times_s - self.from_s, self.layer.fade_s)
-        fall, fall_slope = _smooth_step(self.to_s - times_s, self.layer.fade_s)
-        weight = self.layer.weight
-        return weight * rise * fall, weight * (rise_slope * fall - rise * fall_slope)
-
-
-def _smooth_step(since_s: FloatArray, fade_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return a smooth step from 0 to 1 within `fade_s`, and its slope."""
-    if fade_s <= 0.0:
-        return np.where(since_s >= 0.0, 1.0, 0.0), np.zeros_like(since_s)
-    share = np.clip(since_s / fade_s, 0.0, 1.0)
-    return share * share * (3.0 - 2.0 * share), 6.0 * share * (1.0 - share) / fade_s
-
-
-@dataclass(frozen=True, slots=True)
-class LayeredSum:
-    """The show and its layers, as if there were no limits."""
-
-    joints: tuple[str, ...]
-    base: Trajectory
-    sheets: tuple[PlacedLayer, ...]
-    rest_deg: FloatArray
-    """Where a joint is that only layers move."""
-
-    @property
-    def duration_s(self) -> float:
-        return max(self.base.duration_s, *(sheet.to_s for sheet in self.sheets))
-
-    def at(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return angles and speeds, (n, joints)."""
-        deg = np.tile(self.rest_deg, (len(times_s), 1))
-        speed = np.zeros_like(deg)
-        columns = [self.joints.index(name) for name in self.base.joints]
-        deg[:, columns] = self.base.sample(times_s)
-        speed[:, columns] = self.base.sample(times_s, 1)
-        for sheet in self.sheets:
-            rows = np.flatnonzero((times_s >= sheet.from_s) & (times_s <= sheet.to_s))
-            if len(rows):
-                self._add_layer(sheet, times_s[rows], rows, (deg, speed))
-        return deg, speed
-
-    def _add_layer(
-        self,
-        sheet: PlacedLayer,
-        times_s: FloatArray,
-        rows: NDArray[np.intp],
-        below: tuple[FloatArray, FloatArray],
-    ) -> None:
-        own = [k for k, name in enumerate(sheet.trajectory.joints) if name in sheet.layer.joints]
-        columns = [self.joints.index(sheet.trajectory.joints[k]) for k in own]
-        place = np.ix_(rows, np.array(columns, dtype=np.intp))
-        top_deg = sheet.trajectory.sample(times_s - sheet.from_s)[:, own]
-        top_speed = sheet.trajectory.sample(times_s - sheet.from_s, 1)[:, own]
-        if sheet.layer.mode == "override":
-            top_deg -= below[0][place]
-            top_speed -= below[1][place]
-        weight, growth = (value[:, None] for value in sheet.weights(times_s))
-        below[0][place] += weight * top_deg
-        below[1][place] += weight * top_speed + growth * top_deg
-
-
-def layered_sum(base: Trajectory, sheets: tuple[PlacedLayer, ...], robot: Robot) -> LayeredSum:
-    """Return the sum; raise `InputError` for a layer that adds to what nothing below moves."""
-    rest_deg: dict[str, float] = {}
-    for sheet in sheets:
-        if sheet.layer.mode == "override":
-            start_deg = sheet.trajectory.sample(np.zeros(1))[0].tolist()
-            for name, angle_deg in zip(sheet.trajectory.joints, start_deg, strict=True):
-                if name in sheet.layer.joints:
-                    rest_deg.setdefault(name, angle_deg)
-    moved = {*base.joints}
-    for sheet in sheets:
-        own = {*sheet.trajectory.joints} & {*sheet.layer.joints}
-        if sheet.layer.mode == "add" and (alone := sorted(own - moved - {*rest_deg})):
-            raise InputError(
-                f"a layer adds to joint {alone[0]!r}, but nothing below says where that is",
-                path=sheet.layer.sequence.path,
-                line=sheet.layer.line,
-            )
-        moved |= own
-    joints = tuple(name for name in robot.joints if name in moved)
-    return LayeredSum(joints, base, sheets, np.array([rest_deg.get(name, 0.0) for name in joints]))
-
-
-def check_jumps(total: LayeredSum, show: Sequence) -> None:
-    """Raise `InputError` where a layer begins or ends with a jump of angle or speed."""
-    for sheet in total.sheets:
-        for at_s in (sheet.from_s, sheet.to_s):
-            if not 0.0 < at_s < total.duration_s:
-                continue
-            sides = at_s + SIDE_S * np.array([-2.0, -1.0, 1.0, 2.0])
-            # Carried on to the seam from both sides: bending there is no jump.
-            deg, speed = (
-                np.abs(2.0 * value[2] - value[3] - 2.0 * value[1] + value[0])
-                for value in total.at(sides)
-            )
-            if deg.max() > JUMP_DEG or speed.max() > JUMP_DEG_S:
-                column = int((deg + speed).argmax())
-                raise InputError(
-                    f"layer {sheet.layer.sequence.name!r} would make joint "
-                    f"{total.joints[column]!r} jump by {significant(deg[column], 3)} deg and "
-                    f"{significant(speed[column], 3)} deg/s at {at_s:g} s; give it a fade_s",
-                    path=show.path,
-                    line=sheet.layer.line,
-                )
-
+"""Distance of the samples on both sides of an instant."""
 
 KNOTS_MAX: Final = 400_000
 """Polynomials of a layered show. Chosen: an hour of lively show, 250 MB with 18 joints."""
 
 ACCEL_ERROR_RATIO: Final = 1e-4
-"""Between knots the sum is followed so closely that its acceleration errs by less than this share
-of the limit: a tenth of what the verifier allows."""
+"""The acceleration of the cubics differs from that of the sum by less than this share of the limit:
+a tenth of what the verifier allows."""
 
 CELLS_MIN: Final = 2
 """Grid cells of a polynomial, at least. Chosen: where it matters, polynomials are a few ms long."""
 
 STEP_MIN_S: Final = 5e-4
-"""Shorter polynomials are not divided: half of what the line can express."""
+"""Shorter polynomials are not divided: half of the 1 ms unit of a timed move."""
 
 OFFSET_REACH_DEG: Final = 36_000.0
 """Range of angles that are added to others: a hundred turns, as in robot files."""
@@ -182,7 +64,7 @@ def layered(
     robot: Robot,
     plan: Callable[[Sequence, Robot], Trajectory],
 ) -> Trajectory:
-    """Return `base` with the layers of `show` on top, slower only where the sum asks too much.
+    """Return `base` with the layers of `show` on top, slowed only where the sum exceeds a limit.
 
     Raises `InputError` where a layer would make a joint jump, `PlanningError` for a missed anchor
     or a sum that leaves a joint's range.
@@ -195,8 +77,8 @@ def layered(
             "still as well; put the layers into the parts that it plays",
             path=show.path,
         )
-    sheets = tuple(_placed(layer, base, robot, plan) for layer in show.layers)
-    total = layered_sum(base, sheets, robot)
+    layers = tuple(_placed(layer, base, robot, plan) for layer in show.layers)
+    total = layered_sum(base, layers, robot)
     check_jumps(total, show)
     path = _as_cubics(total, robot, show)
     limits = [robot.joints[name] for name in total.joints]
@@ -225,7 +107,7 @@ def _placed(
 
 
 def _unbounded(robot: Robot) -> Robot:
-    """Return the robot without ranges: offsets are judged when they have been added."""
+    """Return the robot without ranges: the verifier checks the range of the sum instead."""
     joints = {
         name: replace(joint, position_min_deg=-OFFSET_REACH_DEG, position_max_deg=OFFSET_REACH_DEG)
         for name, joint in robot.joints.items()
@@ -234,18 +116,18 @@ def _unbounded(robot: Robot) -> Robot:
 
 
 def _as_cubics(total: LayeredSum, robot: Robot, show: Sequence) -> Path:
-    """Return the sum as cubics: exact where it is one, else divided until it is followed."""
+    """Return the sum as cubics, divided until their acceleration error is below the limit."""
     end_s = total.duration_s
     knots = [total.base.knots_until(end_s), np.array([0.0, end_s])]
-    for sheet in total.sheets:
-        fade_s = sheet.layer.fade_s
-        inner_s = sheet.from_s + sheet.trajectory.knots_until(sheet.to_s - sheet.from_s)
+    for placed in total.layers:
+        fade_s = placed.layer.fade_s
+        inner_s = placed.from_s + placed.trajectory.knots_until(placed.to_s - placed.from_s)
         knots += [
-            inner_s[(inner_s > sheet.from_s) & (inner_s < sheet.to_s)],
-            np.array([sheet.from_s, sheet.from_s + fade_s, sheet.to_s - fade_s, sheet.to_s]),
+            inner_s[(inner_s > placed.from_s) & (inner_s < placed.to_s)],
+            np.array([placed.from_s, placed.from_s + fade_s, placed.to_s - fade_s, placed.to_s]),
         ]
     knots_s = np.unique(np.clip(np.concatenate(knots), 0.0, end_s))
-    # Of those that are one instant the last is kept, so that the end is the end.
+    # Of knots at one instant the last is kept, so that the last knot is exactly `end_s`.
     knots_s = knots_s[np.append(np.diff(knots_s) > SAME_INSTANT_S, True)]
     knots_s[0] = 0.0
     allowed = ACCEL_ERROR_RATIO * np.array([robot.joints[n].accel_max_deg_s2 for n in total.joints])
@@ -262,8 +144,8 @@ def _as_cubics(total: LayeredSum, robot: Robot, show: Sequence) -> Path:
         for share in (0.25, 0.5):
             at_s = knots_s[:-1] + share * steps_s
             error_deg = np.abs(path.evaluate(at_s) - total.at(at_s)[0])
-            # A cubic through ends and slopes errs by x² (h - x)² / 24 of the fourth derivative,
-            # and its bend by h² / 12 of it.
+            # At x in a step h, the error of a Hermite cubic is x² (h - x)² / 24 times the fourth
+            # derivative; the error of its second derivative is h² / 12 times it.
             bend = error_deg * (2.0 / (share * (1.0 - share) * steps_s[:, None]) ** 2)
             is_bad |= (bend > allowed).any(axis=1)
         is_bad &= steps_s > 2.0 * STEP_MIN_S
@@ -283,7 +165,7 @@ def _cache_name(task: RateTask, show: Sequence, base: Trajectory, robot: Robot) 
 
 
 def _retimed(task: RateTask, total: LayeredSum, show: Sequence, robot: Robot) -> Trajectory:
-    """Return the sum at its own times, slower where a limit binds."""
+    """Return the sum at its own times, slowed where it exceeds a limit."""
     windows = slowed_windows(task)
     clock = authored_clock(task.path, windows, (), lambda path_s: path_s)
     motion = PathMotion(path=task.path, clock=clock)
@@ -292,15 +174,11 @@ def _retimed(task: RateTask, total: LayeredSum, show: Sequence, robot: Robot) ->
         return [float(at_s) for at_s in clock.times_of(np.array(times_s))]
 
     marks = [*total.base.marks]
-    for sheet in total.sheets:
+    for placed in total.layers:
         marks += [
-            replace(
-                mark,
-                planned_s=mark.planned_s + sheet.from_s,
-                authored_s=None if mark.authored_s is None else mark.authored_s + sheet.from_s,
-            )
-            for mark in sheet.trajectory.marks
-            if mark.planned_s + sheet.from_s <= sheet.to_s
+            mark.later(placed.from_s)
+            for mark in placed.trajectory.marks
+            if mark.planned_s + placed.from_s <= placed.to_s
         ]
     stretched = [*explain.slow_spans(task, total.joints, windows, clock, lambda path_s: path_s)]
     for stretch in total.base.stretched:
@@ -342,3 +220,124 @@ def _check_anchors(trajectory: Trajectory, show: Sequence) -> None:
                 f"would be {late_s:.3f} s late; lower a weight, or fade longer",
                 time_s=mark.authored_s,
             )
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedLayer:
+    """One layer with its plan, in the show from `from_s` to `to_s`."""
+
+    layer: Layer
+    trajectory: Trajectory
+    from_s: float
+    to_s: float
+
+    def weights(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the weight of the layer at each instant, and the derivative of the weight."""
+        rise, rise_slope = _smooth_step(times_s - self.from_s, self.layer.fade_s)
+        fall, fall_slope = _smooth_step(self.to_s - times_s, self.layer.fade_s)
+        weight = self.layer.weight
+        return weight * rise * fall, weight * (rise_slope * fall - rise * fall_slope)
+
+
+def _smooth_step(since_s: FloatArray, fade_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return a smooth step from 0 to 1 within `fade_s`, and its derivative."""
+    if fade_s <= 0.0:
+        return np.where(since_s >= 0.0, 1.0, 0.0), np.zeros_like(since_s)
+    share = np.clip(since_s / fade_s, 0.0, 1.0)
+    return share * share * (3.0 - 2.0 * share), 6.0 * share * (1.0 - share) / fade_s
+
+
+@dataclass(frozen=True, slots=True)
+class LayeredSum:
+    """The show and its layers added up, as if there were no limits."""
+
+    joints: tuple[str, ...]
+    base: Trajectory
+    layers: tuple[PlacedLayer, ...]
+    rest_deg: FloatArray
+    """Angles of joints that only layers move, before their layer starts."""
+
+    @property
+    def duration_s(self) -> float:
+        return max(self.base.duration_s, *(placed.to_s for placed in self.layers))
+
+    def at(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return angles and speeds, (n, joints)."""
+        deg = np.tile(self.rest_deg, (len(times_s), 1))
+        speed = np.zeros_like(deg)
+        columns = [self.joints.index(name) for name in self.base.joints]
+        deg[:, columns] = self.base.sample(times_s)
+        speed[:, columns] = self.base.sample(times_s, 1)
+        for placed in self.layers:
+            rows = np.flatnonzero((times_s >= placed.from_s) & (times_s <= placed.to_s))
+            if len(rows):
+                self._add_layer(placed, times_s[rows], rows, (deg, speed))
+        return deg, speed
+
+    def _add_layer(
+        self,
+        placed: PlacedLayer,
+        times_s: FloatArray,
+        rows: NDArray[np.intp],
+        below: tuple[FloatArray, FloatArray],
+    ) -> None:
+        own = [k for k, name in enumerate(placed.trajectory.joints) if name in placed.layer.joints]
+        columns = [self.joints.index(placed.trajectory.joints[k]) for k in own]
+        place = np.ix_(rows, np.array(columns, dtype=np.intp))
+        top_deg = placed.trajectory.sample(times_s - placed.from_s)[:, own]
+        top_speed = placed.trajectory.sample(times_s - placed.from_s, 1)[:, own]
+        if placed.layer.mode == "override":
+            top_deg -= below[0][place]
+            top_speed -= below[1][place]
+        weight, growth = (value[:, None] for value in placed.weights(times_s))
+        below[0][place] += weight * top_deg
+        below[1][place] += weight * top_speed + growth * top_deg
+
+
+def layered_sum(base: Trajectory, layers: tuple[PlacedLayer, ...], robot: Robot) -> LayeredSum:
+    """Return the sum.
+
+    Raises `InputError` for a layer that adds to a joint to which nothing below gives an angle.
+    """
+    rest_deg: dict[str, float] = {}
+    for placed in layers:
+        if placed.layer.mode == "override":
+            start_deg = placed.trajectory.sample(np.zeros(1))[0].tolist()
+            for name, angle_deg in zip(placed.trajectory.joints, start_deg, strict=True):
+                if name in placed.layer.joints:
+                    rest_deg.setdefault(name, angle_deg)
+    moved = {*base.joints}
+    for placed in layers:
+        own = {*placed.trajectory.joints} & {*placed.layer.joints}
+        if placed.layer.mode == "add" and (alone := sorted(own - moved - {*rest_deg})):
+            raise InputError(
+                f"a layer adds to joint {alone[0]!r}, but nothing below it moves that joint",
+                path=placed.layer.sequence.path,
+                line=placed.layer.line,
+            )
+        moved |= own
+    joints = tuple(name for name in robot.joints if name in moved)
+    return LayeredSum(joints, base, layers, np.array([rest_deg.get(name, 0.0) for name in joints]))
+
+
+def check_jumps(total: LayeredSum, show: Sequence) -> None:
+    """Raise `InputError` where a layer begins or ends with a jump of angle or speed."""
+    for placed in total.layers:
+        for at_s in (placed.from_s, placed.to_s):
+            if not 0.0 < at_s < total.duration_s:
+                continue
+            sides = at_s + SIDE_S * np.array([-2.0, -1.0, 1.0, 2.0])
+            # Both sides are extrapolated to the instant, so that curvature does not count.
+            deg, speed = (
+                np.abs(2.0 * value[2] - value[3] - 2.0 * value[1] + value[0])
+                for value in total.at(sides)
+            )
+            if deg.max() > JUMP_DEG or speed.max() > JUMP_DEG_S:
+                column = int((deg + speed).argmax())
+                raise InputError(
+                    f"layer {placed.layer.sequence.name!r} would make joint "
+                    f"{total.joints[column]!r} jump by {significant(deg[column], 3)} deg and "
+                    f"{significant(speed[column], 3)} deg/s at {at_s:g} s; give it a fade_s",
+                    path=show.path,
+                    line=placed.layer.line,
+                )

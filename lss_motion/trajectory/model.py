@@ -1,6 +1,7 @@
-"""Where every joint is at every instant: the result of planning.
+"""Trajectories: where every joint is at every instant, in every pass. The result of planning.
 
-How far along its path a motion is at every instant: piecewise parabolas over time.
+A pass is a path and a clock that follows it (`PathMotion`), a part of another pass (`LoopedSpan`),
+or made of several trajectories (`tracks.ParallelPass`, `playlist.PlayListPass`).
 """
 
 from __future__ import annotations
@@ -24,16 +25,16 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 SEAM_DEG: Final = 0.001
-"""How far a joint may be at the end of the part from where it is at its beginning. Chosen: a tenth
+"""Largest difference of a joint's angle between both ends of a looped span. Chosen: a tenth
 of the finest unit of a servo; keys that are rounded to 1e-5 deg stay far below."""
 
 SEAM_DEG_S: Final = 0.5
-"""The same for its speed. Chosen: half of what counts as seamless, 1 deg/s."""
+"""The same for its speed. Chosen: half of 1 deg/s, above which a seam can be seen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlowSpan:
-    """A span that had to be slower than its author wanted. Times are planned times."""
+    """A span that is slower than authored, because of a limit. Times are planned times."""
 
     from_s: float
     to_s: float
@@ -41,23 +42,33 @@ class SlowSpan:
     joint: str
     limit: Literal["speed", "acceleration"]
     authored: float
-    """The largest speed (deg/s) or acceleration (deg/s²) that the authored times ask for."""
+    """The largest speed (deg/s) or acceleration (deg/s²) that the authored times need."""
     allowed: float
     """The limit of the joint, in the same unit."""
+
+    @property
+    def unit(self) -> str:
+        """The unit of `authored` and `allowed`."""
+        return "deg/s" if self.limit == "speed" else "deg/s²"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mark:
-    """A keyframe in the plan: when it was wanted (None: no time given) and when it is reached."""
+    """A keyframe in the plan: its authored time (None: not given) and when it is reached."""
 
     label: str
     authored_s: float | None
     planned_s: float
     is_anchor: bool
 
+    def later(self, by_s: float) -> Mark:
+        """Return the mark with both times moved by `by_s`."""
+        authored_s = None if self.authored_s is None else self.authored_s + by_s
+        return replace(self, planned_s=self.planned_s + by_s, authored_s=authored_s)
+
 
 class Pass(Protocol):
-    """What all joints do from 0 s to `duration_s`: a motion of its own, or made of trajectories."""
+    """The motion of all joints from 0 s to `duration_s`; all times count from its start."""
 
     @property
     def duration_s(self) -> float: ...
@@ -69,7 +80,7 @@ class Pass(Protocol):
 
     @property
     def parts(self) -> tuple[Trajectory, ...]:
-        """The trajectories that it is made of, none of them sharing a joint at any instant."""
+        """The trajectories that it is made of; no two move the same joint at the same instant."""
         ...
 
     @property
@@ -111,15 +122,15 @@ class Trajectory:
     middle: Pass
     last: Pass
     loop: int | None = 1
-    """How often it is played; None is forever, and then `last` is never reached."""
+    """Number of passes; None: without end, and then `last` is never reached."""
     is_periodic: bool = False
     stretched: tuple[SlowSpan, ...] = ()
     marks: tuple[Mark, ...] = ()
     cues: tuple[Cue, ...] = ()
     waits: tuple[WaitPoint, ...] = ()
-    """What is not motion, in the first pass, at planned times."""
+    """Waits of the first pass. Like `cues`, at planned times."""
     on_fault: Ladders = field(default_factory=dict)
-    """What the show does otherwise than its robot when something goes wrong."""
+    """Reactions to faults that differ from those of the robot file."""
 
     def __repr__(self) -> str:
         """Return one line: name, duration and counts."""
@@ -133,7 +144,7 @@ class Trajectory:
         return math.inf if self.loop is None else self.pass_start_s(self.loop)
 
     def motion_of(self, index: int) -> Pass:
-        """Return what pass `index` does, counted from 0."""
+        """Return the motion of pass `index`, counted from 0."""
         if index == 0:
             return self.first
         return self.last if self.loop is not None and index == self.loop - 1 else self.middle
@@ -164,7 +175,7 @@ class Trajectory:
         times_s = np.asarray(times_s, dtype=np.float64)
         passes = self._passes_of(times_s)
         found = np.unique(passes).tolist()
-        if len(found) == 1:  # As usual; to choose rows would take as long as to find their values.
+        if len(found) == 1:  # The usual case; selecting rows would double the time.
             values = self._sample_pass(found[0], times_s, order)
         else:
             values = np.empty((len(times_s), len(self.joints)))
@@ -240,7 +251,7 @@ class PathMotion:
 
 
 def motions_of(trajectory: Trajectory) -> tuple[PathMotion, PathMotion, PathMotion]:
-    """Return first, middle and last pass of a single track, for whom needs path and clock."""
+    """Return first, middle and last pass of a trajectory of a single track (no parts)."""
     first, middle, last = trajectory.first, trajectory.middle, trajectory.last
     assert isinstance(first, PathMotion), "made of parts"
     assert isinstance(middle, PathMotion), "made of parts"
@@ -250,11 +261,11 @@ def motions_of(trajectory: Trajectory) -> tuple[PathMotion, PathMotion, PathMoti
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PathClock:
-    """Path position over time. Piece i starts at `times_s[i]` and `path_s[i]`.
+    """Path position over time, piecewise parabolas. Piece i starts at `times_s[i]`, `path_s[i]`.
 
-    `rates[i]` is how fast the path is followed there (1: one path second a second) and
-    `rate_slopes[i]` its growth per second. `times_s` and `path_s` have one entry more: the end.
-    Rates may jump where every joint rests.
+    `rates[i]` is the rate at its start (1: one path second a second), `rate_slopes[i]` the
+    derivative of the rate. `times_s` and `path_s` have one entry more: the end. Rates may jump
+    where every joint rests.
     """
 
     times_s: FloatArray
@@ -273,7 +284,7 @@ class PathClock:
         local_s = times_s - self.times_s[pieces]
         rates, slopes = self.rates[pieces], self.rate_slopes[pieces]
         path_s = self.path_s[pieces] + local_s * (rates + 0.5 * slopes * local_s)
-        # Rounding must not carry a position into the next cubic, whose curve is another one.
+        # Rounding must not move a position into the next cubic, which is a different curve.
         path_s = np.minimum(path_s, self.path_s[pieces + 1])
         return path_s, rates + slopes * local_s, slopes
 
@@ -313,7 +324,7 @@ def steady_clock(length_s: float) -> PathClock:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopedSpan:
-    """A pass that is a stretch of one pass of `whole`, joints in motion at its ends."""
+    """A pass that is a part of the only pass of `whole`; joints may move at its ends."""
 
     whole: Trajectory
     from_s: float
@@ -338,7 +349,7 @@ class LoopedSpan:
         return np.concatenate([[0.0], inner_s - self.from_s, [self.duration_s]])
 
     def sample(self, times_s: FloatArray, order: int = 0) -> FloatArray:
-        """Return deg, deg/s or deg/s² for order 0, 1, 2, (n, joints), as every pass does."""
+        """Return deg, deg/s or deg/s² for order 0, 1, 2, (n, joints); see `Pass`."""
         times_s = np.asarray(times_s, dtype=np.float64)
         inside_s = np.clip(times_s, 0.0, self.duration_s)
         values = self.whole.sample(self.from_s + inside_s, order)
@@ -350,7 +361,7 @@ class LoopedSpan:
 def with_looped_span(sequence: Sequence, whole: Trajectory) -> Trajectory:
     """Return `whole`, one pass of all keyframes of `sequence`, with its `loop_span_s` looped.
 
-    Raises `InputError` where the joints do not end the part as they began it, in motion too.
+    Raises `InputError` if angle or speed of a joint differ between both ends of the span.
     """
     assert sequence.loop_span_s is not None
     authored_s = np.array([0.0, *(mark.authored_s or 0.0 for mark in whole.marks)])

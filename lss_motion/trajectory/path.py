@@ -1,6 +1,6 @@
-"""Where the joints are along a path: piecewise cubics over the path parameter, no time.
+"""Paths: piecewise cubics of all joints over the path position, without time.
 
-The path parameter has the unit of seconds (`_s`): for authored shows it is the authored time.
+The path position has the unit of seconds (`_s`): for authored shows it is the authored time.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Path:
     coefficients: FloatArray
 
     def __post_init__(self) -> None:
-        # In memory one power lies after the other, as `_chosen` takes them.
+        # Stored power by power, because `_chosen` reads one power of many cubics.
         by_power = np.ascontiguousarray(np.moveaxis(self.coefficients, 1, 0))
         object.__setattr__(self, "coefficients", np.moveaxis(by_power, 0, 1))
 
@@ -65,7 +65,7 @@ class Path:
     def _chosen(self, power: int, segments: NDArray[np.intp]) -> FloatArray:
         """Return the coefficient of that power of each chosen cubic, (n, joints).
 
-        One power after the other takes a quarter of the time that whole cubics do.
+        Reading power by power takes a quarter of the time of reading whole cubics.
         """
         return self.coefficients[:, power].take(segments, axis=0)
 
@@ -74,7 +74,7 @@ class Path:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the first and the second derivative, (n, joints).
 
-        `segments` chooses the cubics, for limits from the left of a knot.
+        `segments` gives the cubic of each position, for one-sided values at a knot.
         """
         chosen = self.segments_of(path_s) if segments is None else segments
         local_s = (path_s - self.knots_s[chosen])[:, None]
@@ -91,11 +91,26 @@ class Path:
 
 def cubics(knots_s: FloatArray, deg: FloatArray, speed: FloatArray) -> Path:
     """Return the cubics with those angles and speeds at their knots."""
-    steps_s = np.diff(knots_s)[:, None]
-    secant, before, after = np.diff(deg, axis=0) / steps_s, speed[:-1], speed[1:]
-    square = (3.0 * secant - 2.0 * before - after) / steps_s
-    cube = (before + after - 2.0 * secant) / steps_s**2
-    return Path(knots_s=knots_s, coefficients=np.stack([deg[:-1], before, square, cube], axis=1))
+    lengths_s = np.diff(knots_s)[:, None]
+    secants = np.diff(deg, axis=0) / lengths_s
+    coefficients = hermite(deg[:-1], secants, speed[:-1], speed[1:], lengths_s)
+    return Path(knots_s=knots_s, coefficients=coefficients)
+
+
+def hermite(
+    start: FloatArray,
+    secants: FloatArray,
+    before: FloatArray,
+    after: FloatArray,
+    lengths_s: FloatArray,
+) -> FloatArray:
+    """Return cubics with those slopes `before` and `after` at their ends.
+
+    Coefficients in rising powers along axis 1, from the value at the start and the mean slope.
+    """
+    square = (3.0 * secants - 2.0 * before - after) / lengths_s
+    cube = (before + after - 2.0 * secants) / lengths_s**2
+    return np.stack([start, before, square, cube], axis=1)
 
 
 def concatenate(paths: Sequence[Path]) -> Path:

@@ -1,12 +1,11 @@
-"""From what the author wants to what the robot can do: `plan`.
+"""The way in: `plan` makes a verified trajectory of a sequence, or loads it from the cache.
 
-A plan that is remembered needs no planner: what makes one is loaded when there is one to make.
+The cache holds verified plans on disk, found by content. The name of an entry is a hash of
+everything that the plan depends on (keys, times and limits), so that an entry never fits another
+sequence or robot. Each entry holds a plan that has passed the verifier, and a hash of itself: what
+is loaded equals what was verified, to the bit, and is not verified again.
 
-Verified plans on disk, found by content, so that a plan made once costs next to nothing again.
-
-An entry is named by a hash of the whole question (what the author wants and every limit), so that
-it can never answer another one. It holds a plan that has passed the verifier, and a hash of
-itself: what is read back is what was verified, to the bit, and need not be verified again.
+The modules that make plans are imported only when a plan is made.
 """
 
 from __future__ import annotations
@@ -45,29 +44,125 @@ if TYPE_CHECKING:
 
 
 PLANNER_VERSION: Final = 3
-"""Part of every name: to be raised whenever the same question gets another answer."""
+"""Part of every name. Raise it whenever the plan of an unchanged sequence changes."""
 
 DIRECTORY_VARIABLE: Final = "LSS_MOTION_CACHE_DIR"
-"""Environment variable that moves the cache."""
+"""Environment variable with the folder of the cache."""
 
 BYTES_MAX: Final = 128 * 1024 * 1024
-"""The oldest entries go when the cache grows beyond this. Chosen: some fifty long shows."""
+"""The oldest entries are removed beyond this size. Chosen: some fifty long shows."""
 
 PIECES_MIN: Final = 64
-"""Plans with fewer polynomials and steady stretches are made as quickly as they are read."""
+"""Plans with fewer polynomials and clock pieces are not stored: they are made as fast as loaded."""
 
 SUFFIX: Final = ".plan.npz"
 
 _DIGEST_BYTES: Final = 32
-"""Length of SHA-256, which stands before the content."""
+"""Length of the SHA-256 hash before the content."""
 
 _PARTS: Final = ("first", "middle", "last")
 _PATH: Final = ("knots_s", "coefficients")
 _CLOCK: Final = ("times_s", "path_s", "rates", "rate_slopes")
 
 
+def plan(sequence: Sequence, robot: Robot) -> Trajectory:
+    """Return the motion of `robot` that comes closest to `sequence` within all limits.
+
+    The result has passed `verify`. Raises `InputError` for a sequence that does not fit this robot,
+    and `PlanningError` where no motion fulfils it: a missed anchor, a duration that is too short,
+    a spline that leaves a joint's range.
+    """
+    _check_limits(robot)
+    trajectory = _planned(at_speed(sequence), robot)
+    return replace(trajectory, on_fault=sequence.on_fault) if sequence.on_fault else trajectory
+
+
+def _check_limits(robot: Robot) -> None:
+    """Raise `InputError` where a limit is a setting of the servo that has not been read."""
+    for joint in robot.unread:
+        raise InputError(
+            f"joint {joint.name!r}: its robot file leaves {' and '.join(sorted(joint.unread))} to "
+            f"the servo, whose settings are not known. `lss-play` reads them; offline give "
+            f"--robot-cache FILE, written by `lss-motion configure ROBOT --backup FILE`",
+            path=robot.path,
+        )
+
+
+def _planned(sequence: Sequence, robot: Robot) -> Trajectory:
+    """Return the plan of a sequence to which `at_speed` was applied."""
+    bare = replace(sequence, layers=(), events=())
+    trajectory = base = _planned_base(bare, robot)
+    if sequence.layers:
+        from lss_motion.trajectory.layers import layered
+
+        trajectory = layered(base, replace(sequence, events=()), robot, _planned)
+        slower = trajectory.first.duration_s / max(base.first.duration_s, 1e-9)
+        cues = [replace(cue, at_s=slower * cue.at_s) for cue in base.cues]
+        for layer in sequence.layers:
+            own = planned_cues(replace(layer.sequence, path=sequence.path), trajectory)
+            cues += [replace(cue, at_s=layer.from_s + cue.at_s) for cue in own]
+        trajectory = replace(trajectory, cues=tuple(cues))
+    if sequence.events:
+        cues = [*trajectory.cues, *planned_cues(sequence, trajectory)]
+        trajectory = replace(trajectory, cues=tuple(cues))
+    return trajectory
+
+
+def _planned_base(sequence: Sequence, robot: Robot) -> Trajectory:
+    if not sequence.play and not sequence.tracks:
+        return _planned_track(sequence, robot)
+    from lss_motion.trajectory.verify import verify
+
+    if sequence.play:
+        from lss_motion.trajectory.playlist import planned_play_list
+
+        trajectory = planned_play_list(sequence, robot, _planned)
+    else:
+        if sequence.loop != 1 and not sequence.keyframes:
+            raise InputError(
+                "there is nothing to loop outside of the tracks; give each track its own loop",
+                path=sequence.path,
+            )
+        from lss_motion.trajectory.tracks import planned_tracks
+
+        own = [replace(sequence, tracks=())] if sequence.keyframes else []
+        trajectory = planned_tracks(sequence, [*own, *sequence.tracks], robot, _planned_track)
+    verify(trajectory, robot, has_parts=False)  # The parts have passed it already.
+    return trajectory
+
+
+def _planned_track(track: Sequence, robot: Robot) -> Trajectory:
+    if track.tracks or track.layers or track.play:
+        raise InputError("a track holds keyframes and nothing else", path=track.path)
+    if track.loop_span_s is not None:
+        from lss_motion.trajectory.verify import verify
+
+        whole = _planned_track(replace(track, loop=1, loop_span_s=None), robot)
+        trajectory = with_looped_span(track, whole)
+        verify(trajectory, robot, has_parts=False)
+        return trajectory
+    ratio = track.speed_ratio
+    trajectory = _keyframes(replace(track, speed_ratio=1.0), robot)
+    if track.timing is Timing.FASTEST and ratio < 1.0:
+        from lss_motion.trajectory.retime import at_ratio
+
+        return at_ratio(trajectory, ratio)
+    return trajectory
+
+
+def _keyframes(track: Sequence, robot: Robot) -> Trajectory:
+    """Return the plan of the keyframes alone, made or from the cache."""
+
+    def make() -> Trajectory:
+        from lss_motion.trajectory.tracks import planned_track
+
+        return planned_track(track, robot)
+
+    return cached(cache_name(track, robot), make)
+
+
 def cache_directory() -> Path:
-    """Return where plans are kept: `LSS_MOTION_CACHE_DIR`, else the user's cache folder."""
+    """Return the folder of the plans: `LSS_MOTION_CACHE_DIR`, else the user's cache folder."""
     if chosen := os.environ.get(DIRECTORY_VARIABLE):
         return Path(chosen)
     import platformdirs
@@ -76,7 +171,7 @@ def cache_directory() -> Path:
 
 
 def cache_name(sequence: Sequence, robot: Robot) -> str:
-    """Return the name of a question: a hash of the keys, their times and the limits they meet."""
+    """Return the name of an entry: a hash of keys, times and limits."""
     digest = hashlib.sha256(repr(PLANNER_VERSION).encode())
     digest.update(
         repr(
@@ -115,10 +210,10 @@ def cache_name(sequence: Sequence, robot: Robot) -> str:
 
 
 def cached(name: str, make: Callable[[], Trajectory]) -> Trajectory:
-    """Return the plan stored under `name`, or make and store it. `make` returns a verified one.
+    """Return the plan stored under `name`, else that of `make`, which must have been verified.
 
-    A damaged entry counts as none and is replaced. A cache that cannot be written is no error:
-    the plan is only not remembered.
+    A damaged entry is replaced. A cache that cannot be written is no error; the plan is then not
+    stored.
     """
     path = cache_directory() / f"{name}{SUFFIX}"
     trajectory = _load(path)
@@ -186,7 +281,7 @@ def _store(path: Path, trajectory: Trajectory) -> None:
         with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
             part.write(hashlib.sha256(content.getbuffer()).digest())
             part.write(content.getbuffer())
-        # A reader sees the whole entry or none.
+        # Renamed when complete, so that another process never reads a part of an entry.
         Path(part.name).replace(path)
         _trim(path.parent)
     except OSError:
@@ -205,99 +300,3 @@ def _trim(folder: Path) -> None:
         total += status.st_size
         if total > BYTES_MAX:
             entry.unlink(missing_ok=True)
-
-
-def plan(sequence: Sequence, robot: Robot) -> Trajectory:
-    """Return the motion of `robot` that comes closest to `sequence` within all limits.
-
-    The result has passed `verify`. Raises `InputError` for a sequence that means nothing on this
-    robot, `PlanningError` where no motion fulfils it: a missed anchor, a duration too short, a
-    spline that swings out of range.
-    """
-    _check_limits(robot)
-    trajectory = _planned(at_speed(sequence), robot)
-    return replace(trajectory, on_fault=sequence.on_fault) if sequence.on_fault else trajectory
-
-
-def _check_limits(robot: Robot) -> None:
-    """Raise `InputError` where a limit is what the servo is set to and nobody has asked it."""
-    for joint in robot.unread:
-        raise InputError(
-            f"joint {joint.name!r}: its robot file leaves {' and '.join(sorted(joint.unread))} to "
-            f"the servo, which was not asked. `lss-play` asks it; offline give --robot-cache "
-            f"FILE, written by `lss-motion configure ROBOT --backup FILE`",
-            path=robot.path,
-        )
-
-
-def _planned(sequence: Sequence, robot: Robot) -> Trajectory:
-    """Return the plan of a sequence whose times are final."""
-    bare = replace(sequence, layers=(), events=())
-    trajectory = base = _planned_base(bare, robot)
-    if sequence.layers:
-        from lss_motion.trajectory.layers import layered
-
-        trajectory = layered(base, replace(sequence, events=()), robot, _planned)
-        slower = trajectory.first.duration_s / max(base.first.duration_s, 1e-9)
-        cues = [replace(cue, at_s=slower * cue.at_s) for cue in base.cues]
-        for layer in sequence.layers:
-            own = planned_cues(replace(layer.sequence, path=sequence.path), trajectory)
-            cues += [replace(cue, at_s=layer.from_s + cue.at_s) for cue in own]
-        trajectory = replace(trajectory, cues=tuple(cues))
-    if sequence.events:
-        cues = [*trajectory.cues, *planned_cues(sequence, trajectory)]
-        trajectory = replace(trajectory, cues=tuple(cues))
-    return trajectory
-
-
-def _planned_base(sequence: Sequence, robot: Robot) -> Trajectory:
-    if not sequence.play and not sequence.tracks:
-        return _planned_track(sequence, robot)
-    from lss_motion.trajectory.verify import verify
-
-    if sequence.play:
-        from lss_motion.trajectory.playlist import planned_play_list
-
-        trajectory = planned_play_list(sequence, robot, _planned)
-    else:
-        if sequence.loop != 1 and not sequence.keyframes:
-            raise InputError(
-                "there is nothing to loop outside of the tracks; give each track its own loop",
-                path=sequence.path,
-            )
-        from lss_motion.trajectory.tracks import planned_tracks
-
-        own = [replace(sequence, tracks=())] if sequence.keyframes else []
-        trajectory = planned_tracks(sequence, [*own, *sequence.tracks], robot, _planned_track)
-    verify(trajectory, robot, has_parts=False)  # The parts have passed it already.
-    return trajectory
-
-
-def _planned_track(track: Sequence, robot: Robot) -> Trajectory:
-    if track.tracks or track.layers or track.play:
-        raise InputError("a track holds keyframes and nothing else", path=track.path)
-    if track.loop_span_s is not None:
-        from lss_motion.trajectory.verify import verify
-
-        whole = _planned_track(replace(track, loop=1, loop_span_s=None), robot)
-        trajectory = with_looped_span(track, whole)
-        verify(trajectory, robot, has_parts=False)
-        return trajectory
-    ratio = track.speed_ratio
-    trajectory = _keyframes(replace(track, speed_ratio=1.0), robot)
-    if track.timing is Timing.FASTEST and ratio < 1.0:
-        from lss_motion.trajectory.retime import at_ratio
-
-        return at_ratio(trajectory, ratio)
-    return trajectory
-
-
-def _keyframes(track: Sequence, robot: Robot) -> Trajectory:
-    """Return the plan of the keyframes alone, made or remembered."""
-
-    def make() -> Trajectory:
-        from lss_motion.trajectory.tracks import planned_track
-
-        return planned_track(track, robot)
-
-    return cached(cache_name(track, robot), make)

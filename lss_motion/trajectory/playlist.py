@@ -28,14 +28,14 @@ SAME_DEG: Final = 1e-9
 """Angles closer than this need no move."""
 
 WAIT_SETTLE_S: Final = 0.05
-"""A wait begins so long after the joints have come to rest: their horns lag the plan."""
+"""Rest before a wait begins, because the horns lag behind the plan."""
 
 WAIT_LEAD_S: Final = 0.25
-"""And they rest so long after it: moves are sent before they are to be seen. Chosen: what the
-beginning of a show allows for the same reason."""
+"""Rest after a wait, because moves are sent before they start. Chosen: as long as the lead at the
+beginning of a show."""
 
 PEAK_RATIO: Final = 1.5
-"""A smooth move from rest to rest is, in the middle, this much faster than on average."""
+"""Peak speed of a smooth move from rest to rest, divided by its mean speed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,7 +83,7 @@ class PlayListPass:
 
 @dataclass(slots=True)
 class _StepCollector:
-    """Collects parts, and where every joint stands after them."""
+    """Collects the parts of a play list, and the angle of every joint after them."""
 
     robot: Robot
     plan: Callable[[Sequence, Robot], Trajectory]
@@ -100,13 +100,17 @@ class _StepCollector:
         self.pose_deg |= zip(part.joints, end_deg, strict=True)
         self.now_s += part.duration_s
 
+    def pause(self, pause_s: float) -> None:
+        """Append a rest."""
+        self.now_s += pause_s
+
     def wait(self, wait: Wait) -> None:
-        """Rest, and wait in the middle of it."""
+        """Append a rest with a wait in it."""
         self.waits.append(WaitPoint(at_s=self.now_s + WAIT_SETTLE_S, wait=wait))
-        self.now_s += WAIT_SETTLE_S + WAIT_LEAD_S
+        self.pause(WAIT_SETTLE_S + WAIT_LEAD_S)
 
     def move_to(self, target_deg: Mapping[str, float], move_s: float | None) -> None:
-        """Go to the angles, in `move_s` or at the approach speed; not at all if there already."""
+        """Append the move to the angles, in `move_s` or at the approach speed; none if there."""
         ways = {
             name: (self.pose_deg[name], angle_deg)
             for name, angle_deg in target_deg.items()
@@ -129,31 +133,31 @@ def planned_play_list(
 ) -> Trajectory:
     """Return the steps of a play list, one after the other, as often as the list is looped.
 
-    Every step begins and ends at rest. Where the robot stands elsewhere than a step begins, it
-    moves there first: in the step's `move_s`, else at the robot's approach speed.
+    Every step begins and ends at rest. Where a joint is not at the start of a step, a move to it
+    comes first, in the step's `move_s`, else at the robot's approach speed.
     """
     planned = [(step, *_planned(step, robot, plan)) for step in show.play]
     start_deg: dict[str, float] = {}
     for _, part, _ in planned:
         start_deg = {**(_start(part) if part else {}), **start_deg}
-    row = _StepCollector(robot, plan, dict(start_deg), [], [])
+    steps = _StepCollector(robot, plan, dict(start_deg), [], [])
     for step, part, times in planned:
-        row.now_s += step.pause_s
+        steps.pause(step.pause_s)
         if step.wait is not None:
-            row.wait(step.wait)
+            steps.wait(step.wait)
         for _ in range(times):
             if part is not None:
-                row.move_to(_start(part), step.move_s)
-                row.append(part)
+                steps.move_to(_start(part), step.move_s)
+                steps.append(part)
     if show.loop != 1:
-        row.move_to(start_deg, None)
-    return _trajectory(show, row, robot)
+        steps.move_to(start_deg, None)
+    return _trajectory(show, steps, robot)
 
 
 def _planned(
     step: Step, robot: Robot, plan: Callable[[Sequence, Robot], Trajectory]
 ) -> tuple[Trajectory | None, int]:
-    """Return the plan of a step and how often it is to be played."""
+    """Return the plan of a step and how often it is played."""
     sequence = step.sequence
     if sequence is None:
         return None, 1
@@ -161,7 +165,7 @@ def _planned(
     is_plain = is_plain and sequence.loop_span_s is None
     may_flow = step.times > 1 and is_plain and not loop_problem(sequence.keyframes)
     if may_flow and sequence.loop is not None:
-        # It ends where it begins, so that it can go on without a stop.
+        # It ends where it begins: planned as a loop, it goes on without a stop.
         return plan(replace(sequence, loop=sequence.loop * step.times), robot), 1
     return plan(sequence, robot), step.times
 
@@ -170,9 +174,9 @@ def _start(part: Trajectory) -> dict[str, float]:
     return dict(zip(part.joints, part.sample(np.zeros(1))[0].tolist(), strict=True))
 
 
-def _trajectory(show: Sequence, row: _StepCollector, robot: Robot) -> Trajectory:
-    joints = tuple(name for name in robot.joints if name in row.pose_deg)
-    parts = row.parts
+def _trajectory(show: Sequence, steps: _StepCollector, robot: Robot) -> Trajectory:
+    joints = tuple(name for name in robot.joints if name in steps.pose_deg)
+    parts = steps.parts
     if not parts:
         raise InputError("the play list moves no joint", path=show.path)
     whole = PlayListPass(
@@ -180,7 +184,7 @@ def _trajectory(show: Sequence, row: _StepCollector, robot: Robot) -> Trajectory
         parts=tuple(part for _, part, _ in parts),
         starts_s=np.array([start_s for start_s, _, _ in parts]),
         poses_deg=np.array([[pose_deg[name] for name in joints] for _, _, pose_deg in parts]),
-        duration_s=row.now_s,
+        duration_s=steps.now_s,
     )
     return Trajectory(
         name=show.name,
@@ -195,15 +199,11 @@ def _trajectory(show: Sequence, row: _StepCollector, robot: Robot) -> Trajectory
             for stretch in part.stretched
         ),
         marks=tuple(
-            replace(
-                mark,
-                planned_s=mark.planned_s + start_s,
-                authored_s=None if mark.authored_s is None else mark.authored_s + start_s,
-            )
+            mark.later(start_s)
             for start_s, part, _ in parts
             for mark in all_marks(part, part.duration_s)
         ),
-        waits=tuple(row.waits),
+        waits=tuple(steps.waits),
         cues=tuple(
             replace(cue, at_s=cue.at_s + start_s)
             for start_s, part, _ in parts

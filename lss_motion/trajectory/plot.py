@@ -22,7 +22,7 @@ SAMPLES_MAX: Final = 20_000
 """Samples of each curve. Chosen: several for every pixel of a wide picture."""
 
 PASSES_SHOWN: Final = 3
-"""A loop without end shows a first and two more passes."""
+"""Passes that are shown of a loop without end."""
 
 ROW_HEIGHT_IN: Final = 1.5
 """Height of a joint's row; many joints get lower rows, down to `ROW_HEIGHT_MIN_IN`."""
@@ -30,13 +30,13 @@ ROW_HEIGHT_IN: Final = 1.5
 ROW_HEIGHT_MIN_IN: Final = 0.95
 WIDTH_IN: Final = 15.0
 ANNOTATED_MIN_S: Final = 0.01
-"""Stretched by less, a span is shaded but not annotated."""
+"""A span that is slowed by less is shaded but not annotated."""
 
 LABELS_MAX: Final = 24
-"""More keyframe labels than this would run into each other; then only the lines are drawn."""
+"""More keyframe labels than this would overlap; then only the lines are drawn."""
 
 PLANNED, HORN, LIMIT, LATE, MARK = "#1f5fa8", "#e0701a", "#c0392b", "#f6c344", "#9aa5b1"
-"""Colours: the plan, what a horn did, limits, stretched spans, keyframes."""
+"""Colours: the plan, measured horn angles, limits, slowed spans, keyframes."""
 
 
 def plot(
@@ -46,9 +46,10 @@ def plot(
     *,
     horn: tuple[FloatArray, FloatArray] | None = None,
 ) -> None:
-    """Draw the trajectory into `path`; the kind of picture is that of its suffix.
+    """Draw the trajectory into `path`; the suffix chooses the kind of picture.
 
-    `horn` adds what the horns did: times in s and degrees, (n, joints), in the trajectory's order.
+    `horn` adds measured horn angles: times in s, and degrees, (n, joints), in the order of
+    `trajectory.joints`.
     Raises `InputError` for a suffix that cannot be drawn or a file that cannot be written.
     """
     count = len(trajectory.joints)
@@ -97,7 +98,7 @@ def _shown_s(trajectory: Trajectory) -> float:
 
 
 def _curves(trajectory: Trajectory) -> tuple[FloatArray, list[FloatArray]]:
-    """Return instants, dense where polynomials meet, and the three curves there."""
+    """Return instants, and angle, speed and acceleration there."""
     end_s = _shown_s(trajectory)
     times_s = np.linspace(0.0, end_s, int(min(SAMPLES_MAX, max(2, end_s * 500.0))))
     return times_s, [trajectory.sample(times_s, order) for order in (0, 1, 2)]
@@ -120,7 +121,7 @@ def _row(
         for side in ("top", "right"):
             axis.spines[side].set_visible(False)
         for limit in (low, high):
-            # A range far away would flatten the curve; limits of speed and acceleration matter.
+            # A range limit far away would flatten the angle curve, and is left out.
             shown = axis.get_ylim()
             if axis is not axes[0] or shown[0] <= limit <= shown[1]:
                 axis.axhline(limit, color=LIMIT, linewidth=0.8, linestyle=(0, (5, 3)))

@@ -1,16 +1,11 @@
-"""How fast a path is followed: rates along the path become a clock.
+"""How fast a path is followed: the layout of a sequence, and the clock that follows its path.
 
-How fast a path may be followed: at rate 1 where that is legal, slower only where it is not.
+A path whose position is the authored time is followed at rate 1 wherever that breaks no limit. Only
+windows around the segments where it does are given to the solver. They are widened until rate 1 is
+reached at both of their ends, so that the result is that of solving the whole path.
 
-A path whose parameter is the authored time is followed at rate 1 wherever that breaks no limit.
-Only windows around the segments where it does are given to the solver, widened until rate 1 is
-reached at both of their ends, which makes the result that of solving the whole.
-
-From rates along a path to a clock: windows, steady stretches, rests that give time back.
-
-Durations that are given: the author's times scaled, or the fastest motion slowed.
-
-A sequence laid out along a path: every pass that differs, one after the other.
+`Layout` holds the paths of all passes that differ. `authored_clock` and `stopping_clock` turn rates
+into a clock. `slowed_to`, `scaled` and `least_fit_s` serve durations that the author gives.
 """
 
 from __future__ import annotations
@@ -42,186 +37,18 @@ if TYPE_CHECKING:
 
 
 WINDOW_MIN_S: Final = 0.2
-"""How far a window grows at least. Chosen: braking from rate 1 takes a few tenths of a second."""
+"""Least growth of a window. Chosen: braking from rate 1 takes a few tenths of a second."""
 
+FIT_TOLERANCE_S: Final = 0.001
+"""A fitted pass is as long as requested, to the millisecond."""
 
-def segments_over_limits(task: RateTask) -> NDArray[np.bool_]:
-    """Return which segments cannot be followed at rate 1."""
-    speed, accel = peaks(task.path)
-    is_fast = np.any(speed > task.speed_max_deg_s * FEASIBLE_RATIO, axis=1)
-    return np.asarray(is_fast | np.any(accel > task.accel_max_deg_s2 * FEASIBLE_RATIO, axis=1))
-
-
-def slowed_windows(task: RateTask) -> list[RateWindow]:
-    """Return the windows where rate 1 is left, in order; none if the path is legal as it is."""
-    is_rest = task.path.rests
-    is_active = segments_over_limits(task)
-    for knot, cap in task.knot_caps.items():
-        if cap < 1.0:
-            is_active[knot - 1 : knot + 1] = True
-    solved: dict[tuple[int, int], RateWindow] = {}
-    for run in runs(is_active):
-        for step in (-1, +1):
-            _widen(is_active, is_rest, task.path, run, step)
-    while pending := [run for run in runs(is_active) if run not in solved]:
-        for first, end in pending:
-            window = solve(task, first, end)
-            solved[first, end] = window
-            if window.squares[0] < 1.0 and _can_widen(is_rest, first - 1):
-                _widen(is_active, is_rest, task.path, (first, end), -1)
-            if window.squares[-1] < 1.0 and _can_widen(is_rest, end):
-                _widen(is_active, is_rest, task.path, (first, end), +1)
-    return [solved[run] for run in runs(is_active)]
-
-
-def _can_widen(is_rest: NDArray[np.bool_], segment: int) -> bool:
-    """At a rest the rate may jump, and a path has ends."""
-    return 0 <= segment < len(is_rest) and not is_rest[segment]
-
-
-def _widen(
-    is_active: NDArray[np.bool_],
-    is_rest: NDArray[np.bool_],
-    path: Path,
-    run: tuple[int, int],
-    step: int,
-) -> None:
-    """Activate segments before (`step` -1) or after a run, up to the next rest or active one.
-
-    At least `WINDOW_MIN_S`, or half of the run again. Where it meets another run, the two are one
-    from now on.
-    """
-    first, end = run
-    wanted_s = max(WINDOW_MIN_S, 0.5 * float(path.knots_s[end] - path.knots_s[first]))
-    segment = first - 1 if step < 0 else end
-    while wanted_s > 0.0 and _can_widen(is_rest, segment) and not is_active[segment]:
-        wanted_s -= float(path.knots_s[segment + 1] - path.knots_s[segment])
-        is_active[segment] = True
-        segment += step
-
-
-class _Pieces:
-    """Collects the pieces of a clock in order."""
-
-    def __init__(self) -> None:
-        self.path_s: list[FloatArray] = []
-        self.spent_s: list[FloatArray] = []
-        self.rates: list[FloatArray] = []
-        self.slopes: list[FloatArray] = []
-        self.now_s = 0.0
-
-    def follow(self, window: RateWindow) -> None:
-        rates = np.sqrt(window.squares)
-        steps_s = np.diff(window.grid_s)
-        self._add(
-            window.grid_s[:-1],
-            2.0 * steps_s / (rates[:-1] + rates[1:]),
-            rates[:-1],
-            np.diff(window.squares) / (2.0 * steps_s),
-        )
-
-    def go(self, from_s: float, to_s: float, spent_s: float) -> None:
-        """Follow the path at one rate, which takes `spent_s`."""
-        rate = (to_s - from_s) / spent_s if spent_s > 0.0 else 0.0
-        self._add(np.array([from_s]), np.array([spent_s]), np.array([rate]), np.zeros(1))
-
-    def _add(
-        self, path_s: FloatArray, spent_s: FloatArray, rates: FloatArray, slopes: FloatArray
-    ) -> None:
-        self.path_s.append(path_s)
-        self.spent_s.append(spent_s)
-        self.rates.append(rates)
-        self.slopes.append(slopes)
-        self.now_s += float(spent_s.sum())
-
-    def clock(self, end_s: float) -> PathClock:
-        if not self.spent_s:
-            self.go(end_s, end_s, 0.0)
-        spent_s = np.concatenate(self.spent_s)
-        return PathClock(
-            times_s=np.concatenate([[0.0], np.cumsum(spent_s)]),
-            path_s=np.append(np.concatenate(self.path_s), end_s),
-            rates=np.concatenate(self.rates),
-            rate_slopes=np.concatenate(self.slopes),
-        )
-
-
-def authored_clock(
-    path: Path,
-    windows: Sequence[RateWindow],
-    seams: Sequence[int],
-    authored: Callable[[FloatArray], FloatArray],
-) -> PathClock:
-    """Return the clock that runs at rate 1 outside of `windows`, with a boundary at all `seams`.
-
-    A rest gives up as much of itself as the motion is late when it begins. `authored` maps path
-    positions to authored times.
-    """
-    is_rest = path.rests
-    kinds = np.where(is_rest, -1, 0)
-    for number, window in enumerate(windows, start=1):
-        kinds[window.first : window.end] = number
-    changes = 1 + np.flatnonzero(np.diff(kinds))
-    bounds = np.unique(
-        np.concatenate([[0], changes, np.asarray(seams, dtype=np.intp), [len(kinds)]])
-    )
-    pieces = _Pieces()
-    followed = 0
-    for first, end in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
-        from_s, to_s = float(path.knots_s[first]), float(path.knots_s[end])
-        kind = int(kinds[first])
-        if kind > 0:
-            if kind > followed:
-                pieces.follow(windows[kind - 1])
-                followed = kind
-            continue
-        spent_s = to_s - from_s
-        if kind < 0:
-            begin_s, finish_s = authored(np.array([from_s, to_s])).tolist()
-            if pieces.now_s - begin_s > SAME_INSTANT_S:
-                spent_s = max(0.0, finish_s - pieces.now_s)
-        pieces.go(from_s, to_s, spent_s)
-    return pieces.clock(float(path.knots_s[-1]))
-
-
-def stopping_clock(
-    windows: Sequence[RateWindow], pauses_s: Mapping[float, float], end_s: float
-) -> PathClock:
-    """Return the clock that follows `windows` and stays at path positions for their pause."""
-    pieces = _Pieces()
-    for window in windows:
-        _pause(pieces, float(window.grid_s[0]), pauses_s)
-        pieces.follow(window)
-    _pause(pieces, end_s, pauses_s)
-    return pieces.clock(end_s)
-
-
-def _pause(pieces: _Pieces, at_s: float, pauses_s: Mapping[float, float]) -> None:
-    if (pause_s := pauses_s.get(at_s, 0.0)) > 0.0:
-        pieces.go(at_s, at_s, pause_s)
-
-
-def slowed_clock(clock: PathClock, ratio: float) -> PathClock:
-    """Return the clock with all motion slowed by `ratio`; pauses keep their length."""
-    is_pause = (clock.rates == 0.0) & (clock.rate_slopes == 0.0)
-    spent_s = np.diff(clock.times_s) * np.where(is_pause, 1.0, ratio)
-    return PathClock(
-        times_s=np.concatenate([[0.0], np.cumsum(spent_s)]),
-        path_s=clock.path_s,
-        rates=clock.rates / ratio,
-        rate_slopes=clock.rate_slopes / ratio**2,
-    )
-
-
-def pause_s(clock: PathClock) -> float:
-    """Return how long the clock stands still in all."""
-    is_pause = (clock.rates == 0.0) & (clock.rate_slopes == 0.0)
-    return float(np.diff(clock.times_s)[is_pause].sum())
+FIT_STEPS: Final = 24
+"""Bisections to find the least feasible duration: a ratio of 1e-7."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """A checked sequence and the paths of its passes: one, or those that differ (two or three)."""
+    """A checked sequence and the paths of its passes: one, or the two or three that differ."""
 
     sequence: Show
     robot: Robot
@@ -283,11 +110,178 @@ def laid_out(sequence: Show, robot: Robot, *, may_flow: bool = True) -> Layout:
     )
 
 
-FIT_TOLERANCE_S: Final = 0.001
-"""A fitted pass is as long as wanted, to the millisecond."""
+def segments_over_limits(task: RateTask) -> NDArray[np.bool_]:
+    """Return which segments exceed a limit at rate 1."""
+    speed, accel = peaks(task.path)
+    is_fast = np.any(speed > task.speed_max_deg_s * FEASIBLE_RATIO, axis=1)
+    return np.asarray(is_fast | np.any(accel > task.accel_max_deg_s2 * FEASIBLE_RATIO, axis=1))
 
-FIT_STEPS: Final = 24
-"""Bisections to find the least feasible duration: a ratio of 1e-7."""
+
+def slowed_windows(task: RateTask) -> list[RateWindow]:
+    """Return the windows in which the rate is below 1, in order; none if the path is legal."""
+    is_rest = task.path.rests
+    is_active = segments_over_limits(task)
+    for knot, cap in task.knot_caps.items():
+        if cap < 1.0:
+            is_active[knot - 1 : knot + 1] = True
+    solved: dict[tuple[int, int], RateWindow] = {}
+    for run in runs(is_active):
+        for step in (-1, +1):
+            _widen(is_active, is_rest, task.path, run, step)
+    while pending := [run for run in runs(is_active) if run not in solved]:
+        for first, end in pending:
+            window = solve(task, first, end)
+            solved[first, end] = window
+            if window.squares[0] < 1.0 and _can_widen(is_rest, first - 1):
+                _widen(is_active, is_rest, task.path, (first, end), -1)
+            if window.squares[-1] < 1.0 and _can_widen(is_rest, end):
+                _widen(is_active, is_rest, task.path, (first, end), +1)
+    return [solved[run] for run in runs(is_active)]
+
+
+def _can_widen(is_rest: NDArray[np.bool_], segment: int) -> bool:
+    """Return whether a window may grow into a segment; at a rest the rate may jump instead."""
+    return 0 <= segment < len(is_rest) and not is_rest[segment]
+
+
+def _widen(
+    is_active: NDArray[np.bool_],
+    is_rest: NDArray[np.bool_],
+    path: Path,
+    run: tuple[int, int],
+    step: int,
+) -> None:
+    """Activate segments before (`step` -1) or after a run, up to the next rest or active one.
+
+    The run grows by `WINDOW_MIN_S` or half of its length, whichever is more. Where it meets another
+    run, both become one.
+    """
+    first, end = run
+    wanted_s = max(WINDOW_MIN_S, 0.5 * float(path.knots_s[end] - path.knots_s[first]))
+    segment = first - 1 if step < 0 else end
+    while wanted_s > 0.0 and _can_widen(is_rest, segment) and not is_active[segment]:
+        wanted_s -= float(path.knots_s[segment + 1] - path.knots_s[segment])
+        is_active[segment] = True
+        segment += step
+
+
+class _Pieces:
+    """Collects the pieces of a clock in order."""
+
+    def __init__(self) -> None:
+        self.path_s: list[FloatArray] = []
+        self.spent_s: list[FloatArray] = []
+        self.rates: list[FloatArray] = []
+        self.slopes: list[FloatArray] = []
+        self.now_s = 0.0
+
+    def follow(self, window: RateWindow) -> None:
+        rates = np.sqrt(window.squares)
+        steps_s = np.diff(window.grid_s)
+        self._add(
+            window.grid_s[:-1],
+            2.0 * steps_s / (rates[:-1] + rates[1:]),
+            rates[:-1],
+            np.diff(window.squares) / (2.0 * steps_s),
+        )
+
+    def go(self, from_s: float, to_s: float, spent_s: float) -> None:
+        """Follow the path at a constant rate, for `spent_s`."""
+        rate = (to_s - from_s) / spent_s if spent_s > 0.0 else 0.0
+        self._add(np.array([from_s]), np.array([spent_s]), np.array([rate]), np.zeros(1))
+
+    def _add(
+        self, path_s: FloatArray, spent_s: FloatArray, rates: FloatArray, slopes: FloatArray
+    ) -> None:
+        self.path_s.append(path_s)
+        self.spent_s.append(spent_s)
+        self.rates.append(rates)
+        self.slopes.append(slopes)
+        self.now_s += float(spent_s.sum())
+
+    def clock(self, end_s: float) -> PathClock:
+        if not self.spent_s:
+            self.go(end_s, end_s, 0.0)
+        spent_s = np.concatenate(self.spent_s)
+        return PathClock(
+            times_s=np.concatenate([[0.0], np.cumsum(spent_s)]),
+            path_s=np.append(np.concatenate(self.path_s), end_s),
+            rates=np.concatenate(self.rates),
+            rate_slopes=np.concatenate(self.slopes),
+        )
+
+
+def authored_clock(
+    path: Path,
+    windows: Sequence[RateWindow],
+    seams: Sequence[int],
+    authored: Callable[[FloatArray], FloatArray],
+) -> PathClock:
+    """Return the clock with rate 1 outside of `windows`, with a piece boundary at all `seams`.
+
+    Where the motion is late at the start of a rest, the rest is shortened by as much. `authored`
+    maps path positions to authored times.
+    """
+    is_rest = path.rests
+    kinds = np.where(is_rest, -1, 0)
+    for number, window in enumerate(windows, start=1):
+        kinds[window.first : window.end] = number
+    changes = 1 + np.flatnonzero(np.diff(kinds))
+    bounds = np.unique(
+        np.concatenate([[0], changes, np.asarray(seams, dtype=np.intp), [len(kinds)]])
+    )
+    pieces = _Pieces()
+    followed = 0
+    for first, end in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
+        from_s, to_s = float(path.knots_s[first]), float(path.knots_s[end])
+        kind = int(kinds[first])
+        if kind > 0:
+            if kind > followed:
+                pieces.follow(windows[kind - 1])
+                followed = kind
+            continue
+        spent_s = to_s - from_s
+        if kind < 0:
+            begin_s, finish_s = authored(np.array([from_s, to_s])).tolist()
+            if pieces.now_s - begin_s > SAME_INSTANT_S:
+                spent_s = max(0.0, finish_s - pieces.now_s)
+        pieces.go(from_s, to_s, spent_s)
+    return pieces.clock(float(path.knots_s[-1]))
+
+
+def stopping_clock(
+    windows: Sequence[RateWindow], pauses_s: Mapping[float, float], end_s: float
+) -> PathClock:
+    """Return the clock that follows `windows` and stops at the path positions in `pauses_s`."""
+    pieces = _Pieces()
+    for window in windows:
+        _pause(pieces, float(window.grid_s[0]), pauses_s)
+        pieces.follow(window)
+    _pause(pieces, end_s, pauses_s)
+    return pieces.clock(end_s)
+
+
+def _pause(pieces: _Pieces, at_s: float, pauses_s: Mapping[float, float]) -> None:
+    if (pause_s := pauses_s.get(at_s, 0.0)) > 0.0:
+        pieces.go(at_s, at_s, pause_s)
+
+
+def slowed_clock(clock: PathClock, ratio: float) -> PathClock:
+    """Return the clock with all motion slowed by `ratio`; pauses keep their length."""
+    is_pause = (clock.rates == 0.0) & (clock.rate_slopes == 0.0)
+    spent_s = np.diff(clock.times_s) * np.where(is_pause, 1.0, ratio)
+    return PathClock(
+        times_s=np.concatenate([[0.0], np.cumsum(spent_s)]),
+        path_s=clock.path_s,
+        rates=clock.rates / ratio,
+        rate_slopes=clock.rate_slopes / ratio**2,
+    )
+
+
+def pause_s(clock: PathClock) -> float:
+    """Return the sum of the times in which the clock stands still."""
+    is_pause = (clock.rates == 0.0) & (clock.rate_slopes == 0.0)
+    return float(np.diff(clock.times_s)[is_pause].sum())
 
 
 def slowed_to(trajectory: Trajectory, wanted_s: float) -> Trajectory:
@@ -323,7 +317,7 @@ def at_ratio(trajectory: Trajectory, ratio: float) -> Trajectory:
 
 
 def _reclocked(trajectory: Trajectory, change: Callable[[PathClock], PathClock]) -> Trajectory:
-    """Return the trajectory with other clocks on the same paths; same passes stay the same."""
+    """Return the trajectory with changed clocks on the same paths; equal passes stay one object."""
     motions = motions_of(trajectory)
     changed = {id(m): PathMotion(path=m.path, clock=change(m.clock)) for m in motions}
     first, middle, last = (changed[id(motion)] for motion in motions)
@@ -361,7 +355,7 @@ def scaled(sequence: Show, wanted_s: float) -> Show:
 
 
 def least_fit_s(sequence: Show, robot: Robot) -> float:
-    """Return the least duration at which nothing must be slowed."""
+    """Return the least duration at which no span must be slowed, rounded up to milliseconds."""
 
     def is_feasible(duration_s: float) -> bool:
         layout = laid_out(scaled(sequence, duration_s), robot)

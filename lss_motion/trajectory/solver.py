@@ -1,16 +1,13 @@
-"""The largest rates along a path, from toppra's solver.
+"""The largest rates along a path, from toppra's solver. No other module imports toppra.
 
-The fence around toppra: the fastest rates along a path, stage by stage, from its own solver.
+`solve` puts a grid over a part of a path, solves once and repairs. The solver holds the limits at
+grid points only; between them they may be exceeded a little. Cells where that matters are divided
+or given lower limits, and only their surroundings are solved again, as far as the rates change: the
+result is that of solving the whole again.
 
-toppra's compiled stage solver is driven directly: the same two passes as its `TOPPRA` class makes,
-in a third of the time (measured, identical results), in blocks that bound memory, with an end
-rate that may be free, and with second derivatives that differ on both sides of a knot.
-
-The largest rates along one stretch of a path: a grid, one solve, and repair where it errs.
-
-The solver holds the limits at grid points; between them they may be exceeded a little. Only the
-cells where that matters are divided or given lower limits, and only their surroundings are solved
-again, as far as the rates change: the result is that of solving the whole again.
+`fastest_squares` drives toppra's compiled stage solver directly: the same two passes as its
+`TOPPRA` class, in a third of the time (measured, identical results), in blocks that bound memory,
+with an end rate that may be free, and with second derivatives that differ on both sides of a knot.
 """
 
 from __future__ import annotations
@@ -34,24 +31,275 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 
+CELL_S: Final = 0.025
+"""Longest grid cell, in path seconds. Acceleration is exceeded by at most 0.28 % before repair
+(measured: 50 ms 1.8 %, 25 ms 0.28 %, 12.5 ms 0.06 %)."""
+
+CELLS_MIN: Final = 32
+"""Least number of cells of a segment. A single move is then 0.4 % slower than its closed form, and
+`fastest` as a whole 0.4 % slower than on a fine grid (measured; 20 cells: 1 %)."""
+
+REFINEMENT: Final = 4
+"""Cells in which the motion is slower than authored are divided by this, so that the delay, not
+only the duration, is within 2 % of the least (measured: 9 % without)."""
+
+CELL_MIN_S: Final = 1e-4
+"""Least length of a cell. Chosen: a tenth of the 1 ms unit of a timed move."""
+
+FEASIBLE_RATIO: Final = 1.0 + 1e-4
+"""Up to this multiple of a limit is legal, so that rounding does not slow a speed authored exactly
+at the limit. A tenth of what the verifier allows."""
+
+REPAIR_RATIO: Final = 1.0 + 5e-4
+"""Cells that exceed a limit by more are repaired. Half of what the verifier allows."""
+
+SPLIT_RATIO: Final = 1.005
+"""A cell that exceeds a limit by more is split in two; below, its limits are lowered a little."""
+
+REPAIRS_MAX: Final = 12
+"""Rounds of repair. Measured over random sequences: at most 5 were needed."""
+
+REACH_CELLS: Final = 6
+"""Cells on either side of a repaired one that are solved again; doubled until the rates at both
+ends stay as they were."""
+
+RATE_SLACK: Final = 1e-7
+"""Rates this close are equal: the solver's own precision."""
+
+RATE_FREE: Final = 100.0
+"""Largest rate where no authored time counts. Path lengths are near the least durations, so that
+rates are of the order of 1."""
+
+MARGIN_RATIO: Final = 1.0 - 1e-3
+"""Share of the limits that long paths use where no authored time counts, so that few cells need
+repair (measured: 2 of 38,000 instead of 2,300, for 0.05 % of the duration)."""
+
+MARGIN_CELLS: Final = 1000
+"""Paths with fewer cells use the whole limits, because they are repaired quickly. Chosen."""
+
+CHECKS: Final = (0.0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1.0)
+"""Positions in a cell at which the limits are checked. Five did not find an excess of 0.15 %."""
+
+BLOCK: Final = 2048
+"""Cells that are checked at a time. Chosen: the data of 18 joints fit the processor's cache."""
+
 GROUP_ROWS: Final = 12
-"""Rows of one toppra constraint. It multiplies them by a matrix of so many rows squared, so that
-many small constraints are made quicker than one of all rows (measured: 4 to 12 are alike)."""
+"""Rows of one toppra constraint. toppra multiplies them by a matrix of that many rows squared, so
+that several small constraints are faster than one large one (measured: 4 to 12 are alike)."""
 
 BLOCK_CELLS: Final = 690
-"""Cells of one solver object. OpenBLAS runs products of more than 262144 multiplications on
-several threads, which for such small ones costs five times as much (measured: 15 µs a cell
-instead of 3); and small blocks bound memory."""
+"""Cells of one solver object. OpenBLAS runs products of more than 262144 multiplications on several
+threads, which takes five times as long for products of this size (measured: 15 µs a cell instead of
+3). Small blocks also bound memory."""
 
 KEPT_ROWS: Final = 700_000
-"""Cells times joints whose solvers are kept for the second pass; about 200 bytes each. Chosen:
-half of the time for a 10-minute show of 18 joints, in 140 MB."""
+"""Cells times joints whose solvers are kept for the second pass; about 200 bytes each. Chosen: this
+halves the time for a 10-minute show of 18 joints, and takes 140 MB."""
 
 BISECTIONS: Final = 60
-"""Halvings to find the largest square where the solver fails: to the last bit."""
+"""Halvings to find the largest square where the solver fails: precise to the last bit."""
 
 PREFER_SMALL_SLOPE: Final = 1e-9
-"""Weight of the slope beside the square in the objective, as in toppra: of equals, the smaller."""
+"""Weight of the slope in the objective, as in toppra: of equal squares, the smaller slope."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RateTask:
+    """A path, the limits of its joints, and the largest rate at which it may be followed.
+
+    `knot_caps` bounds the squared rate at single knots, by index.
+    """
+
+    path: Path
+    speed_max_deg_s: FloatArray
+    accel_max_deg_s2: FloatArray
+    rate_max: float = 1.0
+    knot_caps: Mapping[int, float]
+    cells_min: int = CELLS_MIN
+    """Least number of cells of a segment; smaller for paths with dense knots."""
+
+
+@dataclass(frozen=True, slots=True)
+class RateWindow:
+    """Squared rates over a grid from one knot to another; `first` and `end` are their indices."""
+
+    first: int
+    end: int
+    grid_s: FloatArray
+    squares: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Grid:
+    """Consecutive cells: the segment of each, and the share of the limits that it may use."""
+
+    points_s: FloatArray
+    segments: NDArray[np.intp]
+    shares: FloatArray
+
+    def part(self, low: int, high: int) -> _Grid:
+        """Return the cells from `low` to before `high`."""
+        return _Grid(self.points_s[low : high + 1], self.segments[low:high], self.shares[low:high])
+
+    def divided(self, counts: NDArray[np.intp]) -> _Grid:
+        """Return the grid with each cell divided into its count of equal parts."""
+        steps_s = np.repeat(np.diff(self.points_s) / counts, counts)
+        within = np.arange(len(steps_s)) - np.repeat(np.cumsum(counts) - counts, counts)
+        starts_s = np.repeat(self.points_s[:-1], counts) + within * steps_s
+        return _Grid(
+            np.append(starts_s, self.points_s[-1]),
+            np.repeat(self.segments, counts),
+            np.repeat(self.shares, counts),
+        )
+
+
+def solve(
+    task: RateTask, first: int, end: int, *, start_max: float = math.inf, end_max: float = math.inf
+) -> RateWindow:
+    """Return the largest rates from knot `first` to knot `end`, repaired until limits hold.
+
+    `start_max` and `end_max` bound the squared rates at the ends. An excess that is left after
+    `REPAIRS_MAX` rounds is found by the verifier.
+    """
+    is_authored = task.rate_max == 1.0
+    grid = _grid(task.path, first, end, task.cells_min)
+    if not is_authored and len(grid.segments) > MARGIN_CELLS:
+        grid.shares[:] = MARGIN_RATIO
+    squares = _squares(task, grid, start_max, end_max)
+    if is_authored:
+        is_slow = np.minimum(squares[:-1], squares[1:]) < 1.0
+        grid = grid.divided(np.where(is_slow, REFINEMENT, 1))
+        squares = _squares(task, grid, start_max, end_max)
+    excess = _excess(task, grid, squares)
+    for _ in range(REPAIRS_MAX):
+        if not (excess > REPAIR_RATIO).any():
+            break
+        grid, squares, excess = _repaired(task, grid, squares, excess, (start_max, end_max))
+    return RateWindow(first, end, grid.points_s, squares)
+
+
+def _grid(path: Path, first: int, end: int, cells_min: int) -> _Grid:
+    """Return grid points from knot to knot, every knot among them."""
+    lengths_s = path.segment_lengths_s[first:end]
+    counts = np.maximum(np.ceil(lengths_s / CELL_S), cells_min)
+    counts = np.clip(counts, 1.0, np.maximum(1.0, np.floor(lengths_s / CELL_MIN_S))).astype(np.intp)
+    whole = _Grid(path.knots_s[first : end + 1], np.arange(first, end), np.ones(end - first))
+    return whole.divided(counts)
+
+
+def _squares(task: RateTask, grid: _Grid, start_max: float, end_max: float) -> FloatArray:
+    path, points_s, segments = task.path, grid.points_s, grid.segments
+    caps = np.full(len(points_s), task.rate_max**2)
+    for low in range(0, len(segments), BLOCK):
+        part = grid.part(low, low + BLOCK)
+        allowed = task.speed_max_deg_s * (FEASIBLE_RATIO * part.shares[:, None])
+        for side, at_s in enumerate((part.points_s[:-1], part.points_s[1:])):
+            speed = np.abs(path.slopes(at_s, part.segments)[0])
+            ratio = np.maximum((speed / allowed).max(axis=1), 1.0 / RATE_FREE)
+            place = slice(low + side, low + side + len(at_s))
+            caps[place] = np.minimum(caps[place], 1.0 / ratio**2)
+    for knot, cap in task.knot_caps.items():
+        at_knot = points_s == path.knots_s[knot]
+        caps[at_knot] = np.minimum(caps[at_knot], cap)
+
+    def cells_of(low: int, high: int) -> Cells:
+        part = grid.part(low, high)
+        limits = task.accel_max_deg_s2 * (FEASIBLE_RATIO * part.shares[:, None])
+        left, left_bend = path.slopes(part.points_s[:-1], part.segments)
+        right, right_bend = path.slopes(part.points_s[1:], part.segments)
+        return Cells(left / limits, right / limits, left_bend / limits, right_bend / limits)
+
+    squares = fastest_squares(
+        points_s,
+        cells_of,
+        caps,
+        joints=path.coefficients.shape[2],
+        start_max=start_max,
+        end_max=end_max,
+    )
+    squares[np.abs(squares - task.rate_max**2) < RATE_SLACK] = task.rate_max**2
+    return squares
+
+
+def _excess(task: RateTask, grid: _Grid, squares: FloatArray) -> FloatArray:
+    """Return for each cell the largest share of a limit that is used inside it."""
+    excess = np.zeros(len(grid.segments))
+    for low in range(0, len(excess), BLOCK):
+        part = grid.part(low, low + BLOCK)
+        steps_s = np.diff(part.points_s)
+        starts, growth = squares[low : low + len(steps_s)], np.diff(squares[low : low + BLOCK + 1])
+        slopes = (growth / (2.0 * steps_s))[:, None]
+        worst = np.zeros(len(steps_s))
+        for share in CHECKS:
+            square = np.maximum(starts + share * growth, 0.0)[:, None]
+            first, second = task.path.slopes(part.points_s[:-1] + share * steps_s, part.segments)
+            second *= square
+            second += first * slopes
+            first *= np.sqrt(square)
+            for used, limits in (
+                (first, task.speed_max_deg_s),
+                (second, task.accel_max_deg_s2),
+            ):
+                np.abs(used, out=used)
+                np.divide(used, limits, out=used)
+                np.maximum(worst, used.max(axis=1), out=worst)
+        excess[low : low + len(steps_s)] = worst
+    return excess
+
+
+def _repaired(
+    task: RateTask,
+    grid: _Grid,
+    squares: FloatArray,
+    excess: FloatArray,
+    end_maxima: tuple[float, float],
+) -> tuple[_Grid, FloatArray, FloatArray]:
+    """Divide the worst cells, lower the limits of the others, and solve around both again."""
+    is_split = excess > SPLIT_RATIO
+    is_lowered = (excess > REPAIR_RATIO) & ~is_split
+    shares = np.where(
+        is_lowered, grid.shares * FEASIBLE_RATIO / np.maximum(excess, 1.0), grid.shares
+    )
+    counts = np.where(is_split, 2, 1)
+    divided = _Grid(grid.points_s, grid.segments, shares).divided(counts)
+    # Within a cell the square is linear, so that dividing a cell does not change the rates.
+    start = np.interp(divided.points_s, grid.points_s, squares)
+    after = start.copy()
+    is_new = np.repeat(is_split | is_lowered, counts)
+    places = runs(is_new)
+    if sum(high - low + 2 * REACH_CELLS for low, high in places) > len(is_new) // 2:
+        places = [(0, len(is_new))]
+    for low, high in places:
+        _resolve(task, divided, after, (low, high), end_maxima)
+    is_changed = after != start
+    is_dirty = is_new | is_changed[:-1] | is_changed[1:]
+    known = np.repeat(excess, counts)
+    for low, high in runs(is_dirty):
+        known[low:high] = _excess(task, divided.part(low, high), after[low : high + 1])
+    return divided, after, known
+
+
+def _resolve(
+    task: RateTask,
+    grid: _Grid,
+    squares: FloatArray,
+    cells: tuple[int, int],
+    end_maxima: tuple[float, float],
+) -> None:
+    """Solve again around `cells`, as far to either side as the rates have to change."""
+    count = len(grid.segments)
+    left = right = REACH_CELLS
+    while True:
+        low, high = max(0, cells[0] - left), min(count, cells[1] + right)
+        start_max = end_maxima[0] if low == 0 else float(squares[low])
+        end_max = end_maxima[1] if high == count else float(squares[high])
+        found = _squares(task, grid.part(low, high), start_max, end_max)
+        is_left_met = low == 0 or found[0] >= squares[low] - RATE_SLACK
+        is_right_met = high == count or found[-1] >= squares[high] - RATE_SLACK
+        if is_left_met and is_right_met:
+            squares[low : high + 1] = found
+            return
+        left, right = left * (1 if is_left_met else 2), right * (1 if is_right_met else 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,9 +374,9 @@ class _Block:
         self.solve = _stage_solver(grid_s - grid_s[0], self.rows, self.tilts, caps)
 
     def fill_upper(self, upper: FloatArray) -> None:
-        """Fill all but the last with the largest square from which the rest can be driven.
+        """Fill all but the last with the largest square from which the rest can be followed.
 
-        Rate 0 is always possible (nothing moves), so the smallest one needs no solving.
+        The smallest square needs no solving: it is 0, because rate 0 is always possible.
         """
         objective = np.array([PREFER_SMALL_SLOPE, -1.0])
         following = float(upper[-1])
@@ -139,7 +387,7 @@ class _Block:
             upper[cell] = following = max(found, 0.0)
 
     def fill_squares(self, squares: FloatArray, upper: FloatArray) -> None:
-        """Fill all but the first, each as large as the one before allows."""
+        """Fill all but the first, each with the largest square that the one before allows."""
         objective = np.array([0.0, -1.0])
         square = float(squares[0])
         limits = upper[1:].tolist()
@@ -152,9 +400,9 @@ class _Block:
             square = min(max(square + step_s * slope, 0.0), limit)
             squares[cell + 1] = square
 
-    # The solver's tolerances are absolute, so that it now and then calls a stage infeasible that
-    # is not, or just by rounding (toppra then lowers the rate by 0.1 %, which would be a visible
-    # delay where thousands of stages run at rate 1). These two answer for it then.
+    # The solver's tolerances are absolute. It sometimes reports a stage as infeasible that is
+    # feasible within rounding. toppra then lowers the rate by 0.1 %, which is a visible delay where
+    # thousands of stages run at rate 1; the two functions below solve such a stage exactly.
 
     def _slopes(self, cell: int, square: float) -> tuple[float, float]:
         """Return the smallest and largest slope that the rows of a cell allow at a square."""
@@ -184,7 +432,7 @@ class _Block:
 def _stage_solver(
     grid_s: FloatArray, rows: FloatArray, tilts: FloatArray, caps: FloatArray
 ) -> Callable[..., Any]:
-    """Return toppra's `solve_stagewise_optim` for these cells; importing it takes a second."""
+    """Return toppra's `solve_stagewise_optim` for these cells. Importing toppra takes a second."""
     from toppra.constraint import LinearConstraint
     from toppra.solverwrapper.cy_seidel_solverwrapper import seidelWrapper
 
@@ -200,7 +448,7 @@ def _stage_solver(
             return self.parameters
 
     class Duration:
-        """All that the solver asks of a path: how long it is, for a scale that is then 1."""
+        """Stands for the path; the solver reads its length only, and gets a scale of 1."""
 
         duration = float(grid_s[-1])
 
@@ -217,255 +465,3 @@ def _stage_solver(
         limits.append(Limits(by_slope, by_square, nothing, both, ones, None, None))
     solve: Callable[..., Any] = seidelWrapper(limits, Duration(), grid_s).solve_stagewise_optim
     return solve
-
-
-CELL_S: Final = 0.025
-"""Longest grid cell, in path seconds: acceleration is then exceeded by 0.28 % at most before
-repair (measured: 50 ms 1.8 %, 25 ms 0.28 %, 12.5 ms 0.06 %)."""
-
-CELLS_MIN: Final = 32
-"""Cells a segment has at least. A single move is then 0.4 % slower than its closed form, and
-`fastest` as a whole 0.4 % slower than on a fine grid (measured; 20 cells: 1 %)."""
-
-REFINEMENT: Final = 4
-"""Where an author's time is lost, cells are divided by this, because it is the excess, not the
-duration, that should be within 2 % of the least (measured: 9 % without)."""
-
-CELL_MIN_S: Final = 1e-4
-"""Shorter segments are not divided below this. Chosen: a tenth of what the line can express."""
-
-FEASIBLE_RATIO: Final = 1.0 + 1e-4
-"""What is within this of a limit is legal, so that a speed authored exactly at the limit is not
-slowed by rounding. A tenth of what the verifier allows."""
-
-REPAIR_RATIO: Final = 1.0 + 5e-4
-"""Cells that exceed a limit by more are repaired. Half of what the verifier allows."""
-
-SPLIT_RATIO: Final = 1.005
-"""A cell that exceeds a limit by more is split in two; below, its limits are lowered a little."""
-
-REPAIRS_MAX: Final = 12
-"""Rounds of repair. Measured over random sequences: at most 5 were needed."""
-
-REACH_CELLS: Final = 6
-"""How many cells on either side of a repaired one are solved again at first; doubled until the
-rates at both ends are what they were."""
-
-RATE_SLACK: Final = 1e-7
-"""Rates this close are equal: the solver's own precision."""
-
-RATE_FREE: Final = 100.0
-"""Cap of the rate where no author's time binds; path lengths are near the least times, so that
-rates are of the order of 1."""
-
-MARGIN_RATIO: Final = 1.0 - 1e-3
-"""Share of the limits that long paths ask for where no author's time is at stake, so that hardly
-a cell needs repair (measured: 2 of 38,000 instead of 2,300, for 0.05 % of the duration)."""
-
-MARGIN_CELLS: Final = 1000
-"""Shorter paths are repaired in no time, and end up closer to the limits. Chosen."""
-
-CHECKS: Final = (0.0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1.0)
-"""Where in a cell the limits are checked for repair. With five, a hump of 0.15 % was missed."""
-
-BLOCK: Final = 2048
-"""Cells that are checked at a time. Chosen: 18 joints then stay in the processor's cache."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RateTask:
-    """A path, the limits of its joints, and how fast it may be followed at most.
-
-    `knot_caps` bounds the squared rate at single knots, by index.
-    """
-
-    path: Path
-    speed_max_deg_s: FloatArray
-    accel_max_deg_s2: FloatArray
-    rate_max: float = 1.0
-    knot_caps: Mapping[int, float]
-    cells_min: int = CELLS_MIN
-    """Cells a segment has at least: fewer where knots are dense already."""
-
-
-@dataclass(frozen=True, slots=True)
-class RateWindow:
-    """Squared rates over a grid from one knot to another; `first` and `end` are their indices."""
-
-    first: int
-    end: int
-    grid_s: FloatArray
-    squares: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class _Grid:
-    """Cells in a row: the segment of each, and the share of the limits that it may use."""
-
-    points_s: FloatArray
-    segments: NDArray[np.intp]
-    shares: FloatArray
-
-    def part(self, low: int, high: int) -> _Grid:
-        """Return the cells from `low` to before `high`."""
-        return _Grid(self.points_s[low : high + 1], self.segments[low:high], self.shares[low:high])
-
-    def divided(self, counts: NDArray[np.intp]) -> _Grid:
-        """Return the grid with each cell divided into its count of equal parts."""
-        steps_s = np.repeat(np.diff(self.points_s) / counts, counts)
-        within = np.arange(len(steps_s)) - np.repeat(np.cumsum(counts) - counts, counts)
-        starts_s = np.repeat(self.points_s[:-1], counts) + within * steps_s
-        return _Grid(
-            np.append(starts_s, self.points_s[-1]),
-            np.repeat(self.segments, counts),
-            np.repeat(self.shares, counts),
-        )
-
-
-def solve(
-    task: RateTask, first: int, end: int, *, start_max: float = math.inf, end_max: float = math.inf
-) -> RateWindow:
-    """Return the largest rates from knot `first` to knot `end`, repaired until limits hold.
-
-    `start_max` and `end_max` bound the squared rates at the ends. What is left after
-    `REPAIRS_MAX` rounds, if anything, is for the verifier to judge.
-    """
-    is_authored = task.rate_max == 1.0
-    grid = _grid(task.path, first, end, task.cells_min)
-    if not is_authored and len(grid.segments) > MARGIN_CELLS:
-        grid.shares[:] = MARGIN_RATIO
-    squares = _squares(task, grid, start_max, end_max)
-    if is_authored:
-        is_slow = np.minimum(squares[:-1], squares[1:]) < 1.0
-        grid = grid.divided(np.where(is_slow, REFINEMENT, 1))
-        squares = _squares(task, grid, start_max, end_max)
-    excess = _excess(task, grid, squares)
-    for _ in range(REPAIRS_MAX):
-        if not (excess > REPAIR_RATIO).any():
-            break
-        grid, squares, excess = _repaired(task, grid, squares, excess, (start_max, end_max))
-    return RateWindow(first, end, grid.points_s, squares)
-
-
-def _grid(path: Path, first: int, end: int, cells_min: int) -> _Grid:
-    """Return grid points from knot to knot, every knot among them."""
-    lengths_s = path.segment_lengths_s[first:end]
-    counts = np.maximum(np.ceil(lengths_s / CELL_S), cells_min)
-    counts = np.clip(counts, 1.0, np.maximum(1.0, np.floor(lengths_s / CELL_MIN_S))).astype(np.intp)
-    whole = _Grid(path.knots_s[first : end + 1], np.arange(first, end), np.ones(end - first))
-    return whole.divided(counts)
-
-
-def _squares(task: RateTask, grid: _Grid, start_max: float, end_max: float) -> FloatArray:
-    path, points_s, segments = task.path, grid.points_s, grid.segments
-    caps = np.full(len(points_s), task.rate_max**2)
-    for low in range(0, len(segments), BLOCK):
-        part = grid.part(low, low + BLOCK)
-        allowed = task.speed_max_deg_s * (FEASIBLE_RATIO * part.shares[:, None])
-        for side, at_s in enumerate((part.points_s[:-1], part.points_s[1:])):
-            speed = np.abs(path.slopes(at_s, part.segments)[0])
-            ratio = np.maximum((speed / allowed).max(axis=1), 1.0 / RATE_FREE)
-            place = slice(low + side, low + side + len(at_s))
-            caps[place] = np.minimum(caps[place], 1.0 / ratio**2)
-    for knot, cap in task.knot_caps.items():
-        at_knot = points_s == path.knots_s[knot]
-        caps[at_knot] = np.minimum(caps[at_knot], cap)
-
-    def cells_of(low: int, high: int) -> Cells:
-        part = grid.part(low, high)
-        limits = task.accel_max_deg_s2 * (FEASIBLE_RATIO * part.shares[:, None])
-        left, left_bend = path.slopes(part.points_s[:-1], part.segments)
-        right, right_bend = path.slopes(part.points_s[1:], part.segments)
-        return Cells(left / limits, right / limits, left_bend / limits, right_bend / limits)
-
-    squares = fastest_squares(
-        points_s,
-        cells_of,
-        caps,
-        joints=path.coefficients.shape[2],
-        start_max=start_max,
-        end_max=end_max,
-    )
-    squares[np.abs(squares - task.rate_max**2) < RATE_SLACK] = task.rate_max**2
-    return squares
-
-
-def _excess(task: RateTask, grid: _Grid, squares: FloatArray) -> FloatArray:
-    """Return for each cell the largest part of a limit that is used inside it."""
-    excess = np.zeros(len(grid.segments))
-    for low in range(0, len(excess), BLOCK):
-        part = grid.part(low, low + BLOCK)
-        steps_s = np.diff(part.points_s)
-        starts, growth = squares[low : low + len(steps_s)], np.diff(squares[low : low + BLOCK + 1])
-        slopes = (growth / (2.0 * steps_s))[:, None]
-        worst = np.zeros(len(steps_s))
-        for share in CHECKS:
-            square = np.maximum(starts + share * growth, 0.0)[:, None]
-            first, second = task.path.slopes(part.points_s[:-1] + share * steps_s, part.segments)
-            second *= square
-            second += first * slopes
-            first *= np.sqrt(square)
-            for used, limits in (
-                (first, task.speed_max_deg_s),
-                (second, task.accel_max_deg_s2),
-            ):
-                np.abs(used, out=used)
-                np.divide(used, limits, out=used)
-                np.maximum(worst, used.max(axis=1), out=worst)
-        excess[low : low + len(steps_s)] = worst
-    return excess
-
-
-def _repaired(
-    task: RateTask,
-    grid: _Grid,
-    squares: FloatArray,
-    excess: FloatArray,
-    end_maxima: tuple[float, float],
-) -> tuple[_Grid, FloatArray, FloatArray]:
-    """Divide the worst cells, lower the limits of the others, and solve around both again."""
-    is_split = excess > SPLIT_RATIO
-    is_lowered = (excess > REPAIR_RATIO) & ~is_split
-    shares = np.where(
-        is_lowered, grid.shares * FEASIBLE_RATIO / np.maximum(excess, 1.0), grid.shares
-    )
-    counts = np.where(is_split, 2, 1)
-    divided = _Grid(grid.points_s, grid.segments, shares).divided(counts)
-    # Within a cell the square is linear, so that dividing it changes nothing yet.
-    start = np.interp(divided.points_s, grid.points_s, squares)
-    after = start.copy()
-    is_new = np.repeat(is_split | is_lowered, counts)
-    places = runs(is_new)
-    if sum(high - low + 2 * REACH_CELLS for low, high in places) > len(is_new) // 2:
-        places = [(0, len(is_new))]
-    for low, high in places:
-        _resolve(task, divided, after, (low, high), end_maxima)
-    is_changed = after != start
-    is_dirty = is_new | is_changed[:-1] | is_changed[1:]
-    known = np.repeat(excess, counts)
-    for low, high in runs(is_dirty):
-        known[low:high] = _excess(task, divided.part(low, high), after[low : high + 1])
-    return divided, after, known
-
-
-def _resolve(
-    task: RateTask,
-    grid: _Grid,
-    squares: FloatArray,
-    cells: tuple[int, int],
-    end_maxima: tuple[float, float],
-) -> None:
-    """Solve again around `cells`, as far to either side as the rates have to change."""
-    count = len(grid.segments)
-    left = right = REACH_CELLS
-    while True:
-        low, high = max(0, cells[0] - left), min(count, cells[1] + right)
-        start_max = end_maxima[0] if low == 0 else float(squares[low])
-        end_max = end_maxima[1] if high == count else float(squares[high])
-        found = _squares(task, grid.part(low, high), start_max, end_max)
-        is_left_met = low == 0 or found[0] >= squares[low] - RATE_SLACK
-        is_right_met = high == count or found[-1] >= squares[high] - RATE_SLACK
-        if is_left_met and is_right_met:
-            squares[low : high + 1] = found
-            return
-        left, right = left * (1 if is_left_met else 2), right * (1 if is_right_met else 2)

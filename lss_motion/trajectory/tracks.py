@@ -1,10 +1,8 @@
-"""One track and several tracks side by side: from keyframes to a verified motion.
+"""Tracks: from keyframes to verified motion, for one track and for several tracks in parallel.
 
-One track: from keyframes to a verified motion of the joints that they key.
-
-Tracks beside each other: joints that are planned apart and move at the same time.
-
-Motion that begins where another is under way: given as angles and speeds at instants.
+`planned_track` plans the keyframes of one track. `planned_tracks` plays tracks of different joints
+at the same time. `given_motion` takes angles and speeds at instants, for motion that continues
+another one.
 """
 
 from __future__ import annotations
@@ -54,11 +52,20 @@ SEAM_ROUNDS_MAX: Final = 8
 """Solves until the rates at both seams agree. Measured: two are enough."""
 
 SEAM_RATE_SLACK: Final = 1e-7
-"""Rates at seams that differ by less are equal: 360 deg/s times this, within a millisecond, is
-0.04 deg/s²."""
+"""Rates at seams that differ by less are equal: at 360 deg/s, within a millisecond, this is an
+acceleration of 0.04 deg/s²."""
 
 REST_RATIO: Final = 1e-9
-"""A path rests where its slopes are below this share of the speed limits: rounding."""
+"""A path is at rest where its slopes are below this share of the speed limits: rounding."""
+
+PERIOD_MAX_S: Final = 600.0
+"""Longest common period of tracks that loop forever. Chosen: the whole period is compiled."""
+
+PERIOD_UNIT_S: Final = 1e-6
+"""Passes are compared in whole microseconds, the unit of a program's instants."""
+
+PERIOD_SLACK_S: Final = 1e-9
+"""Rounding error of a pass in whole units; a larger remainder would add up over the passes."""
 
 
 def planned_track(sequence: Show, robot: Robot) -> Trajectory:
@@ -69,18 +76,14 @@ def planned_track(sequence: Show, robot: Robot) -> Trajectory:
 
 
 def _verified(trajectory: Trajectory, sequence: Show, robot: Robot) -> Trajectory:
-    """Return the trajectory if it passes, else say between which keyframes it does not."""
+    """Return the trajectory if it passes `verify`; else raise with the keyframe after the fault."""
     try:
         verify(trajectory, robot)
     except PlanningError as error:
         passed_s = (error.time_s or 0.0) % (trajectory.first.duration_s or 1.0)
         later = [index for index, mark in enumerate(trajectory.marks) if mark.planned_s >= passed_s]
         keyframe = sequence.keyframes[min(later, default=len(sequence.keyframes) - 1)]
-        place = (
-            ""
-            if sequence.path is None or keyframe.line is None
-            else f"{sequence.path}:{keyframe.line}: "
-        )
+        place = explain.place_of(sequence, keyframe)
         raise PlanningError(
             f"{place}on the way to keyframe {named(keyframe)}: {error.reason}. "
             "Move the keyframe, or choose another ease",
@@ -91,7 +94,7 @@ def _verified(trajectory: Trajectory, sequence: Show, robot: Robot) -> Trajector
 
 
 def _planned(layout: Layout) -> Trajectory:
-    """Return the trajectory; where the seams of a loop find no common speed, with rests there."""
+    """Return the trajectory. If the seams of a loop find no common rate, passes end at rest."""
     caps: dict[int, float] = {}
     for _ in range(SEAM_ROUNDS_MAX):
         task = layout.task(caps)
@@ -117,7 +120,7 @@ def _timed(layout: Layout, task: RateTask) -> tuple[list[RateWindow], PathClock]
 
 
 def _free(layout: Layout, task: RateTask) -> tuple[list[RateWindow], PathClock]:
-    """Time-optimal between the holds, at which everything rests."""
+    """Return the time-optimal windows and clock between holds, at which every joint rests."""
     pauses_s: dict[float, float] = {}
     for count in range(len(layout.paths)):
         for keyframe, at_s in zip(
@@ -141,7 +144,7 @@ def _free(layout: Layout, task: RateTask) -> tuple[list[RateWindow], PathClock]:
 
 
 def _stop_square(task: RateTask, knot: int) -> float:
-    """Return the squared rate allowed at a stop: any where the path itself rests, else 0."""
+    """Return the largest squared rate at a stop: infinite where the path is at rest, else 0."""
     slopes = np.abs(task.path.slopes(task.path.knots_s[knot : knot + 1])[0])
     return math.inf if np.all(slopes <= REST_RATIO * task.speed_max_deg_s) else 0.0
 
@@ -183,7 +186,7 @@ def _assembled(
 
 
 def _fitted(sequence: Show, robot: Robot) -> Trajectory:
-    """Scale the author's times to the wanted duration; it is met exactly or refused."""
+    """Return the plan with the author's times scaled to the duration, which is met or refused."""
     wanted_s = sequence.fit_duration_s or 0.0
     layout = laid_out(scaled(sequence, wanted_s), robot)
     trajectory = _planned(layout)
@@ -193,30 +196,20 @@ def _fitted(sequence: Show, robot: Robot) -> Trajectory:
     ):
         least_s = least_fit_s(sequence, robot)
         worst = max(trajectory.stretched, key=lambda stretch: stretch.by_s)
-        unit = "deg/s" if worst.limit == "speed" else "deg/s²"
         raise PlanningError(
             f"one pass cannot be done in {wanted_s:g} s with the author's proportions: joint "
-            f"{worst.joint!r} would need {worst.limit} {significant(worst.authored)} {unit}, "
-            f"allowed {worst.allowed:g} {unit}; the least duration is {least_s:.3f} s",
+            f"{worst.joint!r} would need {worst.limit} {significant(worst.authored)} "
+            f"{worst.unit}, allowed {worst.allowed:g} {worst.unit}; "
+            f"the least duration is {least_s:.3f} s",
             joint=worst.joint,
             time_s=worst.from_s,
         )
     return _verified(trajectory, sequence, robot)
 
 
-PERIOD_MAX_S: Final = 600.0
-"""Within this, tracks that loop forever must meet again. Chosen: all of it is compiled."""
-
-PERIOD_UNIT_S: Final = 1e-6
-"""Passes are compared in whole microseconds, the unit of a program's instants."""
-
-PERIOD_SLACK_S: Final = 1e-9
-"""A pass that is no whole number of units is no part of a common period: it would drift."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParallelPass:
-    """A pass in which tracks move side by side: their show time from `from_s` on."""
+    """A pass in which tracks move in parallel: show times from `from_s` on."""
 
     joints: tuple[str, ...]
     parts: tuple[Trajectory, ...]
@@ -254,9 +247,9 @@ def planned_tracks(
 ) -> Trajectory:
     """Return the tracks played at the same time.
 
-    The show lasts as long as its longest track. A track that loops forever is played as often as
-    it fits into that, at least once; but where the keyframes outside of tracks, or all tracks,
-    loop forever, so does the show.
+    The show lasts as long as its longest finite track. A track that loops forever is played as
+    often as it fits into that, at least once. If the keyframes outside of tracks loop forever, or
+    all tracks do, the show loops forever.
     """
     planned = [plan(track, robot) for track in tracks]
     is_endless = show.loop is None if show.keyframes else all(t.loop is None for t in planned)
@@ -304,7 +297,7 @@ def _endless(show: Show, tracks: Sequence[Trajectory], robot: Robot) -> Trajecto
 
 
 def _common_period_s(looped: Sequence[Trajectory]) -> float:
-    """Return after what time all loops are where they were."""
+    """Return the least common period of all loops."""
     periods_s = [track.middle.duration_s for track in looped]
     if max(periods_s) - min(periods_s) <= PERIOD_SLACK_S:
         return periods_s[0]
@@ -362,8 +355,8 @@ def given_motion(
 ) -> Trajectory:
     """Return the motion through angles and speeds, (n, joints), cubic between them.
 
-    It starts at 0 s, where `times_s` begins, in whatever motion is given there, and ends at rest.
-    Raises `PlanningError` where it breaks a limit of `robot`: nothing is slowed.
+    It starts at 0 s, which is `times_s[0]`, at the speeds given there, and ends at rest. Raises
+    `PlanningError` where it exceeds a limit of `robot`; it is not slowed.
     """
     order = [name for name in robot.joints if name in joints]
     columns = [joints.index(joint) for joint in order]

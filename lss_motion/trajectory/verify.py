@@ -1,7 +1,7 @@
-"""The last word on a trajectory: angles sampled and differenced, nothing taken on trust.
+"""The independent check of a trajectory: angles are sampled and differenced.
 
-Shares no code with the planner: it only asks for angles (`sample`, order 0), at 1 kHz and on both
-sides of every instant where the curve may change, and derives speed and acceleration itself.
+It shares no code with the planner. It reads angles only (`sample`, order 0), at 1 kHz and on both
+sides of every knot, and derives speed and acceleration itself.
 """
 
 from __future__ import annotations
@@ -31,28 +31,29 @@ EXCESS_MAX_RATIO: Final = 1.001
 """A limit may be exceeded by 0.1 % (FACTS.md A19)."""
 
 RANGE_SLACK_DEG: Final = 1e-6
-"""A joint may be this far outside of its range: rounding, far below the wire's unit."""
+"""A joint may be this far outside of its range: rounding, far below the unit on the bus."""
 
 BLOCK: Final = 8192
-"""Samples at a time. Chosen: 18 joints then stay in the processor's cache (measured)."""
+"""Samples at a time. Chosen: the data of 18 joints fit the processor's cache (measured)."""
 
 SIDE_BY_SIDE: Final = 64
-"""Samples of which the largest is looked for at once. Chosen: the quickest of 8 to 256."""
+"""Samples that are laid side by side to find the extreme. Chosen: the fastest of 8 to 256."""
 
 SEAM_S: Final = 0.004
-"""How far around a seam of two passes is sampled again: enough for second differences."""
+"""Time on both sides of a seam of two passes that is sampled: enough for second differences."""
 
 SIDE_STEP_S: Final = 2.5e-4
-"""Step of the one-sided differences at knots, where the polynomial is long enough for it."""
+"""Largest step of the one-sided differences at knots."""
 
 SIDE_STEP_MIN_S: Final = 1e-5
-"""Shorter polynomials drown in rounding; the equal steps bound what they can do."""
+"""Polynomials that need a shorter step are left out, because rounding exceeds their differences;
+the samples at equal steps bound their effect."""
 
 PASSES_MAX: Final = 4
-"""First, two middle passes and the last show every pass and every kind of seam."""
+"""The first, two middle passes and the last contain every pass and every kind of seam."""
 
 ROUNDING: Final = 16.0 * np.finfo(np.float64).eps
-"""Relative error of a sampled time or angle: a few operations' worth."""
+"""Relative error of a sampled time or angle: rounding of a few operations."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,38 +71,44 @@ class Verification:
 
 @dataclass(slots=True)
 class _Worst:
-    """The largest share of a limit seen so far."""
+    """The largest share of a limit found so far."""
 
     ratio: float = 0.0
     column: int = 0
     at_s: float = 0.0
 
-    def look(
+    def update(
         self, sizes: FloatArray, times_s: FloatArray, noise: FloatArray, limits: FloatArray
     ) -> None:
-        """Note the largest of `sizes`, (n, joints), less `noise`, against the limit of its joint.
+        """Keep the largest of `sizes`, (n, joints), less `noise`, divided by its joint's limit.
 
-        Only the largest of each joint is compared, because there are millions of samples.
+        Only the largest of each joint is divided, because there are millions of samples.
         """
         if not len(sizes):
             return
         ratios = (extreme(np.maximum, sizes) - noise) / limits
         column = int(ratios.argmax())
         if ratios[column] > self.ratio:
-            self.ratio, self.column = float(ratios[column]), column
-            self.at_s = float(times_s[int(sizes[:, column].argmax())])
+            at_s = float(times_s[int(sizes[:, column].argmax())])
+            self.keep(float(ratios[column]), column, at_s)
+
+    def keep(self, ratio: float, column: int, at_s: float) -> None:
+        """Keep the share of a limit if it is the largest so far."""
+        if ratio > self.ratio:
+            self.ratio, self.column, self.at_s = ratio, column, at_s
 
 
 def verify(
     trajectory: Trajectory, robot: Robot, *, has_parts: bool = True, is_from_rest: bool = True
 ) -> Verification:
-    """Return how far the limits are used.
+    """Return the largest shares of the limits that are used.
 
-    Raises `PlanningError` naming joint, time and limit if an angle is not a number, leaves its
-    range, or if speed or acceleration exceed their limit by more than 0.1 %. Passes that repeat
-    one another are sampled once, and their seams; a pass that is made of trajectories is as good
-    as these are, and as its own seams; `has_parts` False looks at the seams alone, where the parts
-    are known to be good. `is_from_rest` False does not look before the start: it is in motion.
+    Raises `PlanningError` with joint, time and limit if an angle is not a number or leaves its
+    range, or if speed or acceleration exceed their limit by more than 0.1 %. Passes that repeat are
+    sampled once, and so are their seams. Of a pass that is made of trajectories, these and the
+    seams between them are checked; `has_parts` False checks the seams only, for parts that have
+    been verified. `is_from_rest` False takes no samples before the start, for a motion that starts
+    with speed.
     """
     checks = _Checks(trajectory, robot)
     for motion in {id(part): part for _, part, _ in _passes(checks.trajectory)}.values():
@@ -109,15 +116,17 @@ def verify(
             checks.include(verify(part, robot))
     for times_s in _blocks(checks.trajectory):
         if is_from_rest or times_s[0] >= 0.0:
-            checks.uniform(times_s)
+            checks.check_uniform(times_s)
         elif (from_s := times_s[times_s >= 0.0]).size > 2:
-            checks.uniform(from_s)
+            checks.check_uniform(from_s)
     for times_s, step_s in _one_sided_steps(checks.trajectory):
-        checks.one_sided(times_s, step_s)
+        checks.check_one_sided(times_s, step_s)
     return checks.verdict()
 
 
 class _Checks:
+    """The limits of the joints, and the largest shares of them found so far."""
+
     def __init__(self, trajectory: Trajectory, robot: Robot) -> None:
         joints = [robot.joints[name] for name in trajectory.joints]
         self.trajectory = _shortened(trajectory)
@@ -129,35 +138,36 @@ class _Checks:
         self.samples = 0
 
     def include(self, found: Verification) -> None:
-        """Take over what was found in a part of the trajectory."""
+        """Merge the result of a part of the trajectory."""
         self.samples += found.samples
         names = self.trajectory.joints
         for worst, ratio, joint, at_s in (
             (self.speed, found.speed_ratio, found.speed_joint, found.speed_at_s),
             (self.accel, found.accel_ratio, found.accel_joint, found.accel_at_s),
         ):
-            if ratio > worst.ratio:
-                worst.ratio, worst.column, worst.at_s = ratio, names.index(joint), at_s
+            worst.keep(ratio, names.index(joint), at_s)
 
-    def uniform(self, times_s: FloatArray) -> None:
-        """Check samples at equal steps: averages over a step can never exceed the limits."""
+    def check_uniform(self, times_s: FloatArray) -> None:
+        """Check samples at equal steps: of a legal motion, no mean over a step exceeds a limit."""
         moves = np.diff(self._sampled(times_s), axis=0)
         step_s = float(times_s[1] - times_s[0])
         bends = np.diff(moves, axis=0)
         noise_deg = self._noise_deg(times_s)
-        self._look(np.abs(moves, out=moves), np.abs(bends, out=bends), times_s, step_s, noise_deg)
+        self._compare(
+            np.abs(moves, out=moves), np.abs(bends, out=bends), times_s, step_s, noise_deg
+        )
 
-    def one_sided(self, times_s: FloatArray, steps_s: FloatArray) -> None:
+    def check_one_sided(self, times_s: FloatArray, steps_s: FloatArray) -> None:
         """Check three equal steps into each polynomial from its ends, a step apart."""
         near, middle, far = (self._sampled(times_s + count * steps_s) for count in (0.0, 1.0, 2.0))
         width_s = np.abs(steps_s)[:, None]
         noise_deg = self._noise_deg(times_s)
         moves, bends = np.abs(middle - near), np.abs(far - 2.0 * middle + near)
-        # Divided by their own steps, so that one second is what remains.
+        # Divided by their own steps, because steps differ; the remaining step is 1 s.
         moves, bends = (moves - noise_deg) / width_s, (bends - 4.0 * noise_deg) / width_s**2
-        self._look(moves, bends, times_s, 1.0, np.zeros(len(noise_deg)))
+        self._compare(moves, bends, times_s, 1.0, np.zeros(len(noise_deg)))
 
-    def _look(
+    def _compare(
         self,
         moves: FloatArray,
         bends: FloatArray,
@@ -165,8 +175,8 @@ class _Checks:
         step_s: float,
         noise_deg: FloatArray,
     ) -> None:
-        self.speed.look(moves, times_s, noise_deg, self.speed_deg_s * step_s)
-        self.accel.look(bends, times_s, 4.0 * noise_deg, self.accel_deg_s2 * step_s**2)
+        self.speed.update(moves, times_s, noise_deg, self.speed_deg_s * step_s)
+        self.accel.update(bends, times_s, 4.0 * noise_deg, self.accel_deg_s2 * step_s**2)
 
     def verdict(self) -> Verification:
         for worst, limits, what, unit in (
@@ -196,7 +206,7 @@ class _Checks:
         deg = self.trajectory.sample(times_s)
         self.samples += len(times_s)
         low_deg, high_deg = self.low_deg - RANGE_SLACK_DEG, self.high_deg + RANGE_SLACK_DEG
-        # Written so that NaN is outside as well.
+        # With NaN both comparisons are false, so that NaN counts as outside.
         is_within = extreme(np.minimum, deg) >= low_deg
         is_within &= extreme(np.maximum, deg) <= high_deg
         if not is_within.all():
@@ -212,7 +222,7 @@ class _Checks:
         return deg
 
     def _noise_deg(self, times_s: FloatArray) -> FloatArray:
-        """Return what rounding of times and angles can make of a difference."""
+        """Return the largest error of a difference of angles by rounding of times and angles."""
         latest_s = max(1.0, float(np.abs(times_s).max()))
         reach_deg = np.maximum(np.abs(self.low_deg), np.abs(self.high_deg))
         return np.asarray(ROUNDING * (latest_s * self.speed_deg_s + reach_deg))
@@ -221,8 +231,8 @@ class _Checks:
 def extreme(of: np.ufunc, samples: FloatArray) -> FloatArray:
     """Return the `np.maximum` or `np.minimum` of each column of `samples`, (n, joints).
 
-    NaN if there is one. Rows are laid side by side first: along long rows numpy takes a tenth of
-    the time (measured).
+    NaN in a column gives NaN. Rows are laid side by side first, because numpy takes a tenth of the
+    time along long rows (measured).
     """
     count = len(samples) // SIDE_BY_SIDE * SIDE_BY_SIDE
     found = [samples[count:]]
@@ -233,7 +243,7 @@ def extreme(of: np.ufunc, samples: FloatArray) -> FloatArray:
 
 
 def _shortened(trajectory: Trajectory) -> Trajectory:
-    """Return the trajectory with as few passes as show every pass and every kind of seam."""
+    """Return the trajectory with the fewest passes that contain every pass and kind of seam."""
     if trajectory.loop is None or trajectory.loop > PASSES_MAX:
         return replace(trajectory, loop=PASSES_MAX)
     return trajectory
@@ -250,7 +260,7 @@ def _passes(trajectory: Trajectory) -> Iterator[tuple[float, Pass, bool]]:
 
 
 def _blocks(trajectory: Trajectory) -> Iterator[FloatArray]:
-    """Yield instants at equal steps that overlap by two, so that no difference is missed."""
+    """Yield blocks of instants at equal steps; they overlap by two, so that none is left out."""
     for from_s, to_s in _sampled_spans(trajectory):
         count = math.ceil((to_s - from_s + 2.0 * SEAM_S) / SAMPLE_S)
         for first in range(0, count, BLOCK):
@@ -259,7 +269,7 @@ def _blocks(trajectory: Trajectory) -> Iterator[FloatArray]:
 
 
 def _sampled_spans(trajectory: Trajectory) -> Iterator[tuple[float, float]]:
-    """Yield what must be sampled: new passes, and where one pass or part follows another."""
+    """Yield the spans to sample: new passes, and the seams between passes and between parts."""
     for start_s, motion, is_new in _passes(trajectory):
         if is_new and not motion.parts:
             yield start_s, start_s + motion.duration_s
@@ -272,7 +282,7 @@ def _sampled_spans(trajectory: Trajectory) -> Iterator[tuple[float, float]]:
 
 
 def _one_sided_steps(trajectory: Trajectory) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield instants just inside both ends of every polynomial, and steps into it."""
+    """Yield instants just inside both ends of every polynomial, and the steps into it."""
     for start_s, motion, is_new in _passes(trajectory):
         if not is_new or motion.parts:
             continue
@@ -280,7 +290,7 @@ def _one_sided_steps(trajectory: Trajectory) -> Iterator[tuple[FloatArray, Float
         steps_s = np.minimum(SIDE_STEP_S, np.diff(knots_s) / 4.0)
         is_long = steps_s > SIDE_STEP_MIN_S
         steps_s = steps_s[is_long]
-        # A hair inside, because the knot itself may belong to the neighbour.
+        # Slightly inside, because the knot itself may belong to the next polynomial.
         starts_s = knots_s[:-1][is_long] + 0.01 * steps_s
         ends_s = knots_s[1:][is_long] - 0.01 * steps_s
         times_s, both_s = np.append(starts_s, ends_s), np.append(steps_s, -steps_s)
