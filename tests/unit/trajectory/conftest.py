@@ -1,4 +1,4 @@
-"""Robots and sequences from a few words, and a cache of one's own for every test."""
+"""Makers of robots and keyframes, and a plan cache for each test."""
 
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+"""Pictures of trajectories."""
+
 from __future__ import annotations
 
 import numpy as np
@@ -28,7 +30,7 @@ def test_the_suffix_chooses_the_kind(trajectory, make_robot, tmp_path, suffix, m
     assert target.read_bytes().startswith(magic)
 
 
-def test_the_picture_names_joints_keyframes_and_what_was_stretched(
+def test_the_picture_names_joints_keyframes_and_slowed_spans(
     trajectory, make_robot, tmp_path, monkeypatch
 ):
     import matplotlib as mpl
@@ -41,7 +43,7 @@ def test_the_picture_names_joints_keyframes_and_what_was_stretched(
         assert word in text
 
 
-def test_an_unknown_suffix_is_refused_with_those_that_work(trajectory, make_robot, tmp_path):
+def test_an_unknown_suffix_is_refused_with_the_supported_ones(trajectory, make_robot, tmp_path):
     with pytest.raises(InputError, match=r"\.png"):
         plot(trajectory, make_robot(), tmp_path / "plan.doc")
 

@@ -1,3 +1,5 @@
+"""The verifier finds every excess of a limit, and accepts what is within it."""
+
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def trajectory_of(knots_s, cubics, *, joint="base", **more):
-    """One joint along a path that is followed at rate 1; `cubics` in rising powers."""
+    """Return one joint along a path that is followed at rate 1; `cubics` in rising powers."""
     path = Path(knots_s=np.array(knots_s), coefficients=np.array(cubics, dtype=float)[:, :, None])
     clock = PathClock(
         times_s=np.array([0.0, knots_s[-1]]),
@@ -33,7 +35,7 @@ def trajectory_of(knots_s, cubics, *, joint="base", **more):
 
 
 def bump(deg, seconds):
-    """Out and back: two smooth moves of `deg`, each in `seconds`."""
+    """Return two smooth moves of `deg`, out and back, each in `seconds`."""
     there = [0.0, 0.0, 3.0 * deg / seconds**2, -2.0 * deg / seconds**3]
     back = [deg, 0.0, -3.0 * deg / seconds**2, 2.0 * deg / seconds**3]
     return [0.0, seconds, 2.0 * seconds], [there, back]
@@ -57,7 +59,7 @@ def test_too_much_speed_is_refused_with_joint_time_and_limit(make_robot):
 
 
 @pytest.mark.parametrize(("excess", "is_refused"), [(1.0005, False), (1.003, True)])
-def test_a_thousandth_of_a_limit_is_the_most_that_passes(make_robot, excess, is_refused):
+def test_a_limit_may_be_exceeded_by_a_thousandth(make_robot, excess, is_refused):
     trajectory = trajectory_of(*bump(60.0, 1.0))
     robot = make_robot(accel=360.0 / excess)
     if is_refused:
@@ -101,7 +103,7 @@ def test_leaving_the_range_between_keys_is_refused(make_robot):
         verify(trajectory_of(*bump(170.1, 4.0)), make_robot())
 
 
-def test_an_angle_that_is_no_number_is_refused(make_robot):
+def test_an_angle_that_is_not_a_number_is_refused(make_robot):
     with pytest.raises(PlanningError, match="nan"):
         verify(trajectory_of([0.0, 1.0], [[0.0, 0.0, float("nan"), 0.0]]), make_robot())
 
@@ -115,11 +117,11 @@ def test_a_plan_for_a_stronger_robot_is_refused_for_a_weaker_one(make_robot, fra
         verify(planned, make_robot(accel=595.0))
 
 
-def test_a_plan_whose_clock_is_hurried_is_refused(make_robot, frame):
+def test_a_plan_with_a_faster_clock_is_refused(make_robot, frame):
     frames = (frame(base=0.0), frame(base=90.0))
     planned = plan(Sequence(name="s", keyframes=frames, timing=Timing.FASTEST), make_robot())
     clock = planned.first.clock
-    hurried = replace(
+    faster = replace(
         planned.first,
         clock=replace(
             clock,
@@ -129,33 +131,33 @@ def test_a_plan_whose_clock_is_hurried_is_refused(make_robot, frame):
         ),
     )
     with pytest.raises(PlanningError):
-        verify(replace(planned, first=hurried, middle=hurried, last=hurried), make_robot())
+        verify(replace(planned, first=faster, middle=faster, last=faster), make_robot())
 
 
 @dataclass
 class Made:
-    """A pass of any curve: deg over seconds. It counts what it is asked for."""
+    """A pass of any curve: deg over seconds. It counts what it is samples_count for."""
 
     curve: Callable[[np.ndarray], np.ndarray]
     duration_s: float
     parts: tuple[Trajectory, ...] = ()
     seams_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
     inner_knots_s: tuple[float, ...] = ()
-    asked: int = 0
+    samples_count: int = 0
 
     @property
     def knots_s(self):
         return np.array([0.0, *self.inner_knots_s, self.duration_s])
 
     def sample(self, times_s, order=0):
-        assert order == 0, "speed and acceleration are not taken on trust"
-        self.asked += len(times_s)
+        assert order == 0, "the verifier derives speed and acceleration itself"
+        self.samples_count += len(times_s)
         deg = self.curve(np.clip(times_s, 0.0, self.duration_s))
         return deg if deg.ndim == 2 else deg[:, None]
 
 
 def shown(*passes, joints=("base",), loop=None):
-    """A show of the given passes, the middle one as often as needed to make `loop`."""
+    """Return a show of the given passes, the middle one repeated to make `loop` passes."""
     return Trajectory(
         name="made",
         joints=joints,
@@ -171,21 +173,21 @@ def still(times_s):
 
 
 def swing(deg, seconds):
-    """Out and back without any knot but the ends."""
+    """Return a pass out and back, with knots at its ends only."""
     return Made(lambda t: 0.5 * deg * (1.0 - np.cos(2.0 * np.pi * t / seconds)), seconds)
 
 
-def test_what_does_not_move_uses_nothing(make_robot):
+def test_a_show_at_rest_uses_no_share_of_the_limits(make_robot):
     motion = Made(lambda t: np.zeros((len(t), 2)), 1.0)
     found = verify(shown(motion, joints=("base", "elbow")), make_robot())
     assert (found.speed_ratio, found.accel_ratio) == (0.0, 0.0)
     assert (found.speed_joint, found.speed_at_s) == ("base", 0.0)
     assert (found.accel_joint, found.accel_at_s) == ("base", 0.0)
-    assert found.samples == motion.asked > 1000
+    assert found.samples == motion.samples_count > 1000
 
 
-def kinked(at_s, duration_s=20.0):
-    """Rest, then a second of coming down to a corner of 4 deg/s, and a second up to rest."""
+def cornered(at_s, duration_s=20.0):
+    """Return rest, then a second down to a corner of 4 deg/s, and a second up to rest."""
 
     def curve(t):
         away_s = np.minimum(np.abs(t - at_s), 1.0)
@@ -195,14 +197,14 @@ def kinked(at_s, duration_s=20.0):
 
 
 @pytest.mark.parametrize("at_s", [0.0007, 4.2, *np.arange(8.186, 8.192, 5e-4), 16.38, 18.9])
-def test_a_kink_is_found_wherever_it_is(make_robot, at_s):
+def test_a_corner_is_found_at_any_time(make_robot, at_s):
     # 4 deg/s within no time: at least 2000 deg/s² from one millisecond to the next.
     with pytest.raises(PlanningError, match="acceleration") as caught:
-        verify(shown(kinked(at_s)), make_robot(accel=1500.0), is_from_rest=at_s > 1.0)
+        verify(shown(cornered(at_s)), make_robot(accel=1500.0), is_from_rest=at_s > 1.0)
     assert caught.value.time_s == pytest.approx(at_s, abs=0.002)
 
 
-def test_what_begins_in_motion_is_judged_from_there_on(make_robot):
+def test_a_motion_that_begins_with_speed_is_checked_from_its_start_on(make_robot):
     gentle = Made(lambda t: 60.0 - 60.0 * (1.0 - t / 2.0) ** 2, 2.0)
     with pytest.raises(PlanningError, match="acceleration"):
         verify(shown(gentle), make_robot())
@@ -227,7 +229,7 @@ def test_the_joint_that_leaves_its_range_is_named_with_the_time_and_the_angle(ma
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_range_may_be_left_by_what_rounding_makes_of_it(make_robot, side):
+def test_a_range_may_be_exceeded_by_rounding(make_robot, side):
     verify(shown(Made(lambda t: still(t) + side * (170.0 + 9e-7), 1.0)), make_robot())
     with pytest.raises(PlanningError, match="would be at"):
         verify(shown(Made(lambda t: still(t) + side * (170.0 + 2e-6), 1.0)), make_robot())
@@ -235,7 +237,7 @@ def test_a_range_may_be_left_by_what_rounding_makes_of_it(make_robot, side):
 
 @pytest.mark.parametrize("is_at_its_end", [True, False])
 @pytest.mark.parametrize("at_s", [1.0, 0.0], ids=["on the way", "first"])
-def test_an_acceleration_that_is_too_much_only_at_one_end_of_a_polynomial_is_found(
+def test_an_acceleration_above_the_limit_at_one_end_of_a_polynomial_only_is_found(
     make_robot, is_at_its_end, at_s
 ):
     # From 0 to 900 deg/s² within 2 ms, then 100 deg/s² until it rests again: no average over the
@@ -261,15 +263,15 @@ def test_an_acceleration_that_is_too_much_only_at_one_end_of_a_polynomial_is_fou
         verify(shown(motion), make_robot())
 
 
-def test_passes_that_repeat_one_another_are_looked_at_once(make_robot):
+def test_passes_that_repeat_are_sampled_once(make_robot):
     motion = swing(30.0, 2.0)
     verify(shown(motion), make_robot())
-    once, motion.asked = motion.asked, 0
+    once, motion.samples_count = motion.samples_count, 0
     found = verify(shown(motion, loop=1000), make_robot())
-    assert once <= motion.asked == found.samples < 1.05 * once
-    motion.asked = 0
+    assert once <= motion.samples_count == found.samples < 1.05 * once
+    motion.samples_count = 0
     verify(replace(shown(motion), loop=None), make_robot())
-    assert once <= motion.asked < 1.05 * once
+    assert once <= motion.samples_count < 1.05 * once
 
 
 GOOD = swing(30.0, 2.0)
@@ -285,40 +287,40 @@ AT_30 = Made(lambda t: still(t) + 30.0, 1.0)
         ((UP, AT_30, GOOD), 9),
         ((UP, UP, AT_30), 9),
         ((UP, AT_30, UP), 9),
-        ((GOOD, kinked(1.5, 3.0), GOOD), 3),
-        ((GOOD, GOOD, kinked(1.5, 3.0)), 6),
+        ((GOOD, cornered(1.5, 3.0), GOOD), 3),
+        ((GOOD, GOOD, cornered(1.5, 3.0)), 6),
     ],
     ids=["first seam", "last seam", "middle seam", "end", "middle", "last"],
 )
-def test_every_kind_of_pass_and_of_seam_is_looked_at(make_robot, passes, loop):
+def test_every_kind_of_pass_and_of_seam_is_checked(make_robot, passes, loop):
     with pytest.raises(PlanningError):
         verify(shown(*passes, loop=loop), make_robot(accel=1500.0))
 
 
-def test_a_show_of_three_kinds_of_passes_that_fit_passes(make_robot):
+def test_a_legal_show_of_three_different_passes_is_accepted(make_robot):
     down = Made(lambda t: 15.0 * (1.0 + np.cos(np.pi * t)), 1.0)
     verify(shown(UP, AT_30, down, loop=9), make_robot())
 
 
 def assembled(curve, duration_s, part, *seams_s):
-    """A pass made of trajectories, of which `part` is judged and `curve` is what comes of it."""
+    """Return a pass of trajectories: `part` is checked as its part, `curve` gives its samples."""
     return Made(curve, duration_s, parts=(part,), seams_s=np.array(seams_s))
 
 
-def test_the_parts_of_a_pass_are_judged_as_shows_of_their_own(make_robot):
+def test_the_parts_of_a_pass_are_checked_as_shows_of_their_own(make_robot):
     whole, robot = swing(60.0, 2.0), make_robot()
     made = verify(shown(assembled(whole.curve, 2.0, shown(whole))), robot)
     alone = verify(shown(swing(60.0, 2.0)), robot)
     assert (made.speed_ratio, made.accel_ratio) == (alone.speed_ratio, alone.accel_ratio)
     assert (made.speed_joint, made.accel_joint) == ("base", "base")
     assert alone.samples < made.samples < 1.05 * alone.samples
-    bad = assembled(still, 2.0, shown(kinked(1.0, 2.0)))
+    bad = assembled(still, 2.0, shown(cornered(1.0, 2.0)))
     with pytest.raises(PlanningError, match="acceleration"):
         verify(shown(bad), make_robot(accel=1500.0))
     verify(shown(bad), make_robot(accel=1500.0), has_parts=False)
 
 
-def test_of_several_parts_the_one_that_asks_for_most_is_kept(make_robot):
+def test_of_several_parts_the_largest_shares_are_kept(make_robot):
     parts = [shown(swing(deg, 2.0)) for deg in (20.0, 60.0, 40.0)]
     motion = Made(still, 6.0, parts=tuple(parts), seams_s=np.array([2.0, 4.0]))
     most = verify(parts[1], make_robot())
@@ -326,7 +328,7 @@ def test_of_several_parts_the_one_that_asks_for_most_is_kept(make_robot):
     assert (found.speed_ratio, found.accel_ratio) == (most.speed_ratio, most.accel_ratio)
 
 
-def test_where_one_part_follows_another_is_looked_at_in_every_pass(make_robot):
+def test_the_seams_between_parts_are_checked_in_every_pass(make_robot):
     part, robot = shown(GOOD), make_robot()
     rest = assembled(still, 5.0, part, 2.0)
     stepped = assembled(lambda t: np.where(t < 2.0, 0.0, 0.01), 5.0, part, 2.0)
@@ -344,7 +346,7 @@ def test_a_show_of_parts_ends_at_rest(make_robot):
         verify(shown(running), make_robot())
 
 
-def test_no_difference_reaches_beyond_a_short_polynomial(make_robot):
+def test_differences_at_knots_stay_within_a_short_polynomial(make_robot):
     # 700 deg/s² for 0.2 ms: over any longer time it looks harmless.
     short_s, up_deg_s2, down_deg_s2 = 0.0002, 700.0, 70.0
     peak_deg_s = up_deg_s2 * short_s
@@ -359,7 +361,7 @@ def test_no_difference_reaches_beyond_a_short_polynomial(make_robot):
 
 
 @pytest.mark.parametrize("count", [1, 63, 64, 65, 200])
-def test_extremes_are_those_of_every_row_and_nan_if_there_is_one(count):
+def test_extreme_covers_every_row_and_gives_nan_if_there_is_one(count):
     samples = np.random.default_rng(count).normal(size=(count, 3))
     assert extreme(np.maximum, samples).tolist() == samples.max(axis=0).tolist()
     assert extreme(np.minimum, samples).tolist() == samples.min(axis=0).tolist()

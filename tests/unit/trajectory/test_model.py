@@ -30,7 +30,7 @@ def turning(frame, *, loop=3, span_s=(2.0, 3.0), off_deg=0.0, **more):
     return Sequence(name="turning", keyframes=tuple(frames), loop=loop, loop_span_s=span_s, **more)
 
 
-def test_what_leads_in_and_out_is_played_once_and_the_part_as_often_as_said(frame, make_robot):
+def test_the_part_is_looped_and_the_rest_played_once(frame, make_robot):
     robot = make_robot()
     once = plan(turning(frame, loop=1), robot)
     looped = plan(turning(frame, loop=4), robot)
@@ -46,7 +46,7 @@ def test_what_leads_in_and_out_is_played_once_and_the_part_as_often_as_said(fram
     verify(looped, robot)
 
 
-def test_a_part_that_is_looped_for_ever_has_no_end(frame, make_robot):
+def test_a_part_that_is_looped_forever_has_no_end(frame, make_robot):
     endless = plan(turning(frame, loop=None), make_robot())
     assert endless.duration_s == math.inf
     far_s = 3600.0 + np.linspace(2.0, 3.0, 30)
@@ -63,7 +63,7 @@ def test_the_times_of_the_keyframes_are_those_of_the_show(frame, make_robot):
     assert [m.label for m in endless if m.label] == ["0", "2.5"]
 
 
-def test_the_part_goes_with_the_speed_of_the_show(frame, make_robot):
+def test_the_speed_ratio_holds_for_the_part(frame, make_robot):
     slow = plan(turning(frame, loop=4, speed_ratio=0.5), make_robot())
     assert slow.duration_s == pytest.approx(2.0 * 8.0)
 

@@ -1,0 +1,157 @@
+"""Layers on top of a show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lss_motion.errors import InputError, PlanningError
+from lss_motion.sequence.model import Layer, Sequence, Step
+from lss_motion.trajectory.planner import plan
+from lss_motion.trajectory.verify import verify
+from tests.unit.trajectory.shows import at, blink, show
+
+
+def base_show(frame, **more):
+    return show(
+        frame(0.0, base=0.0, elbow=0.0), frame(4.0, base=60.0, elbow=0.0),
+        frame(8.0, base=0.0, elbow=0.0), name="base", **more,
+    )  # fmt: skip
+
+
+def layer_of(sequence, *joints, **more):
+    return Layer(sequence=sequence, joints=joints, **more)
+
+
+def test_an_added_layer_is_the_sum_by_its_weight(make_robot, frame):
+    top = layer_of(blink(frame, joint="base"), "base", mode="add", weight=0.5, from_s=2.0)
+    robot = make_robot()
+    plain = plan(base_show(frame), robot)
+    trajectory = plan(base_show(frame, layers=(top,)), robot)
+    verify(trajectory, robot)
+    times_s = np.linspace(0.0, 8.0, 400)
+    added = 0.5 * plan(blink(frame, joint="base"), robot).sample(times_s - 2.0)[:, 0]
+    wanted = at(plain, "base", *times_s) + added
+    assert at(trajectory, "base", *times_s) == pytest.approx(wanted, abs=1e-4)
+    assert added.max() > 9.0
+    assert trajectory.stretched == ()
+
+
+def test_an_overriding_layer_fades_in_and_out(make_robot, frame):
+    still = show(frame(0.0, base=-30.0, hold_s=9.0), name="still")
+    top = layer_of(still, "base", from_s=2.0, to_s=6.0, fade_s=1.0)
+    robot = make_robot()
+    trajectory = plan(base_show(frame, layers=(top,)), robot)
+    plain = plan(base_show(frame), robot)
+    verify(trajectory, robot)
+    for at_s in (0.5, 2.0, 6.0, 7.5):
+        assert at(trajectory, "base", at_s) == pytest.approx(at(plain, "base", at_s), abs=1e-6)
+    assert at(trajectory, "base", 3.0, 4.0, 5.0) == pytest.approx([-30.0] * 3, abs=1e-6)
+    middle = 0.5 * (at(plain, "base", 2.5) - 30.0)
+    assert at(trajectory, "base", 2.5) == pytest.approx(middle, abs=1e-4)
+
+
+def test_a_mask_leaves_the_other_joints_alone(make_robot, frame):
+    both = show(
+        frame(0.0, base=-30.0, elbow=0.0), frame(1.0, base=9.0, elbow=20.0),
+        frame(2.0, base=0.0, elbow=0.0), name="both",
+    )  # fmt: skip
+    trajectory = plan(base_show(frame, layers=(layer_of(both, "elbow", from_s=1.0),)), make_robot())
+    assert at(trajectory, "elbow", 2.0) == pytest.approx(20.0, abs=1e-6)
+    plain = plan(base_show(frame), make_robot())
+    times_s = np.linspace(0.0, 8.0, 50)
+    assert at(trajectory, "base", *times_s) == pytest.approx(at(plain, "base", *times_s), abs=1e-6)
+
+
+def test_a_sum_is_slowed_only_where_it_exceeds_a_limit(make_robot, frame):
+    shake = show(frame(0.0, base=0.0), frame(0.6, base=40.0), frame(1.2, base=0.0), name="shake")
+    top = layer_of(shake, "base", mode="add", from_s=1.5)
+    robot = make_robot(speed=110.0, accel=700.0)
+    assert not plan(shake, robot).stretched
+    trajectory = plan(base_show(frame, layers=(top,)), robot)
+    verify(trajectory, robot)
+    assert trajectory.stretched
+    assert all(1.4 < s.from_s < s.to_s < 3.2 for s in trajectory.stretched)
+    assert trajectory.duration_s == pytest.approx(8.0 + sum(s.by_s for s in trajectory.stretched))
+
+
+def test_a_layer_that_makes_an_anchor_late_is_refused(make_robot, frame):
+    shake = show(frame(0.0, base=0.0), frame(0.6, base=40.0), frame(1.2, base=0.0))
+    frames = list(base_show(frame).keyframes)
+    frames[1] = frame(4.0, base=60.0, elbow=0.0, anchor=True, label="beat")
+    top = layer_of(shake, "base", mode="add", from_s=1.5)
+    with pytest.raises(PlanningError, match=r"anchor 'beat' at 4 s cannot be met with the layers"):
+        plan(show(*frames, layers=(top,)), make_robot(speed=110.0, accel=700.0))
+
+
+@pytest.mark.parametrize("fade_s", [0.0, 0.5])
+def test_a_layer_that_makes_a_joint_jump_is_refused(make_robot, frame, fade_s):
+    still = show(frame(0.0, base=-30.0, hold_s=9.0), name="still")
+    top = layer_of(still, "base", from_s=2.0, to_s=6.0, fade_s=fade_s)
+    layered = base_show(frame, layers=(top,))
+    if fade_s == 0.0:
+        with pytest.raises(InputError, match=r"'still' would make joint 'base' jump .* fade_s"):
+            plan(layered, make_robot())
+    else:
+        assert plan(layered, make_robot()).duration_s >= 8.0
+
+
+def test_a_sum_that_leaves_the_range_is_refused(make_robot, frame):
+    top = layer_of(blink(frame, joint="base", top=40.0), "base", mode="add", from_s=3.5)
+    with pytest.raises(PlanningError, match=r"'base' would be at .* allowed -80 to 80 deg"):
+        plan(base_show(frame, layers=(top,)), make_robot(reach=80.0))
+
+
+def test_an_offset_may_be_larger_than_the_range(make_robot, frame):
+    low = show(frame(0.0, base=-70.0), frame(8.0, base=-70.0), name="low")
+    far = show(frame(0.0, base=0.0), frame(4.0, base=140.0), frame(8.0, base=0.0), name="far")
+    robot = make_robot(reach=80.0)
+    trajectory = plan(replace(low, layers=(layer_of(far, "base", mode="add"),)), robot)
+    assert at(trajectory, "base", 4.0) == pytest.approx(70.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("accel", [554.1776932524632, 970.3760891395077])
+def test_a_layered_show_ends_at_rest_whatever_its_length(make_robot, frame, accel):
+    """Found by the property tests: an end that rounding had moved past the last knot."""
+    robot = make_robot(speed=3.6, accel=accel)
+    late = show(frame(0.0, base=0.0), frame(0.0, base=30.0))
+    top = layer_of(show(frame(0.0, base=0.0)), "base", weight=0.0, to_s=4.0, fade_s=0.05)
+    trajectory = plan(replace(late, layers=(top,)), robot)
+    assert at(trajectory, "base", trajectory.duration_s) == pytest.approx(30.0, abs=1e-9)
+
+
+def test_an_endless_layer_lasts_as_long_as_the_show(make_robot, frame):
+    top = layer_of(blink(frame, top=9.0, loop=None), "elbow", mode="add", fade_s=0.5)
+    robot = make_robot()
+    trajectory = plan(base_show(frame, layers=(top,)), robot)
+    verify(trajectory, robot)
+    assert trajectory.duration_s == pytest.approx(8.0)
+    assert at(trajectory, "elbow", 0.5, 6.5) == pytest.approx([9.0, 9.0], abs=1e-3)
+    assert at(trajectory, "elbow", 8.0) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_layers_can_be_on_top_of_tracks_and_play_lists(make_robot, frame):
+    tracked = show(frame(0.0, base=0.0), frame(2.0, base=30.0), tracks=(blink(frame, loop=2),))
+    listed = Sequence(name="list", play=(Step(sequence=tracked), Step(pause_s=1.0)))
+    nod = show(frame(0.0, base=0.0), frame(1.0, base=10.0), frame(2.0, base=0.0), name="nod")
+    robot = make_robot()
+    trajectory = plan(
+        replace(listed, layers=(layer_of(nod, "base", mode="add", from_s=0.5),)), robot
+    )
+    verify(trajectory, robot)
+    assert trajectory.duration_s == pytest.approx(3.0)
+    plain = plan(listed, robot)
+    assert at(trajectory, "base", 1.5) == pytest.approx(at(plain, "base", 1.5) + 10.0, abs=1e-4)
+    assert at(trajectory, "elbow", 0.5) == pytest.approx(20.0, abs=1e-4)
+
+
+def test_a_layered_plan_is_loaded_from_the_cache(make_robot, frame, monkeypatch):
+    top = layer_of(blink(frame, joint="base"), "base", mode="add", from_s=2.0, fade_s=0.2)
+    first = plan(base_show(frame, layers=(top,)), make_robot())
+    monkeypatch.setattr("lss_motion.trajectory.layers.verify", None)
+    monkeypatch.setattr("lss_motion.trajectory.layers.slowed_windows", None)
+    again = plan(base_show(frame, layers=(top,)), make_robot())
+    times_s = np.linspace(0.0, 8.0, 99)
+    assert np.array_equal(first.sample(times_s), again.sample(times_s))
