@@ -1,6 +1,6 @@
 """Sequences to trajectories: paths through keyframes, followed as fast as limits and author allow.
 
-`planner.plan` is the way in. It returns a `model.Trajectory` that has passed `verify.verify`.
+`planner.plan` is the entry point. It returns a `model.Trajectory` that has passed `verify.verify`.
 
 | file          | what it is                                           | called by               |
 |---------------|------------------------------------------------------|-------------------------|

@@ -32,7 +32,7 @@ SAME_INSTANT_S: Final = 1e-9
 """Times closer than this are one instant. Chosen: a thousandth of a program's unit of time."""
 
 SAME_ANGLE_DEG: Final = 1e-9
-"""Angles closer than this are equal. Chosen: a 10^7th of the wire's unit."""
+"""Angles closer than this are equal. Chosen: far below the unit on the bus."""
 
 HOPELESS_RATIO: Final = 0.1
 """An authored move gets at least this share of the duration that it needs alone. Chosen: such a
@@ -40,8 +40,8 @@ move is slowed tenfold anyway, and smaller shares make the solver inaccurate (ke
 need path rates near 0.002)."""
 
 PASSING_RATIO: Final = 0.5
-"""An authored move never gets more than this share of its duration at full speed, because samples
-of a motion are closer together than moves from rest to rest could be. Chosen: samples of a motion
+"""That least duration is never above this share of the duration at full speed, because samples of
+a motion are closer together than moves from rest to rest could be. Chosen: samples of a motion
 within the limits keep their times, and so do those of a motion up to twice as fast."""
 
 PATH_DECIMALS: Final = 9

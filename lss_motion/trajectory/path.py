@@ -44,7 +44,7 @@ class Path:
 
     @property
     def rests(self) -> NDArray[np.bool_]:
-        """Which segments move no joint at all."""
+        """True for each segment in which no joint moves."""
         return np.asarray(~np.any(self.coefficients[:, 1:, :], axis=(1, 2)), dtype=np.bool_)
 
     def segments_of(self, path_s: FloatArray) -> NDArray[np.intp]:

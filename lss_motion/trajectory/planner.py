@@ -1,4 +1,4 @@
-"""The way in: `plan` makes a verified trajectory of a sequence, or loads it from the cache.
+"""The entry point: `plan` makes a verified trajectory of a sequence, or loads it from the cache.
 
 The cache holds verified plans on disk, found by content. The name of an entry is a hash of
 everything that the plan depends on (keys, times and limits), so that an entry never fits another

@@ -285,7 +285,7 @@ def pause_s(clock: PathClock) -> float:
 
 
 def slowed_to(trajectory: Trajectory, wanted_s: float) -> Trajectory:
-    """Slow the motion of a fastest trajectory so that one pass takes `wanted_s`."""
+    """Return a fastest trajectory, slowed so that one pass takes `wanted_s`; not its holds."""
     motions = motions_of(trajectory)
     clock = motions[1].clock
     paused_s = pause_s(clock)
@@ -304,7 +304,7 @@ def slowed_to(trajectory: Trajectory, wanted_s: float) -> Trajectory:
 
 
 def at_ratio(trajectory: Trajectory, ratio: float) -> Trajectory:
-    """Slow a fastest trajectory down to `ratio` of its speed, pauses included."""
+    """Return a fastest trajectory slowed to `ratio` of its speed, pauses included."""
     return _reclocked(
         trajectory,
         lambda clock: PathClock(
