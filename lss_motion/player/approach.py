@@ -10,8 +10,8 @@ import numpy as np
 
 from lss_motion.program.compile import TOLERANCE_DEG, driving_of, glide_moves, lines_use
 from lss_motion.program.model import Move, Program, ramp_deg_s2
-from lss_motion.program.reference import DURATION_MAX_MS, GRID_S, Course
-from lss_motion.program.response import Piece, Reference, trapezoid
+from lss_motion.program.reference import DURATION_MAX_MS, GRID_S, Reference
+from lss_motion.program.response import Piece, PiecewiseProfile, trapezoid
 from lss_motion.program.verify import profiles
 from lss_motion.units import MS_PER_S, NS_PER_US, line_time_ns, s_from_us, us_from_s
 
@@ -134,7 +134,7 @@ def _at_once(
 
 def _course(
     joint: Joint, from_deg: float, to_deg: float, times_s: tuple[float, float, float]
-) -> Course:
+) -> Reference:
     """Return a course that stands from the first of `times_s`, and goes from the second on.
 
     As long as the third, and the ramps: as a timed move with that T.
@@ -142,7 +142,7 @@ def _course(
     stands_s, starts_s, lasts_s = times_s
     state = Piece(starts_s, from_deg, 0.0, 0.0)
     travel_deg_s = max(abs(to_deg - from_deg) / lasts_s, joint.unit_deg)
-    reference = Reference(trapezoid(state, to_deg, travel_deg_s, ramp_deg_s2(joint)))
+    reference = PiecewiseProfile(trapezoid(state, to_deg, travel_deg_s, ramp_deg_s2(joint)))
     steps = math.ceil((reference.end_s + GLIDE_END_S - stands_s) / GRID_S) + 1
     grid_s = stands_s + GRID_S * np.arange(steps, dtype=np.float64)
-    return Course(start_s=stands_s, position_deg=reference.sample(grid_s))
+    return Reference(start_s=stands_s, position_deg=reference.sample(grid_s))

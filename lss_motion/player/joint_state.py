@@ -24,9 +24,9 @@ from itertools import accumulate
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.player.estimators import DisturbanceEstimator, LagEstimator, LostMoveDetector
-from lss_motion.program.drives import lead
-from lss_motion.program.model import heard_us
-from lss_motion.program.quantize import LATEST_ARRIVAL_S, lattice
+from lss_motion.program.drives import profile_lead_s
+from lss_motion.program.model import received_us
+from lss_motion.program.quantize import LATEST_ARRIVAL_S, nearest_wire
 from lss_motion.program.reference import DURATION_MAX_MS, servo_limits
 from lss_motion.program.response import Profile
 from lss_motion.program.stepped import PULSE_S
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from lss_motion.player.show_clock import ShowClock
     from lss_motion.program.model import Move, Program
     from lss_motion.program.reference import ServoLimits
-    from lss_motion.program.response import Reference
+    from lss_motion.program.response import PiecewiseProfile
     from lss_motion.program.verify import ServoProfile
     from lss_motion.protocol.constants import Status
     from lss_motion.robot.model import Joint, Robot
@@ -228,7 +228,7 @@ class JointState:
     """
 
     joint: Joint
-    plan: Reference
+    plan: PiecewiseProfile
     profile: ServoProfile
     following: DisturbanceEstimator
     limits: ServoLimits
@@ -316,12 +316,12 @@ class JointState:
         is owed, to be said again when the servo has come that far, or led to (`lead`).
         """
         corrected = target_deg + self.following.offset_deg
-        wire = lattice(corrected, self.limits)
+        wire = nearest_wire(corrected, self.limits)
         low_deg, high_deg = self._reach(heard_ns)
-        allowed = lattice(min(max(corrected, low_deg), high_deg), self.limits)
+        allowed = nearest_wire(min(max(corrected, low_deg), high_deg), self.limits)
         is_held_back = allowed != wire
         if isinstance(self.profile, FilterProfile):
-            next_s = self.profile.hear_s(self.profile.acts_on(s_from_ns(heard_ns)) + 1)
+            next_s = self.profile.receive_s(self.profile.acts_on(s_from_ns(heard_ns)) + 1)
             self.led_ns = ns_from_s(next_s) if is_held_back else None
         else:
             again_ns = heard_ns + ns_from_s(PULSE_S)
@@ -349,7 +349,7 @@ class JointState:
     def begun_s(self, line: SerialLine) -> float:
         """Return the show time at which the move under way is heard if all goes well."""
         assert self.active is not None
-        return s_from_us(heard_us(self.active, line.bus.baud_bps))
+        return s_from_us(received_us(self.active, line.bus.baud_bps))
 
     def left_s(self, line: SerialLine, clock: ShowClock, now_ns: int) -> float:
         """Return how much run time is left to the move under way if it is sent now; 0 if no T."""
@@ -432,7 +432,7 @@ def make_joint_states(
                 speed_max_deg_s=joint.speed_max_deg_s, standing_deg=servo_deg
             ),
             limits=limits,
-            lead_s=lead(joint),
+            lead_s=profile_lead_s(joint),
             origin_s=origin_s,
             hearing=LostMoveDetector(joint.unit_deg, joint.response.loop_s)
             if has_feedback

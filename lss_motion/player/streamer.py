@@ -265,7 +265,7 @@ def lead(
         target_deg = profile.value(step - 1) + way_deg / (1.0 - profile.keep_ratio**steps)
     track.send(line, target_deg - track.following.offset_deg, 0.0, now_ns)
     if not is_at_rest:
-        track.led_ns = ns_from_s(profile.hear_s(step + steps)) - line.time_ns(size)
+        track.led_ns = ns_from_s(profile.receive_s(step + steps)) - line.time_ns(size)
 
 
 def _wanted_deg(
@@ -364,7 +364,7 @@ class Streamer:
             return False
         self._moves.replace_from(extension.from_us, extension.moves)
         self._program = replace(self._program, duration_s=extension.duration_s)
-        for name, later in extension.references.items():
+        for name, later in extension.profiles.items():
             track = self.tracks[name]
             track.plan = track.plan.followed_by(later, show_s - PLAN_HISTORY_S)
         return True

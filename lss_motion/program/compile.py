@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import InputError, LineLoadError
-from lss_motion.program.drives import lead
+from lss_motion.program.drives import profile_lead_s
 from lss_motion.program.line import LineUse, line_use
 from lss_motion.program.model import TIMED, Driving, Program, Repeat
-from lss_motion.program.reference import GRID_S, Course
+from lss_motion.program.reference import GRID_S, Reference
 from lss_motion.program.schedule import (
     RELAXED_RATIOS,
-    Attempt,
+    Schedule,
     TooLateError,
     candidates,
     choices,
-    closed,
+    closed_pass,
     reading_rate_hz,
     slot_us,
 )
@@ -110,7 +110,7 @@ def _repeat(trajectory: Trajectory) -> Repeat | None:
     return Repeat(from_us=us_from_s(from_s), to_us=us_from_s(from_s + trajectory.middle.duration_s))
 
 
-def _courses(trajectory: Trajectory, robot: Robot) -> dict[str, Course]:
+def _courses(trajectory: Trajectory, robot: Robot) -> dict[str, Reference]:
     """Return what each servo's profile has to do: the plan, earlier by what the servo lags."""
     end_s = trajectory.duration_s
     if trajectory.loop is None:
@@ -118,24 +118,24 @@ def _courses(trajectory: Trajectory, robot: Robot) -> dict[str, Course]:
     courses = {}
     steps = math.ceil((end_s + 2.0 * PREROLL_S) / GRID_S) + 1
     times_s = -PREROLL_S + GRID_S * np.arange(steps, dtype=np.float64)
-    for lead_s in {lead(robot.joints[name]) for name in trajectory.joints}:
+    for lead_s in {profile_lead_s(robot.joints[name]) for name in trajectory.joints}:
         angles_deg = np.empty((len(trajectory.joints), steps))
         for first in range(0, steps, SAMPLED_AT_ONCE):
             some = slice(first, first + SAMPLED_AT_ONCE)
             angles_deg[:, some] = trajectory.sample(times_s[some] + lead_s).T
         for own_deg, name in zip(angles_deg, trajectory.joints, strict=True):
             joint = robot.joints[name]
-            if lead(joint) == lead_s:
+            if profile_lead_s(joint) == lead_s:
                 servo_deg = joint.zero_deg + joint.direction * own_deg
-                courses[name] = Course(start_s=-PREROLL_S, position_deg=servo_deg)
+                courses[name] = Reference(start_s=-PREROLL_S, position_deg=servo_deg)
     return courses
 
 
 def glide_moves(
-    courses: Mapping[str, Course], robot: Robot, tolerance_deg: float
+    courses: Mapping[str, Reference], robot: Robot, tolerance_deg: float
 ) -> Sequence[Move]:
     """Return the moves that take joints along courses of their own, with nothing else to do."""
-    attempts = (Attempt(courses, robot, tolerance_deg * r) for r in RELAXED_RATIOS)
+    attempts = (Schedule(courses, robot, tolerance_deg * r) for r in RELAXED_RATIOS)
     for attempt in attempts:
         if not attempt.is_tight or attempt.tolerance_deg == tolerance_deg * RELAXED_RATIOS[-1]:
             return moves_of(attempt.fitted, robot)
@@ -145,14 +145,14 @@ def glide_moves(
 def _program(
     trajectory: Trajectory,
     choice: Choice,
-    courses: Mapping[str, Course],
-    attempt: Attempt,
+    courses: Mapping[str, Reference],
+    attempt: Schedule,
     repeat: Repeat | None,
 ) -> Program:
     robot = choice.robot
     moves: Sequence[Move] = moves_of(attempt.fitted, robot)
     if repeat is not None:
-        moves = tuple(closed(moves, repeat, robot))
+        moves = tuple(closed_pass(moves, repeat, robot))
     start = trajectory.sample(np.zeros(1))[0]
     end_s = trajectory.duration_s if repeat is None else s_from_us(repeat.to_us)
     return Program(
@@ -205,13 +205,13 @@ def lines_use(moves: Sequence[Move], robot: Robot) -> dict[str, LineUse]:
     return uses
 
 
-def _error_max_deg(fitted: Fitted, course: Course) -> float:
+def _error_max_deg(fitted: Fitted, course: Reference) -> float:
     error_deg = fitted.reference.on_grid(course.start_s, GRID_S, len(course.position_deg))
     error_deg -= course.position_deg
     return max(float(error_deg.max()), -float(error_deg.min()))
 
 
-def _overload(attempt: Attempt, robot: Robot) -> LineLoadError:
+def _overload(attempt: Schedule, robot: Robot) -> LineLoadError:
     """Return the error that says how much is too much, and what would help."""
     commands: dict[str, int] = dict.fromkeys(robot.buses, 0)
     busy_us: dict[str, int] = dict.fromkeys(robot.buses, 0)

@@ -20,7 +20,7 @@ import numpy as np
 from lss_motion.program.reference import GRID_S
 
 if TYPE_CHECKING:
-    from lss_motion.program.reference import Courses, Points
+    from lss_motion.program.reference import Points, References
     from lss_motion.program.response import FloatArray, IntArray, SingleArray, States
 
 
@@ -104,14 +104,14 @@ class Starts:
     speed_deg_s: SingleArray
 
     @classmethod
-    def of(cls, courses: Courses, joint: IntArray, first: IntArray, state: States) -> Starts:
+    def of(cls, courses: References, joint: IntArray, first: IntArray, state: States) -> Starts:
         """Return those of servos in `state`; `first` is the first grid point not before it."""
         after_s = courses.times_s(first) - state.time_s
         columns = after_s, state.position_deg, state.speed_deg_s
         return cls(joint, first, *(column.astype(np.float32) for column in columns))
 
 
-def opened(courses: Courses, starts: Starts, rows: int, stride: int, block: int) -> Cones:
+def open_cones(courses: References, starts: Starts, rows: int, stride: int, block: int) -> Cones:
     """Return the cones of profiles in so many rows.
 
     Looked at are `block` rows at once, and the next ones only of the cones that are still open.
@@ -135,7 +135,7 @@ def opened(courses: Courses, starts: Starts, rows: int, stride: int, block: int)
 class _Cones:
     """Cones on their way: where they begin, and the sides that they have come to."""
 
-    def __init__(self, courses: Courses, starts: Starts) -> None:
+    def __init__(self, courses: References, starts: Starts) -> None:
         self._courses, self._joint, self._first = courses, starts.joint, starts.first
         ramp, tolerance, speed_max = courses.reach(starts.joint)
         position, speed, self._after_s = starts.position_deg, starts.speed_deg_s, starts.after_s
@@ -201,6 +201,6 @@ def _change(offset_deg: SingleArray, tau_s: SingleArray, ramp_deg_s2: SingleArra
     offset_deg /= np.fmax(divisor, DIVISOR_LEAST, out=divisor)
 
 
-def reach_steps(courses: Courses, starts: Starts, rows: int, stride: int) -> IntArray:
+def reach_steps(courses: References, starts: Starts, rows: int, stride: int) -> IntArray:
     """Return for how many grid steps one move of each profile can keep the tolerance."""
-    return stride * opened(courses, starts, rows, stride, rows).held
+    return stride * open_cones(courses, starts, rows, stride, rows).held

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from lss_motion.program.quantize import LATEST_ARRIVAL_S, lattice
+from lss_motion.program.quantize import LATEST_ARRIVAL_S, nearest_wire
 from lss_motion.program.reference import DURATION_MAX_MS, servo_limits
 from lss_motion.program.stepped import PULSE_S, StepFitter
 from lss_motion.program.streamed import StreamFitter
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from lss_motion.program.moves import FittedMove
-    from lss_motion.program.reference import Course
-    from lss_motion.program.response import Reference
+    from lss_motion.program.reference import Reference
+    from lss_motion.program.response import PiecewiseProfile
     from lss_motion.robot.model import Joint
 
 
@@ -44,24 +44,24 @@ class JointFitter(Protocol):
         """Settle the pending move, now that its successor is known to be heard then."""
         ...
 
-    def reference(self) -> Reference:
+    def reference(self) -> PiecewiseProfile:
         """Return the whole profile that the moves so far make."""
         ...
 
 
 def make_fitter(
-    joint: Joint, course: Course, tolerance_deg: float, seams_s: Sequence[float] = ()
+    joint: Joint, course: Reference, tolerance_deg: float, seams_s: Sequence[float] = ()
 ) -> JointFitter:
     """Return what fits `course` with the drive of `joint`, which is not timed (`fit.Fit`)."""
     limits = servo_limits(joint, tolerance_deg)
     if joint.drive == "streamed":
-        start_deg = lattice(float(course.position_deg[0]), limits) / limits.wire_per_deg
+        start_deg = nearest_wire(float(course.position_deg[0]), limits) / limits.wire_per_deg
         return StreamFitter(course, limits, filter_profile(joint, start_deg))
     assert joint.drive == "stepped"
     return StepFitter(course, limits, seams_s)
 
 
-def lead(joint: Joint) -> float:
+def profile_lead_s(joint: Joint) -> float:
     """Return by how much a joint's profile is earlier than its horn, in seconds.
 
     That is its servo's lag and, unless its model knows about that, half the control tick at which

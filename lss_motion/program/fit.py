@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.program.cones import CONE_RATIO, Starts, reach_steps
-from lss_motion.program.moves import Begin, Moves, joined, nothing, unjoined
+from lss_motion.program.moves import Begin, FittedMoves, joined, nothing, unjoined
 from lss_motion.program.quantize import aim
-from lss_motion.program.reference import GRID_S, SEGMENT_MAX_S, Courses, LimitArrays
+from lss_motion.program.reference import GRID_S, SEGMENT_MAX_S, LimitArrays, References
 from lss_motion.program.response import States, both, trapezoids
 from lss_motion.program.search import (
     FOLLOW_RATIO,
@@ -40,7 +40,7 @@ from lss_motion.units import US_PER_S
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Sequence
 
-    from lss_motion.program.reference import Course, ServoLimits
+    from lss_motion.program.reference import Reference, ServoLimits
     from lss_motion.program.response import BoolArray, FloatArray, IntArray
 
     Grant = Callable[[IntArray, IntArray, IntArray], IntArray]
@@ -106,7 +106,7 @@ def _is_next(wanted_s: FloatArray, turn_s: float) -> BoolArray:
 class Task:
     """What all lanes share: by joint, the seams as indices of the grid; `fit.TURN_S`."""
 
-    courses: Courses
+    courses: References
     limits: LimitArrays
     seams: IntArray
     turn_s: float
@@ -126,10 +126,10 @@ class Run:
         self._stop_last = np.array([stop[1] for stop in stops], dtype=np.intp)
         self._after_s = np.array([lane.after_s for lane in lanes])
         self._lanes = lanes
-        self._made: list[Moves] = [nothing()]
+        self._made: list[FittedMoves] = [nothing()]
         self._of: list[IntArray] = [np.zeros(0, dtype=np.intp)]
 
-    def moves(self) -> tuple[Moves, IntArray]:
+    def moves(self) -> tuple[FittedMoves, IntArray]:
         """Return the moves, in any order, and of which lane each is."""
         waiting = deque(range(len(self._lanes)))
         rows = self._entered(np.zeros(0, dtype=np.intp))
@@ -200,7 +200,7 @@ class Run:
     ) -> None:
         self._of.append(lane)
         self._made.append(
-            Moves(
+            FittedMoves(
                 self._joint[lane],
                 state.time_s,
                 wire,
@@ -313,7 +313,7 @@ TURN_S: Final = 0.1
 away in the order of time, nobody has to be late for whom is wanted later."""
 
 
-class Fit:
+class TimedFit:
     """The courses of some joints, and the moves that follow them.
 
     `grant(joints, wanted_us, after_us)` returns when moves will be heard, each of which is wanted
@@ -322,7 +322,7 @@ class Fit:
 
     def __init__(
         self,
-        courses: Sequence[Course],
+        courses: Sequence[Reference],
         limits: Sequence[ServoLimits],
         seams_s: Sequence[float] = (),
         begins: Sequence[Begin] = (),
@@ -336,13 +336,13 @@ class Fit:
         """
         self._each = list(zip(courses, limits, begins or (None,) * len(courses), strict=True))
         self._task = Task(
-            courses=Courses(courses, limits),
+            courses=References(courses, limits),
             limits=LimitArrays(limits),
             seams=np.array(sorted(courses[0].index(s) for s in seams_s), dtype=np.intp),
             turn_s=turn_s,
         )
 
-    def moves(self, new_line: Callable[[], Grant]) -> Moves:
+    def moves(self, new_line: Callable[[], Grant]) -> FittedMoves:
         """Return the moves, by joint and time. `new_line` gives a free line for every attempt.
 
         A stop that a servo cannot reach in time is travelled through in the next attempt; what the
@@ -357,8 +357,8 @@ class Fit:
             is_kept = np.array([lane in now for lane in known], dtype=bool)[of_lane]
             made, of_lane = made.take(is_kept), of_lane[is_kept]
             new = [lane for lane in lanes if lane not in before]
-            grant, heard_us = new_line(), microseconds(made.heard_s)
-            grant(made.joint, heard_us, heard_us)
+            grant, received_us = new_line(), microseconds(made.heard_s)
+            grant(made.joint, received_us, received_us)
             found, of_new = Run(self._task, new, grant).moves()
             made, of_lane = joined((made, found)), np.append(of_lane, len(known) + of_new)
             order = np.lexsort((made.heard_s, made.joint))

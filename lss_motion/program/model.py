@@ -179,6 +179,6 @@ def target_deg(joint: Joint, target_wire: int) -> float:
     return target_wire / joint.model.wire_per_deg
 
 
-def heard_us(move: Move, baud_bps: int) -> int:
+def received_us(move: Move, baud_bps: int) -> int:
     """Return when the last byte of `move` reaches the servos, if it leaves when it is due."""
     return move.due_us + line_time_ns(len(move.data), baud_bps) // NS_PER_US

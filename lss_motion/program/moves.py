@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from lss_motion.program.quantize import lattice
+from lss_motion.program.quantize import nearest_wire
 from lss_motion.program.reference import LimitArrays
-from lss_motion.program.response import Reference, States, Trapezoids, speeds_for, trapezoids
+from lss_motion.program.response import PiecewiseProfile, States, Trapezoids, speeds_for, trapezoids
 from lss_motion.units import MS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from lss_motion.program.reference import Course, ServoLimits
+    from lss_motion.program.reference import Reference, ServoLimits
     from lss_motion.program.response import FloatArray, Index, IntArray, Profile
 
 JOINED_DEG: Final = 1e-6
@@ -32,7 +32,7 @@ class FittedMove(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Moves:
+class FittedMoves:
     """Moves to `target_wire` in `duration_ms`, and what the profile does when one is heard."""
 
     joint: IntArray
@@ -43,8 +43,8 @@ class Moves:
     position_deg: FloatArray
     speed_deg_s: FloatArray
 
-    def take(self, chosen: Index) -> Moves:
-        return Moves(
+    def take(self, chosen: Index) -> FittedMoves:
+        return FittedMoves(
             self.joint[chosen],
             self.heard_s[chosen],
             self.target_wire[chosen],
@@ -54,7 +54,7 @@ class Moves:
             self.speed_deg_s[chosen],
         )
 
-    def of(self, joint: int) -> Moves:
+    def of(self, joint: int) -> FittedMoves:
         """Return the moves of one joint, if they are in order."""
         low, high = np.searchsorted(self.joint, (joint, joint + 1))
         return self.take(slice(int(low), int(high)))
@@ -70,19 +70,19 @@ class Moves:
         return trapezoids(states, target_deg, self.travel_deg_s, own.ramp_deg_s2)
 
 
-def nothing() -> Moves:
+def nothing() -> FittedMoves:
     """Return no moves."""
     none = np.zeros(0)
-    return Moves(np.zeros(0, dtype=np.intp), *(none,) * (len(Moves.__slots__) - 1))
+    return FittedMoves(np.zeros(0, dtype=np.intp), *(none,) * (len(FittedMoves.__slots__) - 1))
 
 
-def joined(parts: Sequence[Moves]) -> Moves:
+def joined(parts: Sequence[FittedMoves]) -> FittedMoves:
     """Return all moves, one part after the other."""
-    names = Moves.__slots__
-    return Moves(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    names = FittedMoves.__slots__
+    return FittedMoves(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
-def unjoined(moves: Moves, limits: LimitArrays) -> IntArray:
+def unjoined(moves: FittedMoves, limits: LimitArrays) -> IntArray:
     """Return the indices of moves that do not start where their predecessors end."""
     if len(moves) < 2:
         return np.zeros(0, dtype=np.intp)
@@ -94,14 +94,14 @@ def unjoined(moves: Moves, limits: LimitArrays) -> IntArray:
     return found
 
 
-def followed(
+def replayed(
     joint: IntArray,
     heard_s: FloatArray,
     target_wire: FloatArray,
     duration_ms: FloatArray,
     begin_deg: FloatArray,
     limits: LimitArrays,
-) -> Moves:
+) -> FittedMoves:
     """Return what profiles make of what is heard, from nothing but the words on the wire.
 
     Moves by joint and time; `begin_deg` and `limits` by joint. A duration of NaN is a bare `D`.
@@ -129,7 +129,7 @@ def followed(
         is_known &= ~np.isnan(travel[after])
         position[after], speed[after] = position_deg, speed_deg_s
         at = after[~is_known]
-    return Moves(joint, heard_s, target_wire, duration_ms, travel, position, speed)
+    return FittedMoves(joint, heard_s, target_wire, duration_ms, travel, position, speed)
 
 
 def _travel(
@@ -155,39 +155,41 @@ class Begin:
     first_s: float | None = None
 
 
-def references(
-    moves: Moves,
-    courses: Sequence[Course],
+def fitted_profiles(
+    moves: FittedMoves,
+    courses: Sequence[Reference],
     limits: Sequence[ServoLimits],
     begins: Sequence[Begin] = (),
-) -> list[Reference]:
+) -> list[PiecewiseProfile]:
     """Return the profile that the moves of each joint make of its course."""
     if not begins:
         firsts = zip(courses, limits, strict=True)
-        wires = [lattice(float(one.position_deg[0]), limit) for one, limit in firsts]
+        wires = [nearest_wire(float(one.position_deg[0]), limit) for one, limit in firsts]
         per_deg = [limit.wire_per_deg for limit in limits]
-        return from_rest(moves, limits, np.array(wires) / per_deg)
+        return profiles_from_rest(moves, limits, np.array(wires) / per_deg)
     found = []
     for begin, table in zip(begins, _pieces(moves, limits), strict=True):
-        before = Reference(begin.profile.pieces())
-        made = Reference.of(table)
+        before = PiecewiseProfile(begin.profile.pieces())
+        made = PiecewiseProfile.of(table)
         found.append(before.followed_by(made, float("-inf")) if len(table[0]) else before)
     return found
 
 
-def from_rest(
-    moves: Moves, limits: Sequence[ServoLimits], begins_deg: FloatArray
-) -> list[Reference]:
+def profiles_from_rest(
+    moves: FittedMoves, limits: Sequence[ServoLimits], begins_deg: FloatArray
+) -> list[PiecewiseProfile]:
     """Return the profiles that moves make of servos that stand at `begins_deg`, one a joint."""
     found = []
     for begin_deg, table in zip(begins_deg, _pieces(moves, limits), strict=True):
         first = (float("-inf"), begin_deg, 0.0, 0.0)
         columns = zip(first, table, strict=True)
-        found.append(Reference.of(tuple(np.append(value, column) for value, column in columns)))
+        found.append(
+            PiecewiseProfile.of(tuple(np.append(value, column) for value, column in columns))
+        )
     return found
 
 
-def _pieces(moves: Moves, limits: Sequence[ServoLimits]) -> list[tuple[FloatArray, ...]]:
+def _pieces(moves: FittedMoves, limits: Sequence[ServoLimits]) -> list[tuple[FloatArray, ...]]:
     """Return the pieces of each joint's profile, each until the next one: `Reference.table`."""
     own = LimitArrays(limits).take(moves.joint)
     ramp, target_deg = own.ramp_deg_s2, moves.target_wire / own.wire_per_deg

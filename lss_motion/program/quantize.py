@@ -48,7 +48,7 @@ def aim(
     )
     beyond = speed * LATEST_ARRIVAL_S + 0.5 * speed * speed / limits.ramp_deg_s2
     steps = sign * np.arange(AIM_TRIALS)[:, None]
-    wire = lattices((reached_deg + sign * beyond) * limits.wire_per_deg + steps, limits)
+    wire = nearest_wires((reached_deg + sign * beyond) * limits.wire_per_deg + steps, limits)
     target_deg = wire / limits.wire_per_deg
     duration_ms = durations_ms(state, target_deg, speed, limits)
     duration_s = duration_ms / MS_PER_S
@@ -72,7 +72,7 @@ def durations_ms(
     return duration_ms
 
 
-def lattices(wire: FloatArray, limits: LimitArrays) -> FloatArray:
+def nearest_wires(wire: FloatArray, limits: LimitArrays) -> FloatArray:
     """Return the whole wire values nearest to `wire` inside the range of the joints."""
     whole: FloatArray = np.rint(wire)
     np.minimum(whole, limits.wire_max, out=whole)
@@ -80,7 +80,7 @@ def lattices(wire: FloatArray, limits: LimitArrays) -> FloatArray:
     return whole
 
 
-def lattice(position_deg: float, limits: ServoLimits) -> int:
+def nearest_wire(position_deg: float, limits: ServoLimits) -> int:
     """Return the wire value nearest to `position_deg` inside the joint's range."""
     per_deg = limits.wire_per_deg / limits.wire_step
     low = math.ceil(limits.position_min_deg * per_deg - 1e-6)

@@ -47,7 +47,7 @@ AHEAD_MAX_STEPS: Final = round(SEGMENT_MAX_S / GRID_S)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Course:
+class Reference:
     """What the profile of one servo should do: positions every `GRID_S` from `start_s` on."""
 
     start_s: float
@@ -159,10 +159,10 @@ class Points(NamedTuple):
     down_deg_s2: SingleArray
 
 
-class Courses:
+class References:
     """The courses of many servos on one grid, one after the other in flat arrays."""
 
-    def __init__(self, courses: Sequence[Course], limits: Sequence[ServoLimits]) -> None:
+    def __init__(self, courses: Sequence[Reference], limits: Sequence[ServoLimits]) -> None:
         assert len({(one.start_s, len(one.position_deg)) for one in courses}) == 1, "one grid"
         self.start_s = courses[0].start_s
         self.size = len(courses[0].position_deg)

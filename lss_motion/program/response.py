@@ -177,7 +177,7 @@ class Profile:
         return twin
 
 
-class Reference:
+class PiecewiseProfile:
     """Where one servo's profile should be at any instant: pieces as arrays, for many samples."""
 
     def __init__(self, pieces: Iterable[Piece]) -> None:
@@ -188,7 +188,7 @@ class Reference:
         )
 
     @classmethod
-    def of(cls, table: tuple[NDArray[np.float64], ...]) -> Reference:
+    def of(cls, table: tuple[NDArray[np.float64], ...]) -> PiecewiseProfile:
         """Return what has that `table`."""
         made = cls.__new__(cls)
         made._start_s, made._position, made._speed, made._accel = table  # noqa: SLF001  (its own)
@@ -199,7 +199,7 @@ class Reference:
         """Return the pieces: when each starts, and position, speed and acceleration there."""
         return self._start_s, self._position, self._speed, self._accel
 
-    def followed_by(self, later: Reference, since_s: float) -> Reference:
+    def followed_by(self, later: PiecewiseProfile, since_s: float) -> PiecewiseProfile:
         """Return what is known of this until `later` begins, and then `later`.
 
         What ended before `since_s` is forgotten.
@@ -207,7 +207,9 @@ class Reference:
         end = int(np.searchsorted(self._start_s, later.table[0][0], side="left"))
         first = max(int(np.searchsorted(self._start_s, since_s, side="right")) - 1, 0)
         parts = zip(self.table, later.table, strict=True)
-        return Reference.of(tuple(np.concatenate([own[first:end], new]) for own, new in parts))
+        return PiecewiseProfile.of(
+            tuple(np.concatenate([own[first:end], new]) for own, new in parts)
+        )
 
     @property
     def end_s(self) -> float:

@@ -27,10 +27,10 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 import numpy as np
 
 from lss_motion.program.drives import late_max_s, longest_move, make_fitter
-from lss_motion.program.fit import RIVALRY_S, TURN_S, Fit
+from lss_motion.program.fit import RIVALRY_S, TURN_S, TimedFit
 from lss_motion.program.line import LineSchedule
 from lss_motion.program.model import Move
-from lss_motion.program.moves import references
+from lss_motion.program.moves import fitted_profiles
 from lss_motion.program.reference import GRID_S, servo_limits
 from lss_motion.protocol.constants import BAUD_RATES_BPS
 from lss_motion.protocol.line import Command, Reply, encode
@@ -44,11 +44,11 @@ if TYPE_CHECKING:
     from lss_motion.program.fit import Grant
     from lss_motion.program.model import Repeat
     from lss_motion.program.moves import Begin
-    from lss_motion.program.reference import Course
-    from lss_motion.program.response import FloatArray, IntArray, Reference
+    from lss_motion.program.reference import Reference
+    from lss_motion.program.response import FloatArray, IntArray, PiecewiseProfile
     from lss_motion.robot.model import Drive, Joint, Robot
 
-    Courses = Callable[[Robot], Mapping[str, Course]]
+    ReferencesOf = Callable[[Robot], Mapping[str, Reference]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class Fitted:
     heard_s: FloatArray
     target_wire: FloatArray
     duration_ms: FloatArray
-    reference: Reference
+    reference: PiecewiseProfile
 
 
 class _Slot(NamedTuple):
@@ -73,7 +73,7 @@ class TooLateError(Exception):
     """A command found no slot in time: the attempt is worth nothing to whom said so before."""
 
 
-class Attempt:
+class Schedule:
     """All joints at one tolerance. `is_tight`: some command is later than its drive allows.
 
     Joints that are not timed come first: their commands have fixed instants, while the fit of a
@@ -82,7 +82,7 @@ class Attempt:
 
     def __init__(
         self,
-        courses: Mapping[str, Course],
+        courses: Mapping[str, Reference],
         robot: Robot,
         tolerance_deg: float,
         seams_s: Sequence[float] = (),
@@ -153,7 +153,7 @@ class Attempt:
     def _fit_timed(
         self,
         joints: Sequence[Joint],
-        courses: Mapping[str, Course],
+        courses: Mapping[str, Reference],
         tolerance_deg: float,
         seams_s: Sequence[float],
     ) -> None:
@@ -171,8 +171,8 @@ class Attempt:
         own = [courses[name] for name in names]
         limits = [servo_limits(joint, tolerance_deg) for joint in joints]
         begins = [self._begins[name] for name in names if name in self._begins]
-        moves = Fit(own, limits, seams_s, begins, self._turn_s).moves(new_line)
-        made = references(moves, own, limits, begins)
+        moves = TimedFit(own, limits, seams_s, begins, self._turn_s).moves(new_line)
+        made = fitted_profiles(moves, own, limits, begins)
         for index, (name, reference) in enumerate(zip(names, made, strict=True)):
             some = moves.of(index)
             self.fitted[name] = Fitted(some.heard_s, some.target_wire, some.duration_ms, reference)
@@ -184,16 +184,16 @@ class Attempt:
         of_bus = np.array([list(self._lines).index(bus) for bus in buses])
 
         def grant(joint: IntArray, wanted_us: IntArray, after_us: IntArray) -> IntArray:
-            heard_us, own_us, bus = np.empty_like(wanted_us), size_us[joint], of_bus[joint]
+            received_us, own_us, bus = np.empty_like(wanted_us), size_us[joint], of_bus[joint]
             earliest_us = np.maximum(after_us - own_us, self._start_us)
             for index, line in enumerate(self._lines.values()):
                 some = np.flatnonzero(bus == index)
                 columns = (column[some] for column in (wanted_us, own_us, earliest_us))
-                heard_us[some] = line.reserve_all(*columns)
-            late_us = heard_us - wanted_us
+                received_us[some] = line.reserve_all(*columns)
+            late_us = received_us - wanted_us
             is_tight = bool(np.any(late_us > allowed_us[joint]))
             self._note_late(int(late_us.max(initial=0)), is_tight=is_tight)
-            return heard_us
+            return received_us
 
         return grant
 
@@ -204,10 +204,10 @@ class Attempt:
         """
         bus, size_us, late_max_us = slot
         earliest_us = max(after_us - size_us, self._start_us)
-        heard_us = self._lines[bus].reserve(wanted_us, size_us, earliest_us)
-        late_us = max(heard_us - wanted_us, 0)
+        received_us = self._lines[bus].reserve(wanted_us, size_us, earliest_us)
+        late_us = max(received_us - wanted_us, 0)
         self._note_late(late_us, is_tight=late_us > late_max_us)
-        return heard_us
+        return received_us
 
     def _note_late(self, late_us: int, *, is_tight: bool) -> None:
         """Note that moves are heard so late, 0 for none, and whether a drive allows less."""
@@ -217,14 +217,14 @@ class Attempt:
             raise TooLateError
 
 
-def fitted_alone(joint: Joint, course: Course, tolerance_deg: float) -> Reference:
+def fitted_alone(joint: Joint, course: Reference, tolerance_deg: float) -> PiecewiseProfile:
     """Return the profile that one joint's moves make if every one is heard when it is wanted."""
     if joint.drive == "timed":
         limits = servo_limits(joint, tolerance_deg)
-        moves = Fit([course], [limits]).moves(
+        moves = TimedFit([course], [limits]).moves(
             lambda: lambda _joints, wanted_us, _after_us: wanted_us
         )
-        return references(moves, [course], [limits])[0]
+        return fitted_profiles(moves, [course], [limits])[0]
     fitter = make_fitter(joint, course, tolerance_deg)
     wanted_s = fitter.wanted(None)
     while wanted_s is not None:
@@ -263,10 +263,10 @@ class Candidate:
     gives_up: Literal["late", "tight"] | None
 
     def attempt(
-        self, courses: Mapping[str, Course], tolerance_deg: float, seams_s: Sequence[float]
-    ) -> Attempt:
+        self, courses: Mapping[str, Reference], tolerance_deg: float, seams_s: Sequence[float]
+    ) -> Schedule:
         """Return the attempt; raises `TooLateError` as `Attempt` does."""
-        return Attempt(
+        return Schedule(
             courses,
             self.robot,
             self.ratio * tolerance_deg,
@@ -312,7 +312,7 @@ STRETCH_MAX_US: Final = 10_000
 """A move may last so much longer than planned. Chosen: at 1000 deg/s² the horn is 0.05 deg off."""
 
 
-def closed(moves: Iterable[Move], repeat: Repeat, robot: Robot) -> list[Move]:
+def closed_pass(moves: Iterable[Move], repeat: Repeat, robot: Robot) -> list[Move]:
     """Return the moves until the end of the repeated pass, so that it can follow itself.
 
     Commands around the two seams fall differently, as the line allows. Where the last move of the
@@ -442,7 +442,7 @@ class Choice:
     reasons: Mapping[str, str] = field(default_factory=dict)
 
 
-def choices(robot: Robot, courses: Courses, tolerance_deg: float) -> list[Choice]:
+def choices(robot: Robot, courses: ReferencesOf, tolerance_deg: float) -> list[Choice]:
     """Return what predicts best first, then with fewer and fewer of its joints streamed.
 
     The last one streams only what cannot be timed. `courses` gives what the profiles of a robot
@@ -509,7 +509,7 @@ def _only(joint: Joint, robot: Robot) -> str:
     return ""
 
 
-def predicted_deg(joint: Joint, course: Course, tolerance_deg: float) -> float:
+def predicted_deg(joint: Joint, course: Reference, tolerance_deg: float) -> float:
     """Return the RMS of what a joint's horn will be off, fitted with nothing else on its line."""
     profile = fitted_alone(joint, course, tolerance_deg)
     times_s = course.start_s + GRID_S * np.arange(len(course.position_deg), dtype=np.float64)

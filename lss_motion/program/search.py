@@ -22,7 +22,7 @@ from lss_motion.program.cones import (
     ROOM_RATIO,
     Starts,
     excursion_deg,
-    opened,
+    open_cones,
     ramped,
     reach_steps,
 )
@@ -33,7 +33,7 @@ from lss_motion.units import MS_PER_S
 
 if TYPE_CHECKING:
     from lss_motion.program.cones import Cones
-    from lss_motion.program.reference import Courses, LimitArrays
+    from lss_motion.program.reference import LimitArrays, References
     from lss_motion.program.response import BoolArray, FloatArray, IntArray, SingleArray
 
 
@@ -71,7 +71,7 @@ class Landings:
 
 
 def best_landings(
-    courses: Courses,
+    courses: References,
     joint: IntArray,
     state: States,
     wire: FloatArray,
@@ -214,10 +214,10 @@ class Chosen:
     held_steps: IntArray
 
 
-def chosen(courses: Courses, servos: Servos) -> Chosen:
+def chosen(courses: References, servos: Servos) -> Chosen:
     """Return how servos that cannot land yet go on."""
     starts = Starts.of(courses, servos.joint, servos.first, servos.state)
-    cones = opened(courses, starts, AHEAD_MAX_STEPS // VIEW_STRIDE, VIEW_STRIDE, VIEW_BLOCK)
+    cones = open_cones(courses, starts, AHEAD_MAX_STEPS // VIEW_STRIDE, VIEW_STRIDE, VIEW_BLOCK)
     held_steps = VIEW_STRIDE * (cones.held - 1)
     is_hard = _is_hard(courses, servos) | (held_steps < SEGMENT_MIN_STEPS)
     speed_deg_s, wanted_s = np.empty(len(is_hard)), np.empty(len(is_hard))
@@ -229,7 +229,7 @@ def chosen(courses: Courses, servos: Servos) -> Chosen:
     return Chosen(speed_deg_s, wanted_s, held_steps)
 
 
-def _is_hard(courses: Courses, servos: Servos) -> BoolArray:
+def _is_hard(courses: References, servos: Servos) -> BoolArray:
     """Return where the course leaves little ramp for the next moves."""
     least = HARD_RATIO * servos.limits.ramp_deg_s2
     index = servos.first + np.array([[0], [AUTHORITY_STEPS]])
@@ -239,7 +239,7 @@ def _is_hard(courses: Courses, servos: Servos) -> BoolArray:
 
 
 def _best(
-    courses: Courses, servos: Servos, trials: Trials, cones: Cones, rows: IntArray
+    courses: References, servos: Servos, trials: Trials, cones: Cones, rows: IntArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the best of the trials: travel speeds and instants of the successors.
 
@@ -286,7 +286,7 @@ def _best(
 
 
 def _cuts(
-    courses: Courses, servos: Servos, trials: Trials, held: IntArray
+    courses: References, servos: Servos, trials: Trials, held: IntArray
 ) -> tuple[IntArray, BoolArray, BoolArray]:
     """Return steps until the successor to try, whether the tolerance is kept, and which are new."""
     least, first = SEGMENT_MIN_STEPS, servos.first

@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.program.quantize import lattice
+from lss_motion.program.quantize import nearest_wire
 from lss_motion.program.reference import GRID_S, STILL_ROUNDING_DEG
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator, Sequence
 
     from lss_motion.program.moves import Begin
-    from lss_motion.program.reference import Course, ServoLimits
+    from lss_motion.program.reference import Reference, ServoLimits
     from lss_motion.program.response import FloatArray, IntArray
 
 
@@ -64,7 +64,7 @@ class Segment:
 
 def segments_of(
     joint: int,
-    course: Course,
+    course: Reference,
     limits: ServoLimits,
     follow_deg: float,
     refused: Container[tuple[int, int]],
@@ -81,14 +81,14 @@ def segments_of(
         first = course.index(begin.first_s)
         stops = [stop for stop in stops if stop[1] > first]
         before = stops.pop(0) if stops else None
-        wire = lattice(float(course.position_deg[before[0] if before else last]), limits)
+        wire = nearest_wire(float(course.position_deg[before[0] if before else last]), limits)
         start_s, first_s = course.start_s, begin.first_s
         yield Segment(joint, 0, 0, start_s, first_s, first_s, first_s, before, wire, begin)
         if before is None:
             return
     else:
         before = stops.pop(0) if stops and stops[0][0] == 0 else None
-        wire = lattice(float(course.position_deg[before[1] if before else 0]), limits)
+        wire = nearest_wire(float(course.position_deg[before[1] if before else 0]), limits)
         if begin is not None:
             wire = round(begin.profile.at(course.start_s)[0] * limits.wire_per_deg)
     bounds: list[Stop | None] = [before, *stops]
@@ -96,11 +96,11 @@ def segments_of(
     if bounds[-1] is None or bounds[-1][1] < last:
         bounds.append(None)
         at.append(last)
-    wires = [wire, *(lattice(deg, limits) for deg in course.position_deg[at].tolist())]
+    wires = [wire, *(nearest_wire(deg, limits) for deg in course.position_deg[at].tolist())]
     yield from _segments(joint, course, limits, follow_deg, bounds, wires)
 
 
-def _stops(course: Course, limits: ServoLimits) -> list[Stop]:
+def _stops(course: Reference, limits: ServoLimits) -> list[Stop]:
     """Return the standstills of a course, and turning points where they are far between."""
     rests = course.rests()
     stretch = round(STRETCH_S / GRID_S)
@@ -121,7 +121,7 @@ def _stops(course: Course, limits: ServoLimits) -> list[Stop]:
     return sorted(stops)
 
 
-def _turns(course: Course, ramp_deg_s2: float) -> tuple[IntArray, FloatArray]:
+def _turns(course: Reference, ramp_deg_s2: float) -> tuple[IntArray, FloatArray]:
     """Return the turning points at which a servo can stop, and how sharply the course turns."""
     steps = course.steps_deg
     turns = 1 + np.flatnonzero(steps[:-1] * steps[1:] < 0.0)
@@ -135,7 +135,7 @@ def _turns(course: Course, ramp_deg_s2: float) -> tuple[IntArray, FloatArray]:
 
 def _segments(
     joint: int,
-    course: Course,
+    course: Reference,
     limits: ServoLimits,
     follow_deg: float,
     bounds: Sequence[Stop | None],
@@ -195,7 +195,7 @@ def _first_away(
     return found
 
 
-def _leaves_s(course: Course, onset: IntArray) -> FloatArray:
+def _leaves_s(course: Reference, onset: IntArray) -> FloatArray:
     """Return when the course leaves its standstills, between two grid points, as a parabola."""
     grid = course.position_deg
     first, second = (

@@ -17,13 +17,13 @@ import numpy as np
 
 from lss_motion.errors import InputError, LineLoadError
 from lss_motion.program.compile import lines_use
-from lss_motion.program.drives import lead
+from lss_motion.program.drives import profile_lead_s
 from lss_motion.program.line import LineSchedule, LineUse
-from lss_motion.program.model import Move, Program, heard_us, ramp_deg_s2, target_deg
+from lss_motion.program.model import Move, Program, ramp_deg_s2, received_us, target_deg
 from lss_motion.program.moves import Begin
-from lss_motion.program.reference import GRID_S, Course
-from lss_motion.program.response import Profile, Reference
-from lss_motion.program.schedule import RELAXED_RATIOS, Attempt, slot_us
+from lss_motion.program.reference import GRID_S, Reference
+from lss_motion.program.response import PiecewiseProfile, Profile
+from lss_motion.program.schedule import RELAXED_RATIOS, Schedule, slot_us
 from lss_motion.program.table import moves_of
 from lss_motion.program.verify import verify_profiles
 from lss_motion.units import s_from_ms, s_from_us, us_from_s
@@ -50,13 +50,13 @@ class Extension:
     from_us: int
     moves: Sequence[Move]
     duration_s: float
-    references: Mapping[str, Reference]
+    profiles: Mapping[str, PiecewiseProfile]
     line_use: Mapping[str, LineUse]
     tolerance_deg: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Growth:
+class SpliceState:
     """How far a program has grown. Never changes: an extension that is not played is forgotten."""
 
     robot: Robot
@@ -90,10 +90,10 @@ class Growth:
             )
             for name in courses
         }  # fmt: skip
-        tight: Attempt | None = None
+        tight: Schedule | None = None
         for ratio in RELAXED_RATIOS:
             lines = {bus: _line(self, bus, splice_us) for bus in self.robot.buses}
-            attempt = Attempt(
+            attempt = Schedule(
                 courses, self.robot, self.tolerance_deg * ratio, begins=begins, lines=lines
             )
             if not attempt.is_tight:
@@ -102,7 +102,7 @@ class Growth:
         assert tight is not None
         raise _overload(tight, self.robot)
 
-    def taken(self, extension: Extension) -> Growth:
+    def taken(self, extension: Extension) -> SpliceState:
         """Return how far the program has grown once it has been extended."""
         return replace(
             self,
@@ -123,7 +123,7 @@ class Growth:
             if move.due_us >= splice_us:
                 break
             name = by_address[move.bus, move.servo_id]
-            heard_s = s_from_us(heard_us(move, self.robot.buses[move.bus].baud_bps))
+            heard_s = s_from_us(received_us(move, self.robot.buses[move.bus].baud_bps))
             angle = target_deg(self.robot.joints[name], move.target_wire)
             profiles[name].retarget(heard_s, angle, s_from_ms(move.duration_ms or 0))
         for profile in profiles.values():
@@ -136,20 +136,20 @@ class Growth:
         That is when it would have heard its next one anyway, or before the plan changes.
         """
         joint = self.robot.joints[name]
-        changes_s = s_from_us(splice_us) + self._lead_s - lead(joint)
+        changes_s = s_from_us(splice_us) + self._lead_s - profile_lead_s(joint)
         for move in self.moves:
             if move.due_us >= splice_us and (move.bus, move.servo_id) == (
                 joint.bus,
                 joint.servo_id,
             ):
                 return min(
-                    s_from_us(heard_us(move, self.robot.buses[joint.bus].baud_bps)), changes_s
+                    s_from_us(received_us(move, self.robot.buses[joint.bus].baud_bps)), changes_s
                 )
         return changes_s
 
     def _courses(
         self, trajectory: Trajectory, starts_s: float, splice_s: float
-    ) -> dict[str, Course]:
+    ) -> dict[str, Reference]:
         """Return what the profiles have to do from the splice on."""
         end_s = starts_s + trajectory.duration_s
         steps = int(np.ceil((end_s - splice_s) / GRID_S)) + round(self._lead_s / GRID_S) + 2
@@ -157,13 +157,13 @@ class Growth:
         courses = {}
         for column, name in enumerate(trajectory.joints):
             joint = self.robot.joints[name]
-            angles_deg = trajectory.sample(times_s + lead(joint))[:, column]
+            angles_deg = trajectory.sample(times_s + profile_lead_s(joint))[:, column]
             servo_deg = joint.zero_deg + joint.direction * angles_deg
-            courses[name] = Course(start_s=splice_s, position_deg=servo_deg)
+            courses[name] = Reference(start_s=splice_s, position_deg=servo_deg)
         return courses
 
 
-def standing(program: Program, robot: Robot) -> Growth:
+def initial_splice_state(program: Program, robot: Robot) -> SpliceState:
     """Return the growth of a program that has no moves yet: every joint stands.
 
     Raises `InputError` for a joint that is not timed.
@@ -179,7 +179,7 @@ def standing(program: Program, robot: Robot) -> Growth:
             speed_max_deg_s=joint.speed_max_deg_s,
             response=joint.response,
         )
-    return Growth(robot=robot, tolerance_deg=program.tolerance_deg, profiles=profiles)
+    return SpliceState(robot=robot, tolerance_deg=program.tolerance_deg, profiles=profiles)
 
 
 def splice_lead_s(robot: Robot, names: Mapping[str, Profile]) -> float:
@@ -192,25 +192,25 @@ def splice_lead_s(robot: Robot, names: Mapping[str, Profile]) -> float:
         sum(slot_us(joint, robot) for joint in joints if joint.bus == bus.name)
         for bus in robot.buses.values()
     )
-    return max(lead(joint) for joint in joints) + s_from_us(queue_us) + GRID_S
+    return max(profile_lead_s(joint) for joint in joints) + s_from_us(queue_us) + GRID_S
 
 
-def _extension(attempt: Attempt, robot: Robot, splice_us: int, duration_s: float) -> Extension:
+def _extension(attempt: Schedule, robot: Robot, splice_us: int, duration_s: float) -> Extension:
     """Return what came of an attempt; raises `PlanningError` if its bytes break a limit."""
-    references = {name: fitted.reference for name, fitted in attempt.fitted.items()}
-    verify_profiles(references, robot)
+    profiles = {name: fitted.reference for name, fitted in attempt.fitted.items()}
+    verify_profiles(profiles, robot)
     moves = moves_of(attempt.fitted, robot)
     return Extension(
         from_us=splice_us,
         moves=moves,
         duration_s=duration_s,
-        references=references,
+        profiles=profiles,
         line_use=lines_use(moves, robot),
         tolerance_deg=attempt.tolerance_deg,
     )
 
 
-def _overload(attempt: Attempt, robot: Robot) -> LineLoadError:
+def _overload(attempt: Schedule, robot: Robot) -> LineLoadError:
     """Return the error that says how much is too much, and what would help."""
     uses = lines_use(moves_of(attempt.fitted, robot), robot).values()
     use = max(uses, key=lambda own: own.utilisation_ratio)
@@ -223,12 +223,12 @@ def _overload(attempt: Attempt, robot: Robot) -> LineLoadError:
     )
 
 
-def _line(growth: Growth, bus: str, splice_us: int) -> LineSchedule:
+def _line(splice_state: SpliceState, bus: str, splice_us: int) -> LineSchedule:
     """Return the schedule of a line on which the last move before the splice may still go out."""
     schedule = LineSchedule()
     ends_us = [
-        heard_us(move, growth.robot.buses[bus].baud_bps)
-        for move in growth.moves
+        received_us(move, splice_state.robot.buses[bus].baud_bps)
+        for move in splice_state.moves
         if move.bus == bus and move.due_us < splice_us
     ]
     if ends_us and ends_us[-1] > splice_us:

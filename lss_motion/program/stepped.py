@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.program.moves import FittedMove
-from lss_motion.program.quantize import lattice
+from lss_motion.program.quantize import nearest_wire
 from lss_motion.program.reference import GRID_S, STILL_ROUNDING_DEG
-from lss_motion.program.response import Piece, Reference
+from lss_motion.program.response import Piece, PiecewiseProfile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from lss_motion.program.reference import Course, ServoLimits
+    from lss_motion.program.reference import Reference, ServoLimits
 
 
 PULSE_S: Final = 0.02
@@ -62,12 +62,12 @@ class StepProfile:
 class StepFitter:
     """Fits one joint, step by step; see `drives.JointFitter`."""
 
-    def __init__(self, course: Course, limits: ServoLimits, seams_s: Sequence[float]) -> None:
+    def __init__(self, course: Reference, limits: ServoLimits, seams_s: Sequence[float]) -> None:
         self._course = course
         self._limits = limits
         self._seams_s = sorted(seams_s)
         self._hold = round(0.5 * PULSE_S / GRID_S)
-        wire = lattice(float(course.position_deg[0]), limits)
+        wire = nearest_wire(float(course.position_deg[0]), limits)
         self._standing_deg = wire / limits.wire_per_deg
         self._profile = StepProfile(self._standing_deg)
         self.moves: list[FittedMove] = []
@@ -86,15 +86,15 @@ class StepFitter:
     def grant(self, granted_s: float) -> None:
         """Nothing depends on when the successor is heard."""
 
-    def reference(self) -> Reference:
+    def reference(self) -> PiecewiseProfile:
         """Return the whole profile that the steps so far make."""
-        return Reference(self._profile.pieces())
+        return PiecewiseProfile(self._profile.pieces())
 
     def _emit(self, heard_s: float) -> None:
         """Go to the whole degree that is nearest to the course while this step is held."""
         course = self._course.position_deg
         index = min(self._course.index(heard_s) + self._hold, len(course) - 1)
-        wire = lattice(float(course[index]), self._limits)
+        wire = nearest_wire(float(course[index]), self._limits)
         self._standing_deg = wire / self._limits.wire_per_deg
         self._profile.retarget(heard_s, self._standing_deg, None)
         self.moves.append(FittedMove(heard_s, wire, None))

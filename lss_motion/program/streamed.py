@@ -34,14 +34,14 @@ import numpy as np
 
 from lss_motion.program.cones import CONE_RATIO
 from lss_motion.program.moves import FittedMove
-from lss_motion.program.quantize import lattice
+from lss_motion.program.quantize import nearest_wire
 from lss_motion.program.reference import GRID_S, STILL_DEG, STILL_ROUNDING_DEG
-from lss_motion.program.response import Piece, Reference
+from lss_motion.program.response import Piece, PiecewiseProfile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from lss_motion.program.reference import Course, ServoLimits
+    from lss_motion.program.reference import Reference, ServoLimits
     from lss_motion.robot.model import Response
 
 
@@ -77,7 +77,7 @@ class FilterProfile:
         loops = math.ceil((heard_s - self._step_s) / self._loop_s - ROUNDING)
         return math.floor(loops * self._loop_s / self.period_s + ROUNDING) + 1
 
-    def hear_s(self, step: int) -> float:
+    def receive_s(self, step: int) -> float:
         """Return when a command for `step` is best heard: in the middle of all that count."""
         return self.step_s(step) - self._loop_s - 0.5 * self.period_s
 
@@ -162,7 +162,7 @@ this share of it is then left for the fit."""
 class StreamFitter:
     """Fits one joint, command by command; see `drives.JointFitter`."""
 
-    def __init__(self, course: Course, limits: ServoLimits, profile: FilterProfile) -> None:
+    def __init__(self, course: Reference, limits: ServoLimits, profile: FilterProfile) -> None:
         """Fit `course`; `profile` stands where the course begins."""
         self._limits = limits
         self._profile = profile
@@ -193,7 +193,7 @@ class StreamFitter:
         self._repeats = 0
         self._pending = granted_s, step
         held, _, _ = self._targets(step, self._most(step))
-        return self._profile.hear_s(step + max(held, 1))
+        return self._profile.receive_s(step + max(held, 1))
 
     def grant(self, granted_s: float) -> None:
         """Settle the pending command, now that its successor is known to be heard then."""
@@ -204,12 +204,12 @@ class StreamFitter:
         steps = min(max(self._profile.acts_on(granted_s) - step, 1), self._most(step))
         self._emit(heard_s, self._best(step, steps))
 
-    def reference(self) -> Reference:
+    def reference(self) -> PiecewiseProfile:
         """Return the whole profile that the commands so far make."""
-        return Reference(self._profile.pieces())
+        return PiecewiseProfile(self._profile.pieces())
 
     def _emit(self, heard_s: float, target_deg: float) -> None:
-        wire = lattice(target_deg, self._limits)
+        wire = nearest_wire(target_deg, self._limits)
         self._profile.retarget(heard_s, wire / self._limits.wire_per_deg, None)
         self.moves.append(FittedMove(heard_s, wire, None))
 
@@ -264,9 +264,9 @@ class StreamFitter:
         self._emit(granted_s, rest_deg)
         self._repeats -= 1
         leaves_s = self._departure(
-            step, lattice(rest_deg, self._limits) / self._limits.wire_per_deg
+            step, nearest_wire(rest_deg, self._limits) / self._limits.wire_per_deg
         )
-        again_s = self._profile.hear_s(step + 1)
+        again_s = self._profile.receive_s(step + 1)
         if self._repeats == 0:
             return leaves_s
         return again_s if leaves_s is None else min(again_s, leaves_s)
@@ -289,5 +289,7 @@ class StreamFitter:
         away = np.abs(self._course_deg[self._index(step) :] - standing_deg)
         leaves = np.flatnonzero(away > max(half_unit_deg, away[0]) + STILL_ROUNDING_DEG)
         return (
-            self._profile.hear_s(max(step, self._first) + int(leaves[0])) if leaves.size else None
+            self._profile.receive_s(max(step, self._first) + int(leaves[0]))
+            if leaves.size
+            else None
         )

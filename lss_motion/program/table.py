@@ -127,7 +127,7 @@ class Columns:
         return line_times_us(self.size_bytes, self.baud_bps)
 
     @property
-    def heard_us(self) -> IntArray:
+    def received_us(self) -> IntArray:
         """When the last byte of each reaches the servos, if it leaves when it is due."""
         spent = self.size_bytes * (LINE_BITS_PER_BYTE * US_PER_S) // self.baud_bps
         heard: IntArray = self.due_us + spent

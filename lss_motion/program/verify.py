@@ -16,9 +16,9 @@ import numpy as np
 
 from lss_motion.errors import PlanningError
 from lss_motion.program.model import TIMED, ramp_deg_s2
-from lss_motion.program.moves import followed, from_rest
+from lss_motion.program.moves import profiles_from_rest, replayed
 from lss_motion.program.reference import LimitArrays, servo_limits
-from lss_motion.program.response import Profile, Reference
+from lss_motion.program.response import PiecewiseProfile, Profile
 from lss_motion.program.stepped import PULSE_S, StepProfile
 from lss_motion.program.streamed import FilterProfile
 from lss_motion.program.table import columns_of
@@ -100,12 +100,12 @@ def filter_profile(joint: Joint, position_deg: float, *, origin_s: float = 0.0) 
     )
 
 
-def profiles(program: Program, robot: Robot) -> dict[str, Reference]:
+def profiles(program: Program, robot: Robot) -> dict[str, PiecewiseProfile]:
     """Return where each servo's profile is at any show time, if every move is heard when due."""
     robot = driven(robot, program)
     columns = columns_of(program.moves, robot)
     columns = columns.take(np.argsort(columns.joint, kind="stable"))
-    heard_s = columns.heard_us / US_PER_S
+    heard_s = columns.received_us / US_PER_S
     begins_deg = np.zeros(len(robot.joints))
     limits = [servo_limits(joint, program.tolerance_deg) for joint in robot.joints.values()]
     slices = {}
@@ -119,7 +119,7 @@ def profiles(program: Program, robot: Robot) -> dict[str, Reference]:
     is_timed = np.array([joint.drive == "timed" for joint in robot.joints.values()], dtype=bool)
     some = np.flatnonzero(is_timed[columns.joint])
     timed = columns.take(some)
-    moves = followed(
+    moves = replayed(
         timed.joint,
         heard_s[some],
         timed.target_wire,
@@ -127,7 +127,7 @@ def profiles(program: Program, robot: Robot) -> dict[str, Reference]:
         begins_deg,
         LimitArrays(limits),
     )
-    found, made = {}, from_rest(moves, limits, begins_deg)
+    found, made = {}, profiles_from_rest(moves, limits, begins_deg)
     for name, (index, own) in slices.items():
         if is_timed[index]:
             found[name] = made[index]
@@ -140,12 +140,12 @@ def profiles(program: Program, robot: Robot) -> dict[str, Reference]:
 
 def _replayed(
     joint: Joint, begin_deg: float, heard_s: FloatArray, targets_deg: FloatArray
-) -> Reference:
+) -> PiecewiseProfile:
     """Return the profile that bare moves make of one servo, which stands at `begin_deg`."""
     profile = make_profile(joint, begin_deg)
     for at_s, target_deg in zip(heard_s.tolist(), targets_deg.tolist(), strict=True):
         profile.retarget(at_s, target_deg, None)
-    return Reference(profile.pieces())
+    return PiecewiseProfile(profile.pieces())
 
 
 EXCESS_MAX_RATIO: Final = 1.001
@@ -167,7 +167,7 @@ def verify_program(program: Program, robot: Robot) -> None:
     verify_profiles(profiles(program, robot), driven(robot, program))
 
 
-def verify_profiles(references: Mapping[str, Reference], robot: Robot) -> None:
+def verify_profiles(references: Mapping[str, PiecewiseProfile], robot: Robot) -> None:
     """Raise what `verify_program` raises, for profiles by joint."""
     for name, reference in references.items():
         if robot.joints[name].drive == "stepped":

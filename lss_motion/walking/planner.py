@@ -14,7 +14,7 @@ from lss_motion.gait.pacing import paced
 from lss_motion.gait.steering import HISTORY_S, Steering
 from lss_motion.gait.stepping import STILL
 from lss_motion.program.model import Program
-from lss_motion.program.splice import Growth, splice_lead_s, standing
+from lss_motion.program.splice import SpliceState, initial_splice_state, splice_lead_s
 from lss_motion.trajectory.tracks import given_motion
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ class Answer:
 class _Course:
     """Where the walk has come to: what is played, or may be."""
 
-    growth: Growth
+    splice_state: SpliceState
     walker: Walker
     pose: BodyPose
     starts_s: float = 0.0
@@ -91,7 +91,7 @@ class Planner:
             start_deg=dict(zip(steering.joints, angles, strict=True)),
             tolerance_deg=tolerance_deg,
         )
-        self._played = _Course(standing(self.program, robot), walker, BodyPose())
+        self._played = _Course(initial_splice_state(self.program, robot), walker, BodyPose())
         self._offered: _Course | None = None
 
     @property
@@ -101,7 +101,7 @@ class Planner:
     @property
     def splice_s(self) -> float:
         """How long before a boundary its moves must be known."""
-        return splice_lead_s(self._robot, self._played.growth.profiles)
+        return splice_lead_s(self._robot, self._played.splice_state.profiles)
 
     def answer(self, request: Request) -> Answer:
         """Return what can be played; never raises what a wish can cause."""
@@ -129,7 +129,10 @@ class Planner:
         extension = self._extension(*curve, starts_s=starts_s, from_s=from_s)
         following = stretch.following
         self._offered = replace(
-            course, growth=course.growth.taken(extension), walker=following, starts_s=starts_s
+            course,
+            splice_state=course.splice_state.taken(extension),
+            walker=following,
+            starts_s=starts_s,
         )
         goes_on = not steering.is_standing(following)
         return Answer(
@@ -156,8 +159,8 @@ class Planner:
             starts_s=starts_s,
             from_s=starts_s,
         )
-        growth = course.growth.taken(extension)
-        self._offered = replace(course, growth=growth, pose=pose, starts_s=starts_s)
+        splice_state = course.splice_state.taken(extension)
+        self._offered = replace(course, splice_state=splice_state, pose=pose, starts_s=starts_s)
         end_s = starts_s + part.duration_s
         return Answer(extension=extension, from_s=starts_s, end_s=end_s)
 
@@ -178,5 +181,7 @@ class Planner:
             angles_deg=angles_deg,
             speeds_deg_s=speeds_deg_s,
         )
-        growth = self._played.growth
-        return growth.extended(trajectory, starts_s=starts_s + float(times_s[0]), from_s=from_s)
+        splice_state = self._played.splice_state
+        return splice_state.extended(
+            trajectory, starts_s=starts_s + float(times_s[0]), from_s=from_s
+        )

@@ -18,7 +18,7 @@ import numpy as np
 
 from lss_motion.errors import PlanningError
 from lss_motion.gait.stepping import Twist
-from lss_motion.program.response import Reference
+from lss_motion.program.response import PiecewiseProfile
 from lss_motion.walking.planner import Planner, Request
 
 if TYPE_CHECKING:
@@ -123,16 +123,16 @@ def packed(answer: Answer) -> tuple[Answer, Any]:
     extension = answer.extension
     if extension is None:
         return answer, None
-    tables = {name: np.stack(own.table) for name, own in extension.references.items()}
-    return replace(answer, extension=replace(extension, references={})), tables
+    tables = {name: np.stack(own.table) for name, own in extension.profiles.items()}
+    return replace(answer, extension=replace(extension, profiles={})), tables
 
 
 def unpacked(answer: Answer, tables: Any) -> Answer:  # noqa: ANN401  (what `packed` returned)
     """Return the answer that was packed."""
     if answer.extension is None:
         return answer
-    references = {name: Reference.of(tuple(table)) for name, table in tables.items()}
-    return replace(answer, extension=replace(answer.extension, references=references))
+    profiles = {name: PiecewiseProfile.of(tuple(table)) for name, table in tables.items()}
+    return replace(answer, extension=replace(answer.extension, profiles=profiles))
 
 
 def _serve(connection: Connection, gait: Gait, robot: Robot, tolerance_deg: float) -> None:

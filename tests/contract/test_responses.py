@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from lss_motion.program.response import Reference
+from lss_motion.program.response import PiecewiseProfile
 from lss_motion.program.stepped import StepProfile
 from lss_motion.program.streamed import FilterProfile
 from lss_motion.robot.model import Response
@@ -87,7 +87,7 @@ def model_of(count, said, heard_s, step_s):
     model = FilterProfile(0.0, count=count, response=Response(), step_s=step_s)
     for (_, wire), instant_s in zip(said, heard_s, strict=True):
         model.retarget(instant_s, wire / 10, None)
-    return Reference(model.pieces())
+    return PiecewiseProfile(model.pieces())
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 14])
@@ -163,7 +163,7 @@ def test_an_rc_servo_jumps_to_the_whole_degrees_that_it_was_told(seed):
     for (_, wire), instant_s in zip(said, heard_s, strict=True):
         model.retarget(instant_s, wire / 10, None)
     bus.advance(9_000_000_000)
-    reference = Reference(model.pieces())
+    reference = PiecewiseProfile(model.pieces())
     for next_s, _ in said[1:]:
         (horn_deg,) = bus.horn_deg([round((next_s - 0.006) * 1e9)])[:, 0]
         assert horn_deg == pytest.approx(reference.at(next_s - 0.006)[0], abs=0.05)

@@ -13,15 +13,15 @@ from hypothesis import strategies as st
 
 from lss_motion.program import segments
 from lss_motion.program.compile import compile_program
-from lss_motion.program.drives import lead
-from lss_motion.program.fit import Fit
+from lss_motion.program.drives import profile_lead_s
+from lss_motion.program.fit import TimedFit
 from lss_motion.program.line import LineSchedule, line_use
-from lss_motion.program.moves import followed, from_rest, references
-from lss_motion.program.reference import GRID_S, Course, LimitArrays, ServoLimits
+from lss_motion.program.moves import fitted_profiles, profiles_from_rest, replayed
+from lss_motion.program.reference import GRID_S, LimitArrays, Reference, ServoLimits
 from lss_motion.program.response import (
     Piece,
+    PiecewiseProfile,
     Profile,
-    Reference,
     States,
     durations_for,
     speeds_for,
@@ -108,7 +108,7 @@ def control_phase_ns():
     def error_deg(phase_ns):
         servo = Profile(0.0, ramp_deg_s2=1000.0, speed_max_deg_s=360.0, response=Response())
         servo.retarget(phase_ns / 1e9, 150.0, 0.5)
-        return np.abs(Reference(servo.pieces()).sample(times_ns / 1e9) - horn_deg).max()
+        return np.abs(PiecewiseProfile(servo.pieces()).sample(times_ns / 1e9) - horn_deg).max()
 
     return min(range(200_000, TICK_NS + 200_000, 20_000), key=error_deg)
 
@@ -156,7 +156,7 @@ def test_the_response_model_agrees_with_the_simulated_servo(stream, steps, retar
     end_ns = now_ns + 3_000_000_000
     bus.advance(end_ns)
     times_ns = np.arange(0, end_ns - TICK_NS, 2_500_000)
-    expected_deg = Reference(servo.pieces()).sample(times_ns / 1e9)
+    expected_deg = PiecewiseProfile(servo.pieces()).sample(times_ns / 1e9)
     assert np.abs(bus.horn_deg(times_ns)[:, 0] - expected_deg).max() < 0.1
 
 
@@ -176,19 +176,19 @@ def courses(draw):
     ramp = np.clip(np.minimum(time_s - 0.5, 7.5 - time_s) / 1.5, 0.0, 1.0)
     fade = ramp * ramp * (3.0 - 2.0 * ramp)
     position_deg = draw(st.floats(-5.0, 5.0)) + swing * fade
-    return Course(start_s=-0.5, position_deg=position_deg)
+    return Reference(start_s=-0.5, position_deg=position_deg)
 
 
 def fitted(course, limits, late=lambda wanted_us: wanted_us):
     """Return the moves for one course and the profile they make; `late` is what the line grants."""
-    moves = Fit([course], [limits]).moves(
+    moves = TimedFit([course], [limits]).moves(
         lambda: (
             lambda _joints, wanted_us, after_us: np.maximum(
                 [late(wanted) for wanted in wanted_us], after_us
             )
         )
     )
-    return moves, references(moves, [course], [limits])[0]
+    return moves, fitted_profiles(moves, [course], [limits])[0]
 
 
 def limits_of(wire_per_deg, tolerance_deg=0.2):
@@ -320,7 +320,7 @@ def test_the_response_in_arrays_is_the_response_of_each(moves, law):
         piece = Piece(1.0, at_deg, speed_deg_s, 0.0)
         asked = travel_speed(piece, target_deg, asked_s, 300.0, Response(t_law=law))
         pieces = trapezoid(piece, target_deg, min(asked, 200.0), 300.0)
-        expected_deg, expected_deg_s = Reference(pieces).at(1.0 + after_s)
+        expected_deg, expected_deg_s = PiecewiseProfile(pieces).at(1.0 + after_s)
         assert reached.position_deg[index] == pytest.approx(expected_deg, abs=1e-4)
         assert reached.speed_deg_s[index] == pytest.approx(expected_deg_s, abs=0.1)
 
@@ -336,7 +336,7 @@ def swing_about(seconds, seed):
              for _ in range(3)]  # fmt: skip
     swing = sum(size * np.sin(6.283 * rate * time_s + shift) for size, rate, shift in waves)
     ramp = np.clip(np.minimum(time_s - 0.5, seconds - 0.5 - time_s) / 1.5, 0.0, 1.0)
-    return Course(start_s=0.0, position_deg=swing * ramp * ramp * (3.0 - 2.0 * ramp))
+    return Reference(start_s=0.0, position_deg=swing * ramp * ramp * (3.0 - 2.0 * ramp))
 
 
 def heard_one_by_one(moves, limits):
@@ -351,7 +351,7 @@ def heard_one_by_one(moves, limits):
         moves.heard_s, moves.target_wire, moves.duration_ms, strict=True
     ):
         servo.retarget(heard_s, wire / limits.wire_per_deg, duration_ms / 1e3)
-    return Reference(servo.pieces())
+    return PiecewiseProfile(servo.pieces())
 
 
 @pytest.mark.parametrize("law", ["cruise", "exact"])
@@ -418,10 +418,10 @@ def test_profiles_followed_in_arrays_are_those_of_the_servos_one_by_one(words, l
     for joint, heard_s, wire, duration_ms in told:
         servos[joint].retarget(heard_s, wire / 10, duration_ms and duration_ms / 1e3)
     columns = np.array(told, dtype=np.float64).reshape(-1, 4).T
-    moves = followed(columns[0].astype(int), *columns[1:], begins_deg, LimitArrays(limits))
+    moves = replayed(columns[0].astype(int), *columns[1:], begins_deg, LimitArrays(limits))
     times_s = np.arange(-3.0, 20.0, 0.011)
-    for own, servo in zip(from_rest(moves, limits, begins_deg), servos, strict=True):
-        expected_deg = Reference(servo.pieces()).sample(times_s)
+    for own, servo in zip(profiles_from_rest(moves, limits, begins_deg), servos, strict=True):
+        expected_deg = PiecewiseProfile(servo.pieces()).sample(times_s)
         assert own.sample(times_s) == pytest.approx(expected_deg, abs=1e-4)
 
 
@@ -510,7 +510,7 @@ def test_programs_follow_their_plan_stop_on_the_keyframes_and_survive_as_text(sh
     planned = trajectory.sample(times_s)
     for column, name in enumerate(trajectory.joints):
         joint = robot.joints[name]
-        servo_deg = predicted[name].sample(times_s - lead(joint))
+        servo_deg = predicted[name].sample(times_s - profile_lead_s(joint))
         horn_deg = joint.direction * (servo_deg - joint.zero_deg)
         assert np.abs(horn_deg - planned[:, column]).max() <= 0.8
         wanted = round(joint.servo_deg(float(planned[-1, column])) * joint.model.wire_per_deg)

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from lss_motion.program.compile import PREROLL_S, compile_program
 from lss_motion.program.drives import late_max_s
 from lss_motion.program.line import LineSchedule, line_use
-from lss_motion.program.model import heard_us
-from lss_motion.program.reference import GRID_S, Course
-from lss_motion.program.schedule import Attempt, slot_us
+from lss_motion.program.model import received_us
+from lss_motion.program.reference import GRID_S, Reference
+from lss_motion.program.schedule import Schedule, slot_us
 from lss_motion.program.table import moves_of, sizes_bytes
 from lss_motion.protocol.line import encode_move
 from lss_motion.robot.model import Bus, Joint, Robot
@@ -61,7 +61,9 @@ def courses_of(robot, seed):
     rise = phase * phase * (3.0 - 2.0 * phase)
     half = np.where(time_s < 1.5, 0.0, 1.0)
     return {
-        name: Course(start_s=-PREROLL_S, position_deg=random.uniform(-35.0, 35.0) * (half + rise))
+        name: Reference(
+            start_s=-PREROLL_S, position_deg=random.uniform(-35.0, 35.0) * (half + rise)
+        )
         for name in robot.joints
     }
 
@@ -93,14 +95,14 @@ class WatchedLine(LineSchedule):
 @example(seed=1, count=14, baud_bps=9_600)
 def test_every_command_is_due_inside_its_window_and_alone_on_its_line(seed, count, baud_bps):
     robot = robot_of(count, baud_bps)
-    attempt = Attempt(courses_of(robot, seed), robot, 0.2, lines={"main": WatchedLine()})
+    attempt = Schedule(courses_of(robot, seed), robot, 0.2, lines={"main": WatchedLine()})
     moves = moves_of(attempt.fitted, robot)
     assert len(moves) >= count
     windows_us = WatchedLine.last.windows_us
     heard_us_of = dict.fromkeys(range(256), us_from_s(-PREROLL_S))
     late_us, by_id = 0, {joint.servo_id: joint for joint in robot.joints.values()}
     for move in moves:
-        end_us = heard_us(move, baud_bps)
+        end_us = received_us(move, baud_bps)
         end_us += end_us not in windows_us  # Lengths are whole microseconds, rounded up.
         opens_us, closes_us = windows_us[end_us]
         assert end_us >= opens_us

@@ -7,7 +7,7 @@ import pytest
 
 from lss_motion import api
 from lss_motion.program.model import Program
-from lss_motion.program.splice import standing
+from lss_motion.program.splice import initial_splice_state
 from lss_motion.trajectory.tracks import given_motion
 
 
@@ -58,10 +58,10 @@ def extended(kit, *parts):
         start_deg=dict.fromkeys(robot.joints, 0.0),
         tolerance_deg=0.2,
     )
-    growth, made = standing(program, robot), []
+    splice_state, made = initial_splice_state(program, robot), []
     for at_s, from_s, trajectory in parts:
-        extension = growth.extended(trajectory, starts_s=0.0, from_s=from_s)
-        growth = growth.taken(extension)
+        extension = splice_state.extended(trajectory, starts_s=0.0, from_s=from_s)
+        splice_state = splice_state.taken(extension)
         made.append((at_s, extension))
     controls = Extending(made)
     result = api.perform(
@@ -80,7 +80,7 @@ def test_what_is_still_to_be_played_before_a_splice_far_ahead_is_not_forgotten(k
     controls, result, (early, _) = extended(kit, (0.5, 1.0, first), (1.5, 7.2, second))
     assert controls.taken == [True, True]
     for at_s in (1.6, 2.0, 5.0, 7.0):
-        assert controls.plan.at(at_s) == pytest.approx(early.references["j0"].at(at_s), abs=1e-3)
+        assert controls.plan.at(at_s) == pytest.approx(early.profiles["j0"].at(at_s), abs=1e-3)
     assert result.report["faults"] == []
     assert max(joint["error_max_deg"] for joint in result.report["joints"].values()) < 1.0
 

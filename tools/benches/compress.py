@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from benches.shows import lively_show, robot_of
 from benches.table import Row
 from lss_motion import api
-from lss_motion.program.fit import Fit
-from lss_motion.program.reference import GRID_S, Course, servo_limits
+from lss_motion.program.fit import TimedFit
+from lss_motion.program.reference import GRID_S, Reference, servo_limits
 
 if TYPE_CHECKING:
-    from lss_motion.program.moves import Moves
+    from lss_motion.program.moves import FittedMoves
 
 FloatArray = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def measure() -> list[Row]:
     return rows
 
 
-def courses() -> dict[str, Course]:
+def courses() -> dict[str, Reference]:
     """Return courses without a standstill inside: where they stand, there is nothing to send."""
     time_s = GRID_S * np.arange(int(COURSE_S / GRID_S))
     robot = robot_of(3)
@@ -58,15 +58,15 @@ def courses() -> dict[str, Course]:
     swing = 40.0 * np.sin(2.0 * time_s) * np.clip(time_s / 2.0, 0.0, 1.0) ** 2
     found = {"sine": swing, **{f"show joint {n}": show[:, n] for n in range(3)}}
     return {
-        name: Course(start_s=0.0, position_deg=np.ascontiguousarray(position))
+        name: Reference(start_s=0.0, position_deg=np.ascontiguousarray(position))
         for name, position in found.items()
     }
 
 
-def moves_of(course: Course, tolerance_deg: float) -> Moves:
+def moves_of(course: Reference, tolerance_deg: float) -> FittedMoves:
     """Return the moves of our fit, every one granted when it is wanted."""
     joint = next(iter(robot_of(1).joints.values()))
-    fit = Fit([course], [servo_limits(joint, tolerance_deg)])
+    fit = TimedFit([course], [servo_limits(joint, tolerance_deg)])
     return fit.moves(lambda: lambda _joints, wanted_us, _after_us: wanted_us)
 
 

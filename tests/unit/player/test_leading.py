@@ -97,7 +97,7 @@ def test_it_hears_every_target_half_a_step_before_it_counts_however_long_the_lin
     heard = led(track, lambda at_s: -60.0 - 8.0 * at_s, until_s=1.5, baud_bps=19200)
     profile = track.profile
     for at_ns, _ in heard[-20:]:
-        best_s = profile.hear_s(profile.acts_on(at_ns / 1e9))
+        best_s = profile.receive_s(profile.acts_on(at_ns / 1e9))
         assert at_ns / 1e9 == pytest.approx(best_s, abs=1e-5)
 
 

@@ -15,7 +15,7 @@ from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.streamer import SETTLE_S, Streamer
 from lss_motion.program.model import Driving, Move, Program, Repeat
-from lss_motion.program.response import Reference
+from lss_motion.program.response import PiecewiseProfile
 from lss_motion.program.splice import Extension
 from lss_motion.program.verify import profiles
 from lss_motion.protocol.line import Reply
@@ -407,10 +407,10 @@ def test_what_is_not_due_yet_may_be_replaced(kit):
     moves = (move(1.0, 40.0), move(1.5, 60.0))
     whole = replace(stage.program, moves=(*THERE_AND_BACK[:1], *moves))
     table = profiles(whole, stage.robot)["j0"].table
-    later = Reference.of(tuple(column[table[0] > 0.95] for column in table))
+    later = PiecewiseProfile.of(tuple(column[table[0] > 0.95] for column in table))
     planned_deg, _ = stage.track.plan.at(0.5)
     extension = Extension(
-        from_us=1_000_000, moves=moves, duration_s=3.0, references={"j0": later}, line_use={},
+        from_us=1_000_000, moves=moves, duration_s=3.0, profiles={"j0": later}, line_use={},
         tolerance_deg=0.2,
     )  # fmt: skip
     assert stage.streamer.extend(extension, stage.now_ns)

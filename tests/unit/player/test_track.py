@@ -55,7 +55,7 @@ def test_a_joint_that_is_led_is_told_so_early_that_it_hears_it_half_a_step_befor
     track.send(line, 60.0, 0.0, STEP_NS)
     heard_s = (track.again_ns + line.time_ns(len(line.take()))) / 1e9
     profile = track.profile
-    assert heard_s == pytest.approx(profile.hear_s(profile.acts_on(heard_s)), abs=1e-6)
+    assert heard_s == pytest.approx(profile.receive_s(profile.acts_on(heard_s)), abs=1e-6)
 
 
 def test_a_stepped_joint_jumps_no_further_than_its_speed_allows(kit):

@@ -7,8 +7,8 @@ import pytest
 
 from lss_motion.errors import InputError, LineLoadError
 from lss_motion.program.compile import PREROLL_S, compile_program
-from lss_motion.program.drives import lead
-from lss_motion.program.model import heard_us, ramp_deg_s2
+from lss_motion.program.drives import profile_lead_s
+from lss_motion.program.model import ramp_deg_s2, received_us
 from lss_motion.program.verify import profiles
 from lss_motion.sequence.model import Timing
 from lss_motion.units import line_time_ns
@@ -24,7 +24,7 @@ def error_deg(program, trajectory, robot):
     errors = []
     for column, name in enumerate(trajectory.joints):
         joint = robot.joints[name]
-        servo_deg = predicted[name].sample(times_s - lead(joint))
+        servo_deg = predicted[name].sample(times_s - profile_lead_s(joint))
         horn_deg = joint.direction * (servo_deg - joint.zero_deg)
         errors.append(horn_deg - planned[:, column])
     return np.array(errors)
@@ -71,9 +71,9 @@ def test_every_rest_is_reached_exactly_and_kept_in_silence(kit):
     program, _, robot = made(kit, kit.keys(*rows, (6.5, {"j0": 0.04})))
     plan, joint = profiles(program, robot)["j0"], robot.joints["j0"]
     for rest_s, wire in ((1.0, 333), (3.2, -478), (6.5, 0)):
-        landed_s = rest_s - lead(joint) + 0.15
+        landed_s = rest_s - profile_lead_s(joint) + 0.15
         assert plan.at(landed_s) == (wire / 10, 0.0)
-    heard_s = np.array([heard_us(move, 115200) / 1e6 for move in program.moves])
+    heard_s = np.array([received_us(move, 115200) / 1e6 for move in program.moves])
     for from_s, to_s in ((1.05, 1.9), (3.25, 4.6), (6.55, 99.0)):
         assert not np.any((heard_s > from_s) & (heard_s < to_s))
     assert len(heard_s) > 6
@@ -112,7 +112,7 @@ def test_no_move_asks_for_more_than_the_speed_limit(kit):
     program, _, robot = made(kit, kit.lively(["j0"], 12.0, swing_deg=85.0))
     plan = profiles(program, robot)["j0"]
     for move in program.moves:
-        start_deg, _ = plan.at(heard_us(move, 115200) / 1e6 - 1e-9)
+        start_deg, _ = plan.at(received_us(move, 115200) / 1e6 - 1e-9)
         asked_deg_s = abs(move.target_wire / 10 - start_deg) / (move.duration_ms / 1e3)
         assert asked_deg_s <= 180.0 + 1e-3
 

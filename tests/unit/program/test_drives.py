@@ -65,7 +65,9 @@ def test_what_is_heard_in_the_last_loop_before_a_step_counts_from_the_next_one()
     assert servo.acts_on(0.0149) == 1
     assert servo.acts_on(0.0151) == 2
     assert servo.acts_on(0.020) == 2
-    assert servo.acts_on(servo.hear_s(7) - 0.009) == servo.acts_on(servo.hear_s(7) + 0.009) == 7
+    assert (
+        servo.acts_on(servo.receive_s(7) - 0.009) == servo.acts_on(servo.receive_s(7) + 0.009) == 7
+    )
 
 
 def test_a_long_rest_takes_no_memory_and_is_forgotten():

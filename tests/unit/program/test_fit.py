@@ -6,9 +6,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lss_motion.program.fit import Fit
-from lss_motion.program.moves import from_rest, references
-from lss_motion.program.reference import GRID_S, SEGMENT_MAX_S, Course, servo_limits
+from lss_motion.program.fit import TimedFit
+from lss_motion.program.moves import fitted_profiles, profiles_from_rest
+from lss_motion.program.reference import GRID_S, SEGMENT_MAX_S, Reference, servo_limits
 from lss_motion.program.segments import segments_of
 from lss_motion.robot.model import Response
 from tests.joints import joint
@@ -18,10 +18,10 @@ LIMITS = servo_limits(joint(), 0.2)
 
 def all_fitted(rows_deg, limits=LIMITS):
     """Return moves and profile for each course, all heard when they are wanted."""
-    courses = [Course(start_s=0.0, position_deg=np.asarray(row)) for row in rows_deg]
+    courses = [Reference(start_s=0.0, position_deg=np.asarray(row)) for row in rows_deg]
     each = [limits] * len(courses)
-    moves = Fit(courses, each).moves(lambda: lambda _joints, wanted_us, _after_us: wanted_us)
-    profiles = references(moves, courses, each)
+    moves = TimedFit(courses, each).moves(lambda: lambda _joints, wanted_us, _after_us: wanted_us)
+    profiles = fitted_profiles(moves, courses, each)
     return [(moves.of(joint), profile) for joint, profile in enumerate(profiles)]
 
 
@@ -46,7 +46,7 @@ def swings(count, seed=0, longest_s=7.5):
 
 def test_out_of_a_turning_point_nothing_is_heard_while_the_servo_may_still_land_there():
     """Or the stop would be given up, and all of the stretch fitted once more."""
-    course = Course(start_s=0.0, position_deg=8.0 * np.sin(4.0 * GRID_S * np.arange(12000)))
+    course = Reference(start_s=0.0, position_deg=8.0 * np.sin(4.0 * GRID_S * np.arange(12000)))
     lanes = list(segments_of(0, course, LIMITS, 0.16, ()))
     assert len(lanes) > 3
     for before, lane in pairwise(lanes):
@@ -55,14 +55,14 @@ def test_out_of_a_turning_point_nothing_is_heard_while_the_servo_may_still_land_
         assert lane.after_s == pytest.approx(course.time_s(last) + GRID_S)
         assert lane.after_s <= lane.onset_s <= lane.leaves_s <= lane.latest_s
     lines = []
-    Fit([course], [LIMITS]).moves(
+    TimedFit([course], [LIMITS]).moves(
         lambda: lines.append(1) or (lambda _joints, wanted_us, _after_us: wanted_us)
     )
     assert len(lines) == 1
 
 
 def test_a_turning_point_at_which_the_line_is_late_is_travelled_through():
-    course = Course(start_s=0.0, position_deg=8.0 * np.sin(4.0 * GRID_S * np.arange(12000)))
+    course = Reference(start_s=0.0, position_deg=8.0 * np.sin(4.0 * GRID_S * np.arange(12000)))
     lanes = list(segments_of(0, course, LIMITS, 0.16, ()))
     turn_us = round(1e6 * course.time_s(lanes[1].first))
     attempts = []
@@ -76,9 +76,9 @@ def test_a_turning_point_at_which_the_line_is_late_is_travelled_through():
 
         return grant
 
-    moves = Fit([course], [LIMITS]).moves(new_line)
+    moves = TimedFit([course], [LIMITS]).moves(new_line)
     assert len(attempts) == 2
-    profile = from_rest(moves, [LIMITS], np.zeros(1))[0]
+    profile = profiles_from_rest(moves, [LIMITS], np.zeros(1))[0]
     times_s = np.arange(0.0, 59.0, 0.01)
     stray_deg = np.abs(profile.sample(times_s) - 8.0 * np.sin(4.0 * times_s))
     assert stray_deg[times_s > turn_us / 1e6 - 2.0].max() < 2.0 * LIMITS.tolerance_deg

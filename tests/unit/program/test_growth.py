@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import LineLoadError
-from lss_motion.program.drives import lead
+from lss_motion.program.drives import profile_lead_s
 from lss_motion.program.line import line_use
-from lss_motion.program.model import Program, heard_us, target_deg
+from lss_motion.program.model import Program, received_us, target_deg
 from lss_motion.program.response import Profile
-from lss_motion.program.splice import standing
+from lss_motion.program.splice import initial_splice_state
 from lss_motion.trajectory.tracks import given_motion
 from lss_motion.units import s_from_ms, s_from_us
 
@@ -69,12 +69,12 @@ def grown(kit):
         start_deg=dict.fromkeys(robot.joints, 0.0),
         tolerance_deg=TOLERANCE_DEG,
     )
-    growth, motion, played, plans = standing(program, robot), None, [], []
+    splice_state, motion, played, plans = initial_splice_state(program, robot), None, [], []
     for seed, from_s in enumerate((1.0, 1.9, 2.6)):
         motion = swing(robot, seed, from_s=from_s, length_s=3.0, before=motion)
         trajectory = planned(robot, motion)
-        extension = growth.extended(trajectory, starts_s=0.0, from_s=from_s)
-        growth = growth.taken(extension)
+        extension = splice_state.extended(trajectory, starts_s=0.0, from_s=from_s)
+        splice_state = splice_state.taken(extension)
         played = [move for move in played if move.due_us < extension.from_us]
         played += extension.moves
         plans.append((extension, trajectory))
@@ -95,19 +95,19 @@ def test_what_is_spliced_moves_on_without_a_stop_and_near_the_last_plan(grown):
         )
         for move in played:
             if move.servo_id == joint.servo_id:
-                heard_s = s_from_us(heard_us(move, robot.buses[move.bus].baud_bps))
+                heard_s = s_from_us(received_us(move, robot.buses[move.bus].baud_bps))
                 profile.retarget(
                     heard_s, target_deg(joint, move.target_wire), s_from_ms(move.duration_ms)
                 )
         where = np.array([profile.at(at_s)[0] for at_s in times_s])
         wanted = (
             joint.servo_deg(0.0)
-            + joint.direction * (trajectory.sample(times_s + lead(joint))[:, column])
+            + joint.direction * (trajectory.sample(times_s + profile_lead_s(joint))[:, column])
         )
         late = times_s > extension.from_us * 1e-6
         assert np.abs(where - wanted)[late].max() < 2.5 * TOLERANCE_DEG
         np.testing.assert_allclose(
-            extension.references[name].sample(times_s[late]), where[late], atol=1e-3
+            extension.profiles[name].sample(times_s[late]), where[late], atol=1e-3
         )
 
 
@@ -115,7 +115,7 @@ def test_the_line_never_carries_two_commands_at_once_around_a_splice(grown):
     robot, played, plans = grown
     for bus in robot.buses.values():
         slots = [
-            (move.due_us, heard_us(move, bus.baud_bps) - move.due_us)
+            (move.due_us, received_us(move, bus.baud_bps) - move.due_us)
             for move in played
             if move.bus == bus.name
         ]
@@ -130,7 +130,7 @@ def test_an_extension_ends_at_rest_on_its_plan(grown):
     extension, trajectory = plans[0]
     end = trajectory.sample(np.array([trajectory.duration_s]))[0]
     for name, at_deg in zip(trajectory.joints, end, strict=True):
-        position_deg, speed = extension.references[name].at(extension.duration_s + 0.1)
+        position_deg, speed = extension.profiles[name].at(extension.duration_s + 0.1)
         assert speed == 0.0
         assert position_deg == pytest.approx(robot.joints[name].servo_deg(at_deg), abs=0.06)
 
@@ -145,10 +145,10 @@ def test_what_was_not_taken_changes_nothing(grown):
         start_deg=dict.fromkeys(robot.joints, 0.0),
         tolerance_deg=TOLERANCE_DEG,
     )
-    growth = standing(program, robot)
+    splice_state = initial_splice_state(program, robot)
     other = planned(robot, swing(robot, 77, from_s=1.0, length_s=2.0))
-    growth.extended(other, starts_s=0.0, from_s=1.0)
-    again = growth.extended(plans[0][1], starts_s=0.0, from_s=1.0)
+    splice_state.extended(other, starts_s=0.0, from_s=1.0)
+    again = splice_state.extended(plans[0][1], starts_s=0.0, from_s=1.0)
     assert [*again.moves] == [*plans[0][0].moves]
 
 
@@ -164,4 +164,4 @@ def test_a_line_that_is_too_slow_is_refused_with_what_would_help(kit):
     )
     trajectory = planned(robot, swing(robot, 3, from_s=1.0, length_s=3.0))
     with pytest.raises(LineLoadError, match="faster baud rate"):
-        standing(program, robot).extended(trajectory, starts_s=0.0, from_s=1.0)
+        initial_splice_state(program, robot).extended(trajectory, starts_s=0.0, from_s=1.0)

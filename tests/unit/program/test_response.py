@@ -9,8 +9,8 @@ import pytest
 
 from lss_motion.program.response import (
     Piece,
+    PiecewiseProfile,
     Profile,
-    Reference,
     trapezoid,
 )
 from lss_motion.robot.model import Response
@@ -47,7 +47,7 @@ def test_a_move_from_rest_to_rest_is_the_textbooks_trapezoid(target_deg, travel_
     pieces = trapezoid(REST, target_deg, travel_deg_s, RAMP_DEG_S2)
     times_s = np.linspace(0.0, 1.1 * pieces[-1].start_s, 500)
     expected = [textbook_deg(t, abs(target_deg), travel_deg_s, RAMP_DEG_S2) for t in times_s]
-    found = Reference(pieces).sample(times_s)
+    found = PiecewiseProfile(pieces).sample(times_s)
     assert found == pytest.approx(math.copysign(1.0, target_deg) * np.array(expected), abs=1e-9)
 
 
@@ -63,7 +63,7 @@ def test_a_new_move_on_the_way_takes_over_position_and_speed():
 def test_too_fast_to_stop_it_overshoots_and_comes_back():
     pieces = trapezoid(Piece(0.0, 0.0, 100.0, 0.0), 1.0, 360.0, RAMP_DEG_S2)
     times_s = np.linspace(0.0, pieces[-1].start_s, 2001)
-    found = Reference(pieces).sample(times_s)
+    found = PiecewiseProfile(pieces).sample(times_s)
     assert found.max() == pytest.approx(100.0**2 / (2.0 * RAMP_DEG_S2), abs=1e-4)
     back_s = 2.0 * math.sqrt(9.0 / RAMP_DEG_S2)
     assert pieces[-1].start_s == pytest.approx(100.0 / RAMP_DEG_S2 + back_s)
@@ -72,7 +72,7 @@ def test_too_fast_to_stop_it_overshoots_and_comes_back():
 
 def test_moving_away_it_turns_round():
     pieces = trapezoid(Piece(0.0, 0.0, -100.0, 0.0), 50.0, 360.0, RAMP_DEG_S2)
-    found = Reference(pieces).sample(np.linspace(0.0, pieces[-1].start_s, 2001))
+    found = PiecewiseProfile(pieces).sample(np.linspace(0.0, pieces[-1].start_s, 2001))
     assert found.min() == pytest.approx(-10.0, abs=1e-4)
     assert found[-1] == pytest.approx(50.0)
 
@@ -80,8 +80,8 @@ def test_moving_away_it_turns_round():
 def test_too_fast_at_the_start_it_slows_down_to_the_travel_speed():
     pieces = trapezoid(Piece(0.0, 0.0, 200.0, 0.0), 150.0, 100.0, RAMP_DEG_S2)
     slowed_s = 100.0 / RAMP_DEG_S2
-    assert Reference(pieces).at(slowed_s) == pytest.approx((30.0, 100.0))
-    assert Reference(pieces).at(slowed_s + 0.5) == pytest.approx((80.0, 100.0))
+    assert PiecewiseProfile(pieces).at(slowed_s) == pytest.approx((30.0, 100.0))
+    assert PiecewiseProfile(pieces).at(slowed_s + 0.5) == pytest.approx((80.0, 100.0))
     assert pieces[-1].start_s == pytest.approx(slowed_s + (120.0 - 10.0) / 100.0 + slowed_s)
 
 
@@ -159,7 +159,7 @@ def test_the_reference_is_the_profile_in_arrays():
     servo = profile()
     servo.retarget(0.0, 90.0, 0.9)
     servo.retarget(0.4, -30.0, 0.5)
-    reference = Reference(servo.pieces())
+    reference = PiecewiseProfile(servo.pieces())
     times_s = np.linspace(-1.0, 3.0, 400)
     expected = [servo.at(time_s) for time_s in times_s]
     assert reference.sample(times_s) == pytest.approx([deg for deg, _ in expected])
@@ -174,7 +174,10 @@ def test_the_reference_is_the_profile_in_arrays():
 def test_on_a_grid_it_is_what_it_is_anywhere(start_s, step_s, begin_s):
     moves = trapezoid(Piece(0.0, 5.0, 60.0, 0.0), 90.0, 200.0, RAMP_DEG_S2)
     first = [Piece(begin_s, 5.0, 0.0, 0.0)] if math.isinf(begin_s) else []
-    for reference in (Reference([*first, *moves]), Reference([Piece(begin_s, 7.0, 0.0, 0.0)])):
+    for reference in (
+        PiecewiseProfile([*first, *moves]),
+        PiecewiseProfile([Piece(begin_s, 7.0, 0.0, 0.0)]),
+    ):
         times_s = start_s + step_s * np.arange(400)
         found = reference.on_grid(start_s, step_s, 400)
         assert found == pytest.approx(reference.sample(times_s), abs=1e-9)

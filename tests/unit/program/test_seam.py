@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 
 from lss_motion.program.model import Move, Repeat
-from lss_motion.program.schedule import closed, sent_us
+from lss_motion.program.schedule import closed_pass, sent_us
 
 REPEAT = Repeat(from_us=1_000_000, to_us=2_000_000)
 
@@ -34,7 +34,7 @@ def said(moves):
 def test_a_move_that_falls_on_different_sides_of_the_seams_is_said_in_every_pass(robot):
     # What is heard before the first seam comes after the second, and would be lost there.
     moves = [move(999_000), move(1_600_000, 7), move(2_003_000), move(2_600_000, 7)]
-    assert said(closed(moves, REPEAT, robot)) == [
+    assert said(closed_pass(moves, REPEAT, robot)) == [
         (999_000, 100, 400), (1_000_000, 100, 399), (1_600_000, 7, 400)
     ]  # fmt: skip
 
@@ -44,13 +44,13 @@ def test_what_has_its_place_in_the_pass_is_not_said_twice(robot):
     late = [move(1_003_000), move(1_600_000, 7), move(2_003_000), move(2_600_000, 7)]
     for moves in (early, late):
         kept = [m for m in moves if m.due_us < REPEAT.to_us]
-        assert closed(moves, REPEAT, robot) == kept
+        assert closed_pass(moves, REPEAT, robot) == kept
 
 
 def test_it_is_said_where_the_line_is_free(robot):
     others = [move(1_000_900, 1, servo_id=2), move(2_000_000 - 400, 1, servo_id=3)]
     moves = [*others, move(999_000), move(1_600_000, 7), move(2_003_000), move(2_600_000, 7)]
-    found = closed(moves, REPEAT, robot)
+    found = closed_pass(moves, REPEAT, robot)
     again_us = said(found)[1][0]
     baud_bps = robot.buses["main"].baud_bps
     assert again_us == 1_000_900 + sent_us(len(others[0].data), baud_bps)
@@ -61,4 +61,4 @@ def test_it_is_said_where_the_line_is_free(robot):
     assert len(again) == 5
     assert all(end <= following for (_, end), (following, _) in pairwise(again))
     full = [move(us, 1, servo_id=2) for us in range(1_000_000, 1_600_000, 500)]
-    assert len(said(closed([*moves, *full], REPEAT, robot))) == 2, "nothing fits in between"
+    assert len(said(closed_pass([*moves, *full], REPEAT, robot))) == 2, "nothing fits in between"

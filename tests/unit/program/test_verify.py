@@ -6,7 +6,7 @@ import pytest
 from lss_motion.errors import PlanningError
 from lss_motion.program.compile import compile_program
 from lss_motion.program.model import Move, Program
-from lss_motion.program.response import Piece, Reference
+from lss_motion.program.response import Piece, PiecewiseProfile
 from lss_motion.program.verify import profiles, verify_profiles, verify_program
 from lss_motion.robot.servo_models import SERVO_MODELS
 
@@ -63,7 +63,7 @@ def test_every_compiled_program_passes(kit):
 
 def verify_pieces(joint, kit, *pieces):
     """Judge a profile of `(start_s, deg, deg/s, deg/s²)`."""
-    verify_profiles({"j0": Reference(Piece(*piece) for piece in pieces)}, kit.robot(joint))
+    verify_profiles({"j0": PiecewiseProfile(Piece(*piece) for piece in pieces)}, kit.robot(joint))
 
 
 def sprint(deg_s, *, from_deg=0.0, at_s=2.0):

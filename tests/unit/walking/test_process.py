@@ -31,9 +31,9 @@ def test_what_is_packed_comes_out_as_it_was(dog):
     back = unpacked(*packed(answer))
     assert [*back.extension.moves] == [*answer.extension.moves]
     assert len(back.extension.moves) > 20
-    for name, reference in answer.extension.references.items():
+    for name, reference in answer.extension.profiles.items():
         for at_s in (0.5, 1.3, 2.0, 9.0):
-            assert back.extension.references[name].at(at_s) == reference.at(at_s)
+            assert back.extension.profiles[name].at(at_s) == reference.at(at_s)
     assert replace(back, extension=None) == replace(answer, extension=None)
     assert [*back.extension.moves[3:5]] == [*answer.extension.moves[3:5]]
     assert isinstance(back.extension.moves, MoveTable)
