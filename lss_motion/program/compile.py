@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import InputError, LineLoadError
-from lss_motion.program.drives import profile_lead_s
-from lss_motion.program.line import LineUse, line_use
+from lss_motion.program.drives import choices, profile_lead_s
+from lss_motion.program.line import LineUse, line_use, reading_rate_hz
 from lss_motion.program.model import TIMED, Driving, Program, Repeat
 from lss_motion.program.reference import GRID_S, Reference
 from lss_motion.program.schedule import (
@@ -18,10 +18,8 @@ from lss_motion.program.schedule import (
     Schedule,
     TooLateError,
     candidates,
-    choices,
     closed_pass,
-    reading_rate_hz,
-    slot_us,
+    overload_error,
 )
 from lss_motion.program.table import columns_of, moves_of
 from lss_motion.program.verify import verify_program
@@ -31,8 +29,9 @@ from lss_motion.units import s_from_us, us_from_s
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
+    from lss_motion.program.drives import Choice
     from lss_motion.program.model import Move
-    from lss_motion.program.schedule import Choice, Fitted
+    from lss_motion.program.schedule import FittedJoint
     from lss_motion.robot.model import Robot
     from lss_motion.trajectory.model import Trajectory
 
@@ -60,20 +59,20 @@ def compile_program(
     repeat = _repeat(trajectory)
     seams_s = () if repeat is None else (s_from_us(repeat.from_us), s_from_us(repeat.to_us))
     problem: LineLoadError | None = None
-    found = choices(robot, lambda driven: _courses(trajectory, driven), tolerance_deg)
+    found = choices(robot, lambda driven: _references(trajectory, driven), tolerance_deg)
     for choice in found:
-        courses, is_unread = _courses(trajectory, choice.robot), False
-        for trial in candidates(choice.robot, with_relaxed=choice is found[-1]):
-            if is_unread and trial.ratio == 1.0:
+        references, is_unread = _references(trajectory, choice.robot), False
+        for candidate in candidates(choice.robot, with_relaxed=choice is found[-1]):
+            if is_unread and candidate.ratio == 1.0:
                 continue  # No other placing of as many commands leaves much more room.
             try:
-                attempt = trial.attempt(courses, tolerance_deg, seams_s)
+                schedule = candidate.schedule(references, tolerance_deg, seams_s)
             except TooLateError:
                 continue
-            if attempt.is_tight:
-                problem = _overload(attempt, choice.robot)
+            if schedule.is_tight:
+                problem = overload_error(schedule, choice.robot)
                 continue
-            program = _program(trajectory, choice, courses, attempt, repeat)
+            program = _program(trajectory, choice, references, schedule, repeat)
             unread = [use for use in program.line_use.values() if _is_unread(use, robot)]
             is_unread = bool(unread)
             if not unread:
@@ -110,12 +109,12 @@ def _repeat(trajectory: Trajectory) -> Repeat | None:
     return Repeat(from_us=us_from_s(from_s), to_us=us_from_s(from_s + trajectory.middle.duration_s))
 
 
-def _courses(trajectory: Trajectory, robot: Robot) -> dict[str, Reference]:
+def _references(trajectory: Trajectory, robot: Robot) -> dict[str, Reference]:
     """Return what each servo's profile has to do: the plan, earlier by what the servo lags."""
     end_s = trajectory.duration_s
     if trajectory.loop is None:
         end_s = trajectory.first.duration_s + 2.0 * trajectory.middle.duration_s
-    courses = {}
+    references = {}
     steps = math.ceil((end_s + 2.0 * PREROLL_S) / GRID_S) + 1
     times_s = -PREROLL_S + GRID_S * np.arange(steps, dtype=np.float64)
     for lead_s in {profile_lead_s(robot.joints[name]) for name in trajectory.joints}:
@@ -127,30 +126,30 @@ def _courses(trajectory: Trajectory, robot: Robot) -> dict[str, Reference]:
             joint = robot.joints[name]
             if profile_lead_s(joint) == lead_s:
                 servo_deg = joint.zero_deg + joint.direction * own_deg
-                courses[name] = Reference(start_s=-PREROLL_S, position_deg=servo_deg)
-    return courses
+                references[name] = Reference(start_s=-PREROLL_S, position_deg=servo_deg)
+    return references
 
 
 def glide_moves(
-    courses: Mapping[str, Reference], robot: Robot, tolerance_deg: float
+    references: Mapping[str, Reference], robot: Robot, tolerance_deg: float
 ) -> Sequence[Move]:
     """Return the moves that take joints along courses of their own, with nothing else to do."""
-    attempts = (Schedule(courses, robot, tolerance_deg * r) for r in RELAXED_RATIOS)
-    for attempt in attempts:
-        if not attempt.is_tight or attempt.tolerance_deg == tolerance_deg * RELAXED_RATIOS[-1]:
-            return moves_of(attempt.fitted, robot)
+    schedules = (Schedule(references, robot, tolerance_deg * r) for r in RELAXED_RATIOS)
+    for schedule in schedules:
+        if not schedule.is_tight or schedule.tolerance_deg == tolerance_deg * RELAXED_RATIOS[-1]:
+            return moves_of(schedule.fitted, robot)
     raise AssertionError("the last attempt is taken as it is")
 
 
 def _program(
     trajectory: Trajectory,
     choice: Choice,
-    courses: Mapping[str, Reference],
-    attempt: Schedule,
+    references: Mapping[str, Reference],
+    schedule: Schedule,
     repeat: Repeat | None,
 ) -> Program:
     robot = choice.robot
-    moves: Sequence[Move] = moves_of(attempt.fitted, robot)
+    moves: Sequence[Move] = moves_of(schedule.fitted, robot)
     if repeat is not None:
         moves = tuple(closed_pass(moves, repeat, robot))
     start = trajectory.sample(np.zeros(1))[0]
@@ -162,7 +161,7 @@ def _program(
         moves=moves,
         duration_s=trajectory.duration_s,
         start_deg={n: float(v) for n, v in zip(trajectory.joints, start, strict=True)},
-        tolerance_deg=attempt.tolerance_deg,
+        tolerance_deg=schedule.tolerance_deg,
         drives=driving_of(robot, trajectory.joints),
         drive_reasons={n: why for n, why in choice.reasons.items() if n in trajectory.joints},
         repeat=repeat,
@@ -173,7 +172,8 @@ def _program(
         on_fault=trajectory.on_fault,
         line_use=lines_use(moves, robot),
         error_max_deg={
-            name: _error_max_deg(fitted, courses[name]) for name, fitted in attempt.fitted.items()
+            name: _error_max_deg(fitted, references[name])
+            for name, fitted in schedule.fitted.items()
         },
     )
 
@@ -194,41 +194,18 @@ def lines_use(moves: Sequence[Move], robot: Robot) -> dict[str, LineUse]:
     columns = columns_of(moves, robot)
     slots_us = np.stack((columns.due_us, columns.sent_us), axis=1)
     joints = list(robot.joints.values())
-    asked = [joints[index] for index in np.flatnonzero(np.bincount(columns.joint)).tolist()]
+    commanded = [joints[index] for index in np.flatnonzero(np.bincount(columns.joint)).tolist()]
     uses = {}
     for index, (name, bus) in enumerate(robot.buses.items()):
         own_us = slots_us[columns.bus == index]
-        own = [joint for joint in asked if joint.bus == name and joint.drive != "stepped"]
+        own = [joint for joint in commanded if joint.bus == name and joint.drive != "stepped"]
         use = line_use(name, bus.baud_bps, own_us)
         rate_hz = reading_rate_hz(own, bus.baud_bps, own_us)
         uses[name] = replace(use, reading_rate_hz=rate_hz)
     return uses
 
 
-def _error_max_deg(fitted: Fitted, course: Reference) -> float:
-    error_deg = fitted.reference.on_grid(course.start_s, GRID_S, len(course.position_deg))
-    error_deg -= course.position_deg
+def _error_max_deg(fitted: FittedJoint, reference: Reference) -> float:
+    error_deg = fitted.profile.on_grid(reference.start_s, GRID_S, len(reference.position_deg))
+    error_deg -= reference.position_deg
     return max(float(error_deg.max()), -float(error_deg.min()))
-
-
-def _overload(attempt: Schedule, robot: Robot) -> LineLoadError:
-    """Return the error that says how much is too much, and what would help."""
-    commands: dict[str, int] = dict.fromkeys(robot.buses, 0)
-    busy_us: dict[str, int] = dict.fromkeys(robot.buses, 0)
-    span_s = 1e-3
-    for name, fitted in attempt.fitted.items():
-        joint = robot.joints[name]
-        commands[joint.bus] += len(fitted.heard_s)
-        busy_us[joint.bus] += len(fitted.heard_s) * slot_us(joint, robot)
-        span_s = max(span_s, float(fitted.heard_s.max(initial=0.0)))
-    worst = max(busy_us, key=lambda bus: busy_us[bus])
-    ratio = s_from_us(busy_us[worst]) / span_s
-    baud_bps = robot.buses[worst].baud_bps
-    return LineLoadError(
-        f"bus {worst!r} at {baud_bps} bps cannot carry the show: {commands[worst]} commands need "
-        f"{ratio:.0%} of the line and some would be {attempt.late_max_us / 1e3:.0f} ms late, even "
-        f"with a tolerance of {attempt.tolerance_deg:.1f} deg. What would help: a faster baud "
-        f"rate, joints on a second bus, or fewer joints moving at once",
-        bus=worst,
-        utilisation_ratio=ratio,
-    )

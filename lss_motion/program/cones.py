@@ -104,19 +104,19 @@ class Starts:
     speed_deg_s: SingleArray
 
     @classmethod
-    def of(cls, courses: References, joint: IntArray, first: IntArray, state: States) -> Starts:
+    def of(cls, references: References, joint: IntArray, first: IntArray, state: States) -> Starts:
         """Return those of servos in `state`; `first` is the first grid point not before it."""
-        after_s = courses.times_s(first) - state.time_s
+        after_s = references.times_s(first) - state.time_s
         columns = after_s, state.position_deg, state.speed_deg_s
         return cls(joint, first, *(column.astype(np.float32) for column in columns))
 
 
-def open_cones(courses: References, starts: Starts, rows: int, stride: int, block: int) -> Cones:
+def open_cones(references: References, starts: Starts, rows: int, stride: int, block: int) -> Cones:
     """Return the cones of profiles in so many rows.
 
     Looked at are `block` rows at once, and the next ones only of the cones that are still open.
     """
-    cones, count = _Cones(courses, starts), len(starts.joint)
+    cones, count = _Cones(references, starts), len(starts.joint)
     every = np.empty((rows, 2, count), dtype=np.float32)
     held = cones.fill(every[:block], 0, stride)
     some, still = np.arange(count), np.flatnonzero(held == block)
@@ -135,11 +135,11 @@ def open_cones(courses: References, starts: Starts, rows: int, stride: int, bloc
 class _Cones:
     """Cones on their way: where they begin, and the sides that they have come to."""
 
-    def __init__(self, courses: References, starts: Starts) -> None:
-        self._courses, self._joint, self._first = courses, starts.joint, starts.first
-        ramp, tolerance, speed_max = courses.reach(starts.joint)
+    def __init__(self, references: References, starts: Starts) -> None:
+        self._references, self._joint, self._first = references, starts.joint, starts.first
+        ramp, tolerance, speed_max = references.reach(starts.joint)
         position, speed, self._after_s = starts.position_deg, starts.speed_deg_s, starts.after_s
-        off_deg = courses.position_deg(starts.joint, starts.first) - position
+        off_deg = references.position_deg(starts.joint, starts.first) - position
         off_deg -= speed * self._after_s
         np.abs(off_deg, out=off_deg)
         room = np.maximum(off_deg + ROOM_RATIO * tolerance, CONE_RATIO * tolerance)
@@ -149,7 +149,7 @@ class _Cones:
     def after(self, sides: SingleArray, servos: IntArray, chosen: IntArray) -> _Cones:
         """Return the `chosen` of these, `servos` of those that have come to `sides`."""
         some = object.__new__(_Cones)
-        some._courses = self._courses
+        some._references = self._references
         some._joint, some._first = self._joint[chosen], self._first[chosen]
         some._after_s = np.broadcast_to(self._after_s, self._joint.shape)[chosen]
         position, speed, room, ramp = self._columns
@@ -162,7 +162,7 @@ class _Cones:
         (position, speed, room, ramp), rows = self._columns, len(sides)
         row = np.arange(begin, begin + rows, dtype=np.float32)
         tau = self._after_s + (GRID_S * stride * row)[:, None]
-        offset = self._courses.ahead_deg(self._joint, self._first + begin * stride, rows, stride)
+        offset = self._references.ahead_deg(self._joint, self._first + begin * stride, rows, stride)
         offset -= position
         offset -= speed * tau
         np.subtract(offset, room, out=sides[:, 0])
@@ -201,6 +201,6 @@ def _change(offset_deg: SingleArray, tau_s: SingleArray, ramp_deg_s2: SingleArra
     offset_deg /= np.fmax(divisor, DIVISOR_LEAST, out=divisor)
 
 
-def reach_steps(courses: References, starts: Starts, rows: int, stride: int) -> IntArray:
+def reach_steps(references: References, starts: Starts, rows: int, stride: int) -> IntArray:
     """Return for how many grid steps one move of each profile can keep the tolerance."""
-    return stride * open_cones(courses, starts, rows, stride, rows).held
+    return stride * open_cones(references, starts, rows, stride, rows).held

@@ -7,22 +7,31 @@ stepped   whole degrees to an RC servo · `step`
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final, Protocol
 
+import numpy as np
+
+from lss_motion.program.fit import TimedFit
+from lss_motion.program.moves import fitted_profiles
 from lss_motion.program.quantize import LATEST_ARRIVAL_S, nearest_wire
-from lss_motion.program.reference import DURATION_MAX_MS, servo_limits
+from lss_motion.program.reference import DURATION_MAX_MS, GRID_S, servo_limits
 from lss_motion.program.stepped import PULSE_S, StepFitter
 from lss_motion.program.streamed import StreamFitter
 from lss_motion.program.verify import filter_profile
 from lss_motion.protocol.line import encode_move
+from lss_motion.robot.servo_models import FAMILIES, FILTER_FIRMWARE_MIN, can_be_streamed
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
-    from lss_motion.program.moves import FittedMove
+    from lss_motion.program.moves import Setpoint
     from lss_motion.program.reference import Reference
     from lss_motion.program.response import PiecewiseProfile
-    from lss_motion.robot.model import Joint
+    from lss_motion.robot.model import Drive, Joint, Robot
+
+    ReferencesOf = Callable[[Robot], Mapping[str, Reference]]
 
 
 class JointFitter(Protocol):
@@ -34,9 +43,9 @@ class JointFitter(Protocol):
         wanted_s = fitter.wanted(granted_s)  the same for its successor
     """
 
-    moves: list[FittedMove]
+    setpoints: list[Setpoint]
 
-    def wanted(self, granted_s: float | None) -> float | None:
+    def request(self, granted_s: float | None) -> float | None:
         """Return when the next move is to be heard at the latest; None when none is needed."""
         ...
 
@@ -44,21 +53,21 @@ class JointFitter(Protocol):
         """Settle the pending move, now that its successor is known to be heard then."""
         ...
 
-    def reference(self) -> PiecewiseProfile:
+    def profile(self) -> PiecewiseProfile:
         """Return the whole profile that the moves so far make."""
         ...
 
 
 def make_fitter(
-    joint: Joint, course: Reference, tolerance_deg: float, seams_s: Sequence[float] = ()
+    joint: Joint, reference: Reference, tolerance_deg: float, seams_s: Sequence[float] = ()
 ) -> JointFitter:
     """Return what fits `course` with the drive of `joint`, which is not timed (`fit.Fit`)."""
     limits = servo_limits(joint, tolerance_deg)
     if joint.drive == "streamed":
-        start_deg = nearest_wire(float(course.position_deg[0]), limits) / limits.wire_per_deg
-        return StreamFitter(course, limits, filter_profile(joint, start_deg))
+        start_deg = nearest_wire(float(reference.position_deg[0]), limits) / limits.wire_per_deg
+        return StreamFitter(reference, limits, filter_profile(joint, start_deg))
     assert joint.drive == "stepped"
-    return StepFitter(course, limits, seams_s)
+    return StepFitter(reference, limits, seams_s)
 
 
 def profile_lead_s(joint: Joint) -> float:
@@ -97,3 +106,114 @@ def longest_move(joint: Joint) -> bytes:
         ),
         key=len,
     )
+
+
+WORTH_RATIO: Final = 0.9
+"""Streaming must predict this much better than timed moves. Chosen: those take less of the line,
+and the servo itself keeps their limits."""
+
+
+UNKNOWN_RATIO: Final = 1.0 / math.sqrt(12.0)
+"""RMS of an instant that is equally likely anywhere in a period, in periods."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choice:
+    """A robot without `auto`, and why each of those joints is driven as it is."""
+
+    robot: Robot
+    reasons: Mapping[str, str] = field(default_factory=dict)
+
+
+def choices(robot: Robot, references: ReferencesOf, tolerance_deg: float) -> list[Choice]:
+    """Return what predicts best first, then with fewer and fewer of its joints streamed.
+
+    The last one streams only what cannot be timed. `courses` gives what the profiles of a robot
+    have to do; only the joints of those are looked at.
+    """
+    opened = {n: j for n, j in robot.joints.items() if j.drive == "auto"}
+    if not opened:
+        return [Choice(robot=robot)]
+    timed = references(_with(robot, dict.fromkeys(opened, "timed")))
+    streamed = references(_with(robot, dict.fromkeys(opened, "streamed")))
+    drives: dict[str, Drive] = {}
+    reasons: dict[str, str] = {}
+    gains: dict[str, float] = {}
+    for name, joint in opened.items():
+        family, reason = FAMILIES[joint.model.family], _only(joint, robot)
+        drives[name] = "streamed" if _needs_filter(joint) else family.drives[0]
+        if not reason and name in timed:
+            by_ramps = predicted_deg(replace(joint, drive="timed"), timed[name], tolerance_deg)
+            by_filter = predicted_deg(
+                replace(joint, drive="streamed"), streamed[name], tolerance_deg
+            )
+            reason = f"timed predicts {by_ramps:.2f} deg RMS, streamed {by_filter:.2f} deg"
+            if by_filter < WORTH_RATIO * by_ramps:
+                drives[name] = "streamed"
+                gains[name] = by_ramps - by_filter
+        reasons[name] = f"{drives[name]}: {reason or 'the show does not move it'}"
+    return _with_fewer(robot, drives, reasons, sorted(gains, key=lambda name: gains[name]))
+
+
+def _with_fewer(
+    robot: Robot, drives: Mapping[str, Drive], reasons: Mapping[str, str], by_gain: list[str]
+) -> list[Choice]:
+    """Return the choice, and those that time half of the rest of `by_gain`, least gain first."""
+    found = [Choice(robot=_with(robot, drives), reasons=reasons)]
+    while by_gain:
+        cut = -(-len(by_gain) // 2)
+        given_up, by_gain = by_gain[:cut], by_gain[cut:]
+        drives = {**drives, **dict.fromkeys(given_up, "timed")}
+        why = "timed: the line has no room to stream it;"
+        reasons = {**reasons, **{n: f"{why} {reasons[n].partition(': ')[2]}" for n in given_up}}
+        found.append(Choice(robot=_with(robot, drives), reasons=reasons))
+    return found
+
+
+def _with(robot: Robot, drives: Mapping[str, Drive]) -> Robot:
+    changed = {name: replace(robot.joints[name], drive=drive) for name, drive in drives.items()}
+    return replace(robot, joints={**robot.joints, **changed})
+
+
+def _needs_filter(joint: Joint) -> bool:
+    facts = FAMILIES[joint.model.family]
+    return "streamed" in facts.drives and joint.accel_max_deg_s2 > facts.accel_max_deg_s2
+
+
+def _only(joint: Joint, robot: Robot) -> str:
+    """Return why the joint has no choice, or nothing if it has one."""
+    if _needs_filter(joint):
+        most = FAMILIES[joint.model.family].accel_max_deg_s2
+        return f"{joint.accel_max_deg_s2:g} deg/s² is more than its ramps can express, {most:g}"
+    if "streamed" not in FAMILIES[joint.model.family].drives:
+        return f"a {joint.model.name} knows no other drive"
+    if not can_be_streamed(joint, robot.buses[joint.bus]):
+        return f"streaming needs firmware {FILTER_FIRMWARE_MIN}"
+    return ""
+
+
+def predicted_deg(joint: Joint, reference: Reference, tolerance_deg: float) -> float:
+    """Return the RMS of what a joint's horn will be off, fitted with nothing else on its line."""
+    profile = fitted_alone(joint, reference, tolerance_deg)
+    times_s = reference.start_s + GRID_S * np.arange(len(reference.position_deg), dtype=np.float64)
+    error_deg = profile.sample(times_s) - reference.position_deg
+    speed_deg_s = np.gradient(reference.position_deg, GRID_S)
+    period_s = joint.response.filter_s if joint.drive == "streamed" else joint.response.loop_s
+    unknown_deg = UNKNOWN_RATIO * period_s * speed_deg_s
+    return float(np.sqrt(np.mean(error_deg**2) + np.mean(unknown_deg**2)))
+
+
+def fitted_alone(joint: Joint, reference: Reference, tolerance_deg: float) -> PiecewiseProfile:
+    """Return the profile that one joint's moves make if every one is heard when it is wanted."""
+    if joint.drive == "timed":
+        limits = servo_limits(joint, tolerance_deg)
+        moves = TimedFit([reference], [limits]).moves(
+            lambda: lambda _joints, requested_us, _after_us: requested_us
+        )
+        return fitted_profiles(moves, [reference], [limits])[0]
+    fitter = make_fitter(joint, reference, tolerance_deg)
+    requested_s = fitter.request(None)
+    while requested_s is not None:
+        fitter.grant(requested_s)
+        requested_s = fitter.request(requested_s)
+    return fitter.profile()

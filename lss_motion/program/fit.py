@@ -21,10 +21,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.program.cones import CONE_RATIO, Starts, reach_steps
-from lss_motion.program.moves import Begin, FittedMoves, joined, nothing, unjoined
-from lss_motion.program.quantize import aim
+from lss_motion.program.moves import (
+    FittedMoves,
+    InitialMotion,
+    concatenated,
+    discontinuities,
+    no_moves,
+)
+from lss_motion.program.quantize import quantized
 from lss_motion.program.reference import GRID_S, SEGMENT_MAX_S, LimitArrays, References
-from lss_motion.program.response import States, both, trapezoids
+from lss_motion.program.response import States, concatenated_states, trapezoids
 from lss_motion.program.search import (
     FOLLOW_RATIO,
     SEGMENT_MIN_S,
@@ -32,7 +38,7 @@ from lss_motion.program.search import (
     Landings,
     Servos,
     best_landings,
-    chosen,
+    next_moves,
 )
 from lss_motion.program.segments import Segment, segments_of
 from lss_motion.units import US_PER_S
@@ -53,7 +59,7 @@ DEPARTURE_STEPS: Final = 80
 follow shows at once."""
 RIVALRY_S: Final = 1.0
 """A move that is wanted this much later than another is of another stretch of the show."""
-LANES_MAX: Final = 2048
+SEGMENTS_MAX: Final = 2048
 """So many lanes are fitted side by side: enough for ten minutes of 18 joints, in bounded memory."""
 NEVER: Final = 2**62
 """The index of a stop that never comes."""
@@ -68,123 +74,123 @@ def microseconds(times_s: FloatArray) -> IntArray:
 class _Rows:
     """The lanes under way, a row each. `wish_deg_s` is the travel speed of the move at `state`."""
 
-    lane: IntArray
+    segment: IntArray
     state: States
-    wish_deg_s: FloatArray
-    wanted_s: FloatArray
+    travel_deg_s: FloatArray
+    requested_s: FloatArray
 
     def take(self, chosen: BoolArray) -> _Rows:
         return _Rows(
-            self.lane[chosen],
+            self.segment[chosen],
             self.state.take(chosen),
-            self.wish_deg_s[chosen],
-            self.wanted_s[chosen],
+            self.travel_deg_s[chosen],
+            self.requested_s[chosen],
         )
 
 
-def _together(one: _Rows, other: _Rows) -> _Rows:
+def _concatenated(one: _Rows, other: _Rows) -> _Rows:
     return _Rows(
-        np.concatenate((one.lane, other.lane)),
-        both(one.state, other.state),
-        np.concatenate((one.wish_deg_s, other.wish_deg_s)),
-        np.concatenate((one.wanted_s, other.wanted_s)),
+        np.concatenate((one.segment, other.segment)),
+        concatenated_states(one.state, other.state),
+        np.concatenate((one.travel_deg_s, other.travel_deg_s)),
+        np.concatenate((one.requested_s, other.requested_s)),
     )
 
 
-def _is_next(wanted_s: FloatArray, turn_s: float) -> BoolArray:
+def _is_next(requested_s: FloatArray, turn_s: float) -> BoolArray:
     """Return which moves to grant now: none that is wanted a turn after one of its stretch."""
     if turn_s >= RIVALRY_S:
-        return np.ones(len(wanted_s), dtype=bool)
-    ordered = np.sort(wanted_s)
-    earlier = np.searchsorted(ordered, wanted_s - turn_s)
-    rivals = np.searchsorted(ordered, wanted_s - RIVALRY_S)
+        return np.ones(len(requested_s), dtype=bool)
+    ordered = np.sort(requested_s)
+    earlier = np.searchsorted(ordered, requested_s - turn_s)
+    rivals = np.searchsorted(ordered, requested_s - RIVALRY_S)
     is_next: BoolArray = earlier == rivals
     return is_next
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Task:
+class FitProblem:
     """What all lanes share: by joint, the seams as indices of the grid; `fit.TURN_S`."""
 
-    courses: References
+    references: References
     limits: LimitArrays
     seams: IntArray
     turn_s: float
 
 
-class Run:
+class SegmentRun:
     """All lanes from their first move to their last."""
 
-    def __init__(self, task: Task, lanes: Sequence[Segment], grant: Grant) -> None:
-        self._courses, self._limits, self._seams = task.courses, task.limits, task.seams
+    def __init__(self, task: FitProblem, segments: Sequence[Segment], grant: Grant) -> None:
+        self._references, self._limits, self._seams = task.references, task.limits, task.seams
         self._grant, self._turn_s = grant, task.turn_s
-        self._joint = np.array([lane.joint for lane in lanes], dtype=np.intp)
-        self._wire = np.array([lane.wire for lane in lanes], dtype=np.float64)
-        self._stop_wire = np.array([lane.stop_wire for lane in lanes], dtype=np.float64)
-        stops = [lane.stop or (NEVER, NEVER) for lane in lanes]
+        self._joint = np.array([segment.joint for segment in segments], dtype=np.intp)
+        self._wire = np.array([segment.wire for segment in segments], dtype=np.float64)
+        self._stop_wire = np.array([segment.stop_wire for segment in segments], dtype=np.float64)
+        stops = [segment.stop or (NEVER, NEVER) for segment in segments]
         self._stop_first = np.array([stop[0] for stop in stops], dtype=np.intp)
         self._stop_last = np.array([stop[1] for stop in stops], dtype=np.intp)
-        self._after_s = np.array([lane.after_s for lane in lanes])
-        self._lanes = lanes
-        self._made: list[FittedMoves] = [nothing()]
+        self._after_s = np.array([segment.after_s for segment in segments])
+        self._segments = segments
+        self._made: list[FittedMoves] = [no_moves()]
         self._of: list[IntArray] = [np.zeros(0, dtype=np.intp)]
 
     def moves(self) -> tuple[FittedMoves, IntArray]:
         """Return the moves, in any order, and of which lane each is."""
-        waiting = deque(range(len(self._lanes)))
+        waiting = deque(range(len(self._segments)))
         rows = self._entered(np.zeros(0, dtype=np.intp))
-        while waiting or len(rows.lane):
-            room = LANES_MAX - len(rows.lane)
+        while waiting or len(rows.segment):
+            room = SEGMENTS_MAX - len(rows.segment)
             new = [waiting.popleft() for _ in range(min(len(waiting), room))]
             if new:
                 # By joint: what is looked up for neighbours then lies near each other, too.
                 by_joint = np.array(new)[np.argsort(self._joint[new], kind="stable")]
-                rows = _together(rows, self._entered(by_joint))
-            is_next = _is_next(rows.wanted_s, self._turn_s)
+                rows = _concatenated(rows, self._entered(by_joint))
+            is_next = _is_next(rows.requested_s, self._turn_s)
             if is_next.all():
                 rows = self._advanced(rows)
             else:
-                rows = _together(rows.take(~is_next), self._advanced(rows.take(is_next)))
-        return joined(self._made), np.concatenate(self._of)
+                rows = _concatenated(rows.take(~is_next), self._advanced(rows.take(is_next)))
+        return concatenated(self._made), np.concatenate(self._of)
 
-    def _entered(self, lane: IntArray) -> _Rows:
+    def _entered(self, segment: IntArray) -> _Rows:
         """Return lanes that wait for their first move; they have no travel speed yet."""
-        none = np.full(len(lane), np.nan)
-        wanted_s = self._departures_s(lane) if len(lane) else np.zeros(0)
-        return _Rows(lane, States(self._after_s[lane], none, none), none, wanted_s)
+        none = np.full(len(segment), np.nan)
+        requested_s = self._departures_s(segment) if len(segment) else np.zeros(0)
+        return _Rows(segment, States(self._after_s[segment], none, none), none, requested_s)
 
     def _advanced(self, rows: _Rows) -> _Rows:
         """Have the next moves granted, put those under way into words, and choose what follows."""
-        in_turn = np.argsort(rows.wanted_s, kind="stable")
+        in_turn = np.argsort(rows.requested_s, kind="stable")
         granted_us = self._grant(
-            self._joint[rows.lane[in_turn]],
-            microseconds(rows.wanted_s[in_turn]),
+            self._joint[rows.segment[in_turn]],
+            microseconds(rows.requested_s[in_turn]),
             microseconds(rows.state.time_s[in_turn]),
         )
         granted_s = np.empty(len(in_turn))
         granted_s[in_turn] = granted_us / US_PER_S
-        is_new = np.isnan(rows.wish_deg_s)
-        begun = self._begun(rows.lane[is_new], granted_s[is_new])
-        moved = self._worded(rows.take(~is_new), granted_s[~is_new])
-        lane = np.concatenate((rows.lane[is_new], rows.lane[~is_new]))
-        return self._settled(lane, both(begun, moved))
+        is_new = np.isnan(rows.travel_deg_s)
+        begun = self._begun(rows.segment[is_new], granted_s[is_new])
+        moved = self._quantized(rows.take(~is_new), granted_s[~is_new])
+        segment = np.concatenate((rows.segment[is_new], rows.segment[~is_new]))
+        return self._settled(segment, concatenated_states(begun, moved))
 
-    def _begun(self, lane: IntArray, granted_s: FloatArray) -> States:
+    def _begun(self, segment: IntArray, granted_s: FloatArray) -> States:
         """Return the states of profiles that hear their first move, at rest or under way."""
-        position = self._wire[lane] / self._limits.wire_per_deg[self._joint[lane]]
-        speed = np.zeros(len(lane))
-        for row, at in enumerate(lane):
-            begin = self._lanes[at].begin
-            if begin is not None:
-                state = begin.profile.state(float(granted_s[row]))
+        position = self._wire[segment] / self._limits.wire_per_deg[self._joint[segment]]
+        speed = np.zeros(len(segment))
+        for row, at in enumerate(segment):
+            initial = self._segments[at].initial
+            if initial is not None:
+                state = initial.profile.state(float(granted_s[row]))
                 position[row], speed[row] = state.position_deg, state.speed_deg_s
         return States(granted_s, position, speed)
 
-    def _worded(self, rows: _Rows, granted_s: FloatArray) -> States:
+    def _quantized(self, rows: _Rows, granted_s: FloatArray) -> States:
         """Put the moves under way into words, now that their successors are known."""
-        limits = self._limits.take(self._joint[rows.lane])
-        wire, duration_ms, travel = aim(rows.state, rows.wish_deg_s, granted_s, limits)
-        self._record(rows.lane, rows.state, wire, duration_ms, travel)
+        limits = self._limits.take(self._joint[rows.segment])
+        wire, duration_ms, travel = quantized(rows.state, rows.travel_deg_s, granted_s, limits)
+        self._record(rows.segment, rows.state, wire, duration_ms, travel)
         target_deg = wire / limits.wire_per_deg
         reached = trapezoids(rows.state, target_deg, travel, limits.ramp_deg_s2).at(granted_s)
         speed = np.where(limits.forgets_speed, 0.0, reached.speed_deg_s)
@@ -192,16 +198,16 @@ class Run:
 
     def _record(
         self,
-        lane: IntArray,
+        segment: IntArray,
         state: States,
         wire: FloatArray,
         duration_ms: FloatArray,
         travel: FloatArray,
     ) -> None:
-        self._of.append(lane)
+        self._of.append(segment)
         self._made.append(
             FittedMoves(
-                self._joint[lane],
+                self._joint[segment],
                 state.time_s,
                 wire,
                 duration_ms,
@@ -213,44 +219,44 @@ class Run:
 
     # ---- out of rest
 
-    def _departures_s(self, lane: IntArray) -> FloatArray:
+    def _departures_s(self, segment: IntArray) -> FloatArray:
         """Return when the first move of each lane should be heard."""
-        joint = self._joint[lane]
+        joint = self._joint[segment]
         limits = self._limits.take(joint)
-        some = [self._lanes[at] for at in lane]
+        some = [self._segments[at] for at in segment]
         onset_s = np.array([one.onset_s for one in some])
-        leaves_s = np.array([one.leaves_s for one in some])
+        departs_s = np.array([one.departs_s for one in some])
         latest_s = np.array([one.latest_s for one in some])
-        begin_deg, still = self._wire[lane] / limits.wire_per_deg, np.zeros(len(lane))
-        state = States(leaves_s, begin_deg, still)
-        error_deg = self._landings(lane, state, self._is_near(lane, state)).error_deg
-        trials_s = np.linspace(onset_s, np.maximum(latest_s, onset_s), DEPARTURES)
-        rows = np.tile(np.arange(len(lane)), DEPARTURES)
-        trials = States(trials_s.ravel(), begin_deg[rows], still[rows])
-        first = self._courses.first_index(trials.time_s)
-        starts = Starts.of(self._courses, joint[rows], first, trials)
-        steps = reach_steps(self._courses, starts, DEPARTURE_STEPS, 1)
-        best = np.argmax(trials_s + GRID_S * steps.reshape(trials_s.shape), axis=0)
+        begin_deg, still = self._wire[segment] / limits.wire_per_deg, np.zeros(len(segment))
+        state = States(departs_s, begin_deg, still)
+        error_deg = self._landings(segment, state, self._is_near(segment, state)).error_deg
+        candidates_s = np.linspace(onset_s, np.maximum(latest_s, onset_s), DEPARTURES)
+        rows = np.tile(np.arange(len(segment)), DEPARTURES)
+        candidates = States(candidates_s.ravel(), begin_deg[rows], still[rows])
+        first = self._references.first_index(candidates.time_s)
+        starts = Starts.of(self._references, joint[rows], first, candidates)
+        steps = reach_steps(self._references, starts, DEPARTURE_STEPS, 1)
+        best = np.argmax(candidates_s + GRID_S * steps.reshape(candidates_s.shape), axis=0)
         lands = error_deg <= CONE_RATIO * limits.tolerance_deg
-        return np.where(lands, leaves_s, trials_s[best, np.arange(len(lane))])
+        return np.where(lands, departs_s, candidates_s[best, np.arange(len(segment))])
 
     # ---- to rest
 
-    def _is_near(self, lane: IntArray, state: States) -> BoolArray:
+    def _is_near(self, segment: IntArray, state: States) -> BoolArray:
         """Return whether the stop is near enough to be landed on with one move."""
-        limits = self._limits.take(self._joint[lane])
-        left_s = self._courses.times_s(self._stop_first[lane]) - state.time_s
+        limits = self._limits.take(self._joint[segment])
+        left_s = self._references.times_s(self._stop_first[segment]) - state.time_s
         near: BoolArray = left_s <= SEGMENT_MAX_S + limits.speed_max_deg_s / limits.ramp_deg_s2
         return near
 
-    def _landings(self, lane: IntArray, state: States, chosen: BoolArray) -> Landings:
+    def _landings(self, segment: IntArray, state: States, chosen: BoolArray) -> Landings:
         """Return how the `chosen` lanes land on their stops, with infinite error for the others."""
-        every = Landings(*(np.full(len(lane), np.inf) for _ in range(4)))
+        every = Landings(*(np.full(len(segment), np.inf) for _ in range(4)))
         if chosen.any():
-            at = lane[chosen]
+            at = segment[chosen]
             joint = self._joint[at]
             found = best_landings(
-                self._courses,
+                self._references,
                 joint,
                 state.take(chosen),
                 self._stop_wire[at],
@@ -260,48 +266,48 @@ class Run:
             every.put(chosen, found)
         return every
 
-    def _settled(self, lane: IntArray, state: States) -> _Rows:
+    def _settled(self, segment: IntArray, state: States) -> _Rows:
         """Land the lanes that can land, end those at the end; choose how the others go on."""
-        joint, first = self._joint[lane], self._courses.first_index(state.time_s)
+        joint, first = self._joint[segment], self._references.first_index(state.time_s)
         limits = self._limits.take(joint)
-        found = chosen(
-            self._courses, Servos(joint, limits, state, first, self._latest(lane, first))
+        found = next_moves(
+            self._references, Servos(joint, limits, state, first, self._latest(segment, first))
         )
-        stop_s = self._courses.times_s(self._stop_first[lane])
+        stop_s = self._references.times_s(self._stop_first[segment])
         is_overdue = state.time_s + SEGMENT_MIN_S >= stop_s
         kept_s = state.time_s + GRID_S * found.held_steps
-        is_near = kept_s + self._braking_s(lane, state, limits) >= stop_s
-        landings = self._landings(lane, state, is_near | is_overdue)
+        is_near = kept_s + self._braking_s(segment, state, limits) >= stop_s
+        landings = self._landings(segment, state, is_near | is_overdue)
         lands = (landings.error_deg <= CONE_RATIO * limits.tolerance_deg) | is_overdue
         if lands.any():
             self._record(
-                lane[lands],
+                segment[lands],
                 state.take(lands),
-                self._stop_wire[lane[lands]],
+                self._stop_wire[segment[lands]],
                 landings.duration_ms[lands],
                 landings.travel_deg_s[lands],
             )
-        goes_on = ~lands & (state.time_s < self._courses.end_s)
-        return _Rows(lane, state, found.speed_deg_s, found.wanted_s).take(goes_on)
+        goes_on = ~lands & (state.time_s < self._references.end_s)
+        return _Rows(segment, state, found.speed_deg_s, found.requested_s).take(goes_on)
 
-    def _braking_s(self, lane: IntArray, state: States, limits: LimitArrays) -> FloatArray:
+    def _braking_s(self, segment: IntArray, state: States, limits: LimitArrays) -> FloatArray:
         """Return how long a landing brakes at the most: until then it is a move like any other.
 
         None is more than twice as fast as the mean of its way, unless it begins as fast.
         """
-        left_s = self._courses.times_s(self._stop_first[lane]) - state.time_s
-        away_deg = np.abs(self._stop_wire[lane] / limits.wire_per_deg - state.position_deg)
+        left_s = self._references.times_s(self._stop_first[segment]) - state.time_s
+        away_deg = np.abs(self._stop_wire[segment] / limits.wire_per_deg - state.position_deg)
         mean_deg_s = away_deg / np.maximum(left_s, SEGMENT_MIN_S)
         speed = np.maximum(np.abs(state.speed_deg_s), 2.0 * mean_deg_s)
         braking_s: FloatArray = np.minimum(speed, limits.speed_max_deg_s) / limits.ramp_deg_s2
         return braking_s
 
-    def _latest(self, lane: IntArray, first: IntArray) -> IntArray:
+    def _latest(self, segment: IntArray, first: IntArray) -> IntArray:
         """Return the last index at which a successor may be heard.
 
         After the next stop began there is none (it has to land there), nor after a seam.
         """
-        latest = self._stop_first[lane] - SEGMENT_MIN_STEPS
+        latest = self._stop_first[segment] - SEGMENT_MIN_STEPS
         for seam in self._seams:
             is_ahead = first + SEGMENT_MIN_STEPS < seam
             latest = np.where(is_ahead, np.minimum(latest, seam), latest)
@@ -322,10 +328,10 @@ class TimedFit:
 
     def __init__(
         self,
-        courses: Sequence[Reference],
+        references: Sequence[Reference],
         limits: Sequence[ServoLimits],
         seams_s: Sequence[float] = (),
-        begins: Sequence[Begin] = (),
+        initial: Sequence[InitialMotion] = (),
         turn_s: float = TURN_S,
     ) -> None:
         """Take courses on one grid. While one moves, a move is heard at or shortly before a seam.
@@ -334,11 +340,13 @@ class TimedFit:
         course, all servos stand where their courses do. A shorter turn fills the line better and
         takes longer to fit; with `run.RIVALRY_S` nobody waits.
         """
-        self._each = list(zip(courses, limits, begins or (None,) * len(courses), strict=True))
-        self._task = Task(
-            courses=References(courses, limits),
+        self._each = list(
+            zip(references, limits, initial or (None,) * len(references), strict=True)
+        )
+        self._task = FitProblem(
+            references=References(references, limits),
             limits=LimitArrays(limits),
-            seams=np.array(sorted(courses[0].index(s) for s in seams_s), dtype=np.intp),
+            seams=np.array(sorted(references[0].index(s) for s in seams_s), dtype=np.intp),
             turn_s=turn_s,
         )
 
@@ -350,34 +358,39 @@ class TimedFit:
         """
         refused: set[tuple[int, int]] = set()
         known: list[Segment] = []
-        made, of_lane = nothing(), np.zeros(0, dtype=np.intp)
+        made, of_segment = no_moves(), np.zeros(0, dtype=np.intp)
         while True:
-            lanes = self._lanes(refused)
-            before, now = set(known), set(lanes)
-            is_kept = np.array([lane in now for lane in known], dtype=bool)[of_lane]
-            made, of_lane = made.take(is_kept), of_lane[is_kept]
-            new = [lane for lane in lanes if lane not in before]
-            grant, received_us = new_line(), microseconds(made.heard_s)
+            segments = self._segments(refused)
+            before, now = set(known), set(segments)
+            is_kept = np.array([segment in now for segment in known], dtype=bool)[of_segment]
+            made, of_segment = made.take(is_kept), of_segment[is_kept]
+            new = [segment for segment in segments if segment not in before]
+            grant, received_us = new_line(), microseconds(made.received_s)
             grant(made.joint, received_us, received_us)
-            found, of_new = Run(self._task, new, grant).moves()
-            made, of_lane = joined((made, found)), np.append(of_lane, len(known) + of_new)
-            order = np.lexsort((made.heard_s, made.joint))
-            made, of_lane = made.take(order), of_lane[order]
+            found, of_new = SegmentRun(self._task, new, grant).moves()
+            made, of_segment = (
+                concatenated((made, found)),
+                np.append(of_segment, len(known) + of_new),
+            )
+            order = np.lexsort((made.received_s, made.joint))
+            made, of_segment = made.take(order), of_segment[order]
             known += new
-            late = [known[lane] for lane in of_lane[unjoined(made, self._task.limits)]]
+            late = [
+                known[segment] for segment in of_segment[discontinuities(made, self._task.limits)]
+            ]
             if not late:
                 return made
-            stops = {(lane.joint, lane.first) for lane in late}
+            stops = {(segment.joint, segment.first) for segment in late}
             assert not stops & refused, "a lane without stops always joins"
             refused |= stops
 
-    def _lanes(self, refused: Container[tuple[int, int]]) -> list[Segment]:
+    def _segments(self, refused: Container[tuple[int, int]]) -> list[Segment]:
         """Return all lanes in the order in which they begin."""
-        lanes = [
-            lane
-            for joint, (course, limits, begin) in enumerate(self._each)
-            for lane in segments_of(
-                joint, course, limits, FOLLOW_RATIO * limits.tolerance_deg, refused, begin
+        segments = [
+            segment
+            for joint, (reference, limits, initial) in enumerate(self._each)
+            for segment in segments_of(
+                joint, reference, limits, FOLLOW_RATIO * limits.tolerance_deg, refused, initial
             )
         ]
-        return sorted(lanes, key=lambda lane: lane.onset_s)
+        return sorted(segments, key=lambda segment: segment.onset_s)

@@ -23,12 +23,11 @@ JOINED_DEG: Final = 1e-6
 """A move starts where its predecessor has brought the profile, up to rounding errors."""
 
 
-class FittedMove(NamedTuple):
-    """Move to `target_wire` in `duration_ms` (None: a bare `D`), heard at `heard_s`."""
+class Setpoint(NamedTuple):
+    """A bare `D` to `target_wire` that the servo receives at `received_s`."""
 
-    heard_s: float
+    received_s: float
     target_wire: int
-    duration_ms: int | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +35,7 @@ class FittedMoves:
     """Moves to `target_wire` in `duration_ms`, and what the profile does when one is heard."""
 
     joint: IntArray
-    heard_s: FloatArray
+    received_s: FloatArray
     target_wire: FloatArray
     duration_ms: FloatArray
     travel_deg_s: FloatArray
@@ -46,7 +45,7 @@ class FittedMoves:
     def take(self, chosen: Index) -> FittedMoves:
         return FittedMoves(
             self.joint[chosen],
-            self.heard_s[chosen],
+            self.received_s[chosen],
             self.target_wire[chosen],
             self.duration_ms[chosen],
             self.travel_deg_s[chosen],
@@ -64,30 +63,30 @@ class FittedMoves:
 
     def trapezoids(self, limits: LimitArrays) -> Trapezoids:
         """Return what each move does if no other is heard."""
-        states = States(self.heard_s, self.position_deg, self.speed_deg_s)
+        states = States(self.received_s, self.position_deg, self.speed_deg_s)
         own = limits.take(self.joint)
         target_deg = self.target_wire / own.wire_per_deg
         return trapezoids(states, target_deg, self.travel_deg_s, own.ramp_deg_s2)
 
 
-def nothing() -> FittedMoves:
+def no_moves() -> FittedMoves:
     """Return no moves."""
     none = np.zeros(0)
     return FittedMoves(np.zeros(0, dtype=np.intp), *(none,) * (len(FittedMoves.__slots__) - 1))
 
 
-def joined(parts: Sequence[FittedMoves]) -> FittedMoves:
+def concatenated(parts: Sequence[FittedMoves]) -> FittedMoves:
     """Return all moves, one part after the other."""
     names = FittedMoves.__slots__
     return FittedMoves(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
-def unjoined(moves: FittedMoves, limits: LimitArrays) -> IntArray:
+def discontinuities(moves: FittedMoves, limits: LimitArrays) -> IntArray:
     """Return the indices of moves that do not start where their predecessors end."""
     if len(moves) < 2:
         return np.zeros(0, dtype=np.intp)
     before = moves.take(slice(None, -1)).trapezoids(limits)
-    reached = before.at(np.maximum(moves.heard_s[1:], moves.heard_s[:-1]))
+    reached = before.at(np.maximum(moves.received_s[1:], moves.received_s[:-1]))
     apart = np.abs(reached.position_deg - moves.position_deg[1:]) > JOINED_DEG
     apart &= moves.joint[1:] == moves.joint[:-1]
     found: IntArray = 1 + np.flatnonzero(apart)
@@ -96,7 +95,7 @@ def unjoined(moves: FittedMoves, limits: LimitArrays) -> IntArray:
 
 def replayed(
     joint: IntArray,
-    heard_s: FloatArray,
+    received_s: FloatArray,
     target_wire: FloatArray,
     duration_ms: FloatArray,
     begin_deg: FloatArray,
@@ -113,23 +112,23 @@ def replayed(
     speed, travel = np.zeros(len(joint)), np.full(len(joint), np.nan)
     # Chains go forward side by side, from every move that seems to find its servo at rest. Where
     # one does not, the chain before it goes on over it, until nothing changes any more.
-    is_guessed = np.roll(duration_ms, 1) <= MS_PER_S * np.diff(heard_s, prepend=0.0)
+    is_guessed = np.roll(duration_ms, 1) <= MS_PER_S * np.diff(received_s, prepend=0.0)
     at = np.flatnonzero(is_first | is_guessed)
     while len(at):
-        start = States(heard_s[at], position[at], speed[at])
+        start = States(received_s[at], position[at], speed[at])
         travel[at] = _travel(start, target_deg[at], duration_ms[at], own.take(at))
         at = at[same[at]]
-        start, after = States(heard_s[at], position[at], speed[at]), at + 1
+        start, after = States(received_s[at], position[at], speed[at]), at + 1
         moves = trapezoids(start, target_deg[at], travel[at], own.ramp_deg_s2[at])
-        reached = moves.at(heard_s[after])
-        rests = heard_s[after] >= moves.end_s
+        reached = moves.at(received_s[after])
+        rests = received_s[after] >= moves.end_s
         position_deg = np.where(rests, target_deg[at], reached.position_deg)
         speed_deg_s = np.where(rests | own.forgets_speed[at], 0.0, reached.speed_deg_s)
         is_known = (position[after] == position_deg) & (speed[after] == speed_deg_s)
         is_known &= ~np.isnan(travel[after])
         position[after], speed[after] = position_deg, speed_deg_s
         at = after[~is_known]
-    return FittedMoves(joint, heard_s, target_wire, duration_ms, travel, position, speed)
+    return FittedMoves(joint, received_s, target_wire, duration_ms, travel, position, speed)
 
 
 def _travel(
@@ -138,14 +137,14 @@ def _travel(
     """Return the travel speeds that servos take, as `response.Profile.retarget` does."""
     is_bare = np.isnan(duration_ms) | (target_deg == start.position_deg)
     duration_s = np.where(is_bare, 1.0, duration_ms) / MS_PER_S
-    asked = speeds_for(start, target_deg, duration_s, limits.ramp_deg_s2, limits.is_exact)
+    requested = speeds_for(start, target_deg, duration_s, limits.ramp_deg_s2, limits.is_exact)
     most = limits.speed_max_deg_s
-    travel: FloatArray = np.where(is_bare, most, np.minimum(asked, most))
+    travel: FloatArray = np.where(is_bare, most, np.minimum(requested, most))
     return travel
 
 
 @dataclass(frozen=True, slots=True)
-class Begin:
+class InitialMotion:
     """What a servo does before its course begins.
 
     `first_s` is when it must hear its first move at the latest; None if it stands.
@@ -157,19 +156,19 @@ class Begin:
 
 def fitted_profiles(
     moves: FittedMoves,
-    courses: Sequence[Reference],
+    references: Sequence[Reference],
     limits: Sequence[ServoLimits],
-    begins: Sequence[Begin] = (),
+    initial: Sequence[InitialMotion] = (),
 ) -> list[PiecewiseProfile]:
     """Return the profile that the moves of each joint make of its course."""
-    if not begins:
-        firsts = zip(courses, limits, strict=True)
+    if not initial:
+        firsts = zip(references, limits, strict=True)
         wires = [nearest_wire(float(one.position_deg[0]), limit) for one, limit in firsts]
         per_deg = [limit.wire_per_deg for limit in limits]
         return profiles_from_rest(moves, limits, np.array(wires) / per_deg)
     found = []
-    for begin, table in zip(begins, _pieces(moves, limits), strict=True):
-        before = PiecewiseProfile(begin.profile.pieces())
+    for motion, table in zip(initial, _pieces(moves, limits), strict=True):
+        before = PiecewiseProfile(motion.profile.pieces())
         made = PiecewiseProfile.of(table)
         found.append(before.followed_by(made, float("-inf")) if len(table[0]) else before)
     return found
@@ -193,12 +192,12 @@ def _pieces(moves: FittedMoves, limits: Sequence[ServoLimits]) -> list[tuple[Flo
     """Return the pieces of each joint's profile, each until the next one: `Reference.table`."""
     own = LimitArrays(limits).take(moves.joint)
     ramp, target_deg = own.ramp_deg_s2, moves.target_wire / own.wire_per_deg
-    states = States(moves.heard_s, moves.position_deg, moves.speed_deg_s)
+    states = States(moves.received_s, moves.position_deg, moves.speed_deg_s)
     made = trapezoids(states, target_deg, moves.travel_deg_s, ramp)
-    ramped_s = moves.heard_s + made.first_s
-    starts_s = (moves.heard_s, ramped_s, ramped_s + made.cruise_s, made.end_s)
+    ramped_s = moves.received_s + made.first_s
+    starts_s = (moves.received_s, ramped_s, ramped_s + made.cruise_s, made.end_s)
     ends = np.searchsorted(moves.joint, np.arange(len(limits)), side="right")
-    until_s = np.append(moves.heard_s[1:], np.inf)[: len(moves)]
+    until_s = np.append(moves.received_s[1:], np.inf)[: len(moves)]
     until_s[ends[ends > 0] - 1] = np.inf
     is_there = np.empty((len(moves), len(starts_s)), dtype=bool)
     for piece, (start_s, end_s) in enumerate(pairwise((*starts_s, until_s))):

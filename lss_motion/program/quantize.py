@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 LATEST_ARRIVAL_S: Final = 0.06
 """A successor may be this late before the servo begins to brake. Chosen: three times the worst
 wait for a line on which 18 servos start at once at 115200 bps."""
-AIM_TRIALS: Final = 8
+AIM_CANDIDATES: Final = 8
 """Neighbouring lattice targets tried for the one that hits the wanted speed best."""
 SPEED_LEAST_DEG_S: Final = 0.01
 """Slower than this is standing still: a lattice step of 0.1° in ten seconds."""
@@ -30,7 +30,7 @@ DURATION_MIN_MS: Final = 10
 profile is passing could ask for less, and a horn that is elsewhere would answer it with a jerk."""
 
 
-def aim(
+def quantized(
     state: States, speed_deg_s: FloatArray, next_s: FloatArray, limits: LimitArrays
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return target, T and travel speed that come nearest to `speed_deg_s` up to `next_s`.
@@ -47,7 +47,7 @@ def aim(
         limits.ramp_deg_s2,
     )
     beyond = speed * LATEST_ARRIVAL_S + 0.5 * speed * speed / limits.ramp_deg_s2
-    steps = sign * np.arange(AIM_TRIALS)[:, None]
+    steps = sign * np.arange(AIM_CANDIDATES)[:, None]
     wire = nearest_wires((reached_deg + sign * beyond) * limits.wire_per_deg + steps, limits)
     target_deg = wire / limits.wire_per_deg
     duration_ms = durations_ms(state, target_deg, speed, limits)
@@ -63,8 +63,8 @@ def durations_ms(
 ) -> FloatArray:
     """Return T for travel speeds: rounded, but never so that one breaks its speed limit."""
     speed = np.maximum(speed_deg_s, SPEED_LEAST_DEG_S)
-    wanted_s = durations_for(start, target_deg, speed, limits.ramp_deg_s2, limits.is_exact)
-    duration_ms = np.rint(MS_PER_S * wanted_s)
+    requested_s = durations_for(start, target_deg, speed, limits.ramp_deg_s2, limits.is_exact)
+    duration_ms = np.rint(MS_PER_S * requested_s)
     np.minimum(duration_ms, DURATION_MAX_MS, out=duration_ms)
     np.maximum(duration_ms, DURATION_MIN_MS, out=duration_ms)
     away_deg = np.abs(target_deg - start.position_deg)

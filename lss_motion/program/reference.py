@@ -162,14 +162,16 @@ class Points(NamedTuple):
 class References:
     """The courses of many servos on one grid, one after the other in flat arrays."""
 
-    def __init__(self, courses: Sequence[Reference], limits: Sequence[ServoLimits]) -> None:
-        assert len({(one.start_s, len(one.position_deg)) for one in courses}) == 1, "one grid"
-        self.start_s = courses[0].start_s
-        self.size = len(courses[0].position_deg)
-        self._padded_deg = np.empty((len(courses), self.size + AHEAD_MAX_STEPS), dtype=np.float32)
-        points = np.empty((len(courses), self.size, len(Points._fields)), dtype=np.float32)
+    def __init__(self, references: Sequence[Reference], limits: Sequence[ServoLimits]) -> None:
+        assert len({(one.start_s, len(one.position_deg)) for one in references}) == 1, "one grid"
+        self.start_s = references[0].start_s
+        self.size = len(references[0].position_deg)
+        self._padded_deg = np.empty(
+            (len(references), self.size + AHEAD_MAX_STEPS), dtype=np.float32
+        )
+        points = np.empty((len(references), self.size, len(Points._fields)), dtype=np.float32)
         bends = []
-        for joint, (one, limit) in enumerate(zip(courses, limits, strict=True)):
+        for joint, (one, limit) in enumerate(zip(references, limits, strict=True)):
             self._padded_deg[joint, : self.size] = one.position_deg
             self._padded_deg[joint, self.size :] = one.position_deg[-1]
             steps = np.zeros(self.size + 1, dtype=np.float32)
@@ -183,7 +185,7 @@ class References:
             columns[3] = np.maximum(ramp + _ahead(np.minimum, accel), least)
             bends.append(joint * self.size + _bends(accel, ramp))
         self._points = points.reshape(-1, len(Points._fields))
-        self._bends = np.concatenate([[-1], *bends, [len(courses) * self.size]])
+        self._bends = np.concatenate([[-1], *bends, [len(references) * self.size]])
         self._reach = np.array(
             [[one.ramp_deg_s2, one.tolerance_deg, one.speed_max_deg_s] for one in limits],
             dtype=np.float32,

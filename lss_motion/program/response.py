@@ -149,16 +149,16 @@ class Profile:
             speed_deg_s = 0.0
         return Piece(time_s, position_deg, speed_deg_s, 0.0)
 
-    def retarget(self, heard_s: float, target_deg: float, duration_s: float | None) -> None:
+    def retarget(self, received_s: float, target_deg: float, duration_s: float | None) -> None:
         """Take up `D target [T duration]` at `heard_s`; what was planned after it is dropped."""
-        start = self.state(heard_s)
+        start = self.state(received_s)
         travel = self._speed_max_deg_s
         if duration_s is not None and target_deg != start.position_deg:
             travel = min(
                 travel,
                 travel_speed(start, target_deg, duration_s, self.ramp_deg_s2, self._response),
             )
-        while self._pieces and self._pieces[-1].start_s >= heard_s:
+        while self._pieces and self._pieces[-1].start_s >= received_s:
             self._pieces.pop()
         self._pieces += trapezoid(start, target_deg, travel, self.ramp_deg_s2)
 
@@ -280,7 +280,7 @@ class States:
         return States(self.time_s[chosen], self.position_deg[chosen], self.speed_deg_s[chosen])
 
 
-def both(one: States, other: States) -> States:
+def concatenated_states(one: States, other: States) -> States:
     """Return the states of both, one after the other."""
     return States(
         np.concatenate((one.time_s, other.time_s)),
@@ -376,10 +376,10 @@ def speeds_for(
     is_exact: BoolArray,
 ) -> FloatArray:
     """Return the travel speeds that servos take for `D target T duration`, before any cap."""
-    asked: FloatArray = np.abs(target_deg - start.position_deg) / duration_s
+    cruising: FloatArray = np.abs(target_deg - start.position_deg) / duration_s
     if not is_exact.any():
-        return asked
-    return np.where(is_exact, exact_speeds(start, target_deg, duration_s, ramp_deg_s2), asked)
+        return cruising
+    return np.where(is_exact, exact_speeds(start, target_deg, duration_s, ramp_deg_s2), cruising)
 
 
 def exact_speeds(
@@ -414,8 +414,8 @@ def durations_for(
     is_exact: BoolArray,
 ) -> FloatArray:
     """Return the T that make servos travel at `travel_deg_s`: the inverse of `speeds_for`."""
-    asked: FloatArray = np.abs(target_deg - start.position_deg) / travel_deg_s
+    cruising: FloatArray = np.abs(target_deg - start.position_deg) / travel_deg_s
     if not is_exact.any():
-        return asked
+        return cruising
     exact_s = trapezoids(start, target_deg, travel_deg_s, ramp_deg_s2).end_s - start.time_s
-    return np.where(is_exact, exact_s, asked)
+    return np.where(is_exact, exact_s, cruising)

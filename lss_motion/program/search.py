@@ -71,7 +71,7 @@ class Landings:
 
 
 def best_landings(
-    courses: References,
+    references: References,
     joint: IntArray,
     state: States,
     wire: FloatArray,
@@ -79,20 +79,20 @@ def best_landings(
     limits: LimitArrays,
 ) -> Landings:
     """Return how moves from `state` land on `wire`, where the courses stand over `rest`."""
-    first_s, last_s = (courses.times_s(index) for index in rest)
+    first_s, last_s = (references.times_s(index) for index in rest)
     ramp, most = limits.ramp_deg_s2, limits.speed_max_deg_s
     target_deg = wire / limits.wire_per_deg
     left_s = np.maximum(first_s - state.time_s, SEGMENT_MIN_S)
     exact = np.clip(exact_speeds(state, target_deg, left_s, ramp), SPEED_LEAST_DEG_S, most)
-    tried = np.array(LANDING_RATIOS)[:, None] * exact
-    duration_ms = durations_ms(state, target_deg, tried, limits)
+    candidates = np.array(LANDING_RATIOS)[:, None] * exact
+    duration_ms = durations_ms(state, target_deg, candidates, limits)
     travel = speeds_for(state, target_deg, duration_ms / MS_PER_S, ramp, limits.is_exact)
     travel = np.minimum(travel, most)
     moves = trapezoids(state, target_deg, travel, ramp)
     landed_s = moves.end_s
 
-    first = courses.first_index(state.time_s)
-    end = np.maximum(courses.first_index(np.minimum(landed_s, last_s)), rest[0])
+    first = references.first_index(state.time_s)
+    end = np.maximum(references.first_index(np.minimum(landed_s, last_s)), rest[0])
     # On a line that is too full, the standstill may be over before the move is heard.
     lasts = 1 + np.maximum(end - first, 0)
     counts = lasts.max(axis=0)
@@ -100,9 +100,9 @@ def best_landings(
     of = np.repeat(np.arange(len(wire)), counts)
     step = np.arange(len(of)) - starts[of]
     index = first[of] + step
-    course_deg = courses.position_deg(joint[of], index)
-    stray = moves.take(of).positions_deg(courses.times_s(index))
-    stray -= course_deg
+    reference_deg = references.position_deg(joint[of], index)
+    stray = moves.take(of).positions_deg(references.times_s(index))
+    stray -= reference_deg
     np.abs(stray, out=stray)
     stray[step >= lasts.take(of, axis=1)] = 0.0
     error_deg = np.maximum.reduceat(stray, starts, axis=1)
@@ -133,7 +133,7 @@ HARD_RATIO: Final = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trials:
+class MoveCandidates:
     """Which moves are tried: some instants of the successor, each with some travel speeds.
 
     `cuts`       how much of the longest possible move; what counts is how far its successor reaches
@@ -148,7 +148,7 @@ class Trials:
     cuts: tuple[float, ...]
     bends: int
     speeds: tuple[float, ...]
-    tried: tuple[int, ...]
+    speeds_tried: tuple[int, ...]
     recovery: tuple[int, ...]
 
     @cached_property
@@ -157,26 +157,26 @@ class Trials:
 
         Those with the course's own speed come first, one for each cut and bend.
         """
-        own = np.arange(len(self.tried))
-        inside = np.repeat(own, np.array(self.tried) - 1)
-        places = np.concatenate([self.speeds[: count - 1] for count in self.tried])
+        own = np.arange(len(self.speeds_tried))
+        inside = np.repeat(own, np.array(self.speeds_tried) - 1)
+        places = np.concatenate([self.speeds[: count - 1] for count in self.speeds_tried])
         return np.append(own, inside), inside, places.astype(np.float32)[:, None]
 
 
-QUICK: Final = Trials(
+QUICK: Final = MoveCandidates(
     cuts=(0.98, 0.93, 0.85, 0.75),
     bends=1,
     speeds=(0.5, 0.2),
-    tried=(1, 3, 3, 1, 1, 1),
+    speeds_tried=(1, 3, 3, 1, 1, 1),
     recovery=(2, 4, 7, 12, 20, 32),
 )
 """Chosen by measurement (`tools/bench.py compress`): one cut less costs one move in fifty; more
 save nothing, and half as many speeds again save one move in 250."""
-WIDE: Final = Trials(
+WIDE: Final = MoveCandidates(
     cuts=(1.0, 0.93, 0.85, 0.75, 0.6, 0.45, 0.3),
     bends=2,
     speeds=(0.5, 0.25, 0.75, 0.05, 0.95),
-    tried=(6,) * 11,
+    speeds_tried=(6,) * 11,
     recovery=(2, 3, 4, 5, 7, 9, 12, 16, 20, 26, 48),
 )
 """Chosen: where the course is near its acceleration limit, fewer trials lose it by degrees."""
@@ -203,56 +203,58 @@ class Servos:
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
+class NextMoves:
     """The travel speed of each servo's next move, and when its successor is wanted.
 
     `held_steps`: for how many grid steps one move can keep the tolerance.
     """
 
     speed_deg_s: FloatArray
-    wanted_s: FloatArray
+    requested_s: FloatArray
     held_steps: IntArray
 
 
-def chosen(courses: References, servos: Servos) -> Chosen:
+def next_moves(references: References, servos: Servos) -> NextMoves:
     """Return how servos that cannot land yet go on."""
-    starts = Starts.of(courses, servos.joint, servos.first, servos.state)
-    cones = open_cones(courses, starts, AHEAD_MAX_STEPS // VIEW_STRIDE, VIEW_STRIDE, VIEW_BLOCK)
+    starts = Starts.of(references, servos.joint, servos.first, servos.state)
+    cones = open_cones(references, starts, AHEAD_MAX_STEPS // VIEW_STRIDE, VIEW_STRIDE, VIEW_BLOCK)
     held_steps = VIEW_STRIDE * (cones.held - 1)
-    is_hard = _is_hard(courses, servos) | (held_steps < SEGMENT_MIN_STEPS)
-    speed_deg_s, wanted_s = np.empty(len(is_hard)), np.empty(len(is_hard))
-    for trials, some in ((QUICK, ~is_hard), (WIDE, is_hard)):
+    is_hard = _is_hard(references, servos) | (held_steps < SEGMENT_MIN_STEPS)
+    speed_deg_s, requested_s = np.empty(len(is_hard)), np.empty(len(is_hard))
+    for candidates, some in ((QUICK, ~is_hard), (WIDE, is_hard)):
         rows = np.flatnonzero(some)
         if len(rows):
-            best = _best(courses, servos.take(rows), trials, cones, rows)
-            speed_deg_s[rows], wanted_s[rows] = best
-    return Chosen(speed_deg_s, wanted_s, held_steps)
+            best = _best(references, servos.take(rows), candidates, cones, rows)
+            speed_deg_s[rows], requested_s[rows] = best
+    return NextMoves(speed_deg_s, requested_s, held_steps)
 
 
-def _is_hard(courses: References, servos: Servos) -> BoolArray:
+def _is_hard(references: References, servos: Servos) -> BoolArray:
     """Return where the course leaves little ramp for the next moves."""
     least = HARD_RATIO * servos.limits.ramp_deg_s2
     index = servos.first + np.array([[0], [AUTHORITY_STEPS]])
-    at = courses.at(servos.joint, index)
+    at = references.at(servos.joint, index)
     hard: BoolArray = (np.minimum(at.up_deg_s2, at.down_deg_s2) < least).any(axis=0)
     return hard
 
 
 def _best(
-    courses: References, servos: Servos, trials: Trials, cones: Cones, rows: IntArray
+    references: References, servos: Servos, candidates: MoveCandidates, cones: Cones, rows: IntArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the best of the trials: travel speeds and instants of the successors.
 
     The servos are `rows` of the cones. Cuts and bends, and after them the trials, are rows here.
     """
-    cuts, is_held, is_new = _cuts(courses, servos, trials, VIEW_STRIDE * (cones.held[rows] - 1))
+    cuts, is_held, is_new = _cuts(
+        references, servos, candidates, VIEW_STRIDE * (cones.held[rows] - 1)
+    )
     low, high = _cone(servos, cones.at(rows, -(-cuts // VIEW_STRIDE)), cuts, is_held)
     index = servos.first + cuts
-    at = courses.at(servos.joint, index)
-    pair, inside, place = trials.pairs
+    at = references.at(servos.joint, index)
+    pair, inside, place = candidates.pairs
     spread = place * (high - low).take(inside, axis=0) + low.take(inside, axis=0)
     speeds = np.concatenate((np.minimum(np.maximum(at.speed_deg_s, low), high), spread))
-    times_s = courses.times_s(index)
+    times_s = references.times_s(index)
     tau_s = (times_s - servos.state.time_s).astype(np.float32)
     position, reached = ramped(
         servos.state.position_deg.astype(np.float32),
@@ -267,9 +269,9 @@ def _best(
     merit = -excursion
     some = np.flatnonzero(follows)
     if len(some):
-        trial = some // merit.shape[1]
-        row = some - trial * merit.shape[1]
-        cut = pair.take(trial) * merit.shape[1] + row
+        candidate = some // merit.shape[1]
+        row = some - candidate * merit.shape[1]
+        cut = pair.take(candidate) * merit.shape[1] + row
         after = Starts(
             servos.joint.take(row),
             index.take(cut),
@@ -278,7 +280,7 @@ def _best(
             reached.take(some),
         )
         merit = np.where(follows.any(axis=0), np.float32(-np.inf), merit)
-        steps = reach_steps(courses, after, *REACH)
+        steps = reach_steps(references, after, *REACH)
         # Where two reach as far, the later successor: it is the longer move.
         merit.put(some, tau_s.take(cut) + GRID_S * steps + 1e-6 * cuts.take(cut))
     best = np.argmax(merit, axis=0), np.arange(merit.shape[1])
@@ -286,20 +288,20 @@ def _best(
 
 
 def _cuts(
-    courses: References, servos: Servos, trials: Trials, held: IntArray
+    references: References, servos: Servos, candidates: MoveCandidates, held: IntArray
 ) -> tuple[IntArray, BoolArray, BoolArray]:
     """Return steps until the successor to try, whether the tolerance is kept, and which are new."""
     least, first = SEGMENT_MIN_STEPS, servos.first
     latest = np.maximum(servos.latest - first, least)
     is_held = held >= least
     last = np.maximum(np.minimum(held, latest), least)
-    cuts = np.rint(last * np.array(trials.cuts)[:, None]).astype(np.intp)
+    cuts = np.rint(last * np.array(candidates.cuts)[:, None]).astype(np.intp)
     cuts = np.maximum(cuts, least)
     rows, is_new = [cuts], [np.ones(cuts.shape, dtype=bool)]
     before, after = first + last, first + BEND_MIN_STEPS
-    for _ in range(trials.bends):
-        before = courses.bend_before(servos.joint, before)
-        after = courses.bend_after(servos.joint, after)
+    for _ in range(candidates.bends):
+        before = references.bend_before(servos.joint, before)
+        after = references.bend_after(servos.joint, after)
         bends = np.stack((before, after)) - first
         is_within = (bends >= BEND_MIN_STEPS) & (bends <= last)
         rows.append(np.where(is_within, bends, cuts[0]))
@@ -307,7 +309,7 @@ def _cuts(
         before, after = np.maximum(before - 1, 0), after + 1
     steps = np.concatenate(rows)
     if not is_held.all():
-        recovery = np.minimum(np.array(trials.recovery)[:, None], latest)
+        recovery = np.minimum(np.array(candidates.recovery)[:, None], latest)
         steps = np.where(is_held, steps, recovery)
     return steps, is_held, np.concatenate(is_new)
 

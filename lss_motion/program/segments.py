@@ -21,7 +21,7 @@ from lss_motion.program.reference import GRID_S, STILL_ROUNDING_DEG
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator, Sequence
 
-    from lss_motion.program.moves import Begin
+    from lss_motion.program.moves import InitialMotion
     from lss_motion.program.reference import Reference, ServoLimits
     from lss_motion.program.response import FloatArray, IntArray
 
@@ -55,59 +55,59 @@ class Segment:
     first: int
     after_s: float
     onset_s: float
-    leaves_s: float
+    departs_s: float
     latest_s: float
     stop: Stop | None
     stop_wire: int
-    begin: Begin | None = None
+    initial: InitialMotion | None = None
 
 
 def segments_of(
     joint: int,
-    course: Reference,
+    reference: Reference,
     limits: ServoLimits,
     follow_deg: float,
     refused: Container[tuple[int, int]],
-    begin: Begin | None = None,
+    initial: InitialMotion | None = None,
 ) -> Iterator[Segment]:
     """Yield the lanes of one joint, in order of time.
 
     A lane may begin while the servo is up to `follow_deg` from its course. `refused` holds
     `(joint, index)` of stops that are to be travelled through.
     """
-    stops = [stop for stop in _stops(course, limits) if (joint, stop[0]) not in refused]
-    last = len(course.position_deg) - 1
-    if begin is not None and begin.first_s is not None:
-        first = course.index(begin.first_s)
+    stops = [stop for stop in _stops(reference, limits) if (joint, stop[0]) not in refused]
+    last = len(reference.position_deg) - 1
+    if initial is not None and initial.first_s is not None:
+        first = reference.index(initial.first_s)
         stops = [stop for stop in stops if stop[1] > first]
         before = stops.pop(0) if stops else None
-        wire = nearest_wire(float(course.position_deg[before[0] if before else last]), limits)
-        start_s, first_s = course.start_s, begin.first_s
-        yield Segment(joint, 0, 0, start_s, first_s, first_s, first_s, before, wire, begin)
+        wire = nearest_wire(float(reference.position_deg[before[0] if before else last]), limits)
+        start_s, first_s = reference.start_s, initial.first_s
+        yield Segment(joint, 0, 0, start_s, first_s, first_s, first_s, before, wire, initial)
         if before is None:
             return
     else:
         before = stops.pop(0) if stops and stops[0][0] == 0 else None
-        wire = nearest_wire(float(course.position_deg[before[1] if before else 0]), limits)
-        if begin is not None:
-            wire = round(begin.profile.at(course.start_s)[0] * limits.wire_per_deg)
+        wire = nearest_wire(float(reference.position_deg[before[1] if before else 0]), limits)
+        if initial is not None:
+            wire = round(initial.profile.at(reference.start_s)[0] * limits.wire_per_deg)
     bounds: list[Stop | None] = [before, *stops]
     at = [stop[0] for stop in stops]
     if bounds[-1] is None or bounds[-1][1] < last:
         bounds.append(None)
         at.append(last)
-    wires = [wire, *(nearest_wire(deg, limits) for deg in course.position_deg[at].tolist())]
-    yield from _segments(joint, course, limits, follow_deg, bounds, wires)
+    wires = [wire, *(nearest_wire(deg, limits) for deg in reference.position_deg[at].tolist())]
+    yield from _segments(joint, reference, limits, follow_deg, bounds, wires)
 
 
-def _stops(course: Reference, limits: ServoLimits) -> list[Stop]:
+def _stops(reference: Reference, limits: ServoLimits) -> list[Stop]:
     """Return the standstills of a course, and turning points where they are far between."""
-    rests = course.rests()
+    rests = reference.rests()
     stretch = round(STRETCH_S / GRID_S)
-    edges = [0, *(index for rest in rests for index in rest), len(course.position_deg) - 1]
+    edges = [0, *(index for rest in rests for index in rest), len(reference.position_deg) - 1]
     if max(b - a for a, b in zip(edges[::2], edges[1::2], strict=True)) < 2 * stretch:
         return rests
-    turns, accels = (column.tolist() for column in _turns(course, limits.ramp_deg_s2))
+    turns, accels = (column.tolist() for column in _turns(reference, limits.ramp_deg_s2))
     stops = list(rests)
     for start, end in zip(edges[::2], edges[1::2], strict=True):
         now = start
@@ -121,9 +121,9 @@ def _stops(course: Reference, limits: ServoLimits) -> list[Stop]:
     return sorted(stops)
 
 
-def _turns(course: Reference, ramp_deg_s2: float) -> tuple[IntArray, FloatArray]:
+def _turns(reference: Reference, ramp_deg_s2: float) -> tuple[IntArray, FloatArray]:
     """Return the turning points at which a servo can stop, and how sharply the course turns."""
-    steps = course.steps_deg
+    steps = reference.steps_deg
     turns = 1 + np.flatnonzero(steps[:-1] * steps[1:] < 0.0)
     turns = turns[(turns >= TURN_STEPS) & (turns < len(steps) - TURN_STEPS)]
     around = turns[:, None] + np.arange(-TURN_STEPS - 1, TURN_STEPS + 1)
@@ -135,7 +135,7 @@ def _turns(course: Reference, ramp_deg_s2: float) -> tuple[IntArray, FloatArray]
 
 def _segments(
     joint: int,
-    course: Reference,
+    reference: Reference,
     limits: ServoLimits,
     follow_deg: float,
     bounds: Sequence[Stop | None],
@@ -145,7 +145,7 @@ def _segments(
 
     There is none where the course never leaves the wire value on which it begins.
     """
-    end = len(course.position_deg) - 1
+    end = len(reference.position_deg) - 1
     edges = [
         (before[0] if before else 0, before[1] if before else end, after[0] if after else end)
         for before, after in pairwise(bounds)
@@ -154,18 +154,18 @@ def _segments(
     wire, stop_wire = np.array(wires[:-1]), np.array(wires[1:])
     position_deg = wire / limits.wire_per_deg
     half_unit_deg = 0.5 / limits.wire_per_deg + STILL_ROUNDING_DEG
-    leaves = _first_away(course.position_deg, first, last, position_deg, half_unit_deg)
+    leaves = _first_away(reference.position_deg, first, last, position_deg, half_unit_deg)
     is_moved = (leaves <= last) | (wire != stop_wire)
     leaves = np.minimum(leaves, last)
     onset = np.minimum(rested, leaves)
     # The landing before may come to rest a little after a turning point.
     is_turn = np.array([stop is not None and stop[0] == stop[1] for stop in bounds[:-1]])
-    after_s = course.times_s(first) + GRID_S * is_turn
-    outside = _first_away(course.position_deg, leaves, last, position_deg, follow_deg)
-    onset_s = np.maximum(course.times_s(onset), after_s)
-    latest_s = np.maximum(course.times_s(np.maximum(outside - 1, leaves)), onset_s)
-    leaves_s = np.minimum(np.maximum(_leaves_s(course, onset), onset_s), latest_s)
-    times_s = (after_s, onset_s, leaves_s, latest_s)
+    after_s = reference.times_s(first) + GRID_S * is_turn
+    outside = _first_away(reference.position_deg, leaves, last, position_deg, follow_deg)
+    onset_s = np.maximum(reference.times_s(onset), after_s)
+    latest_s = np.maximum(reference.times_s(np.maximum(outside - 1, leaves)), onset_s)
+    departs_s = np.minimum(np.maximum(_departures_s(reference, onset), onset_s), latest_s)
+    times_s = (after_s, onset_s, departs_s, latest_s)
     rows = zip(*(column.tolist() for column in times_s), strict=True)
     for at, (start_s, begin_s, guess_s, end_s) in enumerate(rows):
         if is_moved[at]:
@@ -195,12 +195,12 @@ def _first_away(
     return found
 
 
-def _leaves_s(course: Reference, onset: IntArray) -> FloatArray:
+def _departures_s(reference: Reference, onset: IntArray) -> FloatArray:
     """Return when the course leaves its standstills, between two grid points, as a parabola."""
-    grid = course.position_deg
+    grid = reference.position_deg
     first, second = (
         np.sqrt(np.abs(grid.take(onset + step, mode="clip") - grid[onset])) for step in (1, 2)
     )
     bends = second > first
     before_s = GRID_S * first / np.where(bends, second - first, 1.0)
-    return np.where(bends, course.times_s(onset + 1) - before_s, course.times_s(onset))
+    return np.where(bends, reference.times_s(onset + 1) - before_s, reference.times_s(onset))

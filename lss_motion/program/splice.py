@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.errors import InputError, LineLoadError
+from lss_motion.errors import InputError
 from lss_motion.program.compile import lines_use
 from lss_motion.program.drives import profile_lead_s
 from lss_motion.program.line import LineSchedule, LineUse
 from lss_motion.program.model import Move, Program, ramp_deg_s2, received_us, target_deg
-from lss_motion.program.moves import Begin
+from lss_motion.program.moves import InitialMotion
 from lss_motion.program.reference import GRID_S, Reference
 from lss_motion.program.response import PiecewiseProfile, Profile
-from lss_motion.program.schedule import RELAXED_RATIOS, Schedule, slot_us
+from lss_motion.program.schedule import RELAXED_RATIOS, Schedule, overload_error, slot_us
 from lss_motion.program.table import moves_of
 from lss_motion.program.verify import verify_profiles
 from lss_motion.units import s_from_ms, s_from_us, us_from_s
@@ -80,27 +80,33 @@ class SpliceState:
         if missing := [name for name in trajectory.joints if name not in self.profiles]:
             raise InputError(f"joint {missing[0]!r} is not one of the program's")
         splice_us = us_from_s(from_s - self._lead_s)
-        courses = self._courses(trajectory, starts_s, s_from_us(splice_us))
-        grown = self.at(splice_us)
-        begins = {
-            name: Begin(
-                grown[name].copy(),
-                None if _stands(grown[name], s_from_us(splice_us))
+        references = self._references(trajectory, starts_s, s_from_us(splice_us))
+        spliced = self.at(splice_us)
+        initial = {
+            name: InitialMotion(
+                spliced[name].copy(),
+                None if _stands(spliced[name], s_from_us(splice_us))
                 else self.takes_over_s(name, splice_us),
             )
-            for name in courses
+            for name in references
         }  # fmt: skip
         tight: Schedule | None = None
         for ratio in RELAXED_RATIOS:
             lines = {bus: _line(self, bus, splice_us) for bus in self.robot.buses}
-            attempt = Schedule(
-                courses, self.robot, self.tolerance_deg * ratio, begins=begins, lines=lines
+            schedule = Schedule(
+                references, self.robot, self.tolerance_deg * ratio, initial=initial, lines=lines
             )
-            if not attempt.is_tight:
-                return _extension(attempt, self.robot, splice_us, starts_s + trajectory.duration_s)
-            tight = attempt
+            if not schedule.is_tight:
+                return _extension(schedule, self.robot, splice_us, starts_s + trajectory.duration_s)
+            tight = schedule
         assert tight is not None
-        raise _overload(tight, self.robot)
+        raise overload_error(
+            tight,
+            self.robot,
+            from_s=s_from_us(splice_us),
+            what="this part of the motion",
+            remedies="a faster baud rate or a slower gait",
+        )
 
     def taken(self, extension: Extension) -> SpliceState:
         """Return how far the program has grown once it has been extended."""
@@ -123,9 +129,9 @@ class SpliceState:
             if move.due_us >= splice_us:
                 break
             name = by_address[move.bus, move.servo_id]
-            heard_s = s_from_us(received_us(move, self.robot.buses[move.bus].baud_bps))
+            received_s = s_from_us(received_us(move, self.robot.buses[move.bus].baud_bps))
             angle = target_deg(self.robot.joints[name], move.target_wire)
-            profiles[name].retarget(heard_s, angle, s_from_ms(move.duration_ms or 0))
+            profiles[name].retarget(received_s, angle, s_from_ms(move.duration_ms or 0))
         for profile in profiles.values():
             profile.forget_before(s_from_us(splice_us) - HISTORY_S)
         return profiles
@@ -147,20 +153,20 @@ class SpliceState:
                 )
         return changes_s
 
-    def _courses(
+    def _references(
         self, trajectory: Trajectory, starts_s: float, splice_s: float
     ) -> dict[str, Reference]:
         """Return what the profiles have to do from the splice on."""
         end_s = starts_s + trajectory.duration_s
         steps = int(np.ceil((end_s - splice_s) / GRID_S)) + round(self._lead_s / GRID_S) + 2
         times_s = splice_s - starts_s + GRID_S * np.arange(steps, dtype=np.float64)
-        courses = {}
+        references = {}
         for column, name in enumerate(trajectory.joints):
             joint = self.robot.joints[name]
             angles_deg = trajectory.sample(times_s + profile_lead_s(joint))[:, column]
             servo_deg = joint.zero_deg + joint.direction * angles_deg
-            courses[name] = Reference(start_s=splice_s, position_deg=servo_deg)
-        return courses
+            references[name] = Reference(start_s=splice_s, position_deg=servo_deg)
+        return references
 
 
 def initial_splice_state(program: Program, robot: Robot) -> SpliceState:
@@ -195,31 +201,18 @@ def splice_lead_s(robot: Robot, names: Mapping[str, Profile]) -> float:
     return max(profile_lead_s(joint) for joint in joints) + s_from_us(queue_us) + GRID_S
 
 
-def _extension(attempt: Schedule, robot: Robot, splice_us: int, duration_s: float) -> Extension:
+def _extension(schedule: Schedule, robot: Robot, splice_us: int, duration_s: float) -> Extension:
     """Return what came of an attempt; raises `PlanningError` if its bytes break a limit."""
-    profiles = {name: fitted.reference for name, fitted in attempt.fitted.items()}
+    profiles = {name: fitted.profile for name, fitted in schedule.fitted.items()}
     verify_profiles(profiles, robot)
-    moves = moves_of(attempt.fitted, robot)
+    moves = moves_of(schedule.fitted, robot)
     return Extension(
         from_us=splice_us,
         moves=moves,
         duration_s=duration_s,
         profiles=profiles,
         line_use=lines_use(moves, robot),
-        tolerance_deg=attempt.tolerance_deg,
-    )
-
-
-def _overload(attempt: Schedule, robot: Robot) -> LineLoadError:
-    """Return the error that says how much is too much, and what would help."""
-    uses = lines_use(moves_of(attempt.fitted, robot), robot).values()
-    use = max(uses, key=lambda own: own.utilisation_ratio)
-    return LineLoadError(
-        f"bus {use.bus!r} at {use.baud_bps} bps cannot carry this stretch: some commands would be "
-        f"{attempt.late_max_us / 1e3:.0f} ms late, even with a tolerance of "
-        f"{attempt.tolerance_deg:.2f} deg. What would help: a faster baud rate or a slower gait",
-        bus=use.bus,
-        utilisation_ratio=use.utilisation_ratio,
+        tolerance_deg=schedule.tolerance_deg,
     )
 
 

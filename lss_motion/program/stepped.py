@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.program.moves import FittedMove
+from lss_motion.program.moves import Setpoint
 from lss_motion.program.quantize import nearest_wire
 from lss_motion.program.reference import GRID_S, STILL_ROUNDING_DEG
 from lss_motion.program.response import Piece, PiecewiseProfile
@@ -44,9 +44,9 @@ class StepProfile:
                 return value, 0.0
         return self._values[0], 0.0
 
-    def retarget(self, heard_s: float, target_deg: float, _duration_s: float | None) -> None:
+    def retarget(self, received_s: float, target_deg: float, _duration_s: float | None) -> None:
         """Take up `D target` at `heard_s`. T does nothing."""
-        self._times_s.append(heard_s)
+        self._times_s.append(received_s)
         self._values.append(target_deg)
 
     def forget_before(self, time_s: float) -> None:
@@ -62,53 +62,53 @@ class StepProfile:
 class StepFitter:
     """Fits one joint, step by step; see `drives.JointFitter`."""
 
-    def __init__(self, course: Reference, limits: ServoLimits, seams_s: Sequence[float]) -> None:
-        self._course = course
+    def __init__(self, reference: Reference, limits: ServoLimits, seams_s: Sequence[float]) -> None:
+        self._reference = reference
         self._limits = limits
         self._seams_s = sorted(seams_s)
         self._hold = round(0.5 * PULSE_S / GRID_S)
-        wire = nearest_wire(float(course.position_deg[0]), limits)
+        wire = nearest_wire(float(reference.position_deg[0]), limits)
         self._standing_deg = wire / limits.wire_per_deg
         self._profile = StepProfile(self._standing_deg)
-        self.moves: list[FittedMove] = []
+        self.setpoints: list[Setpoint] = []
 
-    def wanted(self, granted_s: float | None) -> float | None:
+    def request(self, granted_s: float | None) -> float | None:
         """Return when the next step is to be heard at the latest; None when none is needed."""
         if granted_s is None:
-            return self._next(self._course.start_s)
+            return self._next(self._reference.start_s)
         self._emit(granted_s)
-        wanted_s = self._next(granted_s + PULSE_S)
+        requested_s = self._next(granted_s + PULSE_S)
         seam = bisect_left(self._seams_s, granted_s + PULSE_S)
         if seam == len(self._seams_s):
-            return wanted_s
-        return min(self._seams_s[seam], math.inf if wanted_s is None else wanted_s)
+            return requested_s
+        return min(self._seams_s[seam], math.inf if requested_s is None else requested_s)
 
     def grant(self, granted_s: float) -> None:
         """Nothing depends on when the successor is heard."""
 
-    def reference(self) -> PiecewiseProfile:
+    def profile(self) -> PiecewiseProfile:
         """Return the whole profile that the steps so far make."""
         return PiecewiseProfile(self._profile.pieces())
 
-    def _emit(self, heard_s: float) -> None:
+    def _emit(self, received_s: float) -> None:
         """Go to the whole degree that is nearest to the course while this step is held."""
-        course = self._course.position_deg
-        index = min(self._course.index(heard_s) + self._hold, len(course) - 1)
-        wire = nearest_wire(float(course[index]), self._limits)
+        reference = self._reference.position_deg
+        index = min(self._reference.index(received_s) + self._hold, len(reference) - 1)
+        wire = nearest_wire(float(reference[index]), self._limits)
         self._standing_deg = wire / self._limits.wire_per_deg
-        self._profile.retarget(heard_s, self._standing_deg, None)
-        self.moves.append(FittedMove(heard_s, wire, None))
+        self._profile.retarget(received_s, self._standing_deg, None)
+        self.setpoints.append(Setpoint(received_s, wire))
 
     def _next(self, from_s: float) -> float | None:
         """Return when, from `from_s` on, another whole degree is nearer to the course."""
-        limits, course = self._limits, self._course.position_deg
+        limits, reference = self._limits, self._reference.position_deg
         half_unit_deg = 0.5 * limits.wire_step / limits.wire_per_deg
         room_deg = max(half_unit_deg, limits.tolerance_deg) + STILL_ROUNDING_DEG
-        first = self._course.index(from_s)
-        while first < len(course):
-            some = course[first + self._hold : first + self._hold + SEARCH_STEPS]
+        first = self._reference.index(from_s)
+        while first < len(reference):
+            some = reference[first + self._hold : first + self._hold + SEARCH_STEPS]
             away = np.flatnonzero(np.abs(some - self._standing_deg) > room_deg)
             if away.size:
-                return max(self._course.time_s(first + int(away[0])), from_s)
+                return max(self._reference.time_s(first + int(away[0])), from_s)
             first += SEARCH_STEPS
         return None

@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.program.cones import CONE_RATIO
-from lss_motion.program.moves import FittedMove
+from lss_motion.program.moves import Setpoint
 from lss_motion.program.quantize import nearest_wire
 from lss_motion.program.reference import GRID_S, STILL_DEG, STILL_ROUNDING_DEG
 from lss_motion.program.response import Piece, PiecewiseProfile
@@ -72,9 +72,9 @@ class FilterProfile:
 
     # ---- steps
 
-    def acts_on(self, heard_s: float) -> int:
+    def acts_on(self, received_s: float) -> int:
         """Return the first step for which a command heard at `heard_s` counts."""
-        loops = math.ceil((heard_s - self._step_s) / self._loop_s - ROUNDING)
+        loops = math.ceil((received_s - self._step_s) / self._loop_s - ROUNDING)
         return math.floor(loops * self._loop_s / self.period_s + ROUNDING) + 1
 
     def receive_s(self, step: int) -> float:
@@ -96,9 +96,9 @@ class FilterProfile:
 
     # ---- commands
 
-    def retarget(self, heard_s: float, target_deg: float, _duration_s: float | None) -> None:
+    def retarget(self, received_s: float, target_deg: float, _duration_s: float | None) -> None:
         """Take up `D target` at `heard_s`; the filter goes on from where it is. T does nothing."""
-        step = self.acts_on(heard_s)
+        step = self.acts_on(received_s)
         before_deg = self.value(step - 1)
         while self._steps and self._steps[-1] >= step - 1:
             self._steps.pop()
@@ -162,28 +162,28 @@ this share of it is then left for the fit."""
 class StreamFitter:
     """Fits one joint, command by command; see `drives.JointFitter`."""
 
-    def __init__(self, course: Reference, limits: ServoLimits, profile: FilterProfile) -> None:
+    def __init__(self, reference: Reference, limits: ServoLimits, profile: FilterProfile) -> None:
         """Fit `course`; `profile` stands where the course begins."""
         self._limits = limits
         self._profile = profile
-        self._first = profile.acts_on(course.start_s) + 1
-        last = profile.acts_on(course.end_s) - 1
+        self._first = profile.acts_on(reference.start_s) + 1
+        last = profile.acts_on(reference.end_s) - 1
         steps = np.arange(self._first, max(last, self._first) + 1)
         middle_s = profile.step_s(0) + profile.period_s * (steps + 0.5)
-        grid_s = course.start_s + GRID_S * np.arange(len(course.position_deg))
-        self._course_deg = np.interp(middle_s, grid_s, course.position_deg)
-        is_still = np.abs(np.diff(self._course_deg, append=self._course_deg[-1])) < STILL_DEG
+        grid_s = reference.start_s + GRID_S * np.arange(len(reference.position_deg))
+        self._reference_deg = np.interp(middle_s, grid_s, reference.position_deg)
+        is_still = np.abs(np.diff(self._reference_deg, append=self._reference_deg[-1])) < STILL_DEG
         self._is_still = is_still.tolist()
-        self._values = self._course_deg.tolist()
+        self._values = self._reference_deg.tolist()
         bend_deg = limits.ramp_deg_s2 * profile.period_s * profile.period_s / 8.0
         self._room_deg = max(
             CONE_RATIO * limits.tolerance_deg - bend_deg, BEND_LEAST_RATIO * bend_deg
         )
         self._pending: tuple[float, int] | None = None
         self._repeats = 0
-        self.moves: list[FittedMove] = []
+        self.setpoints: list[Setpoint] = []
 
-    def wanted(self, granted_s: float | None) -> float | None:
+    def request(self, granted_s: float | None) -> float | None:
         """Return when the next command is to be heard at the latest; None when none is needed."""
         if granted_s is None:
             return self._departure(self._first, self._values[0])
@@ -199,19 +199,19 @@ class StreamFitter:
         """Settle the pending command, now that its successor is known to be heard then."""
         if self._pending is None:
             return
-        heard_s, step = self._pending
+        received_s, step = self._pending
         self._pending = None
         steps = min(max(self._profile.acts_on(granted_s) - step, 1), self._most(step))
-        self._emit(heard_s, self._best(step, steps))
+        self._emit(received_s, self._best(step, steps))
 
-    def reference(self) -> PiecewiseProfile:
+    def profile(self) -> PiecewiseProfile:
         """Return the whole profile that the commands so far make."""
         return PiecewiseProfile(self._profile.pieces())
 
-    def _emit(self, heard_s: float, target_deg: float) -> None:
+    def _emit(self, received_s: float, target_deg: float) -> None:
         wire = nearest_wire(target_deg, self._limits)
-        self._profile.retarget(heard_s, wire / self._limits.wire_per_deg, None)
-        self.moves.append(FittedMove(heard_s, wire, None))
+        self._profile.retarget(received_s, wire / self._limits.wire_per_deg, None)
+        self.setpoints.append(Setpoint(received_s, wire))
 
     def _index(self, step: int) -> int:
         return min(max(step - self._first, 0), len(self._values) - 1)
@@ -235,9 +235,9 @@ class StreamFitter:
         low = max(limits.position_min_deg, before_deg - reach_deg)
         high = min(limits.position_max_deg, before_deg + reach_deg)
         tolerance_deg, kept = self._room_deg, 1.0
-        for held, course_deg in enumerate(self._values[index : index + most]):
+        for held, reference_deg in enumerate(self._values[index : index + most]):
             kept *= profile.keep_ratio
-            middle = (course_deg - kept * before_deg) / (1.0 - kept)
+            middle = (reference_deg - kept * before_deg) / (1.0 - kept)
             room = tolerance_deg / (1.0 - kept)
             if max(low, middle - room) > min(high, middle + room):
                 return held, low, high
@@ -248,10 +248,10 @@ class StreamFitter:
         """Return the target with the least squared error over `steps`, within what is allowed."""
         _, low, high = self._targets(step, steps)
         index = self._index(step)
-        course_deg = self._course_deg[index : index + steps]
-        kept = self._profile.keep_ratio ** np.arange(1, len(course_deg) + 1)
-        wanted, gained = course_deg - kept * self._profile.value(step - 1), 1.0 - kept
-        target_deg = float(np.dot(gained, wanted) / np.dot(gained, gained))
+        reference_deg = self._reference_deg[index : index + steps]
+        kept = self._profile.keep_ratio ** np.arange(1, len(reference_deg) + 1)
+        offset_deg, gained = reference_deg - kept * self._profile.value(step - 1), 1.0 - kept
+        target_deg = float(np.dot(gained, offset_deg) / np.dot(gained, gained))
         return min(max(target_deg, low), high)
 
     # ---- at rest
@@ -263,13 +263,13 @@ class StreamFitter:
             self._repeats = self._settling_steps(step, rest_deg)
         self._emit(granted_s, rest_deg)
         self._repeats -= 1
-        leaves_s = self._departure(
+        departs_s = self._departure(
             step, nearest_wire(rest_deg, self._limits) / self._limits.wire_per_deg
         )
         again_s = self._profile.receive_s(step + 1)
         if self._repeats == 0:
-            return leaves_s
-        return again_s if leaves_s is None else min(again_s, leaves_s)
+            return departs_s
+        return again_s if departs_s is None else min(again_s, departs_s)
 
     def _settling_steps(self, step: int, rest_deg: float) -> int:
         """Return how often the end is said: until a filter that missed two steps has settled."""
@@ -286,7 +286,7 @@ class StreamFitter:
         half a unit.
         """
         half_unit_deg = 0.5 * self._limits.wire_step / self._limits.wire_per_deg
-        away = np.abs(self._course_deg[self._index(step) :] - standing_deg)
+        away = np.abs(self._reference_deg[self._index(step) :] - standing_deg)
         leaves = np.flatnonzero(away > max(half_unit_deg, away[0]) + STILL_ROUNDING_DEG)
         return (
             self._profile.receive_s(max(step, self._first) + int(leaves[0]))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lss_motion.program.response import FloatArray, Index, IntArray
-    from lss_motion.program.schedule import Fitted
+    from lss_motion.program.schedule import FittedJoint
     from lss_motion.robot.model import Robot
 
 
@@ -130,8 +130,8 @@ class Columns:
     def received_us(self) -> IntArray:
         """When the last byte of each reaches the servos, if it leaves when it is due."""
         spent = self.size_bytes * (LINE_BITS_PER_BYTE * US_PER_S) // self.baud_bps
-        heard: IntArray = self.due_us + spent
-        return heard
+        received: IntArray = self.due_us + spent
+        return received
 
     def take(self, chosen: Index) -> Columns:
         return Columns(
@@ -145,7 +145,7 @@ class Columns:
         )
 
 
-def moves_of(fitted: Mapping[str, Fitted], robot: Robot) -> MoveTable:
+def moves_of(fitted: Mapping[str, FittedJoint], robot: Robot) -> MoveTable:
     """Return the moves of all joints in the order in which they are due.
 
     Each is due so that its last byte is heard when that was granted.
@@ -154,16 +154,16 @@ def moves_of(fitted: Mapping[str, Fitted], robot: Robot) -> MoveTable:
         return table_of(())
     joints = [robot.joints[name] for name in fitted]
     buses = tuple(sorted(robot.buses))
-    each = [len(own.heard_s) for own in fitted.values()]
+    each = [len(own.received_s) for own in fitted.values()]
     servo_id = np.repeat([joint.servo_id for joint in joints], each)
     bus = np.repeat([buses.index(joint.bus) for joint in joints], each)
     baud_bps = np.repeat([robot.buses[joint.bus].baud_bps for joint in joints], each)
-    heard_s, target_wire, duration_ms = (
+    received_s, target_wire, duration_ms = (
         np.concatenate([getattr(own, name) for own in fitted.values()])
-        for name in ("heard_s", "target_wire", "duration_ms")
+        for name in ("received_s", "target_wire", "duration_ms")
     )
     size_bytes = sizes_bytes(servo_id, target_wire, duration_ms)
-    due_us = np.rint(heard_s * US_PER_S).astype(np.intp) - line_times_us(size_bytes, baud_bps)
+    due_us = np.rint(received_s * US_PER_S).astype(np.intp) - line_times_us(size_bytes, baud_bps)
     order = np.lexsort((servo_id, bus, due_us))
     return MoveTable(due_us, bus, servo_id, target_wire, duration_ms, buses).take(order)
 

@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 
 def cue_line(cue: Cue) -> str:
     """Return the text after `# cue: `."""
-    said = {
+    content = {
         "led": dict(cue.led),
         "say": cue.say,
         "run": cue.run,
@@ -62,7 +62,7 @@ def cue_line(cue: Cue) -> str:
         "sound": cue.sound,
         "lead_s": cue.lead_s,
     }
-    kept = {key: value for key, value in said.items() if value}
+    kept = {key: value for key, value in content.items() if value}
     return f"{us_from_s(cue.at_s)} {json.dumps(kept)}"
 
 
@@ -70,24 +70,24 @@ def read_cue(text: str, joints: Collection[str]) -> Cue:
     """Return what `cue_line` wrote; raise ValueError with a reason for anything else."""
     at_us, _, body = text.partition(" ")
     try:
-        said = json.loads(body)
+        content = json.loads(body)
         at_s = s_from_us(int(at_us))
     except ValueError as error:
         raise ValueError("a cue is a whole number of us and a JSON object") from error
-    if not isinstance(said, dict):
+    if not isinstance(content, dict):
         raise ValueError("a cue is a whole number of us and a JSON object")  # noqa: TRY004
-    led, lead_s = said.pop("led", {}), said.pop("lead_s", 0.0)
+    led, lead_s = content.pop("led", {}), content.pop("lead_s", 0.0)
     if not isinstance(led, dict) or not all(code in set(Led) for code in led.values()):
         raise ValueError(f"led is joints with colours from {min(Led)} to {max(Led)}")
     if unknown := sorted(led.keys() - set(joints)):
         raise ValueError(f"the robot has no joint {unknown[0]!r}")
     if not isinstance(lead_s, int | float) or not 0.0 <= lead_s < 1e6:
         raise ValueError("lead_s is a time in seconds from 0 on")
-    if not said.keys() <= {"say", "run", "folder", "sound"} or not all(
-        isinstance(value, str) for value in said.values()
+    if not content.keys() <= {"say", "run", "folder", "sound"} or not all(
+        isinstance(value, str) for value in content.values()
     ):
         raise ValueError("a cue has led, say, run with folder, or sound with lead_s")
-    return Cue(at_s=at_s, led=tuple(led.items()), lead_s=float(lead_s), **said)
+    return Cue(at_s=at_s, led=tuple(led.items()), lead_s=float(lead_s), **content)
 
 
 _NUMBER = r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)"
@@ -307,8 +307,8 @@ class _Reader:
         if problem := drive_problem(joint.model, driving.drive):
             raise self._error(number, f"joint {joint.name!r}: {problem}")
         if (move.duration_ms is not None) != (driving.drive == "timed"):
-            wanted = "needs a T" if driving.drive == "timed" else "takes no T"
-            raise self._error(number, f"joint {joint.name!r} is {driving.drive}: its D {wanted}")
+            required = "needs a T" if driving.drive == "timed" else "takes no T"
+            raise self._error(number, f"joint {joint.name!r} is {driving.drive}: its D {required}")
         if move.duration_ms is not None and not 1 <= move.duration_ms <= DURATION_READ_MAX_MS:
             raise self._error(
                 number, f"T{move.duration_ms} is not in 1 to {DURATION_READ_MAX_MS} ms"

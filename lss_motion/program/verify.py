@@ -45,7 +45,7 @@ class ServoProfile(Protocol):
         """Return position and speed at `time_s`."""
         ...
 
-    def retarget(self, heard_s: float, target_deg: float, duration_s: float | None) -> None:
+    def retarget(self, received_s: float, target_deg: float, duration_s: float | None) -> None:
         """Take up `D target [T duration]` at `heard_s`."""
         ...
 
@@ -105,13 +105,13 @@ def profiles(program: Program, robot: Robot) -> dict[str, PiecewiseProfile]:
     robot = driven(robot, program)
     columns = columns_of(program.moves, robot)
     columns = columns.take(np.argsort(columns.joint, kind="stable"))
-    heard_s = columns.received_us / US_PER_S
+    received_s = columns.received_us / US_PER_S
     begins_deg = np.zeros(len(robot.joints))
     limits = [servo_limits(joint, program.tolerance_deg) for joint in robot.joints.values()]
     slices = {}
     for index, (name, joint) in enumerate(robot.joints.items()):
         own = slice(*np.searchsorted(columns.joint, (index, index + 1)).tolist())
-        heard_s[own] = np.maximum.accumulate(heard_s[own])
+        received_s[own] = np.maximum.accumulate(received_s[own])
         if name in program.start_deg:
             start_deg = joint.servo_deg(program.start_deg[name])
             begins_deg[index] = round(start_deg / joint.unit_deg) * joint.unit_deg
@@ -121,7 +121,7 @@ def profiles(program: Program, robot: Robot) -> dict[str, PiecewiseProfile]:
     timed = columns.take(some)
     moves = replayed(
         timed.joint,
-        heard_s[some],
+        received_s[some],
         timed.target_wire,
         timed.duration_ms,
         begins_deg,
@@ -134,16 +134,16 @@ def profiles(program: Program, robot: Robot) -> dict[str, PiecewiseProfile]:
         else:
             targets_deg = columns.target_wire[own] / limits[index].wire_per_deg
             begin_deg = float(begins_deg[index])
-            found[name] = _replayed(robot.joints[name], begin_deg, heard_s[own], targets_deg)
+            found[name] = _replayed(robot.joints[name], begin_deg, received_s[own], targets_deg)
     return found
 
 
 def _replayed(
-    joint: Joint, begin_deg: float, heard_s: FloatArray, targets_deg: FloatArray
+    joint: Joint, begin_deg: float, received_s: FloatArray, targets_deg: FloatArray
 ) -> PiecewiseProfile:
     """Return the profile that bare moves make of one servo, which stands at `begin_deg`."""
     profile = make_profile(joint, begin_deg)
-    for at_s, target_deg in zip(heard_s.tolist(), targets_deg.tolist(), strict=True):
+    for at_s, target_deg in zip(received_s.tolist(), targets_deg.tolist(), strict=True):
         profile.retarget(at_s, target_deg, None)
     return PiecewiseProfile(profile.pieces())
 
@@ -167,13 +167,13 @@ def verify_program(program: Program, robot: Robot) -> None:
     verify_profiles(profiles(program, robot), driven(robot, program))
 
 
-def verify_profiles(references: Mapping[str, PiecewiseProfile], robot: Robot) -> None:
+def verify_profiles(profiles_by_joint: Mapping[str, PiecewiseProfile], robot: Robot) -> None:
     """Raise what `verify_program` raises, for profiles by joint."""
-    for name, reference in references.items():
+    for name, profile in profiles_by_joint.items():
         if robot.joints[name].drive == "stepped":
-            _check_jumps(robot.joints[name], *reference.table[:2])
+            _check_jumps(robot.joints[name], *profile.table[:2])
         else:
-            _check(robot.joints[name], *reference.table)
+            _check(robot.joints[name], *profile.table)
 
 
 def _check_jumps(

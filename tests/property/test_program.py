@@ -150,8 +150,8 @@ def test_the_response_model_agrees_with_the_simulated_servo(stream, steps, retar
             continue
         said = b"#5D%d\r" % wire if duration_ms is None else b"#5D%dT%d\r" % (wire, duration_ms)
         bus.write(said, now_ns)
-        heard_ns = now_ns + bus.backlog_ns(now_ns)
-        taken_ns = heard_ns + -(heard_ns - control_phase_ns()) % TICK_NS
+        received_ns = now_ns + bus.backlog_ns(now_ns)
+        taken_ns = received_ns + -(received_ns - control_phase_ns()) % TICK_NS
         servo.retarget(taken_ns / 1e9, wire / 10, duration_ms and duration_ms / 1e3)
     end_ns = now_ns + 3_000_000_000
     bus.advance(end_ns)
@@ -164,7 +164,7 @@ def test_the_response_model_agrees_with_the_simulated_servo(stream, steps, retar
 
 
 @st.composite
-def courses(draw):
+def references(draw):
     """Sums of slow sines inside ±80 deg, fading in from rest and out to rest, with a rest."""
     count = draw(st.integers(1, 3))
     waves = [
@@ -179,16 +179,16 @@ def courses(draw):
     return Reference(start_s=-0.5, position_deg=position_deg)
 
 
-def fitted(course, limits, late=lambda wanted_us: wanted_us):
+def fitted(reference, limits, late=lambda requested_us: requested_us):
     """Return the moves for one course and the profile they make; `late` is what the line grants."""
-    moves = TimedFit([course], [limits]).moves(
+    moves = TimedFit([reference], [limits]).moves(
         lambda: (
-            lambda _joints, wanted_us, after_us: np.maximum(
-                [late(wanted) for wanted in wanted_us], after_us
+            lambda _joints, requested_us, after_us: np.maximum(
+                [late(wanted) for wanted in requested_us], after_us
             )
         )
     )
-    return moves, fitted_profiles(moves, [course], [limits])[0]
+    return moves, fitted_profiles(moves, [reference], [limits])[0]
 
 
 def limits_of(wire_per_deg, tolerance_deg=0.2):
@@ -204,67 +204,67 @@ def limits_of(wire_per_deg, tolerance_deg=0.2):
 
 
 @LAWS
-@given(courses(), st.sampled_from([10, 100]))
-def test_smooth_courses_are_kept_within_the_tolerance(course, wire_per_deg):
-    assume(np.abs(np.diff(course.position_deg, 2)).max() / GRID_S**2 < 300.0)
-    assume(np.abs(np.diff(course.position_deg)).max() / GRID_S < 200.0)
-    moves, profile = fitted(course, limits_of(wire_per_deg))
-    times_s = course.start_s + GRID_S * np.arange(len(course.position_deg))
-    error_deg = profile.sample(times_s) - course.position_deg
+@given(references(), st.sampled_from([10, 100]))
+def test_smooth_references_are_kept_within_the_tolerance(reference, wire_per_deg):
+    assume(np.abs(np.diff(reference.position_deg, 2)).max() / GRID_S**2 < 300.0)
+    assume(np.abs(np.diff(reference.position_deg)).max() / GRID_S < 200.0)
+    moves, profile = fitted(reference, limits_of(wire_per_deg))
+    times_s = reference.start_s + GRID_S * np.arange(len(reference.position_deg))
+    error_deg = profile.sample(times_s) - reference.position_deg
     assert np.abs(error_deg).max() <= 0.22  # the wire has steps of 0.1 deg and 1 ms
     end_deg, _ = profile.at(99.0)
-    assert end_deg == pytest.approx(course.position_deg[-1], abs=0.5001 / wire_per_deg)
-    moved = np.abs(course.position_deg - course.position_deg[0]).max() > 0.3
+    assert end_deg == pytest.approx(reference.position_deg[-1], abs=0.5001 / wire_per_deg)
+    moved = np.abs(reference.position_deg - reference.position_deg[0]).max() > 0.3
     assert len(moves) or not moved
 
 
 @LAWS
-@given(courses())
-def test_moves_are_in_range_below_the_speed_limit_and_silent_at_rest(course):
+@given(references())
+def test_moves_are_in_range_below_the_speed_limit_and_silent_at_rest(reference):
     limits = limits_of(10)
-    moves, _ = fitted(course, limits)
+    moves, _ = fitted(reference, limits)
     servo = Profile(
-        round(10 * course.position_deg[0]) / 10,
+        round(10 * reference.position_deg[0]) / 10,
         ramp_deg_s2=limits.ramp_deg_s2,
         speed_max_deg_s=1e9,
         response=limits.response,
     )
-    for heard_s, wire, duration_ms in zip(
-        moves.heard_s, moves.target_wire, moves.duration_ms, strict=True
+    for received_s, wire, duration_ms in zip(
+        moves.received_s, moves.target_wire, moves.duration_ms, strict=True
     ):
         target_deg = wire / 10
-        away_deg = abs(target_deg - servo.state(heard_s).position_deg)
+        away_deg = abs(target_deg - servo.state(received_s).position_deg)
         assert away_deg / (duration_ms / 1e3) <= limits.speed_max_deg_s + 1e-6
         assert -81.0 <= target_deg <= 81.0
-        servo.retarget(heard_s, target_deg, duration_ms / 1e3)
-        assert -0.01 <= heard_s <= 7.02
-    assert np.all(np.diff(moves.heard_s) >= SEGMENT_MIN_S - GRID_S)
+        servo.retarget(received_s, target_deg, duration_ms / 1e3)
+        assert -0.01 <= received_s <= 7.02
+    assert np.all(np.diff(moves.received_s) >= SEGMENT_MIN_S - GRID_S)
 
 
 @LAWS
-@given(courses(), st.integers(0, 1000))
-def test_commands_that_the_line_grants_otherwise_than_wished_are_made_up_for(course, seed):
+@given(references(), st.integers(0, 1000))
+def test_commands_that_the_line_grants_otherwise_than_requested_are_made_up_for(reference, seed):
     """Up to 10 ms early or 2 ms late; the prediction knows, and the fit stays near."""
-    assume(np.abs(np.diff(course.position_deg, 2)).max() / GRID_S**2 < 300.0)
+    assume(np.abs(np.diff(reference.position_deg, 2)).max() / GRID_S**2 < 300.0)
     random = np.random.default_rng(seed)
     late = lambda us: us + int(random.integers(-4_000, 2_000))  # noqa: E731
-    _, profile = fitted(course, limits_of(10), late)
-    times_s = course.start_s + GRID_S * np.arange(len(course.position_deg))
-    error_deg = profile.sample(times_s) - course.position_deg
+    _, profile = fitted(reference, limits_of(10), late)
+    times_s = reference.start_s + GRID_S * np.arange(len(reference.position_deg))
+    error_deg = profile.sample(times_s) - reference.position_deg
     assert np.abs(error_deg).max() <= 0.6
     end_deg, _ = profile.at(99.0)
-    assert end_deg == pytest.approx(course.position_deg[-1], abs=0.0501)
+    assert end_deg == pytest.approx(reference.position_deg[-1], abs=0.0501)
 
 
 # ---- line
 
-wishes = st.lists(
+requests = st.lists(
     st.tuples(st.integers(0, 60_000), st.integers(200, 2_000), st.integers(0, 20_000)),
     max_size=60,
 )
 
 
-@given(wishes)
+@given(requests)
 def test_reserved_slots_never_overlap(asked):
     line, slots = LineSchedule(), []
     for latest_us, size_us, margin_us in asked:
@@ -275,8 +275,8 @@ def test_reserved_slots_never_overlap(asked):
         assert start_us + size_us <= successor_us
 
 
-@given(wishes)
-def test_a_slot_is_the_latest_free_one_before_the_wish_and_late_only_if_there_is_none(asked):
+@given(requests)
+def test_a_slot_is_the_latest_free_one_before_the_request_and_late_only_if_there_is_none(asked):
     """Against the plain definition: try every microsecond at which something begins or ends."""
     line, taken = LineSchedule(), []
     for latest_us, size_us, margin_us in asked:
@@ -339,7 +339,7 @@ def swing_about(seconds, seed):
     return Reference(start_s=0.0, position_deg=swing * ramp * ramp * (3.0 - 2.0 * ramp))
 
 
-def heard_one_by_one(moves, limits):
+def received_one_by_one(moves, limits):
     """Return what a servo makes of the moves, heard by the model of the player."""
     servo = Profile(
         0.0,
@@ -347,43 +347,43 @@ def heard_one_by_one(moves, limits):
         speed_max_deg_s=limits.speed_max_deg_s,
         response=limits.response,
     )
-    for heard_s, wire, duration_ms in zip(
-        moves.heard_s, moves.target_wire, moves.duration_ms, strict=True
+    for received_s, wire, duration_ms in zip(
+        moves.received_s, moves.target_wire, moves.duration_ms, strict=True
     ):
-        servo.retarget(heard_s, wire / limits.wire_per_deg, duration_ms / 1e3)
+        servo.retarget(received_s, wire / limits.wire_per_deg, duration_ms / 1e3)
     return PiecewiseProfile(servo.pieces())
 
 
 @pytest.mark.parametrize("law", ["cruise", "exact"])
 def test_nothing_drifts_in_ten_minutes(law):
     """No reading corrects it: judged by a profile that hears every move, to the last."""
-    course = swing_about(600.0, seed=3)
+    reference = swing_about(600.0, seed=3)
     limits = replace(limits_of(10), response=Response(t_law=law))
-    moves, _ = fitted(course, limits)
-    times_s = course.times_s(np.arange(len(course.position_deg)))
-    error_deg = np.abs(heard_one_by_one(moves, limits).sample(times_s) - course.position_deg)
+    moves, _ = fitted(reference, limits)
+    times_s = reference.times_s(np.arange(len(reference.position_deg)))
+    error_deg = np.abs(received_one_by_one(moves, limits).sample(times_s) - reference.position_deg)
     last_minute = times_s > 540.0
     assert error_deg[last_minute].max() <= 0.21
     assert error_deg.max() <= 0.21
     assert len(moves) > 500
 
 
-def test_stops_where_a_long_course_turns_cost_next_to_nothing(monkeypatch):
-    course = swing_about(120.0, seed=5)
-    moves, _ = fitted(course, limits_of(10))
+def test_stops_where_a_long_reference_turns_cost_next_to_nothing(monkeypatch):
+    reference = swing_about(120.0, seed=5)
+    moves, _ = fitted(reference, limits_of(10))
     monkeypatch.setattr(segments, "STRETCH_S", 1e9)
-    whole, _ = fitted(course, limits_of(10))
-    assert list(moves.heard_s) != list(whole.heard_s), "it was cut"
+    whole, _ = fitted(reference, limits_of(10))
+    assert list(moves.received_s) != list(whole.received_s), "it was cut"
     assert len(moves) <= len(whole) * 1.03
 
 
 @settings(LAWS, max_examples=20)
-@given(courses(), st.sampled_from([0.1, 0.2, 0.4]))
-def test_half_as_much_tolerance_again_never_needs_more_moves(course, tolerance_deg):
+@given(references(), st.sampled_from([0.1, 0.2, 0.4]))
+def test_half_as_much_tolerance_again_never_needs_more_moves(reference, tolerance_deg):
     """The fit is greedy, so that a little more may cost a move; this much never more than one."""
-    assume(np.abs(np.diff(course.position_deg, 2)).max() / GRID_S**2 < 300.0)
-    tight, _ = fitted(course, limits_of(10, tolerance_deg))
-    loose, _ = fitted(course, limits_of(10, 1.5 * tolerance_deg))
+    assume(np.abs(np.diff(reference.position_deg, 2)).max() / GRID_S**2 < 300.0)
+    tight, _ = fitted(reference, limits_of(10, tolerance_deg))
+    loose, _ = fitted(reference, limits_of(10, 1.5 * tolerance_deg))
     assert len(loose) <= len(tight) + 1
 
 
@@ -415,8 +415,8 @@ def test_profiles_followed_in_arrays_are_those_of_the_servos_one_by_one(words, l
         now_s[joint] += later_s
         told.append((joint, now_s[joint], wire, duration_ms))
     told.sort(key=lambda one: one[:2])
-    for joint, heard_s, wire, duration_ms in told:
-        servos[joint].retarget(heard_s, wire / 10, duration_ms and duration_ms / 1e3)
+    for joint, received_s, wire, duration_ms in told:
+        servos[joint].retarget(received_s, wire / 10, duration_ms and duration_ms / 1e3)
     columns = np.array(told, dtype=np.float64).reshape(-1, 4).T
     moves = replayed(columns[0].astype(int), *columns[1:], begins_deg, LimitArrays(limits))
     times_s = np.arange(-3.0, 20.0, 0.011)
@@ -429,11 +429,11 @@ def horn_of(moves, physics_law):
     """Return times and where a simulated horn was that heard the moves a second after power."""
     bus = crisp_bus(t_law=physics_law)
     bus.write(b"#5AA60\r#5AD60\r#5SD2400\r", 0)
-    for heard_s, wire, duration_ms in zip(
-        moves.heard_s, moves.target_wire, moves.duration_ms, strict=True
+    for received_s, wire, duration_ms in zip(
+        moves.received_s, moves.target_wire, moves.duration_ms, strict=True
     ):
         data = b"#5D%dT%d\r" % (wire, duration_ms)
-        bus.write(data, round(1e9 * (1.0 + heard_s)) - line_time_ns(len(data), 921600))
+        bus.write(data, round(1e9 * (1.0 + received_s)) - line_time_ns(len(data), 921600))
     times_s = 0.005 * np.arange(1600)
     bus.advance(10_000_000_000)
     return times_s, bus.horn_deg([round(1e9 * (1.0 + t)) for t in times_s])[:, 0]
@@ -441,12 +441,12 @@ def horn_of(moves, physics_law):
 
 @pytest.mark.parametrize("law", ["cruise", "exact"])
 def test_a_simulated_horn_follows_under_the_law_it_was_fitted_for_and_nearly_under_the_other(law):
-    course = swing_about(8.0, seed=2)
-    moves, _ = fitted(course, replace(limits_of(10), response=Response(t_law=law)))
+    reference = swing_about(8.0, seed=2)
+    moves, _ = fitted(reference, replace(limits_of(10), response=Response(t_law=law)))
     rms_deg = {}
     for own in ("cruise", "exact"):
         times_s, horn_deg = horn_of(moves, own)
-        planned_deg = np.interp(times_s - 0.0025, times_s, course.position_deg)
+        planned_deg = np.interp(times_s - 0.0025, times_s, reference.position_deg)
         rms_deg[own] = np.sqrt(np.mean((horn_deg - planned_deg) ** 2))
         assert horn_deg[-1] == pytest.approx(0.0, abs=0.051), "every law ends on the last target"
     other = "exact" if law == "cruise" else "cruise"

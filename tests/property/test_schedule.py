@@ -53,7 +53,7 @@ def robot_of(count, baud_bps):
     return Robot(name="crowd", path=None, buses={"main": bus}, joints=joints)
 
 
-def courses_of(robot, seed):
+def references_of(robot, seed):
     """All joints start together, stop together half way, and swing in between."""
     random = np.random.default_rng(seed)
     time_s = np.arange(-PREROLL_S, 3.0, GRID_S)
@@ -85,8 +85,8 @@ class WatchedLine(LineSchedule):
 
     def reserve_all(self, latest_end_us, size_us, earliest_us):
         ends_us = super().reserve_all(latest_end_us, size_us, earliest_us)
-        for end_us, *wish in zip(ends_us, latest_end_us, size_us, earliest_us, strict=True):
-            self.windows_us[end_us] = (wish[2] + wish[1], wish[0])
+        for end_us, *request in zip(ends_us, latest_end_us, size_us, earliest_us, strict=True):
+            self.windows_us[end_us] = (request[2] + request[1], request[0])
         return ends_us
 
 
@@ -95,27 +95,27 @@ class WatchedLine(LineSchedule):
 @example(seed=1, count=14, baud_bps=9_600)
 def test_every_command_is_due_inside_its_window_and_alone_on_its_line(seed, count, baud_bps):
     robot = robot_of(count, baud_bps)
-    attempt = Schedule(courses_of(robot, seed), robot, 0.2, lines={"main": WatchedLine()})
-    moves = moves_of(attempt.fitted, robot)
+    schedule = Schedule(references_of(robot, seed), robot, 0.2, lines={"main": WatchedLine()})
+    moves = moves_of(schedule.fitted, robot)
     assert len(moves) >= count
     windows_us = WatchedLine.last.windows_us
-    heard_us_of = dict.fromkeys(range(256), us_from_s(-PREROLL_S))
+    received_us_of = dict.fromkeys(range(256), us_from_s(-PREROLL_S))
     late_us, by_id = 0, {joint.servo_id: joint for joint in robot.joints.values()}
     for move in moves:
         end_us = received_us(move, baud_bps)
         end_us += end_us not in windows_us  # Lengths are whole microseconds, rounded up.
         opens_us, closes_us = windows_us[end_us]
         assert end_us >= opens_us
-        assert end_us >= heard_us_of[move.servo_id], "not before its servo hears the one before"
-        heard_us_of[move.servo_id] = end_us
+        assert end_us >= received_us_of[move.servo_id], "not before its servo hears the one before"
+        received_us_of[move.servo_id] = end_us
         assert move.due_us >= end_us - slot_us(by_id[move.servo_id], robot), "nor before its slot"
         assert move.due_us >= us_from_s(-PREROLL_S)
         late_us = max(late_us, end_us - closes_us)
-    assert late_us == attempt.late_max_us
+    assert late_us == schedule.late_max_us
     allowed_us = us_from_s(late_max_s(robot.joints["j0"]))
-    assert attempt.is_tight == (late_us > allowed_us)
+    assert schedule.is_tight == (late_us > allowed_us)
     if baud_bps >= FAST_BPS[0]:
-        assert not attempt.is_tight
+        assert not schedule.is_tight
     sizes_us = [-(-line_time_ns(len(move.data), baud_bps) // 1000) for move in moves]
     slots_us = [(move.due_us, size_us) for move, size_us in zip(moves, sizes_us, strict=True)]
     assert line_use("main", baud_bps, slots_us).overlaps == 0

@@ -33,10 +33,10 @@ TARGET_RATIO = 1.1
 def measure() -> list[Row]:
     """Return ours, the fewest, and their ratio, for each course and tolerance."""
     rows = []
-    for name, course in courses().items():
+    for name, reference in references().items():
         for tolerance_deg in TOLERANCES_DEG:
-            ours = len(moves_of(course, tolerance_deg))
-            fewest = fewest_segments(course.position_deg, tolerance_deg)
+            ours = len(moves_of(reference, tolerance_deg))
+            fewest = fewest_segments(reference.position_deg, tolerance_deg)
             rows.append(
                 Row(
                     what=f"{name}, {tolerance_deg:g} deg",
@@ -50,7 +50,7 @@ def measure() -> list[Row]:
     return rows
 
 
-def courses() -> dict[str, Reference]:
+def references() -> dict[str, Reference]:
     """Return courses without a standstill inside: where they stand, there is nothing to send."""
     time_s = GRID_S * np.arange(int(COURSE_S / GRID_S))
     robot = robot_of(3)
@@ -63,16 +63,16 @@ def courses() -> dict[str, Reference]:
     }
 
 
-def moves_of(course: Reference, tolerance_deg: float) -> FittedMoves:
+def moves_of(reference: Reference, tolerance_deg: float) -> FittedMoves:
     """Return the moves of our fit, every one granted when it is wanted."""
     joint = next(iter(robot_of(1).joints.values()))
-    fit = TimedFit([course], [servo_limits(joint, tolerance_deg)])
-    return fit.moves(lambda: lambda _joints, wanted_us, _after_us: wanted_us)
+    fit = TimedFit([reference], [servo_limits(joint, tolerance_deg)])
+    return fit.moves(lambda: lambda _joints, requested_us, _after_us: requested_us)
 
 
-def fewest_segments(course_deg: FloatArray, tolerance_deg: float) -> int:
+def fewest_segments(reference_deg: FloatArray, tolerance_deg: float) -> int:
     """Return how few joined straight lines stay within `tolerance_deg` of the course."""
-    count = len(course_deg)
+    count = len(reference_deg)
     shifts = tolerance_deg * np.linspace(-1.0, 1.0, LATTICE + 1)
     is_reached = np.zeros((count, len(shifts)), dtype=bool)
     frontier = [(0, LATTICE // 2)]
@@ -84,7 +84,7 @@ def fewest_segments(course_deg: FloatArray, tolerance_deg: float) -> int:
         for index, shift in frontier:
             end = min(index + SEGMENT_STEPS, count - 1)
             steps = np.arange(1, end - index + 1)
-            rise = course_deg[index + 1 : end + 1] - course_deg[index] - shifts[shift]
+            rise = reference_deg[index + 1 : end + 1] - reference_deg[index] - shifts[shift]
             lowest = np.maximum.accumulate((rise - tolerance_deg) / steps)
             highest = np.minimum.accumulate((rise + tolerance_deg) / steps)
             slopes = (rise[:, None] + shifts) / steps[:, None]

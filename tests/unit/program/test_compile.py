@@ -55,7 +55,7 @@ def test_a_slow_straight_line_is_a_few_long_moves(kit):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_time_optimal_courses_at_the_ramps_own_limit_stay_near(kit, seed):
+def test_time_optimal_references_at_the_ramps_own_limit_stay_near(kit, seed):
     """No ramp is left for corrections there, so this is worse than the tolerance."""
     random = np.random.default_rng(seed)
     rows = [(None, {"j0": float(deg)}) for deg in random.uniform(-80.0, 80.0, 12)]
@@ -73,10 +73,10 @@ def test_every_rest_is_reached_exactly_and_kept_in_silence(kit):
     for rest_s, wire in ((1.0, 333), (3.2, -478), (6.5, 0)):
         landed_s = rest_s - profile_lead_s(joint) + 0.15
         assert plan.at(landed_s) == (wire / 10, 0.0)
-    heard_s = np.array([received_us(move, 115200) / 1e6 for move in program.moves])
+    received_s = np.array([received_us(move, 115200) / 1e6 for move in program.moves])
     for from_s, to_s in ((1.05, 1.9), (3.25, 4.6), (6.55, 99.0)):
-        assert not np.any((heard_s > from_s) & (heard_s < to_s))
-    assert len(heard_s) > 6
+        assert not np.any((received_s > from_s) & (received_s < to_s))
+    assert len(received_s) > 6
 
 
 def test_a_joint_that_never_moves_is_never_told_anything(kit):

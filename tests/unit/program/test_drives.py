@@ -60,7 +60,7 @@ def test_the_filter_steps_as_its_maker_says():
     assert speed_deg_s == pytest.approx((32.4 - 18.0) / PERIOD_S)
 
 
-def test_what_is_heard_in_the_last_loop_before_a_step_counts_from_the_next_one():
+def test_what_is_received_in_the_last_loop_before_a_step_counts_from_the_next_one():
     servo = FilterProfile(0.0, count=2, response=Response(), step_s=0.0)
     assert servo.acts_on(0.0149) == 1
     assert servo.acts_on(0.0151) == 2
@@ -187,9 +187,9 @@ def test_a_repeated_pass_leaves_no_step_behind(kit):
     passes = [m._replace(due_us=m.due_us + n * period_us) for n in range(1, 4) for m in again]
     longer = replace(program, moves=(*program.moves, *passes))
     late_s = repeat.from_us / 1e6 + np.arange(0.1, period_us / 1e6, 0.01)
-    for name, reference in profiles(longer, robot).items():
-        first = reference.sample(late_s)
-        third = reference.sample(late_s + 2 * period_us / 1e6)
+    for name, curve in profiles(longer, robot).items():
+        first = curve.sample(late_s)
+        third = curve.sample(late_s + 2 * period_us / 1e6)
         allowed = {"j0": 0.6, "j1": 1.6, "j2": 1.01}[name]
         assert np.abs(third - first).max() < allowed, name
 

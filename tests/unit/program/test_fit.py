@@ -18,10 +18,12 @@ LIMITS = servo_limits(joint(), 0.2)
 
 def all_fitted(rows_deg, limits=LIMITS):
     """Return moves and profile for each course, all heard when they are wanted."""
-    courses = [Reference(start_s=0.0, position_deg=np.asarray(row)) for row in rows_deg]
-    each = [limits] * len(courses)
-    moves = TimedFit(courses, each).moves(lambda: lambda _joints, wanted_us, _after_us: wanted_us)
-    profiles = fitted_profiles(moves, courses, each)
+    references = [Reference(start_s=0.0, position_deg=np.asarray(row)) for row in rows_deg]
+    each = [limits] * len(references)
+    moves = TimedFit(references, each).moves(
+        lambda: lambda _joints, requested_us, _after_us: requested_us
+    )
+    profiles = fitted_profiles(moves, references, each)
     return [(moves.of(joint), profile) for joint, profile in enumerate(profiles)]
 
 
@@ -44,59 +46,59 @@ def swings(count, seed=0, longest_s=7.5):
         yield swing * fade
 
 
-def test_out_of_a_turning_point_nothing_is_heard_while_the_servo_may_still_land_there():
+def test_out_of_a_turning_point_nothing_is_received_while_the_servo_may_still_land_there():
     """Or the stop would be given up, and all of the stretch fitted once more."""
-    course = Reference(start_s=0.0, position_deg=8.0 * np.sin(4.0 * GRID_S * np.arange(12000)))
-    lanes = list(segments_of(0, course, LIMITS, 0.16, ()))
-    assert len(lanes) > 3
-    for before, lane in pairwise(lanes):
+    reference = Reference(start_s=0.0, position_deg=8.0 * np.sin(4.0 * GRID_S * np.arange(12000)))
+    segments = list(segments_of(0, reference, LIMITS, 0.16, ()))
+    assert len(segments) > 3
+    for before, segment in pairwise(segments):
         first, last = before.stop
-        assert first == last == lane.first
-        assert lane.after_s == pytest.approx(course.time_s(last) + GRID_S)
-        assert lane.after_s <= lane.onset_s <= lane.leaves_s <= lane.latest_s
+        assert first == last == segment.first
+        assert segment.after_s == pytest.approx(reference.time_s(last) + GRID_S)
+        assert segment.after_s <= segment.onset_s <= segment.departs_s <= segment.latest_s
     lines = []
-    TimedFit([course], [LIMITS]).moves(
-        lambda: lines.append(1) or (lambda _joints, wanted_us, _after_us: wanted_us)
+    TimedFit([reference], [LIMITS]).moves(
+        lambda: lines.append(1) or (lambda _joints, requested_us, _after_us: requested_us)
     )
     assert len(lines) == 1
 
 
 def test_a_turning_point_at_which_the_line_is_late_is_travelled_through():
-    course = Reference(start_s=0.0, position_deg=8.0 * np.sin(4.0 * GRID_S * np.arange(12000)))
-    lanes = list(segments_of(0, course, LIMITS, 0.16, ()))
-    turn_us = round(1e6 * course.time_s(lanes[1].first))
-    attempts = []
+    reference = Reference(start_s=0.0, position_deg=8.0 * np.sin(4.0 * GRID_S * np.arange(12000)))
+    segments = list(segments_of(0, reference, LIMITS, 0.16, ()))
+    turn_us = round(1e6 * reference.time_s(segments[1].first))
+    runs = []
 
     def new_line():
-        attempts.append(len(attempts))
+        runs.append(len(runs))
 
-        def grant(_joints, wanted_us, _after_us):
-            is_late = (wanted_us > turn_us - 800_000) & (wanted_us < turn_us + 30_000)
-            return wanted_us + 150_000 * (is_late & (len(attempts) == 1))
+        def grant(_joints, requested_us, _after_us):
+            is_late = (requested_us > turn_us - 800_000) & (requested_us < turn_us + 30_000)
+            return requested_us + 150_000 * (is_late & (len(runs) == 1))
 
         return grant
 
-    moves = TimedFit([course], [LIMITS]).moves(new_line)
-    assert len(attempts) == 2
+    moves = TimedFit([reference], [LIMITS]).moves(new_line)
+    assert len(runs) == 2
     profile = profiles_from_rest(moves, [LIMITS], np.zeros(1))[0]
     times_s = np.arange(0.0, 59.0, 0.01)
     stray_deg = np.abs(profile.sample(times_s) - 8.0 * np.sin(4.0 * times_s))
     assert stray_deg[times_s > turn_us / 1e6 - 2.0].max() < 2.0 * LIMITS.tolerance_deg
 
 
-def test_no_course_is_run_past_the_begin_of_its_rest():
+def test_no_reference_is_run_past_the_begin_of_its_rest():
     """One long slow move could keep the tolerance for a while after the rest began."""
     for moves, profile in all_fitted(swings(190)):
-        assert moves.heard_s[-1] <= 7.5
+        assert moves.received_s[-1] <= 7.5
         assert moves.target_wire[-1] == 0
         assert profile.at(7.75) == (0.0, 0.0)
 
 
 def test_a_steady_speed_is_a_move_every_second_and_a_half():
     times_s = GRID_S * np.arange(2400)
-    course_deg = -80.0 + 16.0 * np.clip(times_s - 0.5, 0.0, 10.0)
-    moves, _ = fitted(course_deg)
-    gaps_s = np.diff(moves.heard_s)
+    reference_deg = -80.0 + 16.0 * np.clip(times_s - 0.5, 0.0, 10.0)
+    moves, _ = fitted(reference_deg)
+    gaps_s = np.diff(moves.received_s)
     assert len(moves) <= 12
     assert gaps_s.max() <= SEGMENT_MAX_S + GRID_S
 
@@ -125,7 +127,7 @@ def test_the_tolerance_is_kept_with_few_moves(scale, most, wire_per_deg, law):
 
 
 @pytest.mark.parametrize(("accel_deg_s2", "most"), [(300.0, 35), (450.0, 47), (580.0, 50)])
-def test_a_course_near_the_ramp_is_followed(accel_deg_s2, most):
+def test_a_reference_near_the_ramp_is_followed(accel_deg_s2, most):
     times_s = GRID_S * np.arange(1200)
     fade = np.clip(times_s / 3.0, 0.0, 1.0) ** 2
     row_deg = accel_deg_s2 / 25.0 * np.sin(5.0 * times_s) * fade

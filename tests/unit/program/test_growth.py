@@ -26,13 +26,13 @@ def swing(robot, seed, *, from_s, length_s, before=None):
     times_s = np.arange(0.0, from_s + length_s, STEP_S)
     speed_rad_s, phase = random.uniform(1.0, 3.0, len(names)), random.uniform(0.0, 6.0, len(names))
 
-    def course(at_s):
+    def reference(at_s):
         u = np.clip((at_s - from_s) / 0.5, 0.0, 1.0)
         v = np.clip((from_s + length_s - 0.2 - at_s) / 1.0, 0.0, 1.0)
         fade = (u**3 * (10 - 15 * u + 6 * u * u) * v**3 * (10 - 15 * v + 6 * v * v))[:, None]
         return fade * 15.0 * np.sin(speed_rad_s * at_s[:, None] + phase)
 
-    angles = course(times_s)
+    angles = reference(times_s)
     if before is not None:
         old = np.array([np.interp(times_s, before[0], column) for column in before[1].T]).T
         u = np.clip((times_s - from_s) / 0.8, 0.0, 1.0)
@@ -58,7 +58,7 @@ def planned(robot, motion):
 
 
 @pytest.fixture
-def grown(kit):
+def spliced(kit):
     """A robot, and a program that was extended twice while it moved: all that was ever valid."""
     robot = kit.robot(*(kit.joint(f"j{i}", i + 1) for i in range(6)))
     program = Program(
@@ -81,9 +81,9 @@ def grown(kit):
     return robot, played, plans
 
 
-def test_what_is_spliced_moves_on_without_a_stop_and_near_the_last_plan(grown):
+def test_what_is_spliced_moves_on_without_a_stop_and_near_the_last_plan(spliced):
     """Judged by a profile of its own that hears the moves that were left, one after the other."""
-    robot, played, plans = grown
+    robot, played, plans = spliced
     extension, trajectory = plans[-1]
     times_s = np.arange(0.5, extension.duration_s, 0.002)
     for column, (name, joint) in enumerate(robot.joints.items()):
@@ -95,9 +95,9 @@ def test_what_is_spliced_moves_on_without_a_stop_and_near_the_last_plan(grown):
         )
         for move in played:
             if move.servo_id == joint.servo_id:
-                heard_s = s_from_us(received_us(move, robot.buses[move.bus].baud_bps))
+                received_s = s_from_us(received_us(move, robot.buses[move.bus].baud_bps))
                 profile.retarget(
-                    heard_s, target_deg(joint, move.target_wire), s_from_ms(move.duration_ms)
+                    received_s, target_deg(joint, move.target_wire), s_from_ms(move.duration_ms)
                 )
         where = np.array([profile.at(at_s)[0] for at_s in times_s])
         wanted = (
@@ -111,8 +111,8 @@ def test_what_is_spliced_moves_on_without_a_stop_and_near_the_last_plan(grown):
         )
 
 
-def test_the_line_never_carries_two_commands_at_once_around_a_splice(grown):
-    robot, played, plans = grown
+def test_the_line_never_carries_two_commands_at_once_around_a_splice(spliced):
+    robot, played, plans = spliced
     for bus in robot.buses.values():
         slots = [
             (move.due_us, received_us(move, bus.baud_bps) - move.due_us)
@@ -125,8 +125,8 @@ def test_the_line_never_carries_two_commands_at_once_around_a_splice(grown):
         assert min(move.due_us for move in extension.moves) >= extension.from_us
 
 
-def test_an_extension_ends_at_rest_on_its_plan(grown):
-    robot, _, plans = grown
+def test_an_extension_ends_at_rest_on_its_plan(spliced):
+    robot, _, plans = spliced
     extension, trajectory = plans[0]
     end = trajectory.sample(np.array([trajectory.duration_s]))[0]
     for name, at_deg in zip(trajectory.joints, end, strict=True):
@@ -135,8 +135,8 @@ def test_an_extension_ends_at_rest_on_its_plan(grown):
         assert position_deg == pytest.approx(robot.joints[name].servo_deg(at_deg), abs=0.06)
 
 
-def test_what_was_not_taken_changes_nothing(grown):
-    robot, _, plans = grown
+def test_what_was_not_taken_changes_nothing(spliced):
+    robot, _, plans = spliced
     program = Program(
         name="grows",
         robot=robot.name,

@@ -8,11 +8,11 @@ import pytest
 from lss_motion.program.line import LineSchedule, line_use
 
 
-def test_a_free_line_is_reserved_right_before_the_wish():
+def test_a_free_line_is_reserved_right_before_the_request():
     assert LineSchedule().reserve(10_000, 1_000, 0) == 10_000
 
 
-def test_slots_pile_up_backwards_from_the_wish():
+def test_slots_pile_up_backwards_from_the_request():
     line = LineSchedule()
     assert [line.reserve(10_000, 1_000, 0) for _ in range(3)] == [10_000, 9_000, 8_000]
 
@@ -47,29 +47,31 @@ def best_end_us(slots_us, latest_end_us, size_us, earliest_us):
     return min(start for start in starts_us if is_free(start)) + size_us
 
 
-def random_wishes(random, count, step_us):
+def random_requests(random, count, step_us):
     """Return wishes, half of them about the same instants; coarse steps leave gaps just as wide."""
     for _ in range(count):
         size_us = random.choice((1_000, 1_041, 5_000, 20_000, 1))
-        wish_us = random.randrange(-1, 12) * 500_000
-        wish_us += random.choice((-1, 0, 1, random.randrange(-30_000, 30_000, step_us)))
+        request_us = random.randrange(-1, 12) * 500_000
+        request_us += random.choice((-1, 0, 1, random.randrange(-30_000, 30_000, step_us)))
         early_us = random.choice((-3_000, 0, 1, 2_000, 40_000))
-        yield wish_us, size_us, wish_us - size_us - early_us
+        yield request_us, size_us, request_us - size_us - early_us
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_every_slot_is_the_best_free_one_wherever_it_lies(seed):
     random, line, slots_us = Random(seed), LineSchedule(), []
-    for wish in random_wishes(random, 160, (1, 500)[seed % 2]):
-        wanted_us = best_end_us(slots_us, *wish)
+    for request in random_requests(random, 160, (1, 500)[seed % 2]):
+        requested_us = best_end_us(slots_us, *request)
         other = line.copy()
-        assert line.reserve(*wish) == wanted_us, wish
-        assert other.reserve(*wish) == wanted_us, "a copy knows the same slots, and no later ones"
-        slots_us.append((wanted_us - wish[1], wanted_us))
+        assert line.reserve(*request) == requested_us, request
+        assert other.reserve(*request) == requested_us, (
+            "a copy knows the same slots, and no later ones"
+        )
+        slots_us.append((requested_us - request[1], requested_us))
 
 
-def reserved_us(line, *wishes):
-    return line.reserve_all(*(np.array(column) for column in zip(*wishes, strict=True))).tolist()
+def reserved_us(line, *requests):
+    return line.reserve_all(*(np.array(column) for column in zip(*requests, strict=True))).tolist()
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -77,38 +79,40 @@ def test_of_many_none_overlap_and_none_is_late_that_need_not_be(seed):
     random, line, slots_us = Random(seed), LineSchedule(), []
     late = 0
     for count in (1, 90, 2, 40, 7):
-        wishes = list(random_wishes(random, count, (1, 500)[seed % 2]))
-        ends_us = reserved_us(line, *wishes)
-        slots_us += [(end - wish[1], end) for end, wish in zip(ends_us, wishes, strict=True)]
-        for end_us, wish in zip(ends_us, wishes, strict=True):
-            own_us = (end_us - wish[1], end_us)
-            assert own_us[0] >= wish[2], "never before its earliest"
+        requests = list(random_requests(random, count, (1, 500)[seed % 2]))
+        ends_us = reserved_us(line, *requests)
+        slots_us += [
+            (end - request[1], end) for end, request in zip(ends_us, requests, strict=True)
+        ]
+        for end_us, request in zip(ends_us, requests, strict=True):
+            own_us = (end_us - request[1], end_us)
+            assert own_us[0] >= request[2], "never before its earliest"
             others_us = [slot for slot in slots_us if slot != own_us]
             assert len(others_us) == len(slots_us) - 1
-            if end_us > wish[0]:
+            if end_us > request[0]:
                 late += 1
-                assert best_end_us(others_us, *wish) > wish[0]
+                assert best_end_us(others_us, *request) > request[0]
     edges_us = [edge for slot in sorted(slots_us) for edge in slot]
     assert edges_us == sorted(edges_us)
     assert 20 < late < 120, "both are looked at"
 
 
-def test_many_with_a_free_line_have_what_they_wish():
+def test_many_with_a_free_line_have_what_they_request():
     line = LineSchedule()
     assert line.reserve(7_000, 1_000, 0) == 7_000
-    wishes = [(9_000, 1_000, 0), (2_000, 1_000, 0), (6_000, 4_000, 0), (8_000, 1_000, 0)]
-    assert reserved_us(line, *wishes) == [9_000, 2_000, 6_000, 8_000]
+    requests = [(9_000, 1_000, 0), (2_000, 1_000, 0), (6_000, 4_000, 0), (8_000, 1_000, 0)]
+    assert reserved_us(line, *requests) == [9_000, 2_000, 6_000, 8_000]
     assert line.reserve(9_000, 1_000, 0) == 1_000, "all of them are reserved"
 
 
-def test_of_two_in_each_others_way_the_earlier_wish_goes_before_the_later():
+def test_of_two_in_each_others_way_the_earlier_request_goes_before_the_later():
     assert reserved_us(LineSchedule(), (9_000, 1_000, 0), (9_500, 1_000, 0)) == [8_500, 9_500]
     assert reserved_us(LineSchedule(), (9_500, 1_000, 0), (9_000, 1_000, 0)) == [9_500, 8_500]
 
 
-def test_who_cannot_go_before_another_has_its_wish():
-    wishes = [(9_000, 1_000, 7_800), (9_500, 1_000, 0), (9_600, 1_000, 8_600)]
-    assert reserved_us(LineSchedule(), *wishes) == [9_000, 8_000, 10_000]
+def test_who_cannot_go_before_another_has_its_request():
+    requests = [(9_000, 1_000, 7_800), (9_500, 1_000, 0), (9_600, 1_000, 8_600)]
+    assert reserved_us(LineSchedule(), *requests) == [9_000, 8_000, 10_000]
 
 
 def test_what_goes_before_one_slot_goes_before_the_next_too():

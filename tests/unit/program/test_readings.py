@@ -8,7 +8,7 @@ import pytest
 
 from lss_motion.errors import LineLoadError
 from lss_motion.program.compile import compile_program
-from lss_motion.program.schedule import TURNAROUND_US, reading_rate_hz
+from lss_motion.program.line import TURNAROUND_US, reading_rate_hz
 
 QUERY_US = 5 * 87 - 1
 """`#1QD` and its end at 115200 bps, rounded up."""

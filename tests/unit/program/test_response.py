@@ -159,12 +159,12 @@ def test_the_reference_is_the_profile_in_arrays():
     servo = profile()
     servo.retarget(0.0, 90.0, 0.9)
     servo.retarget(0.4, -30.0, 0.5)
-    reference = PiecewiseProfile(servo.pieces())
+    curve = PiecewiseProfile(servo.pieces())
     times_s = np.linspace(-1.0, 3.0, 400)
     expected = [servo.at(time_s) for time_s in times_s]
-    assert reference.sample(times_s) == pytest.approx([deg for deg, _ in expected])
+    assert curve.sample(times_s) == pytest.approx([deg for deg, _ in expected])
     for time_s, one in zip(times_s, expected, strict=True):
-        assert reference.at(float(time_s)) == pytest.approx(one)
+        assert curve.at(float(time_s)) == pytest.approx(one)
 
 
 @pytest.mark.parametrize(
@@ -174,13 +174,13 @@ def test_the_reference_is_the_profile_in_arrays():
 def test_on_a_grid_it_is_what_it_is_anywhere(start_s, step_s, begin_s):
     moves = trapezoid(Piece(0.0, 5.0, 60.0, 0.0), 90.0, 200.0, RAMP_DEG_S2)
     first = [Piece(begin_s, 5.0, 0.0, 0.0)] if math.isinf(begin_s) else []
-    for reference in (
+    for curve in (
         PiecewiseProfile([*first, *moves]),
         PiecewiseProfile([Piece(begin_s, 7.0, 0.0, 0.0)]),
     ):
         times_s = start_s + step_s * np.arange(400)
-        found = reference.on_grid(start_s, step_s, 400)
-        assert found == pytest.approx(reference.sample(times_s), abs=1e-9)
+        found = curve.on_grid(start_s, step_s, 400)
+        assert found == pytest.approx(curve.sample(times_s), abs=1e-9)
 
 
 def test_exact_law_slows_down_below_the_mean_where_the_start_is_fast():

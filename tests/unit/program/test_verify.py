@@ -23,8 +23,8 @@ def program(*moves, **fields) -> Program:
         )
         for due_s, target_deg, duration_ms in moves
     )
-    wishes = {"duration_s": 9.0, "start_deg": {"j0": 0.0}, "tolerance_deg": 0.2, **fields}
-    return Program(name="any", robot="bench", moves=made, **wishes)
+    requests = {"duration_s": 9.0, "start_deg": {"j0": 0.0}, "tolerance_deg": 0.2, **fields}
+    return Program(name="any", robot="bench", moves=made, **requests)
 
 
 def test_a_move_that_the_servo_can_make_is_good(kit):
@@ -34,8 +34,8 @@ def test_a_move_that_the_servo_can_make_is_good(kit):
 def test_a_horn_that_cannot_brake_before_the_end_of_its_range_is_refused(kit):
     # At 180 deg/s and 600 deg/s² it needs 27 deg to stop: turned back on its way it swings on.
     moves = program((0.0, 90.0, 10), (0.6, -90.0, 10))
-    reference = profiles(moves, kit.robot())["j0"]
-    farthest_deg = reference.sample(np.arange(0.0, 2.0, 1e-4)).max()
+    curve = profiles(moves, kit.robot())["j0"]
+    farthest_deg = curve.sample(np.arange(0.0, 2.0, 1e-4)).max()
     verify_program(moves, kit.robot(kit.joint(position_max_deg=farthest_deg)))
     with pytest.raises(PlanningError, match=r"'j0' would be at 9\d\.\d\d deg, allowed -90 to 85"):
         verify_program(moves, kit.robot(kit.joint(position_max_deg=85.0)))
