@@ -1,10 +1,28 @@
-"""Trajectory → Program: response models, fit, line schedule, text form (ARCHITECTURE.md).
+"""Compiles a trajectory into a program: which bytes leave on which bus at which instant.
 
-response, batch  what servos do with timed moves, one by one and many at once
-course, cone  what profiles should do, and which travel speeds keep them near it
-lanes, fit, run, next_move, landing, wording, moves  the moves of all timed joints, side by side
-drives, step, stream, filtered, predict  the other drives, and all behind one face
-attempt, trials, line, columns, compile  all joints on their lines
-verify  the last word on the bytes
-model, text  the program as a value and as a file
+  file       what it is                                              who calls it
+  compile    trajectory → program: choice of drives, schedule,       api, cli, player.approach
+             verification, errors
+  splice     extensions of a program that is being played            walking
+  drives     timed, streamed, stepped: one interface; `drive: auto`  schedule, compile, player
+  schedule   all joints fitted on the lines that they share          compile, splice
+  line       slots on one serial line, and their check               schedule, compile
+  fit        timed moves of all joints, segment by segment           schedule, drives
+  segments   cuts references at the stops of a servo                 fit
+  search     the next timed move: travel speed and length            fit
+  cones      travel speeds that keep a profile near its reference    search, fit
+  quantize   travel speeds as targets and T that the wire carries    fit, the other drives, player
+  moves      fitted moves as arrays, and the profiles they make      fit, schedule, verify
+  streamed   model and fit of bare `D` through the filter of EM0     drives, verify, player
+  stepped    model and fit of whole degrees for RC servos            drives, verify, player
+  response   the model of a servo in EM1, for one and for many       all of the above, player
+  reference  what profiles should do, on a grid; limits of servos    all of the above, player
+  table      the moves of a program in arrays                        schedule, verify, compile
+  verify     motion of the compiled bytes against every limit        compile, splice, cli, player
+  model      the program as a value                                  all packages above this one
+  text       the program as a file                                   cli
+
+Angles in this package are servo angles in degrees, unless a name says `joint`; instants are show
+time. A *reference* is what a profile should do, a *profile* what the response model of a servo
+makes of the commands that it receives.
 """

@@ -1,4 +1,9 @@
-"""Trajectory → Program: every joint's moves, on the lines that carry them."""
+"""Trajectory → Program: every joint's moves, on the lines that carry them.
+
+`compile_program` takes the choices of drives in order, and for each the candidates of the schedule
+in order, until one fits the lines and leaves room for readings. The bytes of that one pass the
+verifier, or an error is raised.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +45,7 @@ TOLERANCE_DEG: Final = 0.2
 PREROLL_S: Final = 0.25
 """The show clock starts this long before the plan, so that all first moves find a slot."""
 SAMPLED_AT_ONCE: Final = 2048
-"""Instants at which a plan is asked at once, so that what it works with stays in the cache."""
+"""Instants at which a plan is sampled at once, so that its working data stays in the cache."""
 
 
 def compile_program(
@@ -49,10 +54,10 @@ def compile_program(
     """Return the program that makes `robot` follow `trajectory`.
 
     Joints whose drive is `auto` get the one that predicts best within what the line can carry; the
-    program says which and why. Its bytes have passed `verify_program`. Raises `LineLoadError` when
-    the line cannot carry it even at the most relaxed tolerance, or leaves its joints fewer readings
-    than the bus promises, and `InputError` when a joint of
-    the trajectory is not one of the robot's.
+    program holds the drive and the reason. Its bytes have passed `verify_program`. Raises
+    `LineLoadError` if the line cannot carry it even at the most relaxed tolerance, or leaves its
+    joints fewer readings than the bus requires, and `InputError` if a joint of the trajectory is
+    not one of the robot's.
     """
     if unknown := [name for name in trajectory.joints if name not in robot.joints]:
         raise InputError(f"robot {robot.name!r} has no joint {unknown[0]!r}")
@@ -64,7 +69,7 @@ def compile_program(
         references, is_unread = _references(trajectory, choice.robot), False
         for candidate in candidates(choice.robot, with_relaxed=choice is found[-1]):
             if is_unread and candidate.ratio == 1.0:
-                continue  # No other placing of as many commands leaves much more room.
+                continue  # Another placement of as many commands leaves little more room.
             try:
                 schedule = candidate.schedule(references, tolerance_deg, seams_s)
             except TooLateError:
@@ -84,12 +89,12 @@ def compile_program(
 
 
 def _is_unread(use: LineUse, robot: Robot) -> bool:
-    """Return whether the commands on a line leave too little room for questions."""
+    """Return whether the commands on a line leave too little room for queries."""
     return use.reading_rate_hz < robot.buses[use.bus].reading_rate_min_hz
 
 
 def _unreadable(use: LineUse, program: Program, robot: Robot) -> LineLoadError:
-    """Return the error that says how seldom the joints of a line could be read."""
+    """Return the error with the rate at which the joints of a line could be read."""
     return LineLoadError(
         f"bus {use.bus!r} at {use.baud_bps} bps carries the show, {use.utilisation_ratio:.0%} of "
         f"the line, but in its worst second each joint could be read {use.reading_rate_hz:.1f} "
@@ -102,7 +107,7 @@ def _unreadable(use: LineUse, program: Program, robot: Robot) -> LineLoadError:
 
 
 def _repeat(trajectory: Trajectory) -> Repeat | None:
-    """Return the pass that is played again and again, if the show has no end."""
+    """Return the pass that is repeated, if the show has no end."""
     if trajectory.loop is not None:
         return None
     from_s = trajectory.first.duration_s
@@ -110,7 +115,7 @@ def _repeat(trajectory: Trajectory) -> Repeat | None:
 
 
 def _references(trajectory: Trajectory, robot: Robot) -> dict[str, Reference]:
-    """Return what each servo's profile has to do: the plan, earlier by what the servo lags."""
+    """Return what each servo's profile has to do: the plan, earlier by the lead of its profile."""
     end_s = trajectory.duration_s
     if trajectory.loop is None:
         end_s = trajectory.first.duration_s + 2.0 * trajectory.middle.duration_s
@@ -133,12 +138,12 @@ def _references(trajectory: Trajectory, robot: Robot) -> dict[str, Reference]:
 def glide_moves(
     references: Mapping[str, Reference], robot: Robot, tolerance_deg: float
 ) -> Sequence[Move]:
-    """Return the moves that take joints along courses of their own, with nothing else to do."""
+    """Return the moves that take joints along `references`, with nothing else on the lines."""
     schedules = (Schedule(references, robot, tolerance_deg * r) for r in RELAXED_RATIOS)
     for schedule in schedules:
         if not schedule.is_tight or schedule.tolerance_deg == tolerance_deg * RELAXED_RATIOS[-1]:
             return moves_of(schedule.fitted, robot)
-    raise AssertionError("the last attempt is taken as it is")
+    raise AssertionError("the last schedule is used as it is")
 
 
 def _program(
@@ -179,18 +184,18 @@ def _program(
 
 
 def driving_of(robot: Robot, names: Iterable[str]) -> dict[str, Driving]:
-    """Return how the joints are commanded that are not timed."""
+    """Return how the joints that are not timed are commanded."""
     driving = {}
     for name in names:
         drive = robot.joints[name].drive
-        assert drive != "auto", "somebody has chosen by now"
+        assert drive != "auto", "`choices` has replaced it"
         count = robot.joints[name].filter_count if drive == "streamed" else 0
         driving[name] = Driving(drive, count)
     return {name: chosen for name, chosen in driving.items() if chosen != TIMED}
 
 
 def lines_use(moves: Sequence[Move], robot: Robot) -> dict[str, LineUse]:
-    """Return how the moves use each bus: the proof of the schedule, from the bytes alone."""
+    """Return how the moves use each bus: the check of the schedule, from the bytes alone."""
     columns = columns_of(moves, robot)
     slots_us = np.stack((columns.due_us, columns.sent_us), axis=1)
     joints = list(robot.joints.values())

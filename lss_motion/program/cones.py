@@ -1,12 +1,13 @@
-"""Which travel speeds keep profiles near their courses, and for how long: *cones*, closed form.
+"""Which travel speeds keep profiles near their references, and for how long: *cones*, closed form.
 
-A profile at `position`, `speed` that hears a move ramps to the move's travel speed and keeps it.
-Its position after `tau` grows with that speed, so each instant of the course, widened by the
-tolerance, allows an interval of speeds; the intersection of all up to an instant is the cone there.
+A profile at `position`, `speed` that receives a move ramps to the travel speed of the move and
+keeps it. Its position after `tau` grows with that speed, so each instant of the reference, widened
+by the tolerance, allows an interval of speeds. The intersection of all intervals up to an instant
+is the cone there.
 
-Cones are what fitting spends its time on, so they are laid out for it: an instant a row and a
-servo a column, so that intersecting goes through memory in order; in single precision, whose
-rounding (1e-5 deg) is far below what the wire can say; both sides at once, the upper one negated.
+The fit spends most of its time on cones, so their layout is made for speed: an instant a row and a
+servo a column, so that an intersection reads memory in order; single precision, whose rounding
+(1e-5 deg) is far below one wire unit; both sides at once, the upper one negated.
 """
 
 from __future__ import annotations
@@ -27,12 +28,12 @@ if TYPE_CHECKING:
 Floats = TypeVar("Floats", "SingleArray", "FloatArray")
 
 CONE_RATIO: Final = 0.98
-"""How much of the tolerance a cone uses; the rest is for what the wire rounds."""
+"""The share of the tolerance that a cone uses; the rest is for the rounding of the wire."""
 ROOM_RATIO: Final = 0.15
-"""A profile at or beyond the edge of the tolerance is given this share of it as room, or it could
-not even stay in step with the course."""
+"""A profile at or beyond the edge of the tolerance gets this share of it as room. Without it, the
+profile could not even stay in step with the reference."""
 DIVISOR_LEAST: Final = np.float32(1e-20)
-"""Makes what no ramp reaches in time a change of speed beyond all others, without a branch."""
+"""Turns an offset that no ramp reaches in time into a speed beyond all others, without a branch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +41,8 @@ class Cones:
     """The cones of some servos at some instants: `sides_deg_s` has shape (instants, 2, servos).
 
     Row `k` is `k` strides after the first grid instant that is not before the start. A side is the
-    lowest travel speed, and the highest negated; both counted from the speed at the start. For
-    `held` rows each cone is open: once empty it stays empty.
+    lowest travel speed, and the highest negated; both are relative to the speed at the start. Each
+    cone is open for `held` rows; an empty cone stays empty.
     """
 
     sides_deg_s: SingleArray
@@ -51,7 +52,7 @@ class Cones:
     def at(self, servos: IntArray, rows: IntArray) -> tuple[SingleArray, SingleArray]:
         """Return the lowest and the highest speed of some servos in `rows`, (any, servos).
 
-        Those of a row in which the cone is empty are the last ones that are known.
+        For a row in which the cone is empty, the last ones before.
         """
         known = np.maximum(np.minimum(rows, self.held[servos] - 1), 0)
         speed, count = self.speed_deg_s[servos], self.sides_deg_s.shape[2]
@@ -67,7 +68,7 @@ def ramped(
     tau_s: Floats,
     ramp_deg_s2: Floats,
 ) -> tuple[Floats, Floats]:
-    """Return position and speed after `tau_s` of ramping to, then keeping, `travel_deg_s`."""
+    """Return position and speed after a ramp to `travel_deg_s` and a cruise, `tau_s` in all."""
     change = travel_deg_s - speed_deg_s
     ramp_s = np.minimum(np.abs(change) / ramp_deg_s2, tau_s)
     gained = np.copysign(ramp_deg_s2, change) * ramp_s
@@ -76,9 +77,9 @@ def ramped(
 
 
 def excursion_deg(position_deg: SingleArray, speed_deg_s: SingleArray, at: Points) -> SingleArray:
-    """Return how far profiles stray before they are in step with their courses again.
+    """Return the largest error of profiles until they are in step with their references again.
 
-    They are at points of their courses, and have the ramp that the course leaves them there.
+    `at` holds the points of their references, and the ramp that is left for corrections there.
     """
     error = position_deg - at.position_deg
     faster = speed_deg_s - at.speed_deg_s
@@ -92,9 +93,9 @@ def excursion_deg(position_deg: SingleArray, speed_deg_s: SingleArray, at: Point
 
 @dataclass(frozen=True, slots=True)
 class Starts:
-    """Profiles that hear a move `after_s` before the grid point `first` of their courses.
+    """Profiles that receive a move `after_s` before the grid point `first` of their references.
 
-    Where that is the same for all, one element says so.
+    An array of one element stands for the same value for all.
     """
 
     joint: IntArray
@@ -114,7 +115,7 @@ class Starts:
 def open_cones(references: References, starts: Starts, rows: int, stride: int, block: int) -> Cones:
     """Return the cones of profiles in so many rows.
 
-    Looked at are `block` rows at once, and the next ones only of the cones that are still open.
+    The rows are computed `block` by block, and only for the cones that are still open.
     """
     cones, count = _Cones(references, starts), len(starts.joint)
     every = np.empty((rows, 2, count), dtype=np.float32)
@@ -133,7 +134,7 @@ def open_cones(references: References, starts: Starts, rows: int, stride: int, b
 
 
 class _Cones:
-    """Cones on their way: where they begin, and the sides that they have come to."""
+    """Cones under construction: where they begin, and the sides that they have reached."""
 
     def __init__(self, references: References, starts: Starts) -> None:
         self._references, self._joint, self._first = references, starts.joint, starts.first
@@ -147,7 +148,7 @@ class _Cones:
         self._least = np.stack((-speed_max - speed, speed - speed_max))
 
     def after(self, sides: SingleArray, servos: IntArray, chosen: IntArray) -> _Cones:
-        """Return the `chosen` of these, `servos` of those that have come to `sides`."""
+        """Return the `chosen` cones, whose `servos` have reached `sides`."""
         some = object.__new__(_Cones)
         some._references = self._references
         some._joint, some._first = self._joint[chosen], self._first[chosen]
@@ -176,7 +177,10 @@ class _Cones:
 
 
 def _intersect(sides: SingleArray) -> None:
-    """Let every row be the highest up to it: block by block, in few steps for many rows."""
+    """Replace every row by the maximum of all rows up to it, block by block.
+
+    Blocks need few numpy calls for many rows.
+    """
     size = next(n for n in range(math.isqrt(len(sides)), 0, -1) if len(sides) % n == 0)
     blocks = sides.reshape(-1, size, *sides.shape[1:])
     for row in range(1, size):
@@ -186,10 +190,11 @@ def _intersect(sides: SingleArray) -> None:
 
 
 def _change(offset_deg: SingleArray, tau_s: SingleArray, ramp_deg_s2: SingleArray) -> None:
-    """Replace offsets by the changes of speed that are so far off the unchanged course after `tau`.
+    """Replace offsets after `tau`, relative to the unchanged motion, by changes of speed.
 
-    A ramp to a change `c` lasts c/a, so that the offset is c·tau - c²/(2a). What no ramp reaches in
-    that time has no root, and becomes next to infinite, with the sign of the offset.
+    A ramp to a change `c` lasts c/a, so the offset is c·tau - c²/(2a). An offset that no ramp
+    reaches in that time has no root; the change becomes close to infinite, with the sign of the
+    offset.
     """
     half_s = 0.5 * tau_s
     divisor = np.abs(offset_deg)

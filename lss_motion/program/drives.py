@@ -1,8 +1,13 @@
-"""The three drives behind one face: how each joint is fitted, led, and what of the line it takes.
+"""The three drives behind one interface, and the choice between them for `drive: auto`.
 
-timed     `D…T…` in EM1 · `fit` (all joints together), `response`
-streamed  bare `D` through the filter of EM0 · `stream`, `filtered`
-stepped   whole degrees to an RC servo · `step`
+  timed     `D…T…` in EM1                      `fit` (all joints together), `response`
+  streamed  bare `D` through the filter of EM0  `streamed`
+  stepped   whole degrees to an RC servo        `stepped`
+
+For `drive: auto`, the joint is fitted alone with each drive that its servo supports. The choice is
+the drive with the smaller predicted error of the horn. The prediction includes what is unknown
+about a servo: the instant, within its control loop or within its filter's period, at which it takes
+up a command.
 """
 
 from __future__ import annotations
@@ -33,35 +38,41 @@ if TYPE_CHECKING:
 
     ReferencesOf = Callable[[Robot], Mapping[str, Reference]]
 
+WORTH_RATIO: Final = 0.9
+"""The predicted error of streaming must be smaller than this share of the error of timed moves.
+Chosen: timed moves take less of the line, and the servo itself keeps their limits."""
+UNKNOWN_RATIO: Final = 1.0 / math.sqrt(12.0)
+"""RMS of an instant that is equally likely anywhere in a period, in periods."""
+
 
 class JointFitter(Protocol):
-    """Fits one joint, move by move, to instants that somebody else grants.
+    """Fits one joint, command by command, to the instants that a line grants.
 
-    wanted_s = fitter.wanted(None)           when the first move is to be heard at the latest
-    while wanted_s is not None:
-        fitter.grant(granted_s)              it will be heard then, if possible not later
-        wanted_s = fitter.wanted(granted_s)  the same for its successor
+    requested_s = fitter.request(None)           latest instant of the first command
+    while requested_s is not None:
+        fitter.grant(granted_s)                  when the servo receives it
+        requested_s = fitter.request(granted_s)  latest instant of the next command
     """
 
     setpoints: list[Setpoint]
 
     def request(self, granted_s: float | None) -> float | None:
-        """Return when the next move is to be heard at the latest; None when none is needed."""
+        """Return the latest instant for the receipt of the next command; None at the end."""
         ...
 
     def grant(self, granted_s: float) -> None:
-        """Settle the pending move, now that its successor is known to be heard then."""
+        """Decide the pending command, now that the instant of its successor is known."""
         ...
 
     def profile(self) -> PiecewiseProfile:
-        """Return the whole profile that the moves so far make."""
+        """Return the whole profile that the commands so far make."""
         ...
 
 
 def make_fitter(
     joint: Joint, reference: Reference, tolerance_deg: float, seams_s: Sequence[float] = ()
 ) -> JointFitter:
-    """Return what fits `course` with the drive of `joint`, which is not timed (`fit.Fit`)."""
+    """Return the fitter of `reference` for `joint`, which is not timed (those: `fit.TimedFit`)."""
     limits = servo_limits(joint, tolerance_deg)
     if joint.drive == "streamed":
         start_deg = nearest_wire(float(reference.position_deg[0]), limits) / limits.wire_per_deg
@@ -71,10 +82,10 @@ def make_fitter(
 
 
 def profile_lead_s(joint: Joint) -> float:
-    """Return by how much a joint's profile is earlier than its horn, in seconds.
+    """Return by how much a joint's profile is earlier than its horn.
 
-    That is its servo's lag and, unless its model knows about that, half the control tick at which
-    it takes up a command.
+    This is the lag of its servo and, unless its model includes it, half of the control tick at
+    which the servo takes up a command.
     """
     half_tick_s = 0.0 if joint.drive == "streamed" else 0.5 * joint.response.loop_s
     return joint.response.lag_s + half_tick_s
@@ -83,8 +94,8 @@ def profile_lead_s(joint: Joint) -> float:
 def late_max_s(joint: Joint) -> float:
     """Return by how much a command may be late in a schedule that is not too tight.
 
-    For a timed move half of what its reach allows, so that the other half is left for the
-    computer that plays it; for a streamed one, what still counts for the same step of the filter.
+    For a timed move, half of what its reach allows; the other half is left for the computer that
+    plays it. For a streamed one, what still counts for the same step of the filter.
     """
     match joint.drive:
         case "streamed":
@@ -108,28 +119,19 @@ def longest_move(joint: Joint) -> bytes:
     )
 
 
-WORTH_RATIO: Final = 0.9
-"""Streaming must predict this much better than timed moves. Chosen: those take less of the line,
-and the servo itself keeps their limits."""
-
-
-UNKNOWN_RATIO: Final = 1.0 / math.sqrt(12.0)
-"""RMS of an instant that is equally likely anywhere in a period, in periods."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
-    """A robot without `auto`, and why each of those joints is driven as it is."""
+    """A robot without `auto`, and the reason for the drive of each joint that had it."""
 
     robot: Robot
     reasons: Mapping[str, str] = field(default_factory=dict)
 
 
 def choices(robot: Robot, references: ReferencesOf, tolerance_deg: float) -> list[Choice]:
-    """Return what predicts best first, then with fewer and fewer of its joints streamed.
+    """Return the choice that predicts best, then choices with fewer and fewer streamed joints.
 
-    The last one streams only what cannot be timed. `courses` gives what the profiles of a robot
-    have to do; only the joints of those are looked at.
+    The last one streams only joints that cannot be timed. `references` returns the references for a
+    robot; only joints that have one are compared.
     """
     opened = {n: j for n, j in robot.joints.items() if j.drive == "auto"}
     if not opened:
@@ -158,7 +160,10 @@ def choices(robot: Robot, references: ReferencesOf, tolerance_deg: float) -> lis
 def _with_fewer(
     robot: Robot, drives: Mapping[str, Drive], reasons: Mapping[str, str], by_gain: list[str]
 ) -> list[Choice]:
-    """Return the choice, and those that time half of the rest of `by_gain`, least gain first."""
+    """Return the choice, and then those that time half of the rest of `by_gain` each.
+
+    Joints with the least gain are timed first.
+    """
     found = [Choice(robot=_with(robot, drives), reasons=reasons)]
     while by_gain:
         cut = -(-len(by_gain) // 2)
@@ -171,29 +176,31 @@ def _with_fewer(
 
 
 def _with(robot: Robot, drives: Mapping[str, Drive]) -> Robot:
+    """Return `robot` with other `drives`."""
     changed = {name: replace(robot.joints[name], drive=drive) for name, drive in drives.items()}
     return replace(robot, joints={**robot.joints, **changed})
 
 
 def _needs_filter(joint: Joint) -> bool:
+    """Return whether only the filter of a servo can follow the acceleration of the joint."""
     facts = FAMILIES[joint.model.family]
     return "streamed" in facts.drives and joint.accel_max_deg_s2 > facts.accel_max_deg_s2
 
 
 def _only(joint: Joint, robot: Robot) -> str:
-    """Return why the joint has no choice, or nothing if it has one."""
+    """Return why a joint has only one drive; empty if it has a choice."""
     if _needs_filter(joint):
         most = FAMILIES[joint.model.family].accel_max_deg_s2
         return f"{joint.accel_max_deg_s2:g} deg/s² is more than its ramps can express, {most:g}"
     if "streamed" not in FAMILIES[joint.model.family].drives:
-        return f"a {joint.model.name} knows no other drive"
+        return f"a {joint.model.name} supports no other drive"
     if not can_be_streamed(joint, robot.buses[joint.bus]):
         return f"streaming needs firmware {FILTER_FIRMWARE_MIN}"
     return ""
 
 
 def predicted_deg(joint: Joint, reference: Reference, tolerance_deg: float) -> float:
-    """Return the RMS of what a joint's horn will be off, fitted with nothing else on its line."""
+    """Return the predicted RMS error of a joint's horn, fitted with a free line."""
     profile = fitted_alone(joint, reference, tolerance_deg)
     times_s = reference.start_s + GRID_S * np.arange(len(reference.position_deg), dtype=np.float64)
     error_deg = profile.sample(times_s) - reference.position_deg
@@ -204,7 +211,7 @@ def predicted_deg(joint: Joint, reference: Reference, tolerance_deg: float) -> f
 
 
 def fitted_alone(joint: Joint, reference: Reference, tolerance_deg: float) -> PiecewiseProfile:
-    """Return the profile that one joint's moves make if every one is heard when it is wanted."""
+    """Return the profile of one joint's moves if each is received at the instant requested."""
     if joint.drive == "timed":
         limits = servo_limits(joint, tolerance_deg)
         moves = TimedFit([reference], [limits]).moves(

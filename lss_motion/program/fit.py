@@ -1,15 +1,11 @@
-"""Fits the fewest timed moves to the courses of all joints: the heart of the `timed` drive.
+"""Fits the fewest timed moves to the references of all joints: the core of the `timed` drive.
 
-A move in mid-course is used for its travel speed: its target lies beyond the instant of the next
+A move in mid-reference is used for its travel speed: its target lies beyond the instant of the next
 move, so that the servo ramps to that speed and keeps it, and never brakes before its successor
-arrives. Only where the course comes to rest does a move end on its target.
+arrives. Only where the reference comes to rest does a move end on its target.
 
-All lanes (`lanes`) go forward together, a move each, as rows of arrays. All angles are servo angles
-in degrees; instants are those at which the servo hears a move.
-
-One attempt at fitting: all lanes from their first move to their last, side by side.
-
-The lanes under way are the rows of arrays; each goes forward by one move at a time.
+All segments (`segments`) advance together, one move each, as rows of arrays. Angles are servo
+angles in degrees; instants are those at which a servo receives a move.
 """
 
 from __future__ import annotations
@@ -51,28 +47,32 @@ if TYPE_CHECKING:
 
     Grant = Callable[[IntArray, IntArray, IntArray], IntArray]
 
-
 DEPARTURES: Final = 7
-"""Instants tried for the first move after a stop."""
+"""Number of candidate instants for the first move after a stop."""
 DEPARTURE_STEPS: Final = 80
-"""Grid steps in which it is judged how far they reach: every one, since what a servo at rest cannot
-follow shows at once."""
+"""Grid steps in which the reach of these candidates is computed: every step, since what a servo at
+rest cannot follow shows at once."""
 RIVALRY_S: Final = 1.0
-"""A move that is wanted this much later than another is of another stretch of the show."""
+"""A move that is requested this much later than another belongs to another part of the show."""
 SEGMENTS_MAX: Final = 2048
-"""So many lanes are fitted side by side: enough for ten minutes of 18 joints, in bounded memory."""
+"""This many segments are fitted side by side: ten minutes of 18 joints, in bounded memory."""
 NEVER: Final = 2**62
 """The index of a stop that never comes."""
 
+TURN_S: Final = 0.1
+"""A move waits for the moves of its part that are requested this much earlier. Slots are then given
+away in the order of time, and no move is delayed by one that is requested later."""
+
 
 def microseconds(times_s: FloatArray) -> IntArray:
+    """Return instants in whole microseconds."""
     whole: IntArray = np.rint(US_PER_S * times_s).astype(np.intp)
     return whole
 
 
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """The lanes under way, a row each. `wish_deg_s` is the travel speed of the move at `state`."""
+    """The segments under way, a row each. `travel_deg_s` belongs to the move at `state`."""
 
     segment: IntArray
     state: States
@@ -98,7 +98,7 @@ def _concatenated(one: _Rows, other: _Rows) -> _Rows:
 
 
 def _is_next(requested_s: FloatArray, turn_s: float) -> BoolArray:
-    """Return which moves to grant now: none that is wanted a turn after one of its stretch."""
+    """Return which moves to grant now: those with no request of the same part a turn earlier."""
     if turn_s >= RIVALRY_S:
         return np.ones(len(requested_s), dtype=bool)
     ordered = np.sort(requested_s)
@@ -110,7 +110,7 @@ def _is_next(requested_s: FloatArray, turn_s: float) -> BoolArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitProblem:
-    """What all lanes share: by joint, the seams as indices of the grid; `fit.TURN_S`."""
+    """What all segments share. `seams` are indices of the grid; `turn_s`: see `TURN_S`."""
 
     references: References
     limits: LimitArrays
@@ -119,7 +119,7 @@ class FitProblem:
 
 
 class SegmentRun:
-    """All lanes from their first move to their last."""
+    """One run of all segments from their first move to their last."""
 
     def __init__(self, task: FitProblem, segments: Sequence[Segment], grant: Grant) -> None:
         self._references, self._limits, self._seams = task.references, task.limits, task.seams
@@ -136,14 +136,14 @@ class SegmentRun:
         self._of: list[IntArray] = [np.zeros(0, dtype=np.intp)]
 
     def moves(self) -> tuple[FittedMoves, IntArray]:
-        """Return the moves, in any order, and of which lane each is."""
+        """Return the moves, in any order, and the segment of each."""
         waiting = deque(range(len(self._segments)))
         rows = self._entered(np.zeros(0, dtype=np.intp))
         while waiting or len(rows.segment):
             room = SEGMENTS_MAX - len(rows.segment)
             new = [waiting.popleft() for _ in range(min(len(waiting), room))]
             if new:
-                # By joint: what is looked up for neighbours then lies near each other, too.
+                # By joint: the data of neighbours then lies close together in memory.
                 by_joint = np.array(new)[np.argsort(self._joint[new], kind="stable")]
                 rows = _concatenated(rows, self._entered(by_joint))
             is_next = _is_next(rows.requested_s, self._turn_s)
@@ -154,13 +154,13 @@ class SegmentRun:
         return concatenated(self._made), np.concatenate(self._of)
 
     def _entered(self, segment: IntArray) -> _Rows:
-        """Return lanes that wait for their first move; they have no travel speed yet."""
+        """Return segments that wait for their first move; they have no travel speed yet."""
         none = np.full(len(segment), np.nan)
         requested_s = self._departures_s(segment) if len(segment) else np.zeros(0)
         return _Rows(segment, States(self._after_s[segment], none, none), none, requested_s)
 
     def _advanced(self, rows: _Rows) -> _Rows:
-        """Have the next moves granted, put those under way into words, and choose what follows."""
+        """Reserve slots for the next moves, quantize those under way, choose the moves after."""
         in_turn = np.argsort(rows.requested_s, kind="stable")
         granted_us = self._grant(
             self._joint[rows.segment[in_turn]],
@@ -176,7 +176,7 @@ class SegmentRun:
         return self._settled(segment, concatenated_states(begun, moved))
 
     def _begun(self, segment: IntArray, granted_s: FloatArray) -> States:
-        """Return the states of profiles that hear their first move, at rest or under way."""
+        """Return the states of profiles that receive their first move, at rest or in motion."""
         position = self._wire[segment] / self._limits.wire_per_deg[self._joint[segment]]
         speed = np.zeros(len(segment))
         for row, at in enumerate(segment):
@@ -187,7 +187,7 @@ class SegmentRun:
         return States(granted_s, position, speed)
 
     def _quantized(self, rows: _Rows, granted_s: FloatArray) -> States:
-        """Put the moves under way into words, now that their successors are known."""
+        """Quantize the moves under way; the instants of their successors are known now."""
         limits = self._limits.take(self._joint[rows.segment])
         wire, duration_ms, travel = quantized(rows.state, rows.travel_deg_s, granted_s, limits)
         self._record(rows.segment, rows.state, wire, duration_ms, travel)
@@ -217,10 +217,10 @@ class SegmentRun:
             )
         )
 
-    # ---- out of rest
+    # ---- first moves
 
     def _departures_s(self, segment: IntArray) -> FloatArray:
-        """Return when the first move of each lane should be heard."""
+        """Return when the first move of each segment is requested."""
         joint = self._joint[segment]
         limits = self._limits.take(joint)
         some = [self._segments[at] for at in segment]
@@ -240,17 +240,17 @@ class SegmentRun:
         lands = error_deg <= CONE_RATIO * limits.tolerance_deg
         return np.where(lands, departs_s, candidates_s[best, np.arange(len(segment))])
 
-    # ---- to rest
+    # ---- landings
 
     def _is_near(self, segment: IntArray, state: States) -> BoolArray:
-        """Return whether the stop is near enough to be landed on with one move."""
+        """Return whether the stop is near enough for a landing with one move."""
         limits = self._limits.take(self._joint[segment])
         left_s = self._references.times_s(self._stop_first[segment]) - state.time_s
         near: BoolArray = left_s <= SEGMENT_MAX_S + limits.speed_max_deg_s / limits.ramp_deg_s2
         return near
 
     def _landings(self, segment: IntArray, state: States, chosen: BoolArray) -> Landings:
-        """Return how the `chosen` lanes land on their stops, with infinite error for the others."""
+        """Return how the `chosen` segments land on their stops; infinite error for the others."""
         every = Landings(*(np.full(len(segment), np.inf) for _ in range(4)))
         if chosen.any():
             at = segment[chosen]
@@ -267,7 +267,7 @@ class SegmentRun:
         return every
 
     def _settled(self, segment: IntArray, state: States) -> _Rows:
-        """Land the lanes that can land, end those at the end; choose how the others go on."""
+        """Land the segments that can land, end those at the end; choose how the others continue."""
         joint, first = self._joint[segment], self._references.first_index(state.time_s)
         limits = self._limits.take(joint)
         found = next_moves(
@@ -291,9 +291,9 @@ class SegmentRun:
         return _Rows(segment, state, found.speed_deg_s, found.requested_s).take(goes_on)
 
     def _braking_s(self, segment: IntArray, state: States, limits: LimitArrays) -> FloatArray:
-        """Return how long a landing brakes at the most: until then it is a move like any other.
+        """Return how long a landing brakes at most: before that, it is a move like any other.
 
-        None is more than twice as fast as the mean of its way, unless it begins as fast.
+        A landing is at most twice as fast as the mean of its way, unless it begins faster.
         """
         left_s = self._references.times_s(self._stop_first[segment]) - state.time_s
         away_deg = np.abs(self._stop_wire[segment] / limits.wire_per_deg - state.position_deg)
@@ -303,9 +303,10 @@ class SegmentRun:
         return braking_s
 
     def _latest(self, segment: IntArray, first: IntArray) -> IntArray:
-        """Return the last index at which a successor may be heard.
+        """Return the last index at which a successor may be received.
 
-        After the next stop began there is none (it has to land there), nor after a seam.
+        No successor comes after the begin of the next stop, where the move must land, or after a
+        seam.
         """
         latest = self._stop_first[segment] - SEGMENT_MIN_STEPS
         for seam in self._seams:
@@ -314,16 +315,12 @@ class SegmentRun:
         return latest
 
 
-TURN_S: Final = 0.1
-"""A move waits for those of its stretch that are wanted this much earlier: where the line is given
-away in the order of time, nobody has to be late for whom is wanted later."""
-
-
 class TimedFit:
-    """The courses of some joints, and the moves that follow them.
+    """The references of some joints, and the timed moves that follow them.
 
-    `grant(joints, wanted_us, after_us)` returns when moves will be heard, each of which is wanted
-    at `wanted_us` at the latest and must not be heard before `after_us`: instants of the schedule.
+    `grant(joints, requested_us, after_us)` returns when servos will receive moves, in microseconds
+    of show time: each at `requested_us` at the latest if there is a slot, and not before
+    `after_us`.
     """
 
     def __init__(
@@ -334,11 +331,12 @@ class TimedFit:
         initial: Sequence[InitialMotion] = (),
         turn_s: float = TURN_S,
     ) -> None:
-        """Take courses on one grid. While one moves, a move is heard at or shortly before a seam.
+        """Take references on one grid, and the seams at which a moving reference needs a move.
 
-        Between two seams the moves can then be repeated without end. Without `begins`, one a
-        course, all servos stand where their courses do. A shorter turn fills the line better and
-        takes longer to fit; with `run.RIVALRY_S` nobody waits.
+        A move is received at or shortly before each seam, so that the moves between two seams can
+        be repeated without end. Without `initial`, one motion a reference, all servos stand where
+        their references do. A shorter turn fills the line better and takes longer to fit; with
+        `RIVALRY_S` no move waits for another.
         """
         self._each = list(
             zip(references, limits, initial or (None,) * len(references), strict=True)
@@ -351,10 +349,10 @@ class TimedFit:
         )
 
     def moves(self, new_line: Callable[[], Grant]) -> FittedMoves:
-        """Return the moves, by joint and time. `new_line` gives a free line for every attempt.
+        """Return the moves, by joint and time. `new_line` returns a free line for every run.
 
-        A stop that a servo cannot reach in time is travelled through in the next attempt; what the
-        other lanes have been granted they keep.
+        A stop that a servo cannot reach in time is no stop in the next run. The other segments keep
+        the slots that they have.
         """
         refused: set[tuple[int, int]] = set()
         known: list[Segment] = []
@@ -381,11 +379,11 @@ class TimedFit:
             if not late:
                 return made
             stops = {(segment.joint, segment.first) for segment in late}
-            assert not stops & refused, "a lane without stops always joins"
+            assert not stops & refused, "a segment without stops always joins"
             refused |= stops
 
     def _segments(self, refused: Container[tuple[int, int]]) -> list[Segment]:
-        """Return all lanes in the order in which they begin."""
+        """Return all segments in the order in which they begin."""
         segments = [
             segment
             for joint, (reference, limits, initial) in enumerate(self._each)

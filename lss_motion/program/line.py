@@ -1,14 +1,19 @@
-"""Places commands on one serial line so that no two overlap, and proves it afterwards.
+"""Places commands on one serial line so that no two overlap, and checks the result independently.
 
-Decision: every command is a line of its own, also where the firmware knows group lines (370 and
+Queries share the line: `reading_rate_hz` computes how often servos can be polled between the
+commands of a program. A query leaves only if the line is free again before the next command is due,
+so what counts are the whole queries that fit into each gap. Replies come on a line of their own,
+one after the other.
+
+Decision: every command is a line of its own, also where the firmware accepts group lines (370 and
 later: `#1D0T100#2D0T100` and one CR). A group saves one byte for every command that has no gap
 before it. On a lively show that is 0.5 to 1.5 % of what 18 joints send at 115200 bps and at most
-2.5 % of what 32 send: less than half a percent of the line, since most commands stand alone where
-their joint wants them. For that, one would have to know when a servo takes up a section: at the
-next `#`, or all of them at the CR, which is later by the whole group. The documents do not know
-groups; real buses use them for queries (FACTS.md W17), but no result for moves is known (W20). A
-wrong guess costs the horn more than the bytes are worth, and a group that lost one byte or its CR
-can lose more than one command.
+2.5 % of what 32 send: less than half a percent of the line, since most commands stand alone at the
+instants of their joints. In return the schedule would depend on when a servo takes up its part of a
+group: at the next `#`, or with all others at the CR, which is later by the whole group. The
+documents do not mention groups; real buses use them for queries (FACTS.md W17), but no result for
+moves is known (W20). A wrong assumption costs the horn more than the bytes are worth, and a group
+that lost one byte or its CR can lose more than one command.
 """
 
 from __future__ import annotations
@@ -31,16 +36,22 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Joint
 
 WORST_WINDOW_US = 100_000
-"""Utilisation is also given for the busiest 100 ms (FACTS.md A21)."""
+"""Utilisation is also reported for the busiest 100 ms (FACTS.md A21)."""
 LONG_AGO_US: Final = -(2**62)
-"""When the slot begins and ends that is before all others, so that there always is one."""
+"""Begin and end of a slot before all others, so that there always is a slot before."""
+
+WINDOW_US: Final = US_PER_S
+"""Readings are counted over a second: a joint without a reply for so long is silent."""
+TURNAROUND_US: Final = 1_800
+"""From the end of a query to the start of its reply. Assumed: the most that the slowest firmware
+takes (FACTS.md W13, W14; not measured), with one query in flight."""
 
 
 class LineSchedule:
     """The transmit side of one bus: reserved slots, disjoint, in microseconds of show time.
 
-    Starts and ends lie in order in flat arrays: single slots are mostly reserved in the order of
-    time, at the end of these, and many at once are looked up side by side.
+    Starts and ends lie in order in flat arrays. Single slots are mostly reserved in the order of
+    time, at the end of these; many at once are searched side by side.
     """
 
     def __init__(self) -> None:
@@ -48,7 +59,7 @@ class LineSchedule:
         self._ends_us = array("q", (LONG_AGO_US,))
 
     def copy(self) -> LineSchedule:
-        """Return a schedule of its own with the same slots."""
+        """Return an independent schedule with the same slots."""
         made = LineSchedule()
         made._starts_us, made._ends_us = self._starts_us[:], self._ends_us[:]
         return made
@@ -56,8 +67,8 @@ class LineSchedule:
     def reserve(self, latest_end_us: int, size_us: int, earliest_us: int) -> int:
         """Reserve the latest free slot that ends by `latest_end_us`; return where it ends.
 
-        When nothing is free after `earliest_us`, take the first free slot beyond
-        `latest_end_us`: the caller sees that it is late.
+        If nothing is free after `earliest_us`, reserve the first free slot beyond `latest_end_us`;
+        the caller sees from the returned end that it is late.
         """
         starts_us, ends_us = self._starts_us, self._ends_us
         end_us, start_us = latest_end_us, latest_end_us - size_us
@@ -79,10 +90,10 @@ class LineSchedule:
     def reserve_all(
         self, latest_end_us: IntArray, size_us: IntArray, earliest_us: IntArray
     ) -> IntArray:
-        """Do what `reserve` does for many.
+        """Reserve one slot for each element, as `reserve` does, and return the ends.
 
-        Of those that are in each other's way, who wishes for later has its place, and the other one
-        goes before it. Whom that takes before its `earliest_us` is served before all others.
+        Where two requests overlap, the later one keeps its place and the other one goes before it.
+        A request that would then start before its `earliest_us` is served before all others.
         """
         reserved_us = np.empty_like(latest_end_us)
         waiting = np.argsort(latest_end_us, kind="stable")
@@ -101,9 +112,9 @@ class LineSchedule:
         return reserved_us
 
     def _latest_free_ends(self, latest_end_us: IntArray, size_us: IntArray) -> IntArray:
-        """Return where slots end that overlap neither each other nor what is reserved.
+        """Return the ends of slots that overlap neither each other nor a reserved slot.
 
-        The wishes are in order, and so are the slots.
+        The requests are in order of time, and so are the slots.
         """
         starts_us, ends_us = (
             np.frombuffer(own, dtype=np.int64) for own in (self._starts_us, self._ends_us)
@@ -121,16 +132,16 @@ class LineSchedule:
             moved, end_us = np.flatnonzero(freed_us != end_us), freed_us
 
     def _keep(self, starts_us: IntArray, ends_us: IntArray) -> None:
-        """Reserve free slots."""
+        """Reserve slots that are free."""
         for own, new_us in ((self._starts_us, starts_us), (self._ends_us, ends_us)):
             own.frombytes(new_us.tobytes())
             np.frombuffer(own, dtype=np.int64).sort(kind="stable")
 
 
 def _apart(latest_end_us: IntArray, sent_us: IntArray) -> IntArray:
-    """Return where slots end so that each ends before the next one starts.
+    """Return the ends of slots so that each ends before the next one starts.
 
-    The wishes are in order; `sent_us` is what all slots up to each take of the line together.
+    The requests are in order; `sent_us` is the line time of all slots up to each.
     """
     free_us = np.minimum.accumulate((latest_end_us - sent_us)[::-1])[::-1]
     ends_us: IntArray = free_us + sent_us
@@ -139,7 +150,7 @@ def _apart(latest_end_us: IntArray, sent_us: IntArray) -> IntArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineUse:
-    """How one bus is used by a program: the result of checking its finished schedule."""
+    """How a program uses one bus: the result of the check of its finished schedule."""
 
     bus: str
     baud_bps: int
@@ -148,11 +159,11 @@ class LineUse:
     """Share of the time from the first to the last byte in which the line sends commands."""
     worst_100_ms_ratio: float
     overlaps: int
-    """Commands that are due before their predecessor has left. A sound schedule has none."""
+    """Commands that are due before their predecessor has left. A correct schedule has none."""
     late_max_us: int
-    """The longest that a command has to wait for the line."""
+    """The longest time that a command waits for the line."""
     reading_rate_hz: float = math.inf
-    """How often each joint that answers can be asked where it is, in the worst second."""
+    """How often each joint can be polled for its position in the worst second."""
 
 
 def line_use(bus: str, baud_bps: int, slots_us: Sequence[tuple[int, int]] | IntArray) -> LineUse:
@@ -182,15 +193,6 @@ def line_use(bus: str, baud_bps: int, slots_us: Sequence[tuple[int, int]] | IntA
     )
 
 
-WINDOW_US: Final = US_PER_S
-"""Readings are counted over a second: a joint that nobody heard of for so long is silent."""
-
-
-TURNAROUND_US: Final = 1_800
-"""From the end of a query to the start of its answer. Assumed: what the slowest firmware takes at
-the most (FACTS.md W13, W14; not measured), with no two questions in flight."""
-
-
 def reading_rate_hz(joints: Sequence[Joint], baud_bps: int, slots_us: IntArray) -> float:
     """Return how often each of `joints` can be read in the worst second of a line, all in turn.
 
@@ -212,10 +214,11 @@ def _queries_in_worst_second(query_us: int, slots_us: IntArray) -> float:
     ends_us = np.append(due_us, opens_us[-1] + 2 * WINDOW_US)
     fit = np.maximum(ends_us - opens_us, 0) // query_us
     full_us, total = opens_us + fit * query_us, np.cumsum(fit)
-    # Queries that have left, as a line that climbs through each gap and is level elsewhere.
+    # The number of queries sent so far rises through each gap and is constant elsewhere.
     instants_us = np.stack((opens_us, full_us), axis=1).ravel()
     left = np.stack((total - fit, total), axis=1).ravel().astype(np.float64)
-    # Their number within a window stops falling where its end begins to climb, or its begin stops.
+    # The number within a window has its minima where the number at the window's end begins to
+    # rise, or the number at its begin stops rising.
     edges_us = np.concatenate((opens_us, full_us + WINDOW_US, opens_us[:1] + WINDOW_US))
     edges_us = edges_us[(edges_us - WINDOW_US >= opens_us[0]) & (edges_us <= ends_us[-1])]
     within = np.interp(edges_us, instants_us, left)
@@ -224,7 +227,7 @@ def _queries_in_worst_second(query_us: int, slots_us: IntArray) -> float:
 
 
 def _exchange_us(joint: Joint, baud_bps: int) -> tuple[int, int]:
-    """Return the line time of asking a joint where it is, and of its longest answer."""
+    """Return the line times of a position query to a joint, and of its longest reply."""
     ends_deg = map(joint.servo_deg, (joint.position_min_deg, joint.position_max_deg))
     wires = [round(end_deg * joint.model.wire_per_deg) for end_deg in ends_deg]
     replies = [encode(Reply(joint.servo_id, "QD", wire)) for wire in wires]

@@ -1,4 +1,8 @@
-"""The compiled show: which bytes leave on which bus at which instant, as values and as text."""
+"""The compiled show as a value: which bytes leave on which bus at which instant.
+
+A `Program` never changes after it is compiled or read. The player sends its moves; the verifier
+computes from the same moves what every servo will do.
+"""
 
 from __future__ import annotations
 
@@ -26,10 +30,11 @@ T = TypeVar("T")
 
 
 class Move(NamedTuple):
-    """One `D` on its way: `due_us` is when its first byte leaves, in show time.
+    """One `D` command of a program. `due_us` is the show time at which its first byte leaves.
 
-    `target_wire` is in the wire unit of the servo's family. A timed move is to travel until
-    `duration_ms` after its last byte was heard; None for the other drives, which have no T.
+    `target_wire` is in the wire unit of the servo's family. A timed move lasts `duration_ms` from
+    the instant at which the servo receives its last byte; None for the other drives, whose `D` has
+    no T.
     """
 
     due_us: int
@@ -45,7 +50,7 @@ class Move(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Repeat:
-    """A stretch of show time whose moves are played again and again until the show is stopped."""
+    """A part of the show whose moves are repeated until the show is stopped."""
 
     from_us: int
     to_us: int
@@ -53,7 +58,7 @@ class Repeat:
 
 @dataclass(frozen=True, slots=True)
 class Driving:
-    """How a joint of a program is commanded; `filter_count` is the FPC of a streamed one, or 0."""
+    """How a joint is commanded; `filter_count` is the FPC of a streamed joint, else 0."""
 
     drive: Drive
     filter_count: int = 0
@@ -64,9 +69,9 @@ TIMED: Final = Driving("timed")
 
 @dataclass(frozen=True, kw_only=True)
 class Program:
-    """Moves in order of `due_us`, and what the player must know to start and to judge them.
+    """Moves in order of `due_us`, and what the player needs to start and judge the show.
 
-    Show time 0 is the start of the plan; moves may be due before it, since they lead the horn.
+    Show time 0 is the start of the plan. Moves may be due before it, since they lead the horn.
     """
 
     name: str
@@ -74,24 +79,24 @@ class Program:
     robot_path: Path | None = None
     moves: Sequence[Move]
     duration_s: float
-    """Until the last horn has arrived; `math.inf` with `repeat`."""
+    """Show time at which the last horn arrives; `math.inf` with `repeat`."""
     start_deg: Mapping[str, float]
-    """Joint angles at which every joint of the show must stand before it starts."""
+    """Angles at which the joints of the show must stand before it starts."""
     tolerance_deg: float
     drives: Mapping[str, Driving] = field(default_factory=dict)
-    """Of the joints that are not timed."""
+    """The drives of the joints that are not timed."""
     drive_reasons: Mapping[str, str] = field(default_factory=dict)
-    """Why, in words, for the joints of which the robot file leaves it open."""
+    """Why a joint got its drive, as a text, for the joints with `drive: auto`."""
     repeat: Repeat | None = None
     marks: tuple[Mark, ...] = ()
     cues: tuple[Cue, ...] = ()
+    """What is not motion, in order of the show time at which it happens."""
     waits: tuple[WaitPoint, ...] = ()
-    """When the show clock stands still until a sensor says so."""
-    """What is not motion, by the show time at which it is set off."""
+    """Where the show clock stands still until a sensor passes its threshold."""
     stretched: tuple[SlowSpan, ...] = ()
     line_use: Mapping[str, LineUse] = field(default_factory=dict)
     on_fault: Ladders = field(default_factory=dict)
-    """What this show does otherwise than its robot when something goes wrong."""
+    """The reactions to faults in which this show differs from its robot."""
     error_max_deg: Mapping[str, float] = field(default_factory=dict)
     """Largest distance, per joint, between the predicted horn and the plan."""
 
@@ -103,7 +108,7 @@ class Program:
 
     @cached_property
     def pass_s(self) -> float:
-        """Show time after which everything has been said once."""
+        """Show time after which every part of the program has been played once."""
         if self.repeat is not None:
             return s_from_us(self.repeat.to_us)
         return self.duration_s
@@ -132,7 +137,7 @@ class Program:
         return self._unrolled([(mark.planned_s, mark.planned_s, mark) for mark in self.marks])
 
     def unrolled_cues(self) -> Iterator[tuple[float, Cue]]:
-        """Yield `(show time at which it is set off, cue)` in order, as `unrolled_marks`."""
+        """Yield `(show time at which it starts, cue)` in order, as `unrolled_marks`."""
         return self._unrolled([(cue.start_s, cue.at_s, cue) for cue in self.cues])
 
     def unrolled_waits(self) -> Iterator[tuple[float, WaitPoint]]:
@@ -140,7 +145,10 @@ class Program:
         return self._unrolled([(point.at_s, point.at_s, point) for point in self.waits])
 
     def _unrolled(self, items: list[tuple[float, float, T]]) -> Iterator[tuple[float, T]]:
-        """Yield items by when they start; what starts before a pass starts in the one before."""
+        """Yield items in order of their starts, given `(start, instant, item)` in show time.
+
+        An item whose lead begins before the pass of its instant starts in the pass before.
+        """
         from_s, to_s, again = math.inf, math.inf, []
         if self.repeat is not None:
             from_s, to_s = s_from_us(self.repeat.from_us), s_from_us(self.repeat.to_us)
@@ -161,21 +169,21 @@ class Program:
 
 
 def ramp_setting_deg_s2(joint: Joint) -> int:
-    """Return what AA and AD of a timed joint's servo are set to: its limit, as far as they go.
+    """Return the AA and AD of a timed joint's servo: its limit, as far as the setting reaches.
 
-    With its ramps at the joint's own limit the servo never exceeds it, whatever it hears.
+    With its ramps at the joint's own limit the servo never exceeds it, whatever it receives.
     """
     steps = ramp_steps(joint.accel_max_deg_s2, joint.response.ramp_ratio)
     return min(max(steps, 1), RAMP_STEPS_MAX) * RAMP_STEP_DEG_S2
 
 
 def ramp_deg_s2(joint: Joint) -> float:
-    """Return the ramp that a timed joint's servo makes of its setting."""
+    """Return the ramp that the servo of a timed joint drives with its setting."""
     return ramp_setting_deg_s2(joint) * joint.response.ramp_ratio
 
 
 def target_deg(joint: Joint, target_wire: int) -> float:
-    """Return the servo angle that `target_wire` means."""
+    """Return the servo angle of `target_wire`."""
     return target_wire / joint.model.wire_per_deg
 
 

@@ -1,4 +1,10 @@
-"""Fitted moves as arrays, and the profiles that they make."""
+"""Fitted moves as arrays, and the profiles that they make.
+
+`FittedMoves` are timed moves of all joints with the state in which each servo receives them. A
+`Setpoint` is a bare `D` of a streamed or stepped joint. Both count the instants at which a servo
+receives them; `model.Move` is the command of a finished program, with the instant at which it is
+sent.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +38,7 @@ class Setpoint(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class FittedMoves:
-    """Moves to `target_wire` in `duration_ms`, and what the profile does when one is heard."""
+    """Timed moves to `target_wire` in `duration_ms`, and the profile's state at their receipt."""
 
     joint: IntArray
     received_s: FloatArray
@@ -54,7 +60,7 @@ class FittedMoves:
         )
 
     def of(self, joint: int) -> FittedMoves:
-        """Return the moves of one joint, if they are in order."""
+        """Return the moves of one joint; the moves must be in order of the joints."""
         low, high = np.searchsorted(self.joint, (joint, joint + 1))
         return self.take(slice(int(low), int(high)))
 
@@ -62,7 +68,7 @@ class FittedMoves:
         return len(self.joint)
 
     def trapezoids(self, limits: LimitArrays) -> Trapezoids:
-        """Return what each move does if no other is heard."""
+        """Return the motion of each move if the servo receives no other."""
         states = States(self.received_s, self.position_deg, self.speed_deg_s)
         own = limits.take(self.joint)
         target_deg = self.target_wire / own.wire_per_deg
@@ -101,17 +107,18 @@ def replayed(
     begin_deg: FloatArray,
     limits: LimitArrays,
 ) -> FittedMoves:
-    """Return what profiles make of what is heard, from nothing but the words on the wire.
+    """Return the motion of profiles that receive these commands, from the wire values alone.
 
-    Moves by joint and time; `begin_deg` and `limits` by joint. A duration of NaN is a bare `D`.
+    Moves are ordered by joint and time; `begin_deg` and `limits` are by joint. A duration of NaN is
+    a bare `D`. The states found do not depend on what the fit assumed: the verifier rests on this.
     """
     own, target_deg = limits.take(joint), target_wire / limits.wire_per_deg[joint]
     same = np.append(joint[1:] == joint[:-1], False) if len(joint) else np.zeros(0, dtype=bool)
     is_first = ~np.roll(same, 1)
     position = np.where(is_first, begin_deg[joint], np.roll(target_deg, 1))
     speed, travel = np.zeros(len(joint)), np.full(len(joint), np.nan)
-    # Chains go forward side by side, from every move that seems to find its servo at rest. Where
-    # one does not, the chain before it goes on over it, until nothing changes any more.
+    # Chains advance side by side, each from a move whose servo seems to be at rest. Where it is
+    # not at rest, the chain before continues through that move, until no state changes.
     is_guessed = np.roll(duration_ms, 1) <= MS_PER_S * np.diff(received_s, prepend=0.0)
     at = np.flatnonzero(is_first | is_guessed)
     while len(at):
@@ -145,9 +152,9 @@ def _travel(
 
 @dataclass(frozen=True, slots=True)
 class InitialMotion:
-    """What a servo does before its course begins.
+    """The motion of a servo before its reference begins.
 
-    `first_s` is when it must hear its first move at the latest; None if it stands.
+    `first_s` is the latest instant at which it must receive its first move; None if it stands.
     """
 
     profile: Profile
@@ -160,7 +167,7 @@ def fitted_profiles(
     limits: Sequence[ServoLimits],
     initial: Sequence[InitialMotion] = (),
 ) -> list[PiecewiseProfile]:
-    """Return the profile that the moves of each joint make of its course."""
+    """Return the profiles that moves make, one a reference."""
     if not initial:
         firsts = zip(references, limits, strict=True)
         wires = [nearest_wire(float(one.position_deg[0]), limit) for one, limit in firsts]
@@ -189,7 +196,7 @@ def profiles_from_rest(
 
 
 def _pieces(moves: FittedMoves, limits: Sequence[ServoLimits]) -> list[tuple[FloatArray, ...]]:
-    """Return the pieces of each joint's profile, each until the next one: `Reference.table`."""
+    """Return the pieces of each joint's profile, as `PiecewiseProfile.table`."""
     own = LimitArrays(limits).take(moves.joint)
     ramp, target_deg = own.ramp_deg_s2, moves.target_wire / own.wire_per_deg
     states = States(moves.received_s, moves.position_deg, moves.speed_deg_s)

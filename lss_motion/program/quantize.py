@@ -1,4 +1,4 @@
-"""Puts travel speeds into what the wire can say: targets on their lattice, whole milliseconds."""
+"""Quantizes travel speeds to what the wire carries: targets on a lattice, T in whole ms."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ if TYPE_CHECKING:
     from lss_motion.program.reference import LimitArrays, ServoLimits
     from lss_motion.program.response import FloatArray
 
-
 LATEST_ARRIVAL_S: Final = 0.06
-"""A successor may be this late before the servo begins to brake. Chosen: three times the worst
+"""A successor may be this late before the servo begins to brake. Chosen: three times the longest
 wait for a line on which 18 servos start at once at 115200 bps."""
 AIM_CANDIDATES: Final = 8
-"""Neighbouring lattice targets tried for the one that hits the wanted speed best."""
+"""Number of neighbouring targets among which the one nearest to the requested speed is chosen."""
 SPEED_LEAST_DEG_S: Final = 0.01
-"""Slower than this is standing still: a lattice step of 0.1° in ten seconds."""
+"""A slower motion counts as standing still: a wire unit of 0.1° in ten seconds."""
 
 DURATION_MIN_MS: Final = 10
-"""The smallest T sent: two control ticks of the servo. Only a landing that comes back to where the
-profile is passing could ask for less, and a horn that is elsewhere would answer it with a jerk."""
+"""The smallest T that is sent: two control ticks of the servo. Only a landing that comes back to
+where the profile is passing could need less, and a horn that is elsewhere would jerk."""
 
 
 def quantized(
     state: States, speed_deg_s: FloatArray, next_s: FloatArray, limits: LimitArrays
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return target, T and travel speed that come nearest to `speed_deg_s` up to `next_s`.
+    """Return target, T and travel speed that are nearest to `speed_deg_s`.
 
-    Target in wire units, T in ms. The target lies beyond where the profile is at `next_s`.
+    Target in wire units, T in ms. The target lies beyond the position of the profile at `next_s`,
+    when the servo receives the next move.
     """
     sign = np.where(speed_deg_s >= 0.0, 1.0, -1.0)
     speed = np.abs(speed_deg_s)
@@ -61,7 +61,7 @@ def quantized(
 def durations_ms(
     start: States, target_deg: FloatArray, speed_deg_s: FloatArray, limits: LimitArrays
 ) -> FloatArray:
-    """Return T for travel speeds: rounded, but never so that one breaks its speed limit."""
+    """Return T for travel speeds: rounded, but never so that a move exceeds its speed limit."""
     speed = np.maximum(speed_deg_s, SPEED_LEAST_DEG_S)
     requested_s = durations_for(start, target_deg, speed, limits.ramp_deg_s2, limits.is_exact)
     duration_ms = np.rint(MS_PER_S * requested_s)

@@ -1,6 +1,8 @@
-"""What the profiles of servos should do: positions on a grid of instants, and what they tell.
+"""What the profiles of servos should do: references on a grid of instants, and limits of servos.
 
-All angles are servo angles in degrees.
+A reference is the plan of one joint in servo degrees, earlier by the lag of its servo. The fit of
+each drive follows it within a tolerance. `References` and `LimitArrays` hold those of many servos
+in flat arrays for the fit of timed moves.
 """
 
 from __future__ import annotations
@@ -21,29 +23,28 @@ if TYPE_CHECKING:
     from lss_motion.program.response import FloatArray, IntArray, SingleArray
     from lss_motion.robot.model import Joint, Response
 
-
 GRID_S: Final = 0.005
-"""Step of the course. At 1000 deg/s² the course bends 3 thousandths of a degree within it, and
-1 ms steps save no command that is worth five times the work (FACTS.md N9)."""
+"""Step of a reference. At 1000 deg/s² a reference bends by 0.003 deg within it, and steps of 1 ms
+save no command that is worth five times the work (FACTS.md N9)."""
 REST_MIN_S: Final = 0.02
-"""A standstill shorter than this is travelled through."""
+"""A shorter standstill is treated as motion."""
 STILL_ROUNDING_DEG: Final = 1e-6
-"""A course is where it was if it is nearest to the same wire value, up to rounding errors."""
+"""Rounding error allowed when a position is compared with half a wire unit."""
 DURATION_MAX_MS: Final = 9_999
-"""The largest T sent. The documents name no limit; with four digits a move keeps to the 15
-characters that an LSS-2IO on the bus can bear (FACTS.md B4)."""
+"""The largest T that is sent. The documents name no limit; with four digits a move keeps to the 15
+characters that an LSS-2IO on the bus tolerates (FACTS.md B4)."""
 STILL_DEG: Final = 1e-7
-"""Less than this between two grid steps is standing still."""
+"""A smaller change between two grid points counts as standing still."""
 BEND_RATIO: Final = 0.2
 """A jump of the acceleration by this share of the ramp is worth a move of its own."""
 AUTHORITY_STEPS: Final = 24
-"""Over so many grid steps ahead the course must leave ramp to spare for a correction."""
+"""A correction needs spare ramp over this many grid steps ahead."""
 AUTHORITY_LEAST_RATIO: Final = 0.01
-"""A course at its limit leaves no ramp at all; this keeps the division finite."""
+"""A reference at its acceleration limit leaves no spare ramp; this keeps the division finite."""
 SEGMENT_MAX_S: Final = 1.5
-"""The longest that one move is relied on: a lost command is repaired by its successor."""
+"""The longest time that one move is relied on. Its successor repairs a lost command."""
 AHEAD_MAX_STEPS: Final = round(SEGMENT_MAX_S / GRID_S)
-"""So many grid steps are looked ahead at the most."""
+"""The number of grid steps that a search looks ahead at most."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,13 +66,13 @@ class Reference:
         return times
 
     def index(self, time_s: float) -> int:
-        """Return the first index whose instant is not before `time_s`, inside the course."""
+        """Return the first index whose instant is not before `time_s`, inside the reference."""
         index = int(np.ceil((time_s - self.start_s) / GRID_S - 1e-9))
         return min(max(index, 0), len(self.position_deg) - 1)
 
     @cached_property
     def steps_deg(self) -> FloatArray:
-        """How far each grid point is from the one before; one less than there are points."""
+        """Change of position from each grid point to the next; one fewer than there are points."""
         steps: FloatArray = np.diff(self.position_deg)
         return steps
 
@@ -85,7 +86,7 @@ class Reference:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoLimits:
-    """What a move may ask of one servo, in servo degrees, and the lattice of its targets."""
+    """The limits of the moves of one servo, in servo degrees, and the lattice of its targets."""
 
     position_min_deg: float
     position_max_deg: float
@@ -98,7 +99,7 @@ class ServoLimits:
 
 
 def servo_limits(joint: Joint, tolerance_deg: float) -> ServoLimits:
-    """Return the limits of a joint as its servo sees them."""
+    """Return the limits of a joint in servo degrees."""
     ends = sorted(
         (joint.servo_deg(joint.position_min_deg), joint.servo_deg(joint.position_max_deg))
     )
@@ -115,7 +116,7 @@ def servo_limits(joint: Joint, tolerance_deg: float) -> ServoLimits:
 
 
 class LimitArrays:
-    """`ServoLimits` of many servos, an array a field; all in one, which is quick to take from."""
+    """`ServoLimits` of many servos, an array a field, in one table so that `take` is fast."""
 
     def __init__(self, limits: Sequence[ServoLimits]) -> None:
         def column(name: str) -> FloatArray:
@@ -151,7 +152,7 @@ class LimitArrays:
 
 
 class Points(NamedTuple):
-    """What courses do at some of their grid points, and the ramp that they leave there."""
+    """Reference values at some grid points, and the ramp that is left there for corrections."""
 
     position_deg: SingleArray
     speed_deg_s: SingleArray
@@ -160,7 +161,7 @@ class Points(NamedTuple):
 
 
 class References:
-    """The courses of many servos on one grid, one after the other in flat arrays."""
+    """The references of many servos on one grid, one after the other in flat arrays."""
 
     def __init__(self, references: Sequence[Reference], limits: Sequence[ServoLimits]) -> None:
         assert len({(one.start_s, len(one.position_deg)) for one in references}) == 1, "one grid"
@@ -196,7 +197,7 @@ class References:
         return self.start_s + GRID_S * (self.size - 1)
 
     def first_index(self, times_s: FloatArray) -> IntArray:
-        """Return the first index whose instant is not before `times_s`, however far."""
+        """Return the first index whose instant is not before `times_s`, also beyond the end."""
         index: IntArray = np.ceil((times_s - self.start_s) / GRID_S - 1e-9).astype(np.intp)
         return np.maximum(index, 0)
 
@@ -204,23 +205,23 @@ class References:
         return self.start_s + GRID_S * index.astype(np.float64)
 
     def _flat(self, joint: IntArray, index: IntArray) -> IntArray:
-        """Return which of all points is `index` of `joint`; beyond the end, the end."""
+        """Return the index into the flat arrays of `index` of `joint`, at most the last point."""
         flat: IntArray = joint * self.size + np.minimum(index, self.size - 1)
         return flat
 
     def position_deg(self, joint: IntArray, index: IntArray) -> SingleArray:
-        """Return where joints are at grid points; beyond the end, at the end."""
+        """Return positions of joints at grid points; beyond the end, the last position."""
         flat = joint * self._padded_deg.shape[1] + np.minimum(index, self.size - 1)
         return self._padded_deg.take(flat)
 
     def at(self, joint: IntArray, index: IntArray) -> Points:
-        """Return what the courses of joints do at grid points; beyond the end, at the end."""
+        """Return the reference values of joints at grid points; beyond the end, the last ones."""
         flat = self._flat(joint, index)
         found = self._points.take(flat, axis=0)
         return Points(*np.ascontiguousarray(np.moveaxis(found, -1, 0)))
 
     def bend_before(self, joint: IntArray, index: IntArray) -> IntArray:
-        """Return the last index not beyond `index` at which `joint` bends; -1 if there is none."""
+        """Return the last index up to `index` at which `joint` bends; -1 if there is none."""
         at = np.searchsorted(self._bends, self._flat(joint, index), side="right") - 1
         return np.maximum(self._bends[at] - joint * self.size, -1)
 
@@ -236,7 +237,7 @@ class References:
     def ahead_deg(self, joint: IntArray, first: IntArray, steps: int, stride: int) -> SingleArray:
         """Return positions, (steps, joints), every `stride` grid steps from `first` on.
 
-        Where a course has ended it stands. No further than `AHEAD_MAX_STEPS`.
+        Beyond its end a reference keeps its last position. No more than `AHEAD_MAX_STEPS`.
         """
         assert steps * stride <= AHEAD_MAX_STEPS
         flat = joint * self._padded_deg.shape[1] + np.minimum(first, self.size - 1)
@@ -251,7 +252,7 @@ def _speeds(steps_deg: SingleArray) -> SingleArray:
 
 
 def _ahead(most: np.ufunc, values: SingleArray) -> SingleArray:
-    """Return the highest (or lowest) of each value and its `AUTHORITY_STEPS` - 1 successors."""
+    """Return the largest (or smallest) of each value and its `AUTHORITY_STEPS` - 1 successors."""
     found, other, covered = values.copy(), values.copy(), 1
     while covered < AUTHORITY_STEPS:
         step = min(covered, AUTHORITY_STEPS - covered)
@@ -263,7 +264,7 @@ def _ahead(most: np.ufunc, values: SingleArray) -> SingleArray:
 
 
 def _bends(accel_deg_s2: SingleArray, ramp_deg_s2: float) -> IntArray:
-    """Return the grid points at which the acceleration jumps by a good share of the ramp."""
+    """Return the grid points at which the acceleration jumps by `BEND_RATIO` of the ramp."""
     jump = np.abs(np.diff(accel_deg_s2, prepend=np.float32(0.0)))
     found: IntArray = np.flatnonzero(jump > BEND_RATIO * ramp_deg_s2)
     return found

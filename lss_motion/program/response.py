@@ -1,16 +1,13 @@
-"""The timed response model: how a servo in EM1 moves on `D…T…`, for one servo and in arrays.
+"""The response model of a servo in EM1: how it moves on `D…T…`, for one servo and in arrays.
 
-How a servo in EM1 is assumed to move on a `D…T…` command: the timed response model.
+The servo computes a *profile*: from its present position and speed it ramps to a travel speed,
+cruises, and brakes to a stop on the target. Angles are servo angles in degrees, instants are
+seconds on one clock. The horn follows the profile `Response.lag_s` later. `robot.model.Response`
+names the source of each of these assumptions.
 
-The servo keeps a *profile*, its own idea of where the horn should be: from the profile's present
-position and speed it ramps to a travel speed, cruises, and brakes to a stop on the target. All
-angles are servo angles in degrees, all instants seconds on one clock. The horn follows the profile
-`Response.lag_s` later. Which of these assumptions come from where: `robot.model.Response`.
-
-The timed response model for many servos at once: `response` in arrays.
-
-Every function takes and returns arrays, an element a servo, or rows of such: a row for each trial.
-What it says is what `response.Profile` says of each alone, which a test holds.
+`Profile` is the model of one servo, command by command. The functions on `States` compute the same
+for many servos at once: they take and return arrays, an element a servo, or rows of such, a row a
+candidate. A property test holds both to the same numbers.
 """
 
 from __future__ import annotations
@@ -34,15 +31,17 @@ if TYPE_CHECKING:
     BoolArray = NDArray[np.bool_]
     Index = IntArray | BoolArray | slice
 
-
 EXACT_LAW_STEPS = 40
-"""Halvings in search of the travel speed of `t_law: exact`: 2⁻⁴⁰ of the top speed is far below
-what a wire unit can express."""
+"""Bisection steps for the travel speed under `t_law: exact`: 2⁻⁴⁰ of the top speed is far below
+what one wire unit can express."""
+
+SPEED_TINY_DEG_S = 1e-12
+"""Keeps divisions finite; no servo moves this slowly."""
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """The profile from `start_s` on, until the next piece: a parabola."""
+    """A part of a profile with constant acceleration, from `start_s` until the next piece."""
 
     start_s: float
     position_deg: float
@@ -63,8 +62,8 @@ def trapezoid(
 ) -> list[Piece]:
     """Return the pieces of a move that begins at `start` and ends at rest on `target_deg`.
 
-    Faster than `travel_deg_s` at the start means braking down to it first; too fast to stop on the
-    target means stopping beyond it and coming back, as a profile with bounded ramps must.
+    A start that is faster than `travel_deg_s` first brakes down to it. A start that is too fast to
+    stop on the target stops beyond it and comes back, as a profile with bounded ramps must.
     """
     position, speed = start.position_deg, start.speed_deg_s
     stop_deg = position + speed * abs(speed) / (2.0 * ramp_deg_s2)
@@ -95,7 +94,7 @@ def trapezoid(
 def travel_speed(
     start: Piece, target_deg: float, duration_s: float, ramp_deg_s2: float, response: Response
 ) -> float:
-    """Return the travel speed that the servo takes for `D target T duration`, before any cap."""
+    """Return the travel speed of the servo for `D target T duration`, before its speed limit."""
     if response.t_law == "cruise":
         return abs(target_deg - start.position_deg) / duration_s
     slow, fast = 0.0, 1e4
@@ -107,7 +106,7 @@ def travel_speed(
 
 
 class Profile:
-    """The profile of one servo, command by command. Instants passed in must not go back."""
+    """The profile of one servo, command by command. Instants passed to it must not decrease."""
 
     def __init__(
         self,
@@ -139,18 +138,21 @@ class Profile:
 
     @property
     def target_deg(self) -> float:
-        """Where it comes to rest, if it is told nothing more."""
+        """Where the profile comes to rest if the servo receives no other command."""
         return self._pieces[-1].position_deg
 
     def state(self, time_s: float) -> Piece:
-        """Return what a command heard at `time_s` starts from."""
+        """Return the state from which a command received at `time_s` starts."""
         position_deg, speed_deg_s = self.at(time_s)
         if self._response.retarget == "from_rest":
             speed_deg_s = 0.0
         return Piece(time_s, position_deg, speed_deg_s, 0.0)
 
     def retarget(self, received_s: float, target_deg: float, duration_s: float | None) -> None:
-        """Take up `D target [T duration]` at `heard_s`; what was planned after it is dropped."""
+        """Apply `D target [T duration]` received at `received_s`, from the motion at that instant.
+
+        The motion planned after it is dropped.
+        """
         start = self.state(received_s)
         travel = self._speed_max_deg_s
         if duration_s is not None and target_deg != start.position_deg:
@@ -171,14 +173,14 @@ class Profile:
         return iter(self._pieces)
 
     def copy(self) -> Profile:
-        """Return a profile that goes on from here on its own."""
+        """Return an independent profile with the same history."""
         twin = copy.copy(self)
         twin._pieces = [*self._pieces]  # noqa: SLF001  (its own)
         return twin
 
 
 class PiecewiseProfile:
-    """Where one servo's profile should be at any instant: pieces as arrays, for many samples."""
+    """The profile of one servo over all of a show: its pieces as arrays, for many samples."""
 
     def __init__(self, pieces: Iterable[Piece]) -> None:
         rows = [(p.start_s, p.position_deg, p.speed_deg_s, p.accel_deg_s2) for p in pieces]
@@ -189,20 +191,20 @@ class PiecewiseProfile:
 
     @classmethod
     def of(cls, table: tuple[NDArray[np.float64], ...]) -> PiecewiseProfile:
-        """Return what has that `table`."""
+        """Return the profile with this `table`, without a copy."""
         made = cls.__new__(cls)
         made._start_s, made._position, made._speed, made._accel = table  # noqa: SLF001  (its own)
         return made
 
     @property
     def table(self) -> tuple[NDArray[np.float64], ...]:
-        """Return the pieces: when each starts, and position, speed and acceleration there."""
+        """The pieces: when each starts, and position, speed and acceleration there."""
         return self._start_s, self._position, self._speed, self._accel
 
     def followed_by(self, later: PiecewiseProfile, since_s: float) -> PiecewiseProfile:
-        """Return what is known of this until `later` begins, and then `later`.
+        """Return this profile until `later` begins, and then `later`.
 
-        What ended before `since_s` is forgotten.
+        Pieces that ended before `since_s` are dropped.
         """
         end = int(np.searchsorted(self._start_s, later.table[0][0], side="left"))
         first = max(int(np.searchsorted(self._start_s, since_s, side="right")) - 1, 0)
@@ -213,16 +215,16 @@ class PiecewiseProfile:
 
     @property
     def end_s(self) -> float:
-        """When the last piece, which is at rest, begins; -inf if there is no other."""
+        """When the last piece, which is at rest, begins; -inf if it is the only one."""
         return float(self._start_s[-1])
 
     def sample(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return positions in degrees at `times_s`; at rest before the first piece."""
+        """Return positions in degrees at `times_s`. Before the first piece the profile rests."""
         index = np.maximum(np.searchsorted(self._start_s, times_s, side="right") - 1, 0)
         return _along(times_s, *(column[index] for column in self.table))
 
     def on_grid(self, start_s: float, step_s: float, count: int) -> NDArray[np.float64]:
-        """Return what `sample` does at `count` instants every `step_s`, quicker for many."""
+        """Return `sample` at `count` instants every `step_s`, faster for many instants."""
         first = np.ceil((self._start_s - start_s) / step_s)
         first = np.minimum(np.maximum(first, 0.0), count).astype(np.intp)
         counts = np.diff(first, append=count)
@@ -257,20 +259,16 @@ def _along(
     speed_deg_s: NDArray[np.float64],
     accel_deg_s2: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return positions on pieces, one an instant; before a piece it stands where that begins."""
+    """Return positions, one piece and instant an element; before a piece, its first position."""
     dt = np.maximum(times_s - start_s, 0.0)
     dt[~np.isfinite(dt)] = 0.0
     found: NDArray[np.float64] = position_deg + dt * (speed_deg_s + 0.5 * accel_deg_s2 * dt)
     return found
 
 
-SPEED_TINY_DEG_S = 1e-12
-"""Keeps divisions finite; no servo moves this slowly."""
-
-
 @dataclass(frozen=True, slots=True)
 class States:
-    """Where profiles are and how fast, at instants of their own."""
+    """Positions and speeds of profiles, each at an instant of its own."""
 
     time_s: FloatArray
     position_deg: FloatArray
@@ -281,7 +279,7 @@ class States:
 
 
 def concatenated_states(one: States, other: States) -> States:
-    """Return the states of both, one after the other."""
+    """Return the states of `one`, followed by those of `other`."""
     return States(
         np.concatenate((one.time_s, other.time_s)),
         np.concatenate((one.position_deg, other.position_deg)),
@@ -291,7 +289,7 @@ def concatenated_states(one: States, other: States) -> States:
 
 @dataclass(frozen=True, slots=True)
 class Trapezoids:
-    """Moves to rest: a ramp to the peak speed, a cruise, a ramp down (`response.trapezoid`).
+    """Moves to rest: a ramp to the peak speed, a cruise, a ramp down, as `trapezoid` for one servo.
 
     Speeds and accelerations count in the direction of the move, `sign`.
     """
@@ -334,7 +332,7 @@ class Trapezoids:
         return self._after(times_s - self.start.time_s)[2]
 
     def _after(self, tau_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return for how long profiles have ramped to their peaks and down, and where they are."""
+        """Return how long profiles have ramped up and down, and their positions."""
         first_s = np.minimum(tau_s, self.first_s)
         left_s = tau_s - self.first_s
         cruise_s = np.maximum(left_s, 0.0)
@@ -375,7 +373,7 @@ def speeds_for(
     ramp_deg_s2: FloatArray,
     is_exact: BoolArray,
 ) -> FloatArray:
-    """Return the travel speeds that servos take for `D target T duration`, before any cap."""
+    """Return the travel speeds of servos for `D target T duration`, before their limits."""
     cruising: FloatArray = np.abs(target_deg - start.position_deg) / duration_s
     if not is_exact.any():
         return cruising
@@ -385,10 +383,10 @@ def speeds_for(
 def exact_speeds(
     start: States, target_deg: FloatArray, duration_s: FloatArray, ramp_deg_s2: FloatArray
 ) -> FloatArray:
-    """Return the travel speeds with which moves last `duration_s`; infinite where none is so fast.
+    """Return the travel speeds with which moves last `duration_s`; infinite if none does.
 
-    Of the time that a move at `c` takes, its ramps take (c - v)/a and c/a; what they leave of the
-    distance is travelled at `c`. That is a square in `c` for c > v and a line below.
+    A move at the travel speed `c` spends (c - v)/a and c/a in its ramps, and the rest of the
+    distance at `c`. This gives a quadratic equation for c > v and a linear one below.
     """
     speed, ramp = start.speed_deg_s, ramp_deg_s2
     away = target_deg - start.position_deg
@@ -399,7 +397,7 @@ def exact_speeds(
         slower = (distance - braked) / (duration_s - first / ramp)
     linear = ramp * duration_s + first
     root = linear * linear - 4.0 * ramp * (distance + braked)
-    is_reached = (root >= 0.0) & (linear > 0.0)  # Below, there is not even the time to turn round.
+    is_reached = (root >= 0.0) & (linear > 0.0)  # Else: no time to turn round.
     faster = np.where(is_reached, 0.5 * (linear - np.sqrt(np.maximum(root, 0.0))), np.inf)
     is_slower = (duration_s * ramp > first) & (slower <= first)
     found: FloatArray = np.where(is_slower, np.maximum(slower, 0.0), faster)
@@ -413,7 +411,7 @@ def durations_for(
     ramp_deg_s2: FloatArray,
     is_exact: BoolArray,
 ) -> FloatArray:
-    """Return the T that make servos travel at `travel_deg_s`: the inverse of `speeds_for`."""
+    """Return the T with which servos travel at `travel_deg_s`: the inverse of `speeds_for`."""
     cruising: FloatArray = np.abs(target_deg - start.position_deg) / travel_deg_s
     if not is_exact.any():
         return cruising

@@ -1,19 +1,8 @@
 """All joints fitted at one tolerance, on the lines that they share.
 
-What is tried, and in which order, until a show fits its lines.
-
-Where a pass that is repeated joins itself: every servo goes on as it began the pass.
-
-How often the servos of a line can be asked where they are, between the commands of a program.
-
-A query leaves only if the line is free again before the next command is due, so what counts are the
-whole queries that fit into each gap. Answers come on a line of their own, one after the other.
-
-Chooses the drive of joints whose robot file says `drive: auto`, and says why.
-
-Each drive that the servo can do is fitted, alone, and predicted: how far its horn would be from the
-plan, with what nobody can know about the servo added. That is the instant, within its control loop
-or within its filter's period, at which it takes up a command.
+A `Schedule` is the fit of all joints for one candidate: baud rates and a tolerance. `candidates`
+yields what is tried, and in which order, until a show fits its lines. `closed_pass` joins the end
+of a repeated pass to its begin: every servo continues as it began the pass.
 """
 
 from __future__ import annotations
@@ -46,6 +35,19 @@ if TYPE_CHECKING:
     from lss_motion.program.response import FloatArray, IntArray, PiecewiseProfile
     from lss_motion.robot.model import Joint, Robot
 
+RELAXED_RATIOS: Final = (1.0, 1.5, 2.5, 4.0, 6.0)
+"""The factors by which the tolerance is relaxed, in this order, when the line is too slow."""
+TIGHT_TURN_S: Final = 0.02
+"""If some command was late when moves were not ordered, commands are placed strictly in the order
+of time: a third more of them fit, in two to three times the time."""
+SLOWEST_SHARED_BPS: Final = 115_200
+"""The usual rate (FACTS.md W23: the default of every library). A slower line has a fit of its own;
+otherwise the usual rate would have moves further from the instants requested."""
+US_PER_MS: Final = 1_000
+STRETCH_MAX_US: Final = 10_000
+"""A move may last this much longer than planned. Chosen: at 1000 deg/s² the horn is then 0.05 deg
+off."""
+
 
 @dataclass(frozen=True, slots=True)
 class FittedJoint:
@@ -58,7 +60,7 @@ class FittedJoint:
 
 
 class _Slot(NamedTuple):
-    """What the commands of one joint take of the line."""
+    """The line time of the commands of one joint."""
 
     bus: str
     size_us: int
@@ -66,14 +68,14 @@ class _Slot(NamedTuple):
 
 
 class TooLateError(Exception):
-    """A command found no slot in time: the attempt is worth nothing to whom said so before."""
+    """A command found no slot in time, and the schedule was to give up then."""
 
 
 class Schedule:
     """All joints at one tolerance. `is_tight`: some command is later than its drive allows.
 
     Joints that are not timed come first: their commands have fixed instants, while the fit of a
-    timed joint makes up for every move that the line grants it early.
+    timed joint compensates for every move that the line grants early.
     """
 
     def __init__(
@@ -88,11 +90,11 @@ class Schedule:
         turn_s: float = TURN_S,
         gives_up: Literal["late", "tight"] | None = None,
     ) -> None:
-        """Fit `courses`, all on one grid. `seams_s`, `begins` (of timed joints), `turn_s`: `Fit`.
+        """Fit `references`, all on one grid; `seams_s`, `initial`, `turn_s` as for `TimedFit`.
 
-        `lines` holds what is reserved already; no move is due before the courses begin. With
-        `gives_up`, raises `TooLateError` as soon as a command is late: `"tight"`, later than its
-        drive allows.
+        `initial` holds timed joints only. `lines` holds the slots that are reserved already; no
+        move is due before the references begin. With `gives_up`, raises `TooLateError` as soon as a
+        command is late; `"tight"`: later than its drive allows.
         """
         self.tolerance_deg = tolerance_deg
         self.fitted: dict[str, FittedJoint] = {}
@@ -124,7 +126,7 @@ class Schedule:
             self._fit_timed(timed, references, tolerance_deg, seams_s)
 
     def _fit_each(self, fitters: Mapping[str, JointFitter]) -> None:
-        """Have the fitters' commands granted one by one, whoever comes first in time."""
+        """Grant the commands of the fitters one by one, in the order of the instants requested."""
         queue: list[tuple[float, str]] = []
         for name, fitter in fitters.items():
             if (requested_s := fitter.request(None)) is not None:
@@ -152,7 +154,7 @@ class Schedule:
         tolerance_deg: float,
         seams_s: Sequence[float],
     ) -> None:
-        """Fit all timed joints together; where that is tried again, the line is as it was."""
+        """Fit all timed joints together; each run of the fit starts with the line as it is now."""
         free = {name: line.copy() for name, line in self._lines.items()}
         before = self.late_max_us, self.is_tight
 
@@ -175,7 +177,7 @@ class Schedule:
             )
 
     def _grant_of(self, names: Sequence[str]) -> Grant:
-        """Return what does `_grant` for many moves at once, of joints that count `names`."""
+        """Return the function that grants many moves at once, for joints numbered as in `names`."""
         buses, sizes_us, lates_us = zip(*(self._slots[name] for name in names), strict=True)
         size_us, allowed_us = np.array(sizes_us), np.array(lates_us)
         of_bus = np.array([list(self._lines).index(bus) for bus in buses])
@@ -195,9 +197,9 @@ class Schedule:
         return grant
 
     def _grant(self, slot: _Slot, requested_us: int, after_us: int) -> int:
-        """Reserve the line for the next move of a joint; return when that move is heard.
+        """Reserve the line for the next move of a joint; return when its servo receives that move.
 
-        It is not heard before `after_us`, and at `wanted_us` if possible at the latest.
+        Not before `after_us`, and at `requested_us` at the latest if there is a slot.
         """
         bus, size_us, late_max_us = slot
         earliest_us = max(after_us - size_us, self._start_us)
@@ -207,7 +209,7 @@ class Schedule:
         return received_us
 
     def _note_late(self, late_us: int, *, is_tight: bool) -> None:
-        """Note that moves are heard so late, 0 for none, and whether a drive allows less."""
+        """Record by how much moves are late, 0 for none, and whether a drive allows less."""
         self.late_max_us = max(self.late_max_us, late_us)
         self.is_tight = self.is_tight or is_tight
         if self._gives_up is not None and (self.is_tight or (late_us and self._gives_up == "late")):
@@ -217,16 +219,6 @@ class Schedule:
 def slot_us(joint: Joint, robot: Robot) -> int:
     """Return the line time of the longest move that the joint can be sent."""
     return sent_us(len(longest_move(joint)), robot.buses[joint.bus].baud_bps)
-
-
-RELAXED_RATIOS: Final = (1.0, 1.5, 2.5, 4.0, 6.0)
-"""By how much the tolerance is relaxed, step by step, when the line is too slow."""
-TIGHT_TURN_S: Final = 0.02
-"""Where somebody was late for the line at first, when nobody waited for a turn, commands are placed
-strictly in the order of time: a third more of them fit, in two to three times the time."""
-SLOWEST_SHARED_BPS: Final = 115_200
-"""The usual rate (FACTS.md W23: the default of every library). A slower line is fitted for itself
-alone, or the usual one would pay for it with moves further from where they are wanted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +233,7 @@ class Candidate:
     def schedule(
         self, references: Mapping[str, Reference], tolerance_deg: float, seams_s: Sequence[float]
     ) -> Schedule:
-        """Return the attempt; raises `TooLateError` as `Attempt` does."""
+        """Return the schedule of this candidate; raises `TooLateError` as `Schedule` does."""
         return Schedule(
             references,
             self.robot,
@@ -255,19 +247,19 @@ class Candidate:
 def candidates(robot: Robot, *, with_relaxed: bool) -> Iterator[Candidate]:
     """Yield what is tried, best first; the last of the relaxed ones never gives up.
 
-    What fits a slower line fits a faster one, with the same moves heard at the same instants. So
+    What fits a slower line fits a faster one, with the same moves received at the same instants. So
     every line of `SLOWEST_SHARED_BPS` or more is first taken for a slower one: a higher baud rate
-    never needs more commands, at the same tolerance. Left to chance, as slots are given one by one,
-    it is a few in a hundred either way.
+    never needs more commands, at the same tolerance. Without this, since slots are granted one by
+    one, the number of commands varies by a few in a hundred either way.
 
     A wider tolerance has no such rule. Each move is chosen so that it and its successor reach
-    furthest, and where two moves end furthest is not always where the third has it best: a little
-    more room can take that choice past a better place. Neither the wire's lattice nor the slots do
-    it: one servo alone on a line that grants every wish, with targets of 0.00001 deg, takes 60
-    moves for the sine of `tools/bench.py compress` at 0.23 deg and 63 at 0.24 (in tenths of a
-    degree 61 at 0.22 and 62 at 0.23). So the next wider tolerance needs up to one move in twenty
-    more, and one besides (measured; held by a property); only fitting for every narrower tolerance
-    as well would rule it out, at as many times the work.
+    furthest, and the place where two moves reach furthest is not always the best start for the
+    third: a little more room can move that choice past a better place. Neither the wire's lattice
+    nor the slots cause it: one servo alone on a line that grants every request, with targets of
+    0.00001 deg, takes 60 moves for the sine of `tools/bench.py compress` at 0.23 deg and 63 at 0.24
+    (in tenths of a degree 61 at 0.22 and 62 at 0.23). So the next wider tolerance needs up to one
+    move in twenty more, and one besides (measured; held by a property test). Only a fit for every
+    narrower tolerance as well would rule it out, at as many times the work.
     """
     fastest_bps = max(bus.baud_bps for bus in robot.buses.values())
     rates = [rate for rate in sorted(BAUD_RATES_BPS) if SLOWEST_SHARED_BPS <= rate < fastest_bps]
@@ -282,18 +274,12 @@ def candidates(robot: Robot, *, with_relaxed: bool) -> Iterator[Candidate]:
             yield Candidate(robot, ratio, TIGHT_TURN_S, None if is_last else "tight")
 
 
-US_PER_MS: Final = 1_000
-
-STRETCH_MAX_US: Final = 10_000
-"""A move may last so much longer than planned. Chosen: at 1000 deg/s² the horn is 0.05 deg off."""
-
-
 def closed_pass(moves: Iterable[Move], repeat: Repeat, robot: Robot) -> list[Move]:
-    """Return the moves until the end of the repeated pass, so that it can follow itself.
+    """Return the moves until the end of the repeated pass, so that the pass can follow itself.
 
     Commands around the two seams fall differently, as the line allows. Where the last move of the
-    pass would have to wait for its successor longer than planned, the move that is under way when
-    the pass begins is said again at its beginning.
+    pass would wait for its successor longer than planned, the move that is under way when the pass
+    begins is sent again at its begin.
     """
     own: dict[tuple[str, int], list[Move]] = defaultdict(list)
     for move in moves:
@@ -305,7 +291,7 @@ def closed_pass(moves: Iterable[Move], repeat: Repeat, robot: Robot) -> list[Mov
             continue
         due_us = _free_us(_taken(kept, again.bus, repeat, robot), repeat.from_us, again, robot)
         if due_us >= min(m.due_us for m in mine if m.due_us >= repeat.from_us):
-            continue  # The line is so full that its successor comes first.
+            continue  # The line is so full that the successor comes first.
         ends_us = again.due_us + again.duration_ms * US_PER_MS
         kept.append(
             Move(
@@ -320,7 +306,7 @@ def closed_pass(moves: Iterable[Move], repeat: Repeat, robot: Robot) -> list[Mov
 
 
 def _taken(moves: Iterable[Move], bus: str, repeat: Repeat, robot: Robot) -> list[tuple[int, int]]:
-    """Return from when to when a line is busy after the first seam, with either pass before it."""
+    """Return when a line is busy after the first seam, with either pass before it."""
     period_us = repeat.to_us - repeat.from_us
     taken = []
     for move in moves:
@@ -335,7 +321,7 @@ def _taken(moves: Iterable[Move], bus: str, repeat: Repeat, robot: Robot) -> lis
 
 
 def _repeated_move(mine: list[Move], repeat: Repeat) -> Move | None:
-    """Return the move under way at the first seam, if the one at the second cannot stand for it."""
+    """Return the move under way at the first seam; None if the one at the second replaces it."""
     before = [move for move in mine if move.due_us < repeat.from_us]
     after_us = [m.due_us - repeat.from_us for m in mine if m.due_us >= repeat.from_us]
     planned_us = [m.due_us - repeat.to_us for m in mine if m.due_us >= repeat.to_us]

@@ -1,12 +1,11 @@
-"""Chooses the next timed move of every joint: its speed and its length.
+"""Chooses the next timed move of every joint: its travel speed and its length.
 
-Which move comes next: its travel speed, and when its successor is to be heard.
+In mid-reference the choice is the candidate with which two moves reach furthest. A candidate only
+counts if the servo can follow from its end: its excursion, with the ramp that the reference leaves,
+must stay within the tolerance. If there is no such candidate, the one with the least excursion.
 
-Chosen is what lets two moves reach furthest. Only what the servo can follow from there counts: its
-excursion, with the ramp that the course leaves it, must stay within the tolerance. Where nothing
-does, the least excursion.
-
-The last move before a standstill: it ends on its target, together with the course.
+Before a standstill the choice is a landing: a move that ends on its target together with the
+reference.
 """
 
 from __future__ import annotations
@@ -36,25 +35,44 @@ if TYPE_CHECKING:
     from lss_motion.program.reference import LimitArrays, References
     from lss_motion.program.response import BoolArray, FloatArray, IntArray, SingleArray
 
-
 SEGMENT_MIN_S: Final = 0.01
-"""The least between two moves of a joint: two control ticks of the servo."""
+"""The least time between two moves of a joint: two control ticks of the servo."""
 LANDING_RATIOS: Final = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2)
-"""Travel speeds tried for a landing, by the one that comes to rest together with the course."""
+"""Candidate travel speeds of a landing, relative to the one that comes to rest with the
+reference."""
 
 ALIKE_RATIO: Final = 0.5
 TOGETHER_DEG_S: Final = 0.05
-"""Errors below this share of the tolerance count alike, and coming to rest a second too early or
-late counts as much as this error: chosen, so that no landing creeps on when the course rests."""
+"""Errors below `ALIKE_RATIO` of the tolerance count alike. A landing that comes to rest a second
+too early or too late counts as much as an error of `TOGETHER_DEG_S`. Chosen: with it, no landing
+still creeps when the reference rests."""
 TOO_LATE_DEG: Final = 1e6
-"""Counts as the error of a move that is under way when the standstill is over."""
+"""Counts as the error of a move that still runs when the standstill is over."""
+
+SEGMENT_MIN_STEPS: Final = round(SEGMENT_MIN_S / GRID_S)
+FOLLOW_RATIO: Final = CONE_RATIO - ROOM_RATIO
+"""An excursion up to this share of the tolerance is accepted. The rest is for the rounding of the
+wire and for the difference between the slot that is requested and the one that is granted."""
+BEND_MIN_STEPS: Final = 6
+"""A bend that comes sooner is ignored: it alone is no reason for two moves within 30 ms."""
+VIEW_STRIDE: Final = 3
+"""Cones are computed at every third grid step: every step would be three times the work and saves
+no move (`tools/bench.py compress`, and the show of `compile`)."""
+VIEW_BLOCK: Final = 25
+"""Rows of a cone that are computed at once: 375 ms; three moves in four are shorter."""
+REACH: Final = (12, 7)
+"""Steps and stride in which the reach of a successor is computed (420 ms). Reaches are only
+compared, so every seventh grid step is enough: that costs one move in two hundred."""
+HARD_RATIO: Final = 0.3
+"""A reference that leaves less than this share of the ramp to spare is hard to follow."""
 
 
 @dataclass(frozen=True, slots=True)
 class Landings:
     """The best landing of each of many servos.
 
-    The largest error until course and servo rest, from when on the servo does, T and travel speed.
+    The largest error until reference and servo rest, the instant at which the servo rests, T, and
+    travel speed.
     """
 
     error_deg: FloatArray
@@ -63,7 +81,7 @@ class Landings:
     travel_deg_s: FloatArray
 
     def put(self, chosen: BoolArray, found: Landings) -> None:
-        """Take over what was found for the `chosen` of these servos."""
+        """Store what was found for the `chosen` of these servos."""
         self.error_deg[chosen] = found.error_deg
         self.landed_s[chosen] = found.landed_s
         self.duration_ms[chosen] = found.duration_ms
@@ -78,7 +96,7 @@ def best_landings(
     rest: tuple[IntArray, IntArray],
     limits: LimitArrays,
 ) -> Landings:
-    """Return how moves from `state` land on `wire`, where the courses stand over `rest`."""
+    """Return how moves from `state` land on `wire`, where the references stand over `rest`."""
     first_s, last_s = (references.times_s(index) for index in rest)
     ramp, most = limits.ramp_deg_s2, limits.speed_max_deg_s
     target_deg = wire / limits.wire_per_deg
@@ -93,7 +111,7 @@ def best_landings(
 
     first = references.first_index(state.time_s)
     end = np.maximum(references.first_index(np.minimum(landed_s, last_s)), rest[0])
-    # On a line that is too full, the standstill may be over before the move is heard.
+    # On a line that is too full, the standstill may be over before the servo receives the move.
     lasts = 1 + np.maximum(end - first, 0)
     counts = lasts.max(axis=0)
     starts = np.cumsum(counts) - counts
@@ -114,35 +132,18 @@ def best_landings(
     return Landings(error_deg[best], landed_s[best], duration_ms[best], travel[best])
 
 
-SEGMENT_MIN_STEPS: Final = round(SEGMENT_MIN_S / GRID_S)
-FOLLOW_RATIO: Final = CONE_RATIO - ROOM_RATIO
-"""An excursion up to this share of the tolerance is chosen; the rest is for what the wire rounds
-and for the slot that a move is really granted."""
-BEND_MIN_STEPS: Final = 6
-"""A bend that comes sooner is passed: for its sake alone no two moves are 30 ms apart."""
-VIEW_STRIDE: Final = 3
-"""How far ahead is seen in steps of so many grid steps: every one would be three times the work and
-saves no move (`tools/bench.py compress`, and the show of `compile`)."""
-VIEW_BLOCK: Final = 25
-"""Rows of a cone looked at at once: 375 ms, and three moves in four are shorter."""
-REACH: Final = (12, 7)
-"""Steps and stride in which it is judged how far a successor reaches (420 ms); it is only compared,
-so every seventh grid step will do: that costs one move in two hundred."""
-HARD_RATIO: Final = 0.3
-"""A course that leaves less than this share of the ramp to spare is hard to follow."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class MoveCandidates:
-    """Which moves are tried: some instants of the successor, each with some travel speeds.
+    """Which moves are candidates: some instants of the successor, each with some travel speeds.
 
-    `cuts`       how much of the longest possible move; what counts is how far its successor reaches
-    `bends`      how many jumps of the acceleration from either end of that move
-    `speeds`     where in its cone; besides them, the course's own speed: where the course is at
-                 its acceleration limit, only that leaves the servo in step with it
-    `tried`      how many of those speeds a cut or bend is tried with, the course's own first
-    `recovery`   grid steps until the successor where the tolerance is lost and must be won back;
-                 as many as there are cuts and bends
+    cuts          shares of the longest possible move; the best has the successor that reaches
+                  furthest
+    bends         number of jumps of the acceleration from either end of that move
+    speeds        places in the cone. The speed of the reference itself is always a candidate: where
+                  the reference is at its acceleration limit, only that one stays in step with it
+    speeds_tried  how many of those speeds a cut or bend is combined with, the reference's own first
+    recovery      grid steps until the successor where the tolerance is lost and must be regained;
+                  as many as there are cuts and bends
     """
 
     cuts: tuple[float, ...]
@@ -153,9 +154,9 @@ class MoveCandidates:
 
     @cached_property
     def pairs(self) -> tuple[IntArray, IntArray, SingleArray]:
-        """Return the cut or bend of each trial, and of those in the cone, and their places there.
+        """The cut or bend of each candidate, those of the inner ones, and their places in the cone.
 
-        Those with the course's own speed come first, one for each cut and bend.
+        The candidates with the speed of the reference come first, one for each cut and bend.
         """
         own = np.arange(len(self.speeds_tried))
         inside = np.repeat(own, np.array(self.speeds_tried) - 1)
@@ -171,7 +172,7 @@ QUICK: Final = MoveCandidates(
     recovery=(2, 4, 7, 12, 20, 32),
 )
 """Chosen by measurement (`tools/bench.py compress`): one cut less costs one move in fifty; more
-save nothing, and half as many speeds again save one move in 250."""
+cuts save nothing, and half as many speeds again save one move in 250."""
 WIDE: Final = MoveCandidates(
     cuts=(1.0, 0.93, 0.85, 0.75, 0.6, 0.45, 0.3),
     bends=2,
@@ -179,12 +180,12 @@ WIDE: Final = MoveCandidates(
     speeds_tried=(6,) * 11,
     recovery=(2, 3, 4, 5, 7, 9, 12, 16, 20, 26, 48),
 )
-"""Chosen: where the course is near its acceleration limit, fewer trials lose it by degrees."""
+"""Chosen: near the acceleration limit of a reference, fewer candidates lose it bit by bit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Servos:
-    """Servos that need a move, an element each. No successor is heard after index `latest`."""
+    """Servos that need a move, an element each. Each successor is received up to index `latest`."""
 
     joint: IntArray
     limits: LimitArrays
@@ -204,7 +205,7 @@ class Servos:
 
 @dataclass(frozen=True, slots=True)
 class NextMoves:
-    """The travel speed of each servo's next move, and when its successor is wanted.
+    """The travel speed of each servo's next move, and when its successor is requested.
 
     `held_steps`: for how many grid steps one move can keep the tolerance.
     """
@@ -215,7 +216,7 @@ class NextMoves:
 
 
 def next_moves(references: References, servos: Servos) -> NextMoves:
-    """Return how servos that cannot land yet go on."""
+    """Return the next moves of servos that cannot land yet."""
     starts = Starts.of(references, servos.joint, servos.first, servos.state)
     cones = open_cones(references, starts, AHEAD_MAX_STEPS // VIEW_STRIDE, VIEW_STRIDE, VIEW_BLOCK)
     held_steps = VIEW_STRIDE * (cones.held - 1)
@@ -230,7 +231,7 @@ def next_moves(references: References, servos: Servos) -> NextMoves:
 
 
 def _is_hard(references: References, servos: Servos) -> BoolArray:
-    """Return where the course leaves little ramp for the next moves."""
+    """Return where the reference leaves little ramp for the next moves."""
     least = HARD_RATIO * servos.limits.ramp_deg_s2
     index = servos.first + np.array([[0], [AUTHORITY_STEPS]])
     at = references.at(servos.joint, index)
@@ -241,9 +242,10 @@ def _is_hard(references: References, servos: Servos) -> BoolArray:
 def _best(
     references: References, servos: Servos, candidates: MoveCandidates, cones: Cones, rows: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the best of the trials: travel speeds and instants of the successors.
+    """Return the best candidates: travel speeds and instants of the successors.
 
-    The servos are `rows` of the cones. Cuts and bends, and after them the trials, are rows here.
+    The servos are `rows` of the cones. Cuts and bends, and after them the candidates, are rows
+    here.
     """
     cuts, is_held, is_new = _cuts(
         references, servos, candidates, VIEW_STRIDE * (cones.held[rows] - 1)
@@ -281,7 +283,7 @@ def _best(
         )
         merit = np.where(follows.any(axis=0), np.float32(-np.inf), merit)
         steps = reach_steps(references, after, *REACH)
-        # Where two reach as far, the later successor: it is the longer move.
+        # Of two that reach equally far, the later successor: it is the longer move.
         merit.put(some, tau_s.take(cut) + GRID_S * steps + 1e-6 * cuts.take(cut))
     best = np.argmax(merit, axis=0), np.arange(merit.shape[1])
     return speeds[best], times_s[pair[best[0]], best[1]]
@@ -290,7 +292,10 @@ def _best(
 def _cuts(
     references: References, servos: Servos, candidates: MoveCandidates, held: IntArray
 ) -> tuple[IntArray, BoolArray, BoolArray]:
-    """Return steps until the successor to try, whether the tolerance is kept, and which are new."""
+    """Return steps until the candidate successors, whether the tolerance is kept, and whether new.
+
+    A row that only repeats another is not new.
+    """
     least, first = SEGMENT_MIN_STEPS, servos.first
     latest = np.maximum(servos.latest - first, least)
     is_held = held >= least
@@ -317,7 +322,7 @@ def _cuts(
 def _cone(
     servos: Servos, sides_deg_s: tuple[SingleArray, SingleArray], cuts: IntArray, is_held: BoolArray
 ) -> tuple[SingleArray, SingleArray]:
-    """Return the lowest and highest speed of each cut; with no cone, what the ramps can reach."""
+    """Return the lowest and highest speed of each cut; without a cone, what the ramps can reach."""
     low, high = sides_deg_s
     if is_held.all():
         return low, high

@@ -1,8 +1,8 @@
-"""Cuts the courses of all joints into lanes that can be fitted side by side.
+"""Cuts the references of all joints into segments that are fitted side by side.
 
-A lane leads from one stop of a servo to the next, and what happens in it depends on no other lane:
-it begins at rest on the wire value nearest to the course, and its last move ends there too. Stops
-are the standstills of the course and, in long stretches without any, a few of its turning points,
+A segment leads from one stop of a servo to the next. It depends on no other segment: it begins at
+rest on the wire value nearest to the reference, and its last move ends on such a value too. Stops
+are the standstills of the reference and, in long parts without any, some of its turning points,
 where the servo comes to rest for an instant anyway.
 """
 
@@ -25,17 +25,18 @@ if TYPE_CHECKING:
     from lss_motion.program.reference import Reference, ServoLimits
     from lss_motion.program.response import FloatArray, IntArray
 
-
 STRETCH_S: Final = 6.0
-"""A stretch without a standstill is cut about this often. A cut costs no moves: the bench show of
-`compile` needs 47,740 with cuts every 10 s, 47,701 every 6 s, 47,610 every 4 s. The longest lanes
-decide how many rounds there are; with cuts still nearer the work for each lane outweighs that."""
+"""A part without a standstill is cut about this often. A cut costs no moves: the bench show of
+`compile` needs 47,740 with cuts every 10 s, 47,701 every 6 s, 47,610 every 4 s. The longest
+segments decide how many rounds there are; with shorter ones the work for each segment outweighs
+that."""
 TURN_STEPS: Final = 12
 TURN_ACCEL_RATIO: Final = 0.7
-"""A servo can stop in step with the course where, for so many grid steps on either side of the
-turning point, the course bends with no more than this share of the ramp."""
+"""A servo can stop in step with the reference at a turning point if, for `TURN_STEPS` on either
+side, the reference bends with no more than this share of the ramp."""
 SEARCH_STEPS: Final = 32
-"""Looked through at first for the end of a standstill, and twice as many each further time."""
+"""Grid points searched first for the end of a standstill; each further search takes twice as
+many."""
 
 Stop = tuple[int, int]
 
@@ -44,10 +45,11 @@ Stop = tuple[int, int]
 class Segment:
     """One joint from a stop to the next. Instants in seconds.
 
-    It comes out of the stop that begins at the index `first` of the course's grid. The first move
-    is to be heard between `onset_s` and `latest_s`; `leaves_s` is the best guess. `stop` is the
-    standstill on whose wire value it ends, `(first, last)` index of the grid; None at the end of a
-    course in motion. `begin`: what it comes out of, if not a stop.
+    The segment begins in the stop that begins at the index `first` of the reference's grid. The
+    servo must receive the first move between `onset_s` and `latest_s`; `departs_s` is the best
+    estimate. `stop` is the standstill, `(first, last)` index of the grid, on whose wire value the
+    segment ends; None at the end of a reference in motion. `initial` is the motion before a segment
+    that does not begin in a stop.
     """
 
     joint: int
@@ -70,10 +72,10 @@ def segments_of(
     refused: Container[tuple[int, int]],
     initial: InitialMotion | None = None,
 ) -> Iterator[Segment]:
-    """Yield the lanes of one joint, in order of time.
+    """Yield the segments of one joint, in order of time.
 
-    A lane may begin while the servo is up to `follow_deg` from its course. `refused` holds
-    `(joint, index)` of stops that are to be travelled through.
+    A segment may begin while the servo is up to `follow_deg` from its reference. `refused` holds
+    `(joint, index)` of stops at which the servo does not stop.
     """
     stops = [stop for stop in _stops(reference, limits) if (joint, stop[0]) not in refused]
     last = len(reference.position_deg) - 1
@@ -101,7 +103,7 @@ def segments_of(
 
 
 def _stops(reference: Reference, limits: ServoLimits) -> list[Stop]:
-    """Return the standstills of a course, and turning points where they are far between."""
+    """Return the standstills of a reference, and turning points where standstills are far apart."""
     rests = reference.rests()
     stretch = round(STRETCH_S / GRID_S)
     edges = [0, *(index for rest in rests for index in rest), len(reference.position_deg) - 1]
@@ -122,7 +124,7 @@ def _stops(reference: Reference, limits: ServoLimits) -> list[Stop]:
 
 
 def _turns(reference: Reference, ramp_deg_s2: float) -> tuple[IntArray, FloatArray]:
-    """Return the turning points at which a servo can stop, and how sharply the course turns."""
+    """Return the turning points at which a servo can stop, and the acceleration of each."""
     steps = reference.steps_deg
     turns = 1 + np.flatnonzero(steps[:-1] * steps[1:] < 0.0)
     turns = turns[(turns >= TURN_STEPS) & (turns < len(steps) - TURN_STEPS)]
@@ -141,9 +143,9 @@ def _segments(
     bounds: Sequence[Stop | None],
     wires: Sequence[int],
 ) -> Iterator[Segment]:
-    """Yield the lanes from each of the `bounds` to the next; None is an end of the course.
+    """Yield the segments from each of the `bounds` to the next; None is an end of the reference.
 
-    There is none where the course never leaves the wire value on which it begins.
+    A reference that never leaves the wire value on which it begins has no segment there.
     """
     end = len(reference.position_deg) - 1
     edges = [
@@ -158,7 +160,7 @@ def _segments(
     is_moved = (leaves <= last) | (wire != stop_wire)
     leaves = np.minimum(leaves, last)
     onset = np.minimum(rested, leaves)
-    # The landing before may come to rest a little after a turning point.
+    # The landing of the segment before may come to rest a little after a turning point.
     is_turn = np.array([stop is not None and stop[0] == stop[1] for stop in bounds[:-1]])
     after_s = reference.times_s(first) + GRID_S * is_turn
     outside = _first_away(reference.position_deg, leaves, last, position_deg, follow_deg)
@@ -176,9 +178,9 @@ def _segments(
 def _first_away(
     grid: FloatArray, first: IntArray, last: IntArray, position_deg: FloatArray, distance_deg: float
 ) -> IntArray:
-    """Return the first indices from `first` to `last` further off than `distance_deg`.
+    """Return the first indices from `first` to `last` that are further away than `distance_deg`.
 
-    Where there is none, the one after `last`.
+    The index after `last` stands for none.
     """
     found, begin, steps = last + 1, first, SEARCH_STEPS
     some = np.arange(len(first))
@@ -196,7 +198,7 @@ def _first_away(
 
 
 def _departures_s(reference: Reference, onset: IntArray) -> FloatArray:
-    """Return when the course leaves its standstills, between two grid points, as a parabola."""
+    """Return when the reference leaves its standstills, between two grid points, as a parabola."""
     grid = reference.position_deg
     first, second = (
         np.sqrt(np.abs(grid.take(onset + step, mode="clip") - grid[onset])) for step in (1, 2)

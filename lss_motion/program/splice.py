@@ -1,11 +1,11 @@
-"""Programs that grow while they are played: what is still ahead is replaced from an instant on.
+"""Extends a program while it is played: from an instant on, its splice, the rest is replaced.
 
-A program that grows is always complete: it ends at rest. An extension replaces all moves that are
-due at or after an instant, its splice, by others, which end at rest as well. So a player that gets
-no further extension, or gets it too late, plays to that end.
+Such a program is always complete: it ends at rest. An extension replaces all moves that are due at
+or after the splice by others, which end at rest as well. So a player that gets no further
+extension, or gets it too late, plays to that end.
 
-The moves of an extension start from where the moves before the splice will have brought the
-profiles of the servos, in motion: no joint stops, and nothing is compiled twice.
+The moves of an extension start from the profiles of the servos after the moves before the splice,
+in motion: no joint stops, and nothing is compiled twice.
 """
 
 from __future__ import annotations
@@ -34,17 +34,16 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
     from lss_motion.trajectory.model import Trajectory
 
-
 HISTORY_S: Final = 1.0
-"""Pieces of a profile that ended this long before a splice are forgotten: longer than any lead."""
+"""Pieces of a profile that ended this long before a splice are dropped: longer than any lead."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Extension:
     """Moves that replace all those of a program that are due at or after `from_us`.
 
-    Show time; `duration_s` is until the last horn has arrived, `references` the profiles from the
-    splice on.
+    Show time; `duration_s` is the instant at which the last horn arrives, `profiles` are the
+    profiles from the splice on.
     """
 
     from_us: int
@@ -57,14 +56,14 @@ class Extension:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpliceState:
-    """How far a program has grown. Never changes: an extension that is not played is forgotten."""
+    """The program up to and including its last extension; immutable: `taken` returns a new one."""
 
     robot: Robot
     tolerance_deg: float
     profiles: Mapping[str, Profile]
-    """What the servos do after all moves before the last splice."""
+    """The profiles of the servos after all moves before the last splice."""
     moves: Sequence[Move] = ()
-    """Those from the last splice on."""
+    """The moves from the last splice on."""
     duration_s: float = 0.0
     _lead_s: float = field(init=False)
 
@@ -74,8 +73,8 @@ class SpliceState:
     def extended(self, trajectory: Trajectory, *, starts_s: float, from_s: float) -> Extension:
         """Return the extension that follows `trajectory` from show time `from_s` on.
 
-        The trajectory starts at show time `starts_s`, is until `from_s` what is played already,
-        and ends at rest. Raises `LineLoadError` if the line cannot carry it at any tolerance.
+        The trajectory starts at show time `starts_s`; until `from_s` it is what is played already,
+        and it ends at rest. Raises `LineLoadError` if the line cannot carry it at any tolerance.
         """
         if missing := [name for name in trajectory.joints if name not in self.profiles]:
             raise InputError(f"joint {missing[0]!r} is not one of the program's")
@@ -109,7 +108,7 @@ class SpliceState:
         )
 
     def taken(self, extension: Extension) -> SpliceState:
-        """Return how far the program has grown once it has been extended."""
+        """Return the state of the program after the player has accepted `extension`."""
         return replace(
             self,
             profiles=self.at(extension.from_us),
@@ -137,9 +136,9 @@ class SpliceState:
         return profiles
 
     def takes_over_s(self, name: str, splice_us: int) -> float:
-        """Return when a joint in motion must hear its first move after a splice, at the latest.
+        """Return the latest receipt of the first move after a splice, for a joint in motion.
 
-        That is when it would have heard its next one anyway, or before the plan changes.
+        This is the instant of its next move in the old program, or before the plan changes.
         """
         joint = self.robot.joints[name]
         changes_s = s_from_us(splice_us) + self._lead_s - profile_lead_s(joint)
@@ -170,7 +169,7 @@ class SpliceState:
 
 
 def initial_splice_state(program: Program, robot: Robot) -> SpliceState:
-    """Return the growth of a program that has no moves yet: every joint stands.
+    """Return the state of a program that has no moves yet: every joint stands.
 
     Raises `InputError` for a joint that is not timed.
     """
@@ -189,9 +188,9 @@ def initial_splice_state(program: Program, robot: Robot) -> SpliceState:
 
 
 def splice_lead_s(robot: Robot, names: Mapping[str, Profile]) -> float:
-    """Return how long before a change of the plan the moves must be others.
+    """Return how long before a change of the plan the splice must be.
 
-    Servos are sent what they do early, by their lag, and one after the other.
+    Servos are sent their moves early, by their lag, and one after the other.
     """
     joints = [robot.joints[name] for name in names]
     queue_us = max(
@@ -202,7 +201,7 @@ def splice_lead_s(robot: Robot, names: Mapping[str, Profile]) -> float:
 
 
 def _extension(schedule: Schedule, robot: Robot, splice_us: int, duration_s: float) -> Extension:
-    """Return what came of an attempt; raises `PlanningError` if its bytes break a limit."""
+    """Return the extension of a schedule; raises `PlanningError` if its bytes break a limit."""
     profiles = {name: fitted.profile for name, fitted in schedule.fitted.items()}
     verify_profiles(profiles, robot)
     moves = moves_of(schedule.fitted, robot)
@@ -217,7 +216,7 @@ def _extension(schedule: Schedule, robot: Robot, splice_us: int, duration_s: flo
 
 
 def _line(splice_state: SpliceState, bus: str, splice_us: int) -> LineSchedule:
-    """Return the schedule of a line on which the last move before the splice may still go out."""
+    """Return the line at a splice, on which the last move before it may still be sent."""
     schedule = LineSchedule()
     ends_us = [
         received_us(move, splice_state.robot.buses[bus].baud_bps)

@@ -1,7 +1,7 @@
-"""Whole degrees to the RC servo of a 2IO: the `stepped` drive, its response model and its fit.
+"""The `stepped` drive: model and fit of whole degrees for the RC servo of a 2IO board.
 
-A command makes the servo jump, so that the profile is a staircase: best when each of its steps is
-made where the course is half-way between two whole degrees.
+A command makes the servo jump, so that its profile is a staircase. The best instant of a step is
+where the reference is half-way between two whole degrees.
 """
 
 from __future__ import annotations
@@ -22,16 +22,15 @@ if TYPE_CHECKING:
 
     from lss_motion.program.reference import Reference, ServoLimits
 
-
 PULSE_S: Final = 0.02
-"""An RC servo hears of its target 50 times a second (general knowledge of RC pulses; no document
-of the board gives it), so that steps in quicker succession would be lost."""
+"""An RC servo receives its target 50 times a second (general knowledge of RC pulses; no document of
+the board states it), so that steps in quicker succession would be lost."""
 SEARCH_STEPS: Final = 1024
-"""Grid points looked through at once for the next step."""
+"""Grid points searched at once for the next step."""
 
 
 class StepProfile:
-    """What one servo was told, command by command: it jumps there."""
+    """The targets of one servo, command by command: it jumps to each."""
 
     def __init__(self, position_deg: float) -> None:
         self._times_s = [-math.inf]
@@ -45,7 +44,7 @@ class StepProfile:
         return self._values[0], 0.0
 
     def retarget(self, received_s: float, target_deg: float, _duration_s: float | None) -> None:
-        """Take up `D target` at `heard_s`. T does nothing."""
+        """Apply `D target` received at `received_s`. T has no effect."""
         self._times_s.append(received_s)
         self._values.append(target_deg)
 
@@ -73,7 +72,7 @@ class StepFitter:
         self.setpoints: list[Setpoint] = []
 
     def request(self, granted_s: float | None) -> float | None:
-        """Return when the next step is to be heard at the latest; None when none is needed."""
+        """Return the latest instant for the receipt of the next step; None at the end."""
         if granted_s is None:
             return self._next(self._reference.start_s)
         self._emit(granted_s)
@@ -84,14 +83,14 @@ class StepFitter:
         return min(self._seams_s[seam], math.inf if requested_s is None else requested_s)
 
     def grant(self, granted_s: float) -> None:
-        """Nothing depends on when the successor is heard."""
+        """Accept the granted instant: no step depends on the instant of its successor."""
 
     def profile(self) -> PiecewiseProfile:
         """Return the whole profile that the steps so far make."""
         return PiecewiseProfile(self._profile.pieces())
 
     def _emit(self, received_s: float) -> None:
-        """Go to the whole degree that is nearest to the course while this step is held."""
+        """Add a step to the whole degree nearest to the reference while the step is held."""
         reference = self._reference.position_deg
         index = min(self._reference.index(received_s) + self._hold, len(reference) - 1)
         wire = nearest_wire(float(reference[index]), self._limits)
@@ -100,7 +99,7 @@ class StepFitter:
         self.setpoints.append(Setpoint(received_s, wire))
 
     def _next(self, from_s: float) -> float | None:
-        """Return when, from `from_s` on, another whole degree is nearer to the course."""
+        """Return when, from `from_s` on, another whole degree is nearer to the reference."""
         limits, reference = self._limits, self._reference.position_deg
         half_unit_deg = 0.5 * limits.wire_step / limits.wire_per_deg
         room_deg = max(half_unit_deg, limits.tolerance_deg) + STILL_ROUNDING_DEG

@@ -1,26 +1,22 @@
-"""The `streamed` drive: the response model of EM0 and the fit of bare `D` commands.
+"""The `streamed` drive: the model of a servo in EM0, and the fit of bare `D` commands to it.
 
-Fits bare `D`s to the course of one joint in EM0: the `streamed` drive.
+The model: every `Response.filter_s` the servo's own target makes one step, `x += (target - x) /
+count`, with `count` the FPC of the session. The servo takes up a command at its next control loop
+(`loop_s`), and the command counts from the first step after that. Between steps x stands still. The
+horn can follow the mean of this staircase over one period, a polyline; the prediction is that
+polyline. The horn follows it `Response.lag_s` later. Sources: `robot.model.Response`, FACTS.md M6.
 
-Every command is the *inverse* of the servo's filter: a target so far beyond the course that the
-filter, which goes only part of the way in each of its steps, is on the course all the same. One
-command serves as many steps as it can within the tolerance. Where the course comes to rest, the
-target is the resting place, repeated until the filter must have settled whatever was lost.
+The fit: every command is the *inverse* of the filter: a target so far beyond the reference that the
+filter, which goes only part of the way in each step, is on the reference. One command serves as
+many steps as it can within the tolerance. Where the reference comes to rest, the target is the
+resting place, repeated until the filter has settled even if some commands were lost.
 
 FPC is a trade: a longer filter is straighter between its commands, so fewer are needed, but its
-targets lie further ahead, and so does the place at which a robot without a host comes to rest
-(FPC times 20 ms of motion). On simulated servos and the lively show of the benchmarks, six joints
-take 5.2, 4.3, 3.8 and 3.0 % of a 115200 line with an FPC of 3, 4, 5 and 8; their horns are 0.19 to
-0.22 deg off (RMS, without feedback) with each of them, which is what not knowing the instants of
-the filter's steps costs. 4 is chosen as the middle.
-
-How a servo in EM0 is assumed to move on bare `D`s: the streamed response model.
-
-Every `Response.filter_s` the servo's own target makes one step: `x += (target - x) / count`, with
-`count` the FPC of the session. A command is taken up at the next control loop (`loop_s`), and
-counts from the first step after that. In between, x stands still; what the horn can follow of
-this staircase is its mean over one period, a polyline, and that is what is predicted here. The
-horn follows it `Response.lag_s` later. Sources: `robot.model.Response`, FACTS.md M6.
+targets lie further ahead, and so does the place at which a robot without a host comes to rest (FPC
+times 20 ms of motion). On simulated servos and the lively show of the benchmarks, six joints take
+5.2, 4.3, 3.8 and 3.0 % of a 115200 line with an FPC of 3, 4, 5 and 8; their horns are 0.19 to 0.22
+deg off (RMS, without feedback) with each of them, because the instants of the filter's steps are
+unknown. 4 is chosen as the middle.
 """
 
 from __future__ import annotations
@@ -44,15 +40,20 @@ if TYPE_CHECKING:
     from lss_motion.program.reference import Reference, ServoLimits
     from lss_motion.robot.model import Response
 
-
 SETTLED_DEG: Final = 0.05
-"""Nearer than this the filter is on its target: half of what the wire can say (assumed)."""
+"""Nearer than this, the filter is on its target: half a wire unit (assumed)."""
 ROUNDING: Final = 1e-6
-"""Of a step or a loop: instants this much before one still count for it."""
+"""In steps or loops: an instant this little before a step or loop still counts for it."""
+
+STEPS_MAX: Final = 16
+"""The most steps that one command is relied on (320 ms): the next one repairs a lost command."""
+BEND_LEAST_RATIO: Final = 0.25
+"""A reference at its limit bends so far between two steps that it uses up a narrow tolerance; the
+fit then still gets this share of the bend."""
 
 
 class FilterProfile:
-    """The filter of one servo, command by command. Instants passed to `retarget` must not go back.
+    """The filter of one servo, command by command. Instants passed to `retarget` must not decrease.
 
     `step_s` is one of the instants at which the filter steps.
     """
@@ -73,19 +74,19 @@ class FilterProfile:
     # ---- steps
 
     def acts_on(self, received_s: float) -> int:
-        """Return the first step for which a command heard at `heard_s` counts."""
+        """Return the first step for which a command received at `received_s` counts."""
         loops = math.ceil((received_s - self._step_s) / self._loop_s - ROUNDING)
         return math.floor(loops * self._loop_s / self.period_s + ROUNDING) + 1
 
     def receive_s(self, step: int) -> float:
-        """Return when a command for `step` is best heard: in the middle of all that count."""
+        """Return the best instant to receive a command for `step`: amid those that count."""
         return self.step_s(step) - self._loop_s - 0.5 * self.period_s
 
     def step_s(self, step: int) -> float:
         return self._step_s + step * self.period_s
 
     def value(self, step: int) -> float:
-        """Return x after `step`, with what has been heard so far."""
+        """Return x after `step`, with the commands received so far."""
         if not self._steps:
             return self._first_deg
         self._extend(step)
@@ -97,7 +98,7 @@ class FilterProfile:
     # ---- commands
 
     def retarget(self, received_s: float, target_deg: float, _duration_s: float | None) -> None:
-        """Take up `D target` at `heard_s`; the filter goes on from where it is. T does nothing."""
+        """Apply `D target` received at `received_s`, from the filter's value. T has no effect."""
         step = self.acts_on(received_s)
         before_deg = self.value(step - 1)
         while self._steps and self._steps[-1] >= step - 1:
@@ -108,7 +109,7 @@ class FilterProfile:
         self._target_deg = target_deg
 
     def _extend(self, step: int) -> None:
-        """Make the steps up to `step`, or until the filter is on its target."""
+        """Compute the steps up to `step`, or until the filter is on its target."""
         value, last = self._values[-1], self._steps[-1]
         while last < step and value != self._target_deg:
             value = self._target_deg + self.keep_ratio * (value - self._target_deg)
@@ -138,7 +139,7 @@ class FilterProfile:
             del self._steps[:kept], self._values[:kept]
 
     def pieces(self) -> Iterator[Piece]:
-        """Yield the polyline; its first piece has no beginning, its last one no end."""
+        """Yield the polyline. Its first piece has no begin, its last one no end."""
         yield Piece(-math.inf, self._first_deg, 0.0, 0.0)
         if not self._steps:
             return
@@ -152,18 +153,11 @@ class FilterProfile:
         yield Piece(self.step_s(last) + 0.5 * self.period_s, value, 0.0, 0.0)
 
 
-STEPS_MAX: Final = 16
-"""The most steps that one command is relied on (320 ms): a lost one is repaired by the next."""
-BEND_LEAST_RATIO: Final = 0.25
-"""A course at its limit bends so far between two steps that a narrow tolerance is all used up;
-this share of it is then left for the fit."""
-
-
 class StreamFitter:
     """Fits one joint, command by command; see `drives.JointFitter`."""
 
     def __init__(self, reference: Reference, limits: ServoLimits, profile: FilterProfile) -> None:
-        """Fit `course`; `profile` stands where the course begins."""
+        """Fit `reference`; `profile` stands where the reference begins."""
         self._limits = limits
         self._profile = profile
         self._first = profile.acts_on(reference.start_s) + 1
@@ -184,7 +178,7 @@ class StreamFitter:
         self.setpoints: list[Setpoint] = []
 
     def request(self, granted_s: float | None) -> float | None:
-        """Return when the next command is to be heard at the latest; None when none is needed."""
+        """Return the latest instant for the receipt of the next command; None at the end."""
         if granted_s is None:
             return self._departure(self._first, self._values[0])
         step = max(self._profile.acts_on(granted_s), self._first)
@@ -196,7 +190,7 @@ class StreamFitter:
         return self._profile.receive_s(step + max(held, 1))
 
     def grant(self, granted_s: float) -> None:
-        """Settle the pending command, now that its successor is known to be heard then."""
+        """Decide the pending command, now that the instant of its successor is known."""
         if self._pending is None:
             return
         received_s, step = self._pending
@@ -216,18 +210,18 @@ class StreamFitter:
     def _index(self, step: int) -> int:
         return min(max(step - self._first, 0), len(self._values) - 1)
 
-    # ---- on the way
+    # ---- in motion
 
     def _most(self, step: int) -> int:
-        """Return for how many steps a command may serve: not beyond where the next rest begins."""
+        """Return for how many steps a command may serve: not beyond the begin of the next rest."""
         index = self._index(step)
         ahead = self._is_still[index : index + STEPS_MAX]
         return max(ahead.index(True) if True in ahead else len(ahead), 1)
 
     def _targets(self, step: int, most: int) -> tuple[int, float, float]:
-        """Return for how many steps from `step` on one target keeps the tolerance, and which do.
+        """Return for how many steps one target keeps the tolerance, and which targets do.
 
-        They are within the range, and so near that no step breaks the speed limit.
+        They are within the range, and so near that no step exceeds the speed limit.
         """
         limits, profile = self._limits, self._profile
         before_deg, index = profile.value(step - 1), self._index(step)
@@ -245,7 +239,7 @@ class StreamFitter:
         return most, low, high
 
     def _best(self, step: int, steps: int) -> float:
-        """Return the target with the least squared error over `steps`, within what is allowed."""
+        """Return the allowed target with the least squared error over `steps`."""
         _, low, high = self._targets(step, steps)
         index = self._index(step)
         reference_deg = self._reference_deg[index : index + steps]
@@ -257,7 +251,7 @@ class StreamFitter:
     # ---- at rest
 
     def _rest(self, granted_s: float, step: int) -> float | None:
-        """Say where the course rests; return when to say it again, or when the rest ends."""
+        """Send the resting place; return when to send it again, or when the rest ends."""
         rest_deg = self._values[self._index(step)]
         if self._repeats == 0:
             self._repeats = self._settling_steps(step, rest_deg)
@@ -272,7 +266,7 @@ class StreamFitter:
         return again_s if departs_s is None else min(again_s, departs_s)
 
     def _settling_steps(self, step: int, rest_deg: float) -> int:
-        """Return how often the end is said: until a filter that missed two steps has settled."""
+        """Return how often to send the resting place: a filter that missed two must settle."""
         away_deg = max(abs(self._profile.value(step - lost) - rest_deg) for lost in (1, 2, 3))
         if away_deg <= SETTLED_DEG or self._profile.count == 1:
             return 2
@@ -280,9 +274,9 @@ class StreamFitter:
         return 2 + math.ceil(ratio)
 
     def _departure(self, step: int, standing_deg: float) -> float | None:
-        """Return when the command that ends the standstill at `step` should be heard.
+        """Return when to send the command that ends the standstill at `step`.
 
-        At the end of a range that the wire cannot say, the standstill itself is off by more than
+        At the end of a range between two wire values, the standstill itself is off by more than
         half a unit.
         """
         half_unit_deg = 0.5 * self._limits.wire_step / self._limits.wire_per_deg

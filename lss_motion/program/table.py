@@ -1,6 +1,7 @@
-"""Moves in columns, one by one made when they are asked for: tens of thousands cost nothing.
+"""The moves of a program in arrays, and their line times.
 
-The moves of a program in arrays, and what they take of their lines.
+A `MoveTable` is a sequence of `Move` whose elements are created when they are read, so that a
+program of tens of thousands of moves is cheap to build. `Columns` adds what depends on the robot.
 """
 
 from __future__ import annotations
@@ -22,14 +23,16 @@ if TYPE_CHECKING:
     from lss_motion.program.schedule import FittedJoint
     from lss_motion.robot.model import Robot
 
-
 MADE_AT_ONCE: Final = 256
-"""So many moves are made at once, so that whoever plays them never waits for all."""
+"""Number of moves created at once, so that a player never waits for all of them."""
+
+POWERS_OF_TEN: Final = np.array([10, 100, 1_000, 10_000, 100_000, 1_000_000, 10_000_000])
+"""No angle and no T on the wire has more digits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MoveTable(Sequence[Move]):
-    """Moves, an element each; `bus` counts `buses`. Equal to any sequence of the same moves."""
+    """Moves, an element each; equal to any sequence of the same moves. `bus` indexes `buses`."""
 
     due_us: IntArray
     bus: IntArray
@@ -61,7 +64,7 @@ class MoveTable(Sequence[Move]):
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Sequence) and [*self] == [*other]
 
-    __hash__ = None  # type: ignore[assignment]  # As of a list.
+    __hash__ = None  # type: ignore[assignment]  # As for a list.
 
     def take(self, chosen: Index) -> MoveTable:
         return MoveTable(
@@ -104,13 +107,9 @@ def table_of(moves: Sequence[Move]) -> MoveTable:
     )
 
 
-POWERS_OF_TEN: Final = np.array([10, 100, 1_000, 10_000, 100_000, 1_000_000, 10_000_000])
-"""No angle and no T on the wire has more digits."""
-
-
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Moves, an element each. `joint` and `bus` count those of the robot, in its order."""
+    """Moves, an element each. `joint` and `bus` are indices into those of the robot."""
 
     due_us: IntArray
     joint: IntArray
@@ -123,12 +122,12 @@ class Columns:
 
     @property
     def sent_us(self) -> IntArray:
-        """How long each keeps its line busy, rounded up to whole microseconds."""
+        """Line time of each move, rounded up to whole microseconds."""
         return line_times_us(self.size_bytes, self.baud_bps)
 
     @property
     def received_us(self) -> IntArray:
-        """When the last byte of each reaches the servos, if it leaves when it is due."""
+        """When the last byte of each move reaches the servos, if it leaves when it is due."""
         spent = self.size_bytes * (LINE_BITS_PER_BYTE * US_PER_S) // self.baud_bps
         received: IntArray = self.due_us + spent
         return received
@@ -148,7 +147,7 @@ class Columns:
 def moves_of(fitted: Mapping[str, FittedJoint], robot: Robot) -> MoveTable:
     """Return the moves of all joints in the order in which they are due.
 
-    Each is due so that its last byte is heard when that was granted.
+    Each is due so that its last byte arrives at the instant that was granted.
     """
     if not fitted:
         return table_of(())
@@ -169,7 +168,7 @@ def moves_of(fitted: Mapping[str, FittedJoint], robot: Robot) -> MoveTable:
 
 
 def sizes_bytes(servo_id: IntArray, target_wire: FloatArray, duration_ms: FloatArray) -> IntArray:
-    """Return the lengths of what `encode_move` makes of these; NaN is a bare `D`."""
+    """Return the lengths of the commands that `encode_move` returns; NaN is a bare `D`."""
     size = len(encode_move(0, 0, None)) - 2 + _digits(servo_id) + _digits(np.abs(target_wire))
     size += target_wire < 0.0
     timed = len("T") + _digits(np.nan_to_num(duration_ms))
@@ -178,19 +177,19 @@ def sizes_bytes(servo_id: IntArray, target_wire: FloatArray, duration_ms: FloatA
 
 
 def _digits(whole: FloatArray | IntArray) -> IntArray:
-    """Return how many digits whole numbers have that are not negative."""
+    """Return the numbers of digits of whole numbers that are not negative."""
     found: IntArray = 1 + np.searchsorted(POWERS_OF_TEN, whole, side="right")
     return found
 
 
 def line_times_us(size_bytes: IntArray, baud_bps: IntArray) -> IntArray:
-    """Return how long so many bytes keep lines busy, rounded up to whole microseconds."""
+    """Return the line times of so many bytes, rounded up to whole microseconds."""
     spent: IntArray = -(-size_bytes * (LINE_BITS_PER_BYTE * US_PER_S) // baud_bps)
     return spent
 
 
 def columns_of(moves: Sequence[Move], robot: Robot) -> Columns:
-    """Return `moves`, every one to a servo of `robot`, in arrays."""
+    """Return `moves`, each to a servo of `robot`, in arrays."""
     table = table_of(moves)
     joints = list(robot.joints.values())
     numbers = {(joint.bus, joint.servo_id): index for index, joint in enumerate(joints)}

@@ -1,4 +1,4 @@
-"""The text form of a program: stable, diffable, `due_us bus command` line by line.
+"""The text form of a program: stable, diffable, one move a line as `due_us bus command`.
 
     # lss_motion program 1
     # name: wave
@@ -11,19 +11,14 @@
     # on_fault: astray=warn silent=resume,hold
     # mark: 1500000 hello
     # wait: 1750000 eye below 300 timeout 60
-    # cue: 1500000 {"say": "hello"}
+    # cue: 1500000 {"led": {"elbow": 1}}
+    # cue: 2000000 {"sound": "/home/me/show/bell.wav", "lead_s": 0.1}
     1477500 main #1D-612T384
     1478300 main #2D455
 
 `due_us` is show time in microseconds; 0 is the start of the plan. `drives` names the joints that
-are not timed, with the FPC of the streamed ones; where every joint is timed there is no such line.
-
-One cue as a line of a program's text: its instant and a JSON object of what happens.
-
-# cue: 1500000 {"led": {"elbow": 1}}
-# cue: 2000000 {"sound": "/home/me/show/bell.wav", "lead_s": 0.1}
-
-The line of a program's text form that says what the show waits for.
+are not timed, with the FPC of the streamed ones; a program whose joints are all timed has no such
+line. A cue is its instant and a JSON object; a wait is its instant, a sensor and a threshold.
 """
 
 from __future__ import annotations
@@ -51,9 +46,22 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.robot.on_fault import Ladders
 
+_NUMBER = r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)"
+_WAIT: Final = re.compile(rf"(\d+) (\S+) (below|above) {_NUMBER}(?: timeout {_NUMBER})?")
+FIRST_LINE: Final = "# lss_motion program 1"
+FOREVER: Final = "forever"
+TEXT_MAX_BYTES: Final = 256 * 1024 * 1024
+"""A program of ten hours and forty joints. A larger file is not a program."""
+DURATION_READ_MAX_MS: Final = 30_000
+"""More than the compiler writes, for programs written by hand; a slip is still found."""
+_HEADER = re.compile(r"# (\w+): (.*)")
+_MOVE = re.compile(r"(-?\d+) (\S+) #(\d{1,3})D(-?\d+)(?:T(\d+))?")
+_DRIVE = re.compile(r"(.+)=(?:(streamed):([1-9]\d{0,2})|(stepped))")
+_REQUIRED = ("name", "robot", "duration_us", "tolerance_deg", "start_deg")
+
 
 def cue_line(cue: Cue) -> str:
-    """Return the text after `# cue: `."""
+    """Return the text of a cue after `# cue: `."""
     content = {
         "led": dict(cue.led),
         "say": cue.say,
@@ -67,7 +75,7 @@ def cue_line(cue: Cue) -> str:
 
 
 def read_cue(text: str, joints: Collection[str]) -> Cue:
-    """Return what `cue_line` wrote; raise ValueError with a reason for anything else."""
+    """Return the cue that `cue_line` wrote; raises `ValueError` for any other text."""
     at_us, _, body = text.partition(" ")
     try:
         content = json.loads(body)
@@ -90,12 +98,8 @@ def read_cue(text: str, joints: Collection[str]) -> Cue:
     return Cue(at_s=at_s, led=tuple(led.items()), lead_s=float(lead_s), **content)
 
 
-_NUMBER = r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)"
-_WAIT: Final = re.compile(rf"(\d+) (\S+) (below|above) {_NUMBER}(?: timeout {_NUMBER})?")
-
-
 def wait_line(point: WaitPoint) -> str:
-    """Return `1750000 eye below 300 timeout 60`: when, what for, and how long at most."""
+    """Return `1750000 eye below 300 timeout 60`: instant, condition and longest wait."""
     wait = point.wait
     timeout = "" if wait.timeout_s is None else f" timeout {wait.timeout_s:.9g}"
     at_us = us_from_s(point.at_s)
@@ -103,7 +107,7 @@ def wait_line(point: WaitPoint) -> str:
 
 
 def read_wait(text: str, sensors: Container[str]) -> WaitPoint:
-    """Return what `wait_line` wrote. Raises `ValueError` with the reason for anything else."""
+    """Return the wait that `wait_line` wrote; raises `ValueError` for any other text."""
     match = _WAIT.fullmatch(text)
     if match is None:
         raise ValueError(
@@ -118,20 +122,6 @@ def read_wait(text: str, sensors: Container[str]) -> WaitPoint:
         timeout_s=None if match[5] is None else float(match[5]),
     )
     return WaitPoint(at_s=s_from_us(int(match[1])), wait=wait)
-
-
-FIRST_LINE: Final = "# lss_motion program 1"
-FOREVER: Final = "forever"
-TEXT_MAX_BYTES: Final = 256 * 1024 * 1024
-"""A program of ten hours and forty joints; more is not a program."""
-
-DURATION_READ_MAX_MS: Final = 30_000
-"""More than what is written here, for programs that a person wrote; a slip is still noticed."""
-
-_HEADER = re.compile(r"# (\w+): (.*)")
-_MOVE = re.compile(r"(-?\d+) (\S+) #(\d{1,3})D(-?\d+)(?:T(\d+))?")
-_DRIVE = re.compile(r"(.+)=(?:(streamed):([1-9]\d{0,2})|(stepped))")
-_REQUIRED = ("name", "robot", "duration_us", "tolerance_deg", "start_deg")
 
 
 def to_text(program: Program, *, folder: Path | None = None) -> str:

@@ -1,10 +1,10 @@
-"""The last word on a program: the motion that its bytes ask for, held against every limit.
+"""Predicts the motion of the compiled bytes, and checks it against every limit.
 
-What the bus carries is rounded: angles to tenths or hundredths, times to milliseconds. So the
-profile that the servos make of the very bytes is looked at again, piece by piece, with formulas of
-its own and without a word from planner or fit. A program that a person has edited comes here too.
+The prediction: the commands of a program through the response model of each joint's drive.
 
-Where every servo of a program will be: its commands, through the response model of its drive.
+The check: the bus carries rounded values, angles in tenths or hundredths and times in milliseconds.
+So the profiles that the servos make of the bytes are checked piece by piece, with formulas of their
+own and no result of planner or fit. Programs edited by hand pass through here too.
 """
 
 from __future__ import annotations
@@ -33,20 +33,24 @@ if TYPE_CHECKING:
     from lss_motion.program.response import FloatArray, Piece
     from lss_motion.robot.model import Joint, Robot
 
-
 SPREAD_RATIO: Final = 0.6180339887498949
 """The golden ratio: multiples of it spread any number of servos evenly over one filter period."""
 
+EXCESS_MAX_RATIO: Final = 1.001
+"""A limit may be exceeded by 0.1 % (FACTS.md A19)."""
+JUMP_MAX_DEG: Final = 1e-6
+"""Successive pieces must meet within this: rounding of numbers, far below one wire unit."""
+
 
 class ServoProfile(Protocol):
-    """What every response model offers; all of it in servo degrees and seconds."""
+    """The interface of every response model, in servo degrees and seconds."""
 
     def at(self, time_s: float) -> tuple[float, float]:
         """Return position and speed at `time_s`."""
         ...
 
     def retarget(self, received_s: float, target_deg: float, duration_s: float | None) -> None:
-        """Take up `D target [T duration]` at `heard_s`."""
+        """Apply `D target [T duration]` received at `received_s`."""
         ...
 
     def forget_before(self, time_s: float) -> None:
@@ -59,7 +63,7 @@ class ServoProfile(Protocol):
 
 
 def driven(robot: Robot, program: Program) -> Robot:
-    """Return `robot` with the joints of `program` commanded as the program says."""
+    """Return `robot` with the drives that `program` sets for its joints."""
     joints = dict(robot.joints)
     for name in program.start_deg:
         driving = program.drives.get(name, TIMED)
@@ -71,7 +75,7 @@ def driven(robot: Robot, program: Program) -> Robot:
 def make_profile(joint: Joint, position_deg: float, *, origin_s: float = 0.0) -> ServoProfile:
     """Return the response model of a joint whose servo stands at `position_deg`.
 
-    `origin_s` is when the show time is 0, on the clock of the instants that the model is told.
+    `origin_s` is the instant of show time 0 on the clock of the instants that the model receives.
     """
     if joint.drive == "stepped":
         return StepProfile(position_deg)
@@ -88,8 +92,8 @@ def make_profile(joint: Joint, position_deg: float, *, origin_s: float = 0.0) ->
 def filter_profile(joint: Joint, position_deg: float, *, origin_s: float = 0.0) -> FilterProfile:
     """Return the model of a streamed joint; see `make_profile`.
 
-    When a servo's filter steps nobody knows. The instants assumed are those for which the joint's
-    own commands are sent; they differ from joint to joint, so that the line is used evenly.
+    The instants at which a servo's filter steps are unknown. The assumed ones are those at which
+    the joint's own commands aim; they differ from joint to joint, so that the line is used evenly.
     """
     period_s = joint.response.filter_s
     return FilterProfile(
@@ -101,7 +105,7 @@ def filter_profile(joint: Joint, position_deg: float, *, origin_s: float = 0.0) 
 
 
 def profiles(program: Program, robot: Robot) -> dict[str, PiecewiseProfile]:
-    """Return where each servo's profile is at any show time, if every move is heard when due."""
+    """Return each servo's profile over show time, if servos receive every move when it is due."""
     robot = driven(robot, program)
     columns = columns_of(program.moves, robot)
     columns = columns.take(np.argsort(columns.joint, kind="stable"))
@@ -148,27 +152,21 @@ def _replayed(
     return PiecewiseProfile(profile.pieces())
 
 
-EXCESS_MAX_RATIO: Final = 1.001
-"""A limit may be exceeded by 0.1 % (FACTS.md A19)."""
-JUMP_MAX_DEG: Final = 1e-6
-"""Pieces that follow one another must meet: rounding of numbers, far below the wire's unit."""
-
-
 def verify_program(program: Program, robot: Robot) -> None:
     """Raise `PlanningError` where the profile of a servo breaks a limit of its joint.
 
-    Position: outside of the range by more than one wire unit. Speed and acceleration: more than
-    0.1 % above the limit. A profile that jumps is a fault too. The error names joint and time.
+    Position: outside of the range by more than one wire unit. Speed and acceleration: more than 0.1
+    % above the limit. A profile that jumps is a fault too. The error names joint and time.
 
-    A streamed joint has no ramps: its steps keep the speed limit but for what the wire rounds, and
-    what bounds its acceleration is the plan that it follows. A stepped one jumps, so its jumps are
-    held against the speed limit and the time since the one before.
+    A streamed joint has no ramps: its steps keep the speed limit except for the rounding of the
+    wire, and the plan that it follows bounds its acceleration. A stepped joint jumps: each jump is
+    checked against the speed limit and the time since the jump before.
     """
     verify_profiles(profiles(program, robot), driven(robot, program))
 
 
 def verify_profiles(profiles_by_joint: Mapping[str, PiecewiseProfile], robot: Robot) -> None:
-    """Raise what `verify_program` raises, for profiles by joint."""
+    """Raise the errors of `verify_program`, for profiles by joint."""
     for name, profile in profiles_by_joint.items():
         if robot.joints[name].drive == "stepped":
             _check_jumps(robot.joints[name], *profile.table[:2])
@@ -179,7 +177,7 @@ def verify_profiles(profiles_by_joint: Mapping[str, PiecewiseProfile], robot: Ro
 def _check_jumps(
     joint: Joint, start_s: NDArray[np.float64], position_deg: NDArray[np.float64]
 ) -> None:
-    """Look at a staircase: where its steps are, and how high for the time that they had."""
+    """Check a staircase: the range of its steps, and their height for the time between them."""
     _check_range(joint, start_s, position_deg[None, :])
     passed_s = np.maximum(np.diff(start_s), PULSE_S)
     allowed_deg = joint.unit_deg + EXCESS_MAX_RATIO * joint.speed_max_deg_s * passed_s
@@ -190,7 +188,7 @@ def _check_jumps(
 def _check_range(
     joint: Joint, start_s: NDArray[np.float64], extreme_deg: NDArray[np.float64]
 ) -> None:
-    """Look at the places, (any, pieces), that a profile comes to."""
+    """Check that the positions, (any, pieces), are within the range of the joint."""
     unit_deg = joint.unit_deg
     ends_deg = sorted(map(joint.servo_deg, (joint.position_min_deg, joint.position_max_deg)))
     outside = (extreme_deg < ends_deg[0] - unit_deg) | (extreme_deg > ends_deg[1] + unit_deg)
@@ -211,7 +209,7 @@ def _check(
     speed_deg_s: NDArray[np.float64],
     accel_deg_s2: NDArray[np.float64],
 ) -> None:
-    """Look at one profile: pieces of constant acceleration, the last one at rest for good."""
+    """Check one profile: pieces of constant acceleration, the last one at rest for good."""
     lasts_s = np.diff(start_s)
     lasts_s[~np.isfinite(lasts_s)] = 0.0
     lasts_s = np.append(lasts_s, 0.0)
@@ -248,6 +246,7 @@ def _check(
 def _refuse(
     joint: Joint, is_bad: NDArray[np.bool_] | np.bool_, times_s: NDArray[np.float64], what: str
 ) -> None:
+    """Raise `PlanningError` for the first piece that is bad."""
     if is_bad.any():
         at_s = float(times_s[int(np.argmax(is_bad))])
         raise PlanningError(

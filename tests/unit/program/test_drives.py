@@ -250,8 +250,8 @@ def test_auto_takes_what_predicts_best_and_says_why(kit):
     reasons = program.drive_reasons
     assert reasons["plain"].startswith("timed: timed predicts 0.")
     assert "1500 deg/s² is more than its ramps can express, 1000" in reasons["hasty"]
-    assert "knows no other drive" in reasons["rc"]
-    assert "knows no other drive" in reasons["pro"]
+    assert "supports no other drive" in reasons["rc"]
+    assert "supports no other drive" in reasons["pro"]
 
 
 def test_auto_gives_up_streaming_where_the_line_has_no_room_for_it(kit):
