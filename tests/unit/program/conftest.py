@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lss_motion.program.compile import compile_program
+from lss_motion.program.verify import profiles
 from lss_motion.robot.model import Bus, Joint, Response, Robot
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sequence.model import Keyframe, Sequence, Timing
 from lss_motion.trajectory.planner import plan
 from tests.joints import joint
@@ -27,7 +30,7 @@ def robot(*joints: Joint, baud_bps=115200) -> Robot:
 
 
 def keys(*rows, loop=1, timing=Timing.AUTHORED) -> Sequence:
-    """A sequence of `(at_s, {joint: deg}, hold_s)` rows."""
+    """Return a sequence of `(at_s, {joint: deg}, hold_s)` rows."""
     frames = tuple(
         Keyframe(at_s=at_s, deg=deg, hold_s=hold[0] if hold else 0.0) for at_s, deg, *hold in rows
     )
@@ -35,7 +38,7 @@ def keys(*rows, loop=1, timing=Timing.AUTHORED) -> Sequence:
 
 
 def lively(names, duration_s, *, seed=0, step_s=(0.6, 1.2), swing_deg=50.0) -> Sequence:
-    """All joints swing about at random instants, from rest at 0 to rest at 0."""
+    """Return a show in which all joints swing at random instants, from rest at 0 to rest at 0."""
     random = np.random.default_rng(seed)
     rows, at_s = [(0.0, dict.fromkeys(names, 0.0))], 0.0
     while at_s < duration_s - 2.0 * step_s[1]:
@@ -44,14 +47,42 @@ def lively(names, duration_s, *, seed=0, step_s=(0.6, 1.2), swing_deg=50.0) -> S
     return keys(*rows, (duration_s, dict.fromkeys(names, 0.0)))
 
 
+def mixed(**fields) -> Robot:
+    """Return a robot with a timed, a streamed (with `fields`) and a stepped joint."""
+    return robot(
+        joint(),
+        joint("j1", 2, drive="streamed", **fields),
+        joint("j2", 209, model=SERVO_MODELS["LSS-2IO"], drive="stepped"),
+    )
+
+
+def compiled(robot, *, seed=0, duration_s=8.0, swing_deg=50.0, **options):
+    """Return program and trajectory of a lively show."""
+    show = lively(list(robot.joints), duration_s, seed=seed, swing_deg=swing_deg)
+    trajectory = plan(show, robot)
+    return compile_program(trajectory, robot, **options), trajectory
+
+
+def horn_error_deg(program, robot, trajectory, name, lag_s):
+    """Return how far the predicted horn is from the plan, (instants)."""
+    times_s = np.arange(0.0, trajectory.duration_s, 0.005)
+    joint = robot.joints[name]
+    servo_deg = profiles(program, robot)[name].sample(times_s - lag_s)
+    planned = trajectory.sample(times_s)[:, trajectory.joints.index(name)]
+    return np.abs(joint.direction * (servo_deg - joint.zero_deg) - planned)
+
+
 class Kit:
-    """What the tests of this folder build their worlds from."""
+    """Robots, shows and compiled programs for the tests of this folder."""
 
     joint = staticmethod(joint)
     robot = staticmethod(robot)
     keys = staticmethod(keys)
     lively = staticmethod(lively)
     plan = staticmethod(plan)
+    mixed = staticmethod(mixed)
+    compiled = staticmethod(compiled)
+    horn_error_deg = staticmethod(horn_error_deg)
     Response = Response
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -246,3 +247,33 @@ def test_a_faster_line_saves_commands_or_needs_next_to_no_more(kit, seed):
     assert counts[2] <= counts[1]
     tolerances_deg = [program.tolerance_deg for program in programs]
     assert tolerances_deg == sorted(tolerances_deg, reverse=True)
+
+
+def busy(kit, rate_min_hz):
+    """A line of which commands take more than half in the worst second."""
+    joints = [kit.joint(f"j{index}", index + 1) for index in range(12)]
+    robot = kit.robot(*joints, baud_bps=19200)
+    bus = replace(robot.buses["main"], reading_rate_min_hz=rate_min_hz)
+    robot = replace(robot, buses={"main": bus})
+    return kit.plan(kit.lively(list(robot.joints), 4.0), robot), robot
+
+
+def test_the_tolerance_is_relaxed_until_the_joints_can_be_read_often_enough(kit):
+    trajectory, robot = busy(kit, 0.0)
+    freely = compile_program(trajectory, robot)
+    found_hz = freely.line_use["main"].reading_rate_hz
+    _, stricter = busy(kit, 1.02 * found_hz)
+    program = compile_program(trajectory, stricter)
+    assert program.line_use["main"].reading_rate_hz >= 1.02 * found_hz
+    assert program.tolerance_deg > freely.tolerance_deg
+
+
+def test_what_cannot_be_read_often_enough_is_refused_with_figures(kit):
+    trajectory, robot = busy(kit, 500.0)
+    with pytest.raises(LineLoadError) as caught:
+        compile_program(trajectory, robot)
+    said = str(caught.value)
+    assert "each joint could be read" in said
+    assert "times, not 500" in said
+    assert "reading_rate_min_hz" in said
+    assert caught.value.bus == "main"

@@ -3,12 +3,15 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.program.compile import compile_program
-from lss_motion.program.text import from_text, load_program, to_text
+from lss_motion.program.text import cue_line, from_text, load_program, read_cue, to_text
+from lss_motion.program.verify import profiles
 from lss_motion.robot.on_fault import Cause, FaultStep
+from lss_motion.sequence.model import Cue
 from lss_motion.trajectory.model import Mark
 
 TEXT = """\
@@ -170,3 +173,71 @@ def test_a_wrong_ladder_is_named(robot, ladder, said):
     wrong = TEXT.replace("# tolerance", f"# on_fault: {ladder}\n# tolerance")
     with pytest.raises(InputError, match=said):
         from_text(wrong, robot)
+
+
+@pytest.mark.parametrize(
+    "cue",
+    [
+        Cue(at_s=1.5, led=(("elbow", 1), ("base", 0))),
+        Cue(at_s=0.0, say='said "so" – now'),
+        Cue(at_s=2.0, run="effects:fog", folder="/home/me/my show"),
+        Cue(at_s=3.25, sound="/home/me/bell.wav", lead_s=0.1),
+    ],
+)
+def test_a_cue_is_read_as_it_was_written(cue):
+    text = cue_line(cue)
+    assert text.isascii()
+    assert read_cue(text, ["elbow", "base"]) == cue
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('x {"say": "a"}', "whole number of us"),
+        ("1500000", "JSON object"),
+        ("1500000 []", "JSON object"),
+        ('1 {"led": {"bose": 1}}', "no joint 'bose'"),
+        ('1 {"led": {"base": 8}}', "colours from 0 to 7"),
+        ('1 {"sound": "a", "lead_s": -1}', "lead_s"),
+        ('1 {"shout": "a"}', "a cue has"),
+        ('1 {"say": 3}', "a cue has"),
+    ],
+)
+def test_a_wrong_cue_is_refused_with_a_reason(text, words):
+    with pytest.raises(ValueError, match=words):
+        read_cue(text, ["base"])
+
+
+def test_text_carries_the_drives_and_reads_them_back(kit):
+    robot = kit.mixed(filter_count=6)
+    program, _ = kit.compiled(robot)
+    text = to_text(program)
+    assert "# drives: j1=streamed:6 j2=stepped\n" in text
+    other = replace(robot, joints={**robot.joints, "j1": kit.joint("j1", 2)})
+    again = from_text(text, other)
+    assert to_text(again) == text
+    assert again.drives == program.drives
+    assert again.moves == program.moves
+    expected = profiles(program, robot)["j1"].sample(np.arange(0.0, 8.0, 0.1))
+    assert profiles(again, other)["j1"].sample(np.arange(0.0, 8.0, 0.1)) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("drives", "moves", "said"),
+    [
+        ("j1=streamed", "", "'j1=streamed' is neither"),
+        ("j1=streamed:0", "", "'j1=streamed:0' is neither"),
+        ("j1=timed", "", "'j1=timed' is neither"),
+        ("j9=stepped", "", "no joint 'j9'"),
+        ("j1=streamed:4", "0 main #2D10T500", "'j1' is streamed: its D takes no T"),
+        ("j2=stepped", "0 main #209D15", "D15 is not a multiple of 10"),
+        ("j1=stepped", "0 main #2D10", "an LSS-ST1 cannot be stepped"),
+        ("j1=streamed:4", "0 main #209D10T50", "an LSS-2IO cannot be timed"),
+        ("j2=streamed:4", "0 main #209D10", "an LSS-2IO cannot be streamed"),
+    ],
+)
+def test_drives_that_do_not_fit_the_robot_are_refused(kit, drives, moves, said):
+    head = "# lss_motion program 1\n# name: x\n# robot: bench\n# duration_us: 9\n"
+    text = f"{head}# tolerance_deg: 0.2\n# start_deg: j0=0 j1=0 j2=0\n# drives: {drives}\n{moves}\n"
+    with pytest.raises(InputError, match=said):
+        from_text(text, kit.mixed())

@@ -57,18 +57,23 @@ def planned(robot, motion):
     )
 
 
-@pytest.fixture
-def spliced(kit):
-    """A robot, and a program that was extended twice while it moved: all that was ever valid."""
-    robot = kit.robot(*(kit.joint(f"j{i}", i + 1) for i in range(6)))
-    program = Program(
-        name="grows",
+def standing_program(robot, tolerance_deg):
+    """Return a program without moves, whose joints stand at 0."""
+    return Program(
+        name="standing",
         robot=robot.name,
         moves=(),
         duration_s=0.0,
         start_deg=dict.fromkeys(robot.joints, 0.0),
-        tolerance_deg=TOLERANCE_DEG,
+        tolerance_deg=tolerance_deg,
     )
+
+
+@pytest.fixture
+def spliced(kit):
+    """Return a robot, the moves of a program that was extended twice while it moved, the plans."""
+    robot = kit.robot(*(kit.joint(f"j{i}", i + 1) for i in range(6)))
+    program = standing_program(robot, TOLERANCE_DEG)
     splice_state, motion, played, plans = initial_splice_state(program, robot), None, [], []
     for seed, from_s in enumerate((1.0, 1.9, 2.6)):
         motion = swing(robot, seed, from_s=from_s, length_s=3.0, before=motion)
@@ -137,14 +142,7 @@ def test_an_extension_ends_at_rest_on_its_plan(spliced):
 
 def test_what_was_not_taken_changes_nothing(spliced):
     robot, _, plans = spliced
-    program = Program(
-        name="grows",
-        robot=robot.name,
-        moves=(),
-        duration_s=0.0,
-        start_deg=dict.fromkeys(robot.joints, 0.0),
-        tolerance_deg=TOLERANCE_DEG,
-    )
+    program = standing_program(robot, TOLERANCE_DEG)
     splice_state = initial_splice_state(program, robot)
     other = planned(robot, swing(robot, 77, from_s=1.0, length_s=2.0))
     splice_state.extended(other, starts_s=0.0, from_s=1.0)
@@ -154,14 +152,7 @@ def test_what_was_not_taken_changes_nothing(spliced):
 
 def test_a_line_that_is_too_slow_is_refused_with_what_would_help(kit):
     robot = kit.robot(*(kit.joint(f"j{i}", i + 1) for i in range(24)), baud_bps=9600)
-    program = Program(
-        name="grows",
-        robot=robot.name,
-        moves=(),
-        duration_s=0.0,
-        start_deg=dict.fromkeys(robot.joints, 0.0),
-        tolerance_deg=0.02,
-    )
+    program = standing_program(robot, 0.02)
     trajectory = planned(robot, swing(robot, 3, from_s=1.0, length_s=3.0))
     with pytest.raises(LineLoadError, match="faster baud rate"):
         initial_splice_state(program, robot).extended(trajectory, starts_s=0.0, from_s=1.0)
