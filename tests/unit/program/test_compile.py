@@ -38,7 +38,7 @@ def made(kit, sequence, *joints, **fields):
 
 
 def test_a_trapezoid_is_one_move(kit):
-    """The servo itself does what a time-optimal move between two rests asks for."""
+    """A time-optimal move between two rests has the profile of one servo move."""
     sequence = kit.keys((0.0, {"j0": 0.0}), (2.0, {"j0": 60.0}), timing=Timing.FASTEST)
     program, trajectory, robot = made(kit, sequence)
     assert len(program.moves) == 1
@@ -56,8 +56,8 @@ def test_a_slow_straight_line_is_a_few_long_moves(kit):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_time_optimal_references_at_the_ramps_own_limit_stay_near(kit, seed):
-    """No ramp is left for corrections there, so this is worse than the tolerance."""
+def test_a_time_optimal_reference_at_the_limit_of_the_ramp_is_followed(kit, seed):
+    """No ramp is left there for corrections, so the error is larger than the tolerance."""
     random = np.random.default_rng(seed)
     rows = [(None, {"j0": float(deg)}) for deg in random.uniform(-80.0, 80.0, 12)]
     sequence = kit.keys(*rows, timing=Timing.FASTEST)
@@ -67,7 +67,7 @@ def test_time_optimal_references_at_the_ramps_own_limit_stay_near(kit, seed):
     assert np.sqrt(np.mean(errors**2)) <= 0.25
 
 
-def test_every_rest_is_reached_exactly_and_kept_in_silence(kit):
+def test_rests_are_reached_exactly_and_no_move_is_sent_during_them(kit):
     rows = [(0.0, {"j0": 0.0}), (1.0, {"j0": 33.333}, 1.0), (3.2, {"j0": -47.77}, 1.5)]
     program, _, robot = made(kit, kit.keys(*rows, (6.5, {"j0": 0.04})))
     plan, joint = profiles(program, robot)["j0"], robot.joints["j0"]
@@ -80,14 +80,14 @@ def test_every_rest_is_reached_exactly_and_kept_in_silence(kit):
     assert len(received_s) > 6
 
 
-def test_a_joint_that_never_moves_is_never_told_anything(kit):
+def test_a_joint_that_does_not_move_is_sent_no_moves(kit):
     sequence = kit.keys((0.0, {"j0": 10.0, "j1": 0.0}), (2.0, {"j0": 10.0, "j1": 40.0}))
     program, _, _ = made(kit, sequence, kit.joint(), kit.joint("j1", 2))
     assert {move.servo_id for move in program.moves} == {2}
     assert program.start_deg == {"j0": 10.0, "j1": 0.0}
 
 
-def test_targets_stay_inside_the_range_although_they_lead(kit):
+def test_targets_ahead_of_the_reference_stay_inside_the_range(kit):
     rows = [(0.7 * step, {"j0": 90.0 if step % 2 else -90.0}) for step in range(8)]
     program, _, _ = made(kit, kit.keys(*rows))
     wires = [move.target_wire for move in program.moves]
@@ -96,7 +96,7 @@ def test_targets_stay_inside_the_range_although_they_lead(kit):
     assert max(wires) == 900
 
 
-def test_a_range_between_two_wire_steps_is_not_left_by_rounding(kit):
+def test_rounding_never_leaves_a_range_that_ends_between_two_wire_values(kit):
     narrow = kit.joint(position_min_deg=-12.37, position_max_deg=12.37)
     sequence = kit.keys((0.0, {"j0": -12.37}), (1.0, {"j0": 12.37}), (2.0, {"j0": -12.37}))
     program, _, _ = made(kit, sequence, narrow)
@@ -109,7 +109,7 @@ def test_a_range_between_two_wire_steps_is_not_left_by_rounding(kit):
     }
 
 
-def test_no_move_asks_for_more_than_the_speed_limit(kit):
+def test_no_move_exceeds_the_speed_limit(kit):
     program, _, robot = made(kit, kit.lively(["j0"], 12.0, swing_deg=85.0))
     plan = profiles(program, robot)["j0"]
     for move in program.moves:
@@ -127,7 +127,7 @@ def test_direction_and_zero_are_respected(kit):
     assert np.abs(error_deg(program, trajectory, robot)).max() <= 0.201
 
 
-def test_lss_pro_joints_are_told_hundredths(kit):
+def test_lss_pro_joints_are_sent_hundredths_of_a_degree(kit):
     from lss_motion.robot.servo_models import SERVO_MODELS
 
     pro = kit.joint(model=SERVO_MODELS["LSS-P-S1"], speed_max_deg_s=90.0, accel_max_deg_s2=200.0)
@@ -139,7 +139,7 @@ def test_lss_pro_joints_are_told_hundredths(kit):
 
 
 @pytest.mark.parametrize("law", ["cruise", "exact"])
-def test_both_laws_of_t_are_allowed_for(kit, law):
+def test_the_tolerance_is_kept_under_both_laws_of_t(kit, law):
     sequence = kit.lively(["j0"], 8.0, seed=4, swing_deg=30.0)
     program, trajectory, robot = made(kit, sequence, kit.joint(response=kit.Response(t_law=law)))
     errors = np.abs(error_deg(program, trajectory, robot))
@@ -147,7 +147,7 @@ def test_both_laws_of_t_are_allowed_for(kit, law):
     assert program.error_max_deg["j0"] == pytest.approx(errors.max(), abs=0.02)
 
 
-def test_the_lag_of_the_servo_is_led(kit):
+def test_moves_lead_by_the_lag_of_the_servo(kit):
     sequence = kit.keys((0.0, {"j0": 0.0}), (1.5, {"j0": 60.0}))
     quick, slow = (
         made(kit, sequence, kit.joint(response=kit.Response(lag_s=lag_s))) for lag_s in (0.0, 0.1)
@@ -177,18 +177,18 @@ def test_a_line_so_slow_that_moves_come_after_their_standstill_is_refused_as_wel
 def test_a_line_that_is_too_slow_is_refused_with_numbers_and_advice(kit):
     with pytest.raises(LineLoadError) as caught:
         compile_program(*crowd(kit, 26, 9600, length_s=3.0))
-    said = str(caught.value)
-    assert "'main' at 9600 bps" in said
-    assert "commands need" in said
-    assert "%" in said
-    assert "1.2 deg" in said
-    assert "baud" in said
+    message = str(caught.value)
+    assert "'main' at 9600 bps" in message
+    assert "commands need" in message
+    assert "%" in message
+    assert "1.2 deg" in message
+    assert "baud" in message
     assert caught.value.bus == "main"
     assert caught.value.utilisation_ratio > 0.5
-    assert f"{caught.value.utilisation_ratio:.0%}" in said
+    assert f"{caught.value.utilisation_ratio:.0%}" in message
 
 
-def test_in_between_the_tolerance_is_relaxed_and_said(kit):
+def test_a_slow_line_relaxes_the_tolerance_and_the_program_reports_it(kit):
     trajectory, robot = crowd(kit, 20, 19200)
     program = compile_program(trajectory, robot)
     assert 0.2 < program.tolerance_deg <= 1.0
@@ -209,7 +209,7 @@ def test_no_two_commands_overlap_on_the_line(kit):
     assert program.line_use["main"].commands == len(program.moves)
 
 
-def test_an_endless_program_repeats_a_pass_that_joins_itself(kit):
+def test_an_endless_program_repeats_a_pass_without_a_gap(kit):
     rows = [(0.0, {"j0": 0.0}), (1.0, {"j0": 50.0}), (2.4, {"j0": -40.0}), (3.2, {"j0": 0.0})]
     program, trajectory, _ = made(kit, kit.keys(*rows, loop=None))
     assert math.isinf(program.duration_s)
@@ -250,7 +250,7 @@ def test_a_faster_line_saves_commands_or_needs_next_to_no_more(kit, seed):
 
 
 def busy(kit, rate_min_hz):
-    """A line of which commands take more than half in the worst second."""
+    """Return a show whose commands take more than half of the line in the worst second."""
     joints = [kit.joint(f"j{index}", index + 1) for index in range(12)]
     robot = kit.robot(*joints, baud_bps=19200)
     bus = replace(robot.buses["main"], reading_rate_min_hz=rate_min_hz)
@@ -268,12 +268,12 @@ def test_the_tolerance_is_relaxed_until_the_joints_can_be_read_often_enough(kit)
     assert program.tolerance_deg > freely.tolerance_deg
 
 
-def test_what_cannot_be_read_often_enough_is_refused_with_figures(kit):
+def test_a_line_without_room_for_readings_is_refused_with_figures(kit):
     trajectory, robot = busy(kit, 500.0)
     with pytest.raises(LineLoadError) as caught:
         compile_program(trajectory, robot)
-    said = str(caught.value)
-    assert "each joint could be read" in said
-    assert "times, not 500" in said
-    assert "reading_rate_min_hz" in said
+    message = str(caught.value)
+    assert "each joint could be read" in message
+    assert "times, not 500" in message
+    assert "reading_rate_min_hz" in message
     assert caught.value.bus == "main"

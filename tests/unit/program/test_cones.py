@@ -12,7 +12,7 @@ LIMITS = servo_limits(joint(), 0.2)
 
 
 @pytest.mark.parametrize("block", [20, 50])
-def test_cones_looked_at_in_blocks_are_those_looked_at_at_once(block):
+def test_cones_computed_in_blocks_equal_those_computed_at_once(block):
     random = np.random.default_rng(4)
     times_s = GRID_S * np.arange(1200)
     # Slow enough that some cones are open for long, each in another block.

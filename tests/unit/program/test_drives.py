@@ -1,4 +1,4 @@
-"""Streamed, stepped and chosen drives: what is fitted, and what it predicts."""
+"""The choice of drives for `drive: auto`, and robots with several drives."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_a_repeated_pass_leaves_no_step_behind(kit):
         assert np.abs(third - first).max() < allowed, name
 
 
-def test_auto_takes_what_predicts_best_and_says_why(kit):
+def test_auto_takes_the_drive_that_predicts_best_and_gives_the_reason(kit):
     auto = {"drive": "auto"}
     robot = kit.robot(
         kit.joint("plain", 1, **auto),
@@ -80,7 +80,7 @@ def test_auto_gives_up_streaming_where_the_line_has_no_room_for_it(kit):
     assert "the line has no room to stream it" in narrow.drive_reasons[given_up[0]]
 
 
-def test_old_firmware_has_no_filter_to_choose(kit):
+def test_auto_never_streams_with_firmware_that_has_no_filter(kit):
     robot = kit.robot(kit.joint(drive="auto", response=Response(retarget="from_rest")))
     bus = replace(robot.buses["main"], firmware=367)
     program, _ = kit.compiled(replace(robot, buses={"main": bus}), tolerance_deg=1.0)

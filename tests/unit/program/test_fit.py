@@ -17,7 +17,7 @@ LIMITS = servo_limits(joint(), 0.2)
 
 
 def all_fitted(rows_deg, limits=LIMITS):
-    """Return moves and profile for each course, all heard when they are wanted."""
+    """Return moves and profile for each reference, with each move granted as requested."""
     references = [Reference(start_s=0.0, position_deg=np.asarray(row)) for row in rows_deg]
     each = [limits] * len(references)
     moves = TimedFit(references, each).moves(
@@ -32,7 +32,7 @@ def fitted(position_deg):
 
 
 def swings(count, seed=0, longest_s=7.5):
-    """Return smooth courses from rest to rest, no two alike."""
+    """Return smooth references from rest to rest, no two alike."""
     random = np.random.default_rng(seed)
     times_s = GRID_S * np.arange(1600)
     ramp = np.clip(np.minimum(times_s - 0.5, longest_s - times_s) / 1.5, 0.0, 1.0)
@@ -46,8 +46,8 @@ def swings(count, seed=0, longest_s=7.5):
         yield swing * fade
 
 
-def test_out_of_a_turning_point_nothing_is_received_while_the_servo_may_still_land_there():
-    """Or the stop would be given up, and all of the stretch fitted once more."""
+def test_a_segment_from_a_turning_point_begins_after_the_landing_there():
+    """Otherwise the stop would be refused, and all of that part fitted again."""
     reference = Reference(start_s=0.0, position_deg=8.0 * np.sin(4.0 * GRID_S * np.arange(12000)))
     segments = list(segments_of(0, reference, LIMITS, 0.16, ()))
     assert len(segments) > 3
@@ -63,7 +63,7 @@ def test_out_of_a_turning_point_nothing_is_received_while_the_servo_may_still_la
     assert len(lines) == 1
 
 
-def test_a_turning_point_at_which_the_line_is_late_is_travelled_through():
+def test_a_turning_point_at_which_the_line_is_late_is_no_stop():
     reference = Reference(start_s=0.0, position_deg=8.0 * np.sin(4.0 * GRID_S * np.arange(12000)))
     segments = list(segments_of(0, reference, LIMITS, 0.16, ()))
     turn_us = round(1e6 * reference.time_s(segments[1].first))
@@ -86,7 +86,7 @@ def test_a_turning_point_at_which_the_line_is_late_is_travelled_through():
     assert stray_deg[times_s > turn_us / 1e6 - 2.0].max() < 2.0 * LIMITS.tolerance_deg
 
 
-def test_no_reference_is_run_past_the_begin_of_its_rest():
+def test_no_profile_runs_past_the_begin_of_a_rest():
     """One long slow move could keep the tolerance for a while after the rest began."""
     for moves, profile in all_fitted(swings(190)):
         assert moves.received_s[-1] <= 7.5
@@ -94,7 +94,7 @@ def test_no_reference_is_run_past_the_begin_of_its_rest():
         assert profile.at(7.75) == (0.0, 0.0)
 
 
-def test_a_steady_speed_is_a_move_every_second_and_a_half():
+def test_a_steady_speed_needs_a_move_every_second_and_a_half():
     times_s = GRID_S * np.arange(2400)
     reference_deg = -80.0 + 16.0 * np.clip(times_s - 0.5, 0.0, 10.0)
     moves, _ = fitted(reference_deg)
@@ -107,7 +107,7 @@ def test_a_standstill_needs_no_move():
     assert len(fitted(np.full(400, 12.34))[0]) == 0
 
 
-def test_what_is_less_than_half_a_wire_step_is_no_motion():
+def test_less_than_half_a_wire_step_needs_no_move():
     times_s = GRID_S * np.arange(400)
     assert len(fitted(0.04 * np.sin(5.0 * times_s))[0]) == 0
 
@@ -116,14 +116,14 @@ def test_what_is_less_than_half_a_wire_step_is_no_motion():
 @pytest.mark.parametrize("wire_per_deg", [10, 100])
 @pytest.mark.parametrize(("scale", "most"), [(1.0, 218), (4.0, 421)])
 def test_the_tolerance_is_kept_with_few_moves(scale, most, wire_per_deg, law):
-    """`most`: what was measured and two or three more, of 24 courses together."""
+    """`most`: the measured number of moves of 24 references, and two or three more."""
     limits = replace(LIMITS, wire_per_deg=wire_per_deg, response=Response(t_law=law))
     rows_deg = [scale * row_deg for row_deg in swings(24, seed=3)]
     found = all_fitted(rows_deg, limits)
     assert sum(len(moves) for moves, _ in found) <= most
     for (_, profile), row_deg in zip(found, rows_deg, strict=True):
         stray_deg = np.abs(profile.sample(GRID_S * np.arange(len(row_deg))) - row_deg)
-        assert stray_deg.max() <= LIMITS.tolerance_deg + 0.002  # The wire rounds.
+        assert stray_deg.max() <= LIMITS.tolerance_deg + 0.002  # Rounding of the wire.
 
 
 @pytest.mark.parametrize(("accel_deg_s2", "most"), [(300.0, 35), (450.0, 47), (580.0, 50)])

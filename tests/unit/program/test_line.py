@@ -26,7 +26,7 @@ def test_a_gap_that_is_just_wide_enough_is_used():
     assert line.reserve(10_000, 1_001, 0) == 7_000
 
 
-def test_it_is_late_only_when_nothing_is_free_before():
+def test_a_slot_is_late_only_if_no_earlier_one_is_free():
     line = LineSchedule()
     line.reserve(10_000, 4_000, 0)
     assert line.reserve(10_000, 1_000, 6_000) == 11_000
@@ -34,7 +34,7 @@ def test_it_is_late_only_when_nothing_is_free_before():
 
 
 def best_end_us(slots_us, latest_end_us, size_us, earliest_us):
-    """Say what `reserve` promises, by trying every place next to another slot."""
+    """Return the slot that `reserve` must return, from all places next to another slot."""
 
     def is_free(start_us):
         return all(stop <= start_us or start >= start_us + size_us for start, stop in slots_us)
@@ -49,7 +49,7 @@ def best_end_us(slots_us, latest_end_us, size_us, earliest_us):
 
 
 def random_requests(random, count, step_us):
-    """Return wishes, half of them about the same instants; coarse steps leave gaps just as wide."""
+    """Return requests, half of them near the same instants; coarse steps leave exact gaps."""
     for _ in range(count):
         size_us = random.choice((1_000, 1_041, 5_000, 20_000, 1))
         request_us = random.randrange(-1, 12) * 500_000
@@ -59,14 +59,14 @@ def random_requests(random, count, step_us):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_every_slot_is_the_best_free_one_wherever_it_lies(seed):
+def test_every_slot_is_the_best_free_one(seed):
     random, line, slots_us = Random(seed), LineSchedule(), []
     for request in random_requests(random, 160, (1, 500)[seed % 2]):
         requested_us = best_end_us(slots_us, *request)
         other = line.copy()
         assert line.reserve(*request) == requested_us, request
         assert other.reserve(*request) == requested_us, (
-            "a copy knows the same slots, and no later ones"
+            "a copy has the same slots, and no later ones"
         )
         slots_us.append((requested_us - request[1], requested_us))
 
@@ -76,7 +76,7 @@ def reserved_us(line, *requests):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_of_many_none_overlap_and_none_is_late_that_need_not_be(seed):
+def test_many_slots_never_overlap_and_are_late_only_if_they_must_be(seed):
     random, line, slots_us = Random(seed), LineSchedule(), []
     late = 0
     for count in (1, 90, 2, 40, 7):
@@ -98,7 +98,7 @@ def test_of_many_none_overlap_and_none_is_late_that_need_not_be(seed):
     assert 20 < late < 120, "both are looked at"
 
 
-def test_many_with_a_free_line_have_what_they_request():
+def test_many_requests_on_a_free_line_are_all_granted():
     line = LineSchedule()
     assert line.reserve(7_000, 1_000, 0) == 7_000
     requests = [(9_000, 1_000, 0), (2_000, 1_000, 0), (6_000, 4_000, 0), (8_000, 1_000, 0)]
@@ -106,30 +106,30 @@ def test_many_with_a_free_line_have_what_they_request():
     assert line.reserve(9_000, 1_000, 0) == 1_000, "all of them are reserved"
 
 
-def test_of_two_in_each_others_way_the_earlier_request_goes_before_the_later():
+def test_of_two_overlapping_requests_the_earlier_one_goes_first():
     assert reserved_us(LineSchedule(), (9_000, 1_000, 0), (9_500, 1_000, 0)) == [8_500, 9_500]
     assert reserved_us(LineSchedule(), (9_500, 1_000, 0), (9_000, 1_000, 0)) == [9_500, 8_500]
 
 
-def test_who_cannot_go_before_another_has_its_request():
+def test_a_request_that_cannot_move_earlier_keeps_its_place():
     requests = [(9_000, 1_000, 7_800), (9_500, 1_000, 0), (9_600, 1_000, 8_600)]
     assert reserved_us(LineSchedule(), *requests) == [9_000, 8_000, 10_000]
 
 
-def test_what_goes_before_one_slot_goes_before_the_next_too():
+def test_a_request_moved_before_one_slot_also_moves_before_the_next():
     line = LineSchedule()
     for end_us in (9_000, 7_500):
         line.reserve(end_us, 1_000, 0)
     assert reserved_us(line, (10_000, 1_000, 0), (10_050, 1_000, 0)) == [6_500, 10_050]
 
 
-def test_whom_one_that_is_blocked_takes_the_place_of_is_not_put_upon_a_slot():
+def test_a_request_displaced_by_a_blocked_one_overlaps_no_slot():
     line = LineSchedule()
     assert [line.reserve(5_000, 1_000, 0), line.reserve(7_500, 700, 0)] == [5_000, 7_500]
     assert reserved_us(line, (6_000, 1_000, 0), (7_000, 1_000, 0)) == [4_000, 6_800]
 
 
-def test_a_copy_and_its_original_leave_each_other_alone():
+def test_a_copy_and_its_original_are_independent():
     line = LineSchedule()
     line.reserve(10_000, 1_000, 0)
     other = line.copy()
@@ -146,18 +146,18 @@ def test_use_counts_commands_share_and_the_worst_window():
     assert (use.overlaps, use.late_max_us) == (0, 0)
 
 
-def test_use_finds_what_overlaps_and_how_long_it_waits():
+def test_use_counts_overlaps_and_the_longest_wait():
     use = line_use("main", 115200, [(0, 1_000), (400, 1_000), (1_000, 1_000), (9_000, 1_000)])
     assert use.overlaps == 2
     assert use.late_max_us == 1_000
 
 
-def test_an_unused_line_is_not_used():
+def test_an_unused_line_has_a_use_of_zero():
     use = line_use("main", 115200, [])
     assert (use.commands, use.utilisation_ratio, use.worst_100_ms_ratio) == (0, 0.0, 0.0)
 
 
-def test_use_goes_from_the_first_byte_to_the_last():
+def test_use_is_measured_from_the_first_byte_to_the_last():
     # 10 ms, 20 ms and, waiting for these, 30 ms of sending: from 0.5 s to 1.03 s.
     slots_us = [(1_000_000, 30_000), (500_000, 10_000), (980_000, 20_000)]
     use = line_use("main", 500_000, slots_us)
@@ -166,14 +166,14 @@ def test_use_goes_from_the_first_byte_to_the_last():
     assert (use.bus, use.baud_bps) == ("main", 500_000)
 
 
-def test_what_has_to_wait_makes_the_use_longer():
+def test_commands_that_wait_make_the_measured_time_longer():
     use = line_use("main", 115200, [(0, 90_000), (10_000, 60_000)])
     assert use.utilisation_ratio == pytest.approx(1.0)
     assert use.worst_100_ms_ratio == 1.0
     assert use.late_max_us == 80_000
 
 
-def test_of_commands_due_at_once_the_shorter_one_goes_first():
+def test_of_commands_due_at_once_the_shorter_one_is_sent_first():
     use = line_use("main", 115200, [(0, 3_000), (0, 1_000)])
     assert (use.overlaps, use.late_max_us) == (1, 1_000)
 
@@ -186,7 +186,7 @@ def slots(*pairs):
     return np.array(pairs, dtype=np.intp).reshape(-1, 2)
 
 
-def test_on_an_idle_line_the_answers_are_what_takes_the_time(kit):
+def test_on_an_idle_line_the_replies_limit_the_rate(kit):
     reply_us = 9 * 87 - 1  # *1QD-900 and its end
     expected_hz = 1e6 / (TURNAROUND_US + reply_us)
     assert reading_rate_hz([kit.joint()], 115200, slots()) == pytest.approx(expected_hz, rel=1e-2)
@@ -195,7 +195,7 @@ def test_on_an_idle_line_the_answers_are_what_takes_the_time(kit):
     assert reading_rate_hz([], 115200, slots()) == float("inf")
 
 
-def test_a_gap_too_short_for_a_question_counts_for_nothing(kit):
+def test_a_gap_too_short_for_a_query_does_not_count(kit):
     joints = [kit.joint()]
     full = slots(*((at, 10_000 - QUERY_US + 1) for at in range(0, 3_000_000, 10_000)))
     assert reading_rate_hz(joints, 115200, full) == 0.0
@@ -204,8 +204,8 @@ def test_a_gap_too_short_for_a_question_counts_for_nothing(kit):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_as_many_questions_as_promised_can_be_sent_in_any_second(kit, seed):
-    """Against a line that is asked on whenever a question fits before the next command."""
+def test_the_promised_number_of_queries_fits_in_any_second(kit, seed):
+    """Against a line on which a query is sent whenever it fits before the next command."""
     random = np.random.default_rng(seed)
     own, at_us = [], 0
     while at_us < 4_000_000:

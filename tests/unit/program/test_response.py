@@ -117,7 +117,7 @@ def test_from_rest_forgets_the_speed_and_keep_speed_does_not():
     assert keeping.at(0.5)[0] == resting.at(0.5)[0] == pytest.approx(40.0)
 
 
-def test_told_to_go_where_it_is_passing_it_stops_and_comes_back_without_a_jump():
+def test_a_target_that_is_being_passed_is_reached_by_coming_back():
     servo = profile()
     servo.retarget(0.0, 90.0, 0.9)
     here_deg, _ = servo.at(0.5)
@@ -139,7 +139,7 @@ def test_a_new_command_drops_what_was_planned_after_it():
     assert starts_s == sorted(starts_s)
 
 
-def test_forgetting_the_past_leaves_the_present_as_it_is():
+def test_dropping_history_does_not_change_the_present():
     servo = profile()
     for step in range(200):
         servo.retarget(0.1 * step, 90.0 if step % 2 else -90.0, 0.9)
@@ -149,13 +149,13 @@ def test_forgetting_the_past_leaves_the_present_as_it_is():
     assert len(list(servo.pieces())) < 60
 
 
-def test_before_its_history_it_stood_where_it_began():
+def test_before_its_history_a_profile_stands_at_its_first_position():
     servo = profile()
     servo.retarget(3.0, 90.0, 0.9)
     assert servo.at(-1e9) == servo.at(2.9) == (0.0, 0.0)
 
 
-def test_the_reference_is_the_profile_in_arrays():
+def test_a_piecewise_profile_equals_its_profile():
     servo = profile()
     servo.retarget(0.0, 90.0, 0.9)
     servo.retarget(0.4, -30.0, 0.5)
@@ -171,7 +171,7 @@ def test_the_reference_is_the_profile_in_arrays():
     ("start_s", "step_s"), [(-1.0, 0.005), (0.213, 0.01), (0.9, 0.4), (9.0, 1.0)]
 )
 @pytest.mark.parametrize("begin_s", [-math.inf, 0.0])
-def test_on_a_grid_it_is_what_it_is_anywhere(start_s, step_s, begin_s):
+def test_samples_on_a_grid_equal_single_samples(start_s, step_s, begin_s):
     moves = trapezoid(Piece(0.0, 5.0, 60.0, 0.0), 90.0, 200.0, RAMP_DEG_S2)
     first = [Piece(begin_s, 5.0, 0.0, 0.0)] if math.isinf(begin_s) else []
     for curve in (

@@ -17,9 +17,9 @@ STEP_S = 0.02
 
 
 def swing(robot, seed, *, from_s, length_s, before=None):
-    """All joints on sums of sines that fade in and out; from `from_s` on another, as smoothly.
+    """All joints follow sums of sines; a smooth change to another sum begins at `from_s`.
 
-    Returns times, angles and speeds; those before `from_s` are `before`'s.
+    Returns times, angles and speeds; those before `from_s` come from `before`.
     """
     random = np.random.default_rng(seed)
     names = list(robot.joints)
@@ -86,8 +86,8 @@ def spliced(kit):
     return robot, played, plans
 
 
-def test_what_is_spliced_moves_on_without_a_stop_and_near_the_last_plan(spliced):
-    """Judged by a profile of its own that hears the moves that were left, one after the other."""
+def test_spliced_moves_continue_without_a_stop_near_the_last_plan(spliced):
+    """Judged by an independent profile that receives the remaining moves one by one."""
     robot, played, plans = spliced
     extension, trajectory = plans[-1]
     times_s = np.arange(0.5, extension.duration_s, 0.002)
@@ -140,7 +140,7 @@ def test_an_extension_ends_at_rest_on_its_plan(spliced):
         assert position_deg == pytest.approx(robot.joints[name].servo_deg(at_deg), abs=0.06)
 
 
-def test_what_was_not_taken_changes_nothing(spliced):
+def test_an_extension_that_is_not_taken_changes_nothing(spliced):
     robot, _, plans = spliced
     program = standing_program(robot, TOLERANCE_DEG)
     splice_state = initial_splice_state(program, robot)
@@ -150,7 +150,7 @@ def test_what_was_not_taken_changes_nothing(spliced):
     assert [*again.moves] == [*plans[0][0].moves]
 
 
-def test_a_line_that_is_too_slow_is_refused_with_what_would_help(kit):
+def test_an_extension_for_a_line_that_is_too_slow_is_refused_with_advice(kit):
     robot = kit.robot(*(kit.joint(f"j{i}", i + 1) for i in range(24)), baud_bps=9600)
     program = standing_program(robot, 0.02)
     trajectory = planned(robot, swing(robot, 3, from_s=1.0, length_s=3.0))

@@ -24,4 +24,4 @@ def test_a_stepped_horn_is_at_the_nearest_whole_degree(kit, seed):
         "but for the line time of a byte"
     )
     values = [move.target_wire for move in program.moves]
-    assert all(a != b for a, b in pairwise(values)), "nothing is said twice"
+    assert all(a != b for a, b in pairwise(values)), "nothing is message twice"

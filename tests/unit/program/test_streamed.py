@@ -18,7 +18,7 @@ from lss_motion.sequence.model import Keyframe, Sequence
 PERIOD_S = 0.02
 
 
-def test_the_filter_steps_as_its_maker_says():
+def test_the_filter_steps_as_documented():
     servo = FilterProfile(0.0, count=5, response=Response(), step_s=0.0)
     servo.retarget(0.001, 90.0, None)
     assert [round(servo.value(step), 3) for step in range(3)] == [0.0, 18.0, 32.4]
@@ -28,7 +28,7 @@ def test_the_filter_steps_as_its_maker_says():
     assert speed_deg_s == pytest.approx((32.4 - 18.0) / PERIOD_S)
 
 
-def test_what_is_received_in_the_last_loop_before_a_step_counts_from_the_next_one():
+def test_a_command_received_in_the_last_loop_before_a_step_counts_from_the_next_one():
     servo = FilterProfile(0.0, count=2, response=Response(), step_s=0.0)
     assert servo.acts_on(0.0149) == 1
     assert servo.acts_on(0.0151) == 2
@@ -38,7 +38,7 @@ def test_what_is_received_in_the_last_loop_before_a_step_counts_from_the_next_on
     )
 
 
-def test_a_long_rest_takes_no_memory_and_is_forgotten():
+def test_a_long_rest_takes_no_memory_and_can_be_dropped():
     servo = FilterProfile(0.0, count=3, response=Response(), step_s=0.0)
     for hour in range(5):
         servo.retarget(3600.0 * hour + 1.0, 10.0 * hour, None)
@@ -50,16 +50,18 @@ def test_a_long_rest_takes_no_memory_and_is_forgotten():
 
 @pytest.mark.parametrize("count", [2, 4, 8])
 @pytest.mark.parametrize("seed", range(3))
-def test_a_streamed_horn_keeps_the_tolerance_and_the_lag_of_its_filter_is_gone(kit, seed, count):
+def test_a_streamed_horn_keeps_the_tolerance_without_the_lag_of_its_filter(kit, seed, count):
     robot = kit.robot(kit.joint("j1", 2, drive="streamed", filter_count=count, zero_deg=3.3))
     program, trajectory = kit.compiled(robot, seed=seed)
     error_deg = kit.horn_error_deg(program, robot, trajectory, "j1", 0.02)
-    assert error_deg.max() < 0.35, "0.2, and what a course bends between two steps"
+    assert error_deg.max() < 0.35, "0.2, and the bend of a reference between two steps"
     assert np.sqrt(np.mean(error_deg**2)) < 0.1
     assert program.drives == {"j1": Driving("streamed", count)}
     assert {move.duration_ms for move in program.moves} == {None}
     late_deg = np.abs(np.diff(trajectory.sample(np.arange(0.0, 7.0, (count - 1) * PERIOD_S))[:, 0]))
-    assert late_deg.max() > 10 * error_deg.max() or count == 2, "what the lag would have been"
+    assert late_deg.max() > 10 * error_deg.max() or count == 2, (
+        "far more than the error: the lag of the filter"
+    )
 
 
 def test_fewer_commands_do_for_a_longer_filter_and_a_wider_tolerance(kit):
@@ -85,7 +87,7 @@ def test_targets_of_a_streamed_joint_never_leave_its_range_or_outrun_its_speed(k
     assert np.abs(speed_deg_s).max() <= 180.0 + 0.05 / (4 * PERIOD_S) + 1e-6
 
 
-def test_a_rest_at_the_end_of_a_range_that_the_wire_cannot_say_comes_to_an_end(kit):
+def test_a_rest_at_an_end_of_the_range_between_two_wire_values_ends(kit):
     robot = kit.robot(
         kit.joint("j1", 2, drive="streamed", position_min_deg=-50.0, position_max_deg=43.27)
     )
@@ -96,14 +98,14 @@ def test_a_rest_at_the_end_of_a_range_that_the_wire_cannot_say_comes_to_an_end(k
     assert program.duration_s < 1.5
 
 
-def test_the_end_is_said_until_a_filter_that_missed_some_of_it_has_settled(kit):
+def test_the_resting_place_is_sent_until_a_filter_that_missed_some_has_settled(kit):
     robot = kit.robot(kit.joint("j1", 2, drive="streamed"))
     plan = kit.plan(kit.keys((0.0, {"j1": 0.0}), (0.4, {"j1": 20.0}), (5.0, {"j1": 20.0})), robot)
     program = compile_program(plan, robot)
     last = [move for move in program.moves if move.target_wire == 200]
-    said = [move for move in program.moves[-len(last) :] if move.target_wire == 200]
-    assert 3 <= len(said) <= 15
-    assert said[-1].due_us < 1_000_000, "and then it is silent"
-    gaps_us = [b.due_us - a.due_us for a, b in pairwise(said)]
+    sent = [move for move in program.moves[-len(last) :] if move.target_wire == 200]
+    assert 3 <= len(sent) <= 15
+    assert sent[-1].due_us < 1_000_000, "no command after that"
+    gaps_us = [b.due_us - a.due_us for a, b in pairwise(sent)]
     assert gaps_us == pytest.approx([20_000] * len(gaps_us), abs=1500)
     assert profiles(program, robot)["j1"].at(2.0) == (20.0, 0.0)

@@ -25,21 +25,21 @@ def moves(count: int) -> list[Move]:
 
 
 @pytest.mark.parametrize("count", [0, 1, MADE_AT_ONCE, 2 * MADE_AT_ONCE + 3])
-def test_a_table_is_the_sequence_of_its_moves(count):
-    said = moves(count)
-    table = table_of(said)
+def test_a_table_equals_the_sequence_of_its_moves(count):
+    expected = moves(count)
+    table = table_of(expected)
     assert isinstance(table, MoveTable)
     assert table_of(table) is table
     assert len(table) == count
-    assert [*table] == said
-    assert [table[index] for index in range(-count, count)] == said + said
-    assert [*table[1:-1:2]] == said[1:-1:2]
-    assert [*pickle.loads(pickle.dumps(table))] == said
+    assert [*table] == expected
+    assert [table[index] for index in range(-count, count)] == expected + expected
+    assert [*table[1:-1:2]] == expected[1:-1:2]
+    assert [*pickle.loads(pickle.dumps(table))] == expected
     with pytest.raises(IndexError):
         table[count]
 
 
-def test_its_moves_are_plain_numbers():
+def test_the_moves_of_a_table_hold_plain_integers():
     for move in table_of(moves(20)):
         assert type(move) is Move
         assert {type(move.due_us), type(move.servo_id), type(move.target_wire)} == {int}
@@ -47,17 +47,22 @@ def test_its_moves_are_plain_numbers():
 
 
 def test_programs_are_equal_if_their_moves_are():
-    said = moves(5)
+    expected = moves(5)
     program = Program(
-        name="any", robot="any", moves=tuple(said), duration_s=1.0, start_deg={}, tolerance_deg=0.2
+        name="any",
+        robot="any",
+        moves=tuple(expected),
+        duration_s=1.0,
+        start_deg={},
+        tolerance_deg=0.2,
     )
-    assert replace(program, moves=table_of(said)) == program
-    assert program == replace(program, moves=table_of(said))
-    assert replace(program, moves=table_of(said[:-1])) != program
-    assert table_of(said) != 5
+    assert replace(program, moves=table_of(expected)) == program
+    assert program == replace(program, moves=table_of(expected))
+    assert replace(program, moves=table_of(expected[:-1])) != program
+    assert table_of(expected) != 5
 
 
-def test_a_move_to_a_servo_that_is_not_there_has_no_columns(kit):
+def test_columns_refuse_a_move_to_an_unknown_servo(kit):
     robot = kit.robot(kit.joint())
     (joint,) = robot.joints.values()
     own = Move(due_us=0, bus=joint.bus, servo_id=joint.servo_id, target_wire=5, duration_ms=None)

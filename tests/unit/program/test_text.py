@@ -48,7 +48,7 @@ def test_a_compiled_program_survives_its_text_form(kit, loop):
     assert again.line_use == program.line_use
 
 
-def test_the_text_form_is_what_its_docstring_draws(robot):
+def test_the_text_form_is_as_its_docstring_shows(robot):
     program = from_text(TEXT, robot)
     assert to_text(program) == TEXT
     assert program.start_deg == {"j0": 0.0, "a=b": 1.5}
@@ -69,13 +69,13 @@ def test_marks_keep_any_label_that_a_sequence_may_have(robot, tmp_path):
     assert again.marks == marks
 
 
-def test_comments_and_blank_lines_are_passed_over(robot):
+def test_comments_and_blank_lines_are_ignored(robot):
     commented = TEXT.replace("-20000 main #2", "\n# slowly now\n   \n-20000 main #2")
     assert from_text(commented, robot).moves == from_text(TEXT, robot).moves
 
 
 @pytest.mark.parametrize(
-    ("line", "wrong", "said"),
+    ("line", "wrong", "message"),
     [
         (1, "# something else", "the first line must be"),
         (8, "-20000 main #1D100", "joint 'j0' is timed: its D needs a T"),
@@ -100,22 +100,23 @@ def test_comments_and_blank_lines_are_passed_over(robot):
         (6, "# start_deg: j0=x a=b=1", "'x' is not a number"),
     ],
 )
-def test_every_bad_line_is_named_with_its_place(robot, tmp_path, line, wrong, said):
+def test_every_bad_line_is_named_with_its_place(robot, tmp_path, line, wrong, message):
     lines = TEXT.splitlines()
     lines[line - 1] = wrong
     path = tmp_path / "bad.lss"
-    with pytest.raises(InputError, match=re.escape(said)) as caught:
+    with pytest.raises(InputError, match=re.escape(message)) as caught:
         from_text("\n".join(lines), robot, path=path)
     is_header = 1 < line < 7 or wrong.startswith("# repeat")
     assert str(caught.value).startswith(f"{path}:{1 if is_header else line}: ")
 
 
 @pytest.mark.parametrize(
-    ("edges", "said"), [("5 5", "FROM before TO"), ("5", "FROM TO"), ("a 9", "not a whole number")]
+    ("edges", "message"),
+    [("5 5", "FROM before TO"), ("5", "FROM TO"), ("a 9", "not a whole number")],
 )
-def test_a_repeat_must_be_a_stretch_of_time(robot, edges, said):
+def test_a_repeat_must_be_a_stretch_of_time(robot, edges, message):
     endless = TEXT.replace("_us: 2000000", f"_us: forever\n# repeat_us: {edges}")
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         from_text(endless, robot)
 
 
@@ -134,7 +135,7 @@ def test_the_robots_file_is_found_beside_the_program(robot, tmp_path):
     assert again.moves == program.moves
 
 
-def test_another_robot_may_be_given_and_a_nameless_one_must(robot, tmp_path):
+def test_another_robot_may_be_given_and_is_required_if_none_is_named(robot, tmp_path):
     path, other = tmp_path / "wave.lss", tmp_path / "other.yaml"
     path.write_text(TEXT)
     with pytest.raises(InputError, match="add a line `# robot_file: PATH`, or give --robot"):
@@ -145,7 +146,7 @@ def test_another_robot_may_be_given_and_a_nameless_one_must(robot, tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"sequence: wave\n"])
-def test_what_is_no_program_is_refused_before_a_robot_is_looked_for(tmp_path, content):
+def test_a_file_that_is_no_program_is_refused_before_a_robot_is_loaded(tmp_path, content):
     path = tmp_path / "not.lss"
     path.write_bytes(content)
     with pytest.raises(InputError, match="not a program"):
@@ -157,7 +158,7 @@ def test_a_missing_file_is_an_input_error(tmp_path):
         load_program(tmp_path / "none.lss", lambda _: pytest.fail("asked for a robot"))
 
 
-def test_what_the_show_does_about_faults_is_kept(robot):
+def test_the_reactions_to_faults_survive_the_text_form(robot):
     ladders = {Cause.ASTRAY: (FaultStep.WARN,), Cause.SILENT: (FaultStep.RESUME, FaultStep.LIMP)}
     text = to_text(replace(from_text(TEXT, robot), on_fault=ladders))
     assert "# on_fault: astray=warn silent=resume,limp\n" in text
@@ -165,13 +166,13 @@ def test_what_the_show_does_about_faults_is_kept(robot):
 
 
 @pytest.mark.parametrize(
-    ("ladder", "said"),
+    ("ladder", "message"),
     [("astry=warn", "did you mean 'astray'"), ("astray=", "step '' is not known"),
      ("astray=hold,warn", "nothing comes after hold")],
 )  # fmt: skip
-def test_a_wrong_ladder_is_named(robot, ladder, said):
+def test_a_wrong_ladder_is_named(robot, ladder, message):
     wrong = TEXT.replace("# tolerance", f"# on_fault: {ladder}\n# tolerance")
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         from_text(wrong, robot)
 
 
@@ -223,7 +224,7 @@ def test_text_carries_the_drives_and_reads_them_back(kit):
 
 
 @pytest.mark.parametrize(
-    ("drives", "moves", "said"),
+    ("drives", "moves", "message"),
     [
         ("j1=streamed", "", "'j1=streamed' is neither"),
         ("j1=streamed:0", "", "'j1=streamed:0' is neither"),
@@ -236,8 +237,8 @@ def test_text_carries_the_drives_and_reads_them_back(kit):
         ("j2=streamed:4", "0 main #209D10", "an LSS-2IO cannot be streamed"),
     ],
 )
-def test_drives_that_do_not_fit_the_robot_are_refused(kit, drives, moves, said):
+def test_drives_that_do_not_fit_the_robot_are_refused(kit, drives, moves, message):
     head = "# lss_motion program 1\n# name: x\n# robot: bench\n# duration_us: 9\n"
     text = f"{head}# tolerance_deg: 0.2\n# start_deg: j0=0 j1=0 j2=0\n# drives: {drives}\n{moves}\n"
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         from_text(text, kit.mixed())

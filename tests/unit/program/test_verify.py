@@ -12,7 +12,7 @@ from lss_motion.robot.servo_models import SERVO_MODELS
 
 
 def program(*moves, **fields) -> Program:
-    """A program of `(due_s, target_deg, T in ms)` for joint j0, which starts at 0."""
+    """Return a program of `(due_s, target_deg, T in ms)` for joint j0, which starts at 0."""
     made = tuple(
         Move(
             due_us=round(1e6 * due_s),
@@ -27,7 +27,7 @@ def program(*moves, **fields) -> Program:
     return Program(name="any", robot="bench", moves=made, **requests)
 
 
-def test_a_move_that_the_servo_can_make_is_good(kit):
+def test_a_move_that_the_servo_can_make_passes(kit):
     verify_program(program((0.0, 90.0, 1000), (2.0, -90.0, 1000)), kit.robot())
 
 
@@ -62,7 +62,7 @@ def test_every_compiled_program_passes(kit):
 
 
 def verify_pieces(joint, kit, *pieces):
-    """Judge a profile of `(start_s, deg, deg/s, deg/s²)`."""
+    """Verify a profile of `(start_s, deg, deg/s, deg/s²)`."""
     verify_profiles({"j0": PiecewiseProfile(Piece(*piece) for piece in pieces)}, kit.robot(joint))
 
 
@@ -79,26 +79,26 @@ def sprint(deg_s, *, from_deg=0.0, at_s=2.0):
     )
 
 
-def test_a_thousandth_of_the_speed_limit_is_the_most_that_passes(kit):
+def test_an_excess_speed_of_a_thousandth_passes_and_no_more(kit):
     verify_pieces(kit.joint(), kit, *sprint(180.17))
     with pytest.raises(PlanningError, match=r"would reach 180.2 deg/s, allowed 180 deg/s at 2.0"):
         verify_pieces(kit.joint(), kit, *sprint(180.2))
 
 
-def test_a_thousandth_of_the_acceleration_limit_is_the_most_that_passes(kit):
+def test_an_excess_acceleration_of_a_thousandth_passes_and_no_more(kit):
     verify_pieces(kit.joint(accel_max_deg_s2=499.6), kit, *sprint(90.0))
     with pytest.raises(PlanningError, match=r"would reach 500 deg/s², allowed 499 deg/s² at 2.000"):
         verify_pieces(kit.joint(accel_max_deg_s2=499.0), kit, *sprint(90.0))
 
 
-def test_a_speed_is_seen_at_the_end_of_a_piece_as_well(kit):
-    # Nothing but the jump back to rest says how fast the first piece became.
+def test_the_speed_at_the_end_of_a_piece_is_checked(kit):
+    # Only the jump back to rest shows the speed at the end of the first piece.
     ramp = (0.0, 0.0, 0.0, 500.0), (0.4, 40.0, 0.0, 0.0)
     with pytest.raises(PlanningError, match=r"would reach 200 deg/s"):
         verify_pieces(kit.joint(), kit, *ramp)
 
 
-def test_pieces_that_do_not_meet_are_refused_where_they_should(kit):
+def test_pieces_that_do_not_meet_are_refused(kit):
     def stepped(deg):
         first, *others = sprint(90.0)
         return first, *((at_s, at_deg + deg, *rest) for at_s, at_deg, *rest in others)
@@ -125,7 +125,7 @@ def test_a_profile_that_turns_round_outside_of_the_range_is_refused(kit):
         verify_pieces(joint, kit, *swing)
 
 
-def test_what_a_streamed_joint_may_exceed_is_what_its_wire_rounds(kit):
+def test_a_streamed_joint_may_exceed_its_speed_by_the_rounding_of_the_wire(kit):
     # Half a wire unit in each step of its filter: 0.05 deg / (4 × 20 ms) = 0.625 deg/s.
     streamed = kit.joint(drive="streamed", filter_count=4)
     verify_pieces(streamed, kit, *sprint(180.18 + 0.62))
@@ -136,20 +136,20 @@ def test_what_a_streamed_joint_may_exceed_is_what_its_wire_rounds(kit):
 
 
 def stairs(*steps):
-    """A staircase of `(at_s, deg)` that was on its first step for ever."""
+    """Return a staircase of `(at_s, deg)` whose first step has no begin."""
     (_, first_deg), *others = steps
     return (-np.inf, first_deg, 0.0, 0.0), *((at_s, deg, 0.0, 0.0) for at_s, deg in others)
 
 
 def test_a_stepped_joint_jumps_as_far_as_its_speed_and_the_time_since_allow(kit):
     board = kit.joint(drive="stepped", model=SERVO_MODELS["LSS-2IO"], speed_max_deg_s=100.0)
-    # A whole degree is what the wire rounds; after 0.5 s another 50.05 deg.
+    # The wire rounds to a whole degree; 0.5 s allow another 50.05 deg.
     verify_pieces(board, kit, *stairs((0.0, 0.0), (1.0, 5.0), (1.5, 56.0)))
     with pytest.raises(PlanningError, match=r"would jump faster than 100 deg/s at 1.500 s"):
         verify_pieces(board, kit, *stairs((0.0, 0.0), (1.0, 5.0), (1.5, 56.1), (2.0, 56.0)))
 
 
-def test_no_step_is_quicker_than_the_pulses_that_tell_of_it(kit):
+def test_steps_within_one_pulse_period_are_judged_over_the_period(kit):
     board = kit.joint(drive="stepped", model=SERVO_MODELS["LSS-2IO"], speed_max_deg_s=100.0)
     verify_pieces(board, kit, *stairs((0.0, 0.0), (1.0, 1.0), (1.001, 4.0)))
     with pytest.raises(PlanningError, match="would jump faster"):
