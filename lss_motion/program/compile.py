@@ -66,9 +66,9 @@ def compile_program(
     problem: LineLoadError | None = None
     found = choices(robot, lambda driven: _references(trajectory, driven), tolerance_deg)
     for choice in found:
-        references, is_unread = _references(trajectory, choice.robot), False
+        references, lacks_readings = _references(trajectory, choice.robot), False
         for candidate in candidates(choice.robot, with_relaxed=choice is found[-1]):
-            if is_unread and candidate.ratio == 1.0:
+            if lacks_readings and candidate.ratio == 1.0:
                 continue  # Another placement of as many commands leaves little more room.
             try:
                 schedule = candidate.schedule(references, tolerance_deg, seams_s)
@@ -78,22 +78,22 @@ def compile_program(
                 problem = overload_error(schedule, choice.robot)
                 continue
             program = _program(trajectory, choice, references, schedule, repeat)
-            unread = [use for use in program.line_use.values() if _is_unread(use, robot)]
-            is_unread = bool(unread)
-            if not unread:
+            unreadable = [use for use in program.line_use.values() if _lacks_readings(use, robot)]
+            lacks_readings = bool(unreadable)
+            if not unreadable:
                 verify_program(program, choice.robot)
                 return program
-            problem = _unreadable(unread[0], program, robot)
+            problem = _readings_error(unreadable[0], program, robot)
     assert problem is not None
     raise problem
 
 
-def _is_unread(use: LineUse, robot: Robot) -> bool:
+def _lacks_readings(use: LineUse, robot: Robot) -> bool:
     """Return whether the commands on a line leave too little room for queries."""
     return use.reading_rate_hz < robot.buses[use.bus].reading_rate_min_hz
 
 
-def _unreadable(use: LineUse, program: Program, robot: Robot) -> LineLoadError:
+def _readings_error(use: LineUse, program: Program, robot: Robot) -> LineLoadError:
     """Return the error with the rate at which the joints of a line could be read."""
     return LineLoadError(
         f"bus {use.bus!r} at {use.baud_bps} bps carries the show, {use.utilisation_ratio:.0%} of "

@@ -1,4 +1,4 @@
-"""Laws of the response model, of fitting, of the line and of the text form."""
+"""Properties of the response model, of the fit, of the line and of the text form."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def crisp_bus(retarget="keep_speed", t_law="cruise"):
 
 @cache
 def control_phase_ns():
-    """Find when in its 5 ms the simulated servo takes up commands: the best fit to one move."""
+    """Return when in its 5 ms the simulated servo takes up commands: the best fit to one move."""
     bus = crisp_bus()
     bus.write(b"#5D1500T500\r", 0)
     bus.advance(500_000_000)
@@ -128,10 +128,10 @@ commands = st.lists(
     st.sampled_from(["cruise", "exact"]),
 )
 def test_the_response_model_agrees_with_the_simulated_servo(stream, steps, retarget, law):
-    """Two implementations that share no code, fed the same commands at the same control ticks.
+    """Two implementations without common code get the same commands at the same control ticks.
 
-    Left out: under the exact law, a command that turns the servo round. The simulator lets T count
-    from the turning point, the response model from the command; no document says.
+    Left out: under the exact law, a command that turns the servo round. In the simulator T counts
+    from the turning point, in the response model from the command; no document defines it.
     """
     bus = crisp_bus(retarget, law)
     bus.write(b"#5AA%d\r#5AD%d\r#5SD2000\r" % (steps, steps), 0)
@@ -148,8 +148,8 @@ def test_the_response_model_agrees_with_the_simulated_servo(stream, steps, retar
         stop_deg = at_deg + speed_deg_s * abs(speed_deg_s) / (20.0 * steps)
         if law == "exact" and speed_deg_s * (wire / 10 - stop_deg) < 0.0:
             continue
-        said = b"#5D%d\r" % wire if duration_ms is None else b"#5D%dT%d\r" % (wire, duration_ms)
-        bus.write(said, now_ns)
+        data = b"#5D%d\r" % wire if duration_ms is None else b"#5D%dT%d\r" % (wire, duration_ms)
+        bus.write(data, now_ns)
         received_ns = now_ns + bus.backlog_ns(now_ns)
         taken_ns = received_ns + -(received_ns - control_phase_ns()) % TICK_NS
         servo.retarget(taken_ns / 1e9, wire / 10, duration_ms and duration_ms / 1e3)
@@ -165,7 +165,7 @@ def test_the_response_model_agrees_with_the_simulated_servo(stream, steps, retar
 
 @st.composite
 def references(draw):
-    """Sums of slow sines inside ±80 deg, fading in from rest and out to rest, with a rest."""
+    """Draw sums of slow sines inside ±80 deg, from rest to rest, with a rest."""
     count = draw(st.integers(1, 3))
     waves = [
         (draw(st.floats(2.0, 25.0)), draw(st.floats(0.05, 0.35)), draw(st.floats(0.0, 6.28)))
@@ -180,7 +180,7 @@ def references(draw):
 
 
 def fitted(reference, limits, late=lambda requested_us: requested_us):
-    """Return the moves for one course and the profile they make; `late` is what the line grants."""
+    """Return moves for one reference and their profile; `late` maps requests to grants."""
     moves = TimedFit([reference], [limits]).moves(
         lambda: (
             lambda _joints, requested_us, after_us: np.maximum(
@@ -244,7 +244,7 @@ def test_moves_are_in_range_below_the_speed_limit_and_silent_at_rest(reference):
 @LAWS
 @given(references(), st.integers(0, 1000))
 def test_commands_that_the_line_grants_otherwise_than_requested_are_made_up_for(reference, seed):
-    """Up to 10 ms early or 2 ms late; the prediction knows, and the fit stays near."""
+    """Up to 4 ms early or 2 ms late; the prediction includes it, and the fit stays near."""
     assume(np.abs(np.diff(reference.position_deg, 2)).max() / GRID_S**2 < 300.0)
     random = np.random.default_rng(seed)
     late = lambda us: us + int(random.integers(-4_000, 2_000))  # noqa: E731
@@ -277,7 +277,7 @@ def test_reserved_slots_never_overlap(asked):
 
 @given(requests)
 def test_a_slot_is_the_latest_free_one_before_the_request_and_late_only_if_there_is_none(asked):
-    """Against the plain definition: try every microsecond at which something begins or ends."""
+    """Against the plain definition: every microsecond at which a slot begins or ends."""
     line, taken = LineSchedule(), []
     for latest_us, size_us, margin_us in asked:
         earliest_us = latest_us - margin_us
@@ -302,7 +302,7 @@ def test_a_slot_is_the_latest_free_one_before_the_request_and_late_only_if_there
 @given(
     st.lists(
         st.tuples(angles, speeds, angles, st.floats(0.02, 3.0), st.floats(0.0, 3.0)).filter(
-            lambda move: move[0] != move[2]  # There T says nothing, and nobody asks.
+            lambda move: move[0] != move[2]  # There T has no effect.
         ),
         min_size=1,
     ),
@@ -329,7 +329,7 @@ def test_the_response_in_arrays_is_the_response_of_each(moves, law):
 
 
 def swing_about(seconds, seed):
-    """A smooth course from rest to rest with no standstill for as long as is asked."""
+    """Return a smooth reference of this length from rest to rest, without a standstill."""
     random = np.random.default_rng(seed)
     time_s = np.arange(0.0, seconds, GRID_S)
     waves = [(random.uniform(5.0, 20.0), random.uniform(0.05, 0.3), random.uniform(0.0, 6.28))
@@ -340,7 +340,7 @@ def swing_about(seconds, seed):
 
 
 def received_one_by_one(moves, limits):
-    """Return what a servo makes of the moves, heard by the model of the player."""
+    """Return the profile of a servo that receives the moves one by one, as in the player."""
     servo = Profile(
         0.0,
         ramp_deg_s2=limits.ramp_deg_s2,
@@ -356,7 +356,7 @@ def received_one_by_one(moves, limits):
 
 @pytest.mark.parametrize("law", ["cruise", "exact"])
 def test_nothing_drifts_in_ten_minutes(law):
-    """No reading corrects it: judged by a profile that hears every move, to the last."""
+    """No reading corrects it: judged by a profile that receives every move, to the last."""
     reference = swing_about(600.0, seed=3)
     limits = replace(limits_of(10), response=Response(t_law=law))
     moves, _ = fitted(reference, limits)
@@ -373,7 +373,7 @@ def test_stops_where_a_long_reference_turns_cost_next_to_nothing(monkeypatch):
     moves, _ = fitted(reference, limits_of(10))
     monkeypatch.setattr(segments, "STRETCH_S", 1e9)
     whole, _ = fitted(reference, limits_of(10))
-    assert list(moves.received_s) != list(whole.received_s), "it was cut"
+    assert list(moves.received_s) != list(whole.received_s), "the reference was cut"
     assert len(moves) <= len(whole) * 1.03
 
 
@@ -402,7 +402,7 @@ def test_half_as_much_tolerance_again_never_needs_more_moves(reference, toleranc
     st.sampled_from(["keep_speed", "from_rest"]),
 )
 def test_profiles_followed_in_arrays_are_those_of_the_servos_one_by_one(words, law, retarget):
-    """Also where a move finds its servo under way whose T says that it rests, and the reverse."""
+    """Also where a servo is still moving although its T is over, and the reverse."""
     response = Response(t_law=law, retarget=retarget)
     limits = [replace(limits_of(10), response=response)] * 3
     begins_deg, now_s = np.array([0.0, 12.3, -81.0]), [0.0, 1.0, -2.0]
@@ -410,14 +410,14 @@ def test_profiles_followed_in_arrays_are_those_of_the_servos_one_by_one(words, l
         Profile(at, ramp_deg_s2=limits[0].ramp_deg_s2, speed_max_deg_s=240.0, response=response)
         for at in begins_deg.tolist()
     ]
-    told = []
+    commands_received = []
     for joint, later_s, wire, duration_ms in words:
         now_s[joint] += later_s
-        told.append((joint, now_s[joint], wire, duration_ms))
-    told.sort(key=lambda one: one[:2])
-    for joint, received_s, wire, duration_ms in told:
+        commands_received.append((joint, now_s[joint], wire, duration_ms))
+    commands_received.sort(key=lambda one: one[:2])
+    for joint, received_s, wire, duration_ms in commands_received:
         servos[joint].retarget(received_s, wire / 10, duration_ms and duration_ms / 1e3)
-    columns = np.array(told, dtype=np.float64).reshape(-1, 4).T
+    columns = np.array(commands_received, dtype=np.float64).reshape(-1, 4).T
     moves = replayed(columns[0].astype(int), *columns[1:], begins_deg, LimitArrays(limits))
     times_s = np.arange(-3.0, 20.0, 0.011)
     for own, servo in zip(profiles_from_rest(moves, limits, begins_deg), servos, strict=True):
@@ -426,7 +426,7 @@ def test_profiles_followed_in_arrays_are_those_of_the_servos_one_by_one(words, l
 
 
 def horn_of(moves, physics_law):
-    """Return times and where a simulated horn was that heard the moves a second after power."""
+    """Return times and positions of a simulated horn; it receives the moves after a second."""
     bus = crisp_bus(t_law=physics_law)
     bus.write(b"#5AA60\r#5AD60\r#5SD2400\r", 0)
     for received_s, wire, duration_ms in zip(
@@ -452,7 +452,9 @@ def test_a_simulated_horn_follows_under_the_law_it_was_fitted_for_and_nearly_und
     other = "exact" if law == "cruise" else "cruise"
     assert rms_deg[law] < 0.2
     assert rms_deg[other] != rms_deg[law]
-    assert rms_deg[other] < 0.5, "targets are absolute: what one move misses, the next takes back"
+    assert rms_deg[other] < 0.5, (
+        "targets are absolute: the next move corrects the error of the last"
+    )
 
 
 # ---- whole programs
@@ -488,7 +490,7 @@ def shows(draw):
 
 
 def check_limits(joint, program, start_s, _position_deg, speed_deg_s, accel_deg_s2):
-    """What is asked for is in range, and rounded T and D make no servo faster than it may be."""
+    """Targets are in range, and rounded T and D make no servo faster than its limit."""
     targets_deg = [m.target_wire * joint.unit_deg for m in program.moves
                    if m.servo_id == joint.servo_id]  # fmt: skip
     ends_deg = sorted(map(joint.servo_deg, (joint.position_min_deg, joint.position_max_deg)))

@@ -1,4 +1,4 @@
-"""Laws of the schedule: what the line carries, when, and how much of it."""
+"""Properties of the schedule: what the line carries, when, and how much of it."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def robot_of(count, baud_bps):
 
 
 def references_of(robot, seed):
-    """All joints start together, stop together half way, and swing in between."""
+    """Return references that start together, stop together half way, and swing in between."""
     random = np.random.default_rng(seed)
     time_s = np.arange(-PREROLL_S, 3.0, GRID_S)
     phase = np.clip((time_s % 1.5) / 1.2, 0.0, 1.0) * (time_s > 0.0)
@@ -69,7 +69,7 @@ def references_of(robot, seed):
 
 
 class WatchedLine(LineSchedule):
-    """Remembers what was asked of it; the last one made is the one that the moves keep."""
+    """Records its requests; the last one created holds the slots of the final moves."""
 
     last = None
 
@@ -106,7 +106,9 @@ def test_every_command_is_due_inside_its_window_and_alone_on_its_line(seed, coun
         end_us += end_us not in windows_us  # Lengths are whole microseconds, rounded up.
         opens_us, closes_us = windows_us[end_us]
         assert end_us >= opens_us
-        assert end_us >= received_us_of[move.servo_id], "not before its servo hears the one before"
+        assert end_us >= received_us_of[move.servo_id], (
+            "not before its servo has received the one before"
+        )
         received_us_of[move.servo_id] = end_us
         assert move.due_us >= end_us - slot_us(by_id[move.servo_id], robot), "nor before its slot"
         assert move.due_us >= us_from_s(-PREROLL_S)
@@ -122,7 +124,7 @@ def test_every_command_is_due_inside_its_window_and_alone_on_its_line(seed, coun
 
 
 def show_of(robot, seed):
-    """Keys so near to each other, for so many joints at once, that slow lines are in trouble."""
+    """Return a show whose keys are too close together, for so many joints, for slow lines."""
     random = np.random.default_rng(seed)
     rows = [dict.fromkeys(robot.joints, 0.0)]
     rows += [{name: round(random.normal(0.0, 15.0), 1) for name in robot.joints} for _ in range(3)]
@@ -150,7 +152,7 @@ def test_a_higher_baud_rate_never_needs_more_commands(seed, count, rates):
 @settings(LAWS, max_examples=10)
 @given(seeds, st.floats(0.1, 1.0), st.floats(1.0, 3.0))
 def test_a_larger_tolerance_needs_hardly_ever_more_commands(seed, tolerance_deg, ratio):
-    """Why not never: see `trials`. Three times the tolerance does need fewer."""
+    """`schedule.candidates` explains the exceptions. Three times the tolerance needs fewer."""
     robot = robot_of(3, 115_200)
     trajectory = plan(show_of(robot, seed), robot)
     narrow, wide, widest = (

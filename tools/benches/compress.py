@@ -1,4 +1,4 @@
-"""How many moves a course takes, against the fewest straight segments that keep the tolerance.
+"""How many moves a reference takes, against the fewest straight segments that keep the tolerance.
 
 The fewest are found exactly (breadth first over all knots on a lattice of instants and angles).
 A servo's ramps round the corners, so that ours can even need fewer.
@@ -31,7 +31,7 @@ TARGET_RATIO = 1.1
 
 
 def measure() -> list[Row]:
-    """Return ours, the fewest, and their ratio, for each course and tolerance."""
+    """Return ours, the fewest, and their ratio, for each reference and tolerance."""
     rows = []
     for name, reference in references().items():
         for tolerance_deg in TOLERANCES_DEG:
@@ -51,7 +51,7 @@ def measure() -> list[Row]:
 
 
 def references() -> dict[str, Reference]:
-    """Return courses without a standstill inside: where they stand, there is nothing to send."""
+    """Return references without a standstill inside: a standstill needs no moves."""
     time_s = GRID_S * np.arange(int(COURSE_S / GRID_S))
     robot = robot_of(3)
     show = api.plan(lively_show(robot, COURSE_S, seed=5), robot).sample(time_s)
@@ -64,14 +64,14 @@ def references() -> dict[str, Reference]:
 
 
 def moves_of(reference: Reference, tolerance_deg: float) -> FittedMoves:
-    """Return the moves of our fit, every one granted when it is wanted."""
+    """Return the moves of our fit, each granted as requested."""
     joint = next(iter(robot_of(1).joints.values()))
     fit = TimedFit([reference], [servo_limits(joint, tolerance_deg)])
     return fit.moves(lambda: lambda _joints, requested_us, _after_us: requested_us)
 
 
 def fewest_segments(reference_deg: FloatArray, tolerance_deg: float) -> int:
-    """Return how few joined straight lines stay within `tolerance_deg` of the course."""
+    """Return how few joined straight lines stay within `tolerance_deg` of the reference."""
     count = len(reference_deg)
     shifts = tolerance_deg * np.linspace(-1.0, 1.0, LATTICE + 1)
     is_reached = np.zeros((count, len(shifts)), dtype=bool)

@@ -114,8 +114,8 @@ def test_no_move_exceeds_the_speed_limit(kit):
     plan = profiles(program, robot)["j0"]
     for move in program.moves:
         start_deg, _ = plan.at(received_us(move, 115200) / 1e6 - 1e-9)
-        asked_deg_s = abs(move.target_wire / 10 - start_deg) / (move.duration_ms / 1e3)
-        assert asked_deg_s <= 180.0 + 1e-3
+        commanded_deg_s = abs(move.target_wire / 10 - start_deg) / (move.duration_ms / 1e3)
+        assert commanded_deg_s <= 180.0 + 1e-3
 
 
 def test_direction_and_zero_are_respected(kit):

@@ -213,13 +213,13 @@ def test_the_promised_number_of_queries_fits_in_any_second(kit, seed):
         size_us = int(random.integers(500, 20_000))
         own.append((at_us, size_us))
         at_us += size_us
-    asked_us = []
+    sent_us = []
     for (due_us, size_us), (next_us, _) in pairwise(own):
         free_us = due_us + size_us
-        asked_us += range(free_us + QUERY_US, next_us + 1, QUERY_US)
-    asked_us = np.array(asked_us)
+        sent_us += range(free_us + QUERY_US, next_us + 1, QUERY_US)
+    sent_us = np.array(sent_us)
     starts_us = np.arange(0, 2_900_000, 997)
-    counts = np.searchsorted(asked_us, starts_us + 1_000_000) - np.searchsorted(asked_us, starts_us)
+    counts = np.searchsorted(sent_us, starts_us + 1_000_000) - np.searchsorted(sent_us, starts_us)
     promised = reading_rate_hz([kit.joint()], 115200, slots(*own))
     answered = 1e6 / TURNAROUND_US
     assert promised <= counts.min() + 1

@@ -128,9 +128,9 @@ def test_the_robots_file_is_found_beside_the_program(robot, tmp_path):
     path = folder / "wave.lss"
     path.write_text(to_text(program, folder=folder))
     assert "# robot_file: ../robots/bench.yaml\n" in path.read_text()
-    asked = []
-    again, found = load_program(path, lambda named: asked.append(named) or robot)
-    assert [named.resolve() for named in asked] == [robot.path]
+    loaded = []
+    again, found = load_program(path, lambda named: loaded.append(named) or robot)
+    assert [named.resolve() for named in loaded] == [robot.path]
     assert found is robot
     assert again.moves == program.moves
 
@@ -140,9 +140,9 @@ def test_another_robot_may_be_given_and_is_required_if_none_is_named(robot, tmp_
     path.write_text(TEXT)
     with pytest.raises(InputError, match="add a line `# robot_file: PATH`, or give --robot"):
         load_program(path, lambda _: robot)
-    asked = []
-    load_program(path, lambda named: asked.append(named) or robot, robot_path=other)
-    assert asked == [other]
+    loaded = []
+    load_program(path, lambda named: loaded.append(named) or robot, robot_path=other)
+    assert loaded == [other]
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"sequence: wave\n"])
@@ -150,12 +150,12 @@ def test_a_file_that_is_no_program_is_refused_before_a_robot_is_loaded(tmp_path,
     path = tmp_path / "not.lss"
     path.write_bytes(content)
     with pytest.raises(InputError, match="not a program"):
-        load_program(path, lambda _: pytest.fail("asked for a robot"))
+        load_program(path, lambda _: pytest.fail("a robot was loaded"))
 
 
 def test_a_missing_file_is_an_input_error(tmp_path):
     with pytest.raises(InputError, match="cannot read it"):
-        load_program(tmp_path / "none.lss", lambda _: pytest.fail("asked for a robot"))
+        load_program(tmp_path / "none.lss", lambda _: pytest.fail("a robot was loaded"))
 
 
 def test_the_reactions_to_faults_survive_the_text_form(robot):
