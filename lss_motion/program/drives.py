@@ -1,13 +1,13 @@
 """The three drives behind one interface, and the choice between them for `drive: auto`.
 
-  timed     `D…T…` in EM1                      `fit` (all joints together), `response`
-  streamed  bare `D` through the filter of EM0  `streamed`
-  stepped   whole degrees to an RC servo        `stepped`
+  timed     `D…T…` in EM1                        `fit` (all joints together), `response`
+  streamed  bare `D` through the filter of EM0   `streamed`
+  stepped   whole degrees to an RC servo         `stepped`
 
-For `drive: auto`, the joint is fitted alone with each drive that its servo supports. The choice is
-the drive with the smaller predicted error of the horn. The prediction includes what is unknown
-about a servo: the instant, within its control loop or within its filter's period, at which it takes
-up a command.
+For `drive: auto`, the joint is fitted alone with each drive that its servo supports. It is streamed
+if that predicts a clearly smaller error of the horn (`WORTH_RATIO`), else timed. The prediction
+includes what is unknown about a servo: the instant, within its control loop or within its filter's
+period, at which it takes up a command.
 """
 
 from __future__ import annotations

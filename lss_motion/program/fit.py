@@ -121,9 +121,13 @@ class FitProblem:
 class SegmentRun:
     """One run of all segments from their first move to their last."""
 
-    def __init__(self, task: FitProblem, segments: Sequence[Segment], grant: Grant) -> None:
-        self._references, self._limits, self._seams = task.references, task.limits, task.seams
-        self._grant, self._turn_s = grant, task.turn_s
+    def __init__(self, problem: FitProblem, segments: Sequence[Segment], grant: Grant) -> None:
+        self._references, self._limits, self._seams = (
+            problem.references,
+            problem.limits,
+            problem.seams,
+        )
+        self._grant, self._turn_s = grant, problem.turn_s
         self._joint = np.array([segment.joint for segment in segments], dtype=np.intp)
         self._wire = np.array([segment.wire for segment in segments], dtype=np.float64)
         self._stop_wire = np.array([segment.stop_wire for segment in segments], dtype=np.float64)
@@ -341,7 +345,7 @@ class TimedFit:
         self._each = list(
             zip(references, limits, initial or (None,) * len(references), strict=True)
         )
-        self._task = FitProblem(
+        self._problem = FitProblem(
             references=References(references, limits),
             limits=LimitArrays(limits),
             seams=np.array(sorted(references[0].index(s) for s in seams_s), dtype=np.intp),
@@ -365,7 +369,7 @@ class TimedFit:
             new = [segment for segment in segments if segment not in before]
             grant, received_us = new_line(), microseconds(made.received_s)
             grant(made.joint, received_us, received_us)
-            found, of_new = SegmentRun(self._task, new, grant).moves()
+            found, of_new = SegmentRun(self._problem, new, grant).moves()
             made, of_segment = (
                 concatenated((made, found)),
                 np.append(of_segment, len(known) + of_new),
@@ -374,7 +378,8 @@ class TimedFit:
             made, of_segment = made.take(order), of_segment[order]
             known += new
             late = [
-                known[segment] for segment in of_segment[discontinuities(made, self._task.limits)]
+                known[segment]
+                for segment in of_segment[discontinuities(made, self._problem.limits)]
             ]
             if not late:
                 return made

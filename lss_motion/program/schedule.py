@@ -284,13 +284,13 @@ def closed_pass(moves: Iterable[Move], repeat: Repeat, robot: Robot) -> list[Mov
     own: dict[tuple[str, int], list[Move]] = defaultdict(list)
     for move in moves:
         own[move.bus, move.servo_id].append(move)
-    kept = [move for mine in own.values() for move in mine if move.due_us < repeat.to_us]
-    for mine in own.values():
-        again = _repeated_move(mine, repeat)
+    kept = [move for own_moves in own.values() for move in own_moves if move.due_us < repeat.to_us]
+    for own_moves in own.values():
+        again = _repeated_move(own_moves, repeat)
         if again is None or again.duration_ms is None:
             continue
-        due_us = _free_us(_taken(kept, again.bus, repeat, robot), repeat.from_us, again, robot)
-        if due_us >= min(m.due_us for m in mine if m.due_us >= repeat.from_us):
+        due_us = _free_us(_busy_us(kept, again.bus, repeat, robot), repeat.from_us, again, robot)
+        if due_us >= min(m.due_us for m in own_moves if m.due_us >= repeat.from_us):
             continue  # The line is so full that the successor comes first.
         ends_us = again.due_us + again.duration_ms * US_PER_MS
         kept.append(
@@ -305,7 +305,9 @@ def closed_pass(moves: Iterable[Move], repeat: Repeat, robot: Robot) -> list[Mov
     return sorted(kept, key=lambda move: (move.due_us, move.bus, move.servo_id))
 
 
-def _taken(moves: Iterable[Move], bus: str, repeat: Repeat, robot: Robot) -> list[tuple[int, int]]:
+def _busy_us(
+    moves: Iterable[Move], bus: str, repeat: Repeat, robot: Robot
+) -> list[tuple[int, int]]:
     """Return when a line is busy after the first seam, with either pass before it."""
     period_us = repeat.to_us - repeat.from_us
     taken = []
@@ -320,11 +322,11 @@ def _taken(moves: Iterable[Move], bus: str, repeat: Repeat, robot: Robot) -> lis
     return sorted(taken)
 
 
-def _repeated_move(mine: list[Move], repeat: Repeat) -> Move | None:
+def _repeated_move(own_moves: list[Move], repeat: Repeat) -> Move | None:
     """Return the move under way at the first seam; None if the one at the second replaces it."""
-    before = [move for move in mine if move.due_us < repeat.from_us]
-    after_us = [m.due_us - repeat.from_us for m in mine if m.due_us >= repeat.from_us]
-    planned_us = [m.due_us - repeat.to_us for m in mine if m.due_us >= repeat.to_us]
+    before = [move for move in own_moves if move.due_us < repeat.from_us]
+    after_us = [m.due_us - repeat.from_us for m in own_moves if m.due_us >= repeat.from_us]
+    planned_us = [m.due_us - repeat.to_us for m in own_moves if m.due_us >= repeat.to_us]
     if not before or not after_us or not planned_us:
         return None
     return before[-1] if after_us[0] - planned_us[0] > STRETCH_MAX_US else None

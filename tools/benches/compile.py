@@ -6,9 +6,9 @@ machine does not stretch.
 
 Parity was reached (0.90 to 0.98) until planning became a third quicker, half of its verifying being
 saved: 1.15 to 1.2 since, with compiling as quick as before (0.32 to 0.36 s). A third of compiling
-is seeing how far each move and its some seven rivals reach, a third is choosing, wording and
-landing it, a twentieth its slot on the line; the rest are lanes, the samples of the plan and the
-verifier, which follows the finished bytes once more. Fewer trials cost moves (`compress`).
+is seeing how far each move and its some seven rivals reach, a third is choosing, quantizing and
+landing it, a twentieth its slot on the line; the rest are segments, the samples of the plan and the
+verifier, which follows the finished bytes once more. Fewer candidates cost moves (`compress`).
 """
 
 from __future__ import annotations
