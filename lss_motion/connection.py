@@ -1,7 +1,7 @@
 """The open ports of a robot: the one way in which every command reaches its servos.
 
     with connect(robot.buses, robot=robot) as connection:
-        answers = connection.ask([Item(bus="main", command=Command(5, "QV"), is_question=True)])
+        answers = connection.ask([Item(bus="main", command=Command(5, "QV"), is_query=True)])
 
 A bus whose port is `sim://` is simulated in process, from the joints of `robot`; any other port
 is opened with pyserial, also the pseudo-terminal of `lss-motion sim`.

@@ -127,7 +127,7 @@ class Memory:
         """Return per bus the share of the line that was sent, and the answers a second."""
         found: dict[str, tuple[float, float]] = {}
         for name, line in player.lines.items():
-            answered = player.questioners[name].answered_count
+            answered = player.trackers[name].reply_count
             then_ns, then_bytes, then_answered = self._before.get(name, (now_ns, 0, 0))
             self._before[name] = (now_ns, line.sent_bytes, answered)
             if now_ns > then_ns:
@@ -154,7 +154,7 @@ def frame_of(player: Player, now_ns: int, notes: list[str], memory: Memory) -> d
         "late_us": max(latest_ns, default=0) // NS_PER_US,
         "missed": 0 if show is None else show.statistics.missed,
         "lines": memory.lines(player, now_ns),
-        "joints": [_joint(track, now_ns) for track in show.tracks.values()] if show else [],
+        "joints": [_joint(track, now_ns) for track in show.joint_states.values()] if show else [],
         "marks": memory.marks_around(player, now_ns),
         "notes": notes,
     }
@@ -162,11 +162,11 @@ def frame_of(player: Player, now_ns: int, notes: list[str], memory: Memory) -> d
 
 def _joint(track: JointState, now_ns: int) -> list[Any]:
     """Return what there is to see of a joint: target, measured and error as of one reading."""
-    joint, measured_deg = track.joint, track.following.measured_deg
+    joint, measured_deg = track.joint, track.disturbance.measured_deg
     if measured_deg is None:
         target_deg, error_deg = track.place(now_ns)[0], 0.0
     else:
-        error_deg = track.following.error_deg
+        error_deg = track.disturbance.error_deg
         target_deg = measured_deg + error_deg
     return [
         joint.name,
@@ -174,7 +174,7 @@ def _joint(track: JointState, now_ns: int) -> list[Any]:
         None if measured_deg is None else round(joint.joint_deg(measured_deg), 1),
         round(joint.direction * error_deg, 2),
         joint.following_deg,
-        round(joint.direction * track.following.offset_deg, 2),
+        round(joint.direction * track.disturbance.offset_deg, 2),
         "" if track.status is None else track.status.value,
         track.temperature_max_c,
     ]

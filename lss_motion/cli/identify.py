@@ -137,11 +137,11 @@ def _announce(
     from lss_motion.maintenance.identify.trials import about_s, make_trials, make_window
     from lss_motion.player import handshake
 
-    answers = connection.ask(handshake.questions(joints))
+    answers = connection.ask(handshake.queries(joints))
     for text in handshake.check_answers(joints, answers, robot):
         print(f"warning: {text}", file=sys.stderr)
     for joint in joints:
-        standing_deg = handshake.stored(joint, answers, "QD")
+        standing_deg = handshake.reported(joint, answers, "QD")
         assert standing_deg is not None, "check_answers raises without it"
         window = make_window(joint, standing_deg, span_deg)
         low, high = sorted((joint.joint_deg(window.low_deg), joint.joint_deg(window.high_deg)))
@@ -167,9 +167,9 @@ def _measured(
     from lss_motion.player import handshake
     from lss_motion.runtime.runner import run
 
-    answers = connection.ask(handshake.questions([joint]))
+    answers = connection.ask(handshake.queries([joint]))
     handshake.check_answers([joint], answers, robot)
-    standing_deg = handshake.stored(joint, answers, "QD")
+    standing_deg = handshake.reported(joint, answers, "QD")
     assert standing_deg is not None, "check_answers raises without it"
     window = make_window(joint, standing_deg, span_deg)
     experiment = Experiment(joint, robot, answers, window, standing_deg=standing_deg)

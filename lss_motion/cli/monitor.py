@@ -175,7 +175,7 @@ def _dated(connection: Connection, targets: Sequence[Target]) -> list[Target]:
     from lss_motion.protocol.line import Command
 
     answers = connection.ask(
-        Item(bus=target.bus, command=Command(target.servo_id, "QF"), is_question=True, tries=1)
+        Item(bus=target.bus, command=Command(target.servo_id, "QF"), is_query=True, tries=1)
         for target in targets
         if target.family is not Family.IO2
     )

@@ -63,10 +63,10 @@ def _send(arguments: argparse.Namespace) -> int:
         if joint is not None and arguments.family is None:
             family = joint.model.family
     command = _command(arguments, family)
-    is_question = command.keyword.startswith("Q")
+    is_query = command.keyword.startswith("Q")
     with connect({bus.name: bus}, robot=robot) as connection:
-        answers = connection.ask([Item(bus=bus.name, command=command, is_question=is_question)])
-    if not is_question:
+        answers = connection.ask([Item(bus=bus.name, command=command, is_query=is_query)])
+    if not is_query:
         return EXIT_FINISHED
     address = (bus.name, command.servo_id, command.keyword)
     if address not in answers:

@@ -36,7 +36,7 @@ def targets_at(connection: Connection, bus: str, names: Mapping[int, str]) -> li
     """
     found = {present.servo_id: present for present in all_at(connection, bus, names)}
     answers = connection.ask(
-        Item(bus=bus, command=Command(servo_id, "QF"), is_question=True)
+        Item(bus=bus, command=Command(servo_id, "QF"), is_query=True)
         for servo_id, present in found.items()
         if present.family is not Family.IO2
     )
@@ -190,7 +190,7 @@ def differing(
 def reset(connection: Connection, targets: Sequence[Target]) -> None:
     """Restart servos and wait until they hear again. They go limp."""
     connection.ask(
-        Item(bus=target.bus, command=Command(target.servo_id, "RESET"), is_question=False)
+        Item(bus=target.bus, command=Command(target.servo_id, "RESET"), is_query=False)
         for target in targets
         if target.family is not Family.IO2
     )
@@ -211,10 +211,10 @@ def renumber(connection: Connection, bus: str, old_id: int, new_id: int) -> Pres
             f"servo with id {old_id} alone"
         )
     for _ in range(ROUNDS):
-        connection.ask([Item(bus=bus, command=command, is_question=False)])
+        connection.ask([Item(bus=bus, command=command, is_query=False)])
         connection.wait(SETTLE_S)
         if present.family is not Family.IO2:
-            connection.ask([Item(bus=bus, command=Command(old_id, "RESET"), is_question=False)])
+            connection.ask([Item(bus=bus, command=Command(old_id, "RESET"), is_query=False)])
             connection.wait(RESET_WAIT_S)
         found = ask_alone(connection, bus, {new_id: "", old_id: ""})
         if [p.servo_id for p in found] == [new_id] and found[0].model == present.model:
@@ -240,7 +240,7 @@ def change_rate(
     firmware = {
         servo_id: value
         for (_, servo_id, _), value in connection.ask(
-            Item(bus=bus, command=Command(p.servo_id, "QF"), is_question=True)
+            Item(bus=bus, command=Command(p.servo_id, "QF"), is_query=True)
             for p in everybody
             if p.family is Family.LSS
         ).items()
@@ -260,11 +260,11 @@ def change_rate(
         )
         (boards if present.family is Family.IO2 else smart).append(command)
     for _ in range(2):  # Nothing acknowledges; the second is for a line that was lost.
-        connection.ask(Item(bus=bus, command=command, is_question=False) for command in smart)
+        connection.ask(Item(bus=bus, command=command, is_query=False) for command in smart)
         connection.wait(SETTLE_S)
     # A board changes at once: whoever still listens at the old rate must have been told before.
     last = [Command(command.servo_id, "RESET") for command in smart] + boards
-    connection.ask(Item(bus=bus, command=command, is_question=False) for command in last)
+    connection.ask(Item(bus=bus, command=command, is_query=False) for command in last)
     connection.wait(RESET_WAIT_S)
     connection.set_baud(bus, baud_bps)
     there = {p.servo_id for p in ask_alone(connection, bus, {p.servo_id: "" for p in everybody})}

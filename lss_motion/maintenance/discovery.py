@@ -67,15 +67,15 @@ class Listening:
         self._next = 0
         self._until_ns: int | None = None
 
-    def data_to_send(self, now_ns: int) -> Mapping[str, bytes]:
-        if self._until_ns is not None and now_ns < self._until_ns:
+    def data_to_send(self, leaves_ns: int) -> Mapping[str, bytes]:
+        if self._until_ns is not None and leaves_ns < self._until_ns:
             return {}
         if self._next == len(self._steps):
             self._until_ns = None
             return {}
         step = self._steps[self._next]
         self._next += 1
-        self._until_ns = now_ns + step.listen_ns
+        self._until_ns = leaves_ns + step.listen_ns
         return {self._bus: step.data} if step.data else {}
 
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:  # noqa: ARG002
@@ -273,7 +273,7 @@ def questions(bus: str, present: Present) -> list[Item]:
     """Return what to ask of one servo, those questions only that its family answers."""
     table = FAMILY_TABLES[present.family]
     return [
-        Item(bus=bus, command=Command(present.servo_id, keyword), is_question=True)
+        Item(bus=bus, command=Command(present.servo_id, keyword), is_query=True)
         for keyword in _QUESTIONS
         if keyword in table.by_keyword and _is_answered_by(present, keyword)
     ]
@@ -282,7 +282,7 @@ def questions(bus: str, present: Present) -> list[Item]:
 def cause_questions(looks: Sequence[Look]) -> list[Item]:
     """Return the questions for the cause of safe mode, of the servos that are in it."""
     return [
-        Item(bus=look.bus, command=Command(look.servo_id, "Q", 1), is_question=True)
+        Item(bus=look.bus, command=Command(look.servo_id, "Q", 1), is_query=True)
         for look in looks
         if look.status is Status.SAFE_MODE
     ]
@@ -335,8 +335,8 @@ class Pause:
         self._until_ns = until_ns
         self._is_over = False
 
-    def data_to_send(self, now_ns: int) -> Mapping[str, bytes]:
-        self._is_over = now_ns >= self._until_ns
+    def data_to_send(self, leaves_ns: int) -> Mapping[str, bytes]:
+        self._is_over = leaves_ns >= self._until_ns
         return {}
 
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:

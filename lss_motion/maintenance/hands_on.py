@@ -104,14 +104,14 @@ class Poller:
                 pass
 
     def receive(self, bus: str, reply: Reply, now_ns: int) -> None:
-        for asked, answer in self._questioners[bus].answer(reply, now_ns):
+        for asked, answer in self._questioners[bus].receive(reply, now_ns):
             joint = self._owners[bus, asked.command.servo_id]
             if asked.command.keyword == "Q":
                 self._notice_status(joint, answer)
                 continue
             said = read_reply(joint.model.family, answer)
             if said is not None and isinstance(said.value, int | float):
-                self.note(joint, asked.heard_ns, float(said.value))
+                self.note(joint, asked.arrival_ns, float(said.value))
 
     def note(self, joint: Joint, at_ns: int, servo_deg: float) -> None:
         """Take in that a servo was at an angle."""
@@ -150,7 +150,7 @@ class Poller:
         self._next_ns[bus] = max(earliest_ns, line.free_ns)
         if self._next_ns[bus] > now_ns:
             return False
-        questioner.ask(command, now_ns)
+        questioner.send(command, now_ns)
         turn.rotate(-1)
         if is_status_due:
             self._status_ns[bus] = now_ns + STATUS_NS
@@ -214,26 +214,26 @@ class HandsOn:
         self._events: deque[Event] = deque([PhaseEntered(Phase.CONNECT)])
         self._answers: Answers = {}
         more = [
-            Item(bus=joint.bus, command=Command(joint.servo_id, keyword), is_question=True)
+            Item(bus=joint.bus, command=Command(joint.servo_id, keyword), is_query=True)
             for joint in self.joints
             for keyword in also_ask
         ]
-        self._dialogue: Dialogue | None = self._ask([*handshake.questions(self.joints), *more])
+        self._dialogue: Dialogue | None = self._ask([*handshake.queries(self.joints), *more])
         self._has_set = self._has_acted = False
         self._stops = 0
         self._now_ns = 0
 
     # ---- the four calls of the runner, and the last bytes
 
-    def data_to_send(self, now_ns: int) -> Mapping[str, bytes]:
-        self._now_ns = now_ns
+    def data_to_send(self, leaves_ns: int) -> Mapping[str, bytes]:
+        self._now_ns = leaves_ns
         while self._dialogue is not None:
-            self._dialogue.advance(now_ns)
+            self._dialogue.advance(leaves_ns)
             if not self._dialogue.is_finished:
                 break
-            self._after_dialogue(now_ns)
+            self._after_dialogue(leaves_ns)
         if self.phase is Phase.SHOW:
-            self._poller.advance(now_ns)
+            self._poller.advance(leaves_ns)
         return {name: data for name, line in self.lines.items() if (data := line.take())}
 
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:
@@ -339,7 +339,7 @@ class HandsOn:
                 self._connected()
             case Phase.PREPARE:
                 for joint in self.joints:
-                    angle_deg = handshake.stored(joint, self._answers, "QD")
+                    angle_deg = handshake.reported(joint, self._answers, "QD")
                     assert angle_deg is not None, "essential, so it was answered"
                     self._poller.note(joint, now_ns, angle_deg)
                 self._enter(Phase.SHOW)
@@ -357,8 +357,8 @@ class HandsOn:
         self._has_set = True
         self._enter(Phase.PREPARE)
         orders = handshake.session_orders(self.joints, self._answers)
-        orders += handshake.unsure_orders(self.joints, self._answers)
-        self._dialogue = self._ask([*handshake.settings_questions(self.joints), *orders])
+        orders += handshake.unconfirmed_orders(self.joints, self._answers)
+        self._dialogue = self._ask([*handshake.settings_queries(self.joints), *orders])
 
     def _restore(self) -> None:
         if self._dialogue is not None:
@@ -367,7 +367,7 @@ class HandsOn:
         orders: list[Item] = []
         if self._has_acted:
             orders += [
-                Item(bus=joint.bus, command=Command(joint.servo_id, "H"), is_question=False)
+                Item(bus=joint.bus, command=Command(joint.servo_id, "H"), is_query=False)
                 for joint in self.joints
             ]
         if self._has_set:

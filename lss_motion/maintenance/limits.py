@@ -29,7 +29,7 @@ SETTINGS: Final = {"speed_max_deg_s": ("SD",), "accel_max_deg_s2": ("AA", "AD")}
 def questions(robot: Robot) -> list[Item]:
     """Return what to ask: the limits that servos go by now."""
     return [
-        Item(bus=joint.bus, command=Command(joint.servo_id, f"Q{name}"), is_question=True)
+        Item(bus=joint.bus, command=Command(joint.servo_id, f"Q{name}"), is_query=True)
         for joint in robot.unread
         for limit in sorted(joint.unread)
         for name in SETTINGS[limit]

@@ -146,14 +146,14 @@ class Watch:
         fresh, self._fresh = self._fresh, []
         return fresh
 
-    def data_to_send(self, now_ns: int) -> Mapping[str, bytes]:
+    def data_to_send(self, leaves_ns: int) -> Mapping[str, bytes]:
         out = {}
         for name, lane in self._lanes.items():
-            lane.dialogue.advance(now_ns)
+            lane.dialogue.advance(leaves_ns)
             if lane.dialogue.is_finished and not self._is_stopped:
-                self._end_round(lane, now_ns)
-                self._begin_round(name, lane, now_ns)
-                lane.dialogue.advance(now_ns)
+                self._end_round(lane, leaves_ns)
+                self._begin_round(name, lane, leaves_ns)
+                lane.dialogue.advance(leaves_ns)
             if data := lane.line.take():
                 out[name] = data
         return out
@@ -185,7 +185,7 @@ class Watch:
         lane.rounds += 1
         lane.began_ns = now_ns
         items = [
-            Item(bus=name, command=Command(servo_id, keyword), is_question=True, tries=1)
+            Item(bus=name, command=Command(servo_id, keyword), is_query=True, tries=1)
             for reading in lane.readings
             for servo_id in [reading.target.servo_id]
             if lane.benched.get(servo_id, 0) <= now_ns

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from lss_motion.trajectory.model import WaitPoint
 
 
-LIT_KEYWORD = "LED"
+LED_KEYWORD = "LED"
 """What a cue may change at a servo."""
 
 
@@ -44,7 +44,7 @@ class Agenda:
         self._mark = next(self._marks, None)
         self._cue = next(self._cues, None)
         self._lights: deque[tuple[str, Command]] = deque()
-        self.lit = {name for cue in program.cues for name, _ in cue.led}
+        self.led_joints = {name for cue in program.cues for name, _ in cue.led}
         """Joints whose LEDs this show changes."""
 
     def begin_at(self, show_s: float | None) -> None:
@@ -70,7 +70,7 @@ class Agenda:
             events.append(CueReached(cue, start_s + cue.lead_s))
             for name, colour in cue.led:
                 joint = self._robot.joints[name]
-                order = Command(joint.servo_id, LIT_KEYWORD, colour)
+                order = Command(joint.servo_id, LED_KEYWORD, colour)
                 self._lights.append((joint.bus, order))
             self._cue = next(self._cues, None)
         if self._lights:
@@ -100,13 +100,13 @@ class Agenda:
             bus, order = self._lights[0]
             data = encode(order)
             is_free = lines[bus].free_ns <= now_ns
-            if not is_free or (quiet_ns and lines[bus].heard_ns(len(data), now_ns) > quiet_ns):
+            if not is_free or (quiet_ns and lines[bus].arrival_ns(len(data), now_ns) > quiet_ns):
                 return
             lines[bus].send(data, now_ns)
             self._lights.popleft()
 
 
-ASK_NS: Final = 40 * NS_PER_MS
+POLL_PERIOD_NS: Final = 40 * NS_PER_MS
 """A sensor that is waited for is asked so often. The Sharp sensors measure every 40 ms or so."""
 TIMES_MET: Final = 2
 """So many answers in a row must say so: no line protects an answer from a flipped bit."""
@@ -132,7 +132,7 @@ class Waiting:
         self._next: tuple[float, Wait] | None = None
         self._go_on()
         self._since_ns: int | None = None
-        self._asked_ns: int | None = None
+        self._polled_ns: int | None = None
         self._met = 0
         self._notices: list[Waited] = []
         self.rate_after = 1.0
@@ -166,7 +166,7 @@ class Waiting:
             text, state = self.text, "begun"
             self.rate_after = clock.target_rate
             clock.stand_at(self.next_s, now_ns)
-            self._since_ns, self._asked_ns, self._met = now_ns, None, 0
+            self._since_ns, self._polled_ns, self._met = now_ns, None, 0
         else:
             return None
         if state is not None:
@@ -178,21 +178,21 @@ class Waiting:
         notices, self._notices = self._notices, []
         return notices
 
-    def question(self, bus: str, now_ns: int) -> Command | None:
+    def query(self, bus: str, now_ns: int) -> Command | None:
         """Return what is to be asked now on `bus`, if anything."""
         if self._since_ns is None or self._next is None:
             return None
         sensor = self._sensors[self._next[1].sensor]
         if sensor.bus != bus:
             return None
-        if self._asked_ns is not None and now_ns < self._asked_ns + ASK_NS:
+        if self._polled_ns is not None and now_ns < self._polled_ns + POLL_PERIOD_NS:
             return None
         return Command(sensor.servo_id, "QA", SUFFIXES.get(sensor.kind))
 
-    def asked(self, now_ns: int) -> None:
-        self._asked_ns = now_ns
+    def note_query_sent(self, now_ns: int) -> None:
+        self._polled_ns = now_ns
 
-    def answered(self, bus: str, servo_id: int, value: int | str | None) -> None:
+    def take_reply(self, bus: str, servo_id: int, value: int | str | None) -> None:
         """Take an answer to `QA`; those of other inputs are passed over."""
         if self._since_ns is None or self._next is None or not isinstance(value, int):
             return
@@ -204,7 +204,7 @@ class Waiting:
         """Return when there is something to ask or to end."""
         if self._since_ns is None:
             return []
-        asks_ns = [] if self._asked_ns is None else [self._asked_ns + ASK_NS]
+        asks_ns = [] if self._polled_ns is None else [self._polled_ns + POLL_PERIOD_NS]
         end_ns = self._end_ns()
         return asks_ns if end_ns is None else [*asks_ns, end_ns]
 

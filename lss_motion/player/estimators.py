@@ -53,7 +53,7 @@ class DisturbanceEstimator:
     speed_max_deg_s: float
     standing_deg: float | None = None
     """Where the horn was before the first reading, if that is known."""
-    disturbance_deg: float = 0.0
+    estimate_deg: float = 0.0
     offset_deg: float = 0.0
     readings: int = 0
     rejected: int = 0
@@ -71,14 +71,14 @@ class DisturbanceEstimator:
         read_s: float,
         *,
         expected_deg: float,
-        wanted_deg: float,
+        planned_deg: float,
         speed_deg_s: float,
         learns: bool = True,
     ) -> bool:
         """Use a reading taken at `read_s`; return whether it was believed.
 
         `expected_deg` is where the response model puts the horn after all that was sent,
-        `wanted_deg` where the plan wants it. One from which nothing `learns` is only counted.
+        `planned_deg` where the plan wants it. One from which nothing `learns` is only counted.
         """
         if not self._is_plausible(measured_deg, read_s):
             self.rejected += 1
@@ -87,30 +87,30 @@ class DisturbanceEstimator:
         elapsed_s = 0.0 if self.read_s is None else read_s - self.read_s
         self.measured_deg, self.read_s = measured_deg, read_s
         self.readings += 1
-        self.error_deg = wanted_deg - measured_deg
+        self.error_deg = planned_deg - measured_deg
         self.square_sum_deg2 += self.error_deg * self.error_deg
         self.error_max_deg = max(self.error_max_deg, abs(self.error_deg))
         if not learns:
             return True
         gain = GAIN_MAX if is_first else min(GAIN_MAX, elapsed_s / ESTIMATE_S)
         gain /= 1.0 + abs(speed_deg_s) / GAIN_HALF_SPEED_DEG_S
-        self.disturbance_deg += gain * (expected_deg - measured_deg - self.disturbance_deg)
+        self.estimate_deg += gain * (expected_deg - measured_deg - self.estimate_deg)
         self._correct(OFFSET_RATE_DEG_S * elapsed_s)
         return True
 
-    def rest(self, disturbance_deg: float) -> None:
+    def rest(self, estimate_deg: float) -> None:
         """Note what is known for sure: so far from its profile a horn comes to rest."""
-        self.disturbance_deg = disturbance_deg
+        self.estimate_deg = estimate_deg
         self._correct(math.inf)
 
     def _correct(self, most_deg: float) -> None:
         """Bring the offset to what is disturbed, by `most_deg` and within its bounds."""
-        change_deg = min(max(self.disturbance_deg, -OFFSET_MAX_DEG), OFFSET_MAX_DEG)
+        change_deg = min(max(self.estimate_deg, -OFFSET_MAX_DEG), OFFSET_MAX_DEG)
         change_deg -= self.offset_deg
         self.offset_deg += min(max(change_deg, -most_deg), most_deg)
         self.offset_max_deg = max(self.offset_max_deg, abs(self.offset_deg))
 
-    def stand(self, standing_deg: float) -> None:
+    def stand_at(self, standing_deg: float) -> None:
         """Begin to read anew, with a horn that stands there; what was learnt is kept."""
         self.standing_deg = standing_deg
         self.measured_deg = self.read_s = self._suspect = None
@@ -208,7 +208,7 @@ SURE_S: Final = 0.01
 """For so long: one reading is no proof, and a horn that only crosses a course is soon elsewhere."""
 OTHERS_MAX: Final = 3
 """More moves than this are not doubted at once; the oldest counts as heard."""
-ASKS_MAX: Final = 3
+QUERIES_MAX: Final = 3
 """A servo is asked so often for the target of one move: then the readings decide. Chosen: two
 questions that are not answered take so long that they will have."""
 DENIALS_MAX: Final = 6
@@ -224,20 +224,20 @@ its own units may be one off."""
 
 
 @dataclass(slots=True)
-class Last:
+class LastMove:
     """The last move that a servo was told, and its profile before that."""
 
     before: Profile
-    heard_s: float
+    arrival_s: float
     target_deg: float
     duration_s: float | None
-    asks_left: int
-    strange_deg: float | None = None
+    queries_left: int
+    unknown_deg: float | None = None
     """A target that nobody told it, as it said once."""
 
 
 @dataclass(slots=True)
-class Other:
+class Alternative:
     """A profile without one of the last moves."""
 
     profile: Profile
@@ -253,36 +253,36 @@ class LostMoveDetector:
     """One unit of the wire."""
     loop_s: float
     """A servo takes up a move at its next control tick (`Response.loop_s`)."""
-    others: list[Other] = field(default_factory=list)
-    last: Last | None = None
-    denials: int = 0
+    alternatives: list[Alternative] = field(default_factory=list)
+    last: LastMove | None = None
+    mismatches: int = 0
     """How often in a row the servo named another target than it was told."""
     is_doubtful: bool = False
     """Whether the last reading spoke for another course: nothing else can be learnt from it."""
 
-    def told(
-        self, before: Profile, heard_s: float, target_deg: float, duration_s: float | None
+    def commanded(
+        self, before: Profile, arrival_s: float, target_deg: float, duration_s: float | None
     ) -> None:
         """Note a new move, and a copy of the profile `before` it."""
-        for other in self.others:
-            other.profile.retarget(heard_s, target_deg, duration_s)
+        for other in self.alternatives:
+            other.profile.retarget(arrival_s, target_deg, duration_s)
             other.since_s = None
-        self.others = [*self.others[-(OTHERS_MAX - 1) :], Other(before)]
-        is_telling = self._differs(before.target_deg, target_deg) and self.denials < DENIALS_MAX
-        asks = ASKS_MAX if is_telling else 0
-        self.last = Last(before.copy(), heard_s, target_deg, duration_s, asks)
+        self.alternatives = [*self.alternatives[-(OTHERS_MAX - 1) :], Alternative(before)]
+        is_telling = self._differs(before.target_deg, target_deg) and self.mismatches < DENIALS_MAX
+        asks = QUERIES_MAX if is_telling else 0
+        self.last = LastMove(before.copy(), arrival_s, target_deg, duration_s, asks)
 
-    def wants_target(self, now_s: float) -> bool:
+    def needs_target(self, now_s: float) -> bool:
         """Return whether the servo is to be asked for its target."""
         last = self.last
-        return last is not None and last.asks_left > 0 and now_s >= self._taken_up_s(last)
+        return last is not None and last.queries_left > 0 and now_s >= self._taken_up_s(last)
 
-    def asks_target(self) -> None:
+    def count_target_query(self) -> None:
         """Note that the servo is asked for its target now."""
         assert self.last is not None
-        self.last.asks_left -= 1
+        self.last.queries_left -= 1
 
-    def named(self, at_s: float, target_deg: float) -> Profile | None:
+    def target_reported(self, at_s: float, target_deg: float) -> Profile | None:
         """Take the target that a servo named at `at_s`; return as `judge` does.
 
         One that nobody told it must be named twice: it may be the answer that was damaged.
@@ -291,21 +291,21 @@ class LostMoveDetector:
         if last is None or at_s < self._taken_up_s(last):
             return None
         if not self._differs(target_deg, last.target_deg):
-            self.denials, last.asks_left = 0, 0
-            self.others = [o for o in self.others if not self._parts(o.profile)]
+            self.mismatches, last.queries_left = 0, 0
+            self.alternatives = [o for o in self.alternatives if not self._parts(o.profile)]
             return None
-        self.denials += 1
+        self.mismatches += 1
         course = last.before
         if self._differs(target_deg, course.target_deg):
-            if last.strange_deg is None or self._differs(target_deg, last.strange_deg):
-                last.strange_deg = target_deg
+            if last.unknown_deg is None or self._differs(target_deg, last.unknown_deg):
+                last.unknown_deg = target_deg
                 return None
-            course.retarget(last.heard_s, target_deg, last.duration_s)
-        self.others, self.last = [], None
+            course.retarget(last.arrival_s, target_deg, last.duration_s)
+        self.alternatives, self.last = [], None
         return course
 
-    def _taken_up_s(self, last: Last) -> float:
-        return last.heard_s + TAKEN_UP_LOOPS * self.loop_s
+    def _taken_up_s(self, last: LastMove) -> float:
+        return last.arrival_s + TAKEN_UP_LOOPS * self.loop_s
 
     def _parts(self, other: Profile) -> bool:
         """Return whether `other` has another target than the servo was told last."""
@@ -321,13 +321,13 @@ class LostMoveDetector:
         `free_deg` where the horn was, less what else pulls at it.
         """
         off_deg = abs(free_deg - expected_deg)
-        nears = [(abs(free_deg - other.profile.at(at_s)[0]), other) for other in self.others]
+        nears = [(abs(free_deg - other.profile.at(at_s)[0]), other) for other in self.alternatives]
         nears = [near for near in nears if near[0] - off_deg <= PARTED_DEG]
-        self.others = [other for _, other in nears]
+        self.alternatives = [other for _, other in nears]
         near_deg, likely = min(nears, key=lambda near: near[0], default=(math.inf, None))
         if off_deg - near_deg < PARTED_DEG or near_deg > max(NEAR_DEG, NEAR_RATIO * off_deg):
             likely = None
-        for other in self.others:
+        for other in self.alternatives:
             if other is not likely:
                 other.since_s = None
         self.is_doubtful = likely is not None
@@ -337,5 +337,5 @@ class LostMoveDetector:
             likely.since_s = at_s
         if at_s - likely.since_s < SURE_S:
             return None
-        self.others = []
+        self.alternatives = []
         return likely.profile

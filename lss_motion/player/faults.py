@@ -74,12 +74,12 @@ class FaultEscalation:
         """Return whether there is no trouble, nor anything left to be done about an earlier one."""
         return not self._climbs and self._slowed_ns is None
 
-    def judge(self, troubles: Mapping[tuple[str, Cause], str], now_ns: int) -> list[Faulted]:
+    def judge(self, active_faults: Mapping[tuple[str, Cause], str], now_ns: int) -> list[Faulted]:
         """Return the steps to be taken now, given what is wrong now."""
-        for gone in [trouble for trouble in self._climbs if trouble not in troubles]:
+        for gone in [trouble for trouble in self._climbs if trouble not in active_faults]:
             del self._climbs[gone]
         taken = []
-        for (joint, cause), text in troubles.items():
+        for (joint, cause), text in active_faults.items():
             climb = self._climbs.get((joint, cause))
             if climb is None:
                 taken.append(self.begin(joint, cause, text, now_ns))
@@ -89,14 +89,14 @@ class FaultEscalation:
         self._slow(now_ns)
         return taken
 
-    def taken_up(self, troubles: Collection[tuple[str, Cause]]) -> set[str]:
+    def taken_up(self, active_faults: Collection[tuple[str, Cause]]) -> set[str]:
         """Return the joints that were only warned of as silent, answer, and are to be resumed."""
         silent = {
             name
             for (name, cause), climb in self._climbs.items()
             if cause is Cause.SILENT and climb.step is not FaultStep.RESUME
         }
-        back = {name for name in silent if (name, Cause.SILENT) not in troubles}
+        back = {name for name in silent if (name, Cause.SILENT) not in active_faults}
         for name in sorted(back):
             steps = self._robot.ladder(Cause.RESTARTED, self._robot.joints[name], self._show)
             if FaultStep.RESUME not in steps or self._resumes >= RESUMES_MAX:
@@ -192,7 +192,7 @@ class Troubles:
     """
 
     def __init__(self, session: Session) -> None:
-        self.ladder = FaultEscalation(session.robot, session.program.on_fault)
+        self.escalation = FaultEscalation(session.robot, session.program.on_fault)
         self.lost: dict[str, str] = {}
         self.recovery: Recovery | None = None
         self.events: list[Faulted | Warned] = []
@@ -200,21 +200,21 @@ class Troubles:
 
     def forget(self) -> None:
         """Begin anew: the show goes on."""
-        self.ladder.forget()
+        self.escalation.forget()
         self.recovery = None
 
     # ---- while something is streamed
 
     def judge(self, streamer: Streamer, now_ns: int) -> Verdict:
         """Take the steps that are due about what was read."""
-        if streamer.reader is None:
+        if streamer.scheduler is None:
             return Verdict.GO_ON
-        if self.ladder.is_idle and not streamer.reader.watch.troubles:
+        if self.escalation.is_idle and not streamer.scheduler.health.active_faults:
             return Verdict.GO_ON
-        troubles = streamer.reader.watch.troubles.items()
-        watched = {trouble: text for trouble, text in troubles if self._is_watched(*trouble)}
-        back = self.ladder.taken_up({trouble for trouble, _ in troubles})
-        taken = self.ladder.judge(watched, now_ns)
+        active_faults = streamer.scheduler.health.active_faults.items()
+        watched = {trouble: text for trouble, text in active_faults if self._is_watched(*trouble)}
+        back = self.escalation.taken_up({trouble for trouble, _ in active_faults})
+        taken = self.escalation.judge(watched, now_ns)
         for fault in taken:
             self._take(fault, now_ns)
         streamer.leave_out(self._session.left_out)
@@ -225,14 +225,14 @@ class Troubles:
             return Verdict.GO_ON
         self._session.left_out -= gone
         # What took one servo's power may have taken that of others, not noticed yet.
-        gone |= streamer.reader.watch.quiet()
+        gone |= streamer.scheduler.health.unresponsive()
         self._miss([joint for joint in self._session.driven if joint.name in gone], now_ns)
         return Verdict.RECOVER
 
     def lose(self, bus: str, reason: str, now_ns: int) -> Verdict:
         """Note that the port of a bus is gone."""
         self.lost[bus] = reason
-        fault = self.ladder.begin("", Cause.LOST_PORT, reason, now_ns)
+        fault = self.escalation.begin("", Cause.LOST_PORT, reason, now_ns)
         self.events.append(fault)
         if fault.step is not FaultStep.RESUME:
             return Verdict.END
@@ -248,7 +248,9 @@ class Troubles:
                  for joint in restarted]  # fmt: skip
         wrong += [(joint, Cause.SILENT, f"is silent: servo {joint.servo_id} {SILENT_TEXT}")
                   for joint in silent]  # fmt: skip
-        taken = [self.ladder.begin(joint.name, cause, text, now_ns) for joint, cause, text in wrong]
+        taken = [
+            self.escalation.begin(joint.name, cause, text, now_ns) for joint, cause, text in wrong
+        ]
         for fault in taken:
             self._take(fault, now_ns)
         if any(fault.step in ENDING for fault in taken):
@@ -271,7 +273,7 @@ class Troubles:
             f"is {off_deg:.1f} deg from where the show begins after {approaches} approaches. Look "
             f"for what holds it"
         )
-        self.events.append(self.ladder.note(joint, Cause.ASTRAY, text, FaultStep.HOLD))
+        self.events.append(self.escalation.note(joint, Cause.ASTRAY, text, FaultStep.HOLD))
 
     # ---- while somebody is gone
 
@@ -297,13 +299,13 @@ class Troubles:
         error = None
         for bus, reason in self.lost.items():
             error = LostPortError(f"{reason}, {waited}", url=robot.buses[bus].port)
-            self.events.append(self.ladder.give_up("", Cause.LOST_PORT, error.reason))
+            self.events.append(self.escalation.give_up("", Cause.LOST_PORT, error.reason))
         for joint in [] if self.lost else self.recovery.absent(answers):
             text = (
                 f"is silent: servo {joint.servo_id} did not answer, {waited}. Look at its cable "
                 f"and its power"
             )
-            self._take(self.ladder.give_up(joint.name, Cause.SILENT, text), now_ns)
+            self._take(self.escalation.give_up(joint.name, Cause.SILENT, text), now_ns)
         return error
 
     def found(self, answers: Answers) -> None:
@@ -311,7 +313,7 @@ class Troubles:
         assert self.recovery is not None
         for joint in self.recovery.restarted(answers, self._session.had):
             text = f"has restarted: servo {joint.servo_id} {RESTARTED_TEXT}"
-            note = self.ladder.note(joint.name, Cause.RESTARTED, text, FaultStep.RESUME)
+            note = self.escalation.note(joint.name, Cause.RESTARTED, text, FaultStep.RESUME)
             self.events.append(note)
 
     def miss_again(self, silent: Iterable[Joint], wrong: Iterable[Item]) -> None:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import BusError, InputError, PlaybackError
-from lss_motion.player.cues import LIT_KEYWORD
+from lss_motion.player.cues import LED_KEYWORD
 from lss_motion.player.events import Found
 from lss_motion.player.transactions import Dialogue, Item
 from lss_motion.program.model import ramp_setting_deg_s2
@@ -41,14 +41,14 @@ if TYPE_CHECKING:
     Answers = Mapping[tuple[str, int, str], int | str | None]
 
 
-UNSURE_TRIES: Final = 2
+UNCONFIRMED_TRIES: Final = 2
 """How often a servo is asked, in a round, for what it has not answered before."""
 SETTING_TRIES: Final = 4
 """How often a setting is sent that the servo does not answer with. Chosen: on a line that loses
 every tenth command, one of 10,000 settings stays wrong."""
 
 
-class Settling:
+class SettingsDialogue:
     """A `Dialogue` that sends orders until every servo answers with what it was told.
 
     `wrong` are the orders that were not taken in `SETTING_TRIES` rounds. Those of `unsure` may
@@ -60,39 +60,39 @@ class Settling:
         self,
         orders: Sequence[Item],
         then: Iterable[Item],
-        unsure: Sequence[Item],
+        unconfirmed: Sequence[Item],
         lines: Mapping[str, SerialLine],
-        questioners: Mapping[str, QueryTracker],
+        trackers: Mapping[str, QueryTracker],
     ) -> None:
         self.wrong = list(orders)
         self.answers: dict[tuple[str, int, str], int | str | None] = {}
         self._then = list(then)
-        self._unsure = list(unsure)
+        self._unconfirmed = list(unconfirmed)
         self._lines = lines
-        self._questioners = questioners
+        self._trackers = trackers
         self._rounds = 0
         self._dialogue = self._round()
 
     @property
     def is_finished(self) -> bool:
-        return self._dialogue.is_finished and not self._must_say_again()
+        return self._dialogue.is_finished and not self._must_repeat()
 
     def advance(self, now_ns: int) -> None:
         self._dialogue.advance(now_ns)
         if not self._dialogue.is_finished:
             return
         self.answers.update(self._dialogue.answers)
-        self.wrong = untaken(self.wrong, self.answers)
-        self._unsure = untaken(self._unsure, self.answers)
-        if self._must_say_again():
+        self.wrong = not_applied(self.wrong, self.answers)
+        self._unconfirmed = not_applied(self._unconfirmed, self.answers)
+        if self._must_repeat():
             self._dialogue = self._round()
             self._dialogue.advance(now_ns)
         else:
-            self.wrong += [order for order in self._unsure if is_answered(order, self.answers)]
-            self._unsure = []
+            self.wrong += [order for order in self._unconfirmed if is_answered(order, self.answers)]
+            self._unconfirmed = []
 
-    def _must_say_again(self) -> bool:
-        return bool(self.wrong or self._unsure) and self._rounds < SETTING_TRIES
+    def _must_repeat(self) -> bool:
+        return bool(self.wrong or self._unconfirmed) and self._rounds < SETTING_TRIES
 
     def receive(self, bus: str, reply: Reply, now_ns: int) -> None:
         self._dialogue.receive(bus, reply, now_ns)
@@ -102,9 +102,11 @@ class Settling:
 
     def _round(self) -> Dialogue:
         self._rounds += 1
-        unsure = [replace(item, tries=UNSURE_TRIES) for item in read_back(self._unsure)]
-        items = [*self.wrong, *self._unsure, *read_back(self.wrong), *unsure, *self._then]
-        return Dialogue(items, self._lines, self._questioners)
+        unconfirmed = [
+            replace(item, tries=UNCONFIRMED_TRIES) for item in read_back(self._unconfirmed)
+        ]
+        items = [*self.wrong, *self._unconfirmed, *read_back(self.wrong), *unconfirmed, *self._then]
+        return Dialogue(items, self._lines, self._trackers)
 
 
 def read_back(orders: Iterable[Item]) -> list[Item]:
@@ -113,14 +115,14 @@ def read_back(orders: Iterable[Item]) -> list[Item]:
         Item(
             bus=order.bus,
             command=Command(order.command.servo_id, f"Q{order.command.keyword}"),
-            is_question=True,
+            is_query=True,
             agree_within=0,
         )
         for order in orders
     ]
 
 
-def untaken(orders: Iterable[Item], answers: Answers) -> list[Item]:
+def not_applied(orders: Iterable[Item], answers: Answers) -> list[Item]:
     """Return the orders that the servos, asked by `read_back`, do not answer with."""
     return [
         order
@@ -135,7 +137,7 @@ def is_answered(order: Item, answers: Answers) -> bool:
     return (order.bus, order.command.servo_id, f"Q{order.command.keyword}") in answers
 
 
-def untaken_error(order: Item, answers: Answers, joints: Iterable[Joint]) -> PlaybackError:
+def not_applied_error(order: Item, answers: Answers, joints: Iterable[Joint]) -> PlaybackError:
     """Return what to say about an order that was not taken in `SETTING_TRIES` tries."""
     command = order.command
     name = next(j.name for j in joints if (j.bus, j.servo_id) == (order.bus, command.servo_id))
@@ -155,7 +157,7 @@ LIMIT_KEYWORDS: Final = ("EM", "AA", "AD", "SD")
 """Without these a servo does not keep the joint's limits, or takes no limits at all."""
 
 
-def stored(joint: Joint, answers: Answers, keyword: str) -> float | None:
+def reported(joint: Joint, answers: Answers, keyword: str) -> float | None:
     """Return the number that a servo answered to `keyword`, in physical units, if it did."""
     value = answers.get((joint.bus, joint.servo_id, keyword))
     if not isinstance(value, int):
@@ -176,7 +178,7 @@ def session_orders(joints: Iterable[Joint], answers: Answers) -> list[Item]:
     return orders
 
 
-def unsure_orders(joints: Iterable[Joint], answers: Answers) -> list[Item]:
+def unconfirmed_orders(joints: Iterable[Joint], answers: Answers) -> list[Item]:
     """Return the limits for the show that servos did not say what they had of.
 
     The line was bad, or the servo does not know them (no document says which family answers all):
@@ -197,13 +199,13 @@ def _session_orders(joint: Joint, answers: Answers, *, is_known: bool) -> list[I
         _order(joint, make_command(joint.model.family, joint.servo_id, keyword, value))
         for keyword, value in _session_of(joint).items()
         if f"Q{keyword}" in known
-        and is_known is (stored(joint, answers, f"Q{keyword}") is not None)
+        and is_known is (reported(joint, answers, f"Q{keyword}") is not None)
     ]
 
 
-def changed(joint: Joint, lit: Container[str]) -> list[str]:
+def changed(joint: Joint, led_joints: Container[str]) -> list[str]:
     """Return what a show that changes the colours of the joints `lit` sets besides the drive."""
-    lights = [LIT_KEYWORD] if joint.name in lit and LIT_KEYWORD not in joint.settings else []
+    lights = [LED_KEYWORD] if joint.name in led_joints and LED_KEYWORD not in joint.settings else []
     return [*joint.settings, *lights]
 
 
@@ -223,7 +225,7 @@ def _session_of(joint: Joint) -> dict[str, float]:
 
 
 def restoring_orders(
-    joints: Iterable[Joint], answers: Answers, lit: Container[str] = ()
+    joints: Iterable[Joint], answers: Answers, led_joints: Container[str] = ()
 ) -> list[Item]:
     """Return what gives every servo back its settings, and to those `lit` their colours.
 
@@ -233,16 +235,16 @@ def restoring_orders(
         _order(joint, Command(joint.servo_id, keyword, had))
         for _ in range(RESTORING_TIMES)
         for joint in joints
-        for keyword in (*SESSION_KEYWORDS, *changed(joint, lit))
+        for keyword in (*SESSION_KEYWORDS, *changed(joint, led_joints))
         if isinstance(had := answers.get((joint.bus, joint.servo_id, f"Q{keyword}")), int)
     ]
 
 
 def _order(joint: Joint, command: Command) -> Item:
-    return Item(bus=joint.bus, command=command, is_question=False)
+    return Item(bus=joint.bus, command=command, is_query=False)
 
 
-QUESTIONS: Final = ("QMS", "QF", "Q", "QSD", "QAA", "QAD", "QEM", "QV", "QT", "QD")
+QUERIES: Final = ("QMS", "QF", "Q", "QSD", "QAA", "QAD", "QEM", "QV", "QT", "QD")
 """Asked of every servo before anything moves. Without QD the show does not start. One that answers
 QMS and QD but not the others is driven: no document says which family answers all. By its first
 question a servo counts as silent (`dialogue.TRIES`), so that is QMS, which all three documents
@@ -253,78 +255,78 @@ AGREE_WITHIN: Final = {"QV": 500, "QT": 20}
 """What voltage (mV) and temperature (tenths of a degree) may change by in two milliseconds."""
 ARRIVED_DEG: Final = 3.0
 """A joint further from its start than this is sent there again; nearer, it may be its load."""
-PULLED_DEG: Final = 1.0
+LOADED_DEG: Final = 1.0
 """With feedback a load is known after the first approach. A joint that it keeps further away than
 this is sent there once more, corrected: half a second, and the show begins where it should."""
 OUTSIDE_DEG: Final = 1.0
 """A joint may stand so far outside of its range unsaid: a load may have pulled it there. Chosen."""
 LATENCY_BAD_NS: Final = 5 * NS_PER_MS
 """A servo answers within 2 ms (FACTS.md W14); what takes longer is an adapter's latency timer."""
-FILTER_QUESTIONS: Final = ("QFPC", "QIPE")
+FILTER_QUERIES: Final = ("QFPC", "QIPE")
 """Asked of streamed servos as well. IPE makes the filter step by itself (FACTS.md M8); a servo
 that does not answer QIPE is taken to do so, as from the factory."""
 FILTER_ESSENTIAL: Final = ("QD", "QEM", "QFPC")
-IO2_QUESTIONS: Final = ("QMS", "QG", "QD")
+IO2_QUERIES: Final = ("QMS", "QG", "QD")
 """An RC servo on a 2IO knows no more, and QD is only its last command (FACTS.md B8, B10)."""
 LIMIT_SLACK_RATIO: Final = 0.999
 """Limits read back from a servo are rounded to its wire unit."""
 
 
-def questions(joints: Iterable[Joint], lit: Container[str] = ()) -> list[Item]:
+def queries(joints: Iterable[Joint], led_joints: Container[str] = ()) -> list[Item]:
     """Return what to ask before a show that changes the colours of the joints `lit`.
 
     What only some servos know comes last.
     """
     joints = list(joints)
     known = [
-        _question(joint, keyword)
+        _query(joint, keyword)
         for joint in joints
         for keyword in _asked_of(joint)
         if keyword in FAMILY_TABLES[joint.model.family].by_keyword
     ]
-    return known + settings_questions(joints, lit)
+    return known + settings_queries(joints, led_joints)
 
 
 def _asked_of(joint: Joint) -> tuple[str, ...]:
     match joint.drive:
         case "stepped":
-            return IO2_QUESTIONS
+            return IO2_QUERIES
         case "streamed":
-            return (*QUESTIONS, *FILTER_QUESTIONS)
+            return (*QUERIES, *FILTER_QUERIES)
         case _:
-            return QUESTIONS
+            return QUERIES
 
 
-def settings_questions(joints: Iterable[Joint], lit: Container[str] = ()) -> list[Item]:
+def settings_queries(joints: Iterable[Joint], led_joints: Container[str] = ()) -> list[Item]:
     """Return what to ask so that the `settings` of the robot file, and colours, can be undone."""
-    return [_question(joint, f"Q{word}") for joint in joints for word in changed(joint, lit)]
+    return [_query(joint, f"Q{word}") for joint in joints for word in changed(joint, led_joints)]
 
 
-def place_questions(joints: Iterable[Joint]) -> list[Item]:
+def position_queries(joints: Iterable[Joint]) -> list[Item]:
     """Return what to ask to know where every servo is."""
-    return [_question(joint, "QD") for joint in joints]
+    return [_query(joint, "QD") for joint in joints]
 
 
-def _question(joint: Joint, keyword: str) -> Item:
+def _query(joint: Joint, keyword: str) -> Item:
     within = AGREE_WITHIN.get(keyword, 0)
     if keyword == "QD":
         within = round(PLACE_WITHIN_DEG * joint.model.wire_per_deg)
     command = Command(joint.servo_id, keyword)
-    return Item(bus=joint.bus, command=command, is_question=True, agree_within=within)
+    return Item(bus=joint.bus, command=command, is_query=True, agree_within=within)
 
 
 def findings(
     joints: Iterable[Joint],
     answers: Answers,
     robot: Robot,
-    questioners: Mapping[str, QueryTracker],
+    trackers: Mapping[str, QueryTracker],
 ) -> list[str]:
     """Return all warnings about servos and ports; raise as `check_answers` does."""
     joints = list(joints)
     return (
         check_answers(joints, answers, robot)
         + check_range(joints, answers)
-        + check_latency(robot.buses, questioners)
+        + check_latency(robot.buses, trackers)
     )
 
 
@@ -335,7 +337,7 @@ def check_range(joints: Iterable[Joint], answers: Answers) -> list[str]:
     """
     warnings = []
     for joint in joints:
-        servo_deg = stored(joint, answers, "QD")
+        servo_deg = reported(joint, answers, "QD")
         if servo_deg is None or joint.drive == "stepped":
             continue
         angle_deg, least_deg, most_deg = (
@@ -352,10 +354,10 @@ def check_range(joints: Iterable[Joint], answers: Answers) -> list[str]:
     return warnings
 
 
-def sensor_questions(program: Program, robot: Robot) -> list[Item]:
+def sensor_queries(program: Program, robot: Robot) -> list[Item]:
     """Return what to ask the sensors that a show waits for: whether they are there."""
     return [
-        Item(bus=sensor.bus, command=Command(sensor.servo_id, "QA"), is_question=True)
+        Item(bus=sensor.bus, command=Command(sensor.servo_id, "QA"), is_query=True)
         for sensor in _sensors(program, robot)
     ]
 
@@ -394,13 +396,13 @@ def check_answers(joints: Iterable[Joint], answers: Answers, robot: Robot) -> li
 
 def _check_drive(joint: Joint, answers: Answers, robot: Robot) -> None:
     """Refuse a servo that cannot be driven as the program wants."""
-    if joint.drive == "stepped" and stored(joint, answers, "QG") == -1.0:
+    if joint.drive == "stepped" and reported(joint, answers, "QG") == -1.0:
         raise InputError(
             f"joint {joint.name!r}: servo {joint.servo_id} has a gyre of -1, with which an LSS-2IO "
             f"says nonsense about where it is. Set its gyre to 1 (CG1), and `direction: -1` here",
             path=robot.path,
         )
-    unknown = [key[1:] for key in FILTER_ESSENTIAL if stored(joint, answers, key) is None]
+    unknown = [key[1:] for key in FILTER_ESSENTIAL if reported(joint, answers, key) is None]
     if joint.drive == "streamed" and unknown:
         firmware = answers.get((joint.bus, joint.servo_id, "QF"))
         is_old = isinstance(firmware, int) and firmware < FILTER_FIRMWARE_MIN
@@ -416,7 +418,7 @@ def _check_drive(joint: Joint, answers: Answers, robot: Robot) -> None:
 
 def standing_deg(joints: Iterable[Joint], answers: Answers) -> dict[str, float]:
     """Return the servo angle of every joint that said where it is."""
-    angles = {joint.name: stored(joint, answers, "QD") for joint in joints}
+    angles = {joint.name: reported(joint, answers, "QD") for joint in joints}
     return {name: angle for name, angle in angles.items() if angle is not None}
 
 
@@ -457,7 +459,7 @@ def _check_joint(joint: Joint, answers: Answers, robot: Robot, warnings: list[st
     if joint.drive == "timed":
         needs |= dict.fromkeys(("QAA", "QAD"), ramp_setting_deg_s2(joint))
     for keyword, needed in needs.items():
-        allowed = stored(joint, answers, keyword)
+        allowed = reported(joint, answers, keyword)
         if allowed is not None and allowed < LIMIT_SLACK_RATIO * needed:
             is_speed = keyword == "QSD"
             unit = "deg/s" if is_speed else "deg/s²"
@@ -478,11 +480,11 @@ def _status(joint: Joint, answers: Answers, robot: Robot) -> Status | None:
     return status_from(code, joint.model.family, robot.buses[joint.bus].firmware)
 
 
-def check_latency(buses: Mapping[str, Bus], questioners: Mapping[str, QueryTracker]) -> list[str]:
+def check_latency(buses: Mapping[str, Bus], trackers: Mapping[str, QueryTracker]) -> list[str]:
     """Return a warning for every port where each answer so far came later than servos answer."""
     warnings = []
-    for name, questioner in questioners.items():
-        least_ns, port = questioner.least_wait_ns, buses[name].port
+    for name, tracker in trackers.items():
+        least_ns, port = tracker.shortest_latency_ns, buses[name].port
         if least_ns is None or least_ns < LATENCY_BAD_NS:
             continue
         device = port.rpartition("/")[2]
@@ -503,7 +505,7 @@ def found(
     for joint in joints:
         model = answers.get((joint.bus, joint.servo_id, "QMS"))
         firmware = answers.get((joint.bus, joint.servo_id, "QF"))
-        said = {key: stored(joint, answers, key) for key in ("QD", "QV", "QT", "QSD", "QAA")}
+        said = {key: reported(joint, answers, key) for key in ("QD", "QV", "QT", "QSD", "QAA")}
         assert said["QD"] is not None, "checked before"
         status = _status(joint, answers, robot)
         rows.append(
@@ -542,11 +544,11 @@ def let_go(joint: Joint) -> bytes:
     return encode(Command(joint.servo_id, "L"))
 
 
-ASKED_FOREVER: Final = 1_000_000
+UNLIMITED_TRIES: Final = 1_000_000
 """Until the time is over, whatever the number of tries."""
 
 
-def telling_orders(joints: Iterable[Joint], had: Answers) -> list[Item]:
+def restart_probes(joints: Iterable[Joint], had: Answers) -> list[Item]:
     """Return one setting of each servo that it no longer has if it restarts, if there is one.
 
     All that a session changes is lost together; what it did not change, a restart does not either.
@@ -559,7 +561,7 @@ def telling_orders(joints: Iterable[Joint], had: Answers) -> list[Item]:
 
 def changing_orders(joints: Iterable[Joint], had: Answers) -> list[Item]:
     """Return the settings for the show that servos had otherwise before."""
-    return untaken(session_orders(joints, had), had)
+    return not_applied(session_orders(joints, had), had)
 
 
 @dataclass(slots=True)
@@ -575,8 +577,8 @@ class Recovery:
     def questions(self, had: Answers) -> list[Item]:
         """Return what to ask: where they are, and whether they still have what they were given."""
         orders = session_orders(self.missing, had)
-        items = [*read_back(orders), *place_questions(self.missing)]
-        return [replace(item, tries=ASKED_FOREVER) for item in items]
+        items = [*read_back(orders), *position_queries(self.missing)]
+        return [replace(item, tries=UNLIMITED_TRIES) for item in items]
 
     def absent(self, answers: Answers) -> list[Joint]:
         """Return who has not said where it is."""
@@ -585,4 +587,6 @@ class Recovery:
 
     def restarted(self, answers: Answers, had: Answers) -> list[Joint]:
         """Return who has lost what it was given."""
-        return [joint for joint in self.missing if untaken(session_orders([joint], had), answers)]
+        return [
+            joint for joint in self.missing if not_applied(session_orders([joint], had), answers)
+        ]

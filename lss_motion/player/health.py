@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lss_motion.player.joint_state import JointState
     from lss_motion.robot.model import Joint
 
-    Trouble = tuple[str, Cause]
+    FaultKey = tuple[str, Cause]
 
 
 ASTRAY_NS: Final = NS_PER_S // 2
@@ -27,7 +27,7 @@ ASTRAY_NS: Final = NS_PER_S // 2
 BACK_RATIO: Final = 0.5
 """It is back when it is off by less than this share of `following_deg`."""
 CONFIRMATIONS: Final = 2
-SILENT_ASKS: Final = 4
+SILENT_QUERIES: Final = 4
 """So many questions in a row must stay unanswered, and not all at once, as when a clog takes a
 whole row of them: on a slow line, or a busy computer, `silent_s` alone says little."""
 STATUS_CAUSES: Final = {
@@ -66,72 +66,72 @@ class _Unanswered:
     count: int = 0
 
 
-class Watch:
+class HealthMonitor:
     """What is wrong now: `troubles`, by joint and cause, in words that name a remedy."""
 
     def __init__(self) -> None:
-        self.troubles: dict[Trouble, str] = {}
-        self.doubts: dict[str, str] = {}
+        self.active_faults: dict[FaultKey, str] = {}
+        self.unconfirmed: dict[str, str] = {}
         """By joint: what was said once and must be asked again at once."""
-        self._counts: dict[Trouble, int] = {}
+        self._counts: dict[FaultKey, int] = {}
         self._astray_since_ns: dict[str, int] = {}
         self._unanswered: dict[str, _Unanswered] = {}
         """Who did not answer the last question."""
         self._before: dict[tuple[str, str], float] = {}
 
-    def position(self, track: JointState, heard_ns: int) -> None:
+    def position(self, state: JointState, arrival_ns: int) -> None:
         """Judge the last reading that `track` believed; the servo heard the question then."""
-        joint, error_deg = track.joint, abs(track.following.error_deg)
+        joint, error_deg = state.joint, abs(state.disturbance.error_deg)
         trouble = (joint.name, Cause.ASTRAY)
         if error_deg <= joint.following_deg:
             self._astray_since_ns.pop(joint.name, None)
             if error_deg <= BACK_RATIO * joint.following_deg:
-                self.troubles.pop(trouble, None)
-        elif heard_ns - self._astray_since_ns.setdefault(joint.name, heard_ns) > ASTRAY_NS:
-            self.troubles[trouble] = (
+                self.active_faults.pop(trouble, None)
+        elif arrival_ns - self._astray_since_ns.setdefault(joint.name, arrival_ns) > ASTRAY_NS:
+            self.active_faults[trouble] = (
                 f"is {error_deg:.1f} deg off its course, allowed is {joint.following_deg:g} deg "
                 f"(following_deg). Look for what holds it, or lower its limits"
             )
 
-    def status(self, track: JointState, code: int, firmware: int) -> None:
-        track.status = status_from(code, track.joint.model.family, firmware)
-        present = STATUS_CAUSES.get(track.status)
+    def status(self, state: JointState, code: int, firmware: int) -> None:
+        state.status = status_from(code, state.joint.model.family, firmware)
+        present = STATUS_CAUSES.get(state.status)
         for cause, text in STATUS_TEXTS.items():
-            self._judge(track, cause, "Q", text, is_bad=cause is present)
+            self._judge(state, cause, "Q", text, is_bad=cause is present)
 
-    def temperature(self, track: JointState, temperature_c: float) -> None:
-        confirmed_c = self._twice(track, "QT", temperature_c, min)
-        track.temperature_max_c = max(confirmed_c, track.temperature_max_c or confirmed_c)
-        limit_c = track.joint.temperature_max_c
+    def temperature(self, state: JointState, temperature_c: float) -> None:
+        confirmed_c = self._twice(state, "QT", temperature_c, min)
+        state.temperature_max_c = max(confirmed_c, state.temperature_max_c or confirmed_c)
+        limit_c = state.joint.temperature_max_c
         text = (
             f"is hot: {temperature_c:.0f} C, allowed is {limit_c:g} C (temperature_max_c). Let it "
             f"rest, or give it less to carry"
         )
-        self._judge(track, Cause.HOT, "QT", text, is_bad=temperature_c > limit_c)
+        self._judge(state, Cause.HOT, "QT", text, is_bad=temperature_c > limit_c)
 
-    def voltage(self, track: JointState, voltage_v: float) -> None:
-        confirmed_v = self._twice(track, "QV", voltage_v, max)
-        track.voltage_min_v = min(confirmed_v, track.voltage_min_v or confirmed_v)
-        limit_v = track.joint.voltage_min_v
+    def voltage(self, state: JointState, voltage_v: float) -> None:
+        confirmed_v = self._twice(state, "QV", voltage_v, max)
+        state.voltage_min_v = min(confirmed_v, state.voltage_min_v or confirmed_v)
+        limit_v = state.joint.voltage_min_v
         text = (
             f"has {voltage_v:.1f} V, needed are {limit_v:g} V (voltage_min_v). Charge the battery, "
             f"or look at the wires"
         )
-        self._judge(track, Cause.LOW_VOLTAGE, "QV", text, is_bad=voltage_v < limit_v)
+        self._judge(state, Cause.LOW_VOLTAGE, "QV", text, is_bad=voltage_v < limit_v)
 
-    def answered(self, track: JointState) -> None:
+    def answered(self, state: JointState) -> None:
         """Note that a servo answered, whatever it said."""
-        name = track.joint.name
+        name = state.joint.name
         self._unanswered.pop(name, None)
-        self.troubles.pop((name, Cause.SILENT), None)
+        self.active_faults.pop((name, Cause.SILENT), None)
 
-    def unanswered(self, track: JointState, now_ns: int, since_ns: int) -> None:
+    def unanswered(self, state: JointState, now_ns: int, since_ns: int) -> None:
         """Note that a question to a servo was given up; `advance` judges it.
 
         `since_ns` is when it last answered anything, be it before the show: a servo that restarts
         between two phases must be missed before it is back and hears a move without its limits.
         """
-        joint = track.joint
+        joint = state.joint
         new = _Unanswered(joint, since_ns, first_ns=now_ns, last_ns=now_ns)
         known = self._unanswered.setdefault(joint.name, new)
         known.count += 1
@@ -142,7 +142,7 @@ class Watch:
         for joint, since_ns in self._fading():
             if now_ns >= since_ns + ns_from_s(joint.silent_s):
                 silent_s = s_from_ns(now_ns - since_ns)
-                self.troubles[joint.name, Cause.SILENT] = (
+                self.active_faults[joint.name, Cause.SILENT] = (
                     f"is silent: servo {joint.servo_id} has not answered for {silent_s:.1f} s. "
                     f"Look at its cable and its power"
                 )
@@ -152,41 +152,41 @@ class Watch:
         return [
             since_ns + ns_from_s(joint.silent_s)
             for joint, since_ns in self._fading()
-            if (joint.name, Cause.SILENT) not in self.troubles
+            if (joint.name, Cause.SILENT) not in self.active_faults
         ]
 
-    def quiet(self) -> set[str]:
+    def unresponsive(self) -> set[str]:
         """Return the joints whose last question was not answered."""
         return set(self._unanswered)
 
     def _fading(self) -> Iterator[tuple[Joint, int]]:
         """Yield who is silent unless it answers within its time, and when it last answered."""
         for one in self._unanswered.values():
-            if one.count >= SILENT_ASKS and one.last_ns > one.first_ns:
+            if one.count >= SILENT_QUERIES and one.last_ns > one.first_ns:
                 yield one.joint, one.since_ns
 
     def _judge(
-        self, track: JointState, cause: Cause, keyword: str, text: str, *, is_bad: bool
+        self, state: JointState, cause: Cause, keyword: str, text: str, *, is_bad: bool
     ) -> None:
-        name = track.joint.name
+        name = state.joint.name
         if not is_bad:
-            if self._counts.pop((name, cause), 0) and self.doubts.get(name) == keyword:
-                del self.doubts[name]
-            self.troubles.pop((name, cause), None)
+            if self._counts.pop((name, cause), 0) and self.unconfirmed.get(name) == keyword:
+                del self.unconfirmed[name]
+            self.active_faults.pop((name, cause), None)
             return
         count = self._counts[name, cause] = self._counts.get((name, cause), 0) + 1
         if count < CONFIRMATIONS:
-            self.doubts[name] = keyword
+            self.unconfirmed[name] = keyword
             return
-        if self.doubts.get(name) == keyword:
-            del self.doubts[name]
-        self.troubles[name, cause] = text
+        if self.unconfirmed.get(name) == keyword:
+            del self.unconfirmed[name]
+        self.active_faults[name, cause] = text
 
     def _twice(
-        self, track: JointState, keyword: str, value: float, choose: Callable[[float, float], float]
+        self, state: JointState, keyword: str, value: float, choose: Callable[[float, float], float]
     ) -> float:
         """Return what this reading and the one before it both say."""
-        place = (track.joint.name, keyword)
+        place = (state.joint.name, keyword)
         before = self._before.get(place, value)
         self._before[place] = value
         return choose(before, value)

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Joint, Robot
 
 
-PHASES: Final = 16
+STEP_OFFSETS: Final = 16
 """Instants of the steps that are looked at, evenly spread over one period: 1.25 ms apart, about
 what one command takes on an ordinary line."""
 ROOM_RATIO: Final = 1.0
@@ -62,7 +62,7 @@ CLOSING_GAIN: Final = 0.5
 
 
 @dataclass(slots=True)
-class _Phase:
+class _StepOffset:
     """The filter, if its steps are made at one of the possible instants."""
 
     step: int
@@ -70,21 +70,21 @@ class _Phase:
     value_deg: float
     last_deg: float = 0.0
     """How far the last step went."""
-    felt_deg: float = 0.0
+    lagged_deg: float = 0.0
     """By how much steps differ from the last ones, as the horn feels it, which lags behind."""
 
-    def go_on(self, until: int, target_deg: float, count: int, felt_ratio: float) -> None:
+    def go_on(self, until: int, target_deg: float, count: int, lag_ratio: float) -> None:
         """Make all steps before `until`. The horn feels `felt_ratio` of a change at once."""
         while self.step < until:
             if self.value_deg == target_deg and self.last_deg == 0.0:
-                self.step, self.felt_deg = until, 0.0
+                self.step, self.lagged_deg = until, 0.0
                 return
             self.step += 1
             value_deg = self.value_deg + (target_deg - self.value_deg) / count
             if abs(value_deg - target_deg) < SETTLED_DEG:
                 value_deg = target_deg
             step_deg = value_deg - self.value_deg
-            self.felt_deg += felt_ratio * (step_deg - self.last_deg - self.felt_deg)
+            self.lagged_deg += lag_ratio * (step_deg - self.last_deg - self.lagged_deg)
             self.value_deg, self.last_deg = value_deg, step_deg
 
 
@@ -97,41 +97,41 @@ class Setpoints:
         self._period_s = limits.response.filter_s
         self._target_deg = position_deg
         response = limits.response
-        self._felt_ratio = -math.expm1(-self._period_s / response.lag_s) if response.lag_s else 1.0
-        self._phases = [_Phase(0, position_deg) for _ in range(PHASES)]
+        self._lag_ratio = -math.expm1(-self._period_s / response.lag_s) if response.lag_s else 1.0
+        self._phases = [_StepOffset(0, position_deg) for _ in range(STEP_OFFSETS)]
 
-    def allowed(self, heard_s: float) -> tuple[float, float]:
+    def allowed(self, arrival_s: float) -> tuple[float, float]:
         """Return the least and largest target that keep the limits if heard at `heard_s`.
 
         Where the possible instants disagree, it is half-way between them.
         """
-        self._go_on(heard_s)
+        self._go_on(arrival_s)
         spans = [self._span(phase) for phase in self._phases]
         low_deg, high_deg = max(low for low, _ in spans), min(high for _, high in spans)
         if low_deg > high_deg:
             low_deg = high_deg = 0.5 * (low_deg + high_deg)
         return low_deg, high_deg
 
-    def told(self, heard_s: float, target_deg: float) -> None:
+    def commanded(self, arrival_s: float, target_deg: float) -> None:
         """Note that the servo hears `D target` at `heard_s`."""
-        self._go_on(heard_s)
+        self._go_on(arrival_s)
         self._target_deg = target_deg
 
-    def _go_on(self, heard_s: float) -> None:
+    def _go_on(self, arrival_s: float) -> None:
         for index, phase in enumerate(self._phases):
-            until = math.ceil(heard_s / self._period_s - index / PHASES)
-            phase.go_on(until, self._target_deg, self._count, self._felt_ratio)
+            until = math.ceil(arrival_s / self._period_s - index / STEP_OFFSETS)
+            phase.go_on(until, self._target_deg, self._count, self._lag_ratio)
 
-    def _span(self, phase: _Phase) -> tuple[float, float]:
+    def _span(self, phase: _StepOffset) -> tuple[float, float]:
         """Return between which targets the next step keeps speed, acceleration, and range."""
         limits, value_deg, last_deg = self._limits, phase.value_deg, phase.last_deg
         more_deg = _step_gain_deg(limits) + ROOM_RATIO * limits.tolerance_deg
         most_deg = limits.speed_max_deg_s * self._period_s
         down_deg = self._brakable_deg(value_deg - limits.position_min_deg, most_deg, more_deg)
         up_deg = self._brakable_deg(limits.position_max_deg - value_deg, most_deg, more_deg)
-        felt_deg = (1.0 - self._felt_ratio) * phase.felt_deg
-        slowest_deg = last_deg + (-more_deg - felt_deg) / self._felt_ratio
-        fastest_deg = last_deg + (more_deg - felt_deg) / self._felt_ratio
+        lagged_deg = (1.0 - self._lag_ratio) * phase.lagged_deg
+        slowest_deg = last_deg + (-more_deg - lagged_deg) / self._lag_ratio
+        fastest_deg = last_deg + (more_deg - lagged_deg) / self._lag_ratio
         low_deg = min(max(slowest_deg, -down_deg), fastest_deg)
         high_deg = max(min(fastest_deg, up_deg), slowest_deg)
         return value_deg + self._count * low_deg, value_deg + self._count * high_deg
@@ -210,10 +210,10 @@ HISTORY_S = 2.0
 """How long what the profile did is kept: longer than any answer may take."""
 
 
-class Owed(NamedTuple):
+class DeferredTarget(NamedTuple):
     """A target that a joint is to be told again."""
 
-    again_ns: int
+    resend_ns: int
     target_deg: float
     travel_deg_s: float = math.inf
     """How fast it is to go there, for a joint that is told so."""
@@ -230,22 +230,22 @@ class JointState:
     joint: Joint
     plan: PiecewiseProfile
     profile: ServoProfile
-    following: DisturbanceEstimator
+    disturbance: DisturbanceEstimator
     limits: ServoLimits
     lead_s: float
     origin_s: float = 0.0
     """When the show time was 0, on the run clock."""
     active: Move | None = None
     """The move of the program that is under way, or was last."""
-    owed: Owed | None = None
+    deferred: DeferredTarget | None = None
     """When to say which target again, because the speed limit did not let it be said at once."""
     setpoints: Setpoints | None = None
     """What the filter of a streamed joint makes of its targets."""
-    led_ns: int | None = None
+    guide_ns: int | None = None
     """When a streamed joint that is off its program is told next where to go; None: it is on it."""
-    heard_ns: int | None = None
+    last_arrival_ns: int | None = None
     """When the servo heard its last move."""
-    said_again: int = 0
+    resent: int = 0
     """How often it was told again what it had missed."""
     status: Status | None = None
     temperature_max_c: float | None = None
@@ -256,7 +256,7 @@ class JointState:
     health_ns: int | None = None
     health_count: int = 0
     """When it was last asked how it fares, and how often."""
-    hearing: LostMoveDetector | None = None
+    lost_moves: LostMoveDetector | None = None
     """What its servo may have missed; None: nobody judges that."""
     lag: LagEstimator = field(default_factory=LagEstimator)
     early_s: float = 0.0
@@ -267,12 +267,12 @@ class JointState:
     is_driven: bool = True
     """Whether it is sent moves: not while nobody knows what its servo would make of them."""
 
-    def stand(self, position_deg: float) -> None:
+    def stand_at(self, position_deg: float) -> None:
         """Note that the servo stands at `position_deg`, wherever it was before."""
         self.profile = make_profile(self.joint, position_deg, origin_s=self.origin_s)
-        self.owed = self.led_ns = None
+        self.deferred = self.guide_ns = None
         self.setpoints = make_setpoints(self.joint, position_deg, self.limits)
-        self.following.stand(position_deg)
+        self.disturbance.stand_at(position_deg)
 
     def leave_program(self, now_ns: int) -> None:
         """Note that moves made on the spot take the place of the program's: the rate is not 1.
@@ -280,28 +280,28 @@ class JointState:
         What a timed joint is owed of the program is over; a streamed one is led from now on.
         """
         if self.joint.drive == "timed":
-            self.owed = None
-        elif self.joint.drive == "streamed" and self.is_driven and self.led_ns is None:
-            self.led_ns = now_ns
+            self.deferred = None
+        elif self.joint.drive == "streamed" and self.is_driven and self.guide_ns is None:
+            self.guide_ns = now_ns
 
-    def learn(self, earlier: JointState) -> None:
+    def take_over(self, earlier: JointState) -> None:
         """Take over what was learnt about the same joint: what pulls at it, and how it lags."""
         self.lag, self.early_s = earlier.lag, earlier.lag.extra_s
-        if self.hearing is not None and earlier.hearing is not None:
-            self.hearing.denials = earlier.hearing.denials
-        self.following.disturbance_deg = earlier.following.disturbance_deg
-        self.following.offset_deg = earlier.following.offset_deg
+        if self.lost_moves is not None and earlier.lost_moves is not None:
+            self.lost_moves.mismatches = earlier.lost_moves.mismatches
+        self.disturbance.estimate_deg = earlier.disturbance.estimate_deg
+        self.disturbance.offset_deg = earlier.disturbance.offset_deg
 
-    def place(self, heard_ns: int) -> tuple[float, float]:
+    def place(self, arrival_ns: int) -> tuple[float, float]:
         """Return position and speed of the profile at `heard_ns`, after all that was sent."""
-        return self.profile.at(s_from_ns(heard_ns))
+        return self.profile.at(s_from_ns(arrival_ns))
 
     def is_at_rest(self, now_ns: int) -> bool:
         """Return whether its servo should have come to rest; after the longest T it has anyway.
 
         What is believed of one that took a garbled word for its target may be that it goes on.
         """
-        if self.heard_ns is not None and now_ns - self.heard_ns > LONGEST_NS:
+        if self.last_arrival_ns is not None and now_ns - self.last_arrival_ns > LONGEST_NS:
             return True
         position_deg, speed_deg_s = self.place(now_ns)
         if isinstance(self.profile, Profile):  # Where it turns round, it is slow as well.
@@ -309,41 +309,43 @@ class JointState:
             return abs(speed_deg_s) < REST_DEG_S and off_deg < REST_DEG
         return abs(speed_deg_s) < REST_DEG_S
 
-    def wire_for(self, target_deg: float, heard_ns: int) -> int:
+    def wire_for(self, target_deg: float, arrival_ns: int) -> int:
         """Return the wire value next to `target_deg` plus the correction, inside the range.
 
         A timed move keeps the speed limit by its T, the others by their target: what it takes off
         is owed, to be said again when the servo has come that far, or led to (`lead`).
         """
-        corrected = target_deg + self.following.offset_deg
+        corrected = target_deg + self.disturbance.offset_deg
         wire = nearest_wire(corrected, self.limits)
-        low_deg, high_deg = self._reach(heard_ns)
+        low_deg, high_deg = self._reach(arrival_ns)
         allowed = nearest_wire(min(max(corrected, low_deg), high_deg), self.limits)
         is_held_back = allowed != wire
         if isinstance(self.profile, FilterProfile):
-            next_s = self.profile.receive_s(self.profile.acts_on(s_from_ns(heard_ns)) + 1)
-            self.led_ns = ns_from_s(next_s) if is_held_back else None
+            next_s = self.profile.receive_s(self.profile.acts_on(s_from_ns(arrival_ns)) + 1)
+            self.guide_ns = ns_from_s(next_s) if is_held_back else None
         else:
-            again_ns = heard_ns + ns_from_s(PULSE_S)
-            self.owed = Owed(again_ns, target_deg) if is_held_back else None
+            resend_ns = arrival_ns + ns_from_s(PULSE_S)
+            self.deferred = DeferredTarget(resend_ns, target_deg) if is_held_back else None
         return allowed
 
     @property
-    def again_ns(self) -> int | None:
+    def resend_ns(self) -> int | None:
         """When it is to be told something again, whatever the program says."""
-        return self.led_ns if self.owed is None else self.owed.again_ns
+        return self.guide_ns if self.deferred is None else self.deferred.resend_ns
 
-    def _reach(self, heard_ns: int) -> tuple[float, float]:
+    def _reach(self, arrival_ns: int) -> tuple[float, float]:
         """Return between which targets the limits allow one."""
-        heard_s = s_from_ns(heard_ns)
+        arrival_s = s_from_ns(arrival_ns)
         if self.setpoints is not None:
-            return self.setpoints.allowed(heard_s)
+            return self.setpoints.allowed(arrival_s)
         if self.joint.drive == "timed":
             return self.limits.position_min_deg, self.limits.position_max_deg
-        passed_s = PULSE_S if self.heard_ns is None else heard_s - s_from_ns(self.heard_ns)
+        passed_s = (
+            PULSE_S if self.last_arrival_ns is None else arrival_s - s_from_ns(self.last_arrival_ns)
+        )
         reach_deg = self.limits.speed_max_deg_s * min(passed_s, 2.0 * PULSE_S)
         reach_deg += self.joint.unit_deg
-        position_deg, _ = self.profile.at(heard_s)
+        position_deg, _ = self.profile.at(arrival_s)
         return position_deg - reach_deg, position_deg + reach_deg
 
     def begun_s(self, line: SerialLine) -> float:
@@ -357,8 +359,8 @@ class JointState:
         if move is None or move.duration_ms is None:
             return 0.0
         end_s = self.begun_s(line) + s_from_ms(move.duration_ms)
-        heard_ns = line.heard_ns(len(move.data), now_ns)
-        return (end_s - clock.show_s(heard_ns)) / clock.target_rate
+        arrival_ns = line.arrival_ns(len(move.data), now_ns)
+        return (end_s - clock.show_s(arrival_ns)) / clock.target_rate
 
     @property
     def target_deg(self) -> float:
@@ -370,10 +372,10 @@ class JointState:
         """Send the move under way, with `left_s` to travel."""
         self.send(line, self.target_deg, left_s, now_ns)
 
-    def duration_for(self, target_wire: int, heard_ns: int, left_s: float) -> int:
+    def duration_for(self, target_wire: int, arrival_ns: int, left_s: float) -> int:
         """Return T: what is left, but never so short that the joint's speed limit breaks."""
         target_deg = target_wire / self.limits.wire_per_deg
-        position_deg, _ = self.place(heard_ns)
+        position_deg, _ = self.place(arrival_ns)
         least_s = abs(target_deg - position_deg) / self.limits.speed_max_deg_s
         return max(1, round(MS_PER_S * left_s), -int(-MS_PER_S * least_s // 1))
 
@@ -384,27 +386,27 @@ class JointState:
         servo_id, is_timed = self.joint.servo_id, self.joint.drive == "timed"
         guess_ms = max(1, round(MS_PER_S * left_s)) if is_timed else None
         guess = encode_move(servo_id, round(target_deg * self.limits.wire_per_deg), guess_ms)
-        heard_ns = line.heard_ns(len(guess), now_ns)
-        target_wire = self.wire_for(target_deg, heard_ns)
-        duration_ms = self.duration_for(target_wire, heard_ns, left_s) if is_timed else None
+        arrival_ns = line.arrival_ns(len(guess), now_ns)
+        target_wire = self.wire_for(target_deg, arrival_ns)
+        duration_ms = self.duration_for(target_wire, arrival_ns, left_s) if is_timed else None
         data = encode_move(servo_id, target_wire, duration_ms)
-        if self.led_ns is not None:
-            self.led_ns -= line.time_ns(len(data))
-        heard_ns = line.send(data, now_ns)
-        self.moved(heard_ns, target_wire, duration_ms)
+        if self.guide_ns is not None:
+            self.guide_ns -= line.time_ns(len(data))
+        arrival_ns = line.send(data, now_ns)
+        self.note_sent(arrival_ns, target_wire, duration_ms)
 
-    def moved(self, heard_ns: int, target_wire: int, duration_ms: int | None) -> None:
+    def note_sent(self, arrival_ns: int, target_wire: int, duration_ms: int | None) -> None:
         """Note that the servo hears `D target [T duration]` at `heard_ns`."""
-        heard_s = s_from_ns(heard_ns)
+        arrival_s = s_from_ns(arrival_ns)
         duration_s = None if duration_ms is None else s_from_ms(duration_ms)
         target_deg = target_wire / self.limits.wire_per_deg
-        if self.hearing is not None and isinstance(self.profile, Profile):
-            self.hearing.told(self.profile.copy(), heard_s, target_deg, duration_s)
+        if self.lost_moves is not None and isinstance(self.profile, Profile):
+            self.lost_moves.commanded(self.profile.copy(), arrival_s, target_deg, duration_s)
         if self.setpoints is not None:
-            self.setpoints.told(heard_s, target_deg)
-        self.profile.retarget(heard_s, target_deg, duration_s)
-        self.profile.forget_before(heard_s - HISTORY_S)
-        self.heard_ns = heard_ns
+            self.setpoints.commanded(arrival_s, target_deg)
+        self.profile.retarget(arrival_s, target_deg, duration_s)
+        self.profile.forget_before(arrival_s - HISTORY_S)
+        self.last_arrival_ns = arrival_ns
 
 
 def make_joint_states(
@@ -419,26 +421,26 @@ def make_joint_states(
 
     `origin_s` is when the show time is 0, on the run clock.
     """
-    tracks = {}
+    joint_states = {}
     for name, plan in profiles(program, robot).items():
         joint, servo_deg = robot.joints[name], standing_deg[name]
         limits = servo_limits(joint, program.tolerance_deg)
-        tracks[name] = JointState(
+        joint_states[name] = JointState(
             joint=joint,
             plan=plan,
             profile=make_profile(joint, servo_deg, origin_s=origin_s),
             setpoints=make_setpoints(joint, servo_deg, limits),
-            following=DisturbanceEstimator(
+            disturbance=DisturbanceEstimator(
                 speed_max_deg_s=joint.speed_max_deg_s, standing_deg=servo_deg
             ),
             limits=limits,
             lead_s=profile_lead_s(joint),
             origin_s=origin_s,
-            hearing=LostMoveDetector(joint.unit_deg, joint.response.loop_s)
+            lost_moves=LostMoveDetector(joint.unit_deg, joint.response.loop_s)
             if has_feedback
             else None,
         )
-    return tracks
+    return joint_states
 
 
 MISSED_NS: Final = ns_from_s(LATEST_ARRIVAL_S)

@@ -30,13 +30,13 @@ from lss_motion.player.cues import Agenda
 from lss_motion.player.events import Checked, Event, Phase, PhaseEntered, Warned
 from lss_motion.player.faults import Troubles, Verdict
 from lss_motion.player.handshake import (
-    Settling,
+    SettingsDialogue,
     changing_orders,
     is_answered,
+    not_applied,
+    not_applied_error,
     read_back,
-    telling_orders,
-    untaken,
-    untaken_error,
+    restart_probes,
 )
 from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.serial_line import SerialLine
@@ -85,14 +85,14 @@ class Phases:
         self.events: deque[Event] = deque([PhaseEntered(Phase.CONNECT)])
         self.is_open = is_open
         """Whether the show is to wait at its end for more."""
-        self.troubles = Troubles(session)
+        self.active_faults = Troubles(session)
         self.has_moved = False
         self._session = session
         self._must_ask = must_ask
         self._streamer: Streamer | None = None
-        questions = handshake.questions(session.joints, session.agenda.lit)
-        questions += handshake.sensor_questions(session.program, session.robot)
-        self._dialogue: Dialogue | Settling | None = session.ask(questions)
+        questions = handshake.queries(session.joints, session.agenda.led_joints)
+        questions += handshake.sensor_queries(session.program, session.robot)
+        self._dialogue: Dialogue | SettingsDialogue | None = session.dialogue(questions)
         self._approaches = 0
         self._now_ns = 0
         self.has_set = False
@@ -115,9 +115,9 @@ class Phases:
             return None
         wakeups_ns: list[int | None] = []
         if self.phase in DRIVING and self._dialogue is None:
-            wakeups_ns.append(self.troubles.ladder.next_wakeup_ns())
-        if self.phase is Phase.RECOVER and self.troubles.recovery is not None:
-            wakeups_ns.append(self.troubles.recovery.give_up_ns)
+            wakeups_ns.append(self.active_faults.escalation.next_wakeup_ns())
+        if self.phase is Phase.RECOVER and self.active_faults.recovery is not None:
+            wakeups_ns.append(self.active_faults.recovery.give_up_ns)
         if self._dialogue is not None:
             wakeups_ns.append(self._dialogue.next_wakeup_ns())
         elif self._streamer is not None:
@@ -141,9 +141,9 @@ class Phases:
         """Do what is due in the present phase; return whether the phase changed."""
         if self.phase in (Phase.DONE, Phase.READY):
             return False
-        if self.phase is Phase.RECOVER and self.troubles.is_over(now_ns):
+        if self.phase is Phase.RECOVER and self.active_faults.is_over(now_ns):
             answers = {} if self._dialogue is None else self._dialogue.answers
-            self.error = self.troubles.give_up(answers, now_ns)
+            self.error = self.active_faults.give_up(answers, now_ns)
             self.end("fault", now_ns)
         elif self._dialogue is not None:
             self._dialogue.advance(now_ns)
@@ -167,8 +167,8 @@ class Phases:
     def _has_fallen(self, now_ns: int) -> bool:
         """Do what is due about what is wrong; return whether the phase changed."""
         assert self._streamer is not None
-        verdict = self.troubles.judge(self._streamer, now_ns)
-        self._tell_troubles()
+        verdict = self.active_faults.judge(self._streamer, now_ns)
+        self._report_faults()
         match verdict:
             case Verdict.END:
                 self.end("fault", now_ns)
@@ -182,14 +182,14 @@ class Phases:
         """Return whether the streamer has done what it had to do in this phase."""
         if self.phase in (Phase.STOP, Phase.RECOVER):
             is_standing = self._streamer is None or self._streamer.is_standing(now_ns)
-            return is_standing and not (self.phase is Phase.RECOVER and self.troubles.lost)
+            return is_standing and not (self.phase is Phase.RECOVER and self.active_faults.lost)
         assert self._streamer is not None
         return self._streamer.is_finished(now_ns)
 
     def _after_streamer(self, now_ns: int) -> None:
         if self.phase is Phase.RECOVER:
             self._streamer = None
-            self._dialogue = self._session.ask(self.troubles.questions())
+            self._dialogue = self._session.dialogue(self.active_faults.questions())
         elif self.phase is not Phase.APPROACH:
             self.outcome = self.outcome or "finished"
             self._restore()
@@ -207,24 +207,24 @@ class Phases:
                 self._session.had = dialogue.answers
                 self._connected()
             case Phase.PREPARE:
-                assert isinstance(dialogue, Settling)
+                assert isinstance(dialogue, SettingsDialogue)
                 self._prepared(dialogue, now_ns)
             case Phase.RECOVER:
-                self.troubles.found(dialogue.answers)
+                self.active_faults.found(dialogue.answers)
                 self.prepare()
             case Phase.APPROACH:
                 self._arrived(dialogue.answers, now_ns)
             case _:
                 self.finish(now_ns)
-        self._tell_troubles()
+        self._report_faults()
 
     def _connected(self) -> None:
         session = self._session
         try:
-            robot, questioners = session.robot, session.questioners
+            robot, trackers = session.robot, session.trackers
             handshake.check_sensors(session.program, robot, session.had)
             self.events += map(
-                Warned, handshake.findings(session.joints, session.had, robot, questioners)
+                Warned, handshake.findings(session.joints, session.had, robot, trackers)
             )
         except LssMotionError as error:
             self._fail(error)
@@ -240,18 +240,18 @@ class Phases:
         self.has_set = True
         self._approaches = 0
         self._enter(Phase.PREPARE)
-        self._dialogue = self._session.settle()
+        self._dialogue = self._session.settings_dialogue()
 
-    def _prepared(self, settling: Settling, now_ns: int) -> None:
+    def _prepared(self, settling: SettingsDialogue, now_ns: int) -> None:
         silent = self._session.note_places(settling.answers)
         if not settling.wrong and not silent:
             self._approach(now_ns)
-        elif not self.troubles.is_over(now_ns):
-            self.troubles.miss_again(silent, settling.wrong)
+        elif not self.active_faults.is_over(now_ns):
+            self.active_faults.miss_again(silent, settling.wrong)
             self._enter(Phase.RECOVER)
         elif settling.wrong:
             joints = self._session.joints
-            self._fail(untaken_error(settling.wrong[0], settling.answers, joints))
+            self._fail(not_applied_error(settling.wrong[0], settling.answers, joints))
         else:
             self._fail(handshake.silent_error(silent, self._session.joints, self._session.robot))
 
@@ -267,8 +267,8 @@ class Phases:
         """Go on with the show if every joint is where it begins; else go there again."""
         session = self._session
         silent = session.note_places(answers)
-        silent += [joint for joint in session.untold(answers) if joint not in silent]
-        match self.troubles.arrive(session.restarted(answers), silent, now_ns):
+        silent += [joint for joint in session.unreported(answers) if joint not in silent]
+        match self.active_faults.arrive(session.restarted(answers), silent, now_ns):
             case Verdict.END:
                 self.end("fault", now_ns)
                 return
@@ -282,20 +282,20 @@ class Phases:
             session.learn_loads(now_ns)
         joint, off_deg = session.furthest(session.place_deg(self.show, now_ns))
         is_uncorrected = learns and self._approaches == 1
-        if off_deg <= (handshake.PULLED_DEG if is_uncorrected else handshake.ARRIVED_DEG):
+        if off_deg <= (handshake.LOADED_DEG if is_uncorrected else handshake.ARRIVED_DEG):
             self._begin(now_ns)
         elif self._approaches < APPROACHES_MAX:
             self._approach(now_ns)
         elif off_deg <= session.robot.joints[joint].following_deg:
             self._begin(now_ns)
         else:
-            self.troubles.strayed(joint, off_deg, self._approaches)
+            self.active_faults.strayed(joint, off_deg, self._approaches)
             self.end("fault", now_ns)
 
     def _begin(self, now_ns: int) -> None:
         """Begin the show, or go on with it."""
         self._enter(Phase.SHOW)
-        self.troubles.forget()
+        self.active_faults.forget()
         if self.show is None:
             self.show = self._session.begin(now_ns + COUNT_IN_NS)
             self.show.is_open = self.is_open
@@ -308,7 +308,7 @@ class Phases:
         """Let the show clock go as fast as the person wants and the troubles allow."""
         if self._streamer is None or self.phase not in DRIVING:
             return
-        rate = self.troubles.ladder.rate_max
+        rate = self.active_faults.escalation.rate_max
         if self.phase is Phase.SHOW:
             rate = min(rate, self.rate)
         if rate != self._streamer.rate_wanted:
@@ -322,7 +322,7 @@ class Phases:
         """
         self._dialogue = None
         if self._streamer is not None:
-            self._streamer.leave_out(self._session.left_out | self.troubles.missing)
+            self._streamer.leave_out(self._session.left_out | self.active_faults.missing)
             self._streamer.set_rate(0.0, now_ns)
         self._enter(Phase.RECOVER)
 
@@ -349,7 +349,7 @@ class Phases:
         self._enter(Phase.RESTORE)
         session = self._session
         orders = session.restoring_orders() if self.has_set else []
-        self._dialogue = session.ask(orders)
+        self._dialogue = session.dialogue(orders)
 
     def finish(self, now_ns: int) -> None:
         self.end_show(now_ns)
@@ -366,13 +366,13 @@ class Phases:
     # ---- what is said
 
     def _enter(self, phase: Phase) -> None:
-        self._tell_troubles()
+        self._report_faults()
         self.phase = phase
         self.events.append(PhaseEntered(phase))
 
-    def _tell_troubles(self) -> None:
-        self.events += self.troubles.events
-        self.troubles.events.clear()
+    def _report_faults(self) -> None:
+        self.events += self.active_faults.events
+        self.active_faults.events.clear()
 
 
 UNRESTORED_TEXT: Final = (
@@ -392,7 +392,7 @@ class Session:
         self.robot = robot
         self.joints = [robot.joints[name] for name in program.start_deg]
         self.lines = {name: SerialLine(robot.buses[name]) for name in robot.buses}
-        self.questioners = {name: QueryTracker(line) for name, line in self.lines.items()}
+        self.trackers = {name: QueryTracker(line) for name, line in self.lines.items()}
         self.agenda = Agenda(program, robot)
         self.agenda.begin_at(start_s)
         self.has_feedback = has_feedback
@@ -411,39 +411,39 @@ class Session:
     def driven(self) -> list[Joint]:
         return [joint for joint in self.joints if joint.name not in self.left_out]
 
-    def ask(self, items: Iterable[Item]) -> Dialogue:
-        return Dialogue(items, self.lines, self.questioners)
+    def dialogue(self, items: Iterable[Item]) -> Dialogue:
+        return Dialogue(items, self.lines, self.trackers)
 
-    def settle(self) -> Settling:
+    def settings_dialogue(self) -> SettingsDialogue:
         """Return what gives the servos their settings, and asks where they are."""
         orders = handshake.session_orders(self.driven, self.had)
-        unsure = handshake.unsure_orders(self.driven, self.had)
-        places = handshake.place_questions(self.driven)
-        return Settling(orders, places, unsure, self.lines, self.questioners)
+        unconfirmed = handshake.unconfirmed_orders(self.driven, self.had)
+        places = handshake.position_queries(self.driven)
+        return SettingsDialogue(orders, places, unconfirmed, self.lines, self.trackers)
 
     def arrival(self) -> Dialogue:
         """Return what asks the servos where they are, and whether one has restarted meanwhile."""
-        telling = telling_orders(self.driven, self.had)
-        return self.ask([*read_back(telling), *handshake.place_questions(self.driven)])
+        telling = restart_probes(self.driven, self.had)
+        return self.dialogue([*read_back(telling), *handshake.position_queries(self.driven)])
 
     def restarted(self, answers: Answers) -> list[Joint]:
         """Return the driven servos that no longer have what they were given."""
-        return self._telling_otherwise(answers, has_said=True)
+        return self._with_other_settings(answers, has_reported=True)
 
-    def untold(self, answers: Answers) -> list[Joint]:
+    def unreported(self, answers: Answers) -> list[Joint]:
         """Return the driven servos that did not say whether they still have it."""
-        return self._telling_otherwise(answers, has_said=False)
+        return self._with_other_settings(answers, has_reported=False)
 
-    def _telling_otherwise(self, answers: Answers, *, has_said: bool) -> list[Joint]:
+    def _with_other_settings(self, answers: Answers, *, has_reported: bool) -> list[Joint]:
         others = {
             (order.bus, order.command.servo_id)
-            for order in untaken(telling_orders(self.driven, self.had), answers)
-            if is_answered(order, answers) is has_said
+            for order in not_applied(restart_probes(self.driven, self.had), answers)
+            if is_answered(order, answers) is has_reported
         }
         return [joint for joint in self.driven if (joint.bus, joint.servo_id) in others]
 
     def restoring_orders(self) -> list[Item]:
-        return handshake.restoring_orders(self.joints, self.had, self.agenda.lit)
+        return handshake.restoring_orders(self.joints, self.had, self.agenda.led_joints)
 
     def unrestored_text(self) -> str:
         """Return what to say of settings that are not given back; nothing if none was changed."""
@@ -461,10 +461,10 @@ class Session:
         """Take in what pulls at every joint that rests where it was sent, or nearly."""
         for joint in self.driven:
             if joint.name in self._tracks:
-                track = self._tracks[joint.name]
-                pulled_deg = track.place(now_ns)[0] - self.standing_deg[joint.name]
-                if abs(pulled_deg) <= handshake.ARRIVED_DEG:
-                    track.following.rest(pulled_deg)
+                state = self._tracks[joint.name]
+                droop_deg = state.place(now_ns)[0] - self.standing_deg[joint.name]
+                if abs(droop_deg) <= handshake.ARRIVED_DEG:
+                    state.disturbance.rest(droop_deg)
 
     def start_deg(self) -> dict[str, float]:
         """Return the joint angles at which the show begins, also in its middle."""
@@ -513,7 +513,7 @@ class Session:
 
     def _places_deg(self, now_ns: int) -> dict[str, float]:
         """Return where the last moves sent the servos: servo angles."""
-        return {name: track.place(now_ns)[0] for name, track in self._tracks.items()}
+        return {name: state.place(now_ns)[0] for name, state in self._tracks.items()}
 
     def _stream(
         self,
@@ -526,7 +526,7 @@ class Session:
             program,
             self.robot,
             lines=self.lines,
-            questioners=self.questioners,
+            trackers=self.trackers,
             standing_deg=standing_deg,
             has_feedback=self.has_feedback,
             start_ns=now_ns,
@@ -537,10 +537,10 @@ class Session:
         return streamer
 
     def _learn(self, streamer: Streamer) -> None:
-        for name, track in streamer.tracks.items():
+        for name, state in streamer.joint_states.items():
             if name in self._tracks:
-                track.learn(self._tracks[name])
-            self._tracks[name] = track
+                state.take_over(self._tracks[name])
+            self._tracks[name] = state
 
     def let_go(self, joint: Joint, now_ns: int) -> None:
         """Take the power from one motor, until the end."""
@@ -609,7 +609,7 @@ class Player:
         self.robot = robot = driven(robot, program)
         self._session = Session(program, robot, has_feedback=has_feedback, start_s=start_s)
         self.lines = self._session.lines
-        self.questioners = self._session.questioners
+        self.trackers = self._session.trackers
         self._phases = Phases(self._session, must_ask=must_ask, is_open=is_open)
         self._may_grow = is_open
         self._gaps = StallDetector()
@@ -617,10 +617,10 @@ class Player:
 
     # ---- the four calls
 
-    def data_to_send(self, now_ns: int) -> Mapping[str, bytes]:
+    def data_to_send(self, leaves_ns: int) -> Mapping[str, bytes]:
         """Return what must be written now, per bus; buses with nothing to write are left out."""
-        self._note_gap(now_ns)
-        self._phases.advance(now_ns)
+        self._note_gap(leaves_ns)
+        self._phases.advance(leaves_ns)
         return {name: data for name, line in self.lines.items() if (data := line.take())}
 
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:
@@ -687,7 +687,7 @@ class Player:
     @property
     def faults(self) -> list[Faulted]:
         """What went wrong, each with the highest step that was taken about it."""
-        return self._phases.troubles.ladder.faults
+        return self._phases.active_faults.escalation.faults
 
     # ---- what a person may ask for
 
@@ -756,11 +756,11 @@ class Player:
     def waits_for_port(self, bus: str) -> bool:
         """Return whether a port that is lost now is to be opened again, if it comes back."""
         is_under_way = self._phases.has_moved and self.phase not in (Phase.RESTORE, Phase.DONE)
-        return is_under_way and self._phases.troubles.is_resumable(bus)
+        return is_under_way and self._phases.active_faults.is_resumable(bus)
 
     def port_lost(self, bus: str, reason: str, now_ns: int) -> None:
         """Brake on the other buses, and wait for this one, as `on_fault` says."""
-        verdict = self._phases.troubles.lose(bus, reason, now_ns)
+        verdict = self._phases.active_faults.lose(bus, reason, now_ns)
         if verdict is Verdict.END:
             self._phases.error = LostPortError(reason, url=self.robot.buses[bus].port)
             self._phases.end("fault", now_ns)
@@ -769,4 +769,4 @@ class Player:
 
     def port_found(self, bus: str) -> None:
         """Go on with a port that was lost."""
-        self._phases.troubles.lost.pop(bus, None)
+        self._phases.active_faults.lost.pop(bus, None)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.player.health import Watch
+from lss_motion.player.health import HealthMonitor
 from lss_motion.player.joint_state import REST_DEG_S
 from lss_motion.protocol.codec import read_reply
 from lss_motion.protocol.constants import Family
@@ -28,57 +28,57 @@ if TYPE_CHECKING:
 
     from lss_motion.player.cues import Waiting
     from lss_motion.player.joint_state import JointState
-    from lss_motion.player.query_tracker import Asked, QueryTracker
+    from lss_motion.player.query_tracker import PendingQuery, QueryTracker
     from lss_motion.player.serial_line import SerialLine
 
 
-def wants_target(track: JointState, now_ns: int) -> bool:
+def needs_target(state: JointState, now_ns: int) -> bool:
     """Return whether the servo is to be asked for its target."""
-    return track.hearing is not None and track.hearing.wants_target(s_from_ns(now_ns))
+    return state.lost_moves is not None and state.lost_moves.needs_target(s_from_ns(now_ns))
 
 
-def take_target(track: JointState, target_deg: float, asked_s: float) -> bool:
+def take_target(state: JointState, target_deg: float, asked_s: float) -> bool:
     """Take in the target of a servo that heard the question at `asked_s`.
 
     Return whether it has missed a move: then the profile of `track` is the one it is really on.
     """
-    assert track.hearing is not None
-    other = track.hearing.named(asked_s, target_deg)
+    assert state.lost_moves is not None
+    other = state.lost_moves.target_reported(asked_s, target_deg)
     if other is not None:
-        track.profile = other
+        state.profile = other
     return other is not None
 
 
 def take_position(
-    track: JointState, measured_deg: float, read_s: float, planned_deg: float
+    state: JointState, measured_deg: float, read_s: float, planned_deg: float
 ) -> bool | None:
     """Take in where a horn was at `read_s`; None: that was not believed.
 
     Return whether its servo has missed a move, as `take_target` does.
     """
-    assert track.hearing is not None
-    before_s = track.following.read_s
-    profile_deg, speed_deg_s = track.profile.at(read_s - track.lead_s)
-    course_s = read_s - track.lead_s - track.lag.extra_s
-    expected_deg, _ = track.profile.at(course_s)
-    free_deg = measured_deg + track.following.disturbance_deg
-    other = track.hearing.judge(course_s, expected_deg, free_deg)
-    believed = track.following.take(
+    assert state.lost_moves is not None
+    before_s = state.disturbance.read_s
+    profile_deg, speed_deg_s = state.profile.at(read_s - state.lead_s)
+    course_s = read_s - state.lead_s - state.lag.extra_s
+    expected_deg, _ = state.profile.at(course_s)
+    free_deg = measured_deg + state.disturbance.estimate_deg
+    other = state.lost_moves.judge(course_s, expected_deg, free_deg)
+    believed = state.disturbance.take(
         measured_deg,
         read_s,
         expected_deg=expected_deg,
-        wanted_deg=planned_deg,
+        planned_deg=planned_deg,
         speed_deg_s=speed_deg_s,
-        learns=not track.hearing.is_doubtful,
+        learns=not state.lost_moves.is_doubtful,
     )
     if not believed:
         return None
     if other is not None:
-        track.profile = other
-    elif before_s is not None and not track.hearing.is_doubtful:
-        track.lag.take(profile_deg - measured_deg, speed_deg_s, read_s - before_s)
-        if track.setpoints is None or abs(speed_deg_s) < REST_DEG_S:
-            track.early_s = track.lag.extra_s
+        state.profile = other
+    elif before_s is not None and not state.lost_moves.is_doubtful:
+        state.lag.take(profile_deg - measured_deg, speed_deg_s, read_s - before_s)
+        if state.setpoints is None or abs(speed_deg_s) < REST_DEG_S:
+            state.early_s = state.lag.extra_s
     return other is not None
 
 
@@ -97,7 +97,7 @@ def health_words(family: Family) -> tuple[str, ...]:
 
 
 @lru_cache(maxsize=1024)
-def question_of(servo_id: int, keyword: str) -> tuple[Command, int]:
+def query_of(servo_id: int, keyword: str) -> tuple[Command, int]:
     """Return a question and its size in bytes: the same few are asked all the time."""
     question = Command(servo_id, keyword)
     return question, len(encode(question))
@@ -137,7 +137,7 @@ sooner when a move is due. Chosen, with an end, so that all joints are still rea
 class _Turn:
     """One servo, and how often it is still to be asked before the next."""
 
-    track: JointState
+    state: JointState
     left: int
     places: int = 0
     """How often it was asked where it is."""
@@ -148,23 +148,23 @@ class PollScheduler:
 
     def __init__(
         self,
-        tracks: Mapping[str, JointState],
-        questioners: Mapping[str, QueryTracker],
+        joint_states: Mapping[str, JointState],
+        trackers: Mapping[str, QueryTracker],
         lines: Mapping[str, SerialLine],
         waiting: Waiting,
     ) -> None:
         self._waiting = waiting
-        self.watch = Watch()
-        self.unbelieved: dict[str, int] = dict.fromkeys(lines, 0)
-        self.unheard: dict[str, JointState] = {}
+        self.health = HealthMonitor()
+        self.rejected: dict[str, int] = dict.fromkeys(lines, 0)
+        self.to_resend: dict[str, JointState] = {}
         """Joints whose servo has missed a move; whoever says it again takes them out."""
-        self._questioners = questioners
+        self._trackers = trackers
         self._lines = lines
         self._by_bus: dict[str, list[JointState]] = {bus: [] for bus in lines}
-        for track in tracks.values():
-            if track.joint.drive != "stepped":  # It knows no answer but its last command.
-                self._by_bus[track.joint.bus].append(track)
-        self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in tracks.values()}
+        for state in joint_states.values():
+            if state.joint.drive != "stepped":  # It knows no answer but its last command.
+                self._by_bus[state.joint.bus].append(state)
+        self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in joint_states.values()}
         self._turns: dict[str, _Turn | None] = dict.fromkeys(lines)
         self._next_ns: dict[str, int | None] = dict.fromkeys(lines)
         self._health_wait: dict[str, int] = dict.fromkeys(lines, 0)
@@ -173,31 +173,31 @@ class PollScheduler:
 
     def anew(self) -> PollScheduler:
         """Return a reader that knows of no trouble yet, and still of all that was disbelieved."""
-        tracks = {track.joint.name: track for track in self._by_address.values()}
-        reader = PollScheduler(tracks, self._questioners, self._lines, self._waiting)
-        reader.unbelieved = self.unbelieved
-        return reader
+        joint_states = {state.joint.name: state for state in self._by_address.values()}
+        scheduler = PollScheduler(joint_states, self._trackers, self._lines, self._waiting)
+        scheduler.rejected = self.rejected
+        return scheduler
 
     def is_starved(self, now_ns: int) -> bool:
         """Return whether on some bus with servos to ask nothing was asked for too long."""
         return any(
-            self._questioners[bus].is_starved(now_ns) for bus, own in self._by_bus.items() if own
+            self._trackers[bus].is_starved(now_ns) for bus, own in self._by_bus.items() if own
         )
 
-    def ask(self, now_ns: int, quiet_until_ns: int | None) -> None:
+    def poll(self, now_ns: int, quiet_until_ns: int | None) -> None:
         """Ask on every bus as long as its line is free by `quiet_until_ns`; None is for ever."""
         self._note_lateness(now_ns)
-        for bus, questioner in self._questioners.items():
-            for expired in questioner.expire(now_ns):
-                self._note_silence(bus, expired, now_ns)
-            if questioner.is_starved(now_ns):
-                self._ask_missed(bus, now_ns)
+        for bus, tracker in self._trackers.items():
+            for expired in tracker.expire(now_ns):
+                self._note_timeout(bus, expired, now_ns)
+            if tracker.is_starved(now_ns):
+                self._poll_overdue(bus, now_ns)
             if now_ns < self._rest_until_ns:
                 self._next_ns[bus] = self._rest_until_ns
                 continue
-            while self._ask_one(bus, now_ns, quiet_until_ns):
+            while self._poll_one(bus, now_ns, quiet_until_ns):
                 pass
-        self.watch.advance(now_ns)
+        self.health.advance(now_ns)
 
     def _note_lateness(self, now_ns: int) -> None:
         """Ask less on a host that has other work: questions cost it time, and moves come first."""
@@ -206,36 +206,36 @@ class PollScheduler:
         if late_ns > LATE_NS:
             self._rest_until_ns = now_ns + min(REST_RATIO * late_ns, REST_MAX_NS)
 
-    def _ask_one(self, bus: str, now_ns: int, quiet_until_ns: int | None) -> bool:
-        questioner = self._questioners[bus]
+    def _poll_one(self, bus: str, now_ns: int, quiet_until_ns: int | None) -> bool:
+        tracker = self._trackers[bus]
         self._next_ns[bus] = None
-        question = self._waiting.question(bus, now_ns)
-        if question is not None and questioner.quiet_until_ns(question.servo_id) <= now_ns:
-            if self._leave(bus, question, len(encode(question)), now_ns, quiet_until_ns):
-                self._waiting.asked(now_ns)
+        question = self._waiting.query(bus, now_ns)
+        if question is not None and tracker.quiet_until_ns(question.servo_id) <= now_ns:
+            if self._send_if_allowed(bus, question, len(encode(question)), now_ns, quiet_until_ns):
+                self._waiting.note_query_sent(now_ns)
             return False
         turn = self._turn(bus, now_ns)
         if turn is None:
             return False
         keyword = self._keyword(bus, turn, now_ns)
-        question, size_bytes = question_of(turn.track.joint.servo_id, keyword)
-        if not self._leave(bus, question, size_bytes, now_ns, quiet_until_ns):
+        question, size_bytes = query_of(turn.state.joint.servo_id, keyword)
+        if not self._send_if_allowed(bus, question, size_bytes, now_ns, quiet_until_ns):
             return False
         turn.left -= 1
-        turn.track.visited_ns = now_ns
+        turn.state.visited_ns = now_ns
         self._health_wait[bus] += 1
         if keyword == "QD":
             turn.places += 1
         elif keyword == TARGET_KEYWORD:
-            assert turn.track.hearing is not None
-            turn.track.hearing.asks_target()
+            assert turn.state.lost_moves is not None
+            turn.state.lost_moves.count_target_query()
         else:
             self._health_wait[bus] = 0
-            turn.track.health_ns = now_ns
-            turn.track.health_count += 1
+            turn.state.health_ns = now_ns
+            turn.state.health_count += 1
         return True
 
-    def _leave(
+    def _send_if_allowed(
         self,
         bus: str,
         question: Command,
@@ -244,118 +244,118 @@ class PollScheduler:
         quiet_until_ns: int | None,
     ) -> bool:
         """Ask if the line and the servo allow it now; otherwise note when to try again."""
-        questioner, line = self._questioners[bus], self._lines[bus]
-        earliest_ns = questioner.earliest_ns(question.servo_id, size_bytes)
+        tracker, line = self._trackers[bus], self._lines[bus]
+        earliest_ns = tracker.earliest_ns(question.servo_id, size_bytes)
         if earliest_ns is None or earliest_ns > max(now_ns, line.free_ns):
             self._next_ns[bus] = earliest_ns
             return False
-        heard_ns, room_ns = line.heard_ns(size_bytes, now_ns), line.time_ns(BACKLOG_BYTES)
-        if heard_ns > now_ns + room_ns:
-            self._next_ns[bus] = heard_ns - room_ns
+        arrival_ns, room_ns = line.arrival_ns(size_bytes, now_ns), line.time_ns(BACKLOG_BYTES)
+        if arrival_ns > now_ns + room_ns:
+            self._next_ns[bus] = arrival_ns - room_ns
             return False
-        if quiet_until_ns is not None and heard_ns > quiet_until_ns:
+        if quiet_until_ns is not None and arrival_ns > quiet_until_ns:
             return False
-        questioner.ask(question, now_ns)
+        tracker.send(question, now_ns)
         return True
 
-    def _ask_missed(self, bus: str, now_ns: int) -> None:
+    def _poll_overdue(self, bus: str, now_ns: int) -> None:
         """Ask whom nobody asked for long, or who did not answer, whatever else is to be sent.
 
         That is no visit: whose turn it is does not change.
         """
-        questioner, quiet = self._questioners[bus], self.watch.quiet()
-        waits_ns = [(questioner.asked_ns(t.joint.servo_id), t) for t in self._by_bus[bus]]
-        for asked_ns, track in sorted(waits_ns, key=lambda wait: wait[0]):
-            if now_ns - asked_ns <= LONGEST_NS and track.joint.name not in quiet:
+        tracker, quiet = self._trackers[bus], self.health.unresponsive()
+        waits_ns = [(tracker.last_sent_ns(t.joint.servo_id), t) for t in self._by_bus[bus]]
+        for last_sent_ns, state in sorted(waits_ns, key=lambda wait: wait[0]):
+            if now_ns - last_sent_ns <= LONGEST_NS and state.joint.name not in quiet:
                 continue
-            servo_id = track.joint.servo_id
-            question, size_bytes = question_of(servo_id, self._fresh(bus, track))
-            earliest_ns = questioner.earliest_ns(servo_id, size_bytes)
+            servo_id = state.joint.servo_id
+            question, size_bytes = query_of(servo_id, self._fresh(bus, state))
+            earliest_ns = tracker.earliest_ns(servo_id, size_bytes)
             if earliest_ns is not None and earliest_ns <= now_ns:
-                questioner.ask(question, now_ns)
+                tracker.send(question, now_ns)
                 return
 
     def receive(
-        self, bus: str, reply: Reply, now_ns: int, wanted_deg: Callable[[JointState, int], float]
+        self, bus: str, reply: Reply, now_ns: int, plan_deg: Callable[[JointState, int], float]
     ) -> None:
-        questioner = self._questioners[bus]
-        believed = questioner.answer(reply, now_ns)
-        track = None if reply.servo_id is None else self._by_address.get((bus, reply.servo_id))
-        if track is not None and questioner.answered_ns(track.joint.servo_id) == now_ns:
-            self.watch.answered(track)
+        tracker = self._trackers[bus]
+        believed = tracker.receive(reply, now_ns)
+        state = None if reply.servo_id is None else self._by_address.get((bus, reply.servo_id))
+        if state is not None and tracker.last_reply_ns(state.joint.servo_id) == now_ns:
+            self.health.answered(state)
         for asked, said in believed:
             if said.keyword == "QA":
-                self._waiting.answered(bus, asked.command.servo_id, said.value)
-            if track is not None:
-                self._take(bus, track, asked, said, wanted_deg)
+                self._waiting.take_reply(bus, asked.command.servo_id, said.value)
+            if state is not None:
+                self._take(bus, state, asked, said, plan_deg)
 
     def _take(
         self,
         bus: str,
-        track: JointState,
-        asked: Asked,
+        state: JointState,
+        asked: PendingQuery,
         reply: Reply,
-        wanted_deg: Callable[[JointState, int], float],
+        plan_deg: Callable[[JointState, int], float],
     ) -> None:
-        said = read_reply(track.joint.model.family, reply)
+        said = read_reply(state.joint.model.family, reply)
         if said is None or not isinstance(said.value, int | float):
             return
         match reply.keyword:
             case "QD":
-                self._take_position(bus, track, said.value, asked, wanted_deg)
+                self._take_position(bus, state, said.value, asked, plan_deg)
             case "QDT":
-                if take_target(track, said.value, s_from_ns(asked.heard_ns)):
-                    self.unheard[track.joint.name] = track
+                if take_target(state, said.value, s_from_ns(asked.arrival_ns)):
+                    self.to_resend[state.joint.name] = state
             case "Q":
-                self.watch.status(track, int(said.value), self._lines[bus].bus.firmware)
+                self.health.status(state, int(said.value), self._lines[bus].bus.firmware)
             case "QT":
-                self.watch.temperature(track, said.value)
+                self.health.temperature(state, said.value)
             case "QV":
-                self.watch.voltage(track, said.value)
+                self.health.voltage(state, said.value)
             case "QC":
-                track.current_max_a = max(said.value, track.current_max_a or 0.0)
+                state.current_max_a = max(said.value, state.current_max_a or 0.0)
             case _:
                 pass
 
     def wakeups_ns(self, now_ns: int) -> list[int]:
         """Return when something may have to be done, besides an answer coming in."""
-        wakeups_ns = [*self._waiting.wakeups_ns(), *self.watch.wakeups_ns()]
-        for bus, questioner in self._questioners.items():
-            if (give_up_ns := questioner.give_up_ns) is not None:
+        wakeups_ns = [*self._waiting.wakeups_ns(), *self.health.wakeups_ns()]
+        for bus, tracker in self._trackers.items():
+            if (give_up_ns := tracker.give_up_ns) is not None:
                 wakeups_ns.append(give_up_ns)
             if (next_ns := self._next_ns[bus]) is not None:
                 wakeups_ns.append(next_ns)
             if self._turns[bus] is None:
-                quiet = (questioner.quiet_until_ns(t.joint.servo_id) for t in self._by_bus[bus])
+                quiet = (tracker.quiet_until_ns(t.joint.servo_id) for t in self._by_bus[bus])
                 wakeups_ns += [instant_ns for instant_ns in quiet if instant_ns > now_ns]
         self._wakeup_ns = min((w for w in wakeups_ns if w > now_ns), default=None)
         return wakeups_ns
 
     def _turn(self, bus: str, now_ns: int) -> _Turn | None:
         """Return whose turn it is to be asked, and how often; None: nobody can be."""
-        turn, questioner = self._turns[bus], self._questioners[bus]
+        turn, tracker = self._turns[bus], self._trackers[bus]
         if turn is not None and turn.left > 0:
-            servo_id = turn.track.joint.servo_id
-            if questioner.quiet_until_ns(servo_id) <= now_ns:
+            servo_id = turn.state.joint.servo_id
+            if tracker.quiet_until_ns(servo_id) <= now_ns:
                 return turn
         # A row is not cut short for a servo that is to name its target: that would cost a tenth
         # of the answers (measured), and it waits for a row or two at most.
-        track = self._most_urgent(bus, now_ns)
-        self._turns[bus] = None if track is None else _Turn(track, self._depth(bus, track))
+        state = self._most_urgent(bus, now_ns)
+        self._turns[bus] = None if state is None else _Turn(state, self._depth(bus, state))
         return self._turns[bus]
 
-    def _depth(self, bus: str, track: JointState) -> int:
+    def _depth(self, bus: str, state: JointState) -> int:
         """Return how often to ask in a row, so that the gap before it is small beside it."""
-        questioner, servo_id = self._questioners[bus], track.joint.servo_id
-        turnaround = questioner.turnaround(servo_id)
-        if not turnaround.is_known or questioner.owes(servo_id, "QD"):
+        tracker, servo_id = self._trackers[bus], state.joint.servo_id
+        latency = tracker.latency(servo_id)
+        if not latency.is_known or tracker.is_overdue(servo_id, "QD"):
             return 1
         line = self._lines[bus]
-        reply_ns = line.time_ns(questioner.reply_bytes(servo_id, "QD"))
-        gap_ns = turnaround.spread_ns // 2 + line.time_ns(1)
+        reply_ns = line.time_ns(tracker.reply_bytes(servo_id, "QD"))
+        gap_ns = latency.spread_ns // 2 + line.time_ns(1)
         wanted = math.ceil(FILL_RATIO / (1.0 - FILL_RATIO) * gap_ns / reply_ns)
         most = VISIT_NS // (reply_ns * len(self._by_bus[bus]))
-        return max(1, min(wanted, most, questioner.depth(servo_id)))
+        return max(1, min(wanted, most, tracker.depth(servo_id)))
 
     def _keyword(self, bus: str, turn: _Turn, now_ns: int) -> str:
         """Return what to ask: where it is, or how it fares.
@@ -363,73 +363,73 @@ class PollScheduler:
         A row of questions ends with one about health, since equal questions need another one at
         their end. A servo that owes an answer is asked what this answer cannot be taken for.
         """
-        questioner, track = self._questioners[bus], turn.track
-        servo_id = track.joint.servo_id
-        if questioner.owes(servo_id, "QD"):
-            return self._fresh(bus, track)
-        if wants_target(track, now_ns) and not questioner.owes(servo_id, TARGET_KEYWORD):
+        tracker, state = self._trackers[bus], turn.state
+        servo_id = state.joint.servo_id
+        if tracker.is_overdue(servo_id, "QD"):
+            return self._fresh(bus, state)
+        if needs_target(state, now_ns) and not tracker.is_overdue(servo_id, TARGET_KEYWORD):
             return TARGET_KEYWORD
         is_alone = turn.left == 1 and turn.places == 0
-        is_due = track.health_ns is None or now_ns - track.health_ns >= HEALTH_NS
+        is_due = state.health_ns is None or now_ns - state.health_ns >= HEALTH_NS
         is_due = is_due and self._health_wait[bus] >= HEALTH_LEAST - 1
-        doubt = self.watch.doubts.get(track.joint.name)
-        words = health_words(track.joint.model.family)
+        doubt = self.health.unconfirmed.get(state.joint.name)
+        words = health_words(state.joint.model.family)
         if turn.left > 1 or (is_alone and doubt is None and not is_due):
             return "QD"
-        return doubt or words[track.health_count % len(words)]
+        return doubt or words[state.health_count % len(words)]
 
-    def _fresh(self, bus: str, track: JointState) -> str:
+    def _fresh(self, bus: str, state: JointState) -> str:
         """Return what to ask so that no answer that the servo owes can be taken for its answer."""
-        questioner, servo_id = self._questioners[bus], track.joint.servo_id
-        words = ("QD", *health_words(track.joint.model.family))
-        return next((word for word in words if not questioner.owes(servo_id, word)), "QD")
+        tracker, servo_id = self._trackers[bus], state.joint.servo_id
+        words = ("QD", *health_words(state.joint.model.family))
+        return next((word for word in words if not tracker.is_overdue(servo_id, word)), "QD")
 
     def _most_urgent(self, bus: str, now_ns: int) -> JointState | None:
         """Return the joint whose reading is oldest, relative to how fast it moves and strayed."""
         best, best_merit = None, (-1, 0.0)
         now_s = s_from_ns(now_ns)
-        questioner = self._questioners[bus]
-        for track in self._by_bus[bus]:
-            servo_id = track.joint.servo_id
-            if questioner.is_waiting(servo_id) or questioner.quiet_until_ns(servo_id) > now_ns:
+        tracker = self._trackers[bus]
+        for state in self._by_bus[bus]:
+            servo_id = state.joint.servo_id
+            if tracker.is_waiting(servo_id) or tracker.quiet_until_ns(servo_id) > now_ns:
                 continue
-            if track.visited_ns is None or track.joint.name in self.watch.doubts:
-                return track
-            _, speed_deg_s = track.profile.at(now_s)
+            if state.visited_ns is None or state.joint.name in self.health.unconfirmed:
+                return state
+            _, speed_deg_s = state.profile.at(now_s)
             weight = 1.0 + SPEED_WEIGHT_S_PER_DEG * abs(speed_deg_s)
-            weight += ERROR_WEIGHT_PER_DEG * abs(track.following.error_deg)
-            age_ns = now_ns - track.visited_ns
+            weight += ERROR_WEIGHT_PER_DEG * abs(state.disturbance.error_deg)
+            age_ns = now_ns - state.visited_ns
             overdue_ns = age_ns if age_ns > LONGEST_NS else 0
-            merit = overdue_ns, age_ns * weight + VISIT_NS * wants_target(track, now_ns)
+            merit = overdue_ns, age_ns * weight + VISIT_NS * needs_target(state, now_ns)
             if merit > best_merit:
-                best, best_merit = track, merit
+                best, best_merit = state, merit
         return best
 
     def _take_position(
         self,
         bus: str,
-        track: JointState,
+        state: JointState,
         measured_deg: float,
-        asked: Asked,
-        wanted_deg: Callable[[JointState, int], float],
+        asked: PendingQuery,
+        plan_deg: Callable[[JointState, int], float],
     ) -> None:
-        read_s = s_from_ns(asked.heard_ns)
-        planned_deg = wanted_deg(track, asked.heard_ns)
-        missed = take_position(track, measured_deg, read_s, planned_deg)
+        read_s = s_from_ns(asked.arrival_ns)
+        planned_deg = plan_deg(state, asked.arrival_ns)
+        missed = take_position(state, measured_deg, read_s, planned_deg)
         if missed is None:
-            self.unbelieved[bus] += 1
+            self.rejected[bus] += 1
             return
         if missed:
-            self.unheard[track.joint.name] = track
-        self.watch.position(track, asked.heard_ns)
-        joint_deg = track.joint.joint_deg
-        track.trace.add(read_s - track.origin_s, joint_deg(planned_deg), joint_deg(measured_deg))
+            self.to_resend[state.joint.name] = state
+        self.health.position(state, asked.arrival_ns)
+        joint_deg = state.joint.joint_deg
+        state.trace.add(read_s - state.origin_s, joint_deg(planned_deg), joint_deg(measured_deg))
 
-    def _note_silence(self, bus: str, expired: Asked, now_ns: int) -> None:
-        track = self._by_address.get((bus, expired.command.servo_id))
-        if track is not None:
-            since_ns = self._questioners[bus].answered_ns(track.joint.servo_id)
-            self.watch.unanswered(track, now_ns, now_ns if since_ns is None else since_ns)
+    def _note_timeout(self, bus: str, expired: PendingQuery, now_ns: int) -> None:
+        state = self._by_address.get((bus, expired.command.servo_id))
+        if state is not None:
+            since_ns = self._trackers[bus].last_reply_ns(state.joint.servo_id)
+            self.health.unanswered(state, now_ns, now_ns if since_ns is None else since_ns)
 
 
 WINDOW: Final = 32

@@ -47,11 +47,11 @@ next move later by less than another move would."""
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class PendingQuery:
     """A query in flight. `heard_ns` is when the servo had it complete."""
 
     command: Command
-    heard_ns: int
+    arrival_ns: int
     reply_bytes: int
     """The longest answer that is to be expected."""
 
@@ -60,8 +60,8 @@ class Asked:
 class _Flight:
     """Questions to one servo from the first that is not answered on."""
 
-    waiting: deque[Asked] = field(default_factory=deque)
-    held: list[tuple[Asked, Reply]] = field(default_factory=list)
+    waiting: deque[PendingQuery] = field(default_factory=deque)
+    held: list[tuple[PendingQuery, Reply]] = field(default_factory=list)
     """Answers that could be to one of several questions: believed when all have been answered."""
     counts: Counter[str] = field(default_factory=Counter)
     """How often it asked what."""
@@ -79,18 +79,18 @@ class _Flight:
 class _LinkState:
     """What is known of how one servo answers."""
 
-    turnaround: ReplyLatency = field(default_factory=ReplyLatency)
+    latency: ReplyLatency = field(default_factory=ReplyLatency)
     depth: int = 1
     """Questions that it may be asked in a row: doubled by a row that it answers whole."""
     failures: int = 0
     quiet_until_ns: int = 0
-    owed: set[str] = field(default_factory=set)
+    overdue: set[str] = field(default_factory=set)
     """Keywords of answers that were given up and may still come."""
     reply_bytes: dict[str, int] = field(default_factory=dict)
     least_bytes: int = 1
     """The shortest answer that is to be expected."""
-    asked_ns: int = 0
-    answered_ns: int | None = None
+    last_sent_ns: int = 0
+    last_reply_ns: int | None = None
 
     def note_size(self, keyword: str, size_bytes: int) -> None:
         """Note how long an answer was: the next one may have a digit more."""
@@ -107,7 +107,7 @@ class _LinkState:
         self.depth = max(1, self.depth // 2)
         self.failures += 1
         if self.failures > 1:
-            self.turnaround.forget()
+            self.latency.forget()
 
 
 class QueryTracker:
@@ -116,13 +116,13 @@ class QueryTracker:
     def __init__(self, line: SerialLine) -> None:
         self._line = line
         self._last_ns = 0
-        self.asked_count = 0
-        self.answered_count = 0
+        self.query_count = 0
+        self.reply_count = 0
         self.timeouts = 0
         self.strays = 0
         self._flights: dict[int, _Flight] = {}
-        self._manners: dict[int, _LinkState] = {}
-        self._lost: list[Asked] = []
+        self._links: dict[int, _LinkState] = {}
+        self._lost: list[PendingQuery] = []
 
     def is_waiting(self, servo_id: int) -> bool:
         """Return whether a question to `servo_id` is in flight."""
@@ -141,21 +141,21 @@ class QueryTracker:
         """Return whether nobody was asked for too long."""
         return now_ns - self._last_ns > STARVED_NS
 
-    def asked_ns(self, servo_id: int) -> int:
+    def last_sent_ns(self, servo_id: int) -> int:
         """Return when a servo was last asked; 0: never."""
-        return self._known(servo_id).asked_ns
+        return self._known(servo_id).last_sent_ns
 
-    def answered_ns(self, servo_id: int) -> int | None:
+    def last_reply_ns(self, servo_id: int) -> int | None:
         """Return when a servo last answered, be it believed or too late; None: never."""
-        return self._known(servo_id).answered_ns
+        return self._known(servo_id).last_reply_ns
 
-    def turnaround(self, servo_id: int) -> ReplyLatency:
-        return self._known(servo_id).turnaround
+    def latency(self, servo_id: int) -> ReplyLatency:
+        return self._known(servo_id).latency
 
     @property
-    def least_wait_ns(self) -> int | None:
+    def shortest_latency_ns(self) -> int | None:
         """The shortest wait for an answer of any servo so far; None: there was no answer."""
-        waits_ns = [manners.turnaround.least_ns for manners in self._manners.values()]
+        waits_ns = [link.latency.least_ns for link in self._links.values()]
         return min((wait_ns for wait_ns in waits_ns if wait_ns is not None), default=None)
 
     def depth(self, servo_id: int) -> int:
@@ -166,45 +166,45 @@ class QueryTracker:
         """Return the longest answer to be expected: a digit more than the last one."""
         return self._known(servo_id).reply_bytes.get(keyword, REPLY_MAX_BYTES)
 
-    def owes(self, servo_id: int, keyword: str) -> bool:
+    def is_overdue(self, servo_id: int, keyword: str) -> bool:
         """Return whether a late answer could be taken for the answer to `keyword`.
 
         The servo answers in order: its answer to anything else ends this.
         """
-        return keyword in self._known(servo_id).owed
+        return keyword in self._known(servo_id).overdue
 
     def earliest_ns(self, servo_id: int, size_bytes: int) -> int | None:
         """Return from when on a question of `size_bytes` may begin to leave.
 
         None: not before something that is in flight was answered or given up.
         """
-        manners = self._known(servo_id)
+        link = self._known(servo_id)
         if self._flights and servo_id == next(reversed(self._flights)):
-            is_full = len(self._flights[servo_id].waiting) >= self._window(manners)
-            return None if is_full else manners.quiet_until_ns
+            is_full = len(self._flights[servo_id].waiting) >= self._window(link)
+            return None if is_full else link.quiet_until_ns
         if servo_id in self._flights or len(self._flights) >= FLIGHTS_MAX:
             return None
-        heard_ns = 0
+        arrival_ns = 0
         for other_id, flight in self._flights.items():
-            if not (manners.turnaround.is_known and self._known(other_id).turnaround.is_known):
+            if not (link.latency.is_known and self._known(other_id).latency.is_known):
                 return None
-            heard_ns = max(heard_ns, flight.end_ns - manners.turnaround.earliest_ns)
-        return max(manners.quiet_until_ns, heard_ns - self._line.time_ns(size_bytes))
+            arrival_ns = max(arrival_ns, flight.end_ns - link.latency.earliest_ns)
+        return max(link.quiet_until_ns, arrival_ns - self._line.time_ns(size_bytes))
 
-    def ask(self, command: Command, now_ns: int) -> None:
+    def send(self, command: Command, now_ns: int) -> None:
         """Hand over a question; `earliest_ns` says when it may be."""
         servo_id = command.servo_id
-        heard_ns = self._line.send(encode(command), now_ns)
+        arrival_ns = self._line.send(encode(command), now_ns)
         if (flight := self._flights.get(servo_id)) is None:
             flight = self._flights[servo_id] = _Flight(garbage=self._line.garbage)
         reply_bytes = self.reply_bytes(servo_id, command.keyword)
         flight.counts[command.keyword] += 1
-        flight.waiting.append(Asked(command, heard_ns, reply_bytes))
+        flight.waiting.append(PendingQuery(command, arrival_ns, reply_bytes))
         self._predict(servo_id, flight)
-        self._known(servo_id).asked_ns = self._last_ns = now_ns
-        self.asked_count += 1
+        self._known(servo_id).last_sent_ns = self._last_ns = now_ns
+        self.query_count += 1
 
-    def answer(self, reply: Reply, now_ns: int) -> list[tuple[Asked, Reply]]:
+    def receive(self, reply: Reply, now_ns: int) -> list[tuple[PendingQuery, Reply]]:
         """Return the questions that are now answered beyond doubt, with their answers.
 
         A reply that answers nothing is a stray, which is counted. `*QID5` names no sender; it
@@ -214,50 +214,50 @@ class QueryTracker:
         if asked is None:
             self._note_stray(servo_id, reply.keyword, now_ns)
             return []
-        flight, manners = self._flights[servo_id], self._known(servo_id)
-        self.answered_count += 1
+        flight, link = self._flights[servo_id], self._known(servo_id)
+        self.reply_count += 1
         size_bytes = len(encode(reply))
-        manners.note_size(reply.keyword, size_bytes)
-        if flight.arrived_ns <= asked.heard_ns and asked is flight.waiting[0]:
+        link.note_size(reply.keyword, size_bytes)
+        if flight.arrived_ns <= asked.arrival_ns and asked is flight.waiting[0]:
             began_ns = now_ns - self._line.time_ns(size_bytes)
-            manners.turnaround.take(began_ns - asked.heard_ns)
+            link.latency.take(began_ns - asked.arrival_ns)
         while (passed := flight.waiting.popleft()) is not asked:
             flight.is_doubtful = True
             self._lost.append(passed)
-        flight.arrived_ns = manners.answered_ns = now_ns
+        flight.arrived_ns = link.last_reply_ns = now_ns
         flight.held.append((asked, reply))
-        manners.owed.clear()
+        link.overdue.clear()
         self._predict(servo_id, flight)
         return self._believed(servo_id, flight)
 
-    def expire(self, now_ns: int) -> list[Asked]:
+    def expire(self, now_ns: int) -> list[PendingQuery]:
         """Give up the questions whose time is over; return them."""
         given_up, self._lost = self._lost, []
         late = [one for one, flight in self._flights.items() if now_ns >= flight.give_up_ns]
         for servo_id in late:
-            flight, manners = self._flights.pop(servo_id), self._known(servo_id)
+            flight, link = self._flights.pop(servo_id), self._known(servo_id)
             given_up += flight.waiting
             self.strays += len(flight.held)
-            manners.quiet_until_ns = now_ns + STRAY_NS
-            manners.owed.update(asked.command.keyword for asked in flight.waiting)
-            manners.fail()
+            link.quiet_until_ns = now_ns + STRAY_NS
+            link.overdue.update(asked.command.keyword for asked in flight.waiting)
+            link.fail()
         self.timeouts += len(given_up)
         return given_up
 
     def _known(self, servo_id: int) -> _LinkState:
-        if (manners := self._manners.get(servo_id)) is None:
-            manners = self._manners[servo_id] = _LinkState()
-        return manners
+        if (link := self._links.get(servo_id)) is None:
+            link = self._links[servo_id] = _LinkState()
+        return link
 
-    def _window(self, manners: _LinkState) -> int:
+    def _window(self, link: _LinkState) -> int:
         """Return how many questions must fly so that the servo never waits for one."""
-        turnaround = manners.turnaround
-        if not turnaround.is_known:
+        latency = link.latency
+        if not latency.is_known:
             return 1
-        shortest_ns = self._line.time_ns(manners.least_bytes)
-        return min(WINDOW_MAX, 3 + turnaround.latest_ns // shortest_ns)
+        shortest_ns = self._line.time_ns(link.least_bytes)
+        return min(WINDOW_MAX, 3 + latency.latest_ns // shortest_ns)
 
-    def _asked_for(self, reply: Reply, now_ns: int) -> tuple[int, Asked | None]:
+    def _asked_for(self, reply: Reply, now_ns: int) -> tuple[int, PendingQuery | None]:
         """Return who sent a reply and the oldest question that it can answer."""
         if reply.servo_id is None:
             servo_id = next(iter(self._flights), -1) if reply.keyword == "QID" else -1
@@ -266,20 +266,20 @@ class QueryTracker:
         flight = self._flights.get(servo_id)
         for asked in flight.waiting if flight is not None else ():
             if asked.command.keyword == reply.keyword:
-                return servo_id, asked if now_ns >= asked.heard_ns else None
+                return servo_id, asked if now_ns >= asked.arrival_ns else None
         return servo_id, None
 
     def _note_stray(self, servo_id: int, keyword: str, now_ns: int) -> None:
         self.strays += 1
-        flight, manners = self._flights.get(servo_id), self._manners.get(servo_id)
+        flight, link = self._flights.get(servo_id), self._links.get(servo_id)
         if flight is not None:
             flight.is_doubtful = True
-        if manners is not None and keyword in manners.owed:
-            manners.answered_ns = now_ns
+        if link is not None and keyword in link.overdue:
+            link.last_reply_ns = now_ns
             if flight is None:
-                manners.turnaround.forget()
+                link.latency.forget()
 
-    def _believed(self, servo_id: int, flight: _Flight) -> list[tuple[Asked, Reply]]:
+    def _believed(self, servo_id: int, flight: _Flight) -> list[tuple[PendingQuery, Reply]]:
         """Return, and no longer hold, the answers that no other question could mean."""
         newest = flight.held[-1]
         if flight.waiting:
@@ -299,11 +299,11 @@ class QueryTracker:
 
     def _predict(self, servo_id: int, flight: _Flight) -> None:
         """Find out when the last answer of a flight has come in at the latest."""
-        turnaround = self._known(servo_id).turnaround
-        latest_ns = turnaround.latest_ns
+        latency = self._known(servo_id).latency
+        latest_ns = latency.latest_ns
         end_ns = flight.arrived_ns
         for asked in flight.waiting:
-            end_ns = max(end_ns, asked.heard_ns + latest_ns)
+            end_ns = max(end_ns, asked.arrival_ns + latest_ns)
             end_ns += self._line.time_ns(asked.reply_bytes)
         flight.end_ns = end_ns
-        flight.give_up_ns = end_ns + (GRACE_NS if turnaround.is_known else 0)
+        flight.give_up_ns = end_ns + (GRACE_NS if latency.is_known else 0)

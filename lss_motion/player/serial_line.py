@@ -26,13 +26,13 @@ class SerialLine:
     def time_ns(self, size_bytes: int) -> int:
         return line_time_ns(size_bytes, self.bus.baud_bps)
 
-    def heard_ns(self, size_bytes: int, now_ns: int) -> int:
+    def arrival_ns(self, size_bytes: int, now_ns: int) -> int:
         """Return when the last of `size_bytes` would arrive if they were handed over now."""
         return max(now_ns, self.free_ns) + self.time_ns(size_bytes)
 
     def send(self, data: bytes, now_ns: int) -> int:
         """Hand over `data`; return when its last byte arrives at the servos."""
-        self.free_ns = self.heard_ns(len(data), now_ns)
+        self.free_ns = self.arrival_ns(len(data), now_ns)
         self.sent_bytes += len(data)
         self._out += data
         return self.free_ns

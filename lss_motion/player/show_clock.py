@@ -107,7 +107,7 @@ class ShowClock:
 
 RAMP_TICK_NS: Final = 40 * NS_PER_MS
 """At any rate but 1, every moving joint gets a move this often, if the line can carry it."""
-LED_NS: Final = 20 * NS_PER_MS
+GUIDE_PERIOD_NS: Final = 20 * NS_PER_MS
 """A streamed joint that is led gets one for every step of its filter (FACTS.md M6): over two
 steps with one target the filter is quick in the first and slow in the second."""
 RAMP_LINE_RATIO: Final = 0.5
@@ -124,18 +124,20 @@ RAMP_LOOK_S: Final = (0.0, 0.1, 0.2, 0.3, 0.4)
 class SpotMove(NamedTuple):
     """A move for one joint, made on the spot: servo degrees, and the run time that it has."""
 
-    track: JointState
+    state: JointState
     aim_deg: float
     left_s: float
 
 
-def ramp_s(tracks: Collection[JointState], program: Program, show_s: float, change: float) -> float:
+def ramp_s(
+    joint_states: Collection[JointState], program: Program, show_s: float, change: float
+) -> float:
     """Return over how long the rate may change by `change`, as gently as the limits ask."""
     over_s = RAMP_LEAST_S
-    for track in tracks:
-        spare_deg_s2 = RAMP_ACCEL_RATIO * track.limits.ramp_deg_s2
+    for state in joint_states:
+        spare_deg_s2 = RAMP_ACCEL_RATIO * state.limits.ramp_deg_s2
         for ahead_s in RAMP_LOOK_S:
-            _, speed_deg_s = track.plan.at(program.within(show_s + ahead_s))
+            _, speed_deg_s = state.plan.at(program.within(show_s + ahead_s))
             over_s = max(over_s, abs(speed_deg_s) * change / spare_deg_s2)
     return over_s
 
@@ -143,40 +145,42 @@ def ramp_s(tracks: Collection[JointState], program: Program, show_s: float, chan
 class RampPeriods(NamedTuple):
     """How often joints can be told where to go: those that are led, and all others."""
 
-    led_ns: int
+    guide_ns: int
     tick_ns: int
 
 
-def ramp_periods(tracks: Collection[JointState], lines: Mapping[str, SerialLine]) -> RampPeriods:
+def ramp_periods(
+    joint_states: Collection[JointState], lines: Mapping[str, SerialLine]
+) -> RampPeriods:
     """Return how often every joint can be told where to go."""
-    streamed = [track for track in tracks if track.joint.drive == "streamed"]
-    others = [track for track in tracks if track.joint.drive != "streamed"]
+    streamed = [state for state in joint_states if state.joint.drive == "streamed"]
+    others = [state for state in joint_states if state.joint.drive != "streamed"]
     share = 0.5 if streamed and others else 1.0
     return RampPeriods(
-        led_ns=max(LED_NS, round(_busiest_ns(streamed, lines) / share)),
+        guide_ns=max(GUIDE_PERIOD_NS, round(_busiest_ns(streamed, lines) / share)),
         tick_ns=max(RAMP_TICK_NS, round(_busiest_ns(others, lines) / share)),
     )
 
 
-def _busiest_ns(tracks: Collection[JointState], lines: Mapping[str, SerialLine]) -> float:
+def _busiest_ns(joint_states: Collection[JointState], lines: Mapping[str, SerialLine]) -> float:
     """Return over how long one move for each of `tracks` may be spread on the busiest line."""
     busiest_ns = max(
         sum(
-            line.time_ns(len(encode_move(track.joint.servo_id, -18000, _duration_ms(track))))
-            for track in tracks
-            if track.joint.bus == bus
+            line.time_ns(len(encode_move(state.joint.servo_id, -18000, _duration_ms(state))))
+            for state in joint_states
+            if state.joint.bus == bus
         )
         for bus, line in lines.items()
     )
     return busiest_ns / RAMP_LINE_RATIO
 
 
-def _duration_ms(track: JointState) -> int | None:
-    return 1000 if track.joint.drive == "timed" else None
+def _duration_ms(state: JointState) -> int | None:
+    return 1000 if state.joint.drive == "timed" else None
 
 
 def spot_moves(
-    tracks: Iterable[JointState],
+    joint_states: Iterable[JointState],
     lines: Mapping[str, SerialLine],
     *,
     now_ns: int,
@@ -190,27 +194,27 @@ def spot_moves(
     Each is to be sent before the next one is asked for, since it keeps the line busy. Streamed
     joints are led (`leading.lead`).
     """
-    for track in tracks:
-        if track.joint.drive == "streamed":
+    for state in joint_states:
+        if state.joint.drive == "streamed":
             continue
-        is_stepped = track.joint.drive == "stepped"
-        heard_ns = lines[track.joint.bus].heard_ns(0, now_ns)
+        is_stepped = state.joint.drive == "stepped"
+        arrival_ns = lines[state.joint.bus].arrival_ns(0, now_ns)
         # A jump is right in the middle of the time for which it holds.
-        ahead_ns = heard_ns + (period_ns // 2 if is_stepped else period_ns)
-        ahead_ns += ns_from_s(track.lead_s)
-        aim_deg = planned_deg(track, ahead_ns)
-        position_deg, speed_deg_s = track.place(heard_ns)
-        way_deg = aim_deg + track.following.offset_deg - position_deg
-        unit_deg = 1.0 / track.limits.wire_per_deg
+        ahead_ns = arrival_ns + (period_ns // 2 if is_stepped else period_ns)
+        ahead_ns += ns_from_s(state.lead_s)
+        aim_deg = planned_deg(state, ahead_ns)
+        position_deg, speed_deg_s = state.place(arrival_ns)
+        way_deg = aim_deg + state.disturbance.offset_deg - position_deg
+        unit_deg = 1.0 / state.limits.wire_per_deg
         if abs(way_deg) < unit_deg and abs(speed_deg_s) < 1.0:
             continue
         if is_stepped:
-            yield SpotMove(track, aim_deg, 0.0)
+            yield SpotMove(state, aim_deg, 0.0)
             continue
-        travel_deg_s = min(abs(way_deg) / s_from_ns(period_ns), track.limits.speed_max_deg_s)
+        travel_deg_s = min(abs(way_deg) / s_from_ns(period_ns), state.limits.speed_max_deg_s)
         if ends_ns is None or ahead_ns < ends_ns:
             beyond_deg = travel_deg_s * LATEST_ARRIVAL_S
-            beyond_deg += 0.5 * travel_deg_s * travel_deg_s / track.limits.ramp_deg_s2
+            beyond_deg += 0.5 * travel_deg_s * travel_deg_s / state.limits.ramp_deg_s2
             aim_deg += math.copysign(beyond_deg, way_deg)
             way_deg += math.copysign(beyond_deg, way_deg)
-        yield SpotMove(track, aim_deg, abs(way_deg) / max(travel_deg_s, 1.0))
+        yield SpotMove(state, aim_deg, abs(way_deg) / max(travel_deg_s, 1.0))

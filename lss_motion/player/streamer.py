@@ -34,8 +34,8 @@ from lss_motion.player.estimators import LAG_MAX_S
 from lss_motion.player.joint_state import (
     LONGEST_NS,
     REST_DEG_S,
+    DeferredTarget,
     JointState,
-    Owed,
     Statistics,
     closing_deg,
     make_joint_states,
@@ -136,7 +136,7 @@ JOIN_S: Final = 0.1
 
 
 def rejoin(
-    track: JointState,
+    state: JointState,
     line: SerialLine,
     clock: ShowClock,
     within: Callable[[float], float],
@@ -147,64 +147,66 @@ def rejoin(
     A joint that is behind on its way travels faster until it meets the plan; from then on the rest
     of the move is owed. `within` turns a show time into one of the plan.
     """
-    assert track.active is not None
-    heard_ns = line.heard_ns(len(track.active.data), now_ns)
-    planned_deg, planned_deg_s = track.plan.at(within(clock.show_s(heard_ns)))
-    position_deg, own_deg_s = track.place(heard_ns)
-    planned_way_deg = track.target_deg - planned_deg
-    way_deg = track.target_deg + track.following.offset_deg - position_deg
-    sense, ramp_deg_s2 = math.copysign(1.0, way_deg), track.limits.ramp_deg_s2
-    travel_deg_s = _travel_deg_s(track, within(track.begun_s(line)))
+    assert state.active is not None
+    arrival_ns = line.arrival_ns(len(state.active.data), now_ns)
+    planned_deg, planned_deg_s = state.plan.at(within(clock.show_s(arrival_ns)))
+    position_deg, own_deg_s = state.place(arrival_ns)
+    planned_way_deg = state.target_deg - planned_deg
+    way_deg = state.target_deg + state.disturbance.offset_deg - position_deg
+    sense, ramp_deg_s2 = math.copysign(1.0, way_deg), state.limits.ramp_deg_s2
+    travel_deg_s = _travel_deg_s(state, within(state.begun_s(line)))
     # Until both travel: what it falls behind while it speeds up, less what the plan does.
     slower_deg_s = max(0.0, travel_deg_s - sense * own_deg_s)
     planned_slower_deg_s = max(0.0, travel_deg_s - sense * planned_deg_s)
     behind_deg = abs(way_deg) - abs(planned_way_deg)
     behind_deg += 0.5 * (slower_deg_s**2 - planned_slower_deg_s**2) / ramp_deg_s2
-    faster_deg_s = _faster_deg_s(track, travel_deg_s, behind_deg)
-    left_s = track.left_s(line, clock, now_ns)
+    faster_deg_s = _faster_deg_s(state, travel_deg_s, behind_deg)
+    left_s = state.left_s(line, clock, now_ns)
     is_on_its_way = way_deg * planned_way_deg > 0.0 and travel_deg_s > REST_DEG_S
     if not is_on_its_way or faster_deg_s <= 0.0:
-        track.send_active(line, left_s, now_ns)
+        state.send_active(line, left_s, now_ns)
         return
-    track.send_active(line, abs(way_deg) / (travel_deg_s + faster_deg_s), now_ns)
+    state.send_active(line, abs(way_deg) / (travel_deg_s + faster_deg_s), now_ns)
     # What it gains less while it speeds up it gains more while it slows down again.
     joins_s = slower_deg_s / ramp_deg_s2 + behind_deg / faster_deg_s
     if joins_s < left_s:
-        track.owed = Owed(heard_ns + ns_from_s(joins_s), track.target_deg, travel_deg_s)
+        state.deferred = DeferredTarget(
+            arrival_ns + ns_from_s(joins_s), state.target_deg, travel_deg_s
+        )
 
 
-def _faster_deg_s(track: JointState, travel_deg_s: float, behind_deg: float) -> float:
+def _faster_deg_s(state: JointState, travel_deg_s: float, behind_deg: float) -> float:
     """Return by how much faster than `travel_deg_s` a joint is to travel to close up."""
-    if behind_deg <= track.joint.unit_deg:
+    if behind_deg <= state.joint.unit_deg:
         return 0.0
     return min(
-        track.limits.speed_max_deg_s - travel_deg_s,
+        state.limits.speed_max_deg_s - travel_deg_s,
         behind_deg / JOIN_S,
-        math.sqrt(behind_deg * track.limits.ramp_deg_s2),
+        math.sqrt(behind_deg * state.limits.ramp_deg_s2),
     )
 
 
-def _travel_deg_s(track: JointState, begun_s: float) -> float:
+def _travel_deg_s(state: JointState, begun_s: float) -> float:
     """Return how fast the move under way, begun at `begun_s`, is to travel between its ramps."""
-    move = track.active
+    move = state.active
     assert move is not None
     assert move.duration_ms is not None
-    planned_deg, _ = track.plan.at(begun_s)
-    travel_deg_s = abs(track.target_deg - planned_deg) / s_from_ms(move.duration_ms)
-    return min(travel_deg_s, track.limits.speed_max_deg_s)
+    planned_deg, _ = state.plan.at(begun_s)
+    travel_deg_s = abs(state.target_deg - planned_deg) / s_from_ms(move.duration_ms)
+    return min(travel_deg_s, state.limits.speed_max_deg_s)
 
 
-def tell_owed(track: JointState, line: SerialLine, now_ns: int) -> None:
+def send_deferred(state: JointState, line: SerialLine, now_ns: int) -> None:
     """Send what a joint is owed: a timed one travels on as planned, but with no longer T."""
-    assert track.owed is not None
-    _, target_deg, travel_deg_s = track.owed
-    way_deg = target_deg + track.following.offset_deg - track.place(now_ns)[0]
+    assert state.deferred is not None
+    _, target_deg, travel_deg_s = state.deferred
+    way_deg = target_deg + state.disturbance.offset_deg - state.place(now_ns)[0]
     left_s = min(abs(way_deg) / travel_deg_s, s_from_ns(LONGEST_NS))
-    track.send(line, target_deg, left_s, now_ns)
+    state.send(line, target_deg, left_s, now_ns)
 
 
 def on_time_s(
-    track: JointState, line: SerialLine, show_s: Callable[[int], float], now_ns: int
+    state: JointState, line: SerialLine, show_s: Callable[[int], float], now_ns: int
 ) -> float:
     """Return how long the move under way, sent on time, is to travel; 0 if it has no T.
 
@@ -212,14 +214,14 @@ def on_time_s(
     the profile is off the plan would change the travel speed by many times. So the speed of the
     plan is kept instead of its end. `show_s` turns an instant into one of the plan.
     """
-    move = track.active
+    move = state.active
     assert move is not None
     if move.duration_ms is None:
         return 0.0
-    heard_ns = line.heard_ns(len(move.data), now_ns)
-    planned_deg, speed_deg_s = track.plan.at(show_s(heard_ns))
-    planned_way_deg = track.target_deg - planned_deg
-    way_deg = track.target_deg + track.following.offset_deg - track.place(heard_ns)[0]
+    arrival_ns = line.arrival_ns(len(move.data), now_ns)
+    planned_deg, speed_deg_s = state.plan.at(show_s(arrival_ns))
+    planned_way_deg = state.target_deg - planned_deg
+    way_deg = state.target_deg + state.disturbance.offset_deg - state.place(arrival_ns)[0]
     planned_s = s_from_ms(move.duration_ms)
     if speed_deg_s * planned_way_deg >= 0.0 or way_deg * planned_way_deg <= 0.0:
         return planned_s
@@ -230,8 +232,8 @@ ON_PROGRAM_RATIO: Final = 1.0
 """Nearer to its plan than this share of its program's tolerance, a joint is on it again."""
 
 
-def lead(
-    track: JointState,
+def guide(
+    state: JointState,
     line: SerialLine,
     planned_deg: Callable[[JointState, int], float],
     now_ns: int,
@@ -244,37 +246,37 @@ def lead(
     That ends when it rests where its plan does, or, where the rate of the show `is_even` at 1, when
     it is so near to its plan that the move of the program that is under way does the same.
     """
-    profile, limits = track.profile, track.limits
+    profile, limits = state.profile, state.limits
     assert isinstance(profile, FilterProfile), "only streamed joints are led"
-    here_wire = round(track.place(now_ns)[0] * limits.wire_per_deg)
-    size = len(encode_move(track.joint.servo_id, here_wire, None))
-    step = profile.acts_on(s_from_ns(line.heard_ns(size, now_ns)))
+    here_wire = round(state.place(now_ns)[0] * limits.wire_per_deg)
+    size = len(encode_move(state.joint.servo_id, here_wire, None))
+    step = profile.acts_on(s_from_ns(line.arrival_ns(size, now_ns)))
     steps = max(1, round(s_from_ns(period_ns) / profile.period_s))
     from_s = profile.step_s(step) - 0.5 * profile.period_s
-    from_deg = _wanted_deg(track, planned_deg, from_s)
-    to_deg = _wanted_deg(track, planned_deg, from_s + steps * profile.period_s)
+    from_deg = _wanted_deg(state, planned_deg, from_s)
+    to_deg = _wanted_deg(state, planned_deg, from_s + steps * profile.period_s)
     off_deg = from_deg - profile.value(step - 1)
     is_near = abs(off_deg) <= ON_PROGRAM_RATIO * limits.tolerance_deg
-    if is_even and is_near and track.active is not None:
-        track.send_active(line, 0.0, now_ns)
+    if is_even and is_near and state.active is not None:
+        state.send_active(line, 0.0, now_ns)
         return
     target_deg = to_deg
     is_at_rest = from_deg == to_deg and abs(off_deg) <= 1.0 / limits.wire_per_deg
     if not is_at_rest:
         way_deg = to_deg - from_deg + closing_deg(off_deg, limits)
         target_deg = profile.value(step - 1) + way_deg / (1.0 - profile.keep_ratio**steps)
-    track.send(line, target_deg - track.following.offset_deg, 0.0, now_ns)
+    state.send(line, target_deg - state.disturbance.offset_deg, 0.0, now_ns)
     if not is_at_rest:
-        track.led_ns = ns_from_s(profile.receive_s(step + steps)) - line.time_ns(size)
+        state.guide_ns = ns_from_s(profile.receive_s(step + steps)) - line.time_ns(size)
 
 
 def _wanted_deg(
-    track: JointState, planned_deg: Callable[[JointState, int], float], at_s: float
+    state: JointState, planned_deg: Callable[[JointState, int], float], at_s: float
 ) -> float:
     """Return where the filter of a joint should be then: ahead of the horn, and corrected."""
-    at_ns = ns_from_s(at_s + track.lead_s + track.early_s)
-    wanted_deg = planned_deg(track, at_ns) + track.following.offset_deg
-    return min(max(wanted_deg, track.limits.position_min_deg), track.limits.position_max_deg)
+    at_ns = ns_from_s(at_s + state.lead_s + state.early_s)
+    wanted_deg = planned_deg(state, at_ns) + state.disturbance.offset_deg
+    return min(max(wanted_deg, state.limits.position_min_deg), state.limits.position_max_deg)
 
 
 SETTLE_S: Final = 0.15
@@ -294,7 +296,7 @@ class Streamer:
         robot: Robot,
         *,
         lines: Mapping[str, SerialLine],
-        questioners: Mapping[str, QueryTracker],
+        trackers: Mapping[str, QueryTracker],
         standing_deg: Mapping[str, float],
         has_feedback: bool,
         start_ns: int,
@@ -309,11 +311,11 @@ class Streamer:
         begin_s = min(0.0, first_s) if start_s is None else start_s
         origin_s = s_from_ns(start_ns) - begin_s
         robot = with_room(robot, standing_deg)
-        self.tracks = make_joint_states(
+        self.joint_states = make_joint_states(
             program, robot, standing_deg, origin_s, has_feedback=has_feedback
         )
-        self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in self.tracks.values()}
-        self._periods = ramp_periods(self.tracks.values(), lines)
+        self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in self.joint_states.values()}
+        self._periods = ramp_periods(self.joint_states.values(), lines)
         self.clock = ShowClock(start_ns, begin_s, 1.0)
         self.statistics = Statistics()
         self._moves = DueMoves(program.unrolled(), self._early_us)
@@ -321,8 +323,8 @@ class Streamer:
         self._has_moved = False
         """Whether moves left in this turn."""
         self.waiting = Waiting(program.unrolled_waits(), robot.sensors, begin_s)
-        reader = PollScheduler(self.tracks, questioners, lines, self.waiting)
-        self.reader = reader if has_feedback else None
+        scheduler = PollScheduler(self.joint_states, trackers, lines, self.waiting)
+        self.scheduler = scheduler if has_feedback else None
         if start_s is not None:
             self._begin_at(start_ns)
 
@@ -354,7 +356,9 @@ class Streamer:
 
         What was told late, and what a speed limit held back, is on its way for longer.
         """
-        return not self._again_ns() and all(t.is_at_rest(now_ns) for t in self.tracks.values())
+        return not self._resends_ns() and all(
+            t.is_at_rest(now_ns) for t in self.joint_states.values()
+        )
 
     def extend(self, extension: Extension, now_ns: int) -> bool:
         """Replace what is due from the splice of `extension` on; False if it is too late."""
@@ -365,8 +369,8 @@ class Streamer:
         self._moves.replace_from(extension.from_us, extension.moves)
         self._program = replace(self._program, duration_s=extension.duration_s)
         for name, later in extension.profiles.items():
-            track = self.tracks[name]
-            track.plan = track.plan.followed_by(later, show_s - PLAN_HISTORY_S)
+            state = self.joint_states[name]
+            state.plan = state.plan.followed_by(later, show_s - PLAN_HISTORY_S)
         return True
 
     def set_rate(self, rate: float, now_ns: int) -> None:
@@ -375,29 +379,31 @@ class Streamer:
             self.waiting.rate_after = rate
             return
         change = abs(rate - self.clock.rate(now_ns))
-        over_s = ramp_s(self.tracks.values(), self._program, self.clock.show_s(now_ns), change)
+        over_s = ramp_s(
+            self.joint_states.values(), self._program, self.clock.show_s(now_ns), change
+        )
         self.clock.ramp_to(rate, now_ns, over_s)
         self._tick_ns = now_ns
 
     def leave_out(self, names: Iterable[str]) -> None:
         """Send no move to these joints, and to all others again."""
-        for name, track in self.tracks.items():
-            track.is_driven = name not in names
-            if not track.is_driven:
-                track.owed = track.led_ns = None
+        for name, state in self.joint_states.items():
+            state.is_driven = name not in names
+            if not state.is_driven:
+                state.deferred = state.guide_ns = None
 
     def pose_deg(self, now_ns: int) -> dict[str, float]:
         """Return where every joint is to stand after a ramp to rate 0: joint angles."""
-        tracks = self.tracks.items()
-        return {name: t.joint.joint_deg(self._planned_deg(t, now_ns)) for name, t in tracks}
+        joint_states = self.joint_states.items()
+        return {name: t.joint.joint_deg(self._planned_deg(t, now_ns)) for name, t in joint_states}
 
     def resume(self, standing_deg: Mapping[str, float], left_out: Iterable[str]) -> None:
         """Go on at rate 0, with servos that somebody else sent to `standing_deg` (servo angles)."""
         for name, servo_deg in standing_deg.items():
-            self.tracks[name].stand(servo_deg)
+            self.joint_states[name].stand_at(servo_deg)
         self.leave_out(left_out)
-        if self.reader is not None:
-            self.reader = self.reader.anew()
+        if self.scheduler is not None:
+            self.scheduler = self.scheduler.anew()
 
     # ---- sending
 
@@ -416,13 +422,15 @@ class Streamer:
                 self._send_due(due.due_us, due.move, now_ns, now_ns - due_ns)
                 self._has_moved = True
         self._wait(now_ns)
-        self._tell_again(now_ns)
-        if self.reader is not None and (not self._has_moved or self.reader.is_starved(now_ns)):
-            self.reader.ask(now_ns, self.quiet_ns(now_ns))
+        self._resend_due(now_ns)
+        if self.scheduler is not None and (
+            not self._has_moved or self.scheduler.is_starved(now_ns)
+        ):
+            self.scheduler.poll(now_ns, self.quiet_ns(now_ns))
 
     def next_wakeup_ns(self, now_ns: int) -> int | None:
         """Return when `advance` must be called again at the latest."""
-        wakeups_ns = self._again_ns()
+        wakeups_ns = self._resends_ns()
         if self._tick_ns is not None:
             wakeups_ns.append(self._tick_ns)
         elif self.clock.target_rate > 0.0:
@@ -435,16 +443,16 @@ class Streamer:
                 wakeups_ns += [] if end_ns is None else [end_ns]
         else:
             wakeups_ns.append(self.clock.ramp_end_ns + ns_from_s(SETTLE_S))
-        if self.reader is not None:
-            wakeups_ns += self.reader.wakeups_ns(now_ns)
+        if self.scheduler is not None:
+            wakeups_ns += self.scheduler.wakeups_ns(now_ns)
             wakeups_ns += [now_ns + 1] if self._has_moved else []
         return min((w for w in wakeups_ns if w > now_ns), default=None)
 
     def receive(self, bus: str, reply: Reply, now_ns: int) -> None:
-        if self.reader is not None:
-            self.reader.receive(bus, reply, now_ns, self._planned_deg)
-            while self.reader.unheard:
-                self._say_again(self.reader.unheard.popitem()[1], now_ns)
+        if self.scheduler is not None:
+            self.scheduler.receive(bus, reply, now_ns, self._planned_deg)
+            while self.scheduler.to_resend:
+                self._resend_lost(self.scheduler.to_resend.popitem()[1], now_ns)
 
     def _next_due_ns(self) -> int | None:
         """Return when the next move is due; None: none is, at least before the next wait."""
@@ -472,7 +480,7 @@ class Streamer:
 
     def quiet_ns(self, now_ns: int) -> int | None:
         """Return until when the lines are free of moves; None: no move is planned."""
-        quiet_ns = self._again_ns()
+        quiet_ns = self._resends_ns()
         if self._tick_ns is not None:
             quiet_ns.append(self._tick_ns)
         elif self.clock.target_rate > 0.0 and (due_ns := self._next_due_ns()) is not None:
@@ -480,44 +488,46 @@ class Streamer:
         return max(min(quiet_ns), now_ns) if quiet_ns else None
 
     def _send_due(self, due_us: int, move: Move, now_ns: int, late_ns: int) -> None:
-        track = self._by_address[move.bus, move.servo_id]
-        track.active = move._replace(due_us=due_us)
+        state = self._by_address[move.bus, move.servo_id]
+        state.active = move._replace(due_us=due_us)
         wait_ns = max(0, self._lines[move.bus].free_ns - now_ns)
         self.statistics.sent(late_ns + wait_ns)
-        left_s = self._left_s(track, now_ns)
+        left_s = self._left_s(state, now_ns)
         if late_ns + wait_ns <= ON_TIME_NS:
-            left_s = on_time_s(track, self._lines[move.bus], self._plan_s, now_ns)
-        if track.led_ns is None:
-            track.send_active(self._lines[track.joint.bus], left_s, now_ns)
+            left_s = on_time_s(state, self._lines[move.bus], self._plan_s, now_ns)
+        if state.guide_ns is None:
+            state.send_active(self._lines[state.joint.bus], left_s, now_ns)
 
-    def _say_again(self, track: JointState, now_ns: int) -> None:
+    def _resend_lost(self, state: JointState, now_ns: int) -> None:
         """Send what is left of a move that its servo has not heard; ramps say all again anyway."""
         if self._tick_ns is not None or self.clock.target_rate < 1.0:
             return
-        if track.active is None or not track.is_driven:
+        if state.active is None or not state.is_driven:
             return
-        track.said_again += 1
-        line = self._lines[track.joint.bus]
-        rejoin(track, line, self.clock, self._program.within, now_ns)
+        state.resent += 1
+        line = self._lines[state.joint.bus]
+        rejoin(state, line, self.clock, self._program.within, now_ns)
 
-    def _left_s(self, track: JointState, now_ns: int) -> float:
-        return track.left_s(self._lines[track.joint.bus], self.clock, now_ns)
+    def _left_s(self, state: JointState, now_ns: int) -> float:
+        return state.left_s(self._lines[state.joint.bus], self.clock, now_ns)
 
-    def _again_ns(self) -> list[int]:
+    def _resends_ns(self) -> list[int]:
         """Return when joints are told what the limits did not let them be told at once."""
-        return [ns for track in self.tracks.values() if (ns := track.again_ns) is not None]
+        return [ns for state in self.joint_states.values() if (ns := state.resend_ns) is not None]
 
-    def _tell_again(self, now_ns: int) -> None:
+    def _resend_due(self, now_ns: int) -> None:
         is_even = self._tick_ns is None and self.clock.target_rate == 1.0
-        for track in self.tracks.values():
-            if track.again_ns is None or track.again_ns > now_ns:
+        for state in self.joint_states.values():
+            if state.resend_ns is None or state.resend_ns > now_ns:
                 continue
-            self.statistics.sent(now_ns - track.again_ns)
-            line = self._lines[track.joint.bus]
-            if track.owed is not None:
-                tell_owed(track, line, now_ns)
+            self.statistics.sent(now_ns - state.resend_ns)
+            line = self._lines[state.joint.bus]
+            if state.deferred is not None:
+                send_deferred(state, line, now_ns)
             else:
-                lead(track, line, self._planned_deg, now_ns, self._periods.led_ns, is_even=is_even)
+                guide(
+                    state, line, self._planned_deg, now_ns, self._periods.guide_ns, is_even=is_even
+                )
 
     # ---- the rate ramps
 
@@ -551,28 +561,28 @@ class Streamer:
     def _skip_due(self, now_ns: int) -> None:
         """Take the moves that the show has passed as under way, without sending them."""
         for due_us, move in self._moves.pass_by(US_PER_S * self.clock.show_s(now_ns)):
-            track = self._by_address[move.bus, move.servo_id]
-            track.active = move._replace(due_us=due_us)
+            state = self._by_address[move.bus, move.servo_id]
+            state.active = move._replace(due_us=due_us)
 
     def _take_up(self, now_ns: int, late_ns: int) -> None:
         """Send every joint what is left of the move under way, now that the rate is steady."""
-        for track in self.tracks.values():
-            if track.active is None or track.led_ns is not None:
+        for state in self.joint_states.values():
+            if state.active is None or state.guide_ns is not None:
                 continue
-            left_s = self._left_s(track, now_ns)
-            position_deg, speed_deg_s = track.place(now_ns)
-            off_deg = abs(track.target_deg - position_deg)
-            if left_s > 0.0 or off_deg > track.joint.unit_deg or speed_deg_s != 0.0:
+            left_s = self._left_s(state, now_ns)
+            position_deg, speed_deg_s = state.place(now_ns)
+            off_deg = abs(state.target_deg - position_deg)
+            if left_s > 0.0 or off_deg > state.joint.unit_deg or speed_deg_s != 0.0:
                 self.statistics.sent(late_ns)
                 left_s = max(left_s, s_from_ns(RAMP_TICK_NS))
-                track.send_active(self._lines[track.joint.bus], left_s, now_ns)
+                state.send_active(self._lines[state.joint.bus], left_s, now_ns)
 
     def _follow_course(self, now_ns: int, period_ns: int, late_ns: int) -> None:
         """Bring every joint that is off its course there in one period; lead those streamed."""
-        for track in self.tracks.values():
-            track.leave_program(now_ns)
-        for track, aim_deg, left_s in spot_moves(
-            self.tracks.values(),
+        for state in self.joint_states.values():
+            state.leave_program(now_ns)
+        for state, aim_deg, left_s in spot_moves(
+            self.joint_states.values(),
             self._lines,
             now_ns=now_ns,
             period_ns=period_ns,
@@ -580,13 +590,13 @@ class Streamer:
             ends_ns=self.clock.ramp_end_ns if self.clock.target_rate == 0.0 else None,
         ):
             self.statistics.sent(late_ns)
-            track.send(self._lines[track.joint.bus], aim_deg, left_s, now_ns)
+            state.send(self._lines[state.joint.bus], aim_deg, left_s, now_ns)
 
     # ---- judging
 
-    def _planned_deg(self, track: JointState, instant_ns: int) -> float:
+    def _planned_deg(self, state: JointState, instant_ns: int) -> float:
         """Return where the plan wants the horn; its profile is early by the lead of the joint."""
-        return track.plan.at(self._plan_s(instant_ns, track.lead_s))[0]
+        return state.plan.at(self._plan_s(instant_ns, state.lead_s))[0]
 
     def _plan_s(self, instant_ns: int, early_s: float = 0.0) -> float:
         """Return the instant of the plan that is so much before the show time of `instant_ns`."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from lss_motion.player.events import Event
-    from lss_motion.player.query_tracker import Asked
+    from lss_motion.player.query_tracker import PendingQuery
     from lss_motion.protocol.line import Command, Reply
     from lss_motion.robot.model import Bus
 
@@ -42,7 +42,7 @@ class Item:
 
     bus: str
     command: Command
-    is_question: bool
+    is_query: bool
     tries: int = TRIES
     agree_within: int | None = None
 
@@ -73,40 +73,40 @@ class Dialogue:
         self,
         items: Iterable[Item],
         lines: Mapping[str, SerialLine],
-        questioners: Mapping[str, QueryTracker],
+        trackers: Mapping[str, QueryTracker],
     ) -> None:
         self.answers: dict[tuple[str, int, str], int | str | None] = {}
         self._lines = lines
-        self._questioners = questioners
+        self._trackers = trackers
         self._queues: dict[str, deque[_Entry]] = {bus: deque() for bus in lines}
-        self._flying: dict[str, list[_Entry]] = {bus: [] for bus in lines}
+        self._in_flight: dict[str, list[_Entry]] = {bus: [] for bus in lines}
         self._answering: set[tuple[str, int]] = set()
         for item in items:
             self._queues[item.bus].append(_Entry(item, item.tries))
 
     @property
     def is_finished(self) -> bool:
-        return not any(self._queues.values()) and not any(self._flying.values())
+        return not any(self._queues.values()) and not any(self._in_flight.values())
 
     def advance(self, now_ns: int) -> None:
         """Send what can be sent now."""
         for bus in self._queues:
-            self._questioners[bus].expire(now_ns)
+            self._trackers[bus].expire(now_ns)
             self._take_back(bus)
             queue = self._queues[bus]
             while queue and self._can_send(bus, queue[0].item, now_ns):
                 entry = queue.popleft()
-                if entry.item.is_question:
-                    self._questioners[bus].ask(entry.item.command, now_ns)
+                if entry.item.is_query:
+                    self._trackers[bus].send(entry.item.command, now_ns)
                     entry.tries_left -= 1
-                    self._flying[bus].append(entry)
+                    self._in_flight[bus].append(entry)
                 else:
                     self._lines[bus].send(encode(entry.item.command), now_ns)
 
     def receive(self, bus: str, reply: Reply, now_ns: int) -> None:
-        for asked, said in self._questioners[bus].answer(reply, now_ns):
+        for asked, said in self._trackers[bus].receive(reply, now_ns):
             if (entry := self._entry_of(bus, asked)) is not None:
-                self._flying[bus].remove(entry)
+                self._in_flight[bus].remove(entry)
                 self._answering.add((bus, asked.command.servo_id))
                 if entry.believes(said.value):
                     self.answers[bus, asked.command.servo_id, asked.command.keyword] = said.value
@@ -117,8 +117,8 @@ class Dialogue:
     def next_wakeup_ns(self) -> int | None:
         wakeups_ns = []
         for bus, queue in self._queues.items():
-            questioner = self._questioners[bus]
-            if (give_up_ns := questioner.give_up_ns) is not None:
+            tracker = self._trackers[bus]
+            if (give_up_ns := tracker.give_up_ns) is not None:
                 wakeups_ns.append(give_up_ns)
             if queue and (earliest_ns := self._earliest_ns(bus, queue[0].item)) is not None:
                 wakeups_ns.append(max(self._lines[bus].free_ns, earliest_ns))
@@ -130,12 +130,12 @@ class Dialogue:
 
     def _earliest_ns(self, bus: str, item: Item) -> int | None:
         """Return from when on `item` may leave; None: something must be answered first."""
-        command, flying = item.command, self._flying[bus]
-        if not item.is_question:
-            return None if flying else 0
-        if any(entry.item.command == command for entry in flying):
+        command, in_flight = item.command, self._in_flight[bus]
+        if not item.is_query:
+            return None if in_flight else 0
+        if any(entry.item.command == command for entry in in_flight):
             return None
-        return self._questioners[bus].earliest_ns(command.servo_id, len(encode(command)))
+        return self._trackers[bus].earliest_ns(command.servo_id, len(encode(command)))
 
     def _take_back(self, bus: str) -> None:
         """Put what was not answered in front again, as long as it has tries left.
@@ -143,11 +143,11 @@ class Dialogue:
         Nothing of a servo is in flight: what it was asked was given up, or not believed. A servo
         that is late with one answer is late with those behind it: they lose no try.
         """
-        questioner = self._questioners[bus]
+        tracker = self._trackers[bus]
         entries = [
             entry
-            for entry in self._flying[bus]
-            if not questioner.is_waiting(entry.item.command.servo_id)
+            for entry in self._in_flight[bus]
+            if not tracker.is_waiting(entry.item.command.servo_id)
         ]
         blamed: set[int] = set()
         for entry in entries:
@@ -155,7 +155,7 @@ class Dialogue:
                 entry.tries_left += 1
             blamed.add(entry.item.command.servo_id)
         for entry in reversed(entries):
-            self._flying[bus].remove(entry)
+            self._in_flight[bus].remove(entry)
             if entry.tries_left > 0:
                 self._queues[bus].appendleft(entry)
             elif (bus, entry.item.command.servo_id) not in self._answering:
@@ -166,13 +166,13 @@ class Dialogue:
         kept = [
             entry
             for entry in self._queues[bus]
-            if not (entry.item.is_question and entry.item.command.servo_id == servo_id)
+            if not (entry.item.is_query and entry.item.command.servo_id == servo_id)
         ]
         self._queues[bus] = deque(kept)
 
-    def _entry_of(self, bus: str, asked: Asked) -> _Entry | None:
+    def _entry_of(self, bus: str, asked: PendingQuery) -> _Entry | None:
         """Return the entry that asked this: one may be left in flight by what came before."""
-        for entry in self._flying[bus]:
+        for entry in self._in_flight[bus]:
             if entry.item.command is asked.command:
                 return entry
         return None
@@ -189,16 +189,16 @@ class Conversation:
 
     def __init__(self, items: Iterable[Item], buses: Mapping[str, Bus]) -> None:
         self.lines = {name: SerialLine(bus) for name, bus in buses.items()}
-        questioners = {name: QueryTracker(line) for name, line in self.lines.items()}
-        self._dialogue = Dialogue(items, self.lines, questioners)
+        trackers = {name: QueryTracker(line) for name, line in self.lines.items()}
+        self._dialogue = Dialogue(items, self.lines, trackers)
 
     @property
     def answers(self) -> Mapping[tuple[str, int, str], int | str | None]:
         """Return what was answered: `(bus, servo id, keyword)` → value."""
         return self._dialogue.answers
 
-    def data_to_send(self, now_ns: int) -> Mapping[str, bytes]:
-        self._dialogue.advance(now_ns)
+    def data_to_send(self, leaves_ns: int) -> Mapping[str, bytes]:
+        self._dialogue.advance(leaves_ns)
         return {name: data for name, line in self.lines.items() if (data := line.take())}
 
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:

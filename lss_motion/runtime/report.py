@@ -59,7 +59,7 @@ def make_report(
         ],
         "warnings": list(warnings),
     }
-    for name, track in (show.tracks if show is not None else {}).items():
+    for name, track in (show.joint_states if show is not None else {}).items():
         report["joints"][name] = _joint(track, program)
         if horn_error_deg is not None and name in horn_error_deg:
             rms_deg, max_deg = horn_error_deg[name]
@@ -77,23 +77,23 @@ def _played_s(player: Player) -> float:
 
 
 def _bus(player: Player, name: str, run_s: float) -> dict[str, Any]:
-    line, questioner = player.lines[name], player.questioners[name]
-    reader = player.show.reader if player.show is not None else None
+    line, questioner = player.lines[name], player.trackers[name]
+    reader = player.show.scheduler if player.show is not None else None
     busy_s = line.sent_bytes * LINE_BITS_PER_BYTE / line.bus.baud_bps
     return {
         "baud_bps": line.bus.baud_bps,
         "tx_utilisation_ratio": round(busy_s / run_s, 4) if run_s > 0.0 else 0.0,
-        "queries": questioner.asked_count,
-        "replies": questioner.answered_count,
+        "queries": questioner.query_count,
+        "replies": questioner.reply_count,
         "timeouts": questioner.timeouts,
         "garbage": line.garbage,
-        "rejected": questioner.strays + (reader.unbelieved[name] if reader is not None else 0),
-        "query_rate_hz": round(questioner.asked_count / run_s, 1) if run_s > 0.0 else 0.0,
+        "rejected": questioner.strays + (reader.rejected[name] if reader is not None else 0),
+        "query_rate_hz": round(questioner.query_count / run_s, 1) if run_s > 0.0 else 0.0,
     }
 
 
 def _joint(track: JointState, program: Program) -> dict[str, Any]:
-    following = track.following
+    following = track.disturbance
     predicted_deg = program.error_max_deg.get(track.joint.name)
     return {
         "readings": following.readings,
@@ -102,7 +102,7 @@ def _joint(track: JointState, program: Program) -> dict[str, Any]:
         "offset_max_deg": round(following.offset_max_deg, 3),
         "predicted_error_max_deg": None if predicted_deg is None else round(predicted_deg, 3),
         "lag_extra_s": round(track.lag.estimate_s, 4),
-        "said_again": track.said_again,
+        "said_again": track.resent,
         "temperature_max_c": track.temperature_max_c,
         "voltage_min_v": track.voltage_min_v,
         "current_max_a": track.current_max_a,

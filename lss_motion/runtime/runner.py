@@ -33,8 +33,8 @@ and a computer that is slow for a moment makes no command early by more than one
 class Driven(Protocol):
     """What can be driven over ports: a `Player`, or a simpler conversation."""
 
-    def data_to_send(self, now_ns: int) -> Mapping[str, bytes]:
-        """Return what leaves at `now_ns`: a moment after the call, which takes that long."""
+    def data_to_send(self, leaves_ns: int) -> Mapping[str, bytes]:
+        """Return the bytes to write, per bus. They leave at `leaves_ns`, shortly after the call."""
 
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None: ...
 

@@ -100,7 +100,7 @@ def test_whatever_is_read_the_offset_is_bounded_and_changes_slowly(read):
             now_s += wait_ms / 1e3
             before_deg, last_s = following.offset_deg, following.read_s
             believed = following.take(
-                measured_deg, now_s, expected_deg=0.0, wanted_deg=0.0, speed_deg_s=0.0
+                measured_deg, now_s, expected_deg=0.0, planned_deg=0.0, speed_deg_s=0.0
             )
             change_deg = abs(following.offset_deg - before_deg)
             if not believed or last_s is None:
@@ -117,7 +117,7 @@ def test_a_constant_disturbance_is_found_whatever_the_rate_of_readings(droop_deg
     offsets = []
     for step in range(400):
         following.take(
-            -droop_deg, step * period_ms / 1e3, expected_deg=0.0, wanted_deg=0.0, speed_deg_s=0.0
+            -droop_deg, step * period_ms / 1e3, expected_deg=0.0, planned_deg=0.0, speed_deg_s=0.0
         )
         offsets.append(following.offset_deg)
     assert offsets[-1] == pytest.approx(droop_deg, abs=0.02)

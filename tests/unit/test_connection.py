@@ -32,7 +32,7 @@ def robot(tmp_path):
 
 
 def ask(bus, servo_id, keyword):
-    return Item(bus=bus, command=Command(servo_id, keyword), is_question=True)
+    return Item(bus=bus, command=Command(servo_id, keyword), is_query=True)
 
 
 def test_questions_go_to_every_bus_and_a_missing_answer_is_absent(robot):

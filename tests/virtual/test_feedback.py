@@ -118,7 +118,9 @@ def test_under_a_load_a_show_begins_where_it_should(rms_deg):
 
 def test_without_feedback_nobody_keeps_what_a_servo_may_have_missed(rms_deg):
     _, played = rms_deg(has_feedback=False, faults=[LOST])
-    assert all(track.hearing is None for track in played.result.player.show.tracks.values())
+    assert all(
+        track.lost_moves is None for track in played.result.player.show.joint_states.values()
+    )
     assert not any(b"QDT" in data for _, _, data in played.sent)
 
 

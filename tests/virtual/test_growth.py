@@ -42,7 +42,7 @@ class Extending:
             return
         while self._extensions and player.show.show_s(now_ns) >= self._extensions[0][0]:
             self.taken.append(player.extend(self._extensions.pop(0)[1], now_ns))
-            self.plan = player.show.tracks["j0"].plan
+            self.plan = player.show.joint_states["j0"].plan
             if not self._extensions:
                 player.close()
 

@@ -46,9 +46,9 @@ def believed(monkeypatch):
 def reading_errors_deg(played, believed):
     """Return how far every believed angle was from the horn when its servo was asked."""
     errors = []
-    tracks = played.result.player.show.tracks.values()
+    tracks = played.result.player.show.joint_states.values()
     for column, track in enumerate(tracks):
-        own = [(deg, read_s) for one, deg, read_s in believed if one is track.following]
+        own = [(deg, read_s) for one, deg, read_s in believed if one is track.disturbance]
         horn_deg = played.bus.horn_deg([round(read_s * 1e9) for _, read_s in own])[:, column]
         errors.append(np.array([deg for deg, _ in own]) - horn_deg)
     return np.concatenate(errors)

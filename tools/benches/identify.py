@@ -80,8 +80,8 @@ def blind(seed: int) -> Blind:
     bus = SimBus([spec], baud_bps=115200, firmware=370, seed=seed, physics=physics)
     bus.record()
     connection.ports["main"] = SimPort(bus, connection.clock)
-    answers = connection.ask(handshake.questions([joint]))
-    standing_deg = handshake.stored(joint, answers, "QD")
+    answers = connection.ask(handshake.queries([joint]))
+    standing_deg = handshake.reported(joint, answers, "QD")
     assert standing_deg is not None
     window = make_window(joint, standing_deg, span_deg)
     experiment = Experiment(joint, robot, answers, window, standing_deg=standing_deg)

@@ -100,11 +100,11 @@ class Asking:
             return
         is_status = self._count % STATUS_EVERY == STATUS_EVERY - 1
         question = Command(servo_id, "Q" if is_status else "QD")
-        ends_ns = self._line.heard_ns(len(encode(question)), now_ns)
+        ends_ns = self._line.arrival_ns(len(encode(question)), now_ns)
         if quiet_until_ns is not None and ends_ns > quiet_until_ns:
             self._next_ns = quiet_until_ns
             return
-        questioner.ask(question, now_ns)
+        questioner.send(question, now_ns)
         self._count += 1
         self._next_ns = now_ns + READ_EVERY_NS
 
@@ -114,24 +114,24 @@ class Asking:
 
     def receive(self, reply: Reply, now_ns: int) -> Answered | None:
         """Return what `reply` says; None if it answers nothing that was asked."""
-        answers = self.questioner.answer(reply, now_ns)
+        answers = self.questioner.receive(reply, now_ns)
         if not answers:
             return None
         asked, _ = answers[-1]  # One question at a time: there is no other.
         self._silent_count = 0
-        wait_ns = now_ns - asked.heard_ns - self._line.time_ns(len(encode(reply)))
+        wait_ns = now_ns - asked.arrival_ns - self._line.time_ns(len(encode(reply)))
         turnaround_s = max(0.0, s_from_ns(wait_ns))
         said = read_reply(self._joint.model.family, reply)
         if said is None or not isinstance(said.value, int | float):
-            return Answered(asked.heard_ns, turnaround_s)
+            return Answered(asked.arrival_ns, turnaround_s)
         if reply.keyword == "QD":
-            return Answered(asked.heard_ns, turnaround_s, reading_deg=float(said.value))
+            return Answered(asked.arrival_ns, turnaround_s, reading_deg=float(said.value))
         firmware = self._line.bus.firmware
         status = status_from(int(said.value), self._joint.model.family, firmware)
         before, self._status = self._status, status
         is_passing = status is Status.STUCK and before is not Status.STUCK
         fault = None if is_passing else status_fault(status)
-        return Answered(asked.heard_ns, turnaround_s, fault=fault)
+        return Answered(asked.arrival_ns, turnaround_s, fault=fault)
 
 
 ARRIVED_RATIO: Final = 0.5
@@ -212,10 +212,8 @@ class Experiment:
             response=joint.response,
         )
         orders = handshake.session_orders([joint], answers)
-        orders += handshake.unsure_orders([joint], answers)
-        self._dialogue: Dialogue | None = self._ask(
-            [*handshake.settings_questions([joint]), *orders]
-        )
+        orders += handshake.unconfirmed_orders([joint], answers)
+        self._dialogue: Dialogue | None = self._ask([*handshake.settings_queries([joint]), *orders])
         self._plans: deque[TrialPlan] = deque()
         self._planned = 0
         self._droop_deg = 0.0
@@ -229,9 +227,9 @@ class Experiment:
 
     # ---- the four calls
 
-    def data_to_send(self, now_ns: int) -> Mapping[str, bytes]:
-        self._now_ns = now_ns
-        while self._step(now_ns):
+    def data_to_send(self, leaves_ns: int) -> Mapping[str, bytes]:
+        self._now_ns = leaves_ns
+        while self._step(leaves_ns):
             pass
         data = self._line.take()
         return {self.joint.bus: data} if data else {}
@@ -390,7 +388,7 @@ class Experiment:
             return
         self.state = State.BRAKE
         braking_deg_s2 = ramp_deg_s2(self.joint)
-        position_deg, speed_deg_s = self._profile.at(s_from_ns(self._line.heard_ns(0, now_ns)))
+        position_deg, speed_deg_s = self._profile.at(s_from_ns(self._line.arrival_ns(0, now_ns)))
         stop_deg = position_deg + 0.5 * speed_deg_s * abs(speed_deg_s) / braking_deg_s2
         if self.error is not None and self._trial.readings_deg:
             stop_deg = self._trial.readings_deg[-1]

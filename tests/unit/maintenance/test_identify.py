@@ -48,9 +48,9 @@ class Bench:
         self.bus = SimBus([spec], baud_bps=baud_bps, firmware=370, **options)
         self.bus.record()
         self.connection.ports["main"] = SimPort(self.bus, self.connection.clock)
-        answers = self.connection.ask(handshake.questions([joint]))
+        answers = self.connection.ask(handshake.queries([joint]))
         handshake.check_answers([joint], answers, self.robot)
-        self.standing_deg = handshake.stored(joint, answers, "QD")
+        self.standing_deg = handshake.reported(joint, answers, "QD")
         window = make_window(joint, self.standing_deg, span_deg)
         self.experiment = Experiment(
             joint, self.robot, answers, window, standing_deg=self.standing_deg

@@ -47,8 +47,7 @@ def asked(robot):
     def ask(*settings):
         with connect(robot.buses, robot=robot, clock=VirtualClock()) as connection:
             connection.ask(
-                Item(bus="main", command=Command(*setting), is_question=False)
-                for setting in settings
+                Item(bus="main", command=Command(*setting), is_query=False) for setting in settings
             )
             connection.wait(0.02)
             return answered(robot, connection.ask(questions(robot)))

@@ -25,7 +25,7 @@ class Kit:
         return Robot(name="bench", path=None, buses={"main": BUS}, joints=named, **fields)
 
     @classmethod
-    def track(cls, joint, moves=(), *, has_feedback=True):
+    def state(cls, joint, moves=(), *, has_feedback=True):
         """Return the track of a joint that stands at 0 deg, and plans `moves` and nothing else."""
         robot = cls.robot(joint)
         count = joint.filter_count if joint.drive == "streamed" else 0
@@ -39,8 +39,10 @@ class Kit:
             drives={joint.name: Driving(joint.drive, count)},
         )
         standing_deg = {joint.name: 0.0}
-        tracks = make_joint_states(program, robot, standing_deg, 0.0, has_feedback=has_feedback)
-        return tracks[joint.name]
+        joint_states = make_joint_states(
+            program, robot, standing_deg, 0.0, has_feedback=has_feedback
+        )
+        return joint_states[joint.name]
 
 
 @pytest.fixture
@@ -54,5 +56,5 @@ def line():
 
 
 @pytest.fixture
-def questioner(line):
+def tracker(line):
     return QueryTracker(line)

@@ -11,11 +11,11 @@ from lss_motion.protocol.line import Command, Reply
 
 
 def ask(servo_id, keyword="QD", bus="main"):
-    return Item(bus=bus, command=Command(servo_id, keyword), is_question=True)
+    return Item(bus=bus, command=Command(servo_id, keyword), is_query=True)
 
 
 def order(servo_id, keyword, value, bus="main"):
-    return Item(bus=bus, command=Command(servo_id, keyword, value), is_question=False)
+    return Item(bus=bus, command=Command(servo_id, keyword, value), is_query=False)
 
 
 class Bench:
@@ -23,8 +23,8 @@ class Bench:
 
     def __init__(self, items, replies, kit, buses=("main",)):
         self.lines = {bus: SerialLine(kit.bus) for bus in buses}
-        self.questioners = {bus: QueryTracker(line) for bus, line in self.lines.items()}
-        self.dialogue = Dialogue(items, self.lines, self.questioners)
+        self.trackers = {bus: QueryTracker(line) for bus, line in self.lines.items()}
+        self.dialogue = Dialogue(items, self.lines, self.trackers)
         self.said = []
         self._replies = replies
         self._coming = []
@@ -75,7 +75,7 @@ def test_a_silent_servo_is_asked_again_and_then_given_up(kit):
     bench.run()
     assert [data for _, _, data in bench.said] == [b"#1QD\r"] * TRIES + [b"#2QD\r"]
     assert bench.dialogue.answers == {("main", 2, "QD"): 20}
-    assert bench.questioners["main"].timeouts == TRIES
+    assert bench.trackers["main"].timeouts == TRIES
 
 
 def test_one_lost_answer_is_made_up_for(kit):
@@ -100,7 +100,7 @@ def test_a_late_answer_is_not_taken_for_the_answer_to_another_question(kit, late
     bench = Bench([ask(1), ask(1, "Q"), ask(2)], late_once, kit)
     bench.run()
     assert bench.dialogue.answers[("main", 1, "QD")] == 10
-    assert bench.questioners["main"].strays == 1
+    assert bench.trackers["main"].strays == 1
 
 
 def test_buses_are_worked_through_side_by_side(kit):
@@ -113,7 +113,7 @@ def test_buses_are_worked_through_side_by_side(kit):
 
 def test_a_question_left_in_flight_by_what_came_before_answers_nothing_here(kit):
     bench = Bench([ask(1), ask(2)], echo, kit)
-    bench.questioners["main"].ask(Command(1, "QD"), 0)
+    bench.trackers["main"].send(Command(1, "QD"), 0)
     bench.dialogue.receive("main", Reply(1, "QD", 666), 1_000_000)
     assert bench.dialogue.answers == {}
     bench.run()
@@ -122,7 +122,7 @@ def test_a_question_left_in_flight_by_what_came_before_answers_nothing_here(kit)
 
 def sure(servo_id, within=0, keyword="QD"):
     command = Command(servo_id, keyword)
-    return Item(bus="main", command=command, is_question=True, agree_within=within)
+    return Item(bus="main", command=command, is_query=True, agree_within=within)
 
 
 @pytest.mark.parametrize(

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 
 from lss_motion.player.estimators import (
-    ASKS_MAX,
     DENIALS_MAX,
     OTHERS_MAX,
+    QUERIES_MAX,
     SURE_S,
+    Alternative,
     LostMoveDetector,
-    Other,
 )
 from lss_motion.program.response import Profile
 from lss_motion.robot.model import Response
@@ -21,8 +21,8 @@ MOVES = ((0.0, 30.0, 0.5), (0.4, -20.0, 0.6), (0.7, 40.0, 0.8))
 
 def profile_of(*moves):
     profile = Profile(0.0, ramp_deg_s2=800.0, speed_max_deg_s=200.0, response=Response())
-    for heard_s, target_deg, duration_s in moves:
-        profile.retarget(heard_s, target_deg, duration_s)
+    for arrival_s, target_deg, duration_s in moves:
+        profile.retarget(arrival_s, target_deg, duration_s)
     return profile
 
 
@@ -31,7 +31,7 @@ def judged(heard, *, until_s=1.6, noise=lambda time_s: 0.0, hz=100.0):
 
     All of `MOVES` were said.
     """
-    truth, said, hearing, told = (
+    truth, said, lost_moves, commanded = (
         profile_of(*heard),
         profile_of(),
         LostMoveDetector(UNIT_DEG, LOOP_S),
@@ -39,12 +39,12 @@ def judged(heard, *, until_s=1.6, noise=lambda time_s: 0.0, hz=100.0):
     )
     time_s = 0.0
     while time_s < until_s:
-        while told < len(MOVES) and MOVES[told][0] <= time_s:
-            hearing.told(said.copy(), *MOVES[told])
-            said.retarget(*MOVES[told])
-            told += 1
+        while commanded < len(MOVES) and MOVES[commanded][0] <= time_s:
+            lost_moves.commanded(said.copy(), *MOVES[commanded])
+            said.retarget(*MOVES[commanded])
+            commanded += 1
         measured_deg = truth.at(time_s)[0] + noise(time_s)
-        found = hearing.judge(time_s, said.at(time_s)[0], measured_deg)
+        found = lost_moves.judge(time_s, said.at(time_s)[0], measured_deg)
         if found is not None:
             return time_s, found
         time_s += 1.0 / hz
@@ -83,14 +83,14 @@ def test_one_wrong_reading_is_no_proof():
 
 def test_a_horn_that_is_held_up_has_not_missed_anything():
     """It stands where neither course leads."""
-    hearing, said = LostMoveDetector(UNIT_DEG, LOOP_S), profile_of()
+    lost_moves, said = LostMoveDetector(UNIT_DEG, LOOP_S), profile_of()
     for one in MOVES:
-        hearing.told(said.copy(), *one)
+        lost_moves.commanded(said.copy(), *one)
         said.retarget(*one)
-    assert not hearing.is_doubtful
+    assert not lost_moves.is_doubtful
     for step in range(100):
-        assert hearing.judge(0.8 + step / 100, said.at(0.8 + step / 100)[0], 90.0) is None
-        assert not hearing.is_doubtful
+        assert lost_moves.judge(0.8 + step / 100, said.at(0.8 + step / 100)[0], 90.0) is None
+        assert not lost_moves.is_doubtful
 
 
 def standing(deg):
@@ -98,9 +98,9 @@ def standing(deg):
 
 
 def doubting(*others_deg):
-    """Return the hearing of a servo that may as well stand at one of `others_deg`."""
-    others = [Other(standing(deg)) for deg in others_deg]
-    return LostMoveDetector(UNIT_DEG, LOOP_S, others=others)
+    """Return the detector of a servo that may as well stand at one of `others_deg`."""
+    others = [Alternative(standing(deg)) for deg in others_deg]
+    return LostMoveDetector(UNIT_DEG, LOOP_S, alternatives=others)
 
 
 @pytest.mark.parametrize(
@@ -117,124 +117,124 @@ def doubting(*others_deg):
 def test_a_horn_that_stays_near_another_course_is_on_it(
     expected_deg, others_deg, free_deg, found_deg
 ):
-    hearing = doubting(*others_deg)
-    assert hearing.judge(1.0, expected_deg, free_deg) is None, "one reading is no proof"
-    assert hearing.is_doubtful is (found_deg is not None)
-    found = hearing.judge(1.0 + 2.0 * SURE_S, expected_deg, free_deg)
+    lost_moves = doubting(*others_deg)
+    assert lost_moves.judge(1.0, expected_deg, free_deg) is None, "one reading is no proof"
+    assert lost_moves.is_doubtful is (found_deg is not None)
+    found = lost_moves.judge(1.0 + 2.0 * SURE_S, expected_deg, free_deg)
     assert (found and found.at(1.1)[0]) == found_deg
-    assert not (found and hearing.others), "what it is on is known, and doubted no more"
+    assert not (found and lost_moves.alternatives), "what it is on is known, and doubted no more"
 
 
 def test_a_horn_that_crosses_another_course_twice_is_not_on_it():
-    hearing = doubting(0.0)
+    lost_moves = doubting(0.0)
     for number, free_deg in enumerate((0.0, 9.0, 0.0)):
-        assert hearing.judge(1.0 + number * SURE_S, 20.0, free_deg) is None
-    assert hearing.judge(1.0 + 4 * SURE_S, 20.0, 0.0) is not None
+        assert lost_moves.judge(1.0 + number * SURE_S, 20.0, free_deg) is None
+    assert lost_moves.judge(1.0 + 4 * SURE_S, 20.0, 0.0) is not None
 
 
 def test_a_course_that_a_reading_has_refuted_is_out():
-    hearing = doubting(0.0)
-    hearing.judge(1.0, 20.0, 20.0)
+    lost_moves = doubting(0.0)
+    lost_moves.judge(1.0, 20.0, 20.0)
     for number in range(1, 5):
-        assert hearing.judge(1.0 + number * SURE_S, 20.0, 0.0) is None
-        assert not hearing.is_doubtful
+        assert lost_moves.judge(1.0 + number * SURE_S, 20.0, 0.0) is None
+        assert not lost_moves.is_doubtful
 
 
 def test_what_spoke_for_a_course_before_a_move_is_no_proof_after_it():
-    hearing = doubting(0.0)
-    hearing.judge(1.0, 20.0, 0.0)
-    hearing.told(standing(20.0), 1.0, 1.0, 1.0)
-    assert hearing.judge(1.0 + 2.0 * SURE_S, 20.0, 0.0) is None
-    assert hearing.judge(1.0 + 4.0 * SURE_S, 20.0, 0.0) is not None
+    lost_moves = doubting(0.0)
+    lost_moves.judge(1.0, 20.0, 0.0)
+    lost_moves.commanded(standing(20.0), 1.0, 1.0, 1.0)
+    assert lost_moves.judge(1.0 + 2.0 * SURE_S, 20.0, 0.0) is None
+    assert lost_moves.judge(1.0 + 4.0 * SURE_S, 20.0, 0.0) is not None
 
 
 def test_the_oldest_of_many_moves_counts_as_heard():
-    hearing = LostMoveDetector(UNIT_DEG, LOOP_S)
+    lost_moves = LostMoveDetector(UNIT_DEG, LOOP_S)
     for number in range(2 * OTHERS_MAX):
-        hearing.told(standing(float(number)), 0.1 * number, 50.0, 1.0)
-    begins_deg = [other.profile.at(0.0)[0] for other in hearing.others]
+        lost_moves.commanded(standing(float(number)), 0.1 * number, 50.0, 1.0)
+    begins_deg = [other.profile.at(0.0)[0] for other in lost_moves.alternatives]
     assert begins_deg == [float(number) for number in range(OTHERS_MAX, 2 * OTHERS_MAX)]
 
 
 @pytest.fixture
-def told():
+def commanded():
     """Return what was said and heard of all `MOVES`, the last of them at 0.7 s."""
-    hearing, said = LostMoveDetector(UNIT_DEG, LOOP_S), profile_of()
+    lost_moves, said = LostMoveDetector(UNIT_DEG, LOOP_S), profile_of()
     for one in MOVES:
-        hearing.told(said.copy(), *one)
+        lost_moves.commanded(said.copy(), *one)
         said.retarget(*one)
-    return hearing, said
+    return lost_moves, said
 
 
-def test_a_servo_that_names_the_target_before_has_missed_the_last_move(told):
-    hearing, _ = told
-    found = hearing.named(0.72, -20.0)
+def test_a_servo_that_names_the_target_before_has_missed_the_last_move(commanded):
+    lost_moves, _ = commanded
+    found = lost_moves.target_reported(0.72, -20.0)
     assert found.at(1.2) == profile_of(*MOVES[:2]).at(1.2)
-    assert not hearing.others
+    assert not lost_moves.alternatives
 
 
 @pytest.mark.parametrize("off_deg", [-UNIT_DEG, 0.0, UNIT_DEG])
-def test_one_that_names_its_target_has_heard_the_last_move(told, off_deg):
-    hearing, _ = told
-    assert hearing.wants_target(0.72)
-    assert hearing.named(0.72, 40.0 + off_deg) is None
-    assert not hearing.wants_target(0.73)
+def test_one_that_names_its_target_has_heard_the_last_move(commanded, off_deg):
+    lost_moves, _ = commanded
+    assert lost_moves.needs_target(0.72)
+    assert lost_moves.target_reported(0.72, 40.0 + off_deg) is None
+    assert not lost_moves.needs_target(0.73)
     # Without one of the moves before the last it would have the same target.
-    assert len(hearing.others) == 2
-    assert all(other.profile.target_deg == 40.0 for other in hearing.others)
+    assert len(lost_moves.alternatives) == 2
+    assert all(other.profile.target_deg == 40.0 for other in lost_moves.alternatives)
 
 
-def test_before_a_servo_takes_a_move_up_its_target_says_nothing(told):
-    hearing, _ = told
-    assert not hearing.wants_target(0.701)
-    assert hearing.named(0.701, -20.0) is None
-    assert len(hearing.others) == 3
+def test_before_a_servo_takes_a_move_up_its_target_says_nothing(commanded):
+    lost_moves, _ = commanded
+    assert not lost_moves.needs_target(0.701)
+    assert lost_moves.target_reported(0.701, -20.0) is None
+    assert len(lost_moves.alternatives) == 3
 
 
-def test_a_target_that_nobody_told_it_must_be_named_twice(told):
+def test_a_target_that_nobody_told_it_must_be_named_twice(commanded):
     """The command may have been damaged, or the answer."""
-    hearing, _ = told
-    assert hearing.named(0.72, 33.0) is None
-    assert hearing.named(0.73, -7.0) is None
-    found = hearing.named(0.74, -7.0)
+    lost_moves, _ = commanded
+    assert lost_moves.target_reported(0.72, 33.0) is None
+    assert lost_moves.target_reported(0.73, -7.0) is None
+    found = lost_moves.target_reported(0.74, -7.0)
     assert found.at(2.5)[0] == -7.0
     assert found.at(0.7) == profile_of(*MOVES[:2]).at(0.7)
 
 
-def test_a_servo_that_does_not_answer_is_left_to_the_readings(told):
-    hearing, _ = told
-    for _ in range(ASKS_MAX):
-        assert hearing.wants_target(0.72)
-        hearing.asks_target()
-    assert not hearing.wants_target(0.72)
+def test_a_servo_that_does_not_answer_is_left_to_the_readings(commanded):
+    lost_moves, _ = commanded
+    for _ in range(QUERIES_MAX):
+        assert lost_moves.needs_target(0.72)
+        lost_moves.count_target_query()
+    assert not lost_moves.needs_target(0.72)
 
 
 def test_a_servo_that_means_something_else_by_it_is_not_asked_for_ever():
-    hearing, said = LostMoveDetector(UNIT_DEG, LOOP_S), profile_of()
+    lost_moves, said = LostMoveDetector(UNIT_DEG, LOOP_S), profile_of()
     for number in range(DENIALS_MAX + 1):
-        hearing.told(said.copy(), 0.1 * number, 10.0 + number, 0.2)
-        assert hearing.wants_target(0.1 * number + 0.02) is (number < DENIALS_MAX)
-        hearing.named(0.1 * number + 0.02, -50.0)
+        lost_moves.commanded(said.copy(), 0.1 * number, 10.0 + number, 0.2)
+        assert lost_moves.needs_target(0.1 * number + 0.02) is (number < DENIALS_MAX)
+        lost_moves.target_reported(0.1 * number + 0.02, -50.0)
 
 
 def test_one_that_named_its_target_in_between_is_asked_on():
-    hearing = LostMoveDetector(UNIT_DEG, LOOP_S)
+    lost_moves = LostMoveDetector(UNIT_DEG, LOOP_S)
     for number in range(2 * DENIALS_MAX):
-        hearing.told(standing(0.0), 0.1 * number, 10.0 + number, 0.2)
-        assert hearing.wants_target(0.1 * number + 0.02)
+        lost_moves.commanded(standing(0.0), 0.1 * number, 10.0 + number, 0.2)
+        assert lost_moves.needs_target(0.1 * number + 0.02)
         is_named = number == DENIALS_MAX - 1
-        hearing.named(0.1 * number + 0.02, 10.0 + number if is_named else -50.0)
+        lost_moves.target_reported(0.1 * number + 0.02, 10.0 + number if is_named else -50.0)
 
 
-def test_a_target_two_units_off_is_another_one(told):
-    hearing, said = told
-    assert hearing.named(0.72, 40.0 + 2.0 * UNIT_DEG) is None
-    assert hearing.wants_target(0.73)
-    hearing.told(said.copy(), 0.9, 40.0 - 2.0 * UNIT_DEG, 0.3)
-    assert hearing.wants_target(1.0)
+def test_a_target_two_units_off_is_another_one(commanded):
+    lost_moves, said = commanded
+    assert lost_moves.target_reported(0.72, 40.0 + 2.0 * UNIT_DEG) is None
+    assert lost_moves.needs_target(0.73)
+    lost_moves.commanded(said.copy(), 0.9, 40.0 - 2.0 * UNIT_DEG, 0.3)
+    assert lost_moves.needs_target(1.0)
 
 
-def test_a_move_to_the_same_target_is_not_asked_about(told):
-    hearing, said = told
-    hearing.told(said.copy(), 0.9, 40.0, 0.3)
-    assert not hearing.wants_target(1.0)
+def test_a_move_to_the_same_target_is_not_asked_about(commanded):
+    lost_moves, said = commanded
+    lost_moves.commanded(said.copy(), 0.9, 40.0, 0.3)
+    assert not lost_moves.needs_target(1.0)

@@ -22,14 +22,14 @@ def steps(taken):
 
 def test_the_next_step_is_taken_when_the_trouble_lasts(kit):
     climb = ladder(kit, on_fault={Cause.ASTRAY: (FaultStep.WARN, FaultStep.SLOW, FaultStep.HOLD)})
-    troubles = {ASTRAY: "is astray"}
-    assert steps(climb.judge(troubles, 0)) == [FaultStep.WARN]
+    active_faults = {ASTRAY: "is astray"}
+    assert steps(climb.judge(active_faults, 0)) == [FaultStep.WARN]
     assert climb.rate_max == 1.0
     assert climb.next_wakeup_ns() == 2 * S
-    assert climb.judge(troubles, 2 * S - 1) == []
-    assert steps(climb.judge(troubles, 2 * S)) == [FaultStep.SLOW]
-    assert steps(climb.judge(troubles, 4 * S)) == [FaultStep.HOLD]
-    assert climb.judge(troubles, 9 * S) == []
+    assert climb.judge(active_faults, 2 * S - 1) == []
+    assert steps(climb.judge(active_faults, 2 * S)) == [FaultStep.SLOW]
+    assert steps(climb.judge(active_faults, 4 * S)) == [FaultStep.HOLD]
+    assert climb.judge(active_faults, 9 * S) == []
     assert [(f.kind, f.step) for f in climb.faults] == [(Cause.ASTRAY, FaultStep.HOLD)]
 
 

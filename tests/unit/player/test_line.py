@@ -6,7 +6,7 @@ from lss_motion.protocol.line import Reply
 def test_bytes_leave_in_order_and_the_line_is_free_when_they_have(line):
     first_ns = line.send(b"#5QD\r", 1_000)
     assert first_ns == 1_000 + line.time_ns(5)
-    assert line.heard_ns(4, 2_000) == first_ns + line.time_ns(4)
+    assert line.arrival_ns(4, 2_000) == first_ns + line.time_ns(4)
     assert line.send(b"#6H\r", 2_000) == line.free_ns == first_ns + line.time_ns(4)
     assert line.take() == b"#5QD\r#6H\r"
     assert line.take() == b""

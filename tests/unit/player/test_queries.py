@@ -16,37 +16,37 @@ ASK = Command(5, "QD")
 US = 1000
 
 
-def learn(questioner, line, servo_id, waits_us=(200, 1000) * SAMPLES_LEAST, now_ns=0):
+def take_over(tracker, line, servo_id, waits_us=(200, 1000) * SAMPLES_LEAST, now_ns=0):
     """Let the questioner learn how quick a servo is; return when that is done."""
     for wait_us in waits_us:
         now_ns += 5_000_000
-        questioner.ask(Command(servo_id, "QD"), now_ns)
+        tracker.send(Command(servo_id, "QD"), now_ns)
         reply = Reply(servo_id, "QD", 100)
         arrival_ns = line.free_ns + wait_us * US + line.time_ns(len(encode(reply)))
-        assert questioner.answer(reply, arrival_ns)
+        assert tracker.receive(reply, arrival_ns)
         line.take()
         now_ns = arrival_ns
     return now_ns + 5_000_000
 
 
-def test_an_answer_ends_the_question(questioner, line):
-    questioner.ask(ASK, 0)
+def test_an_answer_ends_the_question(tracker, line):
+    tracker.send(ASK, 0)
     assert line.take() == b"#5QD\r"
-    [(asked, reply)] = questioner.answer(Reply(5, "QD", 100), 2_000_000)
+    [(asked, reply)] = tracker.receive(Reply(5, "QD", 100), 2_000_000)
     assert asked.command is ASK
-    assert asked.heard_ns == line.time_ns(5)
+    assert asked.arrival_ns == line.time_ns(5)
     assert reply.value == 100
-    assert (questioner.asked_count, questioner.answered_count, questioner.strays) == (1, 1, 0)
-    assert not questioner.is_waiting(5)
+    assert (tracker.query_count, tracker.reply_count, tracker.strays) == (1, 1, 0)
+    assert not tracker.is_waiting(5)
 
 
-def test_who_was_asked_when_and_whether_nobody_was_for_too_long(questioner):
-    assert (questioner.asked_ns(5), questioner.asked_ns(6)) == (0, 0)
-    assert questioner.is_starved(STARVED_NS + 1)
-    questioner.ask(ASK, 7 * STARVED_NS)
-    assert (questioner.asked_ns(5), questioner.asked_ns(6)) == (7 * STARVED_NS, 0)
-    assert not questioner.is_starved(8 * STARVED_NS)
-    assert questioner.is_starved(8 * STARVED_NS + 1)
+def test_who_was_asked_when_and_whether_nobody_was_for_too_long(tracker):
+    assert (tracker.last_sent_ns(5), tracker.last_sent_ns(6)) == (0, 0)
+    assert tracker.is_starved(STARVED_NS + 1)
+    tracker.send(ASK, 7 * STARVED_NS)
+    assert (tracker.last_sent_ns(5), tracker.last_sent_ns(6)) == (7 * STARVED_NS, 0)
+    assert not tracker.is_starved(8 * STARVED_NS)
+    assert tracker.is_starved(8 * STARVED_NS + 1)
     assert 10_000 * US <= STARVED_NS <= 50_000 * US
 
 
@@ -55,158 +55,158 @@ def test_who_was_asked_when_and_whether_nobody_was_for_too_long(questioner):
     [Reply(6, "QD", 1), Reply(5, "QT", 1), Reply(5, "Q", 6), Reply(None, "QD", 1)],
     ids=["other servo", "other word", "part of the word", "no sender"],
 )
-def test_what_does_not_fit_the_question_is_a_stray(questioner, reply):
-    questioner.ask(ASK, 0)
-    assert not questioner.answer(reply, 2_000_000)
-    assert questioner.strays == 1
-    assert questioner.answer(Reply(5, "QD", 7), 2_000_000)
+def test_what_does_not_fit_the_question_is_a_stray(tracker, reply):
+    tracker.send(ASK, 0)
+    assert not tracker.receive(reply, 2_000_000)
+    assert tracker.strays == 1
+    assert tracker.receive(Reply(5, "QD", 7), 2_000_000)
 
 
-def test_an_answer_before_the_servo_heard_the_question_is_a_stray(questioner, line):
-    questioner.ask(ASK, 0)
-    assert not questioner.answer(Reply(5, "QD", 100), line.time_ns(5) - 1)
-    assert questioner.strays == 1
+def test_an_answer_before_the_servo_heard_the_question_is_a_stray(tracker, line):
+    tracker.send(ASK, 0)
+    assert not tracker.receive(Reply(5, "QD", 100), line.time_ns(5) - 1)
+    assert tracker.strays == 1
 
 
-def test_only_the_question_for_an_id_may_be_answered_without_a_sender(questioner):
-    questioner.ask(Command(5, "QID"), 0)
-    assert questioner.answer(Reply(None, "QID", 5), 2_000_000)
+def test_only_the_question_for_an_id_may_be_answered_without_a_sender(tracker):
+    tracker.send(Command(5, "QID"), 0)
+    assert tracker.receive(Reply(None, "QID", 5), 2_000_000)
 
 
-def test_a_question_is_given_up_after_its_time_and_not_before(questioner):
-    questioner.ask(ASK, 0)
-    give_up_ns = questioner.give_up_ns
-    assert questioner.expire(give_up_ns - 1) == []
-    assert [asked.command for asked in questioner.expire(give_up_ns)] == [ASK]
-    assert questioner.expire(give_up_ns) == []
-    assert questioner.timeouts == 1
-    assert questioner.give_up_ns is None
+def test_a_question_is_given_up_after_its_time_and_not_before(tracker):
+    tracker.send(ASK, 0)
+    give_up_ns = tracker.give_up_ns
+    assert tracker.expire(give_up_ns - 1) == []
+    assert [asked.command for asked in tracker.expire(give_up_ns)] == [ASK]
+    assert tracker.expire(give_up_ns) == []
+    assert tracker.timeouts == 1
+    assert tracker.give_up_ns is None
 
 
-def test_a_known_servo_is_given_up_sooner(questioner, line):
-    questioner.ask(ASK, 0)
-    unknown_ns = questioner.give_up_ns
-    questioner.expire(unknown_ns)
-    now_ns = learn(questioner, line, 6)
-    questioner.ask(Command(6, "QD"), now_ns)
-    assert 10_000_000 < questioner.give_up_ns - now_ns < GRACE_NS + 4_000_000 < unknown_ns
+def test_a_known_servo_is_given_up_sooner(tracker, line):
+    tracker.send(ASK, 0)
+    unknown_ns = tracker.give_up_ns
+    tracker.expire(unknown_ns)
+    now_ns = take_over(tracker, line, 6)
+    tracker.send(Command(6, "QD"), now_ns)
+    assert 10_000_000 < tracker.give_up_ns - now_ns < GRACE_NS + 4_000_000 < unknown_ns
 
 
-def test_who_answers_too_late_is_there(questioner):
-    questioner.ask(ASK, 0)
-    assert questioner.answered_ns(5) is None
-    now_ns = questioner.give_up_ns
-    questioner.expire(now_ns)
-    assert not questioner.answer(Reply(5, "QT", 300), now_ns + US)
-    assert questioner.answered_ns(5) is None, "nobody asked for that"
-    assert not questioner.answer(Reply(5, "QD", 100), now_ns + 2 * US)
-    assert questioner.answered_ns(5) == now_ns + 2 * US
+def test_who_answers_too_late_is_there(tracker):
+    tracker.send(ASK, 0)
+    assert tracker.last_reply_ns(5) is None
+    now_ns = tracker.give_up_ns
+    tracker.expire(now_ns)
+    assert not tracker.receive(Reply(5, "QT", 300), now_ns + US)
+    assert tracker.last_reply_ns(5) is None, "nobody asked for that"
+    assert not tracker.receive(Reply(5, "QD", 100), now_ns + 2 * US)
+    assert tracker.last_reply_ns(5) == now_ns + 2 * US
 
 
-def test_a_late_answer_is_never_taken_for_the_next(questioner):
+def test_a_late_answer_is_never_taken_for_the_next(tracker):
     """The servo is left alone until its answer can no longer come; others are asked meanwhile."""
-    questioner.ask(ASK, 0)
-    given_up_ns = questioner.give_up_ns
-    questioner.expire(given_up_ns)
-    assert questioner.earliest_ns(5, 5) == given_up_ns + STRAY_NS
-    assert questioner.earliest_ns(6, 5) <= given_up_ns
-    questioner.ask(Command(6, "QD"), given_up_ns)
-    assert not questioner.answer(Reply(5, "QD", 999), given_up_ns + 2_000_000)
-    assert questioner.strays == 1
-    [(asked, _)] = questioner.answer(Reply(6, "QD", 1), given_up_ns + 3_000_000)
+    tracker.send(ASK, 0)
+    given_up_ns = tracker.give_up_ns
+    tracker.expire(given_up_ns)
+    assert tracker.earliest_ns(5, 5) == given_up_ns + STRAY_NS
+    assert tracker.earliest_ns(6, 5) <= given_up_ns
+    tracker.send(Command(6, "QD"), given_up_ns)
+    assert not tracker.receive(Reply(5, "QD", 999), given_up_ns + 2_000_000)
+    assert tracker.strays == 1
+    [(asked, _)] = tracker.receive(Reply(6, "QD", 1), given_up_ns + 3_000_000)
     assert asked.command.servo_id == 6
 
 
-def test_an_answer_that_is_owed_ends_with_the_answer_to_anything_else(questioner):
+def test_an_answer_that_is_owed_ends_with_the_answer_to_anything_else(tracker):
     """However late: the servo keeps the order, so what it owed has come or never will."""
-    questioner.ask(ASK, 0)
-    now_ns = questioner.give_up_ns
-    questioner.expire(now_ns)
-    assert questioner.owes(5, "QD")
-    assert not questioner.owes(5, "QT")
+    tracker.send(ASK, 0)
+    now_ns = tracker.give_up_ns
+    tracker.expire(now_ns)
+    assert tracker.is_overdue(5, "QD")
+    assert not tracker.is_overdue(5, "QT")
     now_ns += 10 * STRAY_NS
-    questioner.ask(Command(5, "QT"), now_ns)
-    assert not questioner.answer(Reply(5, "QD", 999), now_ns + 1_000_000)
-    questioner.answer(Reply(5, "QT", 300), now_ns + 2_000_000)
-    assert not questioner.owes(5, "QD")
+    tracker.send(Command(5, "QT"), now_ns)
+    assert not tracker.receive(Reply(5, "QD", 999), now_ns + 1_000_000)
+    tracker.receive(Reply(5, "QT", 300), now_ns + 2_000_000)
+    assert not tracker.is_overdue(5, "QD")
 
 
-def test_an_unknown_servo_is_asked_alone_and_one_thing_at_a_time(questioner):
-    questioner.ask(ASK, 0)
-    assert questioner.earliest_ns(5, 5) is None
-    assert questioner.earliest_ns(6, 5) is None
+def test_an_unknown_servo_is_asked_alone_and_one_thing_at_a_time(tracker):
+    tracker.send(ASK, 0)
+    assert tracker.earliest_ns(5, 5) is None
+    assert tracker.earliest_ns(6, 5) is None
 
 
-def test_a_known_servo_is_asked_many_things_but_no_more_than_it_can_keep(questioner, line):
-    now_ns = learn(questioner, line, 5)
+def test_a_known_servo_is_asked_many_things_but_no_more_than_it_can_keep(tracker, line):
+    now_ns = take_over(tracker, line, 5)
     count = 0
-    while (earliest_ns := questioner.earliest_ns(5, 5)) is not None:
+    while (earliest_ns := tracker.earliest_ns(5, 5)) is not None:
         assert earliest_ns <= now_ns
-        questioner.ask(ASK, now_ns)
+        tracker.send(ASK, now_ns)
         count += 1
     assert 3 <= count <= WINDOW_MAX
 
 
-def test_a_second_servo_is_asked_so_that_answers_never_meet(questioner, line):
-    learn(questioner, line, 5, (200, 1000) * 16)
-    now_ns = learn(questioner, line, 6, (200, 1000) * 16, now_ns=10**9)
-    questioner.ask(ASK, now_ns)
-    heard_ns = line.free_ns
-    begins_ns = questioner.earliest_ns(6, 5)
-    slowest_ns = heard_ns + 1000 * US + line.time_ns(len(b"*5QD100\r"))
+def test_a_second_servo_is_asked_so_that_answers_never_meet(tracker, line):
+    take_over(tracker, line, 5, (200, 1000) * 16)
+    now_ns = take_over(tracker, line, 6, (200, 1000) * 16, now_ns=10**9)
+    tracker.send(ASK, now_ns)
+    arrival_ns = line.free_ns
+    begins_ns = tracker.earliest_ns(6, 5)
+    slowest_ns = arrival_ns + 1000 * US + line.time_ns(len(b"*5QD100\r"))
     quickest_ns = begins_ns + line.time_ns(5) + 200 * US
     assert slowest_ns <= quickest_ns <= slowest_ns + 1_500_000
     assert begins_ns < slowest_ns, "it is asked while the first one still answers"
 
 
-def row(questioner, now_ns, keywords=("QD", "QD", "QD", "Q")):
+def row(tracker, now_ns, keywords=("QD", "QD", "QD", "Q")):
     for keyword in keywords:
-        questioner.ask(Command(5, keyword), now_ns)
-    return questioner.give_up_ns - GRACE_NS
+        tracker.send(Command(5, keyword), now_ns)
+    return tracker.give_up_ns - GRACE_NS
 
 
-def test_a_row_that_is_answered_whole_is_believed_in_order(questioner, line):
-    now_ns = row(questioner, learn(questioner, line, 5))
+def test_a_row_that_is_answered_whole_is_believed_in_order(tracker, line):
+    now_ns = row(tracker, take_over(tracker, line, 5))
     for value in (1, 2, 3):
-        assert questioner.answer(Reply(5, "QD", value), now_ns) == []
-    believed = questioner.answer(Reply(5, "Q", 6), now_ns)
+        assert tracker.receive(Reply(5, "QD", value), now_ns) == []
+    believed = tracker.receive(Reply(5, "Q", 6), now_ns)
     assert [reply.value for _, reply in believed] == [1, 2, 3, 6]
-    heard_ns = [asked.heard_ns for asked, _ in believed]
-    assert heard_ns == sorted(set(heard_ns))
+    arrival_ns = [asked.arrival_ns for asked, _ in believed]
+    assert arrival_ns == sorted(set(arrival_ns))
 
 
 @pytest.mark.parametrize("values", [(1, 2), (1, 1, 2, 3), ()], ids=["lost", "double", "none"])
-def test_a_row_in_which_answers_and_questions_do_not_pair_up_says_nothing(questioner, line, values):
-    now_ns = row(questioner, learn(questioner, line, 5))
+def test_a_row_in_which_answers_and_questions_do_not_pair_up_says_nothing(tracker, line, values):
+    now_ns = row(tracker, take_over(tracker, line, 5))
     for value in values:
-        assert questioner.answer(Reply(5, "QD", value), now_ns) == []
-    believed = questioner.answer(Reply(5, "Q", 6), now_ns)
+        assert tracker.receive(Reply(5, "QD", value), now_ns) == []
+    believed = tracker.receive(Reply(5, "Q", 6), now_ns)
     assert [reply.keyword for _, reply in believed] == ["Q"]
     lost = 3 - min(len(values), 3)
-    assert len(questioner.expire(now_ns)) == lost == questioner.timeouts
-    assert questioner.give_up_ns is None
+    assert len(tracker.expire(now_ns)) == lost == tracker.timeouts
+    assert tracker.give_up_ns is None
 
 
-def test_without_the_last_answer_a_row_says_nothing(questioner, line):
-    row(questioner, learn(questioner, line, 5))
-    give_up_ns = questioner.give_up_ns - GRACE_NS
+def test_without_the_last_answer_a_row_says_nothing(tracker, line):
+    row(tracker, take_over(tracker, line, 5))
+    give_up_ns = tracker.give_up_ns - GRACE_NS
     for value in (1, 2, 3):
-        assert questioner.answer(Reply(5, "QD", value), give_up_ns) == []
-    assert [asked.command.keyword for asked in questioner.expire(give_up_ns + STRAY_NS)] == ["Q"]
-    assert questioner.strays == 3
+        assert tracker.receive(Reply(5, "QD", value), give_up_ns) == []
+    assert [asked.command.keyword for asked in tracker.expire(give_up_ns + STRAY_NS)] == ["Q"]
+    assert tracker.strays == 3
 
 
-def test_a_servo_that_fails_is_trusted_less_and_then_no_more(questioner, line):
-    now_ns = learn(questioner, line, 5, (200, 1000) * 16)
-    assert questioner.depth(5) > 8
+def test_a_servo_that_fails_is_trusted_less_and_then_no_more(tracker, line):
+    now_ns = take_over(tracker, line, 5, (200, 1000) * 16)
+    assert tracker.depth(5) > 8
     for depth in (32, 16):
-        questioner.ask(ASK, now_ns)
-        now_ns = questioner.give_up_ns
-        questioner.expire(now_ns)
-        assert questioner.depth(5) == depth
+        tracker.send(ASK, now_ns)
+        now_ns = tracker.give_up_ns
+        tracker.expire(now_ns)
+        assert tracker.depth(5) == depth
         now_ns += STRAY_NS
-    assert not questioner.turnaround(5).is_known
-    assert questioner.turnaround(5).latest_ns == REPLY_TIMEOUT_NS
+    assert not tracker.latency(5).is_known
+    assert tracker.latency(5).latest_ns == REPLY_TIMEOUT_NS
 
 
 STEADY_US = (400,) * SAMPLES_LEAST
@@ -214,189 +214,185 @@ STEADY_US = (400,) * SAMPLES_LEAST
 ANSWER = b"*5QD100\r"
 
 
-def test_of_a_servo_that_was_never_asked_nothing_is_known(questioner):
-    assert questioner.is_waiting(5) is False
-    assert questioner.give_up_ns is questioner.least_wait_ns is None
-    assert (questioner.depth(5), questioner.quiet_until_ns(5)) == (1, 0)
-    assert questioner.reply_bytes(5, "QD") == REPLY_MAX_BYTES
-    assert questioner.earliest_ns(5, 5) <= 0
-    questioner.ask(ASK, 0)
-    assert questioner.is_waiting(5) is True
+def test_of_a_servo_that_was_never_asked_nothing_is_known(tracker):
+    assert tracker.is_waiting(5) is False
+    assert tracker.give_up_ns is tracker.shortest_latency_ns is None
+    assert (tracker.depth(5), tracker.quiet_until_ns(5)) == (1, 0)
+    assert tracker.reply_bytes(5, "QD") == REPLY_MAX_BYTES
+    assert tracker.earliest_ns(5, 5) <= 0
+    tracker.send(ASK, 0)
+    assert tracker.is_waiting(5) is True
 
 
-def test_a_longer_answer_by_one_digit_is_always_allowed_for(questioner, line):
-    learn(questioner, line, 5, STEADY_US)
-    assert questioner.reply_bytes(5, "QD") == len(ANSWER) + 1
-    assert questioner.reply_bytes(5, "QT") == questioner.reply_bytes(6, "QD") == REPLY_MAX_BYTES
+def test_a_longer_answer_by_one_digit_is_always_allowed_for(tracker, line):
+    take_over(tracker, line, 5, STEADY_US)
+    assert tracker.reply_bytes(5, "QD") == len(ANSWER) + 1
+    assert tracker.reply_bytes(5, "QT") == tracker.reply_bytes(6, "QD") == REPLY_MAX_BYTES
 
 
-def test_every_row_that_is_answered_whole_doubles_the_next(questioner, line):
+def test_every_row_that_is_answered_whole_doubles_the_next(tracker, line):
     now_ns, depths = 0, []
     for _ in range(8):
-        now_ns = learn(questioner, line, 5, (400,), now_ns)
-        depths.append(questioner.depth(5))
+        now_ns = take_over(tracker, line, 5, (400,), now_ns)
+        depths.append(tracker.depth(5))
     assert depths == [2, 4, 8, 16, 32, 64, 64, 64]
 
 
-def given_up(questioner, now_ns, command=ASK):
+def given_up(tracker, now_ns, command=ASK):
     """Ask in vain; return when the servo may be asked again."""
-    questioner.ask(command, now_ns)
-    now_ns = questioner.give_up_ns
-    questioner.expire(now_ns)
-    assert questioner.quiet_until_ns(command.servo_id) == now_ns + STRAY_NS
+    tracker.send(command, now_ns)
+    now_ns = tracker.give_up_ns
+    tracker.expire(now_ns)
+    assert tracker.quiet_until_ns(command.servo_id) == now_ns + STRAY_NS
     return now_ns + STRAY_NS
 
 
-def test_only_failures_in_a_row_make_a_servo_unknown(questioner, line):
-    now_ns = learn(questioner, line, 5, STEADY_US)
+def test_only_failures_in_a_row_make_a_servo_unknown(tracker, line):
+    now_ns = take_over(tracker, line, 5, STEADY_US)
     for _ in range(3):
-        now_ns = given_up(questioner, now_ns)
-        assert questioner.turnaround(5).is_known
-        now_ns = learn(questioner, line, 5, (400,), now_ns)
-    given_up(questioner, given_up(questioner, now_ns))
-    assert not questioner.turnaround(5).is_known
+        now_ns = given_up(tracker, now_ns)
+        assert tracker.latency(5).is_known
+        now_ns = take_over(tracker, line, 5, (400,), now_ns)
+    given_up(tracker, given_up(tracker, now_ns))
+    assert not tracker.latency(5).is_known
 
 
-def test_a_servo_that_never_answers_is_still_asked_one_thing(questioner):
-    given_up(questioner, given_up(questioner, 0))
-    assert questioner.depth(5) == 1
+def test_a_servo_that_never_answers_is_still_asked_one_thing(tracker):
+    given_up(tracker, given_up(tracker, 0))
+    assert tracker.depth(5) == 1
 
 
-def test_an_unknown_servo_has_thirty_milliseconds_and_the_longest_answer(questioner, line):
-    questioner.ask(ASK, 0)
-    assert questioner.give_up_ns == line.time_ns(5) + REPLY_TIMEOUT_NS + line.time_ns(
-        REPLY_MAX_BYTES
-    )
+def test_an_unknown_servo_has_thirty_milliseconds_and_the_longest_answer(tracker, line):
+    tracker.send(ASK, 0)
+    assert tracker.give_up_ns == line.time_ns(5) + REPLY_TIMEOUT_NS + line.time_ns(REPLY_MAX_BYTES)
 
 
-def test_a_known_servo_has_what_it_took_so_far_and_some_grace(questioner, line):
-    now_ns = learn(questioner, line, 5, STEADY_US)
-    questioner.ask(ASK, now_ns)
+def test_a_known_servo_has_what_it_took_so_far_and_some_grace(tracker, line):
+    now_ns = take_over(tracker, line, 5, STEADY_US)
+    tracker.send(ASK, now_ns)
     end_ns = now_ns + line.time_ns(5) + 400 * US + line.time_ns(len(ANSWER) + 1)
-    assert questioner.give_up_ns == end_ns + GRACE_NS
+    assert tracker.give_up_ns == end_ns + GRACE_NS
 
 
-def test_the_next_answer_is_waited_for_from_the_last_one_on(questioner, line):
-    now_ns = learn(questioner, line, 5, STEADY_US)
+def test_the_next_answer_is_waited_for_from_the_last_one_on(tracker, line):
+    now_ns = take_over(tracker, line, 5, STEADY_US)
     for keyword in ("QD", "QT", "QV"):
-        questioner.ask(Command(5, keyword), now_ns)
-    heard_ns = now_ns + line.time_ns(5)
-    [(_, reply)] = questioner.answer(
-        Reply(5, "QD", 100), heard_ns + 400 * US + line.time_ns(len(ANSWER))
+        tracker.send(Command(5, keyword), now_ns)
+    arrival_ns = now_ns + line.time_ns(5)
+    [(_, reply)] = tracker.receive(
+        Reply(5, "QD", 100), arrival_ns + 400 * US + line.time_ns(len(ANSWER))
     )
     assert reply.value == 100, "there is no other question that it could answer"
     late_ns = now_ns + 9_000_000
-    assert [reply.keyword for _, reply in questioner.answer(Reply(5, "QT", 300), late_ns)] == ["QT"]
-    assert questioner.give_up_ns == late_ns + line.time_ns(REPLY_MAX_BYTES) + GRACE_NS
-    assert [reply.value for _, reply in questioner.answer(Reply(5, "QV", 1), late_ns)] == [1]
+    assert [reply.keyword for _, reply in tracker.receive(Reply(5, "QT", 300), late_ns)] == ["QT"]
+    assert tracker.give_up_ns == late_ns + line.time_ns(REPLY_MAX_BYTES) + GRACE_NS
+    assert [reply.value for _, reply in tracker.receive(Reply(5, "QV", 1), late_ns)] == [1]
 
 
-def test_of_two_servos_the_first_to_be_given_up_counts(questioner, line):
+def test_of_two_servos_the_first_to_be_given_up_counts(tracker, line):
     for servo_id in (5, 6):
-        now_ns = learn(questioner, line, servo_id, STEADY_US, now_ns=servo_id * 10**9)
-    questioner.ask(ASK, now_ns)
-    first_ns = questioner.give_up_ns
-    questioner.ask(Command(6, "QD"), questioner.earliest_ns(6, 5))
-    assert questioner.give_up_ns == first_ns
-    assert [asked.command.servo_id for asked in questioner.expire(first_ns)] == [5]
-    assert questioner.give_up_ns > first_ns
+        now_ns = take_over(tracker, line, servo_id, STEADY_US, now_ns=servo_id * 10**9)
+    tracker.send(ASK, now_ns)
+    first_ns = tracker.give_up_ns
+    tracker.send(Command(6, "QD"), tracker.earliest_ns(6, 5))
+    assert tracker.give_up_ns == first_ns
+    assert [asked.command.servo_id for asked in tracker.expire(first_ns)] == [5]
+    assert tracker.give_up_ns > first_ns
 
 
 @pytest.mark.parametrize(("wait_us", "count"), [(100, 3), (2_000, 5), (20_000, WINDOW_MAX)])
-def test_so_many_questions_fly_that_the_servo_never_waits_for_one(questioner, line, wait_us, count):
+def test_so_many_questions_fly_that_the_servo_never_waits_for_one(tracker, line, wait_us, count):
     # The shortest answer, nine bytes with its spare digit, takes 781 us.
-    now_ns = learn(questioner, line, 5, (wait_us,) * SAMPLES_LEAST)
-    questioner.ask(Command(5, "QMS"), now_ns)
+    now_ns = take_over(tracker, line, 5, (wait_us,) * SAMPLES_LEAST)
+    tracker.send(Command(5, "QMS"), now_ns)
     name_ns = line.time_ns(len(b"*5QMSLSS-ST1\r"))
-    questioner.answer(Reply(5, "QMS", "LSS-ST1"), line.free_ns + wait_us * US + name_ns)
+    tracker.receive(Reply(5, "QMS", "LSS-ST1"), line.free_ns + wait_us * US + name_ns)
     asked = 0
-    while questioner.earliest_ns(5, 5) is not None:
-        questioner.ask(ASK, now_ns)
+    while tracker.earliest_ns(5, 5) is not None:
+        tracker.send(ASK, now_ns)
         asked += 1
     assert asked == count
 
 
-def test_the_second_servo_is_heard_when_the_first_has_answered_at_the_latest(questioner, line):
+def test_the_second_servo_is_heard_when_the_first_has_answered_at_the_latest(tracker, line):
     for servo_id in (5, 6, 7):
-        now_ns = learn(questioner, line, servo_id, STEADY_US, now_ns=servo_id * 10**9)
-    questioner.ask(ASK, now_ns)
-    end_ns = questioner.give_up_ns - GRACE_NS
-    begins_ns = questioner.earliest_ns(6, 5)
+        now_ns = take_over(tracker, line, servo_id, STEADY_US, now_ns=servo_id * 10**9)
+    tracker.send(ASK, now_ns)
+    end_ns = tracker.give_up_ns - GRACE_NS
+    begins_ns = tracker.earliest_ns(6, 5)
     assert begins_ns == end_ns - 400 * US - line.time_ns(5)
-    questioner.ask(Command(6, "QD"), begins_ns)
-    assert questioner.earliest_ns(7, 5) is None, "two servos are enough"
-    assert questioner.earliest_ns(5, 5) is None, "it is the turn of the other"
-    assert questioner.earliest_ns(6, 5) is not None
+    tracker.send(Command(6, "QD"), begins_ns)
+    assert tracker.earliest_ns(7, 5) is None, "two servos are enough"
+    assert tracker.earliest_ns(5, 5) is None, "it is the turn of the other"
+    assert tracker.earliest_ns(6, 5) is not None
 
 
 @pytest.mark.parametrize(("first", "second"), [(5, 6), (6, 5)])
-def test_two_servos_fly_together_only_if_both_are_known(questioner, line, first, second):
-    now_ns = learn(questioner, line, 5, STEADY_US)
-    questioner.ask(Command(first, "QD"), now_ns)
-    assert questioner.earliest_ns(second, 5) is None
+def test_two_servos_fly_together_only_if_both_are_known(tracker, line, first, second):
+    now_ns = take_over(tracker, line, 5, STEADY_US)
+    tracker.send(Command(first, "QD"), now_ns)
+    assert tracker.earliest_ns(second, 5) is None
 
 
-def test_the_shortest_wait_of_any_servo_is_known(questioner, line):
-    learn(questioner, line, 5, (700, 300, 900))
-    assert questioner.least_wait_ns == 300 * US
-    learn(questioner, line, 6, (250, 800), now_ns=10**9)
-    learn(questioner, line, 7, (500,), now_ns=2 * 10**9)
-    assert questioner.least_wait_ns == 250 * US
+def test_the_shortest_wait_of_any_servo_is_known(tracker, line):
+    take_over(tracker, line, 5, (700, 300, 900))
+    assert tracker.shortest_latency_ns == 300 * US
+    take_over(tracker, line, 6, (250, 800), now_ns=10**9)
+    take_over(tracker, line, 7, (500,), now_ns=2 * 10**9)
+    assert tracker.shortest_latency_ns == 250 * US
 
 
-def test_only_a_servo_that_had_nothing_else_to_say_shows_how_quick_it_is(questioner, line):
-    now_ns = learn(questioner, line, 5, STEADY_US)
+def test_only_a_servo_that_had_nothing_else_to_say_shows_how_quick_it_is(tracker, line):
+    now_ns = take_over(tracker, line, 5, STEADY_US)
     for _ in range(3):
-        questioner.ask(ASK, now_ns)
-    heard_ns, size_ns = line.free_ns, line.time_ns(len(ANSWER))
-    first_ns = heard_ns - 2 * line.time_ns(5) + 400 * US + size_ns
+        tracker.send(ASK, now_ns)
+    arrival_ns, size_ns = line.free_ns, line.time_ns(len(ANSWER))
+    first_ns = arrival_ns - 2 * line.time_ns(5) + 400 * US + size_ns
     for arrival_ns in (first_ns, first_ns + size_ns, first_ns + 2 * size_ns):
-        questioner.answer(Reply(5, "QD", 100), arrival_ns)
-    assert (questioner.turnaround(5).earliest_ns, questioner.turnaround(5).latest_ns) == (
+        tracker.receive(Reply(5, "QD", 100), arrival_ns)
+    assert (tracker.latency(5).earliest_ns, tracker.latency(5).latest_ns) == (
         400 * US,
         400 * US,
     )
 
 
-def test_an_answer_that_came_just_before_the_next_question_was_heard_leaves_it_free(
-    questioner, line
-):
-    now_ns = learn(questioner, line, 5, STEADY_US)
-    questioner.ask(ASK, now_ns)
-    questioner.ask(Command(5, "QT"), now_ns + 2_000_000)
-    questioner.answer(Reply(5, "QD", 100), line.free_ns)
+def test_an_answer_that_came_just_before_the_next_question_was_heard_leaves_it_free(tracker, line):
+    now_ns = take_over(tracker, line, 5, STEADY_US)
+    tracker.send(ASK, now_ns)
+    tracker.send(Command(5, "QT"), now_ns + 2_000_000)
+    tracker.receive(Reply(5, "QD", 100), line.free_ns)
     wait_ns = 300 * US + line.time_ns(len(b"*5QT300\r"))
-    questioner.answer(Reply(5, "QT", 300), line.free_ns + wait_ns)
-    assert questioner.least_wait_ns == 300 * US
+    tracker.receive(Reply(5, "QT", 300), line.free_ns + wait_ns)
+    assert tracker.shortest_latency_ns == 300 * US
 
 
-def test_an_answer_after_a_lost_one_shows_nothing_of_how_quick_the_servo_is(questioner, line):
-    now_ns = learn(questioner, line, 5, STEADY_US)
-    questioner.ask(ASK, now_ns)
-    questioner.ask(Command(5, "QT"), now_ns)
-    questioner.answer(Reply(5, "QT", 300), line.free_ns + 200 * US + line.time_ns(8))
-    assert questioner.least_wait_ns == 400 * US
+def test_an_answer_after_a_lost_one_shows_nothing_of_how_quick_the_servo_is(tracker, line):
+    now_ns = take_over(tracker, line, 5, STEADY_US)
+    tracker.send(ASK, now_ns)
+    tracker.send(Command(5, "QT"), now_ns)
+    tracker.receive(Reply(5, "QT", 300), line.free_ns + 200 * US + line.time_ns(8))
+    assert tracker.shortest_latency_ns == 400 * US
 
 
-def test_an_answer_may_come_as_soon_as_the_question_was_heard(questioner, line):
-    questioner.ask(ASK, 0)
-    assert questioner.answer(Reply(5, "QD", 100), line.time_ns(5))
+def test_an_answer_may_come_as_soon_as_the_question_was_heard(tracker, line):
+    tracker.send(ASK, 0)
+    assert tracker.receive(Reply(5, "QD", 100), line.time_ns(5))
 
 
-def test_a_late_answer_says_that_the_servo_is_slower_than_was_known(questioner, line):
-    now_ns = given_up(questioner, learn(questioner, line, 5, STEADY_US))
-    questioner.answer(Reply(5, "QT", 300), now_ns)
-    assert questioner.turnaround(5).is_known, "nobody asked for that"
-    questioner.answer(Reply(5, "QD", 100), now_ns)
-    assert not questioner.turnaround(5).is_known
-    assert questioner.strays == 2
+def test_a_late_answer_says_that_the_servo_is_slower_than_was_known(tracker, line):
+    now_ns = given_up(tracker, take_over(tracker, line, 5, STEADY_US))
+    tracker.receive(Reply(5, "QT", 300), now_ns)
+    assert tracker.latency(5).is_known, "nobody asked for that"
+    tracker.receive(Reply(5, "QD", 100), now_ns)
+    assert not tracker.latency(5).is_known
+    assert tracker.strays == 2
 
 
-def test_no_servo_answers_without_its_name_but_for_its_id(questioner):
-    questioner.ask(Command(1, "QD"), 0)
-    assert not questioner.answer(Reply(None, "QD", 100), 2_000_000)
-    assert not questioner.answer(Reply(None, "QID", 1), 2_000_000)
-    assert questioner.answer(Reply(1, "QD", 100), 2_000_000)
+def test_no_servo_answers_without_its_name_but_for_its_id(tracker):
+    tracker.send(Command(1, "QD"), 0)
+    assert not tracker.receive(Reply(None, "QD", 100), 2_000_000)
+    assert not tracker.receive(Reply(None, "QID", 1), 2_000_000)
+    assert tracker.receive(Reply(1, "QD", 100), 2_000_000)
 
 
 @pytest.mark.parametrize(
@@ -404,17 +400,17 @@ def test_no_servo_answers_without_its_name_but_for_its_id(questioner):
     [((1, 2), 2), ((1, 1, 2, 3), 4), ((1, 2, 3), 0)],
     ids=["lost", "double", "whole"],
 )
-def test_a_doubtful_row_is_thrown_away_and_the_next_is_shorter(questioner, line, values, strays):
-    now_ns = row(questioner, learn(questioner, line, 5, (400,) * 6))
+def test_a_doubtful_row_is_thrown_away_and_the_next_is_shorter(tracker, line, values, strays):
+    now_ns = row(tracker, take_over(tracker, line, 5, (400,) * 6))
     for value in values:
-        questioner.answer(Reply(5, "QD", value), now_ns)
-    questioner.answer(Reply(5, "Q", 6), now_ns)
-    assert questioner.strays == strays
-    assert questioner.depth(5) == (32 if strays else 64)
+        tracker.receive(Reply(5, "QD", value), now_ns)
+    tracker.receive(Reply(5, "Q", 6), now_ns)
+    assert tracker.strays == strays
+    assert tracker.depth(5) == (32 if strays else 64)
 
 
-def test_two_equal_questions_are_not_told_apart_before_the_row_is_over(questioner, line):
-    now_ns = row(questioner, learn(questioner, line, 5), ("QD", "QD", "Q"))
-    assert questioner.answer(Reply(5, "QD", 1), now_ns) == []
-    assert questioner.answer(Reply(5, "QD", 2), now_ns) == []
-    assert [reply.value for _, reply in questioner.answer(Reply(5, "Q", 6), now_ns)] == [1, 2, 6]
+def test_two_equal_questions_are_not_told_apart_before_the_row_is_over(tracker, line):
+    now_ns = row(tracker, take_over(tracker, line, 5), ("QD", "QD", "Q"))
+    assert tracker.receive(Reply(5, "QD", 1), now_ns) == []
+    assert tracker.receive(Reply(5, "QD", 2), now_ns) == []
+    assert [reply.value for _, reply in tracker.receive(Reply(5, "Q", 6), now_ns)] == [1, 2, 6]

@@ -9,8 +9,8 @@ from itertools import groupby, pairwise
 import numpy as np
 import pytest
 
-from lss_motion.player.cues import ASK_NS, Waiting
-from lss_motion.player.health import SILENT_ASKS
+from lss_motion.player.cues import POLL_PERIOD_NS, Waiting
+from lss_motion.player.health import SILENT_QUERIES
 from lss_motion.player.polling import (
     BACKLOG_BYTES,
     FILL_RATIO,
@@ -42,22 +42,22 @@ KNOWN_NS = 200 * MS
 HEALTHY = {"Q": 6, "QT": 300, "QV": 12000, "QC": 200, "QA": 100}
 
 
-def planned_deg(track, at_ns):
+def planned_deg(state, at_ns):
     """Return where a horn is that is on its course: that was the plan."""
-    return track.profile.at(at_ns / 1e9 - track.lead_s)[0]
+    return state.profile.at(at_ns / 1e9 - state.lead_s)[0]
 
 
 class Desk:
     """A reader and the servos that answer it, in virtual time."""
 
-    def __init__(self, *tracks, baud_bps=115200, waiting=None, waits_ns=WAITS_NS):
+    def __init__(self, *joint_states, baud_bps=115200, waiting=None, waits_ns=WAITS_NS):
         self._waits_ns = waits_ns
-        self.tracks = {track.joint.name: track for track in tracks}
+        self.joint_states = {state.joint.name: state for state in joint_states}
         self.line = SerialLine(Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=370))
-        self.questioner = QueryTracker(self.line)
+        self.tracker = QueryTracker(self.line)
         self.waiting = waiting or Waiting([], {}, 0.0)
-        lines, questioners = {"main": self.line}, {"main": self.questioner}
-        self.reader = PollScheduler(self.tracks, questioners, lines, self.waiting)
+        lines, trackers = {"main": self.line}, {"main": self.tracker}
+        self.scheduler = PollScheduler(self.joint_states, trackers, lines, self.waiting)
         self.asked = []
         """`(handed over ns, heard ns, servo id, keyword)`."""
         self.values = {}
@@ -71,16 +71,16 @@ class Desk:
         while now_ns < until_ns:
             while self._coming and self._coming[0][0] <= now_ns:
                 arrival_ns, reply = self._coming.pop(0)
-                self.reader.receive("main", reply, arrival_ns, planned_deg)
+                self.scheduler.receive("main", reply, arrival_ns, planned_deg)
             self.ask(now_ns, quiet_until_ns(now_ns))
-            wakeups_ns = [ns + late_ns for ns in self.reader.wakeups_ns(now_ns) if ns > now_ns]
+            wakeups_ns = [ns + late_ns for ns in self.scheduler.wakeups_ns(now_ns) if ns > now_ns]
             wakeups_ns += [arrival_ns for arrival_ns, _ in self._coming[:1]]
             wakeups_ns += [ns for ns in [quiet_until_ns(now_ns)] if ns is not None]
             now_ns = max(min(wakeups_ns, default=until_ns), now_ns + 1)
         return self
 
     def ask(self, now_ns, quiet_until_ns=None):
-        self.reader.ask(now_ns, quiet_until_ns)
+        self.scheduler.poll(now_ns, quiet_until_ns)
         for command in self._parser.feed(self.line.take()):
             size_bytes = len(encode(command))
             self._free_ns = max(self._free_ns, now_ns) + self.line.time_ns(size_bytes)
@@ -98,7 +98,7 @@ class Desk:
         self._coming.append((self._reply_ns, reply))
 
     def _angle(self, command):
-        own = [t for t in self.tracks.values() if t.joint.servo_id == command.servo_id]
+        own = [t for t in self.joint_states.values() if t.joint.servo_id == command.servo_id]
         if not own:
             return None
         if command.keyword == "QDT":
@@ -112,7 +112,7 @@ class Desk:
 
 
 def joints(kit, count, **fields):
-    return [kit.track(kit.joint(f"j{i}", i + 1, **fields)) for i in range(count)]
+    return [kit.state(kit.joint(f"j{i}", i + 1, **fields)) for i in range(count)]
 
 
 def test_every_servo_is_asked_about_its_health_in_turn_and_where_it_is_all_the_time(kit):
@@ -129,10 +129,10 @@ def test_every_servo_is_asked_about_its_health_in_turn_and_where_it_is_all_the_t
         assert len(own) > 4 * len(health)
     counts = desk.counts()
     assert max(counts.values()) < 1.1 * min(counts.values())
-    assert {track.temperature_max_c for track in desk.tracks.values()} == {30.0}
-    assert {track.voltage_min_v for track in desk.tracks.values()} == {12.0}
-    assert {track.current_max_a for track in desk.tracks.values()} == {0.2}
-    assert {track.status.value for track in desk.tracks.values()} == {"holding"}
+    assert {state.temperature_max_c for state in desk.joint_states.values()} == {30.0}
+    assert {state.voltage_min_v for state in desk.joint_states.values()} == {12.0}
+    assert {state.current_max_a for state in desk.joint_states.values()} == {0.2}
+    assert {state.status.value for state in desk.joint_states.values()} == {"holding"}
 
 
 def test_a_slow_line_is_not_spent_on_health(kit):
@@ -146,7 +146,7 @@ def test_a_slow_line_is_not_spent_on_health(kit):
 
 def test_where_there_is_room_a_servo_that_is_asked_alone_has_its_health_asked_rarely(kit):
     desk = Desk(*joints(kit, 1))
-    desk.questioner.depth = lambda _: 1
+    desk.tracker.depth = lambda _: 1
     desk.run(0, S)
     health_ns = [at_ns for at_ns, *_, word in desk.asked if word != "QD"]
     assert np.diff(health_ns) == pytest.approx(HEALTH_NS, abs=5 * MS)
@@ -162,12 +162,12 @@ def test_the_line_is_filled_with_answers(kit, baud_bps):
 
 @pytest.mark.parametrize("stray_deg", [0.0, 0.5])
 def test_a_joint_is_asked_more_often_the_faster_it_moves_and_the_further_it_strayed(kit, stray_deg):
-    tracks = joints(kit, 8)
-    other, desk = tracks[1], Desk(*tracks)
+    joint_states = joints(kit, 8)
+    other, desk = joint_states[1], Desk(*joint_states)
     if stray_deg:
         desk.values[2, "QD"] = round(10 * stray_deg)
     else:
-        other.moved(0, 800, 4000)  # 20 deg/s
+        other.note_sent(0, 800, 4000)  # 20 deg/s
     desk.run(0, S)
     rows = Counter(b[2] for a, b in pairwise(desk.asked) if b[0] > KNOWN_NS and a[2] != b[2])
     assert rows[2] / rows[1] == pytest.approx(2.0, rel=0.25)
@@ -176,12 +176,12 @@ def test_a_joint_is_asked_more_often_the_faster_it_moves_and_the_further_it_stra
 @pytest.mark.parametrize("waits_ns", [WAITS_NS, (300_000, 5_000_000)])
 @pytest.mark.parametrize("stray_deg", [0.0, 3.0, 9.0])
 def test_all_servos_of_a_bus_are_visited_whatever_one_of_them_does(kit, stray_deg, waits_ns):
-    tracks = joints(kit, 4)
-    desk = Desk(*tracks, waits_ns=waits_ns)
+    joint_states = joints(kit, 4)
+    desk = Desk(*joint_states, waits_ns=waits_ns)
     if stray_deg:
         desk.values[1, "QD"] = round(10 * stray_deg)
     for index in range(8):
-        tracks[0].moved(index * 200 * MS, 400 * (index % 2), 200)
+        joint_states[0].note_sent(index * 200 * MS, 400 * (index % 2), 200)
         desk.run(index * 200 * MS, (index + 1) * 200 * MS)
     for servo_id in (1, 2, 3, 4):
         own = [at_ns for at_ns, _, one, _ in desk.asked if one == servo_id]
@@ -193,14 +193,14 @@ def test_nothing_is_asked_that_would_make_a_move_late(kit):
     desk = Desk(*joints(kit, 2))
     desk.run(0, S // 3, quiet_until_ns=lambda now_ns: (now_ns // step_ns + 1) * step_ns)
     assert len(desk.asked) > 200
-    for at_ns, heard_ns, *_ in desk.asked:
-        assert heard_ns <= (at_ns // step_ns + 1) * step_ns
+    for at_ns, arrival_ns, *_ in desk.asked:
+        assert arrival_ns <= (at_ns // step_ns + 1) * step_ns
 
 
 def test_what_nobody_expected_waits_for_no_more_than_one_command(kit):
     desk = Desk(*joints(kit, 2), baud_bps=19200).run(0, S)
     assert len(desk.asked) > 150
-    backlogs_ns = [heard_ns - at_ns for at_ns, heard_ns, *_ in desk.asked]
+    backlogs_ns = [arrival_ns - at_ns for at_ns, arrival_ns, *_ in desk.asked]
     assert max(backlogs_ns) <= desk.line.time_ns(BACKLOG_BYTES)
     assert max(backlogs_ns) > desk.line.time_ns(BACKLOG_BYTES - len(b"#1QD\r")), "and for that"
 
@@ -215,7 +215,7 @@ def test_on_a_full_line_who_is_missed_is_asked_all_the_same(kit):
         now_ns += 45 * MS
     asked = desk.asked[begun:]
     assert {one for *_, one, _ in asked} == {1, 2, 3, 4}
-    assert set(desk.reader.watch.troubles) == {("j1", Cause.SILENT)}
+    assert set(desk.scheduler.health.active_faults) == {("j1", Cause.SILENT)}
     most = 3 * S // LONGEST_NS
     assert Counter(one for *_, one, _ in asked)[1] <= most, "who answers is not missed"
     instants_ns = [at_ns for at_ns, *_ in asked]
@@ -229,14 +229,14 @@ def test_one_bus_on_which_nobody_was_asked_is_enough_if_somebody_can_be_asked(ki
         name: SerialLine(Bus(name=name, port="sim://", baud_bps=115200, firmware=370))
         for name in buses
     }
-    tracks = {bus: kit.track(kit.joint(bus, 1)) for bus in buses}
-    for track, bus, drive in zip(tracks.values(), buses, drives, strict=True):
-        track.joint = replace(track.joint, bus=bus, drive=drive)
-    questioners = {name: QueryTracker(line) for name, line in lines.items()}
-    reader = PollScheduler(tracks, questioners, lines, Waiting([], {}, 0.0))
+    joint_states = {bus: kit.state(kit.joint(bus, 1)) for bus in buses}
+    for state, bus, drive in zip(joint_states.values(), buses, drives, strict=True):
+        state.joint = replace(state.joint, bus=bus, drive=drive)
+    trackers = {name: QueryTracker(line) for name, line in lines.items()}
+    scheduler = PollScheduler(joint_states, trackers, lines, Waiting([], {}, 0.0))
     for name, is_starved in (("left", True), ("right", False)):
-        questioners[name].ask(Command(1, "QD"), S)
-        assert reader.is_starved(S + 1) == is_starved
+        trackers[name].send(Command(1, "QD"), S)
+        assert scheduler.is_starved(S + 1) == is_starved
 
 
 def test_silence_is_counted_from_the_last_answer_and_not_from_the_first_question(kit):
@@ -244,50 +244,52 @@ def test_silence_is_counted_from_the_last_answer_and_not_from_the_first_question
     desk = Desk(*joints(kit, 2)).run(0, KNOWN_NS)
     desk.values |= {(1, word): None for word in ("QD", "QDT", *HEALTHY)}
     desk.run(KNOWN_NS, KNOWN_NS + 100 * MS)
-    answered_ns = desk.questioner.answered_ns(1)
-    assert KNOWN_NS - 50 * MS < answered_ns < KNOWN_NS + 50 * MS
-    desk.reader = desk.reader.anew()
-    desk.run(KNOWN_NS + 300 * MS, answered_ns + S - 1)
-    assert desk.reader.watch.troubles == {}
-    desk.run(answered_ns + S, answered_ns + S + MS)
-    assert set(desk.reader.watch.troubles) == {("j0", Cause.SILENT)}
+    last_reply_ns = desk.tracker.last_reply_ns(1)
+    assert KNOWN_NS - 50 * MS < last_reply_ns < KNOWN_NS + 50 * MS
+    desk.scheduler = desk.scheduler.anew()
+    desk.run(KNOWN_NS + 300 * MS, last_reply_ns + S - 1)
+    assert desk.scheduler.health.active_faults == {}
+    desk.run(last_reply_ns + S, last_reply_ns + S + MS)
+    assert set(desk.scheduler.health.active_faults) == {("j0", Cause.SILENT)}
 
 
 def test_who_answers_is_not_silent_be_it_believed_or_not(kit):
     desk = Desk(*joints(kit, 2))
-    for track in desk.tracks.values():
-        desk.reader.watch.unanswered(track, 0, 0)
+    for state in desk.joint_states.values():
+        desk.scheduler.health.unanswered(state, 0, 0)
     for _ in range(2):
-        desk.questioner.ask(Command(1, "QD"), 0)
-    desk.reader.receive("main", Reply(1, "QD", 7), 2 * MS, planned_deg)
-    assert desk.reader.watch.quiet() == {"j1"}
-    assert not desk.tracks["j0"].trace.points, "there is another question that it could answer"
-    desk.reader.receive("main", Reply(2, "QD", 7), 3 * MS, planned_deg)
-    assert desk.reader.watch.quiet() == {"j1"}, "nobody asked"
+        desk.tracker.send(Command(1, "QD"), 0)
+    desk.scheduler.receive("main", Reply(1, "QD", 7), 2 * MS, planned_deg)
+    assert desk.scheduler.health.unresponsive() == {"j1"}
+    assert not desk.joint_states["j0"].trace.points, (
+        "there is another question that it could answer"
+    )
+    desk.scheduler.receive("main", Reply(2, "QD", 7), 3 * MS, planned_deg)
+    assert desk.scheduler.health.unresponsive() == {"j1"}, "nobody asked"
 
 
 def test_no_servo_waits_for_long_because_others_are_busier(kit):
     """One that restarts must be missed before it is back, whatever the others do meanwhile."""
     desk = Desk(*joints(kit, 18), baud_bps=57600)
     desk.values |= {(servo_id, "QD"): 200 for servo_id in range(2, 19)}
-    heard_ns = [h for _, h, one, _ in desk.run(0, 4 * S).asked if one == 1 and h > KNOWN_NS]
-    longest_ns = max(b - a for a, b in pairwise(heard_ns))
+    arrival_ns = [h for _, h, one, _ in desk.run(0, 4 * S).asked if one == 1 and h > KNOWN_NS]
+    longest_ns = max(b - a for a, b in pairwise(arrival_ns))
     assert 0.8 * LONGEST_NS < longest_ns < 1.3 * LONGEST_NS
 
 
 @pytest.mark.parametrize("late_ns", [LATE_NS // 2, 5 * MS, 100 * MS])
 def test_a_host_that_wakes_late_is_left_alone_for_a_while(kit, late_ns):
     desk = Desk(*joints(kit, 2)).run(0, KNOWN_NS)
-    for track in desk.tracks.values():
-        for ask in range(SILENT_ASKS):
-            desk.reader.watch.unanswered(track, KNOWN_NS + ask, KNOWN_NS)
-    wakeup_ns = min(ns for ns in desk.reader.wakeups_ns(KNOWN_NS) if ns > KNOWN_NS)
+    for state in desk.joint_states.values():
+        for ask in range(SILENT_QUERIES):
+            desk.scheduler.health.unanswered(state, KNOWN_NS + ask, KNOWN_NS)
+    wakeup_ns = min(ns for ns in desk.scheduler.wakeups_ns(KNOWN_NS) if ns > KNOWN_NS)
     begun, woken_ns = len(desk.asked), wakeup_ns + late_ns
     desk.run(woken_ns, woken_ns + 200 * MS)
-    asked_ns = [at_ns - woken_ns for at_ns, *_ in desk.asked[begun:]]
+    last_sent_ns = [at_ns - woken_ns for at_ns, *_ in desk.asked[begun:]]
     if late_ns >= STARVED_NS:
-        assert asked_ns.pop(0) == 0, "one of those that did not answer is asked all the same"
-    rest_ns = asked_ns[0]
+        assert last_sent_ns.pop(0) == 0, "one of those that did not answer is asked all the same"
+    rest_ns = last_sent_ns[0]
     if late_ns < LATE_NS:
         assert rest_ns < 3 * MS
     else:
@@ -296,7 +298,7 @@ def test_a_host_that_wakes_late_is_left_alone_for_a_while(kit, late_ns):
 
 def test_what_is_done_between_two_wakeups_is_not_late(kit):
     desk = Desk(*joints(kit, 2)).run(0, KNOWN_NS)
-    wakeup_ns = min(ns for ns in desk.reader.wakeups_ns(KNOWN_NS) if ns > KNOWN_NS)
+    wakeup_ns = min(ns for ns in desk.scheduler.wakeups_ns(KNOWN_NS) if ns > KNOWN_NS)
     desk.ask(wakeup_ns)
     desk.ask(wakeup_ns + 5 * MS)
     desk.run(wakeup_ns + 5 * MS, wakeup_ns + 10 * MS)
@@ -306,24 +308,24 @@ def test_what_is_done_between_two_wakeups_is_not_late(kit):
 def test_a_servo_is_soon_asked_for_its_target_and_what_it_missed_is_known(kit):
     first, second = joints(kit, 2)
     desk = Desk(first, second).run(0, KNOWN_NS)
-    for track in (first, second):
-        track.moved(KNOWN_NS, 300, 1000)
+    for state in (first, second):
+        state.note_sent(KNOWN_NS, 300, 1000)
     desk.values[2, "QDT"] = 0
     desk.run(KNOWN_NS, KNOWN_NS + 100 * MS)
     asked = [(at_ns, one) for at_ns, _, one, word in desk.asked if word == "QDT"]
     assert {one for _, one in asked} == {1, 2}
     assert max(at_ns for at_ns, _ in asked) < KNOWN_NS + 60 * MS
-    assert desk.reader.unheard == {"j1": second}
+    assert desk.scheduler.to_resend == {"j1": second}
     assert second.profile.at(5.0)[0] == 0.0
 
 
 def test_readings_that_tell_of_a_missed_move_are_passed_on(kit):
-    (track,) = joints(kit, 1)
-    desk = Desk(track).run(0, KNOWN_NS)
-    track.moved(KNOWN_NS, 300, 1000)
+    (state,) = joints(kit, 1)
+    desk = Desk(state).run(0, KNOWN_NS)
+    state.note_sent(KNOWN_NS, 300, 1000)
     desk.values[1, "QD"], desk.values[1, "QDT"] = 0, None
     desk.run(KNOWN_NS, KNOWN_NS + 200 * MS)
-    assert desk.reader.unheard == {"j0": track}
+    assert desk.scheduler.to_resend == {"j0": state}
 
 
 def test_a_doubt_is_settled_at_once(kit):
@@ -333,39 +335,39 @@ def test_a_doubt_is_settled_at_once(kit):
     own = [at_ns for at_ns, _, *question in desk.asked if question == [2, "Q"]]
     statuses = [at_ns for at_ns in own if at_ns > KNOWN_NS]
     assert statuses[1] - statuses[0] < 40 * MS
-    assert desk.reader.watch.troubles.keys() == {("j1", Cause.BLOCKED)}
+    assert desk.scheduler.health.active_faults.keys() == {("j1", Cause.BLOCKED)}
 
 
 def test_an_rc_servo_is_asked_nothing(kit):
     joint = kit.joint("j1", 209, drive="stepped", model=SERVO_MODELS["LSS-2IO"])
-    desk = Desk(*joints(kit, 1), kit.track(joint)).run(0, KNOWN_NS)
+    desk = Desk(*joints(kit, 1), kit.state(joint)).run(0, KNOWN_NS)
     assert {one for _, _, one, _ in desk.asked} == {1}
 
 
 def test_what_is_believed_is_kept_and_what_is_not_is_counted(kit):
-    (track,) = joints(kit, 1)
-    track.origin_s = 0.25
-    desk = Desk(track).run(0, S // 2)
-    readings = track.following.readings
+    (state,) = joints(kit, 1)
+    state.origin_s = 0.25
+    desk = Desk(state).run(0, S // 2)
+    readings = state.disturbance.readings
     assert desk.counts()[1] - 20 <= readings <= desk.counts()[1]
-    assert desk.reader.unbelieved == {"main": 0}
-    assert len(track.trace.points) == readings
-    assert track.trace.points[5][0] == pytest.approx(desk.asked[6][1] / 1e9 - 0.25, abs=0.01)
+    assert desk.scheduler.rejected == {"main": 0}
+    assert len(state.trace.points) == readings
+    assert state.trace.points[5][0] == pytest.approx(desk.asked[6][1] / 1e9 - 0.25, abs=0.01)
     desk.values[1, "QD"] = 850
     desk.run(S // 2, S // 2 + 30 * MS)
-    assert desk.reader.unbelieved == {"main": 1}, "until it is said twice"
-    anew = desk.reader.anew()
-    assert (anew.unbelieved, anew.watch.troubles) == ({"main": 1}, {})
+    assert desk.scheduler.rejected == {"main": 1}, "until it is said twice"
+    anew = desk.scheduler.anew()
+    assert (anew.rejected, anew.health.active_faults) == ({"main": 1}, {})
 
 
 @pytest.mark.parametrize("value", ["DIS", None])
 def test_an_answer_without_a_number_says_nothing(kit, value):
-    (track,) = joints(kit, 1)
-    desk = Desk(track)
+    (state,) = joints(kit, 1)
+    desk = Desk(state)
     desk.ask(MS)
-    desk.reader.receive("main", Reply(1, "QD", value), 3 * MS, planned_deg)
-    assert desk.questioner.answered_count == 1
-    assert (track.status, track.following.readings) == (None, 0)
+    desk.scheduler.receive("main", Reply(1, "QD", value), 3 * MS, planned_deg)
+    assert desk.tracker.reply_count == 1
+    assert (state.status, state.disturbance.readings) == (None, 0)
 
 
 def test_a_servo_that_falls_silent_is_found_out_when_its_time_is_over(kit):
@@ -373,16 +375,19 @@ def test_a_servo_that_falls_silent_is_found_out_when_its_time_is_over(kit):
     for word in ("QD", *HEALTH_KEYWORDS):
         desk.values[2, word] = None
     desk.run(KNOWN_NS, KNOWN_NS + 900 * MS)
-    assert desk.reader.watch.quiet() == {"j1"}
-    assert desk.reader.watch.troubles == {}
+    assert desk.scheduler.health.unresponsive() == {"j1"}
+    assert desk.scheduler.health.active_faults == {}
     desk.run(KNOWN_NS + 900 * MS, KNOWN_NS + 1100 * MS)
-    assert desk.reader.watch.troubles.keys() == {("j1", Cause.SILENT)}
+    assert desk.scheduler.health.active_faults.keys() == {("j1", Cause.SILENT)}
     words = [word for at_ns, _, one, word in desk.asked if one == 2 and at_ns > KNOWN_NS + 100 * MS]
     assert len(set(words[:3])) == 3, "a late answer could be taken for that to the same question"
     assert desk.counts(KNOWN_NS)[1] > 300, "the other one is asked as ever"
     desk.values.clear()
     desk.run(KNOWN_NS + 1100 * MS, KNOWN_NS + 1300 * MS)
-    assert (desk.reader.watch.troubles, desk.reader.watch.quiet()) == ({}, set())
+    assert (desk.scheduler.health.active_faults, desk.scheduler.health.unresponsive()) == (
+        {},
+        set(),
+    )
 
 
 def test_where_nobody_else_is_to_be_asked_the_silent_one_is_asked_on(kit):
@@ -390,22 +395,22 @@ def test_where_nobody_else_is_to_be_asked_the_silent_one_is_asked_on(kit):
     for word in ("QD", *HEALTH_KEYWORDS):
         desk.values[1, word] = None
     desk.run(KNOWN_NS, KNOWN_NS + S)
-    asked_ns = [at_ns for at_ns, *_ in desk.asked if at_ns > KNOWN_NS + 20 * MS]
-    assert len(asked_ns) > 5
-    assert max(np.diff(asked_ns)) < 2 * STRAY_NS
+    last_sent_ns = [at_ns for at_ns, *_ in desk.asked if at_ns > KNOWN_NS + 20 * MS]
+    assert len(last_sent_ns) > 5
+    assert max(np.diff(last_sent_ns)) < 2 * STRAY_NS
 
 
 def test_a_joint_that_is_read_off_its_course_is_astray(kit):
-    (track,) = joints(kit, 1, following_deg=1.0)
-    desk = Desk(track)
+    (state,) = joints(kit, 1, following_deg=1.0)
+    desk = Desk(state)
     desk.values[1, "QD"] = 30
     desk.run(0, 700 * MS)
-    assert desk.reader.watch.troubles.keys() == {("j0", Cause.ASTRAY)}
+    assert desk.scheduler.health.active_faults.keys() == {("j0", Cause.ASTRAY)}
 
 
 def test_a_row_is_as_long_as_it_must_be_for_answers_to_fill_their_line(kit):
     desk = Desk(*joints(kit, 3), waits_ns=(300_000, 450_000)).run(0, S // 2)
-    line, spread_ns = desk.line, desk.questioner.turnaround(1).spread_ns
+    line, spread_ns = desk.line, desk.tracker.latency(1).spread_ns
     reply_ns, gap_ns = line.time_ns(len(b"*1QD00\r")), spread_ns // 2 + line.time_ns(1)
     shares = {count: count * reply_ns / (count * reply_ns + gap_ns) for count in range(1, 40)}
     least = min(count for count, share in shares.items() if share >= FILL_RATIO)
@@ -425,9 +430,9 @@ def test_a_sensor_that_is_waited_for_is_asked_in_time_and_heard(kit):
     assert not any(one == 209 for _, _, one, _ in desk.asked)
     assert waiting.advance(clock, S // 2) == "begun"
     desk.run(S // 2, S)
-    asked_ns = [at_ns for at_ns, _, one, _ in desk.asked if one == 209]
-    assert np.diff(asked_ns) == pytest.approx(ASK_NS, abs=3 * MS)
+    last_sent_ns = [at_ns for at_ns, _, one, _ in desk.asked if one == 209]
+    assert np.diff(last_sent_ns) == pytest.approx(POLL_PERIOD_NS, abs=3 * MS)
     assert waiting.advance(clock, S) is None
     desk.values[209, "QA"] = 200
-    desk.run(S, S + 3 * ASK_NS)
-    assert waiting.advance(clock, S + 3 * ASK_NS) == "met"
+    desk.run(S, S + 3 * POLL_PERIOD_NS)
+    assert waiting.advance(clock, S + 3 * POLL_PERIOD_NS) == "met"

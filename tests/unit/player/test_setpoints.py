@@ -10,7 +10,7 @@ import pytest
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from lss_motion.player.joint_state import CLOSING_RATIO, PHASES, Setpoints, closing_deg
+from lss_motion.player.joint_state import CLOSING_RATIO, STEP_OFFSETS, Setpoints, closing_deg
 from lss_motion.program.reference import servo_limits
 from tests.filters import FILTER_S, felt, staircase
 from tests.joints import joint
@@ -41,22 +41,22 @@ def test_a_horn_without_lag_feels_all_of_a_step(limits):
 @pytest.mark.parametrize("rest_s", [0.4, WEEK_S])
 def test_a_filter_that_has_settled_is_at_rest_however_long(limits, rest_s):
     setpoints = Setpoints(0.0, count=3, limits=limits)
-    setpoints.told(0.1, 10.0)
+    setpoints.commanded(0.1, 10.0)
     at_rest = Setpoints(10.0, count=3, limits=limits).allowed(0.1)
     assert setpoints.allowed(0.1 + rest_s) == pytest.approx(at_rest, abs=1e-6)
 
 
 def test_a_target_counts_from_when_it_is_heard(limits):
     setpoints = Setpoints(0.0, count=3, limits=limits)
-    setpoints.told(0.1, 10.0)
-    setpoints.told(1.1, 60.0)
+    setpoints.commanded(0.1, 10.0)
+    setpoints.commanded(1.1, 60.0)
     at_rest = Setpoints(10.0, count=3, limits=limits).allowed(1.1)
     assert setpoints.allowed(1.1) == pytest.approx(at_rest)
 
 
 def test_where_the_possible_instants_disagree_a_target_is_half_way_between_them(limits):
     setpoints = Setpoints(0.0, count=3, limits=limits)
-    setpoints.told(0.0199, 60.0)
+    setpoints.commanded(0.0199, 60.0)
     _, before_deg = setpoints.allowed(0.0199)
     low_deg, high_deg = setpoints.allowed(0.0301)
     after_deg, _ = setpoints.allowed(0.0399)
@@ -72,7 +72,7 @@ def run_to_the_end(limits, count, sign):
         at_s = step * FILTER_S + 0.001
         span = setpoints.allowed(at_s)
         said.append(span[1] if sign > 0 else span[0])
-        setpoints.told(at_s, said[-1])
+        setpoints.commanded(at_s, said[-1])
         value += (said[-1] - value) / count
         values.append(value)
     return said, values
@@ -131,10 +131,10 @@ def test_whatever_is_asked_and_however_unevenly_no_filter_leaves_its_limits(aske
             event("the instants disagree")
             break
         target_deg = min(max(wanted_deg, low_deg, -90.0), high_deg, 90.0)
-        setpoints.told(at_us / 1e6, target_deg)
+        setpoints.commanded(at_us / 1e6, target_deg)
         heard.append((1e3 * at_us, target_deg))
-    for phase in range(PHASES):
-        values = staircase(heard, count, phase * FILTER_S / PHASES, at_us / 1e6 + FILTER_S)
+    for phase in range(STEP_OFFSETS):
+        values = staircase(heard, count, phase * FILTER_S / STEP_OFFSETS, at_us / 1e6 + FILTER_S)
         assert np.abs(np.diff(values)).max(initial=0.0) <= 180.0 * FILTER_S + 0.05
         most_deg_s2 = 600.0 + (TOLERANCE_DEG + 0.05) / FILTER_S**2
         assert np.abs(felt(values)).max(initial=0.0) <= most_deg_s2

@@ -39,8 +39,8 @@ def test_a_servo_that_answers_little_but_its_place_is_driven_and_given_its_limit
     assert handshake.check_answers([kit.joint()], known, kit.robot()) == []
     assert handshake.session_orders([kit.joint()], known) == []
     limits = [b"#1EM1\r", b"#1AA60\r", b"#1AD60\r", b"#1SD1800\r"]
-    assert sent(handshake.unsure_orders([kit.joint()], known)) == limits
-    assert handshake.unsure_orders([kit.joint()], answers()) == []
+    assert sent(handshake.unconfirmed_orders([kit.joint()], known)) == limits
+    assert handshake.unconfirmed_orders([kit.joint()], answers()) == []
     assert handshake.restoring_orders([kit.joint()], known) == []
 
 
@@ -60,14 +60,14 @@ def test_what_was_read_is_given_back_to_the_letter(kit):
 
 def test_the_settings_of_the_file_are_asked_for_too(kit):
     one = kit.joint(settings={"AS": -2, "AH": 3})
-    assert {b"#1QAS\r", b"#1QAH\r", b"#1QD\r"} <= set(sent(handshake.questions([one])))
+    assert {b"#1QAS\r", b"#1QAH\r", b"#1QD\r"} <= set(sent(handshake.queries([one])))
 
 
 @pytest.mark.parametrize("drive", ["timed", "streamed", "stepped"])
 def test_the_first_question_is_one_that_all_documents_have(kit, drive):
     """By it a servo counts as silent: QFPC is nothing that an old firmware knows."""
     model = SERVO_MODELS["LSS-2IO" if drive == "stepped" else "LSS-ST1"]
-    asked = sent(handshake.questions([kit.joint(model=model, drive=drive, settings={"AS": -2})]))
+    asked = sent(handshake.queries([kit.joint(model=model, drive=drive, settings={"AS": -2})]))
     assert asked[0] == b"#1QMS\r"
     assert asked[-1] == b"#1QAS\r"
     assert len(set(asked)) == len(asked) > 3
@@ -77,11 +77,11 @@ def test_an_order_counts_as_taken_only_when_the_servo_answers_with_it(kit):
     orders = handshake.session_orders([kit.joint()], answers())
     said = {("main", 1, f"Q{order.command.keyword}"): order.command.value for order in orders}
     assert sent(handshake.read_back(orders)) == [b"#1QEM\r", b"#1QAA\r", b"#1QAD\r", b"#1QSD\r"]
-    assert handshake.untaken(orders, said) == []
-    assert sent(handshake.untaken(orders, {**said, ("main", 1, "QAD"): 100})) == [b"#1AD60\r"]
+    assert handshake.not_applied(orders, said) == []
+    assert sent(handshake.not_applied(orders, {**said, ("main", 1, "QAD"): 100})) == [b"#1AD60\r"]
     said.pop(("main", 1, "QSD"))
-    (order,) = handshake.untaken(orders, said)
-    error = handshake.untaken_error(order, said, [kit.joint()])
+    (order,) = handshake.not_applied(orders, said)
+    error = handshake.not_applied_error(order, said, [kit.joint()])
     assert "joint 'j0': servo 1 was set to SD 1800 4 times and answers nothing" in str(error)
 
 
@@ -98,9 +98,9 @@ def test_the_approach_brings_all_joints_home_together_at_the_slow_speed(kit):
 
 def test_units_of_a_reading_belong_to_the_family(kit):
     pro = kit.joint(model=SERVO_MODELS["LSS-P-S1"])
-    assert handshake.stored(pro, answers(QD=1234), "QD") == 12.34
-    assert handshake.stored(kit.joint(), answers(QD=1234), "QD") == 123.4
-    assert handshake.stored(kit.joint(), answers(), "QT") is None
+    assert handshake.reported(pro, answers(QD=1234), "QD") == 12.34
+    assert handshake.reported(kit.joint(), answers(QD=1234), "QD") == 123.4
+    assert handshake.reported(kit.joint(), answers(), "QT") is None
 
 
 def test_the_safe_state_goes_to_every_bus(kit):

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lss_motion.player.joint_state import Owed
+from lss_motion.player.joint_state import DeferredTarget
 from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.streamer import SETTLE_S, Streamer
@@ -72,14 +72,14 @@ class Stage:
             self.program,
             self.robot,
             lines={"main": self.line},
-            questioners={"main": QueryTracker(self.line)},
+            trackers={"main": QueryTracker(self.line)},
             standing_deg=standing_deg,
             has_feedback=has_feedback,
             start_ns=START_NS,
             start_s=start_s,
         )
         if has_feedback:
-            self.streamer.reader.ask = lambda *_: None
+            self.streamer.scheduler.poll = lambda *_: None
         self.sent = []
         """`(s, line)` of all that was handed over."""
         self.places = []
@@ -87,8 +87,8 @@ class Stage:
         self.now_ns = START_NS
 
     @property
-    def track(self):
-        return self.streamer.tracks["j0"]
+    def state(self):
+        return self.streamer.joint_states["j0"]
 
     @property
     def now_s(self):
@@ -111,12 +111,12 @@ class Stage:
         self.sent += [(self.now_s, part + b"\r") for part in self.line.take().split(b"\r")[:-1]]
 
     def _look(self, until_ns):
-        clock, track = self.streamer.clock, self.track
+        clock, state = self.streamer.clock, self.state
         for at_ns in range(self.now_ns, until_ns, 5 * MS):
             show_s = clock.show_s(at_ns)
-            wanted_deg = track.plan.at(self.program.within(show_s))[0]
+            wanted_deg = state.plan.at(self.program.within(show_s))[0]
             self.places.append(
-                ((at_ns - START_NS) / 1e9, show_s, track.place(at_ns)[0], wanted_deg)
+                ((at_ns - START_NS) / 1e9, show_s, state.place(at_ns)[0], wanted_deg)
             )
 
     def off_deg(self, from_s=0.0):
@@ -147,21 +147,21 @@ def test_every_move_leaves_when_it_is_due_as_it_is(kit):
 @pytest.mark.parametrize("is_starved", [False, True])
 def test_questions_wait_until_the_moves_have_left_unless_they_have_waited_too_long(kit, is_starved):
     dense = [move(0.1 + 0.02 * number, 40.0) for number in range(10)]
-    stage, asked_ns = Stage(kit, dense, has_feedback=True), set()
-    stage.streamer.reader.ask = lambda *_: asked_ns.add(stage.now_ns)
-    stage.streamer.reader.is_starved = lambda _: is_starved
+    stage, last_sent_ns = Stage(kit, dense, has_feedback=True), set()
+    stage.streamer.scheduler.poll = lambda *_: last_sent_ns.add(stage.now_ns)
+    stage.streamer.scheduler.is_starved = lambda _: is_starved
     stage.run(0.3)
     sent_ns = {START_NS + round(1e9 * at_s) for at_s, _ in stage.sent}
     assert len(sent_ns) == len(dense)
-    assert sent_ns & asked_ns == (sent_ns if is_starved else set())
-    assert {at_ns + 1 for at_ns in sent_ns} <= asked_ns
+    assert sent_ns & last_sent_ns == (sent_ns if is_starved else set())
+    assert {at_ns + 1 for at_ns in sent_ns} <= last_sent_ns
 
 
 def test_a_show_starts_with_what_is_due_before_its_time_0(kit):
     stage = Stage(kit, (move(-0.05, 40.0), move(1.2, -20.0))).run(3.0)
     assert [at_s for at_s, _ in stage.sent] == pytest.approx([0.0, 1.25])
     assert stage.streamer.show_s(START_NS) == -0.05
-    assert stage.track.origin_s == pytest.approx(START_NS / 1e9 + 0.05)
+    assert stage.state.origin_s == pytest.approx(START_NS / 1e9 + 0.05)
 
 
 def test_it_is_over_when_all_has_come_to_rest_and_not_before(kit):
@@ -186,7 +186,7 @@ def test_what_was_told_late_is_waited_for(kit):
 def test_all_joints_must_have_come_to_rest(kit):
     moves = (move(0.1, 40.0), move(0.2, 40.0, servo_id=2))
     stage = Stage(kit, moves, others=[kit.joint("j1", 2)], duration_s=0.3).run(0.6)
-    assert stage.streamer.tracks["j0"].is_at_rest(START_NS + 1040 * MS)
+    assert stage.streamer.joint_states["j0"].is_at_rest(START_NS + 1040 * MS)
     assert not stage.streamer.is_finished(START_NS + 1040 * MS)
     assert stage.streamer.is_finished(START_NS + 1200 * MS)
 
@@ -211,7 +211,7 @@ def test_a_move_that_waits_for_the_line_is_late_by_that(kit):
 
 def test_what_was_learnt_of_a_lag_lets_moves_leave_earlier(kit):
     stage = Stage(kit)
-    stage.track.early_s = 0.03
+    stage.state.early_s = 0.03
     stage.run(3.0)
     assert [at_s for at_s, _ in stage.sent] == pytest.approx([0.07, 1.17])
 
@@ -238,17 +238,17 @@ def test_a_pause_brakes_on_the_path_stands_and_goes_on_from_there(kit, at_s):
     assert not stage.streamer.is_standing(clock.ramp_end_ns)
     assert stage.streamer.is_standing(clock.ramp_end_ns + round(1e9 * SETTLE_S))
     assert not stage.streamer.is_finished(stage.now_ns), "it may go on"
-    place_deg = stage.track.place(stage.now_ns)[0]
+    place_deg = stage.state.place(stage.now_ns)[0]
     (pose_deg,) = stage.streamer.pose_deg(stage.now_ns).values()
-    horn_s = clock.show_s(stage.now_ns) - stage.track.lead_s
-    assert pose_deg == pytest.approx(stage.track.plan.at(horn_s)[0])
+    horn_s = clock.show_s(stage.now_ns) - stage.state.lead_s
+    assert pose_deg == pytest.approx(stage.state.plan.at(horn_s)[0])
     assert place_deg == pytest.approx(pose_deg, abs=0.1)
     assert len(stage.sent) < 30
     set_rate(stage, 1.0)
     stage.run(6.0)
     assert stage.off_deg() < 4.5
     assert np.abs(stage.speeds_deg_s()).max() <= 180.0
-    assert stage.track.place(stage.now_ns) == (-20.0, 0.0)
+    assert stage.state.place(stage.now_ns) == (-20.0, 0.0)
     assert stage.streamer.is_finished(stage.now_ns)
     assert stage.streamer.clock.show_s(stage.now_ns) > END_S
 
@@ -260,7 +260,7 @@ def test_at_half_the_speed_the_path_is_the_same_and_the_moves_of_the_program_are
     assert stage.off_deg() < 1.5
     ticks_s = [at_s for at_s, line in stage.sent if 1.0 < at_s < 1.5]
     assert np.diff(ticks_s) == pytest.approx(0.04, abs=1e-6)
-    assert stage.track.place(stage.now_ns) == (-20.0, 0.0)
+    assert stage.state.place(stage.now_ns) == (-20.0, 0.0)
     assert stage.streamer.clock.show_s(stage.now_ns) == pytest.approx(3.0, abs=0.2)
     assert stage.streamer.is_finished(stage.now_ns)
 
@@ -288,7 +288,7 @@ def test_a_late_tick_of_a_ramp_is_counted_and_the_last_one_ends_with_it(kit):
     stage.run(2.0, late_s=0.003)
     assert stage.streamer.statistics.max_ns == pytest.approx(3 * MS, abs=MS // 10)
     (pose_deg,) = stage.streamer.pose_deg(stage.now_ns).values()
-    assert stage.track.place(stage.now_ns)[0] == pytest.approx(pose_deg, abs=0.1)
+    assert stage.state.place(stage.now_ns)[0] == pytest.approx(pose_deg, abs=0.1)
     assert stage.streamer.statistics.timing()["commands"] == len(stage.sent)
     ticks_s = sorted({at_s for at_s, _ in stage.sent if at_s > 0.5})
     assert min(b - a for a, b in pairwise(ticks_s)) > 0.02
@@ -296,7 +296,7 @@ def test_a_late_tick_of_a_ramp_is_counted_and_the_last_one_ends_with_it(kit):
 
 def test_it_may_start_anywhere_from_rest(kit):
     stage = Stage(kit, (move(0.1, 80.0, 2.0), move(2.6, -20.0)), start_s=0.6, duration_s=4.0)
-    stage.track.stand(stage.track.plan.at(0.6)[0])
+    stage.state.stand_at(stage.state.plan.at(0.6)[0])
     clock = stage.streamer.clock
     assert clock.rate(START_NS) == 0.0
     assert clock.show_s(START_NS + 100 * MS) < 0.62
@@ -311,10 +311,10 @@ def test_it_may_start_anywhere_from_rest(kit):
 def test_what_a_servo_has_not_heard_is_said_again_at_once(kit):
     stage = Stage(kit, has_feedback=True)
     stage.run(0.4)
-    stage.track.stand(0.0)
-    stage.streamer.reader.unheard["j0"] = stage.track
+    stage.state.stand_at(0.0)
+    stage.streamer.scheduler.to_resend["j0"] = stage.state
     stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns)
-    assert stage.track.said_again == 1
+    assert stage.state.resent == 1
     stage.run(3.0)
     assert [at_s for at_s, _ in stage.sent[:2]] == [0.1, 0.4]
     assert [MOVE.fullmatch(line)[2] for _, line in stage.sent] == [b"400"] * 3 + [b"-200"]
@@ -329,36 +329,36 @@ def test_but_not_while_the_show_is_slowed_down_since_all_is_said_again_anyway(ki
     set_rate(stage, rate)
     stage.run(2.0)
     sent = len(stage.sent)
-    stage.streamer.reader.unheard["j0"] = stage.track
+    stage.streamer.scheduler.to_resend["j0"] = stage.state
     stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns)
-    assert (stage.line.take(), stage.track.said_again, len(stage.sent)) == (b"", 0, sent)
-    assert stage.streamer.reader.unheard == {}
+    assert (stage.line.take(), stage.state.resent, len(stage.sent)) == (b"", 0, sent)
+    assert stage.streamer.scheduler.to_resend == {}
 
 
 def test_what_it_is_owed_of_that_is_over_when_the_show_brakes(kit):
     stage = Stage(kit, has_feedback=True).run(0.4)
-    stage.track.stand(0.0)
-    stage.streamer.reader.unheard["j0"] = stage.track
+    stage.state.stand_at(0.0)
+    stage.streamer.scheduler.to_resend["j0"] = stage.state
     stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns)
-    assert stage.track.owed is not None, "it catches up, and then has the rest of the move"
+    assert stage.state.deferred is not None, "it catches up, and then has the rest of the move"
     set_rate(stage, 0.0)
     stage.run(3.0)
-    assert stage.track.owed is None
+    assert stage.state.deferred is None
     assert stage.streamer.is_standing(stage.now_ns)
     pose_deg = stage.streamer.pose_deg(stage.now_ns)["j0"]
-    assert stage.track.place(stage.now_ns)[0] == pytest.approx(pose_deg, abs=0.2)
+    assert stage.state.place(stage.now_ns)[0] == pytest.approx(pose_deg, abs=0.2)
 
 
 def test_one_that_is_left_out_is_owed_nothing_and_does_not_keep_the_show(kit):
     stage = Stage(kit, has_feedback=True).run(0.4)
-    stage.track.stand(0.0)
+    stage.state.stand_at(0.0)
     stage.streamer.leave_out({"j0"})
     sent = len(stage.sent)
-    stage.streamer.reader.unheard["j0"] = stage.track
+    stage.streamer.scheduler.to_resend["j0"] = stage.state
     stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns)
     stage.run(END_S + SETTLE_S)
-    assert (len(stage.sent), stage.track.said_again) == (sent, 0)
-    stage.track.stand(-20.0)
+    assert (len(stage.sent), stage.state.resent) == (sent, 0)
+    stage.state.stand_at(-20.0)
     assert stage.streamer.is_finished(stage.now_ns)
 
 
@@ -382,7 +382,7 @@ def test_it_stands_at_a_wait_until_that_is_met_or_its_time_is_over(kit, is_met):
     assert not stage.streamer.is_finished(stage.now_ns)
     if is_met:
         for _ in range(2):
-            stage.streamer.waiting.answered("main", 209, 100)
+            stage.streamer.waiting.take_reply("main", 209, 100)
     stage.run(6.0)
     goes_on_s = 2.1 if is_met else 3.2
     assert [at_s for at_s, _ in stage.sent] == pytest.approx([0.1, goes_on_s], abs=0.01)
@@ -408,14 +408,14 @@ def test_what_is_not_due_yet_may_be_replaced(kit):
     whole = replace(stage.program, moves=(*THERE_AND_BACK[:1], *moves))
     table = profiles(whole, stage.robot)["j0"].table
     later = PiecewiseProfile.of(tuple(column[table[0] > 0.95] for column in table))
-    planned_deg, _ = stage.track.plan.at(0.5)
+    planned_deg, _ = stage.state.plan.at(0.5)
     extension = Extension(
         from_us=1_000_000, moves=moves, duration_s=3.0, profiles={"j0": later}, line_use={},
         tolerance_deg=0.2,
     )  # fmt: skip
     assert stage.streamer.extend(extension, stage.now_ns)
     stage.run(1.2)
-    assert stage.track.plan.at(0.5)[0] == pytest.approx(planned_deg), "an answer may be so old"
+    assert stage.state.plan.at(0.5)[0] == pytest.approx(planned_deg), "an answer may be so old"
     assert not stage.streamer.extend(extension, stage.now_ns), "that would be too late"
     stage.run(2.6)
     assert [at_s for at_s, _ in stage.sent] == pytest.approx([0.1, 1.0, 1.5])
@@ -429,13 +429,13 @@ def test_what_is_not_due_yet_may_be_replaced(kit):
 def test_lines_are_quiet_until_the_next_move(kit):
     stage = Stage(kit).run(0.5)
     assert stage.streamer.quiet_ns(stage.now_ns) == START_NS + 1200 * MS
-    stage.track.owed = Owed(START_NS + 800 * MS, 40.0)
+    stage.state.deferred = DeferredTarget(START_NS + 800 * MS, 40.0)
     assert stage.streamer.quiet_ns(stage.now_ns) == START_NS + 800 * MS
     assert stage.streamer.next_wakeup_ns(stage.now_ns) == START_NS + 800 * MS
-    stage.track.owed = None
+    stage.state.deferred = None
     stage.run(1.5)
     assert stage.streamer.quiet_ns(stage.now_ns) is None
-    stage.track.owed = Owed(START_NS + 1600 * MS, 5.0)
+    stage.state.deferred = DeferredTarget(START_NS + 1600 * MS, 5.0)
     assert stage.streamer.quiet_ns(stage.now_ns) == START_NS + 1600 * MS
     assert stage.streamer.quiet_ns(START_NS + 1700 * MS) == START_NS + 1700 * MS
 
@@ -473,15 +473,15 @@ def test_after_a_recovery_it_goes_on_at_rate_0_from_where_servos_were_sent(kit):
     set_rate(stage, 0.0)
     stage.run(2.0)
     stage.streamer.leave_out({"j0"})
-    before = stage.streamer.reader
-    place_deg = stage.track.place(stage.now_ns)[0]
+    before = stage.streamer.scheduler
+    place_deg = stage.state.place(stage.now_ns)[0]
     stage.streamer.resume({"j0": place_deg + 0.3}, ())
-    assert stage.track.place(stage.now_ns) == (place_deg + 0.3, 0.0)
-    assert stage.streamer.reader is not before
-    stage.streamer.reader.ask = lambda *_: None
+    assert stage.state.place(stage.now_ns) == (place_deg + 0.3, 0.0)
+    assert stage.streamer.scheduler is not before
+    stage.streamer.scheduler.poll = lambda *_: None
     set_rate(stage, 1.0)
     stage.run(6.0)
-    assert stage.track.place(stage.now_ns) == (-20.0, 0.0)
+    assert stage.state.place(stage.now_ns) == (-20.0, 0.0)
     assert re.fullmatch(rb"#1D-200T\d+\r", stage.sent[-1][1])
 
 
@@ -524,17 +524,17 @@ def test_between_two_ticks_of_a_slower_show_lines_are_quiet(kit):
 
 def test_what_is_left_out_owes_nothing_and_the_others_what_they_owe(kit):
     stage = Stage(kit)
-    stage.track.owed = Owed(START_NS + S, 5.0)
+    stage.state.deferred = DeferredTarget(START_NS + S, 5.0)
     stage.streamer.leave_out(())
-    assert stage.track.again_ns == START_NS + S
+    assert stage.state.resend_ns == START_NS + S
     stage.streamer.leave_out({"j0"})
-    assert stage.track.again_ns is None
+    assert stage.state.resend_ns is None
 
 
 def test_the_reader_asks_while_lines_are_quiet_and_hears_every_answer(kit):
     stage, calls = Stage(kit, has_feedback=True), []
-    stage.streamer.reader.ask = lambda *args: calls.append(args)
-    stage.streamer.reader.receive = lambda *args: calls.append(args[:3])
+    stage.streamer.scheduler.poll = lambda *args: calls.append(args)
+    stage.streamer.scheduler.receive = lambda *args: calls.append(args[:3])
     stage.step()
     assert calls == [(START_NS, START_NS + 100 * MS)]
     reply = Reply(1, "QD", 5)
@@ -544,9 +544,9 @@ def test_the_reader_asks_while_lines_are_quiet_and_hears_every_answer(kit):
 
 def test_before_its_first_move_a_servo_cannot_have_missed_one(kit):
     stage = Stage(kit, has_feedback=True).run(0.05)
-    stage.streamer.reader.unheard["j0"] = stage.track
+    stage.streamer.scheduler.to_resend["j0"] = stage.state
     stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns)
-    assert (stage.line.take(), stage.track.said_again) == (b"", 0)
+    assert (stage.line.take(), stage.state.resent) == (b"", 0)
 
 
 @pytest.mark.parametrize("is_met", [True, False])
@@ -557,15 +557,15 @@ def test_a_slower_show_stands_at_a_wait_on_its_path_and_goes_on_as_slowly(kit, i
     stage.run(2.5)
     assert stage.streamer.show_s(stage.now_ns) == 0.6
     (pose_deg,) = stage.streamer.pose_deg(stage.now_ns).values()
-    assert stage.track.place(stage.now_ns)[0] == pytest.approx(pose_deg, abs=0.1)
+    assert stage.state.place(stage.now_ns)[0] == pytest.approx(pose_deg, abs=0.1)
     if is_met:
         for _ in range(2):
-            stage.streamer.waiting.answered("main", 209, 100)
+            stage.streamer.waiting.take_reply("main", 209, 100)
     stage.run(8.0)
     assert stage.off_deg() < 4.0
     begins_s = 2.5 if is_met else 3.0
     assert min(at_s for at_s, _ in stage.sent if at_s > 2.0) == pytest.approx(begins_s, abs=0.3)
-    assert stage.track.place(stage.now_ns) == (-20.0, 0.0)
+    assert stage.state.place(stage.now_ns) == (-20.0, 0.0)
 
 
 def test_before_the_first_move_another_rate_says_nothing(kit):

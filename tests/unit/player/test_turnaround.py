@@ -12,30 +12,30 @@ US = 1000
 
 
 def taught(*waits_us):
-    turnaround = ReplyLatency()
+    latency = ReplyLatency()
     for wait_us in waits_us:
-        turnaround.take(wait_us * US)
-    return turnaround
+        latency.take(wait_us * US)
+    return latency
 
 
-def known(turnaround):
-    return turnaround.is_known, turnaround.earliest_ns, turnaround.latest_ns, turnaround.least_ns
+def known(latency):
+    return latency.is_known, latency.earliest_ns, latency.latest_ns, latency.least_ns
 
 
 @pytest.mark.parametrize("bounds_us", [(200, 1000), (300, 310), (1000, 16000)])
 def test_the_next_turnaround_is_rarely_outside_of_what_was_learnt(bounds_us):
     random, outside, judged = Random(4), 0, 0
     for _ in range(200):
-        turnaround = ReplyLatency()
+        latency = ReplyLatency()
         for _ in range(40):
             waited_ns = random.randint(bounds_us[0] * US, bounds_us[1] * US)
-            if turnaround.is_known:
+            if latency.is_known:
                 judged += 1
-                is_in = turnaround.earliest_ns <= waited_ns <= turnaround.latest_ns
+                is_in = latency.earliest_ns <= waited_ns <= latency.latest_ns
                 outside += not is_in
-            turnaround.take(waited_ns)
+            latency.take(waited_ns)
         spread_ns = (bounds_us[1] - bounds_us[0]) * US
-        assert turnaround.spread_ns <= 1.3 * spread_ns
+        assert latency.spread_ns <= 1.3 * spread_ns
     assert outside < 0.01 * judged
 
 
@@ -64,6 +64,6 @@ def test_an_answer_of_long_ago_is_forgotten():
 
 
 def test_a_servo_that_has_changed_its_ways_is_learnt_anew():
-    turnaround = taught(*[400] * WINDOW)
-    turnaround.forget()
-    assert known(turnaround) == known(ReplyLatency())
+    latency = taught(*[400] * WINDOW)
+    latency.forget()
+    assert known(latency) == known(ReplyLatency())

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from lss_motion.player.approach import approach
-from lss_motion.player.health import SILENT_ASKS, STATUS_CAUSES, Watch, status_fault
+from lss_motion.player.health import SILENT_QUERIES, STATUS_CAUSES, HealthMonitor, status_fault
 from lss_motion.player.joint_state import make_joint_states
 from lss_motion.protocol.constants import (
     PRO_STATUS_FIRMWARE,
@@ -22,80 +22,80 @@ BLOCKED, HOLDING, LIMP = 9, 6, 1
 
 
 @pytest.fixture
-def track(kit):
+def state(kit):
     robot = kit.robot(kit.joint(following_deg=5.0))
     program = approach(robot, {"j0": 0.0}, {"j0": 0.0})
     return make_joint_states(program, robot, {"j0": 0.0}, 0.0, has_feedback=True)["j0"]
 
 
-def causes(watch):
-    return {cause for _, cause in watch.troubles}
+def causes(health):
+    return {cause for _, cause in health.active_faults}
 
 
-def test_one_bad_status_is_asked_again_and_believed_when_it_is_said_twice(track):
-    watch = Watch()
-    watch.status(track, BLOCKED, 370)
-    assert watch.troubles == {}
-    assert watch.doubts == {"j0": "Q"}
-    watch.status(track, BLOCKED, 370)
-    assert causes(watch) == {Cause.BLOCKED}
-    assert watch.doubts == {}
-    assert "Find what is in its way" in watch.troubles["j0", Cause.BLOCKED]
+def test_one_bad_status_is_asked_again_and_believed_when_it_is_said_twice(state):
+    health = HealthMonitor()
+    health.status(state, BLOCKED, 370)
+    assert health.active_faults == {}
+    assert health.unconfirmed == {"j0": "Q"}
+    health.status(state, BLOCKED, 370)
+    assert causes(health) == {Cause.BLOCKED}
+    assert health.unconfirmed == {}
+    assert "Find what is in its way" in health.active_faults["j0", Cause.BLOCKED]
 
 
-def test_a_bad_status_between_good_ones_is_nothing(track):
-    watch = Watch()
+def test_a_bad_status_between_good_ones_is_nothing(state):
+    health = HealthMonitor()
     for code in (HOLDING, BLOCKED, HOLDING, LIMP, HOLDING, BLOCKED, LIMP, HOLDING):
-        watch.status(track, code, 370)
-        assert watch.troubles == {}
-    assert watch.doubts == {}
+        health.status(state, code, 370)
+        assert health.active_faults == {}
+    assert health.unconfirmed == {}
 
 
 @pytest.mark.parametrize("status", STATUS_CAUSES)
 def test_what_a_servo_reports_follows_its_name_and_says_what_to_do(kit, status):
-    watch, firmware = Watch(), 780 if status in STATUS_CODES else PRO_STATUS_FIRMWARE
-    track = kit.track(kit.joint(model=SERVO_MODELS["LSS-P-S1"]))
+    health, firmware = HealthMonitor(), 780 if status in STATUS_CODES else PRO_STATUS_FIRMWARE
+    state = kit.state(kit.joint(model=SERVO_MODELS["LSS-P-S1"]))
     for _ in range(2):
-        watch.status(track, status_codes(Family.LSS_PRO, firmware).index(status), firmware)
-    ((place, text),) = watch.troubles.items()
+        health.status(state, status_codes(Family.LSS_PRO, firmware).index(status), firmware)
+    ((place, text),) = health.active_faults.items()
     assert place == ("j0", STATUS_CAUSES[status])
     assert re.match(r"(is|reports) .+[:.] .*(Find|Lighten|Look)", text)
-    assert track.status is status
+    assert state.status is status
 
 
-def test_a_limp_servo_has_restarted(track):
-    watch = Watch()
-    watch.status(track, LIMP, 370)
-    watch.status(track, LIMP, 370)
-    assert causes(watch) == {Cause.RESTARTED}
+def test_a_limp_servo_has_restarted(state):
+    health = HealthMonitor()
+    health.status(state, LIMP, 370)
+    health.status(state, LIMP, 370)
+    assert causes(health) == {Cause.RESTARTED}
 
 
-def test_heat_and_voltage_are_judged_by_the_joints_own_limits(track):
-    watch = Watch()
+def test_heat_and_voltage_are_judged_by_the_joints_own_limits(state):
+    health = HealthMonitor()
     for celsius, volt in ((74.0, 6.1), (91.2, 1.2), (74.0, 6.1), (76.0, 5.9)):
-        watch.temperature(track, celsius)
-        watch.voltage(track, volt)
-        assert watch.troubles == {}
-    assert watch.doubts == {"j0": "QV"}, "asked again at once"
-    watch.temperature(track, 77.0)
-    assert watch.doubts == {"j0": "QV"}
-    watch.voltage(track, 5.8)
-    assert watch.doubts == {}
-    assert causes(watch) == {Cause.HOT, Cause.LOW_VOLTAGE}
-    assert "77 C, allowed is 75 C (temperature_max_c)" in watch.troubles["j0", Cause.HOT]
-    assert (track.temperature_max_c, track.voltage_min_v) == (76.0, 5.9), "as two readings say"
-    watch.temperature(track, 70.0)
-    assert causes(watch) == {Cause.LOW_VOLTAGE}
-    watch.temperature(track, 76.0)
-    assert watch.doubts == {"j0": "QT"}
+        health.temperature(state, celsius)
+        health.voltage(state, volt)
+        assert health.active_faults == {}
+    assert health.unconfirmed == {"j0": "QV"}, "asked again at once"
+    health.temperature(state, 77.0)
+    assert health.unconfirmed == {"j0": "QV"}
+    health.voltage(state, 5.8)
+    assert health.unconfirmed == {}
+    assert causes(health) == {Cause.HOT, Cause.LOW_VOLTAGE}
+    assert "77 C, allowed is 75 C (temperature_max_c)" in health.active_faults["j0", Cause.HOT]
+    assert (state.temperature_max_c, state.voltage_min_v) == (76.0, 5.9), "as two readings say"
+    health.temperature(state, 70.0)
+    assert causes(health) == {Cause.LOW_VOLTAGE}
+    health.temperature(state, 76.0)
+    assert health.unconfirmed == {"j0": "QT"}
 
 
-def test_what_is_just_allowed_is_no_trouble(track):
-    watch = Watch()
+def test_what_is_just_allowed_is_no_trouble(state):
+    health = HealthMonitor()
     for _ in range(3):
-        watch.temperature(track, 75.0)
-        watch.voltage(track, 6.0)
-    assert (watch.troubles, watch.doubts) == ({}, {})
+        health.temperature(state, 75.0)
+        health.voltage(state, 6.0)
+    assert (health.active_faults, health.unconfirmed) == ({}, {})
 
 
 def test_before_it_is_driven_a_servo_may_be_limp_and_must_have_no_fault():
@@ -105,74 +105,74 @@ def test_before_it_is_driven_a_servo_may_be_limp_and_must_have_no_fault():
     assert status_fault(Status.HOLDING) is None
 
 
-def test_a_joint_is_astray_after_half_a_second_and_back_at_half_the_tolerance(track):
-    watch = Watch()
+def test_a_joint_is_astray_after_half_a_second_and_back_at_half_the_tolerance(state):
+    health = HealthMonitor()
     for at_s, error_deg, is_astray in [
         (0.0, 6.0, False), (0.4, -6.0, False), (0.45, 4.0, False), (0.5, 6.0, False),
         (0.9, 6.0, False), (1.1, 7.5, True), (1.2, 4.0, True), (1.3, 2.4, False),
     ]:  # fmt: skip
-        track.following.error_deg = error_deg
-        watch.position(track, int(at_s * S))
-        assert (("j0", Cause.ASTRAY) in watch.troubles) is is_astray, at_s
+        state.disturbance.error_deg = error_deg
+        health.position(state, int(at_s * S))
+        assert (("j0", Cause.ASTRAY) in health.active_faults) is is_astray, at_s
 
 
-def test_a_servo_is_silent_after_its_time_and_so_many_questions(track):
-    watch = Watch()
-    for ask in range(1, SILENT_ASKS + 1):
-        watch.advance(S + ask)
-        assert watch.troubles == {}
-        watch.unanswered(track, S + ask, 0)
-    watch.advance(S + SILENT_ASKS)
-    assert causes(watch) == {Cause.SILENT}
-    watch.answered(track)
+def test_a_servo_is_silent_after_its_time_and_so_many_questions(state):
+    health = HealthMonitor()
+    for ask in range(1, SILENT_QUERIES + 1):
+        health.advance(S + ask)
+        assert health.active_faults == {}
+        health.unanswered(state, S + ask, 0)
+    health.advance(S + SILENT_QUERIES)
+    assert causes(health) == {Cause.SILENT}
+    health.answered(state)
     for ask in range(20):
-        watch.unanswered(track, 2 * S + ask * S // 50, 2 * S)
-        watch.advance(2 * S + ask * S // 50)
-        assert watch.troubles == {}, "not before its time"
+        health.unanswered(state, 2 * S + ask * S // 50, 2 * S)
+        health.advance(2 * S + ask * S // 50)
+        assert health.active_faults == {}, "not before its time"
 
 
-def test_a_servo_is_silent_when_its_time_is_over_whenever_it_was_last_asked(track):
-    watch = Watch()
-    for ask in range(SILENT_ASKS):
-        watch.unanswered(track, ask * S // 10, 0)
-    assert watch.wakeups_ns() == [S]
-    watch.advance(S - 1)
-    assert watch.troubles == {}
-    watch.advance(S)
-    assert causes(watch) == {Cause.SILENT}
-    assert watch.wakeups_ns() == []
-    watch.advance(3 * S)
-    assert "servo 1 has not answered for 3.0 s" in watch.troubles["j0", Cause.SILENT]
-    watch.answered(track)
-    watch.advance(5 * S)
-    assert (watch.troubles, watch.wakeups_ns()) == ({}, [])
+def test_a_servo_is_silent_when_its_time_is_over_whenever_it_was_last_asked(state):
+    health = HealthMonitor()
+    for ask in range(SILENT_QUERIES):
+        health.unanswered(state, ask * S // 10, 0)
+    assert health.wakeups_ns() == [S]
+    health.advance(S - 1)
+    assert health.active_faults == {}
+    health.advance(S)
+    assert causes(health) == {Cause.SILENT}
+    assert health.wakeups_ns() == []
+    health.advance(3 * S)
+    assert "servo 1 has not answered for 3.0 s" in health.active_faults["j0", Cause.SILENT]
+    health.answered(state)
+    health.advance(5 * S)
+    assert (health.active_faults, health.wakeups_ns()) == ({}, [])
 
 
-def test_a_servo_that_has_never_answered_is_silent_when_its_time_is_over_since_it_was_missed(track):
-    watch = Watch()
-    for ask in range(SILENT_ASKS):
-        watch.unanswered(track, 7 * S + ask, 7 * S + ask)
-    assert watch.wakeups_ns() == [8 * S]
-    watch.advance(9 * S)
-    assert "has not answered for 2.0 s" in watch.troubles["j0", Cause.SILENT]
+def test_a_servo_that_has_never_answered_is_silent_when_its_time_is_over_since_it_was_missed(state):
+    health = HealthMonitor()
+    for ask in range(SILENT_QUERIES):
+        health.unanswered(state, 7 * S + ask, 7 * S + ask)
+    assert health.wakeups_ns() == [8 * S]
+    health.advance(9 * S)
+    assert "has not answered for 2.0 s" in health.active_faults["j0", Cause.SILENT]
 
 
-def test_a_row_of_questions_that_is_lost_at_once_is_no_silence(track):
+def test_a_row_of_questions_that_is_lost_at_once_is_no_silence(state):
     """A servo that was not asked for long, as on a busy computer, is asked once more."""
-    watch = Watch()
-    for _ in range(2 * SILENT_ASKS):
-        watch.unanswered(track, 5 * S, 0)
-    watch.advance(5 * S)
-    assert (watch.troubles, watch.wakeups_ns()) == ({}, [])
-    watch.unanswered(track, 5 * S + 1, 0)
-    watch.advance(5 * S + 1)
-    assert causes(watch) == {Cause.SILENT}
+    health = HealthMonitor()
+    for _ in range(2 * SILENT_QUERIES):
+        health.unanswered(state, 5 * S, 0)
+    health.advance(5 * S)
+    assert (health.active_faults, health.wakeups_ns()) == ({}, [])
+    health.unanswered(state, 5 * S + 1, 0)
+    health.advance(5 * S + 1)
+    assert causes(health) == {Cause.SILENT}
 
 
-def test_it_is_known_who_did_not_answer_the_last_question(track):
-    watch = Watch()
-    assert watch.quiet() == set()
-    watch.unanswered(track, S, 0)
-    assert watch.quiet() == {"j0"}
-    watch.answered(track)
-    assert watch.quiet() == set()
+def test_it_is_known_who_did_not_answer_the_last_question(state):
+    health = HealthMonitor()
+    assert health.unresponsive() == set()
+    health.unanswered(state, S, 0)
+    assert health.unresponsive() == {"j0"}
+    health.answered(state)
+    assert health.unresponsive() == set()

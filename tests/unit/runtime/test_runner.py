@@ -54,10 +54,10 @@ class Player:
         self._now_ns = 0
         self._said = 0
 
-    def data_to_send(self, now_ns):
+    def data_to_send(self, leaves_ns):
         assert gc.isenabled() is False, "the collector must not interrupt a show"
-        self._now_ns = now_ns
-        if self._said > now_ns // 10:
+        self._now_ns = leaves_ns
+        if self._said > leaves_ns // 10:
             return {}
         self._said += 1
         return dict.fromkeys(BUSES, b"%d" % self._said)
@@ -84,14 +84,14 @@ class SlowPlayer(Player):
         self._clock = clock
         self._takes_ns = takes_ns
 
-    def data_to_send(self, now_ns):
-        assert now_ns >= self._now_ns, "time does not go back"
-        self._now_ns = now_ns
-        if now_ns < self._said * STEP_NS:
+    def data_to_send(self, leaves_ns):
+        assert leaves_ns >= self._now_ns, "time does not go back"
+        self._now_ns = leaves_ns
+        if leaves_ns < self._said * STEP_NS:
             return {}
         self._said += 1
         self._clock.advance_to(self._clock.now_ns() + self._takes_ns)
-        self.told.append(now_ns)
+        self.told.append(leaves_ns)
         return {"a": b"%d" % self._said}
 
     def receive_data(self, bus, data, now_ns):
