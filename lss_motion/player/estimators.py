@@ -115,6 +115,10 @@ class DisturbanceEstimator:
         self.standing_deg = standing_deg
         self.measured_deg = self.read_s = self._suspect = None
 
+    def take_over(self, earlier: DisturbanceEstimator) -> None:
+        """Take over the estimate of the same joint."""
+        self.estimate_deg, self.offset_deg = earlier.estimate_deg, earlier.offset_deg
+
     @property
     def error_rms_deg(self) -> float:
         return (self.square_sum_deg2 / self.readings) ** 0.5 if self.readings else 0.0
@@ -271,6 +275,10 @@ class LostMoveDetector:
         is_telling = self._differs(before.target_deg, target_deg) and self.mismatches < DENIALS_MAX
         asks = QUERIES_MAX if is_telling else 0
         self.last = LastMove(before.copy(), arrival_s, target_deg, duration_s, asks)
+
+    def take_over(self, earlier: LostMoveDetector) -> None:
+        """Take over whether the servo reports its targets as they were sent."""
+        self.mismatches = earlier.mismatches
 
     def needs_target(self, now_s: float) -> bool:
         """Return whether the servo is to be asked for its target."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.protocol.constants import Status, status_from
+from lss_motion.protocol.constants import Status
 from lss_motion.robot.on_fault import Cause
 from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
 
@@ -94,14 +94,13 @@ class HealthMonitor:
             )
 
     def status(self, state: JointState, code: int, firmware: int) -> None:
-        state.status = status_from(code, state.joint.model.family, firmware)
-        present = STATUS_CAUSES.get(state.status)
+        state.note_status(code, firmware)
+        present = None if state.status is None else STATUS_CAUSES.get(state.status)
         for cause, text in STATUS_TEXTS.items():
             self._judge(state, cause, "Q", text, is_bad=cause is present)
 
     def temperature(self, state: JointState, temperature_c: float) -> None:
-        confirmed_c = self._twice(state, "QT", temperature_c, min)
-        state.temperature_max_c = max(confirmed_c, state.temperature_max_c or confirmed_c)
+        state.note_temperature(self._twice(state, "QT", temperature_c, min))
         limit_c = state.joint.temperature_max_c
         text = (
             f"is hot: {temperature_c:.0f} C, allowed is {limit_c:g} C (temperature_max_c). Let it "
@@ -110,8 +109,7 @@ class HealthMonitor:
         self._judge(state, Cause.HOT, "QT", text, is_bad=temperature_c > limit_c)
 
     def voltage(self, state: JointState, voltage_v: float) -> None:
-        confirmed_v = self._twice(state, "QV", voltage_v, max)
-        state.voltage_min_v = min(confirmed_v, state.voltage_min_v or confirmed_v)
+        state.note_voltage(self._twice(state, "QV", voltage_v, max))
         limit_v = state.joint.voltage_min_v
         text = (
             f"has {voltage_v:.1f} V, needed are {limit_v:g} V (voltage_min_v). Charge the battery, "

@@ -404,7 +404,7 @@ class Session:
         self.left_out: set[str] = set()
         """Joints that are sent no move until the end."""
         self.limp: list[Joint] = []
-        self._tracks: dict[str, JointState] = {}
+        self._states: dict[str, JointState] = {}
         """Of each joint the last one, for what it learnt."""
 
     @property
@@ -460,11 +460,10 @@ class Session:
     def learn_loads(self, now_ns: int) -> None:
         """Take in what pulls at every joint that rests where it was sent, or nearly."""
         for joint in self.driven:
-            if joint.name in self._tracks:
-                state = self._tracks[joint.name]
-                droop_deg = state.place(now_ns)[0] - self.standing_deg[joint.name]
-                if abs(droop_deg) <= handshake.ARRIVED_DEG:
-                    state.disturbance.rest(droop_deg)
+            if joint.name in self._states:
+                measured_deg = self.standing_deg[joint.name]
+                state = self._states[joint.name]
+                state.learn_droop(measured_deg, now_ns, handshake.ARRIVED_DEG)
 
     def start_deg(self) -> dict[str, float]:
         """Return the joint angles at which the show begins, also in its middle."""
@@ -513,7 +512,7 @@ class Session:
 
     def _places_deg(self, now_ns: int) -> dict[str, float]:
         """Return where the last moves sent the servos: servo angles."""
-        return {name: state.place(now_ns)[0] for name, state in self._tracks.items()}
+        return {name: state.place(now_ns)[0] for name, state in self._states.items()}
 
     def _stream(
         self,
@@ -538,9 +537,9 @@ class Session:
 
     def _learn(self, streamer: Streamer) -> None:
         for name, state in streamer.joint_states.items():
-            if name in self._tracks:
-                state.take_over(self._tracks[name])
-            self._tracks[name] = state
+            if name in self._states:
+                state.take_over(self._states[name])
+            self._states[name] = state
 
     def let_go(self, joint: Joint, now_ns: int) -> None:
         """Take the power from one motor, until the end."""

@@ -16,7 +16,6 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.health import HealthMonitor
-from lss_motion.player.joint_state import REST_DEG_S
 from lss_motion.protocol.codec import read_reply
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.families import FAMILY_TABLES
@@ -30,56 +29,6 @@ if TYPE_CHECKING:
     from lss_motion.player.joint_state import JointState
     from lss_motion.player.query_tracker import PendingQuery, QueryTracker
     from lss_motion.player.serial_line import SerialLine
-
-
-def needs_target(state: JointState, now_ns: int) -> bool:
-    """Return whether the servo is to be asked for its target."""
-    return state.lost_moves is not None and state.lost_moves.needs_target(s_from_ns(now_ns))
-
-
-def take_target(state: JointState, target_deg: float, asked_s: float) -> bool:
-    """Take in the target of a servo that heard the question at `asked_s`.
-
-    Return whether it has missed a move: then the profile of `track` is the one it is really on.
-    """
-    assert state.lost_moves is not None
-    other = state.lost_moves.target_reported(asked_s, target_deg)
-    if other is not None:
-        state.profile = other
-    return other is not None
-
-
-def take_position(
-    state: JointState, measured_deg: float, read_s: float, planned_deg: float
-) -> bool | None:
-    """Take in where a horn was at `read_s`; None: that was not believed.
-
-    Return whether its servo has missed a move, as `take_target` does.
-    """
-    assert state.lost_moves is not None
-    before_s = state.disturbance.read_s
-    profile_deg, speed_deg_s = state.profile.at(read_s - state.lead_s)
-    course_s = read_s - state.lead_s - state.lag.extra_s
-    expected_deg, _ = state.profile.at(course_s)
-    free_deg = measured_deg + state.disturbance.estimate_deg
-    other = state.lost_moves.judge(course_s, expected_deg, free_deg)
-    believed = state.disturbance.take(
-        measured_deg,
-        read_s,
-        expected_deg=expected_deg,
-        planned_deg=planned_deg,
-        speed_deg_s=speed_deg_s,
-        learns=not state.lost_moves.is_doubtful,
-    )
-    if not believed:
-        return None
-    if other is not None:
-        state.profile = other
-    elif before_s is not None and not state.lost_moves.is_doubtful:
-        state.lag.take(profile_deg - measured_deg, speed_deg_s, read_s - before_s)
-        if state.setpoints is None or abs(speed_deg_s) < REST_DEG_S:
-            state.early_s = state.lag.extra_s
-    return other is not None
 
 
 TARGET_KEYWORD: Final = "QDT"
@@ -222,17 +171,15 @@ class PollScheduler:
         if not self._send_if_allowed(bus, question, size_bytes, now_ns, quiet_until_ns):
             return False
         turn.left -= 1
-        turn.state.visited_ns = now_ns
+        turn.state.note_visit(now_ns)
         self._health_wait[bus] += 1
         if keyword == "QD":
             turn.places += 1
         elif keyword == TARGET_KEYWORD:
-            assert turn.state.lost_moves is not None
-            turn.state.lost_moves.count_target_query()
+            turn.state.note_target_query()
         else:
             self._health_wait[bus] = 0
-            turn.state.health_ns = now_ns
-            turn.state.health_count += 1
+            turn.state.note_health_query(now_ns)
         return True
 
     def _send_if_allowed(
@@ -304,7 +251,7 @@ class PollScheduler:
             case "QD":
                 self._take_position(bus, state, said.value, asked, plan_deg)
             case "QDT":
-                if take_target(state, said.value, s_from_ns(asked.arrival_ns)):
+                if state.take_target(said.value, s_from_ns(asked.arrival_ns)):
                     self.to_resend[state.joint.name] = state
             case "Q":
                 self.health.status(state, int(said.value), self._lines[bus].bus.firmware)
@@ -313,7 +260,7 @@ class PollScheduler:
             case "QV":
                 self.health.voltage(state, said.value)
             case "QC":
-                state.current_max_a = max(said.value, state.current_max_a or 0.0)
+                state.note_current(said.value)
             case _:
                 pass
 
@@ -367,7 +314,7 @@ class PollScheduler:
         servo_id = state.joint.servo_id
         if tracker.is_overdue(servo_id, "QD"):
             return self._fresh(bus, state)
-        if needs_target(state, now_ns) and not tracker.is_overdue(servo_id, TARGET_KEYWORD):
+        if state.needs_target(now_ns) and not tracker.is_overdue(servo_id, TARGET_KEYWORD):
             return TARGET_KEYWORD
         is_alone = turn.left == 1 and turn.places == 0
         is_due = state.health_ns is None or now_ns - state.health_ns >= HEALTH_NS
@@ -400,7 +347,7 @@ class PollScheduler:
             weight += ERROR_WEIGHT_PER_DEG * abs(state.disturbance.error_deg)
             age_ns = now_ns - state.visited_ns
             overdue_ns = age_ns if age_ns > LONGEST_NS else 0
-            merit = overdue_ns, age_ns * weight + VISIT_NS * needs_target(state, now_ns)
+            merit = overdue_ns, age_ns * weight + VISIT_NS * state.needs_target(now_ns)
             if merit > best_merit:
                 best, best_merit = state, merit
         return best
@@ -415,7 +362,7 @@ class PollScheduler:
     ) -> None:
         read_s = s_from_ns(asked.arrival_ns)
         planned_deg = plan_deg(state, asked.arrival_ns)
-        missed = take_position(state, measured_deg, read_s, planned_deg)
+        missed = state.take_position(measured_deg, read_s, planned_deg)
         if missed is None:
             self.rejected[bus] += 1
             return

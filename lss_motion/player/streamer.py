@@ -34,7 +34,6 @@ from lss_motion.player.estimators import LAG_MAX_S
 from lss_motion.player.joint_state import (
     LONGEST_NS,
     REST_DEG_S,
-    DeferredTarget,
     JointState,
     Statistics,
     closing_deg,
@@ -170,9 +169,7 @@ def rejoin(
     # What it gains less while it speeds up it gains more while it slows down again.
     joins_s = slower_deg_s / ramp_deg_s2 + behind_deg / faster_deg_s
     if joins_s < left_s:
-        state.deferred = DeferredTarget(
-            arrival_ns + ns_from_s(joins_s), state.target_deg, travel_deg_s
-        )
+        state.defer(arrival_ns + ns_from_s(joins_s), state.target_deg, travel_deg_s)
 
 
 def _faster_deg_s(state: JointState, travel_deg_s: float, behind_deg: float) -> float:
@@ -267,7 +264,7 @@ def guide(
         target_deg = profile.value(step - 1) + way_deg / (1.0 - profile.keep_ratio**steps)
     state.send(line, target_deg - state.disturbance.offset_deg, 0.0, now_ns)
     if not is_at_rest:
-        state.guide_ns = ns_from_s(profile.receive_s(step + steps)) - line.time_ns(size)
+        state.guide_at(ns_from_s(profile.receive_s(step + steps)) - line.time_ns(size))
 
 
 def _wanted_deg(
@@ -370,7 +367,7 @@ class Streamer:
         self._program = replace(self._program, duration_s=extension.duration_s)
         for name, later in extension.profiles.items():
             state = self.joint_states[name]
-            state.plan = state.plan.followed_by(later, show_s - PLAN_HISTORY_S)
+            state.extend_plan(later, show_s - PLAN_HISTORY_S)
         return True
 
     def set_rate(self, rate: float, now_ns: int) -> None:
@@ -388,9 +385,10 @@ class Streamer:
     def leave_out(self, names: Iterable[str]) -> None:
         """Send no move to these joints, and to all others again."""
         for name, state in self.joint_states.items():
-            state.is_driven = name not in names
-            if not state.is_driven:
-                state.deferred = state.guide_ns = None
+            if name in names:
+                state.suspend()
+            else:
+                state.resume()
 
     def pose_deg(self, now_ns: int) -> dict[str, float]:
         """Return where every joint is to stand after a ramp to rate 0: joint angles."""
@@ -489,7 +487,7 @@ class Streamer:
 
     def _send_due(self, due_us: int, move: Move, now_ns: int, late_ns: int) -> None:
         state = self._by_address[move.bus, move.servo_id]
-        state.active = move._replace(due_us=due_us)
+        state.begin_move(move._replace(due_us=due_us))
         wait_ns = max(0, self._lines[move.bus].free_ns - now_ns)
         self.statistics.sent(late_ns + wait_ns)
         left_s = self._left_s(state, now_ns)
@@ -504,7 +502,7 @@ class Streamer:
             return
         if state.active is None or not state.is_driven:
             return
-        state.resent += 1
+        state.count_resent()
         line = self._lines[state.joint.bus]
         rejoin(state, line, self.clock, self._program.within, now_ns)
 
@@ -562,7 +560,7 @@ class Streamer:
         """Take the moves that the show has passed as under way, without sending them."""
         for due_us, move in self._moves.pass_by(US_PER_S * self.clock.show_s(now_ns)):
             state = self._by_address[move.bus, move.servo_id]
-            state.active = move._replace(due_us=due_us)
+            state.begin_move(move._replace(due_us=due_us))
 
     def _take_up(self, now_ns: int, late_ns: int) -> None:
         """Send every joint what is left of the move under way, now that the rate is steady."""

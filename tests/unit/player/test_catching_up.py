@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from lss_motion.player import streamer
-from lss_motion.player.joint_state import DeferredTarget
 from lss_motion.player.show_clock import ShowClock
 from lss_motion.player.streamer import JOIN_S, on_time_s, send_deferred
 from tests.timed_moves import timed, travel
@@ -85,7 +84,7 @@ def test_how_fast_it_goes_on_counts_from_where_its_move_began(kit, line):
     further = travel(80.0, due_s=1.5)
     state = timed(kit, travel(40.0), further)
     state.note_sent(0, 400, 1000)
-    state.active = further
+    state.begin_move(further)
     rejoin(state, line, 1.8)
     assert state.deferred.travel_deg_s == pytest.approx(40.0, abs=0.1)
     send_deferred(state, line, state.deferred.resend_ns)
@@ -126,7 +125,7 @@ def test_one_that_is_not_behind_has_the_rest_of_its_time(kit, line, arrival_s, a
 def test_one_whose_move_ends_where_it_began_has_the_rest_of_its_time(kit, line):
     back = travel(18.7, due_s=0.5, lasts_s=0.4)
     state = timed(kit, travel(40.0), back)
-    state.active = back
+    state.begin_move(back)
     assert state.plan.at(state.begun_s(line))[0] == pytest.approx(18.7, abs=0.1)
     state.stand_at(40.0)
     assert rejoin(state, line, 0.6) == b"#1D187T300\r"
@@ -135,7 +134,7 @@ def test_one_whose_move_ends_where_it_began_has_the_rest_of_its_time(kit, line):
 
 def test_what_is_owed_is_told_with_no_longer_t_than_any_move(kit, line):
     state = timed(kit, travel(80.0))
-    state.deferred = DeferredTarget(0, 80.0, 2.0)
+    state.defer(0, 80.0, 2.0)
     send_deferred(state, line, 0)
     assert line.take() == b"#1D800T9999\r"
 
@@ -153,7 +152,7 @@ def test_one_that_is_turned_back_travels_as_fast_as_its_plan_however_far_off_it_
     state = timed(kit, there, back)
     state.disturbance.offset_deg = 1.5
     state.note_sent(100_000_000, 400 * sign + 15, 1000)
-    state.active = back
+    state.begin_move(back)
     state.send_active(line, on_time_s(state, line, CLOCK.show_s, 500_000_000), 500_000_000)
     for at_s in (0.7, 0.75, 0.8):
         assert state.profile.at(at_s)[1] == pytest.approx(state.plan.at(at_s)[1], abs=0.3)
@@ -165,7 +164,7 @@ def test_else_it_has_its_own_time(kit, line):
     state = timed(kit, there, back)
 
     def travels_s(move, show_s=0.5):
-        state.active = move
+        state.begin_move(move)
         return on_time_s(state, line, lambda _: show_s, 500_000_000)
 
     state.stand_at(10.0)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from lss_motion.player.estimators import DEAD_S
-from lss_motion.player.polling import needs_target, take_position, take_target
 
 MS, LAG_S = 1_000_000, 0.03
 """A horn lags by so much more than is assumed."""
@@ -25,7 +24,7 @@ def horn_deg(state, at_s, lag_s=0.0):
 
 
 def read(state, at_s, measured_deg, planned_deg=0.0):
-    return take_position(state, measured_deg, at_s, planned_deg)
+    return state.take_position(measured_deg, at_s, planned_deg)
 
 
 def go_to_and_fro(state, lag_s, moves=20, droop_deg=0.0):
@@ -96,16 +95,16 @@ def test_a_horn_that_stays_where_it_was_has_missed_its_move(state, droop_deg):
 
 
 def test_a_servo_is_asked_for_its_target_and_one_that_names_the_old_one_has_missed_its_move(state):
-    assert not needs_target(state, 5 * MS)
-    assert needs_target(state, 10 * MS)
-    assert take_target(state, 40.0, 0.02) is False
-    assert not needs_target(state, 30 * MS)
+    assert not state.needs_target(5 * MS)
+    assert state.needs_target(10 * MS)
+    assert state.take_target(40.0, 0.02) is False
+    assert not state.needs_target(30 * MS)
     state.note_sent(500 * MS, 600, 500)
-    assert take_target(state, 40.0, 0.52) is True
+    assert state.take_target(40.0, 0.52) is True
     assert state.profile.at(5.0) == (40.0, 0.0)
 
 
 def test_without_feedback_nobody_is_asked_for_a_target(kit):
     state = kit.state(kit.joint(), has_feedback=False)
     state.note_sent(0, 400, 1000)
-    assert not needs_target(state, 10 * MS)
+    assert not state.needs_target(10 * MS)

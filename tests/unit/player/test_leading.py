@@ -37,7 +37,8 @@ def led(
     Return when it heard which target: `(ns, degrees)`.
     """
     line = SerialLine(Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=370))
-    state.guide_ns, heard = now_ns, []
+    state.guide_at(now_ns)
+    heard = []
 
     def planned(_, at_ns):
         return planned_deg(at_ns / 1e9)
@@ -116,7 +117,7 @@ def move_to(target_deg):
 
 
 def test_a_joint_that_is_on_its_plan_gets_the_move_of_the_program_and_is_led_no_more(state):
-    state.active = move_to(1.9)
+    state.begin_move(move_to(1.9))
     assert led(state, lambda _: 0.9 * TOLERANCE_DEG, is_even=True) == [(state.last_arrival_ns, 1.9)]
     assert state.resend_ns is None
 
@@ -132,7 +133,7 @@ def test_a_joint_that_is_on_its_plan_gets_the_move_of_the_program_and_is_led_no_
     ids=["too far", "too far back", "the show is slowed down", "no move of the program yet"],
 )
 def test_else_it_is_led_on(state, off_deg, is_even, active):
-    state.active = active
+    state.begin_move(active)
     ((_, target_deg),) = led(state, lambda _: off_deg, is_even=is_even, until_s=0.021)
     assert abs(target_deg) < 1.0
     assert state.guide_ns is not None

@@ -10,7 +10,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lss_motion.player.joint_state import DeferredTarget
 from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.streamer import SETTLE_S, Streamer
@@ -429,13 +428,13 @@ def test_what_is_not_due_yet_may_be_replaced(kit):
 def test_lines_are_quiet_until_the_next_move(kit):
     stage = Stage(kit).run(0.5)
     assert stage.streamer.quiet_ns(stage.now_ns) == START_NS + 1200 * MS
-    stage.state.deferred = DeferredTarget(START_NS + 800 * MS, 40.0)
+    stage.state.defer(START_NS + 800 * MS, 40.0)
     assert stage.streamer.quiet_ns(stage.now_ns) == START_NS + 800 * MS
     assert stage.streamer.next_wakeup_ns(stage.now_ns) == START_NS + 800 * MS
     stage.state.deferred = None
     stage.run(1.5)
     assert stage.streamer.quiet_ns(stage.now_ns) is None
-    stage.state.deferred = DeferredTarget(START_NS + 1600 * MS, 5.0)
+    stage.state.defer(START_NS + 1600 * MS, 5.0)
     assert stage.streamer.quiet_ns(stage.now_ns) == START_NS + 1600 * MS
     assert stage.streamer.quiet_ns(START_NS + 1700 * MS) == START_NS + 1700 * MS
 
@@ -524,7 +523,7 @@ def test_between_two_ticks_of_a_slower_show_lines_are_quiet(kit):
 
 def test_what_is_left_out_owes_nothing_and_the_others_what_they_owe(kit):
     stage = Stage(kit)
-    stage.state.deferred = DeferredTarget(START_NS + S, 5.0)
+    stage.state.defer(START_NS + S, 5.0)
     stage.streamer.leave_out(())
     assert stage.state.resend_ns == START_NS + S
     stage.streamer.leave_out({"j0"})

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lss_motion.player.joint_state import REST_DEG_S, DeferredTarget
+from lss_motion.player.joint_state import REST_DEG_S
 from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.show_clock import ShowClock
 from lss_motion.robot.model import Bus
@@ -51,7 +51,7 @@ def test_what_is_too_much_is_taken_off_and_the_joint_is_led(kit):
 def test_a_joint_that_is_led_is_told_so_early_that_it_hears_it_half_a_step_before(kit, baud_bps):
     line = SerialLine(Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=370))
     state = kit.state(kit.joint("j0", 2, drive="streamed"))
-    state.guide_ns = STEP_NS
+    state.guide_at(STEP_NS)
     state.send(line, 60.0, 0.0, STEP_NS)
     arrival_s = (state.resend_ns + line.time_ns(len(line.take()))) / 1e9
     profile = state.profile
@@ -102,10 +102,10 @@ def test_what_is_left_of_a_move_is_run_time_from_when_it_is_heard(kit, line):
     assert state.left_s(SerialLine(line.bus), ShowClock(0, 0.0, 0.5), 800_000_000) == pytest.approx(
         1.4, abs=2e-3
     )
-    state.active = state.active._replace(duration_ms=None)
+    state.begin_move(state.active._replace(duration_ms=None))
     assert state.left_s(line, CLOCK, 0) == 0.0
-    state.active = None
-    assert state.left_s(line, CLOCK, 0) == 0.0
+    idle = kit.state(kit.joint())
+    assert idle.left_s(line, CLOCK, 0) == 0.0
 
 
 def test_t_is_what_is_left_and_never_so_short_that_the_speed_limit_breaks(kit, line):
@@ -141,7 +141,7 @@ def test_a_target_is_corrected_and_within_the_range(kit, line):
 
 def test_one_that_is_not_driven_is_told_nothing(kit, line):
     state = timed(kit, travel(40.0))
-    state.is_driven = False
+    state.suspend()
     state.send(line, 40.0, 1.0, 0)
     assert (line.take(), state.last_arrival_ns) == (b"", None)
 
@@ -194,7 +194,8 @@ def test_a_streamed_joint_is_at_rest_when_its_filter_is(kit, sign):
 def test_one_that_stands_elsewhere_owes_nothing_and_goes_on_from_there(kit):
     state = kit.state(kit.joint("j0", 2, drive="streamed"))
     state.note_sent(STEP_NS, 800, None)
-    state.guide_ns, state.deferred = 5, DeferredTarget(5, 80.0)
+    state.guide_at(5)
+    state.defer(5, 80.0)
     state.stand_at(-30.0)
     assert state.place(10**9) == (-30.0, 0.0)
     assert (state.resend_ns, state.disturbance.standing_deg) == (None, -30.0)
@@ -207,11 +208,11 @@ def test_off_the_program_one_that_is_streamed_and_driven_is_led_and_none_is_owed
     state.leave_program(7)
     state.leave_program(9)
     assert state.resend_ns == 7
-    state.guide_ns, state.is_driven = None, False
+    state.suspend()
     state.leave_program(9)
     assert state.resend_ns is None
     state = timed(kit, travel(40.0))
-    state.deferred = DeferredTarget(9, 40.0)
+    state.defer(9, 40.0)
     state.leave_program(7)
     assert state.resend_ns is None
 
