@@ -1,16 +1,13 @@
-"""What happens before and after the show: checks, settings, restore and recovery.
+"""Checks, settings, restore and recovery: what surrounds the motion of a show.
 
-Before and after a show: which servos are there, may they do what the plan asks, what is safe.
+Before the show, every servo is queried (`queries`), and `check` compares the answers with the robot
+file and the program. `SettingsDialogue` then sends the session settings until every servo answers
+with what it was sent: a timed servo gets the joint's own limits (AA, AD and SD), which it keeps
+whatever it receives, and EM1, in which `D…T…` works; a streamed one gets EM0 with the program's
+FPC. An RC servo on a 2IO has no settings. `Recovery` waits for servos that are missing. Afterwards
+`restoring_orders` gives back the original settings, and `safe_bytes` are the last bytes.
 
-Gives servos their settings, and makes sure of it: said, asked back, said again.
-
-The settings of a show: what each servo gets for its drive, and gets back afterwards.
-
-For the time of the show, every timed servo gets the joint's own limits (AA, AD and SD), so that it
-keeps them whatever it hears, and EM1, in which `D…T…` works; a streamed one gets EM0 with the
-program's FPC; afterwards each gets back what it had. An RC servo on a 2IO has no settings.
-
-Who is gone, how long they are waited for, and what to ask them when they are back.
+Answers are keyed by `(bus, servo id, keyword)`.
 """
 
 from __future__ import annotations
@@ -20,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import BusError, InputError, PlaybackError
 from lss_motion.player.cues import LED_KEYWORD
-from lss_motion.player.events import Found
+from lss_motion.player.events import Checked, Found, Warned
 from lss_motion.player.transactions import Dialogue, Item
 from lss_motion.program.model import ramp_setting_deg_s2
 from lss_motion.protocol.codec import make_command, read_reply
@@ -33,6 +30,7 @@ from lss_motion.units import NS_PER_MS
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Mapping, Sequence
 
+    from lss_motion.player.events import Event
     from lss_motion.player.query_tracker import QueryTracker
     from lss_motion.player.serial_line import SerialLine
     from lss_motion.program.model import Program
@@ -42,18 +40,18 @@ if TYPE_CHECKING:
 
 
 UNCONFIRMED_TRIES: Final = 2
-"""How often a servo is asked, in a round, for what it has not answered before."""
+"""Tries per round for a query that a servo has not answered before."""
 SETTING_TRIES: Final = 4
-"""How often a setting is sent that the servo does not answer with. Chosen: on a line that loses
+"""Rounds in which a setting is sent until the servo answers with it. Chosen: on a line that loses
 every tenth command, one of 10,000 settings stays wrong."""
 
 
 class SettingsDialogue:
-    """A `Dialogue` that sends orders until every servo answers with what it was told.
+    """A `Dialogue` that sends orders until every servo answers with what it was sent.
 
-    `wrong` are the orders that were not taken in `SETTING_TRIES` rounds. Those of `unsure` may
-    also stay unanswered: nobody knows whether the servo knows them. `then` is asked in every
-    round, after the orders.
+    `wrong` are the orders that were not applied in `SETTING_TRIES` rounds. Those of `unconfirmed`
+    may also stay unanswered, since the servo may not support them. `then` are queries that follow
+    the orders in every round.
     """
 
     def __init__(
@@ -110,7 +108,7 @@ class SettingsDialogue:
 
 
 def read_back(orders: Iterable[Item]) -> list[Item]:
-    """Return what to ask to know whether orders were taken."""
+    """Return the queries that show whether orders were applied."""
     return [
         Item(
             bus=order.bus,
@@ -123,7 +121,7 @@ def read_back(orders: Iterable[Item]) -> list[Item]:
 
 
 def not_applied(orders: Iterable[Item], answers: Answers) -> list[Item]:
-    """Return the orders that the servos, asked by `read_back`, do not answer with."""
+    """Return the orders whose values the answers to `read_back` do not confirm."""
     return [
         order
         for order in orders
@@ -133,12 +131,12 @@ def not_applied(orders: Iterable[Item], answers: Answers) -> list[Item]:
 
 
 def is_answered(order: Item, answers: Answers) -> bool:
-    """Return whether the servo said what it has of what it was told."""
+    """Return whether the servo answered the read-back of an order."""
     return (order.bus, order.command.servo_id, f"Q{order.command.keyword}") in answers
 
 
 def not_applied_error(order: Item, answers: Answers, joints: Iterable[Joint]) -> PlaybackError:
-    """Return what to say about an order that was not taken in `SETTING_TRIES` tries."""
+    """Return the error for an order that was not applied in `SETTING_TRIES` rounds."""
     command = order.command
     name = next(j.name for j in joints if (j.bus, j.servo_id) == (order.bus, command.servo_id))
     said = answers.get((order.bus, command.servo_id, f"Q{command.keyword}"))
@@ -151,14 +149,14 @@ def not_applied_error(order: Item, answers: Answers, joints: Iterable[Joint]) ->
 
 
 RESTORING_TIMES: Final = 2
-"""Settings are given back so often, unasked: a stop must not take longer than this."""
+"""Settings are given back this often, without read-back: a stop must not take longer."""
 SESSION_KEYWORDS: Final = ("EM", "AA", "AD", "SD", "FPC", "IPE")
 LIMIT_KEYWORDS: Final = ("EM", "AA", "AD", "SD")
-"""Without these a servo does not keep the joint's limits, or takes no limits at all."""
+"""Without these a servo does not keep the joint's limits, or accepts no limits at all."""
 
 
 def reported(joint: Joint, answers: Answers, keyword: str) -> float | None:
-    """Return the number that a servo answered to `keyword`, in physical units, if it did."""
+    """Return the value that a servo reported for `keyword`, in physical units; None: no number."""
     value = answers.get((joint.bus, joint.servo_id, keyword))
     if not isinstance(value, int):
         return None
@@ -167,7 +165,7 @@ def reported(joint: Joint, answers: Answers, keyword: str) -> float | None:
 
 
 def session_orders(joints: Iterable[Joint], answers: Answers) -> list[Item]:
-    """Return the settings for the show that servos said what they had of; for others `unsure`."""
+    """Return the settings for the show whose original value is known; see `unconfirmed_orders`."""
     orders = []
     for joint in joints:
         orders += _session_orders(joint, answers, is_known=True)
@@ -179,11 +177,11 @@ def session_orders(joints: Iterable[Joint], answers: Answers) -> list[Item]:
 
 
 def unconfirmed_orders(joints: Iterable[Joint], answers: Answers) -> list[Item]:
-    """Return the limits for the show that servos did not say what they had of.
+    """Return the limits for the show whose original value is unknown.
 
-    The line was bad, or the servo does not know them (no document says which family answers all):
-    it is told them all the same, for limits hold. What it had nobody knows: it keeps them until
-    it restarts.
+    The line was bad, or the servo does not support the query (no document says which family answers
+    all). The limits are sent all the same, since limits must hold. They cannot be given back: the
+    servo keeps them until it restarts.
     """
     return [
         order
@@ -204,7 +202,10 @@ def _session_orders(joint: Joint, answers: Answers, *, is_known: bool) -> list[I
 
 
 def changed(joint: Joint, led_joints: Container[str]) -> list[str]:
-    """Return what a show that changes the colours of the joints `lit` sets besides the drive."""
+    """Return the keywords that a show sets besides those of the drive.
+
+    `led_joints` are the joints whose LED colours it changes.
+    """
     lights = [LED_KEYWORD] if joint.name in led_joints and LED_KEYWORD not in joint.settings else []
     return [*joint.settings, *lights]
 
@@ -212,8 +213,8 @@ def changed(joint: Joint, led_joints: Container[str]) -> list[str]:
 def _session_of(joint: Joint) -> dict[str, float]:
     """Return the session settings that the drive of a joint needs, in physical units.
 
-    FPC comes before EM0, so that the filter is what it should be from its first step on. Whether
-    SD bounds anything in EM0 is not known; it does no harm.
+    FPC comes before EM0, so that the filter is right from its first step on. It is unknown whether
+    SD limits anything in EM0; it does no harm.
     """
     if joint.drive == "stepped":
         return {}
@@ -227,16 +228,16 @@ def _session_of(joint: Joint) -> dict[str, float]:
 def restoring_orders(
     joints: Iterable[Joint], answers: Answers, led_joints: Container[str] = ()
 ) -> list[Item]:
-    """Return what gives every servo back its settings, and to those `lit` their colours.
+    """Return the orders that give back all settings, and the LED colours of `led_joints`.
 
-    All of it is said `RESTORING_TIMES`.
+    All of them are repeated `RESTORING_TIMES`.
     """
     return [
-        _order(joint, Command(joint.servo_id, keyword, had))
+        _order(joint, Command(joint.servo_id, keyword, original))
         for _ in range(RESTORING_TIMES)
         for joint in joints
         for keyword in (*SESSION_KEYWORDS, *changed(joint, led_joints))
-        if isinstance(had := answers.get((joint.bus, joint.servo_id, f"Q{keyword}")), int)
+        if isinstance(original := answers.get((joint.bus, joint.servo_id, f"Q{keyword}")), int)
     ]
 
 
@@ -245,37 +246,38 @@ def _order(joint: Joint, command: Command) -> Item:
 
 
 QUERIES: Final = ("QMS", "QF", "Q", "QSD", "QAA", "QAD", "QEM", "QV", "QT", "QD")
-"""Asked of every servo before anything moves. Without QD the show does not start. One that answers
-QMS and QD but not the others is driven: no document says which family answers all. By its first
-question a servo counts as silent (`dialogue.TRIES`), so that is QMS, which all three documents
-have."""
+"""Queries to every servo before anything moves. Without an answer to QD the show does not start. A
+servo that answers QMS and QD but not the others is driven: no document says which family answers
+all. A servo that does not answer the first query counts as silent (`transactions.TRIES`), so that
+is QMS, which all three documents have."""
 PLACE_WITHIN_DEG: Final = 2.0
-"""Two positions that agree: noise, and a hand that lets go of an arm."""
+"""Two positions agree within this: noise, and an arm that sags when a hand releases it."""
 AGREE_WITHIN: Final = {"QV": 500, "QT": 20}
-"""What voltage (mV) and temperature (tenths of a degree) may change by in two milliseconds."""
+"""Largest change of voltage (mV) and temperature (tenths of a degree) within two milliseconds."""
 ARRIVED_DEG: Final = 3.0
-"""A joint further from its start than this is sent there again; nearer, it may be its load."""
+"""A joint further from its start than this is sent there again; less may be its load."""
 LOADED_DEG: Final = 1.0
-"""With feedback a load is known after the first approach. A joint that it keeps further away than
-this is sent there once more, corrected: half a second, and the show begins where it should."""
+"""With feedback the load is known after the first approach. A joint that its load keeps further
+away than this is sent there once more, corrected: that takes half a second, and the show then
+begins at the right place."""
 OUTSIDE_DEG: Final = 1.0
-"""A joint may stand so far outside of its range unsaid: a load may have pulled it there. Chosen."""
+"""No warning for less outside of the range: a load may have pulled the joint there. Chosen."""
 LATENCY_BAD_NS: Final = 5 * NS_PER_MS
-"""A servo answers within 2 ms (FACTS.md W14); what takes longer is an adapter's latency timer."""
+"""A servo answers within 2 ms (FACTS.md W14); an adapter's latency timer makes it longer."""
 FILTER_QUERIES: Final = ("QFPC", "QIPE")
-"""Asked of streamed servos as well. IPE makes the filter step by itself (FACTS.md M8); a servo
-that does not answer QIPE is taken to do so, as from the factory."""
+"""Further queries to streamed servos. IPE makes the filter step by itself (FACTS.md M8); a servo
+that does not answer QIPE is assumed to have the factory setting, which does so."""
 FILTER_ESSENTIAL: Final = ("QD", "QEM", "QFPC")
 IO2_QUERIES: Final = ("QMS", "QG", "QD")
-"""An RC servo on a 2IO knows no more, and QD is only its last command (FACTS.md B8, B10)."""
+"""An RC servo on a 2IO answers no more, and QD is only its last command (FACTS.md B8, B10)."""
 LIMIT_SLACK_RATIO: Final = 0.999
 """Limits read back from a servo are rounded to its wire unit."""
 
 
 def queries(joints: Iterable[Joint], led_joints: Container[str] = ()) -> list[Item]:
-    """Return what to ask before a show that changes the colours of the joints `lit`.
+    """Return the queries before a show that changes the LED colours of `led_joints`.
 
-    What only some servos know comes last.
+    Queries that only some servos support come last.
     """
     joints = list(joints)
     known = [
@@ -298,12 +300,12 @@ def _asked_of(joint: Joint) -> tuple[str, ...]:
 
 
 def settings_queries(joints: Iterable[Joint], led_joints: Container[str] = ()) -> list[Item]:
-    """Return what to ask so that the `settings` of the robot file, and colours, can be undone."""
+    """Return the queries for what `settings` of the robot file, and LED colours, will overwrite."""
     return [_query(joint, f"Q{word}") for joint in joints for word in changed(joint, led_joints)]
 
 
 def position_queries(joints: Iterable[Joint]) -> list[Item]:
-    """Return what to ask to know where every servo is."""
+    """Return the position query of every servo."""
     return [_query(joint, "QD") for joint in joints]
 
 
@@ -313,6 +315,24 @@ def _query(joint: Joint, keyword: str) -> Item:
         within = round(PLACE_WITHIN_DEG * joint.model.wire_per_deg)
     command = Command(joint.servo_id, keyword)
     return Item(bus=joint.bus, command=command, is_query=True, agree_within=within)
+
+
+def check(
+    program: Program,
+    robot: Robot,
+    joints: Sequence[Joint],
+    answers: Answers,
+    trackers: Mapping[str, QueryTracker],
+    start_deg: Mapping[str, float],
+) -> list[Event]:
+    """Return the warnings, and what was found at the servos, in answer to the queries.
+
+    Raises as `check_sensors` and `check_answers` do. `start_deg`: where the show begins.
+    """
+    check_sensors(program, robot, answers)
+    warnings = findings(joints, answers, robot, trackers)
+    rows = found(joints, answers, robot, start_deg)
+    return [*map(Warned, warnings), Checked(tuple(rows))]
 
 
 def findings(
@@ -331,9 +351,9 @@ def findings(
 
 
 def check_range(joints: Iterable[Joint], answers: Answers) -> list[str]:
-    """Return a warning for every joint that stands where it may not: it will be led back.
+    """Return a warning for every joint outside of its range: the approach moves it back.
 
-    An RC servo on a 2IO does not say where it stands.
+    An RC servo on a 2IO does not report where it stands.
     """
     warnings = []
     for joint in joints:
@@ -355,7 +375,7 @@ def check_range(joints: Iterable[Joint], answers: Answers) -> list[str]:
 
 
 def sensor_queries(program: Program, robot: Robot) -> list[Item]:
-    """Return what to ask the sensors that a show waits for: whether they are there."""
+    """Return a query to every sensor that the show waits for."""
     return [
         Item(bus=sensor.bus, command=Command(sensor.servo_id, "QA"), is_query=True)
         for sensor in _sensors(program, robot)
@@ -378,10 +398,10 @@ def _sensors(program: Program, robot: Robot) -> list[Sensor]:
 
 
 def check_answers(joints: Iterable[Joint], answers: Answers, robot: Robot) -> list[str]:
-    """Return warnings about the servos found.
+    """Return warnings about the servos.
 
     Raises before anything moves: `BusError` for servos that do not answer, `InputError` where the
-    robot file claims what the servo is not or may not do, `PlaybackError` for one in safe mode.
+    robot file contradicts the servo or exceeds its limits, `PlaybackError` for one in safe mode.
     """
     joints = list(joints)
     standing = standing_deg(joints, answers)
@@ -395,7 +415,7 @@ def check_answers(joints: Iterable[Joint], answers: Answers, robot: Robot) -> li
 
 
 def _check_drive(joint: Joint, answers: Answers, robot: Robot) -> None:
-    """Refuse a servo that cannot be driven as the program wants."""
+    """Raise for a servo that cannot be driven as the program requires."""
     if joint.drive == "stepped" and reported(joint, answers, "QG") == -1.0:
         raise InputError(
             f"joint {joint.name!r}: servo {joint.servo_id} has a gyre of -1, with which an LSS-2IO "
@@ -417,13 +437,13 @@ def _check_drive(joint: Joint, answers: Answers, robot: Robot) -> None:
 
 
 def standing_deg(joints: Iterable[Joint], answers: Answers) -> dict[str, float]:
-    """Return the servo angle of every joint that said where it is."""
+    """Return the servo angle of every joint that reported its position."""
     angles = {joint.name: reported(joint, answers, "QD") for joint in joints}
     return {name: angle for name, angle in angles.items() if angle is not None}
 
 
 def silent_error(silent: Sequence[Joint], joints: Sequence[Joint], robot: Robot) -> BusError:
-    """Return what to say about servos that do not answer."""
+    """Return the error for servos that do not answer."""
     named = ", ".join(f"{j.name} (id {j.servo_id} on bus {j.bus!r})" for j in silent)
     bus = robot.buses[silent[0].bus]
     return BusError(
@@ -473,7 +493,7 @@ def _check_joint(joint: Joint, answers: Answers, robot: Robot, warnings: list[st
 
 
 def _status(joint: Joint, answers: Answers, robot: Robot) -> Status | None:
-    """Return what a servo says that it is doing, if it said so."""
+    """Return the status that a servo reported; None: it did not."""
     code = answers.get((joint.bus, joint.servo_id, "Q"))
     if not isinstance(code, int):
         return None
@@ -481,7 +501,7 @@ def _status(joint: Joint, answers: Answers, robot: Robot) -> Status | None:
 
 
 def check_latency(buses: Mapping[str, Bus], trackers: Mapping[str, QueryTracker]) -> list[str]:
-    """Return a warning for every port where each answer so far came later than servos answer."""
+    """Return a warning for every port on which all answers came later than servos answer."""
     warnings = []
     for name, tracker in trackers.items():
         least_ns, port = tracker.shortest_latency_ns, buses[name].port
@@ -500,7 +520,7 @@ def check_latency(buses: Mapping[str, Bus], trackers: Mapping[str, QueryTracker]
 def found(
     joints: Iterable[Joint], answers: Answers, robot: Robot, start_deg: Mapping[str, float]
 ) -> list[Found]:
-    """Return what is known of every servo, for people to look at before anything moves."""
+    """Return what is known of every servo, for people to check before anything moves."""
     rows = []
     for joint in joints:
         model = answers.get((joint.bus, joint.servo_id, "QMS"))
@@ -531,62 +551,70 @@ def safe_bytes(
 ) -> dict[str, bytes]:
     """Return, per bus, the last bytes of every run: hold where it is, or go limp (FACTS.md A24).
 
-    The joints of `limp` are let go, whatever the others do.
+    The motors of `limp` lose their power in any case.
     """
     last = dict.fromkeys(robot.buses, encode(Command(BROADCAST_ID, "L" if is_limp else "H")))
     for joint in limp:
-        last[joint.bus] += let_go(joint)
+        last[joint.bus] += limp_bytes(joint)
     return last
 
 
-def let_go(joint: Joint) -> bytes:
+def limp_bytes(joint: Joint) -> bytes:
     """Return the bytes that take the power from one motor."""
     return encode(Command(joint.servo_id, "L"))
 
 
 UNLIMITED_TRIES: Final = 1_000_000
-"""Until the time is over, whatever the number of tries."""
+"""A recovery ends by its time, not by a number of tries."""
 
 
-def restart_probes(joints: Iterable[Joint], had: Answers) -> list[Item]:
-    """Return one setting of each servo that it no longer has if it restarts, if there is one.
+def restart_probes(joints: Iterable[Joint], original: Answers) -> list[Item]:
+    """Return for each servo one setting that a restart would change back, if there is one.
 
-    All that a session changes is lost together; what it did not change, a restart does not either.
+    A restart loses all that the session changed, and changes nothing else. So one is enough.
     """
     telling: dict[tuple[str, int], Item] = {}
-    for order in changing_orders(joints, had):
+    for order in changing_orders(joints, original):
         telling.setdefault((order.bus, order.command.servo_id), order)
     return list(telling.values())
 
 
-def changing_orders(joints: Iterable[Joint], had: Answers) -> list[Item]:
-    """Return the settings for the show that servos had otherwise before."""
-    return not_applied(session_orders(joints, had), had)
+def changing_orders(joints: Iterable[Joint], original: Answers) -> list[Item]:
+    """Return the settings for the show that differ from the original ones."""
+    return not_applied(session_orders(joints, original), original)
 
 
 @dataclass(slots=True)
 class Recovery:
-    """One wait: the player brakes, asks until all of `missing` answer, or gives up."""
+    """One wait: the player brakes and polls until all of `missing` answer, or gives up."""
 
     give_up_ns: int
     missing: list[Joint] = field(default_factory=list)
 
-    def add(self, joints: list[Joint]) -> None:
+    def add(self, joints: list[Joint], give_up_ns: int) -> None:
+        """Wait for these, too, and for all until `give_up_ns`."""
+        self.give_up_ns = give_up_ns
         self.missing += [joint for joint in joints if joint not in self.missing]
 
-    def questions(self, had: Answers) -> list[Item]:
-        """Return what to ask: where they are, and whether they still have what they were given."""
-        orders = session_orders(self.missing, had)
+    def replace_missing(self, joints: Iterable[Joint]) -> None:
+        """Wait for these only."""
+        self.missing = list(joints)
+
+    def queries(self, original: Answers) -> list[Item]:
+        """Return the queries for their positions, and for the settings that they were sent."""
+        orders = session_orders(self.missing, original)
         items = [*read_back(orders), *position_queries(self.missing)]
         return [replace(item, tries=UNLIMITED_TRIES) for item in items]
 
     def absent(self, answers: Answers) -> list[Joint]:
-        """Return who has not said where it is."""
+        """Return the joints that have not reported their position."""
         present = standing_deg(self.missing, answers)
         return [joint for joint in self.missing if joint.name not in present]
 
-    def restarted(self, answers: Answers, had: Answers) -> list[Joint]:
-        """Return who has lost what it was given."""
+    def restarted(self, answers: Answers, original: Answers) -> list[Joint]:
+        """Return the joints that have lost the settings that they were sent."""
         return [
-            joint for joint in self.missing if not_applied(session_orders([joint], had), answers)
+            joint
+            for joint in self.missing
+            if not_applied(session_orders([joint], original), answers)
         ]

@@ -301,7 +301,7 @@ class Streamer:
     ) -> None:
         """Start `program` at `start_ns`. `standing_deg`: servo angles where the servos stand."""
         self.is_open = False
-        """While it is, the show does not end with the program: it may still be extended."""
+        """While it is open, the show does not end with the program, which may still be extended."""
         self._program = program
         self._lines = lines
         first_s = s_from_us(min((m.due_us for m in program.moves), default=0))
@@ -356,6 +356,14 @@ class Streamer:
         return not self._resends_ns() and all(
             t.is_at_rest(now_ns) for t in self.joint_states.values()
         )
+
+    def keep_open(self) -> None:
+        """Accept extensions: the show does not end with the program until `close`."""
+        self.is_open = True
+
+    def close(self) -> None:
+        """Accept no more extensions: the show ends with the program."""
+        self.is_open = False
 
     def extend(self, extension: Extension, now_ns: int) -> bool:
         """Replace what is due from the splice of `extension` on; False if it is too late."""

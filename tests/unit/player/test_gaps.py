@@ -26,4 +26,4 @@ def test_it_is_said_how_long_and_where_and_not_for_ever():
         texts.append(gaps.text(5 * S, lambda _: 7.25))
     assert texts[0].startswith("this program was held up for 3.00 s, up to 7.25 s of the show")
     assert [text is None for text in texts] == [False] * NAMED_MAX + [True] * 5
-    assert texts[NAMED_MAX - 1].endswith("More of this is not told")
+    assert texts[NAMED_MAX - 1].endswith("Further delays are not reported")

@@ -169,7 +169,7 @@ def test_it_is_over_when_all_has_come_to_rest_and_not_before(kit):
     assert not stage.streamer.is_finished(stage.now_ns)
     assert not stage.streamer.is_finished(START_NS + round(1e9 * (END_S + SETTLE_S)) - 1)
     assert stage.streamer.is_finished(START_NS + round(1e9 * (END_S + SETTLE_S)))
-    stage.streamer.is_open = True
+    stage.streamer.keep_open()
     assert not stage.streamer.is_finished(START_NS + 10 * S)
 
 
@@ -401,7 +401,7 @@ def test_what_is_asked_for_during_a_wait_holds_after_it(kit):
 
 def test_what_is_not_due_yet_may_be_replaced(kit):
     stage = Stage(kit)
-    stage.streamer.is_open = True
+    stage.streamer.keep_open()
     stage.run(0.5)
     moves = (move(1.0, 40.0), move(1.5, 60.0))
     whole = replace(stage.program, moves=(*THERE_AND_BACK[:1], *moves))
@@ -419,7 +419,7 @@ def test_what_is_not_due_yet_may_be_replaced(kit):
     stage.run(2.6)
     assert [at_s for at_s, _ in stage.sent] == pytest.approx([0.1, 1.0, 1.5])
     assert stage.off_deg() < 0.1
-    stage.streamer.is_open = False
+    stage.streamer.close()
     assert not stage.streamer.is_finished(stage.now_ns)
     stage.run(3.0 + SETTLE_S)
     assert stage.streamer.is_finished(stage.now_ns)

@@ -1,0 +1,247 @@
+"""The servos during one show: their lines, their settings before it, and where they stand.
+
+`Session` belongs to one `Player`. It builds the dialogues and the streamers of the phases, and
+carries what they share: the answers before anything was changed, the positions at rest, the joints
+that are left out, and the estimates that a later streamer takes over. It has no phase and decides
+nothing.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.player import handshake
+from lss_motion.player.approach import approach
+from lss_motion.player.cues import Agenda
+from lss_motion.player.handshake import SettingsDialogue
+from lss_motion.player.query_tracker import QueryTracker
+from lss_motion.player.serial_line import SerialLine
+from lss_motion.player.streamer import Streamer
+from lss_motion.player.transactions import Dialogue
+from lss_motion.program.verify import profiles
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from lss_motion.player.events import Event
+    from lss_motion.player.handshake import Answers
+    from lss_motion.player.joint_state import JointState
+    from lss_motion.player.transactions import Item
+    from lss_motion.program.model import Program
+    from lss_motion.robot.model import Joint, Robot
+
+
+UNRESTORED_TEXT: Final = (
+    "stopped at once, so the servos were not given back their settings: {} stay as this show "
+    "needed them until their power is off, and the next show takes them for the servos' own. "
+    "Switch their power off and on, or RESET them; hold the robot, it goes limp"
+)
+
+
+class Session:
+    """The servos of one robot during one show."""
+
+    def __init__(
+        self, program: Program, robot: Robot, *, has_feedback: bool, start_s: float | None
+    ) -> None:
+        self.program = program
+        self.robot = robot
+        self.joints = [robot.joints[name] for name in program.start_deg]
+        self.lines = {name: SerialLine(robot.buses[name]) for name in robot.buses}
+        self.trackers = {name: QueryTracker(line) for name, line in self.lines.items()}
+        self.agenda = Agenda(program, robot)
+        self.agenda.begin_at(start_s)
+        self.has_feedback = has_feedback
+        self.start_s = start_s
+        self.original: Answers = {}
+        """Answers of every servo before anything was changed."""
+        self.standing_deg: dict[str, float] = {}
+        """Servo angles by joint, as of the last query while nothing moved."""
+        self.left_out: set[str] = set()
+        """Joints that are sent no move."""
+        self.limp: list[Joint] = []
+        """Joints whose motor has no power until the end."""
+        self._states: dict[str, JointState] = {}
+        """The newest state of each joint, for its estimates."""
+
+    @property
+    def driven(self) -> list[Joint]:
+        return [joint for joint in self.joints if joint.name not in self.left_out]
+
+    def leave_out(self, name: str) -> None:
+        """Send a joint no move from now on."""
+        self.left_out.add(name)
+
+    def put_back(self, names: set[str]) -> None:
+        """Send these joints moves again."""
+        self.left_out -= names
+
+    def make_limp(self, joint: Joint, now_ns: int) -> None:
+        """Take the power from one motor, until the end."""
+        self.limp.append(joint)
+        self.lines[joint.bus].send(handshake.limp_bytes(joint), now_ns)
+
+    def safe_bytes(self, *, is_limp: bool) -> Mapping[str, bytes]:
+        return handshake.safe_bytes(self.robot, is_limp=is_limp, limp=self.limp)
+
+    # ---- dialogues
+
+    def dialogue(self, items: Iterable[Item]) -> Dialogue:
+        return Dialogue(items, self.lines, self.trackers)
+
+    def connect_dialogue(self) -> Dialogue:
+        """Return the queries before anything is changed: servos, settings, sensors."""
+        queries = handshake.queries(self.joints, self.agenda.led_joints)
+        return self.dialogue(queries + handshake.sensor_queries(self.program, self.robot))
+
+    def settings_dialogue(self) -> SettingsDialogue:
+        """Return the dialogue that gives the servos their settings and polls their positions."""
+        orders = handshake.session_orders(self.driven, self.original)
+        unconfirmed = handshake.unconfirmed_orders(self.driven, self.original)
+        positions = handshake.position_queries(self.driven)
+        return SettingsDialogue(orders, positions, unconfirmed, self.lines, self.trackers)
+
+    def arrival_dialogue(self) -> Dialogue:
+        """Return the queries after an approach: positions, and whether a servo has restarted."""
+        probes = handshake.restart_probes(self.driven, self.original)
+        return self.dialogue(
+            [*handshake.read_back(probes), *handshake.position_queries(self.driven)]
+        )
+
+    def restoring_dialogue(self) -> Dialogue:
+        """Return the orders that give the servos back their settings."""
+        joints, led_joints = self.joints, self.agenda.led_joints
+        return self.dialogue(handshake.restoring_orders(joints, self.original, led_joints))
+
+    # ---- answers
+
+    def note_original(self, answers: Answers) -> list[Event]:
+        """Keep what the servos answered before any change; return what a person should know.
+
+        Raises if a servo or a sensor is missing, or a servo must not do what the program requires.
+        """
+        self.original = answers
+        return handshake.check(
+            self.program, self.robot, self.joints, answers, self.trackers, self.start_deg()
+        )
+
+    def note_positions(self, answers: Answers) -> list[Joint]:
+        """Keep where the driven servos stand; return those that did not answer."""
+        standing = handshake.standing_deg(self.driven, answers)
+        self.standing_deg |= standing
+        return [joint for joint in self.driven if joint.name not in standing]
+
+    def learn_droops(self, now_ns: int) -> None:
+        """Take the load of every joint that rests near the place to which it was sent."""
+        for joint in self.driven:
+            if joint.name in self._states:
+                measured_deg = self.standing_deg[joint.name]
+                state = self._states[joint.name]
+                state.learn_droop(measured_deg, now_ns, handshake.ARRIVED_DEG)
+
+    def restarted(self, answers: Answers) -> list[Joint]:
+        """Return the driven servos that no longer have the settings that they were sent."""
+        return self._with_other_settings(answers, has_reported=True)
+
+    def unreported(self, answers: Answers) -> list[Joint]:
+        """Return the driven servos that did not report whether they still have them."""
+        return self._with_other_settings(answers, has_reported=False)
+
+    def _with_other_settings(self, answers: Answers, *, has_reported: bool) -> list[Joint]:
+        probes = handshake.restart_probes(self.driven, self.original)
+        others = {
+            (order.bus, order.command.servo_id)
+            for order in handshake.not_applied(probes, answers)
+            if handshake.is_answered(order, answers) is has_reported
+        }
+        return [joint for joint in self.driven if (joint.bus, joint.servo_id) in others]
+
+    def unrestored_text(self) -> str:
+        """Return a warning about settings that are not given back; empty if none was changed."""
+        orders = handshake.changing_orders(self.joints, self.original)
+        words = ", ".join(sorted({order.command.keyword for order in orders}))
+        return UNRESTORED_TEXT.format(words) if words else ""
+
+    # ---- places
+
+    def start_deg(self) -> dict[str, float]:
+        """Return the joint angles at which the show begins, also in its middle."""
+        if self.start_s is None:
+            return dict(self.program.start_deg)
+        start_s = self.program.within(self.start_s)
+        return {
+            name: self.robot.joints[name].joint_deg(plan.at(start_s)[0])
+            for name, plan in profiles(self.program, self.robot).items()
+        }
+
+    def pose_deg(self, show: Streamer | None, now_ns: int) -> dict[str, float]:
+        """Return the angles of the driven joints from which the show begins, or goes on."""
+        pose_deg = self.start_deg() if show is None else show.pose_deg(now_ns)
+        return {joint.name: pose_deg[joint.name] for joint in self.driven}
+
+    def furthest(self, pose_deg: Mapping[str, float]) -> tuple[str, float]:
+        """Return the driven joint that stands furthest from `pose_deg`, and its distance in deg."""
+        return max(
+            (
+                (name, abs(self.robot.joints[name].servo_deg(angle) - self.standing_deg[name]))
+                for name, angle in pose_deg.items()
+            ),
+            key=lambda far: far[1],
+            default=("", 0.0),
+        )
+
+    def _commanded_deg(self, now_ns: int) -> dict[str, float]:
+        """Return the servo angles to which the last moves sent the servos."""
+        return {name: state.place(now_ns)[0] for name, state in self._states.items()}
+
+    # ---- streamers
+
+    def approach(self, pose_deg: Mapping[str, float], now_ns: int) -> Streamer:
+        """Return the streamer that takes every driven joint from where it stands to `pose_deg`."""
+        program = approach(self.robot, self.standing_deg, pose_deg)
+        return self._stream(program, self.standing_deg, now_ns)
+
+    def begin(self, start_ns: int, *, is_open: bool) -> Streamer:
+        """Return the show, which starts at `start_ns` with every joint at its start.
+
+        The servos stand where they were sent: at the start, corrected for their load.
+        """
+        standing = {n: self.robot.joints[n].servo_deg(deg) for n, deg in self.start_deg().items()}
+        standing |= self._commanded_deg(start_ns)
+        show = self._stream(self.program, standing, start_ns, self.start_s)
+        if is_open:
+            show.keep_open()
+        return show
+
+    def resume(self, show: Streamer, now_ns: int) -> None:
+        """Go on with `show` from where the approach sent the servos, with its estimates."""
+        show.resume(self._commanded_deg(now_ns), self.left_out)
+        self._take_over(show)
+
+    def _stream(
+        self,
+        program: Program,
+        standing_deg: Mapping[str, float],
+        now_ns: int,
+        start_s: float | None = None,
+    ) -> Streamer:
+        streamer = Streamer(
+            program,
+            self.robot,
+            lines=self.lines,
+            trackers=self.trackers,
+            standing_deg=standing_deg,
+            has_feedback=self.has_feedback,
+            start_ns=now_ns,
+            start_s=start_s,
+        )
+        streamer.leave_out(self.left_out)
+        self._take_over(streamer)
+        return streamer
+
+    def _take_over(self, streamer: Streamer) -> None:
+        """Give the joints of `streamer` the estimates of the streamer before it."""
+        for name, state in streamer.joint_states.items():
+            if name in self._states:
+                state.take_over(self._states[name])
+            self._states[name] = state
