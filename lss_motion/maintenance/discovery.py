@@ -20,8 +20,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.player.polling import REPLY_TIMEOUT_NS
-from lss_motion.player.query_tracker import REPLY_MAX_BYTES
+from lss_motion.player.query_tracker import REPLY_MAX_BYTES, REPLY_TIMEOUT_NS
 from lss_motion.player.transactions import Item
 from lss_motion.protocol.codec import read_reply
 from lss_motion.protocol.constants import (

@@ -1,11 +1,32 @@
-"""The real-time core without I/O: what to send now, what to ask, how to correct, when to stop.
+"""Plays a program on the servos of a robot, without I/O.
 
-player        one show, as others see it · phases  what comes after what · session  what they share
-setup, settling  before and after the show · events  what happened
-watch         what is wrong · troubles, ladder, recovery  what is done about it
-agenda        marks and cues: what comes at its time and is not motion
-streamer      one program on the show clock · track, following  one joint meanwhile
-catching_up   how a timed joint gets back to its plan
-setpoints, leading  what a joint in EM0 may be told, and how it is led back to its program
-line, queries, turnaround, readings, dialogue, conversation  what goes over a line and what it means
+The package does no input or output: it has no port, no thread and no clock. A driver
+(`runtime.runner`, or a test in virtual time) calls four functions of `Player` and does the I/O
+itself:
+
+    data_to_send(leaves_ns)          bytes to write now; they leave at `leaves_ns`
+    receive_data(bus, data, now_ns)  bytes that a port delivered
+    next_wakeup_ns()                 latest instant of the next call
+    next_event()                     what happened, as a value of `events`
+
+All instants are integer nanoseconds on the driver's run clock, and must not decrease. The same
+calls with the same arguments give the same bytes, so a log can be replayed (`runtime.replay`).
+
+    file            what it is                                          who calls it
+    player          state machine of a show, `Player`                   api, runtime, cli, walking
+    session         the servos during one show, shared by all phases    player
+    handshake       checks, settings, restore, recovery                 session, faults, maintenance
+    transactions    lists of queries and orders on every bus            handshake, connection, cli
+    approach        program from where the robot stands to the start    session
+    streamer        one program on the show clock                       session
+    show_clock      show time, rate ramps, moves during them            streamer
+    joint_state     one joint: sent moves, model, readings; statistics  streamer, polling, report
+    estimators      load, lag and lost moves of one joint               joint_state
+    polling         which servo is polled for what, and when            streamer
+    query_tracker   queries in flight on one bus                        polling, transactions
+    serial_line     one line: when it is free, what came in             all that send
+    health          faults found in answers and in missing answers      polling
+    faults          steps that are taken about faults                   player
+    cues            marks, cues, and waits for sensors                  session, streamer
+    events          what happened, as values                            player, cli, runtime
 """

@@ -1,4 +1,4 @@
-"""From where the robot stands to where the show starts, slowly."""
+"""Slow program from where the robot stands to where the show starts."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Joint, Robot
 
 APPROACH_LEAST_S: Final = 0.3
-"""Even a servo that stands where it should is given this long: it may be limp."""
+"""Even a servo that stands in its place is given this long: it may be limp."""
 GLIDE_AFTER_S: Final = 0.25
-"""A course of bare `D`s begins this long after the first commands, so that each finds its slot."""
+"""A course of bare `D`s begins this long after the first commands, so that each gets its slot."""
 GLIDE_TOLERANCE_DEG: Final = 0.05
-"""Half a unit of the wire: there is no hurry, and the speed should be even."""
+"""Half a wire unit: there is no hurry, and the speed should be even."""
 GLIDE_END_S: Final = 0.1
-"""How long a course stands at its end, so that the end is fitted as a rest."""
+"""Time for which a course stands at its end, so that the end is fitted as a rest."""
 
 
 def with_room(robot: Robot, standing_deg: Mapping[str, float]) -> Robot:
-    """Return `robot` with ranges that hold where its servos stand (servo angles).
+    """Return `robot` with ranges that include where its servos stand (servo angles).
 
-    A joint without T is led step by step: one that was put outside of its range has to be led
-    back into it at the same slow speed as everything else, not at a jump.
+    A joint without T moves step by step. If it stands outside of its range, it must move back into
+    it at the same slow speed as everything else, not jump.
     """
     joints = dict(robot.joints)
     for name, servo_deg in standing_deg.items():
@@ -53,11 +53,11 @@ def approach(
 ) -> Program:
     """Return the program that takes every joint from where it stands to where the show starts.
 
-    Every joint hears a command at once, which also ends being limp, and all take equally long,
-    none faster than `approach_speed_deg_s`. A timed joint is there with that one move (or a few,
-    where T would become too long), by its servo's own ramps. The others know no T: they are first
-    told where they stand, and then led along the same trapezoid. `standing_deg` are servo angles,
-    `start_deg` joint angles.
+    Every joint receives a command at once, which also ends being limp. All take equally long, and
+    none is faster than `approach_speed_deg_s`. A timed joint arrives with that one move (or a few,
+    where T would become too long), by its servo's own ramps. The others know no T: their first
+    command holds them where they stand, and then they follow the same trapezoid. `standing_deg` are
+    servo angles, `start_deg` joint angles.
     """
     robot = with_room(robot, standing_deg)
     joints = [robot.joints[name] for name in start_deg]
@@ -135,9 +135,9 @@ def _at_once(
 def _course(
     joint: Joint, from_deg: float, to_deg: float, times_s: tuple[float, float, float]
 ) -> Reference:
-    """Return a course that stands from the first of `times_s`, and goes from the second on.
+    """Return a course that stands from the first of `times_s`, and moves from the second on.
 
-    As long as the third, and the ramps: as a timed move with that T.
+    It takes as long as the third and the ramps, like a timed move with that T.
     """
     stands_s, starts_s, lasts_s = times_s
     state = Piece(starts_s, from_deg, 0.0, 0.0)

@@ -1,8 +1,7 @@
-"""Cues, marks and waits for sensors: what happens at its time and is not motion.
+"""Marks, cues and waits for sensors: events of a show at their time, besides motion.
 
-What comes at its time in a show and is not motion: marks that are passed, cues that are due.
-
-Waits for a sensor: when the show stands still, what is asked meanwhile, when it goes on.
+`Agenda` reports marks that are passed and cues that are due, and sends LED orders between moves.
+`Waiting` stops the show clock at a wait, polls its sensor, and lets the show go on.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ LED_KEYWORD = "LED"
 
 
 class Agenda:
-    """Marks and cues of one program, in every pass. Lights the LEDs of servos between moves."""
+    """Marks and cues of one program, in every pass. Sends LED orders between moves."""
 
     def __init__(self, program: Program, robot: Robot) -> None:
         self._robot = robot
@@ -45,10 +44,10 @@ class Agenda:
         self._cue = next(self._cues, None)
         self._lights: deque[tuple[str, Command]] = deque()
         self.led_joints = {name for cue in program.cues for name, _ in cue.led}
-        """Joints whose LEDs this show changes."""
+        """Joints whose LED colour this show changes."""
 
     def begin_at(self, show_s: float | None) -> None:
-        """Pass over what a show that starts at `show_s` leaves out; None is its beginning."""
+        """Skip what is before `show_s`, where the show starts; None is its beginning."""
         if show_s is None:
             return
         while self._mark is not None and self._mark[0] < show_s:
@@ -59,7 +58,7 @@ class Agenda:
     def advance(
         self, streamer: Streamer, lines: Mapping[str, SerialLine], now_ns: int
     ) -> list[Event]:
-        """Return what the show has come to, and hand over the LED orders that fit between moves."""
+        """Return the marks and cues reached; send the LED orders that fit between moves."""
         show_s = streamer.show_s(now_ns)
         events: list[Event] = []
         while self._mark is not None and self._mark[0] <= show_s:
@@ -80,9 +79,9 @@ class Agenda:
     def wakeup_ns(
         self, streamer: Streamer | None, lines: Mapping[str, SerialLine], now_ns: int
     ) -> int | None:
-        """Return when `advance` has something to do at the latest, if the rate stays as it is.
+        """Return when `advance` must be called at the latest, if the rate stays as it is.
 
-        While it changes, and when only moves leave no room, the streamer is awake often enough.
+        While the rate changes, and while only moves leave no room, the streamer wakes often enough.
         """
         wakeups_ns = []
         if self._lights and lines[self._lights[0][0]].free_ns > now_ns:
@@ -107,14 +106,15 @@ class Agenda:
 
 
 POLL_PERIOD_NS: Final = 40 * NS_PER_MS
-"""A sensor that is waited for is asked so often. The Sharp sensors measure every 40 ms or so."""
+"""Period of the queries to a sensor. The Sharp sensors measure every 40 ms or so."""
 TIMES_MET: Final = 2
-"""So many answers in a row must say so: no line protects an answer from a flipped bit."""
+"""So many answers in a row must meet the condition: the line does not protect an answer from a
+flipped bit."""
 
 SUFFIXES: Final = {
     kind.name: number for number, kind in (IO2_TABLE.row("QA").suffixes or {}).items()
 }
-"""What is added to `QA` so that the board answers in mm of that sensor."""
+"""Suffix of `QA` with which the board answers in mm of that sensor."""
 
 
 class Waiting:
@@ -126,7 +126,7 @@ class Waiting:
         sensors: Mapping[str, Sensor],
         from_s: float,
     ) -> None:
-        """Take the waits with their show times; those before `from_s` are left out."""
+        """Take the waits with their show times; those before `from_s` are skipped."""
         self._points = dropwhile(lambda due: due[0] < from_s, points)
         self._sensors = sensors
         self._next: tuple[float, Wait] | None = None
@@ -136,11 +136,11 @@ class Waiting:
         self._met = 0
         self._notices: list[Waited] = []
         self.rate_after = 1.0
-        """How fast the show goes on after the wait that is under way."""
+        """Rate at which the show goes on after the present wait."""
 
     @property
     def next_s(self) -> float:
-        """When the show has to stand still next; `math.inf`: never."""
+        """Show time of the next wait; `math.inf`: there is none."""
         return math.inf if self._next is None else self._next[0]
 
     @property
@@ -149,14 +149,14 @@ class Waiting:
 
     @property
     def text(self) -> str:
-        """What is waited for, for people."""
+        """Condition of the present or next wait, for people."""
         assert self._next is not None
         wait = self._next[1]
         unit = self._sensors[wait.sensor].unit
         return f"{wait.sensor} {wait.side} {wait.threshold:g}{' mm' if unit == 'mm' else ''}"
 
     def advance(self, clock: ShowClock, now_ns: int) -> WaitState | None:
-        """Let the show stand still when it has come to a wait, and go on when that is over."""
+        """Stop the show clock at a wait, and let it go on when the wait is over."""
         state: WaitState | None
         if self.is_waiting:
             text, state = self.text, self._ended(now_ns)
@@ -179,7 +179,7 @@ class Waiting:
         return notices
 
     def query(self, bus: str, now_ns: int) -> Command | None:
-        """Return what is to be asked now on `bus`, if anything."""
+        """Return the query that is due on `bus`, if there is one."""
         if self._since_ns is None or self._next is None:
             return None
         sensor = self._sensors[self._next[1].sensor]
@@ -193,7 +193,7 @@ class Waiting:
         self._polled_ns = now_ns
 
     def take_reply(self, bus: str, servo_id: int, value: int | str | None) -> None:
-        """Take an answer to `QA`; those of other inputs are passed over."""
+        """Use an answer to `QA`; answers of other inputs are ignored."""
         if self._since_ns is None or self._next is None or not isinstance(value, int):
             return
         sensor = self._sensors[self._next[1].sensor]
@@ -201,7 +201,7 @@ class Waiting:
             self._met = self._met + 1 if self._next[1].is_met(value) else 0
 
     def wakeups_ns(self) -> list[int]:
-        """Return when there is something to ask or to end."""
+        """Return when a query is due, or the wait times out."""
         if self._since_ns is None:
             return []
         asks_ns = [] if self._polled_ns is None else [self._polled_ns + POLL_PERIOD_NS]
@@ -209,7 +209,7 @@ class Waiting:
         return asks_ns if end_ns is None else [*asks_ns, end_ns]
 
     def _ended(self, now_ns: int) -> WaitState | None:
-        """Return whether the show goes on, and why; the next wait is then the one to come."""
+        """Return whether and why the wait is over; then prepare the next one."""
         outcome: WaitState | None = "met" if self._met >= TIMES_MET else None
         end_ns = self._end_ns()
         if outcome is None and end_ns is not None and now_ns >= end_ns:

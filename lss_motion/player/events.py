@@ -1,4 +1,4 @@
-"""What happened during a run, as values, oldest first from `next_event()`."""
+"""What happened during a run, as values; `Player.next_event` returns the oldest first."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ WaitState = Literal["begun", "met", "timeout"]
 
 
 class Phase(StrEnum):
-    """What the player is doing."""
+    """Phase of a run."""
 
     CONNECT = "connecting"
     READY = "ready"
-    """Checked, and waiting for a person to say go."""
+    """Checked, and waiting for a person to start it."""
     PREPARE = "preparing"
     APPROACH = "approaching"
     SHOW = "playing"
     RECOVER = "recovering"
-    """Something is gone; the robot stands until it is back."""
+    """Something is missing; the robot stands until it is back."""
     STOP = "stopping"
     RESTORE = "restoring"
     DONE = "done"
@@ -32,7 +32,7 @@ class Phase(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PhaseEntered:
-    """The player has begun a phase."""
+    """The player has entered a phase."""
 
     phase: Phase
 
@@ -54,7 +54,7 @@ class MarkPassed:
 
 @dataclass(frozen=True, slots=True)
 class Waited:
-    """The show stands still until a sensor says so; or that has happened, or took too long."""
+    """The show has stopped at a wait (`begun`), or goes on since it was met or timed out."""
 
     text: str
     state: WaitState
@@ -62,7 +62,7 @@ class Waited:
 
 @dataclass(frozen=True, slots=True)
 class CueReached:
-    """The show has come to something that is not motion; a sound is to be heard at `show_s`."""
+    """The show has reached a cue that is not motion; its sound must sound at `show_s`."""
 
     cue: Cue
     show_s: float
@@ -70,9 +70,9 @@ class CueReached:
 
 @dataclass(frozen=True, slots=True)
 class Faulted:
-    """Something went wrong, and `step` of its ladder has been taken.
+    """A fault, and the `step` of `on_fault` that was taken about it.
 
-    `cause` says in words what, and what to do about it; `joint` is empty where it is a port.
+    `cause` is a text with the fault and its remedy; `joint` is empty for a fault of a port.
     """
 
     joint: str
@@ -86,7 +86,7 @@ class Faulted:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
-    """One servo before anything moves. Angles are joint degrees; None: it did not say."""
+    """One servo before anything moves. Angles are joint degrees; None: it did not report it."""
 
     joint: str
     servo_id: int
@@ -103,7 +103,7 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """Every servo is there and may do what is asked of it."""
+    """Every servo is present and may do what the program requires."""
 
     servos: tuple[Found, ...]
 

@@ -139,11 +139,11 @@ def not_applied_error(order: Item, answers: Answers, joints: Iterable[Joint]) ->
     """Return the error for an order that was not applied in `SETTING_TRIES` rounds."""
     command = order.command
     name = next(j.name for j in joints if (j.bus, j.servo_id) == (order.bus, command.servo_id))
-    said = answers.get((order.bus, command.servo_id, f"Q{command.keyword}"))
+    answer = answers.get((order.bus, command.servo_id, f"Q{command.keyword}"))
     return PlaybackError(
         f"joint {name!r}: servo {command.servo_id} was set to {command.keyword} {command.value} "
-        f"{SETTING_TRIES} times and answers {'nothing' if said is None else said}. Check wiring "
-        f"and power; nothing is driven without its limits",
+        f"{SETTING_TRIES} times and answers {'nothing' if answer is None else answer}. Check "
+        f"wiring and power; nothing is driven without its limits",
         joint=name,
     )
 
@@ -160,8 +160,12 @@ def reported(joint: Joint, answers: Answers, keyword: str) -> float | None:
     value = answers.get((joint.bus, joint.servo_id, keyword))
     if not isinstance(value, int):
         return None
-    said = read_reply(joint.model.family, Reply(joint.servo_id, keyword, value))
-    return float(said.value) if said is not None and isinstance(said.value, int | float) else None
+    answer = read_reply(joint.model.family, Reply(joint.servo_id, keyword, value))
+    return (
+        float(answer.value)
+        if answer is not None and isinstance(answer.value, int | float)
+        else None
+    )
 
 
 def session_orders(joints: Iterable[Joint], answers: Answers) -> list[Item]:
@@ -484,7 +488,7 @@ def _check_joint(joint: Joint, answers: Answers, robot: Robot, warnings: list[st
             is_speed = keyword == "QSD"
             unit = "deg/s" if is_speed else "deg/s²"
             raise InputError(
-                f"joint {joint.name!r}: the robot file asks for {needed:g} {unit}, but servo "
+                f"joint {joint.name!r}: the robot file requires {needed:g} {unit}, but servo "
                 f"{joint.servo_id} is set to {allowed:g} {unit} ({keyword[1:]}). Lower the limit "
                 f"in the robot file, or configure the servo",
                 path=robot.path,
@@ -525,8 +529,8 @@ def found(
     for joint in joints:
         model = answers.get((joint.bus, joint.servo_id, "QMS"))
         firmware = answers.get((joint.bus, joint.servo_id, "QF"))
-        said = {key: reported(joint, answers, key) for key in ("QD", "QV", "QT", "QSD", "QAA")}
-        assert said["QD"] is not None, "checked before"
+        values = {key: reported(joint, answers, key) for key in ("QD", "QV", "QT", "QSD", "QAA")}
+        assert values["QD"] is not None, "checked before"
         status = _status(joint, answers, robot)
         rows.append(
             Found(
@@ -535,12 +539,12 @@ def found(
                 model=None if model is None else str(model),
                 firmware=firmware if isinstance(firmware, int) else None,
                 status=None if status is None else status.value,
-                position_deg=joint.joint_deg(said["QD"]),
+                position_deg=joint.joint_deg(values["QD"]),
                 start_deg=start_deg[joint.name],
-                voltage_v=said["QV"],
-                temperature_c=said["QT"],
-                speed_max_deg_s=said["QSD"],
-                accel_max_deg_s2=said["QAA"],
+                voltage_v=values["QV"],
+                temperature_c=values["QT"],
+                speed_max_deg_s=values["QSD"],
+                accel_max_deg_s2=values["QAA"],
             )
         )
     return rows

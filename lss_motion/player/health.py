@@ -1,7 +1,7 @@
-"""What is wrong with which joint, from what it answers and from what it does not.
+"""Faults of the joints, found in their answers and in missing answers.
 
-One answer is no proof: a bus without checksums can deliver a wrong number that looks right, so a
-trouble begins with the second reading in a row that says so.
+One answer is no proof: a bus without checksums can deliver a wrong number that looks right. So a
+fault begins with the second reading in a row that shows it.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 
 
 ASTRAY_NS: Final = NS_PER_S // 2
-"""A joint must be off by more than `following_deg` this long: one late move is no reason."""
+"""A joint must be off by more than `following_deg` for this long: one late move is no fault."""
 BACK_RATIO: Final = 0.5
-"""It is back when it is off by less than this share of `following_deg`."""
+"""The fault ends when the joint is off by less than this share of `following_deg`."""
 CONFIRMATIONS: Final = 2
 SILENT_QUERIES: Final = 4
-"""So many questions in a row must stay unanswered, and not all at once, as when a clog takes a
-whole row of them: on a slow line, or a busy computer, `silent_s` alone says little."""
+"""So many queries in a row must stay unanswered, and not all at once, as when a clog takes a whole
+row of them: on a slow line, or a busy computer, `silent_s` alone is no evidence."""
 STATUS_CAUSES: Final = {
     Status.STUCK: Cause.STUCK,
     Status.BLOCKED: Cause.BLOCKED,
@@ -50,14 +50,14 @@ STATUS_TEXTS: Final = {
 
 
 def status_fault(status: Status) -> str | None:
-    """Return what is wrong with a servo that need not be driven, if its status says so."""
+    """Return the fault of a servo that is not driven, as its status shows it; None: it has none."""
     cause = STATUS_CAUSES.get(status, Cause.RESTARTED)
     return None if cause is Cause.RESTARTED else STATUS_TEXTS[cause]
 
 
 @dataclass(slots=True)
 class _Unanswered:
-    """A servo that has not answered since `since_ns`; which was noticed first and last when."""
+    """A servo without an answer since `since_ns`, and when that was noticed first and last."""
 
     joint: Joint
     since_ns: int
@@ -67,20 +67,20 @@ class _Unanswered:
 
 
 class HealthMonitor:
-    """What is wrong now: `troubles`, by joint and cause, in words that name a remedy."""
+    """Keeps `active_faults`: by joint and cause, a text that names a remedy."""
 
     def __init__(self) -> None:
         self.active_faults: dict[FaultKey, str] = {}
         self.unconfirmed: dict[str, str] = {}
-        """By joint: what was said once and must be asked again at once."""
+        """Keyword by joint of a query that must be repeated at once to confirm its answer."""
         self._counts: dict[FaultKey, int] = {}
         self._astray_since_ns: dict[str, int] = {}
         self._unanswered: dict[str, _Unanswered] = {}
-        """Who did not answer the last question."""
+        """Servos that did not answer their last query."""
         self._before: dict[tuple[str, str], float] = {}
 
     def position(self, state: JointState, arrival_ns: int) -> None:
-        """Judge the last reading that `track` believed; the servo heard the question then."""
+        """Judge the last accepted reading; the servo received the query at `arrival_ns`."""
         joint, error_deg = state.joint, abs(state.disturbance.error_deg)
         trouble = (joint.name, Cause.ASTRAY)
         if error_deg <= joint.following_deg:
@@ -118,16 +118,16 @@ class HealthMonitor:
         self._judge(state, Cause.LOW_VOLTAGE, "QV", text, is_bad=voltage_v < limit_v)
 
     def answered(self, state: JointState) -> None:
-        """Note that a servo answered, whatever it said."""
+        """Note any answer of a servo."""
         name = state.joint.name
         self._unanswered.pop(name, None)
         self.active_faults.pop((name, Cause.SILENT), None)
 
     def unanswered(self, state: JointState, now_ns: int, since_ns: int) -> None:
-        """Note that a question to a servo was given up; `advance` judges it.
+        """Note that a query to a servo was given up; `advance` judges it.
 
-        `since_ns` is when it last answered anything, be it before the show: a servo that restarts
-        between two phases must be missed before it is back and hears a move without its limits.
+        `since_ns` is when it last answered, also before the show: a servo that restarts between two
+        phases must be noticed before it is back and receives a move without its limits.
         """
         joint = state.joint
         new = _Unanswered(joint, since_ns, first_ns=now_ns, last_ns=now_ns)
@@ -136,7 +136,7 @@ class HealthMonitor:
         known.last_ns = now_ns
 
     def advance(self, now_ns: int) -> None:
-        """Judge who is silent by now: no question that comes late on a full line is waited for."""
+        """Find silent servos, without waiting for a query that is late on a full line."""
         for joint, since_ns in self._fading():
             if now_ns >= since_ns + ns_from_s(joint.silent_s):
                 silent_s = s_from_ns(now_ns - since_ns)
@@ -154,11 +154,11 @@ class HealthMonitor:
         ]
 
     def unresponsive(self) -> set[str]:
-        """Return the joints whose last question was not answered."""
+        """Return the joints whose last query was not answered."""
         return set(self._unanswered)
 
     def _fading(self) -> Iterator[tuple[Joint, int]]:
-        """Yield who is silent unless it answers within its time, and when it last answered."""
+        """Yield servos that will count as silent, and when they last answered."""
         for one in self._unanswered.values():
             if one.count >= SILENT_QUERIES and one.last_ns > one.first_ns:
                 yield one.joint, one.since_ns
@@ -183,7 +183,7 @@ class HealthMonitor:
     def _twice(
         self, state: JointState, keyword: str, value: float, choose: Callable[[float, float], float]
     ) -> float:
-        """Return what this reading and the one before it both say."""
+        """Return what this reading and the one before it both confirm."""
         place = (state.joint.name, keyword)
         before = self._before.get(place, value)
         self._before[place] = value

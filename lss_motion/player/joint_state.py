@@ -490,9 +490,9 @@ class Setpoints:
         self._offsets = [_StepOffset(0, position_deg) for _ in range(STEP_OFFSETS)]
 
     def allowed(self, arrival_s: float) -> tuple[float, float]:
-        """Return the least and largest target that keep the limits if heard at `heard_s`.
+        """Return the least and largest target that keep the limits if it arrives at `arrival_s`.
 
-        Where the possible instants disagree, it is half-way between them.
+        Where no target keeps them for all possible instants, both are the middle of the gap.
         """
         self._advance(arrival_s)
         spans = [self._span(offset) for offset in self._offsets]

@@ -1,16 +1,12 @@
-"""Asks the servos where they are and how they fare, in the gaps between the moves, and judges.
+"""Polls the servos in the gaps between the moves, and passes their answers on.
 
-What an answer of a servo says about its joint: where it is on its course, and on which one.
-
-What servos are asked in a show, in words that their family knows.
-
-How long one servo takes from the end of a query to the start of its answer, as it goes along.
+`PollScheduler` chooses the next query on each bus: position, target, or health. Positions and
+targets go to the joint's own `JointState`, health to the `HealthMonitor`, sensors to `Waiting`.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
@@ -32,68 +28,69 @@ if TYPE_CHECKING:
 
 
 TARGET_KEYWORD: Final = "QDT"
-"""Its answer shows whether a servo heard its last move."""
+"""The answer shows whether a servo received its last move."""
 HEALTH_KEYWORDS: Final = ("Q", "QT", "Q", "QV", "Q", "QC")
-"""Status, temperature, voltage, current: a fault is known after half a second. A servo is not asked
-what its family has no word for, as an LSS-PRO for its voltage."""
+"""Status, temperature, voltage, current: a fault is found within half a second. A servo gets no
+query that its family does not support, such as an LSS-PRO for its voltage."""
 
 
 @lru_cache(maxsize=len(Family))
 def health_words(family: Family) -> tuple[str, ...]:
-    """Return what a servo of that family is asked about its health, in turn."""
+    """Return the health queries that a family supports, in turn."""
     known = FAMILY_TABLES[family].by_keyword
     return tuple(word for word in HEALTH_KEYWORDS if word in known)
 
 
 @lru_cache(maxsize=1024)
 def query_of(servo_id: int, keyword: str) -> tuple[Command, int]:
-    """Return a question and its size in bytes: the same few are asked all the time."""
+    """Return a query and its size in bytes; cached, since the same few are sent all the time."""
     question = Command(servo_id, keyword)
     return question, len(encode(question))
 
 
 HEALTH_NS: Final = NS_PER_S // 4
-"""Once in this time a servo is asked about its health, one thing after the other."""
+"""Period of the health queries to a servo, one keyword after the other."""
 HEALTH_LEAST: Final = 8
-"""Where the line is slow, at most one question in so many is about health."""
+"""Where the line is slow, at most one query in this many is about health."""
 BACKLOG_BYTES: Final = 12
-"""Questions that have not left yet are never more than this, `#12D-450T50`: a command that nobody
-expected, as to stop, waits no longer than for one other command."""
+"""Queries that have not left yet are never more than this, `#12D-450T50`: an unexpected command,
+such as a stop, waits no longer than for one other command."""
 FILL_RATIO: Final = 0.95
-"""A servo is asked so often in a row that answers fill this share of their line: between two
-servos there is a gap, since nobody knows when the next one will begin."""
+"""A servo gets so many queries in a row that answers fill this share of their line: between two
+servos there is a gap, since the start of the next answer is not known exactly."""
 VISIT_NS: Final = NS_PER_S // 4
-"""But all servos of a bus are visited at least this often. One that is to name its target is as
-urgent as one at rest that was not visited for so long."""
+"""All servos of a bus are polled at least this often. A servo that must report its target is as
+urgent as one at rest that was not polled for this long."""
 LONGEST_NS: Final = NS_PER_S // 2
-"""And whoever was not asked for so long comes next, however fast the others move: a servo that
-restarts, which takes more than a second, must be missed before it is back."""
+"""A servo that was not polled for this long comes next, however fast others move: a restart takes
+more than a second, and must be noticed before the servo is back."""
 SPEED_WEIGHT_S_PER_DEG: Final = 0.05
 ERROR_WEIGHT_PER_DEG: Final = 2.0
-"""A joint is read sooner the faster it moves and the further it strayed (FACTS.md A25). Chosen: at
-20 deg/s, or at half a degree of error, twice as often as one at rest on its place."""
+"""A joint is read sooner the faster it moves and the further it is off (FACTS.md A25). Chosen: at
+20 deg/s, or at half a degree of error, twice as often as a joint at rest in its place."""
 
 
 LATE_NS: Final = NS_PER_MS
-"""Woken later than this, the host has other work. A wait on an idle one ends 0.2 ms late."""
+"""A host that wakes later than this has other work. A wait on an idle host ends 0.2 ms late."""
 REST_RATIO: Final = 4
 REST_MAX_NS: Final = NS_PER_S // 20
-"""Then nothing is asked for four times as long: a process that leaves its processor alone is woken
-sooner when a move is due. Chosen, with an end, so that all joints are still read."""
+"""After a late wake-up no query is sent for `REST_RATIO` times the delay, up to this: a process
+that leaves its processor alone is woken sooner when a move is due. Chosen; the maximum lets all
+joints still be read."""
 
 
 @dataclass(slots=True)
 class _Turn:
-    """One servo, and how often it is still to be asked before the next."""
+    """One servo, and the number of queries that it still gets before the next servo."""
 
     state: JointState
     left: int
     places: int = 0
-    """How often it was asked where it is."""
+    """Number of position queries in this turn."""
 
 
 class PollScheduler:
-    """The questions of one show. Every joint has its own `Following` in its track."""
+    """The queries of one show."""
 
     def __init__(
         self,
@@ -106,12 +103,12 @@ class PollScheduler:
         self.health = HealthMonitor()
         self.rejected: dict[str, int] = dict.fromkeys(lines, 0)
         self.to_resend: dict[str, JointState] = {}
-        """Joints whose servo has missed a move; whoever says it again takes them out."""
+        """Joints whose servo has lost a move; the caller that sends it again removes them."""
         self._trackers = trackers
         self._lines = lines
         self._by_bus: dict[str, list[JointState]] = {bus: [] for bus in lines}
         for state in joint_states.values():
-            if state.joint.drive != "stepped":  # It knows no answer but its last command.
+            if state.joint.drive != "stepped":  # It answers with its last command only.
                 self._by_bus[state.joint.bus].append(state)
         self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in joint_states.values()}
         self._turns: dict[str, _Turn | None] = dict.fromkeys(lines)
@@ -121,20 +118,20 @@ class PollScheduler:
         self._rest_until_ns = 0
 
     def anew(self) -> PollScheduler:
-        """Return a reader that knows of no trouble yet, and still of all that was disbelieved."""
+        """Return a scheduler without faults; the count of rejected readings goes on."""
         joint_states = {state.joint.name: state for state in self._by_address.values()}
         scheduler = PollScheduler(joint_states, self._trackers, self._lines, self._waiting)
         scheduler.rejected = self.rejected
         return scheduler
 
     def is_starved(self, now_ns: int) -> bool:
-        """Return whether on some bus with servos to ask nothing was asked for too long."""
+        """Return whether on some bus with servos no query was sent for too long."""
         return any(
             self._trackers[bus].is_starved(now_ns) for bus, own in self._by_bus.items() if own
         )
 
     def poll(self, now_ns: int, quiet_until_ns: int | None) -> None:
-        """Ask on every bus as long as its line is free by `quiet_until_ns`; None is for ever."""
+        """Send queries on every bus while its line is free by `quiet_until_ns`; None: for ever."""
         self._note_lateness(now_ns)
         for bus, tracker in self._trackers.items():
             for expired in tracker.expire(now_ns):
@@ -149,7 +146,7 @@ class PollScheduler:
         self.health.advance(now_ns)
 
     def _note_lateness(self, now_ns: int) -> None:
-        """Ask less on a host that has other work: questions cost it time, and moves come first."""
+        """Poll less on a host that has other work: queries cost time, and moves come first."""
         late_ns = 0 if self._wakeup_ns is None else now_ns - self._wakeup_ns
         self._wakeup_ns = None
         if late_ns > LATE_NS:
@@ -190,7 +187,7 @@ class PollScheduler:
         now_ns: int,
         quiet_until_ns: int | None,
     ) -> bool:
-        """Ask if the line and the servo allow it now; otherwise note when to try again."""
+        """Send a query if line and servo allow it now; otherwise note when to try again."""
         tracker, line = self._trackers[bus], self._lines[bus]
         earliest_ns = tracker.earliest_ns(question.servo_id, size_bytes)
         if earliest_ns is None or earliest_ns > max(now_ns, line.free_ns):
@@ -206,9 +203,9 @@ class PollScheduler:
         return True
 
     def _poll_overdue(self, bus: str, now_ns: int) -> None:
-        """Ask whom nobody asked for long, or who did not answer, whatever else is to be sent.
+        """Poll overdue or silent servos even when moves are queued.
 
-        That is no visit: whose turn it is does not change.
+        This is no visit: the order of the turns does not change.
         """
         tracker, quiet = self._trackers[bus], self.health.unresponsive()
         waits_ns = [(tracker.last_sent_ns(t.joint.servo_id), t) for t in self._by_bus[bus]]
@@ -226,46 +223,46 @@ class PollScheduler:
         self, bus: str, reply: Reply, now_ns: int, plan_deg: Callable[[JointState, int], float]
     ) -> None:
         tracker = self._trackers[bus]
-        believed = tracker.receive(reply, now_ns)
+        accepted = tracker.receive(reply, now_ns)
         state = None if reply.servo_id is None else self._by_address.get((bus, reply.servo_id))
         if state is not None and tracker.last_reply_ns(state.joint.servo_id) == now_ns:
             self.health.answered(state)
-        for asked, said in believed:
-            if said.keyword == "QA":
-                self._waiting.take_reply(bus, asked.command.servo_id, said.value)
+        for query, answer in accepted:
+            if answer.keyword == "QA":
+                self._waiting.take_reply(bus, query.command.servo_id, answer.value)
             if state is not None:
-                self._take(bus, state, asked, said, plan_deg)
+                self._take(bus, state, query, answer, plan_deg)
 
     def _take(
         self,
         bus: str,
         state: JointState,
-        asked: PendingQuery,
+        query: PendingQuery,
         reply: Reply,
         plan_deg: Callable[[JointState, int], float],
     ) -> None:
-        said = read_reply(state.joint.model.family, reply)
-        if said is None or not isinstance(said.value, int | float):
+        answer = read_reply(state.joint.model.family, reply)
+        if answer is None or not isinstance(answer.value, int | float):
             return
         match reply.keyword:
             case "QD":
-                self._take_position(bus, state, said.value, asked, plan_deg)
+                self._take_position(bus, state, answer.value, query, plan_deg)
             case "QDT":
-                if state.take_target(said.value, s_from_ns(asked.arrival_ns)):
+                if state.take_target(answer.value, s_from_ns(query.arrival_ns)):
                     self.to_resend[state.joint.name] = state
             case "Q":
-                self.health.status(state, int(said.value), self._lines[bus].bus.firmware)
+                self.health.status(state, int(answer.value), self._lines[bus].bus.firmware)
             case "QT":
-                self.health.temperature(state, said.value)
+                self.health.temperature(state, answer.value)
             case "QV":
-                self.health.voltage(state, said.value)
+                self.health.voltage(state, answer.value)
             case "QC":
-                state.note_current(said.value)
+                state.note_current(answer.value)
             case _:
                 pass
 
     def wakeups_ns(self, now_ns: int) -> list[int]:
-        """Return when something may have to be done, besides an answer coming in."""
+        """Return when something may be due, besides an answer that comes in."""
         wakeups_ns = [*self._waiting.wakeups_ns(), *self.health.wakeups_ns()]
         for bus, tracker in self._trackers.items():
             if (give_up_ns := tracker.give_up_ns) is not None:
@@ -279,20 +276,20 @@ class PollScheduler:
         return wakeups_ns
 
     def _turn(self, bus: str, now_ns: int) -> _Turn | None:
-        """Return whose turn it is to be asked, and how often; None: nobody can be."""
+        """Return the servo in turn and its number of queries; None: no servo can be polled."""
         turn, tracker = self._turns[bus], self._trackers[bus]
         if turn is not None and turn.left > 0:
             servo_id = turn.state.joint.servo_id
             if tracker.quiet_until_ns(servo_id) <= now_ns:
                 return turn
-        # A row is not cut short for a servo that is to name its target: that would cost a tenth
-        # of the answers (measured), and it waits for a row or two at most.
+        # A row is not cut short for a servo that must report its target: that would cost a tenth
+        # of the answers (measured), and that servo waits for a row or two at most.
         state = self._most_urgent(bus, now_ns)
         self._turns[bus] = None if state is None else _Turn(state, self._depth(bus, state))
         return self._turns[bus]
 
     def _depth(self, bus: str, state: JointState) -> int:
-        """Return how often to ask in a row, so that the gap before it is small beside it."""
+        """Return the length of a row of queries, such that the gap before it is small beside it."""
         tracker, servo_id = self._trackers[bus], state.joint.servo_id
         latency = tracker.latency(servo_id)
         if not latency.is_known or tracker.is_overdue(servo_id, "QD"):
@@ -305,10 +302,11 @@ class PollScheduler:
         return max(1, min(wanted, most, tracker.depth(servo_id)))
 
     def _keyword(self, bus: str, turn: _Turn, now_ns: int) -> str:
-        """Return what to ask: where it is, or how it fares.
+        """Return the keyword of the next query: position, target, or health.
 
-        A row of questions ends with one about health, since equal questions need another one at
-        their end. A servo that owes an answer is asked what this answer cannot be taken for.
+        A row of queries ends with one about health, since equal queries need a different one at
+        their end. A servo with an overdue answer gets a query for which this answer cannot be
+        taken.
         """
         tracker, state = self._trackers[bus], turn.state
         servo_id = state.joint.servo_id
@@ -326,13 +324,13 @@ class PollScheduler:
         return doubt or words[state.health_count % len(words)]
 
     def _fresh(self, bus: str, state: JointState) -> str:
-        """Return what to ask so that no answer that the servo owes can be taken for its answer."""
+        """Return a keyword for whose answer no overdue answer of the servo can be taken."""
         tracker, servo_id = self._trackers[bus], state.joint.servo_id
         words = ("QD", *health_words(state.joint.model.family))
         return next((word for word in words if not tracker.is_overdue(servo_id, word)), "QD")
 
     def _most_urgent(self, bus: str, now_ns: int) -> JointState | None:
-        """Return the joint whose reading is oldest, relative to how fast it moves and strayed."""
+        """Return the joint with the oldest reading, weighted by its speed and error."""
         best, best_merit = None, (-1, 0.0)
         now_s = s_from_ns(now_ns)
         tracker = self._trackers[bus]
@@ -357,18 +355,18 @@ class PollScheduler:
         bus: str,
         state: JointState,
         measured_deg: float,
-        asked: PendingQuery,
+        query: PendingQuery,
         plan_deg: Callable[[JointState, int], float],
     ) -> None:
-        read_s = s_from_ns(asked.arrival_ns)
-        planned_deg = plan_deg(state, asked.arrival_ns)
+        read_s = s_from_ns(query.arrival_ns)
+        planned_deg = plan_deg(state, query.arrival_ns)
         missed = state.take_position(measured_deg, read_s, planned_deg)
         if missed is None:
             self.rejected[bus] += 1
             return
         if missed:
             self.to_resend[state.joint.name] = state
-        self.health.position(state, asked.arrival_ns)
+        self.health.position(state, query.arrival_ns)
         joint_deg = state.joint.joint_deg
         state.trace.add(read_s - state.origin_s, joint_deg(planned_deg), joint_deg(measured_deg))
 
@@ -377,53 +375,3 @@ class PollScheduler:
         if state is not None:
             since_ns = self._trackers[bus].last_reply_ns(state.joint.servo_id)
             self.health.unanswered(state, now_ns, now_ns if since_ns is None else since_ns)
-
-
-WINDOW: Final = 32
-"""Answers that are remembered. Chosen: one in 33 goes beyond all of them by chance."""
-SAMPLES_LEAST: Final = 4
-"""Before so many answers nothing is known: then no two servos are asked at once."""
-REPLY_TIMEOUT_NS: Final = 30 * NS_PER_MS
-"""What a servo that is not known yet may take: 10 ms is what the tighter libraries wait
-(FACTS.md H5), and a USB adapter may add its 16 ms timer."""
-MARGIN_SAMPLES: Final = 4
-"""The next answer may be earlier or later than any of n that are remembered by 4/n of their spread.
-Chosen: of values spread evenly, one in some hundred goes beyond."""
-
-
-class ReplyLatency:
-    """The estimate for one servo. It holds what the adapter and the host add to it, too."""
-
-    def __init__(self) -> None:
-        self._waits_ns: deque[int] = deque(maxlen=WINDOW)
-        self.is_known = False
-        self.earliest_ns = 0
-        """No answer begins sooner after its query was heard."""
-        self.latest_ns = REPLY_TIMEOUT_NS
-        """No answer begins later, as far as is known."""
-
-    @property
-    def spread_ns(self) -> int:
-        return self.latest_ns - self.earliest_ns
-
-    @property
-    def least_ns(self) -> int | None:
-        """The shortest wait that is remembered; None: none is."""
-        return min(self._waits_ns, default=None)
-
-    def take(self, waited_ns: int) -> None:
-        """Note an answer that began `waited_ns` after its query was heard."""
-        self._waits_ns.append(max(waited_ns, 0))
-        if len(self._waits_ns) < SAMPLES_LEAST:
-            return
-        least_ns, most_ns = min(self._waits_ns), max(self._waits_ns)
-        margin_ns = MARGIN_SAMPLES * (most_ns - least_ns) // len(self._waits_ns)
-        self.earliest_ns = max(least_ns - margin_ns, 0)
-        self.latest_ns = most_ns + margin_ns
-        self.is_known = True
-
-    def forget(self) -> None:
-        """Begin anew: the servo has changed its ways."""
-        self._waits_ns.clear()
-        self.is_known = False
-        self.earliest_ns, self.latest_ns = 0, REPLY_TIMEOUT_NS

@@ -1,14 +1,14 @@
-"""The queries in flight on one bus: what was asked, what answers it, when to ask the next.
+"""Queries in flight on one bus: which answer belongs to which query, and when the next may leave.
 
 The line is full duplex: a query may leave while an answer comes in. Two servos that answer at once
-destroy both answers, so the next servo is asked such that even its quickest answer begins after
-the slowest one of the servo before. One servo answers in the order in which it was asked and never
-collides with itself: several questions to it fly together, and its answers follow each other
-without a gap. How quick and how slow a servo is, is learnt (`turnaround`).
+destroy both answers. So the query to the next servo is sent such that even its quickest answer
+begins after the slowest one of the servo before. One servo answers in the order of its queries and
+never collides with itself: several queries to it are in flight together, and their answers follow
+each other without a gap. `ReplyLatency` learns how quick each servo is.
 
-Nothing in an answer says which of several equal questions it answers. So equal questions end with
-another one: its answer shows, since the servo keeps the order, whether exactly as many answers came
-as were asked for. If not, one was lost or came twice, and none of them is believed.
+An answer does not show which of several equal queries it belongs to. So a row of equal queries ends
+with a different one. Since the servo keeps the order, the answer to that shows whether exactly as
+many answers came as queries were sent. If not, one was lost or came twice, and all are rejected.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.player.polling import ReplyLatency
 from lss_motion.protocol.line import Command, Reply, encode
 from lss_motion.units import NS_PER_MS
 
@@ -26,74 +25,122 @@ if TYPE_CHECKING:
 
 
 GRACE_NS: Final = 10 * NS_PER_MS
-"""An answer is given up so long after the latest instant that is known of its servo."""
+"""Time after the latest known answer of a servo until a query is given up."""
 REPLY_MAX_BYTES: Final = 24
-"""The longest answer that is waited for: a serial number (FACTS.md C15)."""
+"""Longest expected answer: a serial number (FACTS.md C15)."""
 STRAY_NS: Final = 100 * NS_PER_MS
-"""After a timeout the servo is left alone this long, so that a late answer is not taken for the
-answer to the next question."""
+"""After a timeout the servo is not polled for this long, so that a late answer is not taken for the
+answer to the next query."""
 WINDOW_MAX: Final = 8
-"""Unanswered questions to one servo. Assumed: 8 queries are 48 bytes, which any serial buffer
-holds (Arduino's have 64)."""
+"""Unanswered queries to one servo. Assumed: 8 queries are 48 bytes, which any serial buffer holds
+(Arduino's have 64)."""
 DEPTH_MAX: Final = 64
-"""Questions to one servo in a row. Chosen: at 500000 bps that is the fifth part of a second for
-eighteen servos."""
+"""Queries to one servo in a row. Chosen: at 500000 bps this takes a fifth of a second for eighteen
+servos."""
 FLIGHTS_MAX: Final = 2
-"""Servos with unanswered questions: one that is answering, and the next."""
+"""Servos with unanswered queries: the one that is answering, and the next."""
 STARVED_NS: Final = 20 * NS_PER_MS
-"""When nothing was asked on a bus for so long, whoever is missed there is asked behind the moves,
-however many: on a host that is late every time some are due always. Chosen; a question makes the
-next move later by less than another move would."""
+"""If no query was sent on a bus for this long, overdue servos are polled although moves are due: on
+a host that is always late, moves are always due. Chosen; a query delays the next move less than
+another move does."""
+WINDOW: Final = 32
+"""Number of remembered answers. Chosen: one in 33 exceeds all of them by chance."""
+SAMPLES_LEAST: Final = 4
+"""With fewer answers the latency is unknown: then only one servo is polled at a time."""
+REPLY_TIMEOUT_NS: Final = 30 * NS_PER_MS
+"""Time for the answer of an unknown servo: the stricter libraries wait 10 ms (FACTS.md H5), and a
+USB adapter may add its 16 ms timer."""
+MARGIN_SAMPLES: Final = 4
+"""The next answer may be earlier or later than all n remembered ones by 4/n of their spread.
+Chosen: of evenly spread values, one in some hundred exceeds it."""
+
+
+class ReplyLatency:
+    """Estimate for one servo. It includes the delay of adapter and host."""
+
+    def __init__(self) -> None:
+        self._waits_ns: deque[int] = deque(maxlen=WINDOW)
+        self.is_known = False
+        self.earliest_ns = 0
+        """No answer begins sooner after its query has arrived."""
+        self.latest_ns = REPLY_TIMEOUT_NS
+        """No answer begins later, as far as is known."""
+
+    @property
+    def spread_ns(self) -> int:
+        return self.latest_ns - self.earliest_ns
+
+    @property
+    def least_ns(self) -> int | None:
+        """The shortest remembered latency; None: there is none."""
+        return min(self._waits_ns, default=None)
+
+    def take(self, waited_ns: int) -> None:
+        """Use an answer that began `waited_ns` after its query had arrived."""
+        self._waits_ns.append(max(waited_ns, 0))
+        if len(self._waits_ns) < SAMPLES_LEAST:
+            return
+        least_ns, most_ns = min(self._waits_ns), max(self._waits_ns)
+        margin_ns = MARGIN_SAMPLES * (most_ns - least_ns) // len(self._waits_ns)
+        self.earliest_ns = max(least_ns - margin_ns, 0)
+        self.latest_ns = most_ns + margin_ns
+        self.is_known = True
+
+    def forget(self) -> None:
+        """Start anew: the servo answers differently now."""
+        self._waits_ns.clear()
+        self.is_known = False
+        self.earliest_ns, self.latest_ns = 0, REPLY_TIMEOUT_NS
 
 
 @dataclass(frozen=True, slots=True)
 class PendingQuery:
-    """A query in flight. `heard_ns` is when the servo had it complete."""
+    """A query in flight. The servo has received it completely at `arrival_ns`."""
 
     command: Command
     arrival_ns: int
     reply_bytes: int
-    """The longest answer that is to be expected."""
+    """Longest expected answer."""
 
 
 @dataclass(slots=True)
 class _Flight:
-    """Questions to one servo from the first that is not answered on."""
+    """Queries to one servo, from the first unanswered one on."""
 
     waiting: deque[PendingQuery] = field(default_factory=deque)
     held: list[tuple[PendingQuery, Reply]] = field(default_factory=list)
-    """Answers that could be to one of several questions: believed when all have been answered."""
+    """Answers that may belong to one of several queries: accepted when all are answered."""
     counts: Counter[str] = field(default_factory=Counter)
-    """How often it asked what."""
+    """Number of queries by keyword."""
     is_doubtful: bool = False
     """An answer was lost or came twice."""
     garbage: int = 0
-    """How much the line had seen when it began: garbage may have been an answer, too."""
+    """Garbage count of the line at the first query: garbage may have been an answer."""
     arrived_ns: int = 0
     end_ns: int = 0
-    """When the last answer has come in at the latest."""
+    """Latest instant at which the last answer has come in."""
     give_up_ns: int = 0
 
 
 @dataclass(slots=True)
 class _LinkState:
-    """What is known of how one servo answers."""
+    """What is known about the answers of one servo."""
 
     latency: ReplyLatency = field(default_factory=ReplyLatency)
     depth: int = 1
-    """Questions that it may be asked in a row: doubled by a row that it answers whole."""
+    """Queries in a row that the servo may get; doubled after a complete row."""
     failures: int = 0
     quiet_until_ns: int = 0
     overdue: set[str] = field(default_factory=set)
     """Keywords of answers that were given up and may still come."""
     reply_bytes: dict[str, int] = field(default_factory=dict)
     least_bytes: int = 1
-    """The shortest answer that is to be expected."""
+    """Shortest expected answer."""
     last_sent_ns: int = 0
     last_reply_ns: int | None = None
 
     def note_size(self, keyword: str, size_bytes: int) -> None:
-        """Note how long an answer was: the next one may have a digit more."""
+        """Note the size of an answer; the next one may have a digit more."""
         if self.reply_bytes.get(keyword) != size_bytes + 1:
             self.reply_bytes[keyword] = size_bytes + 1
             self.least_bytes = min(self.reply_bytes.values())
@@ -103,7 +150,7 @@ class _LinkState:
         self.failures = 0
 
     def fail(self) -> None:
-        """Trust the servo less; after two failures in a row, what was learnt no longer holds."""
+        """Shorten the rows; after two failures in a row the latency is learnt anew."""
         self.depth = max(1, self.depth // 2)
         self.failures += 1
         if self.failures > 1:
@@ -111,7 +158,7 @@ class _LinkState:
 
 
 class QueryTracker:
-    """Asks on one line and knows which answers may be believed."""
+    """Sends queries on one line and decides which answers are accepted."""
 
     def __init__(self, line: SerialLine) -> None:
         self._line = line
@@ -125,28 +172,28 @@ class QueryTracker:
         self._lost: list[PendingQuery] = []
 
     def is_waiting(self, servo_id: int) -> bool:
-        """Return whether a question to `servo_id` is in flight."""
+        """Return whether a query to `servo_id` is in flight."""
         return servo_id in self._flights
 
     @property
     def give_up_ns(self) -> int | None:
-        """When `expire` has something to do at the latest; None: nothing is in flight."""
+        """When `expire` must be called at the latest; None: no query is in flight."""
         return min((flight.give_up_ns for flight in self._flights.values()), default=None)
 
     def quiet_until_ns(self, servo_id: int) -> int:
-        """Return until when a servo is left alone after a timeout."""
+        """Return until when a servo is not polled after a timeout."""
         return self._known(servo_id).quiet_until_ns
 
     def is_starved(self, now_ns: int) -> bool:
-        """Return whether nobody was asked for too long."""
+        """Return whether no query was sent for too long."""
         return now_ns - self._last_ns > STARVED_NS
 
     def last_sent_ns(self, servo_id: int) -> int:
-        """Return when a servo was last asked; 0: never."""
+        """Return when the last query to a servo was sent; 0: never."""
         return self._known(servo_id).last_sent_ns
 
     def last_reply_ns(self, servo_id: int) -> int | None:
-        """Return when a servo last answered, be it believed or too late; None: never."""
+        """Return when a servo last answered, accepted or too late; None: never."""
         return self._known(servo_id).last_reply_ns
 
     def latency(self, servo_id: int) -> ReplyLatency:
@@ -154,29 +201,29 @@ class QueryTracker:
 
     @property
     def shortest_latency_ns(self) -> int | None:
-        """The shortest wait for an answer of any servo so far; None: there was no answer."""
+        """Shortest latency of any answer so far; None: there was no answer."""
         waits_ns = [link.latency.least_ns for link in self._links.values()]
         return min((wait_ns for wait_ns in waits_ns if wait_ns is not None), default=None)
 
     def depth(self, servo_id: int) -> int:
-        """Return how many questions in a row the servo may be asked after what it has shown."""
+        """Return how many queries in a row the servo may get."""
         return self._known(servo_id).depth
 
     def reply_bytes(self, servo_id: int, keyword: str) -> int:
-        """Return the longest answer to be expected: a digit more than the last one."""
+        """Return the longest expected answer: a digit more than the last one."""
         return self._known(servo_id).reply_bytes.get(keyword, REPLY_MAX_BYTES)
 
     def is_overdue(self, servo_id: int, keyword: str) -> bool:
         """Return whether a late answer could be taken for the answer to `keyword`.
 
-        The servo answers in order: its answer to anything else ends this.
+        The servo answers in order, so its answer to any other query ends this.
         """
         return keyword in self._known(servo_id).overdue
 
     def earliest_ns(self, servo_id: int, size_bytes: int) -> int | None:
-        """Return from when on a question of `size_bytes` may begin to leave.
+        """Return the earliest instant at which a query of `size_bytes` may begin to leave.
 
-        None: not before something that is in flight was answered or given up.
+        None: a query in flight must be answered or given up first.
         """
         link = self._known(servo_id)
         if self._flights and servo_id == next(reversed(self._flights)):
@@ -192,7 +239,7 @@ class QueryTracker:
         return max(link.quiet_until_ns, arrival_ns - self._line.time_ns(size_bytes))
 
     def send(self, command: Command, now_ns: int) -> None:
-        """Hand over a question; `earliest_ns` says when it may be."""
+        """Send a query; `earliest_ns` returns when that is allowed."""
         servo_id = command.servo_id
         arrival_ns = self._line.send(encode(command), now_ns)
         if (flight := self._flights.get(servo_id)) is None:
@@ -205,33 +252,33 @@ class QueryTracker:
         self.query_count += 1
 
     def receive(self, reply: Reply, now_ns: int) -> list[tuple[PendingQuery, Reply]]:
-        """Return the questions that are now answered beyond doubt, with their answers.
+        """Return the queries that are now answered beyond doubt, with their answers.
 
-        A reply that answers nothing is a stray, which is counted. `*QID5` names no sender; it
-        answers a question for an id only.
+        A reply that belongs to no query is counted as a stray. `*QID5` carries no sender; it
+        answers only a query for an id.
         """
-        servo_id, asked = self._asked_for(reply, now_ns)
-        if asked is None:
+        servo_id, query = self._query_for(reply, now_ns)
+        if query is None:
             self._note_stray(servo_id, reply.keyword, now_ns)
             return []
         flight, link = self._flights[servo_id], self._known(servo_id)
         self.reply_count += 1
         size_bytes = len(encode(reply))
         link.note_size(reply.keyword, size_bytes)
-        if flight.arrived_ns <= asked.arrival_ns and asked is flight.waiting[0]:
+        if flight.arrived_ns <= query.arrival_ns and query is flight.waiting[0]:
             began_ns = now_ns - self._line.time_ns(size_bytes)
-            link.latency.take(began_ns - asked.arrival_ns)
-        while (passed := flight.waiting.popleft()) is not asked:
+            link.latency.take(began_ns - query.arrival_ns)
+        while (skipped := flight.waiting.popleft()) is not query:
             flight.is_doubtful = True
-            self._lost.append(passed)
+            self._lost.append(skipped)
         flight.arrived_ns = link.last_reply_ns = now_ns
-        flight.held.append((asked, reply))
+        flight.held.append((query, reply))
         link.overdue.clear()
         self._predict(servo_id, flight)
-        return self._believed(servo_id, flight)
+        return self._accepted(servo_id, flight)
 
     def expire(self, now_ns: int) -> list[PendingQuery]:
-        """Give up the questions whose time is over; return them."""
+        """Give up the queries whose time is over; return them."""
         given_up, self._lost = self._lost, []
         late = [one for one, flight in self._flights.items() if now_ns >= flight.give_up_ns]
         for servo_id in late:
@@ -239,7 +286,7 @@ class QueryTracker:
             given_up += flight.waiting
             self.strays += len(flight.held)
             link.quiet_until_ns = now_ns + STRAY_NS
-            link.overdue.update(asked.command.keyword for asked in flight.waiting)
+            link.overdue.update(query.command.keyword for query in flight.waiting)
             link.fail()
         self.timeouts += len(given_up)
         return given_up
@@ -250,23 +297,23 @@ class QueryTracker:
         return link
 
     def _window(self, link: _LinkState) -> int:
-        """Return how many questions must fly so that the servo never waits for one."""
+        """Return how many queries must be in flight so that the servo never idles."""
         latency = link.latency
         if not latency.is_known:
             return 1
         shortest_ns = self._line.time_ns(link.least_bytes)
         return min(WINDOW_MAX, 3 + latency.latest_ns // shortest_ns)
 
-    def _asked_for(self, reply: Reply, now_ns: int) -> tuple[int, PendingQuery | None]:
-        """Return who sent a reply and the oldest question that it can answer."""
+    def _query_for(self, reply: Reply, now_ns: int) -> tuple[int, PendingQuery | None]:
+        """Return the sender of a reply and the oldest query that it can answer."""
         if reply.servo_id is None:
             servo_id = next(iter(self._flights), -1) if reply.keyword == "QID" else -1
         else:
             servo_id = reply.servo_id
         flight = self._flights.get(servo_id)
-        for asked in flight.waiting if flight is not None else ():
-            if asked.command.keyword == reply.keyword:
-                return servo_id, asked if now_ns >= asked.arrival_ns else None
+        for query in flight.waiting if flight is not None else ():
+            if query.command.keyword == reply.keyword:
+                return servo_id, query if now_ns >= query.arrival_ns else None
         return servo_id, None
 
     def _note_stray(self, servo_id: int, keyword: str, now_ns: int) -> None:
@@ -279,8 +326,8 @@ class QueryTracker:
             if flight is None:
                 link.latency.forget()
 
-    def _believed(self, servo_id: int, flight: _Flight) -> list[tuple[PendingQuery, Reply]]:
-        """Return, and no longer hold, the answers that no other question could mean."""
+    def _accepted(self, servo_id: int, flight: _Flight) -> list[tuple[PendingQuery, Reply]]:
+        """Return, and stop holding, the answers that can belong to one query only."""
         newest = flight.held[-1]
         if flight.waiting:
             if flight.counts[newest[1].keyword] > 1:
@@ -288,22 +335,22 @@ class QueryTracker:
             flight.held.pop()
             return [newest]
         del self._flights[servo_id]
-        believed = flight.held
+        accepted = flight.held
         if flight.is_doubtful or flight.garbage != self._line.garbage:
             self._known(servo_id).fail()
-            believed = [pair for pair in believed if flight.counts[pair[1].keyword] == 1]
-            self.strays += len(flight.held) - len(believed)
+            accepted = [pair for pair in accepted if flight.counts[pair[1].keyword] == 1]
+            self.strays += len(flight.held) - len(accepted)
         else:
             self._known(servo_id).succeed()
-        return believed
+        return accepted
 
     def _predict(self, servo_id: int, flight: _Flight) -> None:
-        """Find out when the last answer of a flight has come in at the latest."""
+        """Compute when the last answer of a flight has come in at the latest."""
         latency = self._known(servo_id).latency
         latest_ns = latency.latest_ns
         end_ns = flight.arrived_ns
-        for asked in flight.waiting:
-            end_ns = max(end_ns, asked.arrival_ns + latest_ns)
-            end_ns += self._line.time_ns(asked.reply_bytes)
+        for query in flight.waiting:
+            end_ns = max(end_ns, query.arrival_ns + latest_ns)
+            end_ns += self._line.time_ns(query.reply_bytes)
         flight.end_ns = end_ns
         flight.give_up_ns = end_ns + (GRACE_NS if latency.is_known else 0)

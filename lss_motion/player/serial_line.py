@@ -1,4 +1,4 @@
-"""What the player believes about one serial line: when it is free, and what came in."""
+"""State of one serial line, without I/O: when it is free, what must be written, what came in."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class SerialLine:
-    """One bus. Bytes that are handed over go out in order, at the baud rate."""
+    """One bus. Bytes that are handed over leave in order, at the baud rate."""
 
     def __init__(self, bus: Bus) -> None:
         self.bus = bus
@@ -44,7 +44,7 @@ class SerialLine:
         return out
 
     def receive(self, data: bytes) -> list[Reply]:
-        """Return the replies in `data`; the rest is counted."""
+        """Return the replies in `data`; everything else is counted."""
         received: list[Reply] = []
         for item in self._parser.feed(data):
             match item:

@@ -1,6 +1,7 @@
-"""Show time: how far the show has come, as a function of the run clock. Its rate ramps.
+"""Show time as a function of the run clock, and the moves while its rate changes.
 
-How gently the rate of the show clock changes, and what joints are told meanwhile.
+`ShowClock` converts instants into show time. `ramp_s` limits how fast its rate may change, and
+`spot_moves` computes the moves of the joints while the rate is not 1.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class _Leg:
-    """From `start_ns` the rate goes evenly from `from_rate` to `to_rate` over `ramp_ns`."""
+    """From `start_ns` the rate changes evenly from `from_rate` to `to_rate` over `ramp_ns`."""
 
     start_ns: int
     start_s: float
@@ -42,7 +43,7 @@ class _Leg:
 
 
 class ShowClock:
-    """Show time in seconds at any instant since it was started. Rate 1 is as planned, 0 a pause."""
+    """Show time in seconds since the start. Rate 1 is as planned, 0 a pause."""
 
     def __init__(self, start_ns: int, start_s: float, rate: float) -> None:
         self._legs: list[_Leg] = []
@@ -66,18 +67,18 @@ class ShowClock:
         return now_ns < self.ramp_end_ns
 
     def ramp_to(self, rate: float, now_ns: int, over_s: float) -> None:
-        """Change the rate evenly from what it is now to `rate`, over `over_s`."""
+        """Change the rate evenly from its present value to `rate`, over `over_s`."""
         ramp_ns = ns_from_s(over_s)
         self._begin(_Leg(now_ns, self.show_s(now_ns), self.rate(now_ns), rate, ramp_ns))
 
     def stand_at(self, show_s: float, now_ns: int) -> None:
-        """Stand still at `show_s` from the instant on at which the show reached it, by `now_ns`."""
+        """Stop at `show_s` from the instant on at which the show reached it, by `now_ns`."""
         reached_ns = self.instant_ns(show_s)
         start_ns = now_ns if reached_ns is None else min(max(reached_ns, self.ramp_end_ns), now_ns)
         self._begin(_Leg(start_ns, show_s, 0.0, 0.0, 0))
 
     def instant_ns(self, show_s: float) -> int | None:
-        """Return when the show reaches `show_s` if the rate stays as it is; None: never."""
+        """Return when the show reaches `show_s` at the present target rate; None: never."""
         if self.target_rate <= 0.0:
             return None
         return self.ramp_end_ns + ns_from_s((show_s - self._ramp_end_s) / self.target_rate)
@@ -108,21 +109,21 @@ class ShowClock:
 RAMP_TICK_NS: Final = 40 * NS_PER_MS
 """At any rate but 1, every moving joint gets a move this often, if the line can carry it."""
 GUIDE_PERIOD_NS: Final = 20 * NS_PER_MS
-"""A streamed joint that is led gets one for every step of its filter (FACTS.md M6): over two
-steps with one target the filter is quick in the first and slow in the second."""
+"""A guided joint gets one target for every step of its filter (FACTS.md M6): with one target over
+two steps, the filter is quick in the first and slow in the second."""
 RAMP_LINE_RATIO: Final = 0.5
-"""Moves made on the spot take no more of the line than this; where there are streamed joints, half
-of it is theirs."""
+"""Spot moves take no more of the line than this. With streamed joints on it, they get half of
+that."""
 RAMP_LEAST_S: Final = 0.3
 RAMP_ACCEL_RATIO: Final = 0.4
 """A change of rate takes no more than this share of any joint's acceleration. Chosen: a course at
-its own limit leaves none, and is then left by 1 deg or 2 for the time of a ramp."""
+its own limit leaves none to spare, and is then left by 1 or 2 deg during a ramp."""
 RAMP_LOOK_S: Final = (0.0, 0.1, 0.2, 0.3, 0.4)
 """How far ahead the speeds of the course count for a ramp that begins now."""
 
 
 class SpotMove(NamedTuple):
-    """A move for one joint, made on the spot: servo degrees, and the run time that it has."""
+    """A move that is computed at run time: servo degrees, and the run time that it has."""
 
     state: JointState
     aim_deg: float
@@ -132,7 +133,7 @@ class SpotMove(NamedTuple):
 def ramp_s(
     joint_states: Collection[JointState], program: Program, show_s: float, change: float
 ) -> float:
-    """Return over how long the rate may change by `change`, as gently as the limits ask."""
+    """Return the time over which the rate may change by `change` within the limits."""
     over_s = RAMP_LEAST_S
     for state in joint_states:
         spare_deg_s2 = RAMP_ACCEL_RATIO * state.limits.ramp_deg_s2
@@ -143,7 +144,7 @@ def ramp_s(
 
 
 class RampPeriods(NamedTuple):
-    """How often joints can be told where to go: those that are led, and all others."""
+    """How often joints get a target: those that are guided, and all others."""
 
     guide_ns: int
     tick_ns: int
@@ -152,7 +153,7 @@ class RampPeriods(NamedTuple):
 def ramp_periods(
     joint_states: Collection[JointState], lines: Mapping[str, SerialLine]
 ) -> RampPeriods:
-    """Return how often every joint can be told where to go."""
+    """Return how often the lines can carry a target for every joint."""
     streamed = [state for state in joint_states if state.joint.drive == "streamed"]
     others = [state for state in joint_states if state.joint.drive != "streamed"]
     share = 0.5 if streamed and others else 1.0
@@ -163,7 +164,7 @@ def ramp_periods(
 
 
 def _busiest_ns(joint_states: Collection[JointState], lines: Mapping[str, SerialLine]) -> float:
-    """Return over how long one move for each of `tracks` may be spread on the busiest line."""
+    """Return the least period of one move for each joint on the busiest line."""
     busiest_ns = max(
         sum(
             line.time_ns(len(encode_move(state.joint.servo_id, -18000, _duration_ms(state))))
@@ -191,8 +192,8 @@ def spot_moves(
     """Yield a move for every joint that is off its course, to be on it in one period.
 
     `ends_ns` is when the course comes to rest, if it does: moves from there on reach no further.
-    Each is to be sent before the next one is asked for, since it keeps the line busy. Streamed
-    joints are led (`leading.lead`).
+    The caller sends each move before it takes the next one, since it keeps the line busy. Streamed
+    joints are guided instead (`streamer.guide`).
     """
     for state in joint_states:
         if state.joint.drive == "streamed":

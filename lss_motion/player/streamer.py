@@ -1,23 +1,19 @@
-"""Plays one program: moves on time, questions in the gaps, corrections, and the show clock's rate.
+"""Streams one program: moves on time, queries in the gaps, corrections, and rate changes.
 
-At rate 1, the moves of the program are sent as they fall due. While the rate ramps (a pause, a
-resume, a change of speed) or is steady below 1, moves made on the spot follow the same course at
-the rate of the moment, so that no joint leaves its path: the ramps of a servo do not slow down
-with the show, so the program's own moves would. When the rate is 1 again, every joint is sent the
-move of the program that is under way, with what is left of its time.
+At rate 1, the moves of the program are sent when they are due (`DueMoves`), each earlier by the lag
+of its joint. While the rate ramps (pause, resume, change of speed) or is steady below 1, spot moves
+follow the same course at the present rate, so that no joint leaves its path: the ramps of a servo
+do not slow down with the show, so the program's own moves would leave it. When the rate is 1 again,
+every joint is sent the move of the program that is under way, with the rest of its time.
 
-The moves of a program in the order in which they leave, each earlier by what its joint lags.
+Timed joints: T is the time at travel speed, and the ramps of the servo come on top of it. So
+`rejoin`, `send_deferred` and `on_time_s` compute the T of a joint that is off its plan from its way
+and its speed, not from what is left of T.
 
-Says what T a timed joint is told where it is not on its plan, so that it gets there.
-
-T is for travelling at one speed: the ramps of the servo come on top of it. So what is left of a
-move is judged by its way and its speed, and not by what is left of T.
-
-Leads a streamed joint that is off its program along its path, one step of its filter at a time.
-
-It is off because its targets were late, or held back by its limits, or because the rate of the
-show is not 1. Its next target is made on the spot: as far as its plan goes in the next step, and a
-little further to close up on it. What is too much for its limits, `Setpoints` takes off.
+Streamed joints: `guide` leads a joint that is off its program along its path, one filter step at a
+time. It is off because targets were late or cut by its limits, or because the rate is not 1. Each
+target is computed at run time: as far as the plan goes in the next step, and a little further to
+close in on it. `Setpoints` cuts what exceeds the limits.
 """
 
 from __future__ import annotations
@@ -68,7 +64,7 @@ EARLY_MAX_US: Final = us_from_s(LAG_MAX_S)
 
 
 class Due(NamedTuple):
-    """A move that leaves at the show time `at_us`; the program has it at `due_us`."""
+    """A move that leaves at show time `at_us`; the program has it at `due_us`."""
 
     at_us: int
     number: int
@@ -77,9 +73,9 @@ class Due(NamedTuple):
 
 
 class DueMoves:
-    """Moves `(due_us, move)` in order of time; `early_us` says how much earlier one is to leave.
+    """Moves `(due_us, move)` in order of time, each earlier by `early_us(move)`.
 
-    What is believed of a lag changes: no move overtakes one of the same servo for that.
+    The estimate of a lag changes, but no move overtakes an earlier one of the same servo for that.
     """
 
     def __init__(self, moves: Iterator[tuple[int, Move]], early_us: Callable[[Move], int]) -> None:
@@ -88,11 +84,11 @@ class DueMoves:
         self._early_us = early_us
         self._soon: list[Due] = []
         self._newest_us: dict[tuple[str, int], int] = {}
-        """When the last move of each servo that was looked at leaves."""
+        """By servo, when its last move that was looked at leaves."""
         self._number = 0
 
     def first(self, before_us: float) -> Due | None:
-        """Return the next move to leave of those that are due before `before_us`."""
+        """Return the next move to leave among those that are due before `before_us`."""
         while self._head is not None and self._head[0] < before_us:
             due_us, move = self._head
             if self._soon and due_us - EARLY_MAX_US > self._soon[0].at_us:
@@ -106,11 +102,11 @@ class DueMoves:
         return self._soon[0] if self._soon else None
 
     def pop(self) -> Due:
-        """Return what `first` returned, and go on to the next."""
+        """Remove the move that `first` returned; return it."""
         return heapq.heappop(self._soon)
 
     def pass_by(self, until_us: float) -> list[tuple[int, Move]]:
-        """Return all that is due until then and has not left, in order of time; it never will."""
+        """Remove all moves that are due until then, in order of time, and return them."""
         passed = [due for due in self._soon if due.due_us <= until_us]
         self._soon = [due for due in self._soon if due.due_us > until_us]
         heapq.heapify(self._soon)
@@ -121,7 +117,7 @@ class DueMoves:
         return found
 
     def replace_from(self, from_us: int, moves: Iterable[Move]) -> None:
-        """Let `moves` follow in place of all that is due at `from_us` or later."""
+        """Replace all that is due at `from_us` or later by `moves`."""
         self._soon = sorted(due for due in self._soon if due.due_us < from_us)
         self._newest_us = {(due.move.bus, due.move.servo_id): due.at_us for due in self._soon}
         waiting = chain([] if self._head is None else [self._head], self._upcoming)
@@ -131,7 +127,7 @@ class DueMoves:
 
 
 JOIN_S: Final = 0.1
-"""A joint that has missed a move catches up in about this time, if its limits allow. Chosen."""
+"""Time in which a joint that has lost a move catches up, if its limits allow it. Chosen."""
 
 
 def rejoin(
@@ -141,10 +137,10 @@ def rejoin(
     within: Callable[[float], float],
     now_ns: int,
 ) -> None:
-    """Send what the servo has missed of the move under way.
+    """Send the rest of the move under way to a servo that has lost it.
 
-    A joint that is behind on its way travels faster until it meets the plan; from then on the rest
-    of the move is owed. `within` turns a show time into one of the plan.
+    A joint that is behind travels faster until it meets the plan; from there the rest of the move
+    is deferred. `within` turns a show time into one of the plan.
     """
     assert state.active is not None
     arrival_ns = line.arrival_ns(len(state.active.data), now_ns)
@@ -154,7 +150,7 @@ def rejoin(
     way_deg = state.target_deg + state.disturbance.offset_deg - position_deg
     sense, ramp_deg_s2 = math.copysign(1.0, way_deg), state.limits.ramp_deg_s2
     travel_deg_s = _travel_deg_s(state, within(state.begun_s(line)))
-    # Until both travel: what it falls behind while it speeds up, less what the plan does.
+    # Distance that it loses while it speeds up, less the distance that the plan loses.
     slower_deg_s = max(0.0, travel_deg_s - sense * own_deg_s)
     planned_slower_deg_s = max(0.0, travel_deg_s - sense * planned_deg_s)
     behind_deg = abs(way_deg) - abs(planned_way_deg)
@@ -166,14 +162,14 @@ def rejoin(
         state.send_active(line, left_s, now_ns)
         return
     state.send_active(line, abs(way_deg) / (travel_deg_s + faster_deg_s), now_ns)
-    # What it gains less while it speeds up it gains more while it slows down again.
+    # The distance lost while it speeds up comes back while it slows down.
     joins_s = slower_deg_s / ramp_deg_s2 + behind_deg / faster_deg_s
     if joins_s < left_s:
         state.defer(arrival_ns + ns_from_s(joins_s), state.target_deg, travel_deg_s)
 
 
 def _faster_deg_s(state: JointState, travel_deg_s: float, behind_deg: float) -> float:
-    """Return by how much faster than `travel_deg_s` a joint is to travel to close up."""
+    """Return by how much faster than `travel_deg_s` a joint travels to catch up."""
     if behind_deg <= state.joint.unit_deg:
         return 0.0
     return min(
@@ -184,7 +180,7 @@ def _faster_deg_s(state: JointState, travel_deg_s: float, behind_deg: float) -> 
 
 
 def _travel_deg_s(state: JointState, begun_s: float) -> float:
-    """Return how fast the move under way, begun at `begun_s`, is to travel between its ramps."""
+    """Return the travel speed between the ramps of the move that began at `begun_s`."""
     move = state.active
     assert move is not None
     assert move.duration_ms is not None
@@ -194,7 +190,7 @@ def _travel_deg_s(state: JointState, begun_s: float) -> float:
 
 
 def send_deferred(state: JointState, line: SerialLine, now_ns: int) -> None:
-    """Send what a joint is owed: a timed one travels on as planned, but with no longer T."""
+    """Send the deferred target: a timed joint travels on as planned, within the longest T."""
     assert state.deferred is not None
     _, target_deg, travel_deg_s = state.deferred
     way_deg = target_deg + state.disturbance.offset_deg - state.place(now_ns)[0]
@@ -205,11 +201,12 @@ def send_deferred(state: JointState, line: SerialLine, now_ns: int) -> None:
 def on_time_s(
     state: JointState, line: SerialLine, show_s: Callable[[int], float], now_ns: int
 ) -> float:
-    """Return how long the move under way, sent on time, is to travel; 0 if it has no T.
+    """Return the time that the move under way has to travel if sent on time; 0 if it has no T.
 
-    That is its T, unless it turns the joint back. Its target may be near then, and T short: what
-    the profile is off the plan would change the travel speed by many times. So the speed of the
-    plan is kept instead of its end. `show_s` turns an instant into one of the plan.
+    That is its T, unless the move reverses the joint. Then its target may be near and T short, and
+    a small distance of the profile from the plan would change the travel speed many times over. So
+    the speed of the plan is kept instead of its end. `show_s` turns an instant into one of the
+    plan.
     """
     move = state.active
     assert move is not None
@@ -226,7 +223,7 @@ def on_time_s(
 
 
 ON_PROGRAM_RATIO: Final = 1.0
-"""Nearer to its plan than this share of its program's tolerance, a joint is on it again."""
+"""A joint nearer to its plan than this share of the program's tolerance is on it again."""
 
 
 def guide(
@@ -238,10 +235,10 @@ def guide(
     *,
     is_even: bool,
 ) -> None:
-    """Tell a joint where to go, and note when to tell it again: every `period_ns`, if that can be.
+    """Send a guiding target, and set the instant of the next one: after `period_ns`, if possible.
 
-    That ends when it rests where its plan does, or, where the rate of the show `is_even` at 1, when
-    it is so near to its plan that the move of the program that is under way does the same.
+    Guiding ends when the joint rests where its plan does, or when, at a steady rate of 1
+    (`is_even`), it is so near to its plan that the program's move under way has the same effect.
     """
     profile, limits = state.profile, state.limits
     assert isinstance(profile, FilterProfile), "only streamed joints are led"
@@ -270,22 +267,22 @@ def guide(
 def _wanted_deg(
     state: JointState, planned_deg: Callable[[JointState, int], float], at_s: float
 ) -> float:
-    """Return where the filter of a joint should be then: ahead of the horn, and corrected."""
+    """Return where the filter of a joint should be at `at_s`: ahead of the horn, corrected."""
     at_ns = ns_from_s(at_s + state.lead_s + state.early_s)
     wanted_deg = planned_deg(state, at_ns) + state.disturbance.offset_deg
     return min(max(wanted_deg, state.limits.position_min_deg), state.limits.position_max_deg)
 
 
 SETTLE_S: Final = 0.15
-"""After the last horn should have arrived: time for the servo's own settling."""
+"""Time after the last horn should have arrived, for the servo's own settling."""
 PLAN_HISTORY_S: Final = 5.0
-"""How long a plan that grows remembers what it was: longer than any answer may take."""
+"""A plan that is extended keeps this much of its past: longer than any answer may take."""
 ON_TIME_NS: Final = NS_PER_MS // 2
-"""Later than this, and T is computed anew; below, it would not change T."""
+"""If a move leaves later than this, T is computed anew; a smaller delay would not change T."""
 
 
 class Streamer:
-    """One program from its first to its last move. Owns no port and no clock."""
+    """Streams one program from its first to its last move. Owns no port and no clock."""
 
     def __init__(
         self,
@@ -318,7 +315,7 @@ class Streamer:
         self._moves = DueMoves(program.unrolled(), self._early_us)
         self._tick_ns: int | None = None
         self._has_moved = False
-        """Whether moves left in this turn."""
+        """Whether moves left in this call of `advance`."""
         self.waiting = Waiting(program.unrolled_waits(), robot.sensors, begin_s)
         scheduler = PollScheduler(self.joint_states, trackers, lines, self.waiting)
         self.scheduler = scheduler if has_feedback else None
@@ -330,11 +327,11 @@ class Streamer:
 
     @property
     def rate_wanted(self) -> float:
-        """What `set_rate` was last asked for."""
+        """The last rate given to `set_rate`."""
         return self.waiting.rate_after if self.waiting.is_waiting else self.clock.target_rate
 
     def is_finished(self, now_ns: int) -> bool:
-        """Return whether the show is over and all at rest; one that stands in between is not."""
+        """Return whether the show is over and every servo at rest; false during a pause."""
         if self.is_open:
             return False
         if self.clock.target_rate == 0.0 and not self.clock.is_ramping(now_ns):
@@ -343,15 +340,15 @@ class Streamer:
         return is_over and self._has_arrived(now_ns)
 
     def is_standing(self, now_ns: int) -> bool:
-        """Return whether a ramp to rate 0 has ended and every horn should have come to rest."""
+        """Return whether a ramp to rate 0 has ended and every horn should be at rest."""
         settled_ns = self.clock.ramp_end_ns + ns_from_s(SETTLE_S)
         is_still = self.clock.target_rate == 0.0 and now_ns >= settled_ns
         return is_still and self._has_arrived(now_ns)
 
     def _has_arrived(self, now_ns: int) -> bool:
-        """Return whether every servo should be at rest where it was told to go.
+        """Return whether every servo should be at rest at its target.
 
-        What was told late, and what a speed limit held back, is on its way for longer.
+        Targets that were sent late, or cut by a speed limit, take longer.
         """
         return not self._resends_ns() and all(
             t.is_at_rest(now_ns) for t in self.joint_states.values()
@@ -379,7 +376,7 @@ class Streamer:
         return True
 
     def set_rate(self, rate: float, now_ns: int) -> None:
-        """Ramp the show clock to `rate` (0 to 1), as gently as the joints' limits ask."""
+        """Ramp the show clock to `rate` (0 to 1), as gently as the joints' limits require."""
         if self.waiting.is_waiting:
             self.waiting.rate_after = rate
             return
@@ -391,7 +388,7 @@ class Streamer:
         self._tick_ns = now_ns
 
     def leave_out(self, names: Iterable[str]) -> None:
-        """Send no move to these joints, and to all others again."""
+        """Send no move to the joints `names`, and moves to all others."""
         for name, state in self.joint_states.items():
             if name in names:
                 state.suspend()
@@ -399,12 +396,12 @@ class Streamer:
                 state.resume()
 
     def pose_deg(self, now_ns: int) -> dict[str, float]:
-        """Return where every joint is to stand after a ramp to rate 0: joint angles."""
+        """Return the joint angles at which every joint stands after a ramp to rate 0."""
         joint_states = self.joint_states.items()
         return {name: t.joint.joint_deg(self._planned_deg(t, now_ns)) for name, t in joint_states}
 
     def resume(self, standing_deg: Mapping[str, float], left_out: Iterable[str]) -> None:
-        """Go on at rate 0, with servos that somebody else sent to `standing_deg` (servo angles)."""
+        """Go on at rate 0, with servos that an approach sent to `standing_deg` (servo angles)."""
         for name, servo_deg in standing_deg.items():
             self.joint_states[name].stand_at(servo_deg)
         self.leave_out(left_out)
@@ -414,10 +411,11 @@ class Streamer:
     # ---- sending
 
     def advance(self, now_ns: int) -> None:
-        """Hand over to the lines what must leave by now: moves, or else questions.
+        """Hand over to the lines what must leave by now: moves, or else queries.
 
-        Questions take time to choose: they follow in the next turn, when the moves have left. But
-        on a host that is late every time, moves are due then as well.
+        To choose queries takes time, so they follow in the next call, after the moves have left. On
+        a host that is always late, moves are due in every call; then queries follow in the same
+        one.
         """
         self._has_moved = False
         if self._tick_ns is not None:
@@ -466,7 +464,7 @@ class Streamer:
         return None if due is None else self._instant_ns(s_from_us(due.at_us))
 
     def _early_us(self, move: Move) -> int:
-        """Return by how much a move is to leave earlier than the program says."""
+        """Return by how much a move leaves earlier than the program says."""
         return us_from_s(self._by_address[move.bus, move.servo_id].early_s)
 
     def _instant_ns(self, show_s: float) -> int:
@@ -475,7 +473,7 @@ class Streamer:
         return instant_ns
 
     def _wait(self, now_ns: int) -> None:
-        """Stand still where the show has to wait for a sensor; go on when that is over."""
+        """Stop the show where it waits for a sensor; go on when the wait is over."""
         state = self.waiting.advance(self.clock, now_ns)
         if state == "begun" and self._tick_ns is not None:
             self._tick_ns = None
@@ -485,7 +483,7 @@ class Streamer:
             self._advance_ramp(now_ns)
 
     def quiet_ns(self, now_ns: int) -> int | None:
-        """Return until when the lines are free of moves; None: no move is planned."""
+        """Return until when no move is due; None: no move is planned."""
         quiet_ns = self._resends_ns()
         if self._tick_ns is not None:
             quiet_ns.append(self._tick_ns)
@@ -505,7 +503,7 @@ class Streamer:
             state.send_active(self._lines[state.joint.bus], left_s, now_ns)
 
     def _resend_lost(self, state: JointState, now_ns: int) -> None:
-        """Send what is left of a move that its servo has not heard; ramps say all again anyway."""
+        """Send the rest of a move that its servo has lost; a ramp sends all anew anyway."""
         if self._tick_ns is not None or self.clock.target_rate < 1.0:
             return
         if state.active is None or not state.is_driven:
@@ -518,7 +516,7 @@ class Streamer:
         return state.left_s(self._lines[state.joint.bus], self.clock, now_ns)
 
     def _resends_ns(self) -> list[int]:
-        """Return when joints are told what the limits did not let them be told at once."""
+        """Return the instants of deferred and guiding targets."""
         return [ns for state in self.joint_states.values() if (ns := state.resend_ns) is not None]
 
     def _resend_due(self, now_ns: int) -> None:
@@ -565,13 +563,13 @@ class Streamer:
         self.set_rate(1.0, now_ns)
 
     def _skip_due(self, now_ns: int) -> None:
-        """Take the moves that the show has passed as under way, without sending them."""
+        """Mark the moves that the show has passed as under way, without sending them."""
         for due_us, move in self._moves.pass_by(US_PER_S * self.clock.show_s(now_ns)):
             state = self._by_address[move.bus, move.servo_id]
             state.begin_move(move._replace(due_us=due_us))
 
     def _take_up(self, now_ns: int, late_ns: int) -> None:
-        """Send every joint what is left of the move under way, now that the rate is steady."""
+        """Send every joint the rest of the move under way, now that the rate is steady."""
         for state in self.joint_states.values():
             if state.active is None or state.guide_ns is not None:
                 continue
@@ -584,7 +582,7 @@ class Streamer:
                 state.send_active(self._lines[state.joint.bus], left_s, now_ns)
 
     def _follow_course(self, now_ns: int, period_ns: int, late_ns: int) -> None:
-        """Bring every joint that is off its course there in one period; lead those streamed."""
+        """Send every joint that is off its course there in one period; guide those streamed."""
         for state in self.joint_states.values():
             state.leave_program(now_ns)
         for state, aim_deg, left_s in spot_moves(
@@ -601,9 +599,9 @@ class Streamer:
     # ---- judging
 
     def _planned_deg(self, state: JointState, instant_ns: int) -> float:
-        """Return where the plan wants the horn; its profile is early by the lead of the joint."""
+        """Return the horn angle of the plan; its profile is early by the lead of the joint."""
         return state.plan.at(self._plan_s(instant_ns, state.lead_s))[0]
 
     def _plan_s(self, instant_ns: int, early_s: float = 0.0) -> float:
-        """Return the instant of the plan that is so much before the show time of `instant_ns`."""
+        """Return the instant of the plan that is `early_s` before the show time of `instant_ns`."""
         return self._program.within(self.clock.show_s(instant_ns) - early_s)

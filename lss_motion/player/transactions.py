@@ -1,8 +1,8 @@
-"""Lists of questions and orders that are worked through on every bus.
+"""Lists of queries and orders that are sent on every bus at the same time.
 
-A list of questions and orders, worked through on every bus at once: for before and after.
-
-Questions and orders alone, without a show: for tools that look at a robot or set it up.
+`Dialogue` sends one list, repeats lost queries, and collects the answers; the phases before and
+after a show use it. `Conversation` wraps one with its own lines, for tools that examine or set up
+servos without a show.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ if TYPE_CHECKING:
 
 
 TRIES: Final = 6
-"""A question is asked so often before the servo counts as silent: on a line that loses every third
-answer, one of 700 questions stays open. A servo that has not answered any is not asked the rest."""
+"""A query is sent this often before the servo counts as silent: on a line that loses every third
+answer, one of 700 queries stays open. A servo without any answer does not get its other queries."""
 AGREE_TRIES: Final = 8
-"""A question whose answer must be heard twice is asked no oftener than this: on a line that
-corrupts every third answer, one of 500 questions stays open."""
+"""A query whose answer must be confirmed is sent this often at most: on a line that corrupts every
+third answer, one of 500 queries stays open."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Item:
-    """One command for one bus. A question waits for its answer, an order does not.
+    """One command for one bus. A query waits for its answer, an order does not.
 
-    With `agree_within`, a number is believed when two answers differ by no more than that (wire
-    units), and a word when it was said twice: a bus without checksums can deliver a wrong one.
+    With `agree_within`, a number is accepted when two answers differ by no more than that (wire
+    units), and a word when it came twice: a bus without checksums can deliver a wrong one.
     """
 
     bus: str
@@ -51,22 +51,23 @@ class Item:
 class _Entry:
     item: Item
     tries_left: int
-    heard: list[int | str | None] = field(default_factory=list)
+    earlier_values: list[int | str | None] = field(default_factory=list)
 
-    def believes(self, value: int | str | None) -> bool:
-        """Take in an answer; return whether it is the one."""
+    def accepts(self, value: int | str | None) -> bool:
+        """Use an answer; return whether it is accepted."""
         within = self.item.agree_within
-        if within is None or any(_agree(value, earlier, within) for earlier in self.heard):
+        if within is None or any(_agree(value, earlier, within) for earlier in self.earlier_values):
             return True
-        self.heard.append(value)
+        self.earlier_values.append(value)
         return False
 
 
 class Dialogue:
-    """Works through items in order, bus by bus at the same time.
+    """Sends items in order, on all buses at the same time.
 
-    Different questions to one servo fly together; an order waits until all before it is answered.
-    `answers` maps `(bus, servo id, keyword)` to the value; a question without an answer is absent.
+    Different queries to one servo are in flight together; an order waits until all queries before
+    it are answered. `answers` maps `(bus, servo id, keyword)` to the value; a query without an
+    answer is absent.
     """
 
     def __init__(
@@ -104,14 +105,14 @@ class Dialogue:
                     self._lines[bus].send(encode(entry.item.command), now_ns)
 
     def receive(self, bus: str, reply: Reply, now_ns: int) -> None:
-        for asked, said in self._trackers[bus].receive(reply, now_ns):
-            if (entry := self._entry_of(bus, asked)) is not None:
+        for query, answer in self._trackers[bus].receive(reply, now_ns):
+            if (entry := self._entry_of(bus, query)) is not None:
                 self._in_flight[bus].remove(entry)
-                self._answering.add((bus, asked.command.servo_id))
-                if entry.believes(said.value):
-                    self.answers[bus, asked.command.servo_id, asked.command.keyword] = said.value
-                elif len(entry.heard) < AGREE_TRIES:
-                    entry.tries_left = entry.item.tries  # It is not silent.
+                self._answering.add((bus, query.command.servo_id))
+                if entry.accepts(answer.value):
+                    self.answers[bus, query.command.servo_id, query.command.keyword] = answer.value
+                elif len(entry.earlier_values) < AGREE_TRIES:
+                    entry.tries_left = entry.item.tries  # It answers, so it is not silent.
                     self._queues[bus].appendleft(entry)
 
     def next_wakeup_ns(self) -> int | None:
@@ -129,7 +130,7 @@ class Dialogue:
         return earliest_ns is not None and max(self._lines[bus].free_ns, earliest_ns) <= now_ns
 
     def _earliest_ns(self, bus: str, item: Item) -> int | None:
-        """Return from when on `item` may leave; None: something must be answered first."""
+        """Return when `item` may leave; None: a query must be answered first."""
         command, in_flight = item.command, self._in_flight[bus]
         if not item.is_query:
             return None if in_flight else 0
@@ -138,10 +139,11 @@ class Dialogue:
         return self._trackers[bus].earliest_ns(command.servo_id, len(encode(command)))
 
     def _take_back(self, bus: str) -> None:
-        """Put what was not answered in front again, as long as it has tries left.
+        """Queue unanswered queries again, in front, as long as they have tries left.
 
-        Nothing of a servo is in flight: what it was asked was given up, or not believed. A servo
-        that is late with one answer is late with those behind it: they lose no try.
+        Only those of servos without a query in flight: theirs were given up, or not accepted. A
+        servo that is late with one answer is late with those behind it, which therefore lose no
+        try.
         """
         tracker = self._trackers[bus]
         entries = [
@@ -149,11 +151,11 @@ class Dialogue:
             for entry in self._in_flight[bus]
             if not tracker.is_waiting(entry.item.command.servo_id)
         ]
-        blamed: set[int] = set()
+        late: set[int] = set()
         for entry in entries:
-            if entry.item.command.servo_id in blamed:
+            if entry.item.command.servo_id in late:
                 entry.tries_left += 1
-            blamed.add(entry.item.command.servo_id)
+            late.add(entry.item.command.servo_id)
         for entry in reversed(entries):
             self._in_flight[bus].remove(entry)
             if entry.tries_left > 0:
@@ -162,7 +164,7 @@ class Dialogue:
                 self._give_up(bus, entry.item.command.servo_id)
 
     def _give_up(self, bus: str, servo_id: int) -> None:
-        """Ask no more of a servo that has answered nothing; what it is told may still be heard."""
+        """Drop the queries to a servo that has answered none; it may still receive orders."""
         kept = [
             entry
             for entry in self._queues[bus]
@@ -170,10 +172,10 @@ class Dialogue:
         ]
         self._queues[bus] = deque(kept)
 
-    def _entry_of(self, bus: str, asked: PendingQuery) -> _Entry | None:
-        """Return the entry that asked this: one may be left in flight by what came before."""
+    def _entry_of(self, bus: str, query: PendingQuery) -> _Entry | None:
+        """Return the entry of a query; None: an earlier dialogue has sent the query."""
         for entry in self._in_flight[bus]:
-            if entry.item.command is asked.command:
+            if entry.item.command is query.command:
                 return entry
         return None
 
@@ -185,7 +187,7 @@ def _agree(one: int | str | None, other: int | str | None, within: int) -> bool:
 
 
 class Conversation:
-    """A `Dialogue` that the runner can drive by itself. Moves nothing that its items do not."""
+    """A `Dialogue` that the runner can drive by itself. It sends nothing but its items."""
 
     def __init__(self, items: Iterable[Item], buses: Mapping[str, Bus]) -> None:
         self.lines = {name: SerialLine(bus) for name, bus in buses.items()}
@@ -194,7 +196,7 @@ class Conversation:
 
     @property
     def answers(self) -> Mapping[tuple[str, int, str], int | str | None]:
-        """Return what was answered: `(bus, servo id, keyword)` → value."""
+        """Answers by `(bus, servo id, keyword)`."""
         return self._dialogue.answers
 
     def data_to_send(self, leaves_ns: int) -> Mapping[str, bytes]:

@@ -96,7 +96,7 @@ def test_a_servo_that_does_not_say_what_its_limits_were_is_given_them_all_the_sa
 
 def test_a_servo_that_does_not_take_its_limits_is_not_driven(stage, kit, monkeypatch):
     asked = [word for word in handshake.QUERIES if word != "QAA"]
-    monkeypatch.setattr(handshake, "QUESTIONS", asked)
+    monkeypatch.setattr(handshake, "QUERIES", asked)
     obey = Servo.obey
     monkeypatch.setattr(
         Servo,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lss_motion.player.estimators import (
-    DENIALS_MAX,
+    MISMATCHES_MAX,
     OTHERS_MAX,
     QUERIES_MAX,
     SURE_S,
@@ -211,18 +211,18 @@ def test_a_servo_that_does_not_answer_is_left_to_the_readings(commanded):
 
 def test_a_servo_that_means_something_else_by_it_is_not_asked_for_ever():
     lost_moves, said = LostMoveDetector(UNIT_DEG, LOOP_S), profile_of()
-    for number in range(DENIALS_MAX + 1):
+    for number in range(MISMATCHES_MAX + 1):
         lost_moves.commanded(said.copy(), 0.1 * number, 10.0 + number, 0.2)
-        assert lost_moves.needs_target(0.1 * number + 0.02) is (number < DENIALS_MAX)
+        assert lost_moves.needs_target(0.1 * number + 0.02) is (number < MISMATCHES_MAX)
         lost_moves.target_reported(0.1 * number + 0.02, -50.0)
 
 
 def test_one_that_named_its_target_in_between_is_asked_on():
     lost_moves = LostMoveDetector(UNIT_DEG, LOOP_S)
-    for number in range(2 * DENIALS_MAX):
+    for number in range(2 * MISMATCHES_MAX):
         lost_moves.commanded(standing(0.0), 0.1 * number, 10.0 + number, 0.2)
         assert lost_moves.needs_target(0.1 * number + 0.02)
-        is_named = number == DENIALS_MAX - 1
+        is_named = number == MISMATCHES_MAX - 1
         lost_moves.target_reported(0.1 * number + 0.02, 10.0 + number if is_named else -50.0)
 
 

@@ -75,7 +75,7 @@ def test_a_servo_that_comes_and_goes_is_waited_for_only_so_often(kit):
     taken = []
     for turn in range(RESUMES_MAX + 1):
         taken += steps(climb.judge({SILENT: "is silent"}, turn * S))
-        climb.forget()
+        climb.clear()
     assert taken == [FaultStep.RESUME] * RESUMES_MAX + [FaultStep.HOLD]
 
 
@@ -122,7 +122,7 @@ def test_the_show_becomes_faster_as_it_became_slower(kit):
 def test_what_was_put_right_is_forgotten(kit):
     climb = ladder(kit, on_fault={Cause.ASTRAY: (FaultStep.SLOW, FaultStep.HOLD)})
     climb.judge({ASTRAY: "is astray"}, 0)
-    climb.forget()
+    climb.clear()
     assert (climb.rate_max, climb.next_wakeup_ns(), climb.is_idle) == (1.0, None, True)
     assert steps(climb.judge({ASTRAY: "is astray"}, 2 * S)) == [FaultStep.SLOW]
 
@@ -131,7 +131,7 @@ def test_a_servo_waited_for_too_often_gets_the_other_steps_of_its_ladder(kit):
     climb = ladder(kit, on_fault={Cause.SILENT: (FaultStep.WARN, FaultStep.RESUME, FaultStep.LIMP)})
     for _ in range(RESUMES_MAX):
         climb.judge({SILENT: "is silent"}, 0)
-        climb.forget()
+        climb.clear()
     taken = [steps(climb.judge({SILENT: "is silent"}, at_s * S)) for at_s in (0, 2, 4)]
     assert taken == [[FaultStep.WARN], [FaultStep.LIMP], []]
 

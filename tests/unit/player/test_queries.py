@@ -2,10 +2,11 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.player.polling import REPLY_TIMEOUT_NS, SAMPLES_LEAST
 from lss_motion.player.query_tracker import (
     GRACE_NS,
     REPLY_MAX_BYTES,
+    REPLY_TIMEOUT_NS,
+    SAMPLES_LEAST,
     STARVED_NS,
     STRAY_NS,
     WINDOW_MAX,

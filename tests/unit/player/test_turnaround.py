@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 
-from lss_motion.player.polling import REPLY_TIMEOUT_NS, SAMPLES_LEAST, WINDOW, ReplyLatency
+from lss_motion.player.query_tracker import REPLY_TIMEOUT_NS, SAMPLES_LEAST, WINDOW, ReplyLatency
 
 US = 1000
 
