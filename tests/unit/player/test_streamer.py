@@ -1,18 +1,36 @@
-"""One program, move by move: what leaves when, at any rate of the show, and where that leads."""
+"""Tests of `player.streamer`.
+
+One program, move by move: what leaves when, at any rate of the show, and where that leads.
+In which order moves leave when joints lag differently, and what is passed by or replaced.
+How a timed joint that is not on its plan gets back there.
+A streamed joint that is off its program: judged by what the filter of its servo then does.
+"""
 
 from __future__ import annotations
 
 import math
 import re
 from dataclasses import replace
-from itertools import pairwise
+from itertools import count, pairwise
+from random import Random
 
 import numpy as np
 import pytest
 
+from lss_motion.player import streamer
 from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.serial_line import SerialLine
-from lss_motion.player.streamer import SETTLE_S, Streamer
+from lss_motion.player.show_clock import ShowClock
+from lss_motion.player.streamer import (
+    EARLY_MAX_US,
+    JOIN_S,
+    SETTLE_S,
+    DueMoves,
+    Streamer,
+    guide,
+    on_time_s,
+    send_deferred,
+)
 from lss_motion.program.model import Driving, Move, Program, Repeat
 from lss_motion.program.response import PiecewiseProfile
 from lss_motion.program.splice import Extension
@@ -21,7 +39,10 @@ from lss_motion.protocol.line import Reply
 from lss_motion.robot.model import Bus, Sensor
 from lss_motion.sequence.model import Wait
 from lss_motion.trajectory.model import WaitPoint
-from tests.timed_moves import MOVE
+from tests.filters import FILTER_S, felt, staircase
+from tests.timed_moves import MOVE, timed, travel
+
+# ---- streamer
 
 MS, S = 1_000_000, 1_000_000_000
 START_NS = 7 * S
@@ -574,3 +595,423 @@ def test_before_the_first_move_another_rate_says_nothing(kit):
     set_rate(stage, 1.0)
     stage.run(5.0)
     assert [line for _, line in stage.sent] == [b"#1D400T800\r"]
+
+
+# ---- due
+
+ENDLESS = float("inf")
+
+
+def move_of_due(due_us, servo_id=1):
+    return Move(due_us=due_us, bus="main", servo_id=servo_id, target_wire=0, duration_ms=100)
+
+
+def moves(*dues_us, servo_id=1):
+    return [(due_us, move_of_due(due_us, servo_id)) for due_us in dues_us]
+
+
+def left(due_moves, before_us=ENDLESS):
+    found = []
+    while due_moves.first(before_us) is not None:
+        due = due_moves.pop()
+        found.append((due.at_us, due.due_us))
+    return found
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_all_moves_leave_in_the_order_of_their_instants(seed):
+    random = Random(seed)
+    early_us = {servo_id: random.randint(-30_000, EARLY_MAX_US) for servo_id in range(6)}
+    listed = sorted((random.randrange(2_000_000), random.randrange(6)) for _ in range(300))
+    due_moves = DueMoves(
+        iter([(due_us, move_of_due(due_us, servo_id)) for due_us, servo_id in listed]),
+        lambda one: early_us[one.servo_id],
+    )
+    found = left(due_moves)
+    assert [at_us for at_us, _ in found] == sorted(at_us for at_us, _ in found)
+    assert sorted(found) == sorted((due - early_us[servo], due) for due, servo in listed)
+
+
+def test_a_move_overtakes_none_of_its_servo_when_its_lag_is_believed_longer():
+    """Seed 20098: damaged answers made a lag of 60 ms, and a joint went to and fro."""
+    early_us = {1: 0, 2: 0}
+    both = sorted(moves(*range(0, 400_000, 20_000)) + moves(*range(0, 400_000, 20_000), servo_id=2))
+    due_moves = DueMoves(iter(both), lambda one: early_us[one.servo_id])
+    found = []
+    while due_moves.first(ENDLESS) is not None:
+        found.append(due_moves.pop())
+        early_us[1] = EARLY_MAX_US if len(found) % 8 < 4 else 0
+    for servo_id in (1, 2):
+        own = [due for due in found if due.move.servo_id == servo_id]
+        assert [due.due_us for due in own] == list(range(0, 400_000, 20_000))
+        assert all(0 <= due.due_us - due.at_us <= EARLY_MAX_US for due in own)
+    assert [due.at_us for due in found] == sorted(due.at_us for due in found)
+    assert len({due.due_us - due.at_us for due in found}) > 2
+
+
+def test_moves_of_one_instant_leave_as_they_stand_in_the_program():
+    due_moves = DueMoves(iter(moves(100, servo_id=5) + moves(100, servo_id=2)), lambda _: 0)
+    assert [due_moves.first(ENDLESS) and due_moves.pop().move.servo_id for _ in "12"] == [5, 2]
+
+
+def test_a_walk_without_end_is_not_looked_through_to_its_end():
+    endless = ((10_000 * number, move_of_due(10_000 * number)) for number in count())
+    assert DueMoves(endless, lambda _: 500).first(ENDLESS).due_us == 0
+
+
+def begun(seed):
+    """Return moves of joints that lag differently, some of which have left; and what is to come.
+
+    What is to come are `(due_us, servo_id)`, and how much earlier each servo's moves leave.
+    """
+    random = Random(seed)
+    early_us = {servo_id: random.randint(-30_000, EARLY_MAX_US) for servo_id in range(6)}
+    dues = sorted((random.randrange(1_000_000), servo_id) for servo_id in 25 * list(range(6)))
+    due_moves = DueMoves(
+        iter([(due_us, move_of_due(due_us, servo_id)) for due_us, servo_id in dues]),
+        lambda one: early_us[one.servo_id],
+    )
+    for _ in range(40):
+        due_moves.first(ENDLESS)
+        due = due_moves.pop()
+        dues.remove((due.due_us, due.move.servo_id))
+    return due_moves, dues, early_us
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_was_passed_by_is_named_in_order_and_the_rest_leaves_in_order(seed):
+    due_moves, dues, early_us = begun(seed)
+    until_us = Random(seed).choice([dues[3][0], dues[20][0], dues[90][0]])
+    passed = [(due_us, one.servo_id) for due_us, one in due_moves.pass_by(until_us)]
+    assert passed == [one for one in dues if one[0] <= until_us]
+    rest = [(due - early_us[servo], due) for due, servo in dues if due > until_us]
+    assert left(due_moves) == sorted(rest)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_was_due_before_a_replacement_still_leaves_in_order(seed):
+    due_moves, dues, early_us = begun(seed)
+    from_us = Random(seed).choice([dues[3][0], dues[20][0], dues[90][0]])
+    due_moves.replace_from(from_us, [move_of_due(from_us + 7, 1)])
+    kept = [one for one in dues if one[0] < from_us] + [(from_us + 7, 1)]
+    assert left(due_moves) == sorted((due - early_us[servo], due) for due, servo in kept)
+
+
+def test_nobody_is_earlier_than_an_estimate_may_be():
+    assert left(DueMoves(iter(moves(500_000)), lambda _: 10**9)) == [(440_000, 500_000)]
+
+
+def test_what_is_due_after_a_wait_does_not_leave_before_it():
+    due_moves = DueMoves(iter(moves(100, 1000, 1001)), lambda _: 500)
+    assert left(due_moves, before_us=1001) == [(-400, 100), (500, 1000)]
+    assert due_moves.first(1001) is None
+    assert left(due_moves) == [(501, 1001)]
+
+
+def test_what_the_show_has_passed_never_leaves():
+    due_moves = DueMoves(iter(moves(100, 200, 300, 400)), lambda one: one.due_us)
+    due_moves.first(ENDLESS)
+    assert [due_us for due_us, _ in due_moves.pass_by(300)] == [100, 200, 300]
+    assert left(due_moves) == [(0, 400)]
+
+
+def test_a_walk_that_goes_on_replaces_what_was_due_from_there():
+    due_moves = DueMoves(iter(moves(100, 200, 300, 90_000)), lambda _: 0)
+    due_moves.first(ENDLESS)
+    due_moves.replace_from(250, [move_of_due(260), move_of_due(95_000)])
+    assert [due_us for _, due_us in left(due_moves)] == [100, 200, 260, 95_000]
+
+
+# ---- catching up
+
+LATE_NS = 50_000_000
+CLOCK = ShowClock(0, 0.0, 1.0)
+
+
+def rejoin(state, line, show_s):
+    """Say at rate 1 what is left of the move under way; return the bytes."""
+    streamer.rejoin(state, line, CLOCK, lambda show_s: show_s, round(1e9 * show_s))
+    return line.take()
+
+
+def far_off_deg(state, from_s, to_s, offset_deg=0.0):
+    """Return by how much the profile is off the plan between two instants, at the most."""
+    instants_s = np.arange(from_s, to_s, 0.005)
+    pairs = [(state.profile.at(s)[0], state.plan.at(s)[0]) for s in instants_s]
+    return max(abs(told_deg - planned_deg - offset_deg) for told_deg, planned_deg in pairs)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(
+    ("late_ns", "offset_deg"), [(LATE_NS, 0.0), (LATE_NS, 1.0), (15_000_000, 0.0)]
+)
+def test_one_that_is_behind_goes_faster_until_it_meets_its_plan_and_arrives_on_time(
+    kit, line, sign, late_ns, offset_deg
+):
+    state = timed(kit, travel(40.0 * sign))
+    state.disturbance.offset_deg = offset_deg
+    state.note_sent(late_ns, round(10 * (40.0 * sign + offset_deg)), 1000)
+    behind_deg = sign * (offset_deg + state.plan.at(0.3)[0] - state.profile.at(0.3)[0])
+    rejoin(state, line, 0.3)
+    resend_ns = state.deferred.resend_ns
+    assert state.resend_ns == resend_ns
+    _, speed_deg_s = state.profile.at(resend_ns / 1e9)
+    assert 0.4 < resend_ns / 1e9 < 0.46
+    assert speed_deg_s == pytest.approx(sign * (40.0 + behind_deg / JOIN_S), abs=1.0)
+    send_deferred(state, line, resend_ns)
+    assert state.deferred is None
+    slows_down_s = behind_deg / JOIN_S / state.limits.ramp_deg_s2
+    assert far_off_deg(state, resend_ns / 1e9 + slows_down_s, 1.2, offset_deg) < 0.15
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(
+    ("way_deg", "show_s", "arrival_s"),
+    [
+        (20.0, 0.05, None),
+        (20.0, 0.5, None),
+        (40.0, 0.2, None),
+        (80.0, 0.05, None),
+        (80.0, 0.2, None),
+        (80.0, 0.2, 0.15),
+        (80.0, 0.1, 0.05),
+    ],
+)
+def test_one_that_rests_or_gathers_speed_meets_its_plan_and_does_not_pass_it(
+    kit, line, sign, way_deg, show_s, arrival_s
+):
+    state = timed(kit, travel(way_deg * sign))
+    if arrival_s is not None:
+        state.note_sent(round(1e9 * arrival_s), round(10 * way_deg * sign), 1000)
+    rejoin(state, line, show_s)
+    resend_ns = state.deferred.resend_ns
+    send_deferred(state, line, resend_ns)
+    instants_s = np.arange(show_s, 1.2, 0.005)
+    ahead_deg = [sign * (state.profile.at(s)[0] - state.plan.at(s)[0]) for s in instants_s]
+    assert max(ahead_deg) < 0.2
+    assert far_off_deg(state, resend_ns / 1e9 + 0.2, 1.2) < 0.2
+
+
+def test_how_fast_it_goes_on_counts_from_where_its_move_began(kit, line):
+    further = travel(80.0, due_s=1.5)
+    state = timed(kit, travel(40.0), further)
+    state.note_sent(0, 400, 1000)
+    state.begin_move(further)
+    rejoin(state, line, 1.8)
+    assert state.deferred.travel_deg_s == pytest.approx(40.0, abs=0.1)
+    send_deferred(state, line, state.deferred.resend_ns)
+    assert far_off_deg(state, 2.2, 2.7) < 0.2
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_one_that_is_far_behind_goes_as_fast_as_it_may(kit, line, sign):
+    state = timed(kit, travel(80.0 * sign))
+    assert rejoin(state, line, 0.3) == b"#1D%dT445\r" % (800 * sign)
+    resend_ns = state.deferred.resend_ns
+    send_deferred(state, line, resend_ns)
+    assert state.deferred is None
+    assert far_off_deg(state, 0.95, 1.2) < 0.2
+    assert max(abs(state.profile.at(s)[1]) for s in np.arange(0.3, 1.2, 0.005)) <= 180.0
+
+
+@pytest.mark.parametrize("show_s", [0.9, 1.5])
+def test_one_that_cannot_meet_its_plan_any_more_arrives_as_soon_as_it_may(kit, line, show_s):
+    state = timed(kit, travel(80.0))
+    assert rejoin(state, line, show_s) == b"#1D800T445\r"
+    assert state.deferred is None
+    assert state.profile.at(show_s + 0.8) == (80.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("arrival_s", "at_deg"), [(-0.05, 0.0), (0.003, 0.0), (None, 39.0), (None, 90.0)]
+)
+def test_one_that_is_not_behind_has_the_rest_of_its_time(kit, line, arrival_s, at_deg):
+    state = timed(kit, travel(40.0))
+    state.stand_at(at_deg)
+    if arrival_s is not None:
+        state.note_sent(round(1e9 * arrival_s), 400, 1000)
+    assert rejoin(state, line, 0.3) == b"#1D400T700\r"
+    assert state.deferred is None
+
+
+def test_one_whose_move_ends_where_it_began_has_the_rest_of_its_time(kit, line):
+    back = travel(18.7, due_s=0.5, lasts_s=0.4)
+    state = timed(kit, travel(40.0), back)
+    state.begin_move(back)
+    assert state.plan.at(state.begun_s(line))[0] == pytest.approx(18.7, abs=0.1)
+    state.stand_at(40.0)
+    assert rejoin(state, line, 0.6) == b"#1D187T300\r"
+    assert state.deferred is None
+
+
+def test_what_is_owed_is_told_with_no_longer_t_than_any_move(kit, line):
+    state = timed(kit, travel(80.0))
+    state.defer(0, 80.0, 2.0)
+    send_deferred(state, line, 0)
+    assert line.take() == b"#1D800T9999\r"
+
+
+def test_one_whose_plan_is_as_fast_as_it_may_go_has_the_rest_of_its_time(kit, line):
+    state = timed(kit, travel(40.0), speed_max_deg_s=40.0)
+    state.note_sent(LATE_NS, 400, 1000)
+    assert re.fullmatch(rb"#1D400T7\d\d\r", rejoin(state, line, 0.3))
+    assert state.deferred is None
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_one_that_is_turned_back_travels_as_fast_as_its_plan_however_far_off_it_is(kit, line, sign):
+    there, back = travel(40.0 * sign), travel(-10.0 * sign, due_s=0.5, lasts_s=0.6)
+    state = timed(kit, there, back)
+    state.disturbance.offset_deg = 1.5
+    state.note_sent(100_000_000, 400 * sign + 15, 1000)
+    state.begin_move(back)
+    state.send_active(line, on_time_s(state, line, CLOCK.show_s, 500_000_000), 500_000_000)
+    for at_s in (0.7, 0.75, 0.8):
+        assert state.profile.at(at_s)[1] == pytest.approx(state.plan.at(at_s)[1], abs=0.3)
+    assert abs(state.plan.at(0.75)[1]) > 40.0, "it travels"
+
+
+def test_else_it_has_its_own_time(kit, line):
+    there, back = travel(40.0), travel(0.0, due_s=0.5, lasts_s=0.4)
+    state = timed(kit, there, back)
+
+    def travels_s(move, show_s=0.5):
+        state.begin_move(move)
+        return on_time_s(state, line, lambda _: show_s, 500_000_000)
+
+    state.stand_at(10.0)
+    assert travels_s(back) != 0.4
+    assert travels_s(back._replace(duration_ms=None)) == 0.0
+    assert travels_s(there) == 1.0, "it goes on"
+    assert travels_s(back._replace(target_wire=-50), -1.0) == 0.4, "the plan rests"
+    assert travels_s(there, 3.0) == 1.0, "the plan is there"
+    for beyond_deg in (0.0, -10.0):
+        state.stand_at(beyond_deg)
+        assert travels_s(back) == 0.4, "it has been there"
+
+
+# ---- leading
+
+STEP_NS, TOLERANCE_DEG, UNIT_DEG = 20_000_000, 0.2, 0.1
+
+
+@pytest.fixture
+def state(kit):
+    return kit.state(kit.joint("j0", 2, drive="streamed"))
+
+
+def led(
+    state,
+    planned_deg,
+    *,
+    until_s=None,
+    now_ns=STEP_NS,
+    period_ns=STEP_NS,
+    is_even=False,
+    baud_bps=115200,
+):
+    """Lead a joint along `planned_deg(instant_s)` until it is told no more, or until `until_s`.
+
+    Return when it heard which target: `(ns, degrees)`.
+    """
+    line = SerialLine(Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=370))
+    state.guide_at(now_ns)
+    heard = []
+
+    def planned(_, at_ns):
+        return planned_deg(at_ns / 1e9)
+
+    while state.guide_ns is not None and (until_s is None or state.guide_ns < until_s * 1e9):
+        now_ns = max(state.guide_ns, line.free_ns)
+        guide(state, line, planned, now_ns, period_ns, is_even=is_even)
+        target = re.fullmatch(rb"#2D(-?\d+)\r", line.take())
+        heard.append((state.last_arrival_ns, int(target[1]) / 10))
+        assert now_ns < 10e9, "it arrives some time"
+    return heard
+
+
+@pytest.mark.parametrize("target_deg", [80.0, -80.0])
+def test_a_joint_that_is_led_far_keeps_its_limits_and_arrives(state, target_deg):
+    heard = led(state, lambda _: target_deg)
+    end_s = heard[-1][0] / 1e9
+    assert 0.8 < end_s < 1.6, "80 deg at 180 deg/s, and two ramps of 0.3 s"
+    assert state.profile.at(end_s + 1.0) == (target_deg, 0.0)
+    for phase_s in np.arange(0.0, FILTER_S, 0.001):
+        values = staircase(heard, state.joint.filter_count, phase_s, end_s + 0.5)
+        assert np.abs(np.diff(values)).max() <= 180.0 * FILTER_S + 0.05
+        assert np.abs(felt(values)).max() <= 1.1 * 600.0 + TOLERANCE_DEG / FILTER_S**2
+        assert np.abs(values).max() <= 80.05, "it does not go beyond"
+
+
+def test_correction_and_range_hold_for_bare_targets_too(kit):
+    state = kit.state(kit.joint("j0", 2, drive="streamed", position_max_deg=20.0))
+    state.disturbance.offset_deg = 1.5
+    heard = led(state, lambda _: 10.0)
+    assert state.profile.at(5.0) == (11.5, 0.0)
+    led(state, lambda _: 20.0, now_ns=heard[-1][0] + STEP_NS)
+    assert state.profile.at(9.0) == (20.0, 0.0)
+
+
+@pytest.mark.parametrize("speed_deg_s", [40.0, -40.0])
+@pytest.mark.parametrize(("offset_deg", "early_s"), [(0.0, 0.0), (1.5, 0.015)])
+def test_it_closes_up_on_a_plan_that_moves_and_keeps_to_it(state, speed_deg_s, offset_deg, early_s):
+    state.disturbance.offset_deg, state.early_s = offset_deg, early_s
+    led(state, lambda at_s: speed_deg_s * at_s, until_s=1.5)
+    for at_s in np.arange(0.8, 1.45, 0.01):
+        horn_s = at_s + state.lead_s + early_s
+        position_deg, _ = state.profile.at(at_s)
+        assert position_deg == pytest.approx(speed_deg_s * horn_s + offset_deg, abs=UNIT_DEG)
+
+
+def test_where_the_line_is_busy_it_is_on_its_plan_after_every_second_step(state):
+    heard = led(state, lambda at_s: 40.0 * at_s, until_s=1.5, period_ns=2 * STEP_NS)
+    steps = [state.profile.acts_on(at_ns / 1e9) for at_ns, _ in heard]
+    assert {b - a for a, b in pairwise(steps)} == {2}
+    for step in steps[-10:-1]:
+        wanted_deg = 40.0 * (state.profile.step_s(step) - FILTER_S / 2 + state.lead_s)
+        assert state.profile.value(step - 1) == pytest.approx(wanted_deg, abs=UNIT_DEG)
+
+
+def test_it_hears_every_target_half_a_step_before_it_counts_however_long_the_line_takes(state):
+    heard = led(state, lambda at_s: -60.0 - 8.0 * at_s, until_s=1.5, baud_bps=19200)
+    profile = state.profile
+    for at_ns, _ in heard[-20:]:
+        best_s = profile.hear_s(profile.acts_on(at_ns / 1e9))
+        assert at_ns / 1e9 == pytest.approx(best_s, abs=1e-5)
+
+
+@pytest.mark.parametrize(("off_deg", "steps"), [(0.5, 4), (-2.0, 7), (5.0, 10)])
+def test_what_is_near_closes_up_in_little_more_than_half_the_time_of_the_filter(
+    state, off_deg, steps
+):
+    begun = state.profile.acts_on(led(state, lambda _: off_deg)[0][0] / 1e9) - 1
+    assert state.profile.value(begun + steps) == pytest.approx(off_deg, abs=UNIT_DEG)
+    count = state.joint.filter_count
+    assert abs(off_deg) * (1.0 - 1.0 / count) ** steps > UNIT_DEG, "the filter alone is not there"
+
+
+def move_to(target_deg):
+    return Move(0, "main", 2, round(10 * target_deg), None)
+
+
+def test_a_joint_that_is_on_its_plan_gets_the_move_of_the_program_and_is_led_no_more(state):
+    state.begin_move(move_to(1.9))
+    assert led(state, lambda _: 0.9 * TOLERANCE_DEG, is_even=True) == [(state.last_arrival_ns, 1.9)]
+    assert state.resend_ns is None
+
+
+@pytest.mark.parametrize(
+    ("off_deg", "is_even", "active"),
+    [
+        (1.5 * TOLERANCE_DEG, True, move_to(1.9)),
+        (-1.5 * TOLERANCE_DEG, True, move_to(1.9)),
+        (0.9 * TOLERANCE_DEG, False, move_to(1.9)),
+        (0.9 * TOLERANCE_DEG, True, None),
+    ],
+    ids=["too far", "too far back", "the show is slowed down", "no move of the program yet"],
+)
+def test_else_it_is_led_on(state, off_deg, is_even, active):
+    state.begin_move(active)
+    ((_, target_deg),) = led(state, lambda _: off_deg, is_even=is_even, until_s=0.021)
+    assert abs(target_deg) < 1.0
+    assert state.guide_ns is not None
