@@ -95,7 +95,7 @@ HEARD = [(3 * S + 1, WORD), (3 * S + 2, b"#7AD60\r"), (3 * S + 3, b"#8D1\r"), (4
         ((RESET, replace(CLOG, at_s=1.0, until_s=2.0)), 2.1, []),
     ],
 )
-def test_only_words_that_a_clog_kept_past_a_restart_are_nobodys_doing(faults, written_s, spans_ns):
+def test_only_commands_that_a_clog_delayed_past_a_restart_are_excused(faults, written_s, spans_ns):
     writes = [(int(written_s * S), b"#8Q\r" + WORD), (4 * S - 9, NEXT)]
     assert lawless_ns(7, faults, writes, HEARD) == spans_ns
 

@@ -64,7 +64,7 @@ def test_marks_and_cues_come_in_every_pass_at_their_time(stage, kit, has_feedbac
     assert starts_s == pytest.approx([0.0, period_s, 2 * period_s], abs=0.2)
 
 
-def test_a_loop_without_end_says_the_same_in_every_pass(stage, kit):
+def test_a_loop_without_end_reports_the_same_in_every_pass(stage, kit):
     """A sound at the start of a pass is set off in the pass before, by its lead."""
     events = (Cue(at_s=0.0, sound="a.wav", lead_s=0.2), Cue(at_s=2.0, say="x"))
     show = replace(kit.sequence(2, 3.0, loop=None), events=events)

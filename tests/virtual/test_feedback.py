@@ -66,7 +66,7 @@ def test_servos_that_are_as_assumed_are_left_alone(rms_deg):
         assert abs(joint["lag_extra_s"]) < 0.004
 
 
-def test_a_command_that_was_lost_is_said_again_and_breaks_no_limit(rms_deg, kit):
+def test_a_lost_command_is_sent_again_and_breaks_no_limit(rms_deg, kit):
     _, played = rms_deg(faults=[LOST])
     said_again = sum(joint["said_again"] for joint in played.report["joints"].values())
     assert 0 < said_again < 0.1 * played.report["timing"]["commands"]
@@ -99,7 +99,7 @@ def unheard_ns(played):
     ]
 
 
-def test_what_a_servo_did_not_hear_it_hears_again_at_once(rms_deg):
+def test_a_move_that_a_servo_did_not_receive_is_sent_again_at_once(rms_deg):
     """A row or two of questions later, unless the question about it was lost as well."""
     shows = [rms_deg(faults=[LOST], seed=seed, baud_bps=115200)[1] for seed in (5, 6, 7)]
     late_ns = [ns for played in shows for ns in unheard_ns(played)]
@@ -116,7 +116,7 @@ def test_under_a_load_a_show_begins_where_it_should(rms_deg):
     assert np.sqrt(np.mean(error_deg**2)) < 0.8
 
 
-def test_without_feedback_nobody_keeps_what_a_servo_may_have_missed(rms_deg):
+def test_without_feedback_there_is_no_detector_of_lost_moves(rms_deg):
     _, played = rms_deg(has_feedback=False, faults=[LOST])
     assert all(
         track.lost_moves is None for track in played.result.player.show.joint_states.values()

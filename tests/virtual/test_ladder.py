@@ -78,9 +78,7 @@ def test_a_servo_that_restarts_on_the_way_to_the_start_is_noticed_before_the_sho
     assert {b"#2AA60\r", b"#2SD1800\r"} <= set(heard[:first])
 
 
-def test_a_servo_that_does_not_say_what_its_limits_were_is_given_them_all_the_same(
-    stage, kit, monkeypatch
-):
+def test_a_servo_that_does_not_report_its_limits_is_sent_them_all_the_same(stage, kit, monkeypatch):
     obey = Servo.obey
     monkeypatch.setattr(
         Servo,
@@ -137,7 +135,7 @@ def test_a_joint_that_cannot_catch_up_ends_the_show(stage, kit):
     assert played.heard()[-1] == HOLD
 
 
-def test_where_only_a_warning_is_asked_for_the_show_goes_on(stage, kit):
+def test_where_the_only_step_is_a_warning_the_show_goes_on(stage, kit):
     weak = Fault(kind=FaultKind.WEAK, servo_id=1, at_s=1.5, until_s=3.0, speed_ratio=0.01)
     robot = kit.robot(following_deg=3.0, on_fault={Cause.ASTRAY: (FaultStep.WARN,)})
     played = stage.play(robot, faults=[weak])
@@ -147,7 +145,7 @@ def test_where_only_a_warning_is_asked_for_the_show_goes_on(stage, kit):
     assert phases(played).count("playing") == 1
 
 
-def test_a_blocked_joint_is_let_go_alone_where_that_is_asked_for(stage, kit):
+def test_a_blocked_joint_goes_limp_alone_where_its_step_is_limp(stage, kit):
     robot = kit.robot()
     limp = dict.fromkeys((Cause.STUCK, Cause.BLOCKED), (FaultStep.LIMP,))
     robot = replace(
@@ -223,7 +221,7 @@ def test_a_stop_while_it_waits_is_heeded(stage, kit):
     assert b"#1SD3600\r" in played.heard()[-30:]
 
 
-def test_a_pause_that_is_asked_for_while_it_waits_is_kept(stage, kit):
+def test_a_pause_that_is_set_during_recovery_is_kept(stage, kit):
     reset = Fault(kind=FaultKind.RESET, servo_id=2, at_s=2.5)
 
     def paused(player, now_ns):
@@ -249,7 +247,7 @@ def test_a_start_that_is_never_reached_is_named(stage, kit):
     assert played.result.player.show is None
 
 
-def test_an_approach_that_was_lost_on_the_line_is_said_again(stage, kit):
+def test_an_approach_that_was_lost_on_the_line_is_repeated(stage, kit):
     lost = Fault(kind=FaultKind.LOST_COMMAND, at_s=0.3, until_s=1.2, ratio=0.5)
     for seed in range(4):
         played = stage.play(
@@ -259,7 +257,7 @@ def test_an_approach_that_was_lost_on_the_line_is_said_again(stage, kit):
         assert np.abs(played.horn_error_deg(from_s=0.0)[:20]).max() < 4.0
 
 
-def test_a_port_that_comes_back_is_played_on_with_the_settings_said_again(stage, kit):
+def test_a_show_goes_on_with_settings_sent_again_when_a_port_comes_back(stage, kit):
     gone = Fault(kind=FaultKind.UNPLUGGED, at_s=2.0, until_s=5.0)
     played = stage.play(faults=[gone])
     assert played.report["outcome"] == "finished"
@@ -273,7 +271,7 @@ def test_a_port_that_comes_back_is_played_on_with_the_settings_said_again(stage,
     assert np.abs(accel).max() <= 1.1 * 600.0
 
 
-def test_a_port_that_is_back_while_the_robot_brakes_hears_no_move_before_its_settings(stage, kit):
+def test_a_port_that_is_back_while_the_robot_brakes_gets_no_move_before_its_settings(stage, kit):
     gone = Fault(kind=FaultKind.UNPLUGGED, at_s=2.0, until_s=2.15)
     sequence = kit.sequence(3, 3.5, swing_deg=50.0, step_s=(0.5, 0.9))
     played = stage.play(sequence=sequence, faults=[gone])

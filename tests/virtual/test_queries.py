@@ -80,7 +80,7 @@ def test_questions_fill_the_line_and_make_no_command_late(stage, kit):
     ],
     ids=["none", "lost", "double", "late", "very late", "unheard"],
 )
-def test_what_is_believed_is_where_the_horn_was_when_asked(stage, kit, believed, faults):
+def test_an_accepted_reading_is_where_the_horn_was_at_the_query(stage, kit, believed, faults):
     played = stage.play(kit.robot(6), kit.sequence(6, 4.0), faults=faults, physics=EXACT)
     errors = reading_errors_deg(played, believed)
     assert len(errors) > 300
@@ -143,7 +143,7 @@ def test_a_host_that_wakes_late_asks_less_and_still_reads_every_joint(stage, kit
         assert joint["readings"] > 10 * late.report["played_s"]
 
 
-def test_an_lss_pro_is_asked_only_what_its_document_has_and_answers_all_of_it(stage, kit):
+def test_an_lss_pro_gets_only_queries_of_its_document_and_answers_all(stage, kit):
     robot = kit.robot(2, baud_bps=BAUD_BPS, model=SERVO_MODELS["LSS-P-S1"])
     played = stage.play(robot, kit.sequence(2, 3.0))
     bus = played.report["buses"]["bus0"]

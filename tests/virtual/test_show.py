@@ -36,7 +36,7 @@ def assert_ended_safely(played, robot, safe=HOLD):
 # ---- the plain show
 
 
-def test_a_show_is_heard_on_time_and_done_by_the_horns(stage, kit):
+def test_the_moves_of_a_show_arrive_on_time_and_the_horns_make_them(stage, kit):
     played = stage.play()
     assert played.report["outcome"] == "finished"
     assert played.report["timing"]["missed"] == 0
@@ -72,7 +72,7 @@ def test_a_show_is_counted_in_and_may_be_stopped_meanwhile(stage, kit, act):
     assert np.abs(played.horn_error_deg()).max() < 0.8
 
 
-def test_without_feedback_the_same_moves_are_heard_and_no_question_in_the_show(stage, kit):
+def test_without_feedback_the_same_moves_arrive_and_no_query_in_the_show(stage, kit):
     played = stage.play(has_feedback=False)
     assert np.abs(played.horn_error_deg()).max() < 0.8
     moves = [at_ns for at_ns, line in played.bus.heard if is_move(line)]
@@ -217,7 +217,7 @@ def test_a_servo_that_is_too_old_to_be_streamed_is_named_with_its_firmware(stage
 
 
 @pytest.mark.parametrize(("late_s", "is_said"), [(3.0, True), (0.1, False)])
-def test_a_process_that_was_stopped_for_a_while_says_so_in_its_report(stage, kit, late_s, is_said):
+def test_a_process_that_was_stopped_for_a_while_is_reported(stage, kit, late_s, is_said):
     sleep = Fault(kind=FaultKind.OVERSLEEP, at_s=4.0, until_s=4.05, late_s=late_s)
     played = stage.play(kit.robot(1), kit.sequence(1), faults=[sleep])
     warnings = [event.text for event in played.events if isinstance(event, Warned)]

@@ -259,7 +259,7 @@ def test_at_rest_nothing_is_learnt_and_nothing_forgotten():
     assert lag.estimate_s == known_s
 
 
-def test_one_reading_says_nothing():
+def test_one_reading_is_no_evidence():
     lag = LagEstimator()
     assert lag.estimate_s == 0.0
     lag.take(5.0, 100.0, 0.02)
@@ -336,7 +336,7 @@ def judged(heard, *, until_s=1.6, noise=lambda time_s: 0.0, hz=100.0):
     return None
 
 
-def test_a_servo_that_heard_all_is_never_doubted():
+def test_a_servo_that_received_all_moves_is_never_doubted():
     assert judged(MOVES) is None
     assert judged(MOVES, noise=lambda time_s: 0.4 if int(1000 * time_s) % 3 else -0.4) is None
 
@@ -433,7 +433,7 @@ def test_what_spoke_for_a_course_before_a_move_is_no_proof_after_it():
     assert lost_moves.judge(1.0 + 4.0 * SURE_S, 20.0, 0.0) is not None
 
 
-def test_the_oldest_of_many_moves_counts_as_heard():
+def test_the_oldest_of_many_moves_counts_as_received():
     lost_moves = LostMoveDetector(UNIT_DEG, LOOP_S)
     for number in range(2 * OTHERS_MAX):
         lost_moves.commanded(standing(float(number)), 0.1 * number, 50.0, 1.0)
@@ -459,7 +459,7 @@ def test_a_servo_that_names_the_target_before_has_missed_the_last_move(commanded
 
 
 @pytest.mark.parametrize("off_deg", [-UNIT_DEG, 0.0, UNIT_DEG])
-def test_one_that_names_its_target_has_heard_the_last_move(commanded, off_deg):
+def test_a_servo_that_reports_its_target_has_received_the_last_move(commanded, off_deg):
     lost_moves, _ = commanded
     assert lost_moves.needs_target(0.72)
     assert lost_moves.target_reported(0.72, 40.0 + off_deg) is None
@@ -469,14 +469,14 @@ def test_one_that_names_its_target_has_heard_the_last_move(commanded, off_deg):
     assert all(other.profile.target_deg == 40.0 for other in lost_moves.alternatives)
 
 
-def test_before_a_servo_takes_a_move_up_its_target_says_nothing(commanded):
+def test_before_a_servo_starts_a_move_its_reported_target_is_ignored(commanded):
     lost_moves, _ = commanded
     assert not lost_moves.needs_target(0.701)
     assert lost_moves.target_reported(0.701, -20.0) is None
     assert len(lost_moves.alternatives) == 3
 
 
-def test_a_target_that_nobody_told_it_must_be_named_twice(commanded):
+def test_a_target_that_was_never_sent_must_be_reported_twice(commanded):
     """The command may have been damaged, or the answer."""
     lost_moves, _ = commanded
     assert lost_moves.target_reported(0.72, 33.0) is None
@@ -494,7 +494,7 @@ def test_a_servo_that_does_not_answer_is_left_to_the_readings(commanded):
     assert not lost_moves.needs_target(0.72)
 
 
-def test_a_servo_that_means_something_else_by_it_is_not_asked_for_ever():
+def test_a_servo_that_always_reports_other_targets_is_not_polled_for_ever():
     lost_moves, said = LostMoveDetector(UNIT_DEG, LOOP_S), profile_of()
     for number in range(MISMATCHES_MAX + 1):
         lost_moves.commanded(said.copy(), 0.1 * number, 10.0 + number, 0.2)
@@ -502,7 +502,7 @@ def test_a_servo_that_means_something_else_by_it_is_not_asked_for_ever():
         lost_moves.target_reported(0.1 * number + 0.02, -50.0)
 
 
-def test_one_that_named_its_target_in_between_is_asked_on():
+def test_a_servo_that_reported_its_target_in_between_is_polled_on():
     lost_moves = LostMoveDetector(UNIT_DEG, LOOP_S)
     for number in range(2 * MISMATCHES_MAX):
         lost_moves.commanded(standing(0.0), 0.1 * number, 10.0 + number, 0.2)
@@ -519,7 +519,7 @@ def test_a_target_two_units_off_is_another_one(commanded):
     assert lost_moves.needs_target(1.0)
 
 
-def test_a_move_to_the_same_target_is_not_asked_about(commanded):
+def test_a_move_to_the_same_target_needs_no_query(commanded):
     lost_moves, said = commanded
     lost_moves.commanded(said.copy(), 0.9, 40.0, 0.3)
     assert not lost_moves.needs_target(1.0)

@@ -29,7 +29,7 @@ def test_good_answers_raise_nothing_and_warn_of_nothing(kit):
 
 
 @pytest.mark.parametrize("said", ["silent", None, "DIS"])
-def test_a_servo_that_does_not_say_where_it_is_counts_as_silent(kit, said):
+def test_a_servo_that_does_not_report_its_position_counts_as_silent(kit, said):
     with pytest.raises(BusError, match=r"j0 \(id 1 on bus 'main'\)"):
         handshake.check_answers([kit.joint()], answers(QD=said), kit.robot())
 
@@ -58,7 +58,7 @@ def test_what_was_read_is_given_back_to_the_letter(kit):
     assert sent(orders) == handshake.RESTORING_TIMES * once
 
 
-def test_the_settings_of_the_file_are_asked_for_too(kit):
+def test_the_settings_of_the_file_are_queried_too(kit):
     one = kit.joint(settings={"AS": -2, "AH": 3})
     assert {b"#1QAS\r", b"#1QAH\r", b"#1QD\r"} <= set(sent(handshake.queries([one])))
 
@@ -120,7 +120,7 @@ def test_a_servo_of_another_model_is_refused_at_the_line_that_names_the_model(ki
 
 
 @pytest.mark.parametrize(("wire", "is_said"), [(-905, False), (905, False), (1201, True)])
-def test_a_joint_that_stands_outside_of_its_range_is_named_with_both(kit, wire, is_said):
+def test_a_joint_outside_of_its_range_is_named_with_angle_and_range(kit, wire, is_said):
     one = kit.joint(position_min_deg=-90.0, position_max_deg=90.0, direction=-1)
     texts = handshake.check_range([one], answers(QD=wire))
     assert [text.partition(", and")[0] for text in texts] == [
@@ -128,7 +128,7 @@ def test_a_joint_that_stands_outside_of_its_range_is_named_with_both(kit, wire, 
     ] * is_said
 
 
-def test_a_servo_says_whether_it_is_limp_before_it_moves(kit):
+def test_a_limp_servo_is_reported_before_it_moves(kit):
     one = kit.joint()
     said = [
         handshake.found([one], answers(Q=code), kit.robot(one), {"j0": 0.0})[0].status

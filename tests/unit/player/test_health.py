@@ -32,7 +32,7 @@ def causes(health):
     return {cause for _, cause in health.active_faults}
 
 
-def test_one_bad_status_is_asked_again_and_believed_when_it_is_said_twice(state):
+def test_a_bad_status_is_polled_again_and_accepted_when_it_is_repeated(state):
     health = HealthMonitor()
     health.status(state, BLOCKED, 370)
     assert health.active_faults == {}
@@ -52,7 +52,7 @@ def test_a_bad_status_between_good_ones_is_nothing(state):
 
 
 @pytest.mark.parametrize("status", STATUS_CAUSES)
-def test_what_a_servo_reports_follows_its_name_and_says_what_to_do(kit, status):
+def test_the_text_of_a_fault_follows_the_joint_name_and_names_a_remedy(kit, status):
     health, firmware = HealthMonitor(), 780 if status in STATUS_CODES else PRO_STATUS_FIRMWARE
     state = kit.state(kit.joint(model=SERVO_MODELS["LSS-P-S1"]))
     for _ in range(2):
@@ -131,7 +131,7 @@ def test_a_servo_is_silent_after_its_time_and_so_many_questions(state):
         assert health.active_faults == {}, "not before its time"
 
 
-def test_a_servo_is_silent_when_its_time_is_over_whenever_it_was_last_asked(state):
+def test_a_servo_is_silent_after_its_time_whenever_it_was_last_polled(state):
     health = HealthMonitor()
     for ask in range(SILENT_QUERIES):
         health.unanswered(state, ask * S // 10, 0)
@@ -169,7 +169,7 @@ def test_a_row_of_questions_that_is_lost_at_once_is_no_silence(state):
     assert causes(health) == {Cause.SILENT}
 
 
-def test_it_is_known_who_did_not_answer_the_last_question(state):
+def test_servos_that_did_not_answer_the_last_query_are_known(state):
     health = HealthMonitor()
     assert health.unresponsive() == set()
     health.unanswered(state, S, 0)

@@ -58,13 +58,13 @@ def commanded(state, target_deg):
         assert len(said) < 200, "it arrives some time"
 
 
-def test_a_target_that_the_plan_would_ask_for_is_said_as_it_is(kit):
+def test_a_target_within_the_limits_is_sent_unchanged(kit):
     state = kit.state(kit.joint("j0", 2, drive="streamed"))
     assert commanded(state, 2.0) == [(STEP_NS, 2.0)]
     assert state.guide_ns is None
 
 
-def test_what_is_too_much_is_taken_off_and_the_joint_is_led(kit):
+def test_a_target_beyond_the_limits_is_cut_and_the_joint_is_guided(kit):
     state = kit.state(kit.joint("j0", 2, drive="streamed"))
     ((_, said_deg),) = commanded(state, 60.0)
     assert 2.0 < said_deg < 10.0
@@ -73,7 +73,7 @@ def test_what_is_too_much_is_taken_off_and_the_joint_is_led(kit):
 
 
 @pytest.mark.parametrize("baud_bps", [9600, 115200])
-def test_a_joint_that_is_led_is_told_so_early_that_it_hears_it_half_a_step_before(kit, baud_bps):
+def test_a_guiding_target_arrives_half_a_step_before_it_counts(kit, baud_bps):
     line = SerialLine(Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=370))
     state = kit.state(kit.joint("j0", 2, drive="streamed"))
     state.guide_at(STEP_NS)
@@ -119,7 +119,7 @@ def test_a_servo_that_is_believed_to_go_on_for_ever_is_waited_for_as_long_as_the
 # ---- timed joints
 
 
-def test_what_is_left_of_a_move_is_run_time_from_when_it_is_heard(kit, line):
+def test_the_rest_of_a_move_is_run_time_from_its_arrival(kit, line):
     state = timed(kit, travel(40.0, due_s=0.1))
     assert state.left_s(line, CLOCK, 400_000_000) == pytest.approx(0.7, abs=1e-4)
     line.send(b"." * 115, 400_000_000)
@@ -144,7 +144,7 @@ def test_t_is_what_is_left_and_never_so_short_that_the_speed_limit_breaks(kit, l
     assert line.take() == b"#1D400T1\r"
 
 
-def test_t_counts_from_where_the_servo_is_when_it_hears_it(kit):
+def test_t_counts_from_the_position_of_the_servo_on_arrival(kit):
     slow = SerialLine(Bus(name="main", port="sim://", baud_bps=9600, firmware=370))
     state = timed(kit, travel(-80.0))
     state.note_sent(0, -800, 400)
@@ -164,14 +164,14 @@ def test_a_target_is_corrected_and_within_the_range(kit, line):
     assert (state.deferred, state.resend_ns) == (None, None)
 
 
-def test_one_that_is_not_driven_is_told_nothing(kit, line):
+def test_a_joint_that_is_not_driven_is_sent_nothing(kit, line):
     state = timed(kit, travel(40.0))
     state.suspend()
     state.send(line, 40.0, 1.0, 0)
     assert (line.take(), state.last_arrival_ns) == (b"", None)
 
 
-def test_what_was_sent_counts_from_when_its_last_byte_is_heard(kit, line):
+def test_a_move_counts_from_the_arrival_of_its_last_byte(kit, line):
     state = timed(kit, travel(40.0))
     line.send(b"." * 115, 0)
     state.send(line, 40.0, 1.0, 0)
@@ -317,7 +317,7 @@ def test_a_load_is_no_lag(state):
     assert state.disturbance.estimate_deg == pytest.approx(2.0, abs=0.1)
 
 
-def test_the_first_reading_says_nothing_about_the_lag(state):
+def test_the_first_reading_does_not_change_the_lag(state):
     assert read(state, 0.15, horn_deg(state, 0.15, 0.05)) is False
     assert state.lag.estimate_s == 0.0
 
@@ -351,7 +351,7 @@ def test_a_horn_that_stays_where_it_was_has_missed_its_move(state, droop_deg):
     assert state.lag.estimate_s == pytest.approx(0.0, abs=1e-4), "and no lag"
 
 
-def test_a_servo_is_asked_for_its_target_and_one_that_names_the_old_one_has_missed_its_move(state):
+def test_a_servo_that_reports_its_old_target_has_lost_its_move(state):
     assert not state.needs_target(5 * MS)
     assert state.needs_target(10 * MS)
     assert state.take_target(40.0, 0.02) is False
@@ -361,7 +361,7 @@ def test_a_servo_is_asked_for_its_target_and_one_that_names_the_old_one_has_miss
     assert state.profile.at(5.0) == (40.0, 0.0)
 
 
-def test_without_feedback_nobody_is_asked_for_a_target(kit):
+def test_without_feedback_no_servo_is_polled_for_its_target(kit):
     state = kit.state(kit.joint(), has_feedback=False)
     state.note_sent(0, 400, 1000)
     assert not state.needs_target(10 * MS)
@@ -400,7 +400,7 @@ def test_a_filter_that_has_settled_is_at_rest_however_long(limits, rest_s):
     assert setpoints.allowed(0.1 + rest_s) == pytest.approx(at_rest, abs=1e-6)
 
 
-def test_a_target_counts_from_when_it_is_heard(limits):
+def test_a_target_counts_from_its_arrival(limits):
     setpoints = Setpoints(0.0, count=3, limits=limits)
     setpoints.commanded(0.1, 10.0)
     setpoints.commanded(1.1, 60.0)
@@ -474,7 +474,7 @@ def test_what_is_near_closes_up_by_half_a_step_at_a_time(limits):
     st.sampled_from([2, 3, 5]),
 )
 @example(asked=[(20_000, 90.0)] * 60, count=3)
-def test_whatever_is_asked_and_however_unevenly_no_filter_leaves_its_limits(asked, count):
+def test_no_filter_leaves_its_limits_whatever_targets_arrive_when(asked, count):
     limits = servo_limits(joint(drive="streamed"), TOLERANCE_DEG)
     setpoints = Setpoints(0.0, count=count, limits=limits)
     at_us, heard = 0.3, []

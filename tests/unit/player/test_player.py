@@ -5,7 +5,7 @@ from lss_motion.player.player import GAP_NS, NAMED_MAX, StallDetector
 S = 1_000_000_000
 
 
-def test_only_what_is_far_later_than_was_asked_for_is_named():
+def test_only_a_long_delay_is_reported():
     gaps = StallDetector()
     assert gaps.text(9 * S, None) is None
     for wakeup_ns, now_ns, is_named in (
@@ -19,7 +19,7 @@ def test_only_what_is_far_later_than_was_asked_for_is_named():
         assert gaps.text(now_ns + S, None) is None, "it was named"
 
 
-def test_it_is_said_how_long_and_where_and_not_for_ever():
+def test_delays_are_reported_with_length_and_show_time_up_to_a_maximum():
     gaps, texts = StallDetector(), []
     for _ in range(NAMED_MAX + 5):
         gaps.expect(2 * S)

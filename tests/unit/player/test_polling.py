@@ -115,7 +115,7 @@ def joints(kit, count, **fields):
     return [kit.state(kit.joint(f"j{i}", i + 1, **fields)) for i in range(count)]
 
 
-def test_every_servo_is_asked_about_its_health_in_turn_and_where_it_is_all_the_time(kit):
+def test_every_servo_gets_health_queries_in_turn_and_position_queries_always(kit):
     desk = Desk(*joints(kit, 3)).run(0, S)
     for servo_id in (1, 2, 3):
         own = [(at_ns, word) for at_ns, _, one, word in desk.asked if one == servo_id]
@@ -144,7 +144,7 @@ def test_a_slow_line_is_not_spent_on_health(kit):
     assert all(a[2] != b[2] for a, b in pairwise(desk.asked))
 
 
-def test_where_there_is_room_a_servo_that_is_asked_alone_has_its_health_asked_rarely(kit):
+def test_a_single_servo_gets_few_health_queries_where_there_is_room(kit):
     desk = Desk(*joints(kit, 1))
     desk.tracker.depth = lambda _: 1
     desk.run(0, S)
@@ -161,7 +161,7 @@ def test_the_line_is_filled_with_answers(kit, baud_bps):
 
 
 @pytest.mark.parametrize("stray_deg", [0.0, 0.5])
-def test_a_joint_is_asked_more_often_the_faster_it_moves_and_the_further_it_strayed(kit, stray_deg):
+def test_a_joint_is_polled_more_often_the_faster_it_moves_and_the_further_it_is_off(kit, stray_deg):
     joint_states = joints(kit, 8)
     other, desk = joint_states[1], Desk(*joint_states)
     if stray_deg:
@@ -188,7 +188,7 @@ def test_all_servos_of_a_bus_are_visited_whatever_one_of_them_does(kit, stray_de
         assert max(b - a for a, b in pairwise(own)) < 1.5 * VISIT_NS
 
 
-def test_nothing_is_asked_that_would_make_a_move_late(kit):
+def test_no_query_makes_a_move_late(kit):
     step_ns = 4 * MS
     desk = Desk(*joints(kit, 2))
     desk.run(0, S // 3, quiet_until_ns=lambda now_ns: (now_ns // step_ns + 1) * step_ns)
@@ -197,7 +197,7 @@ def test_nothing_is_asked_that_would_make_a_move_late(kit):
         assert arrival_ns <= (at_ns // step_ns + 1) * step_ns
 
 
-def test_what_nobody_expected_waits_for_no_more_than_one_command(kit):
+def test_an_unexpected_command_waits_for_no_more_than_one_other(kit):
     desk = Desk(*joints(kit, 2), baud_bps=19200).run(0, S)
     assert len(desk.asked) > 150
     backlogs_ns = [arrival_ns - at_ns for at_ns, arrival_ns, *_ in desk.asked]
@@ -205,7 +205,7 @@ def test_what_nobody_expected_waits_for_no_more_than_one_command(kit):
     assert max(backlogs_ns) > desk.line.time_ns(BACKLOG_BYTES - len(b"#1QD\r")), "and for that"
 
 
-def test_on_a_full_line_who_is_missed_is_asked_all_the_same(kit):
+def test_on_a_full_line_an_overdue_servo_is_polled_all_the_same(kit):
     """Seed 32164: on a host that was late every time, moves were due always, and nobody asked."""
     desk = Desk(*joints(kit, 4)).run(0, KNOWN_NS)
     desk.values |= {(2, word): None for word in ("QD", "QDT", *HEALTHY)}
@@ -222,7 +222,7 @@ def test_on_a_full_line_who_is_missed_is_asked_all_the_same(kit):
     assert min(b - a for a, b in pairwise(instants_ns)) > STARVED_NS
 
 
-def test_one_bus_on_which_nobody_was_asked_is_enough_if_somebody_can_be_asked(kit):
+def test_one_bus_without_queries_is_starved_if_it_has_servos_to_poll(kit):
     """On `blind` is an RC servo alone, which knows no answer but its last command."""
     buses, drives = ("left", "right", "blind"), ("timed", "timed", "stepped")
     lines = {
@@ -253,7 +253,7 @@ def test_silence_is_counted_from_the_last_answer_and_not_from_the_first_question
     assert set(desk.scheduler.health.active_faults) == {("j0", Cause.SILENT)}
 
 
-def test_who_answers_is_not_silent_be_it_believed_or_not(kit):
+def test_a_servo_that_answers_is_not_silent_whether_accepted_or_not(kit):
     desk = Desk(*joints(kit, 2))
     for state in desk.joint_states.values():
         desk.scheduler.health.unanswered(state, 0, 0)
@@ -305,7 +305,7 @@ def test_what_is_done_between_two_wakeups_is_not_late(kit):
     assert desk.asked[-1][0] > wakeup_ns + 7 * MS
 
 
-def test_a_servo_is_soon_asked_for_its_target_and_what_it_missed_is_known(kit):
+def test_a_servo_is_soon_polled_for_its_target_and_a_lost_move_is_found(kit):
     first, second = joints(kit, 2)
     desk = Desk(first, second).run(0, KNOWN_NS)
     for state in (first, second):
@@ -338,7 +338,7 @@ def test_a_doubt_is_settled_at_once(kit):
     assert desk.scheduler.health.active_faults.keys() == {("j1", Cause.BLOCKED)}
 
 
-def test_an_rc_servo_is_asked_nothing(kit):
+def test_an_rc_servo_gets_no_query(kit):
     joint = kit.joint("j1", 209, drive="stepped", model=SERVO_MODELS["LSS-2IO"])
     desk = Desk(*joints(kit, 1), kit.state(joint)).run(0, KNOWN_NS)
     assert {one for _, _, one, _ in desk.asked} == {1}
@@ -361,7 +361,7 @@ def test_what_is_believed_is_kept_and_what_is_not_is_counted(kit):
 
 
 @pytest.mark.parametrize("value", ["DIS", None])
-def test_an_answer_without_a_number_says_nothing(kit, value):
+def test_an_answer_without_a_number_is_ignored(kit, value):
     (state,) = joints(kit, 1)
     desk = Desk(state)
     desk.ask(MS)
@@ -390,7 +390,7 @@ def test_a_servo_that_falls_silent_is_found_out_when_its_time_is_over(kit):
     )
 
 
-def test_where_nobody_else_is_to_be_asked_the_silent_one_is_asked_on(kit):
+def test_a_silent_servo_alone_on_its_bus_is_polled_on(kit):
     desk = Desk(*joints(kit, 1)).run(0, KNOWN_NS)
     for word in ("QD", *HEALTH_KEYWORDS):
         desk.values[1, word] = None
@@ -419,7 +419,7 @@ def test_a_row_is_as_long_as_it_must_be_for_answers_to_fill_their_line(kit):
     assert rows.most_common(1)[0][0] == least
 
 
-def test_a_sensor_that_is_waited_for_is_asked_in_time_and_heard(kit):
+def test_the_sensor_of_a_wait_is_polled_in_time_and_its_answer_is_used(kit):
     point = WaitPoint(at_s=0.5, wait=Wait(sensor="eye", side="below", threshold=300.0))
     sensor = Sensor(name="eye", servo_id=209, bus="main")
     waiting = Waiting([(0.5, point)], {"eye": sensor}, 0.0)

@@ -49,7 +49,7 @@ def test_an_answer_ends_the_question(tracker, line):
     assert not tracker.is_waiting(5)
 
 
-def test_who_was_asked_when_and_whether_nobody_was_for_too_long(tracker):
+def test_the_last_query_of_each_servo_and_starvation_are_known(tracker):
     assert (tracker.last_sent_ns(5), tracker.last_sent_ns(6)) == (0, 0)
     assert tracker.is_starved(STARVED_NS + 1)
     tracker.send(ASK, 7 * STARVED_NS)
@@ -71,7 +71,7 @@ def test_what_does_not_fit_the_question_is_a_stray(tracker, reply):
     assert tracker.receive(Reply(5, "QD", 7), 2_000_000)
 
 
-def test_an_answer_before_the_servo_heard_the_question_is_a_stray(tracker, line):
+def test_an_answer_before_the_query_has_arrived_is_a_stray(tracker, line):
     tracker.send(ASK, 0)
     assert not tracker.receive(Reply(5, "QD", 100), line.time_ns(5) - 1)
     assert tracker.strays == 1
@@ -101,7 +101,7 @@ def test_a_known_servo_is_given_up_sooner(tracker, line):
     assert 10_000_000 < tracker.give_up_ns - now_ns < GRACE_NS + 4_000_000 < unknown_ns
 
 
-def test_who_answers_too_late_is_there(tracker):
+def test_a_servo_that_answers_too_late_is_present(tracker):
     tracker.send(ASK, 0)
     assert tracker.last_reply_ns(5) is None
     now_ns = tracker.give_up_ns
@@ -140,13 +140,13 @@ def test_an_answer_that_is_owed_ends_with_the_answer_to_anything_else(tracker):
     assert not tracker.is_overdue(5, "QD")
 
 
-def test_an_unknown_servo_is_asked_alone_and_one_thing_at_a_time(tracker):
+def test_an_unknown_servo_is_polled_alone_with_one_query_at_a_time(tracker):
     tracker.send(ASK, 0)
     assert tracker.earliest_ns(5, 5) is None
     assert tracker.earliest_ns(6, 5) is None
 
 
-def test_a_known_servo_is_asked_many_things_but_no_more_than_it_can_keep(tracker, line):
+def test_a_known_servo_gets_many_queries_but_no_more_than_its_buffer_holds(tracker, line):
     now_ns = take_over(tracker, line, 5)
     count = 0
     while (earliest_ns := tracker.earliest_ns(5, 5)) is not None:
@@ -156,7 +156,7 @@ def test_a_known_servo_is_asked_many_things_but_no_more_than_it_can_keep(tracker
     assert 3 <= count <= WINDOW_MAX
 
 
-def test_a_second_servo_is_asked_so_that_answers_never_meet(tracker, line):
+def test_a_second_servo_is_polled_so_that_answers_never_collide(tracker, line):
     take_over(tracker, line, 5, (200, 1000) * 16)
     now_ns = take_over(tracker, line, 6, (200, 1000) * 16, now_ns=10**9)
     tracker.send(ASK, now_ns)
@@ -185,7 +185,7 @@ def test_a_row_that_is_answered_whole_is_believed_in_order(tracker, line):
 
 
 @pytest.mark.parametrize("values", [(1, 2), (1, 1, 2, 3), ()], ids=["lost", "double", "none"])
-def test_a_row_in_which_answers_and_questions_do_not_pair_up_says_nothing(tracker, line, values):
+def test_a_row_with_unequal_numbers_of_queries_and_answers_is_rejected(tracker, line, values):
     now_ns = row(tracker, take_over(tracker, line, 5))
     for value in values:
         assert tracker.receive(Reply(5, "QD", value), now_ns) == []
@@ -196,7 +196,7 @@ def test_a_row_in_which_answers_and_questions_do_not_pair_up_says_nothing(tracke
     assert tracker.give_up_ns is None
 
 
-def test_without_the_last_answer_a_row_says_nothing(tracker, line):
+def test_a_row_without_its_last_answer_is_rejected(tracker, line):
     row(tracker, take_over(tracker, line, 5))
     give_up_ns = tracker.give_up_ns - GRACE_NS
     for value in (1, 2, 3):
@@ -223,7 +223,7 @@ STEADY_US = (400,) * SAMPLES_LEAST
 ANSWER = b"*5QD100\r"
 
 
-def test_of_a_servo_that_was_never_asked_nothing_is_known(tracker):
+def test_nothing_is_known_about_a_servo_without_queries(tracker):
     assert tracker.is_waiting(5) is False
     assert tracker.give_up_ns is tracker.shortest_latency_ns is None
     assert (tracker.depth(5), tracker.quiet_until_ns(5)) == (1, 0)
@@ -266,7 +266,7 @@ def test_only_failures_in_a_row_make_a_servo_unknown(tracker, line):
     assert not tracker.latency(5).is_known
 
 
-def test_a_servo_that_never_answers_is_still_asked_one_thing(tracker):
+def test_a_servo_that_never_answers_still_gets_single_queries(tracker):
     given_up(tracker, given_up(tracker, 0))
     assert tracker.depth(5) == 1
 
@@ -323,7 +323,7 @@ def test_so_many_questions_fly_that_the_servo_never_waits_for_one(tracker, line,
     assert asked == count
 
 
-def test_the_second_servo_is_heard_when_the_first_has_answered_at_the_latest(tracker, line):
+def test_the_second_servo_answers_after_the_latest_answer_of_the_first(tracker, line):
     for servo_id in (5, 6, 7):
         now_ns = take_over(tracker, line, servo_id, STEADY_US, now_ns=servo_id * 10**9)
     tracker.send(ASK, now_ns)
@@ -351,7 +351,7 @@ def test_the_shortest_wait_of_any_servo_is_known(tracker, line):
     assert tracker.shortest_latency_ns == 250 * US
 
 
-def test_only_a_servo_that_had_nothing_else_to_say_shows_how_quick_it_is(tracker, line):
+def test_latency_is_measured_on_idle_servos_only(tracker, line):
     now_ns = take_over(tracker, line, 5, STEADY_US)
     for _ in range(3):
         tracker.send(ASK, now_ns)
@@ -365,7 +365,7 @@ def test_only_a_servo_that_had_nothing_else_to_say_shows_how_quick_it_is(tracker
     )
 
 
-def test_an_answer_that_came_just_before_the_next_question_was_heard_leaves_it_free(tracker, line):
+def test_an_answer_just_before_the_next_query_arrives_leaves_the_servo_idle(tracker, line):
     now_ns = take_over(tracker, line, 5, STEADY_US)
     tracker.send(ASK, now_ns)
     tracker.send(Command(5, "QT"), now_ns + 2_000_000)
@@ -383,12 +383,12 @@ def test_an_answer_after_a_lost_one_shows_nothing_of_how_quick_the_servo_is(trac
     assert tracker.shortest_latency_ns == 400 * US
 
 
-def test_an_answer_may_come_as_soon_as_the_question_was_heard(tracker, line):
+def test_an_answer_may_begin_as_soon_as_the_query_has_arrived(tracker, line):
     tracker.send(ASK, 0)
     assert tracker.receive(Reply(5, "QD", 100), line.time_ns(5))
 
 
-def test_a_late_answer_says_that_the_servo_is_slower_than_was_known(tracker, line):
+def test_a_late_answer_shows_that_the_servo_is_slower_than_estimated(tracker, line):
     now_ns = given_up(tracker, take_over(tracker, line, 5, STEADY_US))
     tracker.receive(Reply(5, "QT", 300), now_ns)
     assert tracker.latency(5).is_known, "nobody asked for that"
@@ -418,7 +418,7 @@ def test_a_doubtful_row_is_thrown_away_and_the_next_is_shorter(tracker, line, va
     assert tracker.depth(5) == (32 if strays else 64)
 
 
-def test_two_equal_questions_are_not_told_apart_before_the_row_is_over(tracker, line):
+def test_two_equal_queries_are_not_accepted_before_the_row_is_over(tracker, line):
     now_ns = row(tracker, take_over(tracker, line, 5), ("QD", "QD", "Q"))
     assert tracker.receive(Reply(5, "QD", 1), now_ns) == []
     assert tracker.receive(Reply(5, "QD", 2), now_ns) == []
@@ -471,7 +471,7 @@ def test_few_answers_leave_more_room_than_many():
     assert taught(*[400, 500] * 4).spread_ns == 200 * US
 
 
-def test_no_answer_begins_before_its_query_was_heard():
+def test_no_answer_begins_before_its_query_has_arrived():
     assert known(taught(100, 900, 100, 900)) == (True, 0, 1700 * US, 100 * US)
     assert known(taught(*[-20] * SAMPLES_LEAST)) == (True, 0, 0, 0)
 

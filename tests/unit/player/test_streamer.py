@@ -194,7 +194,7 @@ def test_it_is_over_when_all_has_come_to_rest_and_not_before(kit):
     assert not stage.streamer.is_finished(START_NS + 10 * S)
 
 
-def test_what_was_told_late_is_waited_for(kit):
+def test_the_show_waits_for_moves_that_were_sent_late(kit):
     stage = Stage(kit, (move(0.1, 40.0), move(2.0, -40.0))).run(1.9)
     stage.now_ns = START_NS + round(2.4e9)
     stage.step()
@@ -236,7 +236,7 @@ def test_what_was_learnt_of_a_lag_lets_moves_leave_earlier(kit):
     assert [at_s for at_s, _ in stage.sent] == pytest.approx([0.07, 1.17])
 
 
-def test_a_joint_that_is_left_out_is_told_nothing_until_it_is_back(kit):
+def test_a_joint_that_is_left_out_is_sent_nothing_until_it_is_back(kit):
     stage = Stage(kit)
     stage.streamer.leave_out({"j0"})
     stage.run(1.0)
@@ -328,7 +328,7 @@ def test_it_may_start_anywhere_from_rest(kit):
     assert stage.streamer.clock.show_s(stage.now_ns) == pytest.approx(6.6, abs=0.3)
 
 
-def test_what_a_servo_has_not_heard_is_said_again_at_once(kit):
+def test_a_lost_move_is_sent_again_at_once(kit):
     stage = Stage(kit, has_feedback=True)
     stage.run(0.4)
     stage.state.stand_at(0.0)
@@ -343,7 +343,7 @@ def test_what_a_servo_has_not_heard_is_said_again_at_once(kit):
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.5])
-def test_but_not_while_the_show_is_slowed_down_since_all_is_said_again_anyway(kit, rate):
+def test_a_lost_move_is_not_sent_again_while_the_show_is_slowed_down(kit, rate):
     stage = Stage(kit, has_feedback=True)
     stage.run(0.4)
     set_rate(stage, rate)
@@ -355,7 +355,7 @@ def test_but_not_while_the_show_is_slowed_down_since_all_is_said_again_anyway(ki
     assert stage.streamer.scheduler.to_resend == {}
 
 
-def test_what_it_is_owed_of_that_is_over_when_the_show_brakes(kit):
+def test_the_deferred_rest_of_a_move_is_dropped_when_the_show_brakes(kit):
     stage = Stage(kit, has_feedback=True).run(0.4)
     stage.state.stand_at(0.0)
     stage.streamer.scheduler.to_resend["j0"] = stage.state
@@ -369,7 +369,7 @@ def test_what_it_is_owed_of_that_is_over_when_the_show_brakes(kit):
     assert stage.state.place(stage.now_ns)[0] == pytest.approx(pose_deg, abs=0.2)
 
 
-def test_one_that_is_left_out_is_owed_nothing_and_does_not_keep_the_show(kit):
+def test_a_joint_that_is_left_out_has_no_deferred_target_and_does_not_delay_the_end(kit):
     stage = Stage(kit, has_feedback=True).run(0.4)
     stage.state.stand_at(0.0)
     stage.streamer.leave_out({"j0"})
@@ -410,7 +410,7 @@ def test_it_stands_at_a_wait_until_that_is_met_or_its_time_is_over(kit, is_met):
     assert states == ["begun", "met" if is_met else "timeout"]
 
 
-def test_what_is_asked_for_during_a_wait_holds_after_it(kit):
+def test_a_rate_that_is_set_during_a_wait_holds_after_it(kit):
     stage = Stage(kit, waits=(waits_at(1.1, timeout_s=1.0),), has_feedback=True).run(1.5)
     set_rate(stage, 0.5)
     assert stage.streamer.rate_wanted == 0.5
@@ -505,7 +505,7 @@ def test_after_a_recovery_it_goes_on_at_rate_0_from_where_servos_were_sent(kit):
     assert re.fullmatch(rb"#1D-200T\d+\r", stage.sent[-1][1])
 
 
-def test_a_joint_that_rests_at_its_place_is_told_nothing_when_a_pause_ends(kit):
+def test_a_joint_at_rest_in_its_place_is_sent_nothing_when_a_pause_ends(kit):
     moves = (move(0.1, 40.0), move(2.0, -20.0))
     stage = Stage(kit, moves, duration_s=3.0).run(1.0)
     set_rate(stage, 0.0)
@@ -551,7 +551,7 @@ def test_what_is_left_out_owes_nothing_and_the_others_what_they_owe(kit):
     assert stage.state.resend_ns is None
 
 
-def test_the_reader_asks_while_lines_are_quiet_and_hears_every_answer(kit):
+def test_the_scheduler_polls_while_lines_are_quiet_and_receives_every_answer(kit):
     stage, calls = Stage(kit, has_feedback=True), []
     stage.streamer.scheduler.poll = lambda *args: calls.append(args)
     stage.streamer.scheduler.receive = lambda *args: calls.append(args[:3])
@@ -588,7 +588,7 @@ def test_a_slower_show_stands_at_a_wait_on_its_path_and_goes_on_as_slowly(kit, i
     assert stage.state.place(stage.now_ns) == (-20.0, 0.0)
 
 
-def test_before_the_first_move_another_rate_says_nothing(kit):
+def test_before_the_first_move_another_rate_sends_nothing(kit):
     stage = Stage(kit, (move(2.0, 40.0),), duration_s=3.0)
     set_rate(stage, 0.5)
     stage.run(0.5)
@@ -697,7 +697,7 @@ def test_what_was_due_before_a_replacement_still_leaves_in_order(seed):
     assert left(due_moves) == sorted((due - early_us[servo], due) for due, servo in kept)
 
 
-def test_nobody_is_earlier_than_an_estimate_may_be():
+def test_no_move_is_earlier_than_the_largest_lag():
     assert left(DueMoves(iter(moves(500_000)), lambda _: 10**9)) == [(440_000, 500_000)]
 
 
@@ -844,7 +844,7 @@ def test_one_whose_move_ends_where_it_began_has_the_rest_of_its_time(kit, line):
     assert state.deferred is None
 
 
-def test_what_is_owed_is_told_with_no_longer_t_than_any_move(kit, line):
+def test_a_deferred_target_has_no_longer_t_than_any_move(kit, line):
     state = timed(kit, travel(80.0))
     state.defer(0, 80.0, 2.0)
     send_deferred(state, line, 0)
@@ -972,7 +972,7 @@ def test_where_the_line_is_busy_it_is_on_its_plan_after_every_second_step(state)
         assert state.profile.value(step - 1) == pytest.approx(wanted_deg, abs=UNIT_DEG)
 
 
-def test_it_hears_every_target_half_a_step_before_it_counts_however_long_the_line_takes(state):
+def test_every_guiding_target_arrives_half_a_step_before_it_counts(state):
     heard = led(state, lambda at_s: -60.0 - 8.0 * at_s, until_s=1.5, baud_bps=19200)
     profile = state.profile
     for at_ns, _ in heard[-20:]:

@@ -70,7 +70,7 @@ def test_orders_are_sent_no_faster_than_the_line_carries_them(kit):
         assert successor_ns - at_ns >= bench.lines["main"].time_ns(7)
 
 
-def test_a_silent_servo_is_asked_again_and_then_given_up(kit):
+def test_a_silent_servo_is_polled_again_and_then_given_up(kit):
     bench = Bench([ask(1), ask(2)], lambda bus, data: echo(bus, data) if b"#2" in data else [], kit)
     bench.run()
     assert [data for _, _, data in bench.said] == [b"#1QD\r"] * TRIES + [b"#2QD\r"]
@@ -151,7 +151,7 @@ def test_answers_that_never_agree_count_as_none(kit):
     assert len(bench.said) == AGREE_TRIES
 
 
-def test_a_servo_that_never_answered_is_not_asked_the_rest(kit):
+def test_a_servo_that_never_answered_does_not_get_the_other_queries(kit):
     items = [ask(1), ask(1, "QT"), ask(2), ask(1, "QV"), order(1, "EM", 1)]
     bench = Bench(items, lambda bus, data: echo(bus, data) if b"#2" in data else [], kit)
     bench.run()
