@@ -1,4 +1,4 @@
-"""A line, a questioner, and joints, without any time of their own."""
+"""A line, a tracker, and joint states, without a clock."""
 
 from __future__ import annotations
 

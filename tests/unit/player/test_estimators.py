@@ -443,7 +443,7 @@ def test_the_oldest_of_many_moves_counts_as_received():
 
 @pytest.fixture
 def commanded():
-    """Return what was said and heard of all `MOVES`, the last of them at 0.7 s."""
+    """Return detector and profile after all `MOVES`, the last of them at 0.7 s."""
     lost_moves, said = LostMoveDetector(UNIT_DEG, LOOP_S), profile_of()
     for one in MOVES:
         lost_moves.commanded(said.copy(), *one)

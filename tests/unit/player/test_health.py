@@ -158,7 +158,7 @@ def test_a_servo_that_has_never_answered_is_silent_when_its_time_is_over_since_i
 
 
 def test_a_row_of_questions_that_is_lost_at_once_is_no_silence(state):
-    """A servo that was not asked for long, as on a busy computer, is asked once more."""
+    """A servo without queries for long, as on a busy computer, is polled once more."""
     health = HealthMonitor()
     for _ in range(2 * SILENT_QUERIES):
         health.unanswered(state, 5 * S, 0)

@@ -46,7 +46,7 @@ CLOCK = ShowClock(0, 0.0, 1.0)
 
 
 def commanded(state, target_deg):
-    """Say a target, and whatever is owed after that; return `(heard_ns, degrees)` of each."""
+    """Send a target, and all deferred ones; return `(arrival_ns, degrees)` of each."""
     now_ns, said = STEP_NS, []
     while True:
         wire = state.wire_for(target_deg, now_ns)
@@ -270,7 +270,7 @@ MS, LAG_S = 1_000_000, 0.03
 
 @pytest.fixture
 def state(kit):
-    """A joint that is told at 0 s to go to 40 deg in a second."""
+    """A joint whose move to 40 deg in a second arrives at 0 s."""
     state = kit.state(kit.joint())
     state.note_sent(0, 400, 1000)
     return state

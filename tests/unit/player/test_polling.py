@@ -1,4 +1,4 @@
-"""What is asked of whom and when, and what becomes of the answers; the servos are a table."""
+"""Which servo is polled for what and when, and the use of the answers; the servos are a table."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from lss_motion.trajectory.model import WaitPoint
 
 MS, S = 1_000_000, 1_000_000_000
 WAITS_NS = (300_000, 1_100_000)
-"""A servo begins to answer so long after it heard a question, now one and now the other."""
+"""Latencies of the servos, in turn."""
 KNOWN_NS = 200 * MS
 """By then it is known how the servos answer."""
 HEALTHY = {"Q": 6, "QT": 300, "QV": 12000, "QC": 200, "QA": 100}
@@ -48,7 +48,7 @@ def planned_deg(state, at_ns):
 
 
 class Desk:
-    """A reader and the servos that answer it, in virtual time."""
+    """A scheduler and the servos that answer it, in virtual time."""
 
     def __init__(self, *joint_states, baud_bps=115200, waiting=None, waits_ns=WAITS_NS):
         self._waits_ns = waits_ns
@@ -59,9 +59,9 @@ class Desk:
         lines, trackers = {"main": self.line}, {"main": self.tracker}
         self.scheduler = PollScheduler(self.joint_states, trackers, lines, self.waiting)
         self.asked = []
-        """`(handed over ns, heard ns, servo id, keyword)`."""
+        """`(handed over ns, arrival ns, servo id, keyword)`."""
         self.values = {}
-        """What a servo says, by `(id, keyword)`, else its word of `HEALTHY`; None: nothing."""
+        """Answers by `(id, keyword)`, instead of those of `HEALTHY`; None: no answer."""
         self._free_ns = self._reply_ns = 0
         self._parser = CommandParser()
         self._coming = []
@@ -106,7 +106,7 @@ class Desk:
         return round(10 * planned_deg(own[0], self._free_ns))
 
     def counts(self, from_ns=0):
-        """Return how often each servo was asked where it is."""
+        """Return the number of position queries to each servo."""
         since = (entry for entry in self.asked if entry[0] > from_ns)
         return Counter(one for *_, one, word in since if word == "QD")
 
@@ -136,7 +136,7 @@ def test_every_servo_gets_health_queries_in_turn_and_position_queries_always(kit
 
 
 def test_a_slow_line_is_not_spent_on_health(kit):
-    """Nor are so many servos asked several times in a row: all are visited."""
+    """With many servos there are no rows: all are visited."""
     desk = Desk(*joints(kit, 40), baud_bps=9600).run(0, 4 * S)
     words = [word for *_, word in desk.asked]
     at = [index for index, word in enumerate(words) if word != "QD"]
@@ -206,7 +206,7 @@ def test_an_unexpected_command_waits_for_no_more_than_one_other(kit):
 
 
 def test_on_a_full_line_an_overdue_servo_is_polled_all_the_same(kit):
-    """Seed 32164: on a host that was late every time, moves were due always, and nobody asked."""
+    """Seed 32164: on a host that was always late, moves were always due, and no query was sent."""
     desk = Desk(*joints(kit, 4)).run(0, KNOWN_NS)
     desk.values |= {(2, word): None for word in ("QD", "QDT", *HEALTHY)}
     begun, now_ns = len(desk.asked), KNOWN_NS

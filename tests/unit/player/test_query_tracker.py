@@ -26,7 +26,7 @@ US = 1000
 
 
 def take_over(tracker, line, servo_id, waits_us=(200, 1000) * SAMPLES_LEAST, now_ns=0):
-    """Let the questioner learn how quick a servo is; return when that is done."""
+    """Let the tracker learn the latency of a servo; return when that is done."""
     for wait_us in waits_us:
         now_ns += 5_000_000
         tracker.send(Command(servo_id, "QD"), now_ns)
@@ -113,7 +113,7 @@ def test_a_servo_that_answers_too_late_is_present(tracker):
 
 
 def test_a_late_answer_is_never_taken_for_the_next(tracker):
-    """The servo is left alone until its answer can no longer come; others are asked meanwhile."""
+    """The servo is not polled until its answer can no longer come; others are meanwhile."""
     tracker.send(ASK, 0)
     given_up_ns = tracker.give_up_ns
     tracker.expire(given_up_ns)
@@ -127,7 +127,7 @@ def test_a_late_answer_is_never_taken_for_the_next(tracker):
 
 
 def test_an_answer_that_is_owed_ends_with_the_answer_to_anything_else(tracker):
-    """However late: the servo keeps the order, so what it owed has come or never will."""
+    """However late: the servo keeps the order, so an overdue answer has come or never will."""
     tracker.send(ASK, 0)
     now_ns = tracker.give_up_ns
     tracker.expire(now_ns)
@@ -248,7 +248,7 @@ def test_every_row_that_is_answered_whole_doubles_the_next(tracker, line):
 
 
 def given_up(tracker, now_ns, command=ASK):
-    """Ask in vain; return when the servo may be asked again."""
+    """Poll without an answer; return when the servo may be polled again."""
     tracker.send(command, now_ns)
     now_ns = tracker.give_up_ns
     tracker.expire(now_ns)

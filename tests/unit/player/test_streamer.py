@@ -72,7 +72,7 @@ class Stage:
         has_feedback=False,
         **fields,
     ):
-        """With feedback, too, no question is asked."""
+        """With feedback, too, no query is sent."""
         joint = joint or kit.joint("j0", 1)
         standing_deg = dict.fromkeys(["j0", *(other.name for other in others)], 0.0)
         sensors = {"eye": Sensor(name="eye", servo_id=209, bus="main")}
@@ -103,7 +103,7 @@ class Stage:
         self.sent = []
         """`(s, line)` of all that was handed over."""
         self.places = []
-        """`(s, show s, where the profile of j0 is, where the plan wants it)`."""
+        """`(s, show s, where the profile of j0 is, where the plan has it)`."""
         self.now_ns = START_NS
 
     @property
@@ -910,7 +910,7 @@ def led(
     is_even=False,
     baud_bps=115200,
 ):
-    """Lead a joint along `planned_deg(instant_s)` until it is told no more, or until `until_s`.
+    """Guide a joint along `planned_deg(instant_s)` until guiding ends, or until `until_s`.
 
     Return when it heard which target: `(ns, degrees)`.
     """

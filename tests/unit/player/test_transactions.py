@@ -19,7 +19,7 @@ def order(servo_id, keyword, value, bus="main"):
 
 
 class Bench:
-    """Plays the time and the servos; `replies` maps what is said to what is answered, and when."""
+    """Plays the time and the servos; `replies` maps a query to its answers and their instants."""
 
     def __init__(self, items, replies, kit, buses=("main",)):
         self.lines = {bus: SerialLine(kit.bus) for bus in buses}
