@@ -182,7 +182,7 @@ class JointState:
         """Note that `move` of the program is under way, whether it is sent or not."""
         self.active = move
 
-    def extend_plan(self, later: Reference, keep_from_s: float) -> None:
+    def extend_plan(self, later: PiecewiseProfile, keep_from_s: float) -> None:
         """Continue the plan with `later`; what was before `keep_from_s` is dropped."""
         self.plan = self.plan.followed_by(later, keep_from_s)
 

@@ -80,7 +80,7 @@ def test_a_guiding_target_arrives_half_a_step_before_it_counts(kit, baud_bps):
     state.send(line, 60.0, 0.0, STEP_NS)
     arrival_s = (state.resend_ns + line.time_ns(len(line.take()))) / 1e9
     profile = state.profile
-    assert arrival_s == pytest.approx(profile.hear_s(profile.acts_on(arrival_s)), abs=1e-6)
+    assert arrival_s == pytest.approx(profile.receive_s(profile.acts_on(arrival_s)), abs=1e-6)
 
 
 def test_a_stepped_joint_jumps_no_further_than_its_speed_allows(kit):

@@ -976,7 +976,7 @@ def test_every_guiding_target_arrives_half_a_step_before_it_counts(state):
     heard = led(state, lambda at_s: -60.0 - 8.0 * at_s, until_s=1.5, baud_bps=19200)
     profile = state.profile
     for at_ns, _ in heard[-20:]:
-        best_s = profile.hear_s(profile.acts_on(at_ns / 1e9))
+        best_s = profile.receive_s(profile.acts_on(at_ns / 1e9))
         assert at_ns / 1e9 == pytest.approx(best_s, abs=1e-5)
 
 
