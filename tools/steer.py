@@ -3,7 +3,7 @@
 tools/run tools/steer.py                            100 commands, each example robot in turn
 tools/run tools/steer.py --commands 1000 --seed 7
 
-Wishes come at random instants, also while the last is still blended; some plans come too late. A
+Commands come at random instants, also while the last is still blended; some plans come too late. A
 limit broken at a horn, a run that does not end in its stand, or a foot that slips is a failure: it
 is printed with the command that plays it again.
 """
@@ -17,18 +17,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from local_planner import LocalPlanner
 
 from lss_motion import api
 from lss_motion.cli import shows
 from lss_motion.gait.kinematics import forward
 from lss_motion.gait.model import BodyPose
 from lss_motion.gait.patterns import PATTERNS
-from lss_motion.gait.steering import eased
+from lss_motion.gait.steering import slowed_to_limits
 from lss_motion.gait.stepping import STILL, Twist
 from lss_motion.player.events import Phase
-from lss_motion.walking.local import LocalLink
 from lss_motion.walking.pilot import Pilot
-from lss_motion.walking.planner import Planner
+from lss_motion.walking.planner import WalkPlanner
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -71,10 +71,10 @@ class Run:
 
     def __post_init__(self) -> None:
         self.random = np.random.default_rng(self.seed)
-        self.gait, self.top = eased(self.gait, self.robot, TOP[len(self.gait.legs)])
-        self.planner = Planner(self.gait, self.robot, self.tolerance_deg)
+        self.gait, self.top = slowed_to_limits(self.gait, self.robot, TOP[len(self.gait.legs)])
+        self.planner = WalkPlanner(self.gait, self.robot, self.tolerance_deg)
         self.pilot = Pilot(
-            LocalLink(self.planner, self._takes_s),
+            LocalPlanner(self.planner, self._takes_s),
             phase_s=self.planner.phase_s,
             splice_s=self.planner.splice_s,
         )
@@ -92,7 +92,7 @@ class Run:
         if player.phase is Phase.SHOW and player.show is not None:
             show_s = player.show.show_s(now_ns)
             if self.given >= self.commands:
-                self.pilot.wanted = STILL
+                self.pilot.commanded = STILL
                 if self.pilot.is_standing(show_s - 1.0):
                     player.close()
             elif show_s >= self._next_s:
@@ -103,13 +103,13 @@ class Run:
         self.given += 1
         self._next_s = show_s + self.random.uniform(0.2, 1.5)
         ahead, left, turn = self.random.uniform(-1.0, 1.0, 3).tolist()
-        self.pilot.wanted = Twist(
+        self.pilot.commanded = Twist(
             forward_mm_s=ahead * self.top.forward_mm_s,
             left_mm_s=left * self.top.left_mm_s,
             turn_deg_s=turn * self.top.turn_deg_s,
         )
         if self.random.random() < STOP_RATIO:
-            self.pilot.wanted = STILL
+            self.pilot.commanded = STILL
 
     # ---- judging
 

@@ -18,7 +18,7 @@ from lss_motion.maintenance import settings
 from lss_motion.maintenance.backup import Kept, backup_text, read_backup
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.io2 import PIN_IDS
-from lss_motion.robot.servo_models import other_model
+from lss_motion.robot.servo_models import model_mismatch_text
 
 if TYPE_CHECKING:
     import argparse
@@ -186,7 +186,7 @@ def _targets(
     for name, joint in joints.items():
         if not found[name].model.startswith(joint.model.name):
             raise InputError(
-                f"joint {name!r}: {other_model(joint, found[name].model)}",
+                f"joint {name!r}: {model_mismatch_text(joint, found[name].model)}",
                 path=robot.path,
                 line=joint.lines.get("model"),
             )

@@ -330,7 +330,7 @@ def _perform(
         if arguments.log is not None:
             from lss_motion.runtime.log import ByteLog
 
-            played = {**_played(arguments), "must_ask": is_asked, "limits": robot.asked}
+            played = {**_played(arguments), "must_ask": is_asked, "limits": robot.read_limits}
             log = ByteLog(arguments.log, played=played, may_wait=arguments.virtual)
             logs.append(stack.enter_context(log))
         controls = Noted(terminal, logs[0]) if logs else terminal

@@ -65,7 +65,7 @@ def load(
     if robot is None:
         assert sequence.robot_path is not None
         robot = read_robot(sequence.robot_path)
-        if robot.asked:  # What walks in it was paced for other limits.
+        if robot.read_limits:  # What walks in it was paced for other limits.
             sequence = load_sequence(path, robot, read_other=gait_as_sequence)
     return sequence, robot
 

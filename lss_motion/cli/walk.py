@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from lss_motion.gait.stepping import Twist
     from lss_motion.player.player import Player
     from lss_motion.robot.model import Robot
-    from lss_motion.walking.inputs import Gamepad, Wishes
+    from lss_motion.walking.inputs import Gamepad, OperatorInput
     from lss_motion.walking.pilot import Pilot
     from lss_motion.walking.process import PlannerProcess
 
@@ -90,7 +90,7 @@ def _walk(arguments: argparse.Namespace) -> int:
     from lss_motion.connection import with_port
     from lss_motion.gait.model import BodyPose
     from lss_motion.runtime.report import write_report
-    from lss_motion.walking.inputs import Wishes
+    from lss_motion.walking.inputs import OperatorInput
 
     if arguments.report is not None and not arguments.report.absolute().parent.is_dir():
         raise InputError("cannot be written: there is no such folder", path=arguments.report)
@@ -105,7 +105,7 @@ def _walk(arguments: argparse.Namespace) -> int:
         if api.is_simulated(robot):
             say(f"{gait.name}: no hardware, the robot {robot.name!r} is simulated in real time")
         say(f"at most {speed_text(top)}, one cycle {gait.cycle_s:.2f} s")
-        wishes = Wishes(top)
+        wishes = OperatorInput(top)
         terminal = stack.enter_context(Terminal(wishes.press))
         steered = (wishes, terminal)
         result, pilot = _perform(arguments, gait, robot, steered, say, is_asked=is_asked)
@@ -132,7 +132,7 @@ def fastest(gait: Gait, robot: Robot, arguments: argparse.Namespace) -> tuple[Ga
     Raises `InputError` or `PlanningError` for an option or a walk of the file beyond the reach.
     """
     from lss_motion.gait.model import Walk
-    from lss_motion.gait.steering import eased
+    from lss_motion.gait.steering import slowed_to_limits
     from lss_motion.gait.stepping import STILL
 
     wanted, guessed = STILL, {}
@@ -150,10 +150,10 @@ def fastest(gait: Gait, robot: Robot, arguments: argparse.Namespace) -> tuple[Ga
     for name, guess in guessed.items():
         for halvings in range(HALVINGS_MAX):
             with contextlib.suppress(InputError, PlanningError):
-                eased(gait, robot, replace(STILL, **{name: guess / 2**halvings}))
+                slowed_to_limits(gait, robot, replace(STILL, **{name: guess / 2**halvings}))
                 wanted = replace(wanted, **{name: guess / 2**halvings})
                 break
-    return eased(gait, robot, wanted)
+    return slowed_to_limits(gait, robot, wanted)
 
 
 class Reins:
@@ -162,7 +162,7 @@ class Reins:
     def __init__(
         self,
         pilot: Pilot,
-        wishes: Wishes,
+        wishes: OperatorInput,
         link: PlannerProcess,
         terminal: Terminal,
         say: Callable[[str], None],
@@ -192,8 +192,8 @@ class Reins:
             wishes.is_sitting = False
         elif wishes.is_sitting != self._is_sitting:
             self._is_sitting = wishes.is_sitting
-            pilot.wanted_pose = self.sits[int(wishes.is_sitting)]
-        pilot.wanted = wishes.twist()
+            pilot.commanded_pose = self.sits[int(wishes.is_sitting)]
+        pilot.commanded = wishes.twist()
         pilot.act(driven, now_ns)
         if wishes.has_ended and driven.show is not None:
             driven.close()
@@ -213,7 +213,7 @@ def _perform(
     arguments: argparse.Namespace,
     gait: Gait,
     robot: Robot,
-    steered: tuple[Wishes, Terminal],
+    steered: tuple[OperatorInput, Terminal],
     say: Callable[[str], None],
     *,
     is_asked: bool,
@@ -227,10 +227,10 @@ def _perform(
     from lss_motion.gait.model import BodyPose
     from lss_motion.walking.inputs import Gamepad
     from lss_motion.walking.pilot import Pilot
-    from lss_motion.walking.planner import Planner
+    from lss_motion.walking.planner import WalkPlanner
     from lss_motion.walking.process import PlannerProcess
 
-    planner = Planner(gait, robot, GAIT_TOLERANCE_DEG)
+    planner = WalkPlanner(gait, robot, GAIT_TOLERANCE_DEG)
     wishes, terminal = steered
     with contextlib.ExitStack() as stack:
         link = stack.enter_context(PlannerProcess(gait, robot, GAIT_TOLERANCE_DEG))

@@ -14,7 +14,16 @@ from typing import TYPE_CHECKING, Any, Final
 from lss_motion.files.source import known_names, read_text
 from lss_motion.files.yaml_source import Location, Problem, read_yaml
 from lss_motion.gait.kinematics import neutral_mm
-from lss_motion.gait.model import LAID_OUT_CYCLES, BodyPose, Gait, Leg, LegKind, Move, Walk, Wave
+from lss_motion.gait.model import (
+    LAID_OUT_CYCLES,
+    BodyMove,
+    BodyPose,
+    Gait,
+    Leg,
+    LegKind,
+    Walk,
+    Wave,
+)
 from lss_motion.gait.patterns import PARTS, PATTERNS, SIDES_NEEDED, in_order
 from lss_motion.robot.load import load_robot
 
@@ -283,7 +292,7 @@ class _Loader:
             action = self._action(entry, given[0], location)
             if isinstance(action, Walk) and is_sitting:
                 self._note(location, "it sits, and cannot walk; add '- stand: {}' before")
-            if isinstance(action, Move):
+            if isinstance(action, BodyMove):
                 pose, is_sitting = action.pose, given[0] == "sit"
             if action is not None:
                 actions.append(action)
@@ -381,7 +390,7 @@ def _pose(shift: list[float], tilt: list[float]) -> BodyPose:
     return BodyPose(shift_mm=(shift[0], shift[1], shift[2]), tilt_deg=(tilt[0], tilt[1], tilt[2]))
 
 
-def _move(entry: MoveEntry, pose: BodyPose, key: str, line: int) -> Move:
-    return Move(
+def _move(entry: MoveEntry, pose: BodyPose, key: str, line: int) -> BodyMove:
+    return BodyMove(
         pose=pose, in_s=entry.in_s, hold_s=entry.hold_s, label=entry.label or key, line=line
     )

@@ -84,7 +84,7 @@ class Wave:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Move:
+class BodyMove:
     """Bring the body to a pose in `in_s`, feet where they are, and keep it for `hold_s`.
 
     Moves that follow each other without a hold flow into one another.
@@ -111,7 +111,7 @@ class Walk:
     line: int | None = field(default=None, compare=False)
 
 
-Action = Move | Walk
+Action = BodyMove | Walk
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,7 +15,7 @@ import numpy as np
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.gait.curves import spline
 from lss_motion.gait.kinematics import forward, inverse, reach_excess_mm
-from lss_motion.gait.model import Move, Walk
+from lss_motion.gait.model import BodyMove, Walk
 from lss_motion.gait.passage import Walking, posing, walking
 
 if TYPE_CHECKING:
@@ -103,10 +103,10 @@ def _passages(gait: Gait) -> Iterator[tuple[Passage, tuple[Action, ...]]]:
     for action, following in pairwise([*gait.actions, None]):
         assert action is not None
         together.append(action)
-        is_held = isinstance(action, Move) and action.hold_s > 0.0
+        is_held = isinstance(action, BodyMove) and action.hold_s > 0.0
         if following is not None and type(following) is type(action) and not is_held:
             continue
-        moves = [own for own in together if isinstance(own, Move)]
+        moves = [own for own in together if isinstance(own, BodyMove)]
         walks = [own for own in together if isinstance(own, Walk)]
         yield (posing(gait, pose, moves) if moves else walking(gait, pose, walks)), (*together,)
         pose = moves[-1].pose if moves else pose
@@ -124,7 +124,7 @@ def _paced(gait: Gait, robot: Robot, passage: Passage, actions: tuple[Action, ..
     by_accel = np.sqrt(accel / allowed)
     used = np.maximum(by_speed, by_accel)
     tightest = int(np.argmax(used))
-    judged_s = judged_s_of(passage, times_s)
+    judged_s = checked_times_s(passage, times_s)
     margin_mm = passage.at(judged_s).margin_mm()
     worst = int(np.argmin(margin_mm))
     check_margin(gait, passage, actions, float(margin_mm[worst]), float(judged_s[worst]))
@@ -139,7 +139,7 @@ def _paced(gait: Gait, robot: Robot, passage: Passage, actions: tuple[Action, ..
         limit="speed" if by_speed[tightest] >= by_accel[tightest] else "acceleration",
         margin_min_mm=float(margin_mm[worst]),
         margin_min_s=float(judged_s[worst]),
-        hold_s=last.hold_s if isinstance(last, Move) else 0.0,
+        hold_s=last.hold_s if isinstance(last, BodyMove) else 0.0,
     )
 
 
@@ -228,7 +228,7 @@ def check_range(
                 )
 
 
-def judged_s_of(passage: Passage, times_s: FloatArray) -> FloatArray:
+def checked_times_s(passage: Passage, times_s: FloatArray) -> FloatArray:
     """Return the keys, and the instants next to those at which feet lift and land."""
     turns_s = passage.turns_s
     return np.concatenate([times_s, turns_s - TURN_S, turns_s + TURN_S])
@@ -254,7 +254,7 @@ def check_margin(
 
 def gait_lines(gait: Gait, passages: tuple[Paced, ...]) -> list[str]:
     """Return a line for the gait and one for each stretch from rest to rest, and its actions."""
-    lasts_s = sum(part.duration_s + part.hold_s + more_s(gait, part) for part in passages)
+    lasts_s = sum(part.duration_s + part.hold_s + looped_s(gait, part) for part in passages)
     lasts = "without end" if lasts_s == math.inf else f"one pass {lasts_s:.2f} s"
     safe = "static" if gait.pattern.is_static else "dynamic"
     lines = [
@@ -263,7 +263,7 @@ def gait_lines(gait: Gait, passages: tuple[Paced, ...]) -> list[str]:
     ]
     start_s = 0.0
     for part in passages:
-        end_s = start_s + part.duration_s + more_s(gait, part)
+        end_s = start_s + part.duration_s + looped_s(gait, part)
         until = "on" if end_s == math.inf else f"to {end_s:.2f} s"
         lines.append(f"{start_s:.2f} s {until}: {_pace_text(part)}")
         lines += [f"  {_action_text(gait, action, part.pace_ratio)}" for action in part.actions]
@@ -271,7 +271,7 @@ def gait_lines(gait: Gait, passages: tuple[Paced, ...]) -> list[str]:
     return lines
 
 
-def more_s(gait: Gait, part: Paced) -> float:
+def looped_s(gait: Gait, part: Paced) -> float:
     """Return how long the cycles take that are looped and not laid out; `math.inf`: for ever."""
     more = [own.more_cycles for own in part.actions if isinstance(own, Walk)]
     cycles = sum(math.inf if count is None else count for count in more)

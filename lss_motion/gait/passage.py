@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lss_motion.gait.model import BodyPose, Gait, Move, Walk, Wave
+    from lss_motion.gait.model import BodyMove, BodyPose, Gait, Walk, Wave
 
     FloatArray = NDArray[np.float64]
 
@@ -151,7 +151,7 @@ class Walking:
         return np.asarray(share[:, None] * (weight @ self.sways_mm))
 
 
-def posing(gait: Gait, start: BodyPose, moves: Sequence[Move]) -> Posing:
+def posing(gait: Gait, start: BodyPose, moves: Sequence[BodyMove]) -> Posing:
     """Return the passage through moves; only the last may have a hold."""
     return Posing(
         times_s=np.cumsum([0.0, *(move.in_s for move in moves)]),

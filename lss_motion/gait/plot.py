@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from lss_motion.gait.pacing import more_s
+from lss_motion.gait.pacing import looped_s
 from lss_motion.picture import new_figure, save
 from lss_motion.splines import runs
 
@@ -50,7 +50,7 @@ def plot_gait(gait: Gait, passages: tuple[Paced, ...], path: Path) -> None:
     for start_s, sample in zip(starts_s.tolist(), samples, strict=False):
         _over_time(shapes, gait, start_s, sample)
     _dressed(shapes, gait)
-    is_looped = any(more_s(gait, part) > 0.0 for part in passages)
+    is_looped = any(looped_s(gait, part) > 0.0 for part in passages)
     looped = ", the cycles that are looped drawn once" if is_looped else ""
     figure.suptitle(f"{gait.name}: {gait.pattern.name}{looped}", fontsize=11, x=0.01, ha="left")
     save(figure, path)

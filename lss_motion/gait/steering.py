@@ -24,9 +24,9 @@ from lss_motion.gait.pacing import (
     angles_at,
     check_margin,
     check_range,
+    checked_times_s,
     error_mm,
     joints_of,
-    judged_s_of,
     paced,
 )
 from lss_motion.gait.passage import Walking, lean_s_of, stepping
@@ -53,7 +53,7 @@ HISTORY_S: Final = 0.3
 CHANGE_RATIOS: Final = (1.0, 0.7, 0.45, 0.25, 0.1, 0.0)
 """How much of a change of velocity is tried at one boundary; the rest follows at the next."""
 
-EASE_RATIO: Final = 1.05
+SLOWED_RATIO: Final = 1.05
 """Slower than each part of a velocity needs by this, so that parts can be put together. Chosen: a
 tenth of the acceleration."""
 
@@ -62,7 +62,7 @@ USED_MAX_RATIO: Final = 1.0 + 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stretch:
+class WalkPlan:
     """What is walked from a boundary on, with all that leads to a stand.
 
     The joints follow cubics through `angles_deg` with `slopes_deg_s` at `times_s`, which begin
@@ -124,7 +124,7 @@ class Steering:
         """Return whether it has come to rest, with every foot where it belongs."""
         return walker.twist == STILL and not self.stepper.goes_on(walker)
 
-    def steered(self, walker: Walker, wanted: Twist, hold: int = 1) -> Stretch:
+    def plan_towards(self, walker: Walker, commanded: Twist, hold: int = 1) -> WalkPlan:
         """Return the stretch that comes closest to `wanted`, held for `hold` phases.
 
         A change that asks too much is made in part; the rest is asked for at the next boundary.
@@ -133,12 +133,12 @@ class Steering:
         """
         for ratio in CHANGE_RATIOS:
             try:
-                return self.stretch(walker, walker.twist.towards(wanted, ratio), hold)
+                return self.plan(walker, walker.twist.towards(commanded, ratio), hold)
             except (InputError, PlanningError):
                 continue
-        return self.stretch(walker, STILL, hold)
+        return self.plan(walker, STILL, hold)
 
-    def stretch(self, walker: Walker, twist: Twist, hold: int = 1) -> Stretch:
+    def plan(self, walker: Walker, twist: Twist, hold: int = 1) -> WalkPlan:
         """Return the stretch at exactly that velocity; raises if it breaks a limit anywhere."""
         first, taken = walker, self.stepper.changed(walker, twist)
         own: list[list[Foot]] = [[] for _ in self.gait.legs]
@@ -155,7 +155,7 @@ class Steering:
 
     # ---- joints
 
-    def _judged(self, passage: Walking, first: Walker, following: Walker, twist: Twist) -> Stretch:
+    def _judged(self, passage: Walking, first: Walker, following: Walker, twist: Twist) -> WalkPlan:
         """Return the stretch if it is within every limit."""
         gait, robot, actions = self.gait, self.robot, (_walk(twist),)
         begins_s = first.boundary * self.stepper.phase_s + (
@@ -177,13 +177,13 @@ class Steering:
         self._check_pace(curve)
         if error_mm(gait, passage, times_s, curve.middles()) > FOOT_ERROR_MM:
             raise InputError("a leg is so close to the end of its reach that it cannot follow")
-        judged_s = judged_s_of(passage, times_s)
+        judged_s = checked_times_s(passage, times_s)
         judged_s = judged_s[judged_s >= begins_s]
         margin_mm = passage.at(judged_s).margin_mm()
         worst = int(np.argmin(margin_mm))
         check_margin(gait, passage, actions, float(margin_mm[worst]), float(judged_s[worst]))
         split = round((next_s - begins_s) / step_s)
-        return Stretch(
+        return WalkPlan(
             twist=twist,
             from_s=begins_s,
             next_s=next_s,
@@ -211,7 +211,7 @@ class Steering:
                     )
 
 
-def eased(gait: Gait, robot: Robot, top: Twist) -> tuple[Gait, Twist]:
+def slowed_to_limits(gait: Gait, robot: Robot, top: Twist) -> tuple[Gait, Twist]:
     """Return a gait whose cycle is as long as the servos need for each part of `top`, and `top`.
 
     What is too fast is slowed as a whole, as `paced` does, so that strides keep their lengths.
@@ -224,7 +224,7 @@ def eased(gait: Gait, robot: Robot, top: Twist) -> tuple[Gait, Twist]:
     ]
     walks = [replace(gait, actions=(_walk(twist),)) for twist in alone if twist != STILL]
     ratio = max((part.pace_ratio for walk in walks for part in paced(walk, robot)), default=1.0)
-    ratio = max(1.0, ratio * EASE_RATIO)
+    ratio = max(1.0, ratio * SLOWED_RATIO)
     slower = STILL.towards(top, 1.0 / ratio)
     return replace(gait, cycle_s=gait.cycle_s * ratio), slower
 

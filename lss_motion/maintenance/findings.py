@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.maintenance.discovery import HOT_C, SUPPLY_MAX_V, SUPPLY_MIN_V
 from lss_motion.protocol.constants import Family, SafeModeCause, Status
-from lss_motion.robot.servo_models import SERVO_MODELS, other_model
+from lss_motion.robot.servo_models import SERVO_MODELS, model_mismatch_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -72,7 +72,7 @@ def differences(robot: Robot, bus: Bus, looks: Sequence[Look]) -> Iterator[str]:
                 f"Check its plug and its power; has it another id?"
             )
         elif look.present.model and not look.present.model.startswith(joint.model.name):
-            yield f"joint {joint.name!r}: {other_model(joint, look.present.model)}"
+            yield f"joint {joint.name!r}: {model_mismatch_text(joint, look.present.model)}"
         elif look.baud_bps != bus.baud_bps and not look.present.is_shared:
             yield (
                 f"joint {joint.name!r}: servo {servo_id} listens at {look.baud_bps} bps, the "

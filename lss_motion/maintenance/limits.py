@@ -99,8 +99,8 @@ def with_limits(robot: Robot, limits: Mapping[str, Mapping[str, float]]) -> Robo
                     path=robot.path,
                 )
         joints[joint.name] = replace(joint, unread=joint.unread - said.keys(), **said)
-    asked = {**robot.asked, **{name: dict(values) for name, values in limits.items()}}
-    return replace(robot, joints=joints, asked=asked)
+    asked = {**robot.read_limits, **{name: dict(values) for name, values in limits.items()}}
+    return replace(robot, joints=joints, read_limits=asked)
 
 
 def _physical(

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from lss_motion.player.streamer import Streamer
     from lss_motion.player.transactions import Item
     from lss_motion.robot.model import Joint, Robot
-    from lss_motion.robot.on_fault import Ladders
+    from lss_motion.robot.on_fault import Escalations
 
 
 SLOW_EVERY_NS: Final = NS_PER_S // 2
@@ -62,7 +62,7 @@ class FaultEscalation:
     clock that the active faults allow.
     """
 
-    def __init__(self, robot: Robot, show: Ladders) -> None:
+    def __init__(self, robot: Robot, show: Escalations) -> None:
         self.faults: list[Faulted] = []
         self.rate_max = 1.0
         self._robot = robot
@@ -100,7 +100,7 @@ class FaultEscalation:
         }
         back = {name for name in silent if (name, Cause.SILENT) not in active_faults}
         for name in sorted(back):
-            steps = self._robot.ladder(Cause.RESTARTED, self._robot.joints[name], self._show)
+            steps = self._robot.escalation(Cause.RESTARTED, self._robot.joints[name], self._show)
             if FaultStep.RESUME not in steps or self._resumes >= RESUMES_MAX:
                 back.remove(name)
         self._resumes += len(back)
@@ -108,7 +108,7 @@ class FaultEscalation:
 
     def begin(self, joint: str, cause: Cause, text: str, now_ns: int) -> Faulted:
         """Take the first step about a new fault. `joint` is empty for a fault of a port."""
-        steps = self._robot.ladder(cause, self._robot.joints.get(joint), self._show)
+        steps = self._robot.escalation(cause, self._robot.joints.get(joint), self._show)
         if self._resumes >= RESUMES_MAX and FaultStep.RESUME in steps:
             steps = tuple(step for step in steps if step is not FaultStep.RESUME) or (
                 FaultStep.HOLD,
@@ -119,7 +119,7 @@ class FaultEscalation:
 
     def give_up(self, joint: str, cause: Cause, text: str) -> Faulted:
         """Take the step after `resume` for what did not come back: at least hold."""
-        steps = self._robot.ladder(cause, self._robot.joints.get(joint), self._show)
+        steps = self._robot.escalation(cause, self._robot.joints.get(joint), self._show)
         after = steps[steps.index(FaultStep.RESUME) + 1 :] if FaultStep.RESUME in steps else ()
         return self.note(joint, cause, text, next(iter(after), FaultStep.HOLD))
 

@@ -24,7 +24,7 @@ from lss_motion.protocol.codec import make_command, read_reply
 from lss_motion.protocol.constants import BROADCAST_ID, Status, status_from
 from lss_motion.protocol.families import FAMILY_TABLES
 from lss_motion.protocol.line import Command, Reply, encode
-from lss_motion.robot.servo_models import FILTER_FIRMWARE_MIN, other_model
+from lss_motion.robot.servo_models import FILTER_FIRMWARE_MIN, model_mismatch_text
 from lss_motion.units import NS_PER_MS
 
 if TYPE_CHECKING:
@@ -462,7 +462,7 @@ def _check_joint(joint: Joint, answers: Answers, robot: Robot, warnings: list[st
     model = answers.get((joint.bus, joint.servo_id, "QMS"))
     if model is not None and not str(model).startswith(joint.model.name):
         raise InputError(
-            f"joint {joint.name!r}: {other_model(joint, str(model))}",
+            f"joint {joint.name!r}: {model_mismatch_text(joint, str(model))}",
             path=robot.path,
             line=joint.lines.get("model"),
         )

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from lss_motion.program.line import LineUse
     from lss_motion.robot.model import Drive, Joint
-    from lss_motion.robot.on_fault import Ladders
+    from lss_motion.robot.on_fault import Escalations
     from lss_motion.sequence.model import Cue
     from lss_motion.trajectory.model import Mark, SlowSpan, WaitPoint
 
@@ -95,7 +95,7 @@ class Program:
     """Where the show clock stands still until a sensor passes its threshold."""
     stretched: tuple[SlowSpan, ...] = ()
     line_use: Mapping[str, LineUse] = field(default_factory=dict)
-    on_fault: Ladders = field(default_factory=dict)
+    on_fault: Escalations = field(default_factory=dict)
     """The reactions to faults in which this show differs from its robot."""
     error_max_deg: Mapping[str, float] = field(default_factory=dict)
     """Largest distance, per joint, between the predicted horn and the plan."""

@@ -34,7 +34,7 @@ from lss_motion.errors import InputError
 from lss_motion.program.compile import lines_use
 from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
 from lss_motion.protocol.constants import Led
-from lss_motion.robot.on_fault import ladders_from, ladders_text
+from lss_motion.robot.on_fault import escalations_from, escalations_text
 from lss_motion.robot.servo_models import drive_problem
 from lss_motion.sequence.model import Cue, Wait
 from lss_motion.trajectory.model import Mark, WaitPoint
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Container, Mapping
 
     from lss_motion.robot.model import Joint, Robot
-    from lss_motion.robot.on_fault import Ladders
+    from lss_motion.robot.on_fault import Escalations
 
 _NUMBER = r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)"
 _WAIT: Final = re.compile(rf"(\d+) (\S+) (below|above) {_NUMBER}(?: timeout {_NUMBER})?")
@@ -144,7 +144,7 @@ def to_text(program: Program, *, folder: Path | None = None) -> str:
     if program.drives:
         lines.append(f"# drives: {' '.join(map(_drive_text, program.drives.items()))}")
     if program.on_fault:
-        lines.append(f"# on_fault: {ladders_text(program.on_fault)}")
+        lines.append(f"# on_fault: {escalations_text(program.on_fault)}")
     lines += [f"# mark: {us_from_s(mark.planned_s)} {mark.label}" for mark in program.marks]
     lines += [f"# wait: {wait_line(point)}" for point in program.waits]
     lines += [f"# cue: {cue_line(cue)}" for cue in program.cues]
@@ -334,9 +334,9 @@ class _Reader:
             on_fault=self._on_fault(header.get("on_fault", "")),
         )
 
-    def _on_fault(self, text: str) -> Ladders:
+    def _on_fault(self, text: str) -> Escalations:
         try:
-            return ladders_from(text)
+            return escalations_from(text)
         except ValueError as error:
             raise self._error(1, f"on_fault: {error}") from None
 

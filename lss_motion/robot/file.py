@@ -25,24 +25,27 @@ from lss_motion.robot.model import (
     TEMPERATURE_MAX_C,
     VOLTAGE_MIN_V,
 )
-from lss_motion.robot.on_fault import Cause, FaultStep, Ladders, ladder_problem
+from lss_motion.robot.on_fault import Cause, Escalations, FaultStep, escalation_problem
 from lss_motion.robot.servo_models import BAUD_FIRMWARE_MIN, SERVO_ID_MAX, SERVO_MODELS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-def _check_ladder(value: Any, info: ValidationInfo) -> tuple[FaultStep, ...]:  # noqa: ANN401  (YAML)
+def _check_escalation(
+    value: Any,  # noqa: ANN401  (YAML)
+    info: ValidationInfo,
+) -> tuple[FaultStep, ...]:
     words = value if isinstance(value, list) else [value]
-    if problem := ladder_problem(str(info.field_name), words):
+    if problem := escalation_problem(str(info.field_name), words):
         raise ValueError(problem)
     return tuple(map(FaultStep, words))
 
 
 _WORD = {"enum": [step.value for step in FaultStep]}
-Ladder = Annotated[
+Escalation = Annotated[
     tuple[FaultStep, ...] | None,
-    PlainValidator(_check_ladder),
+    PlainValidator(_check_escalation),
     WithJsonSchema({"anyOf": [_WORD, {"type": "array", "items": _WORD, "minItems": 1}]}),
 ]
 
@@ -56,21 +59,21 @@ class JointOnFaultEntry(FileModel, title="on_fault of a joint"):
     the show. limp: let this joint go, and end the show. The next step is taken after patience_s.
     """
 
-    astray: Ladder = Field(
+    astray: Escalation = Field(
         default=None, description="Further off its course than following_deg. [slow, hold]"
     )
-    stuck: Ladder = Field(
+    stuck: Escalation = Field(
         default=None, description="It cannot make the move at its present speed. [slow, hold]"
     )
-    blocked: Ladder = Field(default=None, description="It cannot move at full power. [hold]")
-    safe_mode: Ladder = Field(default=None, description="It protects itself. [hold]")
-    error: Ladder = Field(default=None, description="It reports an error (LSS-PRO). [hold]")
-    hot: Ladder = Field(default=None, description="Above temperature_max_c. [warn]")
-    low_voltage: Ladder = Field(default=None, description="Below voltage_min_v. [warn]")
-    restarted: Ladder = Field(
+    blocked: Escalation = Field(default=None, description="It cannot move at full power. [hold]")
+    safe_mode: Escalation = Field(default=None, description="It protects itself. [hold]")
+    error: Escalation = Field(default=None, description="It reports an error (LSS-PRO). [hold]")
+    hot: Escalation = Field(default=None, description="Above temperature_max_c. [warn]")
+    low_voltage: Escalation = Field(default=None, description="Below voltage_min_v. [warn]")
+    restarted: Escalation = Field(
         default=None, description="It is limp, or has lost its settings. [resume, hold]"
     )
-    silent: Ladder = Field(
+    silent: Escalation = Field(
         default=None, description="No answer for silent_s, though asked. [resume, hold]"
     )
 
@@ -78,11 +81,11 @@ class JointOnFaultEntry(FileModel, title="on_fault of a joint"):
 class OnFaultEntry(JointOnFaultEntry, title="on_fault"):
     """As for a joint, for all of them; a joint's own wins over a show's, that over the robot's."""
 
-    lost_port: Ladder = Field(default=None, description="A port is gone. [resume, hold]")
+    lost_port: Escalation = Field(default=None, description="A port is gone. [resume, hold]")
 
 
-def ladders(entry: JointOnFaultEntry) -> Ladders:
-    """Return the ladders that an entry gives, by cause."""
+def escalations(entry: JointOnFaultEntry) -> Escalations:
+    """Return the escalations that an entry gives, by cause."""
     return {Cause(key): value for key, value in entry if value is not None}
 
 

@@ -41,12 +41,12 @@ if TYPE_CHECKING:
         SensorEntry,
     )
     from lss_motion.robot.model import ServoModel
-    from lss_motion.robot.on_fault import Ladders
+    from lss_motion.robot.on_fault import Escalations
 
     Image = tuple[str, Literal[1, -1]]
 
 
-def joint_problems(
+def joint_field_problems(
     joint: Joint, place: Callable[[str], Location]
 ) -> Iterator[tuple[Location, str]]:
     """Yield what is wrong with a joint, and where; `place` says where a key of it stands."""
@@ -168,7 +168,7 @@ def group_problems(
                 yield Problem(("groups", group, index), reason)
 
 
-def mirrored(entry: MirrorEntry) -> dict[str, Image]:
+def mirror_images(entry: MirrorEntry) -> dict[str, Image]:
     """Return the image of every joint that has one, and the sign of its angle there."""
     images: dict[str, Image] = {}
     for left, right in entry.same.items():
@@ -294,11 +294,11 @@ class _Loader:
             joints=joints,
             poses=content.poses,
             groups=grouped(content.groups, joints),
-            mirror=mirrored(content.mirror),
+            mirror=mirror_images(content.mirror),
             sensors=sensors,
             approach_speed_deg_s=content.approach_speed_deg_s,
             end=content.end,
-            on_fault=_ladders(content.on_fault),
+            on_fault=_escalations(content.on_fault),
             patience_s=content.patience_s,
             resume_s=content.resume_s,
         )
@@ -343,8 +343,8 @@ class _Loader:
             return None
         model = SERVO_MODELS[fields["model"]]
         fields.setdefault("drive", FAMILIES[model.family].drives[0])
-        unread = frozenset(key for key in MOST if fields[key] == SERVO)
-        fields |= {key: MOST[key](model) for key in unread}
+        unread = frozenset(key for key in MODEL_LIMITS if fields[key] == SERVO)
+        fields |= {key: MODEL_LIMITS[key](model) for key in unread}
         joint = Joint(
             name=name,
             servo_id=entry.id,
@@ -358,12 +358,12 @@ class _Loader:
                 for name, value in fields.get("stored", {}).items()
             },
             response=Response(**fields.get("response", {})),
-            on_fault=_ladders(entry.on_fault),
+            on_fault=_escalations(entry.on_fault),
             unread=unread,
             lines={key: self.line(place) for key, place in merged.places.items()},
             **{key: fields[key] for key in _PLAIN if key in fields},
         )
-        for location, reason in joint_problems(joint, merged.place):
+        for location, reason in joint_field_problems(joint, merged.place):
             self._note(location, reason)
         return _within_ramps(joint) if joint.drive in ("timed", "auto") else joint
 
@@ -414,7 +414,7 @@ class _Loader:
                     self._note(("poses", pose, name), f"pose {pose!r}: {reason}")
 
 
-MOST: Final[Mapping[str, Callable[[ServoModel], float]]] = {
+MODEL_LIMITS: Final[Mapping[str, Callable[[ServoModel], float]]] = {
     "speed_max_deg_s": lambda model: model.speed_max_deg_s,
     "accel_max_deg_s2": lambda model: FAMILIES[model.family].accel_max_deg_s2,
 }
@@ -434,10 +434,10 @@ _PLAIN: Final = (
 )
 
 
-def _ladders(entry: JointOnFaultEntry) -> Ladders:
-    from lss_motion.robot.file import ladders
+def _escalations(entry: JointOnFaultEntry) -> Escalations:
+    from lss_motion.robot.file import escalations
 
-    return ladders(entry)
+    return escalations(entry)
 
 
 def _within_ramps(joint: Joint) -> Joint:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from lss_motion.robot.on_fault import Cause, FaultStep, Ladders
+    from lss_motion.robot.on_fault import Cause, Escalations, FaultStep
 
 FOLLOWING_DEG: Final = 10.0
 """Chosen: ten times what a healthy joint strays, and nothing hits anything yet."""
@@ -117,7 +117,7 @@ class Joint:
     voltage_min_v: float = VOLTAGE_MIN_V
     silent_s: float = SILENT_S
     """Without an answer for so long, though asked, its servo is silent."""
-    on_fault: Ladders = field(default_factory=dict)
+    on_fault: Escalations = field(default_factory=dict)
     """What this joint does otherwise than its show and its robot."""
     settings: Mapping[str, int] = field(default_factory=dict)
     """Session settings to send before playing, such as `{"AS": -2}`; wire values."""
@@ -186,9 +186,9 @@ class Robot:
     sensors: Mapping[str, Sensor] = field(default_factory=dict)
     approach_speed_deg_s: float = 30.0
     end: Literal["hold", "limp"] = "hold"
-    asked: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    read_limits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Limits by joint and name that the file leaves to the servos, and that they have said."""
-    on_fault: Ladders = field(default_factory=dict)
+    on_fault: Escalations = field(default_factory=dict)
     patience_s: float = PATIENCE_S
     """How long a trouble may last on one step of its ladder before the next is taken."""
     resume_s: float = RESUME_S
@@ -204,9 +204,11 @@ class Robot:
         """The joints with a limit that is what the servo is set to, and nobody knows it yet."""
         return [joint for joint in self.joints.values() if joint.unread]
 
-    def ladder(self, cause: Cause, joint: Joint | None, show: Ladders) -> tuple[FaultStep, ...]:
+    def escalation(
+        self, cause: Cause, joint: Joint | None, show: Escalations
+    ) -> tuple[FaultStep, ...]:
         """Return what is done about `cause`: what the joint says, the show, the robot, or all."""
-        own: Ladders = {} if joint is None else joint.on_fault
+        own: Escalations = {} if joint is None else joint.on_fault
         return next(
             given[cause] for given in (own, show, self.on_fault, DEFAULTS) if cause in given
         )

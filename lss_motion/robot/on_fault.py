@@ -47,7 +47,7 @@ class FaultStep(StrEnum):
     """Let this joint go at once, and do as for `hold` with the others."""
 
 
-Ladders: TypeAlias = "Mapping[Cause, tuple[FaultStep, ...]]"
+Escalations: TypeAlias = "Mapping[Cause, tuple[FaultStep, ...]]"
 
 ENDING: Final = frozenset({FaultStep.HOLD, FaultStep.LIMP})
 """Steps after which there is no other."""
@@ -55,7 +55,7 @@ ENDING: Final = frozenset({FaultStep.HOLD, FaultStep.LIMP})
 RESUMABLE: Final = frozenset({Cause.SILENT, Cause.RESTARTED, Cause.LOST_PORT})
 """Causes that may be over by themselves; only for these there is `resume`."""
 
-DEFAULTS: Final[Ladders] = MappingProxyType(
+DEFAULTS: Final[Escalations] = MappingProxyType(
     {
         Cause.ASTRAY: (FaultStep.SLOW, FaultStep.HOLD),
         # Status 8 (FACTS.md S2): the motor cannot make the move at its present speed.
@@ -73,7 +73,7 @@ DEFAULTS: Final[Ladders] = MappingProxyType(
 )
 
 
-def ladder_problem(cause: str, steps: Sequence[object]) -> str:
+def escalation_problem(cause: str, steps: Sequence[object]) -> str:
     """Return why `steps` are no ladder for `cause`, or nothing if they are one."""
     if not steps:
         return f"names no step; {known_names('', map(str, FaultStep))}"
@@ -91,20 +91,20 @@ def ladder_problem(cause: str, steps: Sequence[object]) -> str:
     return ""
 
 
-def ladders_text(ladders: Ladders) -> str:
-    """Return ladders in one line: `astray=warn silent=resume,hold`."""
-    return " ".join(f"{cause}={','.join(steps)}" for cause, steps in ladders.items())
+def escalations_text(escalations: Escalations) -> str:
+    """Return escalations in one line: `astray=warn silent=resume,hold`."""
+    return " ".join(f"{cause}={','.join(steps)}" for cause, steps in escalations.items())
 
 
-def ladders_from(text: str) -> Ladders:
-    """Return the ladders of `ladders_text`; ValueError for anything else."""
-    ladders = {}
+def escalations_from(text: str) -> Escalations:
+    """Return the escalations of `escalations_text`; ValueError for anything else."""
+    escalations = {}
     for item in text.split():
         cause, _, words = item.partition("=")
         steps = words.split(",")
         if cause not in list(Cause):
             raise ValueError(f"cause {cause!r} is not known; {known_names(cause, map(str, Cause))}")
-        if problem := ladder_problem(cause, steps):
+        if problem := escalation_problem(cause, steps):
             raise ValueError(problem)
-        ladders[Cause(cause)] = tuple(map(FaultStep, steps))
-    return ladders
+        escalations[Cause(cause)] = tuple(map(FaultStep, steps))
+    return escalations

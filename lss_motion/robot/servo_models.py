@@ -127,7 +127,7 @@ SERVO_ID_MAX: Final = 250
 """Ids 0 to 250 are usable (FACTS.md R1); this also bounds the joints of one bus to 251."""
 
 
-def other_model(joint: Joint, said: str) -> str:
+def model_mismatch_text(joint: Joint, said: str) -> str:
     """Return what to say of a servo that says that it is another model than the robot file does."""
     known = next((name for name in SERVO_MODELS if said.startswith(name)), None)
     remedy = "" if known is None else f"; if it is the right servo, write `model: {known}` there"

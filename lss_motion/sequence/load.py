@@ -24,7 +24,7 @@ from lss_motion.robot.load import load_robot
 from lss_motion.sequence.check import check_sequence
 from lss_motion.sequence.keyframes import TrackLoader, at_speed, timing_of
 from lss_motion.sequence.model import Cue, Sequence, Timing
-from lss_motion.sequence.parts import Part, PartLoader, mirrored
+from lss_motion.sequence.parts import FileContext, PartLoader, mirrored
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -157,7 +157,7 @@ def load_sequence(
     file and of the sequence files that this one plays included. `read_other` reads those of
     another kind; it returns None for a sequence file.
     """
-    return _load(Path(path), robot, Part(read_other=read_other))
+    return _load(Path(path), robot, FileContext(read_other=read_other))
 
 
 def sequence_schema() -> dict[str, Any]:
@@ -168,7 +168,7 @@ def sequence_schema() -> dict[str, Any]:
     return json_schema(SequenceFile)
 
 
-def _load(path: Path, robot: Robot | None, part: Part) -> Sequence:
+def _load(path: Path, robot: Robot | None, part: FileContext) -> Sequence:
     from lss_motion.files.validation import validate
     from lss_motion.sequence.file import (
         EventEntry,
@@ -204,7 +204,9 @@ def _load(path: Path, robot: Robot | None, part: Part) -> Sequence:
     raise _all_of(source, problems, errors)
 
 
-def _finished(sequence: Sequence, content: SequenceFile, robot: Robot, part: Part) -> Sequence:
+def _finished(
+    sequence: Sequence, content: SequenceFile, robot: Robot, part: FileContext
+) -> Sequence:
     """Return the sequence, mirrored where the file says so, after the checks across its parts."""
     if content.mirror:
         sequence = mirrored(sequence, robot.mirror)
@@ -244,12 +246,12 @@ class _Loader:
     left_out: frozenset[Location]
     source: YamlSource
     robot: Robot | None
-    part: Part
+    part: FileContext
     problems: list[Problem] = field(default_factory=list)
     errors: list[InputError] = field(default_factory=list)
 
     def sequence(self) -> Sequence:
-        from lss_motion.robot.file import ladders
+        from lss_motion.robot.file import escalations
 
         content = self.content
         main = TrackLoader(
@@ -283,7 +285,7 @@ class _Loader:
             play=parts.steps(),
             layers=parts.layers(),
             events=tuple(cues(content.events, self.left_out, self.source, self.robot, self._note)),
-            on_fault=ladders(content.on_fault),
+            on_fault=escalations(content.on_fault),
         )
         self.problems += parts.problems
         self.errors += parts.errors

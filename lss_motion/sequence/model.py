@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from lss_motion.robot.on_fault import Ladders
+    from lss_motion.robot.on_fault import Escalations
 
 
 class Timing(StrEnum):
@@ -160,7 +160,7 @@ class Sequence:
     """On top of all that, in this order. Their times count from the start of the show."""
     events: tuple[Cue, ...] = ()
     """What is not motion. Repeated with every pass of a loop."""
-    on_fault: Ladders = field(default_factory=dict)
+    on_fault: Escalations = field(default_factory=dict)
     """What this show does otherwise than its robot when something goes wrong; of the sequences
     that it plays, nobody asks."""
 

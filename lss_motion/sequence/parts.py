@@ -65,7 +65,7 @@ STEPS_MAX: Final = 1000
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class FileContext:
     """What a file is within the show: the files around it, and whether its angles are offsets.
 
     `read_other` reads files of other kinds, such as gaits; it returns None for those of this kind.
@@ -75,7 +75,7 @@ class Part:
     is_offset: bool = False
     read_other: Callable[[Path, Robot], Sequence | None] | None = None
 
-    def inside(self, path: Path) -> Part:
+    def inside(self, path: Path) -> FileContext:
         return replace(self, files=(*self.files, path.resolve()))
 
     def other(self, path: Path, robot: Robot | None) -> Sequence | None:
@@ -96,8 +96,8 @@ class PartLoader:
     left_out: frozenset[Location]
     source: YamlSource
     robot: Robot | None
-    part: Part
-    load: Callable[[Path, Robot | None, Part], Sequence]
+    part: FileContext
+    load: Callable[[Path, Robot | None, FileContext], Sequence]
     problems: list[Problem] = field(default_factory=list)
     errors: list[InputError] = field(default_factory=list)
 

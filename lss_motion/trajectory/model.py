@@ -18,7 +18,7 @@ from lss_motion.files.source import counted, duration_text
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from lss_motion.robot.on_fault import Ladders
+    from lss_motion.robot.on_fault import Escalations
     from lss_motion.sequence.model import Cue, Sequence, Wait
     from lss_motion.trajectory.path import Path
 
@@ -129,7 +129,7 @@ class Trajectory:
     cues: tuple[Cue, ...] = ()
     waits: tuple[WaitPoint, ...] = ()
     """Waits of the first pass. Like `cues`, at planned times."""
-    on_fault: Ladders = field(default_factory=dict)
+    on_fault: Escalations = field(default_factory=dict)
     """Reactions to faults that differ from those of the robot file."""
 
     def __repr__(self) -> str:

@@ -46,7 +46,7 @@ _MOVES: Final[Mapping[str, tuple[int, int, int]]] = MappingProxyType(
 
 
 @dataclass(slots=True)
-class Wishes:
+class OperatorInput:
     """Ratios of the most, from -1 to 1; `speed_ratio` is of all together."""
 
     top: Twist
@@ -86,7 +86,7 @@ class Wishes:
         )
 
     def twist(self) -> Twist:
-        """Return the velocity that is wanted; one who sits wants none."""
+        """Return the velocity that is commanded; one who sits wants none."""
         if self.is_sitting or (self.forward, self.left, self.turn) == (0.0, 0.0, 0.0):
             return STILL
         return Twist(

@@ -1,4 +1,4 @@
-"""Who holds the reins: what is wanted now, and what has to be planned next, in good time.
+"""Who holds the reins: what is commanded now, and what has to be planned next, in good time.
 
 Works beside the loop that plays: it asks a planner elsewhere and takes its answer when there is
 one. It waits for nothing. When an answer comes too late, the robot walks to its stand by itself,
@@ -15,13 +15,13 @@ from lss_motion.errors import PlanningError
 from lss_motion.gait.stepping import STILL
 from lss_motion.player.events import Phase
 from lss_motion.units import s_from_ns
-from lss_motion.walking.planner import Request
+from lss_motion.walking.planner import PlanRequest
 
 if TYPE_CHECKING:
     from lss_motion.gait.model import BodyPose
     from lss_motion.gait.stepping import Twist
     from lss_motion.player.player import Player
-    from lss_motion.walking.planner import Answer
+    from lss_motion.walking.planner import PlanReply
 
 PLANNING_GUESS_S: Final = 1.0
 """How long planning may take before it has been measured."""
@@ -36,30 +36,30 @@ SETTLE_S: Final = 0.1
 """After a stand is reached, before another walk begins."""
 
 
-class Link(Protocol):
+class PlannerLink(Protocol):
     """The way to a planner. Neither call waits."""
 
-    def ask(self, request: Request, now_ns: int) -> None:
+    def send(self, request: PlanRequest, now_ns: int) -> None:
         """Have it planned; at most one thing at a time."""
 
-    def poll(self, now_ns: int) -> Answer | None:
+    def poll(self, now_ns: int) -> PlanReply | None:
         """Return the answer to what was asked, once. Raises `PlanningError` if there is none."""
 
 
 class Pilot:
-    """Keeps one player walking as `wanted`; `wanted_pose` is where the body is to be, or None."""
+    """Keeps one player walking at `commanded`; `commanded_pose` is the next pose of the body."""
 
     def __init__(
         self,
-        link: Link,
+        link: PlannerLink,
         *,
         phase_s: float,
         splice_s: float,
         planning_s: float = PLANNING_GUESS_S,
     ) -> None:
         """Steer by `link`, whose planner is thought to take `planning_s`; the rest is its own."""
-        self.wanted: Twist = STILL
-        self.wanted_pose: BodyPose | None = None
+        self.commanded: Twist = STILL
+        self.commanded_pose: BodyPose | None = None
         self.twist: Twist = STILL
         self.late = 0
         """Answers that came too late."""
@@ -107,9 +107,9 @@ class Pilot:
         request = self._due(player.show.show_s(now_ns))
         if request is not None:
             self._asked_ns = now_ns
-            self._link.ask(request, now_ns)
+            self._link.send(request, now_ns)
 
-    def _take(self, answer: Answer, player: Player, now_ns: int) -> None:
+    def _take(self, answer: PlanReply, player: Player, now_ns: int) -> None:
         assert self._asked_ns is not None
         self._planning_s.append(s_from_ns(now_ns - self._asked_ns))
         self._asked_ns = None
@@ -122,20 +122,20 @@ class Pilot:
         self.late += answer.extension is not None
         self.twist, self._next_s = STILL, None
 
-    def _due(self, show_s: float) -> Request | None:
+    def _due(self, show_s: float) -> PlanRequest | None:
         if self._next_s is not None:
             if show_s < self._next_s - self.lead_s:
                 return None
-            wanted = STILL if self.wanted_pose is not None else self.wanted
-            hold = math.ceil(self.lead_s / self._phase_s) if wanted != STILL else 1
-            return Request(wanted=wanted, was_taken=self._was_taken, hold=hold)
+            commanded = STILL if self.commanded_pose is not None else self.commanded
+            hold = math.ceil(self.lead_s / self._phase_s) if commanded != STILL else 1
+            return PlanRequest(commanded=commanded, was_taken=self._was_taken, hold=hold)
         if show_s < self._end_s + SETTLE_S:
             return None
-        pose, self.wanted_pose = self.wanted_pose, None
-        if pose is None and self.wanted == STILL:
+        pose, self.commanded_pose = self.commanded_pose, None
+        if pose is None and self.commanded == STILL:
             return None
-        return Request(
-            wanted=self.wanted,
+        return PlanRequest(
+            commanded=self.commanded,
             was_taken=self._was_taken,
             begins_s=show_s + self.lead_s,
             hold=math.ceil(self.lead_s / self._phase_s),

@@ -9,7 +9,7 @@ import numpy as np
 
 from lss_motion.errors import LssMotionError
 from lss_motion.gait.curves import spline
-from lss_motion.gait.model import BodyPose, Move
+from lss_motion.gait.model import BodyMove, BodyPose
 from lss_motion.gait.pacing import paced
 from lss_motion.gait.steering import HISTORY_S, Steering
 from lss_motion.gait.stepping import STILL
@@ -32,15 +32,15 @@ POSE_S: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Request:
+class PlanRequest:
     """What is wished for next.
 
     `was_taken`: the last answer is being played. `begins_s`: begin from a stand, at that show
-    time; None: go on from the next boundary. `hold`: for how many phases to walk at `wanted`.
+    time; None: go on from the next boundary. `hold`: for how many phases to walk at `commanded`.
     `pose`: from a stand, bring the body there instead of walking.
     """
 
-    wanted: Twist
+    commanded: Twist
     was_taken: bool
     begins_s: float | None = None
     hold: int = 1
@@ -48,7 +48,7 @@ class Request:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Answer:
+class PlanReply:
     """What can be played next, in show time; `extension` None: nothing, for `reason`.
 
     It begins at `from_s`. The one after it would begin at `next_s`, or, where that is None, from
@@ -73,7 +73,7 @@ class _Course:
     starts_s: float = 0.0
 
 
-class Planner:
+class WalkPlanner:
     """Plans for one robot that stands at first; keeps what it offered until it hears of it."""
 
     def __init__(self, gait: Gait, robot: Robot, tolerance_deg: float) -> None:
@@ -103,7 +103,7 @@ class Planner:
         """How long before a boundary its moves must be known."""
         return splice_lead_s(self._robot, self._played.splice_state.profiles)
 
-    def answer(self, request: Request) -> Answer:
+    def plan(self, request: PlanRequest) -> PlanReply:
         """Return what can be played; never raises what a wish can cause."""
         if request.was_taken and self._offered is not None:
             self._played = self._offered
@@ -113,17 +113,17 @@ class Planner:
                 return self._posed(request, request.pose)
             return self._walked(request)
         except LssMotionError as error:
-            return Answer(extension=None, reason=str(error))
+            return PlanReply(extension=None, reason=str(error))
 
     def _steering(self) -> Steering:
         return Steering(self._gait, self._robot, self._played.pose)
 
-    def _walked(self, request: Request) -> Answer:
+    def _walked(self, request: PlanRequest) -> PlanReply:
         steering, course = self._steering(), self._played
         walker, starts_s = course.walker, course.starts_s
         if request.begins_s is not None:
             walker, starts_s = steering.standing(), request.begins_s
-        stretch = steering.steered(walker, request.wanted, request.hold)
+        stretch = steering.plan_towards(walker, request.commanded, request.hold)
         from_s, end_s = starts_s + stretch.from_s, starts_s + stretch.end_s
         curve = (stretch.times_s, stretch.angles_deg, stretch.slopes_deg_s)
         extension = self._extension(*curve, starts_s=starts_s, from_s=from_s)
@@ -135,7 +135,7 @@ class Planner:
             starts_s=starts_s,
         )
         goes_on = not steering.is_standing(following)
-        return Answer(
+        return PlanReply(
             extension=extension,
             twist=stretch.twist,
             from_s=from_s,
@@ -143,12 +143,12 @@ class Planner:
             end_s=end_s,
         )
 
-    def _posed(self, request: Request, pose: BodyPose) -> Answer:
+    def _posed(self, request: PlanRequest, pose: BodyPose) -> PlanReply:
         """Bring the body to a pose from a stand, feet where they are."""
         course, starts_s = self._played, request.begins_s
         assert starts_s is not None, "only from a stand"
         gait = replace(
-            self._gait, start=course.pose, actions=(Move(pose=pose, in_s=POSE_S, label="pose"),)
+            self._gait, start=course.pose, actions=(BodyMove(pose=pose, in_s=POSE_S, label="pose"),)
         )
         (part,) = paced(gait, self._robot)
         slopes = spline(float(part.times_s[1]), part.angles_deg).slopes / part.pace_ratio
@@ -162,7 +162,7 @@ class Planner:
         splice_state = course.splice_state.taken(extension)
         self._offered = replace(course, splice_state=splice_state, pose=pose, starts_s=starts_s)
         end_s = starts_s + part.duration_s
-        return Answer(extension=extension, from_s=starts_s, end_s=end_s)
+        return PlanReply(extension=extension, from_s=starts_s, end_s=end_s)
 
     def _extension(
         self,

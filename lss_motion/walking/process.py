@@ -19,7 +19,7 @@ import numpy as np
 from lss_motion.errors import PlanningError
 from lss_motion.gait.stepping import Twist
 from lss_motion.program.response import PiecewiseProfile
-from lss_motion.walking.planner import Planner, Request
+from lss_motion.walking.planner import PlanRequest, WalkPlanner
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from lss_motion.gait.model import Gait
     from lss_motion.robot.model import Robot
-    from lss_motion.walking.planner import Answer
+    from lss_motion.walking.planner import PlanReply
 
 FIRST_S: Final = 1.0
 FIRST: Final = Twist(forward_mm_s=1.0)
@@ -87,13 +87,13 @@ class PlannerProcess:
         """Return what becomes readable when there is an answer."""
         return self._connection.fileno()
 
-    def ask(self, request: Request, now_ns: int) -> None:  # noqa: ARG002  (real time passes)
+    def send(self, request: PlanRequest, now_ns: int) -> None:  # noqa: ARG002  (real time passes)
         try:
             self._connection.send(request)
         except OSError as error:
             raise PlanningError(LOST) from error
 
-    def poll(self, now_ns: int) -> Answer | None:  # noqa: ARG002
+    def poll(self, now_ns: int) -> PlanReply | None:  # noqa: ARG002
         try:
             if not self._connection.poll():
                 return None
@@ -118,7 +118,7 @@ def _unheard() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def packed(answer: Answer) -> tuple[Answer, Any]:
+def packed(answer: PlanReply) -> tuple[PlanReply, Any]:
     """Return an answer without its profiles, and those as arrays; its moves are arrays already."""
     extension = answer.extension
     if extension is None:
@@ -127,7 +127,7 @@ def packed(answer: Answer) -> tuple[Answer, Any]:
     return replace(answer, extension=replace(extension, profiles={})), tables
 
 
-def unpacked(answer: Answer, tables: Any) -> Answer:  # noqa: ANN401  (what `packed` returned)
+def unpacked(answer: PlanReply, tables: Any) -> PlanReply:  # noqa: ANN401  (what `packed` returned)
     """Return the answer that was packed."""
     if answer.extension is None:
         return answer
@@ -137,12 +137,12 @@ def unpacked(answer: Answer, tables: Any) -> Answer:  # noqa: ANN401  (what `pac
 
 def _serve(connection: Connection, gait: Gait, robot: Robot, tolerance_deg: float) -> None:
     """Answer until the other end is closed."""
-    planner = Planner(gait, robot, tolerance_deg)
-    first = Request(wanted=FIRST, was_taken=False, begins_s=FIRST_S)
-    planner.answer(first)  # Loads all that planning needs.
+    planner = WalkPlanner(gait, robot, tolerance_deg)
+    first = PlanRequest(commanded=FIRST, was_taken=False, begins_s=FIRST_S)
+    planner.plan(first)  # Loads all that planning needs.
     started_s = time.monotonic()
-    planner.answer(first)
+    planner.plan(first)
     with contextlib.suppress(EOFError, OSError):
         connection.send(time.monotonic() - started_s)
         while True:
-            connection.send(packed(planner.answer(connection.recv())))
+            connection.send(packed(planner.plan(connection.recv())))

@@ -7,18 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from local_planner import LocalPlanner
 
 from lss_motion import api
 from lss_motion.cli import shows
 from lss_motion.gait.kinematics import forward
 from lss_motion.gait.model import BodyPose
-from lss_motion.gait.steering import eased
+from lss_motion.gait.steering import slowed_to_limits
 from lss_motion.gait.stepping import STILL, Twist
 from lss_motion.player.events import Phase
 from lss_motion.sim import bus as sim_bus
-from lss_motion.walking.local import LocalLink
 from lss_motion.walking.pilot import Pilot
-from lss_motion.walking.planner import Planner
+from lss_motion.walking.planner import WalkPlanner
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
 TOLERANCE_DEG = 0.2
@@ -37,9 +37,11 @@ class Walk:
 
     def __init__(self, monkeypatch, name, script, *, takes_s=lambda: 0.2, has_feedback=False):
         gait, self.robot = shows.load_gait(EXAMPLES / f"{name}.yaml", None)
-        self.gait, self.top = eased(replace(gait, start=BodyPose()), self.robot, TOP[name])
-        self.planner = Planner(self.gait, self.robot, TOLERANCE_DEG)
-        link = LocalLink(self.planner, takes_s)
+        self.gait, self.top = slowed_to_limits(
+            replace(gait, start=BodyPose()), self.robot, TOP[name]
+        )
+        self.planner = WalkPlanner(self.gait, self.robot, TOLERANCE_DEG)
+        link = LocalPlanner(self.planner, takes_s)
         self.pilot = Pilot(link, phase_s=self.planner.phase_s, splice_s=self.planner.splice_s)
         self.script, self.acted_ns = list(script), []
         buses, make = {}, sim_bus.bus_from_robot
@@ -71,7 +73,7 @@ class Walk:
                 self.acted_ns.append(now_ns)
                 self.script.pop(0)[1](self, player, now_ns)
             if not self.script and player.show.is_open:
-                self.pilot.wanted = STILL
+                self.pilot.commanded = STILL
                 if self.pilot.is_standing(show_s - 0.5):
                     player.close()
         self.pilot.act(player, now_ns)
@@ -108,7 +110,7 @@ class Walk:
 
 def wish(twist):
     def do(walk, player, now_ns):
-        walk.pilot.wanted = twist
+        walk.pilot.commanded = twist
 
     return do
 
@@ -202,7 +204,7 @@ def test_a_second_interruption_holds_at_once(monkeypatch):
 
 def test_it_sits_down_from_its_stand_and_does_not_walk_while_it_sits(monkeypatch):
     def sit(walk, player, now_ns):
-        walk.pilot.wanted, walk.pilot.wanted_pose = STILL, walk.gait.sit
+        walk.pilot.commanded, walk.pilot.commanded_pose = STILL, walk.gait.sit
 
     walk = Walk(
         monkeypatch,

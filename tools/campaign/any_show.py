@@ -11,13 +11,13 @@ from lss_motion import api
 from lss_motion.errors import LssMotionError
 from lss_motion.protocol.constants import Family
 from lss_motion.robot.model import Bus, Joint, Robot
-from lss_motion.robot.on_fault import Cause, FaultStep, ladder_problem
+from lss_motion.robot.on_fault import Cause, FaultStep, escalation_problem
 from lss_motion.robot.servo_models import FAMILIES, SERVO_MODELS
 from lss_motion.sequence.model import Keyframe, Sequence
 
 if TYPE_CHECKING:
     from lss_motion.robot.model import ServoModel
-    from lss_motion.robot.on_fault import Ladders
+    from lss_motion.robot.on_fault import Escalations
 
 JOINTS_MAX: Final = 8
 BAUDS_BPS: Final = (19_200, 38_400, 57_600, 115_200)
@@ -76,11 +76,11 @@ def _robot(random: Random, seed: int) -> Robot:
     )
 
 
-def _ladders(seed: int) -> Ladders:
+def _ladders(seed: int) -> Escalations:
     """Return what is done about some of what may be wrong: any ladder that makes sense."""
     random = Random(f"{seed}/ladders")
     drawn = {cause: tuple(random.sample(list(FaultStep), random.randint(1, 3))) for cause in Cause}
-    return {cause: steps for cause, steps in drawn.items() if not ladder_problem(cause, steps)}
+    return {cause: steps for cause, steps in drawn.items() if not escalation_problem(cause, steps)}
 
 
 def _joint(random: Random, name: str, bus: str, servo_id: int, model: ServoModel) -> Joint:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from lss_motion.cli.main import main
-from lss_motion.gait.model import BodyPose, Move
+from lss_motion.gait.model import BodyMove, BodyPose
 from lss_motion.gait.pacing import gait_lines, paced
 from lss_motion.gait.plot import plot_gait
 from lss_motion.sequence.load import load_sequence
@@ -22,7 +22,7 @@ def _cache(monkeypatch, tmp_path):
 def test_a_gait_is_explained_action_by_action(kit):
     gait = kit.gait(
         "tripod",
-        Move(pose=BodyPose(shift_mm=(0, 0, 5)), in_s=1.0, hold_s=0.2, label="rise", line=4),
+        BodyMove(pose=BodyPose(shift_mm=(0, 0, 5)), in_s=1.0, hold_s=0.2, label="rise", line=4),
         kit.walk(200.0, turn_deg_s=10.0, label="go", line=5),
         cycle_s=0.5,
     )

@@ -8,7 +8,7 @@ import pytest
 from lss_motion.errors import InputError
 from lss_motion.files.yaml_source import read_yaml
 from lss_motion.gait.load import gait_schema, is_gait_file, load_gait
-from lss_motion.gait.model import BodyPose, LegKind, Move, Walk, Wave
+from lss_motion.gait.model import BodyMove, BodyPose, LegKind, Walk, Wave
 
 NAMES = ("hexapod_walk", "hexapod_dance", "quadruped_trot")
 BASE = """\
@@ -155,9 +155,9 @@ def test_standing_sitting_and_posing_are_moves_of_the_body(write):
     sitting = BodyPose(shift_mm=(0.0, 0.0, -30.0))
     assert gait.start == sitting
     assert gait.actions == (
-        Move(pose=BodyPose(), in_s=2.0, hold_s=0.5, label="stand"),
-        Move(pose=BodyPose(shift_mm=(1, 2, 3), tilt_deg=(4, 5, 6)), in_s=1.0, label="pose"),
-        Move(pose=sitting, in_s=1.0, label="down"),
+        BodyMove(pose=BodyPose(), in_s=2.0, hold_s=0.5, label="stand"),
+        BodyMove(pose=BodyPose(shift_mm=(1, 2, 3), tilt_deg=(4, 5, 6)), in_s=1.0, label="pose"),
+        BodyMove(pose=sitting, in_s=1.0, label="down"),
     )
     assert [action.line for action in gait.actions] == [9, 10, 11]
 

@@ -9,7 +9,7 @@ import pytest
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.gait.curves import spline
 from lss_motion.gait.kinematics import forward
-from lss_motion.gait.model import BodyPose, Move, Wave
+from lss_motion.gait.model import BodyMove, BodyPose, Wave
 from lss_motion.gait.pacing import ACCEL_SHARE, FOOT_ERROR_MM, joints_of, paced
 from lss_motion.gait.patterns import PATTERNS
 
@@ -79,7 +79,7 @@ def test_a_dynamic_pattern_may_be_off_its_feet_and_says_by_how_much(kit):
 
 
 def test_a_pose_that_would_fall_is_refused(kit):
-    tumble = Move(pose=BodyPose(shift_mm=(0.0, 65.0, 0.0)), in_s=2.0, line=3)
+    tumble = BodyMove(pose=BodyPose(shift_mm=(0.0, 65.0, 0.0)), in_s=2.0, line=3)
     narrow = tuple(replace(leg, stance_mm=20.0) for leg in kit.gait("trot").legs)
     gait = kit.gait("trot", tumble, legs=narrow, height_mm=120.0)
     with pytest.raises(
@@ -117,14 +117,14 @@ def test_legs_out_of_reach_and_joints_out_of_range_name_the_line(kit):
     with pytest.raises(InputError, match=r"leg '.*' cannot reach .* too far out") as caught:
         paced(stretched, kit.robot(stretched))
     assert caught.value.line == 8
-    low = kit.gait("tripod", Move(pose=BodyPose(shift_mm=(0, 0, 92)), in_s=1.0, line=9))
+    low = kit.gait("tripod", BodyMove(pose=BodyPose(shift_mm=(0, 0, 92)), in_s=1.0, line=9))
     with pytest.raises(InputError, match="outside its range") as caught:
         paced(low, kit.robot(low))
     assert (caught.value.line, caught.value.path) == (9, low.path)
 
 
 def test_passages_part_where_everything_rests(kit):
-    nod = Move(pose=BodyPose(tilt_deg=(0, 5, 0)), in_s=0.5)
+    nod = BodyMove(pose=BodyPose(tilt_deg=(0, 5, 0)), in_s=0.5)
     held = replace(nod, hold_s=0.4)
     walk = kit.walk(20.0, cycles=1)
     gait = kit.gait("tripod", nod, held, nod, walk, walk, held)
@@ -136,7 +136,7 @@ def test_passages_part_where_everything_rests(kit):
 
 
 def test_the_pose_is_kept_while_walking(kit):
-    lower = Move(pose=BodyPose(shift_mm=(10.0, 0.0, -15.0), tilt_deg=(0, 3, 0)), in_s=1.0)
+    lower = BodyMove(pose=BodyPose(shift_mm=(10.0, 0.0, -15.0), tilt_deg=(0, 3, 0)), in_s=1.0)
     gait = kit.gait("tripod", lower, kit.walk(30.0))
     stance = paced(gait, kit.robot(gait))[1].passage.at(np.array([0.0, 2.0, 4.0]))
     assert stance.shift_mm.tolist() == [[10.0, 0.0, gait.height_mm - 15.0]] * 3
@@ -146,7 +146,7 @@ def test_the_pose_is_kept_while_walking(kit):
 def test_layers_swing_the_body_over_standing_feet_and_rest_where_it_rests(kit):
     side = Wave(pose=BodyPose(shift_mm=(0, 12, 0), tilt_deg=(-4, 0, 0)), every_s=1.5)
     beat = Wave(pose=BodyPose(shift_mm=(0, 3, -5)), every_s=0.75, start_ratio=0.25)
-    rest = Move(pose=BodyPose(), in_s=4.0)
+    rest = BodyMove(pose=BodyPose(), in_s=4.0)
     gait = kit.gait("tripod", rest, kit.walk(20.0, cycles=2), waves=(side, beat))
     plain = replace(gait, waves=())
     robot = kit.robot(gait)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.gait.model import LAID_OUT_CYCLES, BodyPose, Move
+from lss_motion.gait.model import LAID_OUT_CYCLES, BodyMove, BodyPose
 from lss_motion.gait.pacing import joints_of, paced
 from lss_motion.gait.to_sequence import sequence_from, sequence_of
 from lss_motion.sequence.check import check_sequence
@@ -15,8 +15,8 @@ from lss_motion.sequence.model import Interpolation, Timing
 from lss_motion.sequence.write import write_sequence
 from lss_motion.trajectory.planner import plan
 
-NOD = Move(pose=BodyPose(tilt_deg=(0, 5, 0)), in_s=1.0, hold_s=0.5, label="nod", line=3)
-BACK = Move(pose=BodyPose(), in_s=1.0, label="back", line=4)
+NOD = BodyMove(pose=BodyPose(tilt_deg=(0, 5, 0)), in_s=1.0, hold_s=0.5, label="nod", line=3)
+BACK = BodyMove(pose=BodyPose(), in_s=1.0, label="back", line=4)
 
 
 def test_a_gait_becomes_keyframes_of_its_legs_with_labels_and_lines(kit):

@@ -9,7 +9,7 @@ from lss_motion.errors import InputError, PlanningError
 from lss_motion.gait.kinematics import forward, neutral_mm
 from lss_motion.gait.model import BodyPose
 from lss_motion.gait.patterns import PATTERNS
-from lss_motion.gait.steering import Steering, eased
+from lss_motion.gait.steering import Steering, slowed_to_limits
 from lss_motion.gait.stepping import STILL, Twist
 
 ALL = [*PATTERNS[6], *PATTERNS[4]]
@@ -23,7 +23,7 @@ TOP = {
 def steering(kit, pattern="tripod", **fields):
     gait = kit.gait(pattern, **fields)
     robot = kit.robot(gait)
-    gait, top = eased(gait, robot, TOP[len(gait.legs)])
+    gait, top = slowed_to_limits(gait, robot, TOP[len(gait.legs)])
     return Steering(gait, robot, BodyPose()), top
 
 
@@ -51,7 +51,7 @@ def test_every_stretch_goes_on_where_the_last_one_is_and_ends_in_a_stand(kit, pa
     neutral = [[*neutral_mm(leg), -own.gait.height_mm] for leg in own.gait.legs]
     moved = 0
     for _ in range(8):
-        stretch = own.steered(walker, anyhow(random, top))
+        stretch = own.plan_towards(walker, anyhow(random, top))
         if before is not None:
             at = np.flatnonzero(np.abs(before.times_s - stretch.from_s) < 1e-9)[0]
             now = np.flatnonzero(np.abs(stretch.times_s - stretch.from_s) < 1e-9)[0]
@@ -67,7 +67,7 @@ def test_every_stretch_goes_on_where_the_last_one_is_and_ends_in_a_stand(kit, pa
         walker, before = stretch.following, stretch
     assert moved >= 6
     for _ in range(3 * own.stepper.phases):
-        walker = own.steered(walker, STILL).following
+        walker = own.plan_towards(walker, STILL).following
     assert own.is_standing(walker)
 
 
@@ -78,7 +78,7 @@ def test_steered_joints_keep_their_limits_across_stretches(kit, pattern):
     own, top = steering(kit, pattern)
     walker, walked = own.standing(), []
     for _ in range(12):
-        stretch = own.steered(walker, anyhow(random, top))
+        stretch = own.plan_towards(walker, anyhow(random, top))
         kept = (stretch.times_s >= stretch.from_s - 1e-9) & (
             stretch.times_s < stretch.next_s - 1e-9
         )
@@ -100,7 +100,7 @@ def test_standing_feet_do_not_slip_when_the_velocity_changes(kit):
     own, top = steering(kit, "tripod")
     walker = own.standing()
     for _ in range(6):
-        stretch = own.steered(walker, anyhow(random, top))
+        stretch = own.plan_towards(walker, anyhow(random, top))
         inside = (stretch.times_s > stretch.from_s) & (stretch.times_s < stretch.next_s)
         feet = feet_of(own, stretch.angles_deg[inside])
         down = np.flatnonzero(feet[:, :, 2].max(axis=0) < -own.gait.height_mm + 0.01)
@@ -115,10 +115,10 @@ def test_a_velocity_that_is_held_is_reached_exactly(kit):
     ahead = Twist(forward_mm_s=0.5 * top.forward_mm_s)
     walker = own.standing()
     for _ in range(4):
-        walker = own.steered(walker, ahead).following
+        walker = own.plan_towards(walker, ahead).following
     begun = walker.place
     for _ in range(4):
-        walker = own.steered(walker, ahead).following
+        walker = own.plan_towards(walker, ahead).following
     gone = walker.place - begun
     assert gone[0] == pytest.approx(ahead.forward_mm_s * 4 * own.stepper.phase_s, abs=1e-3)
     np.testing.assert_allclose(gone[1:], 0.0, atol=1e-9)
@@ -128,15 +128,15 @@ def test_a_change_that_asks_too_much_is_made_in_part_and_never_breaks_a_limit(ki
     own, top = steering(kit, "tripod")
     wild = Twist(forward_mm_s=40.0 * top.forward_mm_s)
     with pytest.raises((InputError, PlanningError)):
-        own.stretch(own.standing(), wild)
-    stretch = own.steered(own.standing(), wild)
+        own.plan(own.standing(), wild)
+    stretch = own.plan_towards(own.standing(), wild)
     assert STILL.forward_mm_s <= stretch.twist.forward_mm_s < wild.forward_mm_s
 
 
 def test_a_boundary_may_be_skipped_so_that_planning_has_more_time(kit):
     own, _ = steering(kit, "tripod")
     ahead = Twist(forward_mm_s=20.0)
-    once, twice = (own.steered(own.standing(), ahead, hold) for hold in (1, 2))
+    once, twice = (own.plan_towards(own.standing(), ahead, hold) for hold in (1, 2))
     assert once.next_s == pytest.approx(own.stepper.phase_s)
     assert twice.next_s == pytest.approx(2.0 * own.stepper.phase_s)
     shared = (once.times_s <= once.next_s + 1e-9).sum()
@@ -146,7 +146,7 @@ def test_a_boundary_may_be_skipped_so_that_planning_has_more_time(kit):
 def test_a_gait_that_is_too_fast_is_eased_as_a_whole(kit):
     gait = kit.gait("tripod", cycle_s=0.5)
     quick = Twist(forward_mm_s=150.0)
-    slower, top = eased(gait, kit.robot(gait), quick)
+    slower, top = slowed_to_limits(gait, kit.robot(gait), quick)
     assert slower.cycle_s > 1.2 * gait.cycle_s
     assert top.forward_mm_s * slower.cycle_s == pytest.approx(quick.forward_mm_s * gait.cycle_s)
 
@@ -158,12 +158,12 @@ def test_a_joint_with_little_range_keeps_the_robot_where_it_is(kit):
     stiff = replace(joint, position_min_deg=-0.5, position_max_deg=0.5)
     robot = replace(own.robot, joints={**own.robot.joints, name: stiff})
     bound = Steering(own.gait, robot, BodyPose())
-    assert bound.steered(bound.standing(), Twist(forward_mm_s=40.0)).twist.forward_mm_s < 10.0
+    assert bound.plan_towards(bound.standing(), Twist(forward_mm_s=40.0)).twist.forward_mm_s < 10.0
 
 
 def test_a_stretch_that_is_too_fast_for_a_servo_is_refused_with_its_joint(kit):
     gait = kit.gait("tripod", cycle_s=0.5)
     hasty = Steering(gait, kit.robot(gait), BodyPose())
     with pytest.raises(PlanningError, match=r"joint '.*' would need .* deg/s², allowed 900") as no:
-        hasty.stretch(hasty.standing(), Twist(forward_mm_s=60.0))
+        hasty.plan(hasty.standing(), Twist(forward_mm_s=60.0))
     assert no.value.joint in hasty.joints

@@ -66,7 +66,7 @@ def test_a_limit_is_what_the_servo_is_set_to_and_the_smaller_ramp(asked):
     known = asked((5, "SD", 1200), (5, "AA", 40), (5, "AD", 30), (6, "SD", 450), (7, "SD", 10))
     assert limits(known) == {"arm": (120.0, 150.0), "hand": (45.0, 200.0), "eye": (60.0, 300.0)}
     assert not known.unread
-    assert known.asked == {
+    assert known.read_limits == {
         "arm": {"speed_max_deg_s": 120.0, "accel_max_deg_s2": 150.0},
         "hand": {"speed_max_deg_s": 45.0},
     }

@@ -287,10 +287,10 @@ def test_what_is_done_about_faults_is_read_for_the_robot_and_for_a_joint(tmp_pat
     )
     robot = load_robot(path)
     hand, arm = robot.joints["hand"], robot.joints["arm"]
-    assert robot.ladder(Cause.ASTRAY, arm, {}) == (FaultStep.WARN, FaultStep.HOLD)
-    assert robot.ladder(Cause.BLOCKED, hand, {}) == (FaultStep.LIMP,)
-    assert robot.ladder(Cause.BLOCKED, arm, {}) == DEFAULTS[Cause.BLOCKED]
-    assert robot.ladder(Cause.LOST_PORT, None, {}) == (FaultStep.HOLD,)
+    assert robot.escalation(Cause.ASTRAY, arm, {}) == (FaultStep.WARN, FaultStep.HOLD)
+    assert robot.escalation(Cause.BLOCKED, hand, {}) == (FaultStep.LIMP,)
+    assert robot.escalation(Cause.BLOCKED, arm, {}) == DEFAULTS[Cause.BLOCKED]
+    assert robot.escalation(Cause.LOST_PORT, None, {}) == (FaultStep.HOLD,)
     assert (robot.resume_s, hand.temperature_max_c, hand.silent_s) == (4.0, 60.0, 2.0)
 
 

@@ -9,25 +9,25 @@ import pytest
 from lss_motion.cli import shows
 from lss_motion.errors import PlanningError
 from lss_motion.gait.model import BodyPose
-from lss_motion.gait.steering import eased
+from lss_motion.gait.steering import slowed_to_limits
 from lss_motion.gait.stepping import STILL, Twist
 from lss_motion.program.table import MoveTable
-from lss_motion.walking.planner import Planner, Request
+from lss_motion.walking.planner import PlanRequest, WalkPlanner
 from lss_motion.walking.process import PlannerProcess, packed, unpacked
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "sequences"
-AHEAD = Request(wanted=Twist(forward_mm_s=15.0), was_taken=False, begins_s=1.0)
+AHEAD = PlanRequest(commanded=Twist(forward_mm_s=15.0), was_taken=False, begins_s=1.0)
 
 
 @pytest.fixture(scope="module")
 def dog():
     gait, robot = shows.load_gait(EXAMPLES / "quadruped_trot.yaml", None)
-    gait, _ = eased(replace(gait, start=BodyPose()), robot, Twist(forward_mm_s=20.0))
+    gait, _ = slowed_to_limits(replace(gait, start=BodyPose()), robot, Twist(forward_mm_s=20.0))
     return gait, robot
 
 
 def test_what_is_packed_comes_out_as_it_was(dog):
-    answer = Planner(*dog, 0.2).answer(AHEAD)
+    answer = WalkPlanner(*dog, 0.2).plan(AHEAD)
     back = unpacked(*packed(answer))
     assert [*back.extension.moves] == [*answer.extension.moves]
     assert len(back.extension.moves) > 20
@@ -41,9 +41,9 @@ def test_what_is_packed_comes_out_as_it_was(dog):
 
 def test_a_wish_that_cannot_be_planned_is_an_answer_with_its_reason(dog):
     gait, robot = dog
-    planner = Planner(gait, robot, 0.2)
+    planner = WalkPlanner(gait, robot, 0.2)
     deep = BodyPose(shift_mm=(0.0, 0.0, 500.0))
-    answer = planner.answer(replace(AHEAD, wanted=STILL, pose=deep))
+    answer = planner.plan(replace(AHEAD, commanded=STILL, pose=deep))
     assert answer.extension is None
     assert "too far out" in answer.reason
     assert unpacked(*packed(answer)) == answer
@@ -51,11 +51,11 @@ def test_a_wish_that_cannot_be_planned_is_an_answer_with_its_reason(dog):
 
 def test_the_process_plans_what_the_planner_plans_and_its_end_is_noticed(dog):
     with PlannerProcess(*dog, 0.2) as link:
-        link.ask(AHEAD, 0)
+        link.send(AHEAD, 0)
         assert link.poll(0) is None
         assert select.select([link.fileno()], [], [], 60.0)[0]
         answer = link.poll(0)
-        expected = Planner(*dog, 0.2).answer(AHEAD)
+        expected = WalkPlanner(*dog, 0.2).plan(AHEAD)
         assert [*answer.extension.moves] == [*expected.extension.moves]
         link._process.kill()
         link._process.join()

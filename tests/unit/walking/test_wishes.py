@@ -6,14 +6,14 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.gait.stepping import STILL, Twist
-from lss_motion.walking.inputs import EVENT, Gamepad, Wishes
+from lss_motion.walking.inputs import EVENT, Gamepad, OperatorInput
 
 TOP = Twist(forward_mm_s=40.0, left_mm_s=20.0, turn_deg_s=10.0)
 UP, RIGHT = "\x1b[A", "\x1b[C"
 
 
 def wished(keys):
-    wishes = Wishes(TOP)
+    wishes = OperatorInput(TOP)
     wishes.press(keys)
     return wishes
 
