@@ -1,6 +1,13 @@
-"""Walks that are steered while they go: who plans ahead, who asks for it, and when.
+"""Robots that are steered while they walk: operator input, planning ahead, and its timing.
 
-`planner` turns a wish into the extension of a program, without a clock. `pilot` asks for the next
-one in good time and hands it to the player; it waits for nothing. `process` is where the planner
-runs while a robot walks: a process of its own, so that planning delays no command.
+============  ==================================================  ==============================
+file          what it is                                          called by
+============  ==================================================  ==============================
+`inputs`      keys and gamepad → commanded velocity of the body   `cli.walk`
+`planner`     commanded velocity → extension of the program       `process`, `cli.walk`
+`process`     the planner in a process of its own                 `cli.walk`
+`pilot`       requests plans in time and gives them to the player `cli.walk`, between two commands
+============  ==================================================  ==============================
+
+`planner` and `pilot` read no clock: they get the time as an argument. No call of `pilot` waits.
 """

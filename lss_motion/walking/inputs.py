@@ -1,10 +1,8 @@
-"""Keys, sticks and gamepads: what an operator asks of a walking robot.
+"""Keys and gamepad of the operator → commanded velocity of the body of a walking robot.
 
-What a person wants of a walking robot: keys and sticks become a velocity of the body.
-
-A gamepad as the Linux joystick interface delivers it: two sticks that say where to.
-
-Eight bytes an event: ms, value, kind, number (linux/joystick.h). No library is needed for it.
+`OperatorInput` holds the commanded velocity as ratios of the largest one; keys change it in steps,
+a stick sets it. `Gamepad` reads the Linux joystick interface, eight bytes an event: time in ms,
+value, kind, number (linux/joystick.h). No library is needed for that.
 """
 
 from __future__ import annotations
@@ -26,8 +24,8 @@ if TYPE_CHECKING:
 
 
 STEP_RATIO: Final = 0.25
-"""One press of a key is a quarter of the most: four presses from a stand to the fastest."""
-SPEED_LEAST_RATIO: Final = 0.25
+"""One press of a key adds a quarter: four presses from a stand to the largest velocity."""
+SPEED_MIN_RATIO: Final = 0.25
 
 _KEY: Final = re.compile(r"\x1b\[[A-D]|\x1b|.", re.DOTALL)
 _MOVES: Final[Mapping[str, tuple[int, int, int]]] = MappingProxyType(
@@ -42,12 +40,15 @@ _MOVES: Final[Mapping[str, tuple[int, int, int]]] = MappingProxyType(
         "\x1b[C": (0, 0, -1),
     }
 )
-"""Forward, left, turn to the left, for every key; arrows are what terminals send for them."""
+"""Steps forward, to the left and of the turn to the left. Terminals send the sequences for arrows."""
 
 
 @dataclass(slots=True)
 class OperatorInput:
-    """Ratios of the most, from -1 to 1; `speed_ratio` is of all together."""
+    """The commanded velocity as ratios of `top`, each from -1 to 1, times `speed_ratio`.
+
+    `is_sitting`: the robot shall sit. `has_ended`: the operator has ended the walk.
+    """
 
     top: Twist
     forward: float = 0.0
@@ -58,7 +59,7 @@ class OperatorInput:
     has_ended: bool = False
 
     def press(self, keys: str) -> None:
-        """Take in keys as the terminal sent them."""
+        """Apply keys as the terminal sent them; unknown keys have no effect."""
         for key in _KEY.findall(keys):
             match key.lower() if len(key) == 1 else key:
                 case " ":
@@ -72,7 +73,7 @@ class OperatorInput:
                 case "+" | "=":
                     self.speed_ratio = min(self.speed_ratio + STEP_RATIO, 1.0)
                 case "-" | "_":
-                    self.speed_ratio = max(self.speed_ratio - STEP_RATIO, SPEED_LEAST_RATIO)
+                    self.speed_ratio = max(self.speed_ratio - STEP_RATIO, SPEED_MIN_RATIO)
                 case known if known in _MOVES:
                     ahead, left, turn = (STEP_RATIO * way for way in _MOVES[known])
                     self.steer(self.forward + ahead, self.left + left, self.turn + turn)
@@ -80,13 +81,13 @@ class OperatorInput:
                     pass
 
     def steer(self, forward: float, left: float, turn: float) -> None:
-        """Set the ratios; more than all is all."""
+        """Set the ratios; each is clipped to -1 to 1."""
         self.forward, self.left, self.turn = (
             min(max(ratio, -1.0), 1.0) for ratio in (forward, left, turn)
         )
 
     def twist(self) -> Twist:
-        """Return the velocity that is commanded; one who sits wants none."""
+        """Return the commanded velocity; `STILL` while the robot sits."""
         if self.is_sitting or (self.forward, self.left, self.turn) == (0.0, 0.0, 0.0):
             return STILL
         return Twist(
@@ -100,21 +101,21 @@ EVENT: Final = struct.Struct("<IhBB")
 EVENTS_MAX: Final = 64
 AXIS: Final = 0x02
 INITIAL: Final = 0x80
-"""Set on the events that tell the state at the start."""
+"""Set in the events that report the state when the device is opened."""
 VALUE_MAX: Final = 32_767
 DEAD_RATIO: Final = 0.12
-"""A stick this near to its middle is let go. Chosen: worn sticks rest up to a tenth off."""
+"""A stick this near to its middle counts as released. Chosen: worn sticks rest up to 0.1 off."""
 LEFT_X: Final = 0
 LEFT_Y: Final = 1
 RIGHT_X: Final = 3
-"""The axes of an ordinary pad: left stick, and the right stick's to and fro."""
+"""The axes of a common pad: both of the left stick, the horizontal one of the right stick."""
 
 
 class Gamepad:
     """Left stick: forward and sideways; right stick: turn. A context manager."""
 
     def __init__(self, path: Path) -> None:
-        """Open the device; raises `InputError` if there is none."""
+        """Open the device; raises `InputError` if that fails."""
         try:
             self._fd: int | None = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
         except OSError as error:
@@ -137,12 +138,13 @@ class Gamepad:
         self._close()
 
     def filenos(self) -> list[int]:
+        """Return what becomes readable when a stick moves; nothing after the pad was unplugged."""
         return [] if self._fd is None else [self._fd]
 
     def stick(self) -> tuple[float, float, float] | None:
-        """Return forward, left and turn to the left, each -1 to 1, if something has changed.
+        """Return forward, left and turn to the left, each -1 to 1; None if nothing has changed.
 
-        A pad that is unplugged lets go of both sticks.
+        When the pad is unplugged, both sticks count as released.
         """
         if self._fd is None:
             return None

@@ -1,4 +1,8 @@
-"""From a wish to moves: the next stretch of a walk as an extension of the program that plays."""
+"""Plans a walk ahead: a commanded velocity → an extension of the program that is being played.
+
+`WalkPlanner` keeps the state of the walk at the end of what is played. It reads no clock, so the
+same requests give the same plans.
+"""
 
 from __future__ import annotations
 
@@ -28,16 +32,16 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 POSE_S: Final = 1.0
-"""How long the body takes to another pose. Chosen: a calm move; what is too fast is slowed."""
+"""How long the body takes to reach a pose. Chosen: a calm move. It is slowed where a limit needs it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanRequest:
-    """What is wished for next.
+    """A request for the next part of a walk.
 
-    `was_taken`: the last answer is being played. `begins_s`: begin from a stand, at that show
-    time; None: go on from the next boundary. `hold`: for how many phases to walk at `commanded`.
-    `pose`: from a stand, bring the body there instead of walking.
+    `was_taken`: the last reply is being played. `begins_s`: begin from a stand, at that show
+    time; None: continue from the next boundary. `hold`: for how many phases to walk at
+    `commanded`. `pose`: from a stand, bring the body to this pose instead of walking.
     """
 
     commanded: Twist
@@ -49,10 +53,10 @@ class PlanRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanReply:
-    """What can be played next, in show time; `extension` None: nothing, for `reason`.
+    """The next part of a walk, in show time. Without `extension` there is none, for `reason`.
 
-    It begins at `from_s`. The one after it would begin at `next_s`, or, where that is None, from
-    the stand that is reached at `end_s`.
+    The part begins at `from_s`. The part after it begins at `next_s`. Where that is None, the
+    robot stands from `end_s` on.
     """
 
     extension: Extension | None
@@ -64,8 +68,8 @@ class PlanReply:
 
 
 @dataclass(slots=True)
-class _Course:
-    """Where the walk has come to: what is played, or may be."""
+class _Progress:
+    """The state of the walk at the end of what is played, or of what was offered."""
 
     splice_state: SpliceState
     walker: Walker
@@ -74,7 +78,10 @@ class _Course:
 
 
 class WalkPlanner:
-    """Plans for one robot that stands at first; keeps what it offered until it hears of it."""
+    """Plans for one robot that stands at first.
+
+    Each reply is an offer; the next request reports whether it was taken (`was_taken`).
+    """
 
     def __init__(self, gait: Gait, robot: Robot, tolerance_deg: float) -> None:
         self._gait = gait
@@ -91,64 +98,65 @@ class WalkPlanner:
             start_deg=dict(zip(steering.joints, angles, strict=True)),
             tolerance_deg=tolerance_deg,
         )
-        self._played = _Course(initial_splice_state(self.program, robot), walker, BodyPose())
-        self._offered: _Course | None = None
+        self._played = _Progress(initial_splice_state(self.program, robot), walker, BodyPose())
+        self._offered: _Progress | None = None
 
     @property
     def phase_s(self) -> float:
+        """How long a phase takes; a velocity can change at its boundaries."""
         return self._steering().stepper.phase_s
 
     @property
     def splice_s(self) -> float:
-        """How long before a boundary its moves must be known."""
+        """How long before a boundary the player needs the moves from there on."""
         return splice_lead_s(self._robot, self._played.splice_state.profiles)
 
     def plan(self, request: PlanRequest) -> PlanReply:
-        """Return what can be played; never raises what a wish can cause."""
+        """Return the reply to `request`; a request that cannot be planned raises nothing."""
         if request.was_taken and self._offered is not None:
             self._played = self._offered
         self._offered = None
         try:
             if request.pose is not None:
-                return self._posed(request, request.pose)
-            return self._walked(request)
+                return self._plan_pose(request, request.pose)
+            return self._plan_walk(request)
         except LssMotionError as error:
             return PlanReply(extension=None, reason=str(error))
 
     def _steering(self) -> Steering:
         return Steering(self._gait, self._robot, self._played.pose)
 
-    def _walked(self, request: PlanRequest) -> PlanReply:
-        steering, course = self._steering(), self._played
-        walker, starts_s = course.walker, course.starts_s
+    def _plan_walk(self, request: PlanRequest) -> PlanReply:
+        steering, played = self._steering(), self._played
+        walker, starts_s = played.walker, played.starts_s
         if request.begins_s is not None:
             walker, starts_s = steering.standing(), request.begins_s
-        stretch = steering.plan_towards(walker, request.commanded, request.hold)
-        from_s, end_s = starts_s + stretch.from_s, starts_s + stretch.end_s
-        curve = (stretch.times_s, stretch.angles_deg, stretch.slopes_deg_s)
+        part = steering.plan_towards(walker, request.commanded, request.hold)
+        from_s, end_s = starts_s + part.from_s, starts_s + part.end_s
+        curve = (part.times_s, part.angles_deg, part.slopes_deg_s)
         extension = self._extension(*curve, starts_s=starts_s, from_s=from_s)
-        following = stretch.following
+        following = part.following
         self._offered = replace(
-            course,
-            splice_state=course.splice_state.taken(extension),
+            played,
+            splice_state=played.splice_state.taken(extension),
             walker=following,
             starts_s=starts_s,
         )
         goes_on = not steering.is_standing(following)
         return PlanReply(
             extension=extension,
-            twist=stretch.twist,
+            twist=part.twist,
             from_s=from_s,
-            next_s=starts_s + stretch.next_s if goes_on else None,
+            next_s=starts_s + part.next_s if goes_on else None,
             end_s=end_s,
         )
 
-    def _posed(self, request: PlanRequest, pose: BodyPose) -> PlanReply:
-        """Bring the body to a pose from a stand, feet where they are."""
-        course, starts_s = self._played, request.begins_s
-        assert starts_s is not None, "only from a stand"
+    def _plan_pose(self, request: PlanRequest, pose: BodyPose) -> PlanReply:
+        """Plan the move of the body from a stand to a pose; the feet do not move."""
+        played, starts_s = self._played, request.begins_s
+        assert starts_s is not None, "a pose is planned from a stand only"
         gait = replace(
-            self._gait, start=course.pose, actions=(BodyMove(pose=pose, in_s=POSE_S, label="pose"),)
+            self._gait, start=played.pose, actions=(BodyMove(pose=pose, in_s=POSE_S, label="pose"),)
         )
         (part,) = paced(gait, self._robot)
         slopes = spline(float(part.times_s[1]), part.angles_deg).slopes / part.pace_ratio
@@ -159,8 +167,8 @@ class WalkPlanner:
             starts_s=starts_s,
             from_s=starts_s,
         )
-        splice_state = course.splice_state.taken(extension)
-        self._offered = replace(course, splice_state=splice_state, pose=pose, starts_s=starts_s)
+        splice_state = played.splice_state.taken(extension)
+        self._offered = replace(played, splice_state=splice_state, pose=pose, starts_s=starts_s)
         end_s = starts_s + part.duration_s
         return PlanReply(extension=extension, from_s=starts_s, end_s=end_s)
 
@@ -173,6 +181,7 @@ class WalkPlanner:
         starts_s: float,
         from_s: float,
     ) -> Extension:
+        """Return the moves along these cubics, from show time `from_s` on."""
         trajectory = given_motion(
             self._gait.name,
             self._steering().joints,

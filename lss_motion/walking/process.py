@@ -1,7 +1,7 @@
-"""The planner in a process of its own, so that planning never delays a command.
+"""The walk planner in a process of its own, so that planning never delays a command.
 
-What comes back is a handful of arrays: moves are made of them one by one as they fall due, so that
-taking over a stretch costs the loop that plays well below a millisecond.
+A reply comes back as a few arrays. The player makes moves from them one by one as they fall due,
+so taking a reply costs the loop that plays well below a millisecond.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
     from lss_motion.walking.planner import PlanReply
 
-FIRST_S: Final = 1.0
-FIRST: Final = Twist(forward_mm_s=1.0)
-"""Show time and velocity of a stretch that is planned to see how long it takes, and not walked."""
+TRIAL_S: Final = 1.0
+TRIAL: Final = Twist(forward_mm_s=1.0)
+"""Show time and velocity of a plan that measures the planning time; it is not walked."""
 START_MAX_S: Final = 60.0
 CLOSE_S: Final = 2.0
-"""A planner that has not ended this long after it was told to is ended."""
+"""A planner that has not ended this long after its connection was closed is killed."""
 LOST: Final = "the process that plans the walk has ended; the robot goes to a stand by itself"
 
 
 class PlannerProcess:
-    """A planner elsewhere; a context manager, which is entered when the planner is ready.
+    """A `PlannerLink` to a planner process. As a context manager it is entered when that is ready.
 
-    `planning_s` is how long its first stretch took to plan.
+    `planning_s` is the time that planning the trial took.
     """
 
     def __init__(self, gait: Gait, robot: Robot, tolerance_deg: float) -> None:
@@ -51,13 +51,13 @@ class PlannerProcess:
         self._process = context.Process(
             target=_serve, args=(other, gait, robot, tolerance_deg), daemon=True
         )
-        with _unheard():
+        with _keyboard_signals_blocked():
             self._process.start()
         other.close()
         self.planning_s = 0.0
 
     def __enter__(self) -> PlannerProcess:
-        """Wait for the planner; raises `PlanningError` if it does not start."""
+        """Wait until the planner is ready; raises `PlanningError` if it does not start."""
         is_ready = False
         with contextlib.suppress(EOFError, OSError):
             is_ready = self._connection.poll(START_MAX_S)
@@ -65,7 +65,9 @@ class PlannerProcess:
         if is_ready and self.planning_s > 0.0:
             return self
         self.close()
-        raise PlanningError("the process that plans the walk does not start; is it busy here?")
+        raise PlanningError(
+            "the process that plans the walk does not start; is this computer busy?"
+        )
 
     def __exit__(
         self,
@@ -76,7 +78,7 @@ class PlannerProcess:
         self.close()
 
     def close(self) -> None:
-        """End the planner."""
+        """End the planner process."""
         self._connection.close()
         self._process.join(CLOSE_S)
         if self._process.is_alive():
@@ -84,16 +86,18 @@ class PlannerProcess:
             self._process.join()
 
     def fileno(self) -> int:
-        """Return what becomes readable when there is an answer."""
+        """Return what becomes readable when there is a reply."""
         return self._connection.fileno()
 
     def send(self, request: PlanRequest, now_ns: int) -> None:  # noqa: ARG002  (real time passes)
+        """Send a request; raises `PlanningError` if the process has ended."""
         try:
             self._connection.send(request)
         except OSError as error:
             raise PlanningError(LOST) from error
 
     def poll(self, now_ns: int) -> PlanReply | None:  # noqa: ARG002
+        """Return the reply once; raises `PlanningError` if the process has ended."""
         try:
             if not self._connection.poll():
                 return None
@@ -103,12 +107,15 @@ class PlannerProcess:
 
 
 @contextlib.contextmanager
-def _unheard() -> Iterator[None]:
-    """Let a process that is started meanwhile hear nothing of the keyboard: the player does."""
+def _keyboard_signals_blocked() -> Iterator[None]:
+    """Block the signals of the keyboard in a process that is started meanwhile.
+
+    The process that plays handles them and ends this one.
+    """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    resource_tracker.ensure_running()  # It would let them through again when it starts.
+    resource_tracker.ensure_running()  # It unblocks them when it starts.
     before = signal.pthread_sigmask(
         signal.SIG_BLOCK, (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP)
     )
@@ -118,30 +125,30 @@ def _unheard() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def packed(answer: PlanReply) -> tuple[PlanReply, Any]:
-    """Return an answer without its profiles, and those as arrays; its moves are arrays already."""
-    extension = answer.extension
+def packed(reply: PlanReply) -> tuple[PlanReply, Any]:
+    """Return a reply without its profiles, and those as arrays; its moves are arrays already."""
+    extension = reply.extension
     if extension is None:
-        return answer, None
+        return reply, None
     tables = {name: np.stack(own.table) for name, own in extension.profiles.items()}
-    return replace(answer, extension=replace(extension, profiles={})), tables
+    return replace(reply, extension=replace(extension, profiles={})), tables
 
 
-def unpacked(answer: PlanReply, tables: Any) -> PlanReply:  # noqa: ANN401  (what `packed` returned)
-    """Return the answer that was packed."""
-    if answer.extension is None:
-        return answer
+def unpacked(reply: PlanReply, tables: Any) -> PlanReply:  # noqa: ANN401  (from `packed`)
+    """Return the reply that was packed."""
+    if reply.extension is None:
+        return reply
     profiles = {name: PiecewiseProfile.of(tuple(table)) for name, table in tables.items()}
-    return replace(answer, extension=replace(answer.extension, profiles=profiles))
+    return replace(reply, extension=replace(reply.extension, profiles=profiles))
 
 
 def _serve(connection: Connection, gait: Gait, robot: Robot, tolerance_deg: float) -> None:
-    """Answer until the other end is closed."""
+    """Plan for each request until the other end closes the connection."""
     planner = WalkPlanner(gait, robot, tolerance_deg)
-    first = PlanRequest(commanded=FIRST, was_taken=False, begins_s=FIRST_S)
-    planner.plan(first)  # Loads all that planning needs.
+    trial = PlanRequest(commanded=TRIAL, was_taken=False, begins_s=TRIAL_S)
+    planner.plan(trial)  # Imports what planning needs.
     started_s = time.monotonic()
-    planner.plan(first)
+    planner.plan(trial)
     with contextlib.suppress(EOFError, OSError):
         connection.send(time.monotonic() - started_s)
         while True:

@@ -26,37 +26,37 @@ def dog():
     return gait, robot
 
 
-def test_what_is_packed_comes_out_as_it_was(dog):
-    answer = WalkPlanner(*dog, 0.2).plan(AHEAD)
-    back = unpacked(*packed(answer))
-    assert [*back.extension.moves] == [*answer.extension.moves]
+def test_a_packed_reply_is_unpacked_unchanged(dog):
+    reply = WalkPlanner(*dog, 0.2).plan(AHEAD)
+    back = unpacked(*packed(reply))
+    assert [*back.extension.moves] == [*reply.extension.moves]
     assert len(back.extension.moves) > 20
-    for name, reference in answer.extension.profiles.items():
+    for name, reference in reply.extension.profiles.items():
         for at_s in (0.5, 1.3, 2.0, 9.0):
             assert back.extension.profiles[name].at(at_s) == reference.at(at_s)
-    assert replace(back, extension=None) == replace(answer, extension=None)
-    assert [*back.extension.moves[3:5]] == [*answer.extension.moves[3:5]]
+    assert replace(back, extension=None) == replace(reply, extension=None)
+    assert [*back.extension.moves[3:5]] == [*reply.extension.moves[3:5]]
     assert isinstance(back.extension.moves, MoveTable)
 
 
-def test_a_wish_that_cannot_be_planned_is_an_answer_with_its_reason(dog):
+def test_a_request_that_cannot_be_planned_is_replied_with_a_reason(dog):
     gait, robot = dog
     planner = WalkPlanner(gait, robot, 0.2)
     deep = BodyPose(shift_mm=(0.0, 0.0, 500.0))
-    answer = planner.plan(replace(AHEAD, commanded=STILL, pose=deep))
-    assert answer.extension is None
-    assert "too far out" in answer.reason
-    assert unpacked(*packed(answer)) == answer
+    reply = planner.plan(replace(AHEAD, commanded=STILL, pose=deep))
+    assert reply.extension is None
+    assert "too far out" in reply.reason
+    assert unpacked(*packed(reply)) == reply
 
 
-def test_the_process_plans_what_the_planner_plans_and_its_end_is_noticed(dog):
+def test_the_process_replies_as_the_planner_and_its_end_is_an_error(dog):
     with PlannerProcess(*dog, 0.2) as link:
         link.send(AHEAD, 0)
         assert link.poll(0) is None
         assert select.select([link.fileno()], [], [], 60.0)[0]
-        answer = link.poll(0)
+        reply = link.poll(0)
         expected = WalkPlanner(*dog, 0.2).plan(AHEAD)
-        assert [*answer.extension.moves] == [*expected.extension.moves]
+        assert [*reply.extension.moves] == [*expected.extension.moves]
         link._process.kill()
         link._process.join()
         with pytest.raises(PlanningError, match="goes to a stand by itself"):

@@ -12,10 +12,10 @@ TOP = Twist(forward_mm_s=40.0, left_mm_s=20.0, turn_deg_s=10.0)
 UP, RIGHT = "\x1b[A", "\x1b[C"
 
 
-def wished(keys):
-    wishes = OperatorInput(TOP)
-    wishes.press(keys)
-    return wishes
+def pressed(keys):
+    operator = OperatorInput(TOP)
+    operator.press(keys)
+    return operator
 
 
 @pytest.mark.parametrize(
@@ -36,21 +36,21 @@ def wished(keys):
     ],
 )
 def test_keys_become_a_velocity(keys, twist):
-    assert wished(keys).twist() == twist
+    assert pressed(keys).twist() == twist
 
 
-def test_who_sits_wants_no_velocity_until_it_stands_again():
-    wishes = wished("wwx")
-    assert (wishes.is_sitting, wishes.twist()) == (True, STILL)
-    wishes.press("w")
-    assert wishes.twist() == STILL
-    wishes.press("xw")
-    assert wishes.twist() == Twist(forward_mm_s=10.0)
+def test_a_sitting_robot_is_commanded_no_velocity_until_it_stands():
+    operator = pressed("wwx")
+    assert (operator.is_sitting, operator.twist()) == (True, STILL)
+    operator.press("w")
+    assert operator.twist() == STILL
+    operator.press("xw")
+    assert operator.twist() == Twist(forward_mm_s=10.0)
 
 
-def test_q_ends_and_lets_go():
-    wishes = wished("wwq")
-    assert (wishes.has_ended, wishes.twist()) == (True, STILL)
+def test_q_ends_the_walk_and_stops_the_robot():
+    operator = pressed("wwq")
+    assert (operator.has_ended, operator.twist()) == (True, STILL)
 
 
 def event(number, value, kind=2):
@@ -68,7 +68,7 @@ def pad(tmp_path):
         os.close(end)
 
 
-def test_sticks_become_ratios_whole_or_in_pieces(pad):
+def test_sticks_become_ratios_also_when_events_come_in_pieces(pad):
     gamepad, end = pad
     assert gamepad.stick() is None
     data = event(1, -32767) + event(0, 16384, kind=0x82) + event(3, -32768) + event(7, 5, kind=1)
@@ -79,10 +79,10 @@ def test_sticks_become_ratios_whole_or_in_pieces(pad):
     assert (forward, turn) == (1.0, 1.0)
     assert left == pytest.approx(-0.5, abs=1e-3)
     os.write(end, event(1, 2000))
-    assert gamepad.stick()[0] == 0.0, "a stick near its middle is let go"
+    assert gamepad.stick()[0] == 0.0, "a stick near its middle counts as released"
 
 
-def test_a_pad_that_is_unplugged_lets_go(tmp_path):
+def test_an_unplugged_pad_releases_both_sticks(tmp_path):
     path = tmp_path / "js0"
     os.mkfifo(path)
     with Gamepad(path) as gamepad:
@@ -95,6 +95,6 @@ def test_a_pad_that_is_unplugged_lets_go(tmp_path):
         assert gamepad.filenos() == []
 
 
-def test_a_pad_that_is_not_there_is_an_error_for_people(tmp_path):
+def test_a_missing_pad_is_an_input_error(tmp_path):
     with pytest.raises(InputError, match="/dev/input/js0"):
         Gamepad(tmp_path / "none")
