@@ -25,7 +25,7 @@ from lss_motion.gait.model import (
     Wave,
 )
 from lss_motion.gait.patterns import PARTS, PATTERNS, SIDES_NEEDED, in_order
-from lss_motion.robot.load import load_robot
+from lss_motion.robot.load import load_named_robot
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -138,7 +138,7 @@ def load_gait(path: Path | str, robot: Robot | None = None) -> Gait:
     What feet can reach and joints can do is judged by `paced`.
     """
     content, source = _read(Path(path))
-    robot = robot or _named_robot(content, source)
+    robot = robot or load_named_robot(source, content.robot)
     loader = _Loader(content, source, robot)
     gait = loader.gait()
     if gait is None or loader.problems:
@@ -163,16 +163,6 @@ def _read(path: Path) -> tuple[GaitFile, YamlSource]:
     if content is None or problems:
         raise source.error(problems)
     return content, source
-
-
-def _named_robot(content: GaitFile, source: YamlSource) -> Robot:
-    if content.robot is None:
-        raise source.error([Problem((), "no robot: give 'robot: FILE' here, or --robot FILE")])
-    path = source.path.parent / content.robot
-    if not path.exists():
-        reason = f"robot file {content.robot!r} not found; looked for {path}"
-        raise source.error([Problem(("robot",), reason)])
-    return load_robot(path)
 
 
 @dataclass(slots=True)

@@ -1,5 +1,13 @@
-"""robot.yaml → Robot: buses, joints, limits and poses; the table of servo models.
+"""robot.yaml ⇄ `Robot`: buses, joints, limits and poses; what each servo model can do.
 
-`load.load_robot(path)` reads a robot file, `load.robot_schema()` describes one to an editor. Servo
-models and what each family can do are in `models`.
+==============  ================================================  ==================================
+file            what it is                                        called by
+==============  ================================================  ==================================
+`model`         the values: `Robot`, `Joint`, `Bus`, `Response`   every package above
+`servo_models`  the servo models and families, drives that fit    `load`, `program`, `player`, `sim`
+`on_fault`      faults of joints, and the steps taken on them     `model`, `program`, `player`
+`file`          the keys of a robot file, their units and bounds  `load`, `sequence.file`
+`load`          file → `Robot`; its JSON Schema                   `api`, `cli`, `sequence`, `gait`
+`write`         measured values → a robot file that exists        `cli`
+==============  ================================================  ==================================
 """

@@ -1,10 +1,7 @@
-"""The keys of a robot file: names, units, plain bounds. What they mean together is `robot.load`'s.
+"""The keys of a robot file, and of `on_fault` in sequence files: names, units, bounds of each key.
 
-Importing this module imports pydantic, so it is imported where a file is read.
-
-The keys of `on_fault` in robot and sequence files.
-
-Importing this module imports pydantic, so it is imported where a file is read.
+`robot.load` checks what several keys mean together. Importing this module imports pydantic, so it
+is imported where a file is read. The descriptions are the reference of the file format.
 """
 
 from __future__ import annotations
@@ -32,6 +29,23 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
+ANGLE_MAX_DEG: Final = 36_000.0
+"""A hundred turns: more than any winch; a larger angle is a typing error."""
+
+SPEED_MIN_DEG_S: Final = 0.1
+"""The unit of SD on the wire (FACTS.md C24: tenths of a degree per second)."""
+
+FILTER_COUNT_MAX: Final = 20
+"""The largest FPC that is known to be used (FACTS.md M10)."""
+
+ACCEL_MIN_DEG_S2: Final = 0.1
+"""A hundredth of the smallest ramp of a servo; less is a typing error."""
+
+
+PORT_MAX_CHARS: Final = 256
+"""Names below /dev/serial/by-id are long, but not longer than this."""
+
+
 def _check_escalation(
     value: Any,  # noqa: ANN401  (YAML)
     info: ValidationInfo,
@@ -51,19 +65,21 @@ Escalation = Annotated[
 
 
 class JointOnFaultEntry(FileModel, title="on_fault of a joint"):
-    """What is done when something is wrong with a joint: a step, or a ladder of steps.
+    """What is done when something is wrong with a joint: one step, or a list of steps.
 
-    warn: say so; one that is silent or has restarted is sent no move until it is back and has its
-    settings again (restarted: resume). slow: slow the show for all joints until this one has caught
-    up. resume: brake, wait until it is back, go back to the place and go on. hold: brake and end
-    the show. limp: let this joint go, and end the show. The next step is taken after patience_s.
+    The next step of a list is taken when the fault has lasted patience_s. warn: show a warning; a
+    servo that is silent or has restarted is sent no move until it replies and has its settings
+    again (restarted: resume). slow: slow the show for all joints until this one has caught up.
+    resume: brake, wait until the servo replies, return to the position and continue. hold: brake
+    and end the show. limp: switch this joint limp, and end the show.
     """
 
     astray: Escalation = Field(
-        default=None, description="Further off its course than following_deg. [slow, hold]"
+        default=None, description="Its position error is above following_deg. [slow, hold]"
     )
     stuck: Escalation = Field(
-        default=None, description="It cannot make the move at its present speed. [slow, hold]"
+        default=None,
+        description="It reports that it cannot move at this speed. [slow, hold]",
     )
     blocked: Escalation = Field(default=None, description="It cannot move at full power. [hold]")
     safe_mode: Escalation = Field(default=None, description="It protects itself. [hold]")
@@ -71,35 +87,22 @@ class JointOnFaultEntry(FileModel, title="on_fault of a joint"):
     hot: Escalation = Field(default=None, description="Above temperature_max_c. [warn]")
     low_voltage: Escalation = Field(default=None, description="Below voltage_min_v. [warn]")
     restarted: Escalation = Field(
-        default=None, description="It is limp, or has lost its settings. [resume, hold]"
+        default=None, description="The servo is limp, or has lost its settings. [resume, hold]"
     )
     silent: Escalation = Field(
-        default=None, description="No answer for silent_s, though asked. [resume, hold]"
+        default=None, description="No reply to queries for silent_s. [resume, hold]"
     )
 
 
 class OnFaultEntry(JointOnFaultEntry, title="on_fault"):
-    """As for a joint, for all of them; a joint's own wins over a show's, that over the robot's."""
+    """The same for all joints. That of a joint comes first, then of the show, then of the robot."""
 
-    lost_port: Escalation = Field(default=None, description="A port is gone. [resume, hold]")
+    lost_port: Escalation = Field(default=None, description="A port is lost. [resume, hold]")
 
 
 def escalations(entry: JointOnFaultEntry) -> Escalations:
-    """Return the escalations that an entry gives, by cause."""
+    """Return the escalations of an entry by cause."""
     return {Cause(key): value for key, value in entry if value is not None}
-
-
-ANGLE_MAX_DEG: Final = 36_000.0
-"""A hundred turns: more than any winch, and a slip of the key is still noticed."""
-
-SPEED_MIN_DEG_S: Final = 0.1
-"""The unit of SD on the wire (FACTS.md C24: tenths of a degree per second)."""
-
-FILTER_COUNT_MAX: Final = 20
-"""The largest FPC that anybody was seen to use (FACTS.md M10)."""
-
-ACCEL_MIN_DEG_S2: Final = 0.1
-"""Three orders below the smallest ramp of a servo; less is a typing error."""
 
 
 def _check_model(name: str) -> str:
@@ -139,9 +142,6 @@ def _check_baud(baud_bps: int) -> int:
     return baud_bps
 
 
-PORT_MAX_CHARS: Final = 256
-"""Names below /dev/serial/by-id are long; more than this is no name."""
-
 PortUrl = Annotated[str, Field(min_length=1, max_length=PORT_MAX_CHARS), AfterValidator(check_text)]
 SpeedLimit = Annotated[
     float | str | None,
@@ -174,12 +174,12 @@ class BusEntry(FileModel, title="bus"):
         default=READING_RATE_MIN_HZ,
         ge=0.0,
         le=1000.0,
-        description="So often a second each joint must be readable between the commands of a show.",
+        description="Each joint must be polled at least so often between the commands of a show.",
     )
 
 
 class ResponseEntry(FileModel, title="response"):
-    """What is assumed of a servo between the command and the horn; measure before changing."""
+    """What is assumed of a servo between command and horn; `lss-motion identify` measures it."""
 
     lag_s: float | None = Field(
         default=None,
@@ -197,7 +197,7 @@ class ResponseEntry(FileModel, title="response"):
         description="The servo's ramps are this many times what AA and AD say.",
     )
     retarget: Literal["keep_speed", "from_rest"] | None = Field(
-        default=None, description="How a command in mid-move starts."
+        default=None, description="Speed at which a command during a move starts."
     )
     filter_s: float | None = Field(
         default=None, gt=0.0, le=0.1, description="Period of the filter of a streamed servo."
@@ -210,7 +210,7 @@ class ResponseEntry(FileModel, title="response"):
 
 
 class JointDefaults(FileModel, title="joint defaults"):
-    """Fields that joints share; a joint's own value wins, key by key in settings and response."""
+    """Fields that joints share. Values of a joint come first; settings and response are merged."""
 
     bus: Name | None = Field(
         default=None, description="Name of the bus; may be left out where there is only one."
@@ -226,7 +226,7 @@ class JointDefaults(FileModel, title="joint defaults"):
     speed_max_deg_s: SpeedLimit = Field(
         default=None,
         description="Never move faster, in degrees per second. servo: what the servo is set to "
-        "(SD); it is asked, or --robot-cache says it.",
+        "(SD); it is read from the servo, or from --robot-cache.",
     )
     accel_max_deg_s2: AccelLimit = Field(
         default=None,
@@ -247,8 +247,7 @@ class JointDefaults(FileModel, title="joint defaults"):
         default=None,
         gt=0.0,
         le=360.0,
-        description="Further off its course than this, a joint is `astray` (see on_fault). "
-        "Default 10.",
+        description="Above this position error, a joint is `astray` (see on_fault). Default 10.",
     )
     temperature_max_c: float | None = Field(
         default=None,
@@ -267,8 +266,8 @@ class JointDefaults(FileModel, title="joint defaults"):
         default=None,
         ge=0.2,
         le=60.0,
-        description="Without an answer for so long, though asked, a servo is `silent` (see "
-        f"on_fault). Default {SILENT_S:g}; a servo that restarts is deaf for 1.25.",
+        description="Without a reply to queries for so long, a servo is `silent` (see on_fault). "
+        f"Default {SILENT_S:g}; a servo that restarts receives nothing for 1.25 s.",
     )
     settings: dict[str, int] | None = Field(
         default=None,
@@ -277,7 +276,7 @@ class JointDefaults(FileModel, title="joint defaults"):
     )
     stored: dict[str, float | Literal["DIS"]] | None = Field(
         default=None,
-        description="What the servo keeps without power, for `lss-motion configure`: by keyword, "
+        description="Settings that the servo stores, for `lss-motion configure`: by keyword, "
         "in the units of `lss-motion reference`; DIS switches a first position off. Playing "
         "neither reads nor writes it.",
         examples=[{"G": -1, "O": 2.5, "AS": 0, "LED": 3, "FD": "DIS"}],
@@ -299,7 +298,7 @@ class JointDefaults(FileModel, title="joint defaults"):
 
 
 class JointEntry(JointDefaults, title="joint"):
-    """One servo as the robot sees it."""
+    """One servo and its limits."""
 
     id: int = Field(ge=0, le=SERVO_ID_MAX, description="Id of the servo on its bus (QID).")
     on_fault: JointOnFaultEntry = Field(
@@ -317,13 +316,13 @@ class SensorEntry(FileModel, title="sensor"):
     )
     kind: Literal["raw", "GP2Y0A41SK0F", "GP2Y0A21YK0F", "GP2Y0A02YK0F"] = Field(
         default="raw",
-        description="What is connected: a Sharp distance sensor, which is read in mm, or anything "
-        "else, which is read as 0 to 1023.",
+        description="What is connected: a Sharp distance sensor, read in mm, or another, read as 0 to "
+        "1023.",
     )
 
 
 class MirrorEntry(FileModel, title="mirror"):
-    """Which joint is the mirror image of which; a joint on the midline is its own."""
+    """Pairs of joints that are mirror images; a joint on the midline is its own image."""
 
     same: dict[Name, Name] = Field(
         default={},
@@ -367,30 +366,30 @@ class RobotFile(FileModel, title="robot file"):
     )
     mirror: MirrorEntry = Field(
         default_factory=MirrorEntry,
-        description="Left and right, for sequences that say mirror: true.",
+        description="Left and right, for sequences with mirror: true.",
     )
     approach_speed_deg_s: float = Field(
         default=30.0,
         ge=SPEED_MIN_DEG_S,
-        description="How fast the robot goes from where it is to where the show starts.",
+        description="Speed of the move from where the robot is to where the show starts.",
     )
     end: Literal["hold", "limp"] = Field(
         default="hold",
-        description="What the servos do after the show: keep their position, or let go.",
+        description="After the show the servos hold their positions, or are limp.",
     )
     on_fault: OnFaultEntry = Field(
         default_factory=OnFaultEntry,
-        description="What is done when something is wrong, if neither joint nor show say it.",
+        description="What is done when something is wrong, unless joint or show have their own.",
     )
     patience_s: float = Field(
         default=PATIENCE_S,
         ge=0.0,
         le=600.0,
-        description="How long a trouble may last on one step of on_fault before the next.",
+        description="How long a fault may last on one step of on_fault before the next is taken.",
     )
     resume_s: float = Field(
         default=RESUME_S,
         gt=0.0,
         le=3600.0,
-        description="How long a lost port or silent servo is waited for (on_fault: resume).",
+        description="Longest wait for a lost port or a silent servo (on_fault: resume).",
     )

@@ -1,10 +1,7 @@
-"""robot.yaml → Robot: defaults are merged, and everything that must agree is checked here.
+"""robot.yaml → `Robot`: defaults are merged, and all that depends on several keys is checked.
 
-What must agree within one joint of a robot file.
-
-The analog inputs that a robot file names.
-
-Groups of joints, and which joint is the mirror image of which.
+Law: all problems of a file come in one `InputError`, each with its line. What could not be read
+is left out of later checks, so that one mistake is reported once.
 """
 
 from __future__ import annotations
@@ -32,6 +29,7 @@ from lss_motion.robot.servo_models import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
+    from lss_motion.files.yaml_source import YamlSource
     from lss_motion.robot.file import (
         JointDefaults,
         JointEntry,
@@ -46,10 +44,289 @@ if TYPE_CHECKING:
     Image = tuple[str, Literal[1, -1]]
 
 
+SIMULATED_PORT: Final = "sim://"
+"""Several buses may have this port, since each has its own simulation; a real port has one bus."""
+
+_NEEDED: Final = ("model", "range_deg", "speed_max_deg_s", "accel_max_deg_s2")
+
+MODEL_LIMITS: Final[Mapping[str, Callable[[ServoModel], float]]] = {
+    "speed_max_deg_s": lambda model: model.speed_max_deg_s,
+    "accel_max_deg_s2": lambda model: FAMILIES[model.family].accel_max_deg_s2,
+}
+"""The largest value that a model allows, by the name of the limit."""
+
+_PLAIN: Final = (
+    "speed_max_deg_s",
+    "accel_max_deg_s2",
+    "direction",
+    "zero_deg",
+    "following_deg",
+    "drive",
+    "filter_count",
+    "temperature_max_c",
+    "voltage_min_v",
+    "silent_s",
+)
+
+
+def load_robot(path: Path | str) -> Robot:
+    """Return the robot of a robot file.
+
+    Joints keep the order of the file. Raises `InputError` with file, line, value and remedy;
+    its `more` holds all further problems of the file.
+    """
+    from lss_motion.files.validation import validate
+    from lss_motion.robot.file import RobotFile
+
+    source = read_yaml(Path(path))
+    content, problems, left_out = validate(RobotFile, source)
+    if content is not None:
+        loader = _Loader(content, left_out, source.line)
+        robot = loader.robot(source.path)
+        problems += loader.problems
+        if not problems:
+            return robot
+    raise source.error(problems)
+
+
+def load_named_robot(source: YamlSource, name: str | None) -> Robot:
+    """Return the robot that the key `robot` of a sequence or gait file names.
+
+    The path is relative to that file. Raises `InputError` if the key or the file is missing.
+    """
+    if name is None:
+        raise source.error([Problem((), "no robot: give 'robot: FILE' here, or --robot FILE")])
+    path = source.path.parent / name
+    if not path.exists():
+        raise source.error(
+            [Problem(("robot",), f"robot file {name!r} not found; looked for {path}")]
+        )
+    return load_robot(path)
+
+
+def robot_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a robot file."""
+    from lss_motion.files.validation import json_schema
+    from lss_motion.robot.file import RobotFile
+
+    return json_schema(RobotFile)
+
+
+@dataclass(slots=True)
+class _Merged:
+    """The fields of one joint, its own in place of the defaults, and the location of each."""
+
+    fields: dict[str, Any]
+    places: dict[str, Location]
+
+    def place(self, name: str) -> Location:
+        return self.places[name]
+
+
+def _merge(name: str, defaults: JointDefaults, entry: JointEntry) -> _Merged:
+    merged = _Merged({}, {})
+    for owner, location in ((defaults, ("defaults",)), (entry, ("joints", name))):
+        for key in owner.model_fields_set:
+            value = getattr(owner, key)
+            if value is None:  # A key without a value; validation has reported it.
+                continue
+            if key == "response":
+                value = merged.fields.get(key, {}) | value.model_dump(exclude_none=True)
+            elif key in {"settings", "stored"}:
+                value = merged.fields.get(key, {}) | value
+                merged.places |= {f"{key}.{k}": (*location, key, k) for k in getattr(owner, key)}
+            merged.fields[key] = value
+            merged.places[key] = (*location, key)
+    return merged
+
+
+@dataclass(slots=True)
+class _Loader:
+    """Builds the robot of one file and collects its problems.
+
+    `left_out` are locations that could not be read; what depends on them is not checked.
+    """
+
+    content: RobotFile
+    left_out: frozenset[Location]
+    line: Callable[[Location], int]
+    problems: list[Problem] = field(default_factory=list)
+
+    def robot(self, path: Path) -> Robot:
+        """Return the robot; it can be used only if there are no `problems`."""
+        content = self.content
+        buses = {
+            name: Bus(
+                name=name,
+                port=b.port,
+                baud_bps=b.baud_bps,
+                firmware=b.firmware,
+                reading_rate_min_hz=b.reading_rate_min_hz,
+            )
+            for name, b in content.buses.items()
+        }
+        self._check_buses(buses)
+        built = {name: self._joint(name, entry) for name, entry in content.joints.items()}
+        joints = {name: joint for name, joint in built.items() if joint is not None}
+        self._check_ids(joints)
+        for location, reason in board_problems(buses, joints):
+            if self._is_checked(*location[:2]):
+                self._note(location, reason)
+        self._check_poses(joints)
+        sensors, problems = sensors_of(content.sensors, buses, joints)
+        self.problems += problems if self._is_checked("buses") else []
+        self.problems += group_problems(content.groups, self._named())
+        self.problems += mirror_problems(content.mirror, self._named())
+        return Robot(
+            name=content.robot,
+            path=path,
+            buses=buses,
+            joints=joints,
+            poses=content.poses,
+            groups=grouped(content.groups, joints),
+            mirror=mirror_images(content.mirror),
+            sensors=sensors,
+            approach_speed_deg_s=content.approach_speed_deg_s,
+            end=content.end,
+            on_fault=_escalations(content.on_fault),
+            patience_s=content.patience_s,
+            resume_s=content.resume_s,
+        )
+
+    def _note(self, location: Location, reason: str) -> None:
+        self.problems.append(Problem(location, reason))
+
+    def _is_checked(self, *location: str) -> bool:
+        return not any(self.left_out & {location[:1], location[:2]})
+
+    def _check_buses(self, buses: Mapping[str, Bus]) -> None:
+        ports: dict[str, str] = {}
+        for name, bus in buses.items():
+            firmware_min = BAUD_FIRMWARE_MIN[bus.baud_bps]
+            if bus.firmware < firmware_min:
+                self._note(
+                    ("buses", name, "baud_bps"),
+                    f"{bus.baud_bps} bps needs firmware {firmware_min} or later, but bus "
+                    f"{name!r} has {bus.firmware}; lower baud_bps or update the servos",
+                )
+            if bus.port == SIMULATED_PORT:
+                continue
+            if bus.port in ports:
+                self._note(
+                    ("buses", name, "port"),
+                    f"port {bus.port!r} already carries bus {ports[bus.port]!r}; "
+                    "give each bus its own port",
+                )
+            ports.setdefault(bus.port, name)
+
+    def _joint(self, name: str, entry: JointEntry) -> Joint | None:
+        merged = _merge(name, self.content.defaults, entry)
+        fields = merged.fields
+        missing = [
+            key for key in _NEEDED if key not in fields and self._is_checked("defaults", key)
+        ]
+        for key in missing:
+            self._note(
+                ("joints", name, key),
+                f"joint {name!r} has no {key!r}; give it here or under 'defaults'",
+            )
+        bus = self._bus(name, merged)
+        if bus is None or any(key not in fields for key in _NEEDED):
+            return None
+        model = SERVO_MODELS[fields["model"]]
+        fields.setdefault("drive", FAMILIES[model.family].drives[0])
+        unread = frozenset(key for key in MODEL_LIMITS if fields[key] == SERVO)
+        fields |= {key: MODEL_LIMITS[key](model) for key in unread}
+        joint = Joint(
+            name=name,
+            servo_id=entry.id,
+            bus=bus,
+            model=model,
+            position_min_deg=fields["range_deg"][0],
+            position_max_deg=fields["range_deg"][1],
+            settings=fields.get("settings", {}),
+            stored={
+                name: None if value == DISABLED else value
+                for name, value in fields.get("stored", {}).items()
+            },
+            response=Response(**fields.get("response", {})),
+            on_fault=_escalations(entry.on_fault),
+            unread=unread,
+            lines={key: self.line(place) for key, place in merged.places.items()},
+            **{key: fields[key] for key in _PLAIN if key in fields},
+        )
+        for location, reason in joint_field_problems(joint, merged.place):
+            self._note(location, reason)
+        return _within_ramps(joint) if joint.drive in ("timed", "auto") else joint
+
+    def _bus(self, name: str, merged: _Merged) -> str | None:
+        buses = self.content.buses
+        if not self._is_checked("buses") or any(place[0] == "buses" for place in self.left_out):
+            return None
+        if "bus" not in merged.fields:
+            if len(buses) == 1:
+                return next(iter(buses))
+            self._note(
+                ("joints", name, "bus"),
+                f"joint {name!r} has no 'bus', and there are several: {', '.join(buses)}",
+            )
+            return None
+        bus = str(merged.fields["bus"])
+        if bus not in buses:
+            self._note(merged.place("bus"), f"unknown bus {bus!r}; {known_names(bus, buses)}")
+            return None
+        return bus
+
+    def _check_ids(self, joints: Mapping[str, Joint]) -> None:
+        owners: dict[tuple[str, int], str] = {}
+        for name, joint in joints.items():
+            owner = owners.setdefault((joint.bus, joint.servo_id), name)
+            if owner != name:
+                self._note(
+                    ("joints", name, "id"),
+                    f"joints {owner!r} and {name!r} both have id {joint.servo_id} on bus "
+                    f"{joint.bus!r}; every servo of a bus needs its own id",
+                )
+
+    def _named(self) -> list[str]:
+        """Return the names of all joints, including those that could not be read."""
+        return [
+            *self.content.joints,
+            *(str(place[1]) for place in self.left_out if place[0] == "joints" and len(place) > 1),
+        ]
+
+    def _check_poses(self, joints: Mapping[str, Joint]) -> None:
+        named = self._named()
+        for pose, angles in self.content.poses.items():
+            for name, angle_deg in angles.items():
+                if name not in named:
+                    reason = f"pose {pose!r}: unknown joint {name!r}; {known_names(name, named)}"
+                    self._note(("poses", pose, name), reason)
+                elif name in joints and (reason := joints[name].range_problem(angle_deg)):
+                    self._note(("poses", pose, name), f"pose {pose!r}: {reason}")
+
+
+def _escalations(entry: JointOnFaultEntry) -> Escalations:
+    from lss_motion.robot.file import escalations
+
+    return escalations(entry)
+
+
+def _within_ramps(joint: Joint) -> Joint:
+    """Return the joint with the largest acceleration that the ramps of its servo can express."""
+    facts, ratio = FAMILIES[joint.model.family], joint.response.ramp_ratio
+    if facts.accel_step_deg_s2 == 0.0:
+        return joint
+    steps = ramp_steps(joint.accel_max_deg_s2, ratio)
+    if joint.accel_max_deg_s2 <= facts.accel_max_deg_s2:
+        steps = min(steps, RAMP_STEPS_MAX)
+    return replace(joint, accel_max_deg_s2=RAMP_STEP_DEG_S2 * ratio * steps)
+
+
 def joint_field_problems(
     joint: Joint, place: Callable[[str], Location]
 ) -> Iterator[tuple[Location, str]]:
-    """Yield what is wrong with a joint, and where; `place` says where a key of it stands."""
+    """Yield location and reason of each problem; `place` gives the location of a key."""
     model, facts = joint.model, FAMILIES[joint.model.family]
     if joint.position_min_deg >= joint.position_max_deg:
         yield (
@@ -95,7 +372,7 @@ def _unread_problems(
     if joint.unread and joint.model.family is Family.IO2:
         yield (
             place(max(joint.unread)),
-            f"joint {joint.name!r}: an RC servo on a 2IO knows no limits; give a number",
+            f"joint {joint.name!r}: an RC servo on a 2IO has no limits to read; give a number",
         )
     elif "accel_max_deg_s2" in joint.unread and joint.drive == "streamed":
         yield (
@@ -108,7 +385,7 @@ def _unread_problems(
 def _stored_problems(
     joint: Joint, place: Callable[[str], Location]
 ) -> Iterator[tuple[Location, str]]:
-    # Only a file that has the key pays for the tables of the protocol.
+    # Importing the tables of the protocol takes time, so only files with this key do it.
     from lss_motion.protocol.codec import stored_wire
 
     for keyword, stored in joint.stored.items():
@@ -121,7 +398,7 @@ def _stored_problems(
 def sensors_of(
     entries: Mapping[str, SensorEntry], buses: Iterable[str], joints: Mapping[str, Joint]
 ) -> tuple[dict[str, Sensor], list[Problem]]:
-    """Return the sensors by name, and what is wrong with them."""
+    """Return the sensors by name, and their problems."""
     known = list(buses)
     owners = {(joint.bus, joint.servo_id): f"joint {name!r}" for name, joint in joints.items()}
     sensors: dict[str, Sensor] = {}
@@ -158,7 +435,7 @@ def grouped(
 def group_problems(
     groups: Mapping[str, Sequence[str]], joints: Collection[str]
 ) -> Iterator[Problem]:
-    """Yield every member that is no joint, and every group that is called like one."""
+    """Yield every member that is not a joint, and every group with the name of a joint."""
     for group, members in groups.items():
         if group in joints:
             yield Problem(("groups", group), f"group {group!r} has the name of a joint")
@@ -179,7 +456,7 @@ def mirror_images(entry: MirrorEntry) -> dict[str, Image]:
 
 
 def mirror_problems(entry: MirrorEntry, joints: Collection[str]) -> Iterator[Problem]:
-    """Yield every pair with a joint that is unknown, or has an image already."""
+    """Yield every pair with a joint that is unknown or already has an image."""
     seen: set[str] = set()
     for key, pairs in (("same", entry.same), ("opposite", entry.opposite)):
         for left, right in pairs.items():
@@ -190,262 +467,3 @@ def mirror_problems(entry: MirrorEntry, joints: Collection[str]) -> Iterator[Pro
                 elif name in seen:
                     yield Problem(place, f"joint {name!r} has a mirror image already; keep one")
             seen |= {left, right}
-
-
-SIMULATED_PORT: Final = "sim://"
-"""Every simulated bus is its own, so several may have this port; a real port carries one bus."""
-
-_NEEDED: Final = ("model", "range_deg", "speed_max_deg_s", "accel_max_deg_s2")
-
-
-def load_robot(path: Path | str) -> Robot:
-    """Return the robot of a robot file.
-
-    Joints keep the order of the file. Raises `InputError` with file, line, value and remedy;
-    its `more` holds all further problems of the file.
-    """
-    from lss_motion.files.validation import validate
-    from lss_motion.robot.file import RobotFile
-
-    source = read_yaml(Path(path))
-    content, problems, left_out = validate(RobotFile, source)
-    if content is not None:
-        loader = _Loader(content, left_out, source.line)
-        robot = loader.robot(source.path)
-        problems += loader.problems
-        if not problems:
-            return robot
-    raise source.error(problems)
-
-
-def robot_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a robot file."""
-    from lss_motion.files.validation import json_schema
-    from lss_motion.robot.file import RobotFile
-
-    return json_schema(RobotFile)
-
-
-@dataclass(slots=True)
-class _Merged:
-    """The fields of one joint, its own before the defaults, and where each of them stands."""
-
-    fields: dict[str, Any]
-    places: dict[str, Location]
-
-    def place(self, name: str) -> Location:
-        return self.places[name]
-
-
-def _merge(name: str, defaults: JointDefaults, entry: JointEntry) -> _Merged:
-    merged = _Merged({}, {})
-    for owner, location in ((defaults, ("defaults",)), (entry, ("joints", name))):
-        for key in owner.model_fields_set:
-            value = getattr(owner, key)
-            if value is None:  # A key without a value: a problem that is known already.
-                continue
-            if key == "response":
-                value = merged.fields.get(key, {}) | value.model_dump(exclude_none=True)
-            elif key in {"settings", "stored"}:
-                value = merged.fields.get(key, {}) | value
-                merged.places |= {f"{key}.{k}": (*location, key, k) for k in getattr(owner, key)}
-            merged.fields[key] = value
-            merged.places[key] = (*location, key)
-    return merged
-
-
-@dataclass(slots=True)
-class _Loader:
-    """Builds the values of one file and notes what does not fit; parts left out are not judged."""
-
-    content: RobotFile
-    left_out: frozenset[Location]
-    line: Callable[[Location], int]
-    problems: list[Problem] = field(default_factory=list)
-
-    def robot(self, path: Path) -> Robot:
-        content = self.content
-        buses = {
-            name: Bus(
-                name=name,
-                port=b.port,
-                baud_bps=b.baud_bps,
-                firmware=b.firmware,
-                reading_rate_min_hz=b.reading_rate_min_hz,
-            )
-            for name, b in content.buses.items()
-        }
-        self._check_buses(buses)
-        built = {name: self._joint(name, entry) for name, entry in content.joints.items()}
-        joints = {name: joint for name, joint in built.items() if joint is not None}
-        self._check_ids(joints)
-        for location, reason in board_problems(buses, joints):
-            if self._is_judged(*location[:2]):
-                self._note(location, reason)
-        self._check_poses(joints)
-        sensors, problems = sensors_of(content.sensors, buses, joints)
-        self.problems += problems if self._is_judged("buses") else []
-        self.problems += group_problems(content.groups, self._named())
-        self.problems += mirror_problems(content.mirror, self._named())
-        return Robot(
-            name=content.robot,
-            path=path,
-            buses=buses,
-            joints=joints,
-            poses=content.poses,
-            groups=grouped(content.groups, joints),
-            mirror=mirror_images(content.mirror),
-            sensors=sensors,
-            approach_speed_deg_s=content.approach_speed_deg_s,
-            end=content.end,
-            on_fault=_escalations(content.on_fault),
-            patience_s=content.patience_s,
-            resume_s=content.resume_s,
-        )
-
-    def _note(self, location: Location, reason: str) -> None:
-        self.problems.append(Problem(location, reason))
-
-    def _is_judged(self, *location: str) -> bool:
-        return not any(self.left_out & {location[:1], location[:2]})
-
-    def _check_buses(self, buses: Mapping[str, Bus]) -> None:
-        ports: dict[str, str] = {}
-        for name, bus in buses.items():
-            firmware_min = BAUD_FIRMWARE_MIN[bus.baud_bps]
-            if bus.firmware < firmware_min:
-                self._note(
-                    ("buses", name, "baud_bps"),
-                    f"{bus.baud_bps} bps needs firmware {firmware_min} or later, but bus "
-                    f"{name!r} has {bus.firmware}; lower baud_bps or update the servos",
-                )
-            if bus.port == SIMULATED_PORT:
-                continue
-            if bus.port in ports:
-                self._note(
-                    ("buses", name, "port"),
-                    f"port {bus.port!r} already carries bus {ports[bus.port]!r}; "
-                    "give each bus its own port",
-                )
-            ports.setdefault(bus.port, name)
-
-    def _joint(self, name: str, entry: JointEntry) -> Joint | None:
-        merged = _merge(name, self.content.defaults, entry)
-        fields = merged.fields
-        missing = [key for key in _NEEDED if key not in fields and self._is_judged("defaults", key)]
-        for key in missing:
-            self._note(
-                ("joints", name, key),
-                f"joint {name!r} has no {key!r}; give it here or under 'defaults'",
-            )
-        bus = self._bus(name, merged)
-        if bus is None or any(key not in fields for key in _NEEDED):
-            return None
-        model = SERVO_MODELS[fields["model"]]
-        fields.setdefault("drive", FAMILIES[model.family].drives[0])
-        unread = frozenset(key for key in MODEL_LIMITS if fields[key] == SERVO)
-        fields |= {key: MODEL_LIMITS[key](model) for key in unread}
-        joint = Joint(
-            name=name,
-            servo_id=entry.id,
-            bus=bus,
-            model=model,
-            position_min_deg=fields["range_deg"][0],
-            position_max_deg=fields["range_deg"][1],
-            settings=fields.get("settings", {}),
-            stored={
-                name: None if value == DISABLED else value
-                for name, value in fields.get("stored", {}).items()
-            },
-            response=Response(**fields.get("response", {})),
-            on_fault=_escalations(entry.on_fault),
-            unread=unread,
-            lines={key: self.line(place) for key, place in merged.places.items()},
-            **{key: fields[key] for key in _PLAIN if key in fields},
-        )
-        for location, reason in joint_field_problems(joint, merged.place):
-            self._note(location, reason)
-        return _within_ramps(joint) if joint.drive in ("timed", "auto") else joint
-
-    def _bus(self, name: str, merged: _Merged) -> str | None:
-        buses = self.content.buses
-        if not self._is_judged("buses") or any(place[0] == "buses" for place in self.left_out):
-            return None
-        if "bus" not in merged.fields:
-            if len(buses) == 1:
-                return next(iter(buses))
-            self._note(
-                ("joints", name, "bus"),
-                f"joint {name!r} has no 'bus', and there are several: {', '.join(buses)}",
-            )
-            return None
-        bus = str(merged.fields["bus"])
-        if bus not in buses:
-            self._note(merged.place("bus"), f"unknown bus {bus!r}; {known_names(bus, buses)}")
-            return None
-        return bus
-
-    def _check_ids(self, joints: Mapping[str, Joint]) -> None:
-        owners: dict[tuple[str, int], str] = {}
-        for name, joint in joints.items():
-            owner = owners.setdefault((joint.bus, joint.servo_id), name)
-            if owner != name:
-                self._note(
-                    ("joints", name, "id"),
-                    f"joints {owner!r} and {name!r} both have id {joint.servo_id} on bus "
-                    f"{joint.bus!r}; every servo of a bus needs its own id",
-                )
-
-    def _named(self) -> list[str]:
-        """Return the names of all joints, also of those that could not be read."""
-        return [
-            *self.content.joints,
-            *(str(place[1]) for place in self.left_out if place[0] == "joints" and len(place) > 1),
-        ]
-
-    def _check_poses(self, joints: Mapping[str, Joint]) -> None:
-        named = self._named()
-        for pose, angles in self.content.poses.items():
-            for name, angle_deg in angles.items():
-                if name not in named:
-                    reason = f"pose {pose!r}: unknown joint {name!r}; {known_names(name, named)}"
-                    self._note(("poses", pose, name), reason)
-                elif name in joints and (reason := joints[name].range_problem(angle_deg)):
-                    self._note(("poses", pose, name), f"pose {pose!r}: {reason}")
-
-
-MODEL_LIMITS: Final[Mapping[str, Callable[[ServoModel], float]]] = {
-    "speed_max_deg_s": lambda model: model.speed_max_deg_s,
-    "accel_max_deg_s2": lambda model: FAMILIES[model.family].accel_max_deg_s2,
-}
-"""The most that a model can, by the name of the limit."""
-
-_PLAIN: Final = (
-    "speed_max_deg_s",
-    "accel_max_deg_s2",
-    "direction",
-    "zero_deg",
-    "following_deg",
-    "drive",
-    "filter_count",
-    "temperature_max_c",
-    "voltage_min_v",
-    "silent_s",
-)
-
-
-def _escalations(entry: JointOnFaultEntry) -> Escalations:
-    from lss_motion.robot.file import escalations
-
-    return escalations(entry)
-
-
-def _within_ramps(joint: Joint) -> Joint:
-    """Return the joint with the acceleration that its servo's ramps can express."""
-    facts, ratio = FAMILIES[joint.model.family], joint.response.ramp_ratio
-    if facts.accel_step_deg_s2 == 0.0:
-        return joint
-    steps = ramp_steps(joint.accel_max_deg_s2, ratio)
-    if joint.accel_max_deg_s2 <= facts.accel_max_deg_s2:
-        steps = min(steps, RAMP_STEPS_MAX)
-    return replace(joint, accel_max_deg_s2=RAMP_STEP_DEG_S2 * ratio * steps)

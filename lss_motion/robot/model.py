@@ -1,4 +1,7 @@
-"""What a robot is: buses, joints, limits and poses. Values only; `robot.load` makes them."""
+"""The values of a robot: buses, joints, limits and poses.
+
+They are immutable. `robot.load` makes them from files.
+"""
 
 from __future__ import annotations
 
@@ -16,25 +19,24 @@ if TYPE_CHECKING:
     from lss_motion.robot.on_fault import Cause, Escalations, FaultStep
 
 FOLLOWING_DEG: Final = 10.0
-"""Chosen: ten times what a healthy joint strays, and nothing hits anything yet."""
+"""Chosen: ten times the position error of a healthy joint, and small enough to avoid collisions."""
 TEMPERATURE_MAX_C: Final = 75.0
 """Chosen: ten degrees below the safe mode of an LSS (FACTS.md S7)."""
 VOLTAGE_MIN_V: Final = 6.0
-"""The least that an LSS is made for (FACTS.md E4); no document gives it for an LSS-PRO."""
+"""The lowest voltage of an LSS (FACTS.md E4); no document gives it for an LSS-PRO."""
 SILENT_S: Final = 1.0
-"""Chosen: shorter than the 1.25 s for which a servo that restarts is deaf, so that it is noticed
-before it could be driven without its settings; long enough for a line that loses every third
-answer."""
+"""Chosen: shorter than the 1.25 s for which a restarting servo receives nothing, so that a restart
+is detected before the servo is driven without its settings; long enough for a line that loses every
+third reply."""
 READING_RATE_MIN_HZ: Final = 2.0
-"""Chosen: two chances to be heard before a joint counts as silent (`SILENT_S`)."""
+"""Chosen: two polls before a joint counts as silent (`SILENT_S`)."""
 PATIENCE_S: Final = 3.0
-"""Chosen: as long as a heavy move takes at a tenth of its speed to catch up with."""
+"""Chosen: at a tenth of the speed a joint catches up with a heavy move in this time."""
 RESUME_S: Final = 10.0
-"""Chosen: time to push a plug back in; after that somebody may have reached into the robot."""
-
+"""Chosen: time to push a plug back in. Later, a person may have reached into the robot."""
 
 SERVO: Final = "servo"
-"""In place of a limit in a robot file: what the servo itself is set to."""
+"""In place of a limit in a robot file: the limit that is set in the servo."""
 
 Drive = Literal["timed", "streamed", "stepped"]
 """How a joint is commanded (FACTS.md M1): `D…T…` in EM1; bare `D` through the filter of EM0; whole
@@ -46,9 +48,9 @@ class Response:
     """What is assumed of a servo between the command and the horn. Every field is an assumption.
 
     `lag_s`        the horn follows the servo's own profile this much later
-    `loop_s`       the servo takes up a command at its next control tick (5 ms: maker's staff)
-    `filter_s`     in EM0 the filter steps this often (20 ms, four ticks: maker's staff). When it
-                   does so within its period nobody can know, so it is taken to be half-way
+    `loop_s`       the servo starts a command at its next control tick (5 ms: maker's staff)
+    `filter_s`     in EM0 the filter steps this often (20 ms, four ticks: maker's staff). The phase
+                   of its steps cannot be observed, so half a period is assumed
     `ramp_ratio`   its ramps are this many times what AA and AD say; that a step of theirs is
                    10 deg/s² has weak sources (FACTS.md M20)
     `retarget`     a new `D…T…` in mid-move starts from the profile's position and speed
@@ -67,7 +69,7 @@ class Response:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoModel:
-    """One row of the table of servo models (`robot.models`)."""
+    """One row of the table of servo models (`robot.servo_models`)."""
 
     name: str
     family: Family
@@ -76,7 +78,7 @@ class ServoModel:
     wire_per_deg: int
     """Position units on the wire per degree: 10 (LSS, 2IO, tenths), 100 (LSS-PRO, hundredths)."""
     wire_step: int = 1
-    """A target is a multiple of so many wire units: 10 for a 2IO, which knows whole degrees."""
+    """A target is a multiple of so many wire units: 10 for a 2IO, which has whole degrees only."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,12 +90,12 @@ class Bus:
     baud_bps: int
     firmware: int
     reading_rate_min_hz: float = READING_RATE_MIN_HZ
-    """So often each joint of a show must be readable between its commands, in every second."""
+    """Each joint of a show must be polled at least so often between its commands."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Joint:
-    """One servo as the robot sees it: named, bounded, turning the right way.
+    """One servo with its name, limits, direction and zero.
 
     Joint angle and servo angle: `servo_deg = zero_deg + direction * joint_deg`.
     """
@@ -107,18 +109,18 @@ class Joint:
     speed_max_deg_s: float
     accel_max_deg_s2: float
     unread: frozenset[str] = frozenset()
-    """Which of the two limits are what the servo is set to, while nobody has asked it. Until then
-    they are the most that its model can, and `plan` refuses the joint."""
+    """Limits that are set in the servo and were not read yet. Until they are, they have the largest
+    value of the model, and `plan` refuses the joint."""
     direction: Literal[1, -1] = 1
     zero_deg: float = 0.0
     following_deg: float = FOLLOWING_DEG
-    """Further off its course than this, it is astray."""
+    """Above this position error the joint is astray."""
     temperature_max_c: float = TEMPERATURE_MAX_C
     voltage_min_v: float = VOLTAGE_MIN_V
     silent_s: float = SILENT_S
-    """Without an answer for so long, though asked, its servo is silent."""
+    """Without a reply to queries for so long, its servo is silent."""
     on_fault: Escalations = field(default_factory=dict)
-    """What this joint does otherwise than its show and its robot."""
+    """Escalations of this joint, in place of those of its show and its robot."""
     settings: Mapping[str, int] = field(default_factory=dict)
     """Session settings to send before playing, such as `{"AS": -2}`; wire values."""
     stored: Mapping[str, float | None] = field(default_factory=dict)
@@ -127,23 +129,25 @@ class Joint:
     response: Response = field(default_factory=Response)
     drive: Drive | Literal["auto"] = "timed"
     filter_count: int = 4
-    """FPC of a streamed joint. Chosen: see `program.stream`."""
+    """FPC of a streamed joint. Chosen: see `program.streamed`."""
     lines: Mapping[str, int] = field(default_factory=dict, compare=False, repr=False)
-    """Where the robot file says it: the line of each field."""
+    """The line of each field in the robot file."""
 
     @property
     def unit_deg(self) -> float:
-        """The least by which two targets can differ."""
+        """The smallest difference between two targets."""
         return self.model.wire_step / self.model.wire_per_deg
 
     def servo_deg(self, joint_deg: float) -> float:
+        """Return the servo angle of a joint angle."""
         return self.zero_deg + self.direction * joint_deg
 
     def joint_deg(self, servo_deg: float) -> float:
+        """Return the joint angle of a servo angle."""
         return self.direction * (servo_deg - self.zero_deg)
 
     def range_problem(self, joint_deg: float) -> str:
-        """Return why the joint may not stand at `joint_deg`, or nothing if it may."""
+        """Return why `joint_deg` is not allowed; an empty text if it is."""
         if self.position_min_deg <= joint_deg <= self.position_max_deg:
             return ""
         return (
@@ -154,10 +158,10 @@ class Joint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensor:
-    """One analog input of an LSS-2IO: answers `QA` with millimetres, or with what it measures.
+    """One analog input of an LSS-2IO, which is read with `QA`.
 
-    `kind` is `raw` (0 to 1023) or the model of the distance sensor at that input, which the board
-    knows how to convert.
+    `kind` is `raw` (0 to 1023), or the model of the distance sensor at that input; the board
+    converts its readings to millimetres.
     """
 
     name: str
@@ -167,6 +171,7 @@ class Sensor:
 
     @property
     def unit(self) -> Literal["raw", "mm"]:
+        """The unit of its readings."""
         return "raw" if self.kind == "raw" else "mm"
 
 
@@ -182,17 +187,17 @@ class Robot:
     groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Joints by the name of their group, such as `head` or `left_arm`."""
     mirror: Mapping[str, tuple[str, Literal[1, -1]]] = field(default_factory=dict)
-    """For each joint its mirror image and the sign of the angle there; its own, on the midline."""
+    """For each joint its mirror image and the sign of the angle there."""
     sensors: Mapping[str, Sensor] = field(default_factory=dict)
     approach_speed_deg_s: float = 30.0
     end: Literal["hold", "limp"] = "hold"
     read_limits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    """Limits by joint and name that the file leaves to the servos, and that they have said."""
+    """Limits by joint and name that were read from the servos, as the file requires (`servo`)."""
     on_fault: Escalations = field(default_factory=dict)
     patience_s: float = PATIENCE_S
-    """How long a trouble may last on one step of its ladder before the next is taken."""
+    """How long a fault may last on one step of its escalation before the next is taken."""
     resume_s: float = RESUME_S
-    """How long what is gone is waited for."""
+    """Longest wait for a lost port or a silent servo."""
 
     def __repr__(self) -> str:
         """Return one line: name and counts."""
@@ -201,13 +206,13 @@ class Robot:
 
     @property
     def unread(self) -> list[Joint]:
-        """The joints with a limit that is what the servo is set to, and nobody knows it yet."""
+        """The joints with a limit that is set in the servo and was not read yet."""
         return [joint for joint in self.joints.values() if joint.unread]
 
     def escalation(
         self, cause: Cause, joint: Joint | None, show: Escalations
     ) -> tuple[FaultStep, ...]:
-        """Return what is done about `cause`: what the joint says, the show, the robot, or all."""
+        """Return the steps for `cause`: of joint, else show, else robot, else the default."""
         own: Escalations = {} if joint is None else joint.on_fault
         return next(
             given[cause] for given in (own, show, self.on_fault, DEFAULTS) if cause in given

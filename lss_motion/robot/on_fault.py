@@ -1,8 +1,8 @@
-"""What may go wrong with a joint while it is driven, and what is then to be done: `on_fault`.
+"""Faults of a driven joint, and the steps that are taken on each: `on_fault`.
 
-A cause has a ladder: its steps are taken one after the other, the next when the trouble has
-lasted `patience_s` on the one before. Where a ladder is given in several places, the joint's wins
-over the show's, the show's over the robot's, and that over `DEFAULTS`.
+Each cause has an escalation, a list of steps. The next step is taken when the fault has lasted
+`patience_s` on the one before. Where several are given, that of the joint is used, else of the
+show, else of the robot, else of `DEFAULTS`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Cause(StrEnum):
-    """What is wrong."""
+    """A kind of fault."""
 
     ASTRAY = "astray"
     STUCK = "stuck"
@@ -33,27 +33,27 @@ class Cause(StrEnum):
 
 
 class FaultStep(StrEnum):
-    """What is done about it."""
+    """A step that is taken on a fault."""
 
     WARN = "warn"
-    """Say so."""
+    """Show a warning."""
     SLOW = "slow"
-    """Slow the show clock, for all joints, until this one has caught up."""
+    """Slow the show clock for all joints until this one has caught up."""
     RESUME = "resume"
-    """Brake all, wait until it is back, give it its settings, go back to the place, go on."""
+    """Brake all joints, wait until it replies, set it up again, return to the pose, continue."""
     HOLD = "hold"
-    """Brake all within the limits, and end the show holding."""
+    """Brake all joints within the limits and end the show; the servos hold."""
     LIMP = "limp"
-    """Let this joint go at once, and do as for `hold` with the others."""
+    """Switch this joint limp at once; `hold` for the others."""
 
 
 Escalations: TypeAlias = "Mapping[Cause, tuple[FaultStep, ...]]"
 
 ENDING: Final = frozenset({FaultStep.HOLD, FaultStep.LIMP})
-"""Steps after which there is no other."""
+"""Steps that end the show, so no step can follow."""
 
 RESUMABLE: Final = frozenset({Cause.SILENT, Cause.RESTARTED, Cause.LOST_PORT})
-"""Causes that may be over by themselves; only for these there is `resume`."""
+"""Causes that can pass without a repair; only these allow `resume`."""
 
 DEFAULTS: Final[Escalations] = MappingProxyType(
     {
@@ -63,7 +63,7 @@ DEFAULTS: Final[Escalations] = MappingProxyType(
         Cause.BLOCKED: (FaultStep.HOLD,),
         Cause.SAFE_MODE: (FaultStep.HOLD,),
         Cause.ERROR: (FaultStep.HOLD,),
-        # The servo protects itself ten degrees further on.
+        # The servo protects itself at a temperature ten degrees higher.
         Cause.HOT: (FaultStep.WARN,),
         Cause.LOW_VOLTAGE: (FaultStep.WARN,),
         Cause.RESTARTED: (FaultStep.RESUME, FaultStep.HOLD),
@@ -74,7 +74,7 @@ DEFAULTS: Final[Escalations] = MappingProxyType(
 
 
 def escalation_problem(cause: str, steps: Sequence[object]) -> str:
-    """Return why `steps` are no ladder for `cause`, or nothing if they are one."""
+    """Return why `steps` are not an escalation for `cause`; an empty text if they are."""
     if not steps:
         return f"names no step; {known_names('', map(str, FaultStep))}"
     for place, step in enumerate(steps):
@@ -92,12 +92,12 @@ def escalation_problem(cause: str, steps: Sequence[object]) -> str:
 
 
 def escalations_text(escalations: Escalations) -> str:
-    """Return escalations in one line: `astray=warn silent=resume,hold`."""
+    """Return escalations in one line, such as `astray=warn silent=resume,hold`."""
     return " ".join(f"{cause}={','.join(steps)}" for cause, steps in escalations.items())
 
 
 def escalations_from(text: str) -> Escalations:
-    """Return the escalations of `escalations_text`; ValueError for anything else."""
+    """Return the escalations of `escalations_text`; raises `ValueError` for other text."""
     escalations = {}
     for item in text.split():
         cause, _, words = item.partition("=")

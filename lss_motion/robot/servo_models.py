@@ -1,6 +1,7 @@
-"""The table of servo models, and what each family can do that playing needs.
+"""The table of servo models and families, the drives that fit them, and the limits of a board.
 
-Which drive fits which servo model, and what an LSS-2IO asks of the bus that it is on.
+`SERVO_MODELS` and `FAMILIES` are the facts. `board_problems` checks drives, lines and ranges of a
+robot against them, and against the limits of an LSS-2IO for the bus that it is on.
 """
 
 from __future__ import annotations
@@ -23,23 +24,23 @@ if TYPE_CHECKING:
 
 PRO_SPEED_MAX_ASSUMED_DEG_S: Final = 180.0
 """Assumption: no document gives the top speed of an LSS-PRO. Twice what real arms use (90 deg/s,
-FACTS.md P9), so that a sober setting is never refused."""
+FACTS.md P9), so that no sensible setting is refused."""
 
 RC_SPEED_MAX_ASSUMED_DEG_S: Final = 400.0
-"""Assumption: an RC servo on a 2IO can be of any make; 0.15 s for 60 deg is a common one."""
+"""Assumption: an RC servo on a 2IO can be of any make; 0.15 s for 60 deg is common."""
 
 IO2_WIRE_STEP: Final = 10
-"""A 2IO takes tenths of a degree and makes whole degrees of them (FACTS.md B6)."""
+"""A 2IO receives tenths of a degree and rounds them to whole degrees (FACTS.md B6)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FamilyFacts:
-    """What all models of a family have in common.
+    """Facts that hold for all models of a family.
 
-    `drives` are those that it can be commanded with, its usual one first.
-    `accel_max_deg_s2` is what the ramps AA and AD can express; a timed joint cannot follow more.
-    `settings` are the session settings that a robot file may set, with their least and largest
-    value. EM, FPC, AA, AD and SD are not among them: the player sets those to what the plan needs.
+    `drives` are the drives that it allows, the default first.
+    `accel_max_deg_s2` is the largest acceleration that the ramps AA and AD can express.
+    `settings` are the session settings that a robot file may set, with their smallest and largest
+    value. EM, FPC, AA, AD and SD are not among them: the player sets those as the plan needs them.
     """
 
     wire_per_deg: int
@@ -50,7 +51,7 @@ class FamilyFacts:
 
 
 RAMP_STEP_DEG_S2: Final = 10
-"""AA and AD count in tens of deg/s² (FACTS.md M20)."""
+"""The unit of AA and AD (FACTS.md M20)."""
 RAMP_STEPS_MAX: Final = 100
 """The largest AA and AD, and the default (FACTS.md M20)."""
 
@@ -79,7 +80,7 @@ FAMILIES: Final[Mapping[Family, FamilyFacts]] = MappingProxyType(
         Family.IO2: FamilyFacts(
             drives=("stepped",),
             wire_per_deg=10,  # tenths (FACTS.md B6)
-            accel_step_deg_s2=0.0,  # no ramps: it jumps
+            accel_step_deg_s2=0.0,  # no ramps: it moves at full speed
             accel_max_deg_s2=math.inf,
             settings=MappingProxyType({}),
         ),
@@ -121,47 +122,48 @@ BAUD_FIRMWARE_MIN: Final[Mapping[int, int]] = MappingProxyType(
         **dict.fromkeys([750000, 921600], 369),
     }
 )
-"""The baud rates that a servo recognises, and from which firmware; no others exist."""
+"""All baud rates of the servos, with the first firmware that has each."""
 
 SERVO_ID_MAX: Final = 250
 """Ids 0 to 250 are usable (FACTS.md R1); this also bounds the joints of one bus to 251."""
 
 
-def model_mismatch_text(joint: Joint, said: str) -> str:
-    """Return what to say of a servo that says that it is another model than the robot file does."""
-    known = next((name for name in SERVO_MODELS if said.startswith(name)), None)
+def model_mismatch_text(joint: Joint, reported: str) -> str:
+    """Return the text for a servo that reports another model than the robot file has."""
+    known = next((name for name in SERVO_MODELS if reported.startswith(name)), None)
     remedy = "" if known is None else f"; if it is the right servo, write `model: {known}` there"
     return (
-        f"servo {joint.servo_id} is an {said}, the robot file says {joint.model.name}{remedy}. "
-        f"Look whether the servo of this joint has another id, or hangs on another bus"
+        f"servo {joint.servo_id} is an {reported}, the robot file says {joint.model.name}{remedy}. "
+        f"Check whether the servo of this joint has another id, or is on another bus"
     )
 
 
 def ramp_steps(accel_deg_s2: float, ramp_ratio: float) -> int:
-    """Return the AA and AD whose ramps, `ramp_ratio` of what they say, are nearest below.
+    """Return the AA and AD whose ramps are nearest below `accel_deg_s2`.
 
-    Rounded up, the servo would break the limit with every ramp. Not bounded to what exists.
+    Real ramps are `ramp_ratio` times the setting. Rounded up, every ramp would break the limit. The
+    result is not bounded to the range of AA and AD.
     """
     return math.floor(round(accel_deg_s2 / (RAMP_STEP_DEG_S2 * ramp_ratio), 6))
 
 
 FILTER_FIRMWARE_MIN: Final = 368
-"""Firmware 368 brought FPC (FACTS.md M5)."""
+"""The first firmware with FPC (FACTS.md M5)."""
 RC_RANGE_DEG: Final = 90.0
-"""An LSS-2IO turns its RC servos by ±90 (FACTS.md B6)."""
+"""An LSS-2IO turns its RC servos by ±90 deg (FACTS.md B6)."""
 DURATION_DIGITS_MS: Final = 9_999
-"""The longest T that a move on the bus is given (`program.course.DURATION_MAX_MS`)."""
+"""The longest T of a move (`DURATION_MAX_MS` of `program`)."""
 
 _WHY: Final = {
     (Family.LSS_PRO, "streamed"): "no document gives an LSS-PRO the filter (FPC) that it needs",
-    (Family.IO2, "timed"): "an RC servo knows no T; it jumps",
-    (Family.IO2, "streamed"): "an RC servo has no filter; it jumps",
+    (Family.IO2, "timed"): "an RC servo has no T and moves at full speed",
+    (Family.IO2, "streamed"): "an RC servo has no filter and moves at full speed",
 }
 _STEPPED_WHY: Final = "whole degrees are for the RC servos of an LSS-2IO"
 
 
 def drive_problem(model: ServoModel, drive: Drive) -> str:
-    """Return why a servo of that model cannot be driven so, or nothing if it can."""
+    """Return why a servo of that model does not allow a drive; an empty text if it does."""
     allowed = FAMILIES[model.family].drives
     if drive in allowed:
         return ""
@@ -170,14 +172,14 @@ def drive_problem(model: ServoModel, drive: Drive) -> str:
 
 
 def can_be_streamed(joint: Joint, bus: Bus) -> bool:
-    """Return whether a servo of that model and firmware has the filter of EM0."""
+    """Return whether the servo has the filter of EM0, by its model and the firmware of the bus."""
     return "streamed" in FAMILIES[joint.model.family].drives and bus.firmware >= FILTER_FIRMWARE_MIN
 
 
 def board_problems(
     buses: Mapping[str, Bus], joints: Mapping[str, Joint]
 ) -> Iterator[tuple[tuple[str, str, str], str]]:
-    """Yield place and reason of every drive, line and range that model and bus do not allow."""
+    """Yield location and reason of every drive, line and range that model or bus do not allow."""
     has_board = {j.bus for j in joints.values() if j.model.family is Family.IO2}
     for name in sorted(has_board):
         if buses[name].baud_bps > BAUD_MAX_BPS:
@@ -202,7 +204,7 @@ def board_problems(
             yield (
                 ("joints", joint.name, "id"),
                 f"joint {joint.name!r}: {_longest(joint).decode()} has more than the "
-                f"{SECTION_MAX_CHARS} characters that the LSS-2IO on bus {joint.bus!r} can bear; "
+                f"{SECTION_MAX_CHARS} characters that the LSS-2IO on bus {joint.bus!r} allows; "
                 f"give it a shorter id or another bus",
             )
 

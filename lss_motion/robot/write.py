@@ -1,4 +1,8 @@
-"""What was measured, into a robot file that a person wrote; all else in it stays as it is."""
+"""Writes measured values into a robot file that a person wrote.
+
+Law: all other text of the file stays as it is, comments included. The file is replaced at once or
+not at all, after the new text was loaded and compared with the expected robot.
+"""
 
 from __future__ import annotations
 
@@ -32,9 +36,8 @@ def write_response(
 ) -> None:
     """Set fields of a joint's `response` in the robot file, or in a copy of it at `output`.
 
-    `comments` stand above the joint, in place of those of the last time. The file is replaced at
-    once or not at all. Raises `InputError` where the text cannot be changed alone, and where the
-    changed file would say anything else than the old one but for these values.
+    `comments` are written above the joint, in place of those of the last call. Raises `InputError`
+    if the text cannot be changed, or if the changed file would differ in other values.
     """
     text, mark = _text_of(path)
     changed = set_values(path, text, ("joints", joint_name, "response"), values)
@@ -43,46 +46,46 @@ def write_response(
     joint = robot.joints[joint_name]
 
     def expected(made: Robot) -> Robot:
-        wanted = replace(
+        measured = replace(
             joint,
             response=replace(joint.response, **values),
-            accel_max_deg_s2=made.joints[joint_name].accel_max_deg_s2,  # It follows from the ramps.
+            accel_max_deg_s2=made.joints[joint_name].accel_max_deg_s2,  # Depends on the ramps.
         )
-        return replace(robot, joints={**robot.joints, joint_name: wanted})
+        return replace(robot, joints={**robot.joints, joint_name: measured})
 
-    said = ", ".join(f"{key}: {value}" for key, value in values.items())
+    text = ", ".join(f"{key}: {value}" for key, value in values.items())
     _replace(
         mark + changed.encode("utf-8"),
         output or path,
         source=path,
         expected=expected,
-        by_hand=f"joint {joint_name!r}: add `response: {{{said}}}` to it",
+        by_hand=f"joint {joint_name!r}: add `response: {{{text}}}` to it",
     )
 
 
 def write_pose(path: Path, name: str, angles_deg: Mapping[str, float]) -> None:
-    """Add a pose to the robot file, or set the joints that it gives of one that is there.
+    """Add a pose to the robot file, or set joints of a pose that it has.
 
-    The file is replaced at once or not at all. Raises `InputError` as `write_response` does.
+    Raises `InputError` as `write_response` does.
     """
     text, mark = _text_of(path)
     changed = set_values(path, text, ("poses", name), angles_deg)
     robot = load_robot(path)
     pose = {**robot.poses.get(name, {}), **angles_deg}
-    said = ", ".join(f"{joint}: {angle:g}" for joint, angle in angles_deg.items())
+    text = ", ".join(f"{joint}: {angle:g}" for joint, angle in angles_deg.items())
     _replace(
         mark + changed.encode("utf-8"),
         path,
         source=path,
         expected=lambda _: replace(robot, poses={**robot.poses, name: pose}),
-        by_hand=f"add `{name}: {{{said}}}` to its poses",
+        by_hand=f"add `{name}: {{{text}}}` to its poses",
     )
 
 
 def write_frames(path: Path, frames: Mapping[str, tuple[float, Literal[1, -1]]]) -> None:
-    """Set `zero_deg` and `direction` of joints in the robot file; what is so already stays.
+    """Set `zero_deg` and `direction` of joints in the robot file; equal values are not written.
 
-    The file is replaced at once or not at all. Raises `InputError` as `write_response` does.
+    Raises `InputError` as `write_response` does.
     """
     text, mark = _text_of(path)
     robot = load_robot(path)
@@ -96,13 +99,13 @@ def write_frames(path: Path, frames: Mapping[str, tuple[float, Literal[1, -1]]])
             values["direction"] = direction
         text = set_values(path, text, ("joints", name), values)
         joints[name] = replace(joint, zero_deg=zero_deg, direction=direction)
-    said = "; ".join(f"{n}: zero_deg {z:g}, direction {d}" for n, (z, d) in frames.items())
+    by_hand = "; ".join(f"{n}: zero_deg {z:g}, direction {d}" for n, (z, d) in frames.items())
     _replace(
         mark + text.encode("utf-8"),
         path,
         source=path,
         expected=lambda _: replace(robot, joints=joints),
-        by_hand=f"set {said}",
+        by_hand=f"set {by_hand}",
     )
 
 
@@ -120,7 +123,7 @@ def _replace(
     expected: Callable[[Robot], Robot],
     by_hand: str,
 ) -> None:
-    """Replace the file, unless it would change more, or less, than it should."""
+    """Replace the file if `data` loads as the expected robot; else raise `InputError`."""
     target = output.resolve()
     try:
         with NamedTemporaryFile(dir=target.parent, suffix=".yaml", delete=False) as temporary:
@@ -134,7 +137,7 @@ def _replace(
                     path=source,
                 )
             shutil.copymode(source, made)
-            os.replace(made, target)  # noqa: PTH105  (what is meant, by its name)
+            os.replace(made, target)  # noqa: PTH105  (the name says that it replaces)
         finally:
             with suppress(FileNotFoundError):
                 made.unlink()

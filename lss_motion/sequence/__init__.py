@@ -1,6 +1,14 @@
-"""sequence.yaml ⇄ Sequence: what the author wants, and when.
+"""sequence.yaml ⇄ `Sequence`: keyframes, play lists, layers and events as an author writes them.
 
-`load.load_sequence(path)` reads a sequence file and the robot file that it names,
-`write.write_sequence` writes one that a person can read and edit, `check.check_sequence` holds a
-sequence against a robot, `load.sequence_schema()` describes the file to an editor.
+===========  =====================================================  ===============================
+file         what it is                                             called by
+===========  =====================================================  ===============================
+`model`      the values: `Sequence`, `Keyframe`, `Layer`, `Cue`, …  every package above
+`file`       the keys of a sequence file, their units and bounds    `load`, `gait.file`
+`load`       file → `Sequence`, with its robot; its JSON Schema     `api`, `cli`
+`keyframes`  the keyframes of one track; a sequence at a speed      `load`, `parts`, `trajectory`
+`parts`      steps of a play list, layers; a mirrored sequence      `load`
+`check`      what robot and sequence must agree on; what loops      `load`, `cli`, `interchange`
+`write`      `Sequence` → file that a person can edit               `cli`
+===========  =====================================================  ===============================
 """

@@ -1,4 +1,7 @@
-"""What must hold between a sequence and the robot that plays it, and within a loop."""
+"""Checks of keyframes: joints and ranges of the robot, moves that take no time, loops that close.
+
+The functions yield or return reasons as texts for people; only `check_sequence` raises.
+"""
 
 from __future__ import annotations
 
@@ -8,24 +11,23 @@ from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from collections.abc import Sequence as SequenceOf
+    from collections import abc
 
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.model import Keyframe, Sequence
 
 SEAM_TOLERANCE_DEG: Final = 1e-6
-"""Far below the finest unit of a servo (0.01 deg), far above the error of adding decimals."""
+"""Far below the finest unit of a servo (0.01 deg), far above rounding errors of sums."""
 
 SAME_TIME_S: Final = 1e-6
-"""Times closer than this are the same: far below a millisecond, above the error of sums."""
+"""Times closer than this are the same: far below a millisecond, above rounding errors of sums."""
 
 
 def check_sequence(sequence: Sequence, robot: Robot, *, is_offset: bool = False) -> None:
-    """Raise `InputError`, one for all problems, unless `robot` knows and allows every key.
+    """Raise one `InputError` for all keys of joints that `robot` lacks or angles out of range.
 
     Tracks, steps and layers are checked as well. `is_offset`: the angles are added to others, so
-    that no range says anything about them.
+    no range applies to them alone.
     """
     errors = list(_errors(sequence, robot, is_offset=is_offset))
     if errors:
@@ -33,7 +35,7 @@ def check_sequence(sequence: Sequence, robot: Robot, *, is_offset: bool = False)
         raise InputError(top.reason, path=top.path, line=top.line, more=errors[1:])
 
 
-def _errors(sequence: Sequence, robot: Robot, *, is_offset: bool) -> Iterator[InputError]:
+def _errors(sequence: Sequence, robot: Robot, *, is_offset: bool) -> abc.Iterator[InputError]:
     for index, _, reason in joint_problems(sequence.keyframes, robot, is_offset=is_offset):
         yield InputError(reason, path=sequence.path, line=sequence.keyframes[index].line)
     for track in sequence.tracks:
@@ -46,9 +48,9 @@ def _errors(sequence: Sequence, robot: Robot, *, is_offset: bool) -> Iterator[In
 
 
 def joint_problems(
-    keyframes: SequenceOf[Keyframe], robot: Robot, *, is_offset: bool = False
-) -> Iterator[tuple[int, str, str]]:
-    """Yield keyframe index, joint and reason of every key that `robot` cannot take."""
+    keyframes: abc.Sequence[Keyframe], robot: Robot, *, is_offset: bool = False
+) -> abc.Iterator[tuple[int, str, str]]:
+    """Yield keyframe index, joint and reason of every key that `robot` cannot play."""
     for index, keyframe in enumerate(keyframes):
         for name, angle_deg in keyframe.deg.items():
             joint = robot.joints.get(name)
@@ -58,8 +60,8 @@ def joint_problems(
                 yield index, name, reason
 
 
-def jumps(keyframes: SequenceOf[Keyframe]) -> Iterator[tuple[int, str]]:
-    """Yield index and reason of keyframes that move a joint in no time: a hold ends right there."""
+def jumps(keyframes: abc.Sequence[Keyframe]) -> abc.Iterator[tuple[int, str]]:
+    """Yield index and reason of keyframes that move a joint in no time, at the end of a hold."""
     for index in range(1, len(keyframes)):
         before, here = keyframes[index - 1], keyframes[index]
         if before.at_s is None or here.at_s is None:
@@ -77,8 +79,8 @@ def jumps(keyframes: SequenceOf[Keyframe]) -> Iterator[tuple[int, str]]:
                 )
 
 
-def loop_problem(keyframes: SequenceOf[Keyframe]) -> str:
-    """Return why these keyframes cannot be played again and again, or nothing if they can."""
+def loop_problem(keyframes: abc.Sequence[Keyframe]) -> str:
+    """Return why these keyframes cannot be looped; an empty text if they can."""
     first: dict[str, float] = {}
     last: dict[str, float] = {}
     for keyframe in keyframes:
@@ -99,7 +101,7 @@ def loop_problem(keyframes: SequenceOf[Keyframe]) -> str:
     return ""
 
 
-def _takes_time(keyframes: SequenceOf[Keyframe]) -> bool:
+def _takes_time(keyframes: abc.Sequence[Keyframe]) -> bool:
     if any(keyframe.hold_s > 0.0 or (keyframe.at_s or 0.0) > 0.0 for keyframe in keyframes):
         return True
     seen: dict[str, float] = {}

@@ -1,6 +1,7 @@
-"""The keys of a sequence file: names, units, plain bounds. What they mean is `sequence.load`'s.
+"""The keys of a sequence file: names, units, and bounds of each key alone.
 
-Importing this module imports pydantic, so it is imported where a file is read.
+`sequence.load` checks what several keys mean together. Importing this module imports pydantic,
+so it is imported where a file is read. The descriptions are the reference of the file format.
 """
 
 from __future__ import annotations
@@ -10,10 +11,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import ConfigDict, Field, PlainValidator, WithJsonSchema
 
 from lss_motion.files.validation import FileModel, Name, Text
-from lss_motion.robot.file import (
-    AngleDeg,
-    OnFaultEntry,
-)
+from lss_motion.robot.file import AngleDeg, OnFaultEntry
 from lss_motion.sequence.keyframes import KEYFRAMES_MAX, TIME_MAX_S
 from lss_motion.sequence.parts import STEPS_MAX
 
@@ -21,7 +19,7 @@ TIME_MIN_S: Final = 0.001
 """The unit of T on the wire: one millisecond."""
 
 LOOP_MAX: Final = 1_000_000
-"""Chosen: a one-second loop for twelve days; more is `forever`."""
+"""Chosen: a one-second loop lasts twelve days; use `forever` for more."""
 
 FOREVER: Final = "forever"
 
@@ -29,22 +27,22 @@ EVENTS_MAX: Final = 10_000
 """Chosen: more than an hour of beats."""
 
 LEAD_MAX_S: Final = 10.0
-"""Chosen: no player of sounds takes longer to start."""
+"""Chosen: longer than any player of sounds takes to start."""
 
 RUN_PATTERN: Final = r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$"
 """`module:function`, as entry points are written."""
 
 LAYERS_MAX: Final = 32
-"""Chosen: more than anybody can keep apart."""
+"""Chosen: more than a viewer can tell apart."""
 
 SPEED_MIN_RATIO: Final = 0.01
 SPEED_MAX_RATIO: Final = 100.0
-"""A hundredfold either way; beyond that it is another show, or a slip of the key."""
+"""Chosen: a hundredfold either way; a ratio beyond that is a typing error."""
 
 SPEED_RATIO: Final = (
     "All times are divided by this: 0.5 is half as fast. More than 1 only with times."
 )
-MIRROR: Final = "Exchange left and right, as the robot file says under mirror."
+MIRROR: Final = "Exchange left and right, as given under mirror in the robot file."
 
 FileName = Annotated[str, Field(min_length=1)]
 SpeedRatio = Annotated[float, Field(ge=SPEED_MIN_RATIO, le=SPEED_MAX_RATIO)]
@@ -64,7 +62,7 @@ def _check_loop(loop: Any) -> int | Literal["forever"]:  # noqa: ANN401  whateve
 
 
 Reading = Annotated[float, Field(ge=0.0, le=5000.0)]
-"""Millimetres or raw counts: more than any of the sensors can say."""
+"""Millimetres or raw counts: more than any of the sensors can return."""
 
 Loop = Annotated[
     int | Literal["forever"],
@@ -76,7 +74,7 @@ Loop = Annotated[
 
 
 class KeyframeEntry(FileModel, title="keyframe"):
-    """Joint angles to be reached at one time; joints that it does not name are left alone.
+    """Joint angles to be reached at one time; joints that it does not name keep their motion.
 
     A keyframe names at least one joint, by `pose`, `deg` or both. `at_s` is absolute; `after_s`
     counts from the end of the keyframe before (its time plus its `hold_s`), for the first
@@ -91,16 +89,16 @@ class KeyframeEntry(FileModel, title="keyframe"):
     pose: Name | None = Field(default=None, description="Name of a pose of the robot file.")
     deg: dict[Name, AngleDeg] | None = Field(
         default=None,
-        description="Joint angles in degrees; they win over those of the pose.",
+        description="Joint angles in degrees, in place of those of the pose.",
         examples=[{"elbow": -20}],
     )
     hold_s: TimeS = Field(default=0.0, description="How long the named joints stay there.")
     anchor: bool = Field(
-        default=False, description="This time must be met; planning fails rather than being late."
+        default=False, description="This time must be met; planning fails if it cannot be."
     )
     ease: Ease | None = Field(
         default=None,
-        description="How the joints travel to this keyframe, if not as the whole file does.",
+        description="How the joints travel to this keyframe. Default: interpolation of the file.",
     )
     label: Text | None = Field(
         default=None, description="Shown on screen and in plots. Default: the name of the pose."
@@ -114,21 +112,21 @@ class TrackEntry(FileModel, title="track"):
 
     timing: Literal["authored", "fastest", "fit"] | None = Field(
         default=None,
-        description="authored: as the keyframes say, slower only where a servo cannot follow. "
-        "fastest: as fast as the servos can, no times. fit: one pass takes duration_s. "
+        description="authored: times of the keyframes, slower only where a servo cannot follow. "
+        "fastest: as fast as the servos can, without times. fit: one pass takes duration_s. "
         "Default: authored, or fastest if no keyframe has a time.",
     )
     duration_s: float | None = Field(
         default=None,
         ge=TIME_MIN_S,
         le=TIME_MAX_S,
-        description="How long one pass takes; with timing: fit only.",
+        description="How long one pass takes; only with timing: fit.",
     )
     interpolation: Ease = Field(
         default="smooth",
         description="How joints travel between keyframes. smooth: never beyond the keys. "
         "spline: rounder, may swing beyond them. linear: straight lines with stops. "
-        "hold: stay, then move as late as possible.",
+        "hold: wait, then move as late as possible.",
     )
     keyframes: Annotated[list[KeyframeEntry], Field(min_length=1, max_length=KEYFRAMES_MAX)] = (
         Field(default=[], description="In order of time.")
@@ -137,11 +135,11 @@ class TrackEntry(FileModel, title="track"):
 
 
 class WaitEntry(FileModel, title="wait"):
-    """What to wait for: a sensor of the robot below or above a value."""
+    """The condition to wait for: a sensor of the robot reads below or above a value."""
 
     sensor: Name = Field(description="Name of a sensor of the robot file.")
-    below_mm: Reading | None = Field(default=None, description="Something comes nearer.")
-    above_mm: Reading | None = Field(default=None, description="It goes further away.")
+    below_mm: Reading | None = Field(default=None, description="An object comes nearer.")
+    above_mm: Reading | None = Field(default=None, description="It moves further away.")
     below_raw: Reading | None = Field(default=None, description="For a sensor of kind raw.")
     above_raw: Reading | None = Field(default=None, description="For a sensor of kind raw.")
 
@@ -164,23 +162,23 @@ class StepEntry(FileModel, title="step"):
         default=None,
         ge=TIME_MIN_S,
         le=TIME_MAX_S,
-        description="How long the way to its first keyframe takes, where the robot stands "
-        "elsewhere. Default: at the robot's approach_speed_deg_s.",
+        description="How long the move to its first keyframe takes, where the robot stands "
+        "elsewhere. Default: it has the speed approach_speed_deg_s of the robot.",
     )
-    pause_s: TimeS | None = Field(default=None, description="Stay as it is for so long.")
+    pause_s: TimeS | None = Field(default=None, description="Pause for so long.")
     wait_for: WaitEntry | None = Field(
         default=None,
-        description="Stay as it is until a sensor says so.",
+        description="Pause until a sensor meets a condition.",
         examples=[{"sensor": "eye", "below_mm": 300}],
     )
     timeout_s: TimeS | None = Field(
         default=None,
-        description="Go on after so long, whatever the sensor says. Default: wait for ever.",
+        description="Continue after so long in any case. Default: no timeout.",
     )
 
 
 class LayerEntry(FileModel, title="layer"):
-    """A sequence on top of the show; the limits hold for the sum."""
+    """A sequence on top of the show. The limits of the joints hold for the result."""
 
     file: FileName = Field(description="Sequence file, relative to this file.")
     joints: Annotated[list[Name], Field(min_length=1)] | None = Field(
@@ -189,10 +187,10 @@ class LayerEntry(FileModel, title="layer"):
     )
     mode: Literal["override", "add"] = Field(
         default="override",
-        description="override: its angles instead of those below. add: its angles added to them.",
+        description="override: its angles in place of those below. add: its angles added to them.",
     )
     weight: float = Field(
-        default=1.0, ge=0.0, le=1.0, description="How much of it counts, from 0 to 1."
+        default=1.0, ge=0.0, le=1.0, description="Its share of the result, from 0 to 1."
     )
     from_s: TimeS = Field(default=0.0, description="When it begins, in seconds of the show.")
     to_s: TimeS | None = Field(
@@ -206,13 +204,13 @@ class LayerEntry(FileModel, title="layer"):
 
 
 class EventEntry(FileModel, title="event"):
-    """Something that is not motion: one of led, say, run and sound, at a time of the show."""
+    """An event that is not motion, at a time of the show: one of led, say, run and sound."""
 
     at_s: TimeS = Field(description="Seconds from the start of the show.")
     led: dict[Name, Colour] | None = Field(
         default=None,
         min_length=1,
-        description="Colours that joints take on. They get back what they had after the show.",
+        description="LED colours of joints. After the show they have their old colours again.",
         examples=[{"elbow": "red"}],
     )
     say: Text | None = Field(default=None, description="A line on screen and in the log.")
@@ -227,7 +225,7 @@ class EventEntry(FileModel, title="event"):
     )
     lead_s: Annotated[float, Field(ge=0.0, le=LEAD_MAX_S)] = Field(
         default=0.0,
-        description="The sound is started so much earlier: what its player takes to be heard.",
+        description="The sound is started so much earlier, because its player needs time to start.",
     )
 
 
@@ -243,22 +241,21 @@ class SequenceFile(TrackEntry, title="sequence file"):
     sequence: Text = Field(description="Name of the sequence, as shown on screen and in reports.")
     robot: FileName | None = Field(
         default=None,
-        description="Robot file, relative to this file. May be left out if always given by "
-        "--robot.",
+        description="Robot file, relative to this file. May be left out if --robot gives it.",
         examples=["robots/desk_arm.yaml"],
     )
     speed_ratio: SpeedRatio = Field(default=1.0, description=SPEED_RATIO)
     mirror: bool = Field(default=False, description=MIRROR)
     loop_span_s: Annotated[list[TimeS], Field(min_length=2, max_length=2)] | None = Field(
         default=None,
-        description="From when to when the keyframes are looped: the joints must end it as they "
-        "began it, in motion too. What is before is played once, first; what is after once, last.",
+        description="From when to when the keyframes are looped. Position and speed of a joint must "
+        "be the same at both times. The keyframes before and after it are played once.",
         examples=[[2.0, 3.5]],
     )
     tracks: Annotated[dict[Name, TrackEntry], Field(min_length=1)] = Field(
         default={},
         description="Other joints at the same time, by the name of the track, each with its own "
-        "keyframes, timing and loop. Only anchors tie them together.",
+        "keyframes, timing and loop. Tracks are independent except for anchors.",
     )
     play: Annotated[list[StepEntry], Field(min_length=1, max_length=STEPS_MAX)] = Field(
         default=[],
@@ -269,10 +266,10 @@ class SequenceFile(TrackEntry, title="sequence file"):
     )
     events: Annotated[list[EventEntry], Field(min_length=1, max_length=EVENTS_MAX)] = Field(
         default=[],
-        description="What is not motion: colours, words, functions, sounds. A loop repeats them.",
+        description="Not motion: colours, texts, functions, sounds. A loop repeats them.",
     )
     on_fault: OnFaultEntry = Field(
         default_factory=OnFaultEntry,
-        description="What is done in this show when something is wrong, unless the joint says "
-        "it. Counts for the file that is played, not for those that it plays.",
+        description="What is done in this show when something is wrong. Joints can have their own. "
+        "Only that of the file that is played has an effect, not those of its parts.",
     )

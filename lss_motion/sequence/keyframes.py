@@ -1,10 +1,7 @@
-"""The keyframes of a track: times made absolute, poses made angles.
+"""The keyframes of one track: absolute times, angles in place of poses, all of it checked.
 
-The keyframes of one track: times made absolute, poses made angles, everything checked.
-
-When keyframes are due: which timing a file means, and its relative times made absolute.
-
-A sequence at another speed: every time in it divided by its `speed_ratio`.
+`TrackLoader` makes the `Sequence` of one track of a file and collects what is wrong with it.
+`at_speed` divides every time of a sequence by its `speed_ratio`.
 """
 
 from __future__ import annotations
@@ -19,36 +16,35 @@ from lss_motion.sequence.check import SAME_TIME_S, joint_problems, jumps, loop_p
 from lss_motion.sequence.model import Interpolation, Keyframe, Sequence, Timing
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator, Mapping
-    from collections.abc import Sequence as AbcSequence
+    from collections.abc import Container, Iterable, Iterator, Mapping
 
     from lss_motion.files.yaml_source import YamlSource
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.file import KeyframeEntry, TrackEntry
     from lss_motion.sequence.model import Layer, Step
 
-
 KEYFRAMES_MAX: Final = 10_000
-"""Chosen: hours of lively show; cost grows with it, and a runaway export is noticed."""
+"""Chosen: hours of a lively show. The cost of planning grows with the count; an export that is far
+too large is refused early."""
 
 TIME_MAX_S: Final = 86_400.0
-"""Chosen: a day. A longer show is a loop, and a slip of the key is noticed."""
+"""Chosen: a day. A longer show is a loop; a larger time is a typing error."""
 
 
 def has_times(content: TrackEntry) -> bool:
-    """Return whether any keyframe says when it is due."""
+    """Return whether any keyframe has a time."""
     return any(_has_time(entry) for entry in content.keyframes)
 
 
 def timing_of(content: TrackEntry) -> Timing:
-    """Return the timing that the file asks for; without a word, keyframes with times decide."""
+    """Return the timing of the file; by default it depends on whether the keyframes have times."""
     if content.timing is not None:
         return Timing(content.timing)
     return Timing.AUTHORED if has_times(content) else Timing.FASTEST
 
 
 def timing_problems(content: TrackEntry) -> Iterator[Problem]:
-    """Yield where `timing`, `duration_s`, the times and the anchors contradict each other."""
+    """Yield contradictions between `timing`, `duration_s`, the times and the anchors."""
     timing = timing_of(content)
     if timing is Timing.FIT and content.duration_s is None:
         yield Problem(("timing",), "timing: fit needs 'duration_s', the time that one pass takes")
@@ -80,12 +76,12 @@ def timing_problems(content: TrackEntry) -> Iterator[Problem]:
 
 
 def absolute_times(
-    entries: AbcSequence[KeyframeEntry], unread: Container[int]
+    entries: Iterable[KeyframeEntry], unread: Container[int]
 ) -> tuple[list[float | None], list[Problem]]:
     """Return the time of every keyframe, and what is wrong with the times.
 
-    None stands for a time that cannot be known, because of that keyframe or of one before it.
-    A time that meets the end of the keyframe before within rounding is exactly that end.
+    None stands for a time that is unknown because that keyframe, or one before it, is wrong. A time
+    that equals the end of the keyframe before, except for rounding, is set to exactly that end.
     """
     times_s: list[float | None] = []
     problems: list[Problem] = []
@@ -109,7 +105,7 @@ def _has_time(entry: KeyframeEntry) -> bool:
 def _time(
     index: int, entry: KeyframeEntry, before_s: float | None, end_s: float | None
 ) -> tuple[float | None, list[tuple[str, str]]]:
-    """Return the time of one keyframe; `end_s` is when the one before ends, its hold included."""
+    """Return the time of one keyframe; `end_s` is the end of the one before, its hold included."""
     match entry.at_s, entry.after_s:
         case None, None if index == 0:
             return 0.0, []
@@ -146,9 +142,10 @@ def _order_problems(
 
 @dataclass(slots=True)
 class TrackLoader:
-    """Builds the sequence of one track and notes what does not fit, unless its part is left out.
+    """Builds the sequence of one track and collects its problems.
 
-    `place` is where the track stands in the file; `left_out` and `problems` count from there.
+    `place` is the location of the track in the file. `left_out` has the locations below it whose
+    content could not be read; they are not reported again.
     """
 
     content: TrackEntry
@@ -157,11 +154,12 @@ class TrackLoader:
     source: YamlSource
     robot: Robot | None
     is_offset: bool = False
-    """Whether its angles are added to others, so that no range says anything about them."""
+    """The angles are added to others, so no range applies to them alone."""
     is_looped_in_part: bool = False
     problems: list[Problem] = field(default_factory=list)
 
     def sequence(self, name: str) -> Sequence:
+        """Return the sequence; it can be played only if there are no `problems`."""
         content, unread = self.content, self._unread()
         keyframes = [self._keyframe(i, entry) for i, entry in enumerate(content.keyframes)]
         if not unread and not self.left_out & {("timing",), ("duration_s",)}:
@@ -188,7 +186,7 @@ class TrackLoader:
         )
 
     def _unread(self) -> frozenset[int]:
-        """Return the keyframes that could not be read: in their place stands a blank."""
+        """Return the keyframes that could not be read; the loader has blanks in their place."""
         return frozenset(part for _, *rest in self.left_out for part in rest if type(part) is int)
 
     def _note(self, location: Location, reason: str) -> None:
@@ -217,7 +215,7 @@ class TrackLoader:
 
     def _timed(self, keyframes: list[Keyframe], unread: frozenset[int]) -> list[Keyframe]:
         times_s, problems = absolute_times(self.content.keyframes, unread)
-        if has_times(self.content):  # Otherwise the one problem of all of them is noted already.
+        if has_times(self.content):  # Else `timing_problems` has reported it once for all.
             for problem in problems:
                 self._note(problem.location, problem.reason)
         timed = [replace(k, at_s=at_s) for k, at_s in zip(keyframes, times_s, strict=True)]
@@ -233,10 +231,10 @@ class TrackLoader:
 
 
 def at_speed(sequence: Sequence, ratio: float = 1.0) -> Sequence:
-    """Return the sequence with `ratio` and its own `speed_ratio` put into its times.
+    """Return the sequence with all times divided by `ratio` and by its own `speed_ratio`.
 
-    What is left to a planner is the `speed_ratio` of a sequence whose timing is `fastest`: at
-    most 1, else `InputError`.
+    A sequence whose timing is `fastest` has no times: it keeps the product as its `speed_ratio`
+    for the planner. Raises `InputError` if that is above 1.
     """
     ratio *= sequence.speed_ratio
     is_fastest = bool(sequence.keyframes) and sequence.timing is Timing.FASTEST

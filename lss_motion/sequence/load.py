@@ -1,8 +1,7 @@
-"""sequence.yaml → Sequence: the file, its robot, and the files that it is made of.
+"""sequence.yaml → `Sequence`: the file, its robot, its events, and the files that it plays.
 
-Whether the function of an event is there, as far as that is seen without running its module.
-
-The `events` of a sequence file: colours, words, functions and sounds at times of the show.
+Law: all problems of a file come in one `InputError`, each with its line. What could not be read
+is left out of later checks, so that one mistake is reported once.
 """
 
 from __future__ import annotations
@@ -20,127 +19,19 @@ from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
 from lss_motion.files.yaml_source import Location, Problem, read_yaml
 from lss_motion.protocol.constants import Led
-from lss_motion.robot.load import load_robot
+from lss_motion.robot.load import load_named_robot
 from lss_motion.sequence.check import check_sequence
 from lss_motion.sequence.keyframes import TrackLoader, at_speed, timing_of
 from lss_motion.sequence.model import Cue, Sequence, Timing
 from lss_motion.sequence.parts import FileContext, PartLoader, mirrored
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from collections.abc import Sequence as AbcSequence
+    from collections.abc import Callable, Iterable, Iterator
     from importlib.machinery import ModuleSpec
 
     from lss_motion.files.yaml_source import YamlSource
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.file import EventEntry, SequenceFile
-
-
-DYNAMIC: Final = frozenset({"__getattr__", "exec", "globals", "setattr", "vars"})
-"""A module with one of these, or with a star import, may have names that its text does not show."""
-
-
-def function_problem(run: str, folder: str) -> str:
-    """Return why `module:function` cannot be called, or nothing.
-
-    The module is looked for in `folder`, then among those installed. What only running it would
-    show is not found: the process that runs functions does that, before a show in real time moves.
-    """
-    module_name, _, name = run.partition(":")
-    spec = _find(module_name, folder)
-    if spec is None:
-        return f"there is no module {module_name!r} in {folder}, nor is one installed"
-    if spec.origin is None or not spec.origin.endswith(".py"):
-        return ""
-    try:
-        tree = ast.parse(Path(spec.origin).read_bytes())
-    except (SyntaxError, ValueError) as error:
-        line = f":{error.lineno}" if isinstance(error, SyntaxError) else ""
-        return f"{spec.origin}{line} is no Python: {error.args[0]}"
-    except OSError as error:
-        return f"{spec.origin} cannot be read: {error.strerror}"
-    if name in (names := _names(tree)) or names & DYNAMIC:
-        return ""
-    functions = [node.name for node in tree.body if isinstance(node, ast.FunctionDef)]
-    return f"{spec.origin} has no function {name!r}; {known_names(name, functions)}"
-
-
-def _find(module_name: str, folder: str) -> ModuleSpec | None:
-    """Return where a module is. No package is imported on the way, as `find_spec` would do."""
-    importlib.invalidate_caches()
-    path, *inner = module_name.split(".")
-    spec = PathFinder.find_spec(path, [folder])
-    if spec is None:
-        with contextlib.suppress(ValueError):  # Of a module that was made without one.
-            spec = find_spec(path)
-    for name in inner:
-        if spec is None or spec.submodule_search_locations is None:
-            return None
-        path = f"{path}.{name}"
-        spec = PathFinder.find_spec(path, list(spec.submodule_search_locations))
-    return spec
-
-
-def _names(tree: ast.Module) -> set[str]:
-    """Return every name that a module may have, and those of `DYNAMIC` that it uses."""
-    names = set()
-    for node in ast.walk(tree):
-        match node:
-            case ast.FunctionDef() | ast.AsyncFunctionDef() | ast.ClassDef():
-                names.add(node.name)
-            case ast.Name() if isinstance(node.ctx, ast.Store) or node.id in DYNAMIC:
-                names.add(node.id)
-            case ast.alias():
-                names.add("globals" if node.name == "*" else node.asname or node.name)
-            case _:
-                pass
-    return names
-
-
-KINDS = ("led", "say", "run", "sound")
-
-
-def cues(
-    entries: AbcSequence[EventEntry],
-    left_out: frozenset[Location],
-    source: YamlSource,
-    robot: Robot | None,
-    note: Callable[[Location, str], None],
-) -> Iterator[Cue]:
-    """Yield what the entries mean; `note` is told what is wrong and where."""
-    folder = source.path.absolute().parent
-    for index, entry in enumerate(entries):
-        place: Location = ("events", index)
-        if place in left_out:
-            continue
-        given = [kind for kind in KINDS if getattr(entry, kind) is not None]
-        if len(given) != 1:
-            note(
-                place, f"an event is one of {', '.join(KINDS)}, not {' and '.join(given) or 'none'}"
-            )
-            continue
-        if entry.lead_s and entry.sound is None:
-            note((*place, "lead_s"), "lead_s belongs to a sound")
-        if entry.sound is not None and not (folder / entry.sound).is_file():
-            looked = folder / entry.sound
-            note((*place, "sound"), f"sound file {entry.sound!r} not found; looked for {looked}")
-        if entry.run is not None and (problem := function_problem(entry.run, str(folder))):
-            note((*place, "run"), f"run: {entry.run!r} cannot be used: {problem}")
-        known = {} if robot is None else robot.joints
-        for name in entry.led or () if robot is not None else ():
-            if name not in known:
-                note((*place, "led", name), f"unknown joint {name!r}; {known_names(name, known)}")
-        led = {} if entry.led is None else entry.led
-        yield Cue(
-            at_s=entry.at_s,
-            led=tuple((name, int(Led[colour.upper()])) for name, colour in led.items()),
-            say=entry.say or "",
-            run=entry.run or "",
-            sound="" if entry.sound is None else str(folder / entry.sound),
-            lead_s=entry.lead_s,
-            folder=str(folder) if entry.run else "",
-            line=source.line(place),
-        )
 
 
 def load_sequence(
@@ -151,11 +42,11 @@ def load_sequence(
 ) -> Sequence:
     """Return the sequence of a sequence file, checked against its robot.
 
-    The robot is `robot`, or else the one that the file names; it gives the poses, the ranges, and
-    left and right. `robot_path` of the result is where that robot was read. Raises `InputError`
-    with file, line, value and remedy; its `more` holds all further problems, those of the robot
-    file and of the sequence files that this one plays included. `read_other` reads those of
-    another kind; it returns None for a sequence file.
+    The robot is `robot`, or else the one that the file names; it gives the poses, the ranges and
+    the mirror images. `robot_path` of the result is the file of that robot. Raises `InputError`
+    with file, line, value and remedy; its `more` holds all further problems, also those of the
+    robot file and of the sequence files that this one plays. `read_other` reads files of another
+    kind, such as gaits; it returns None for a sequence file.
     """
     return _load(Path(path), robot, FileContext(read_other=read_other))
 
@@ -201,13 +92,13 @@ def _load(path: Path, robot: Robot | None, part: FileContext) -> Sequence:
         if not problems and not errors:
             assert robot is not None
             return _finished(sequence, content, robot, part)
-    raise _all_of(source, problems, errors)
+    raise _as_one(source, problems, errors)
 
 
 def _finished(
     sequence: Sequence, content: SequenceFile, robot: Robot, part: FileContext
 ) -> Sequence:
-    """Return the sequence, mirrored where the file says so, after the checks across its parts."""
+    """Return the sequence, mirrored if the file requires it, after the checks across its parts."""
     if content.mirror:
         sequence = mirrored(sequence, robot.mirror)
         check_sequence(sequence, robot, is_offset=part.is_offset)
@@ -216,20 +107,14 @@ def _finished(
 
 
 def _named_robot(source: YamlSource, left_out: frozenset[Location]) -> Robot | None:
-    """Return the robot that the file names; None if that key itself is at fault."""
+    """Return the robot that the file names; None if the key `robot` itself could not be read."""
     name = source.value.get("robot")
     if ("robot",) in left_out or ("robot" in source.value and name is None):
         return None
-    if name is None:
-        raise source.error([Problem((), "no robot: give 'robot: FILE' here, or --robot FILE")])
-    path = source.path.parent / str(name)
-    if not path.exists():
-        reason = f"robot file {str(name)!r} not found; looked for {path}"
-        raise source.error([Problem(("robot",), reason)])
-    return load_robot(path)
+    return load_named_robot(source, name if name is None else str(name))
 
 
-def _all_of(source: YamlSource, problems: list[Problem], errors: list[InputError]) -> InputError:
+def _as_one(source: YamlSource, problems: list[Problem], errors: list[InputError]) -> InputError:
     """Return one error: the problems of this file first, then those of others."""
     own = [source.error(problems)] if problems else []
     top, *others = [*own, *errors]
@@ -240,7 +125,10 @@ def _all_of(source: YamlSource, problems: list[Problem], errors: list[InputError
 
 @dataclass(slots=True)
 class _Loader:
-    """Builds the sequence of one file and notes what does not fit, unless its part is left out."""
+    """Builds the sequence of one file.
+
+    `problems` are those of this file, `errors` those of other files.
+    """
 
     content: SequenceFile
     left_out: frozenset[Location]
@@ -263,7 +151,7 @@ class _Loader:
             self.part.is_offset,
             is_looped_in_part=content.loop_span_s is not None,
         )
-        # Without keyframes there is nothing to say about times; a play list has its own.
+        # Without keyframes there are no times to check; the files of a play list have their own.
         sequence = (
             main.sequence(content.sequence)
             if content.keyframes
@@ -357,3 +245,110 @@ class _Loader:
                     f"joint {name!r} is keyed in track {track.name!r} and in {of}; keep it in one",
                 )
             owners |= own
+
+
+KINDS: Final = ("led", "say", "run", "sound")
+
+
+def cues(
+    entries: Iterable[EventEntry],
+    left_out: frozenset[Location],
+    source: YamlSource,
+    robot: Robot | None,
+    note: Callable[[Location, str], None],
+) -> Iterator[Cue]:
+    """Yield the cues of the entries; call `note` with location and reason of each problem."""
+    folder = source.path.absolute().parent
+    for index, entry in enumerate(entries):
+        place: Location = ("events", index)
+        if place in left_out:
+            continue
+        given = [kind for kind in KINDS if getattr(entry, kind) is not None]
+        if len(given) != 1:
+            note(
+                place, f"an event is one of {', '.join(KINDS)}, not {' and '.join(given) or 'none'}"
+            )
+            continue
+        if entry.lead_s and entry.sound is None:
+            note((*place, "lead_s"), "lead_s belongs to a sound")
+        if entry.sound is not None and not (folder / entry.sound).is_file():
+            path = folder / entry.sound
+            note((*place, "sound"), f"sound file {entry.sound!r} not found; looked for {path}")
+        if entry.run is not None and (problem := function_problem(entry.run, str(folder))):
+            note((*place, "run"), f"run: {entry.run!r} cannot be used: {problem}")
+        known = {} if robot is None else robot.joints
+        for name in entry.led or () if robot is not None else ():
+            if name not in known:
+                note((*place, "led", name), f"unknown joint {name!r}; {known_names(name, known)}")
+        led = {} if entry.led is None else entry.led
+        yield Cue(
+            at_s=entry.at_s,
+            led=tuple((name, int(Led[colour.upper()])) for name, colour in led.items()),
+            say=entry.say or "",
+            run=entry.run or "",
+            sound="" if entry.sound is None else str(folder / entry.sound),
+            lead_s=entry.lead_s,
+            folder=str(folder) if entry.run else "",
+            line=source.line(place),
+        )
+
+
+DYNAMIC: Final = frozenset({"__getattr__", "exec", "globals", "setattr", "vars"})
+"""A module that uses one of these, or a star import, can have names that its source lacks."""
+
+
+def function_problem(run: str, folder: str) -> str:
+    """Return why `module:function` cannot be called; an empty text if no reason was found.
+
+    The module is searched in `folder`, then among those installed. It is not run. The process that
+    calls the functions imports it before a show in real time moves, and finds the other errors.
+    """
+    module_name, _, name = run.partition(":")
+    spec = _find(module_name, folder)
+    if spec is None:
+        return f"there is no module {module_name!r} in {folder}, nor is one installed"
+    if spec.origin is None or not spec.origin.endswith(".py"):
+        return ""
+    try:
+        tree = ast.parse(Path(spec.origin).read_bytes())
+    except (SyntaxError, ValueError) as error:
+        line = f":{error.lineno}" if isinstance(error, SyntaxError) else ""
+        return f"{spec.origin}{line} is no Python: {error.args[0]}"
+    except OSError as error:
+        return f"{spec.origin} cannot be read: {error.strerror}"
+    if name in (names := _names(tree)) or names & DYNAMIC:
+        return ""
+    functions = [node.name for node in tree.body if isinstance(node, ast.FunctionDef)]
+    return f"{spec.origin} has no function {name!r}; {known_names(name, functions)}"
+
+
+def _find(module_name: str, folder: str) -> ModuleSpec | None:
+    """Return the location of a module without importing its packages, as `find_spec` would do."""
+    importlib.invalidate_caches()
+    path, *inner = module_name.split(".")
+    spec = PathFinder.find_spec(path, [folder])
+    if spec is None:
+        with contextlib.suppress(ValueError):  # Raised for a loaded module without a spec.
+            spec = find_spec(path)
+    for name in inner:
+        if spec is None or spec.submodule_search_locations is None:
+            return None
+        path = f"{path}.{name}"
+        spec = PathFinder.find_spec(path, list(spec.submodule_search_locations))
+    return spec
+
+
+def _names(tree: ast.Module) -> set[str]:
+    """Return every name that a module can have, and those of `DYNAMIC` that it uses."""
+    names = set()
+    for node in ast.walk(tree):
+        match node:
+            case ast.FunctionDef() | ast.AsyncFunctionDef() | ast.ClassDef():
+                names.add(node.name)
+            case ast.Name() if isinstance(node.ctx, ast.Store) or node.id in DYNAMIC:
+                names.add(node.id)
+            case ast.alias():
+                names.add("globals" if node.name == "*" else node.asname or node.name)
+            case _:
+                pass
+    return names

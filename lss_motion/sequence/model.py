@@ -1,4 +1,7 @@
-"""What the author wants: keyframes at times. Values only; `sequence.load` makes them."""
+"""The values of a sequence: keyframes at times, tracks, play lists, layers, events.
+
+They are immutable. `sequence.load` makes them from files; `trajectory` plans them.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +19,14 @@ if TYPE_CHECKING:
 
 
 class Timing(StrEnum):
-    """How the times of the keyframes are meant."""
+    """Where the times of the keyframes come from."""
 
     AUTHORED = "authored"
+    """The keyframes give them."""
     FASTEST = "fastest"
+    """The planner makes them as short as the limits allow."""
     FIT = "fit"
+    """The planner scales them, so that one pass takes a given duration."""
 
 
 class Interpolation(StrEnum):
@@ -33,7 +39,7 @@ class Interpolation(StrEnum):
     LINEAR = "linear"
     """Straight in joint space; stops at corners."""
     HOLD = "hold"
-    """Stays, then moves as late as the limits allow, to arrive at the key."""
+    """Stays, then moves as late as the limits allow to arrive at the key in time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +55,7 @@ class Keyframe:
     hold_s: float = 0.0
     is_anchor: bool = False
     ease: Interpolation = Interpolation.SMOOTH
-    """How the named joints travel *to* this keyframe (the file's default is already in)."""
+    """How the named joints travel *to* this keyframe; the default of the file is applied."""
     label: str = ""
     line: int | None = field(default=None, compare=False)
 
@@ -58,34 +64,34 @@ class Keyframe:
 class Cue:
     """Something that is not motion, at `at_s` of the show: one of `led`, `say`, `run`, `sound`.
 
-    Of a sequence, `at_s` is on its author's clock; of a plan, when it really comes.
+    In a sequence, `at_s` is the time that the author gives; in a plan, the time that it comes to.
     """
 
     at_s: float
     led: tuple[tuple[str, int], ...] = ()
-    """Joints and the colours (codes of `LED`) that they take on."""
+    """Joints and the codes of the colours (`LED`) that they are set to."""
     say: str = ""
     run: str = ""
-    """`module:function`; the module is looked for beside the sequence file, then as installed."""
+    """`module:function`; the module is searched beside the sequence file, then as installed."""
     sound: str = ""
     """Path of a sound file."""
     lead_s: float = 0.0
-    """A sound is started so much before `at_s`: what its player takes to be heard."""
+    """A sound is started this long before `at_s`, because its player needs time to start."""
     folder: str = ""
-    """Where the file stands that holds it."""
+    """Folder of the sequence file; set for `run` only."""
     line: int | None = field(default=None, compare=False)
 
     @property
     def start_s(self) -> float:
-        """When it must be set off."""
+        """When it must be started."""
         return self.at_s - self.lead_s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wait:
-    """The show stands still until a sensor is below or above `threshold`, in the sensor's unit.
+    """The show pauses until a sensor reads below or above `threshold`, in the unit of the sensor.
 
-    After `timeout_s` it goes on all the same; None waits as long as it takes.
+    It continues after `timeout_s` in any case; None: no timeout.
     """
 
     sensor: str
@@ -101,8 +107,8 @@ class Wait:
 class Step:
     """One entry of a play list: a sequence, a pause or a wait (then `sequence` is None).
 
-    `move_s` is how long the way from where the robot stands to the first keyframe takes; None is
-    the robot's approach speed.
+    `move_s` is how long the move to its first keyframe takes, where the robot stands elsewhere;
+    None: the move has the approach speed of the robot.
     """
 
     sequence: Sequence | None = None
@@ -114,15 +120,15 @@ class Step:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layer:
-    """A sequence on top of the show from `from_s` to `to_s` (None: as long as it lasts).
+    """A sequence on top of the show from `from_s` to `to_s` (None: to its last keyframe).
 
-    `override` replaces the angles of the show, `add` adds to them; both by `weight`, which grows
-    from 0 over the first `fade_s` and shrinks to it over the last.
+    `override` replaces the angles of the show, `add` adds to them, both weighted by `weight`. The
+    weight rises from 0 over the first `fade_s` and falls to 0 over the last.
     """
 
     sequence: Sequence
     joints: tuple[str, ...]
-    """Only these joints; those of them that the sequence does not key stay as they are."""
+    """Only these joints; those that the sequence does not key are left as they are."""
     mode: Literal["override", "add"] = "override"
     weight: float = 1.0
     from_s: float = 0.0
@@ -133,10 +139,10 @@ class Layer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sequence:
-    """Keyframes in order of time, and what goes on beside, after and on top of them.
+    """Keyframes in order of time, with tracks, play list, layers and events.
 
-    `loop` is how often the keyframes (or the play list) are played; None is forever. Sequences
-    are equal when they say the same, whatever files and lines they come from.
+    `loop` is how often the keyframes (or the play list) are played; None is forever. Files and
+    lines are not compared: two sequences with the same content are equal.
     """
 
     name: str
@@ -148,8 +154,8 @@ class Sequence:
     """Only with `Timing.FIT`: how long one pass takes."""
     loop: int | None = 1
     loop_span_s: tuple[float, float] | None = None
-    """What is looped of keyframes with times: what is before it is played once, first, and what is
-    after it once, at the end. None: all of them."""
+    """From when to when the keyframes are looped; those before and after are played once. None: all
+    of them are looped."""
     speed_ratio: float = 1.0
     """All times are divided by this; at most 1 where the timing is `fastest`."""
     tracks: tuple[Sequence, ...] = ()
@@ -157,12 +163,12 @@ class Sequence:
     play: tuple[Step, ...] = ()
     """Instead of keyframes and tracks: other sequences, one after the other."""
     layers: tuple[Layer, ...] = ()
-    """On top of all that, in this order. Their times count from the start of the show."""
+    """On top of the others, in this order. Their times count from the start of the show."""
     events: tuple[Cue, ...] = ()
-    """What is not motion. Repeated with every pass of a loop."""
+    """Events that are not motion. They are repeated with every pass of a loop."""
     on_fault: Escalations = field(default_factory=dict)
-    """What this show does otherwise than its robot when something goes wrong; of the sequences
-    that it plays, nobody asks."""
+    """Escalations of this show, in place of those of its robot. Those of the sequences that it
+    plays have no effect."""
 
     def __repr__(self) -> str:
         """Return one line: name, counts of what it holds, and how often it is played."""

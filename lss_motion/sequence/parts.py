@@ -1,6 +1,6 @@
-"""The sequence files that a sequence file plays one after the other, or lays on top.
+"""The parts of a sequence file: steps of its play list and layers, both from other files.
 
-A sequence with left and right exchanged.
+`PartLoader` loads them for `sequence.load`. `mirrored` exchanges left and right of a sequence.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 
 def mirrored(sequence: Sequence, images: Images) -> Sequence:
-    """Return the sequence as seen in a mirror; joints without an image stay as they are.
+    """Return the sequence with left and right exchanged; joints without an image stay as they are.
 
-    `images` gives for a joint the one on the other side and the sign of the angle there.
+    `images` gives for a joint the joint on the other side and the sign of the angle there.
     """
     return replace(
         sequence,
@@ -61,14 +61,16 @@ def _exchanged(angles_deg: Mapping[str, float], images: Images) -> dict[str, flo
 
 
 STEPS_MAX: Final = 1000
-"""Steps of a play list, nested ones included. Chosen: a day of shows; a runaway list is noticed."""
+"""Steps of a play list, nested ones included. Chosen: a day of shows; more is a mistake."""
 
 
 @dataclass(frozen=True, slots=True)
 class FileContext:
-    """What a file is within the show: the files around it, and whether its angles are offsets.
+    """The place of a file within a show.
 
-    `read_other` reads files of other kinds, such as gaits; it returns None for those of this kind.
+    `files` are those that include it, so that a file cannot include itself. `is_offset`: its angles
+    are added to others. `read_other` reads files of other kinds, such as gaits; it returns None
+    for a sequence file.
     """
 
     files: tuple[Path, ...] = ()
@@ -76,21 +78,25 @@ class FileContext:
     read_other: Callable[[Path, Robot], Sequence | None] | None = None
 
     def inside(self, path: Path) -> FileContext:
+        """Return the context of the files that `path` includes."""
         return replace(self, files=(*self.files, path.resolve()))
 
     def other(self, path: Path, robot: Robot | None) -> Sequence | None:
-        """Return what a file of another kind says, checked; None if it is of this kind."""
+        """Return the sequence of a file of another kind; None for a sequence file."""
         if self.read_other is None or robot is None:
             return None
         sequence = self.read_other(path, robot)
         if sequence is not None and self.is_offset:
-            raise InputError("says where joints are, so it cannot be added to others", path=path)
+            raise InputError("gives joint positions, so it cannot be added to others", path=path)
         return sequence
 
 
 @dataclass(slots=True)
 class PartLoader:
-    """Loads the parts of one file; their problems are `errors` of their own files."""
+    """Loads the parts of one file.
+
+    `problems` are those of this file, `errors` those of the files of its parts.
+    """
 
     content: SequenceFile
     left_out: frozenset[Location]
@@ -102,6 +108,7 @@ class PartLoader:
     errors: list[InputError] = field(default_factory=list)
 
     def steps(self) -> tuple[Step, ...]:
+        """Return the steps of the play list; steps with problems are left out."""
         steps: list[Step] = []
         for index, entry in enumerate(self.content.play):
             place: Location = ("play", index)
@@ -116,6 +123,7 @@ class PartLoader:
         return tuple(steps)
 
     def layers(self) -> tuple[Layer, ...]:
+        """Return the layers; those with problems are left out."""
         found = []
         for index, entry in enumerate(self.content.layers):
             place: Location = ("layers", index)
@@ -166,8 +174,10 @@ class PartLoader:
         keys = list(entry.model_fields_set - {"sensor"})
         allowed = (f"below_{sensor.unit}", f"above_{sensor.unit}")
         if len(keys) != 1 or keys[0] not in allowed:
-            said = f"a sensor of kind {sensor.kind} needs one of {allowed[0]!r} and {allowed[1]!r}"
-            self._note(place, said)
+            reason = (
+                f"a sensor of kind {sensor.kind} needs one of {allowed[0]!r} and {allowed[1]!r}"
+            )
+            self._note(place, reason)
             return None
         side: Literal["below", "above"] = "below" if keys[0].startswith("below") else "above"
         threshold = float(getattr(entry, keys[0]))
@@ -248,7 +258,7 @@ class PartLoader:
 
 
 def keyed_joints(sequence: Sequence) -> set[str]:
-    """Return every joint that the sequence keys, in whatever part of it."""
+    """Return every joint that the sequence or a part of it keys."""
     inner = [*sequence.tracks, *(step.sequence for step in sequence.play if step.sequence)]
     names = {name for frame in sequence.keyframes for name in frame.deg}
     return names.union(*map(keyed_joints, inner), *(layer.joints for layer in sequence.layers))

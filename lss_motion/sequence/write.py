@@ -1,4 +1,7 @@
-"""Sequence → sequence.yaml that a person can read and edit, and that reads back as the same."""
+"""`Sequence` → sequence.yaml that a person can read and edit.
+
+Law: the file loads as an equal sequence. Only what differs from the default is written.
+"""
 
 from __future__ import annotations
 
@@ -13,20 +16,19 @@ from lss_motion.errors import InputError
 from lss_motion.sequence.model import Interpolation
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from collections.abc import Sequence as SequenceOf
+    from collections.abc import Iterable, Iterator, Mapping
 
     from lss_motion.sequence.model import Keyframe, Sequence
 
 SCHEMA: Final = Path("schema", "sequence.schema.json")
-"""Where the example sequences keep the schema; used by files written next to them or below."""
+"""Path of the schema beside the example sequences; files written there or below refer to it."""
 
 _PLAIN: Final = re.compile(r"(\.\./)*[A-Za-z_][A-Za-z0-9_./-]*")
 _NOT_TEXT: Final = frozenset({"null", "true", "false"})
 
 
-def write_sequence(sequence: Sequence, path: Path | str, *, comments: SequenceOf[str] = ()) -> None:
-    """Write `sequence_text` over what is at `path`; raise `InputError` where that is impossible."""
+def write_sequence(sequence: Sequence, path: Path | str, *, comments: Iterable[str] = ()) -> None:
+    """Write `sequence_text` to `path`, replacing a file there; raise `InputError` if that fails."""
     path = Path(path)
     text = sequence_text(sequence, path.parent, comments=comments)
     try:
@@ -35,24 +37,24 @@ def write_sequence(sequence: Sequence, path: Path | str, *, comments: SequenceOf
         raise InputError(f"cannot be written: {error.strerror}", path=path) from error
 
 
-def sequence_text(sequence: Sequence, folder: Path, *, comments: SequenceOf[str] = ()) -> str:
+def sequence_text(sequence: Sequence, folder: Path, *, comments: Iterable[str] = ()) -> str:
     """Return a sequence file for `folder` that loads as `sequence` again.
 
-    Poses appear as the angles that they stand for. `comments` are put on top, a line each. Raises
-    `InputError` for a play list or layers: they are made of files, which cannot be told from it.
+    Poses are written as angles. `comments` come first, one a line. Raises `InputError` for a play
+    list or layers: the file would have to name their files, and the sequence does not hold those.
     """
     if sequence.play or sequence.layers:
         raise InputError("play lists and layers cannot be written", path=sequence.path)
     return "\n".join([*_head(sequence, folder, comments), *_body(sequence), ""])
 
 
-def _head(sequence: Sequence, folder: Path, comments: SequenceOf[str]) -> Iterator[str]:
+def _head(sequence: Sequence, folder: Path, comments: Iterable[str]) -> Iterator[str]:
     schema = next((p / SCHEMA for p in _upwards(folder) if (p / SCHEMA).is_file()), None)
     if schema is not None:
         yield f"# yaml-language-server: $schema={_relative(schema, folder)}"
     for comment in comments:
         for line in comment.splitlines():
-            yield f"# {_shown(line)}".rstrip()
+            yield f"# {_printable(line)}".rstrip()
     yield f"sequence: {_text(sequence.name)}"
     if sequence.robot_path is not None:
         yield f"robot: {_text(_relative(sequence.robot_path, folder))}"
@@ -78,19 +80,19 @@ def _track(sequence: Sequence) -> Iterator[str]:
     yield f"timing: {sequence.timing}"
     if sequence.fit_duration_s is not None:
         yield f"duration_s: {_number(sequence.fit_duration_s)}"
-    usual = Counter(keyframe.ease for keyframe in sequence.keyframes).most_common(1)[0][0]
-    if usual is not Interpolation.SMOOTH:
-        yield f"interpolation: {usual}"
+    default = Counter(keyframe.ease for keyframe in sequence.keyframes).most_common(1)[0][0]
+    if default is not Interpolation.SMOOTH:
+        yield f"interpolation: {default}"
     if sequence.loop != 1:
         yield f"loop: {'forever' if sequence.loop is None else sequence.loop}"
     if sequence.loop_span_s is not None:
         yield f"loop_span_s: [{', '.join(map(_number, sequence.loop_span_s))}]"
     yield "keyframes:"
     for keyframe in sequence.keyframes:
-        yield f"  - {{{', '.join(_keyframe(keyframe, usual))}}}"
+        yield f"  - {{{', '.join(_keyframe(keyframe, default))}}}"
 
 
-def _keyframe(keyframe: Keyframe, usual: Interpolation) -> Iterator[str]:
+def _keyframe(keyframe: Keyframe, default: Interpolation) -> Iterator[str]:
     if keyframe.at_s is not None:
         yield f"at_s: {_number(keyframe.at_s)}"
     if keyframe.label:
@@ -100,7 +102,7 @@ def _keyframe(keyframe: Keyframe, usual: Interpolation) -> Iterator[str]:
         yield f"hold_s: {_number(keyframe.hold_s)}"
     if keyframe.is_anchor:
         yield "anchor: true"
-    if keyframe.ease is not usual:
+    if keyframe.ease is not default:
         yield f"ease: {keyframe.ease}"
 
 
@@ -116,10 +118,10 @@ def _number(value: float) -> str:
 def _text(text: str) -> str:
     if _PLAIN.fullmatch(text) and text.lower() not in _NOT_TEXT:
         return text
-    return json.dumps(text, ensure_ascii=False)  # Of printable text, JSON is YAML.
+    return json.dumps(text, ensure_ascii=False)  # JSON of printable text is YAML.
 
 
-def _shown(line: str) -> str:
+def _printable(line: str) -> str:
     return "".join(char if char.isprintable() else "?" for char in line)
 
 
@@ -132,5 +134,5 @@ def _relative(path: Path, folder: Path) -> str:
     """Return `path` as seen from `folder`, with forward slashes."""
     try:
         return Path(os.path.relpath(path, folder)).as_posix()
-    except ValueError:  # Another drive of Windows.
+    except ValueError:  # On another drive of Windows no relative path exists.
         return path.absolute().as_posix()

@@ -40,7 +40,7 @@ _MOVES: Final[Mapping[str, tuple[int, int, int]]] = MappingProxyType(
         "\x1b[C": (0, 0, -1),
     }
 )
-"""Steps forward, to the left and of the turn to the left. Terminals send the sequences for arrows."""
+"""Steps forward, to the left, and of the turn to the left. Escape sequences are arrow keys."""
 
 
 @dataclass(slots=True)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 POSE_S: Final = 1.0
-"""How long the body takes to reach a pose. Chosen: a calm move. It is slowed where a limit needs it."""
+"""How long the body takes to reach a pose. Chosen: a calm move. A limit can make it longer."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
