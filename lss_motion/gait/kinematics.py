@@ -1,4 +1,4 @@
-"""Where the foot of a leg is, and which angles put it there: closed forms, nothing of gaits.
+"""Kinematics: joint angles ⇄ foot of a leg in closed form, and body and feet at instants.
 
 Kinematic angles of a coxa-femur-tibia leg, all 0 with coxa and femur level and the tibia straight
 down: the coxa turns counter-clockwise seen from above, positive femur angles lift the knee,
@@ -7,9 +7,9 @@ the leg never reaches across its own first axis.
 
 Kinematic angles of an abduction-thigh-shank leg, all 0 with a straight leg hanging down: positive
 abduction swings the foot outwards, positive thigh and shank angles swing it forward, the shank's
-counted from the thigh. The knee is on the side that `Leg.knee` says.
+counted from the thigh. `Leg.knee` gives the side of the knee.
 
-Body and feet at instants: what moves over what stands, and how safely it stands.
+`Stance` has body and feet over the ground, and measures how stable they are.
 """
 
 from __future__ import annotations
@@ -31,11 +31,14 @@ if TYPE_CHECKING:
 
 
 REACH_SLACK_MM: Final = 1e-6
-"""A foot this far beyond the reach is at its end: rounding."""
+"""A foot this far beyond the reach counts as within: rounding."""
+
+SAME_POINT_MM: Final = 1e-9
+"""A foot this far outside of an edge through it counts as on the edge: rounding."""
 
 
 def neutral_mm(leg: Leg) -> FloatArray:
-    """Return where the foot stands below the body: x, y."""
+    """Return the position of the standing foot below the body: x, y."""
     outward = leg.stance_mm * _axes(leg)[0 if leg.kind is LegKind.COXA else 1]
     return np.asarray(leg.hip_mm + outward[:2], dtype=np.float64)
 
@@ -66,9 +69,9 @@ def inverse(leg: Leg, foot_mm: FloatArray) -> FloatArray:
     """Return the joint angles, (n, 3) degrees, that put the foot at points of the body, (n, 3).
 
     Raises `InputError` with leg, point and distance for the point that is furthest out of reach.
-    Ranges of joints are not judged here.
+    Ranges of joints are not checked here.
     """
-    kinematic, excess_mm = _solved(leg, foot_mm)
+    kinematic, excess_mm = _solve(leg, foot_mm)
     worst = int(np.argmax(np.abs(excess_mm)))
     if abs(excess_mm[worst]) > REACH_SLACK_MM:
         x, y, z = foot_mm[worst]
@@ -81,12 +84,12 @@ def inverse(leg: Leg, foot_mm: FloatArray) -> FloatArray:
 
 
 def reach_excess_mm(leg: Leg, foot_mm: FloatArray) -> FloatArray:
-    """Return how far points of the body, (n, 3), are beyond (+) or within (-) the reach; 0: in."""
-    return _solved(leg, foot_mm)[1]
+    """Return how far points of the body, (n, 3), are too far (+) or too close (-); 0: in reach."""
+    return _solve(leg, foot_mm)[1]
 
 
-def _solved(leg: Leg, foot_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return kinematic angles in rad and the excess; where that is not 0, angles mean nothing."""
+def _solve(leg: Leg, foot_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return kinematic angles in rad and the excess; angles are valid where that is 0."""
     local = (foot_mm - _hip(leg)) @ _axes(leg).T
     match leg.kind:
         case LegKind.COXA:
@@ -105,7 +108,7 @@ def _coxa(leg: Leg, local: FloatArray) -> tuple[FloatArray, FloatArray]:
     lifted = np.arctan2(z, reach) + np.arctan2(three * np.sin(bend), two + three * np.cos(bend))
     # The bend counts from the stretched leg, the tibia's angle from the right angle.
     tibia = 0.5 * np.pi - bend
-    return np.stack([np.arctan2(y, x), _turned(lifted), tibia], axis=1), excess_mm
+    return np.stack([np.arctan2(y, x), _wrapped(lifted), tibia], axis=1), excess_mm
 
 
 def _abduction(leg: Leg, local: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -118,13 +121,13 @@ def _abduction(leg: Leg, local: FloatArray) -> tuple[FloatArray, FloatArray]:
     abducted = np.arctan2(outward, -up) - np.arctan2(one, down)
     thigh = np.arctan2(ahead, down) - np.arctan2(three * np.sin(bend), two + three * np.cos(bend))
     excess_mm = np.where(aside < one - REACH_SLACK_MM, aside - one, excess_mm)
-    return np.stack([_turned(abducted), _turned(thigh), bend], axis=1), excess_mm
+    return np.stack([_wrapped(abducted), _wrapped(thigh), bend], axis=1), excess_mm
 
 
 def _knee(
     two: float, three: float, along: FloatArray, across: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return by how much the knee is bent (0: straight), and how far out of reach the foot is."""
+    """Return the bend of the knee (0: straight), and how far out of reach the foot is."""
     distance = np.hypot(along, across)
     cosine = (distance**2 - two**2 - three**2) / (2.0 * two * three)
     far, near = distance - (two + three), distance - abs(two - three)
@@ -132,8 +135,8 @@ def _knee(
     return np.arccos(np.clip(cosine, -1.0, 1.0)), excess_mm
 
 
-def _turned(angle: FloatArray) -> FloatArray:
-    """Return the same direction within ±180 degrees."""
+def _wrapped(angle: FloatArray) -> FloatArray:
+    """Return the angle wrapped to ±180 degrees, in rad."""
     return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
 
@@ -154,10 +157,6 @@ def _axes(leg: Leg) -> FloatArray:
     return np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
-SAME_POINT_MM: Final = 1e-9
-"""How far a foot may be on the wrong side of an edge that it spans itself: rounding."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stance:
     """Body and feet at n instants, over a ground whose origin is below the body's start.
@@ -174,27 +173,27 @@ class Stance:
     is_down: NDArray[np.bool_]
 
     def feet_in_body(self) -> FloatArray:
-        """Return the feet as the body sees them, (n, legs, 3)."""
+        """Return the feet in the frame of the body, (n, legs, 3)."""
         relative = self.feet_mm.copy()
         relative[:, :, :2] -= self.places[:, None, :2]
-        relative = _rotated(relative, _about(2, -self.places[:, 2])) - self.shift_mm[:, None, :]
+        relative = _rotated(relative, _rotation(2, -self.places[:, 2])) - self.shift_mm[:, None, :]
         roll, pitch, yaw = np.radians(self.tilt_deg).T
         for axis, angle in ((2, yaw), (1, pitch), (0, roll)):
-            relative = _rotated(relative, _about(axis, -angle))
+            relative = _rotated(relative, _rotation(axis, -angle))
         return relative
 
     def centre_mm(self) -> FloatArray:
         """Return the point of the ground below the body's centre, (n, 2)."""
         shift = np.zeros((len(self.places), 1, 3))
         shift[:, 0, :2] = self.shift_mm[:, :2]
-        turned = _rotated(shift, _about(2, self.places[:, 2]))[:, 0, :2]
+        turned = _rotated(shift, _rotation(2, self.places[:, 2]))[:, 0, :2]
         return np.asarray(self.places[:, :2] + turned)
 
     def margin_mm(self) -> FloatArray:
-        """Return how far the body's centre is inside of the feet that stand, (n,).
+        """Return the stability margin, (n,): how far the centre is inside of the standing feet.
 
-        That is the distance to the nearest edge of their polygon; negative outside of it, and
-        where fewer than three feet stand.
+        It is the distance to the nearest edge of their polygon; negative outside of it, and where
+        fewer than three feet stand.
         """
         centre = self.centre_mm()
         margin = np.full(len(centre), -np.inf)
@@ -207,7 +206,7 @@ class Stance:
 
 
 def _margin(feet: FloatArray, centre: FloatArray) -> FloatArray:
-    """Return the distance to the nearest edge: a line that all feet are to the left of."""
+    """Return the distance to the nearest edge, a line with all feet to its left."""
     if feet.shape[1] == 0:
         return np.full(len(centre), -np.inf)
     if feet.shape[1] == 1:
@@ -227,7 +226,7 @@ def _margin(feet: FloatArray, centre: FloatArray) -> FloatArray:
     return np.asarray(np.where(is_edge, left_of(centre), np.inf).min(axis=(1, 2)))
 
 
-def _about(axis: int, angle: FloatArray) -> FloatArray:
+def _rotation(axis: int, angle: FloatArray) -> FloatArray:
     """Return the rotations about one axis, (n, 3, 3)."""
     first, second = (axis + 1) % 3, (axis + 2) % 3
     rotation = np.zeros((len(angle), 3, 3))

@@ -1,6 +1,7 @@
-"""gait.yaml → Gait: legs put in order, speeds and distances made cycles, everything checked.
+"""gait.yaml → `Gait`: legs in the order of patterns, walks in whole cycles, all of it checked.
 
-The legs of a gait file: defaults merged, checked against the robot, in the order of patterns.
+Law: the problems of a file come in one `InputError`, each with its line. Reach and joint limits
+are checked by `paced`.
 """
 
 from __future__ import annotations
@@ -40,88 +41,17 @@ if TYPE_CHECKING:
 _NEEDED: Final = ("kind", "lengths_mm", "stance_mm")
 
 TWO_LEGS: Final = (
-    "two legs balance only while they fall from step to step, which needs a sense of balance that "
-    "servos do not have; four or six legs are walked"
+    "a robot with two legs balances by feedback from sensors that servos do not have; four or six "
+    "legs are supported"
 )
-
-
-def legs_of(content: GaitFile, robot: Robot) -> tuple[tuple[Leg, ...], list[Problem]]:
-    """Return the legs, left before right and front before rear, and what is wrong with them.
-
-    There are no legs where something is wrong.
-    """
-    entries = content.legs or {}
-    problems: list[Problem] = []
-    legs: list[Leg] = []
-    owners: dict[str, str] = {}
-    for name, entry in entries.items():
-        fields = {
-            key: value
-            for owner in (content.leg, entry)
-            for key in owner.model_fields_set
-            if (value := getattr(owner, key)) is not None
-        }
-        found = [*_problems(name, fields), *_joint_problems(name, entry, robot, owners)]
-        problems += found
-        if not found:
-            legs.append(_leg(name, fields))
-    ordered = in_order(legs)
-    if problems:
-        return (), problems
-    if len(entries) not in PARTS:
-        reason = TWO_LEGS if len(entries) == 2 else f"{len(entries)} legs; 4 or 6 are walked"
-        return (), [Problem(("legs",), reason)]
-    if ordered is None:
-        return (), [Problem(("legs",), f"a robot needs {SIDES_NEEDED}")]
-    return ordered, []
-
-
-def _problems(name: str, fields: dict[str, Any]) -> Iterator[Problem]:
-    place = ("legs", name)
-    for key in _NEEDED:
-        if key not in fields:
-            yield Problem((*place, key), f"leg {name!r} has no {key!r}; give it here or in 'leg'")
-    kind = fields.get("kind")
-    if kind is None:
-        return
-    if kind not in list(LegKind):
-        known = known_names(kind, [own.value for own in LegKind])
-        yield Problem((*place, "kind"), f"leg {name!r}: unknown kind {kind!r}; {known}")
-        return
-    other = {LegKind.COXA: "knee", LegKind.ABDUCTION: "yaw_deg"}[LegKind(kind)]
-    if other in fields:
-        yield Problem((*place, other), f"leg {name!r}: {other!r} means nothing for {kind} legs")
-    if kind == LegKind.COXA and "yaw_deg" not in fields:
-        yield Problem(place, f"leg {name!r} has no 'yaw_deg', where it points: 90 is left")
-
-
-def _joint_problems(
-    name: str, entry: LegEntry, robot: Robot, owners: dict[str, str]
-) -> Iterator[Problem]:
-    for index, joint in enumerate(entry.joints):
-        place = ("legs", name, "joints", index)
-        if joint not in robot.joints:
-            known = known_names(joint, robot.joints)
-            yield Problem(place, f"leg {name!r}: unknown joint {joint!r}; {known}")
-        elif joint in owners:
-            yield Problem(place, f"joint {joint!r} is already one of leg {owners[joint]!r}")
-        owners.setdefault(joint, name)
-
-
-def _leg(name: str, fields: dict[str, Any]) -> Leg:
-    kept: dict[str, Any] = {
-        key: tuple(value) if isinstance(value, list) else value for key, value in fields.items()
-    }
-    return Leg(**{"yaw_deg": 0.0} | kept | {"name": name, "kind": LegKind(kept["kind"])})
-
 
 _GAIT_KEY: Final = re.compile(r"""^(gait|"gait"|'gait')\s*:""", re.MULTILINE)
 
 UNLOOPED_CYCLES_MAX: Final = 30
-"""The middle of a longer walk is looped. Chosen: half a minute is planned in one piece."""
+"""A longer walk has a middle that is looped. Chosen: half a minute is planned in one piece."""
 
 ROUNDING: Final = 1e-9
-"""Of counts that are whole but for rounding."""
+"""Relative error of counts that would be whole without rounding."""
 
 ACTIONS: Final = ("stand", "sit", "pose", "walk", "turn")
 
@@ -132,10 +62,10 @@ def is_gait_file(path: Path | str) -> bool:
 
 
 def load_gait(path: Path | str, robot: Robot | None = None) -> Gait:
-    """Return the gait of a gait file, its legs those of `robot`, or of the robot that it names.
+    """Return the gait of a gait file for `robot`, or for the robot that the file names.
 
     Raises `InputError` with file, line, value and remedy; its `more` holds all further problems.
-    What feet can reach and joints can do is judged by `paced`.
+    Reach and joint limits are not checked here, but by `paced`.
     """
     content, source = _read(Path(path))
     robot = robot or load_named_robot(source, content.robot)
@@ -167,7 +97,7 @@ def _read(path: Path) -> tuple[GaitFile, YamlSource]:
 
 @dataclass(slots=True)
 class _Loader:
-    """Builds the gait of one file and notes what does not fit."""
+    """Builds the gait of one file and collects its problems."""
 
     content: GaitFile
     source: YamlSource
@@ -175,6 +105,7 @@ class _Loader:
     problems: list[Problem] = field(default_factory=list)
 
     def gait(self) -> Gait | None:
+        """Return the gait; it can be used only if there are no `problems`."""
         content = self.content
         legs = self._legs()
         if not legs:
@@ -187,7 +118,7 @@ class _Loader:
         if content.loop != 1 and end != start:
             self._note(
                 ("loop",),
-                "a loop must end in the pose in which it began; add a last action that goes back",
+                "a loop must end in the pose in which it began; add an action that returns to it",
             )
         if pattern is None:
             return None
@@ -257,7 +188,7 @@ class _Loader:
         if name is None:
             return next(iter(known.values()))
         if name not in known:
-            reason = f"pattern {name!r} is none for {len(legs)} legs; {known_names(name, known)}"
+            reason = f"pattern {name!r} is not for {len(legs)} legs; {known_names(name, known)}"
             self._note(("pattern",), reason)
         return known.get(name)
 
@@ -281,7 +212,7 @@ class _Loader:
                 continue
             action = self._action(entry, given[0], location)
             if isinstance(action, Walk) and is_sitting:
-                self._note(location, "it sits, and cannot walk; add '- stand: {}' before")
+                self._note(location, "the robot sits and cannot walk; add '- stand: {}' before")
             if isinstance(action, BodyMove):
                 pose, is_sitting = action.pose, given[0] == "sit"
             if action is not None:
@@ -294,7 +225,7 @@ class _Loader:
             return self._walk(entry.walk, (*location, key), line)
         if (turn := entry.turn) is not None:
             if turn.deg == 0.0:
-                self._note((*location, key, "deg"), "turn by 0 deg means nothing; remove it")
+                self._note((*location, key, "deg"), "turn by 0 deg has no effect; remove it")
                 return None
             cycles = _cycles(abs(turn.deg) / turn.turn_deg_s, self.content.cycle_s)
             return Walk(
@@ -352,7 +283,7 @@ class _Loader:
 
     def _check_endless(self, location: Location) -> None:
         if location[1] != len(self.content.do) - 1:
-            reason = "it walks forever, so that nothing could follow; give cycles a count"
+            reason = "a walk forever has no end, so nothing can follow; give cycles a count"
             self._note((*location, "cycles"), reason)
         if self.content.loop != 1:
             reason = "a walk without end cannot be looped; leave loop out"
@@ -360,7 +291,7 @@ class _Loader:
 
 
 def _with_loop(actions: tuple[Action, ...]) -> tuple[Action, ...]:
-    """Return the actions, the middle of the longest walk as cycles that are looped."""
+    """Return the actions; the middle of the longest walk, if it is long, is a loop of cycles."""
     walks = [own for own in actions if isinstance(own, Walk)]
     longest = max(walks, key=lambda walk: walk.cycles, default=None)
     is_endless = any(walk.more_cycles is None for walk in walks)
@@ -372,8 +303,8 @@ def _with_loop(actions: tuple[Action, ...]) -> tuple[Action, ...]:
 
 
 def _cycles(duration_s: float, cycle_s: float) -> int:
-    """Return the fewest whole cycles that last that long, a rounding error more not counted."""
-    return max(1, math.ceil(duration_s / cycle_s - 1e-9))
+    """Return the fewest whole cycles that last that long, apart from rounding."""
+    return max(1, math.ceil(duration_s / cycle_s - ROUNDING))
 
 
 def _pose(shift: list[float], tilt: list[float]) -> BodyPose:
@@ -384,3 +315,73 @@ def _move(entry: MoveEntry, pose: BodyPose, key: str, line: int) -> BodyMove:
     return BodyMove(
         pose=pose, in_s=entry.in_s, hold_s=entry.hold_s, label=entry.label or key, line=line
     )
+
+
+def legs_of(content: GaitFile, robot: Robot) -> tuple[tuple[Leg, ...], list[Problem]]:
+    """Return the legs, left before right and front before rear, and their problems.
+
+    With problems, no legs are returned.
+    """
+    entries = content.legs or {}
+    problems: list[Problem] = []
+    legs: list[Leg] = []
+    owners: dict[str, str] = {}
+    for name, entry in entries.items():
+        fields = {
+            key: value
+            for owner in (content.leg, entry)
+            for key in owner.model_fields_set
+            if (value := getattr(owner, key)) is not None
+        }
+        found = [*_leg_problems(name, fields), *_joint_problems(name, entry, robot, owners)]
+        problems += found
+        if not found:
+            legs.append(_leg(name, fields))
+    ordered = in_order(legs)
+    if problems:
+        return (), problems
+    if len(entries) not in PARTS:
+        reason = TWO_LEGS if len(entries) == 2 else f"{len(entries)} legs; 4 or 6 are supported"
+        return (), [Problem(("legs",), reason)]
+    if ordered is None:
+        return (), [Problem(("legs",), f"a robot needs {SIDES_NEEDED}")]
+    return ordered, []
+
+
+def _leg_problems(name: str, fields: dict[str, Any]) -> Iterator[Problem]:
+    place = ("legs", name)
+    for key in _NEEDED:
+        if key not in fields:
+            yield Problem((*place, key), f"leg {name!r} has no {key!r}; give it here or in 'leg'")
+    kind = fields.get("kind")
+    if kind is None:
+        return
+    if kind not in list(LegKind):
+        known = known_names(kind, [own.value for own in LegKind])
+        yield Problem((*place, "kind"), f"leg {name!r}: unknown kind {kind!r}; {known}")
+        return
+    other = {LegKind.COXA: "knee", LegKind.ABDUCTION: "yaw_deg"}[LegKind(kind)]
+    if other in fields:
+        yield Problem((*place, other), f"leg {name!r}: {other!r} has no meaning for {kind} legs")
+    if kind == LegKind.COXA and "yaw_deg" not in fields:
+        yield Problem(place, f"leg {name!r} has no 'yaw_deg', where it points: 90 is left")
+
+
+def _joint_problems(
+    name: str, entry: LegEntry, robot: Robot, owners: dict[str, str]
+) -> Iterator[Problem]:
+    for index, joint in enumerate(entry.joints):
+        place = ("legs", name, "joints", index)
+        if joint not in robot.joints:
+            known = known_names(joint, robot.joints)
+            yield Problem(place, f"leg {name!r}: unknown joint {joint!r}; {known}")
+        elif joint in owners:
+            yield Problem(place, f"joint {joint!r} is already one of leg {owners[joint]!r}")
+        owners.setdefault(joint, name)
+
+
+def _leg(name: str, fields: dict[str, Any]) -> Leg:
+    kept: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value for key, value in fields.items()
+    }
+    return Leg(**{"yaw_deg": 0.0} | kept | {"name": name, "kind": LegKind(kept["kind"])})

@@ -1,4 +1,6 @@
-"""What a walking robot is and what it is to do: legs, pattern, actions. Values only.
+"""The values of a gait: legs, pattern, actions.
+
+They are immutable. `gait.load` makes them from files.
 
 Frames are those of ROS (REP 103): x forward, y left, z up, turns counter-clockwise seen from above.
 The body's origin lies between the hips, at their height. A foot is the point at the shank's end.
@@ -17,10 +19,10 @@ if TYPE_CHECKING:
 
 LEAD_IN_CYCLES: Final = 3
 """After so many cycles of one velocity a walk is steady: feet that were placed before the velocity
-was blended in have stepped once more, and the spline has forgotten it."""
+was blended in have stepped once more, and the effect on the spline has decayed."""
 
 LAID_OUT_CYCLES: Final = 7
-"""Of a walk whose middle is looped: what leads in, the cycle itself, and as much that leads out."""
+"""Cycles that are laid out of a looped walk: lead-in, the looped cycle, and an equal lead-out."""
 
 Triple = tuple[float, float, float]
 
@@ -29,9 +31,9 @@ class LegKind(StrEnum):
     """How the three joints of a leg are arranged, from the body to the foot."""
 
     COXA = "coxa-femur-tibia"
-    """As insects: the coxa turns the leg about a vertical axis, femur and tibia lift and reach."""
+    """As in insects: the coxa turns the leg about a vertical axis, femur and tibia lift it."""
     ABDUCTION = "abduction-thigh-shank"
-    """As dogs: the first joint swings the leg sideways, thigh and shank forward and back."""
+    """As in dogs: the first joint swings the leg sideways, thigh and shank forward and back."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,7 +54,7 @@ class Leg:
     lengths_mm: Triple
     """From first axis to second, to third, to foot."""
     stance_mm: float
-    """How far to the side of its hip the foot stands: along the yaw, or straight left or right."""
+    """Distance from hip to foot in a stand: along the yaw, or straight left or right."""
     knee: Literal["back", "forward"] = "back"
     """Where the knee of an abduction leg points."""
     zero_deg: Triple = (0.0, 0.0, 0.0)
@@ -73,9 +75,9 @@ class BodyPose:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wave:
-    """A layer of the body: it swings about wherever it is, `pose` at most, once in `every_s`.
+    """A swing of the body about its pose, with the amplitudes of `pose` and the period `every_s`.
 
-    At the start of a stretch from rest to rest it has `start_ratio` of a swing behind it.
+    `start_ratio` is its phase at the start of a passage, as a share of the period.
     """
 
     pose: BodyPose
@@ -85,9 +87,9 @@ class Wave:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BodyMove:
-    """Bring the body to a pose in `in_s`, feet where they are, and keep it for `hold_s`.
+    """Bring the body to a pose in `in_s` over standing feet, and keep it for `hold_s`.
 
-    Moves that follow each other without a hold flow into one another.
+    Consecutive moves without a hold do not stop between them.
     """
 
     pose: BodyPose
@@ -106,7 +108,7 @@ class Walk:
     turn_deg_s: float
     cycles: int
     more_cycles: int | None = 0
-    """So many more like those in the middle, which are looped; None: without end."""
+    """Cycles that the loop of the middle adds; None: without end."""
     label: str = ""
     line: int | None = field(default=None, compare=False)
 
@@ -116,9 +118,9 @@ Action = BodyMove | Walk
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gait:
-    """Legs, how they step, and what to do. Starts in the pose `start`, feet at their stance.
+    """Legs, pattern and actions. The robot starts in the pose `start`, feet at their stance.
 
-    `cycle_s`, `duty` and all speeds are what is wanted; what the servos cannot do is slowed.
+    `cycle_s` and all speeds are those of the author; `paced` slows them to the servo limits.
     `sway_mm` is how far the body leans away from a lifted leg.
     """
 
@@ -132,10 +134,10 @@ class Gait:
     sway_mm: float
     actions: tuple[Action, ...]
     waves: tuple[Wave, ...] = ()
-    """On top of all poses, while standing and while walking; they fade at every rest."""
+    """Added to all poses, while standing and while walking. They fade at every rest."""
     start: BodyPose = field(default_factory=BodyPose)
     sit: BodyPose | None = None
-    """How it sits, if it can."""
+    """The pose in which the robot sits; None: it cannot."""
     loop: int | None = 1
     path: Path | None = field(default=None, compare=False)
     robot_path: Path | None = field(default=None, compare=False)

@@ -1,6 +1,7 @@
-"""Gait → joint angles at keys: each stretch from rest to rest, as fast as wanted or as possible.
+"""Gait → joint angles at keys, at the pace of the author or as fast as the servo limits allow.
 
-What a gait comes to, in words: how fast it is, what holds it back, how safely it stands.
+The actions are split into passages from rest to rest; each is checked for reach, joint ranges and
+stability, and slowed as a whole. `gait_lines` describes the result in text.
 """
 
 from __future__ import annotations
@@ -31,10 +32,10 @@ if TYPE_CHECKING:
 
 
 KEYS_PER_CYCLE: Final = 16
-"""Keys of one cycle, or of a second of posing, to begin with; doubled while feet would stray."""
+"""Keys of one cycle, or of a second of posing, at first; doubled while feet deviate too much."""
 
 FOOT_ERROR_MM: Final = 0.05
-"""How far feet may stray between keys. Chosen: a tenth of the slip that is allowed."""
+"""Largest deviation of a foot between keys. Chosen: a tenth of the slip that is allowed."""
 
 DOUBLINGS_MAX: Final = 5
 """512 keys a cycle. Measured: one doubling is usual, two are needed near the end of the reach."""
@@ -43,25 +44,25 @@ ANGLE_DECIMALS: Final = 5
 """Keys are rounded, for people to read. At 512 keys a cycle this is 2 % of the acceleration."""
 
 ACCEL_SHARE: Final = 0.9
-"""Share of a joint's acceleration that is used, because a servo that is at its ramp cannot catch
-up. Measured, nine patterns with five seeds each: horns stray 0.62 deg at most with all of it, 0.52
-with 0.9, 0.37 with 0.8; 0.9 takes 5 % longer and 0.8 12 %. The slip of feet does not tell them
-apart. Chosen: most of the speed."""
+"""Share of a joint's acceleration that is used: a servo that is limited by its ramp cannot catch
+up. Measured, nine patterns with five seeds each: the largest error of a horn is 0.62 deg with 1.0,
+0.52 with 0.9, 0.37 with 0.8; 0.9 takes 5 % longer and 0.8 12 %. The slip of feet is the same for
+all three. Chosen: most of the speed."""
 
 ROUNDING: Final = 1e-9
-"""Of counts that are whole but for rounding."""
+"""Absolute error of counts that would be whole without rounding."""
 
 TURN_S: Final = 1e-6
-"""A foot is judged this long before and after it lifts or lands."""
+"""Stability is checked this long before and after a foot lifts or lands."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Paced:
-    """One passage as the servos can do it: all of it slowed by `pace_ratio`, 1 or more.
+    """One passage within the servo limits: all of it is slowed by `pace_ratio`, 1 or more.
 
-    `times_s` are the author's; the joints follow the clamped spline through `angles_deg`,
-    (n, joints), ordered by legs. `joint` and `limit` say what is used most, `margin_min_mm` how
-    safely the body stands at its worst (see `Stance.margin_mm`), at `margin_min_s`.
+    `times_s` are those of the author. The joints follow the clamped spline through `angles_deg`,
+    (n, joints), ordered by legs. `joint` and `limit` are the ones used most. `margin_min_mm` is
+    the smallest stability margin (see `Stance.margin_mm`), at `margin_min_s`.
     """
 
     passage: Passage
@@ -77,7 +78,7 @@ class Paced:
 
     @property
     def duration_s(self) -> float:
-        """How long it takes, the hold after it not counted."""
+        """How long it takes, without the hold after it."""
         return float(self.times_s[-1]) * self.pace_ratio
 
 
@@ -89,15 +90,15 @@ def joints_of(gait: Gait) -> tuple[str, ...]:
 def paced(gait: Gait, robot: Robot) -> tuple[Paced, ...]:
     """Return the passages of a gait, each within the limits of the joints of `robot`.
 
-    What is too fast is slowed evenly from rest to rest, so that body and feet keep their ways and
-    a steady cycle stays steady. Raises `InputError` with the line for a foot out of reach or a
+    A passage that is too fast is slowed evenly, so that body and feet keep their paths and a
+    steady cycle stays steady. Raises `InputError` with the line for a foot out of reach or a
     joint out of its range, and `PlanningError` where a static pattern would fall.
     """
     return tuple(_paced(gait, robot, *part) for part in _passages(gait))
 
 
 def _passages(gait: Gait) -> Iterator[tuple[Passage, tuple[Action, ...]]]:
-    """Split the actions where everything rests: at holds, and between posing and walking."""
+    """Split the actions where the robot rests: at holds, and between posing and walking."""
     pose: BodyPose = gait.start
     together: list[Action] = []
     for action, following in pairwise([*gait.actions, None]):
@@ -119,15 +120,15 @@ def _paced(gait: Gait, robot: Robot, passage: Passage, actions: tuple[Action, ..
     speed, accel = spline(float(times_s[1]), angles_deg).peaks()
     joints = [robot.joints[name] for name in joints_of(gait)]
     by_speed = speed / np.array([joint.speed_max_deg_s for joint in joints])
-    # Acceleration falls with the square of the pace, so the root makes both comparable.
+    # Acceleration falls with the square of the pace ratio; its root compares with the speed.
     allowed = ACCEL_SHARE * np.array([joint.accel_max_deg_s2 for joint in joints])
     by_accel = np.sqrt(accel / allowed)
     used = np.maximum(by_speed, by_accel)
     tightest = int(np.argmax(used))
-    judged_s = checked_times_s(passage, times_s)
-    margin_mm = passage.at(judged_s).margin_mm()
+    checked_s = checked_times_s(passage, times_s)
+    margin_mm = passage.at(checked_s).margin_mm()
     worst = int(np.argmin(margin_mm))
-    check_margin(gait, passage, actions, float(margin_mm[worst]), float(judged_s[worst]))
+    check_margin(gait, passage, actions, float(margin_mm[worst]), float(checked_s[worst]))
     last = actions[-1]
     return Paced(
         passage=passage,
@@ -138,7 +139,7 @@ def _paced(gait: Gait, robot: Robot, passage: Passage, actions: tuple[Action, ..
         joint=joints[tightest].name,
         limit="speed" if by_speed[tightest] >= by_accel[tightest] else "acceleration",
         margin_min_mm=float(margin_mm[worst]),
-        margin_min_s=float(judged_s[worst]),
+        margin_min_s=float(checked_s[worst]),
         hold_s=last.hold_s if isinstance(last, BodyMove) else 0.0,
     )
 
@@ -146,9 +147,9 @@ def _paced(gait: Gait, robot: Robot, passage: Passage, actions: tuple[Action, ..
 def _keys(
     gait: Gait, passage: Passage, actions: tuple[Action, ...]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return as many equidistant keys as keep the feet on their ways in between.
+    """Return equidistant keys, as many as keep the feet on their paths between them.
 
-    Every cycle of a walk has the same whole number of them, so that steady cycles are equal.
+    Every cycle of a walk has the same whole number of keys, so that steady cycles are equal.
     """
     unit_s, end_s = 1.0, passage.duration_s
     if isinstance(passage, Walking):
@@ -175,7 +176,7 @@ def _keys(
 def angles_at(
     gait: Gait, passage: Passage, times_s: FloatArray, actions: tuple[Action, ...]
 ) -> FloatArray:
-    """Return the joint angles at instants of a passage; raises `InputError` for a foot too far."""
+    """Return the joint angles at instants of a passage; `InputError`: a foot is out of reach."""
     feet = passage.at(times_s).feet_in_body()
     columns = []
     for index, leg in enumerate(gait.legs):
@@ -199,10 +200,10 @@ def action_at(passage: Passage, at_s: float) -> int:
 
 
 def error_mm(gait: Gait, passage: Passage, times_s: FloatArray, between_deg: FloatArray) -> float:
-    """Return how far a foot is at most from where it should be, halfway between keys."""
-    wanted = passage.at(0.5 * (times_s[1:] + times_s[:-1])).feet_in_body()
+    """Return the largest deviation of a foot from its path, halfway between keys."""
+    path_mm = passage.at(0.5 * (times_s[1:] + times_s[:-1])).feet_in_body()
     return max(
-        float(np.linalg.norm(forward(leg, own) - wanted[:, index], axis=1).max())
+        float(np.linalg.norm(forward(leg, own) - path_mm[:, index], axis=1).max())
         for index, (leg, own) in enumerate(
             zip(gait.legs, np.split(between_deg, len(gait.legs), axis=1), strict=True)
         )
@@ -229,7 +230,7 @@ def check_range(
 
 
 def checked_times_s(passage: Passage, times_s: FloatArray) -> FloatArray:
-    """Return the keys, and the instants next to those at which feet lift and land."""
+    """Return the instants to check for stability: all keys, and next to lifts and landings."""
     turns_s = passage.turns_s
     return np.concatenate([times_s, turns_s - TURN_S, turns_s + TURN_S])
 
@@ -237,7 +238,7 @@ def checked_times_s(passage: Passage, times_s: FloatArray) -> FloatArray:
 def check_margin(
     gait: Gait, passage: Passage, actions: tuple[Action, ...], margin_mm: float, at_s: float
 ) -> None:
-    """Raise `PlanningError` where the body would be outside of its feet and must not be."""
+    """Raise `PlanningError` if the margin is negative in a static pattern or a pose."""
     is_walk = isinstance(actions[0], Walk)
     if margin_mm >= 0.0 or (is_walk and not gait.pattern.is_static):
         return
@@ -253,7 +254,7 @@ def check_margin(
 
 
 def gait_lines(gait: Gait, passages: tuple[Paced, ...]) -> list[str]:
-    """Return a line for the gait and one for each stretch from rest to rest, and its actions."""
+    """Return a line for the gait, and lines for each passage and its actions."""
     lasts_s = sum(part.duration_s + part.hold_s + looped_s(gait, part) for part in passages)
     lasts = "without end" if lasts_s == math.inf else f"one pass {lasts_s:.2f} s"
     safe = "static" if gait.pattern.is_static else "dynamic"
@@ -272,7 +273,7 @@ def gait_lines(gait: Gait, passages: tuple[Paced, ...]) -> list[str]:
 
 
 def looped_s(gait: Gait, part: Paced) -> float:
-    """Return how long the cycles take that are looped and not laid out; `math.inf`: for ever."""
+    """Return how long the looped cycles take that are not laid out; `math.inf`: forever."""
     more = [own.more_cycles for own in part.actions if isinstance(own, Walk)]
     cycles = sum(math.inf if count is None else count for count in more)
     return cycles * gait.cycle_s * part.pace_ratio
@@ -283,7 +284,7 @@ def _pace_text(part: Paced) -> str:
     text = f"body at least {margin_mm:.0f} mm inside of its feet (after {at_s:.2f} s)"
     if margin_mm < 0.0:
         text = f"body up to {-margin_mm:.0f} mm outside of its feet (after {at_s:.2f} s)"
-    pace = "at the pace wanted"
+    pace = "at the pace of the file"
     if part.pace_ratio > 1.0:
         pace = f"{part.pace_ratio:.3f} times slower, for {part.limit} of joint {part.joint!r}"
     return f"{pace}; {text}"

@@ -1,4 +1,8 @@
-"""Stretches of a gait from rest to rest: a walk with its entry and exit, or moves of the body."""
+"""Passages of a gait, from rest to rest: walks with entry and exit, or moves of the body.
+
+`Passage` is what `pacing` uses of both. `Posing` moves the body over standing feet, `Walking`
+combines the path of the body, the steps of the feet, sway and swings.
+"""
 
 from __future__ import annotations
 
@@ -22,22 +26,21 @@ if TYPE_CHECKING:
 
 SWAY_WIDTH_RATIO: Final = 0.5
 """Share of a cycle over which the body leans away from one leg and back. Chosen: the next leg of a
-crawl lifts a quarter later, when the lean away from it has just reached its half."""
+crawl lifts a quarter of a cycle later, when the lean away from it has reached its half."""
 
 LEAN_RATIO: Final = 0.5
-"""Share of a cycle taken to begin to sway before the first step, and to end it after the last."""
-
+"""The sway begins this share of a cycle before the first step and ends it after the last one."""
 
 FADE_S: Final = 1.0
-"""Layers grow from nothing so long, or over half of a shorter stretch. Chosen."""
+"""Swings fade in and out for so long, or for half of a shorter passage. Chosen."""
 
 
 class Passage(Protocol):
-    """Body and feet from rest to rest, over the author's time. Feet are neutral at both ends."""
+    """Body and feet from rest to rest, at the author's pace. Feet are neutral at both ends."""
 
     @property
     def duration_s(self) -> float:
-        """How long it takes as the author wants it."""
+        """How long it takes at the author's pace."""
 
     def at(self, times_s: FloatArray) -> Stance:
         """Return body and feet, legs in the order of the gait."""
@@ -74,7 +77,7 @@ class Posing:
 
     def at(self, times_s: FloatArray) -> Stance:
         pose = through(self.times_s, self.poses, np.clip(times_s, 0.0, self.duration_s))
-        pose = pose + swung(self.waves, times_s, self.duration_s)
+        pose = pose + swings(self.waves, times_s, self.duration_s)
         feet = np.zeros((len(times_s), *self.feet_mm.shape))
         return Stance(
             places=np.zeros((len(times_s), 3)),
@@ -98,9 +101,9 @@ class Walking:
     lean_s: float
     cycle_s: float
     swings_ratio: FloatArray
-    """Where in a cycle each leg is in the middle of its step."""
+    """The middle of the step of each leg, as a share of the cycle."""
     sways_mm: FloatArray
-    """Where the body leans then, (legs, 2)."""
+    """How far the body leans at that time, (legs, 2)."""
     waves: tuple[Wave, ...] = ()
 
     @property
@@ -118,7 +121,7 @@ class Walking:
 
     @property
     def begins_s(self) -> FloatArray:
-        """When each walk begins to walk: after the lean, the first one too."""
+        """When each walk begins to travel, after the lean."""
         return self.travel.starts_s + self.lean_s
 
     @property
@@ -129,7 +132,7 @@ class Walking:
     def at(self, times_s: FloatArray) -> Stance:
         walked_s = np.asarray(times_s - self.lean_s)
         feet = [own.at(walked_s) for own in self.steps]
-        pose = self.pose + swung(self.waves, times_s, self.duration_s)
+        pose = self.pose + swings(self.waves, times_s, self.duration_s)
         shift_mm = pose[:, :3]
         shift_mm[:, :2] += self._sway_mm(walked_s)
         return Stance(
@@ -143,26 +146,26 @@ class Walking:
     def _sway_mm(self, walked_s: FloatArray) -> FloatArray:
         if self.lean_s == 0.0:
             return np.zeros((len(walked_s), 2))
-        away = walked_s[:, None] / self.cycle_s - self.swings_ratio + 0.5
-        away = (away % 1.0 - 0.5) / SWAY_WIDTH_RATIO
-        weight = np.where(np.abs(away) < 0.5, np.cos(np.pi * away) ** 2, 0.0)
+        offset = walked_s[:, None] / self.cycle_s - self.swings_ratio + 0.5
+        offset = (offset % 1.0 - 0.5) / SWAY_WIDTH_RATIO
+        weight = np.where(np.abs(offset) < 0.5, np.cos(np.pi * offset) ** 2, 0.0)
         end_s = self._stepping_s + self.lean_s
         share = blend(walked_s / self.lean_s + 1.0) * blend((end_s - walked_s) / self.lean_s)
         return np.asarray(share[:, None] * (weight @ self.sways_mm))
 
 
 def posing(gait: Gait, start: BodyPose, moves: Sequence[BodyMove]) -> Posing:
-    """Return the passage through moves; only the last may have a hold."""
+    """Return the passage of consecutive moves; only the last may have a hold."""
     return Posing(
         times_s=np.cumsum([0.0, *(move.in_s for move in moves)]),
-        poses=np.stack([_six(gait, start), *(_six(gait, move.pose) for move in moves)]),
+        poses=np.stack([_xyz_rpy(gait, start), *(_xyz_rpy(gait, move.pose) for move in moves)]),
         feet_mm=np.array([[*neutral_mm(leg), 0.0] for leg in gait.legs]),
         waves=gait.waves,
     )
 
 
 def walking(gait: Gait, pose: BodyPose, walks: Sequence[Walk]) -> Walking:
-    """Return the passage of walks that follow each other without a stop."""
+    """Return the passage of consecutive walks."""
     way = travel(walks, gait.cycle_s)
     legs = tuple(
         steps(
@@ -178,8 +181,8 @@ def walking(gait: Gait, pose: BodyPose, walks: Sequence[Walk]) -> Walking:
     return replace(stepping(gait, pose, way, legs), waves=gait.waves)
 
 
-def swung(waves: Sequence[Wave], times_s: FloatArray, duration_s: float) -> FloatArray:
-    """Return what layers add to a pose, (n, 6): nothing at both ends of a passage, at rest."""
+def swings(waves: Sequence[Wave], times_s: FloatArray, duration_s: float) -> FloatArray:
+    """Return the sum of the swings, (n, 6); it is zero and at rest at both ends of a passage."""
     fade_s = min(FADE_S, 0.5 * duration_s)
     share = blend(times_s / fade_s) * blend((duration_s - times_s) / fade_s)
     total = np.zeros((len(times_s), 6))
@@ -191,12 +194,12 @@ def swung(waves: Sequence[Wave], times_s: FloatArray, duration_s: float) -> Floa
 
 
 def stepping(gait: Gait, pose: BodyPose, way: Travel, legs: tuple[Steps, ...]) -> Walking:
-    """Return the passage of a body in one pose that goes a way, and of feet that step."""
+    """Return the passage of a body in one pose with its path, and of the steps of its feet."""
     neutral = np.array([neutral_mm(leg) for leg in gait.legs])
     return Walking(
         travel=way,
         steps=legs,
-        pose=_six(gait, pose),
+        pose=_xyz_rpy(gait, pose),
         lean_s=lean_s_of(gait),
         cycle_s=gait.cycle_s,
         swings_ratio=np.array(gait.pattern.lifts_ratio) + 0.5 * (1.0 - gait.duty),
@@ -205,11 +208,11 @@ def stepping(gait: Gait, pose: BodyPose, way: Travel, legs: tuple[Steps, ...]) -
 
 
 def lean_s_of(gait: Gait) -> float:
-    """Return how long the body leans before its first step and after its last."""
+    """Return how long the sway takes to begin before the first step, and to end after the last."""
     return LEAN_RATIO * gait.cycle_s if gait.sway_mm > 0.0 else 0.0
 
 
-def _six(gait: Gait, pose: BodyPose) -> FloatArray:
+def _xyz_rpy(gait: Gait, pose: BodyPose) -> FloatArray:
     """Return a pose as x, y, z, roll, pitch, yaw, its z from the ground."""
     x, y, z = pose.shift_mm
     return np.array([x, y, gait.height_mm + z, *pose.tilt_deg])

@@ -1,4 +1,4 @@
-"""Which leg lifts when: patterns as data, and which leg of a robot plays which part."""
+"""Gait patterns as data: when each leg lifts; and the order of the legs of a robot."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ PARTS: Final[Mapping[int, tuple[str, ...]]] = MappingProxyType(
         ),
     }
 )
-"""The parts of robots with that many legs, in the order of `Pattern.lifts_ratio`."""
+"""Positions of the legs by the number of legs, in the order of `Pattern.lifts_ratio`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pattern:
     """When in a cycle each leg lifts, as a share of the cycle, in the order of `PARTS`.
 
-    `duty_ratio` is the usual share that a foot is on the ground. `is_static`: the robot could
-    stop at any instant without falling, which is checked. `sway_ratio` is how far the body leans
-    away from a lifted leg by default, as a share of the distance from body to foot.
+    `duty_ratio` is the default share of the cycle in which a foot is on the ground. `is_static`:
+    the robot can stop at any instant without falling; `pacing` checks that. `sway_ratio` is how far
+    the body leans away from a lifted leg by default, as a share of the distance from body to foot.
     """
 
     name: str
@@ -77,9 +77,9 @@ _FOUR = (
     Pattern(name="pace", lifts_ratio=(0, 0, 0.5, 0.5), duty_ratio=0.5, is_static=False),
     # Front and rear in turn.
     Pattern(name="bound", lifts_ratio=(0, 0.5, 0, 0.5), duty_ratio=0.5, is_static=False),
-    # One leg at a time, rear before front: how dogs walk, falling a little at every step.
+    # One leg at a time, rear before front, as dogs walk; not stable at every instant.
     Pattern(name="walk", lifts_ratio=(0.25, 0, 0.75, 0.5), duty_ratio=0.75, is_static=False),
-    # The same, slower and leaning: the weight is always over three feet.
+    # The same, slower and with sway: the centre is always over three feet.
     Pattern(
         name="crawl",
         lifts_ratio=(0.25, 0, 0.75, 0.5),
@@ -95,13 +95,13 @@ PATTERNS: Final[Mapping[int, Mapping[str, Pattern]]] = MappingProxyType(
         6: MappingProxyType({pattern.name: pattern for pattern in _SIX}),
     }
 )
-"""By number of legs and name; the first is the default. Phases are the usual ones of the field."""
+"""By number of legs and name; the first is the default. The phases are those of the literature."""
 
 SIDES_NEEDED: Final = "as many legs on the left (hip y above 0) as on the right (below 0)"
 
 
 def in_order(legs: Sequence[Leg]) -> tuple[Leg, ...] | None:
-    """Return the legs in the order of `PARTS`, by where their hips are; None if sides differ."""
+    """Return the legs in the order of `PARTS`, by their hips; None if the sides are not equal."""
     left = sorted((leg for leg in legs if leg.hip_mm[1] > 0.0), key=lambda leg: -leg.hip_mm[0])
     right = sorted((leg for leg in legs if leg.hip_mm[1] < 0.0), key=lambda leg: -leg.hip_mm[0])
     if len(left) != len(right) or len(left) + len(right) != len(legs):

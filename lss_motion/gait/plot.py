@@ -1,4 +1,4 @@
-"""A picture of a gait: the way seen from above, who steps when, how safely the body stands."""
+"""A picture of a gait: paths from above, steps over time, and the stability margin."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ if TYPE_CHECKING:
 
 SAMPLES_PER_S: Final = 200
 SAMPLES_MAX: Final = 20_000
-GHOSTS: Final = 6
-"""How often body and supporting feet are drawn along a walk."""
+SNAPSHOTS: Final = 6
+"""How often body and standing feet are drawn along a walk."""
 
 BODY, LEFT, RIGHT, GROUND, UNSAFE = "#1f5fa8", "#2a9d6f", "#e0701a", "#9aa5b1", "#c0392b"
-"""Colours: the body, legs of either side, the ground, a body that would fall if it stopped."""
+"""Colours of the body, the legs of either side, the ground, and a negative margin."""
 
 
 def plot_gait(gait: Gait, passages: tuple[Paced, ...], path: Path) -> None:
-    """Draw the gait into `path`; the kind of picture is that of its suffix.
+    """Draw the gait into `path`; its suffix selects the kind of picture.
 
-    From above: body and feet over the ground, every walk from its own start. Over time: bars where
+    From above: body and feet over the ground, every walk from its own start. Over time: bars while
     feet stand, the height of each foot, and the margin (`Stance.margin_mm`). Raises `InputError`
     for a suffix that cannot be drawn or a file that cannot be written.
     """
@@ -44,12 +44,12 @@ def plot_gait(gait: Gait, passages: tuple[Paced, ...], path: Path) -> None:
         width_ratios=[1.0, 1.2],
         height_ratios=[1.3, 1.0, 1.0],
     )
-    samples = [_sampled(part) for part in passages]
-    _above(shapes["above"], gait, samples)
+    samples = [_sample(part) for part in passages]
+    _draw_from_above(shapes["above"], gait, samples)
     starts_s = np.cumsum([0.0, *(part.duration_s + part.hold_s for part in passages)])
     for start_s, sample in zip(starts_s.tolist(), samples, strict=False):
-        _over_time(shapes, gait, start_s, sample)
-    _dressed(shapes, gait)
+        _draw_over_time(shapes, gait, start_s, sample)
+    _label_axes(shapes, gait)
     is_looped = any(looped_s(gait, part) > 0.0 for part in passages)
     looped = ", the cycles that are looped drawn once" if is_looped else ""
     figure.suptitle(f"{gait.name}: {gait.pattern.name}{looped}", fontsize=11, x=0.01, ha="left")
@@ -63,28 +63,28 @@ class _Sample:
     margin_mm: FloatArray
 
 
-def _sampled(part: Paced) -> _Sample:
+def _sample(part: Paced) -> _Sample:
     count = int(min(SAMPLES_MAX, max(2, part.duration_s * SAMPLES_PER_S)))
     times_s = np.linspace(0.0, part.duration_s, count)
     stance = part.passage.at(times_s / part.pace_ratio)
     return _Sample(times_s, stance, stance.margin_mm())
 
 
-def _above(axis: Any, gait: Gait, samples: list[_Sample]) -> None:  # noqa: ANN401  matplotlib
-    """Draw what is seen from above, turned so that forward is up, as from behind the robot."""
+def _draw_from_above(axis: Any, gait: Gait, samples: list[_Sample]) -> None:  # noqa: ANN401  matplotlib
+    """Draw the paths from above, with forward up."""
     for sample in samples:
         stance = sample.stance
         for foot, colour in zip(np.moveaxis(stance.feet_mm, 1, 0), _colours(gait), strict=True):
             axis.plot(-foot[:, 1], foot[:, 0], color=colour, linewidth=0.8, alpha=0.7)
         centre = stance.centre_mm()
         axis.plot(-centre[:, 1], centre[:, 0], color=BODY, linewidth=1.6)
-        ghosts = 1 if stance.is_down.all() else GHOSTS
-        for index in np.linspace(0, len(centre) - 1, ghosts).astype(int).tolist():
-            _ghost(axis, gait, stance, centre, index)
+        snapshots = 1 if stance.is_down.all() else SNAPSHOTS
+        for index in np.linspace(0, len(centre) - 1, snapshots).astype(int).tolist():
+            _draw_snapshot(axis, gait, stance, centre, index)
     axis.set_aspect("equal")
 
 
-def _ghost(axis: Any, gait: Gait, stance: Stance, centre: FloatArray, index: int) -> None:  # noqa: ANN401
+def _draw_snapshot(axis: Any, gait: Gait, stance: Stance, centre: FloatArray, index: int) -> None:  # noqa: ANN401
     """Draw the hips and the polygon of the feet that stand."""
     heading = stance.places[index, 2] + np.radians(stance.tilt_deg[index, 2])
     cosine, sine = np.cos(heading), np.sin(heading)
@@ -101,7 +101,7 @@ def _ghost(axis: Any, gait: Gait, stance: Stance, centre: FloatArray, index: int
     axis.plot(-feet[:, 1], feet[:, 0], color=GROUND, linewidth=0.6, marker="o", markersize=2.5)
 
 
-def _over_time(shapes: dict[str, Any], gait: Gait, start_s: float, sample: _Sample) -> None:
+def _draw_over_time(shapes: dict[str, Any], gait: Gait, start_s: float, sample: _Sample) -> None:
     times_s = start_s + sample.times_s
     for row, (leg, colour) in enumerate(zip(gait.legs, _colours(gait), strict=True)):
         down = sample.stance.is_down[:, row]
@@ -119,7 +119,7 @@ def _over_time(shapes: dict[str, Any], gait: Gait, start_s: float, sample: _Samp
     shapes["margin"].fill_between(times_s, margin_mm, 0.0, margin_mm < 0, color=UNSAFE, alpha=0.4)
 
 
-def _dressed(shapes: dict[str, Any], gait: Gait) -> None:
+def _label_axes(shapes: dict[str, Any], gait: Gait) -> None:
     titles = {
         "above": "from above, mm: the body, its feet, the polygons that carry it",
         "diagram": "feet on the ground",

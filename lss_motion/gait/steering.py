@@ -1,10 +1,10 @@
-"""A walk that is steered while it goes: whatever is steered, it always ends in a stable stand.
+"""Plans of a walk that is steered while it goes. Law: every plan ends in a stable stand.
 
-Time is cut into phases: between two boundaries the same legs swing. At a boundary a new velocity
-may be taken up; like every change it is blended in over one cycle. What is planned from there on
-is a *stretch*: the phases that are walked at that velocity, and then the steps that lead to a
-stand. A later stretch replaces those steps from its own first boundary on; if none comes, they are
-walked. So a stretch is only taken if all of it, its end included, is within every limit.
+Time is divided into phases; between two boundaries the same legs swing. At a boundary a new
+velocity can begin; it is blended in over one cycle. A `WalkPlan` has the phases that are walked at
+that velocity, and then the steps that lead to a stand. The next plan replaces those steps from its
+own first boundary on. If none comes in time, they are walked. So a plan is valid only if all of
+it, its end included, is within every limit.
 """
 
 from __future__ import annotations
@@ -42,33 +42,33 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 KEYS_PER_CYCLE: Final = 64
-"""Keys of one cycle. Measured: feet stray 0.03 mm between them at the longest strides."""
+"""Keys of one cycle. Measured: feet deviate 0.03 mm between them at the longest strides."""
 
 SLOPE_STEP_S: Final = 1e-4
-"""Slopes at keys are differences over twice this: a hundred millionth of a degree off."""
+"""Slopes at keys are differences over twice this: their error is 1e-8 of a degree."""
 
 HISTORY_S: Final = 0.3
-"""How much of what was before a stretch begins with: a servo is sent what it does early."""
+"""How much of the path before its start a plan holds: commands are sent ahead of their motion."""
 
 CHANGE_RATIOS: Final = (1.0, 0.7, 0.45, 0.25, 0.1, 0.0)
-"""How much of a change of velocity is tried at one boundary; the rest follows at the next."""
+"""Shares of a change of velocity that are tried at one boundary; the rest follows at the next."""
 
 SLOWED_RATIO: Final = 1.05
-"""Slower than each part of a velocity needs by this, so that parts can be put together. Chosen: a
-tenth of the acceleration."""
+"""The cycle is longer by this than each part of a velocity needs, so that parts can be combined.
+Chosen: a tenth of the acceleration."""
 
 USED_MAX_RATIO: Final = 1.0 + 1e-6
-"""What was within the limits once is still within when it is integrated anew: rounding."""
+"""A path within the limits stays within when it is integrated again: rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WalkPlan:
-    """What is walked from a boundary on, with all that leads to a stand.
+    """The walk from a boundary on, with the steps that lead to a stand.
 
     The joints follow cubics through `angles_deg` with `slopes_deg_s` at `times_s`, which begin
-    `HISTORY_S` before `from_s`, where the stretch begins. Until `next_s` the velocity is `twist`;
-    `following` is the walker there. `end_s` is when it stands. Seconds count from the stand at
-    which the walk began.
+    `HISTORY_S` before the start of the plan, `from_s`. Until `next_s` the velocity is `twist`;
+    `following` is the walker at that boundary. The robot stands from `end_s` on. Seconds count
+    from the stand at which the walk began.
     """
 
     twist: Twist
@@ -84,7 +84,7 @@ class WalkPlan:
 
 @dataclass(frozen=True, slots=True)
 class Steering:
-    """Plans the stretches of a gait that never breaks off; `gait.actions` do not matter."""
+    """Makes the plans of one walk with the body in `pose`; `gait.actions` are not used."""
 
     gait: Gait
     robot: Robot
@@ -92,15 +92,16 @@ class Steering:
 
     @property
     def stepper(self) -> Stepper:
+        """The steps of this gait."""
         return Stepper(self.gait)
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """The order of the columns of a stretch."""
+        """The order of the columns of a plan."""
         return joints_of(self.gait)
 
     def standing(self) -> Walker:
-        """Return the robot before its first step."""
+        """Return the walker before its first step."""
         feet = [neutral_mm(leg) for leg in self.gait.legs]
         still = Walker(
             boundary=0,
@@ -121,15 +122,15 @@ class Steering:
         return replace(still, past_s=np.array([-HISTORY_S, 0.0]), past=past)
 
     def is_standing(self, walker: Walker) -> bool:
-        """Return whether it has come to rest, with every foot where it belongs."""
+        """Return whether the walker rests, with every foot at its neutral position."""
         return walker.twist == STILL and not self.stepper.goes_on(walker)
 
     def plan_towards(self, walker: Walker, commanded: Twist, hold: int = 1) -> WalkPlan:
-        """Return the stretch that comes closest to `wanted`, held for `hold` phases.
+        """Return the plan whose velocity is closest to `commanded`, held for `hold` phases.
 
-        A change that asks too much is made in part; the rest is asked for at the next boundary.
-        Where nothing but to stop is possible, that is what is returned. Raises `InputError` or
-        `PlanningError` if even that is not, which the stretch before has ruled out.
+        A change that would break a limit is made in part. If no velocity is possible, the plan
+        stops. Raises `InputError` or `PlanningError` if stopping breaks a limit, which the check
+        of the plan before excludes.
         """
         for ratio in CHANGE_RATIOS:
             try:
@@ -139,7 +140,7 @@ class Steering:
         return self.plan(walker, STILL, hold)
 
     def plan(self, walker: Walker, twist: Twist, hold: int = 1) -> WalkPlan:
-        """Return the stretch at exactly that velocity; raises if it breaks a limit anywhere."""
+        """Return the plan at exactly that velocity; raises if it breaks a limit anywhere."""
         first, taken = walker, self.stepper.changed(walker, twist)
         own: list[list[Foot]] = [[] for _ in self.gait.legs]
         walker = self.stepper.walked(taken, hold, own)
@@ -151,12 +152,12 @@ class Steering:
         ):
             walker = self.stepper.walked(walker, 1, own)
         passage = stepping(self.gait, self.pose, way, self.stepper.legs(taken, own))
-        return self._judged(passage, first, following, twist)
+        return self._within_limits(passage, first, following, twist)
 
-    # ---- joints
-
-    def _judged(self, passage: Walking, first: Walker, following: Walker, twist: Twist) -> WalkPlan:
-        """Return the stretch if it is within every limit."""
+    def _within_limits(
+        self, passage: Walking, first: Walker, following: Walker, twist: Twist
+    ) -> WalkPlan:
+        """Return the plan of a passage if it is within every limit; raises if it is not."""
         gait, robot, actions = self.gait, self.robot, (_walk(twist),)
         begins_s = first.boundary * self.stepper.phase_s + (
             lean_s_of(gait) if first.boundary else 0.0
@@ -177,11 +178,11 @@ class Steering:
         self._check_pace(curve)
         if error_mm(gait, passage, times_s, curve.middles()) > FOOT_ERROR_MM:
             raise InputError("a leg is so close to the end of its reach that it cannot follow")
-        judged_s = checked_times_s(passage, times_s)
-        judged_s = judged_s[judged_s >= begins_s]
-        margin_mm = passage.at(judged_s).margin_mm()
+        checked_s = checked_times_s(passage, times_s)
+        checked_s = checked_s[checked_s >= begins_s]
+        margin_mm = passage.at(checked_s).margin_mm()
         worst = int(np.argmin(margin_mm))
-        check_margin(gait, passage, actions, float(margin_mm[worst]), float(judged_s[worst]))
+        check_margin(gait, passage, actions, float(margin_mm[worst]), float(checked_s[worst]))
         split = round((next_s - begins_s) / step_s)
         return WalkPlan(
             twist=twist,
@@ -214,8 +215,8 @@ class Steering:
 def slowed_to_limits(gait: Gait, robot: Robot, top: Twist) -> tuple[Gait, Twist]:
     """Return a gait whose cycle is as long as the servos need for each part of `top`, and `top`.
 
-    What is too fast is slowed as a whole, as `paced` does, so that strides keep their lengths.
-    Raises `InputError` or `PlanningError` if a stride of `top` cannot be walked at any pace.
+    The gait is slowed as a whole, as by `paced`, so that strides keep their lengths. Raises
+    `InputError` or `PlanningError` if a stride of `top` cannot be walked at any pace.
     """
     alone = [
         Twist(forward_mm_s=top.forward_mm_s),
@@ -232,7 +233,7 @@ def slowed_to_limits(gait: Gait, robot: Robot, top: Twist) -> tuple[Gait, Twist]
 def _with_past(
     following: Walker, first: Walker, times_s: FloatArray, curve: Spline, split: int
 ) -> Walker:
-    """Return the walker with the last `HISTORY_S` of keys that lead to it."""
+    """Return the walker with the keys of the last `HISTORY_S` before it."""
     kept = min(split, int(np.ceil(HISTORY_S / curve.step_s)))
     rows = slice(split - kept, split + 1)
     past = Spline(curve.step_s, curve.values[rows], curve.slopes[rows])
@@ -251,7 +252,7 @@ def _with_past(
 
 
 def _walk(twist: Twist) -> Walk:
-    """Return the action that a complaint is about."""
+    """Return the action that errors refer to."""
     return Walk(
         forward_mm_s=twist.forward_mm_s,
         left_mm_s=twist.left_mm_s,

@@ -1,13 +1,11 @@
-"""Where the body and the feet of a walking robot go, step by step.
+"""Paths of the body and of the feet of a walking robot over the ground.
 
-Where a foot stands and when it steps: one leg of a walk, over the ground.
+`Travel` is the path of the body, integrated from its velocity; every change of the velocity is
+blended in over one cycle. `Steps` is the path of one foot. `Stepper` makes both for a robot that
+is steered, from one boundary of phases to the next.
 
-How the body goes over the ground: velocities blended into one another, integrated.
-
-How a steered robot steps: its velocity, its body and its feet, from boundary to boundary.
-
-Every change of the velocity is blended in over one cycle. Where a foot lands is settled when it
-lifts: where it will be neutral in the middle of its stance, if the velocity stays as it is then.
+A foot lands where it will be neutral in the middle of its stance. A steered robot computes that
+when the foot lifts, as if the velocity stayed the same.
 """
 
 from __future__ import annotations
@@ -30,88 +28,19 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
+CELLS_PER_CYCLE: Final = 64
+"""Cells of the integration. Measured: error of 1e-6 mm at 90 degrees a cycle and 500 mm/s."""
 
 HOME_MM: Final = 1e-6
-"""A foot this near to where it stands at the end needs no more step: rounding."""
+"""A foot this near to its final position needs no more step: rounding."""
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Steps:
-    """One foot: it stands at `places_mm[k]` until step k, which takes it to `places_mm[k + 1]`.
-
-    Standing feet do not move at all. A stepping foot leaves and meets the ground without speed
-    over the ground, so that it matches the ground's speed under the body.
-    """
-
-    lifts_s: FloatArray
-    lands_s: FloatArray
-    places_mm: FloatArray
-    height_mm: float
-
-    def at(self, times_s: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Return the foot, (n, 3) mm, and whether it stands."""
-        done = np.searchsorted(self.lands_s, times_s, side="right")
-        begun = np.searchsorted(self.lifts_s, times_s, side="left")
-        is_up = begun > done
-        step = np.minimum(done, max(len(self.lifts_s) - 1, 0))
-        foot = np.zeros((len(times_s), 3))
-        foot[:, :2] = self.places_mm[done]
-        if is_up.any():
-            lifts_s = self.lifts_s[step]
-            share = ((times_s - lifts_s) / (self.lands_s[step] - lifts_s))[:, None]
-            stride = self.places_mm[np.minimum(step + 1, len(self.places_mm) - 1)] - foot[:, :2]
-            foot[:, :2] += np.where(is_up[:, None], blend(share) * stride, 0.0)
-            foot[:, 2] = np.where(is_up, self.height_mm * lift(share[:, 0]), 0.0)
-        return foot, ~is_up
-
-
-def steps(
-    neutral_mm: FloatArray,
-    travel: Travel,
-    *,
-    lift_ratio: float,
-    duty_ratio: float,
-    cycle_s: float,
-    height_mm: float,
-) -> Steps:
-    """Return the steps of a foot that stands `neutral_mm` from the body, (2,), at rest.
-
-    Every step leads to where the foot is neutral in the middle of the stance that follows, so
-    that it reaches as far ahead as behind. It steps until it is neutral under the body at rest.
-    """
-    # A foot that lifts after the body has come to rest steps home.
-    count = int(np.ceil(travel.duration_s / cycle_s - lift_ratio - 1e-9)) + 1
-    lifts_s = cycle_s * (lift_ratio + np.arange(count))
-    lands_s = lifts_s + cycle_s * (1.0 - duty_ratio)
-    places_mm = below(
-        neutral_mm, travel.at(np.concatenate([[0.0], lands_s + 0.5 * duty_ratio * cycle_s]))
-    )
-    stride_mm = np.hypot(*np.diff(places_mm, axis=0).T)
-    late = lifts_s >= travel.duration_s - 1e-9 * cycle_s
-    is_kept = ~(late & (stride_mm <= HOME_MM))
-    return Steps(
-        lifts_s=lifts_s[is_kept],
-        lands_s=lands_s[is_kept],
-        places_mm=places_mm[np.concatenate([[True], is_kept])],
-        height_mm=height_mm,
-    )
-
-
-def below(neutral_mm: FloatArray, places: FloatArray) -> FloatArray:
-    """Return where a foot is neutral, (n, 2), under a body at `places`, (n, 3)."""
-    cosine, sine = np.cos(places[:, 2]), np.sin(places[:, 2])
-    x = cosine * neutral_mm[0] - sine * neutral_mm[1]
-    y = sine * neutral_mm[0] + cosine * neutral_mm[1]
-    return np.asarray(places[:, :2] + np.stack([x, y], axis=1))
-
-
-CELLS_PER_CYCLE: Final = 64
-"""Cells of the integration. Measured: at 90 degrees a cycle and 500 mm/s, off by 1e-6 mm."""
+INSTANT_S: Final = 1e-9
+"""Instants this near are equal: rounding."""
 
 
 @dataclass(frozen=True, slots=True)
 class Travel:
-    """Position over the ground: x, y in mm and heading in rad."""
+    """The path of the body over the ground: x, y in mm and heading in rad."""
 
     starts_s: FloatArray
     """When each walk begins."""
@@ -121,10 +50,11 @@ class Travel:
 
     @property
     def duration_s(self) -> float:
+        """How long the body travels."""
         return float(self._times_s[-1])
 
     def at(self, times_s: FloatArray) -> FloatArray:
-        """Return x, y, heading, (n, 3), at rest before the first and after the last instant."""
+        """Return x, y, heading, (n, 3); constant before the first and after the last instant."""
         inside_s = np.clip(times_s, self._times_s[0], self._times_s[-1])
         step_s = self._times_s[1] - self._times_s[0]
         cell = ((inside_s - self._times_s[0]) / step_s).astype(np.intp)
@@ -138,10 +68,10 @@ class Travel:
 
 
 def travel(walks: Sequence[Walk], cycle_s: float) -> Travel:
-    """Return the way of the body over `walks`, one after the other without a stop, rest to rest.
+    """Return the path of the body over consecutive `walks`, from rest to rest.
 
-    Every walk takes its whole cycles; its velocity is blended in over the first of them, and out
-    over one more cycle at the end. So each walk covers exactly its velocity times its cycles.
+    The velocity of each walk is blended in over its first cycle, that of the last one is blended
+    out over one more cycle. So each walk covers exactly its velocity times its cycles.
     """
     twists = np.array(
         [
@@ -170,15 +100,16 @@ def integrated(
     from_s: float = 0.0,
     place: FloatArray | None = None,
 ) -> Travel:
-    """Return the way of a body whose velocity in its own frame is `twist(times_s)`, (n, 3).
+    """Return the path of a body whose velocity in its own frame is `twist(times_s)`, (n, 3).
 
-    mm/s forward and left, rad/s; from `place` (default: the origin) at `from_s` on.
+    The velocity is in mm/s forward and left, and rad/s. The path begins at `place` (default: the
+    origin) at `from_s`.
     """
     begins = np.zeros(3) if place is None else place
     # Two points a cell, for Simpson's rule.
     fine_s: FloatArray = from_s + np.arange(2 * cells + 1, dtype=np.float64) * (0.5 * cell_s)
     own = twist(fine_s)
-    # Headings at middles too, each from the parabola through its cell.
+    # The headings at the middles come from the parabola through each cell.
     heading = np.zeros(2 * cells + 1)
     left, middle, right = own[:-2:2, 2], own[1::2, 2], own[2::2, 2]
     heading[2::2] = np.cumsum(cell_s / 6.0 * (left + 4.0 * middle + right))
@@ -196,8 +127,74 @@ def integrated(
     )
 
 
-INSTANT_S: Final = 1e-9
-"""Instants this near are one: rounding."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Steps:
+    """The path of one foot: step k takes it from `places_mm[k]` to `places_mm[k + 1]`.
+
+    Standing feet do not move. A stepping foot has no speed over the ground when it lifts and when
+    it lands.
+    """
+
+    lifts_s: FloatArray
+    lands_s: FloatArray
+    places_mm: FloatArray
+    height_mm: float
+
+    def at(self, times_s: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Return the foot, (n, 3) mm, and whether it stands, (n,)."""
+        done = np.searchsorted(self.lands_s, times_s, side="right")
+        begun = np.searchsorted(self.lifts_s, times_s, side="left")
+        is_up = begun > done
+        step = np.minimum(done, max(len(self.lifts_s) - 1, 0))
+        foot = np.zeros((len(times_s), 3))
+        foot[:, :2] = self.places_mm[done]
+        if is_up.any():
+            lifts_s = self.lifts_s[step]
+            share = ((times_s - lifts_s) / (self.lands_s[step] - lifts_s))[:, None]
+            stride = self.places_mm[np.minimum(step + 1, len(self.places_mm) - 1)] - foot[:, :2]
+            foot[:, :2] += np.where(is_up[:, None], blend(share) * stride, 0.0)
+            foot[:, 2] = np.where(is_up, self.height_mm * lift(share[:, 0]), 0.0)
+        return foot, ~is_up
+
+
+def steps(
+    neutral_mm: FloatArray,
+    travel: Travel,
+    *,
+    lift_ratio: float,
+    duty_ratio: float,
+    cycle_s: float,
+    height_mm: float,
+) -> Steps:
+    """Return the steps of a foot that stands `neutral_mm` from the body, (2,), at rest.
+
+    Every step leads to where the foot is neutral in the middle of the next stance, so that it
+    reaches as far ahead as behind. The foot steps until it is neutral with the body at rest.
+    """
+    # A foot that lifts after the body has come to rest steps to its neutral position.
+    count = int(np.ceil(travel.duration_s / cycle_s - lift_ratio - 1e-9)) + 1
+    lifts_s = cycle_s * (lift_ratio + np.arange(count))
+    lands_s = lifts_s + cycle_s * (1.0 - duty_ratio)
+    places_mm = below(
+        neutral_mm, travel.at(np.concatenate([[0.0], lands_s + 0.5 * duty_ratio * cycle_s]))
+    )
+    stride_mm = np.hypot(*np.diff(places_mm, axis=0).T)
+    late = lifts_s >= travel.duration_s - 1e-9 * cycle_s
+    is_kept = ~(late & (stride_mm <= HOME_MM))
+    return Steps(
+        lifts_s=lifts_s[is_kept],
+        lands_s=lands_s[is_kept],
+        places_mm=places_mm[np.concatenate([[True], is_kept])],
+        height_mm=height_mm,
+    )
+
+
+def below(neutral_mm: FloatArray, places: FloatArray) -> FloatArray:
+    """Return the neutral position of a foot, (n, 2), for a body at `places`, (n, 3)."""
+    cosine, sine = np.cos(places[:, 2]), np.sin(places[:, 2])
+    x = cosine * neutral_mm[0] - sine * neutral_mm[1]
+    y = sine * neutral_mm[0] + cosine * neutral_mm[1]
+    return np.asarray(places[:, :2] + np.stack([x, y], axis=1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -213,7 +210,7 @@ class Twist:
         return np.array([self.forward_mm_s, self.left_mm_s, np.radians(self.turn_deg_s)])
 
     def towards(self, other: Twist, ratio: float) -> Twist:
-        """Return the velocity that is `ratio` of the way to `other`; at 0 and 1 exactly."""
+        """Return the velocity at `ratio` between this one and `other`; exact at 0 and 1."""
         if ratio in (0.0, 1.0):
             return other if ratio else self
         here, there = self.as_array(), other.as_array()
@@ -226,7 +223,7 @@ STILL: Final = Twist()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Foot:
-    """Where a foot stands, or where its step leads, which ends at `lands_s` and began there."""
+    """A foot that stands at `place_mm`, or steps there from `from_mm` until `lands_s`."""
 
     place_mm: FloatArray
     from_mm: FloatArray
@@ -241,27 +238,28 @@ class Walker:
     boundary: int
     twist: Twist
     changes: tuple[tuple[float, Twist, Twist], ...]
-    """Changes of the velocity that are still blended: when, from what, to what."""
+    """Changes of the velocity that are still blended in: time, old and new velocity."""
     place: FloatArray
     feet: tuple[Foot, ...]
     past_s: FloatArray
     past: Spline
-    """The joints until now, at equal steps that end now."""
+    """The joint angles before the boundary, at equal steps that end there."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stepper:
-    """Steps of a gait that is steered; `gait.actions` do not matter."""
+    """Steps of a gait that is steered; `gait.actions` are not used."""
 
     gait: Gait
 
     @property
     def phases(self) -> int:
-        """How many phases a cycle has: as many as there are instants at which legs lift."""
+        """Phases of a cycle: the number of different instants at which legs lift."""
         return len(set(self.gait.pattern.lifts_ratio))
 
     @property
     def phase_s(self) -> float:
+        """How long a phase takes."""
         return self.gait.cycle_s / self.phases
 
     def changed(self, walker: Walker, twist: Twist) -> Walker:
@@ -273,7 +271,7 @@ class Stepper:
         return replace(walker, twist=twist, changes=tuple(kept))
 
     def walked(self, walker: Walker, count: int, own: list[list[Foot]]) -> Walker:
-        """Return the walker `count` phases later; append every step to `own`."""
+        """Return the walker `count` phases later; append every step of leg i to `own[i]`."""
         gait, cycle_s = self.gait, self.gait.cycle_s
         for _ in range(count):
             way = self.travel(walker, self.phases)
@@ -305,7 +303,7 @@ class Stepper:
         return walker.twist == STILL and now_s - last_s >= self.gait.cycle_s - INSTANT_S
 
     def goes_on(self, walker: Walker) -> bool:
-        """Return whether the body still moves, or a foot is under way or not yet home."""
+        """Return whether the body moves, or a foot steps or is not at its neutral position."""
         now_s = walker.boundary * self.phase_s
         if not self._is_still(walker):
             return True
@@ -316,7 +314,7 @@ class Stepper:
         return False
 
     def travel(self, walker: Walker, phases: int, since: Walker | None = None) -> Travel:
-        """Return the way of the body from here, or from `since`, for so many phases more."""
+        """Return the path of the body from `walker` (or `since`) to `phases` after `walker`."""
         start = since or walker
         own_cells = -(-CELLS_PER_CYCLE // self.phases)
         changes, twist = walker.changes, walker.twist.as_array()
@@ -340,7 +338,7 @@ class Stepper:
         )
 
     def legs(self, walker: Walker, own: list[list[Foot]] | tuple[()]) -> tuple[Steps, ...]:
-        """Return the steps of every leg: one that is under way here, and those that follow."""
+        """Return the steps of every leg: the one under way at the boundary, and those in `own`."""
         now_s = walker.boundary * self.phase_s
         legs = []
         for index, foot in enumerate(walker.feet):

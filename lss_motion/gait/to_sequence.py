@@ -1,8 +1,8 @@
-"""Gait → Sequence: what `lss-play` plays when it is given a gait file."""
+"""Gait → `Sequence`: the keyframes that `lss-play` plays for a gait file."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.errors import InputError
 from lss_motion.gait.load import is_gait_file, load_gait
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
 
 
-class Span(NamedTuple):
-    """How often a sequence is looped, and which part of it; None: forever, all of it."""
+class _Loop(NamedTuple):
+    """How often a sequence is looped (None: forever), and which part of it (None: all)."""
 
-    loop: int | None
+    passes: int | None
     span_s: tuple[float, float] | None = None
 
 
-TIME_DECIMALS = 6
-"""Key times are rounded to a microsecond, for people to read."""
+TIME_DECIMALS: Final = 6
+"""Key times are rounded to a microsecond, for readable files."""
 
 
 def sequence_of(gait: Gait, robot: Robot) -> Sequence:
-    """Return the keyframes that make `robot` do what `gait` says; raises what `paced` raises.
+    """Return the keyframes of `gait` for `robot`; raises what `paced` raises.
 
     Only the joints of the legs are keyed. The sequence starts and ends at rest.
     """
@@ -40,7 +40,7 @@ def sequence_of(gait: Gait, robot: Robot) -> Sequence:
 
 
 def gait_as_sequence(path: Path, robot: Robot) -> Sequence | None:
-    """Return the keyframes of the gait file at `path`; None if it is none.
+    """Return the keyframes of the gait file at `path`; None if it is not a gait file.
 
     Raises what `load_gait` and `paced` raise.
     """
@@ -51,13 +51,13 @@ def sequence_from(gait: Gait, passages: tuple[Paced, ...]) -> Sequence:
     """Return the keyframes of passages that `paced` returned for `gait`."""
     names = joints_of(gait)
     keyframes: list[Keyframe] = []
-    start_s, span = 0.0, Span(gait.loop)
+    start_s, loop = 0.0, _Loop(gait.loop)
     for part in passages:
         owners = [action_at(part.passage, at_s) for at_s in part.times_s.tolist()]
         is_labelled: set[int] = set()
         rows = part.angles_deg.tolist()
         times_s = (part.times_s * part.pace_ratio).tolist()
-        # Where a passage joins the one before, they share the key, unless a hold lies between.
+        # The first key of a passage is the last one of the passage before.
         for index in range(1 if keyframes else 0, len(rows)):
             is_last = index == len(rows) - 1
             action = part.actions[owners[index]]
@@ -73,13 +73,13 @@ def sequence_from(gait: Gait, passages: tuple[Paced, ...]) -> Sequence:
                     line=action.line,
                 )
             )
-        span = _span(gait, part, start_s) or span
+        loop = _looped(gait, part, start_s) or loop
         start_s = (keyframes[-1].at_s or 0.0) + part.hold_s
     if len(keyframes) > KEYFRAMES_MAX:
         raise InputError(
-            f"the gait comes to {len(keyframes):,} keyframes, at most {KEYFRAMES_MAX:,} are "
-            "planned in one piece; only the longest walk of a gait without loop may be longer, so "
-            "make it shorter walks, or more gaits in a play list",
+            f"the gait has {len(keyframes):,} keyframes, at most {KEYFRAMES_MAX:,} are planned in "
+            "one piece; only the longest walk of a gait without loop may be longer, so use shorter "
+            "walks, or several gaits in a play list",
             path=gait.path,
         )
     return Sequence(
@@ -88,13 +88,13 @@ def sequence_from(gait: Gait, passages: tuple[Paced, ...]) -> Sequence:
         path=gait.path,
         robot_path=gait.robot_path,
         timing=Timing.AUTHORED,
-        loop=span.loop,
-        loop_span_s=span.span_s,
+        loop=loop.passes,
+        loop_span_s=loop.span_s,
     )
 
 
-def _span(gait: Gait, part: Paced, start_s: float) -> Span | None:
-    """Return the cycle of this passage that is looped and how often; None if there is none."""
+def _looped(gait: Gait, part: Paced, start_s: float) -> _Loop | None:
+    """Return the looped cycle of this passage; None if it has none."""
     for index, action in enumerate(part.actions):
         if not isinstance(action, Walk) or action.more_cycles == 0:
             continue
@@ -105,5 +105,5 @@ def _span(gait: Gait, part: Paced, start_s: float) -> Span | None:
             for at_s in (steady_s, steady_s + gait.cycle_s)
         )
         more = action.more_cycles
-        return Span(None if more is None else more + 1, (from_s, to_s))
+        return _Loop(None if more is None else more + 1, (from_s, to_s))
     return None

@@ -316,8 +316,8 @@ class SensorEntry(FileModel, title="sensor"):
     )
     kind: Literal["raw", "GP2Y0A41SK0F", "GP2Y0A21YK0F", "GP2Y0A02YK0F"] = Field(
         default="raw",
-        description="What is connected: a Sharp distance sensor, read in mm, or another, read as 0 to "
-        "1023.",
+        description="Sensor at the input: a Sharp distance sensor, read in mm, or raw for others, "
+        "read as 0 to 1023.",
     )
 
 

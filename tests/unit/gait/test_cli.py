@@ -29,7 +29,7 @@ def test_a_gait_is_explained_action_by_action(kit):
     parts = paced(gait, kit.robot(gait))
     lines = gait_lines(gait, parts)
     assert "6 legs, pattern tripod (static), duty 0.50" in lines[0]
-    assert lines[1].startswith("0.00 s to 1.00 s: at the pace wanted; body at least")
+    assert lines[1].startswith("0.00 s to 1.00 s: at the pace of the file; body at least")
     assert lines[2] == "  rise (line 4): in 1.00 s, held 0.2 s"
     ratio = parts[1].pace_ratio
     assert f"{ratio:.3f} times slower, for acceleration of joint {parts[1].joint!r}" in lines[3]
