@@ -248,7 +248,7 @@ class SequenceFile(TrackEntry, title="sequence file"):
     mirror: bool = Field(default=False, description=MIRROR)
     loop_span_s: Annotated[list[TimeS], Field(min_length=2, max_length=2)] | None = Field(
         default=None,
-        description="From when to when the keyframes are looped. Positions and speeds must be equal "
+        description="From when to when keyframes are looped. Positions and speeds must be equal "
         "at both times. The keyframes before and after it are played once.",
         examples=[[2.0, 3.5]],
     )

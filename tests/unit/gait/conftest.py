@@ -16,7 +16,7 @@ EXAMPLES = Path(__file__).resolve().parents[3] / "sequences"
 
 
 class Kit:
-    """The words of a test; `conftest` modules cannot be imported by name."""
+    """Helpers of the tests, as a fixture: `conftest` modules cannot be imported by name."""
 
     examples = EXAMPLES
 

@@ -40,7 +40,7 @@ def test_a_gait_is_explained_action_by_action(kit):
     assert "mm outside of its feet" in gait_lines(trot, paced(trot, kit.robot(trot)))[1]
 
 
-def test_cycles_that_are_looped_are_counted_in_words(kit):
+def test_looped_cycles_are_counted_in_the_text(kit):
     for more, first, last in (
         (93, "one pass 152.25 s", "100 cycles of 1.50 s"),
         (None, "without end", "forever, in cycles of 1.50 s"),
@@ -68,7 +68,7 @@ def test_a_picture_of_an_unknown_kind_or_in_no_folder_is_refused(kit, tmp_path, 
     assert "cannot be written" in capsys.readouterr().err
 
 
-def test_the_picture_of_a_fall_between_steps_draws(kit, tmp_path):
+def test_a_gait_with_a_negative_margin_is_drawn(kit, tmp_path):
     gait = kit.gait("bound", kit.walk(15.0, cycles=1))
     plot_gait(gait, paced(gait, kit.robot(gait)), tmp_path / "f.svg")
     assert (tmp_path / "f.svg").stat().st_size > 10_000
@@ -79,7 +79,7 @@ def test_the_schema_of_gait_files_is_printed(capsys):
     assert json.loads(capsys.readouterr().out)["title"] == "gait file"
 
 
-def test_check_takes_a_gait_file_and_points_at_the_line_of_a_bad_one(kit, tmp_path, capsys):
+def test_check_accepts_a_gait_file_and_names_the_line_of_an_error(kit, tmp_path, capsys):
     assert main(["check", str(kit.examples / "hexapod_dance.yaml")]) == 0
     assert "18 joints moved" in capsys.readouterr().out
     bad = tmp_path / "bad.yaml"
@@ -92,7 +92,7 @@ def test_check_takes_a_gait_file_and_points_at_the_line_of_a_bad_one(kit, tmp_pa
     assert f"{bad}:7: leg '" in capsys.readouterr().err
 
 
-def test_the_picture_of_a_walk_without_end_says_that_cycles_are_drawn_once(kit, tmp_path):
+def test_the_picture_of_an_endless_walk_notes_that_cycles_are_drawn_once(kit, tmp_path):
     gait = kit.gait("tripod", replace(kit.walk(20.0, cycles=7), more_cycles=None))
     plot_gait(gait, paced(gait, kit.robot(gait)), tmp_path / "f.svg")
     assert "looped drawn once" in (tmp_path / "f.svg").read_text(encoding="utf-8")

@@ -42,7 +42,7 @@ def actions(write):
 
 @pytest.fixture
 def refused(write):
-    """Line and reason of all that is wrong with a file."""
+    """Return line and reason of every problem of a file."""
 
     def refused(text, base=BASE):
         with pytest.raises(InputError) as caught:
@@ -72,7 +72,7 @@ def test_the_shipped_schema_is_the_one_that_the_code_makes_and_explains_itself(k
     assert not jsonschema.Draft202012Validator(schema).is_valid({"gait": "x", "do": [{"hop": {}}]})
 
 
-def test_a_sequence_is_no_gait_file(kit):
+def test_a_sequence_is_not_a_gait_file(kit):
     assert not is_gait_file(kit.examples / "wave.yaml")
 
 
@@ -187,7 +187,7 @@ def test_standing_sitting_and_posing_are_moves_of_the_body(write):
         ("leg: {stance_mm: 5}\ndo: [{stand: {}}]\n", 6, "'leg' and 'legs_from' exclude"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_said_with_its_line(refused, text, line, words):
+def test_a_wrong_gait_is_refused_with_line_and_reason(refused, text, line, words):
     import re
 
     found = refused(text)
@@ -232,7 +232,7 @@ REAR = FOUR[3]
         ([*FOUR[:3], leg("right", "rear", ", direction: [1, 2, 1]")], "each must be 1 or -1"),
     ],
 )  # fmt: skip
-def test_impossible_legs_are_refused_with_the_reason(refused, legs, words):
+def test_wrong_legs_are_refused_with_the_reason(refused, legs, words):
     found = refused("legs:\n" + "".join(legs), HEAD)
     assert any(words in reason for _, reason in found), found
 
@@ -259,6 +259,6 @@ HEX = "gait: x\nrobot: {robots}/hexapod.yaml\nheight_mm: 9\n"
          "legs_from: {examples}/hexapod_walk.yaml\n", "unknown joint 'left_front_coxa'"),
     ],
 )  # fmt: skip
-def test_files_that_a_gait_names_must_be_there_and_fit(refused, base, words):
+def test_files_that_a_gait_names_must_exist_and_fit(refused, base, words):
     found = refused("do: [{stand: {}}]\n", base)
     assert any(words in reason for _, reason in found), found

@@ -23,7 +23,7 @@ def limits(gait, robot):
 
 
 @pytest.mark.parametrize("pattern", ALL)
-def test_every_pattern_walks_with_feet_on_their_ways_within_all_limits(kit, pattern):
+def test_every_pattern_keeps_feet_on_their_paths_within_all_limits(kit, pattern):
     gait = kit.gait(pattern, kit.walk(40.0, turn_deg_s=8.0, cycles=2), cycle_s=1.0)
     robot = kit.robot(gait)
     (part,) = paced(gait, robot)
@@ -43,7 +43,7 @@ def test_every_pattern_walks_with_feet_on_their_ways_within_all_limits(kit, patt
 
 
 @pytest.mark.parametrize("pattern", ALL)
-def test_every_leg_steps_and_the_ground_carries_at_least_what_the_pattern_says(kit, pattern):
+def test_every_leg_steps_and_as_many_feet_stand_as_the_pattern_requires(kit, pattern):
     gait = kit.gait(pattern, kit.walk(40.0, cycles=3))
     (part,) = paced(gait, kit.robot(gait))
     at_s = np.linspace(0.0, part.times_s[-1], 4001)
@@ -65,14 +65,14 @@ def test_static_patterns_keep_the_body_inside_of_their_feet_at_every_instant(kit
     assert part.margin_min_mm > 5.0
 
 
-def test_a_crawl_that_does_not_sway_would_fall_and_is_refused_with_its_line(kit):
+def test_a_crawl_without_sway_is_refused_with_its_line(kit):
     gait = kit.gait("crawl", kit.walk(20.0, line=12), sway_mm=0.0)
     with pytest.raises(PlanningError, match=r"quadruped_trot.yaml:12: .*crawl.* would fall") as no:
         paced(gait, kit.robot(gait))
     assert "sway_mm" in str(no.value)
 
 
-def test_a_dynamic_pattern_may_be_off_its_feet_and_says_by_how_much(kit):
+def test_a_dynamic_pattern_can_have_a_negative_margin(kit):
     gait = kit.gait("trot", kit.walk(20.0))
     (part,) = paced(gait, kit.robot(gait))
     assert -20.0 < part.margin_min_mm < 0.0
@@ -88,7 +88,7 @@ def test_a_pose_that_would_fall_is_refused(kit):
         paced(gait, kit.robot(gait))
 
 
-def test_what_is_too_fast_is_slowed_as_a_whole_and_feet_keep_their_ways(kit):
+def test_a_fast_passage_is_slowed_as_a_whole_and_feet_keep_their_paths(kit):
     slow = kit.gait("tripod", kit.walk(40.0, cycles=2), cycle_s=3.0)
     quick = replace(slow, actions=(kit.walk(240.0, cycles=2),), cycle_s=0.5)
     robot = kit.robot(slow)
@@ -103,7 +103,7 @@ def test_what_is_too_fast_is_slowed_as_a_whole_and_feet_keep_their_ways(kit):
     assert accel[column] == pytest.approx(ACCEL_SHARE * limits(quick, robot)[1][column])
 
 
-def test_a_slow_servo_is_what_holds_a_gait_back(kit):
+def test_the_slowest_servo_limits_the_pace(kit):
     gait = kit.gait("tripod", kit.walk(40.0))
     robot = kit.robot(gait)
     tired = replace(robot.joints["right_rear_tibia"], speed_max_deg_s=3.0)
@@ -123,7 +123,7 @@ def test_legs_out_of_reach_and_joints_out_of_range_name_the_line(kit):
     assert (caught.value.line, caught.value.path) == (9, low.path)
 
 
-def test_passages_part_where_everything_rests(kit):
+def test_passages_are_split_where_the_robot_rests(kit):
     nod = BodyMove(pose=BodyPose(tilt_deg=(0, 5, 0)), in_s=0.5)
     held = replace(nod, hold_s=0.4)
     walk = kit.walk(20.0, cycles=1)
@@ -143,7 +143,7 @@ def test_the_pose_is_kept_while_walking(kit):
     assert stance.tilt_deg.tolist() == [[0.0, 3.0, 0.0]] * 3
 
 
-def test_layers_swing_the_body_over_standing_feet_and_rest_where_it_rests(kit):
+def test_swings_move_the_body_over_standing_feet_and_fade_at_rests(kit):
     side = Wave(pose=BodyPose(shift_mm=(0, 12, 0), tilt_deg=(-4, 0, 0)), every_s=1.5)
     beat = Wave(pose=BodyPose(shift_mm=(0, 3, -5)), every_s=0.75, start_ratio=0.25)
     rest = BodyMove(pose=BodyPose(), in_s=4.0)

@@ -44,27 +44,27 @@ def feet_of(steered, angles_deg):
 
 
 @pytest.mark.parametrize("pattern", ALL)
-def test_every_stretch_goes_on_where_the_last_one_is_and_ends_in_a_stand(kit, pattern):
+def test_every_plan_continues_the_last_one_and_ends_in_a_stand(kit, pattern):
     random = np.random.default_rng(3)
     own, top = steering(kit, pattern)
     walker, before = own.standing(), None
     neutral = [[*neutral_mm(leg), -own.gait.height_mm] for leg in own.gait.legs]
     moved = 0
     for _ in range(8):
-        stretch = own.plan_towards(walker, anyhow(random, top))
+        plan = own.plan_towards(walker, anyhow(random, top))
         if before is not None:
-            at = np.flatnonzero(np.abs(before.times_s - stretch.from_s) < 1e-9)[0]
-            now = np.flatnonzero(np.abs(stretch.times_s - stretch.from_s) < 1e-9)[0]
-            assert stretch.from_s == pytest.approx(before.next_s)
+            at = np.flatnonzero(np.abs(before.times_s - plan.from_s) < 1e-9)[0]
+            now = np.flatnonzero(np.abs(plan.times_s - plan.from_s) < 1e-9)[0]
+            assert plan.from_s == pytest.approx(before.next_s)
             for rows in ("angles_deg", "slopes_deg_s"):
-                old, new = getattr(before, rows), getattr(stretch, rows)
+                old, new = getattr(before, rows), getattr(plan, rows)
                 np.testing.assert_array_equal(old[at], new[now])
-        np.testing.assert_allclose(feet_of(own, stretch.angles_deg[-1:])[0], neutral, atol=1e-4)
-        assert not stretch.slopes_deg_s[-1].any()
+        np.testing.assert_allclose(feet_of(own, plan.angles_deg[-1:])[0], neutral, atol=1e-4)
+        assert not plan.slopes_deg_s[-1].any()
         if own.gait.pattern.is_static:
-            assert stretch.margin_min_mm >= 0.0
-        moved += stretch.twist != STILL
-        walker, before = stretch.following, stretch
+            assert plan.margin_min_mm >= 0.0
+        moved += plan.twist != STILL
+        walker, before = plan.following, plan
     assert moved >= 6
     for _ in range(3 * own.stepper.phases):
         walker = own.plan_towards(walker, STILL).following
@@ -72,19 +72,17 @@ def test_every_stretch_goes_on_where_the_last_one_is_and_ends_in_a_stand(kit, pa
 
 
 @pytest.mark.parametrize("pattern", ["tripod", "wave", "trot", "crawl"])
-def test_steered_joints_keep_their_limits_across_stretches(kit, pattern):
-    """Judged by differences of what is really walked: each stretch up to the next boundary."""
+def test_steered_joints_keep_their_limits_across_plans(kit, pattern):
+    """Judged by differences of the path that is walked: each plan up to its next boundary."""
     random = np.random.default_rng(5)
     own, top = steering(kit, pattern)
     walker, walked = own.standing(), []
     for _ in range(12):
-        stretch = own.plan_towards(walker, anyhow(random, top))
-        kept = (stretch.times_s >= stretch.from_s - 1e-9) & (
-            stretch.times_s < stretch.next_s - 1e-9
-        )
-        walked.append(stretch.angles_deg[kept])
-        step_s = float(stretch.times_s[-1] - stretch.times_s[-2])
-        walker = stretch.following
+        plan = own.plan_towards(walker, anyhow(random, top))
+        kept = (plan.times_s >= plan.from_s - 1e-9) & (plan.times_s < plan.next_s - 1e-9)
+        walked.append(plan.angles_deg[kept])
+        step_s = float(plan.times_s[-1] - plan.times_s[-2])
+        walker = plan.following
     angles = np.concatenate(walked)
     joints = [own.robot.joints[name] for leg in own.gait.legs for name in leg.joints]
     speed = np.abs(np.diff(angles, axis=0)).max(axis=0) / step_s
@@ -100,14 +98,14 @@ def test_standing_feet_do_not_slip_when_the_velocity_changes(kit):
     own, top = steering(kit, "tripod")
     walker = own.standing()
     for _ in range(6):
-        stretch = own.plan_towards(walker, anyhow(random, top))
-        inside = (stretch.times_s > stretch.from_s) & (stretch.times_s < stretch.next_s)
-        feet = feet_of(own, stretch.angles_deg[inside])
+        plan = own.plan_towards(walker, anyhow(random, top))
+        inside = (plan.times_s > plan.from_s) & (plan.times_s < plan.next_s)
+        feet = feet_of(own, plan.angles_deg[inside])
         down = np.flatnonzero(feet[:, :, 2].max(axis=0) < -own.gait.height_mm + 0.01)
         assert len(down) == 3
         apart = np.linalg.norm(feet[:, down] - feet[:, np.roll(down, 1)], axis=2)
         assert np.ptp(apart, axis=0).max() < 0.1
-        walker = stretch.following
+        walker = plan.following
 
 
 def test_a_velocity_that_is_held_is_reached_exactly(kit):
@@ -124,16 +122,16 @@ def test_a_velocity_that_is_held_is_reached_exactly(kit):
     np.testing.assert_allclose(gone[1:], 0.0, atol=1e-9)
 
 
-def test_a_change_that_asks_too_much_is_made_in_part_and_never_breaks_a_limit(kit):
+def test_a_change_beyond_the_limits_is_made_in_part(kit):
     own, top = steering(kit, "tripod")
     wild = Twist(forward_mm_s=40.0 * top.forward_mm_s)
     with pytest.raises((InputError, PlanningError)):
         own.plan(own.standing(), wild)
-    stretch = own.plan_towards(own.standing(), wild)
-    assert STILL.forward_mm_s <= stretch.twist.forward_mm_s < wild.forward_mm_s
+    plan = own.plan_towards(own.standing(), wild)
+    assert STILL.forward_mm_s <= plan.twist.forward_mm_s < wild.forward_mm_s
 
 
-def test_a_boundary_may_be_skipped_so_that_planning_has_more_time(kit):
+def test_a_boundary_can_be_skipped_for_more_planning_time(kit):
     own, _ = steering(kit, "tripod")
     ahead = Twist(forward_mm_s=20.0)
     once, twice = (own.plan_towards(own.standing(), ahead, hold) for hold in (1, 2))
@@ -143,7 +141,7 @@ def test_a_boundary_may_be_skipped_so_that_planning_has_more_time(kit):
     np.testing.assert_allclose(once.angles_deg[:shared], twice.angles_deg[:shared], atol=1e-6)
 
 
-def test_a_gait_that_is_too_fast_is_eased_as_a_whole(kit):
+def test_a_gait_that_is_too_fast_is_slowed_as_a_whole(kit):
     gait = kit.gait("tripod", cycle_s=0.5)
     quick = Twist(forward_mm_s=150.0)
     slower, top = slowed_to_limits(gait, kit.robot(gait), quick)
@@ -151,7 +149,7 @@ def test_a_gait_that_is_too_fast_is_eased_as_a_whole(kit):
     assert top.forward_mm_s * slower.cycle_s == pytest.approx(quick.forward_mm_s * gait.cycle_s)
 
 
-def test_a_joint_with_little_range_keeps_the_robot_where_it_is(kit):
+def test_a_joint_with_little_range_limits_the_velocity(kit):
     own, _ = steering(kit, "tripod")
     name = own.gait.legs[0].joints[0]
     joint = own.robot.joints[name]
@@ -161,7 +159,7 @@ def test_a_joint_with_little_range_keeps_the_robot_where_it_is(kit):
     assert bound.plan_towards(bound.standing(), Twist(forward_mm_s=40.0)).twist.forward_mm_s < 10.0
 
 
-def test_a_stretch_that_is_too_fast_for_a_servo_is_refused_with_its_joint(kit):
+def test_a_plan_that_is_too_fast_for_a_servo_is_refused_with_its_joint(kit):
     gait = kit.gait("tripod", cycle_s=0.5)
     hasty = Steering(gait, kit.robot(gait), BodyPose())
     with pytest.raises(PlanningError, match=r"joint '.*' would need .* deg/s², allowed 900") as no:

@@ -1,4 +1,4 @@
-"""robot.yaml → Robot: what is merged, what is defaulted, what is refused and where."""
+"""robot.yaml → `Robot`: merged and default values, and refused files with their lines."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ def test_the_desk_arm_reads_as_it_is_written() -> None:
     assert robot.end == "hold"
 
 
-def test_a_joint_knows_the_line_of_each_field_also_of_a_default(robot_path: Path) -> None:
+def test_a_joint_has_the_line_of_each_field_also_of_a_default(robot_path: Path) -> None:
     arm = load(robot_path, START + "  arm:\n    id: 1\n    speed_max_deg_s: 90\n").joints["arm"]
     assert (arm.lines["model"], arm.lines["speed_max_deg_s"]) == (2, 6)
 
 
-def test_a_robot_needs_no_more_than_joints(robot_path: Path) -> None:
+def test_a_robot_file_needs_only_joints(robot_path: Path) -> None:
     robot = load(
         robot_path,
         "robot: one\njoints:\n  a: {id: 0, model: LSS-P-S1, range_deg: [-1, 1], "
@@ -156,7 +156,7 @@ def test_a_joint_wins_over_defaults_key_by_key(robot_path: Path) -> None:
         ("  a: {id: 1}\napproach_speed_deg_s:", 5, "has no value"),
     ],
 )
-def test_what_cannot_be_is_refused_with_line_and_reason(
+def test_a_wrong_entry_is_refused_with_line_and_reason(
     robot_path: Path, joints: str, line: int, reason: str
 ) -> None:
     ((found_line, found_reason),) = refusals(robot_path, START + joints + "\n")
@@ -175,7 +175,7 @@ def test_one_id_on_two_buses_is_two_servos(robot_path: Path) -> None:
     assert [joint.bus for joint in load(robot_path, text).joints.values()] == ["x", "y"]
 
 
-def test_a_joint_without_a_limit_is_refused_and_told_where_to_give_it(robot_path: Path) -> None:
+def test_a_joint_without_a_limit_is_refused_with_the_place_for_it(robot_path: Path) -> None:
     found = refusals(robot_path, "robot: x\njoints:\n  a: {id: 1, model: LSS-ST1}\n")
     assert [line for line, _ in found] == [3, 3, 3]
     missing = ("range_deg", "speed_max_deg_s", "accel_max_deg_s2")
@@ -190,7 +190,7 @@ def test_a_wrong_default_is_reported_once_at_its_own_line(robot_path: Path) -> N
     assert "faster than an LSS-ST1" in reason
 
 
-def test_an_unreadable_default_is_not_also_called_missing(robot_path: Path) -> None:
+def test_an_unreadable_default_is_reported_once(robot_path: Path) -> None:
     text = START.replace("180", "fast") + "  a: {id: 1}\n  b: {id: 2}\n"
     ((line, reason),) = refusals(robot_path, text)
     assert line == 2
@@ -212,7 +212,7 @@ def test_all_problems_of_a_file_come_in_one_run(robot_path: Path) -> None:
     assert [line for line, _ in found] == [4, 5, 6, 8, 9, 10]
 
 
-def test_a_fault_in_one_joint_does_not_make_others_unknown(robot_path: Path) -> None:
+def test_an_error_in_one_joint_does_not_make_others_unknown(robot_path: Path) -> None:
     text = START + "  a: {id: one}\n  b: {id: 2}\nposes: {p: {a: 1, b: 1}}\n"
     assert [line for line, _ in refusals(robot_path, text)] == [4]
 
@@ -255,7 +255,7 @@ def test_groups_and_mirror_images_of_unknown_joints_are_refused(robot_path: Path
         (600, 1.3, 598.0, 460),
     ],
 )
-def test_a_servo_whose_ramps_are_not_what_they_say_is_set_so_that_the_joint_keeps_its_limit(
+def test_ramps_are_set_so_that_the_joint_keeps_its_limit_at_any_ramp_ratio(
     tmp_path, asked, ramp_ratio, accel_deg_s2, setting
 ):
     from lss_motion.program.model import ramp_deg_s2, ramp_setting_deg_s2
@@ -273,7 +273,7 @@ def test_a_servo_whose_ramps_are_not_what_they_say_is_set_so_that_the_joint_keep
     assert ramp_deg_s2(joint) <= asked
 
 
-def test_what_is_done_about_faults_is_read_for_the_robot_and_for_a_joint(tmp_path) -> None:
+def test_escalations_are_read_for_the_robot_and_for_a_joint(tmp_path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text(
         "robot: arm\n"
@@ -307,7 +307,7 @@ def test_what_is_done_about_faults_is_read_for_the_robot_and_for_a_joint(tmp_pat
         ("{astray: 3}", "step '3' is not known"),
     ],
 )
-def test_a_wrong_ladder_is_explained_with_its_line(tmp_path, text: str, hint: str) -> None:
+def test_a_wrong_escalation_is_refused_with_its_line(tmp_path, text: str, hint: str) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text(
         "robot: arm\njoints:\n  a: {id: 1, model: LSS-ST1, range_deg: [-90, 90], "

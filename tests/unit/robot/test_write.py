@@ -1,4 +1,4 @@
-"""What was measured, written into robot files as people write them."""
+"""Measured values, written into robot files as people write them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def path(tmp_path):
     return tmp_path / "robot.yaml"
 
 
-def test_the_joint_responds_as_measured_and_every_line_is_still_there(path):
+def test_the_response_is_written_and_every_other_line_stays(path):
     write_response(path, "pan", VALUES, ["today"])
     robot = load_robot(path)
     response = robot.joints["pan"].response
@@ -80,14 +80,14 @@ def test_a_byte_order_mark_and_windows_lines_are_kept(path):
     assert data.count(b"\n") == data.count(b"\r\n") == ROBOT.count("\n") + 1
 
 
-def test_what_would_not_load_again_is_not_written(path):
+def test_values_that_would_not_load_are_not_written(path):
     with pytest.raises(InputError):
         write_response(path, "pan", {"lag_s": 7.0}, [])
     assert path.read_text() == ROBOT
     assert [one.name for one in path.parent.iterdir()] == ["robot.yaml"]
 
 
-def test_a_folder_that_may_not_be_written_is_told(path, tmp_path):
+def test_a_missing_folder_is_an_input_error(path, tmp_path):
     missing = tmp_path / "nowhere" / "copy.yaml"
     with pytest.raises(InputError, match="cannot be written"):
         write_response(path, "pan", VALUES, [], output=missing)

@@ -1,4 +1,4 @@
-"""A small robot file, and what a refused sequence file says."""
+"""A small robot file, sequence files for it, and the errors of refused ones."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def load(folder: Path) -> Load:
-    """Load a sequence file with these keyframes and what follows them; they start in line 4."""
+    """Load a sequence file with this text below `keyframes:`; the text starts in line 4."""
 
     def load(text: str) -> Sequence:
         path = folder / "test.yaml"
@@ -51,7 +51,7 @@ def load(folder: Path) -> Load:
 
 @pytest.fixture
 def refusals(load: Load) -> Refusals:
-    """Return line and reason of everything that is wrong with such a file."""
+    """Return line and reason of every problem of such a file."""
 
     def refusals(text: str) -> list[tuple[int | None, str]]:
         with pytest.raises(InputError) as caught:

@@ -1,4 +1,4 @@
-"""A sequence held against a robot that it was not written for."""
+"""Checks of a sequence against a robot, and of loops."""
 
 from __future__ import annotations
 

@@ -1,15 +1,17 @@
-"""sequence.yaml → Sequence: times, poses, defaults, and what is refused and where."""
+"""sequence.yaml → `Sequence`: keyframes, events, functions of events, and refused files."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
 
 from lss_motion.errors import InputError
+from lss_motion.protocol.constants import Led
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.on_fault import Cause, FaultStep
-from lss_motion.sequence.load import load_sequence
+from lss_motion.sequence.load import function_problem, load_sequence
 from lss_motion.sequence.model import Interpolation, Sequence, Timing
 from lss_motion.trajectory.planner import plan
 
@@ -101,7 +103,7 @@ def test_a_loop_is_a_count_or_forever(load, written: str, loop: int | None) -> N
     assert load(f"{text}loop: {written}\n").loop == loop
 
 
-def test_keyframes_know_their_lines(load) -> None:
+def test_keyframes_have_their_lines(load) -> None:
     sequence = load("  - {at_s: 0, pose: home}\n\n  - at_s: 1\n    pose: out\n")
     assert [keyframe.line for keyframe in sequence.keyframes] == [4, 6]
 
@@ -204,7 +206,7 @@ def test_a_time_at_the_end_of_a_hold_is_exactly_that_end(load) -> None:
         ("  - {at_s: 0, pose: home}\nkeyframes: []", 5, "is given twice"),
     ],
 )
-def test_what_cannot_be_is_refused_with_line_and_reason(
+def test_a_wrong_entry_is_refused_with_line_and_reason(
     refusals, text: str, line: int, reason: str
 ) -> None:
     found = refusals(text + "\n")
@@ -213,7 +215,7 @@ def test_what_cannot_be_is_refused_with_line_and_reason(
     assert len(found) == 1 or "given twice" in reason
 
 
-def test_a_part_may_be_looped_though_the_whole_does_not_end_where_it_began(load) -> None:
+def test_a_part_can_be_looped_in_keyframes_that_do_not_close(load) -> None:
     sequence = load(
         "  - {at_s: 0, deg: {base: 0}}\n  - {at_s: 5, deg: {base: 9}}\n"
         "loop: 7\nloop_span_s: [1.5, 2.25]\n"
@@ -242,7 +244,7 @@ def test_an_unreadable_time_does_not_make_later_times_wrong(refusals) -> None:
     assert [line for line, _ in found] == [5]
 
 
-def test_a_loop_with_an_unreadable_end_is_not_also_called_open(refusals) -> None:
+def test_a_loop_with_an_unreadable_end_is_reported_once(refusals) -> None:
     found = refusals(
         "  - {at_s: 0, pose: home}\n  - {at_s: 1, pose: out}\n  - {at_s: x, pose: home}\nloop: 3\n"
     )
@@ -256,7 +258,7 @@ def test_more_keyframes_than_the_bound_are_refused(refusals) -> None:
     assert "must have 10000 or fewer entries" in reason
 
 
-def test_a_missing_robot_file_is_named_with_the_place_that_was_looked_at(folder: Path) -> None:
+def test_a_missing_robot_file_is_named_with_its_path(folder: Path) -> None:
     path = folder / "test.yaml"
     path.write_text("sequence: s\nrobot: robts.yaml\nkeyframes: [{at_s: 0, pose: home}]\n")
     with pytest.raises(InputError, match=r"robot file 'robts\.yaml' not found") as caught:
@@ -292,14 +294,14 @@ def test_problems_of_the_robot_file_come_with_those_of_the_sequence(folder: Path
     assert "both have id 1" in found[1][1]
 
 
-def test_a_robot_file_in_place_of_a_sequence_says_what_is_missing(folder: Path) -> None:
+def test_a_robot_file_in_place_of_a_sequence_is_refused_with_the_missing_key(folder: Path) -> None:
     with pytest.raises(InputError) as caught:
         load_sequence(folder / "robot.yaml")
     assert "'sequence' is missing" in str(caught.value)
     assert "unknown key 'joints'" in str(caught.value)
 
 
-def test_a_show_says_what_is_done_about_faults(load) -> None:
+def test_the_escalations_of_a_show_are_read(load) -> None:
     sequence = load("  - {pose: home}\non_fault: {astray: warn, silent: [resume, limp]}\n")
     assert sequence.on_fault == {
         Cause.ASTRAY: (FaultStep.WARN,),
@@ -308,6 +310,112 @@ def test_a_show_says_what_is_done_about_faults(load) -> None:
     assert plan(sequence, load_robot(sequence.robot_path)).on_fault == sequence.on_fault
 
 
-def test_a_wrong_step_is_explained_with_its_line(load) -> None:
+def test_a_wrong_step_of_an_escalation_is_refused_with_its_line(load) -> None:
     with pytest.raises(InputError, match=r":\d+: on_fault.astray \('slw'\): .*did you mean 'slow'"):
         load("  - {pose: home}\non_fault: {astray: slw}\n")
+
+
+KEYS = "  - {at_s: 0, pose: home}\n  - {at_s: 2, pose: out}\n"
+
+
+def test_events_are_read(load, folder):
+    (folder / "bell.wav").touch()
+    (folder / "effects").mkdir()
+    (folder / "effects" / "smoke.py").write_text("def fog(at_s): pass\n")
+    show = load(
+        KEYS
+        + "events:\n"
+        + "  - {at_s: 1, led: {base: red, elbow: white}}\n"
+        + "  - {at_s: 1.5, say: hello}\n"
+        + "  - {at_s: 1.5, run: 'effects.smoke:fog'}\n"
+        + "  - {at_s: 2, sound: bell.wav, lead_s: 0.25}\n"
+    )
+    led, say, run, sound = show.events
+    assert (led.at_s, led.led) == (1.0, (("base", Led.RED), ("elbow", Led.WHITE)))
+    assert (say.at_s, say.say) == (1.5, "hello")
+    assert (run.run, run.folder) == ("effects.smoke:fog", str(folder))
+    assert (sound.sound, sound.start_s) == (str(folder / "bell.wav"), 1.75)
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ("{at_s: 1}", "one of led, say, run, sound, not none"),
+        ("{at_s: 1, say: a, run: 'b:c'}", "not say and run"),
+        ("{at_s: 1, led: {bose: red}}", "unknown joint 'bose'"),
+        ("{at_s: 1, led: {base: pink}}", "'pink'"),
+        ("{at_s: 1, run: fog}", "'fog'"),
+        ("{at_s: 1, run: 'nomodule:fog'}", "there is no module 'nomodule' in "),
+        ("{at_s: 1, run: 'json.none:fog'}", "there is no module 'json.none' in "),
+        ("{at_s: 1, run: 'json:lods'}", "did you mean 'loads'?"),
+        ("{at_s: 1, sound: none.wav}", "sound file 'none.wav' not found"),
+        ("{at_s: 1, say: a, lead_s: 1}", "lead_s belongs to a sound"),
+        ("{say: a}", "at_s"),
+    ],
+)
+def test_a_wrong_event_is_refused_with_its_line(refusals, entry, words):
+    [(line, reason)] = refusals(KEYS + "events:\n  - " + entry + "\n")
+    assert line == 7
+    assert words in reason
+
+
+@pytest.fixture
+def problem(tmp_path):
+    """Return the problem of `run` if `effects/lights.py` holds `text`."""
+
+    def make(text, run="effects.lights:fog"):
+        (tmp_path / "effects").mkdir(exist_ok=True)
+        (tmp_path / "effects" / "__init__.py").write_text("raise SystemExit('was run')\n")
+        (tmp_path / "effects" / "lights.py").write_text("import lss_motion.none\n" + text)
+        return function_problem(run, str(tmp_path))
+
+    return make
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "def fog(at_s): pass",
+        "async def fog(at_s): pass",
+        "if True:\n    fog = print",
+        "from mist import fog",
+        "from mist import steam as fog",
+        "import fog",
+        "class fog: pass",
+        "from mist import *",
+        "def __getattr__(name): return print",
+        "globals()['fog'] = print",
+    ],
+)
+def test_a_function_is_found_without_running_its_module(problem, text):
+    before = set(sys.modules)
+    assert problem(text) == ""
+    assert not {name for name in set(sys.modules) - before if "effects" in name}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("def fogg(at_s): pass", "lights.py has no function 'fog'; did you mean 'fogg'?"),
+        ("print(fog)", "lights.py has no function 'fog'; there are none"),
+        ("from fog import mist", "has no function 'fog'"),
+        ("def fog(at_s) pass", "lights.py:2 is no Python: "),
+        ("\0", "lights.py"),
+    ],
+)
+def test_a_function_that_a_module_lacks_is_reported(problem, text, words):
+    assert words in problem(text)
+
+
+@pytest.mark.parametrize("run", ["effects.none:fog", "none:fog", "effects.lights.fog:fog"])
+def test_a_missing_module_is_named(problem, tmp_path, run):
+    module = run.partition(":")[0]
+    reason = problem("", run)
+    assert reason == f"there is no module {module!r} in {tmp_path}, nor is one installed"
+
+
+@pytest.mark.parametrize(
+    "run", ["time:sleep", "math:sqrt", "json:dumps", "lss_motion.units:s_from_ns"]
+)
+def test_functions_of_installed_modules_are_found(problem, run):
+    assert problem("", run) == ""

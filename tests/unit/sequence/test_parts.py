@@ -1,4 +1,4 @@
-"""Tracks, play lists, layers, speed and mirror: what a file of several parts comes to."""
+"""Tracks, play lists, layers, speed and mirror of files with several parts."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_a_play_list_holds_files_and_pauses(load, folder):
     assert (lift.move_s, lift.sequence.path) == (1.5, folder / "lift.yaml")
 
 
-def test_joined_through_the_keyframes_follow_as_if_written_there(load):
+def test_join_through_appends_the_keyframes_of_the_step(load):
     show = load(
         "play:\n  - {file: nod.yaml}\n  - {file: lift.yaml, join: through, speed_ratio: 2}\n"
         "  - {file: nod.yaml, join: through, move_s: 0.5}\n"
@@ -109,7 +109,7 @@ def test_mirror_exchanges_left_and_right(load):
     assert step.sequence.keyframes[1].deg == {"head": -20}
 
 
-def test_what_leaves_its_range_in_the_mirror_is_refused(refused):
+def test_a_mirrored_angle_out_of_range_is_refused(refused):
     message = refused("mirror: true\nkeyframes:\n  - {at_s: 0, deg: {l: -30}}\n")
     assert "show.yaml:5: joint 'r' at -30 deg is outside its range, -20 to 90 deg" in message
 
@@ -125,7 +125,7 @@ def test_a_layer_has_joints_and_groups(load):
     assert (part.from_s, part.to_s, part.fade_s) == (1.0, 3.0, 0.2)
 
 
-def test_an_added_layer_may_hold_angles_beyond_the_range(load, refused, folder):
+def test_an_added_layer_can_have_angles_beyond_the_range(load, refused, folder):
     (folder / "dip.yaml").write_text(
         "sequence: dip\nkeyframes: [{at_s: 0, deg: {r: -50}}]\n", encoding="utf-8"
     )
@@ -164,7 +164,7 @@ def test_an_added_layer_may_hold_angles_beyond_the_range(load, refused, folder):
         ("play: [{pause_s: 1}]\nlayers: [{file: nod.yaml, weight: 2}]", "must be 1 or less"),
     ],
 )
-def test_parts_that_cannot_be_are_refused_with_their_reason(refused, folder, text, message):
+def test_wrong_parts_are_refused_with_the_reason(refused, folder, text, message):
     (folder / "endless.yaml").write_text(
         "sequence: e\nloop: forever\nkeyframes: [{at_s: 0, hold_s: 1, deg: {l: 1}}]\n"
     )
@@ -178,7 +178,7 @@ def test_files_that_play_each_other_are_refused(refused, folder):
     assert "other.yaml:2: show.yaml would play itself" in refused("play: [{file: other.yaml}]\n")
 
 
-def test_a_play_list_that_explodes_is_refused(refused, folder):
+def test_a_play_list_with_too_many_nested_steps_is_refused(refused, folder):
     (folder / "0.yaml").write_text(NOD)
     for level in range(1, 4):
         steps = ", ".join([f"{{file: {level - 1}.yaml}}"] * 11)
@@ -186,7 +186,7 @@ def test_a_play_list_that_explodes_is_refused(refused, folder):
     assert "more than 1000 steps" in refused("play: [{file: 3.yaml}]\n")
 
 
-def test_a_speed_is_put_into_every_time(load):
+def test_every_time_is_divided_by_the_speed(load):
     show = load(
         "speed_ratio: 0.5\nplay:\n  - {file: nod.yaml, speed_ratio: 0.5, move_s: 2}\n"
         "  - {pause_s: 1}\nlayers: [{file: lift.yaml, from_s: 1, to_s: 2, fade_s: 0.25}]\n"

@@ -1,4 +1,4 @@
-"""Sequence → sequence.yaml: what a person finds in it. That it reads back is a property test."""
+"""`Sequence` → sequence.yaml: the text of the file. A property test reads files back."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def sequence(folder: Path) -> Sequence:
     )
 
 
-def test_a_person_finds_one_line_a_keyframe_and_only_what_is_not_usual(
+def test_a_keyframe_is_one_line_with_only_what_is_not_the_default(
     folder: Path, sequence: Sequence
 ) -> None:
     assert sequence_text(sequence, folder, comments=["From a\ntest.\x1b"]) == (
@@ -67,7 +67,7 @@ def test_the_schema_is_named_where_one_lies_above(folder: Path, sequence: Sequen
     assert first == "# yaml-language-server: $schema=../schema/sequence.schema.json"
 
 
-def test_the_usual_way_to_travel_is_said_once(folder: Path, sequence: Sequence) -> None:
+def test_the_most_common_interpolation_is_written_once(folder: Path, sequence: Sequence) -> None:
     linear = Keyframe(at_s=5.0, deg={"base": 0.5}, ease=Interpolation.LINEAR)
     keyframes = (linear, Keyframe(at_s=6.0, deg={"base": 1.0}, ease=Interpolation.LINEAR))
     text = sequence_text(Sequence(name="s", keyframes=keyframes), folder)
@@ -89,12 +89,12 @@ def test_tracks_are_written_below_their_names(folder: Path, sequence: Sequence) 
     )
 
 
-def test_what_is_made_of_files_cannot_be_written_into_one(folder: Path, sequence: Sequence) -> None:
+def test_play_lists_and_layers_cannot_be_written(folder: Path, sequence: Sequence) -> None:
     with pytest.raises(InputError, match="play lists and layers cannot be written"):
         sequence_text(Sequence(name="x", play=(Step(sequence=sequence),)), folder)
 
 
-def test_what_is_done_about_faults_is_written_too(folder: Path, sequence: Sequence) -> None:
+def test_escalations_are_written(folder: Path, sequence: Sequence) -> None:
     ladders = {Cause.ASTRAY: (FaultStep.WARN, FaultStep.HOLD), Cause.SILENT: (FaultStep.RESUME,)}
     write_sequence(replace(sequence, on_fault=ladders), folder / "s.yaml")
     assert load_sequence(folder / "s.yaml").on_fault == ladders

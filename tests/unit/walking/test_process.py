@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import multiprocessing
 import select
 from dataclasses import replace
 from pathlib import Path
@@ -57,7 +58,8 @@ def test_the_process_replies_as_the_planner_and_its_end_is_an_error(dog):
         reply = link.poll(0)
         expected = WalkPlanner(*dog, 0.2).plan(AHEAD)
         assert [*reply.extension.moves] == [*expected.extension.moves]
-        link._process.kill()
-        link._process.join()
+        (process,) = multiprocessing.active_children()
+        process.kill()
+        process.join()
         with pytest.raises(PlanningError, match="goes to a stand by itself"):
             link.poll(0)

@@ -1,4 +1,4 @@
-"""The JSON Schemas that editors use: shipped, up to date, and of one mind with the loaders."""
+"""The JSON Schemas for editors: shipped, up to date, and in agreement with the loaders."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_the_shipped_schema_is_the_one_that_the_code_makes(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", SCHEMAS)
-def test_a_schema_is_one_and_explains_every_key(kind: str) -> None:
+def test_a_schema_is_valid_and_describes_every_key(kind: str) -> None:
     schema = SCHEMAS[kind]()
     jsonschema.Draft202012Validator.check_schema(schema)
     for entry in (schema, *schema["$defs"].values()):

@@ -1,11 +1,34 @@
-"""What an LSS-2IO, an old firmware or a model does not allow is refused where it is written."""
+"""The table of servo models, and the drives, lines and ranges that a model or a board refuses."""
 
 from __future__ import annotations
 
 import pytest
 
 from lss_motion.errors import InputError
+from lss_motion.protocol.constants import Family
 from lss_motion.robot.load import load_robot
+from lss_motion.robot.servo_models import BAUD_FIRMWARE_MIN, FAMILIES, SERVO_MODELS
+
+
+def test_every_model_has_the_wire_unit_of_its_family() -> None:
+    assert {model.wire_per_deg for model in SERVO_MODELS.values()} == {10, 100}
+    for name, model in SERVO_MODELS.items():
+        assert model.name == name
+        assert model.wire_per_deg == FAMILIES[model.family].wire_per_deg
+        family = {"LSS-P": Family.LSS_PRO, "LSS-2": Family.IO2}.get(name[:5], Family.LSS)
+        assert model.family is family
+
+
+def test_no_load_speeds_are_those_of_the_datasheets() -> None:
+    speeds = {name: model.speed_max_deg_s for name, model in SERVO_MODELS.items()}
+    assert (speeds["LSS-ST1"], speeds["LSS-HS1"], speeds["LSS-HT1"]) == (360.0, 600.0, 360.0)
+
+
+def test_the_fast_baud_rates_came_with_firmware_369() -> None:
+    late = {baud_bps for baud_bps, firmware in BAUD_FIRMWARE_MIN.items() if firmware == 369}
+    assert late == {750000, 921600}
+    assert len(BAUD_FIRMWARE_MIN) == 11
+
 
 FILE = """\
 robot: x
@@ -23,7 +46,7 @@ def load(tmp_path, joint="drive: streamed", baud_bps=500000):
     return load_robot(path)
 
 
-def test_every_model_has_its_own_drive_unless_told_otherwise(tmp_path):
+def test_the_default_drive_depends_on_the_model(tmp_path):
     robot = load(tmp_path)
     assert {name: joint.drive for name, joint in robot.joints.items()} == {
         "a": "streamed",
@@ -42,7 +65,7 @@ def test_ramps_bound_timed_joints_only(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("joint", "said"),
+    ("joint", "reason"),
     [
         ("bus: old, drive: streamed", "cannot be streamed: that needs firmware 368 or later"),
         (
@@ -52,7 +75,7 @@ def test_ramps_bound_timed_joints_only(tmp_path):
         ("model: LSS-2IO, range_deg: [-95,0]", "would go to -95 deg"),
     ],
 )
-def test_what_the_bus_cannot_bear_is_refused(tmp_path, joint, said):
+def test_joints_that_model_or_bus_do_not_allow_are_refused(tmp_path, joint, reason):
     written = FILE.replace("id: 1, bus: main, %s", "%s")
     fields = {"id": "1", "bus": "main"} | dict(part.split(": ", 1) for part in joint.split(", "))
     path = tmp_path / "robot.yaml"
@@ -60,10 +83,10 @@ def test_what_the_bus_cannot_bear_is_refused(tmp_path, joint, said):
     path.write_text(written % (115200, line), encoding="utf-8")
     with pytest.raises(InputError) as caught:
         load_robot(path)
-    assert said in str(caught.value)
+    assert reason in str(caught.value)
     assert str(caught.value).startswith(f"{path}:5:")
 
 
-def test_a_bus_with_a_board_is_no_faster_than_the_board(tmp_path):
+def test_a_bus_that_is_too_fast_for_its_board_is_refused(tmp_path):
     with pytest.raises(InputError, match="750000 bps is too fast for the LSS-2IO on bus 'main'"):
         load(tmp_path, baud_bps=750000)
