@@ -166,11 +166,11 @@ def posing(gait: Gait, start: BodyPose, moves: Sequence[BodyMove]) -> Posing:
 
 def walking(gait: Gait, pose: BodyPose, walks: Sequence[Walk]) -> Walking:
     """Return the passage of consecutive walks."""
-    way = travel(walks, gait.cycle_s)
+    path = travel(walks, gait.cycle_s)
     legs = tuple(
         steps(
             neutral_mm(leg),
-            way,
+            path,
             lift_ratio=lift_ratio,
             duty_ratio=gait.duty,
             cycle_s=gait.cycle_s,
@@ -178,7 +178,7 @@ def walking(gait: Gait, pose: BodyPose, walks: Sequence[Walk]) -> Walking:
         )
         for leg, lift_ratio in zip(gait.legs, gait.pattern.lifts_ratio, strict=True)
     )
-    return replace(stepping(gait, pose, way, legs), waves=gait.waves)
+    return replace(stepping(gait, pose, path, legs), waves=gait.waves)
 
 
 def swings(waves: Sequence[Wave], times_s: FloatArray, duration_s: float) -> FloatArray:
@@ -193,11 +193,11 @@ def swings(waves: Sequence[Wave], times_s: FloatArray, duration_s: float) -> Flo
     return total
 
 
-def stepping(gait: Gait, pose: BodyPose, way: Travel, legs: tuple[Steps, ...]) -> Walking:
+def stepping(gait: Gait, pose: BodyPose, path: Travel, legs: tuple[Steps, ...]) -> Walking:
     """Return the passage of a body in one pose with its path, and of the steps of its feet."""
     neutral = np.array([neutral_mm(leg) for leg in gait.legs])
     return Walking(
-        travel=way,
+        travel=path,
         steps=legs,
         pose=_xyz_rpy(gait, pose),
         lean_s=lean_s_of(gait),

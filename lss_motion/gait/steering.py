@@ -145,13 +145,13 @@ class Steering:
         own: list[list[Foot]] = [[] for _ in self.gait.legs]
         walker = self.stepper.walked(taken, hold, own)
         following, stopping = walker, self.stepper.changed(walker, STILL)
-        way = self.stepper.travel(stopping, 1 + self.stepper.phases, since=taken)
+        path = self.stepper.travel(stopping, 1 + self.stepper.phases, since=taken)
         walker = stopping
         while walker.boundary < following.boundary + self.stepper.phases or self.stepper.goes_on(
             walker
         ):
             walker = self.stepper.walked(walker, 1, own)
-        passage = stepping(self.gait, self.pose, way, self.stepper.legs(taken, own))
+        passage = stepping(self.gait, self.pose, path, self.stepper.legs(taken, own))
         return self._within_limits(passage, first, following, twist)
 
     def _within_limits(

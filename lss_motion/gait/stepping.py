@@ -274,21 +274,21 @@ class Stepper:
         """Return the walker `count` phases later; append every step of leg i to `own[i]`."""
         gait, cycle_s = self.gait, self.gait.cycle_s
         for _ in range(count):
-            way = self.travel(walker, self.phases)
+            path = self.travel(walker, self.phases)
             feet = list(walker.feet)
             now_s = walker.boundary * self.phase_s
             for index, leg in enumerate(gait.legs):
                 if not self._lifts(index, walker.boundary):
                     continue
                 lands_s = now_s + cycle_s * (1.0 - gait.duty)
-                middle = way.at(np.array([lands_s + 0.5 * gait.duty * cycle_s]))
+                middle = path.at(np.array([lands_s + 0.5 * gait.duty * cycle_s]))
                 target = below(neutral_mm(leg), middle)[0]
                 here = feet[index].place_mm
                 if self._is_still(walker) and np.hypot(*(target - here)) <= HOME_MM:
                     continue
                 feet[index] = Foot(place_mm=target, from_mm=here, lifts_s=now_s, lands_s=lands_s)
                 own[index].append(feet[index])
-            place = way.at(np.array([now_s + self.phase_s]))[0]
+            place = path.at(np.array([now_s + self.phase_s]))[0]
             walker = replace(walker, boundary=walker.boundary + 1, place=place, feet=tuple(feet))
         return walker
 

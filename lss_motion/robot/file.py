@@ -194,7 +194,7 @@ class ResponseEntry(FileModel, title="response"):
         default=None,
         ge=0.1,
         le=10.0,
-        description="The servo's ramps are this many times what AA and AD say.",
+        description="The ramps of the servo are this many times those of AA and AD.",
     )
     retarget: Literal["keep_speed", "from_rest"] | None = Field(
         default=None, description="Speed at which a command during a move starts."
@@ -278,21 +278,21 @@ class JointDefaults(FileModel, title="joint defaults"):
         default=None,
         description="Settings that the servo stores, for `lss-motion configure`: by keyword, "
         "in the units of `lss-motion reference`; DIS switches a first position off. Playing "
-        "neither reads nor writes it.",
+        "neither reads nor writes them.",
         examples=[{"G": -1, "O": 2.5, "AS": 0, "LED": 3, "FD": "DIS"}],
     )
     drive: Literal["timed", "streamed", "stepped", "auto"] | None = Field(
         default=None,
         description="How it is commanded. timed (default): D…T… by the servo's own ramps. streamed "
-        "(LSS, firmware 368): bare D through the filter of EM0. stepped: whole degrees, all that "
-        "an LSS-2IO knows, and its default. auto: what predicts best; `lss-motion check` says why.",
+        "(LSS, firmware 368): bare D through the filter of EM0. stepped: whole degrees, the "
+        "only drive of an LSS-2IO. auto: the best prediction; `lss-motion check` shows why.",
     )
     filter_count: int | None = Field(
         default=None,
         ge=1,
         le=FILTER_COUNT_MAX,
-        description="FPC of a streamed joint for the show: the higher, the fewer commands and the "
-        "further it runs on if the host dies. Default 4.",
+        description="FPC of a streamed joint for the show: the higher, the fewer commands, and "
+        "the longer the move after the host has failed. Default 4.",
     )
     response: ResponseEntry | None = None
 

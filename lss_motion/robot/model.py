@@ -51,10 +51,10 @@ class Response:
     `loop_s`       the servo starts a command at its next control tick (5 ms: maker's staff)
     `filter_s`     in EM0 the filter steps this often (20 ms, four ticks: maker's staff). The phase
                    of its steps cannot be observed, so half a period is assumed
-    `ramp_ratio`   its ramps are this many times what AA and AD say; that a step of theirs is
-                   10 deg/s² has weak sources (FACTS.md M20)
+    `ramp_ratio`   its ramps are this many times those of AA and AD; the sources for their unit,
+                   10 deg/s², are weak (FACTS.md M20)
     `retarget`     a new `D…T…` in mid-move starts from the profile's position and speed
-                   (`keep_speed`) or from rest (`from_rest`); no document says (FACTS.md A10)
+                   (`keep_speed`) or from rest (`from_rest`); it is not documented (FACTS.md A10)
     `t_law`        `cruise`: travel speed = distance / T, so the ramps come on top;
                    `exact`: the whole move takes T
     """

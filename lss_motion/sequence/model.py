@@ -62,7 +62,7 @@ class Keyframe:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cue:
-    """Something that is not motion, at `at_s` of the show: one of `led`, `say`, `run`, `sound`.
+    """An event that is not motion, at `at_s` of the show: one of `led`, `say`, `run`, `sound`.
 
     In a sequence, `at_s` is the time that the author gives; in a plan, the time that it comes to.
     """

@@ -75,7 +75,7 @@ class OperatorInput:
                 case "-" | "_":
                     self.speed_ratio = max(self.speed_ratio - STEP_RATIO, SPEED_MIN_RATIO)
                 case known if known in _MOVES:
-                    ahead, left, turn = (STEP_RATIO * way for way in _MOVES[known])
+                    ahead, left, turn = (STEP_RATIO * step for step in _MOVES[known])
                     self.steer(self.forward + ahead, self.left + left, self.turn + turn)
                 case _:
                     pass
