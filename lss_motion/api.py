@@ -1,99 +1,36 @@
-"""The five steps as functions: load, plan, compile, play. What `lss_motion` re-exports."""
+"""The functions for users: load, plan, compile, play. `lss_motion` exports them."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
-from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from lss_motion.connection import ask_limits, connect, is_simulated, with_port
-from lss_motion.errors import BusError, InputError, LssMotionError
-from lss_motion.player.events import Warned
-from lss_motion.player.player import Player
+from lss_motion.connection import ask_limits, is_simulated, with_port
+from lss_motion.perform import perform
 from lss_motion.program.compile import compile_program as compile  # noqa: A004
 from lss_motion.robot.load import load_robot
-from lss_motion.runtime.clock import MonotonicClock, VirtualClock
-from lss_motion.runtime.performer import performing
-from lss_motion.runtime.port import ReopeningPort
-from lss_motion.runtime.real_time import real_time
-from lss_motion.runtime.report import make_report, run_seconds
-from lss_motion.runtime.runner import run
 from lss_motion.sequence import load as sequences
 from lss_motion.trajectory.planner import plan
-from lss_motion.units import NS_PER_MS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
-    from lss_motion.connection import Connection
-    from lss_motion.player.events import Event
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Robot
-    from lss_motion.runtime.runner import Controls, Tap
-    from lss_motion.sequence.model import Sequence as Show
-    from lss_motion.sim.bus import SimBus
-    from lss_motion.sim.faults import Fault
-    from lss_motion.trajectory.model import Trajectory
+    from lss_motion.sequence.model import Sequence
 
 __all__ = [
-    "Result",
-    "Truth",
     "ask_limits",
     "compile",
     "is_simulated",
     "load_robot",
     "load_sequence",
-    "perform",
     "plan",
     "play",
     "with_port",
-    "write_truth",
 ]
 
-TRUTH_STEP_S: Final = 0.01
-"""The truth is written at 100 Hz of show time."""
 
-
-@dataclass(frozen=True, kw_only=True)
-class Truth:
-    """What the simulated horns did: joint degrees, (n, joints), at show times."""
-
-    times_s: NDArray[np.float64]
-    joints: tuple[str, ...]
-    horn_deg: NDArray[np.float64]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Result:
-    """A run that has ended: its report, the player as it ended, and, if simulated, the truth."""
-
-    report: dict[str, Any]
-    player: Player
-    truth: Truth | None = None
-    error: LssMotionError | None = None
-    """Why the run could not begin or go on: `BusError`, `InputError` or `PlaybackError`."""
-    simulated: Mapping[str, SimBus] = field(default_factory=dict)
-    """The simulated buses by name, with all that they heard and their horns did."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Observer:
-    """Who watches and steers a run. Nothing here may block: it runs between two commands."""
-
-    on_event: Callable[[Event], None] | None = None
-    on_turn: Callable[[Player, int], None] | None = None
-    controls: Controls[Player] | None = None
-    make_tap: Callable[[int], Tap] | None = None
-    """Given the instant at which the run began, makes what sees every byte."""
-
-
-def load_sequence(path: Path | str, robot: Robot | None = None) -> Show:
+def load_sequence(path: Path | str, robot: Robot | None = None) -> Sequence:
     """Return the sequence of a sequence or gait file, checked against its robot.
 
     The robot is `robot`, or else the one that the file names. Raises `InputError` with file, line,
@@ -135,196 +72,3 @@ def play(
     if result.error is not None:
         raise result.error
     return result.report
-
-
-def perform(  # noqa: PLR0913  (the wishes of one run)
-    program: Program,
-    robot: Robot,
-    *,
-    is_virtual: bool = False,
-    seed: int = 0,
-    has_feedback: bool = True,
-    start_s: float | None = None,
-    trajectory: Trajectory | None = None,
-    observer: Observer | None = None,
-    faults: Sequence[Fault] = (),
-    is_open: bool = False,
-    is_real_time: bool = False,
-    must_ask: bool = False,
-) -> Result:
-    """Play `program` on `robot` and return all that came of it, also when it failed on the way.
-
-    With `trajectory`, the report says how far the simulated horns were from it. `faults` befall
-    the simulated buses, and in virtual time the host. While `is_open`, the show does not end with
-    the program but waits for what `observer.controls` extend it by; with `must_ask` nothing moves
-    before they say `go`. `is_real_time` asks for real-time priority and locked memory; what is
-    refused is warned of. Raises `InputError` or `BusError` only before the first byte.
-    """
-    simulated = is_simulated(robot)
-    _check(program, faults, has_feedback=has_feedback, simulated=simulated, is_virtual=is_virtual)
-    clock = _clock(faults, is_virtual=is_virtual, seed=seed)
-    connection = connect(robot.buses, robot=robot, clock=clock, seed=seed, faults=faults)
-    started_ns = clock.now_ns()
-    wishes = {"has_feedback": has_feedback, "must_ask": must_ask, "is_open": is_open}
-    player = Player(program, robot, start_s=start_s, **wishes)
-    error, observer = None, observer or Observer()
-    note = _Noting(observer.on_event)
-    try:
-        with (
-            real_time(is_wanted=is_real_time) as refused,
-            performing(program.cues, note, is_virtual=is_virtual) as on_event,
-        ):
-            for text in refused:
-                on_event(Warned(text))
-            run(
-                player,
-                _reopening(connection, player),
-                clock,
-                on_event=on_event,
-                on_turn=observer.on_turn,
-                controls=observer.controls,
-                tap=observer.make_tap(started_ns) if observer.make_tap is not None else None,
-            )
-    except BusError as lost:
-        error = lost
-    finally:
-        connection.close()
-    player.end_show(clock.now_ns())
-    truth = _truth(player, robot, connection.simulated) if simulated else None
-    report = make_report(
-        player,
-        run_s=run_seconds(started_ns, clock.now_ns()),
-        is_simulated=simulated,
-        outcome=_outcome(player, error),
-        warnings=note.warnings,
-        horn_error_deg=_horn_error_deg(truth, trajectory),
-    )
-    return Result(
-        report=report,
-        player=player,
-        truth=truth,
-        error=error or player.error,
-        simulated=connection.simulated,
-    )
-
-
-def _outcome(player: Player, error: LssMotionError | None) -> str:
-    is_lost = error is not None or isinstance(player.error, BusError)
-    return "lost" if is_lost and player.show is not None else player.outcome or "stopped"
-
-
-class _Noting:
-    """Tells `on_event` of events, and keeps the texts of warnings."""
-
-    def __init__(self, on_event: Callable[[Event], None] | None) -> None:
-        self.warnings: list[str] = []
-        self._on_event = on_event
-
-    def __call__(self, event: Event) -> None:
-        if isinstance(event, Warned):
-            self.warnings.append(event.text)
-        if self._on_event is not None:
-            self._on_event(event)
-
-
-def _reopening(connection: Connection, player: Player) -> dict[str, ReopeningPort]:
-    """Return ports that are opened again when they are lost, while the player waits for them."""
-    return {
-        name: ReopeningPort(
-            port,
-            partial(connection.open_again, name),
-            connection.clock,
-            waits=partial(player.waits_for_port, name),
-            lost=partial(player.port_lost, name),
-            found=partial(player.port_found, name),
-        )
-        for name, port in connection.ports.items()
-    }
-
-
-def _check(
-    program: Program,
-    faults: Sequence[Fault],
-    *,
-    has_feedback: bool,
-    simulated: bool,
-    is_virtual: bool,
-) -> None:
-    """Refuse what cannot be played so: waits, a real bus, faults that could not happen."""
-    if program.waits and not has_feedback:
-        raise InputError("the show waits for a sensor, which must be asked: not with --no-feedback")
-    if is_virtual and not simulated:
-        raise InputError("--virtual needs the simulated bus: use it with --port sim://")
-    if not faults:
-        return
-    from lss_motion.sim.faults import FaultKind
-
-    if not simulated:
-        raise InputError("--faults needs the simulated bus: use it with --port sim://")
-    if not is_virtual and any(fault.kind is FaultKind.OVERSLEEP for fault in faults):
-        raise InputError(f"{FaultKind.OVERSLEEP} needs --virtual: in real time this host is real")
-
-
-def _clock(
-    faults: Sequence[Fault], *, is_virtual: bool, seed: int
-) -> MonotonicClock | VirtualClock:
-    if not is_virtual:
-        return MonotonicClock()
-    if not faults:
-        return VirtualClock()
-    from lss_motion.sim.clocks import SleepyClock
-
-    return SleepyClock(faults, seed=seed)
-
-
-def _truth(player: Player, robot: Robot, buses: Mapping[str, SimBus]) -> Truth | None:
-    """Return the horns of the show's joints at every 10 ms of show time that was played."""
-    from lss_motion.sim.bus import servos_of
-
-    if player.show is None or player.show_ended_ns is None:
-        return None
-    knots = list(player.show.clock.knots(player.show_ended_ns, 10 * NS_PER_MS))
-    instants = np.array([instant for instant, _ in knots], dtype=np.int64)
-    shown_s = np.array([show_s for _, show_s in knots])
-    first = math.ceil(max(float(shown_s[0]), 0.0) / TRUTH_STEP_S - 1e-6)
-    last = math.floor(min(float(shown_s[-1]), player.program.duration_s) / TRUTH_STEP_S + 1e-6)
-    times_s = TRUTH_STEP_S * np.arange(first, last + 1, dtype=np.float64)
-    shown_s += 1e-9 * np.arange(len(shown_s))  # Where the show stood, it is still in order.
-    at_ns = np.interp(times_s, shown_s, (instants - instants[0]).astype(np.float64))
-    times_ns = instants[0] + at_ns.astype(np.int64)
-    names = tuple(player.program.start_deg)
-    horn = np.empty((len(times_s), len(names)))
-    for bus_name, bus in buses.items():
-        on_bus = servos_of(robot, bus_name)
-        servo_deg = bus.horn_deg(times_ns)
-        for column, name in enumerate(names):
-            if robot.joints[name].bus == bus_name:
-                joint = robot.joints[name]
-                angles = servo_deg[:, on_bus.index(name)]
-                horn[:, column] = joint.direction * (angles - joint.zero_deg)
-    return Truth(times_s=times_s, joints=names, horn_deg=horn)
-
-
-def _horn_error_deg(
-    truth: Truth | None, trajectory: Trajectory | None
-) -> dict[str, tuple[float, float]] | None:
-    if truth is None or trajectory is None or not len(truth.times_s):
-        return None
-    planned_deg = trajectory.sample(truth.times_s)
-    errors = {}
-    for column, name in enumerate(trajectory.joints):
-        if name in truth.joints:
-            error = truth.horn_deg[:, truth.joints.index(name)] - planned_deg[:, column]
-            errors[name] = (float(np.sqrt(np.mean(error**2))), float(np.abs(error).max()))
-    return errors
-
-
-def write_truth(truth: Truth, path: Path) -> None:
-    """Write `t_s,<joint>…` at 100 Hz of show time, joint degrees."""
-    header = ",".join(["t_s", *truth.joints])
-    table = np.column_stack([truth.times_s, truth.horn_deg])
-    formats = ["%.2f"] + ["%.3f"] * len(truth.joints)
-    try:
-        np.savetxt(path, table, fmt=formats, delimiter=",", header=header, comments="")
-    except OSError as error:
-        raise InputError(f"cannot write the truth: {error.strerror}", path=path) from error

@@ -17,6 +17,7 @@ import numpy as np
 from benches.horn import driven_horns, keyframe_writes, sample_writes
 from benches.shows import lively_show, robot_of
 from lss_motion import api
+from lss_motion.perform import perform
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,9 +35,7 @@ def runs() -> tuple[FloatArray, FloatArray, dict[str, FloatArray]]:
     robot = robot_of(JOINTS)
     sequence = lively_show(robot, SHOW_S, seed=SEED)
     trajectory = api.plan(sequence, robot)
-    result = api.perform(
-        api.compile(trajectory, robot), robot, is_virtual=True, trajectory=trajectory
-    )
+    result = perform(api.compile(trajectory, robot), robot, is_virtual=True, trajectory=trajectory)
     assert result.truth is not None
     times_s = np.arange(*SHOWN_S, STEP_S)
     at = np.searchsorted(result.truth.times_s, times_s - STEP_S / 2)

@@ -16,7 +16,6 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lss_motion.api import perform
 from lss_motion.errors import LssMotionError
 from lss_motion.interchange import (
     ForeignMotion,
@@ -26,6 +25,7 @@ from lss_motion.interchange import (
     map_template,
     read_motions,
 )
+from lss_motion.perform import perform
 from lss_motion.program.compile import compile_program
 from lss_motion.robot.load import load_robot
 from lss_motion.trajectory.planner import plan

@@ -23,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from benches.shows import robot_of
 from lss_motion import api
+from lss_motion.perform import Observer, perform
 from lss_motion.sequence.model import Keyframe, Sequence
 from lss_motion.units import s_from_ns
 
@@ -89,12 +90,12 @@ def main() -> int:
     program = api.compile(trajectory, robot)
     minutes = Minutes(arguments.minutes)
     tracemalloc.start()
-    result = api.perform(
+    result = perform(
         program,
         robot,
         is_virtual=True,
         trajectory=trajectory,
-        observer=api.Observer(controls=minutes),
+        observer=Observer(controls=minutes),
     )
     joints = result.report["joints"].values()
     rms_deg = float(np.sqrt(np.mean([joint["horn_error_rms_deg"] ** 2 for joint in joints])))

@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from local_planner import LocalPlanner
 
-from lss_motion import api
 from lss_motion.cli import shows
 from lss_motion.gait.kinematics import forward
 from lss_motion.gait.model import BodyPose
 from lss_motion.gait.patterns import PATTERNS
 from lss_motion.gait.steering import slowed_to_limits
 from lss_motion.gait.stepping import STILL, Twist
+from lss_motion.perform import Observer, perform
 from lss_motion.player.events import Phase
 from lss_motion.walking.pilot import Pilot
 from lss_motion.walking.planner import WalkPlanner
@@ -115,12 +115,12 @@ class Run:
 
     def faults(self) -> list[str]:
         """Play it; return what went wrong."""
-        result = api.perform(
+        result = perform(
             self.planner.program,
             self.robot,
             is_virtual=True,
             seed=self.seed,
-            observer=api.Observer(controls=self),
+            observer=Observer(controls=self),
             is_open=True,
         )
         assert result.truth is not None

@@ -24,11 +24,11 @@ from lss_motion.protocol.constants import Led
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from lss_motion.api import Result
     from lss_motion.cli.commands import Commands
     from lss_motion.cli.shows import Show
     from lss_motion.cli.terminal import Inputs, Terminal
     from lss_motion.errors import LssMotionError
+    from lss_motion.perform import Result
     from lss_motion.player.events import Event, Found
     from lss_motion.player.player import Player
     from lss_motion.robot.model import Robot
@@ -317,9 +317,9 @@ def _perform(
     *,
     is_asked: bool,
 ) -> Result:
-    from lss_motion import api
     from lss_motion.cli.display import Display
     from lss_motion.cli.terminal import Noted
+    from lss_motion.perform import Observer, perform
 
     with contextlib.ExitStack() as stack:
         display = None
@@ -335,13 +335,13 @@ def _perform(
             logs.append(stack.enter_context(log))
         controls = Noted(terminal, logs[0]) if logs else terminal
         note = logs[0].asked_for if logs else None
-        observer = api.Observer(
+        observer = Observer(
             on_event=lambda event: tell(event, say if display is None else display.note),
             on_turn=None if display is None else display.show,
             controls=Agreement(controls, terminal, robot.name, note),
             make_tap=logs[0].started if logs else None,
         )
-        return api.perform(
+        return perform(
             show.program,
             robot,
             is_virtual=arguments.virtual,
@@ -418,13 +418,13 @@ def _cue_text(cue: Cue) -> str:
 
 
 def _write_results(arguments: argparse.Namespace, result: Result) -> None:
-    from lss_motion import api
+    from lss_motion.perform import write_truth
     from lss_motion.runtime.report import write_report
 
     if arguments.report is not None:
         write_report(result.report, arguments.report)
     if arguments.truth is not None and result.truth is not None:
-        api.write_truth(result.truth, arguments.truth)
+        write_truth(result.truth, arguments.truth)
 
 
 def _ratio(text: str) -> float:

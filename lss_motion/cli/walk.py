@@ -26,11 +26,11 @@ from lss_motion.errors import EXIT_FINISHED, EXIT_NOT_FOLLOWED, InputError, Plan
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from lss_motion.api import Result
     from lss_motion.cli.commands import Commands
     from lss_motion.cli.terminal import Terminal
     from lss_motion.gait.model import Gait
     from lss_motion.gait.stepping import Twist
+    from lss_motion.perform import Result
     from lss_motion.player.player import Player
     from lss_motion.robot.model import Robot
     from lss_motion.walking.inputs import Gamepad, OperatorInput
@@ -220,11 +220,11 @@ def _perform(
 ) -> tuple[Result, Pilot]:
     import sys
 
-    from lss_motion import api
     from lss_motion.cli.display import Display
     from lss_motion.cli.play import tell
     from lss_motion.cli.shows import GAIT_TOLERANCE_DEG
     from lss_motion.gait.model import BodyPose
+    from lss_motion.perform import Observer, perform
     from lss_motion.walking.inputs import Gamepad
     from lss_motion.walking.pilot import Pilot
     from lss_motion.walking.planner import WalkPlanner
@@ -250,12 +250,12 @@ def _perform(
             reins.sits = (BodyPose(), gait.sit)
         if arguments.gamepad is not None:
             reins.gamepad = stack.enter_context(Gamepad(arguments.gamepad))
-        result = api.perform(
+        result = perform(
             planner.program,
             robot,
             seed=arguments.seed,
             has_feedback=not arguments.no_feedback,
-            observer=api.Observer(
+            observer=Observer(
                 on_event=lambda event: tell(event, note),
                 on_turn=None if display is None else display.show,
                 controls=Agreement(reins, terminal, robot.name),

@@ -10,6 +10,7 @@ import pytest
 
 from lss_motion import api
 from lss_motion.cli import shows
+from lss_motion.perform import Observer, perform
 from lss_motion.sim.bus import servos_of
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
@@ -73,10 +74,8 @@ def test_whatever_somebody_does_no_horn_breaks_a_limit(example, name, seed):
     # Seed 0 begins where the show begins; all others somewhere, as after a seek.
     start_s = random.uniform(0.0, max(0.0, end_s - ALL_S - 0.5)) if seed else None
     meddler = Meddler(random, start_s or 0.0)
-    observer = api.Observer(controls=meddler)
-    result = api.perform(
-        program, robot, is_virtual=True, seed=seed, start_s=start_s, observer=observer
-    )
+    observer = Observer(controls=meddler)
+    result = perform(program, robot, is_virtual=True, seed=seed, start_s=start_s, observer=observer)
     assert result.report["outcome"] in ("stopped", "finished")
     assert len(meddler.done) >= 3
     assert not result.report["faults"]

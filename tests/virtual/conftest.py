@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from lss_motion import api
+from lss_motion.perform import Observer, Result, perform
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.sequence.model import Keyframe, Sequence
 from lss_motion.sim import bus as sim_bus
@@ -88,7 +89,7 @@ def rate(ratio):
 class Played:
     """A run that has ended, and all that is known of it."""
 
-    result: api.Result
+    result: Result
     buses: dict
     events: list
     acted_ns: list
@@ -190,13 +191,13 @@ class Stage:
         controls = Wishes(*wishes)
         with self._monkeypatch.context() as patch:
             patch.setattr(sim_bus, "bus_from_robot", made)
-            result = api.perform(
+            result = perform(
                 program,
                 robot,
                 is_virtual=True,
                 trajectory=trajectory,
                 faults=[fault for fault in faults if fault.kind is FaultKind.OVERSLEEP],
-                observer=api.Observer(
+                observer=Observer(
                     on_event=note, controls=controls, make_tap=lambda start_ns: Tap()
                 ),
                 **options,

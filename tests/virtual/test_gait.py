@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lss_motion import api
 from lss_motion.cli import shows
 from lss_motion.gait.kinematics import forward
 from lss_motion.gait.load import load_gait
 from lss_motion.gait.pacing import joints_of, paced
 from lss_motion.gait.patterns import PATTERNS
+from lss_motion.perform import Observer, perform
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
 SLIP_MAX_MM = 0.5
@@ -32,12 +32,12 @@ class Walked:
 
     def __init__(self, path, controls=None):
         show = shows.prepare(path, None, loop=None if controls else 1)
-        result = api.perform(
+        result = perform(
             show.program,
             show.robot,
             is_virtual=True,
             trajectory=show.trajectory,
-            observer=api.Observer(controls=controls),
+            observer=Observer(controls=controls),
         )
         self.show, self.report = show, result.report
         self.gait = load_gait(path)

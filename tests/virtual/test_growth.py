@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lss_motion import api
+from lss_motion.perform import Observer, perform
 from lss_motion.program.model import Program
 from lss_motion.program.splice import initial_splice_state
 from lss_motion.trajectory.tracks import given_motion
@@ -64,12 +64,12 @@ def extended(kit, *parts):
         splice_state = splice_state.taken(extension)
         made.append((at_s, extension))
     controls = Extending(made)
-    result = api.perform(
+    result = perform(
         program,
         robot,
         is_virtual=True,
         is_open=True,
-        observer=api.Observer(controls=controls),
+        observer=Observer(controls=controls),
     )
     return controls, result, [extension for _, extension in made]
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lss_motion.api import perform as play
 from lss_motion.cli.main import main
 from lss_motion.connection import connect
 from lss_motion.maintenance.hands_on import HandsOn
 from lss_motion.maintenance.take import Take, sequence_of
+from lss_motion.perform import perform as play
 from lss_motion.player.events import Phase
 from lss_motion.program.compile import compile_program
 from lss_motion.robot.load import load_robot

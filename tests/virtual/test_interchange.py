@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from motion_table import map_for, robot_for
 
-from lss_motion.api import perform
 from lss_motion.cli import shows
 from lss_motion.cli.exchange import sampled
 from lss_motion.errors import InputError
@@ -22,6 +21,7 @@ from lss_motion.interchange import (
     read_motion,
     read_motions,
 )
+from lss_motion.perform import perform
 from lss_motion.program.compile import compile_program
 from lss_motion.program.text import to_text
 from lss_motion.robot.load import load_robot

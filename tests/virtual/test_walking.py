@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from local_planner import LocalPlanner
 
-from lss_motion import api
 from lss_motion.cli import shows
 from lss_motion.gait.kinematics import forward
 from lss_motion.gait.model import BodyPose
 from lss_motion.gait.steering import slowed_to_limits
 from lss_motion.gait.stepping import STILL, Twist
+from lss_motion.perform import Observer, perform
 from lss_motion.player.events import Phase
 from lss_motion.sim import bus as sim_bus
 from lss_motion.walking.pilot import Pilot
@@ -52,12 +52,12 @@ class Walk:
 
         with monkeypatch.context() as patch:
             patch.setattr(sim_bus, "bus_from_robot", made)
-            self.result = api.perform(
+            self.result = perform(
                 self.planner.program,
                 self.robot,
                 is_virtual=True,
                 has_feedback=has_feedback,
-                observer=api.Observer(controls=self),
+                observer=Observer(controls=self),
                 is_open=True,
             )
         self.bus = buses["main"]

@@ -20,6 +20,7 @@ from benches.shows import ACCEL_MAX_DEG_S2, lively_show, robot_of
 from benches.table import Row
 from lss_motion import api
 from lss_motion.errors import LineLoadError
+from lss_motion.perform import Observer, perform
 from lss_motion.player.events import Phase, PhaseEntered
 from lss_motion.program.compile import TOLERANCE_DEG
 from lss_motion.robot.servo_models import SERVO_ID_MAX
@@ -89,8 +90,8 @@ class _Sent:
 def _filled(program: Program, robot: Robot) -> tuple[float, float]:
     """Return the share of a core that the player takes to keep the line full, and answers/s."""
     tap = _Sent()
-    observer = api.Observer(make_tap=lambda _: tap)
-    report = api.perform(program, robot, is_virtual=True, observer=observer).report
+    observer = Observer(make_tap=lambda _: tap)
+    report = perform(program, robot, is_virtual=True, observer=observer).report
     assert report["outcome"] == "finished", report
     (from_ns, before_s), (to_ns, after_s), *_ = tap.show
     bus = bus_from_robot(robot, "main", seed=0)

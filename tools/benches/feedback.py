@@ -15,6 +15,7 @@ import numpy as np
 from benches.shows import lively_show, robot_of
 from benches.table import Row
 from lss_motion import api
+from lss_motion.perform import perform
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim import bus
 from lss_motion.sim.faults import Fault, FaultKind
@@ -100,7 +101,7 @@ def _rms_deg(
         physics=disturbance.get("physics"),
     )
     with patch.object(bus, "bus_from_robot", made):
-        result = api.perform(
+        result = perform(
             program,
             robot,
             is_virtual=True,

@@ -23,6 +23,7 @@ from lss_motion.gait.model import BodyPose, Walk
 from lss_motion.gait.pacing import paced
 from lss_motion.gait.patterns import PATTERNS
 from lss_motion.gait.to_sequence import sequence_from
+from lss_motion.perform import perform
 from lss_motion.robot.load import load_robot
 
 if TYPE_CHECKING:
@@ -146,7 +147,7 @@ def _walked(gait: Gait, robot: Robot, *, seed: int) -> Walked:
     parts = paced(gait, robot)
     trajectory = api.plan(sequence_from(gait, parts), robot)
     program = api.compile(trajectory, robot, tolerance_deg=GAIT_TOLERANCE_DEG)
-    result = api.perform(program, robot, is_virtual=True, seed=seed, trajectory=trajectory)
+    result = perform(program, robot, is_virtual=True, seed=seed, trajectory=trajectory)
     assert result.truth is not None
     times_s, horn_deg = result.truth.times_s, result.truth.horn_deg
     (part,) = parts

@@ -15,6 +15,7 @@ import numpy as np
 from benches.shows import lively_show, robot_of
 from benches.table import Row
 from lss_motion import api
+from lss_motion.perform import perform
 from lss_motion.protocol.line import encode_move
 from lss_motion.sim.bus import bus_from_robot
 from lss_motion.units import ns_from_s
@@ -45,7 +46,7 @@ def measure() -> list[Row]:
     sequence = lively_show(robot, SHOW_S, seed=1)
     trajectory = api.plan(sequence, robot)
     program = api.compile(trajectory, robot)
-    result = api.perform(program, robot, is_virtual=True, trajectory=trajectory)
+    result = perform(program, robot, is_virtual=True, trajectory=trajectory)
     joints = result.report["joints"].values()
     rms_deg = float(np.sqrt(np.mean([joint["horn_error_rms_deg"] ** 2 for joint in joints])))
     max_deg = max(joint["horn_error_max_deg"] for joint in joints)

@@ -39,6 +39,7 @@ from benches.shows import lively_show, robot_of
 from benches.table import Row
 from lss_motion import api
 from lss_motion.cli.display import Display
+from lss_motion.perform import Observer, perform
 from lss_motion.runtime.real_time import PRIORITY, real_time
 from lss_motion.units import NS_PER_US, line_time_ns, ns_from_s, s_from_us
 
@@ -168,8 +169,8 @@ class Pair:
         robot, heard = self.ours
         heard()
         with _screen() as display:
-            observer = api.Observer(on_turn=display.show)
-            result = api.perform(self.program, robot, observer=observer, is_real_time=is_real_time)
+            observer = Observer(on_turn=display.show)
+            result = perform(self.program, robot, observer=observer, is_real_time=is_real_time)
         show = result.player.show
         assert show is not None
         dues_ns = []

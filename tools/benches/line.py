@@ -19,6 +19,7 @@ from benches.behind_pty import robot_behind_pty
 from benches.shows import lively_show, robot_of
 from benches.table import Row
 from lss_motion import api
+from lss_motion.perform import Observer, perform
 from lss_motion.player.events import Phase, PhaseEntered
 from lss_motion.units import LINE_BITS_PER_BYTE, line_time_ns, s_from_ns
 
@@ -95,8 +96,8 @@ def _program(robot: Robot, duration_s: float) -> Program:
 
 def _in_virtual_time(baud_bps: int) -> list[Row]:
     robot, count = robot_of(SERVOS, baud_bps=baud_bps), _Count()
-    observer = api.Observer(on_event=count.note, make_tap=lambda _: count)
-    result = api.perform(_program(robot, SHOW_S), robot, is_virtual=True, observer=observer)
+    observer = Observer(on_event=count.note, make_tap=lambda _: count)
+    result = perform(_program(robot, SHOW_S), robot, is_virtual=True, observer=observer)
     got_hz = count.replies / count.lasted_s
     limit_hz = count.limit_hz(baud_bps, count.lasted_s)
     late_us = result.report["timing"]["late_max_us"]
@@ -130,8 +131,8 @@ def _against_blocking(baud_bps: int) -> Row:
     with robot_behind_pty(robot) as (real, _):
         for _ in range(ROUNDS):
             count = _Count()
-            observer = api.Observer(on_event=count.note, make_tap=lambda _, count=count: count)
-            api.perform(program, real, observer=observer)
+            observer = Observer(on_event=count.note, make_tap=lambda _, count=count: count)
+            perform(program, real, observer=observer)
             ours.append(count.replies / count.lasted_s)
             theirs.append(_blocking_hz(program, real))
     ours_hz, theirs_hz = sorted(ours)[ROUNDS // 2], sorted(theirs)[ROUNDS // 2]

@@ -20,6 +20,7 @@ from benches.plan import empty_cache
 from benches.shows import lively_show, robot_of
 from benches.table import Row, core_seconds
 from lss_motion import api
+from lss_motion.perform import Observer, perform
 from lss_motion.player.events import Phase, PhaseEntered
 from lss_motion.sim.bus import bus_from_robot
 from lss_motion.units import NS_PER_US, ns_from_s
@@ -178,7 +179,7 @@ def _streamed(program: Program, robot: Robot) -> Streaming:
 
     phases: list[Phase] = []
     with robot_behind_pty(robot) as (real, _):
-        report = api.perform(program, real, observer=api.Observer(on_event=note)).report
+        report = perform(program, real, observer=Observer(on_event=note)).report
     assert report["outcome"] == "finished", report
     shown = phases.index(Phase.SHOW)
     played_s = report["played_s"]

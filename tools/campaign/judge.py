@@ -28,7 +28,7 @@ from campaign.shows import NAMES, RESUME_S, SLOW_BPS, Show, show
 from campaign.stale import lawless_ns
 from campaign.witness import Act, HangError, Witness, random_acts
 
-from lss_motion import api
+from lss_motion.perform import Observer, Result, perform
 from lss_motion.player.estimators import OFFSET_MAX_DEG
 from lss_motion.sim.bus import servos_of
 from lss_motion.sim.faults import INSTANT, REPLY_KINDS, Fault, FaultKind
@@ -77,9 +77,9 @@ def judged_with(
 ) -> tuple[str, tuple[str, ...]]:
     """Play a show with `faults`; return what became of it, and the promises that it broke."""
     witness = Witness(list(acts))
-    observer = api.Observer(controls=witness, make_tap=lambda _: witness)
+    observer = Observer(controls=witness, make_tap=lambda _: witness)
     try:
-        result = api.perform(
+        result = perform(
             played.program,
             played.robot,
             is_virtual=True,
@@ -99,7 +99,7 @@ def judged_with(
 
 class _Judge:
     def __init__(
-        self, played: Show, faults: Sequence[Fault], witness: Witness, result: api.Result
+        self, played: Show, faults: Sequence[Fault], witness: Witness, result: Result
     ) -> None:
         self.robot, self.program = played.robot, played.program
         self.faults = faults

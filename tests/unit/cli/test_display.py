@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from lss_motion import api
 from lss_motion.cli import shows
 from lss_motion.cli.display import KEYS_HELP, Display, Memory, frame_of, is_trouble, rendered
+from lss_motion.perform import Observer, perform
 from lss_motion.player.events import Phase
 
 WAVE = Path(__file__).parents[3] / "sequences" / "wave.yaml"
@@ -25,8 +25,8 @@ def frames():
         if now_ns >= len(found) * 10**8:
             found.append(frame_of(player, now_ns, [], memory))
 
-    observer = api.Observer(on_turn=look)
-    api.perform(show.program, show.robot, is_virtual=True, observer=observer)
+    observer = Observer(on_turn=look)
+    perform(show.program, show.robot, is_virtual=True, observer=observer)
     return found
 
 
@@ -92,8 +92,8 @@ def test_what_goes_wrong_stays_on_the_screen_and_so_does_what_comes_last(capfd):
             display.note("fault: joint 'a' is stuck")
             display.note("an ordinary line")
 
-    observer = api.Observer(on_turn=look)
-    api.perform(show.program, show.robot, is_virtual=True, observer=observer)
+    observer = Observer(on_turn=look)
+    perform(show.program, show.robot, is_virtual=True, observer=observer)
     # The keyboard's signals go to the session of the terminal.
     assert os.getsid(display._child.pid) == display._child.pid
     display.note("warning: the last word")
@@ -125,8 +125,8 @@ def test_a_pause_is_called_one_and_full_speed_too(frames):
             found.append(frame_of(player, now_ns, [], Memory()))
             player.set_rate(1.0, now_ns)
 
-    observer = api.Observer(on_turn=look)
-    api.perform(show.program, show.robot, is_virtual=True, observer=observer)
+    observer = Observer(on_turn=look)
+    perform(show.program, show.robot, is_virtual=True, observer=observer)
     head = drawn(found[0]).splitlines()[0]
     assert "paused" in head
     assert "playing" not in head

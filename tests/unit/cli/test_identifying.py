@@ -11,6 +11,7 @@ from lss_motion import api
 from lss_motion.cli import identify
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError
+from lss_motion.perform import perform
 from lss_motion.protocol.constants import Family
 from lss_motion.robot.load import load_robot
 from lss_motion.sim import bus
@@ -49,7 +50,7 @@ def rms_deg(robot_file, *, has_feedback):
     robot = load_robot(robot_file)
     trajectory = api.plan(api.load_sequence("sway.yaml"), robot)
     program = api.compile(trajectory, robot)
-    result = api.perform(
+    result = perform(
         program, robot, is_virtual=True, trajectory=trajectory, has_feedback=has_feedback
     )
     assert result.report["outcome"] == "finished"
