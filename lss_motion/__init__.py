@@ -13,7 +13,7 @@ steps, each a pure function of the one before, each usable alone:
 >>> program.moves[0].data.startswith(b"#")
 True
 >>> report = lss.play(program, robot, port="sim://", is_virtual=True)
->>> report["outcome"], report["timing"]["missed"]
+>>> report.outcome, report.timing.missed
 ('finished', 0)
 
 Every error is a `LssMotionError`; `lss_motion.errors` draws the tree. Angles are degrees of the
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from lss_motion.api import compile, load_robot, load_sequence, plan, play  # noqa: A004
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Robot
+    from lss_motion.runtime.report import Report
     from lss_motion.sequence.model import Keyframe, Sequence
     from lss_motion.trajectory.model import Trajectory
 
@@ -54,6 +55,7 @@ __all__ = [
     "PlaybackError",
     "Program",
     "ProtocolError",
+    "Report",
     "Robot",
     "Sequence",
     "Trajectory",
@@ -67,6 +69,7 @@ __all__ = [
 _HOME = {
     "Keyframe": "lss_motion.sequence.model",
     "Program": "lss_motion.program.model",
+    "Report": "lss_motion.runtime.report",
     "Robot": "lss_motion.robot.model",
     "Sequence": "lss_motion.sequence.model",
     "Trajectory": "lss_motion.trajectory.model",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from lss_motion.connection import ask_limits, is_simulated, with_port
 from lss_motion.perform import perform
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Robot
+    from lss_motion.runtime.report import Report
     from lss_motion.sequence.model import Sequence
 
 __all__ = [
@@ -54,7 +55,7 @@ def play(
     is_virtual: bool = False,
     seed: int = 0,
     has_feedback: bool = True,
-) -> dict[str, Any]:
+) -> Report:
     """Play `program` on `robot` and return the report.
 
     `port` overrides the robot file's. `is_virtual` needs a simulated robot: its time passes as

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from lss_motion.player.events import Event
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Robot
+    from lss_motion.runtime.report import Report
     from lss_motion.runtime.runner import Controls, Tap
     from lss_motion.sim.bus import SimBus
     from lss_motion.sim.faults import Fault
@@ -48,24 +49,24 @@ TRUTH_STEP_S: Final = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class Truth:
-    """What the simulated horns did: joint degrees, (n, joints), at show times."""
+    """The angles of the simulated horns: joint degrees, (n, joints), at show times."""
 
-    times_s: NDArray[np.float64]
+    times_s: NDArray[np.float64] = field(repr=False)
     joints: tuple[str, ...]
-    horn_deg: NDArray[np.float64]
+    horn_deg: NDArray[np.float64] = field(repr=False)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """A run that has ended: its report, the player as it ended, and, if simulated, the truth."""
+    """A run that has ended: its report, its player, and the horns if they are simulated."""
 
-    report: dict[str, Any]
-    player: Player
-    truth: Truth | None = None
+    report: Report
+    player: Player = field(repr=False)
+    truth: Truth | None = field(default=None, repr=False)
     error: LssMotionError | None = None
     """Why the run could not begin or go on: `BusError`, `InputError` or `PlaybackError`."""
-    simulated: Mapping[str, SimBus] = field(default_factory=dict)
-    """The simulated buses by name, with all that they heard and their horns did."""
+    simulated: Mapping[str, SimBus] = field(default_factory=dict, repr=False)
+    """The simulated buses by name, with every byte that they received and every horn angle."""
 
 
 @dataclass(frozen=True, kw_only=True)

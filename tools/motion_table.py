@@ -81,8 +81,8 @@ def verdict(motion: ForeignMotion | RefusedMotion, folder: Path) -> list[str]:
     keys = str(sum(len(keyframe.deg) for keyframe in made.sequence.keyframes))
     run = perform(program, robot, is_virtual=True, trajectory=trajectory, has_feedback=False)
     report = run.report
-    worst_deg = max((j["horn_error_rms_deg"] for j in report["joints"].values()), default=0.0)
-    is_played = report["outcome"] == "finished" and report["timing"]["missed"] == 0
+    worst_deg = max((j.horn_error_rms_deg for j in report.joints.values()), default=0.0)
+    is_played = report.outcome == "finished" and report.timing.missed == 0
     slowed = f", {len(trajectory.stretched)} spans slowed" if trajectory.stretched else ""
     said = f"played, horns {worst_deg:.2f} deg RMS{slowed}" if is_played else "not played"
     return [joints, keys, f"{end_s:.3f}", f"{trajectory.duration_s:.3f}", said]

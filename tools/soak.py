@@ -97,13 +97,13 @@ def main() -> int:
         trajectory=trajectory,
         observer=Observer(controls=minutes),
     )
-    joints = result.report["joints"].values()
-    rms_deg = float(np.sqrt(np.mean([joint["horn_error_rms_deg"] ** 2 for joint in joints])))
+    joints = result.report.joints.values()
+    rms_deg = float(np.sqrt(np.mean([joint.horn_error_rms_deg**2 for joint in joints])))
     first = minutes.bytes_held[min(1, len(minutes.bytes_held) - 1)]
     growth = minutes.bytes_held[-1] / first
-    timing = result.report["timing"]
+    timing = result.report.timing
     print(
-        f"{arguments.minutes} min, {timing['commands']} commands, {timing['missed']} missed: "
+        f"{arguments.minutes} min, {timing.commands} commands, {timing.missed} missed: "
         f"memory {growth:.3f} times that of the second minute, {1e6 * minutes.drift_s:.3f} us of "
         f"drift, horns {rms_deg:.3f} deg RMS"
     )

@@ -14,7 +14,7 @@ import argparse
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from local_planner import LocalPlanner
@@ -124,11 +124,11 @@ class Run:
             is_open=True,
         )
         assert result.truth is not None
-        self.report: dict[str, Any] = result.report
+        self.report = result.report
         horn_deg, names = result.truth.horn_deg, result.truth.joints
         found = []
-        if result.report["outcome"] != "finished" or result.report["timing"]["missed"]:
-            found.append(f"outcome {result.report['outcome']}: {result.report['faults']}")
+        if result.report.outcome != "finished" or result.report.timing.missed:
+            found.append(f"outcome {result.report.outcome}: {result.report.faults}")
         self.used = self._limits(horn_deg, names, found)
         stand = np.array([self.planner.program.start_deg[name] for name in names])
         off_deg = float(np.abs(horn_deg[-1] - stand).max())
@@ -224,7 +224,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         speed, accel = run.used
         print(
             f"seed {run.seed}: {run.gait.pattern.name}, {run.given} commands in "
-            f"{run.report['played_s']:.0f} s, {run.pilot.taken} stretches, {run.pilot.late} late; "
+            f"{run.report.played_s:.0f} s, {run.pilot.taken} stretches, {run.pilot.late} late; "
             f"speed {speed:.0%}, acceleration {accel:.0%}, slip {run.slip_mm:.2f} mm",
             flush=True,
         )

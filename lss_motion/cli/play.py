@@ -254,7 +254,7 @@ def play(arguments: argparse.Namespace) -> int:
         _write_results(arguments, result)
         if result.error is not None:
             raise _explained(result.error, result)
-        for line in report_lines(result.report):
+        for line in report_lines(result.report.to_dict()):
             say(line)
         return _exit_code(result, terminal)
 
@@ -268,14 +268,14 @@ def _explained(error: LssMotionError, result: Result) -> LssMotionError:
         f"and keep the settings of the show until their power is off"
     )
     if result.player.show is not None:
-        played_s = result.report["played_s"]
+        played_s = result.report.played_s
         text += f". The show had come to {played_s:.2f} s; --from {played_s:.2f} goes on from there"
     return LostPortError(text, url=error.url)
 
 
 def _exit_code(result: Result, terminal: Terminal) -> int:
     """Return the exit code of a show; say what ended it early, if that was a fault."""
-    match result.report["outcome"]:
+    match result.report.outcome:
         case "stopped":
             return ended_by(terminal.signal_number)
         case "fault":

@@ -115,9 +115,9 @@ def _walk(arguments: argparse.Namespace) -> int:
             if failed is not None:
                 raise failed
         say(f"{pilot.taken} stretches walked, {pilot.late} planned too late")
-        for line in report_lines(result.report):
+        for line in report_lines(result.report.to_dict()):
             say(line)
-        match result.report["outcome"]:
+        match result.report.outcome:
             case "stopped":
                 return ended_by(terminal.signal_number)
             case "fault":

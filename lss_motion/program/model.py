@@ -106,6 +106,15 @@ class Program:
         counts = f"{counted(self.start_deg, 'joint')}, {counted(self.moves, 'move')}"
         return f"Program({self.name!r}, {duration}, {counts})"
 
+    def to_text(self, *, folder: Path | None = None) -> str:
+        """Return the text form of the program, as `lss-motion compile` writes it.
+
+        With `folder`, the robot file is named relative to it. `program.text.from_text` reads it.
+        """
+        from lss_motion.program.text import to_text
+
+        return to_text(self, folder=folder)
+
     @cached_property
     def pass_s(self) -> float:
         """Show time after which every part of the program has been played once."""

@@ -76,9 +76,9 @@ def test_whatever_somebody_does_no_horn_breaks_a_limit(example, name, seed):
     meddler = Meddler(random, start_s or 0.0)
     observer = Observer(controls=meddler)
     result = perform(program, robot, is_virtual=True, seed=seed, start_s=start_s, observer=observer)
-    assert result.report["outcome"] in ("stopped", "finished")
+    assert result.report.outcome in ("stopped", "finished")
     assert len(meddler.done) >= 3
-    assert not result.report["faults"]
+    assert not result.report.faults
     for bus_name, bus in result.simulated.items():
         end_ns = bus.heard[-1][0]
         horns = bus.horn_deg(np.arange(0, end_ns, STEP_NS))

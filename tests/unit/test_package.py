@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import lss_motion as lss
+from lss_motion.program.text import from_text
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
 LINE_CHARS_MAX = 100
@@ -67,6 +68,18 @@ def test_large_values_print_as_one_line_with_name_and_counts(name):
         assert len(text) <= LINE_CHARS_MAX, text
         for part in (type(value).__name__, *stated):
             assert part in text, text
+
+
+def test_a_show_is_loaded_planned_compiled_and_played_with_the_exported_functions():
+    sequence = lss.load_sequence(EXAMPLES / "wave.yaml")
+    robot = lss.load_robot(sequence.robot_path)
+    program = lss.compile(lss.plan(sequence, robot), robot)
+    assert from_text(program.to_text(), robot).moves == program.moves
+    report = lss.play(program, robot, port="sim://", is_virtual=True)
+    assert isinstance(report, lss.Report)
+    assert (report.outcome, report.timing.missed) == ("finished", 0)
+    assert report.timing.commands >= len(program.moves)
+    assert len(repr(report)) <= LINE_CHARS_MAX
 
 
 def test_what_a_sequence_holds_is_in_its_line():

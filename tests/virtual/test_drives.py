@@ -67,8 +67,8 @@ def assert_ended_safely(played):
 def test_a_mixed_robot_plays_and_every_horn_follows(stage, kit, seed):
     robot = mixed_robot(kit)
     played = stage.play(robot, kit.sequence(4, 6.0, seed=seed), seed=seed, physics=QUIET)
-    assert played.report["outcome"] == "finished"
-    assert played.report["timing"]["missed"] == 0
+    assert played.report.outcome == "finished"
+    assert played.report.timing.missed == 0
     rms = np.sqrt(np.mean(played.horn_error_deg() ** 2, axis=0))
     assert rms[0] < 0.25
     assert rms[1:3].max() < 0.35, "not half of what the filter's lag alone would be"
@@ -117,7 +117,7 @@ def test_the_approach_leads_every_kind_of_joint_slowly_home(stage, kit):
 def test_a_streamed_joint_that_stands_outside_of_its_range_is_led_back(stage, kit):
     robot = mixed_robot(kit)
     played = stage.play(robot, start_deg={"j1": 130.0}, physics=QUIET)
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
     warnings = [event.text for event in played.events if isinstance(event, Warned)]
     assert [text.partition(",")[0] for text in warnings] == ["joint 'j1' stands at 130.0 deg"]
     told = [deg for _, deg in bare(played, STREAMED_ID)]
@@ -139,7 +139,7 @@ def test_stopped_anywhere_it_brakes_on_its_path_and_holds(stage, kit, seed):
     played = stage.play(
         robot, sequence, wishes=[(kit.in_show(stop_s), kit.stop)], physics=QUIET, seed=seed
     )
-    assert played.report["outcome"] == "stopped"
+    assert played.report.outcome == "stopped"
     assert_ended_safely(played)
     (stopped_ns,) = played.acted_ns
     assert played.bus.heard[-1][0] - stopped_ns < 1_600_000_000
@@ -172,7 +172,7 @@ def test_through_pauses_and_at_other_speeds_every_joint_keeps_its_path(stage, ki
     sequence = kit.sequence(4, 6.0, seed=seed, swing_deg=45.0, step_s=(0.5, 1.2))
     robot = mixed_robot(kit, baud_bps=57600)
     played = stage.play(robot, sequence, wishes=wishes, physics=QUIET, seed=seed)
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
     assert len(played.acted_ns) == len(wishes)
     error_deg = played.horn_error_deg()[:, 1:]
     assert np.abs(error_deg[:, :2]).max() < 1.2, "without a pause it is up to 0.8"
@@ -186,7 +186,7 @@ def test_through_pauses_and_at_other_speeds_every_joint_keeps_its_path(stage, ki
 
 def test_from_a_later_time_it_starts_in_the_pose_of_that_time(stage, kit):
     played = stage.play(mixed_robot(kit), start_s=2.5, physics=QUIET)
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
     assert np.abs(played.horn_error_deg(from_s=2.55)).max() < 1.6
 
 
@@ -198,8 +198,8 @@ def test_a_host_that_oversleeps_breaks_no_limit_and_catches_up(stage, kit, seed)
     ]
     sequence = kit.sequence(4, 6.0, seed=seed, swing_deg=45.0, step_s=(0.6, 1.0))
     played = stage.play(mixed_robot(kit), sequence, faults=sleeps, physics=QUIET, seed=seed)
-    assert played.report["timing"]["late_max_us"] > 150_000, "it did oversleep"
-    assert played.report["outcome"] == "finished"
+    assert played.report.timing.late_max_us > 150_000, "it did oversleep"
+    assert played.report.outcome == "finished"
     assert_speeds_hold(played, slack=1.15)
     steps = bare(played, STEPPED_ID)
     for (before_ns, from_deg), (after_ns, to_deg) in pairwise(steps):
@@ -254,8 +254,8 @@ def test_a_dead_host_leaves_the_horns_within_reach_and_range(stage, kit):
 )
 def test_bad_replies_disturb_no_horn(stage, kit, fault):
     played = stage.play(mixed_robot(kit), faults=[fault])
-    assert not played.report["faults"]
-    assert played.report["outcome"] == "finished"
+    assert not played.report.faults
+    assert played.report.outcome == "finished"
     assert np.abs(played.horn_error_deg()).max() < 1.6
 
 
@@ -280,12 +280,12 @@ def test_the_owl_of_the_examples_flaps_and_blinks(stage):
     sequence = api.load_sequence(EXAMPLES / "owl.yaml")
     robot = api.load_robot(sequence.robot_path)
     played = stage.play(robot, sequence)
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
     assert not played.trajectory.stretched
     rms = np.sqrt(np.mean(played.horn_error_deg() ** 2, axis=0))
     by_name = dict(zip(played.trajectory.joints, rms, strict=True))
     assert max(by_name[name] for name in ("head_pan", "head_tilt")) < 0.25
     assert max(by_name[name] for name in ("left_wing", "right_wing")) < 0.6
     assert max(by_name[name] for name in ("left_lid", "right_lid", "beak")) < 1.0
-    assert played.report["joints"]["left_lid"]["readings"] == 0
+    assert played.report.joints["left_lid"].readings == 0
     assert max(len(line) - 1 for line in played.heard()) <= 15

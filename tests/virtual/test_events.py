@@ -43,7 +43,7 @@ def test_colours_come_at_their_time_between_the_moves_and_go_after_the_show(
     lit = [(at_s, line) for at_s, line in leds(played) if line.endswith(b"LED%d\r" % BLUE)]
     assert {line for _, line in lit} == {b"#%dLED%d\r" % (i + 1, BLUE) for i in range(18)}
     assert all(2.0 < at_s < 2.2 for at_s, _ in lit)
-    assert played.report["timing"]["late_max_us"] <= COMMAND_US
+    assert played.report.timing.late_max_us <= COMMAND_US
     restored = [line for _, line in leds(played)[-18:]]
     assert set(restored) == {b"#%dLED%d\r" % (i + 1, WHITE) for i in range(18)}
     assert played.heard()[-1] == b"#254H\r"

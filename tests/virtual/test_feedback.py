@@ -36,7 +36,7 @@ def rms_deg(stage, kit, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(bus, "bus_from_robot", hanging)
             played = stage.play(robot, show, seed=seed, **options)
-        assert played.report["outcome"] == "finished"
+        assert played.report.outcome == "finished"
         return float(np.sqrt(np.mean(played.horn_error_deg() ** 2))), played
 
     return play
@@ -55,21 +55,21 @@ def test_a_wrong_lag_is_learnt_and_commands_leave_earlier_for_it(rms_deg):
     closed_deg, played = rms_deg(physics=WRONG_LAG)
     open_deg, _ = rms_deg(physics=WRONG_LAG, has_feedback=False)
     assert closed_deg < 0.6 * open_deg
-    for joint in played.report["joints"].values():
-        assert 0.02 < joint["lag_extra_s"] < 0.035
+    for joint in played.report.joints.values():
+        assert 0.02 < joint.lag_extra_s < 0.035
 
 
 def test_servos_that_are_as_assumed_are_left_alone(rms_deg):
     _, played = rms_deg()
-    for joint in played.report["joints"].values():
-        assert joint["said_again"] == 0
-        assert abs(joint["lag_extra_s"]) < 0.004
+    for joint in played.report.joints.values():
+        assert joint.said_again == 0
+        assert abs(joint.lag_extra_s) < 0.004
 
 
 def test_a_lost_command_is_sent_again_and_breaks_no_limit(rms_deg, kit):
     _, played = rms_deg(faults=[LOST])
-    said_again = sum(joint["said_again"] for joint in played.report["joints"].values())
-    assert 0 < said_again < 0.1 * played.report["timing"]["commands"]
+    said_again = sum(joint.said_again for joint in played.report.joints.values())
+    assert 0 < said_again < 0.1 * played.report.timing.commands
     end_ns = played.bus.heard[-1][0]
     speed, accel = played.speeds(0, end_ns)
     assert np.abs(speed).max() < 1.05 * 180.0
@@ -128,7 +128,7 @@ def test_after_a_recovery_a_load_is_corrected_for_once(rms_deg):
     """Not by the way back to the show and by the show as well."""
     reset = Fault(kind=FaultKind.RESET, servo_id=2, at_s=7.0)
     _, played = rms_deg(droop_deg=2.5, faults=[reset], baud_bps=115200)
-    assert {(f["joint"], f["step"]) for f in played.report["faults"]} == {("j1", "resume")}
+    assert {(f.joint, f.step) for f in played.report.faults} == {("j1", "resume")}
     clock = played.result.player.show.clock
     shows_s = [clock.show_s(at_ns) for at_ns in range(7_500_000_000, 14_000_000_000, 10_000_000)]
     from_s = max(a for a, b in pairwise(shows_s) if a == b)
@@ -142,7 +142,7 @@ def test_the_instants_of_a_moving_joint_in_em0_do_not_creep_while_its_lag_is_lea
     wing = replace(robot.joints["j0"], drive="streamed", accel_max_deg_s2=1500.0)
     show = kit.sequence(1, 6.0, seed=3, step_s=(0.5, 0.9))
     played = stage.play(replace(robot, joints={"j0": wing}), show, physics=WRONG_LAG)
-    assert played.report["joints"]["j0"]["lag_extra_s"] > 0.015, "it is learnt, and led by"
+    assert played.report.joints["j0"].lag_extra_s > 0.015, "it is learnt, and led by"
     heard_ns = [at_ns for at_ns, line in played.bus.heard if TARGET.fullmatch(line)]
     crept_ns = [
         (b - a + FILTER_NS // 2) % FILTER_NS - FILTER_NS // 2 for a, b in pairwise(heard_ns)

@@ -100,10 +100,10 @@ def carried(feet, ground):
 
 
 def assert_walked_well(walked):
-    assert walked.report["outcome"] == "finished"
-    assert walked.report["timing"]["missed"] == 0
-    assert walked.report["buses"]["main"]["replies"] > 500, "closed loop"
-    assert walked.report["stretched"] == []
+    assert walked.report.outcome == "finished"
+    assert walked.report.timing.missed == 0
+    assert walked.report.buses["main"].replies > 500, "closed loop"
+    assert walked.report.stretched == ()
     assert walked.slip_max_mm() < SLIP_MAX_MM
 
 
@@ -163,8 +163,8 @@ def test_a_walk_without_end_goes_on_without_slipping_until_it_is_stopped(tmp_pat
     assert stop.is_done
     repeat = walked.show.program.repeat
     assert repeat.to_us < 7_000_000, "it has gone on for more than a pass"
-    assert walked.report["outcome"] == "stopped"
-    assert walked.report["timing"]["missed"] == 0
+    assert walked.report.outcome == "stopped"
+    assert walked.report.timing.missed == 0
     assert walked.slip_max_mm() < SLIP_MAX_MM
     # It stands where it was stopped, in the middle of a step, and does not fall.
     (part,) = paced(walked.gait, walked.show.robot)

@@ -81,8 +81,8 @@ def test_what_is_still_to_be_played_before_a_splice_far_ahead_is_not_forgotten(k
     assert controls.taken == [True, True]
     for at_s in (1.6, 2.0, 5.0, 7.0):
         assert controls.plan.at(at_s) == pytest.approx(early.profiles["j0"].at(at_s), abs=1e-3)
-    assert result.report["faults"] == []
-    assert max(joint["error_max_deg"] for joint in result.report["joints"].values()) < 1.0
+    assert result.report.faults == ()
+    assert max(joint.error_max_deg for joint in result.report.joints.values()) < 1.0
 
 
 def test_an_extension_is_played_to_its_end_and_one_that_is_late_is_refused(kit):
@@ -90,6 +90,6 @@ def test_an_extension_is_played_to_its_end_and_one_that_is_late_is_refused(kit):
     early, late = wave(robot, 1.0, 3.0, 30.0), wave(robot, 1.0, 5.0, 60.0)
     controls, result, _ = extended(kit, (0.5, 1.0, early), (1.5, 1.2, late))
     assert controls.taken == [True, False]
-    assert result.report["outcome"] == "finished"
+    assert result.report.outcome == "finished"
     assert abs(result.truth.horn_deg.max() - 30.0) < 1.0
     assert np.abs(result.truth.horn_deg[-1]).max() < 0.5

@@ -93,11 +93,11 @@ def test_one_real_motion_of_every_format_plays(file: str, name: str, tmp_path: P
     result = perform(
         compile_program(trajectory, robot), robot, is_virtual=True, trajectory=trajectory
     )
-    assert result.report["outcome"] == "finished"
-    assert result.report["timing"]["missed"] == 0
-    assert result.report["played_s"] == pytest.approx(trajectory.duration_s, abs=0.01)
-    for joint in result.report["joints"].values():
-        assert joint["horn_error_rms_deg"] < 1.0
+    assert result.report.outcome == "finished"
+    assert result.report.timing.missed == 0
+    assert result.report.played_s == pytest.approx(trajectory.duration_s, abs=0.01)
+    for joint in result.report.joints.values():
+        assert joint.horn_error_rms_deg < 1.0
 
 
 @pytest.mark.parametrize("tolerance_deg", [0.0, 0.04])

@@ -26,7 +26,7 @@ def phases(played):
 
 
 def faults(played):
-    return [(f["joint"], f["kind"], f["step"]) for f in played.report["faults"]]
+    return [(f.joint, f.kind, f.step) for f in played.report.faults]
 
 
 def at_rest(played, from_ns, to_ns):
@@ -37,12 +37,10 @@ def at_rest(played, from_ns, to_ns):
 def test_a_servo_that_stays_silent_is_waited_for_and_named_and_the_robot_holds(stage, kit):
     robot = kit.robot(resume_s=4.0)
     played = stage.play(robot, faults=[Fault(kind=FaultKind.DEAF, servo_id=2, at_s=2.5)])
-    assert played.report["outcome"] == "fault"
+    assert played.report.outcome == "fault"
     assert faults(played) == [("j1", "silent", "hold")]
-    assert (
-        "servo 2 did not answer, and was not back after 4 s" in played.report["faults"][0]["cause"]
-    )
-    assert 2.5 + 1.0 + 4.0 < played.report["run_s"] < 2.5 + 1.4 + 4.0 + 0.5
+    assert "servo 2 did not answer, and was not back after 4 s" in played.report.faults[0].cause
+    assert 2.5 + 1.0 + 4.0 < played.report.run_s < 2.5 + 1.4 + 4.0 + 0.5
     assert played.heard()[-1] == HOLD
     assert b"#1SD3600\r" in played.heard()[-30:]
     end_ns = played.bus.heard[-1][0]
@@ -54,7 +52,7 @@ def test_a_servo_that_restarts_gets_its_settings_back_before_it_is_driven_on(sta
     sequence = kit.sequence(3, 6.0, swing_deg=50.0, step_s=(0.5, 0.9))
     reset = Fault(kind=FaultKind.RESET, servo_id=2, at_s=at_s)
     played = stage.play(sequence=sequence, faults=[reset])
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
     assert ("j1", "restarted", "resume") in faults(played)
     back_ns = int((at_s + RESET_S) * S)
     heard = [line for line in played.heard(after_ns=back_ns) if line.startswith(b"#2")]
@@ -71,7 +69,7 @@ def test_a_servo_that_restarts_gets_its_settings_back_before_it_is_driven_on(sta
 def test_a_servo_that_restarts_on_the_way_to_the_start_is_noticed_before_the_show(stage, kit):
     resets = [Fault(kind=FaultKind.RESET, servo_id=2, at_s=0.15)]
     played = stage.play(kit.robot(baud_bps=115200), kit.sequence(3, 3.0), faults=resets)
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
     assert faults(played) == [("j1", "silent", "resume"), ("j1", "restarted", "resume")]
     heard = [line for line in played.heard(after_ns=int((0.15 + RESET_S) * S)) if line[:2] == b"#2"]
     first = next(i for i, line in enumerate(heard) if line.startswith(b"#2D"))
@@ -86,7 +84,7 @@ def test_a_servo_that_does_not_report_its_limits_is_sent_them_all_the_same(stage
         lambda self, order, at_ns: obey(self, order, at_ns) if order.keyword != "QAA" else None,
     )
     played = stage.play(kit.robot(1, baud_bps=115200), kit.sequence(1, 2.0))
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
     heard = played.heard()
     first = next(i for i, line in enumerate(heard) if line.startswith(b"#1D"))
     assert b"#1AA60\r" in heard[:first]
@@ -117,7 +115,7 @@ def test_the_show_slows_down_for_a_weak_joint_and_gets_to_its_end(stage, kit):
         return False
 
     played = stage.play(robot, faults=[weak], wishes=[(look, None)])
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
     assert faults(played) == [("j0", "astray", "slow")]
     assert min(rates) <= 0.5
     assert rates[-1] == 1.0
@@ -129,9 +127,9 @@ def test_a_joint_that_cannot_catch_up_ends_the_show(stage, kit):
     robot = kit.robot(following_deg=3.0, patience_s=1.0)
     weak = Fault(kind=FaultKind.WEAK, servo_id=1, at_s=1.5, speed_ratio=0.01)
     played = stage.play(robot, faults=[weak])
-    assert played.report["outcome"] == "fault"
+    assert played.report.outcome == "fault"
     assert ("j0", "astray", "hold") in faults(played)
-    assert "off its course, allowed is 3 deg" in played.report["faults"][0]["cause"]
+    assert "off its course, allowed is 3 deg" in played.report.faults[0].cause
     assert played.heard()[-1] == HOLD
 
 
@@ -139,9 +137,9 @@ def test_where_the_only_step_is_a_warning_the_show_goes_on(stage, kit):
     weak = Fault(kind=FaultKind.WEAK, servo_id=1, at_s=1.5, until_s=3.0, speed_ratio=0.01)
     robot = kit.robot(following_deg=3.0, on_fault={Cause.ASTRAY: (FaultStep.WARN,)})
     played = stage.play(robot, faults=[weak])
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
     assert faults(played) == [("j0", "astray", "warn")]
-    assert played.report["played_s"] == 6.0
+    assert played.report.played_s == 6.0
     assert phases(played).count("playing") == 1
 
 
@@ -152,7 +150,7 @@ def test_a_blocked_joint_goes_limp_alone_where_its_step_is_limp(stage, kit):
         robot, joints={**robot.joints, "j2": replace(robot.joints["j2"], on_fault=limp)}
     )
     played = stage.play(robot, faults=[Fault(kind=FaultKind.STUCK, servo_id=3, at_s=2.0)])
-    assert played.report["outcome"] == "fault"
+    assert played.report.outcome == "fault"
     assert "limp" in [step for _, _, step in faults(played)]
     lines = played.heard()
     let_go = lines.index(b"#3L\r")
@@ -166,7 +164,7 @@ def test_a_joint_that_is_silent_may_be_left_out_of_the_show(stage, kit):
     robot = kit.robot(on_fault=warn)
     reset = Fault(kind=FaultKind.RESET, servo_id=2, at_s=2.0)
     played = stage.play(robot, faults=[reset])
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
     assert ("j1", "silent", "warn") in faults(played)
     after = played.heard(after_ns=int((2.0 + RESET_S) * S))
     assert not any(line.startswith(b"#2D") for line in after)
@@ -183,7 +181,7 @@ def test_one_that_was_left_out_is_taken_up_again_when_it_answers(stage, kit, kin
     robot = kit.robot(on_fault={Cause.SILENT: (FaultStep.WARN,)})
     gone = Fault(kind=kind, servo_id=2, at_s=2.0, until_s=4.0)
     played = stage.play(robot, sequence, faults=[gone])
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
     assert ("j1", "silent", "warn") in faults(played)
     assert phases(played).count("playing") == 2
     after = [line for line in played.heard(after_ns=int(4.0 * S)) if line.startswith(b"#2")]
@@ -196,7 +194,7 @@ def test_one_that_was_left_out_is_taken_up_again_when_it_answers(stage, kit, kin
 def test_after_the_warning_comes_the_next_step_for_one_that_stays_silent(stage, kit):
     robot = kit.robot(on_fault={Cause.SILENT: (FaultStep.WARN, FaultStep.HOLD)})
     played = stage.play(robot, faults=[Fault(kind=FaultKind.DEAF, servo_id=2, at_s=2.0)])
-    assert (played.report["outcome"], faults(played)) == ("fault", [("j1", "silent", "hold")])
+    assert (played.report.outcome, faults(played)) == ("fault", [("j1", "silent", "hold")])
     assert played.heard()[-1] == HOLD
 
 
@@ -207,7 +205,7 @@ def test_heat_does_what_the_file_says(stage, kit, steps, outcome):
     robot = kit.robot(temperature_max_c=50.0, on_fault={Cause.HOT: steps})
     hot = Fault(kind=FaultKind.HOT, servo_id=2, at_s=2.0, temperature_c=70.0)
     played = stage.play(robot, faults=[hot])
-    assert played.report["outcome"] == outcome
+    assert played.report.outcome == outcome
     assert faults(played) == [("j1", "hot", steps[0].value)]
 
 
@@ -215,8 +213,8 @@ def test_a_stop_while_it_waits_is_heeded(stage, kit):
     robot = kit.robot(resume_s=60.0)
     deaf = Fault(kind=FaultKind.DEAF, servo_id=2, at_s=2.5)
     played = stage.play(robot, faults=[deaf], wishes=[(kit.in_phase("recovering", 6.0), kit.stop)])
-    assert played.report["outcome"] == "stopped"
-    assert played.report["run_s"] < 7.0
+    assert played.report.outcome == "stopped"
+    assert played.report.run_s < 7.0
     assert played.heard()[-1] == HOLD
     assert b"#1SD3600\r" in played.heard()[-30:]
 
@@ -231,9 +229,9 @@ def test_a_pause_that_is_set_during_recovery_is_kept(stage, kit):
         faults=[reset],
         wishes=[(kit.in_phase("recovering"), kit.rate(0.0)), (paused, kit.rate(1.0))],
     )
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
     assert at_rest(played, 8 * S, 12 * S) < 0.3
-    assert played.report["run_s"] > 12.0 + 2.0
+    assert played.report.run_s > 12.0 + 2.0
 
 
 def test_a_start_that_is_never_reached_is_named(stage, kit):
@@ -242,8 +240,8 @@ def test_a_start_that_is_never_reached_is_named(stage, kit):
         on_fault={cause: (FaultStep.WARN,) for cause in Cause if cause.value != "lost_port"}
     )
     played = stage.play(robot, faults=[stuck], start_deg={"j2": 60.0})
-    assert played.report["outcome"] == "fault"
-    assert "deg from where the show begins after 3 approaches" in str(played.report["faults"])
+    assert played.report.outcome == "fault"
+    assert "deg from where the show begins after 3 approaches" in str(played.report.faults)
     assert played.result.player.show is None
 
 
@@ -253,14 +251,14 @@ def test_an_approach_that_was_lost_on_the_line_is_repeated(stage, kit):
         played = stage.play(
             faults=[lost], start_deg={"j0": 60.0, "j1": -60.0, "j2": 60.0}, seed=seed
         )
-        assert played.report["outcome"] == "finished"
+        assert played.report.outcome == "finished"
         assert np.abs(played.horn_error_deg(from_s=0.0)[:20]).max() < 4.0
 
 
 def test_a_show_goes_on_with_settings_sent_again_when_a_port_comes_back(stage, kit):
     gone = Fault(kind=FaultKind.UNPLUGGED, at_s=2.0, until_s=5.0)
     played = stage.play(faults=[gone])
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
     assert faults(played) == [("", "lost_port", "resume")]
     after = played.heard(after_ns=5 * S)
     first = next(i for i, line in enumerate(after) if is_move(line))
@@ -275,7 +273,7 @@ def test_a_port_that_is_back_while_the_robot_brakes_gets_no_move_before_its_sett
     gone = Fault(kind=FaultKind.UNPLUGGED, at_s=2.0, until_s=2.15)
     sequence = kit.sequence(3, 3.5, swing_deg=50.0, step_s=(0.5, 0.9))
     played = stage.play(sequence=sequence, faults=[gone])
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
     after = played.heard(after_ns=int(2.15 * S))
     for servo in (b"#1", b"#2", b"#3"):
         heard = [line for line in after if line.startswith(servo)]
@@ -287,19 +285,19 @@ def test_when_one_of_two_ports_stays_away_the_other_is_restored_and_holds(stage,
     robot = kit.robot(4, buses=2, resume_s=2.0)
     gone = Fault(kind=FaultKind.UNPLUGGED, at_s=2.0, bus="bus1")
     played = stage.play(robot, faults=[gone])
-    assert played.report["outcome"] == "lost"
+    assert played.report.outcome == "lost"
     assert isinstance(played.result.error, BusError)
     assert "and was not back after 2 s" in str(played.result.error)
     assert faults(played) == [("", "lost_port", "hold")]
     lines = [line for _, line in played.buses["bus0"].heard]
     assert lines[-1] == HOLD
     assert {b"#1SD3600\r", b"#3SD3600\r"} <= set(lines[-17:])
-    assert played.report["run_s"] < 5.0
+    assert played.report.run_s < 5.0
 
 
 def test_where_a_lost_port_is_not_waited_for_it_ends_at_once(stage, kit):
     robot = kit.robot(on_fault={Cause.LOST_PORT: (FaultStep.HOLD,)})
     played = stage.play(robot, faults=[Fault(kind=FaultKind.UNPLUGGED, at_s=2.0, until_s=2.5)])
-    assert played.report["outcome"] == "lost"
+    assert played.report.outcome == "lost"
     assert "lost port" in str(played.result.error)
-    assert played.report["run_s"] < 2.1
+    assert played.report.run_s < 2.1

@@ -56,16 +56,16 @@ def reading_errors_deg(played, believed):
 
 def test_questions_fill_the_line_and_make_no_command_late(stage, kit):
     played = stage.play(kit.robot(18, baud_bps=BAUD_BPS), kit.sequence(18, 4.0))
-    bus = played.report["buses"]["bus0"]
-    assert bus["garbage"] == bus["timeouts"] == bus["rejected"] == 0
+    bus = played.report.buses["bus0"]
+    assert bus.garbage == bus.timeouts == bus.rejected == 0
     full_hz = BAUD_BPS / 10 / len(b"*12QD-123\r")
-    assert bus["query_rate_hz"] > 0.9 * full_hz
-    assert played.report["timing"]["late_max_us"] <= COMMAND_US
-    for joint in played.report["joints"].values():
-        assert joint["readings"] > 15 * played.report["played_s"]
-        assert joint["temperature_max_c"] > 20.0
-        assert joint["voltage_min_v"] > 11.0
-        assert 0.05 < joint["current_max_a"] < 2.0
+    assert bus.query_rate_hz > 0.9 * full_hz
+    assert played.report.timing.late_max_us <= COMMAND_US
+    for joint in played.report.joints.values():
+        assert joint.readings > 15 * played.report.played_s
+        assert joint.temperature_max_c > 20.0
+        assert joint.voltage_min_v > 11.0
+        assert 0.05 < joint.current_max_a < 2.0
 
 
 @pytest.mark.parametrize(
@@ -126,8 +126,8 @@ def test_an_adapter_that_holds_answers_back_is_named_with_its_remedy(stage, kit,
     warnings = [event.text for event in played.events if isinstance(event, Warned)]
     assert len(warnings) == bool(latency_ms)
     assert all("latency timer" in text and "ms late" in text for text in warnings)
-    assert played.report["outcome"] == "finished"
-    assert played.report["buses"]["bus0"]["replies"] > (100 if latency_ms else 1000)
+    assert played.report.outcome == "finished"
+    assert played.report.buses["bus0"].replies > (100 if latency_ms else 1000)
 
 
 def test_a_host_that_wakes_late_asks_less_and_still_reads_every_joint(stage, kit):
@@ -135,19 +135,19 @@ def test_a_host_that_wakes_late_asks_less_and_still_reads_every_joint(stage, kit
     host = Fault(kind=FaultKind.OVERSLEEP, ratio=0.3, late_s=0.004)
     robot, show = kit.robot(6, baud_bps=BAUD_BPS), kit.sequence(6, 3.0)
     played, late = stage.play(robot, show), stage.play(robot, show, faults=[host])
-    rates_hz = [one.report["buses"]["bus0"]["query_rate_hz"] for one in (played, late)]
+    rates_hz = [one.report.buses["bus0"].query_rate_hz for one in (played, late)]
     assert rates_hz[1] < 0.4 * rates_hz[0]
-    assert late.report["outcome"] == "finished"
-    assert not late.report["faults"]
-    for joint in late.report["joints"].values():
-        assert joint["readings"] > 10 * late.report["played_s"]
+    assert late.report.outcome == "finished"
+    assert not late.report.faults
+    for joint in late.report.joints.values():
+        assert joint.readings > 10 * late.report.played_s
 
 
 def test_an_lss_pro_gets_only_queries_of_its_document_and_answers_all(stage, kit):
     robot = kit.robot(2, baud_bps=BAUD_BPS, model=SERVO_MODELS["LSS-P-S1"])
     played = stage.play(robot, kit.sequence(2, 3.0))
-    bus = played.report["buses"]["bus0"]
-    assert bus["timeouts"] == bus["rejected"] == 0
-    assert bus["replies"] > 1000
+    bus = played.report.buses["bus0"]
+    assert bus.timeouts == bus.rejected == 0
+    assert bus.replies > 1000
     asked = {word for line in played.heard() if (word := line.decode()[2:-1]).startswith("Q")}
     assert {"Q", "QT", "QC", "QD"} <= asked <= set(PRO_TABLE.by_keyword)

@@ -38,13 +38,13 @@ def assert_ended_safely(played, robot, safe=HOLD):
 
 def test_the_moves_of_a_show_arrive_on_time_and_the_horns_make_them(stage, kit):
     played = stage.play()
-    assert played.report["outcome"] == "finished"
-    assert played.report["timing"]["missed"] == 0
+    assert played.report.outcome == "finished"
+    assert played.report.timing.missed == 0
     assert np.sqrt(np.mean(played.horn_error_deg() ** 2)) < 0.25
     assert np.abs(played.horn_error_deg()).max() < 0.8
-    assert played.report["timing"]["commands"] > 30
-    assert played.report["buses"]["bus0"]["replies"] > 1000
-    assert played.report["buses"]["bus0"]["garbage"] == 0
+    assert played.report.timing.commands > 30
+    assert played.report.buses["bus0"].replies > 1000
+    assert played.report.buses["bus0"].garbage == 0
 
 
 @pytest.mark.parametrize("act", ["nothing", "stop", "pause"])
@@ -68,7 +68,7 @@ def test_a_show_is_counted_in_and_may_be_stopped_meanwhile(stage, kit, act):
     show = [at_ns for at_ns in moved if at_ns > begun_ns[0]]
     assert_ended_safely(played, robot)
     assert show == [] if act == "stop" else show[0] >= begun_ns[0] + COUNT_IN_NS
-    assert played.report["outcome"] == ("stopped" if act == "stop" else "finished")
+    assert played.report.outcome == ("stopped" if act == "stop" else "finished")
     assert np.abs(played.horn_error_deg()).max() < 0.8
 
 
@@ -140,10 +140,10 @@ def test_marks_are_passed_once_each_in_order(stage, kit):
 def test_a_show_of_a_minute_with_eighteen_joints_fits_the_line_and_the_horns(stage, kit):
     robot = kit.robot(18, baud_bps=FAST_BPS)
     played = stage.play(robot, kit.sequence(18, 60.0, step_s=(0.8, 1.6)))
-    assert played.report["outcome"] == "finished"
-    assert played.report["timing"]["missed"] == 0
-    assert played.report["timing"]["commands"] > 3000
-    assert played.report["buses"]["bus0"]["query_rate_hz"] > 300
+    assert played.report.outcome == "finished"
+    assert played.report.timing.missed == 0
+    assert played.report.timing.commands > 3000
+    assert played.report.buses["bus0"].query_rate_hz > 300
     assert np.sqrt(np.mean(played.horn_error_deg() ** 2)) < 0.3
     assert_ended_safely(played, robot)
 
@@ -221,7 +221,7 @@ def test_a_process_that_was_stopped_for_a_while_is_reported(stage, kit, late_s, 
     sleep = Fault(kind=FaultKind.OVERSLEEP, at_s=4.0, until_s=4.05, late_s=late_s)
     played = stage.play(kit.robot(1), kit.sequence(1), faults=[sleep])
     warnings = [event.text for event in played.events if isinstance(event, Warned)]
-    assert played.report["warnings"] == warnings
+    assert played.report.warnings == tuple(warnings)
     assert len(warnings) == is_said
     clock = played.result.player.show.clock
     for text in warnings:
@@ -237,12 +237,12 @@ def test_other_firmware_is_a_warning(stage, kit):
     warnings = [event.text for event in played.events if isinstance(event, Warned)]
     assert len(warnings) == 3
     assert "servo 1 has firmware 370, the robot file says 368" in warnings[0]
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
 
 
 def test_stopped_before_the_approach_nothing_ever_moves(stage, kit):
     played = stage.play(wishes=[(kit.in_phase("connecting", 0.01), kit.stop)])
-    assert played.report["outcome"] == "stopped"
+    assert played.report.outcome == "stopped"
     assert_nothing_moved(played)
 
 
@@ -281,7 +281,7 @@ def test_stopped_anywhere_it_brakes_within_the_limits_and_ends_safely(stage, kit
         physics=QUIET,
         has_feedback=bool(seed % 2),
     )
-    assert played.report["outcome"] == "stopped"
+    assert played.report.outcome == "stopped"
     assert_ended_safely(played, robot)
     end_ns = played.bus.heard[-1][0]
     (stopped_ns,) = played.acted_ns
@@ -323,7 +323,7 @@ def test_a_second_stop_holds_at_once(stage, kit):
 
     robot = kit.robot(baud_bps=FAST_BPS)
     played = stage.play(robot, wishes=[(kit.in_show(2.0), kit.stop), (after_first, again)])
-    assert played.report["outcome"] == "stopped"
+    assert played.report.outcome == "stopped"
     at_ns, line = played.bus.heard[-1]
     assert line == HOLD
     assert at_ns - later[0] < 10_000_000
@@ -345,7 +345,7 @@ def test_at_any_speed_and_through_pauses_the_horns_stay_on_their_path(stage, kit
     wishes.append((stands_or(7.2, kit), kit.rate(1.0)))
     sequence = kit.sequence(3, 8.0, seed=seed, swing_deg=45.0, step_s=(0.5, 1.2))
     played = stage.play(sequence=sequence, wishes=wishes, has_feedback=seed != 0)
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
     assert len(played.acted_ns) == len(wishes)
     assert np.abs(played.horn_error_deg()).max() < 2.0
     assert np.sqrt(np.mean(played.horn_error_deg() ** 2)) < 0.4
@@ -364,9 +364,9 @@ def stands_or(show_s, kit):
 def test_a_steady_lower_speed_leaves_the_path_no_more_than_full_speed(stage, kit):
     sequence = kit.sequence(3, 6.0, swing_deg=45.0, step_s=(0.5, 1.2))
     played = stage.play(sequence=sequence, wishes=[(kit.in_show(0.3), kit.rate(0.5))])
-    assert played.report["run_s"] > 11.0
+    assert played.report.run_s > 11.0
     in_approach = len(sequence.keyframes[0].deg)
-    assert played.report["timing"]["commands"] == len(played.moves()) - in_approach
+    assert played.report.timing.commands == len(played.moves()) - in_approach
     assert np.abs(played.horn_error_deg(from_s=1.0)).max() < 1.0
 
 
@@ -385,7 +385,7 @@ def test_a_long_pause_is_silent_and_keeps_the_place(stage, kit):
     assert inside == []
     speed, _ = played.speeds(from_ns + 1_500_000_000, to_ns)
     assert np.abs(speed).max() < 0.01
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
 
 
 def test_from_a_later_time_it_starts_in_the_pose_of_that_time(stage, kit):
@@ -395,7 +395,7 @@ def test_from_a_later_time_it_starts_in_the_pose_of_that_time(stage, kit):
     assert begun.show_s(begun.ramp_end_ns) >= 2.5
     error_deg = played.horn_error_deg(from_s=2.55)
     assert np.abs(error_deg).max() < 1.5
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
     passed = [event.label for event in played.events if isinstance(event, MarkPassed)]
     later = [k.label for k in sequence.keyframes if k.at_s >= 2.5]
     assert passed == later
@@ -405,9 +405,9 @@ def test_a_loop_without_end_goes_on_until_it_is_stopped(stage, kit):
     robot = kit.robot()
     sequence = kit.sequence(3, 4.0, loop=None)
     played = stage.play(robot, sequence, wishes=[(kit.in_show(30.0), kit.stop)])
-    assert played.report["outcome"] == "stopped"
-    assert played.report["planned_s"] is None
-    assert 30.0 <= played.report["played_s"] < 31.0
+    assert played.report.outcome == "stopped"
+    assert played.report.planned_s is None
+    assert 30.0 <= played.report.played_s < 31.0
     assert np.abs(played.horn_error_deg()).max() < 1.0
     assert_ended_safely(played, robot)
 
@@ -427,10 +427,10 @@ def test_a_loop_without_end_goes_on_until_it_is_stopped(stage, kit):
 )
 def test_bad_replies_disturb_no_horn(stage, kit, fault):
     played = stage.play(kit.robot(baud_bps=FAST_BPS), faults=[fault])
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
     assert np.abs(played.horn_error_deg()).max() < 1.5
-    bus = played.report["buses"]["bus0"]
-    assert bus["timeouts"] + bus["garbage"] + bus["rejected"] > 10
+    bus = played.report.buses["bus0"]
+    assert bus.timeouts + bus.garbage + bus.rejected > 10
 
 
 def test_an_exception_on_the_way_leaves_every_bus_in_the_safe_state(stage, kit):

@@ -66,7 +66,7 @@ def waited_s(played):
 
 def test_the_robot_stands_until_something_comes_near_and_then_goes_on(stage, kit):
     played = stage.play(robot(kit), show(), faults=[sees(250, 0.1), sees(60, 9.0)])
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
     assert states(played) == ["begun", "met"]
     from_s, to_s = waited_s(played)
     assert to_s == pytest.approx(9.0, abs=0.15)
@@ -84,7 +84,7 @@ def test_the_robot_stands_until_something_comes_near_and_then_goes_on(stage, kit
 
 def test_it_goes_on_by_itself_after_the_timeout(stage, kit):
     played = stage.play(robot(kit), show(replace(NEAR, timeout_s=2.0)))
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
     assert states(played) == ["begun", "timeout"]
     from_s, to_s = waited_s(played)
     assert to_s - from_s == pytest.approx(2.0, abs=0.1)
@@ -111,12 +111,12 @@ def test_every_pass_waits_again(stage, kit, loop, times):
         wishes=wishes if loop is None else (),
     )
     assert states(played) == ["begun", "timeout"] * times
-    assert played.report["outcome"] == ("finished" if loop else "stopped")
+    assert played.report.outcome == ("finished" if loop else "stopped")
 
 
 def test_a_person_may_stop_a_robot_that_waits(stage, kit):
     played = stage.play(robot(kit), show(), wishes=[(lambda _, now_ns: now_ns > 9e9, kit.stop)])
-    assert played.report["outcome"] == "stopped"
+    assert played.report.outcome == "stopped"
     assert played.heard()[-1] == b"#254H\r"
     assert states(played) == ["begun"]
 
@@ -130,7 +130,7 @@ def test_a_pause_outlasts_the_wait(stage, kit):
         (lambda player, now_ns: now_ns > 12e9, kit.rate(1.0)),
     ]
     played = stage.play(robot(kit), show(), wishes=wishes, faults=[sees(60, 9.0)])
-    assert played.report["outcome"] == "finished"
+    assert played.report.outcome == "finished"
     assert states(played) == ["begun", "met"]
     moved_ns = moves_ns(played)
     assert not [at_ns for at_ns in moved_ns if 9.0e9 < at_ns < 12e9]

@@ -150,8 +150,8 @@ def test_whatever_is_steered_breaks_no_limit_and_ends_in_the_stand(monkeypatch, 
         takes_s=lambda: float(takes.uniform(0.05, 0.4)),
         has_feedback=name == "hexapod_walk",
     )
-    assert walk.report["outcome"] == "finished"
-    assert walk.report["timing"]["missed"] == 0
+    assert walk.report.outcome == "finished"
+    assert walk.report.timing.missed == 0
     assert walk.pilot.taken >= 4
     assert walk.pilot.late == 0
     walk.assert_within_limits()
@@ -171,7 +171,7 @@ def test_a_plan_that_comes_too_late_lets_the_robot_stand_by_itself_and_walk_agai
     ahead = wish(Twist(forward_mm_s=30.0))
     script = [(1.0, ahead), (15.0, wish(STILL))]
     walk = Walk(monkeypatch, "quadruped_trot", script, takes_s=takes_s)
-    assert walk.report["outcome"] == "finished"
+    assert walk.report.outcome == "finished"
     assert walk.pilot.late == 1
     assert walk.pilot.taken > 3, "it has walked again"
     walk.assert_within_limits()
@@ -186,8 +186,8 @@ def test_a_plan_that_comes_too_late_lets_the_robot_stand_by_itself_and_walk_agai
 def test_one_interruption_walks_to_the_stand_and_holds(monkeypatch):
     ahead = wish(Twist(forward_mm_s=25.0))
     walk = Walk(monkeypatch, "quadruped_trot", [(1.0, ahead), (4.0, stop)])
-    assert walk.report["outcome"] == "stopped"
-    assert walk.report["played_s"] > 5.0
+    assert walk.report.outcome == "stopped"
+    assert walk.report.played_s > 5.0
     walk.assert_within_limits()
     walk.assert_stands()
     assert walk.bus.heard[-1][1] == b"#254H\r"
@@ -196,7 +196,7 @@ def test_one_interruption_walks_to_the_stand_and_holds(monkeypatch):
 def test_a_second_interruption_holds_at_once(monkeypatch):
     ahead = wish(Twist(forward_mm_s=25.0))
     walk = Walk(monkeypatch, "quadruped_trot", [(1.0, ahead), (4.0, stop), (4.3, stop)])
-    assert walk.report["outcome"] == "stopped"
+    assert walk.report.outcome == "stopped"
     assert walk.bus.heard[-1][1] == b"#254H\r"
     assert walk.bus.heard[-1][0] - walk.acted_ns[-1] < 20_000_000
     assert np.abs(walk.truth.horn_deg[-1] - walk.stand_deg).max() > 1.0, "in the middle of a step"

@@ -92,7 +92,7 @@ def _filled(program: Program, robot: Robot) -> tuple[float, float]:
     tap = _Sent()
     observer = Observer(make_tap=lambda _: tap)
     report = perform(program, robot, is_virtual=True, observer=observer).report
-    assert report["outcome"] == "finished", report
+    assert report.outcome == "finished", report
     (from_ns, before_s), (to_ns, after_s), *_ = tap.show
     bus = bus_from_robot(robot, "main", seed=0)
     heard_s: list[float] = []
@@ -103,8 +103,8 @@ def _filled(program: Program, robot: Robot) -> tuple[float, float]:
             bus.read(arrival_ns)
         bus.write(data, now_ns)
     simulator_s = heard_s[1] - heard_s[0]
-    core_ratio = (after_s - before_s - simulator_s) / report["played_s"]
-    return core_ratio, report["buses"]["main"]["query_rate_hz"]
+    core_ratio = (after_s - before_s - simulator_s) / report.played_s
+    return core_ratio, report.buses["main"].query_rate_hz
 
 
 def relentless_show(robot: Robot) -> Sequence:

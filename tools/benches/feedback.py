@@ -110,8 +110,8 @@ def _rms_deg(
             has_feedback=has_feedback,
             faults=faults,
         )
-    joints = result.report["joints"].values()
-    return _rms([joint["horn_error_rms_deg"] for joint in joints])
+    joints = result.report.joints.values()
+    return _rms([joint.horn_error_rms_deg for joint in joints])
 
 
 def _rms(values: Sequence[float]) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from lss_motion.gait.model import Gait
     from lss_motion.gait.pacing import Paced
     from lss_motion.robot.model import Robot
+    from lss_motion.runtime.report import Report
     from lss_motion.trajectory.model import Trajectory
 
     FloatArray = NDArray[np.float64]
@@ -55,7 +56,7 @@ class Walked:
     gait: Gait
     part: Paced
     trajectory: Trajectory
-    report: dict[str, Any]
+    report: Report
     tolerance_deg: float
     line_ratio: float
     slip_mm: float
@@ -86,7 +87,7 @@ def _measured(seeds: int) -> list[Row]:
             reference=f"{stride_mm} mm in {cycle_s:.2f} s"),
         Row(what="what limits it", ours=limit),
         Row(what="line used for commands", ours=f"{run.line_ratio:.0%}",
-            reference=f"{run.report['buses']['main']['query_rate_hz']:.0f} queries/s"),
+            reference=f"{run.report.buses['main'].query_rate_hz:.0f} queries/s"),
         Row(what="slip at its fastest", ours=f"{run.slip_mm:.2f} mm"),
         Row(what="jump at the seam of cycles", ours=f"{seam_deg_s:.2g} deg/s",
             target=f"< {SEAM_TARGET_DEG_S:g} deg/s", is_met=seam_deg_s < SEAM_TARGET_DEG_S),

@@ -47,11 +47,11 @@ def measure() -> list[Row]:
     trajectory = api.plan(sequence, robot)
     program = api.compile(trajectory, robot)
     result = perform(program, robot, is_virtual=True, trajectory=trajectory)
-    joints = result.report["joints"].values()
-    rms_deg = float(np.sqrt(np.mean([joint["horn_error_rms_deg"] ** 2 for joint in joints])))
-    max_deg = max(joint["horn_error_max_deg"] for joint in joints)
+    joints = result.report.joints.values()
+    rms_deg = float(np.sqrt(np.mean([joint.horn_error_rms_deg**2 for joint in joints])))
+    max_deg = max(joint.horn_error_max_deg for joint in joints)
     use = program.line_use["main"].utilisation_ratio
-    reading_hz = min(joint["readings"] for joint in joints) / trajectory.duration_s
+    reading_hz = min(joint.readings for joint in joints) / trajectory.duration_s
     rows = [
         Row(what="RMS of all horns", ours=f"{rms_deg:.3f} deg", target=f"<= {RMS_TARGET_DEG} deg",
             is_met=rms_deg <= RMS_TARGET_DEG),

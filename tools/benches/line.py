@@ -100,7 +100,7 @@ def _in_virtual_time(baud_bps: int) -> list[Row]:
     result = perform(_program(robot, SHOW_S), robot, is_virtual=True, observer=observer)
     got_hz = count.replies / count.lasted_s
     limit_hz = count.limit_hz(baud_bps, count.lasted_s)
-    late_us = result.report["timing"]["late_max_us"]
+    late_us = result.report.timing.late_max_us
     command_us = line_time_ns(COMMAND_BYTES, baud_bps) // 1000
     what = f"{SERVOS} servos at {baud_bps} bps, virtual time"
     return [

@@ -180,11 +180,11 @@ def _streamed(program: Program, robot: Robot) -> Streaming:
     phases: list[Phase] = []
     with robot_behind_pty(robot) as (real, _):
         report = perform(program, real, observer=Observer(on_event=note)).report
-    assert report["outcome"] == "finished", report
+    assert report.outcome == "finished", report
     shown = phases.index(Phase.SHOW)
-    played_s = report["played_s"]
+    played_s = report.played_s
     return Streaming(
         core_ratio=(used_s[shown + 1] - used_s[shown]) / played_s,
-        answers_hz=report["buses"]["main"]["query_rate_hz"],
-        late_p99_us=report["timing"]["late_p99_us"],
+        answers_hz=report.buses["main"].query_rate_hz,
+        late_p99_us=report.timing.late_p99_us,
     )

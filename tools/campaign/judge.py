@@ -94,7 +94,7 @@ def judged_with(
     for bus in result.simulated.values():
         bus.advance(witness.end_ns + NS_PER_S)  # What is on its way is heard, and done.
     judge = _Judge(played, faults, witness, result)
-    return result.report["outcome"], tuple(judge.broken())
+    return result.report.outcome, tuple(judge.broken())
 
 
 class _Judge:
@@ -160,7 +160,7 @@ class _Judge:
             fault.kind is FaultKind.UNPLUGGED and fault.until_s > end_s - 1.0
             for fault in self.faults
         )
-        is_limp = self.robot.end == "limp" and self.result.report["outcome"] == "finished"
+        is_limp = self.robot.end == "limp" and self.result.report.outcome == "finished"
         safe = LIMP if is_limp else SAFE
         is_garbled = bool(self.kinds & (WORD_KINDS | {FaultKind.LOST_COMMAND}))
         broken = []
@@ -182,7 +182,7 @@ class _Judge:
         A correction lies between a move as it was planned and as it was sent, nothing else.
         """
         report = self.result.report
-        if self.kinds - set(REPLY_KINDS) or report["faults"] or report["outcome"] != "finished":
+        if self.kinds - set(REPLY_KINDS) or report.faults or report.outcome != "finished":
             return []
         if self.witness.has_acted:
             return []
@@ -192,7 +192,7 @@ class _Judge:
                 continue
             sent, most_deg = [*self.targets[name]], OFFSET_MAX_DEG + joint.unit_deg
             # What lies makes the player think that a move was lost: it is said again, in two parts.
-            spare = 2 * report["joints"][name]["said_again"]
+            spare = 2 * report.joints[name].said_again
             for wanted_deg in reversed(self._planned_deg(joint)):
                 while spare and abs(sent[-1] - wanted_deg) > most_deg:
                     sent.pop()
@@ -292,7 +292,7 @@ class _Judge:
     def _rest(self, joint: Joint, angle: float) -> list[str]:
         """Judge where a joint stands after a show that says that all went well."""
         report = self.result.report
-        if report["outcome"] != "finished" or report["faults"]:
+        if report.outcome != "finished" or report.faults:
             return []
         if any(self._is_telling_too_late(fault) for fault in self.faults):
             return []
@@ -309,7 +309,7 @@ class _Judge:
     def _silences(self) -> list[str]:
         """Judge whether a servo that went deaf for good is named."""
         end_s = s_from_ns(self.witness.end_ns)
-        named = {fault["joint"] for fault in self.result.report["faults"]}
+        named = {fault.joint for fault in self.result.report.faults}
         is_over = self.result.error is not None or "" in named
         return [
             f"{joint.name} has been deaf since {fault.at_s:.1f} s, and nothing is said"

@@ -53,8 +53,8 @@ def rms_deg(robot_file, *, has_feedback):
     result = perform(
         program, robot, is_virtual=True, trajectory=trajectory, has_feedback=has_feedback
     )
-    assert result.report["outcome"] == "finished"
-    return result.report["joints"]["pan"]["horn_error_rms_deg"]
+    assert result.report.outcome == "finished"
+    return result.report.joints["pan"].horn_error_rms_deg
 
 
 @pytest.mark.parametrize(

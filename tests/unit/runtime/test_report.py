@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 
@@ -10,7 +11,7 @@ from lss_motion.player.player import Player
 from lss_motion.program.model import Move, Program, Repeat
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.robot.on_fault import Cause, FaultStep
-from lss_motion.runtime.report import make_report, run_seconds
+from lss_motion.runtime.report import JointReport, Report, TraceReport, make_report, run_seconds
 from lss_motion.trajectory.model import SlowSpan
 from tests.joints import joint
 
@@ -35,8 +36,9 @@ def report(playing, **fields):
 
 
 def test_a_run_without_a_show_still_has_every_field_of_the_report():
-    found = report(player())
-    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    found = report(player()).to_dict()
+    json.dumps(found, allow_nan=False)
+    assert list(found) == [field.name for field in dataclasses.fields(Report)]
     assert found["schema"] == 1
     assert (found["sequence"], found["robot"], found["simulated"]) == ("wave", "bench", True)
     assert (found["planned_s"], found["played_s"], found["run_s"]) == (1.5, 0.0, 2.0)
@@ -46,33 +48,53 @@ def test_a_run_without_a_show_still_has_every_field_of_the_report():
     assert (stretch["joint"], stretch["limit"], stretch["by_s"]) == ("j0", "speed", 0.12)
 
 
+def test_a_report_prints_as_one_short_line():
+    found = repr(report(player()))
+    assert (
+        found == "Report('wave': finished after 0.00 s, 0 joints, 0 commands, 0 missed, 0 faults)"
+    )
+
+
+def test_the_json_names_the_error_of_the_horns_only_where_it_is_known():
+    values = {field.name: 0 for field in dataclasses.fields(JointReport)}
+    values |= {"trace": TraceReport(at_s=(), planned_deg=(), measured_deg=())}
+    known = JointReport(**values)
+    unknown = dataclasses.replace(known, horn_error_rms_deg=None, horn_error_max_deg=None)
+    found = dataclasses.replace(report(player()), joints={"a": known, "b": unknown}).to_dict()
+    assert set(found["joints"]["a"]) - set(found["joints"]["b"]) == {
+        "horn_error_rms_deg",
+        "horn_error_max_deg",
+    }
+    assert found["joints"]["b"] | found["joints"]["a"] == found["joints"]["a"]
+
+
 def test_use_of_a_bus_is_its_bytes_over_the_run():
     playing = player()
     playing.lines["main"].send(b"#" * 1152, 0)
-    bus = report(playing)["buses"]["main"]
-    assert bus["tx_utilisation_ratio"] == pytest.approx(0.05)
-    assert (bus["queries"], bus["replies"], bus["timeouts"], bus["garbage"]) == (0, 0, 0, 0)
+    bus = report(playing).buses["main"]
+    assert bus.tx_utilisation_ratio == pytest.approx(0.05)
+    assert (bus.queries, bus.replies, bus.timeouts, bus.garbage) == (0, 0, 0, 0)
 
 
 def test_a_run_that_took_no_time_divides_by_nothing():
-    bus = report(player(), run_s=0.0)["buses"]["main"]
-    assert (bus["tx_utilisation_ratio"], bus["query_rate_hz"]) == (0.0, 0.0)
+    bus = report(player(), run_s=0.0).buses["main"]
+    assert (bus.tx_utilisation_ratio, bus.query_rate_hz) == (0.0, 0.0)
 
 
 def test_an_endless_show_has_no_planned_duration():
     endless = player(duration_s=math.inf, repeat=Repeat(from_us=0, to_us=1_000_000))
-    assert report(endless)["planned_s"] is None
+    assert report(endless).planned_s is None
 
 
 def test_faults_are_named():
     playing = player()
     playing.faults.append(Faulted("j0", "is stuck", Cause.STUCK, FaultStep.SLOW))
-    said = {"joint": "j0", "cause": "is stuck", "kind": "stuck", "step": "slow"}
-    assert json.loads(json.dumps(report(playing)["faults"])) == [said]
+    fault = {"joint": "j0", "cause": "is stuck", "kind": "stuck", "step": "slow"}
+    assert json.loads(json.dumps(report(playing).to_dict()))["faults"] == [fault]
 
 
 def test_warnings_are_kept():
-    assert report(player(), warnings=["it was late"])["warnings"] == ["it was late"]
+    assert report(player(), warnings=["it was late"]).warnings == ("it was late",)
 
 
 def test_run_seconds_are_seconds():
