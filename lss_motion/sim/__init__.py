@@ -8,7 +8,7 @@ wire, adapter, answering   the two serial lines, byte by byte; USB; who answers 
 servo, moves, readings, settings   the firmware of one servo
 boards     LSS-2IO boards with their pins
 motors, drives, profile, horns, power   how horns move
-faults, faults_file, random_faults   what goes wrong, as rows: written, from a file, from a seed
+faults, faults_file   what goes wrong, as rows: written, from a file
 hand        a person who leads limp joints
 host, drift   a host that oversleeps, and clocks that disagree
 physics    every physical number, with its source

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from benches.random_servo import random_servo
 from benches.table import Row
 from lss_motion.connection import Connection
 from lss_motion.maintenance.identify.estimate import identify
@@ -25,7 +26,6 @@ from lss_motion.runtime.clock import VirtualClock
 from lss_motion.sim.bus import SimBus
 from lss_motion.sim.physics import TICK_NS, Physics, ServoSpec
 from lss_motion.sim.port import SimPort
-from lss_motion.sim.random_servo import random_servo
 from lss_motion.units import s_from_ns
 
 if TYPE_CHECKING:

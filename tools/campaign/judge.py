@@ -24,6 +24,7 @@ from campaign.allowances import (
     WORD_KINDS,
 )
 from campaign.any_show import any_show
+from campaign.random_faults import random_faults
 from campaign.shows import NAMES, RESUME_S, SLOW_BPS, Show, show
 from campaign.stale import lawless_ns
 from campaign.witness import Act, HangError, Witness, random_acts
@@ -32,7 +33,6 @@ from lss_motion.perform import Observer, Result, perform
 from lss_motion.player.estimators import OFFSET_MAX_DEG
 from lss_motion.sim.bus import servos_of
 from lss_motion.sim.faults import INSTANT, REPLY_KINDS, Fault, FaultKind
-from lss_motion.sim.random_faults import random_faults
 from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:

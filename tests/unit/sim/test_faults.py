@@ -1,6 +1,7 @@
 from dataclasses import replace
 
 import pytest
+from campaign.random_faults import random_faults
 
 from lss_motion.errors import InputError
 from lss_motion.protocol.constants import Family
@@ -9,7 +10,6 @@ from lss_motion.sim.bus import bus_from_robot
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.faults_file import load_faults
 from lss_motion.sim.physics import Physics
-from lss_motion.sim.random_faults import random_faults
 from tests.joints import joint
 
 

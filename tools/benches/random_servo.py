@@ -1,4 +1,4 @@
-"""A servo that nobody knows: every physical number of it from a seed."""
+"""A simulated servo with random physics, the same for the same seed."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ DROOP_DEG = (0.5, 3.0)
 PLAY_DEG = (0.3, 1.2)
 TURNAROUND_MIN_NS = (100_000, 1_000_000)
 TURNAROUND_MORE_NS = (100_000, 2_000_000)
-"""Ranges that are drawn from. Chosen: around the defaults, and several times to either side."""
+"""Ranges of the random values. Chosen: around the defaults, several times to either side."""
 
 
 def random_servo(seed: int, servo_id: int, model: ServoModel) -> tuple[Physics, ServoSpec]:
     """Return the physics of a bus and the one servo on it, the same for the same arguments.
 
-    Half of all servos carry a load, half of them have play; on others there is none.
+    Half of all servos carry a load; half of all have play.
     """
     random = Random(f"{seed}/servo")
     least_ns = random.randint(*TURNAROUND_MIN_NS)

@@ -1,4 +1,4 @@
-"""Faults that nobody chose: rows from a seed, for runs by the thousand."""
+"""Random rows of faults, the same for the same seed, for campaigns of thousands of runs."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 ROWS_MAX = 4
-"""Chosen: enough to meet each other, few enough to tell afterwards which it was."""
+"""Chosen: enough to overlap, few enough to find the cause of a failure."""
 
 LATE_MAX_S = 0.05
 """Chosen: beyond every timeout of a host for one reply (FACTS.md H5: 5 to 100 ms)."""
 
 DRIFT_MAX_PPM = 200.0
-"""Chosen: twice what two cheap crystals differ."""
+"""Chosen: twice the difference of two cheap crystals."""
 
 RAW_MAX = 1023
 
