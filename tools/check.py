@@ -1,4 +1,4 @@
-"""The gate: everything that must hold before a commit, in one command.
+"""The gate: every check that a commit must pass, in one command.
 
 tools/run tools/check.py            all of it
 tools/run tools/check.py lint types only these steps
@@ -6,7 +6,6 @@ tools/run tools/check.py lint types only these steps
 
 from __future__ import annotations
 
-import ast
 import contextlib
 import re
 import shutil
@@ -17,18 +16,15 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from source_rules import citations, import_cycles, prose, sizes
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 ROOT = Path(__file__).resolve().parent.parent
-MODULE_LINES_MAX = 780
-FUNCTION_LINES_MAX = 70
-"""About 250 and 40 is the aim; beyond these it is a fault."""
-DATA_MODULES = {"lss.py", "lss_later.py", "lss_pro.py", "io2.py"}
-"""Tables, one row a command: they are as long as the documents."""
 COMMAND = re.compile(r"^tools/run (?P<command>.+)$", re.MULTILINE)
 COMMANDS_SKIPPED = ("pytest", "tools/check.py", "tools/bench.py")
-"""Run by other steps, or for minutes."""
+"""Other steps run them, or they take minutes."""
 COMMAND_SECONDS_MAX = 120.0
 
 
@@ -38,8 +34,9 @@ def main(names: list[str]) -> int:
         "format": lambda: _run("ruff", "format", "--check", "--quiet", "."),
         "lint": lambda: _run("ruff", "check", "--quiet", "."),
         "types": lambda: _run("mypy"),
-        "imports": lambda: _run("lint-imports", "--no-cache"),
-        "size": _sizes,
+        "imports": lambda: _run("lint-imports", "--no-cache") and _obeys(import_cycles),
+        "size": lambda: _obeys(sizes),
+        "prose": lambda: _obeys(prose, citations),
         "tests": lambda: _run("pytest"),  # the README's test command
         "readme": _readme,
         "guides": _guides,
@@ -67,22 +64,9 @@ def _run(*command: str) -> bool:
     return done.returncode == 0
 
 
-def _sizes() -> bool:
-    """Measure modules and functions: what has grown too long is hard to read."""
-    faults = []
-    for path in sorted((ROOT / "lss_motion").rglob("*.py")):
-        source = path.read_text(encoding="utf-8")
-        lines = source.count("\n")
-        if lines > MODULE_LINES_MAX and path.name not in DATA_MODULES:
-            faults.append(f"{path.relative_to(ROOT)}: {lines} lines, at most {MODULE_LINES_MAX}")
-        for node in ast.walk(ast.parse(source)):
-            if isinstance(node, ast.FunctionDef) and node.end_lineno is not None:
-                length = node.end_lineno - node.lineno + 1
-                if length > FUNCTION_LINES_MAX:
-                    faults.append(
-                        f"{path.relative_to(ROOT)}:{node.lineno}: {node.name} has {length} lines, "
-                        f"at most {FUNCTION_LINES_MAX}"
-                    )
+def _obeys(*rules: Callable[[Path], list[str]]) -> bool:
+    """Print the faults of rules about the source text; return whether there are none."""
+    faults = [fault for rule in rules for fault in rule(ROOT)]
     print("\n".join(faults), end="\n" if faults else "")
     return not faults
 
@@ -94,19 +78,21 @@ def _readme() -> bool:
 
 
 def _figures() -> bool:
-    """See whether the table of the README shows the figures that were kept of the last run."""
+    """Return whether the table of the README has the figures of the last run of the bench."""
     from benches import headline
 
     if headline.is_current():
         return True
-    print("the table of the README is not of tools/benches/last.json: tools/bench.py all --readme")
+    print(
+        "the table of the README differs from tools/benches/last.json; run tools/bench.py all --readme"
+    )
     return False
 
 
 def _guides() -> bool:
-    """Follow the guides as a newcomer: write the files that they show, type what they say.
+    """Follow the guides: write the files that they show and run their commands.
 
-    In a copy of the examples. What ends with `&` runs until the others are through.
+    This works in a copy of the examples. A command that ends with `&` runs until the others ended.
     """
     with tempfile.TemporaryDirectory() as folder:
         sequences = Path(folder) / "sequences"
@@ -127,7 +113,7 @@ def _commands(text: str) -> list[str]:
 
 
 def _typed(commands: list[str], folder: Path) -> bool:
-    """Run commands one after the other; print what a failed one said."""
+    """Run commands one after the other; print the output of those that fail."""
     is_good = True
     with contextlib.ExitStack() as beside:
         for command in commands:
@@ -135,7 +121,7 @@ def _typed(commands: list[str], folder: Path) -> bool:
             print(f"       tools/run {' '.join(words)}")
             typed = [str(ROOT / "tools" / "run"), *(word for word in words if word != "&")]
             if words[0] == "lss-play":
-                typed.append("--yes")  # Nobody is here to be asked.
+                typed.append("--yes")  # No person can answer here.
             if words[-1] == "&":
                 beside.enter_context(_running(typed, folder))
                 continue
@@ -156,7 +142,7 @@ def _typed(commands: list[str], folder: Path) -> bool:
 
 @contextlib.contextmanager
 def _running(words: list[str], folder: Path) -> Iterator[None]:
-    """Run a command beside others, from its first line of output on."""
+    """Run a command in the background; return after its first line of output."""
     with subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         process.stdout.readline()

@@ -27,7 +27,7 @@ def random_servo(seed: int, servo_id: int, model: ServoModel) -> tuple[Physics, 
 
     Half of all servos carry a load; half of all have play.
     """
-    random = Random(f"{seed}/servo")
+    random = Random(f"{seed}/servo")  # noqa: S311
     least_ns = random.randint(*TURNAROUND_MIN_NS)
     physics = Physics(
         lag_s=random.uniform(*LAG_S),
