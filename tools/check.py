@@ -83,9 +83,8 @@ def _figures() -> bool:
 
     if headline.is_current():
         return True
-    print(
-        "the table of the README differs from tools/benches/last.json; run tools/bench.py all --readme"
-    )
+    print("the table of the README differs from tools/benches/last.json; write it again:")
+    print("tools/run tools/bench.py all --readme")
     return False
 
 
