@@ -59,7 +59,7 @@ def with_port(robot: Robot, port: str | None) -> Robot:
 def is_simulated(robot: Robot) -> bool:
     """Return whether every bus is simulated in process.
 
-    Raises `InputError` for a mixture: nobody could say what such a run shows.
+    Raises `InputError` for a mixture: the results of such a run would have no clear meaning.
     """
     simulated = [bus.port.startswith(SIMULATED) for bus in robot.buses.values()]
     if any(simulated) and not all(simulated):
@@ -135,9 +135,9 @@ class Connection:
         self.close()
 
     def ask(self, items: Iterable[Item]) -> Mapping[tuple[str, int, str], int | str | None]:
-        """Work through questions and orders; return `(bus, servo id, keyword)` → value.
+        """Send queries and actions; return `(bus, servo id, keyword)` → value.
 
-        A question that nobody answered is absent. Raises `BusError` when a port is lost.
+        A query without a reply is absent. Raises `BusError` when a port is lost.
         """
         return self.run(Conversation(items, self.buses)).answers
 

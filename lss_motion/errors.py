@@ -9,7 +9,8 @@
      │    └── LostPortError              4   a port that was open is gone
      └── PlaybackError                   5   the robot did not follow
 
-Nothing below `BusError` can come from a bad file, and nothing above it from the robot.
+The errors from `BusError` on come from the port or the robot, those before it from files and
+arguments.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ EXIT_UNREACHABLE = 4
 EXIT_NOT_FOLLOWED = 5
 EXIT_INTERRUPTED = 130
 EXIT_OF_SIGNAL = 128
-"""A signal is this and its number, as in any shell: 129 hangup, 130 interrupt, 143 terminate."""
+"""Plus the number of the signal, as in a shell: 129 hangup, 130 interrupt, 143 terminate."""
 
 
 class LssMotionError(Exception):
-    """Base of everything that this package raises on purpose."""
+    """Base of every exception that this package raises."""
 
     exit_code: ClassVar[int] = EXIT_INPUT
 
@@ -79,7 +80,7 @@ class PlanningError(LssMotionError):
 
 
 class LineLoadError(PlanningError):
-    """The serial line cannot carry the commands. The message says what would help."""
+    """The serial line cannot carry the commands. The message names the remedies."""
 
     def __init__(self, reason: str, *, bus: str, utilisation_ratio: float) -> None:
         super().__init__(reason)
@@ -103,7 +104,7 @@ class BusError(LssMotionError, OSError):
 
 
 class LostPortError(BusError):
-    """A port that was open is gone: nobody on it can be told anything."""
+    """A port that was open is gone: no byte reaches the servos on it."""
 
 
 class PlaybackError(LssMotionError):

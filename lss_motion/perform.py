@@ -71,16 +71,16 @@ class Result:
 
 @dataclass(frozen=True, kw_only=True)
 class Observer:
-    """Who watches and steers a run. Nothing here may block: it runs between two commands."""
+    """Callbacks that watch and steer a run. They must not block: they run between two commands."""
 
     on_event: Callable[[Event], None] | None = None
     on_turn: Callable[[Player, int], None] | None = None
     controls: Controls[Player] | None = None
     make_tap: Callable[[int], Tap] | None = None
-    """Given the instant at which the run began, makes what sees every byte."""
+    """Returns the tap that gets every byte; its argument is the instant at which the run began."""
 
 
-def perform(  # noqa: PLR0913  (the wishes of one run)
+def perform(  # noqa: PLR0913  (the options of one run)
     program: Program,
     robot: Robot,
     *,
@@ -95,21 +95,21 @@ def perform(  # noqa: PLR0913  (the wishes of one run)
     is_real_time: bool = False,
     must_ask: bool = False,
 ) -> Result:
-    """Play `program` on `robot` and return all that came of it, also when it failed on the way.
+    """Play `program` on `robot` and return the result, also when the run failed on the way.
 
-    With `trajectory`, the report says how far the simulated horns were from it. `faults` befall
-    the simulated buses, and in virtual time the host. While `is_open`, the show does not end with
-    the program but waits for what `observer.controls` extend it by; with `must_ask` nothing moves
-    before they say `go`. `is_real_time` asks for real-time priority and locked memory; what is
-    refused is warned of. Raises `InputError` or `BusError` only before the first byte.
+    With `trajectory`, the report has the distance of the simulated horns from it. `faults` apply
+    to the simulated buses and, in virtual time, to the host. While `is_open`, the show does not
+    end with the program: `observer.controls` may extend it. With `must_ask` no joint moves before
+    the controls call `go`. `is_real_time` requests real-time priority and locked memory; a refusal
+    is a warning. Raises `InputError` or `BusError` only before the first byte.
     """
     simulated = is_simulated(robot)
     _check(program, faults, has_feedback=has_feedback, simulated=simulated, is_virtual=is_virtual)
     clock = _clock(faults, is_virtual=is_virtual, seed=seed)
     connection = connect(robot.buses, robot=robot, clock=clock, seed=seed, faults=faults)
     started_ns = clock.now_ns()
-    wishes = {"has_feedback": has_feedback, "must_ask": must_ask, "is_open": is_open}
-    player = Player(program, robot, start_s=start_s, **wishes)
+    options = {"has_feedback": has_feedback, "must_ask": must_ask, "is_open": is_open}
+    player = Player(program, robot, start_s=start_s, **options)
     error, observer = None, observer or Observer()
     note = _Noting(observer.on_event)
     try:
@@ -157,7 +157,7 @@ def _outcome(player: Player, error: LssMotionError | None) -> str:
 
 
 class _Noting:
-    """Tells `on_event` of events, and keeps the texts of warnings."""
+    """Passes events to `on_event`, and keeps the texts of warnings."""
 
     def __init__(self, on_event: Callable[[Event], None] | None) -> None:
         self.warnings: list[str] = []
@@ -171,7 +171,7 @@ class _Noting:
 
 
 def _reopening(connection: Connection, player: Player) -> dict[str, ReopeningPort]:
-    """Return ports that are opened again when they are lost, while the player waits for them."""
+    """Return ports that are opened again after a loss, as long as the player waits for them."""
     return {
         name: ReopeningPort(
             port,
@@ -193,7 +193,7 @@ def _check(
     simulated: bool,
     is_virtual: bool,
 ) -> None:
-    """Refuse what cannot be played so: waits, a real bus, faults that could not happen."""
+    """Refuse waits without feedback, virtual time and faults on a real bus."""
     if program.waits and not has_feedback:
         raise InputError("the show waits for a sensor, which must be asked: not with --no-feedback")
     if is_virtual and not simulated:
@@ -221,7 +221,7 @@ def _clock(
 
 
 def _truth(player: Player, robot: Robot, buses: Mapping[str, SimBus]) -> Truth | None:
-    """Return the horns of the show's joints at every 10 ms of show time that was played."""
+    """Return the horn angles of the show's joints at every 10 ms of played show time."""
     from lss_motion.sim.bus import servos_of
 
     if player.show is None or player.show_ended_ns is None:
@@ -232,7 +232,7 @@ def _truth(player: Player, robot: Robot, buses: Mapping[str, SimBus]) -> Truth |
     first = math.ceil(max(float(shown_s[0]), 0.0) / TRUTH_STEP_S - 1e-6)
     last = math.floor(min(float(shown_s[-1]), player.program.duration_s) / TRUTH_STEP_S + 1e-6)
     times_s = TRUTH_STEP_S * np.arange(first, last + 1, dtype=np.float64)
-    shown_s += 1e-9 * np.arange(len(shown_s))  # Where the show stood, it is still in order.
+    shown_s += 1e-9 * np.arange(len(shown_s))  # Keeps the order where the show stood still.
     at_ns = np.interp(times_s, shown_s, (instants - instants[0]).astype(np.float64))
     times_ns = instants[0] + at_ns.astype(np.int64)
     names = tuple(player.program.start_deg)

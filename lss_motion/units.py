@@ -1,4 +1,4 @@
-"""Every conversion between units, and the only powers of ten in the package."""
+"""All conversions between units. No other module has powers of ten."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ def s_from_ms(duration_ms: float) -> float:
 
 
 def significant(value: float, digits: int = 4) -> str:
-    """Return a number for people: so many digits count, and there is no exponent."""
+    """Return a number as text with `digits` significant digits and no exponent."""
     return f"{float(f'{value:.{digits}g}'):.15g}"
 
 
 def line_time_ns(size_bytes: int, baud_bps: int) -> int:
-    """How long `size_bytes` occupy a line of `baud_bps`, rounded up."""
+    """Return how long `size_bytes` occupy a line of `baud_bps`, rounded up."""
     return -(-size_bytes * LINE_BITS_PER_BYTE * NS_PER_S // baud_bps)

@@ -62,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     failed = 0
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     with tempfile.TemporaryDirectory() as plans:
-        os.environ["LSS_MOTION_CACHE_DIR"] = plans  # A million shows that nobody plays again.
+        os.environ["LSS_MOTION_CACHE_DIR"] = plans  # A million shows that are played once.
         play = partial(judged, is_any=arguments.any, slow_bps=arguments.slow_bps)
         for seed, result in _played(seeds, arguments.jobs, play):
             outcomes[result.outcome] += 1

@@ -1,1 +1,9 @@
-"""The files that authors write: read with lines, checked, described as schemas, edited in place."""
+"""The files that authors write: read with their lines, checked, edited in place.
+
+| file | what it is | called by |
+|---|---|---|
+| `source` | reads bounded text; texts for people: similar names, counts, durations | all readers |
+| `yaml_source` | YAML as plain values with their lines | `validation`, readers of YAML files |
+| `validation` | checks values against pydantic models | readers of YAML files |
+| `yaml_edit` | changes single values of a YAML text, keeps the rest | `maintenance`, commands |
+"""

@@ -1,8 +1,6 @@
-"""Reads the authors' files: bounded, and refused with the file and the line.
+"""Reads text files with a bound on their size, and makes texts for error messages.
 
-Files as people give them: bounded, and refused in words with the line.
-
-Words for people: the names near an unknown one, counts, durations.
+Every failure is an `InputError` with the path and, where there is one, the line.
 """
 
 from __future__ import annotations
@@ -19,7 +17,7 @@ if TYPE_CHECKING:
 
 
 FILE_MAX_BYTES: Final = 16_000_000
-"""10,000 keyframes of 40 joints are 8 MB; twice that, and an endless device still ends."""
+"""Twice the 8 MB of 10,000 keyframes of 40 joints. The bound also ends an endless device."""
 
 
 def read_data(path: Path, max_bytes: int = FILE_MAX_BYTES) -> bytes:
@@ -58,11 +56,11 @@ def read_text(path: Path) -> str:
 
 
 LISTED_MAX: Final = 20
-"""More names than this are a wall, not a help."""
+"""A longer list does not help the reader."""
 
 
 def known_names(word: str, names: Iterable[str]) -> str:
-    """Return which of `names` was probably meant and what there is to choose from."""
+    """Return a text with the name nearest to `word` and the list of all names."""
     choices = list(names)
     if not choices:
         return "there are none"
@@ -75,7 +73,7 @@ def known_names(word: str, names: Iterable[str]) -> str:
 
 
 def counted(things: Sized, one: str, many: str | None = None) -> str:
-    """Return how many things there are, such as `1 joint` or `5 joints`."""
+    """Return a count with its noun, such as `1 joint` or `5 joints`."""
     return f"{len(things)} {one if len(things) == 1 else many or one + 's'}"
 
 

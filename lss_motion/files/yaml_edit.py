@@ -1,7 +1,7 @@
-"""One value of a YAML text changed in place; everything else stays as a person wrote it.
+"""Changes single values of a YAML text in place.
 
 Comments, blank lines, order, quotes and styles are kept, because only the characters of the value
-are replaced, or one new entry is put in.
+are replaced or one new entry is inserted.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def set_values(
     path: Path, text: str, location: Sequence[str], values: Mapping[str, float | str]
 ) -> str:
-    """Return `text` in which the mapping at `location` has `values`, and what it had besides.
+    """Return `text` with `values` set in the mapping at `location`; its other entries are kept.
 
     The parts of `location` that do not exist are made. Values are numbers or plain words. Raises
     `InputError` with the line, naming `path`, where the text cannot be changed without changing
@@ -32,8 +32,8 @@ def set_values(
 def set_comment(text: str, location: Sequence[str], mark: str, lines: Sequence[str]) -> str:
     """Return `text` with comment `lines` above the entry at `location`, which exists.
 
-    Each begins with `mark`. Lines above it that do so already are replaced, no others. Where the
-    entry does not begin its line they are put at the end.
+    Each line begins with `mark`. Lines above the entry that begin with it are replaced. If the
+    entry does not begin its line, the comment is put at the end of the text.
     """
     key, _ = _entry(_root(text), location)
     start = text.rfind("\n", 0, key.start_mark.index) + 1
@@ -45,8 +45,8 @@ def set_comment(text: str, location: Sequence[str], mark: str, lines: Sequence[s
     before = text[:start].splitlines(keepends=True)
     while before and before[-1].strip().startswith(f"# {mark}"):
         before.pop()
-    said = [f"{indent}# {mark} {line}{newline}" for line in lines]
-    return "".join([*before, *said]) + text[start:]
+    comment = [f"{indent}# {mark} {line}{newline}" for line in lines]
+    return "".join([*before, *comment]) + text[start:]
 
 
 def _set(path: Path, text: str, location: Sequence[str], scalar: str) -> str:
@@ -57,10 +57,10 @@ def _set(path: Path, text: str, location: Sequence[str], scalar: str) -> str:
         entry = next((pair for pair in node.value if pair[0].value == part), None)
         if entry is None:
             rest = location[depth + 1 :]
-            said = scalar
+            entered = scalar
             for inner in reversed(rest):
-                said = f"{{{inner}: {said}}}"
-            return _inserted(text, node, f"{part}: {said}")
+                entered = f"{{{inner}: {entered}}}"
+            return _inserted(text, node, f"{part}: {entered}")
         key, value = entry
         if value.start_mark.index < key.end_mark.index:
             raise _refused(path, key, location, "is an alias")
@@ -98,7 +98,7 @@ def _inserted(text: str, mapping: Any, entry: str) -> str:  # noqa: ANN401  yaml
 
 
 def _last_index(mapping: Any) -> int | None:  # noqa: ANN401  yaml seam
-    """Return where the last value of a mapping ends; None where that is not simple to say."""
+    """Return where the last value of a mapping ends; None if it does not end in its own line."""
     if not mapping.value:
         return None
     key, value = mapping.value[-1]

@@ -1,4 +1,4 @@
-"""YAML text as plain values that remember their lines; nothing here knows robots or shows."""
+"""Reads YAML text into plain values with their lines. It is the same for every kind of file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 Location = tuple[str | int, ...]
-"""The way from the top of a file to a value: keys of mappings and indices of lists."""
+"""The path from the top of a file to a value: keys of mappings and indices of lists."""
 
 NODES_MAX: Final = 1_000_000
 """10,000 keyframes of 40 joints are 850,000 keys and values; aliases count as what they repeat."""
@@ -24,15 +24,15 @@ DEPTH_MAX: Final = 16
 """Our files are 5 deep. Without a bound, thousands of brackets cost quadratic time."""
 
 NUMBER_MAX_CHARS: Final = 40
-"""Longer digits are no measurement; Python refuses thousands of them with its own error."""
+"""A longer number is not a measurement; Python refuses thousands of digits with its own error."""
 
 PROBLEMS_MAX: Final = 50
-"""More than this nobody reads; the rest is counted."""
+"""Problems that are listed; the rest is counted."""
 
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Something wrong at one place of a file."""
+    """A mistake at one place of a file."""
 
     location: Location
     reason: str
@@ -51,8 +51,8 @@ class _Lines:
 class YamlSource:
     """The content of one file: `value` is made of dict, list, str, int, float, bool and None.
 
-    `problems` holds what YAML would accept in silence and we do not: a key given twice, and a
-    key or an item without a value (its value is None).
+    `problems` holds the mistakes that YAML accepts silently: a key given twice, and a key or an
+    item without a value (its value is None).
     """
 
     path: Path

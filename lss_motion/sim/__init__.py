@@ -1,24 +1,25 @@
-"""A bus that does not exist: servos, line and faults, as a pure function of time.
+"""A simulated robot: servos, boards, serial lines and faults, as a pure function of time.
 
-bus        `SimBus`: bytes in and out, told the time by its caller
-build      from a robot file to its simulated buses
-port       `sim://`: a bus as a port of the runner
-pty        buses behind pseudo-terminals, in real time
-wire, adapter, answering   the two serial lines, byte by byte; USB; who answers when
-servo, moves, readings, settings   the firmware of one servo
-boards     LSS-2IO boards with their pins
-motors, drives, profile, horns, power   how horns move
-faults, faults_file   what goes wrong, as rows: written, from a file
-hand        a person who leads limp joints
-host, drift   a host that oversleeps, and clocks that disagree
-physics    every physical number, with its source
-truth      what the horns really did
+| file | what it is | called by |
+|---|---|---|
+| `bus` | `SimBus`: bytes in, bytes out, at instants that the caller gives | `port`, `pty` |
+| `port` | `sim://`: a bus as a port of the runner | `connection` |
+| `pty` | buses behind pseudo-terminals, in real time | `lss-motion sim`, tests, benches |
+| `wire` | the two serial lines byte by byte, the USB adapter, the order of replies | `bus` |
+| `servo` | the firmware of one servo: moves, readings, settings | `bus` |
+| `boards` | LSS-2IO boards with their pins | `bus` |
+| `motors` | horns with load, play, current, temperature and safe mode | `bus`, `servo` |
+| `profile` | the trajectory that a servo generates for one move | `motors` |
+| `physics` | every physical number, with its source | all |
+| `faults`, `faults_file` | faults as rows, from code or from a file | `bus`, `wire`, `lss-play` |
+| `clocks` | a host that wakes late, and host and servo clocks that drift | `perform`, `bus` |
+| `hand` | a person who moves limp joints by hand | `motors`, `lss-motion sim` |
+| `truth` | the horn angles over time, which no servo reports | `motors`, `bus` |
 
-Not modelled: the acceleration sensors of LSS-PRO (they answer 0), the inertia of what hangs on a
-horn (a load only pulls by its weight), noise on the lines without a cause in `faults`, the
-colours that the LED shows by itself, RC pulses and their 20 ms, EEPROM wear, other sketches of
-the LSS-2IO than the 2RC one. An LSS-2IO whose line buffer is overrun loses that section and may
-move any of its servos: what a real one does there depends on its build. A servo never says that
-its state is unknown (status 0). What no document says is an assumption and marked as one in
-`physics` and `boards`.
+Not modelled: the acceleration sensors of LSS-PRO (they answer 0), the inertia of a load (it only
+pulls by its weight), noise on the lines other than that of `faults`, the colours that the LED
+shows by itself, RC pulses and their 20 ms, EEPROM wear, sketches of the LSS-2IO other than 2RC.
+An LSS-2IO whose line buffer is overrun loses that section and may move any of its servos: what a
+real one does then depends on its build. A servo never reports an unknown state (status 0). A
+number without a published source is marked as assumed in `physics` and `boards`.
 """

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 RESET_NS: Final = 30 * NS_PER_MS
 """How long a board is deaf after RESET: the watchdog's time (FACTS.md B14). What its boot loader
-takes on top is not known."""
+adds is not known."""
 
 OVERRUN_JUMP_RATIO: Final = 0.5
 """How often a section that overruns the buffer makes an output jump. Assumed: what the bytes
@@ -35,14 +35,14 @@ RAW_MAX: Final = 1023
 
 DEG_MAX: Final = 180
 PULSE_SPAN_US: Final = PULSE_MAX_US - PULSE_MIN_US
-"""The board thinks in 0 to 180 whole degrees and 500 to 2500 us (FACTS.md B6, B7)."""
+"""The board computes in 0 to 180 whole degrees and 500 to 2500 us (FACTS.md B6, B7)."""
 
 _SECTION: Final = re.compile(rb"#([0-9]+)([A-Za-z]+)(-?[0-9]+)?")
-"""What the board reads of a section; whatever follows it passes over (FACTS.md B5)."""
+"""The part of a section that the board reads; it ignores what follows (FACTS.md B5)."""
 
 
 class Sensor(NamedTuple):
-    """A distance sensor as the board knows it: `scale / (raw - offset)`, clamped, in mm."""
+    """A distance sensor as the board computes it: `scale / (raw - offset)`, clamped, in mm."""
 
     scale: int
     offset: int
@@ -50,13 +50,13 @@ class Sensor(NamedTuple):
     max_mm: int
 
     def distance_mm(self, raw: int) -> int:
-        """Return what the board answers. At or below the offset nothing is near (assumed)."""
+        """Return the reply of the board. At or below the offset no object is near (assumed)."""
         if raw <= self.offset:
             return self.max_mm
         return min(max(self.scale // (raw - self.offset), self.min_mm), self.max_mm)
 
     def raw(self, distance_mm: float) -> int:
-        """Return the value of the converter for something that far away."""
+        """Return the value of the converter for an object at that distance."""
         distance_mm = min(max(distance_mm, self.min_mm), self.max_mm)
         return min(round(self.scale / distance_mm) + self.offset, RAW_MAX)
 
@@ -73,9 +73,9 @@ SENSORS: Final[Mapping[Suffix, Sensor]] = MappingProxyType(
 
 @dataclass(slots=True)
 class Pin:
-    """One thing on a board with an id of its own. `index` is that of its RC servo, if it has one.
+    """A pin of a board, with an id of its own. `index` is that of its RC servo, if it has one.
 
-    `written_deg` and `pulse_us` are what the servo was last told, 0 to 180 and 500 to 2500.
+    `written_deg` and `pulse_us` are the last command to the servo, 0 to 180 and 500 to 2500.
     """
 
     name: str
@@ -106,9 +106,9 @@ def make_boards(
 
     A board has three of each.
 
-    A servo with the default id of a pin is on that pin, another on the first that is left. What
-    else is on a board has its default id, on every board: with two boards both masters obey and
-    answer at once, as on a real bus where nobody gave them ids of their own.
+    A servo with the default id of a pin is on that pin; another is on the first free pin. All
+    other pins have their default ids on every board. Two boards therefore have masters with the
+    same id, which execute and answer at once, as on a real bus before new ids are set.
     """
     needed = -(-max(len(outputs), len(inputs)) // 3)
     boards = [Board(motors, baud_bps=baud_bps, random=random) for _ in range(needed)]
@@ -129,7 +129,7 @@ def make_boards(
 
 
 def _attach_inputs(boards: Sequence[Board], inputs: Sequence[int]) -> None:
-    """Give analog pins the ids asked for; one that has its id already keeps it."""
+    """Give analog pins the requested ids; a pin that already has one of them keeps it."""
     pins = [pin for board in boards for pin in board.pins if pin.device is Device.ANALOG]
     ids = list(dict.fromkeys(inputs))
     kept = []
@@ -163,10 +163,10 @@ class Board:
         return now_ns >= self._deaf_until_ns
 
     def command_in(self, line: bytes, now_ns: int) -> Command | None:
-        """Return the command that the board makes of a line, which is everybody's.
+        """Return the command that the board reads from a line. The line may be for other servos.
 
-        Every `#` restarts the buffer, so the last section counts. One of more than 15 characters
-        overruns it: it is lost, and may make an output jump, whoever it was for.
+        Every `#` restarts the buffer, so the last section counts. A section of more than 15
+        characters overruns it: it is lost and may make an output jump, whatever its id is.
         """
         sections = [b"#" + section for section in line.removesuffix(b"\r").split(b"#")[1:]]
         for section in sections:
@@ -187,9 +187,9 @@ class Board:
         return [pin for pin in self.pins if pin.servo_id == servo_id]
 
     def obey(self, pin: Pin, command: Command, now_ns: int) -> Reply | None:
-        """Let one pin act on a command; return the answer to a query.
+        """Execute a command on one pin; return the reply to a query.
 
-        What a pin does not know it passes over in silence, and broadcast queries as well.
+        A pin ignores commands that it does not have, and broadcast queries.
         """
         is_broadcast = command.servo_id == BROADCAST_ID
         found = IO2_TABLE.by_keyword.get(command.keyword)
@@ -198,7 +198,7 @@ class Board:
         form, row = found
         if row.devices and pin.device not in row.devices:
             return None
-        if is_broadcast and row.name == "ID":  # Assumed: it would leave one id for all pins.
+        if is_broadcast and row.name == "ID":  # Assumed: otherwise all pins would get one id.
             return None
         value = command.value if isinstance(command.value, int) else None
         if form is Form.QUERY:
@@ -218,7 +218,7 @@ class Board:
         return None
 
     def reset(self, now_ns: int) -> None:
-        """Restart with the configured values; no pulses go out until the next D or P."""
+        """Restart with the configured values; no pulses are sent until the next D or P."""
         self._deaf_until_ns = now_ns + RESET_NS
         self._led = self._config_led
         for pin in self.pins:
@@ -227,7 +227,7 @@ class Board:
             self._release(pin, now_ns)
 
     def _restore_factory(self, now_ns: int) -> None:
-        """Forget everything at once, ids and rate as well ("all values": FACTS.md B14)."""
+        """Reset all values at once, ids and rate as well ("all values": FACTS.md B14)."""
         self.baud_bps = IO2_TABLE.row("QB").default or self.baud_bps
         self._config_led = 0
         for pin in self.pins:
@@ -263,7 +263,7 @@ class Board:
                 raise AssertionError(f"{name} is in the table and nowhere else")
 
     def _value(self, pin: Pin, row: Row, suffix: int | None) -> int | str | None:
-        """Return what a query answers; None: nothing at all."""
+        """Return the value of the reply to a query; None: no reply."""
         match row.name:
             case "D":  # With a gyre of -1 the sketch forgets the middle: nonsense (FACTS.md B9).
                 return 10 * pin.gyre * pin.written_deg - 900
@@ -290,7 +290,7 @@ class Board:
             self._motors.gyre[pin.index] = gyre
 
     def _jump(self, pin: Pin, raw_deg: float, now_ns: int) -> None:
-        """Send the pulse: an RC servo goes there as fast as it can."""
+        """Send the pulse: an RC servo moves there as fast as it can."""
         if pin.index is not None:
             chase = Chase(raw_deg, filter_count=1, is_repeated=False)
             self._motors.order(pin.index, now_ns, chase)

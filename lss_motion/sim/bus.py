@@ -1,6 +1,7 @@
-"""One serial line with servos on it, as a pure function of time: no clock, no thread, no port.
+"""One serial line with servos and boards on it, as a pure function of time.
 
-From a robot file to simulated buses: which servo hangs on which line, and how it starts.
+`SimBus` has no clock, no thread and no port: its caller gives the instants. `bus_from_robot` makes
+one bus of a robot file.
 """
 
 from __future__ import annotations
@@ -31,15 +32,15 @@ if TYPE_CHECKING:
 
 
 class SimBus:
-    """Servos on a serial line, told the time by its caller; the first instant is power-up.
+    """Servos on a serial line. Its caller gives the time; the first instant is power-up.
 
     `write(data, now_ns)`     the host's bytes enter the line, queued behind earlier ones
-    `read(now_ns)`            what has arrived at the host since the last `read`
-    `next_arrival_ns()`       when the next reply is complete; None: none is under way
-    `advance(now_ns)`         bring everything up to now; `write` and `read` do so too
+    `read(now_ns)`            returns what has arrived at the host since the last `read`
+    `next_arrival_ns()`       returns when the next reply is complete; None: none is under way
+    `advance(now_ns)`         simulates up to now; `write` and `read` do so too
 
-    Instants are the host's, and do not go back. How often anything is called changes nothing of
-    what happens. `usb_latency_ns` puts an adapter in between that delivers replies in packets.
+    Instants are the host's, and do not go back. The result does not depend on how often a method
+    is called. With `usb_latency_ns` an adapter delivers the replies in packets.
     `inputs` are the ids of analog pins of LSS-2IO boards.
     """
 
@@ -110,8 +111,8 @@ class SimBus:
     def next_arrival_ns(self) -> int | None:
         """Return when the earliest reply that was not read to its end is complete.
 
-        What the host has written will reach the servos whatever it writes later, so this looks
-        as far ahead as the bytes on the line allow.
+        Bytes that the host has written reach the servos whatever it writes later, so this
+        simulates ahead as far as the bytes on the line allow.
         """
         lines = self._host_line.lines
         while lines:
@@ -138,18 +139,18 @@ class SimBus:
 
     @property
     def is_resting(self) -> bool:
-        """Return whether no horn moves and nothing is on its way to make one move."""
+        """Return whether no horn moves and no command is on the line."""
         return self.motors.is_resting and not self._host_line.lines
 
     def set_host_rate(self, baud_bps: int, now_ns: int) -> None:
-        """Let the host talk at another rate from now on: only servos set to it understand."""
+        """Set the rate of the host from now on. Only servos set to that rate receive its bytes."""
         self.advance(now_ns)
         self.baud_bps = baud_bps
         self._host_line.set_rate(baud_bps)
         self._servo_line.set_rate(baud_bps)
 
     def backlog_ns(self, now_ns: int) -> int:
-        """Return how long the host's bytes will still occupy the line."""
+        """Return how long the bytes of the host still occupy the line."""
         return self._host_line.backlog_ns(self._drift.bus_ns(now_ns))
 
     def outages_ns(self) -> list[tuple[int, int]]:
@@ -161,11 +162,11 @@ class SimBus:
 
         Only after `record()`, and up to the instant of the last `advance`.
         """
-        assert self.motors.truth is not None, "nothing was recorded"
+        assert self.motors.truth is not None, "call record() first"
         return self.motors.truth.horn_deg(map(self._drift.bus_ns, times_ns))
 
     def set_input(self, servo_id: int, raw: int, now_ns: int) -> None:
-        """Let the analog inputs with an id see `raw` (0 to 1023) from now on.
+        """Set the value of the analog inputs with an id to `raw` (0 to 1023) from now on.
 
         `boards.SENSORS` has the values for a distance.
         """
@@ -182,7 +183,7 @@ class SimBus:
         self._adapter.start(now_ns, self._outages_ns)
         self._host_line.start(self._faults.spans_ns(FaultKind.CLOGGED), self._outages_ns)
 
-    # -- what the servos hear -------------------------------------------------------------------
+    # -- what the servos receive ----------------------------------------------------------------
 
     def _hear(self, heard_ns: int, sent: bytes) -> None:
         self._turn_until(heard_ns)
@@ -233,7 +234,7 @@ class SimBus:
         return servo.baud_bps == self.baud_bps and servo.is_listening(now_ns) and not is_deaf
 
     def _turn_until(self, now_ns: int) -> None:
-        """Let the faults of servos that are due begin and end."""
+        """Begin and end the faults of servos that are due."""
         while (due_ns := self._faults.next_turn_ns()) is not None and due_ns <= now_ns:
             turn = self._faults.pop_turn()
             self.motors.advance(due_ns)
@@ -278,7 +279,7 @@ class SimBus:
                 pin.raw = raw
 
 
-def bus_from_robot(  # noqa: PLR0913  (the knobs of one bus)
+def bus_from_robot(  # noqa: PLR0913  (the parameters of one bus)
     robot: Robot,
     bus_name: str,
     *,
@@ -293,8 +294,8 @@ def bus_from_robot(  # noqa: PLR0913  (the knobs of one bus)
     """Return one bus of `robot`, its servos in the order of `servos_of`.
 
     `start_deg` gives joint angles at power-up by joint name. A joint left out stands at 0, or at
-    the end of its range that is nearest to 0. Of `faults`, those of other buses are left out.
-    `hand` leads the joints that it names, and `droop_deg` is what hangs on them (`ServoSpec`).
+    the end of its range that is nearest to 0. Faults of other buses are left out. `hand` moves the
+    joints that it names. `droop_deg` is the effect of the load on them (`ServoSpec`).
     """
     bus = robot.buses[bus_name]
     asked_deg = start_deg or {}

@@ -1,8 +1,7 @@
-"""Clocks of a simulation: a host that oversleeps, and two clocks that drift.
+"""Faults of clocks.
 
-Two clocks that do not agree: the host's instants and the servos'.
-
-A host that does not wake when it wanted to, in virtual time.
+`Drift` converts between the instants of the host and those of the servos, whose clocks drift.
+`SleepyClock` is a virtual clock for the runner of a host that wakes late.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ PPM = 1_000_000
 
 
 class Drift:
-    """What rows of `clock_drift` make of time. Both clocks agree at power-up."""
+    """Converts instants as rows of `clock_drift` say. Both clocks agree at power-up."""
 
     def __init__(self, faults: Iterable[Fault]) -> None:
         self._faults = tuple(faults)

@@ -1,4 +1,4 @@
-"""What goes wrong on a simulated bus: rows of when, who and what, repeatable from a seed."""
+"""Faults of a simulated bus: rows with a time, a servo and a kind, repeatable from a seed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class FaultKind(StrEnum):
-    """What happens: to bytes on their way, to the line, to the host, to one servo."""
+    """Kinds of faults: of bytes on the line, of the line, of the host, of one servo."""
 
     LOST_COMMAND = "lost_command"
     CORRUPT_COMMAND = "corrupt_command"
@@ -75,7 +75,7 @@ INSTANT = frozenset({FaultKind.RESET, FaultKind.HOT, FaultKind.INPUT})
 """These happen once, at `at_s`; all others last until `until_s`."""
 
 ABOUT_DEVICES = INSTANT | {FaultKind.STUCK, FaultKind.WEAK}
-"""These begin and end at instants; all others are asked about when a line or reply passes."""
+"""These begin and end at instants; all others apply to each line or reply that passes."""
 
 ABOUT_LINE = frozenset(
     {
@@ -90,10 +90,10 @@ ABOUT_LINE = frozenset(
         FaultKind.CLOCK_DRIFT,
     }
 )
-"""These befall the line or the host before any servo; one that misses commands is `deaf`."""
+"""These concern the line or the host. A servo that does not receive commands is `deaf`."""
 
 STEADY = ABOUT_DEVICES | {FaultKind.CLOGGED, FaultKind.UNPLUGGED, FaultKind.CLOCK_DRIFT}
-"""Of these there is no `ratio`: they are there or not."""
+"""These have no `ratio`: they apply all the time."""
 
 _LINE_KINDS = (
     FaultKind.LOST_COMMAND,
@@ -111,19 +111,19 @@ REPLY_KINDS = (
     FaultKind.LATE_REPLY,
     FaultKind.SPLIT_REPLY,
 )
-"""Of these, no servo notices anything."""
+"""These damage replies; no servo is affected."""
 
 FOREVER_NS = 2**62
-"""The end of what does not end: 146 years."""
+"""The end of a fault without an end: 146 years."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fault:
     """One row. Times count from power-up, in the servos' time.
 
-    `servo_id`       whom it befalls; None: all servos, or the line
-    `bus`            on which bus; None: on all
-    `ratio`          how many of the lines, replies or waits in the time; 1: all
+    `servo_id`       id of the servo; None: all servos, or the line
+    `bus`            name of the bus; None: all
+    `ratio`          share of the lines, replies or waits in its time; 1: all
     `late_s`         for `late_reply`, `split_reply`, `oversleep`
     `as_id`          for `wrong_id`: the id that stands in the replies
     `speed_ratio`    for `weak`: what is left of the top speed
@@ -150,7 +150,7 @@ class Fault:
             raise ValueError("a line that is clogged for ever is `unplugged`; give until_s")
 
     def strikes(self, random: Random) -> bool:
-        """Return whether it befalls one line, reply or wait in its time."""
+        """Return whether it applies to one line, reply or wait in its time."""
         return self.ratio >= 1.0 or random.random() < self.ratio
 
     def span_ns(self, origin_ns: int) -> tuple[int, int]:
@@ -170,7 +170,7 @@ class Turn:
 
 
 class Faults:
-    """The rows at work. Chance is drawn once for each line or reply, in their order."""
+    """Applies the rows. One random number is drawn for each line or reply, in their order."""
 
     def __init__(self, faults: Iterable[Fault], random: Random) -> None:
         self._faults = tuple(faults)
@@ -205,7 +205,7 @@ class Faults:
         return self._turns.pop()
 
     def heard(self, line: bytes, now_ns: int) -> list[bytes]:
-        """Return what of a line reaches the servos: nothing, or one line or two."""
+        """Return the lines that reach the servos in place of one: none, one or two."""
         if not self._about_lines:
             return [line]
         count = 1

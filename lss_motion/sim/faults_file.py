@@ -1,4 +1,4 @@
-"""faults.yaml → rows of `faults`, checked as every file of the package is."""
+"""Reads a faults file into rows of `faults`, with the checks that all authors' files get."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NEEDED: dict[FaultKind, tuple[str, ...]] = {
     FaultKind.HOT: ("temperature_c",),
     FaultKind.INPUT: ("servo",),
 }
-"""Keys without which a kind says nothing."""
+"""Keys that a kind needs."""
 
 OWN: dict[str, frozenset[FaultKind]] = {
     "late_s": frozenset({FaultKind.LATE_REPLY, FaultKind.SPLIT_REPLY, FaultKind.OVERSLEEP}),
@@ -42,7 +42,7 @@ OWN: dict[str, frozenset[FaultKind]] = {
     "sensor": frozenset({FaultKind.INPUT}),
     "ratio": frozenset(FaultKind) - STEADY,
 }
-"""Keys that say something about these kinds only."""
+"""Keys that only these kinds may have."""
 
 SENSOR_NAMES = {suffix.name: sensor for suffix, sensor in SENSORS.items()}
 
@@ -52,7 +52,7 @@ ServoId = Annotated[int, Field(ge=0, le=254)]
 
 
 class FaultEntry(FileModel, title="fault"):
-    """What goes wrong, when and for whom."""
+    """One fault: its kind, its time and its servo."""
 
     kind: str = Field(description="What happens.", json_schema_extra={"enum": list(FaultKind)})
     at_s: Seconds = Field(default=0.0, description="From when on, in seconds from power-up.")

@@ -1,4 +1,4 @@
-"""A hand that moves horns: where limp servos are led, as a table of joint angles over time."""
+"""A hand that moves limp servos: joint angles over time, from a CSV file or from a seed."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ class Led:
 class Hand:
     """Joint angles (degrees) at increasing times, in seconds from power-up; straight between.
 
-    A limp servo stands where the hand is; one that is powered gives way a little, more so the
-    softer it holds. After the last time, and for joints not named, there is no hand.
+    A limp servo stands where the hand is; a powered one yields a little, the more the softer it
+    holds. After the last time, and for joints not named, there is no hand.
     """
 
     times_s: FloatArray

@@ -1,4 +1,4 @@
-"""What simulated servos are made of: every physical number, with its source or as assumed."""
+"""Every physical number of a simulated servo, with its source or marked as assumed."""
 
 from __future__ import annotations
 
@@ -49,9 +49,8 @@ class Physics:
     `lag_per_stiffness_ratio`  one step of AS divides the lag by this. Assumed; the documents say
                             only that a stiffer servo keeps closer to the position asked for.
     `droop_per_stiffness_ratio`  one step of AH divides the droop under load by this. Assumed.
-    `ramp_ratio`            ramps are this many times what AA and AD say. That a step of theirs is
-                            10 deg/s² has weak sources (FACTS.md M20); 1 takes them at their
-                            word.
+    `ramp_ratio`            real ramps are this many times the values of AA and AD. Their step of
+                            10 deg/s² has weak sources (FACTS.md M20).
     `retarget`, `t_law`     FACTS.md A10, A11: what a `D…T…` in mid-move starts from, what T times.
     `noise_deg`             half width of the uniform noise of a position reading (FACTS.md E7:
                             one tenth).
@@ -72,8 +71,8 @@ class Physics:
     `temperature_max_c`     safe mode above it: 85 C (FACTS.md S7).
     `stall_deg`             a horn this far behind and not turning is stuck. Assumed.
     `blocked_s`, `safe_s`   how long stuck until blocked (9), until safe mode (10). Assumed.
-    `hand_give_ratio`       share of the way to where a hand wants it that a powered horn gives, at
-                            the factory's holding stiffness. Assumed.
+    `hand_give_ratio`       share of the way to the hand that a powered horn yields, at the default
+                            holding stiffness. Assumed.
     `corrupt_reply_ratio`   share of replies that the firmware itself damages; None: that of the
                             bus's firmware, `corrupt_reply_ratio_of`.
     """
@@ -118,17 +117,17 @@ class ServoSpec:
     `start_deg`   servo angle of the horn at power-up, within ±180 (FACTS.md R5: turns are lost)
     `droop_deg`   how far the load pulls the horn below a held position when its arm is level;
                   the pull goes with the cosine of the angle from `level_deg` and is towards
-                  negative angles. 0: nothing hangs on it
+                  negative angles. 0: no load
     `backlash_deg`  play between the gears and the horn, from end to end. The position sensor is
                   taken to sit on the horn's side of it
     `eeprom`      configured values that differ from the factory's, by keyword (`{"G": -1}`)
-    `answers`     what it answers where nothing is simulated, by row name and in wire units:
+    `answers`     replies to queries that are not simulated, by row name and in wire units:
                   `{"N": "12345678", "IX": 30}`
     `baud_bps`    None: that of the bus
-    `hand`        where somebody leads the horn, if anybody does
+    `hand`        the motion of a hand that moves the horn; None: no hand
 
-    With a model of the 2IO family it is one RC servo of a board (`boards`); of these fields
-    `eeprom` and `answers` say nothing there.
+    With a model of the 2IO family it is one RC servo of a board (`boards`), which does not use
+    `eeprom` and `answers`.
     """
 
     servo_id: int
@@ -151,7 +150,7 @@ CORRUPT_REPLY_RATIO = 0.001
 """Share of replies that a firmware up to 368 damages. Assumed; FACTS.md W21."""
 
 CORRUPT_SERIAL_RATIO = 10.0
-"""How much oftener that befalls a reply to QN, where it was "most prevalent". Assumed."""
+"""Factor for replies to QN, where the damage was "most prevalent". Assumed."""
 
 
 def corrupt_reply_ratio_of(firmware: int) -> float:

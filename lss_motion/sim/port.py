@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 class SimPort:
     """A `SimBus` read and written at the instants of `clock`.
 
-    Once unplugged it is lost for good, as a real one is: then `write` and `read` raise
-    `BusError`, and so does opening another before the bus is plugged in again.
+    After the bus was unplugged, `write` and `read` raise `BusError` for the rest of its life, as
+    those of a real port do. Opening another port raises `BusError` until the bus is back.
     """
 
     def __init__(self, bus: SimBus, clock: Clock) -> None:
@@ -41,7 +41,7 @@ class SimPort:
         return self.bus.next_arrival_ns()
 
     def close(self) -> None:
-        """Let the servos hear what is still on the line."""
+        """Advance the bus until the servos have received what is still on the line."""
         now_ns = self._clock.now_ns()
         self.bus.advance(now_ns + self.bus.backlog_ns(now_ns))
 

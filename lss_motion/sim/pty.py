@@ -1,4 +1,4 @@
-"""Simulated buses behind pseudo-terminals, in real time: any program that opens a port may talk."""
+"""Simulated buses behind pseudo-terminals, in real time, for any program that opens a port."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ TERMIOS2_BYTES = 44
 """Linux, `asm-generic/termbits.h`: `struct termios2` ends with the output rate as a number."""
 
 RESTING_POLL_NS = 200 * NS_PER_MS
-"""How soon `should_stop` is noticed when nothing else happens."""
+"""How often `should_stop` is polled when nothing else happens."""
 
 
 def serve(
@@ -58,8 +58,8 @@ def serve(
     """Serve every bus of `robot` until SIGINT, SIGTERM or `should_stop()`; return the signal.
 
     `link` becomes a symbolic link to the port, `LINK.<bus>` where there are several buses; it
-    is gone when this returns. A host may close and reopen a port as often as it likes. What is
-    `announce`d says where each port is, and when one was unplugged or is back.
+    is removed when this returns. A host may close and reopen a port at any time. `announce` gets
+    the path of each port, and a line when a port was unplugged or is back.
     """
     buses = {
         name: bus_from_robot(
@@ -77,7 +77,7 @@ def serve_buses(
     announce: Callable[[str], None],
     should_stop: Callable[[], bool] = lambda: False,
 ) -> int | None:
-    """Do as `serve` does for buses that are there already."""
+    """Serve existing buses as `serve` does."""
     with contextlib.ExitStack() as stack:
         alarm_fd, received = stack.enter_context(_signals())
         stack.enter_context(prompt_waits())
@@ -130,7 +130,7 @@ class Port:
         self._outages_ns = bus.outages_ns()
 
     def open(self) -> None:
-        """Plug it in: make the pseudo-terminal and the link to it, and say where."""
+        """Plug it in: make the pseudo-terminal and the link to it, and announce its path."""
         self.master_fd, self._slave_fd = os.openpty()
         self._opened.callback(os.close, self.master_fd)
         self._opened.callback(os.close, self._slave_fd)
@@ -155,7 +155,7 @@ class Port:
         return self.master_fd >= 0
 
     def plug(self, now_ns: int) -> None:
-        """Go and come back as the faults of the bus say."""
+        """Close and open the port as the `unplugged` faults of the bus require."""
         is_out = any(from_ns <= now_ns < until_ns for from_ns, until_ns in self._outages_ns)
         if is_out and self.is_plugged:
             self.close()
@@ -168,7 +168,7 @@ class Port:
         return self.is_plugged and self.bus.backlog_ns(now_ns) < self._fifo_ns()
 
     def wakeup_ns(self, now_ns: int) -> int:
-        """Return when there is something to do, if the host says nothing."""
+        """Return the next instant with something to do if the host sends nothing."""
         poll_ns = RESTING_POLL_NS if self.bus.is_resting else MOVING_POLL_NS
         turns_ns = [turn_ns for span_ns in self._outages_ns for turn_ns in span_ns]
         wakeup_ns = min([now_ns + poll_ns, *(turn for turn in turns_ns if turn > now_ns)])
@@ -190,7 +190,7 @@ class Port:
             self.bus.write(data, now_ns)
 
     def give(self, now_ns: int) -> None:
-        """Give the host what has arrived, also what is about to; bytes without room are lost."""
+        """Deliver bytes that have arrived or are about to arrive; bytes without room are lost."""
         self._deliver(self.bus.read(now_ns))
         arrival_ns = self.bus.next_arrival_ns()
         if arrival_ns is not None and arrival_ns <= now_ns + EARLY_NS:
@@ -208,7 +208,7 @@ class Port:
         return line_time_ns(FIFO_BYTES, self.bus.baud_bps)
 
     def _set_rate(self) -> None:
-        """Start the terminal at the bus's rate, for hosts that do not set one."""
+        """Set the terminal to the rate of the bus, for hosts that do not set one."""
         codes = {rate_bps: code for code, rate_bps in self._rates_bps.items()}
         attributes = self._termios.tcgetattr(self._slave_fd)
         code = codes.get(self.bus.baud_bps, attributes[5])
@@ -227,7 +227,7 @@ class Port:
             self.bus.set_host_rate(rate_bps, now_ns)
 
     def _special_rate_bps(self) -> int:
-        """Return a rate that has no code of its own, such as 250000; 0 if it cannot be told."""
+        """Return a rate that has no code of its own, such as 250000; 0 if it cannot be read."""
         import fcntl
 
         settings = bytearray(TERMIOS2_BYTES)
@@ -252,7 +252,7 @@ def _turn(ports: list[Port], alarm_fd: int) -> None:
 
 @contextlib.contextmanager
 def _linked(link: Path, target: str) -> Iterator[None]:
-    """Let `link` point to `target` meanwhile. It never points to nothing, and replaces no file."""
+    """Make the symbolic link for the time of the context. It replaces links, never files."""
     if link.exists() and not link.is_symlink():
         raise InputError(f"{link} exists and is no symbolic link; choose another --link")
     fresh = link.with_name(f".{link.name}.{os.getpid()}")

@@ -1,4 +1,4 @@
-"""What the horns really did: angles over time, kept beside the simulation and never shown to it."""
+"""The angles of all horns over time. They are recorded for tests; no servo can read them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FIRST_ROWS = 1024
 class Truth:
     """A growing table of instants and servo angles, in order of time.
 
-    A horn that rests for long leaves no rows in between; it is straight there.
+    Angles between two rows are interpolated, so a horn at rest needs no rows.
     """
 
     def __init__(self, servo_count: int) -> None:
@@ -27,7 +27,9 @@ class Truth:
         self._angles_deg = np.zeros((FIRST_ROWS, servo_count))
 
     def append(self, time_ns: int, angles_deg: NDArray[np.float64]) -> None:
-        assert not self._count or self._times_ns[self._count - 1] < time_ns, "time goes on"
+        assert not self._count or self._times_ns[self._count - 1] < time_ns, (
+            "rows must be in order of time"
+        )
         if self._count == len(self._times_ns):
             self._times_ns = np.concatenate([self._times_ns, np.zeros_like(self._times_ns)])
             self._angles_deg = np.concatenate([self._angles_deg, np.zeros_like(self._angles_deg)])

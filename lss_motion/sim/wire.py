@@ -1,8 +1,8 @@
-"""The two serial lines of a bus, byte by byte: when each arrives and what collisions leave.
+"""The serial lines of a bus, byte by byte, and the order in which replies are sent.
 
-The USB adapter between the host and the line: what it holds back, and when it is not there.
-
-How replies leave: after which turnaround, in which order, and what happens to them.
+`HostLine` carries bytes from the host to all servos. `ServoLine` carries replies to the host;
+replies that overlap damage each other. `Adapter` is the USB adapter, which collects replies into
+packets. `Answering` delays replies by the turnaround of the firmware and applies their faults.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ LINE_KEPT_BYTES = 4096
 """A line without CR is cut after this many bytes; forty servos in one group need under 1000."""
 
 Spans = list[tuple[int, int]]
-"""Stretches of time in which something does not work: from, until."""
+"""Times in which something does not work: from, until."""
 
 
 class HostLine:
@@ -49,12 +49,12 @@ class HostLine:
         """Whole lines (CR included) and the instants at which their CR has arrived."""
 
     def start(self, clogs_ns: Spans, outages_ns: Spans) -> None:
-        """In a clog no byte leaves the adapter; in an outage what was not heard yet is lost."""
+        """Set when no byte leaves the adapter (clogs) and when bytes are lost (outages)."""
         self._clogs_ns = clogs_ns
         self._outages_ns = outages_ns
 
     def set_rate(self, baud_bps: int) -> None:
-        """Go on at another rate; what was written before is no line that anybody understands."""
+        """Continue at another rate. The unfinished line is dropped: no servo can read it."""
         self._baud_bps = baud_bps
         self._partial.clear()
         self._burst_bytes = 0
@@ -76,7 +76,7 @@ class HostLine:
         self._free_ns = self._arrival_ns()
 
     def backlog_ns(self, now_ns: int) -> int:
-        """Return how long the bytes written so far will still occupy the line."""
+        """Return how long the bytes written so far still occupy the line."""
         return max(self._free_ns - now_ns, 0)
 
     def _arrival_ns(self) -> int:
@@ -95,10 +95,10 @@ class HostLine:
 
 
 class ServoLine:
-    """From all servos to the host. Servos that talk at once damage each other's bytes.
+    """From all servos to the host. Servos that send at once damage each other's bytes.
 
-    A receiver takes one byte after the other: one that starts while another is under way is
-    lost, and damages that one.
+    The receiver reads one byte after the other. A byte that starts while another is under way is
+    lost and damages that other byte.
     """
 
     def __init__(self, baud_bps: int, random: Random, adapter: Adapter) -> None:
@@ -124,12 +124,12 @@ class ServoLine:
         return end_ns
 
     def set_rate(self, baud_bps: int) -> None:
-        """Let replies that begin from now on take the time of another rate."""
+        """Send replies that begin from now on at another rate."""
         self._baud_bps = baud_bps
         self._edges_ns.clear()
 
     def read(self, now_ns: int) -> bytes:
-        """Return what has arrived by `now_ns`; all that starts until then must have been sent."""
+        """Return the bytes that arrived by `now_ns`. Replies that start until then must be sent."""
         coming, current, adapter = self._coming, self._current, self._adapter
         while coming and coming[0][0] <= now_ns:
             begin_ns, _, end_ns, value = heapq.heappop(coming)
@@ -150,7 +150,7 @@ class ServoLine:
     def next_end_ns(self) -> int | None:
         """Return when the earliest reply that was not read to its end is complete.
 
-        Behind an adapter with packets: when the host gets it, or a full packet before it.
+        With an adapter that sends packets: when the host gets it, or a full packet before it.
         """
         if not self._ends_ns:
             return None
@@ -166,8 +166,7 @@ class ServoLine:
 
 
 PACKET_BYTES = 62
-"""What an adapter of the FTDI kind collects at most: 64 bytes of USB, two of them its status.
-Common knowledge about the chip; see FACTS.md H3."""
+"""Data bytes in one packet of an FTDI adapter: 64 bytes of USB less two of status (FACTS.md H3)."""
 
 
 @dataclass(slots=True)
@@ -179,7 +178,7 @@ class Packet:
 
 
 class Adapter:
-    """Delivers the servos' bytes: each as it comes, or, with a latency, in packets.
+    """Delivers the bytes of the servos: each at once, or, with a latency, in packets.
 
     With a latency the bytes of a packet wait for the next tick of a timer, or until the packet
     is full (FACTS.md H1: 16 ms, or 1 ms where the host asks for it).
@@ -191,7 +190,7 @@ class Adapter:
         self._outages_ns: Sequence[tuple[int, int]] = ()
         self._packets: deque[Packet] = deque()
         self._delivered = bytearray()
-        """Without a latency: what has come since the last `read`."""
+        """Without a latency: the bytes that have arrived since the last `read`."""
 
     def start(self, now_ns: int, outages_ns: Sequence[tuple[int, int]]) -> None:
         """Start the timer. In an outage the adapter is unplugged."""
@@ -241,14 +240,14 @@ class Adapter:
 
 
 class Talker(Protocol):
-    """What sends one reply after the other: a servo, or a board for all its pins."""
+    """Sends one reply after the other: a servo, or a board for all its pins."""
 
     sent_ns: int
     random: Random
 
 
 class Answer(NamedTuple):
-    """A reply, the command that it answers, and who says so as which id."""
+    """A reply, the command that it answers, its sender and the id of the sender."""
 
     talker: Talker
     servo_id: int
@@ -271,12 +270,12 @@ class Answering:
         self._race = Random(f"{seed}/race")
 
     def send_each(self, heard_ns: int, answers: Sequence[Answer]) -> None:
-        """Let everybody answer as soon as it can; several at once damage each other's bytes."""
+        """Send every reply after its own turnaround; replies that overlap damage each other."""
         for answer in answers:
             self._send(answer, self._start_ns(answer, heard_ns))
 
     def send_in_turn(self, heard_ns: int, answers: Sequence[Answer]) -> None:
-        """Answer a group: one servo after another, in the order of the line (FACTS.md W17)."""
+        """Send the replies to a group line one after another, in its order (FACTS.md W17)."""
         start_ns = heard_ns + self._turnaround.group_ns
         previous: Talker | None = None
         for answer in answers:
@@ -286,7 +285,7 @@ class Answering:
             start_ns = self._send(answer, start_ns)
 
     def _start_ns(self, answer: Answer, heard_ns: int) -> int:
-        """Return when somebody begins to answer one query."""
+        """Return when the reply to one query begins."""
         turnaround, command, servo = self._turnaround, answer.command, answer.talker
         is_slotted = self._is_ordered and command.servo_id == BROADCAST_ID
         if is_slotted and isinstance(servo, Servo):
@@ -300,7 +299,7 @@ class Answering:
         return heard_ns + wait_ns
 
     def _send(self, answer: Answer, start_ns: int) -> int:
-        """Send one reply once its sender has sent the one before; return when it ends."""
+        """Send one reply after the last one of its sender; return when it ends."""
         talker, servo_id, _, reply = answer
         sender = self._faults.sender(servo_id, start_ns)
         if sender != servo_id and reply.servo_id == servo_id:

@@ -1,7 +1,7 @@
 """How late commands are where the servo hears them, over a pseudo-terminal, the display being on.
 
-Meanwhile a loop in C sends the same moves at the same distances to a second simulated robot: what
-it cannot do on this machine at this time, nobody can. (In turns would not do: what the owner of a
+Meanwhile a loop in C sends the same moves at the same distances to a second simulated robot. Its
+lateness is that of the machine at this time. (In turns would not do: what the owner of a
 virtual machine takes away of it changes from minute to minute.) What the loop does alone is shown
 too: the rest is what the player, its screen and its robot, which is a process here, cost it. A
 process in C notes at the far end of the port what comes through (`native.tapped`).
@@ -12,10 +12,10 @@ second and 100 ms once a minute (measured), and that comes to one of the two or 
 often to a player that reads a thousand answers a second than to a loop that sleeps. So each row
 comes with another, less the time in which a processor was away while a move was late (`native`).
 
-Where this is short beside busy programs: a player takes a third of a processor here, which is about
-the share that an ordinary process gets beside them and the robots, and who has had his share waits
-for the next tick, 4 ms. With `--real-time` it does not wait; what is left is a move that falls due
-while an answer is being worked out, which takes up to a millisecond.
+Beside busy programs the figures are worse. A player takes a third of a processor here, which is
+about the share that an ordinary process gets beside them and the robots. A process that has used
+its share waits for the next tick, 4 ms. With `--real-time` it does not wait; what is left is a
+move that is due while a reply is processed, which takes up to a millisecond.
 """
 
 from __future__ import annotations
@@ -280,7 +280,7 @@ def _in_order(expected_ns: np.ndarray, heard_ns: np.ndarray) -> np.ndarray:
 
 @contextlib.contextmanager
 def _screen() -> Iterator[Display]:
-    """Show on a terminal that somebody reads, as a real one would."""
+    """Yield a display on a terminal whose output is read, as that of a real one."""
     master_fd, slave_fd = os.openpty()
     # In a process of its own, as a terminal program is.
     quiet = subprocess.DEVNULL

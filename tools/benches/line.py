@@ -1,7 +1,7 @@
 """How much of the line is filled with questions, and how many answers that makes.
 
-The limit is physics alone: both lines of the bus never idle, the commands first. Nobody can reach
-it, since nobody knows beforehand when a servo will begin to answer.
+The limit is physics alone: both lines of the bus never idle, the commands first. No client can
+reach it, since the start of a reply is not known before.
 
 Over a pseudo-terminal both clients, and the robot, wait for a processor: ours got 2.75 (115200 bps)
 and 3.3 times (500000) as many answers on a quiet virtual machine, and 2.4 and 2.8 on the same one

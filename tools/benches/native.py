@@ -164,7 +164,7 @@ def compiled(source: str, folder: Path, name: str) -> Path | None:
 
 
 class Away:
-    """When a processor of this machine was away, so far. Empty where nobody may find out."""
+    """When a processor of this machine was away, so far. Empty where the system hides it."""
 
     def __init__(self, files: list[Path]) -> None:
         self._files = files

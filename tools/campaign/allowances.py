@@ -29,7 +29,7 @@ WORD_KINDS: Final = {
     FaultKind.SHORT_COMMAND,
     FaultKind.MERGED_COMMAND,
 }
-"""With these a servo hears what nobody said: its horn is not the player's doing."""
+"""With these a servo receives bytes that were not sent: the player cannot control its horn."""
 MISSED_KINDS: Final = {
     FaultKind.LOST_COMMAND,
     FaultKind.CLOGGED,

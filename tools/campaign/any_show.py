@@ -1,4 +1,4 @@
-"""A robot and a show that nobody wrote: joints, families, drives, buses, moves, all from a seed."""
+"""A random robot and show: joints, families, drives, buses and moves, all from a seed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 JOINTS_MAX: Final = 8
 BAUDS_BPS: Final = (19_200, 38_400, 57_600, 115_200)
-"""A line that nobody needs is filled with questions, and those are what a run costs."""
+"""A free line is filled with queries, which make up the cost of a run."""
 KEYS: Final = (2, 5)
 STEPS_S: Final = (0.3, 0.9)
 TRIES_MAX: Final = 40

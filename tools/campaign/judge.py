@@ -49,7 +49,7 @@ LIMP: Final = re.compile(rb"#254L\r$")
 
 @dataclass(frozen=True)
 class Judged:
-    """What became of a show, and which promises were broken."""
+    """The outcome of a show, and the promises that were broken."""
 
     outcome: str
     broken: tuple[str, ...]
@@ -59,7 +59,7 @@ class Judged:
 def judged(seed: int, *, is_any: bool = False, slow_bps: int = SLOW_BPS) -> Judged:
     """Play one seed. Every fourth has only damaged answers, so that all of it can be judged.
 
-    With `is_any`, robot and show come from the seed as well, and somebody plays with the keys.
+    With `is_any`, robot and show come from the seed as well, and random keys are pressed.
     """
     played = any_show(seed) if is_any else show(NAMES[seed % len(NAMES)], slow_bps)
     faults = random_faults(
@@ -143,7 +143,7 @@ class _Judge:
         return broken
 
     def _garbled_reach_deg(self, joint: Joint) -> float:
-        """Return how far outside of its range a horn was put by words that nobody said.
+        """Return how far outside of its range a horn was put by bytes that were not sent.
 
         A bare `D` leads it back from there step by step (`LED_BACK_DEG`).
         """
@@ -236,7 +236,7 @@ class _Judge:
         }
 
     def _is_of_its_own(self, joint: Joint) -> bool:
-        """Return whether a horn may do what nobody told it to."""
+        """Return whether a horn may move without a command."""
         is_streamed = joint.drive == "streamed"
         kinds = BODY_KINDS | (MISSED_KINDS if is_streamed else set())
         own = [fault for fault in self.faults if _shares(joint, fault)]
@@ -302,7 +302,7 @@ class _Judge:
         return [f"{joint.name} rests at {angle:.1f} deg, not {wanted_deg:.1f}; nothing is said"]
 
     def _is_telling_too_late(self, fault: Fault) -> bool:
-        """Return whether nobody could know of a fault by the end, or do anything about it."""
+        """Return whether a fault comes too late to be found before the end."""
         end_s = s_from_ns(self.witness.end_ns)
         return fault.until_s > end_s - TELLING_S and fault.kind in MISSED_KINDS
 

@@ -1,7 +1,7 @@
-"""Words that lay in a clogged line while their servo restarted: they reach it without its limits.
+"""Bytes that waited in a clogged line while their servo restarted and lost its limits.
 
-Whoever wrote them could not know, and nobody can take them back. What was written after the servo
-was back is another matter: by then a player knows of a servo that answered nothing for so long.
+The player that wrote them could not know of the restart, and no byte can be taken back. Bytes
+written after the servo was back are judged: by then the player has found that it does not answer.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Who sees all of a run, plays with its keys, and ends it if it does not end."""
+"""Records all of a run, presses its keys, and ends it if it does not end."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ ACTS_MAX: Final = 3
 PAUSE_S: Final = (0.05, 1.0)
 
 Act = tuple[float, Callable[["Player", int], None]]
-"""When somebody presses a key, and what it does."""
+"""When a key is pressed, and what it does."""
 
 
 def random_acts(seed: int, duration_s: float) -> list[Act]:
-    """Return up to three keys that somebody presses: pause and resume, slower, stop."""
+    """Return up to three random keys: pause and resume, slower, stop."""
     random = Random(f"{seed}/acts")
     acts: list[Act] = []
     for _ in range(random.randint(0, ACTS_MAX)):
@@ -48,15 +48,15 @@ def random_acts(seed: int, duration_s: float) -> list[Act]:
 
 
 class HangError(Exception):
-    """The run goes on and on."""
+    """The run does not end."""
 
 
 @dataclass
 class Witness:
-    """Sees all that is sent and all that happens, and ends a run that does not end."""
+    """Records bytes and phases, and ends a run that does not end."""
 
     acts: list[Act] = field(default_factory=list)
-    """What somebody is going to do, in order of time."""
+    """Keys that will be pressed, in order of time."""
     has_acted: bool = False
     sent_data: dict[str, bytearray] = field(default_factory=dict)
     writes: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)

@@ -20,10 +20,10 @@ def test_a_table_that_grows_keeps_its_rows():
     assert truth.horn_deg(instants)[:, 0].tolist() == instants
 
 
-def test_time_goes_on():
+def test_a_row_must_be_later_than_the_last():
     truth = Truth(1)
     truth.append(5, np.array([0.0]))
-    with pytest.raises(AssertionError, match="time goes on"):
+    with pytest.raises(AssertionError, match="in order of time"):
         truth.append(5, np.array([0.0]))
 
 
