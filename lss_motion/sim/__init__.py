@@ -14,7 +14,7 @@
 | `faults`, `faults_file` | faults as rows, from code or from a file | `bus`, `wire`, `lss-play` |
 | `clocks` | a host that wakes late, and host and servo clocks that drift | `perform`, `bus` |
 | `hand` | a person who moves limp joints by hand | `motors`, `lss-motion sim` |
-| `truth` | the horn angles over time, which no servo reports | `motors`, `bus` |
+| `horn_history` | the horn angles over time, which no servo reports | `motors`, `bus` |
 
 Not modelled: the acceleration sensors of LSS-PRO (they answer 0), the inertia of a load (it only
 pulls by its weight), noise on the lines other than that of `faults`, the colours that the LED

@@ -14,10 +14,10 @@ from lss_motion.protocol.line import Command, CommandParser
 from lss_motion.sim.boards import RAW_MAX, make_boards
 from lss_motion.sim.clocks import Drift
 from lss_motion.sim.faults import FaultKind, Faults
+from lss_motion.sim.horn_history import HornHistory
 from lss_motion.sim.motors import Motors
 from lss_motion.sim.physics import TICK_NS, Physics, ServoSpec
 from lss_motion.sim.servo import ORDERED_FIRMWARE, Servo
-from lss_motion.sim.truth import Truth
 from lss_motion.sim.wire import Adapter, Answer, Answering, HostLine, ServoLine
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ class SimBus:
         """Keep `heard` and the true angles from now on; to be called before the first instant."""
         assert not self._is_started, "what happened before cannot be recorded"
         self.heard = []
-        self.motors.truth = Truth(self.servo_count)
+        self.motors.history = HornHistory(self.servo_count)
 
     def write(self, data: bytes, now_ns: int) -> None:
         self.advance(now_ns)
@@ -162,8 +162,8 @@ class SimBus:
 
         Only after `record()`, and up to the instant of the last `advance`.
         """
-        assert self.motors.truth is not None, "call record() first"
-        return self.motors.truth.horn_deg(map(self._drift.bus_ns, times_ns))
+        assert self.motors.history is not None, "call record() first"
+        return self.motors.history.horn_deg(map(self._drift.bus_ns, times_ns))
 
     def set_input(self, servo_id: int, raw: int, now_ns: int) -> None:
         """Set the value of the analog inputs with an id to `raw` (0 to 1023) from now on.

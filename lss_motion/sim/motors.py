@@ -1,10 +1,9 @@
-"""The motors of all servos of one bus through time: orders taken up, the grid, safe mode.
+"""The motors and horns of all servos of one bus, simulated through time.
 
-All angles here are raw: from the factory's zero, clockwise, over many turns.
-
-How horns follow their profiles: a first-order lag, exact in a phase, all in one numpy step.
-
-Currents, the common battery, heat, and motors that push in vain: all servos of one bus.
+`Motors` executes orders, steps the common grid of control loops and applies safe mode. `Horns`
+computes how horns follow their profiles: a first-order lag, exact within a phase, for all servos in
+one numpy step. `Power` computes currents, the voltage of the common battery, temperatures, and
+which motors are stalled. All angles are raw: from the factory's zero, clockwise, over many turns.
 """
 
 from __future__ import annotations
@@ -36,8 +35,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from lss_motion.sim.horn_history import HornHistory
     from lss_motion.sim.physics import Physics, ServoSpec
-    from lss_motion.sim.truth import Truth
 
 
 FOREVER_NS = 2**63 - 1
@@ -195,7 +194,7 @@ class Horns:
         return speed_deg_s + accel_deg_s2 * s_from_ns(now_ns - self._began_ns[index])
 
     def _final_deg(self, index: int, now_ns: int) -> float:
-        """Return where the horn would be, had this phase lasted for ever."""
+        """Return the angle that the horn would approach if this phase never ended."""
         lag_s = self._lags_s[index]
         accel_deg_s2 = self.phases[index].accel_deg_s2
         behind_deg = lag_s * (self.profile_deg_s(index, now_ns) - lag_s * accel_deg_s2)
@@ -229,7 +228,7 @@ class Power:
         droop_deg: NDArray[np.float64],
         is_powered: NDArray[np.bool_],
     ) -> None:
-        """Take in what the horns did in the last `passed_s`."""
+        """Update from the motion of the horns in the last `passed_s`."""
         physics = self._physics
         self._temperature_c = self.temperatures_c(passed_s)
         running_ratio = np.abs(horn_deg_s) / self._model_deg_s
@@ -244,7 +243,7 @@ class Power:
         self.top_deg_s = self._top_deg_s()
 
     def stuck(self) -> list[int]:
-        """Return the servos that push in vain."""
+        """Return the servos whose motors are stalled."""
         return np.flatnonzero(self.stuck_s).tolist() if self._is_any_stuck else []
 
     def safe_causes(self) -> list[tuple[int, SafeCause]]:
@@ -261,7 +260,7 @@ class Power:
         return causes
 
     def is_steady(self) -> bool:
-        """Return whether nothing here can change what a servo does while all horns rest."""
+        """Return whether no limit can be reached while all horns rest."""
         final_c = self._final_c()
         is_cool = all((final_c <= self._physics.temperature_max_c).tolist())
         return is_cool and not self._is_any_stuck
@@ -276,7 +275,7 @@ class Power:
         return final_c + (self._temperature_c - final_c) * remaining
 
     def supply_v(self) -> float:
-        """Return the voltage at the servos: that of the battery less what all currents cost."""
+        """Return the voltage at the servos: the battery less the drop of all currents."""
         total_ma = self._physics.idle_ma * len(self.motor_ma) + float(np.add.reduce(self.motor_ma))
         return self._physics.supply_v - self._physics.supply_ohm * total_ma / 1000.0
 
@@ -293,7 +292,7 @@ class Power:
 
 
 class Motors:
-    """A pure function of time and of the orders.
+    """All motors of a bus, a pure function of time and of the orders.
 
     A servo takes up an order at its own next control loop; loops run every 5 ms with a phase of
     their own for each servo. Instants do not go back.
@@ -305,7 +304,7 @@ class Motors:
         count = len(specs)
         self.horns = Horns(specs, physics)
         self.power = Power(physics, np.array([float(spec.model.speed_max_deg_s) for spec in specs]))
-        self.truth: Truth | None = None
+        self.history: HornHistory | None = None
         self.gyre = np.ones(count)
         self.origin_deg = np.zeros(count)
         self.safe_cause = [SafeCause.NONE] * count
@@ -323,7 +322,7 @@ class Motors:
     # -- time and orders ------------------------------------------------------------------------
 
     def start(self, now_ns: int) -> None:
-        """Put the power on at `now_ns`, the first instant of all."""
+        """Switch the power on at `now_ns`, the first instant."""
         self._tick_ns = self._start_ns = now_ns
         self._is_quiet = not self._led
         self.horns.start(now_ns)
@@ -331,7 +330,7 @@ class Motors:
         self._record(now_ns)
 
     def advance(self, now_ns: int) -> None:
-        """Bring all servos up to `now_ns`. What comes out does not depend on how often."""
+        """Simulate all servos up to `now_ns`. The result does not depend on the number of calls."""
         while self._orders and self._orders[0][0] <= now_ns:
             taken_ns, _, index, order = self._orders[0]
             self._tick_until(taken_ns)
@@ -342,17 +341,17 @@ class Motors:
         self._tick_until(now_ns)
 
     def order(self, index: int, heard_ns: int, order: Order) -> None:
-        """Let servo `index` take up `order` at its first control loop from `heard_ns` on."""
+        """Give servo `index` an order; it starts at its first control loop from `heard_ns` on."""
         self._order_count += 1
         entry = (self.loop_ns(index, heard_ns), self._order_count, index, order)
         heapq.heappush(self._orders, entry)
 
     def loop_ns(self, index: int, heard_ns: int) -> int:
-        """Return when servo `index` takes up what it hears at `heard_ns`."""
+        """Return when servo `index` starts a command that it received at `heard_ns`."""
         return self._drives.loop_ns(index, heard_ns)
 
     def reset(self, index: int, now_ns: int) -> None:
-        """Forget orders, safe mode and turns: the servo is limp, its position within ±180."""
+        """Clear orders, safe mode and turns: the servo is limp, its position within ±180."""
         self._disturb(index, now_ns)
         self._orders = [entry for entry in self._orders if entry[2] != index]
         heapq.heapify(self._orders)
@@ -371,7 +370,7 @@ class Motors:
         self.horns.holding_ratio[index] = holding_ratio
 
     def limit_current(self, index: int, limit: tuple[float, Halt | Limp] | None) -> None:
-        """Let a stalled motor above a current (mA) hold or go limp instead of pushing on."""
+        """Set the current (mA) above which a stalled motor holds or goes limp."""
         self._limits_ma[index] = limit
 
     def jam(self, index: int, now_ns: int, *, is_jammed: bool) -> None:
@@ -383,7 +382,7 @@ class Motors:
         return self._is_quiet and not self._orders
 
     def weaken(self, index: int, now_ns: int, speed_ratio: float) -> None:
-        """Leave a motor that share of its top speed."""
+        """Limit a motor to that share of its top speed."""
         self._disturb(index, now_ns)
         self.power.strength_ratio[index] = speed_ratio
 
@@ -402,7 +401,7 @@ class Motors:
         return float(self.horns.deg_s[index])
 
     def motion(self, index: int, now_ns: int) -> Motion:
-        """Return what the servo does: faults first, then the state of its profile."""
+        """Return the state of the servo: its faults first, then its profile."""
         self._catch_up(index, now_ns)
         if self.safe_cause[index] is not SafeCause.NONE:
             return Motion.SAFE_MODE
@@ -413,7 +412,7 @@ class Motors:
         return Motion.BLOCKED if stuck_s >= self.physics.blocked_s else Motion.STUCK
 
     def target_deg(self, index: int, now_ns: int) -> float | None:
-        """Return the target; in EM0 what the filter has made of it so far (FACTS.md M9)."""
+        """Return the target; in EM0 the present output of the filter (FACTS.md M9)."""
         self._catch_up(index, now_ns)
         return self._drives.target_deg(index)
 
@@ -428,7 +427,7 @@ class Motors:
         return float(self.power.temperatures_c(s_from_ns(now_ns - self._tick_ns))[index])
 
     def seen_deg(self, index: int, raw_deg: float) -> float:
-        """Return a raw angle as the host sees it: from the origin, in the gyre's direction."""
+        """Return a raw angle as the host reads it: from the origin, in the gyre's direction."""
         return float(self.gyre[index] * (raw_deg - self.origin_deg[index]))
 
     def raw_deg(self, index: int, seen_deg: float) -> float:
@@ -476,7 +475,7 @@ class Motors:
         self._is_quiet = is_still and self.power.is_steady()
 
     def _lead(self, index: int, now_ns: int) -> None:
-        """Let a hand act on a horn until the next point of the grid; in the end it lets go."""
+        """Move a horn by hand until the next point of the grid, or until the hand ends."""
         horns, time_s = self.horns, s_from_ns(now_ns + TICK_NS - self._start_ns)
         hand_deg = self._led[index].at(time_s)
         if hand_deg is None:
@@ -516,5 +515,5 @@ class Motors:
             self._drives.hold(index, now_ns, float(self.horns.deg[index]))
 
     def _record(self, now_ns: int) -> None:
-        if self.truth is not None:
-            self.truth.append(now_ns, self.gyre * (self.horns.shafts_deg() - self.origin_deg))
+        if self.history is not None:
+            self.history.append(now_ns, self.gyre * (self.horns.shafts_deg() - self.origin_deg))

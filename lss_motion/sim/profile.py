@@ -1,10 +1,9 @@
-"""The profile of a simulated servo, and what drives its horn.
+"""The motion profiles of simulated servos.
 
-The servo's own trapezoid (EM1): from any position and speed to a target, in closed form.
-
-What a servo's firmware asks of its motor, and what the motor reports back. Angles are raw.
-
-What drives each horn: limp, a profile (EM1, wheel, hold) or the filter (EM0), phase by phase.
+The trapezoid of EM1 goes from any position and speed to a target, in closed form. The order classes
+are the commands of the firmware to its motor; `Motion` is the state that the motor reports.
+`Drives` gives each horn its phases: limp, a profile (EM1, wheel, hold) or the filter (EM0). Angles
+are raw.
 """
 
 from __future__ import annotations
@@ -32,11 +31,11 @@ TINY_S = 1e-9
 
 
 TINY_DEG = 1e-12
-"""Nearer than this is there: no phase of a move over it would last a nanosecond."""
+"""A horn this near to its target has arrived: a phase over the rest takes under 1 ns."""
 
 
 class Phase(NamedTuple):
-    """A stretch of constant acceleration. `duration_s` is infinite in the last one."""
+    """A time of constant acceleration. `duration_s` is infinite in the last phase."""
 
     duration_s: float
     position_deg: float
@@ -54,7 +53,7 @@ class Phase(NamedTuple):
 
 
 class Ramps(NamedTuple):
-    """What shapes a profile. All three are magnitudes, above 0."""
+    """The limits that shape a profile: magnitudes above 0."""
 
     speed_deg_s: float
     accel_deg_s2: float
@@ -68,7 +67,7 @@ def rest_at(position_deg: float) -> Phase:
 def plan_stop(
     position_deg: float, speed_deg_s: float, decel_deg_s2: float
 ) -> tuple[list[Phase], float]:
-    """Return the phase that brakes to rest (none at rest), and where that is."""
+    """Return the phase that brakes to rest (none at rest), and its final position."""
     if abs(speed_deg_s) < decel_deg_s2 * TINY_S:
         return [], position_deg
     brake = Phase(
@@ -135,7 +134,7 @@ def travel_speed_deg_s(
     ramps: Ramps,
     t_law: Literal["cruise", "exact"],
 ) -> float:
-    """Return the travel speed that T asks for, at most `ramps.speed_deg_s`.
+    """Return the travel speed that T requires, at most `ramps.speed_deg_s`.
 
     `speed_deg_s` is the present speed towards the target; it counts for `exact` only.
     """
@@ -194,7 +193,7 @@ def _chained(
 
 
 class Motion(IntEnum):
-    """What a servo is doing; the values are the status codes of LSS (FACTS.md S1)."""
+    """The state of a servo; the values are the status codes of LSS (FACTS.md S1)."""
 
     LIMP = 1
     FREE_MOVING = 2
@@ -218,7 +217,7 @@ class SafeCause(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Move:
+class ProfileMove:
     """Go to `target_deg` by the profile, in `duration_s` or at the travel speed of `ramps`."""
 
     target_deg: float
@@ -260,7 +259,7 @@ class Limp:
     """Take the power off. Friction keeps the horn where it is."""
 
 
-Order = Move | Chase | Wheel | Halt | Limp
+Order = ProfileMove | Chase | Wheel | Halt | Limp
 
 
 FILTER_NS = FILTER_TICKS * TICK_NS
@@ -270,7 +269,7 @@ FILTER_SETTLED_DEG = 0.05
 
 
 class Mode(Enum):
-    """What drives a horn."""
+    """The kind of drive of a horn."""
 
     LIMP = "limp"
     PROFILE = "profile"
@@ -301,7 +300,7 @@ class Drives:
         return heard_ns + (self._first_loop_ns[index] - heard_ns) % TICK_NS
 
     def take_up(self, index: int, now_ns: int, order: Order) -> None:
-        """Begin what `order` asks for, from the profile's present position and speed."""
+        """Begin an order from the present position and speed of the profile."""
         position_deg = self._horns.profile_deg(index, now_ns)
         speed_deg_s = self._horns.profile_deg_s(index, now_ns)
         if self.mode[index] is Mode.LIMP:  # Without a profile: from where the horn is.
@@ -315,7 +314,7 @@ class Drives:
                 self.hold(index, now_ns, position_deg)
             case Chase():
                 self._chase(index, now_ns, position_deg, order)
-            case Move():
+            case ProfileMove():
                 ramps = _timed(position_deg, speed_deg_s, order, self._physics.t_law)
                 phases = plan_move(position_deg, speed_deg_s, order.target_deg, ramps)
                 self.travel_deg_s[index] = ramps.speed_deg_s
@@ -381,7 +380,7 @@ class Drives:
         self._horns.begin(index, now_ns, Phase(wait_s, position_deg, 0.0, 0.0))
 
     def motion(self, index: int, now_ns: int) -> Motion:
-        """Return what a servo does by the state of its profile."""
+        """Return the state of a servo from its profile."""
         if self.mode[index] is Mode.LIMP:
             return Motion.LIMP
         if self.mode[index] is Mode.FREE:
@@ -396,16 +395,16 @@ class Drives:
         return Motion.ACCELERATING if is_faster else Motion.DECELERATING
 
     def target_deg(self, index: int) -> float | None:
-        """Return the target; in EM0 what the filter has made of it so far (FACTS.md M9)."""
+        """Return the target; in EM0 the present output of the filter (FACTS.md M9)."""
         if self.mode[index] is Mode.FILTER:
             return self._horns.phases[index].position_deg
         return self._target_deg[index]
 
 
 def _timed(
-    position_deg: float, speed_deg_s: float, move: Move, t_law: Literal["cruise", "exact"]
+    position_deg: float, speed_deg_s: float, move: ProfileMove, t_law: Literal["cruise", "exact"]
 ) -> Ramps:
-    """Return the ramps of a move with the travel speed that its T asks for."""
+    """Return the ramps of a move with the travel speed that its T requires."""
     away_deg = move.target_deg - position_deg
     if move.duration_s is None or away_deg == 0.0:
         return move.ramps

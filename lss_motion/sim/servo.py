@@ -1,10 +1,8 @@
-"""The firmware of one smart servo: what it does and answers when it hears a command.
+"""The firmware of one smart servo: it executes commands and replies to queries.
 
-What a servo makes of the commands that move it: orders to its motor.
-
-What a servo remembers: its EEPROM and its session, by the rows of its family's table.
-
-What a servo knows of itself and answers when asked, in wire units.
+`Servo` is what the bus calls. `Settings` holds EEPROM and session values by the rows of the
+family's table. `Readings` computes the replies to queries, in wire units. `Moves` turns motion
+commands into orders to the motor.
 """
 
 from __future__ import annotations
@@ -24,7 +22,7 @@ from lss_motion.protocol.families import FAMILY_TABLES
 from lss_motion.protocol.line import DISABLED, Reply
 from lss_motion.protocol.table import Answer, Form, Suffix
 from lss_motion.sim.physics import RESET_NS
-from lss_motion.sim.profile import Chase, Halt, Limp, Motion, Move, Ramps, Wheel
+from lss_motion.sim.profile import Chase, Halt, Limp, Motion, ProfileMove, Ramps, Wheel
 from lss_motion.units import s_from_ms
 
 if TYPE_CHECKING:
@@ -40,7 +38,7 @@ if TYPE_CHECKING:
 
 
 class Settings:
-    """Wire values by the name of their row. A setting in another unit writes the row it mirrors."""
+    """Wire values by row name. A setting in another unit writes the row that it mirrors."""
 
     def __init__(
         self,
@@ -64,9 +62,9 @@ class Settings:
         self.session = dict(self.eeprom)
 
     def restore_factory(self) -> None:
-        """Forget every configuration but the id, which no document says to be lost or kept.
+        """Reset every configuration but the id.
 
-        Assumed: a servo that lost its id could not be told apart from its neighbours.
+        Assumed: no document states whether the id is kept. Servos without ids all have the same.
         """
         self.eeprom = {**self._factory, "ID": self.eeprom.get("ID")}
 
@@ -236,7 +234,7 @@ class Readings:
     def _is_outside(self, now_ns: int) -> bool:
         """Return whether the horn rests outside its software limits.
 
-        That status 7 ("outside limits": the page says no more, FACTS.md S3) means these is assumed.
+        Assumed: status 7 ("outside limits", FACTS.md S3) means the software limits.
         """
         settings = self._settings
         if not settings.number("LE"):
@@ -285,7 +283,7 @@ class Moves:
         self._ramps: Ramps | None = None
 
     def obey(self, name: str, command: Command, now_ns: int) -> bool:
-        """Do what the row `name` says; return False if that row does not move a servo.
+        """Execute the command of row `name`; return False if that row does not move a servo.
 
         A command without the value that it needs does nothing.
         """
@@ -312,7 +310,7 @@ class Moves:
     def start_at(self, seen_deg: float, now_ns: int) -> None:
         """Go to the first position, from `now_ns` on."""
         raw_deg = self._motors.raw_deg(self._index, seen_deg)
-        self._order(now_ns, Move(raw_deg, self._session_ramps()), {})
+        self._order(now_ns, ProfileMove(raw_deg, self._session_ramps()), {})
 
     def forget_ramps(self) -> None:
         """Read AA, AD and SD anew before the next move."""
@@ -350,7 +348,7 @@ class Moves:
         if "S" in modifiers:
             speed_deg_s = min(speed_deg_s, modifiers["S"] / self._readings.pulse_us_per_deg())
         duration_s = s_from_ms(modifiers["T"]) if "T" in modifiers else None
-        move = Move(raw_deg, ramps._replace(speed_deg_s=speed_deg_s), duration_s)
+        move = ProfileMove(raw_deg, ramps._replace(speed_deg_s=speed_deg_s), duration_s)
         self._order(now_ns, move, modifiers)
 
     def _turn(self, command: Command, seen_deg_s: float, now_ns: int) -> None:
@@ -381,7 +379,7 @@ class Moves:
         return self._settings.session.get("EM", 1) != 0
 
     def _session_ramps(self) -> Ramps:
-        """Return what AA, AD and SD say. A value of 0 acts as the smallest step (assumed)."""
+        """Return the ramps of AA, AD and SD. A value of 0 acts as the smallest step (assumed)."""
         if self._ramps is None:
             ratio = self._motors.physics.ramp_ratio
             self._ramps = Ramps(
@@ -458,9 +456,9 @@ class Servo:
         return now_ns >= self._deaf_until_ns and not self._is_rc
 
     def obey(self, command: Command, now_ns: int) -> Reply | None:
-        """Act on one command heard at `now_ns`; return the answer to a query.
+        """Execute one command received at `now_ns`; return the reply to a query.
 
-        What the servo does not know, it passes over in silence.
+        The servo ignores commands that it does not have.
         """
         armed, self._armed = self._armed, None
         found = self._table.by_keyword.get(command.keyword)

@@ -23,7 +23,7 @@ def board(make_host):
     ("pin_id", "name"),
     [(203, "A3"), (204, "A4"), (205, "A5"), (207, "LED"), (209, "D9"), (210, "D10"), (211, "D11")],
 )
-def test_every_pin_says_what_it_is(board, pin_id, name):
+def test_every_pin_reports_its_kind(board, pin_id, name):
     assert board.ask(f"#{pin_id}QMS") == f"*{pin_id}QMSLSS-2IO-{name}|"
 
 
@@ -217,7 +217,7 @@ def test_a_smart_servo_and_a_board_share_a_line(make_host, make_servo):
     assert [host.ask("#5QD"), host.ask("#209QD")] == ["*5QD200|", "*209QD200|"]
 
 
-def test_the_truth_is_in_the_order_of_the_specs(make_host, make_servo):
+def test_horn_angles_are_in_the_order_of_the_specs(make_host, make_servo):
     host = make_host(rc_servo(209), make_servo(5))
     host.say("#209D300")
     host.say("#5D100")

@@ -116,7 +116,7 @@ def test_what_a_firmware_does_not_know_is_passed_over_in_silence(make_host):
     assert make_host().ask("#6QD") == ""
 
 
-def test_a_servo_at_another_rate_hears_nothing(make_host, make_servo):
+def test_a_servo_at_another_rate_receives_nothing(make_host, make_servo):
     host = make_host(make_servo(5, baud_bps=9600), make_servo(6))
     assert [host.ask("#5QG"), host.ask("#6QG")] == ["", "*6QG1|"]
 

@@ -24,7 +24,7 @@ def two_buses():
     return Robot(name="two", path=None, buses=buses, joints=joints)
 
 
-def test_a_lost_command_is_heard_by_nobody(make_host):
+def test_a_lost_command_reaches_no_servo(make_host):
     host = make_host(faults=[Fault(kind=FaultKind.LOST_COMMAND, at_s=1.0, until_s=2.0)])
     host.say("#5LED1")
     host.wait_s(1.0)
@@ -139,7 +139,7 @@ def test_faults_repeat_with_their_seed(make_host):
     assert play(3) != play(4)
 
 
-def test_a_faults_file_says_when_who_and_what(tmp_path):
+def test_a_faults_file_has_rows_with_time_servo_and_kind(tmp_path):
     path = tmp_path / "faults.yaml"
     path.write_text(
         "faults:\n"
@@ -182,7 +182,7 @@ def test_a_short_command_lacks_one_byte(make_host):
     assert len(host.bus.heard[0][1]) == 11
 
 
-def test_a_double_command_is_heard_twice(make_host):
+def test_a_double_command_is_received_twice(make_host):
     host = make_host(faults=[Fault(kind=FaultKind.DOUBLE_COMMAND)])
     assert host.ask("#5QG") == "*5QG1|*5QG1|"
     assert [line for _, line in host.bus.heard] == [b"#5QG\r"] * 2

@@ -277,7 +277,7 @@ def test_a_current_limit_ends_a_stall_without_safe_mode(make_host, modifier, sta
     assert host.ask("#5Q") == f"*5Q{status}|"
 
 
-def test_a_servo_above_85_degrees_goes_limp_and_says_why(make_host):
+def test_a_servo_above_85_degrees_goes_limp_and_reports_the_cause(make_host):
     host = make_host()
     host.say("#5D900")
     host.bus.motors.power.set_temperature(0, 86.0)
@@ -375,7 +375,7 @@ def test_a_voltage_outside_the_range_is_safe_mode_with_its_cause(make_host, supp
     assert [host.ask("#5Q"), host.ask("#5Q1")] == ["*5Q10|", "*5Q2|"]
 
 
-def test_a_horn_that_rests_outside_its_software_limits_says_so(host):
+def test_a_horn_that_rests_outside_its_software_limits_is_reported(host):
     host.say("#5D300")
     host.wait_s(1.0)
     host.say("#5CLP200")

@@ -5,7 +5,7 @@ from lss_motion.sim.wire import Adapter, HostLine, ServoLine
 BYTE_NS = 100_000  # at 100000 bps
 
 
-def test_a_line_is_heard_when_its_last_byte_has_arrived():
+def test_a_line_is_received_when_its_last_byte_has_arrived():
     line = HostLine(100_000)
     line.write(b"#5QD\r", 1000)
     assert list(line.lines) == [(1000 + 5 * BYTE_NS, b"#5QD\r")]

@@ -15,7 +15,7 @@ FIRST_ROWS = 1024
 """Rows of the first buffer; it doubles when full."""
 
 
-class Truth:
+class HornHistory:
     """A growing table of instants and servo angles, in order of time.
 
     Angles between two rows are interpolated, so a horn at rest needs no rows.
