@@ -300,7 +300,8 @@ class FaultHandler:
 
     def is_resumable(self, bus: str) -> bool:
         """Return whether the player waits for a port that is lost."""
-        steps = self._session.robot.escalation(Cause.LOST_PORT, None, self._session.program.on_fault)
+        show = self._session.program.on_fault
+        steps = self._session.robot.escalation(Cause.LOST_PORT, None, show)
         return bus in self.lost_ports or FaultStep.RESUME in steps
 
     # ---- recovery

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from lss_motion.player.joint_state import JointState
     from lss_motion.player.player import Player
     from lss_motion.program.model import Program
-    from lss_motion.trajectory.model import Stretch
+    from lss_motion.trajectory.model import SlowSpan
 
 SCHEMA_VERSION: Final = 1
 _NUMBERS: Final = re.compile(r"\[([-\d.,e\s]+)\]")
@@ -115,7 +115,7 @@ class Report:
     buses: Mapping[str, BusReport]
     joints: Mapping[str, JointReport]
     """Empty when the run ended before the show started."""
-    stretched: tuple[Stretch, ...]
+    stretched: tuple[SlowSpan, ...]
     faults: tuple[Faulted, ...]
     warnings: tuple[str, ...]
 
