@@ -18,7 +18,7 @@ from lss_motion.errors import EXIT_FINISHED, InputError
 if TYPE_CHECKING:
     from lss_motion.cli.commands import Commands
     from lss_motion.interchange.export import Samples
-    from lss_motion.interchange.reduce import Fit
+    from lss_motion.interchange.reduce import KeyFit
     from lss_motion.trajectory.model import Trajectory
 
 FORMATS_IN: Final = (
@@ -141,7 +141,7 @@ def _import(arguments: argparse.Namespace) -> int:
     return EXIT_FINISHED
 
 
-def fit_text(fit: Fit) -> str:
+def fit_text(fit: KeyFit) -> str:
     """Return how a recording was reduced, in words."""
     return (
         f"Reduced from {fit.samples_count:,} samples to {fit.keys_count:,} keys in "

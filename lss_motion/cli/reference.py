@@ -51,8 +51,8 @@ def add_to(commands: Commands) -> None:
 
 
 def _reference(arguments: argparse.Namespace) -> int:
+    from lss_motion.protocol.codec import FAMILY_TABLES
     from lss_motion.protocol.constants import Family
-    from lss_motion.protocol.families import FAMILY_TABLES
 
     names = FAMILIES if arguments.family is None else (arguments.family,)
     print("\n\n".join(page(FAMILY_TABLES[Family(name)]) for name in names))

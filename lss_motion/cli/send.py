@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import argparse
 
     from lss_motion.cli.commands import Commands
-    from lss_motion.protocol.codec import Statement
+    from lss_motion.protocol.codec import Decoded
     from lss_motion.protocol.constants import Family
     from lss_motion.protocol.line import Command
     from lss_motion.robot.model import Robot
@@ -132,7 +132,7 @@ def _answer(family: Family, command: Command, value: int | str | None) -> str:
     return line if said is None else f"{line}   {_meaning(family, command, said)}".rstrip()
 
 
-def _meaning(family: Family, command: Command, said: Statement) -> str:
+def _meaning(family: Family, command: Command, said: Decoded) -> str:
     """Return the value with its unit, and in words where it is a code."""
     from lss_motion.protocol.constants import Led, SafeModeCause, status_from
 

@@ -25,16 +25,16 @@ from lss_motion.interchange.reader import (
     RefusedMotion,
     Unit,
 )
-from lss_motion.interchange.reduce import Fit, reduced
+from lss_motion.interchange.reduce import KeyFit, reduced
 
 __all__ = [
     "EXPORT_NAMES",
     "FORMAT_NAMES",
     "READERS",
     "Channel",
-    "Fit",
     "ForeignMotion",
     "Imported",
+    "KeyFit",
     "MotionMap",
     "Reader",
     "RefusedMotion",

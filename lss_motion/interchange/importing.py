@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
     from lss_motion.interchange.mapping import MotionMap
     from lss_motion.interchange.reader import Reader
-    from lss_motion.interchange.reduce import Fit
+    from lss_motion.interchange.reduce import KeyFit
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.model import Keyframe
 
@@ -155,7 +155,7 @@ class Imported:
 
     sequence: Sequence
     comments: tuple[str, ...]
-    fit: Fit | None = None
+    fit: KeyFit | None = None
 
 
 def import_motion(
@@ -194,7 +194,7 @@ def imported(
     the recording itself; a smooth curve for two to three times that, so that it is more often
     slowed, but it never goes beyond a key (measured on our own shows and on random motion).
     """
-    fit: Fit | None = None
+    fit: KeyFit | None = None
     own = mapped(motion, robot, motion_map)
     if own.is_recording and tolerance_deg == 0.0:
         own = every_sample(own, ease)

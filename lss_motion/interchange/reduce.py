@@ -443,7 +443,7 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fit:
+class KeyFit:
     """How well keys stand for a recording: measured at every one of its samples."""
 
     samples_count: int
@@ -461,7 +461,7 @@ def reduced(
     tolerance_deg: float,
     ease: Interpolation,
     limits: Mapping[str, Limits] | None = None,
-) -> tuple[ForeignMotion, Fit]:
+) -> tuple[ForeignMotion, KeyFit]:
     """Return a recording in degrees with the fewest keys, at times of samples, and how it fits.
 
     Where the recording keeps the `limits` of its joint, so does a spline through its keys. Raises
@@ -572,7 +572,7 @@ def _span(motion: ForeignMotion, kept: list[IntArray]) -> tuple[float, float, in
 
 def _fit(
     motion: ForeignMotion, channels: list[Channel], ease: Interpolation, keyframes_count: int
-) -> Fit:
+) -> KeyFit:
     worst = (-1.0, "", 0.0)
     squares = 0.0
     samples_count = 0
@@ -585,7 +585,7 @@ def _fit(
             worst = (float(error_deg[at]), whole.name, float(whole.times_s[at]))
         squares += float(error_deg @ error_deg)
         samples_count += len(error_deg)
-    return Fit(
+    return KeyFit(
         samples_count=samples_count,
         keys_count=sum(len(channel.times_s) for channel in channels),
         keyframes_count=keyframes_count,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
 
-from lss_motion.protocol.families import FAMILY_TABLES
+from lss_motion.protocol.codec import FAMILY_TABLES
 
 if TYPE_CHECKING:
     from lss_motion.robot.model import Joint

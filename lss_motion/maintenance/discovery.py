@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.query_tracker import REPLY_MAX_BYTES, REPLY_TIMEOUT_NS
 from lss_motion.player.transactions import Item
-from lss_motion.protocol.codec import read_reply
+from lss_motion.protocol.codec import FAMILY_TABLES, read_reply
 from lss_motion.protocol.constants import (
     BAUD_RATES_BPS,
     BROADCAST_ID,
@@ -31,7 +31,6 @@ from lss_motion.protocol.constants import (
     Status,
     status_from,
 )
-from lss_motion.protocol.families import FAMILY_TABLES
 from lss_motion.protocol.io2 import PIN_IDS
 from lss_motion.protocol.line import Command, Reply, ReplyParser, encode
 from lss_motion.units import NS_PER_MS, line_time_ns

@@ -12,7 +12,7 @@ from lss_motion.player.transactions import Item
 from lss_motion.protocol.codec import storable
 from lss_motion.protocol.constants import Family, Led
 from lss_motion.protocol.line import DISABLED, Command
-from lss_motion.protocol.table import Answer, Device, Suffix
+from lss_motion.protocol.table import Device, ReplyShape, Suffix
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -93,7 +93,7 @@ def values(target: Target, rows: Mapping[str, Row], answers: Answers) -> Values:
         value = answers.get(address)
         if isinstance(value, int):
             found[name] = value
-        elif value == DISABLED and row.answer is Answer.DISABLED:
+        elif value == DISABLED and row.reply_shape is ReplyShape.DISABLED:
             found[name] = None
     return found
 

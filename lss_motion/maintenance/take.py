@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lss_motion.interchange.reduce import Fit
+    from lss_motion.interchange.reduce import KeyFit
     from lss_motion.maintenance.hands_on import Reading
     from lss_motion.robot.model import Robot
 
@@ -254,7 +254,7 @@ class Shown:
 
     sequence: Sequence
     comments: tuple[str, ...]
-    fits: tuple[Fit, ...]
+    fits: tuple[KeyFit, ...]
 
 
 def sequence_of(
@@ -294,7 +294,7 @@ class _Building:
     begun_s: float = 0.0
     braked_s: float = 0.0
     said: list[str] = field(default_factory=list)
-    fits: list[Fit] = field(default_factory=list)
+    fits: list[KeyFit] = field(default_factory=list)
 
     def pose(self, pose: Pose, label: str) -> None:
         angles_deg = {

@@ -20,9 +20,8 @@ from lss_motion.player.cues import LED_KEYWORD
 from lss_motion.player.events import Checked, Found, Warned
 from lss_motion.player.transactions import Dialogue, Item
 from lss_motion.program.model import ramp_setting_deg_s2
-from lss_motion.protocol.codec import make_command, read_reply
+from lss_motion.protocol.codec import FAMILY_TABLES, make_command, read_reply
 from lss_motion.protocol.constants import BROADCAST_ID, Status, status_from
-from lss_motion.protocol.families import FAMILY_TABLES
 from lss_motion.protocol.line import Command, Reply, encode
 from lss_motion.robot.servo_models import FILTER_FIRMWARE_MIN, model_mismatch_text
 from lss_motion.units import NS_PER_MS

@@ -12,9 +12,8 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.health import HealthMonitor
-from lss_motion.protocol.codec import read_reply
+from lss_motion.protocol.codec import FAMILY_TABLES, read_reply
 from lss_motion.protocol.constants import Family
-from lss_motion.protocol.families import FAMILY_TABLES
 from lss_motion.protocol.line import Command, Reply, encode
 from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
 

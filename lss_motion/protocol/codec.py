@@ -16,9 +16,11 @@ from typing import TYPE_CHECKING, Final, assert_never
 
 from lss_motion.errors import ProtocolError
 from lss_motion.protocol.constants import BROADCAST_ID, BUTTON_ID, GROUP_FIRMWARE, Family
-from lss_motion.protocol.families import FAMILY_TABLES
+from lss_motion.protocol.io2 import IO2_TABLE
 from lss_motion.protocol.line import DISABLED, Command, Reply
-from lss_motion.protocol.table import Answer, Form, Suffix, Unit, Value, unknown_text
+from lss_motion.protocol.lss import LSS_TABLE
+from lss_motion.protocol.lss_pro import PRO_TABLE
+from lss_motion.protocol.table import Form, ReplyShape, Suffix, Unit, Value, unknown_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -26,11 +28,17 @@ if TYPE_CHECKING:
     from lss_motion.protocol.table import FamilyTable, Row
 
 
+FAMILY_TABLES: Final[Mapping[Family, FamilyTable]] = {
+    Family.LSS: LSS_TABLE,
+    Family.LSS_PRO: PRO_TABLE,
+    Family.IO2: IO2_TABLE,
+}
+
 _SENSOR_SUFFIXES: Final = (Suffix.GP2Y0A41SK0F, Suffix.GP2Y0A21YK0F, Suffix.GP2Y0A02YK0F)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Statement:
+class Decoded:
     """One command or reply in physical terms: what was said about which row.
 
     `value` is in `unit`; it is text for the replies that are text, and None where nothing was
@@ -74,7 +82,7 @@ def make_command(
     return Command(servo_id, keyword, say(keyword, row, value, known), said)
 
 
-def read_command(family: Family, command: Command) -> Statement | None:
+def read_command(family: Family, command: Command) -> Decoded | None:
     """Return what a command says, or None if the family has no such command.
 
     The range is not judged: what a servo makes of a value outside it is `Row.kept`. A family
@@ -89,7 +97,7 @@ def read_command(family: Family, command: Command) -> Statement | None:
     is_query = form is Form.QUERY
     suffixes = (row.suffixes or {}) if is_query else {}
     value = command.value
-    return Statement(
+    return Decoded(
         servo_id=command.servo_id,
         keyword=command.keyword,
         form=form,
@@ -111,15 +119,15 @@ def make_reply(
     form, row = FAMILY_TABLES[family].find(keyword)
     if form is not Form.QUERY:
         raise ProtocolError(f"{keyword} is no query of {family}: nothing answers it")
-    if value is None and row.answer is Answer.DISABLED:
+    if value is None and row.reply_shape is ReplyShape.DISABLED:
         return Reply(servo_id, keyword, DISABLED)
     said = row.wire(value) if isinstance(value, int | float) else value
-    if not _is_readable(row.answer, said):
-        raise ProtocolError(f"{keyword} answers {row.answer}, not {value!r}")
+    if not _is_readable(row.reply_shape, said):
+        raise ProtocolError(f"{keyword} answers {row.reply_shape}, not {value!r}")
     return Reply(servo_id, keyword, said)
 
 
-def read_reply(family: Family, reply: Reply, *, suffix: int | None = None) -> Statement | None:
+def read_reply(family: Family, reply: Reply, *, suffix: int | None = None) -> Decoded | None:
     """Return what a reply says, or None if it is no reply of the family.
 
     `suffix` is what was asked with the query; the reply does not repeat it, but the unit can
@@ -129,11 +137,13 @@ def read_reply(family: Family, reply: Reply, *, suffix: int | None = None) -> St
     if found is None or found[0] is not Form.QUERY:
         return None
     form, row = found
-    if not _is_readable(row.answer, reply.value):
+    if not _is_readable(row.reply_shape, reply.value):
         return None
-    value = None if row.answer is Answer.DISABLED and reply.value == DISABLED else reply.value
+    value = (
+        None if row.reply_shape is ReplyShape.DISABLED and reply.value == DISABLED else reply.value
+    )
     meaning = (row.suffixes or {}).get(0 if suffix is None else suffix)
-    return Statement(
+    return Decoded(
         servo_id=value if row.name == "ID" and isinstance(value, int) else reply.servo_id,
         keyword=reply.keyword,
         form=form,
@@ -217,18 +227,18 @@ def _modifiers(
     return tuple(said)
 
 
-def _is_readable(answer: Answer, value: int | str | None) -> bool:
+def _is_readable(answer: ReplyShape, value: int | str | None) -> bool:
     match answer:
-        case Answer.INTEGER:
+        case ReplyShape.INTEGER:
             return isinstance(value, int)
-        case Answer.DISABLED:
+        case ReplyShape.DISABLED:
             return value == DISABLED or isinstance(value, int)
-        case Answer.OPTIONAL:
+        case ReplyShape.OPTIONAL:
             return value is None or isinstance(value, int)
-        case Answer.VERSION:
+        case ReplyShape.VERSION:
             is_dotted = isinstance(value, str) and value.replace(".", "").isdecimal()
             return is_dotted or isinstance(value, int)
-        case Answer.TEXT:
+        case ReplyShape.TEXT:
             return isinstance(value, str)
         case _:
             assert_never(answer)
@@ -264,7 +274,7 @@ def stored_wire(family: Family, name: str, value: float | None) -> int | None:
         raise ProtocolError(unknown_text(name, rows, f"setting that {family} stores"))
     row = rows[name]
     if value is None:
-        if row.answer is not Answer.DISABLED:
+        if row.reply_shape is not ReplyShape.DISABLED:
             raise ProtocolError(f"{name} has no DIS: {row.allowed()}")
         return None
     wire = make_command(family, 0, row.configs[0], value).value

@@ -15,8 +15,8 @@ from lss_motion.protocol.table import (
     STEPS_OF_TEN,
     TENTHS,
     THOUSANDTHS,
-    Answer,
     Outside,
+    ReplyShape,
     Row,
     Suffix,
     Unit,
@@ -265,7 +265,7 @@ MOTION: Final = (
         queries=("QDT",),
         unit=Unit.DEG,
         wire_per_unit=TENTHS,
-        answer=Answer.OPTIONAL,
+        reply_shape=ReplyShape.OPTIONAL,
         note="Nothing after QDT without a target or in wheel mode. In EM0 it is the filtered"
         " target (FACTS M9).",
     ),
@@ -460,7 +460,7 @@ SETTINGS: Final = (
         outside=Outside.CLAMPED,
         sets_session=False,
         needs_reset=True,
-        answer=Answer.DISABLED,
+        reply_shape=ReplyShape.DISABLED,
         note="#5CP1550 in LSS 18 is a misprint of CFP. CFP and CFD overwrite each other. Range"
         " and end points as of P (assumed).",
     ),
@@ -478,7 +478,7 @@ SETTINGS: Final = (
         outside=Outside.CLAMPED,
         sets_session=False,
         needs_reset=True,
-        answer=Answer.DISABLED,
+        reply_shape=ReplyShape.DISABLED,
         note="#5CD64 in LSS 19 is a misprint of CFD. Clamped (FACTS C17).",
     ),
     Row(
@@ -581,14 +581,14 @@ TELEMETRY: Final = (
         meaning="model",
         source="LSS 20",
         queries=("QMS",),
-        answer=Answer.TEXT,
+        reply_shape=ReplyShape.TEXT,
     ),
     Row(
         name="N",
         meaning="serial number",
         source="LSS 21",
         queries=("QN",),
-        answer=Answer.TEXT,
+        reply_shape=ReplyShape.TEXT,
         note="Text: 18 and more characters, not always digits (FACTS C15).",
     ),
     Row(
@@ -597,7 +597,7 @@ TELEMETRY: Final = (
         source="LSS 22, FACTS C14",
         queries=("QF",),
         suffixes={3: Suffix.FULL_VERSION},
-        answer=Answer.VERSION,
+        reply_shape=ReplyShape.VERSION,
     ),
     Row(
         name="Q",

@@ -14,8 +14,8 @@ from lss_motion.protocol.table import (
     HUNDREDTHS,
     ONE,
     TENTHS,
-    Answer,
     Outside,
+    ReplyShape,
     Row,
     Unit,
     make_table,
@@ -71,7 +71,7 @@ SETUP: Final = (
         meaning="firmware release",
         source="PRO Firmware Release",
         queries=("QFR",),
-        answer=Answer.VERSION,
+        reply_shape=ReplyShape.VERSION,
         note="The page prints the reply without its id.",
     ),
 )
@@ -88,7 +88,7 @@ MOTION: Final = (
         _LSS("QDT"),
         source="PRO Position in Degrees",
         wire_per_unit=POSITION_SCALE,
-        answer=Answer.INTEGER,
+        reply_shape=ReplyShape.INTEGER,
         note="Without a target: the last one.",
     ),
     replace(

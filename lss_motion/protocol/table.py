@@ -77,7 +77,7 @@ class Outside(StrEnum):
     ZEROED = "zeroed"
 
 
-class Answer(StrEnum):
+class ReplyShape(StrEnum):
     """The shape of the value in a reply."""
 
     INTEGER = "integer"
@@ -156,7 +156,7 @@ class Row:
     modifiers: tuple[str, ...] = ()
     suffixes: Mapping[int, Suffix] | None = None
     suffix_is_delay: bool = False
-    answer: Answer = Answer.INTEGER
+    reply_shape: ReplyShape = ReplyShape.INTEGER
     firmware: int = 0
     devices: tuple[Device, ...] = ()
     note: str = ""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from lss_motion.protocol.codec import FAMILY_TABLES
 from lss_motion.protocol.constants import (
     BROADCAST_ID,
     DEG_S_PER_RPM,
@@ -18,9 +19,8 @@ from lss_motion.protocol.constants import (
     Status,
     status_codes,
 )
-from lss_motion.protocol.families import FAMILY_TABLES
 from lss_motion.protocol.line import DISABLED, Reply
-from lss_motion.protocol.table import Answer, Form, Suffix
+from lss_motion.protocol.table import Form, ReplyShape, Suffix
 from lss_motion.sim.physics import RESET_NS
 from lss_motion.sim.profile import Chase, Halt, Limp, Motion, ProfileMove, Ramps, Wheel
 from lss_motion.units import s_from_ms
@@ -195,7 +195,7 @@ class Readings:
                 if measure is not None:
                     return measure(now_ns)
                 value = self._settings.read(row, is_configured=False)
-                return 0 if value is None and row.answer is Answer.INTEGER else value
+                return 0 if value is None and row.reply_shape is ReplyShape.INTEGER else value
 
     def position_deg(self, now_ns: int) -> float:
         """Return the angle that the encoder shows, as the host sees angles."""
@@ -219,7 +219,7 @@ class Readings:
         target_deg = self._motors.target_deg(self._index, now_ns)
         if target_deg is not None:
             self._last_target = self._wire("D", self._motors.seen_deg(self._index, target_deg))
-        elif self._table.row("QDT").answer is Answer.OPTIONAL:
+        elif self._table.row("QDT").reply_shape is ReplyShape.OPTIONAL:
             return None
         return self._last_target
 
@@ -497,7 +497,7 @@ class Servo:
         if isinstance(command.value, int) and row.suffixes is not None:
             suffix = row.suffixes.get(command.value)
         value = self._readings.value(row, suffix, now_ns)
-        if value is None and row.answer is Answer.DISABLED:
+        if value is None and row.reply_shape is ReplyShape.DISABLED:
             value = DISABLED
         sender: int | None = self.servo_id
         if command.keyword == "QID" and command.servo_id == BROADCAST_ID:
@@ -514,7 +514,7 @@ class Servo:
         value = command.value
         if row.name == "CRC" and value not in {1, 2}:
             value = 0  # Any other value, or none: stay in smart mode (FACTS.md R14).
-        is_needless = value is None and row.answer is Answer.DISABLED
+        is_needless = value is None and row.reply_shape is ReplyShape.DISABLED
         if isinstance(value, int) or is_needless:
             number = value if isinstance(value, int) else None
             if self.settings.write(row, number, is_config=is_config):

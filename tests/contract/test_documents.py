@@ -7,11 +7,10 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from lss_motion.protocol.codec import read_reply
+from lss_motion.protocol.codec import FAMILY_TABLES, read_reply
 from lss_motion.protocol.constants import Family
-from lss_motion.protocol.families import FAMILY_TABLES
 from lss_motion.protocol.line import Reply, ReplyParser
-from lss_motion.protocol.table import Answer, Device, Form, Suffix
+from lss_motion.protocol.table import Device, Form, ReplyShape, Suffix
 from lss_motion.robot.model import ServoModel
 from lss_motion.sim.boards import SENSORS
 from lss_motion.sim.bus import SimBus
@@ -411,7 +410,7 @@ def test_every_query_is_answered_in_all_its_forms(family, keyword):
         assert isinstance(reply, Reply)
         assert (reply.servo_id, reply.keyword) == (address, keyword)
         assert read_reply(family, reply, suffix=suffix) is not None
-        if row.answer is Answer.INTEGER:
+        if row.reply_shape is ReplyShape.INTEGER:
             assert isinstance(reply.value, int)
 
 

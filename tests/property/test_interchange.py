@@ -9,18 +9,19 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from lss_motion.errors import InputError
 from lss_motion.interchange import (
     EXPORT_NAMES,
     READERS,
     Channel,
     ForeignMotion,
     Reader,
+    RefusedMotion,
     Samples,
     Unit,
     exported,
     reduced,
 )
-from lss_motion.interchange.fuzzing import fuzz_one
 from lss_motion.interchange.reduce import ROUNDING_DEG, interpolated
 from lss_motion.sequence.model import Interpolation
 
@@ -77,6 +78,29 @@ def damaged(draw: st.DrawFn, seed: bytes) -> bytes:
         middle = draw(st.sampled_from(sorted(TOKENS)) | st.binary(max_size=4) | st.just(b""))
         data = data[:start] + middle + data[end:]
     return data
+
+
+def fuzz_one(reader: Reader, data: bytes) -> bool:
+    """Read `data` and return whether it holds a motion that can be read.
+
+    A reader may only return motions with channels, return refusals with a reason, or raise
+    `InputError`. Any other exception fails. `tools/fuzz_readers.py` calls this function as well.
+    """
+    reader.recognises(data)
+    motions: tuple[ForeignMotion | RefusedMotion, ...]
+    try:
+        motions = reader.motions(Path("fuzz.bin"), data)
+    except InputError as error:
+        motions = (RefusedMotion(name="the file", error=error),)
+    assert motions, "neither a motion nor a refusal"
+    for motion in motions:
+        if isinstance(motion, RefusedMotion):
+            assert motion.error.reason, "a refusal without a reason"
+        else:
+            # `Channel` checks its own values when it is made.
+            assert motion.channels, "a motion without a joint"
+            assert len({channel.name for channel in motion.channels}) == len(motion.channels)
+    return any(not isinstance(motion, RefusedMotion) for motion in motions)
 
 
 def by_name() -> list[object]:

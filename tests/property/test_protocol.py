@@ -8,8 +8,13 @@ from typing import TYPE_CHECKING
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lss_motion.protocol.codec import make_command, make_reply, read_command, read_reply
-from lss_motion.protocol.families import FAMILY_TABLES
+from lss_motion.protocol.codec import (
+    FAMILY_TABLES,
+    make_command,
+    make_reply,
+    read_command,
+    read_reply,
+)
 from lss_motion.protocol.line import (
     LINE_MAX_BYTES,
     Command,
@@ -21,7 +26,7 @@ from lss_motion.protocol.line import (
     encode_group,
     encode_move,
 )
-from lss_motion.protocol.table import WIRE_MAX, WIRE_MIN, Answer, Form, Row, Value
+from lss_motion.protocol.table import WIRE_MAX, WIRE_MIN, Form, ReplyShape, Row, Value
 
 if TYPE_CHECKING:
     from lss_motion.protocol.constants import Family
@@ -70,13 +75,13 @@ def commands(draw: st.DrawFn) -> tuple[Family, Command]:
 def replies(draw: st.DrawFn) -> tuple[Family, Reply]:
     family, keyword, row = draw(st.sampled_from(ASKED))
     values = {
-        Answer.INTEGER: WIRE,
-        Answer.OPTIONAL: st.none() | WIRE,
-        Answer.DISABLED: st.just("DIS") | WIRE,
-        Answer.VERSION: WIRE | st.just("368.29.14"),
-        Answer.TEXT: TEXT,
+        ReplyShape.INTEGER: WIRE,
+        ReplyShape.OPTIONAL: st.none() | WIRE,
+        ReplyShape.DISABLED: st.just("DIS") | WIRE,
+        ReplyShape.VERSION: WIRE | st.just("368.29.14"),
+        ReplyShape.TEXT: TEXT,
     }
-    return family, Reply(draw(st.none() | IDS), keyword, draw(values[row.answer]))
+    return family, Reply(draw(st.none() | IDS), keyword, draw(values[row.reply_shape]))
 
 
 def cut(data: bytes, cuts: list[int]) -> list[bytes]:

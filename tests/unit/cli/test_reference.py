@@ -8,8 +8,8 @@ import pytest
 
 from lss_motion.cli.main import main
 from lss_motion.cli.reference import FAMILIES, page
+from lss_motion.protocol.codec import FAMILY_TABLES
 from lss_motion.protocol.constants import Family
-from lss_motion.protocol.families import FAMILY_TABLES
 
 
 def rows_of(text):

@@ -7,9 +7,14 @@ import sys
 import pytest
 
 from lss_motion.errors import ProtocolError
-from lss_motion.protocol.codec import make_command, make_reply, read_command, read_reply
+from lss_motion.protocol.codec import (
+    FAMILY_TABLES,
+    make_command,
+    make_reply,
+    read_command,
+    read_reply,
+)
 from lss_motion.protocol.constants import Family
-from lss_motion.protocol.families import FAMILY_TABLES
 from lss_motion.protocol.line import Command, CommandParser, Reply, ReplyParser, encode
 from lss_motion.protocol.table import Form
 from tests.protocol_table import (

@@ -2,9 +2,9 @@ import re
 
 import pytest
 
+from lss_motion.protocol.codec import FAMILY_TABLES
 from lss_motion.protocol.constants import Family
-from lss_motion.protocol.families import FAMILY_TABLES
-from lss_motion.protocol.table import Answer
+from lss_motion.protocol.table import ReplyShape
 from lss_motion.robot.model import ServoModel
 from lss_motion.sim.physics import Physics
 
@@ -305,16 +305,16 @@ def test_every_query_of_the_table_is_answered_in_its_shape(make_host, make_servo
     model = ServoModel(name="LSS-X", family=family, speed_max_deg_s=180.0, wire_per_deg=10)
     host = make_host(make_servo(model=model), firmware=780)
     shapes = {
-        Answer.INTEGER: r"-?[0-9]+",
-        Answer.OPTIONAL: r"(-?[0-9]+)?",
-        Answer.DISABLED: r"DIS|-?[0-9]+",
-        Answer.VERSION: r"[0-9]+(\.[0-9]+)*",
-        Answer.TEXT: r".+",
+        ReplyShape.INTEGER: r"-?[0-9]+",
+        ReplyShape.OPTIONAL: r"(-?[0-9]+)?",
+        ReplyShape.DISABLED: r"DIS|-?[0-9]+",
+        ReplyShape.VERSION: r"[0-9]+(\.[0-9]+)*",
+        ReplyShape.TEXT: r".+",
     }
     asked = 0
     for row in FAMILY_TABLES[family].rows:
         for keyword in row.queries:
             reply = host.ask(f"#5{keyword}")
-            assert re.fullmatch(rf"\*5{keyword}({shapes[row.answer]})\|", reply), reply
+            assert re.fullmatch(rf"\*5{keyword}({shapes[row.reply_shape]})\|", reply), reply
             asked += 1
     assert asked > 30
