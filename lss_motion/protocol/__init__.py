@@ -1,10 +1,14 @@
-"""The three bus languages (LSS, LSS-PRO, 2IO) as values and bytes. No port, no clock.
+"""The three bus languages (LSS, LSS-PRO, LSS-2IO) as values and bytes. No port, no clock.
 
-line       one command or reply ⇄ its bytes, and the parsers that no byte can break
-table      what a row of a family's table says
-lss, lss_pro, io2     the rows, each with its source
-codec      physical values ⇄ commands and replies, checked against the rows
-constants  status, LED, gyre and baud codes
+| module      | contents                                                | callers                 |
+|-------------|---------------------------------------------------------|-------------------------|
+| `line`      | commands and replies ⇄ bytes; incremental parsers       | player, sim, cli        |
+| `codec`     | physical values ⇄ commands and replies, `FAMILY_TABLES` | player, sim, cli        |
+| `table`     | `Row` and `FamilyTable`: the types of the tables        | `codec`, the rows, sim  |
+| `lss`       | the rows of the LSS language                            | the other tables        |
+| `lss_pro`   | the rows of the LSS-PRO language                        | `codec`                 |
+| `io2`       | the rows and limits of the LSS-2IO board                | `codec`, robot, sim     |
+| `constants` | `Family`; ids, status, LED and gyre codes, baud rates   | all packages            |
 """
 
 from lss_motion.protocol.constants import Family

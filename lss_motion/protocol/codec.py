@@ -1,9 +1,10 @@
-"""Physical values ⇄ commands and replies, by the table of the family. Wire units stay inside.
+"""Physical values ⇄ commands and replies, by the table of the family.
 
-What we say is checked and refused with the allowed range (`ProtocolError`). What we hear is never
-refused: what the table does not know or cannot read is None.
+Callers use physical units; wire units stay inside. A command that the family cannot express raises
+`ProtocolError` with the allowed range. A command or reply that was received never raises: the
+result is None if the table has no such keyword, or if the value cannot be read.
 
-What a servo keeps without power: which rows those are, and their values on the wire.
+The module also lists the settings that a servo keeps without power (`storable`).
 """
 
 from __future__ import annotations
@@ -33,16 +34,17 @@ FAMILY_TABLES: Final[Mapping[Family, FamilyTable]] = {
     Family.LSS_PRO: PRO_TABLE,
     Family.IO2: IO2_TABLE,
 }
+"""The table of each family."""
 
 _SENSOR_SUFFIXES: Final = (Suffix.GP2Y0A41SK0F, Suffix.GP2Y0A21YK0F, Suffix.GP2Y0A02YK0F)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decoded:
-    """One command or reply in physical terms: what was said about which row.
+    """One command or reply in physical units.
 
-    `value` is in `unit`; it is text for the replies that are text, and None where nothing was
-    said or a first position is disabled. For a query it is the suffix, and `suffix` its meaning.
+    `value` is in `unit`. It is text for a reply with text, and None if there is no value or if a
+    first position is disabled. For a query, `value` is the suffix and `suffix` is its meaning.
     `modifiers` are in the units of their rows.
     """
 
@@ -65,10 +67,10 @@ def make_command(
     *,
     firmware: int | None = None,
 ) -> Command:
-    """Return the command that says `value`, in the row's unit, rounded to what the wire can say.
+    """Return the command with `value`, in the unit of the row, rounded to the wire unit.
 
-    A query takes its suffix as `value`. Codes must be whole numbers. Raises ProtocolError for
-    what the family, or its `firmware` (newest if None), cannot say, with what is allowed.
+    For a query, `value` is the suffix. Codes must be whole numbers. Raises `ProtocolError`, with
+    the allowed values, if the family or its `firmware` (newest if None) has no such command.
     """
     table = FAMILY_TABLES[family]
     keyword = keyword.upper()
@@ -77,16 +79,16 @@ def make_command(
     _check_firmware(keyword, row, known)
     if not (0 <= servo_id <= BUTTON_ID):
         raise ProtocolError(f"servo id {servo_id}: allowed are 0 to {BUTTON_ID}")
-    say = _suffix if form is Form.QUERY else _wire
-    said = _modifiers(table, row, keyword, modifiers or {}, known)
-    return Command(servo_id, keyword, say(keyword, row, value, known), said)
+    wire_modifiers = _modifiers(table, row, keyword, modifiers or {}, known)
+    checked = _suffix if form is Form.QUERY else _wire
+    return Command(servo_id, keyword, checked(keyword, row, value, known), wire_modifiers)
 
 
 def read_command(family: Family, command: Command) -> Decoded | None:
-    """Return what a command says, or None if the family has no such command.
+    """Return the command in physical units, or None if the family has no such command.
 
-    The range is not judged: what a servo makes of a value outside it is `Row.kept`. A family
-    without modifiers (2IO) hears past them (FACTS.md B5); another refuses those it does not know.
+    The range is not checked: `Row.kept` returns the effect of a value outside it. A family without
+    modifiers (2IO) ignores them (FACTS.md B5); for the others an unknown modifier gives None.
     """
     table = FAMILY_TABLES[family]
     found = table.by_keyword.get(command.keyword)
@@ -112,26 +114,26 @@ def read_command(family: Family, command: Command) -> Decoded | None:
 def make_reply(
     family: Family, servo_id: int | None, keyword: str, value: float | str | None = None
 ) -> Reply:
-    """Return the reply that says `value`; None says nothing, or `DIS` for a first position.
+    """Return the reply with `value`; None gives no value, or `DIS` for a first position.
 
-    Raises ProtocolError where the shape of the row's reply cannot say it.
+    Raises `ProtocolError` if the value does not match the shape of the row's reply.
     """
     form, row = FAMILY_TABLES[family].find(keyword)
     if form is not Form.QUERY:
-        raise ProtocolError(f"{keyword} is no query of {family}: nothing answers it")
+        raise ProtocolError(f"{keyword} is no query of {family}, so it has no reply")
     if value is None and row.reply_shape is ReplyShape.DISABLED:
         return Reply(servo_id, keyword, DISABLED)
-    said = row.wire(value) if isinstance(value, int | float) else value
-    if not _is_readable(row.reply_shape, said):
+    wire = row.wire(value) if isinstance(value, int | float) else value
+    if not _is_readable(row.reply_shape, wire):
         raise ProtocolError(f"{keyword} answers {row.reply_shape}, not {value!r}")
-    return Reply(servo_id, keyword, said)
+    return Reply(servo_id, keyword, wire)
 
 
 def read_reply(family: Family, reply: Reply, *, suffix: int | None = None) -> Decoded | None:
-    """Return what a reply says, or None if it is no reply of the family.
+    """Return the reply in physical units, or None if it is no reply of the family.
 
-    `suffix` is what was asked with the query; the reply does not repeat it, but the unit can
-    depend on it (`QA1` answers mm). The id in a reply to `QID` is the value, never the address.
+    `suffix` is the suffix of the query. The reply does not repeat it, but the unit can depend on it
+    (the reply to `QA1` is in mm). In a reply to `QID` the servo id is the value, not the address.
     """
     found = FAMILY_TABLES[family].by_keyword.get(reply.keyword)
     if found is None or found[0] is not Form.QUERY:
@@ -154,9 +156,9 @@ def read_reply(family: Family, reply: Reply, *, suffix: int | None = None) -> De
     )
 
 
-def identify_reply(family: Family, servo_id: int, asked_id: int, *, firmware: int) -> Reply:
-    """Return what servo `servo_id` answers to `#<asked_id>QID` (three shapes: FACTS.md C5)."""
-    if asked_id != BROADCAST_ID:
+def identify_reply(family: Family, servo_id: int, queried_id: int, *, firmware: int) -> Reply:
+    """Return the reply of servo `servo_id` to `#<queried_id>QID` (three shapes: FACTS.md C5)."""
+    if queried_id != BROADCAST_ID:
         return Reply(servo_id, "QID", servo_id)
     match family:
         case Family.LSS:
@@ -197,13 +199,13 @@ def _wire(keyword: str, row: Row, value: float | None, firmware: int) -> int | N
         return None
     if row.value is Value.NONE:
         raise ProtocolError(f"{keyword} takes no value, not {value:g}")
-    is_sayable = math.isfinite(value) and (row.unit is not Unit.NONE or value == int(value))
-    wire = row.wire(value, row.step) if is_sayable else None
+    is_exact = math.isfinite(value) and (row.unit is not Unit.NONE or value == int(value))
+    wire = row.wire(value, row.step) if is_exact else None
     if wire is None or not row.allows(wire):
         raise ProtocolError(f"{keyword} {value:g}: allowed are {row.allowed()}")
-    since = 0 if row.choices is None else row.choices[wire]
-    if firmware < since:
-        raise ProtocolError(f"{keyword} {value:g} needs firmware {since} or newer, not {firmware}")
+    first = 0 if row.choices is None else row.choices[wire]
+    if firmware < first:
+        raise ProtocolError(f"{keyword} {value:g} needs firmware {first} or newer, not {firmware}")
     return wire
 
 
@@ -212,19 +214,19 @@ def _modifiers(
 ) -> tuple[tuple[str, int], ...]:
     if modifiers and keyword not in row.actions:
         raise ProtocolError(f"{keyword} takes no modifier")
-    said: list[tuple[str, int]] = []
+    wires: list[tuple[str, int]] = []
     for name in row.modifiers:
         if name in modifiers:
             modifier = table.modifiers[name]
             _check_firmware(name, modifier, firmware)
             wire = _wire(name, modifier, modifiers[name], firmware)
             assert wire is not None
-            said.append((name, wire))
+            wires.append((name, wire))
     for name in modifiers:
         if name not in row.modifiers:
             allowed = ", ".join(row.modifiers) or "none"
             raise ProtocolError(f"{keyword} with {name}: allowed modifiers are {allowed}")
-    return tuple(said)
+    return tuple(wires)
 
 
 def _is_readable(answer: ReplyShape, value: int | str | None) -> bool:
@@ -245,14 +247,15 @@ def _is_readable(answer: ReplyShape, value: int | str | None) -> bool:
 
 
 _FIRST: Final = ("G", "AR")
-"""Written before the others: G before O (FACTS.md R10), and AR before what is a pulse within it."""
+"""Rows to write first: G before O (FACTS.md R10), and AR before pulse widths, which depend on it."""
 
 
 @cache
 def storable(family: Family) -> Mapping[str, Row]:
     """Return the rows that can be configured, by name, in the order in which to write them.
 
-    Without the id, which names the servo, and without rows that say the same in another unit.
+    The id is left out because it addresses the servo. A row that mirrors another one in a second
+    unit is left out as well.
     """
     rows = [
         row
@@ -264,10 +267,10 @@ def storable(family: Family) -> Mapping[str, Row]:
 
 
 def stored_wire(family: Family, name: str, value: float | None) -> int | None:
-    """Return a stored value as it is on the wire; None, for a first position only: there is none.
+    """Return the wire value of a stored setting; None, only for a first position: disabled.
 
-    Raises ProtocolError for what the family does not store, or not with this value, with what is
-    allowed.
+    Raises `ProtocolError`, with the allowed values, if the family does not store this setting or
+    does not allow this value.
     """
     rows = storable(family)
     if name not in rows:

@@ -1,6 +1,6 @@
-"""Which bus languages there are.
+"""The three bus languages, and the fixed numbers of the bus: ids, colours, states, baud rates.
 
-Codes and fixed numbers of the bus that are no command: ids, colours, states, baud rates.
+The commands are not here; they are rows of the tables in `lss`, `lss_pro` and `io2`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class Family(StrEnum):
-    """Which of the three bus languages a servo speaks."""
+    """The bus language of a servo."""
 
     LSS = "LSS"
     LSS_PRO = "LSS-PRO"
@@ -22,25 +22,25 @@ class Family(StrEnum):
 
 ID_MIN: Final = 0
 ID_MAX: Final = 250
-"""Ids that a servo may be given (FACTS.md R1)."""
+"""Range of the ids that a servo may have (FACTS.md R1)."""
 BROADCAST_ID: Final = 254
-"""Every servo acts on it (FACTS.md R1)."""
+"""Every servo acts on a command to this id (FACTS.md R1)."""
 BUTTON_ID: Final = 255
-"""What a servo answers to after its button was held at power-up (FACTS.md R2)."""
+"""Id of a servo whose button was held at power-up (FACTS.md R2)."""
 
 GROUP_FIRMWARE: Final = 370
-"""First LSS firmware with group lines, reply slots, `QID<delay>` and a reply to a broadcast QID
-that names its sender, `*5QID5` (FACTS.md W16 to W19, C5)."""
+"""First LSS firmware with group lines, reply slots and `QID<delay>`. Its reply to a broadcast QID
+contains the id of the sender, `*5QID5` (FACTS.md W16 to W19, C5)."""
 
 RESET_S: Final = 1.25
-"""How long a servo is deaf after RESET (FACTS.md R4)."""
+"""Time after RESET in which a servo receives nothing (FACTS.md R4)."""
 
 DEG_S_PER_RPM: Final = 6.0
-"""One turn a minute."""
+"""One turn per minute."""
 
 PULSE_MIN_US: Final = 500
 PULSE_MAX_US: Final = 2500
-"""FACTS.md C11; LSS-2IO: B7."""
+"""Range of pulse widths (FACTS.md C11; LSS-2IO: B7)."""
 
 BAUD_RATES_BPS: Final[Mapping[int, int]] = {
     9600: 0,
@@ -55,7 +55,7 @@ BAUD_RATES_BPS: Final[Mapping[int, int]] = {
     750000: 369,
     921600: 369,
 }
-"""Rate → first firmware. FACTS.md W22; 369 is experimental, 370 released."""
+"""Rate → first firmware (FACTS.md W22). Firmware 369 is experimental, 370 is released."""
 
 
 class Led(IntEnum):
@@ -72,7 +72,7 @@ class Led(IntEnum):
 
 
 class Blink(IntFlag):
-    """When the LED blinks (FACTS.md C9)."""
+    """States in which the LED blinks (FACTS.md C9)."""
 
     LIMP = 1
     HOLDING = 2
@@ -83,14 +83,14 @@ class Blink(IntFlag):
 
 
 class Gyre(IntEnum):
-    """Which way positive angles turn (FACTS.md C13)."""
+    """Direction of positive angles (FACTS.md C13)."""
 
     CLOCKWISE = 1
     COUNTERCLOCKWISE = -1
 
 
 class Status(Enum):
-    """What a servo is doing, whatever number its firmware gives it."""
+    """State of a servo. The number of a state depends on family and firmware (`status_codes`)."""
 
     UNKNOWN = "unknown"
     LIMP = "limp"
@@ -128,7 +128,7 @@ STATUS_CODES: Final = (
     Status.BLOCKED,
     Status.SAFE_MODE,
 )
-"""FACTS.md S1; the LSS page prints `*5Q9` for 10, a misprint (C7)."""
+"""States by number (FACTS.md S1). The LSS page prints `*5Q9` for 10, a misprint (C7)."""
 
 PRO_STATUS_CODES: Final = (
     Status.UNKNOWN,
@@ -139,10 +139,10 @@ PRO_STATUS_CODES: Final = (
     Status.HOLDING,
     Status.ERROR,
 )
-"""Newer LSS-PRO firmware (FACTS.md P5, maker's driver of December 2024)."""
+"""States by number in newer LSS-PRO firmware (FACTS.md P5, maker's driver of December 2024)."""
 
 PRO_STATUS_FIRMWARE: Final = 781
-"""First LSS-PRO firmware with the newer codes. Assumed (FACTS.md P5)."""
+"""First LSS-PRO firmware with the newer numbers. Assumed (FACTS.md P5)."""
 
 
 def status_codes(family: Family, firmware: int) -> tuple[Status, ...]:
@@ -153,6 +153,6 @@ def status_codes(family: Family, firmware: int) -> tuple[Status, ...]:
 
 
 def status_from(code: int, family: Family, firmware: int) -> Status:
-    """Return the state that a reply to `Q` names; unknown numbers are `UNKNOWN`."""
+    """Return the state of number `code`; unknown numbers are `UNKNOWN`."""
     codes = status_codes(family, firmware)
     return codes[code] if 0 <= code < len(codes) else Status.UNKNOWN

@@ -1,4 +1,4 @@
-"""The rows of the 2IO board's language in its 2RC mode (FACTS.md B)."""
+"""The rows of the LSS-2IO language: the board in its 2RC mode (FACTS.md B), and its limits."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 SECTION_MAX_CHARS: Final = 15
-"""Longest `#…` without its CR that may pass a 2IO, whoever it is for: the board's line buffer
-is 16 bytes, fed by every byte on the bus, and is not checked (FACTS.md B4)."""
+"""Longest `#…` without its CR that may be sent, to any id, on a bus with a 2IO. Every byte on the
+bus enters the 16-byte line buffer of the board, which has no overflow check (FACTS.md B4)."""
 
 BAUD_MAX_BPS: Final = 500000
 """FACTS.md B3: a 2IO cannot join a faster bus."""
@@ -28,14 +28,14 @@ PIN_IDS: Final[Mapping[str, int]] = {
     "D10": 210,
     "D11": 211,
 }
-"""FACTS.md B1. `QMS` of the master is `LSS-2IO-LED`, of the others `LSS-2IO-<pin>` (B2)."""
+"""FACTS.md B1. The master replies `LSS-2IO-LED` to `QMS`, the other pins `LSS-2IO-<pin>` (B2)."""
 
 _LSS: Final = LSS_TABLE.row
 
 ROWS: Final = (
     replace(
         _LSS("L"),
-        meaning="no more pulses: the servo is limp",
+        meaning="stop the pulses; the servo goes limp",
         source="2IO 1",
         devices=(Device.SERVO,),
     ),
@@ -45,7 +45,7 @@ ROWS: Final = (
         source="2IO 2",
         modifiers=(),
         devices=(Device.SERVO,),
-        note="QP answers the last command.",
+        note="QP returns the last commanded value.",
     ),
     replace(
         _LSS("D"),
@@ -56,8 +56,9 @@ ROWS: Final = (
         outside=Outside.CLAMPED,
         modifiers=(),
         devices=(Device.SERVO,),
-        note="Tenths on the wire, whole degrees in the board, clamped: #209D1456 ends at 90. The"
-        " servo jumps; T is ignored. QD answers the last command.",
+        note="The wire has tenths, the board whole degrees. Values outside are clamped:"
+        " #209D1456 ends at 90. The servo moves at once, because the board ignores T. QD returns"
+        " the last commanded value.",
     ),
     replace(
         _LSS("LED"),
@@ -66,14 +67,14 @@ ROWS: Final = (
         outside=Outside.ZEROED,
         default=0,
         devices=(Device.MASTER,),
-        note="2IO 4 lets QLED be broadcast; the sketch never answers a broadcast.",
+        note="2IO 4 allows a broadcast QLED; the sketch never answers a broadcast.",
     ),
     replace(
         _LSS("G"),
         source="2IO 5, FACTS B9",
         suffixes=None,
         devices=(Device.SERVO, Device.ANALOG),
-        note="An analog pin at -1 answers 1024 minus its value.",
+        note="With G = -1 an analog pin returns 1024 minus its value.",
     ),
     replace(
         _LSS("QID"),
@@ -83,7 +84,8 @@ ROWS: Final = (
         needs_reset=False,
         sets_session=True,
         suffix_is_delay=False,
-        note="Each pin has its own default: PIN_IDS. At once (assumed: no RESET is asked for).",
+        note="The defaults are 207 (master), 203 to 205 (A3 to A5) and 209 to 211 (D9 to D11). A"
+        " new id acts at once; this is assumed, because no RESET is required.",
     ),
     replace(
         _LSS("QB"),
@@ -92,16 +94,16 @@ ROWS: Final = (
         sets_session=True,
         needs_reset=False,
         devices=(Device.MASTER,),
-        note="Acts at once.",
+        note="A new rate acts at once.",
     ),
     replace(_LSS("QMS"), source="2IO 8"),
     replace(_LSS("RESET"), source="2IO 9", actions=("RESET",), devices=(Device.MASTER,)),
     replace(
         _LSS("DEFAULT"),
-        meaning="factory values, at once",
+        meaning="restore the factory values at once",
         source="2IO 10",
         devices=(Device.MASTER,),
-        note="There is no CONFIRM.",
+        note="The board has no CONFIRM.",
     ),
     Row(
         name="A",
@@ -114,8 +116,8 @@ ROWS: Final = (
             3: Suffix.GP2Y0A02YK0F,
         },
         devices=(Device.ANALOG,),
-        note="The suffix is not echoed: *203QA50 is 50 mm of sensor 1. Clamped by the board to 30"
-        " to 310, 90 to 810 and 190 to 1510 mm (FACTS B15).",
+        note="The reply does not repeat the suffix: *203QA50 is 50 mm of sensor 1. The board clamps"
+        " the distance to 30 to 310, 90 to 810 and 190 to 1510 mm (sensors 1 to 3, FACTS B15).",
     ),
 )
 

@@ -1,10 +1,13 @@
-"""The grammar that all three bus languages share: one command or one reply is one line.
+"""Bytes ⇄ commands and replies: the grammar that all three bus languages share.
+
+One command or one reply is one line:
 
     command   # <id> <KEYWORD> [<value>] { <MODIFIER> <value> } CR        #5D1443T500
     reply     * [<id>] <KEYWORD> [<value>] CR                             *5QD1443
     group     several of them before one CR                               #0QD0QC0#5QD0
 
-What a keyword means, and which values it takes, is said by the tables of the families.
+`#…` or `*…` up to the next start byte is a section. The parsers accept any bytes in any chunks and
+never raise. The tables of the families define the keywords and their values.
 """
 
 from __future__ import annotations
@@ -12,29 +15,29 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from itertools import groupby
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 LINE_MAX_BYTES: Final = 64
-"""Longest section (`#…` or `*…`) that is read. Chosen: twice the longest that the documents can
-form, `#254MD-32768T65535SD65535CH65535`. Of a group line only each section is bounded."""
+"""Longest section that the parsers read. Chosen: twice the longest section that the documents
+allow, `#254MD-32768T65535SD65535CH65535`. A group line may be longer than that."""
 
 TEXT_REPLIES: Final = ("QMS", "QN")
-"""Queries answered with text that runs into the keyword (`*5QMSLSS-HS1`): FACTS.md C15.
-A serial number keeps its leading zeros and may hold letters (C15)."""
+"""Queries whose reply has text directly after the keyword (`*5QMSLSS-HS1`). A serial number keeps
+its leading zeros and may contain letters (FACTS.md C15)."""
 
 DISABLED: Final = "DIS"
 """The value of a first position that is not set (FACTS.md C16)."""
 
 TEXT_COMMAND: Final = "CRC"
-"""The one command whose value may be no number (`#5CRC*`) (FACTS.md R14)."""
+"""The only command whose value may be text (`#5CRC*`, FACTS.md R14)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What the host says. `keyword` is upper case. The suffix of a query is its value (`QSD2`)."""
+    """A command of the host. `keyword` is upper case. A query has its suffix as value (`QSD2`)."""
 
     servo_id: int
     keyword: str
@@ -44,22 +47,25 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """What a servo says. `servo_id` is None in `*QID5`; `value` is None in `*5QDT`."""
+    """A reply of a servo. `servo_id` is None in `*QID5`; `value` is None in `*5QDT`."""
 
     servo_id: int | None
     keyword: str
     value: int | str | None = None
 
 
+ItemT = TypeVar("ItemT", Command, Reply)
+
+
 @dataclass(frozen=True, slots=True)
 class Garbage:
-    """Bytes that are no line of ours. Never raised, only counted."""
+    """Received bytes that are not a valid line. Callers count them."""
 
     data: bytes
 
 
 def encode(item: Command | Reply) -> bytes:
-    """Return the exact bytes of one line, CR included; `codec` is what checks the values."""
+    """Return the exact bytes of one line with its CR. `codec` checks the values, not this function."""
     value = "" if item.value is None else item.value
     if isinstance(item, Command):
         if not item.modifiers:
@@ -70,7 +76,7 @@ def encode(item: Command | Reply) -> bytes:
 
 
 def encode_move(servo_id: int, position_wire: int, duration_ms: int | None) -> bytes:
-    """Return what `encode` does for a `D` with or without `T`, for the player's inner loop."""
+    """Return the same bytes as `encode` for a `D` with or without `T`, faster, for the player."""
     if duration_ms is None:
         return b"#%dD%d\r" % (servo_id, position_wire)
     return b"#%dD%dT%d\r" % (servo_id, position_wire, duration_ms)
@@ -79,24 +85,46 @@ def encode_move(servo_id: int, position_wire: int, duration_ms: int | None) -> b
 def encode_group(items: Sequence[Command] | Sequence[Reply]) -> bytes:
     """Return one line of many sections (firmware 370: FACTS.md W17).
 
-    Neighbouring queries to one servo share a section, and a `0` keeps their keywords apart.
+    Adjacent queries to one servo share a section; a `0` separates their keywords.
     """
-    return b"".join(_joined(list(run)) for _, run in groupby(items, _sharing)) + b"\r"
+    return b"".join(_joined(list(run)) for _, run in groupby(items, _section_key)) + b"\r"
 
 
-class CommandParser:
-    """Bytes from a host → commands, in any chunks. Never raises and keeps at most one section.
-
-    `#` always starts anew. With `grouped` (firmware 370) the section before it counts; without
-    (older firmware, 2IO) what is not one command before a CR is garbage.
-    """
+class _SectionParser:
+    """The part that both parsers share: the incomplete last section, and the uncommon sections."""
 
     def __init__(self, *, grouped: bool = True) -> None:
         self._grouped = grouped
         self._rest = b""
 
+    def _section(
+        self,
+        data: bytes,
+        match: re.Match[bytes],
+        start: bytes,
+        read: Callable[[bytes], list[ItemT]],
+    ) -> list[ItemT | Garbage]:
+        """Return the items of one piece of `data`; an incomplete last piece is stored."""
+        piece, end = match.group(), match.end()
+        if end == len(data) and not piece.endswith(b"\r"):
+            self._rest = piece
+            return []
+        is_ended = piece.endswith(b"\r") or (self._grouped and data.startswith(start, end))
+        found: list[ItemT] = read(piece) if is_ended else []
+        if found and (self._grouped or len(found) == 1):
+            return [*found]
+        return [Garbage(piece)]
+
+
+class CommandParser(_SectionParser):
+    """Bytes from a host → commands, in any chunks. Never raises; stores at most one section.
+
+    `#` always starts a new section. With `grouped` (firmware 370) the section before it is read as
+    well. Without (older firmware, 2IO), everything but one command before a CR is garbage.
+    """
+
     def feed(self, chunk: bytes) -> list[Command | Garbage]:
-        """Return what `chunk` completes, in order; the same bytes cut elsewhere give the same."""
+        """Return the items that `chunk` completes, in order, however the bytes were cut."""
         data = self._rest + chunk
         self._rest = b""
         items: list[Command | Garbage] = []
@@ -112,31 +140,20 @@ class CommandParser:
                     )
                 )
                 continue
-            piece, end = match.group(), match.end()
-            if end == len(data) and not piece.endswith(b"\r"):
-                self._rest = piece
-                break
-            is_ended = piece.endswith(b"\r") or (self._grouped and data.startswith(b"#", end))
-            found = _commands(piece) if is_ended else []
-            is_group = len(found) > 1
-            items.extend(found if found and (self._grouped or not is_group) else [Garbage(piece)])
+            items.extend(self._section(data, match, b"#", _commands))
         return items
 
 
-class ReplyParser:
-    """Bytes from the servos → replies, in any chunks. Never raises and keeps at most one section.
+class ReplyParser(_SectionParser):
+    """Bytes from the servos → replies, in any chunks. Never raises; stores at most one section.
 
-    `*` always starts anew, so noise never hides the reply after it. With `grouped` the section
-    before a `*` counts, and a section may hold several replies (FACTS.md W18). Pass False where
-    no group was asked: then replies that ran into each other are garbage, not wrong numbers.
+    `*` always starts a new section, so noise does not hide the reply after it. With `grouped` the
+    section before a `*` is read as well, and a section may hold several replies (FACTS.md W18).
+    Pass False if no group was sent: replies that overlap then give garbage, not wrong numbers.
     """
 
-    def __init__(self, *, grouped: bool = True) -> None:
-        self._grouped = grouped
-        self._rest = b""
-
     def feed(self, chunk: bytes) -> list[Reply | Garbage]:
-        """Return what `chunk` completes, in order; the same bytes cut elsewhere give the same."""
+        """Return the items that `chunk` completes, in order, however the bytes were cut."""
         data = self._rest + chunk
         self._rest = b""
         items: list[Reply | Garbage] = []
@@ -145,19 +162,12 @@ class ReplyParser:
             if servo_id is not None:
                 items.append(Reply(int(servo_id), str(keyword, "ascii"), int(value)))
                 continue
-            piece, end = match.group(), match.end()
-            if end == len(data) and not piece.endswith(b"\r"):
-                self._rest = piece
-                break
-            is_ended = piece.endswith(b"\r") or (self._grouped and data.startswith(b"*", end))
-            found = _replies(piece) if is_ended else []
-            is_group = len(found) > 1
-            items.extend(found if found and (self._grouped or not is_group) else [Garbage(piece)])
+            items.extend(self._section(data, match, b"*", _replies))
         return items
 
 
-# A piece ends before the next start byte, after a CR, or at the bound. The first alternative of
-# each pattern is the common line, read in one go; the others only cut.
+# A piece ends before the next start byte, after a CR, or at `LINE_MAX_BYTES`. The first alternative
+# of each pattern reads a common line at once, for speed. The others only cut the bytes into pieces.
 _COMMAND_PIECE: Final = re.compile(
     rb"#([0-9]{1,5})([A-Za-z]{1,10})(-?[0-9]{1,11})?(?:[Tt]([0-9]{1,11}))?\r"
     rb"|#[^#\r]{0,%d}\r?|[^#\r]{1,%d}\r?|\r" % (LINE_MAX_BYTES - 2, LINE_MAX_BYTES - 1)
@@ -179,7 +189,7 @@ _REPLY_PART: Final = re.compile(rb"([A-Z]+)(-?[0-9]+(?:\.[0-9]+)*)?")
 
 
 def _commands(piece: bytes) -> list[Command]:
-    """Return the commands of one section; none if it is not one."""
+    """Return the commands of one section; none if the section is not valid."""
     piece = piece.upper()
     match = _COMMAND_SECTION.fullmatch(piece)
     if match is None:
@@ -201,7 +211,7 @@ def _commands(piece: bytes) -> list[Command]:
 
 
 def _replies(piece: bytes) -> list[Reply]:
-    """Return the replies of one section; none if it is not one."""
+    """Return the replies of one section; none if the section is not valid."""
     section = _REPLY_SECTION.fullmatch(piece)
     if section is None:
         return []
@@ -219,7 +229,7 @@ def _replies(piece: bytes) -> list[Reply]:
             return []
         keyword = match[1].decode()
         if replies and not keyword.startswith("Q"):
-            keyword = "Q" + keyword  # `*15QD960T400` answers QD and QT (FACTS.md W18).
+            keyword = "Q" + keyword  # `*15QD960T400` is the reply to QD and QT (FACTS.md W18).
         replies.append(Reply(servo_id, keyword, _reply_value(keyword, match[2])))
         position = match.end()
     return replies
@@ -245,8 +255,8 @@ def _body(item: Command | Reply) -> str:
     return f"{item.keyword}{value}" + "".join(f"{name}{given}" for name, given in item.modifiers)
 
 
-def _sharing(item: Command | Reply) -> tuple[int | None, bool]:
-    """Neighbours with the same key share a section, where they are queries or their replies."""
+def _section_key(item: Command | Reply) -> tuple[int | None, bool]:
+    """Return the key that adjacent queries, or their replies, share if they share a section."""
     return item.servo_id, item.keyword.startswith("Q")
 
 

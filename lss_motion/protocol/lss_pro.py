@@ -1,6 +1,7 @@
-"""The rows of the LSS-PRO language: its protocol page, half of it a copy of the LSS one.
+"""The rows of the LSS-PRO language, from its protocol page.
 
-Left out as misprints: `QM` for `QSM`, `#8SM2` for `#8CSM2` (FACTS.md C7).
+About half of the page repeats the LSS page, so most rows are LSS rows with changes. The table
+leaves out two misprints of the page: `QM` for `QSM`, and `#8SM2` for `#8CSM2` (FACTS.md C7).
 """
 
 from __future__ import annotations
@@ -25,14 +26,14 @@ PRO_FIRMWARE: Final = 780
 """FACTS.md P6."""
 
 POSITION_SCALE: Final = HUNDREDTHS
-"""FACTS.md P1; some examples of the page still count in tenths."""
+"""FACTS.md P1. Some examples of the page still use tenths."""
 
 OFFSET_SCALE: Final = TENTHS
-"""Origin, angular range and first position (FACTS.md P3); an example says hundredths."""
+"""Scale of origin, angular range and first position (FACTS.md P3). One example uses hundredths."""
 
 SPEED_SCALE: Final = TENTHS
-"""The page: tenths, and whole degrees a second for the modifier. The maker's code
-treats speed as hundredths (FACTS.md P2). With the hardware at hand, this is the line to correct."""
+"""The page gives tenths, and whole degrees per second for the modifier. The maker's code treats
+speeds as hundredths (FACTS.md P2). Correct this line if a real servo shows another scale."""
 
 WHEEL_SCALE: Final = ONE
 """FACTS.md P4."""
@@ -48,7 +49,7 @@ SETUP: Final = (
         _LSS("QID"),
         source="PRO ID Number",
         suffix_is_delay=False,
-        note="A broadcast is answered *254QID5: the id is the value.",
+        note="The reply to a broadcast is *254QID5; the value is the id of the servo.",
     ),
     Row(
         name="ET",
@@ -82,14 +83,14 @@ MOTION: Final = (
         source="PRO Position in Degrees",
         wire_per_unit=POSITION_SCALE,
         modifiers=("T", "SD"),
-        note="Unbounded: virtual turns.",
+        note="The position is not bounded (virtual turns).",
     ),
     replace(
         _LSS("QDT"),
         source="PRO Position in Degrees",
         wire_per_unit=POSITION_SCALE,
         reply_shape=ReplyShape.INTEGER,
-        note="Without a target: the last one.",
+        note="Without a target the reply is the last target.",
     ),
     replace(
         _LSS("MD"),
@@ -103,16 +104,20 @@ MOTION: Final = (
         queries=("QWD", "QVT"),
         wire_per_unit=WHEEL_SCALE,
         modifiers=(),
-        note="QVT is listed beside QWD; taken as the same.",
+        note="The page lists QVT beside QWD. Both are taken to be the same.",
     ),
     replace(_LSS("WR"), source="PRO Wheel Mode in RPM", modifiers=()),
     replace(
         _LSS("M"),
         source="PRO (Relative) Move in Degrees",
         firmware=0,
-        note="Its headline says MD by mistake.",
+        note="The headline of the section names MD by mistake.",
     ),
-    replace(_LSS("Q"), source="PRO Query Status, FACTS P5", note="Numbers: see status_codes."),
+    replace(
+        _LSS("Q"),
+        source="PRO Query Status, FACTS P5",
+        note="The meaning of the numbers depends on the firmware (FACTS P5).",
+    ),
     replace(_LSS("L"), source="PRO Limp"),
     replace(_LSS("H"), source="PRO Halt & Hold"),
     replace(_LSS("QS"), source="PRO Speed (SD) modifier"),
@@ -123,7 +128,7 @@ SETTINGS: Final = (
         _LSS("O"),
         source="PRO Origin Offset (O)",
         wire_per_unit=OFFSET_SCALE,
-        note="PRO Configurations calls CO-500 -5.00 degrees; by the table it is -50.0.",
+        note="PRO Configurations gives -5.00 degrees for CO-500; by the table it is -50.0.",
     ),
     replace(
         _LSS("AR"),
@@ -134,9 +139,9 @@ SETTINGS: Final = (
     replace(
         _LSS("AA"),
         source="PRO Angular Acceleration (AA)",
-        note="Steps of 10 deg/s2 as the page says; its example calls AA30 30 deg/s2 (FACTS P2).",
+        note="The page gives steps of 10 deg/s2; its example gives 30 deg/s2 for AA30 (FACTS P2).",
     ),
-    replace(_LSS("AD"), source="PRO Angular Deceleration (AD)", note="As AA."),
+    replace(_LSS("AD"), source="PRO Angular Deceleration (AD)", note="The note on AA applies."),
     replace(_LSS("G"), source="PRO Gyre Direction (G)"),
     replace(
         _LSS("QFD"),
@@ -152,7 +157,7 @@ SETTINGS: Final = (
     replace(
         _LSS("SR"),
         source="PRO Maximum Speed in RPM (SR)",
-        note="Overwrites SD and the other way round.",
+        note="SR and SD overwrite each other.",
     ),
     Row(
         name="SM",
@@ -164,12 +169,12 @@ SETTINGS: Final = (
         suffixes=_LSS("G").suffixes,
         choices={1: 0, 2: 0, 4: 0},
         default=2,
-        note="QM in the table is a misprint of QSM, #8SM2 in the text one of #8CSM2.",
+        note="QM in the table is a misprint of QSM, and #8SM2 in the text one of #8CSM2.",
     ),
     replace(
         _LSS("EM"),
         source="PRO Motion Setup, FACTS P10",
-        note="The page names EM1 but lists no EM; the maker's library sends it.",
+        note="The page names EM1 but does not list EM; the maker's library sends EM.",
     ),
     replace(
         _LSS("LED"),
@@ -184,7 +189,7 @@ MODIFIERS: Final = (
         LSS_TABLE.modifiers["SD"],
         source="PRO Speed (SD) modifier",
         wire_per_unit=SPEED_SCALE,
-        note="The table says whole degrees a second, the example tenths (SD180 is 18 deg/s).",
+        note="The table gives whole degrees per second, the example tenths (SD180 is 18 deg/s).",
     ),
     replace(LSS_TABLE.modifiers["T"], source="PRO Timed move (T) modifier"),
 )
@@ -208,7 +213,7 @@ TELEMETRY: Final = (
         queries=("QTP",),
         unit=Unit.CELSIUS,
         wire_per_unit=TENTHS,
-        note="Tenths are assumed, as of QT; the maker's library calls all of them raw hundredths.",
+        note="Tenths are assumed, as for QT. The maker's library treats both as raw hundredths.",
     ),
     Row(
         name="TM",
@@ -217,21 +222,21 @@ TELEMETRY: Final = (
         queries=("QTM",),
         unit=Unit.CELSIUS,
         wire_per_unit=TENTHS,
-        note="Tenths are assumed, as of QTP.",
+        note="Tenths are assumed, as for QTP.",
     ),
     Row(
         name="TCW",
         meaning="motor controller is warm (1) or not (0)",
         source="PRO Query Temp of Controller (QTCW)",
         queries=("QTCW",),
-        note="No example; 0 and 1 are assumed.",
+        note="The page has no example; 0 and 1 are assumed.",
     ),
     Row(
         name="TCE",
         meaning="motor controller is too hot (1) or not (0)",
         source="PRO Query Temp of Controller (QTCW)",
         queries=("QTCE",),
-        note="No example; 0 and 1 are assumed.",
+        note="The page has no example; 0 and 1 are assumed.",
     ),
     *(
         Row(
@@ -251,7 +256,7 @@ TELEMETRY: Final = (
             queries=queries,
             unit=Unit.DEG_S2,
             wire_per_unit=TENTHS,
-            note="Tenths by the example (FACTS P19).",
+            note="The example gives tenths (FACTS P19).",
         )
         for queries, angle in (
             (("QIA",), "alpha"),

@@ -1,8 +1,9 @@
-"""What one row of a family's table says: the type of the rows, and no row.
+"""The types of a family's table: `Row` describes one command, `FamilyTable` all of a family.
 
-Sources are written `LSS 8` or `2IO 3` (document and command), `PRO Step Mode (SM)` (document and
-section), or `FACTS M5` (row of FACTS.md, which names the documents: the LSS communication protocol
-106.1 of 2019-02-22, the LSS-PRO one of 2023-12-14, the 2IO one for the 2RC mode of 2020-02-07).
+The rows themselves are in `lss`, `lss_pro` and `io2`. `Row.source` has one of three forms: `LSS 8`
+or `2IO 3` (document and command), `PRO Step Mode (SM)` (document and section), or `FACTS M5` (row
+of FACTS.md). The documents are the LSS communication protocol 106.1 of 2019-02-22, the LSS-PRO
+protocol of 2023-12-14, and the LSS-2IO protocol for the 2RC mode of 2020-02-07.
 """
 
 from __future__ import annotations
@@ -22,14 +23,14 @@ if TYPE_CHECKING:
 
 WIRE_MIN: Final = -(2**31)
 WIRE_MAX: Final = 2**31 - 1
-"""Bounds where no document gives one. Assumed (32-bit integers); every line stays readable."""
+"""Bounds for rows without a documented range. Assumed: 32-bit integers. They fit into a line."""
 
 ONE: Final = Fraction(1)
 TENTHS: Final = Fraction(10)
 HUNDREDTHS: Final = Fraction(100)
 THOUSANDTHS: Final = Fraction(1000)
 STEPS_OF_TEN: Final = Fraction(1, 10)
-"""The usual numbers of wire units per physical unit."""
+"""Common values of `Row.wire_per_unit`."""
 
 
 class Form(StrEnum):
@@ -69,7 +70,7 @@ class Value(StrEnum):
 
 
 class Outside(StrEnum):
-    """What a servo does with a value outside the range. `IGNORED` and `TAKEN` are assumptions."""
+    """Effect of a value outside the range. `IGNORED` and `TAKEN` are assumptions."""
 
     IGNORED = "ignored"
     TAKEN = "taken"
@@ -88,7 +89,7 @@ class ReplyShape(StrEnum):
 
 
 class Suffix(StrEnum):
-    """What the number after a query asks for. It is not echoed in the reply (FACTS.md C3)."""
+    """Meaning of the number after a query. The reply does not repeat the number (FACTS.md C3)."""
 
     SESSION = "session value"
     CONFIGURED = "configured value"
@@ -102,7 +103,7 @@ class Suffix(StrEnum):
 
 
 class Device(StrEnum):
-    """The parts of a 2IO, each with an id of its own. A smart servo is none of them."""
+    """The parts of a 2IO; each has an id of its own. A smart servo is not a `Device`."""
 
     MASTER = "master"
     SERVO = "servo"
@@ -111,26 +112,27 @@ class Device(StrEnum):
 
 SESSION_ONLY: Final = {0: Suffix.SESSION}
 SESSION_OR_CONFIG: Final = {0: Suffix.SESSION, 1: Suffix.CONFIGURED}
-"""FACTS.md C4: `1` asks for the EEPROM; `0` is the same as no suffix."""
+"""`1` selects the EEPROM; `0` is the same as no suffix (FACTS.md C4)."""
 SPEED: Final = {**SESSION_OR_CONFIG, 2: Suffix.INSTANTANEOUS, 3: Suffix.TARGET}
-"""FACTS.md C4."""
+"""Suffixes of the speed queries (FACTS.md C4)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """One thing that can be commanded, asked or configured. Ranges and defaults are wire values.
+    """One value that can be commanded, queried or configured. Ranges and defaults are wire values.
 
-    `wire_per_unit`    1443 tenths on the wire are 144.3 `unit`
-    `step`             a servo heeds only multiples of it (2IO: whole degrees)
-    `choices`          the only values, each with the first firmware that takes it
-    `end_points`       where a clamped value lands, if not on `minimum` and `maximum`
-    `default`          factory value; None: none, or given by the model (the note says which)
-    `sets_session`     a configuration changes the session as well as the EEPROM
-    `needs_reset`      a configuration acts after RESET or power-up only
-    `mirrors`          the row whose setting this one reads and overwrites in another unit
-    `suffix_is_delay`  the query's suffix is a reply delay in us per id
-    `firmware`         the first that knows the row; 0: all
-    `devices`          the parts of a 2IO that obey; empty: all
+    `actions`, `queries`, `configs`  keywords of the three forms; a row may have several of one form
+    `wire_per_unit`    wire units per physical unit: with 10, 1443 on the wire is 144.3 `unit`
+    `step`             the servo uses only multiples of it (2IO: whole degrees)
+    `choices`          the only allowed values, each with the first firmware that accepts it
+    `end_points`       results of clamping, if they differ from `minimum` and `maximum`
+    `default`          factory value; None: there is none, or the model sets it (see the note)
+    `sets_session`     a configuration changes the session value as well as the EEPROM
+    `needs_reset`      a configuration acts only after RESET or power-up
+    `mirrors`          name of the row with the same setting in another unit
+    `suffix_is_delay`  the suffix of the query is a reply delay in us per id
+    `firmware`         first firmware that has the row; 0: every firmware
+    `devices`          parts of a 2IO that accept the row; empty: all parts
     """
 
     name: str
@@ -162,22 +164,23 @@ class Row:
     note: str = ""
 
     def physical(self, wire: int) -> float:
-        """Return the value in `unit`, correctly rounded; codes and other bare numbers stay int."""
+        """Return the value in `unit`, correctly rounded; values with scale 1 stay int (codes)."""
         if self.wire_per_unit == 1:
             return wire
         return wire * self.wire_per_unit.denominator / self.wire_per_unit.numerator
 
     def wire(self, physical: float, step: int = 1) -> int:
-        """Return the nearest multiple of `step` wire units (ties to even), in range or not."""
+        """Return the nearest multiple of `step` wire units (ties to even). No range check."""
         return round(physical * float(self.wire_per_unit) / step) * step
 
     def allows(self, wire: int) -> bool:
+        """Return whether the row accepts the wire value."""
         if self.choices is not None:
             return wire in self.choices
         return self.minimum <= wire <= self.maximum
 
     def kept(self, wire: int) -> int | None:
-        """Return what a servo that hears `wire` goes on with; None: it takes no notice."""
+        """Return the value that a servo uses after it received `wire`; None: it ignores `wire`."""
         if self.allows(wire):
             return wire
         match self.outside:
@@ -192,7 +195,7 @@ class Row:
                 return 0
 
     def allowed(self) -> str:
-        """Say the allowed values, in `unit`."""
+        """Return a text with the allowed values, in `unit`."""
         unit = f" {self.unit}" if self.unit else ""
         if self.choices is not None:
             return ", ".join(f"{self.physical(wire):.12g}" for wire in sorted(self.choices)) + unit
@@ -201,12 +204,11 @@ class Row:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FamilyTable:
-    """Every row of a family, found by keyword.
+    """Every row of a family, by keyword.
 
-    `by_keyword` holds actions, queries and configurations; `modifiers` is a name space of its own
-    (`SD` is both a command and a modifier).
-    `firmware` is the newest version that the table knows.
-    `answers_broadcast`: a query to id 254 is answered by everybody at once.
+    `by_keyword` holds actions, queries and configurations. `modifiers` is a separate name space,
+    because `SD` is both a command and a modifier. `firmware` is the newest version that the table
+    covers. `answers_broadcast`: all servos reply at once to a query to id 254.
     """
 
     family: Family
@@ -217,10 +219,11 @@ class FamilyTable:
     modifiers: Mapping[str, Row]
 
     def row(self, keyword: str) -> Row:
+        """Return the row of `keyword`, or raise `ProtocolError`."""
         return self.find(keyword)[1]
 
     def find(self, keyword: str) -> tuple[Form, Row]:
-        """Return what `keyword` does and with which row; ProtocolError names the nearest."""
+        """Return form and row of `keyword`. The `ProtocolError` names the nearest keywords."""
         found = self.by_keyword.get(keyword)
         if found is None:
             raise ProtocolError(unknown_text(keyword, self.by_keyword, f"{self.family} keyword"))
@@ -228,6 +231,7 @@ class FamilyTable:
 
 
 def unknown_text(name: str, known: Mapping[str, object], kind: str) -> str:
+    """Return the text that `name` is no such `kind`, with the nearest names of `known`."""
     near = get_close_matches(name, known, n=3, cutoff=0.5)
     hint = f"; did you mean {' or '.join(near)}?" if near else ""
     return f"{name!r} is no {kind}{hint}"
@@ -236,7 +240,7 @@ def unknown_text(name: str, known: Mapping[str, object], kind: str) -> str:
 def make_table(
     family: Family, rows: Sequence[Row], *, firmware: int, answers_broadcast: bool
 ) -> FamilyTable:
-    """Return the table; every keyword belongs to one row."""
+    """Return the table of `rows`. A keyword in two rows is an error of the tables."""
     by_keyword: dict[str, tuple[Form, Row]] = {}
     for row in rows:
         for form, keywords in (

@@ -21,7 +21,7 @@ from lss_motion.protocol.table import Suffix, Unit
 LSS, PRO, IO2 = Family.LSS, Family.LSS_PRO, Family.IO2
 
 
-def test_the_unit_on_the_wire_is_that_of_the_family() -> None:
+def test_each_family_has_its_own_unit_on_the_wire() -> None:
     assert make_command(LSS, 5, "D", 130.04) == Command(5, "D", 1300)
     assert make_command(PRO, 5, "D", 130.04) == Command(5, "D", 13004)
     assert make_command(LSS, 5, "WD", 90) == Command(5, "WD", 900)
@@ -29,7 +29,7 @@ def test_the_unit_on_the_wire_is_that_of_the_family() -> None:
     assert make_command(LSS, 5, "AA", 300) == Command(5, "AA", 30)
 
 
-def test_a_2io_is_told_whole_degrees_and_answers_tenths() -> None:
+def test_a_2io_receives_whole_degrees_and_replies_in_tenths() -> None:
     assert make_command(IO2, 209, "D", 44.6) == Command(209, "D", 450)
     assert make_reply(IO2, 209, "QD", 13.2) == Reply(209, "QD", 132)
 
@@ -42,9 +42,9 @@ def test_positions_are_rounded_and_not_cut() -> None:
 def test_modifiers_follow_in_the_order_of_the_row() -> None:
     command = make_command(LSS, 5, "d", 180, {"CH": 0.4, "T": 2500})
     assert encode(command) == b"#5D1800T2500CH400\r"
-    said = read_command(LSS, command)
-    assert said is not None
-    assert said.modifiers == {"T": 2500, "CH": 0.4}
+    decoded = read_command(LSS, command)
+    assert decoded is not None
+    assert decoded.modifiers == {"T": 2500, "CH": 0.4}
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,7 @@ def test_modifiers_follow_in_the_order_of_the_row() -> None:
         (IO2, "CONFIRM", None, {}, "'CONFIRM' is no LSS-2IO keyword"),
     ],
 )
-def test_what_cannot_be_said_is_refused_with_what_is_allowed(
+def test_a_command_outside_the_table_is_refused_with_the_allowed_values(
     family: Family, keyword: str, value: float | None, modifiers: dict[str, float], message: str
 ) -> None:
     with pytest.raises(ProtocolError, match=message):
@@ -88,7 +88,7 @@ def test_what_cannot_be_said_is_refused_with_what_is_allowed(
 
 
 @pytest.mark.parametrize("servo_id", [-1, 256])
-def test_an_id_that_no_servo_can_have_is_refused(servo_id: int) -> None:
+def test_an_id_outside_0_to_255_is_refused(servo_id: int) -> None:
     with pytest.raises(ProtocolError, match="allowed are 0 to 255"):
         make_command(LSS, servo_id, "L")
 
@@ -103,7 +103,7 @@ def test_an_id_that_no_servo_can_have_is_refused(servo_id: int) -> None:
         ("QID", 120, {}, 370),
     ],
 )
-def test_what_older_firmware_lacks_is_refused_below_its_version(
+def test_a_command_of_newer_firmware_is_refused_for_older_firmware(
     keyword: str, value: float, modifiers: dict[str, float], since: int
 ) -> None:
     command = make_command(LSS, 5, keyword, value, modifiers, firmware=since)
@@ -112,13 +112,13 @@ def test_what_older_firmware_lacks_is_refused_below_its_version(
         make_command(LSS, 5, keyword, value, modifiers, firmware=since - 1)
 
 
-def test_a_query_keeps_its_suffix_and_says_what_it_asks() -> None:
-    said = read_command(LSS, make_command(LSS, 5, "QSD", 2))
-    assert said is not None
-    assert (said.value, said.suffix) == (2, Suffix.INSTANTANEOUS)
+def test_a_query_keeps_its_suffix_and_its_meaning() -> None:
+    decoded = read_command(LSS, make_command(LSS, 5, "QSD", 2))
+    assert decoded is not None
+    assert (decoded.value, decoded.suffix) == (2, Suffix.INSTANTANEOUS)
 
 
-def test_what_another_family_says_is_heard_as_nothing() -> None:
+def test_keywords_of_another_family_are_read_as_none() -> None:
     assert read_command(LSS, Command(5, "PD", 1443)) is None
     assert read_command(LSS, Command(5, "D", 1443, (("ZZ", 1),))) is None
     assert read_command(PRO, Command(5, "P", 1500)) is None
@@ -127,24 +127,24 @@ def test_what_another_family_says_is_heard_as_nothing() -> None:
     assert read_reply(LSS, Reply(5, "D", 1800)) is None
 
 
-def test_a_2io_hears_past_modifiers() -> None:
-    said = read_command(IO2, Command(209, "D", 450, (("T", 500),)))
-    assert said is not None
-    assert (said.value, said.modifiers) == (45.0, {})
+def test_a_2io_ignores_modifiers() -> None:
+    decoded = read_command(IO2, Command(209, "D", 450, (("T", 500),)))
+    assert decoded is not None
+    assert (decoded.value, decoded.modifiers) == (45.0, {})
 
 
 def test_a_first_position_that_is_not_set_is_none() -> None:
     assert make_reply(LSS, 5, "QFD") == Reply(5, "QFD", "DIS")
-    said = read_reply(LSS, Reply(5, "QFD", "DIS"))
-    assert said is not None
-    assert said.value is None
+    decoded = read_reply(LSS, Reply(5, "QFD", "DIS"))
+    assert decoded is not None
+    assert decoded.value is None
     assert encode(make_command(LSS, 5, "CFD")) == b"#5CFD\r"
 
 
-def test_no_target_is_nothing_for_lss_and_no_answer_of_lss_pro() -> None:
-    said = read_reply(LSS, Reply(5, "QDT"))
-    assert said is not None
-    assert said.value is None
+def test_an_empty_target_is_a_valid_reply_of_lss_but_not_of_lss_pro() -> None:
+    decoded = read_reply(LSS, Reply(5, "QDT"))
+    assert decoded is not None
+    assert decoded.value is None
     assert read_reply(PRO, Reply(5, "QDT")) is None
     with pytest.raises(ProtocolError, match="QDT answers integer"):
         make_reply(PRO, 5, "QDT")
@@ -162,9 +162,9 @@ def test_no_target_is_nothing_for_lss_and_no_answer_of_lss_pro() -> None:
     ],
 )
 def test_replies_have_the_shape_of_their_row(reply: Reply, value: float | str) -> None:
-    said = read_reply(LSS, reply)
-    assert said is not None
-    assert said.value == value
+    decoded = read_reply(LSS, reply)
+    assert decoded is not None
+    assert decoded.value == value
     assert make_reply(LSS, 5, reply.keyword, value) == reply
 
 
@@ -179,19 +179,19 @@ def test_replies_have_the_shape_of_their_row(reply: Reply, value: float | str) -
         Reply(5, "QMS"),
     ],
 )
-def test_a_reply_of_another_shape_is_neither_heard_nor_made(reply: Reply) -> None:
+def test_a_reply_of_another_shape_is_neither_read_nor_made(reply: Reply) -> None:
     assert read_reply(LSS, reply) is None
     if reply.keyword != "QFD":
         with pytest.raises(ProtocolError, match=f"{reply.keyword} answers"):
             make_reply(LSS, 5, reply.keyword, reply.value)
 
 
-def test_only_queries_are_answered() -> None:
+def test_only_queries_have_replies() -> None:
     with pytest.raises(ProtocolError, match="D is no query of LSS"):
         make_reply(LSS, 5, "D", 10.0)
 
 
-def test_a_distance_is_known_by_what_was_asked() -> None:
+def test_the_suffix_of_the_query_gives_a_distance_its_unit() -> None:
     raw = read_reply(IO2, Reply(203, "QA", 50))
     distance = read_reply(IO2, Reply(203, "QA", 50), suffix=1)
     assert raw is not None
@@ -203,12 +203,12 @@ def test_a_distance_is_known_by_what_was_asked() -> None:
 @pytest.mark.parametrize("reply", [Reply(None, "QID", 5), Reply(254, "QID", 5), Reply(5, "QID", 5)])
 @pytest.mark.parametrize("family", [LSS, PRO])
 def test_the_id_of_every_reply_to_qid_is_its_value(family: Family, reply: Reply) -> None:
-    said = read_reply(family, reply)
-    assert said is not None
-    assert said.servo_id == 5
+    decoded = read_reply(family, reply)
+    assert decoded is not None
+    assert decoded.servo_id == 5
 
 
-def test_the_reply_to_a_broadcast_qid_is_that_of_the_firmware() -> None:
+def test_the_reply_to_a_broadcast_qid_depends_on_family_and_firmware() -> None:
     assert identify_reply(LSS, 5, 254, firmware=368) == Reply(None, "QID", 5)
     assert identify_reply(LSS, 5, 254, firmware=370) == Reply(5, "QID", 5)
     assert identify_reply(PRO, 5, 254, firmware=780) == Reply(254, "QID", 5)
@@ -217,32 +217,32 @@ def test_the_reply_to_a_broadcast_qid_is_that_of_the_firmware() -> None:
         identify_reply(IO2, 207, 254, firmware=0)
 
 
-def test_text_after_crc_is_heard_as_said() -> None:
+def test_text_after_crc_is_read_as_text() -> None:
     (command,) = CommandParser().feed(b"#5CRC*\r")
     assert isinstance(command, Command)
-    said = read_command(LSS, command)
-    assert said is not None
-    assert said.value == "*"
+    decoded = read_command(LSS, command)
+    assert decoded is not None
+    assert decoded.value == "*"
 
 
-def test_the_highest_id_can_be_said() -> None:
+def test_the_highest_id_is_allowed() -> None:
     assert make_command(LSS, 255, "H") == Command(255, "H")
 
 
 @pytest.mark.parametrize("delay_us", [0, 1, 250])
-def test_the_delay_of_a_reply_is_any_whole_number_from_zero_on(delay_us: int) -> None:
+def test_the_reply_delay_is_any_whole_number_from_0(delay_us: int) -> None:
     assert make_command(LSS, 254, "QID", delay_us, firmware=370) == Command(254, "QID", delay_us)
 
 
-def test_a_suffix_that_is_not_known_is_refused_with_those_that_are() -> None:
+def test_an_unknown_suffix_is_refused_with_the_known_ones() -> None:
     assert make_command(LSS, 5, "QSD", 1) == Command(5, "QSD", 1)
     with pytest.raises(ProtocolError, match=r"are 0 \(session value\), 1 \(configured value\), "):
         make_command(LSS, 5, "QSD", 9)
 
 
-def test_what_is_asked_has_no_unit_and_what_is_set_has_that_of_its_row() -> None:
-    asked, told = (read_command(LSS, Command(5, keyword, 1)) for keyword in ("QSD", "SD"))
-    assert asked is not None
-    assert told is not None
-    assert (asked.unit, asked.value) == (Unit.NONE, 1)
-    assert told.unit is told.row.unit is not Unit.NONE
+def test_a_query_has_no_unit_and_an_action_has_the_unit_of_its_row() -> None:
+    query, action = (read_command(LSS, Command(5, keyword, 1)) for keyword in ("QSD", "SD"))
+    assert query is not None
+    assert action is not None
+    assert (query.unit, query.value) == (Unit.NONE, 1)
+    assert action.unit is action.row.unit is not Unit.NONE

@@ -15,7 +15,7 @@ def test_the_documented_status_codes_are_0_to_10() -> None:
         assert status_from(10, family, firmware) is Status.SAFE_MODE
 
 
-def test_newer_lss_pro_firmware_counts_otherwise() -> None:
+def test_newer_lss_pro_firmware_has_other_status_numbers() -> None:
     newer = [status_from(code, Family.LSS_PRO, 781) for code in range(7)]
     assert newer == [
         Status.UNKNOWN,
@@ -33,7 +33,7 @@ def test_a_status_code_that_does_not_exist_is_unknown(code: int) -> None:
     assert status_from(code, Family.LSS, 370) is Status.UNKNOWN
 
 
-def test_colours_causes_and_blinking_are_those_of_the_documents() -> None:
+def test_colours_causes_and_blinking_match_the_documents() -> None:
     assert [led.name for led in Led] == [
         "OFF", "RED", "GREEN", "BLUE", "YELLOW", "CYAN", "MAGENTA", "WHITE",
     ]  # fmt: skip

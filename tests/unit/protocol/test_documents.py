@@ -117,9 +117,9 @@ def test_decoding_a_command_of_the_document_gives_the_value_back(
 ) -> None:
     command = parsed(example.data)
     assert isinstance(command, Command)
-    said = read_command(family, command)
-    assert said is not None
-    assert (said.servo_id, said.keyword, said.value, said.modifiers) == (
+    decoded = read_command(family, command)
+    assert decoded is not None
+    assert (decoded.servo_id, decoded.keyword, decoded.value, decoded.modifiers) == (
         example.servo_id,
         example.keyword,
         example.value,
@@ -141,9 +141,9 @@ def test_decoding_a_reply_of_the_document_gives_the_value_back(
 ) -> None:
     reply = parsed(example.data)
     assert isinstance(reply, Reply)
-    said = read_reply(family, reply)
-    assert said is not None
-    assert (said.servo_id, said.keyword, said.value) == (
+    decoded = read_reply(family, reply)
+    assert decoded is not None
+    assert (decoded.servo_id, decoded.keyword, decoded.value) == (
         example.servo_id,
         example.keyword,
         example.value,
@@ -153,6 +153,8 @@ def test_decoding_a_reply_of_the_document_gives_the_value_back(
 @pytest.mark.parametrize(
     ("family", "example"), [param for param in ALL_EXAMPLES if param.values[1].meant]
 )
-def test_a_misprint_is_not_what_the_table_says(family: Family, example: Example) -> None:
+def test_the_printed_bytes_of_a_misprint_differ_from_the_meant_ones(
+    family: Family, example: Example
+) -> None:
     assert example.decision
     assert parsed(example.printed.encode() + b"\r") != parsed(example.data)

@@ -105,12 +105,12 @@ def test_one_command_or_reply_is_written_exactly(
     assert encode_group(items) == data
 
 
-def test_queries_in_a_group_to_one_servo_are_kept_apart_by_a_zero() -> None:
+def test_a_zero_separates_queries_in_a_group_to_one_servo() -> None:
     queries = [Command(0, "QD"), Command(0, "QC"), Command(5, "QD"), Command(5, "QC")]
     assert encode_group(queries) == b"#0QD0QC0#5QD0QC0\r"
 
 
-def test_a_move_is_written_as_encode_writes_it() -> None:
+def test_encode_move_writes_the_same_bytes_as_encode() -> None:
     assert encode_move(12, -1443, 50) == encode(Command(12, "D", -1443, (("T", 50),)))
     assert encode_move(12, -1443, None) == encode(Command(12, "D", -1443))
 
@@ -134,16 +134,16 @@ def test_a_group_reply_may_leave_out_the_q_of_later_keywords() -> None:
 
 
 @pytest.mark.parametrize("data", GARBAGE_COMMANDS)
-def test_what_is_no_command_is_garbage_and_the_next_one_is_read(data: bytes) -> None:
+def test_an_invalid_command_is_garbage_and_the_next_one_is_read(data: bytes) -> None:
     assert CommandParser().feed(data + b"#5Q\r") == [Garbage(data), Command(5, "Q")]
 
 
 @pytest.mark.parametrize("data", GARBAGE_REPLIES)
-def test_what_is_no_reply_is_garbage_and_the_next_one_is_read(data: bytes) -> None:
+def test_an_invalid_reply_is_garbage_and_the_next_one_is_read(data: bytes) -> None:
     assert ReplyParser().feed(data + b"*5Q6\r") == [Garbage(data), Reply(5, "Q", 6)]
 
 
-def test_a_start_byte_starts_anew() -> None:
+def test_a_start_byte_begins_a_new_section() -> None:
     assert CommandParser().feed(b"x#5D#6Q\r") == [Garbage(b"x"), Command(5, "D"), Command(6, "Q")]
     assert ReplyParser().feed(b"*5Q*6Q1\r") == [Reply(5, "Q"), Reply(6, "Q", 1)]
 
@@ -181,7 +181,7 @@ def test_the_longest_command_is_read_and_a_longer_one_is_garbage() -> None:
     assert all(isinstance(item, Garbage) for item in items[:-1])
 
 
-def test_an_incomplete_line_says_nothing_yet() -> None:
+def test_an_incomplete_line_gives_no_item_yet() -> None:
     parser = ReplyParser()
     assert parser.feed(b"*5QD14") == []
     assert parser.feed(b"43") == []
@@ -206,7 +206,9 @@ def test_text_that_looks_like_a_number_stays_text(keyword: str) -> None:
 
 
 @pytest.mark.parametrize("parser", [CommandParser, ReplyParser])
-def test_noise_is_kept_no_longer_than_a_section(parser: type[CommandParser | ReplyParser]) -> None:
+def test_the_parser_stores_at_most_one_section_of_noise(
+    parser: type[CommandParser | ReplyParser],
+) -> None:
     most = LINE_MAX_BYTES - 1
     assert parser().feed(b"x" * most) == []
     assert parser().feed(b"x" * (most + 1)) == [Garbage(b"x" * most)]

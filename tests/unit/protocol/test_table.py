@@ -1,4 +1,4 @@
-"""The rows: complete, consistent, and what a servo keeps of a value."""
+"""The tables: complete and consistent rows, and the effect of a value on a servo."""
 
 from __future__ import annotations
 
@@ -29,9 +29,7 @@ def test_every_family_has_its_table() -> None:
 
 
 @pytest.mark.parametrize(("table", "row"), ROWS)
-def test_a_row_names_its_source_and_a_keyword_and_means_something(
-    table: FamilyTable, row: Row
-) -> None:
+def test_a_row_has_a_source_a_keyword_and_a_meaning(table: FamilyTable, row: Row) -> None:
     assert re.match(r"(LSS|2IO) A?\d|PRO \S|FACTS [A-Z]\d", row.source)
     assert row.meaning
     keywords = (*row.actions, *row.queries, *row.configs)
@@ -54,7 +52,7 @@ def test_a_row_is_consistent(table: FamilyTable, row: Row) -> None:
     assert row.firmware <= table.firmware
 
 
-def test_keywords_say_what_they_do() -> None:
+def test_a_keyword_has_its_form() -> None:
     assert LSS_TABLE.find("O")[0] is Form.ACTION
     assert LSS_TABLE.find("QO")[0] is Form.QUERY
     assert LSS_TABLE.find("CO")[0] is Form.CONFIG
@@ -62,21 +60,21 @@ def test_keywords_say_what_they_do() -> None:
     assert LSS_TABLE.modifiers["SD"] is not LSS_TABLE.row("SD")
 
 
-def test_an_unknown_keyword_is_answered_with_the_nearest() -> None:
+def test_an_unknown_keyword_is_refused_with_the_nearest() -> None:
     with pytest.raises(ProtocolError, match="'QDX' is no LSS keyword; did you mean QD"):
         LSS_TABLE.row("QDX")
     with pytest.raises(ProtocolError, match=r"'@' is no LSS-2IO keyword$"):
         IO2_TABLE.row("@")
 
 
-def test_a_keyword_in_two_rows_is_our_mistake() -> None:
+def test_a_keyword_in_two_rows_fails_an_assertion() -> None:
     row = LSS_TABLE.row("L")
     with pytest.raises(AssertionError, match="L is in two rows"):
         make_table(Family.LSS, [row, row], firmware=0, answers_broadcast=True)
 
 
 @pytest.mark.parametrize(
-    ("table", "keyword", "heard", "kept"),
+    ("table", "keyword", "received", "kept"),
     [
         (LSS_TABLE, "P", 499, 500),
         (LSS_TABLE, "P", 2501, 2500),
@@ -92,10 +90,10 @@ def test_a_keyword_in_two_rows_is_our_mistake() -> None:
         (IO2_TABLE, "LED", 9, 0),
     ],
 )
-def test_a_servo_keeps_of_a_value_what_the_row_says(
-    table: FamilyTable, keyword: str, heard: int, kept: int | None
+def test_the_row_gives_the_effect_of_a_value_on_the_servo(
+    table: FamilyTable, keyword: str, received: int, kept: int | None
 ) -> None:
-    assert table.row(keyword).kept(heard) == kept
+    assert table.row(keyword).kept(received) == kept
 
 
 @pytest.mark.parametrize(("table", "row"), ROWS)
@@ -106,12 +104,12 @@ def test_every_wire_value_of_a_row_comes_back_from_its_physical_value(
     assert [row.wire(row.physical(wire)) for wire in edges] == list(edges)
 
 
-def test_bare_numbers_stay_whole() -> None:
+def test_values_without_a_unit_stay_integers() -> None:
     assert isinstance(LSS_TABLE.row("LED").physical(3), int)
     assert LSS_TABLE.row("QSD").wire_per_unit == Fraction(10)
 
 
-def test_what_takes_effect_after_a_reset_is_that_of_the_documents() -> None:
+def test_the_rows_that_need_a_reset_match_the_documents() -> None:
     def later(table: FamilyTable) -> set[str]:
         return {row.name for row in table.rows if row.needs_reset}
 
@@ -120,23 +118,23 @@ def test_what_takes_effect_after_a_reset_is_that_of_the_documents() -> None:
     assert later(IO2_TABLE) == set()
 
 
-def test_each_part_of_a_2io_obeys_its_own_commands() -> None:
-    def obeyed(device: Device) -> set[str]:
+def test_each_part_of_a_2io_accepts_its_own_commands() -> None:
+    def accepted(device: Device) -> set[str]:
         return {row.name for row in IO2_TABLE.rows if not row.devices or device in row.devices}
 
     common = {"ID", "MS"}
-    assert obeyed(Device.MASTER) == common | {"LED", "B", "RESET", "DEFAULT"}
-    assert obeyed(Device.SERVO) == common | {"L", "P", "D", "G"}
-    assert obeyed(Device.ANALOG) == common | {"A", "G"}
+    assert accepted(Device.MASTER) == common | {"LED", "B", "RESET", "DEFAULT"}
+    assert accepted(Device.SERVO) == common | {"L", "P", "D", "G"}
+    assert accepted(Device.ANALOG) == common | {"A", "G"}
 
 
-def test_a_2io_has_the_ids_and_limits_of_its_sketch() -> None:
+def test_the_ids_and_limits_of_a_2io_match_its_sketch() -> None:
     assert sorted(PIN_IDS.values()) == [203, 204, 205, 207, 209, 210, 211]
     assert max(IO2_TABLE.row("CB").choices or ()) == BAUD_MAX_BPS
     assert not IO2_TABLE.answers_broadcast
     assert len(encode(Command(12, "D", -1443, (("T", 1000),)))) - 1 == SECTION_MAX_CHARS - 1
 
 
-def test_fast_bauds_need_the_firmware_that_has_them() -> None:
+def test_fast_baud_rates_need_newer_firmware() -> None:
     assert LSS_TABLE.row("CB").choices == BAUD_RATES_BPS
     assert {rate for rate, since in BAUD_RATES_BPS.items() if since} == {750000, 921600}
