@@ -247,7 +247,7 @@ def _is_readable(answer: ReplyShape, value: int | str | None) -> bool:
 
 
 _FIRST: Final = ("G", "AR")
-"""Rows to write first: G before O (FACTS.md R10), and AR before pulse widths, which depend on it."""
+"""Rows to write first: G before O (FACTS.md R10), and AR before the pulse widths in its range."""
 
 
 @cache

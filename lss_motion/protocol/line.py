@@ -65,7 +65,7 @@ class Garbage:
 
 
 def encode(item: Command | Reply) -> bytes:
-    """Return the exact bytes of one line with its CR. `codec` checks the values, not this function."""
+    """Return the exact bytes of one line with its CR. The values were checked in `codec`."""
     value = "" if item.value is None else item.value
     if isinstance(item, Command):
         if not item.modifiers:
@@ -111,9 +111,12 @@ class _SectionParser:
             return []
         is_ended = piece.endswith(b"\r") or (self._grouped and data.startswith(start, end))
         found: list[ItemT] = read(piece) if is_ended else []
+        items: list[ItemT | Garbage] = []
         if found and (self._grouped or len(found) == 1):
-            return [*found]
-        return [Garbage(piece)]
+            items += found
+        else:
+            items.append(Garbage(piece))
+        return items
 
 
 class CommandParser(_SectionParser):
