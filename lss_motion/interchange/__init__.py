@@ -1,9 +1,33 @@
-"""Other tools' motion files ⇄ Sequence, Trajectory.
+"""Motion files of other tools → sequences; samples of a plan → text for other tools.
 
-`import_motion(path, robot)` recognises the format by content. Its steps, each usable alone: read
-what the file says (`read_motion`, `read_motions`), say it in joints of a robot (`mapped`, with the
-map that `load_map` reads and `map_template` begins), reduce a recording to keys (`reduced`), and
-make a sequence of it (`sequence_for`). `exported` turns samples of a plan into other tools' text.
+`import_motion(path, robot)` recognises the format by the content of the file. `exported` writes.
+
+| module      | contents                                                   | callers             |
+|-------------|------------------------------------------------------------|---------------------|
+| `importing` | `import_motion` and its steps; the list of readers         | cli, api            |
+| `reader`    | `Reader`, and the motion that it returns                   | the readers         |
+| `fields`    | checked values from JSON and text, with their place        | the readers         |
+| `mapping`   | joints of the file → joints of the robot; map files        | `importing`, cli    |
+| `reduce`    | a recording → few keys within a tolerance                  | `importing`         |
+| `export`    | samples of a plan → CSV, ROS, Blender                      | cli                 |
+
+One reader per module:
+
+| module        | format                                                                 |
+|---------------|------------------------------------------------------------------------|
+| `bitbots`     | keyframe JSON of the Bit-Bots humanoids                                |
+| `blender`     | JSON of the Blender add-on for servo animation                         |
+| `bottango`    | `AnimationCommands.json` of Bottango                                   |
+| `commands`    | command text of the SSC-32 and of LSS servos; logs and `.lss` programs |
+| `csv`         | wide and long CSV tables                                               |
+| `hulks`       | motion JSON of the HULKs humanoids                                     |
+| `maestro`     | settings XML of the Pololu Maestro                                     |
+| `pypose`      | PyPose projects (`.ppr`)                                               |
+| `pypot`       | recorded moves of pypot (Poppy robots)                                 |
+| `robotis`     | Robotis motion files: `.mtn` text and binary pages                     |
+| `ros`         | ROS trajectories, `play_motion` collections and goals in YAML          |
+| `ssc32_table` | step tables of the SSC-32 visual sequencer                             |
+| `webots`      | Webots `.motion` text                                                  |
 """
 
 from lss_motion.interchange.export import EXPORT_NAMES, Samples, exported

@@ -1,7 +1,7 @@
 """Keyframe JSON of the Bit-Bots humanoids: goals in degrees, durations and pauses in seconds.
 
-A keyframe is reached `duration` after the pause of the one before has ended (the first one, after
-the start), and is kept for `pause`. What stands before the first keyframe the file does not say.
+A keyframe is reached `duration` after the end of the pause before it (the first one: after the
+start), and is held for `pause`. The file does not contain the pose before the first keyframe.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from lss_motion.interchange.reader import ForeignMotion
 
 _ABOUT: Final = ("author", "description", "last_edited", "version")
-"""Keys beside the keyframes that are only for people."""
+"""Keys that are copied into comments, for people only."""
 
-_CARRIED: Final = frozenset({"duration", "pause", "goals", "name"})
+_KEYFRAME_KEYS: Final = frozenset({"duration", "pause", "goals", "name"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +77,11 @@ def _pose(fields: JsonFields, entry: dict[str, object], index: int, end_s: float
 
 
 def _not_carried(top: dict[str, object], entries: list[dict[str, object]]) -> tuple[str, ...]:
-    """Return a comment for every key that is given, holds something, and has no counterpart."""
+    """Return a comment for every key that has a value and is not imported."""
     known = {"name", "keyframes", *_ABOUT}
     found = [key for key, value in top.items() if key not in known and value]
     for entry in entries:
-        found += [f"keyframes: {k}" for k, value in entry.items() if k not in _CARRIED and value]
+        found += [
+            f"keyframes: {k}" for k, value in entry.items() if k not in _KEYFRAME_KEYS and value
+        ]
     return summarised(found)

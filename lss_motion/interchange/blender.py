@@ -1,9 +1,9 @@
-"""JSON of the Blender add-on for servo animation: one position a frame and servo.
+"""JSON of the Blender add-on for servo animation: one position per frame and servo.
 
-Version 2 has a list of `{"<servo id>": position}`, version 1 a list of positions a servo. A servo
-that a frame does not name stays. Positions are in whatever unit the animator set up (often
-microseconds or ticks of a PWM board), so a map must say what they mean; in files that this package
-wrote, `unit` says it.
+Version 2 has a list of `{"<servo id>": position}`, version 1 has a list of positions per servo. A
+servo that is missing in a frame keeps its position. The unit of the positions depends on the set-up
+of the animator (often microseconds, or ticks of a PWM board), so a map must define it. Files that
+this package wrote contain the unit in `unit`.
 """
 
 from __future__ import annotations
@@ -14,18 +14,23 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.interchange.fields import JsonFields, parsed_json, starts_json
-from lss_motion.interchange.reader import DIGITS, VALUES_MAX, Channel, Unit, recording, summarised
+from lss_motion.interchange.reader import (
+    DIGITS,
+    FPS_MAX,
+    VALUES_MAX,
+    Channel,
+    Unit,
+    recording,
+    summarised,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from lss_motion.interchange.reader import FloatArray, ForeignMotion
 
-FPS_MAX: Final = 1000.0
-"""Above any animation; a thousand positions a second no servo hears."""
-
 TENTHS: Final = "0.1 deg"
-"""Our own addition to the format: joint angles in tenths of a degree, under the joints' names."""
+"""Value of `unit` in exported files, an addition of this package: joint angles in 0.1 deg."""
 
 _ABOUT: Final = ("description", "file", "scene", "armature")
 _KNOWN: Final = frozenset(
@@ -50,13 +55,13 @@ class BlenderReader:
         if not 0.0 < fps <= FPS_MAX:
             fields.refuse(f"fps is {fps:g}, but must be more than 0 and at most {FPS_MAX:g}")
         columns = _by_servo(fields, top) if "servos" in top else _by_frame(fields, top)
-        is_ours = top.get("unit") == TENTHS
+        is_exported = top.get("unit") == TENTHS
         channels = [
             Channel(
                 name=name,
-                unit=Unit.DEG if is_ours else Unit.RAW,
+                unit=Unit.DEG if is_exported else Unit.RAW,
                 times_s=np.round(frames / fps, DIGITS),
-                values=values / 10.0 if is_ours else values,
+                values=values / 10.0 if is_exported else values,
             )
             for name, (frames, values) in columns.items()
         ]
@@ -84,7 +89,7 @@ def _by_servo(fields: JsonFields, top: dict[str, object]) -> _Columns:
 
 
 def _by_frame(fields: JsonFields, top: dict[str, object]) -> _Columns:
-    """Return frames and positions of each servo, the frames that do not name it filled in."""
+    """Return frames and positions of each servo; missing positions repeat the one before."""
     frames = [
         fields.mapping(entry, f"positions[{index}]")
         for index, entry in enumerate(fields.items(top, "positions", "the file"))

@@ -1,8 +1,8 @@
 """`AnimationCommands.json` of Bottango: Bezier curves in time, signals between two pulse widths.
 
-A curve `sC,id,start,duration,y0,x0,c0,y1,x1,c1` runs from y0 to y1 (0 to 8192 between the
-effector's least and largest signal), with control points relative to their ends, in milliseconds
-and signal. Between curves an effector stays.
+A curve `sC,id,start,duration,y0,x0,c0,y1,x1,c1` runs from y0 to y1. 0 is the least and 8192 the
+largest signal of the effector. The control points (x in ms, c in signal) are relative to the ends
+of the curve. Between curves an effector keeps its signal.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ if TYPE_CHECKING:
     from lss_motion.interchange.reader import FloatArray, ForeignMotion
 
 FULL_SIGNAL: Final = 8192.0
-"""FACTS.md F2: Y runs from 0 to 8192."""
+"""Largest y of a curve; the least is 0 (FACTS.md F2)."""
 
 SAMPLE_MS: Final = 10.0
-"""Curves are read off at 100 Hz; the reduction afterwards keeps what matters."""
+"""Curves are sampled at 100 Hz; the reduction to keys follows later."""
 
 CURVE_SAMPLES_MAX: Final = 500
-"""More a cubic does not need: straight lines between so many leave it by 1e-5 of its height."""
+"""Enough for a cubic: straight lines between 500 samples differ from it by 1e-5 of its height."""
 
 OVERLAP_MAX_S: Final = 0.0015
-"""Starts and durations are each rounded to a millisecond."""
+"""Allowed overlap of two curves, because starts and durations are rounded to a millisecond."""
 
 BISECTIONS: Final = 40
-"""Halvings of the curve parameter: a thousandth of a nanosecond of an hour."""
+"""Halvings of the curve parameter; for a curve of an hour the rest is about 3 ns."""
 
 _SIGNALS: Final = {"rSVPin": (2, Unit.US), "rSVI2C": (3, Unit.US), "rMTR": (2, Unit.RAW)}
-"""Where the least signal stands in the command that registers an effector, and its unit."""
+"""Command that registers an effector → position of the least signal in it, and the unit."""
 
 
 @dataclass(slots=True)
 class _Controller:
-    """The effectors of one controller: least and largest signal, unit, and what else it has."""
+    """The effectors of one controller: least signal, largest signal and unit by id."""
 
     prefix: str
     signals: dict[str, tuple[float, float, Unit]] = field(default_factory=dict)
@@ -52,9 +52,10 @@ class _Controller:
 
 @dataclass(frozen=True, slots=True)
 class BottangoReader:
-    """Reads a list of controllers; one motion for every animation, through all controllers.
+    """Reads a list of controllers; each animation, over all controllers, is one motion.
 
-    A joint is called by its effector's id, after `controller/` where there are several.
+    The name of a joint is the id of its effector, with the prefix `controller/` if the file has
+    several controllers.
     """
 
     name: str = "bottango"
@@ -67,18 +68,18 @@ class BottangoReader:
         content = parsed_json(path, data)
         if not isinstance(content, list) or not content:
             fields.refuse("the file must be a list of controllers")
-        reading = _Reading(fields)
+        animations = _Animations(fields)
         for index, entry in enumerate(content):
             where = f"[{index}]"
             controller = fields.mapping(entry, where)
             title = str(controller.get("Controller Name") or index)
-            reading.controller(controller, where, f"{title}/" if len(content) > 1 else "")
-        return reading.motions()
+            animations.add(controller, where, f"{title}/" if len(content) > 1 else "")
+        return animations.motions()
 
 
 @dataclass(slots=True)
-class _Reading:
-    """Collects curves by animation and joint."""
+class _Animations:
+    """Collects the curves of the file by animation and joint."""
 
     fields: JsonFields
     curves: dict[str, dict[str, list[FloatArray]]] = field(default_factory=dict)
@@ -86,7 +87,8 @@ class _Reading:
     left_out: dict[str, list[str]] = field(default_factory=dict)
     values_count: int = 0
 
-    def controller(self, entry: dict[str, object], where: str, prefix: str) -> None:
+    def add(self, entry: dict[str, object], where: str, prefix: str) -> None:
+        """Add the animations of one controller."""
         controller = _Controller(prefix)
         setup = self.fields.mapping(entry.get("Setup", {}), f"{where}.Setup")
         for line in str(setup.get("Controller Setup Commands", "")).splitlines():
@@ -101,7 +103,7 @@ class _Reading:
             for row, line in enumerate(text.splitlines(), start=1):
                 self._commands(controller, name, line, f"{place} command {row}")
             if str(animation.get("Animation Loop Commands", "")).strip():
-                self.left_out[name].append("the way back to the start (Animation Loop Commands)")
+                self.left_out[name].append("the return to the start (Animation Loop Commands)")
 
     def _register(self, controller: _Controller, line: str, where: str) -> None:
         kind, *words = line.split(",")
@@ -110,14 +112,14 @@ class _Reading:
         at, unit = _SIGNALS[kind]
         if len(words) < at + 1:
             self.fields.refuse(f"{where}: {line!r:.60} is cut short")
-        # The id of a servo behind I2C is its address and its channel in one (FACTS.md F2).
+        # The id of a servo behind I2C is its address followed by its channel (FACTS.md F2).
         effector = "".join(words[: at - 1])
         low, high = (self._number(word, where) for word in words[at - 1 : at + 1])
         controller.signals[effector] = (low, high, unit)
 
     def _commands(self, controller: _Controller, name: str, line: str, where: str) -> None:
         text = line.strip()
-        is_group = text.startswith("sSY,")  # Only the first curve of a group is called sC.
+        is_group = text.startswith("sSY,")  # Only the first curve of a group begins with sC.
         for command in text.removeprefix("sSY,").split(";"):
             words = command.split(",")
             if words[0] == "sC":
@@ -153,7 +155,7 @@ class _Reading:
         except ValueError:
             self.fields.refuse(f"{where}: {word!r:.40} is not a number")
         if not abs(number) < NUMBER_MAX:
-            self.fields.refuse(f"{where}: {word!r:.40} is out of all bounds")
+            self.fields.refuse(f"{where}: {word!r:.40} is out of range")
         return number
 
     def motions(self) -> tuple[ForeignMotion, ...]:
@@ -199,10 +201,10 @@ def _sampled(
     end_x_ms: float,
     end_dy: float,
 ) -> FloatArray:
-    """Return times (s) and heights of a cubic Bezier curve at even times, both ends included."""
+    """Return times (s) and heights of a cubic Bezier curve at even times, with both ends."""
     steps = min(int(duration_ms / SAMPLE_MS), CURVE_SAMPLES_MAX)
     times_ms = np.linspace(0.0, duration_ms, steps + 2)
-    # Control points outside of the curve's time would make it run backwards.
+    # A control point outside the time of the curve would make its time run backwards.
     first_ms, second_ms = np.clip([start_x_ms, duration_ms + end_x_ms], 0.0, duration_ms)
     low, high = np.zeros_like(times_ms), np.ones_like(times_ms)
     for _ in range(BISECTIONS):

@@ -1,9 +1,9 @@
 """Raw command text of serial servo controllers: SSC-32 `#5P1500T1000`, LSS `#5D900T1000`.
 
-Lines may begin with the instant of their command: seconds with a decimal point (our `--log`), or
-whole microseconds (our `.lss` programs). Then a command that comes while the servo still moves
-takes over where the servo is. Without instants, commands to different servos move together, and
-the next command to a servo waits until all have arrived.
+A line may begin with the instant of its command: seconds with a decimal point (logs of `--log`), or
+whole microseconds (`.lss` programs). With instants, a command that arrives during a move starts at
+the position that the servo has then. Without instants, commands to different servos start together,
+and the next command to one of these servos starts when all of them have arrived.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from lss_motion.interchange.reader import (
     ForeignMotion,
     Unit,
     is_dense,
-    motion_label,
+    motion_name,
     summarised,
     thinned,
 )
@@ -35,13 +35,13 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 TENTHS_PER_DEG: Final = 10.0
-"""FACTS.md C1: tenths of a degree."""
+"""Unit of `D` (FACTS.md C1)."""
 
 ID_MAX: Final = 250
-"""Of an LSS; an SSC-32 has 32 channels."""
+"""Largest id of an LSS. An SSC-32 has 32 channels."""
 
 DURATION_MAX_MS: Final = 3_600_000
-"""Chosen: an hour; no one move is slower."""
+"""Chosen: one hour, longer than any single move."""
 
 _MOVE: Final = re.compile(r"#(\d{1,3})([DP])(-?\d{1,7})", re.ASCII)
 _PART: Final = re.compile(r"[#*](?=\d)[^#*]*", re.ASCII)
@@ -51,7 +51,7 @@ _TIME: Final = re.compile(r"T(\d{1,9})", re.ASCII)
 _SPEED: Final = re.compile(r"SD?\d", re.ASCII)
 
 
-class _Move(NamedTuple):
+class _ServoMove(NamedTuple):
     value: float
     start_s: float
     duration_s: float
@@ -69,16 +69,18 @@ class CommandReader:
         return not head.startswith("#WEBOTS") and _MOVE.search(head) is not None
 
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
-        reading = _Reading(TextLines.of(path, data))
-        for number, line in reading.lines.numbered():
-            reading.read(number, line)
-        return (reading.motion(),)
+        text = _CommandText(TextLines.of(path, data))
+        for number, line in text.lines.numbered():
+            text.read(number, line)
+        return (text.motion(),)
 
 
 @dataclass(slots=True)
-class _Reading:
+class _CommandText:
+    """Collects the moves of a file, by servo."""
+
     lines: TextLines
-    moves: dict[str, list[_Move]] = field(default_factory=dict)
+    moves: dict[str, list[_ServoMove]] = field(default_factory=dict)
     left_out: Counter[str] = field(default_factory=Counter)
     is_stamped: bool | None = None
     group: set[str] = field(default_factory=set)
@@ -86,13 +88,13 @@ class _Reading:
     group_end_s: float = 0.0
     moves_count: int = 0
     is_stream: bool = False
-    """Whether a command came while its servo was still on its way."""
+    """Whether a command arrived before the move of its servo had ended."""
 
     def read(self, number: int, line: str) -> None:
-        """Take all commands of a line; lines without any are comments."""
+        """Read all commands of a line. A line without commands is a comment."""
         stamp = _STAMP.match(line)
         text = line[stamp.end() :] if stamp else line
-        text = text.replace("\\r", "\r")  # As our log writes it.
+        text = text.replace("\\r", "\r")  # The log writes a CR so.
         for command in text.split("\r"):
             times = _TIME.findall(command)
             for part in _PART.findall(command):
@@ -101,7 +103,7 @@ class _Reading:
                     other = _OTHER.match(part)
                     self.left_out[f"commands {part[0]}{other[1]}" if other else "noise"] += 1
                 else:
-                    # One T for a whole group stands at its end; each may have its own.
+                    # A group has one T at its end; a part may have its own T.
                     own = _TIME.findall(part) or times[-1:]
                     self._move(number, move, own[0] if own else "", stamp[1] if stamp else None)
                     self.left_out["speeds (S, SD)"] += _SPEED.search(part) is not None
@@ -114,7 +116,7 @@ class _Reading:
         if not duration_ms:
             self.lines.refuse(
                 number,
-                f"{move[0]!r} says no time (T), and how long it takes depends on the servo",
+                f"{move[0]!r} has no time (T), so its duration depends on the servo",
             )
         servo = self.lines.whole(move[1], number, ID_MAX)
         is_pulse = move[2] == "P"
@@ -123,8 +125,8 @@ class _Reading:
         duration_s = s_from_ms(duration_ms)
         start_s = self._start(stamp, name, duration_s)
         if start_s + duration_s > TIME_MAX_S:
-            self.lines.refuse(number, f"comes to more than a day ({TIME_MAX_S:g} s)")
-        self.moves.setdefault(name, []).append(_Move(value, start_s, duration_s, number))
+            self.lines.refuse(number, f"ends more than a day ({TIME_MAX_S:g} s) after the start")
+        self.moves.setdefault(name, []).append(_ServoMove(value, start_s, duration_s, number))
         self.moves_count += 1
         if self.moves_count > VALUES_MAX:
             self.lines.refuse(number, f"more than {VALUES_MAX:,} moves")
@@ -145,27 +147,27 @@ class _Reading:
         channels = [self._channel(name, moves) for name, moves in self.moves.items()]
         has_pulses = any(channel.unit is Unit.US for channel in channels)
         title = "SSC-32 commands" if has_pulses else "LSS commands"
-        how = "at their instants" if self.is_stamped else "one group after the other"
+        order = "at their instants" if self.is_stamped else "one group after the other"
         found = [f"{count} {what}" for what, count in sorted(self.left_out.items()) if count]
-        found.append("where the servos stood before their first command, which the text lacks")
+        found.append("positions of the servos before their first command: the text has none")
         path = self.lines.path
-        # Moves that are overtaken make a curve; whole moves are poses, each from rest to rest.
+        # Moves that do not end before the next command are a curve. Whole moves are poses.
         is_recording = any(is_dense(channel.times_s) for channel in channels)
         return ForeignMotion(
             path=path,
-            name=motion_label(path.stem) or "motion",
+            name=motion_name(path),
             channels=tuple(channels),
             notes={},
             ease=Interpolation.SPLINE if is_recording or self.is_stream else Interpolation.LINEAR,
             comments=(
-                f"Imported from {path.name} ({title}, {how}).",
-                "Servos are taken to move evenly for the time of each command; ramps are unknown.",
+                f"Imported from {path.name} ({title}, {order}).",
+                "Each servo is assumed to move at constant speed for the time of its command.",
                 *summarised(found),
             ),
             is_recording=is_recording,
         )
 
-    def _channel(self, name: str, moves: list[_Move]) -> Channel:
+    def _channel(self, name: str, moves: list[_ServoMove]) -> Channel:
         samples = np.array(list(self._samples(moves)))
         times_s, values = thinned(samples[:, 0], samples[:, 1])
         is_pulse = name.startswith("PIN")
@@ -177,8 +179,8 @@ class _Reading:
             servo_id=None if is_pulse else int(name[2:]),
         )
 
-    def _samples(self, moves: list[_Move]) -> Iterator[tuple[float, float]]:
-        """Yield where the servo is when a command starts, and where it goes if it gets there."""
+    def _samples(self, moves: list[_ServoMove]) -> Iterator[tuple[float, float]]:
+        """Yield the position at the start of each command, and the target if it is reached."""
         from_value = moves[0].value
         last_s = -1.0
         for move, following in zip(moves, [*moves[1:], None], strict=True):

@@ -1,11 +1,9 @@
-"""Tables: wide (`time_s,<joint>_deg,…`) and long (`time_s,servo,deg[,ease]`).
+"""CSV tables: wide (`time_s,<joint>_deg,…`) and long (`time_s,servo,deg[,ease]`).
 
 The time column is `time_s`, `t_s`, `time` or `t` in seconds, `time_ms` or `t_ms`, or `frame` after
-a line `# fps: N`. Joint columns end in `_deg`, `_rad` or `_us`; without an ending they are degrees,
-as in the tables that `lss-motion plan --csv` writes. Columns are divided by commas, semicolons or
-tabs, and decimal commas are understood where commas divide nothing. An empty cell keys nothing.
-
-The rows of a CSV file of motion: header, separator, the time column, lines for messages.
+a line `# fps: N`. Joint columns end in `_deg`, `_rad` or `_us`. A column without an ending is in
+degrees, as in the tables of `lss-motion plan --csv`. The separator is a comma, a semicolon or a
+tab. Decimal commas are allowed if the separator is not a comma. An empty cell sets no key.
 """
 
 from __future__ import annotations
@@ -20,16 +18,17 @@ import numpy as np
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
-from lss_motion.interchange.fields import TextLines
+from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import (
     DIGITS,
+    FPS_MAX,
     VALUES_MAX,
     Channel,
     ForeignMotion,
     Note,
     Unit,
     is_dense,
-    motion_label,
+    motion_name,
     summarised,
 )
 from lss_motion.sequence.model import Interpolation
@@ -45,16 +44,15 @@ SECONDS: Final = {
     **dict.fromkeys(["time_s", "t_s", "time", "t", "seconds"], 1.0),
     **dict.fromkeys(["time_ms", "t_ms"], 1e-3),
 }
-"""Names of a time column, and how many seconds its unit is."""
+"""Name of a time column → its unit in seconds."""
 
 FRAME: Final = "frame"
-FPS_MAX: Final = 1000.0
 _FPS: Final = re.compile(r"#\s*fps\s*[:=]\s*(\d{1,4}(?:\.\d{1,6})?)\s*", re.IGNORECASE | re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
 class CsvRows:
-    """The header, and the rows with their lines."""
+    """A table: its header, its separator, and its rows with their line numbers."""
 
     lines: TextLines
     header_line: int
@@ -68,7 +66,7 @@ class CsvRows:
         return self.delimiter != ","
 
     def rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Yield line and cells of every row; each has as many cells as the header."""
+        """Yield line number and cells of every row; a row has as many cells as the header."""
         text = self.lines.text.split("\n")[self.first_row :]
         reader = csv.reader(text, delimiter=self.delimiter)
         try:
@@ -89,7 +87,7 @@ class CsvRows:
             ) from error
 
     def time_column(self) -> tuple[int, float]:
-        """Return where the time stands, and how many seconds its unit is."""
+        """Return the index of the time column, and its unit in seconds."""
         names = [name.lower() for name in self.header]
         at = next((at for at, n in enumerate(names) if n in SECONDS or n == FRAME), None)
         if at is None:
@@ -107,7 +105,7 @@ class CsvRows:
 
 
 def csv_rows(lines: TextLines) -> CsvRows:
-    """Return the table below its comments, one of which may give the rate of frames."""
+    """Return the table. A comment above it may give the frame rate."""
     fps: float | None = None
     found: tuple[int, str] | None = None
     for number, line in lines.numbered():
@@ -127,7 +125,7 @@ def csv_rows(lines: TextLines) -> CsvRows:
     except csv.Error as error:
         raise InputError(f"no table: {error}", path=lines.path, line=number) from error
     if twice := [name for name in header if header.count(name) > 1]:
-        lines.refuse(number, f"column {twice[0]!r:.60} stands there twice")
+        lines.refuse(number, f"column {twice[0]!r:.60} occurs twice")
     return CsvRows(lines, number, header, delimiter, fps, number)
 
 
@@ -138,12 +136,12 @@ _LONG_VALUES: Final = ("deg", "rad", "us")
 
 @dataclass(frozen=True, slots=True)
 class CsvReader:
-    """Reads both forms; which, the header tells."""
+    """Reads both forms; the header decides which."""
 
     name: str = "csv"
 
     def recognises(self, data: bytes) -> bool:
-        head = data[:65_536].removeprefix(b"\xef\xbb\xbf").decode("utf-8", "replace")
+        head = text_head(data, 65_536).decode("utf-8", "replace")
         first = next((row for row in head.splitlines() if row.strip() and row[0] != "#"), "")
         words = {word.strip().strip('"').lower() for word in re.split(r"[,;\t]", first)}
         return bool(words & {*SECONDS, FRAME}) and len(words) > 1
@@ -181,14 +179,14 @@ def _wide(table: CsvRows) -> ForeignMotion:
     if not channels:
         table.lines.refuse(None, "has no row with a value")
     bare = [joint for (_, joint, _), (_, name) in zip(columns, names, strict=True) if joint == name]
-    readings = (f"Columns without a unit are degrees: {', '.join(bare)}.",) if bare else ()
+    units = (f"Columns without a unit are degrees: {', '.join(bare)}.",) if bare else ()
     path = table.lines.path
     return ForeignMotion(
         path=path,
-        name=motion_label(path.stem) or "motion",
+        name=motion_name(path),
         channels=tuple(channels),
         notes={},
-        comments=(f"Imported from {path.name} (CSV).", *readings, *summarised(empty)),
+        comments=(f"Imported from {path.name} (CSV).", *units, *summarised(empty)),
         is_recording=is_dense(times_s),
     )
 
@@ -203,7 +201,7 @@ def _unit_of(name: str) -> tuple[str, Unit]:
 def _cells(
     table: CsvRows, time_at: int, second: float, wanted: Sequence[int]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return times and values (rows, joints), NaN for empty cells; times increase."""
+    """Return increasing times, and values (rows, joints) with NaN for empty cells."""
     lines, has_commas = table.lines, table.has_commas
     flat, times = array("d"), array("d")
     for number, row in table.rows():
@@ -257,11 +255,11 @@ def _long(table: CsvRows, header: list[str]) -> ForeignMotion:
     dense = [is_dense(channel.times_s) for channel in channels]
     return ForeignMotion(
         path=lines.path,
-        name=motion_label(lines.path.stem) or "motion",
+        name=motion_name(lines.path),
         channels=channels,
         notes={time_s: Note(ease=ease) for time_s, ease in eases.items()},
         comments=(
-            f"Imported from {lines.path.name} (CSV, a row for each key).",
+            f"Imported from {lines.path.name} (CSV, one row per key).",
             *summarised([f"column {name}" for name in extra]),
         ),
         is_recording=any(dense) and not eases,

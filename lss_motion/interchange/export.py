@@ -1,6 +1,6 @@
-"""Samples of a plan → other tools' text: CSV, ROS JointTrajectory, Blender.
+"""Samples of a plan → text for other tools: CSV, ROS JointTrajectory, Blender.
 
-Everything is written with the joints' own names, in joint degrees (ROS: radians).
+All formats use the joint names of the robot, and joint angles in degrees (ROS: radians).
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float64]
 
 ANGLE_DECIMALS: Final = 6
-"""Of degrees. No servo resolves them, but the acceleration between samples does: at 100 Hz, four
-decimals are 2 deg/s² of noise, six 0.02."""
+"""Decimals of degrees. A servo does not resolve them, but rounding adds noise to the acceleration
+between samples: at 100 Hz four decimals give 2 deg/s², six give 0.02 deg/s²."""
 
 RADIAN_DECIMALS: Final = 8
-"""As fine as `ANGLE_DECIMALS`."""
+"""Decimals of radians, about as fine as `ANGLE_DECIMALS`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Samples:
-    """A plan read off at even times: angles and speeds, (n, joints)."""
+    """A plan sampled at even times: angles and speeds, (n, joints)."""
 
     name: str
     joints: tuple[str, ...]
@@ -70,7 +70,7 @@ def _csv(header: Sequence[str], firsts: Sequence[str], samples: Samples) -> str:
 
 
 def _blender_json(samples: Samples) -> str:
-    """Return version 2 of the add-on's format, positions in tenths of a degree."""
+    """Return version 2 of the format of the add-on, with positions in tenths of a degree."""
     tenths = np.round(10.0 * samples.angles_deg).astype(np.int64).tolist()
     ids = [str(index) for index in range(len(samples.joints))]
     content = {
@@ -118,4 +118,4 @@ _WRITERS: Final[Mapping[str, Callable[[Samples], str]]] = {
 }
 
 EXPORT_NAMES: Final = tuple(_WRITERS)
-"""What `exported` can write."""
+"""Formats that `exported` can write."""

@@ -1,8 +1,7 @@
-"""Values taken out of JSON and text of other tools, with the place for messages.
+"""Checked access to values in JSON and text files of other tools.
 
-JSON of other tools: parsed without surprises, and values taken out with their place.
-
-Numbers in lines of text, taken out with their line: what the text formats share.
+`JsonFields` and `TextLines` return values of the expected type, or raise `InputError` with the
+place in the file. Sizes are bounded, so a damaged file cannot fill the memory.
 """
 
 from __future__ import annotations
@@ -24,21 +23,26 @@ if TYPE_CHECKING:
 
 
 NUMBER_MAX: Final = 1e9
-"""Larger numbers are no time, angle, pulse or position that any of the formats knows."""
+"""Larger than any time, angle, pulse or position in the formats."""
 
 COMMAS_MAX: Final = 2 * VALUES_MAX
 COLONS_MAX: Final = VALUES_MAX
-"""The wordiest format (pypot) has two numbers and one key for each value of a recording. Without a
-bound, 64 MB of empty lists, or of keys, parse into gigabytes."""
+"""The longest format (pypot) has two numbers and one key per value of a recording. Without a bound,
+64 MB of empty lists, or of keys, would need gigabytes of memory after parsing."""
+
+
+def text_head(data: bytes, size_bytes: int) -> bytes:
+    """Return the first bytes of a file, without a byte order mark."""
+    return data[:size_bytes].removeprefix(b"\xef\xbb\xbf")
 
 
 def starts_json(data: bytes, bracket: bytes) -> bool:
     """Return whether `data` looks like a JSON object (`{`) or list (`[`)."""
-    return data[:1024].removeprefix(b"\xef\xbb\xbf").lstrip().startswith(bracket)
+    return text_head(data, 1024).lstrip().startswith(bracket)
 
 
 def parsed_json(path: Path, data: bytes) -> object:
-    """Return the content of a JSON file: no NaN, no key twice; `InputError` with the line."""
+    """Return the content of a JSON file. NaN and repeated keys raise `InputError`."""
 
     def once(pairs: list[tuple[str, object]]) -> dict[str, object]:
         values = dict(pairs)
@@ -52,7 +56,7 @@ def parsed_json(path: Path, data: bytes) -> object:
         raise InputError(f"{constant} is no number that a joint can reach", path=path)
 
     if data.count(b",") > COMMAS_MAX or data.count(b":") > COLONS_MAX:
-        raise InputError(f"holds more than {VALUES_MAX:,} values, the most that is read", path=path)
+        raise InputError(f"has more than {VALUES_MAX:,} values, the maximum", path=path)
     try:
         return json.loads(text_of(data, path), object_pairs_hook=once, parse_constant=refused)
     except json.JSONDecodeError as error:
@@ -65,7 +69,7 @@ def parsed_json(path: Path, data: bytes) -> object:
 
 @dataclass(frozen=True, slots=True)
 class JsonFields:
-    """Takes typed values out of one file; every refusal says where in the file."""
+    """Typed access to one JSON file. Every `InputError` contains the place in the file."""
 
     path: Path
 
@@ -96,12 +100,12 @@ class JsonFields:
         return self.plain_number(values[key], f"{where}.{key}")
 
     def plain_number(self, value: object, where: str) -> float:
-        """Return `value` as a finite number of sensible size, or raise `InputError`."""
+        """Return `value` as a finite number below `NUMBER_MAX`, or raise `InputError`."""
         if isinstance(value, bool) or not isinstance(value, int | float):
             self.refuse(f"{where} is {value!r:.60}, but must be a number")
-        number = float(value) if abs(value) < NUMBER_MAX else math.inf  # No float of a huge integer
+        number = float(value) if abs(value) < NUMBER_MAX else math.inf  # Not for huge integers.
         if not math.isfinite(number):
-            self.refuse(f"{where} is {value!r:.60}, which is out of all bounds")
+            self.refuse(f"{where} is {value!r:.60}, which is out of range")
         return number
 
     def duration(self, values: dict[str, object], key: str, where: str) -> float:
@@ -112,26 +116,26 @@ class JsonFields:
         return number
 
     def refuse(self, reason: str) -> NoReturn:
-        """Raise `InputError`."""
+        """Raise `InputError` with `reason`."""
         raise InputError(reason, path=self.path)
 
 
 NUMBER_MAX_CHARS: Final = 40
-"""Longer digits are no measurement."""
+"""A longer number is not a measurement."""
 
 _NUMBER: Final = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d{1,3})?", re.ASCII)
 
 VALUE_MAX: Final = 1e12
-"""Seconds since 1970 are 1.7e9, milliseconds 1.7e12 / 1000; nothing larger is meant."""
+"""Larger than any time: seconds since 1970 are 1.7e9."""
 
 LINES_MAX: Final = 5_000_000
-"""A long table has a line for each of its 4,000,000 values at most, and some to explain them.
-Without a bound, 64 MB of short lines are a gigabyte of text objects."""
+"""A long table has one line for each of at most 4,000,000 values, and some comments. Without a
+bound, 64 MB of short lines would become a gigabyte of text objects."""
 
 
 @dataclass(frozen=True, slots=True)
 class TextLines:
-    """The lines of one text file, from 1; every refusal says which."""
+    """The lines of one text file, numbered from 1. Every `InputError` contains the line number."""
 
     path: Path
     text: str
@@ -141,34 +145,39 @@ class TextLines:
         """Return the lines of a UTF-8 file with any line ends, or raise `InputError`."""
         text = text_of(data, path).replace("\r\n", "\n").replace("\r", "\n")
         if text.count("\n") > LINES_MAX:
-            raise InputError(f"has more than {LINES_MAX:,} lines, the most that is read", path=path)
+            raise InputError(f"has more than {LINES_MAX:,} lines, the maximum", path=path)
         return cls(path, text)
 
     def numbered(self) -> Iterator[tuple[int, str]]:
-        """Yield number and content of every line that holds something."""
+        """Yield number and content of every line that is not blank."""
         for number, line in enumerate(self.text.split("\n"), start=1):
             if line.strip():
                 yield number, line.strip()
 
+    def with_head(self) -> tuple[int, str, list[tuple[int, str]]]:
+        """Return number and content of the first line that is not blank, and the lines after it."""
+        (number, head), *rows = [*self.numbered()] or [(1, "")]
+        return number, head, rows
+
     def number(self, word: str, line: int, *, has_commas: bool = False) -> float:
-        """Return a finite number; a decimal comma only where `has_commas`."""
+        """Return a finite number. `has_commas` allows a decimal comma."""
         word = word.strip()
         is_number = len(word) <= NUMBER_MAX_CHARS and _NUMBER.fullmatch(word)
         if not is_number or ("," in word and not has_commas):
             self.refuse(line, f"{word!r:.60} is not a number")
         value = float(word.replace(",", "."))
         if not abs(value) <= VALUE_MAX:
-            self.refuse(line, f"{word!r:.60} is out of all bounds")
+            self.refuse(line, f"{word!r:.60} is out of range")
         return value
 
-    def whole(self, word: str, line: int, most: int) -> int:
-        """Return a whole number from 0 to `most`."""
+    def whole(self, word: str, line: int, maximum: int) -> int:
+        """Return a whole number from 0 to `maximum`."""
         word = word.strip()
         is_number = word.isascii() and word.isdigit() and len(word) <= NUMBER_MAX_CHARS
-        if not is_number or int(word) > most:
-            self.refuse(line, f"{word!r:.60} is not a whole number from 0 to {most}")
+        if not is_number or int(word) > maximum:
+            self.refuse(line, f"{word!r:.60} is not a whole number from 0 to {maximum}")
         return int(word)
 
     def refuse(self, line: int | None, reason: str) -> NoReturn:
-        """Raise `InputError`."""
+        """Raise `InputError` with `reason`."""
         raise InputError(reason, path=self.path, line=line)

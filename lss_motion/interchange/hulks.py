@@ -1,6 +1,6 @@
 """Motion JSON of the HULKs humanoids: groups of joints in radians, durations in seconds.
 
-The motion starts at `initial_positions`; each keyframe is reached `duration` after the one before.
+The motion starts at `initial_positions`. Each keyframe is reached `duration` after the one before.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class HulksReader:
     """Reads `{"initial_positions", "motion": [{"keyframes": [{"duration", "positions"}]}]}`.
 
-    A joint is called `group.joint`, such as `left_arm.elbow_roll`.
+    The name of a joint is `group.joint`, such as `left_arm.elbow_roll`.
     """
 
     name: str = "hulks"
@@ -62,5 +62,5 @@ def _values(fields: JsonFields, groups: object, where: str) -> dict[str, float]:
 
 
 def _unit(name: str) -> Unit:
-    # A hand opens by a share from 0 to 1; all others turn.
+    # A hand opens by a share from 0 to 1; all other joints rotate.
     return Unit.RAW if name.endswith(".hand") else Unit.RAD

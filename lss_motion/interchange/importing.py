@@ -1,6 +1,8 @@
-"""How a foreign motion becomes a sequence for one robot: mapped, reduced, checked.
+"""From a file of another tool to a sequence for one robot.
 
-The formats that can be read, and which motion of a file is meant.
+`import_motion` does these steps, which are usable alone: `read_motions` finds the reader that
+recognises the file; `read_motion` selects one motion; `imported` maps it to joints of the robot and
+reduces a recording to keys; `sequence_for` checks the result against the robot.
 """
 
 from __future__ import annotations
@@ -60,22 +62,22 @@ READERS: Final[tuple[Reader, ...]] = (
     CommandReader(),
     RobotisPagesReader(),
 )
-"""In the order in which they are asked whether they know a content; special before general."""
+"""In the order in which `recognises` is called: readers of special formats before general ones."""
 
 FORMAT_NAMES: Final = tuple(reader.name for reader in READERS)
-"""What `format_name` may be."""
+"""Allowed values of `format_name`."""
 
 FILE_MAX_BYTES: Final = 64_000_000
-"""Ten minutes of 20 joints at 100 Hz are 42 MB in the wordiest format (pypot). Measured: 50 MB of
-CSV take 0.2 to 0.6 GB of memory, 50 MB of JSON 0.6 GB, 1 GB at the very worst."""
+"""Ten minutes of 20 joints at 100 Hz are 42 MB in the longest format (pypot). Measured: 50 MB of
+CSV need 0.2 to 0.6 GB of memory, 50 MB of JSON 0.6 GB, and 1 GB in the worst case."""
 
 
 def read_motion(
     path: Path | str, *, format_name: str | None = None, motion_name: str | None = None
 ) -> ForeignMotion:
-    """Return what another tool's file says, before any robot is asked.
+    """Return one motion of a file of another tool, not yet for a robot.
 
-    A file that holds several motions needs `motion_name`.
+    `motion_name` is required if the file has several motions.
     """
     motions = read_motions(path, format_name=format_name)
     names = [motion.name for motion in motions]
@@ -99,7 +101,7 @@ def read_motion(
 def read_motions(
     path: Path | str, *, format_name: str | None = None
 ) -> tuple[ForeignMotion | RefusedMotion, ...]:
-    """Return all motions of another tool's file, each under a name of its own."""
+    """Return all motions of a file of another tool, each with a unique name."""
     path = Path(path)
     if format_name is not None and format_name not in FORMAT_NAMES:
         known = known_names(format_name, FORMAT_NAMES)
@@ -118,7 +120,7 @@ def read_motions(
 def _distinct(
     motions: SequenceOf[ForeignMotion | RefusedMotion],
 ) -> Iterator[ForeignMotion | RefusedMotion]:
-    """Yield the motions, a number after names that came before, and the times of a show."""
+    """Yield the motions with unique names (a repeated name gets a number), and times from 0 on."""
     taken: set[str] = set()
     for motion in motions:
         name, number = motion.name, 2
@@ -130,7 +132,7 @@ def _distinct(
 
 
 def _from_zero(motion: ForeignMotion) -> ForeignMotion:
-    """Return the motion with times of a show: dates and times before 0 are moved to begin at 0."""
+    """Return the motion with times of a show: dates and times before 0 are moved to start at 0."""
     start_s = min(float(channel.times_s[0]) for channel in motion.channels)
     if 0.0 <= start_s <= TIME_MAX_S:
         return motion
@@ -146,12 +148,12 @@ def _from_zero(motion: ForeignMotion) -> ForeignMotion:
 
 
 SWING_DEG: Final = 1e-6
-"""Rounding of a spline; the least that a servo resolves is 0.01 deg."""
+"""Tolerance for rounding of a spline. A servo resolves 0.01 deg at best."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Imported:
-    """A motion as a sequence for one robot; `fit` says how a recording was reduced."""
+    """A motion as a sequence for one robot. `fit` is the result of the reduction of a recording."""
 
     sequence: Sequence
     comments: tuple[str, ...]
@@ -167,11 +169,11 @@ def import_motion(
     motion_map: MotionMap | None = None,
     tolerance_deg: float = TOLERANCE_DEG,
 ) -> Sequence:
-    """Return the motion of another tool's file as a sequence that `robot` can be asked to play.
+    """Return the motion in a file of another tool as a sequence for `robot`.
 
-    Without `format_name` the content decides. The author's times are kept. A joint stands at its
-    first key until that is due; the player brings it there before the show starts. Raises
-    `InputError` for a file that is not understood, joints that the robot does not have, and
+    Without `format_name` the content decides. The times of the file are kept. A joint stays at its
+    first key until the time of that key; the player moves it there before the show starts. Raises
+    `InputError` for a file that cannot be read, for joints that the robot does not have, and for
     angles outside their range.
     """
     motion = read_motion(path, format_name=format_name, motion_name=motion_name)
@@ -186,13 +188,14 @@ def imported(
     tolerance_deg: float = TOLERANCE_DEG,
     ease: Interpolation = Interpolation.SPLINE,
 ) -> Imported:
-    """Return `motion` for `robot`, a recording reduced to keys; with tolerance 0, all its samples.
+    """Return `motion` for `robot`. A recording is reduced to keys; tolerance 0 keeps all samples.
 
-    Where a recording keeps the limits of the robot, so does the spline through its keys.
+    Where a recording keeps the limits of the robot, the spline through its keys keeps them too.
 
-    `ease` is the interpolation of a recording's keys. A spline asks for about the acceleration of
-    the recording itself; a smooth curve for two to three times that, so that it is more often
-    slowed, but it never goes beyond a key (measured on our own shows and on random motion).
+    `ease` is the interpolation between the keys of a recording. A spline needs about the
+    acceleration of the recording itself. A smooth curve needs two to three times as much, so it is
+    slowed down more often, but it never goes beyond a key (measured on example shows and on random
+    motion).
     """
     fit: KeyFit | None = None
     own = mapped(motion, robot, motion_map)
@@ -220,7 +223,7 @@ def _limits(robot: Robot) -> dict[str, Limits]:
 
 
 def _swings_out(keys: ForeignMotion, recorded: ForeignMotion, robot: Robot) -> str:
-    """Return a joint whose keys are in its range and whose spline leaves it between, or nothing."""
+    """Return a joint whose keys are within its range but whose spline leaves it, or ""."""
     for own, samples in zip(keys.channels, recorded.channels, strict=True):
         joint = robot.joints.get(own.name)
         if joint is None:
@@ -239,9 +242,9 @@ def _swings_out(keys: ForeignMotion, recorded: ForeignMotion, robot: Robot) -> s
 
 
 def sequence_for(motion: ForeignMotion, robot: Robot) -> Sequence:
-    """Return a motion of joints of `robot` as a sequence; its units must be angles.
+    """Return a motion in joints of `robot` as a sequence; its units must be angles.
 
-    Raises `InputError` naming all obstacles.
+    Raises `InputError` with all reasons why the robot cannot play it.
     """
     count = len(np.unique(np.concatenate([channel.times_s for channel in motion.channels])))
     if count > KEYFRAMES_MAX:
@@ -284,11 +287,11 @@ def _impossible_keyframes(keyframes: tuple[Keyframe, ...], robot: Robot) -> Iter
     for name, (_, index, reason) in worst.items():
         others = counts[name] - 1
         more = f" (the worst; {others} more keyframes of it are as well)" if others else ""
-        yield f"{_called(index, keyframes[index])}: {reason}{more}"
+        yield f"{_keyframe_text(index, keyframes[index])}: {reason}{more}"
     for index, reason in jumps(keyframes):
-        yield f"{_called(index, keyframes[index])}: {reason}"
+        yield f"{_keyframe_text(index, keyframes[index])}: {reason}"
 
 
-def _called(index: int, keyframe: Keyframe) -> str:
+def _keyframe_text(index: int, keyframe: Keyframe) -> str:
     name = f" ({keyframe.label})" if keyframe.label else ""
     return f"keyframe {index + 1}{name} at {keyframe.at_s:g} s"

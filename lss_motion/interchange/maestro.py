@@ -1,7 +1,7 @@
 """Settings XML of the Pololu Maestro: sequences of frames, targets in quarter microseconds.
 
-A frame's targets are reached here at the end of its duration: the Maestro sends them at once and
-then waits that long, while its channels move at their own speed.
+The Maestro sends the targets of a frame at its start and then waits for its duration; the speed of
+the channels is not known. The reader therefore puts the targets at the end of the frame.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 QUARTERS_PER_US: Final = 4.0
 CHANNELS_MAX: Final = 24
-"""The largest Maestro."""
+"""Channels of the largest Maestro."""
 
 TARGET_MAX: Final = 65_535
 DURATION_MAX_MS: Final = 65_535
-"""Both are 16-bit numbers (FACTS.md F4)."""
+"""Targets and durations are 16-bit numbers (FACTS.md F4)."""
 
 OFF: Final = 0
-"""A target that switches the channel off."""
+"""Target that switches the channel off."""
 
 
 @dataclass(slots=True)
@@ -44,7 +44,7 @@ class _Frame:
 
 @dataclass(slots=True)
 class _Content:
-    """What the XML holds of interest, in its order."""
+    """Channels and sequences of the file, in its order."""
 
     channels: list[Mapping[str, str]] = field(default_factory=list)
     sequences: list[tuple[str, list[_Frame]]] = field(default_factory=list)
@@ -71,7 +71,7 @@ class _Content:
 
 @dataclass(frozen=True, slots=True)
 class MaestroReader:
-    """Reads `<UscSettings>`: a motion for every sequence; pulses, so a map must give the angles."""
+    """Reads `<UscSettings>`: one motion per sequence. Values are pulses, so a map is needed."""
 
     name: str = "maestro"
 
@@ -100,7 +100,9 @@ def _parsed(lines: TextLines) -> _Content:
         content.start(lines, parser.CurrentLineNumber, tag, attributes)
 
     def refused(*_: object) -> None:
-        lines.refuse(parser.CurrentLineNumber, "declares a document type; settings have none")
+        lines.refuse(
+            parser.CurrentLineNumber, "declares a document type, which is not allowed in settings"
+        )
 
     parser.buffer_text = True
     parser.StartElementHandler = start
@@ -116,7 +118,7 @@ def _parsed(lines: TextLines) -> _Content:
 
 
 def _names(content: _Content) -> list[str]:
-    """Return what each channel is called: its own name where that is one of a kind."""
+    """Return the name of each channel: its own name if that is unique, else `channel<n>`."""
     given = [channel.get("name", "").strip() for channel in content.channels]
     given += [""] * (CHANNELS_MAX - len(given))
     return [

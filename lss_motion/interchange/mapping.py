@@ -1,8 +1,7 @@
-"""From another robot's joints to ours: names, units, signs, scales, offsets and full turns.
+"""Maps the joints of another robot to joints of a robot file: name, unit, sign, scale, offset.
 
-The keys of a map file: what another robot's joints are on ours.
-
-Importing this module imports pydantic, so it is imported where a file is read.
+`MapFile` and `MapEntry` are the keys of a map file, `load_map` reads one, `mapped` applies it, and
+`map_template` writes one to begin with.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from pydantic import AfterValidator, Field
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
-from lss_motion.files.validation import FileModel, Name
+from lss_motion.files.validation import FileModel, Name, validate
 from lss_motion.files.yaml_source import Problem, read_yaml
 from lss_motion.interchange.reader import DEG_PER_UNIT, Channel, Unit, summarised
 from lss_motion.robot.file import AngleDeg  # noqa: TC001  (pydantic reads it)
@@ -33,17 +32,55 @@ if TYPE_CHECKING:
 TURN_DEG: Final = 360.0
 
 WRAP_MIN_DEG: Final = 270.0
-"""Two samples of a recording this far apart are an encoder that wrapped, not a motion: at 10 Hz
-that would be 2700 deg/s, and the fastest servo does 600 (FACTS.md E1)."""
+"""Two samples of a recording this far apart mean that the encoder wrapped: at 10 Hz the motion
+would be 2700 deg/s, and the fastest servo reaches 600 deg/s (FACTS.md E1)."""
 
 PULSE_DEG_PER_US: Final = 0.09
 PULSE_OFFSET_DEG: Final = -135.0
-"""The usual RC servo, as a guess in templates: 180 deg over 500 to 2500 us, 0 deg at 1500."""
+"""A usual RC servo, as a guess in templates: 180 deg over 500 to 2500 us, 0 deg at 1500 us."""
+
+
+SCALE_MAX: Final = 1e6
+"""Degrees per unit: a spindle of 1 mm per turn has 360,000 deg per metre."""
+
+
+def _check_sign(sign: int) -> int:
+    if sign not in {1, -1}:
+        raise ValueError("must be 1 or -1")
+    return sign
+
+
+class MapEntry(FileModel, title="mapped joint"):
+    """One joint: `angle = offset_deg + sign * scale * value`; angles are values in degrees."""
+
+    name: Name | None = Field(
+        default=None, description="Joint of the robot. Default: the same name."
+    )
+    skip: bool = Field(default=False, description="Leave this joint out.")
+    unit: Literal["deg", "rad", "us", "m", "raw"] | None = Field(
+        default=None, description="Unit of the values. Default: the unit of the file."
+    )
+    sign: Annotated[int, AfterValidator(_check_sign)] = Field(
+        default=1, description="-1 if the joint of the robot turns the other way."
+    )
+    scale: float | None = Field(
+        default=None,
+        gt=0.0,
+        le=SCALE_MAX,
+        description="Degrees per unit; needed if the unit is not an angle.",
+    )
+    offset_deg: AngleDeg = Field(default=0.0, description="Angle of the joint at value 0.")
+
+
+class MapFile(FileModel, title="map file"):
+    """How the joints of a motion file become joints of a robot."""
+
+    joints: Annotated[dict[str, MapEntry], Field(min_length=1)]
 
 
 @dataclass(frozen=True, slots=True)
 class MotionMap:
-    """The content of a map file, with its lines."""
+    """The content of a map file, with its line numbers."""
 
     entries: Mapping[str, MapEntry]
     source: YamlSource
@@ -51,8 +88,6 @@ class MotionMap:
 
 def load_map(path: Path) -> MotionMap:
     """Return the map in the file at `path`, or raise `InputError` with file and line."""
-    from lss_motion.files.validation import validate
-
     source = read_yaml(path)
     content, problems, _ = validate(MapFile, source)
     if problems or content is None:
@@ -63,9 +98,9 @@ def load_map(path: Path) -> MotionMap:
 def mapped(motion: ForeignMotion, robot: Robot, motion_map: MotionMap | None) -> ForeignMotion:
     """Return the motion in degrees of joints of `robot`.
 
-    Joints that the map does not name keep their names, which `sequence_for` judges; LSS ids become
-    the joints that have them. Raises `InputError` naming everything in the map that has no
-    counterpart and every unit that has no meaning.
+    Joints that the map does not contain keep their names; `sequence_for` checks these. An LSS id
+    becomes the joint that has this id. Raises `InputError` with every name of the map that does not
+    exist, and every unit that is not an angle.
     """
     entries = {} if motion_map is None else dict(motion_map.entries)
     if motion_map is not None:
@@ -82,7 +117,7 @@ def mapped(motion: ForeignMotion, robot: Robot, motion_map: MotionMap | None) ->
         reasons += [reason] * bool(reason)
         joint, values = _own_joint(channel, entry, robot), channel.values
         if unit in DEG_PER_UNIT:
-            values, turns = _unwrapped(motion, channel, values * DEG_PER_UNIT[unit])
+            values, turns = _without_wraps(motion, channel, values * DEG_PER_UNIT[unit])
             comments += turns
         if entry is not None:
             values = entry.offset_deg + entry.sign * (entry.scale or 1.0) * values
@@ -98,7 +133,7 @@ def mapped(motion: ForeignMotion, robot: Robot, motion_map: MotionMap | None) ->
 
 
 def _own_joint(channel: Channel, entry: MapEntry | None, robot: Robot) -> Joint | None:
-    """Return the joint that has the id of an LSS channel, if there is exactly one."""
+    """Return the joint that has the id of an LSS channel, if exactly one joint has it."""
     if channel.servo_id is None or entry is not None:
         return None
     found = [joint for joint in robot.joints.values() if joint.servo_id == channel.servo_id]
@@ -106,7 +141,7 @@ def _own_joint(channel: Channel, entry: MapEntry | None, robot: Robot) -> Joint 
 
 
 def _unit(channel: Channel, entry: MapEntry | None) -> tuple[Unit, str]:
-    """Return the unit of a channel, and what is wrong with it."""
+    """Return the unit of a channel, and the reason why it cannot be used, or ""."""
     unit = Unit(entry.unit) if entry is not None and entry.unit else channel.unit
     shown = f"joint {channel.name!r:.60}"
     if unit in DEG_PER_UNIT or (
@@ -115,13 +150,13 @@ def _unit(channel: Channel, entry: MapEntry | None) -> tuple[Unit, str]:
         return unit, ""
     if unit is Unit.RAD_OR_M:
         return unit, (
-            f"{shown} looks like one that slides, and the file does not say whether it is given in "
-            "radians or metres; say it in a map file: `unit: rad`, or `unit: m` and a `scale` in "
+            f"{shown} may be a sliding joint, and the file does not define whether its values are "
+            "radians or metres; add to a map file `unit: rad`, or `unit: m` and a `scale` in "
             "degrees per metre (--make-map writes one to begin with)"
         )
     return unit, (
-        f"{shown} is given in {_UNIT_WORDS[unit]}, which is no angle; give `scale`, in degrees per "
-        "unit, and `offset_deg` in a map file (--make-map writes one to begin with)"
+        f"{shown} is given in {_UNIT_WORDS[unit]}, which is not an angle; give `scale`, in degrees "
+        "per unit, and `offset_deg` in a map file (--make-map writes one to begin with)"
     )
 
 
@@ -156,13 +191,13 @@ def _name_problems(motion: ForeignMotion, channels: list[Channel]) -> Iterator[s
     if not names:
         yield f"motion {motion.name!r} moves only joints that the map skips"
     for name in dict.fromkeys(name for name in names if names.count(name) > 1):
-        yield f"{names.count(name)} joints of the motion become joint {name!r}; one can"
+        yield f"{names.count(name)} joints of the motion become joint {name!r}; only one can"
 
 
-def _unwrapped(
+def _without_wraps(
     motion: ForeignMotion, channel: Channel, values_deg: FloatArray
 ) -> tuple[FloatArray, list[str]]:
-    """Return a recording without the full turns that a wrapping encoder puts in, and the words."""
+    """Return a recording without the full turns of an encoder that wraps, and a comment on them."""
     if not motion.is_recording:
         return values_deg, []
     steps_deg = np.diff(values_deg)
@@ -173,16 +208,16 @@ def _unwrapped(
     turns[jumps + 1] = -np.round(steps_deg[jumps] / TURN_DEG)
     at_s = float(channel.times_s[jumps[0] + 1])
     return values_deg + TURN_DEG * np.cumsum(turns), [
-        f"Joint {channel.name} jumps by a full turn {len(jumps)} times, first at {at_s:g} s: read "
-        "as an encoder that wraps, and undone."
+        f"Joint {channel.name} jumps by a full turn {len(jumps)} times, first at {at_s:g} s. The "
+        "turns were removed, because the encoder wrapped."
     ]
 
 
 def map_template(motion: ForeignMotion, robot: Robot) -> str:
-    """Return a map file for the joints of `motion` to begin with; what is a guess, it says."""
+    """Return a map file for the joints of `motion` to begin with. Guesses are marked."""
     lines = [
-        f"# What the joints of {_shown(motion.path.name)} are on robot {_shown(robot.name)}:",
-        "# angle = offset_deg + sign * scale * value, the value in degrees if it is an angle.",
+        f"# Joints of {_shown(motion.path.name)} and their joints of robot {_shown(robot.name)}:",
+        "# angle = offset_deg + sign * scale * value; a value that is an angle is in degrees.",
         f"# Joints of the robot: {', '.join(robot.joints)}",
         "joints:",
     ]
@@ -192,7 +227,7 @@ def map_template(motion: ForeignMotion, robot: Robot) -> str:
         fields = [f"name: {json.dumps(joint, ensure_ascii=False)}"] if joint else ["skip: true"]
         words = [f"{low:.6g} to {high:.6g} {_TEMPLATE_UNITS.get(channel.unit, channel.unit)}"]
         if not joint:
-            words.append("no joint of that name: skipped unless you name one")
+            words.append("the robot has no joint of that name: skipped unless you name one")
         if channel.unit is Unit.US:
             fields += [f"scale: {PULSE_DEG_PER_US}", f"offset_deg: {PULSE_OFFSET_DEG}"]
             words.append("guess: 180 deg over 500 to 2500 us")
@@ -212,7 +247,7 @@ _TEMPLATE_UNITS: Final = {Unit.RAD_OR_M: "rad or m", Unit.RAW: "units of its own
 
 
 def _guess(channel: Channel, robot: Robot) -> str:
-    """Return the joint of the robot that has this id or, but for case and dashes, this name."""
+    """Return the joint with this id or, apart from case and dashes, this name; else ""."""
 
     def plain(name: str) -> str:
         return "".join(char for char in name.lower() if char.isalnum()).removesuffix("joint")
@@ -224,41 +259,3 @@ def _guess(channel: Channel, robot: Robot) -> str:
 
 def _shown(text: str) -> str:
     return "".join(char if char.isprintable() else "?" for char in text)
-
-
-SCALE_MAX: Final = 1e6
-"""Degrees per unit: a spindle of 1 mm a turn makes 360,000 of a metre."""
-
-
-def _check_sign(sign: int) -> int:
-    if sign not in {1, -1}:
-        raise ValueError("must be 1 or -1")
-    return sign
-
-
-class MapEntry(FileModel, title="mapped joint"):
-    """One joint: `angle = offset_deg + sign * scale * value`, the value in degrees if an angle."""
-
-    name: Name | None = Field(
-        default=None, description="Joint of our robot. Default: the same name."
-    )
-    skip: bool = Field(default=False, description="Leave this joint out.")
-    unit: Literal["deg", "rad", "us", "m", "raw"] | None = Field(
-        default=None, description="What the values are. Default: what the file says."
-    )
-    sign: Annotated[int, AfterValidator(_check_sign)] = Field(
-        default=1, description="-1 where our joint turns the other way."
-    )
-    scale: float | None = Field(
-        default=None,
-        gt=0.0,
-        le=SCALE_MAX,
-        description="Degrees of our joint per unit; needed where the unit is no angle.",
-    )
-    offset_deg: AngleDeg = Field(default=0.0, description="Angle of our joint at value 0.")
-
-
-class MapFile(FileModel, title="map file"):
-    """How the joints of a motion file become joints of a robot."""
-
-    joints: Annotated[dict[str, MapEntry], Field(min_length=1)]

@@ -1,4 +1,4 @@
-"""PyPose projects (`.ppr`): named poses of Dynamixel positions, and sequences of `pose|ms`."""
+"""PyPose projects (`.ppr`): named poses in Dynamixel positions, and sequences of `pose|ms`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.interchange.fields import TextLines
+from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import Pose, motion_of_poses, read_or_refused
 from lss_motion.interchange.robotis import ax_deg
 from lss_motion.units import s_from_ms
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
 DURATION_MAX_MS: Final = 65_535
 SERVOS_MAX: Final = 253
-"""As many ids as a Dynamixel bus has."""
+"""Number of ids of a Dynamixel bus."""
 
 AX_POSITIONS: Final = 1024
 MX_POSITIONS: Final = 4096
-"""The two resolutions of Dynamixel servos: 300 deg in 1024, 360 deg in 4096, middle = 0 deg."""
+"""The two resolutions of Dynamixel servos: 300 deg in 1024 and 360 deg in 4096; the middle is 0."""
 
 _HEADER: Final = re.compile(r"[^:=]{0,200}:\s*\d{1,3}\s*(:.*)?", re.ASCII)
 
@@ -36,20 +36,19 @@ class PyPoseReader:
     name: str = "pypose"
 
     def recognises(self, data: bytes) -> bool:
-        head = data[:65_536].removeprefix(b"\xef\xbb\xbf")
+        head = text_head(data, 65_536)
         first = head.split(b"\n", 1)[0].strip().decode("utf-8", "replace")
         return _HEADER.fullmatch(first) is not None and b"\nPose=" in head
 
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
         lines = TextLines.of(path, data)
-        rows = list(lines.numbered())
-        head_line, head = rows[0] if rows else (1, "")
+        head_line, head, rows = lines.with_head()
         if _HEADER.fullmatch(head) is None:
             lines.refuse(head_line, "the first line must be `name:number of servos`")
         scales = _scales(lines, head_line, head)
         poses: dict[str, dict[str, float]] = {}
         sequences: list[tuple[int, str, str]] = []
-        for number, line in rows[1:]:
+        for number, line in rows:
             kind, _, rest = line.partition("=")
             name, colon, values = rest.partition(":")
             match kind.strip().lower():
@@ -102,7 +101,7 @@ def _motion(
         if not bar:
             lines.refuse(number, f"step {index} ({step.strip()!r:.40}) is not `pose|milliseconds`")
         if pose not in known:
-            lines.refuse(number, f"step {index} names pose {pose!r:.40}, which is not there")
+            lines.refuse(number, f"step {index} names pose {pose!r:.40}, which does not exist")
         start_s = poses[-1].at_s if poses else 0.0
         at_s = start_s + s_from_ms(lines.whole(time, number, DURATION_MAX_MS))
         place = f"step {index} of {name!r:.40}"

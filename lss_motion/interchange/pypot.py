@@ -1,4 +1,4 @@
-"""Recorded moves of pypot (Poppy robots): degrees at real times, in any order."""
+"""Recorded moves of pypot (Poppy robots): degrees at measured times, in any order."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class PypotReader:
         )
         found = [key for key in top if key not in {"framerate", "positions"} and top[key]]
         comments = (
-            f"Imported from {path.name} (pypot move): {len(poses)} samples at their own times.",
+            f"Imported from {path.name} (pypot move): {len(poses)} samples at measured times.",
             *summarised(["recorded speeds", *found]),
         )
         return (motion_of_poses(path, path.stem, poses, comments=comments),)

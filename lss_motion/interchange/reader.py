@@ -1,6 +1,7 @@
-"""What a reader of another tool's files is, and the motion that it returns.
+"""The interface of a reader (`Reader`), and the motion that it returns (`ForeignMotion`).
 
-Poses at times, as most formats give them, to a motion of channels.
+A motion has one channel per joint: values at increasing times, in the unit of the file. Most
+formats contain poses at times; `motion_of_poses` turns these into channels.
 """
 
 from __future__ import annotations
@@ -27,34 +28,38 @@ if TYPE_CHECKING:
 
 
 DIGITS: Final = 6
-"""Decimals kept: a microsecond, and far below what a servo resolves; -58.00000000000001 is -58."""
+"""Decimals of times and angles: 1 us, and far below the resolution of a servo. Rounding also
+removes noise such as -58.00000000000001."""
 
 VALUES_MAX: Final = 4_000_000
-"""Values of one file: 20 joints at 100 Hz for half an hour; as arrays, 64 MB with their times."""
+"""Maximum number of values in a file: 20 joints at 100 Hz for half an hour; 64 MB as arrays."""
 
 LABEL_MAX_CHARS: Final = 64
-"""The most that a sequence file takes as a label."""
+"""Maximum length of a label in a sequence file."""
+
+FPS_MAX: Final = 1000.0
+"""Maximum frame rate. Chosen: above any animation."""
 
 STEP_DENSE_S: Final = 0.1
-"""Samples closer than this were made by a clock, not by a person. Chosen: 10 Hz."""
+"""Samples closer than this come from a clock, not from a person. Chosen: 10 Hz."""
 
 DENSE_MIN: Final = 12
-"""Fewer samples than this are poses, however close. Chosen: pages of Robotis have at most 7."""
+"""Fewer samples than this are poses, even if they are close. Chosen: Robotis pages have up to 7."""
 
 
 class Unit(StrEnum):
-    """What the values of a channel are, as far as the file tells."""
+    """Unit of the values of a channel, as far as the file defines it."""
 
     DEG = "deg"
     RAD = "rad"
     US = "us"
-    """Width of a servo pulse: what angle that is depends on the servo."""
+    """Width of a servo pulse; its angle depends on the servo."""
     M = "m"
-    """A distance: what angle that is depends on the mechanics."""
+    """A distance in metres; its angle depends on the mechanics."""
     RAW = "raw"
-    """A number that only the robot's own set-up explains."""
+    """A number whose meaning depends on the set-up of the other robot."""
     RAD_OR_M = "rad_or_m"
-    """ROS and Webots give rotations in radians and lifts in metres, and do not say which."""
+    """ROS and Webots use radians or, for sliding joints, metres; the file does not define which."""
 
 
 DEG_PER_UNIT: Final[Mapping[Unit, float]] = {Unit.DEG: 1.0, Unit.RAD: math.degrees(1.0)}
@@ -64,20 +69,20 @@ _PRISMATIC: Final = re.compile(r"lift|prismatic|linear|slid|elevat|telescop|fing
 
 
 def unit_of_ros_joint(name: str) -> Unit:
-    """Return radians, unless the name speaks of a joint that may well move in metres."""
+    """Return radians, or `RAD_OR_M` if the name is that of a sliding joint."""
     return Unit.RAD_OR_M if _PRISMATIC.search(name) else Unit.RAD
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Channel:
-    """One joint as the file knows it: at least one value, at increasing times."""
+    """One joint of the file: one value or more, at increasing times."""
 
     name: str
     unit: Unit
     times_s: FloatArray
     values: FloatArray
     servo_id: int | None = None
-    """The id on the bus, for files that speak to Lynxmotion servos; then `values` are its angles"""
+    """Id on the bus, in files with commands for LSS servos; `values` are then servo angles."""
 
     def __post_init__(self) -> None:
         assert len(self.times_s) == len(self.values) > 0, self.name
@@ -87,7 +92,7 @@ class Channel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Note:
-    """What a file says about the pose at one time beside its angles."""
+    """Properties of the pose at one time, besides its angles."""
 
     hold_s: float = 0.0
     label: str = ""
@@ -96,11 +101,11 @@ class Note:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ForeignMotion:
-    """A motion as its file tells it, for no robot yet; with one channel or more.
+    """A motion as in its file, not yet for a robot; it has one channel or more.
 
-    `notes` are by time. `comments` are for people: where the motion comes from, how ambiguous
-    things were read, and what could not be carried over. `is_recording`: the channels are samples
-    that a clock took, and stand for the curve through them.
+    `notes` are by time. `comments` are for people: the origin of the motion, how ambiguous values
+    were read, and what was not carried over. `is_recording`: the channels are samples taken by a
+    clock, and represent the curve through them.
     """
 
     path: Path
@@ -113,13 +118,13 @@ class ForeignMotion:
 
     @property
     def keyframes(self) -> tuple[Keyframe, ...]:
-        """The motion as keyframes in degrees; raises `InputError` where a unit is no angle."""
+        """The motion as keyframes in degrees; raises `InputError` if a unit is not an angle."""
         at_times: defaultdict[float, dict[str, float]] = defaultdict(dict)
         for channel in self.channels:
             if channel.unit not in DEG_PER_UNIT:
                 raise InputError(
-                    f"joint {channel.name!r} is given in {channel.unit}, which is no angle; "
-                    "say what it means in a map file (--make-map writes one to begin with)",
+                    f"joint {channel.name!r} is given in {channel.unit}, which is not an "
+                    "angle; define its scale in a map file (--make-map writes one to begin with)",
                     path=self.path,
                 )
             values_deg = np.round(channel.values * DEG_PER_UNIT[channel.unit], DIGITS) + 0.0
@@ -140,41 +145,46 @@ class ForeignMotion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RefusedMotion:
-    """One motion of several in a file that cannot be read, and why; the others can."""
+    """A motion that cannot be read, with the reason; other motions of the file may be readable."""
 
     name: str
     error: InputError
 
 
 class Reader(Protocol):
-    """One format. Neither method runs anything that a file contains."""
+    """A reader of one format. It never executes content of a file."""
 
     @property
     def name(self) -> str:
-        """What `--from` calls the format."""
+        """Name of the format, for `--from`."""
         ...
 
     def recognises(self, data: bytes) -> bool:
-        """Return whether a file with this content is worth reading as this format."""
+        """Return whether the content looks like this format."""
         ...
 
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
         """Return the motions in `data`, one or more, in the file's order.
 
-        Raises `InputError` and nothing else; `path` is only for its words.
+        Raises `InputError` and nothing else. `path` is used only in its text.
         """
         ...
 
 
 def motion_label(name: object) -> str:
-    """Return a name as a label that a sequence file takes."""
+    """Return a name as a label that a sequence file allows, or ""."""
     if not isinstance(name, str):
         return ""
     return "".join(char if char.isprintable() else " " for char in name)[:LABEL_MAX_CHARS].strip()
 
 
+def motion_name(path: Path, name: str = "") -> str:
+    """Return `name` as the name of a motion, or the name of the file if `name` is empty."""
+    return motion_label(name) or motion_label(path.stem) or "motion"
+
+
 def read_or_refused(name: str, read: Callable[[], ForeignMotion]) -> ForeignMotion | RefusedMotion:
-    """Return what `read` returns, or its `InputError` as the refusal of this one motion."""
+    """Return the result of `read`, or its `InputError` as the refusal of this motion."""
     try:
         return read()
     except InputError as error:
@@ -182,18 +192,18 @@ def read_or_refused(name: str, read: Callable[[], ForeignMotion]) -> ForeignMoti
 
 
 def is_dense(times_s: FloatArray) -> bool:
-    """Return whether these are samples of a clock rather than poses of a person."""
+    """Return whether these are samples taken by a clock, not poses set by a person."""
     return len(times_s) >= DENSE_MIN and float(np.median(np.diff(times_s))) <= STEP_DENSE_S
 
 
 def summarised(found: Sequence[str]) -> tuple[str, ...]:
-    """Return a comment for every kind of thing that could not be carried over, once."""
+    """Return one comment for each different text in `found`: it was not carried over."""
     return tuple(f"Not carried over: {what}" for what in dict.fromkeys(found))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pose:
-    """Values to be reached at one time, and kept for `hold_s`; `place` is for error messages."""
+    """Values to be reached at `at_s` and held for `hold_s`; `place` is for error messages."""
 
     at_s: float
     values: Mapping[str, float]
@@ -211,9 +221,9 @@ def motion_of_poses(
     unit_of: Callable[[str], Unit] = lambda _: Unit.DEG,
     comments: Sequence[str] = (),
 ) -> ForeignMotion:
-    """Return the motion through `poses`, whose times must increase, else `InputError`.
+    """Return the motion through `poses`; raise `InputError` if their times do not increase.
 
-    It is a recording where the poses are dense and nothing is held.
+    It is a recording if the poses are dense and none is held.
     """
     if not any(pose.values for pose in poses):
         raise InputError(f"motion {name!r} moves no joint", path=path)
@@ -228,7 +238,7 @@ def motion_of_poses(
     holds = any(pose.hold_s for pose in poses)
     return ForeignMotion(
         path=path,
-        name=motion_label(name) or motion_label(path.stem) or "motion",
+        name=motion_name(path, name),
         channels=tuple(
             Channel(
                 name=joint,
@@ -256,10 +266,10 @@ def recording(
     comments: Sequence[str] = (),
     ease: Interpolation = Interpolation.SMOOTH,
 ) -> ForeignMotion:
-    """Return a motion whose channels are samples, each at its own times."""
+    """Return a recording; each channel has its own sample times."""
     return ForeignMotion(
         path=path,
-        name=motion_label(name) or motion_label(path.stem) or "motion",
+        name=motion_name(path, name),
         channels=tuple(channels),
         notes={},
         ease=ease,
@@ -269,7 +279,7 @@ def recording(
 
 
 def thinned(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return samples at increasing times, rounded; of those at one time, the first."""
+    """Return rounded samples at increasing times; of samples at the same time, the first."""
     times_s = np.round(times_s, DIGITS)
     is_new = np.concatenate([[True], np.diff(np.maximum.accumulate(times_s)) > 0.0])
     return times_s[is_new], values[is_new]

@@ -1,22 +1,17 @@
-"""Dense recordings to the fewest keys whose interpolation stays within a tolerance.
+"""Reduces a dense recording to few keys whose interpolation stays within a tolerance.
 
-The interpolation is the one that the planner follows between keys: this module knows its shape, so
-that the error that it reports is that of the motion that will be played.
+`reduced` is the entry. The interpolation between keys (`interpolated`, `Spans`) is that of the
+planner, `trajectory.curves`, so the reported error is the error of the motion that will be played.
+The planner is in a layer above this package; a test compares the two.
 
-Which samples of a recorded curve are its keys: the fewest that can be found in reasonable time.
+The keys of a joint (`rough_keys`, `refined_keys`) start with the ends and the rests. Keys are added
+until the curve fits, then keys that are not needed are removed, then the others are moved so that
+more of them can be removed.
 
-Keys grow from the ends and rests until the curve fits, then what is not needed goes, then the rest
-is moved to where more of it can go.
-
-The shape of a motion between its keys, as `trajectory.curves` plans it.
-
-Written here again because the planner stands above this package; a test holds the two together.
-
-What the samples of a recording ask of a servo, and the spline through them that asks no more.
-
-A spline through samples exactly swings about where the acceleration jumps, so a motion that sits
-at its limits would be slowed there when it is planned again. The spline whose control points are
-the samples does not: its speeds and accelerations are averages of the recording's own.
+A spline exactly through the samples oscillates where the acceleration jumps, so a motion at its
+limits would be slowed down when it is planned again. Keys of a spline are therefore the values of
+the B-spline that has the samples as control points (`bspline_values`): its speeds and accelerations
+are averages of those of the recording.
 """
 
 from __future__ import annotations
@@ -44,6 +39,192 @@ if TYPE_CHECKING:
     IntArray = NDArray[np.intp]
 
 
+TOLERANCE_DEG: Final = 1.0
+"""Default of `--tolerance-deg`: the largest error of the keys. Less than an eye sees on a figure,
+more than the backlash of a servo."""
+
+ANGLE_DECIMALS: Final = 4
+"""Decimals of most keys: easy to read, and finer than a servo resolves."""
+
+CLOSE_S: Final = 0.1
+"""Keys closer than this have `DIGITS` decimals, because rounding to 4 would change the acceleration
+(by 6 deg/s² for keys 10 ms apart, by 0.06 deg/s² for 100 ms)."""
+
+EDGE_DEG: Final = 0.01
+"""A joint this close to the end of its range has keys with `DIGITS` decimals, so that rounding does
+not move the spline out of the range."""
+
+ROUNDING_DEG: Final = 0.5 * 10.0**-ANGLE_DECIMALS
+
+BSPLINE_SHIFT_RATIO: Final = 0.5
+"""Largest part of the tolerance for the distance of keys from their samples. Chosen."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """Limits of a joint: speed, acceleration and range."""
+
+    speed_deg_s: float
+    accel_deg_s2: float
+    range_deg: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeyFit:
+    """Result of a reduction; the errors are measured at every sample of the recording."""
+
+    samples_count: int
+    keys_count: int
+    keyframes_count: int
+    error_max_deg: float
+    error_rms_deg: float
+    joint: str
+    """The joint of the largest error, at `at_s`."""
+    at_s: float
+
+
+def reduced(
+    motion: ForeignMotion,
+    tolerance_deg: float,
+    ease: Interpolation,
+    limits: Mapping[str, Limits] | None = None,
+) -> tuple[ForeignMotion, KeyFit]:
+    """Return a recording in degrees reduced to few keys, at times of samples, and its `KeyFit`.
+
+    Where the recording keeps the `limits` of its joint, a spline through the keys keeps them too.
+    Raises `InputError` if even as many keyframes as a sequence may have exceed the tolerance.
+    """
+    assert all(channel.unit is Unit.DEG for channel in motion.channels), "map it first"
+    curves = [
+        _curve(channel, tolerance_deg, ease, (limits or {}).get(channel.name))
+        for channel in motion.channels
+    ]
+    rough = [rough_keys(curve) for curve in curves]
+    start_s, end_s, count = _span(motion, rough)
+    if count > KEYFRAMES_MAX:
+        # Too many different times: the joints share a grid of as many times as a sequence may have.
+        step_s = (end_s - start_s) / (KEYFRAMES_MAX - 2)
+        curves = [replace(curve, step_s=step_s) for curve in curves]
+        rough = [rough_keys(curve) for curve in curves]
+    channels: list[Channel] = []
+    for channel, curve, found in zip(motion.channels, curves, rough, strict=True):
+        keys = refined_keys(curve, found)
+        channels.append(replace(channel, times_s=curve.times_s[keys], values=_rounded(curve, keys)))
+    times_s = np.unique(np.concatenate([channel.times_s for channel in channels]))
+    fit = _fit(motion, channels, ease, len(times_s))
+    if len(times_s) > KEYFRAMES_MAX or fit.error_max_deg > tolerance_deg + ROUNDING_DEG:
+        raise InputError(
+            f"needs more than {KEYFRAMES_MAX:,} keyframes: joint {fit.joint!r} would be "
+            f"{fit.error_max_deg:.2f} deg off at {fit.at_s:.3f} s, {tolerance_deg:g} deg are "
+            "allowed; give a larger --tolerance-deg, or cut the recording into parts",
+            path=motion.path,
+        )
+    notes = {at_s: note for at_s, note in motion.notes.items() if at_s in set(times_s.tolist())}
+    lost = sum(bool(note.label) for note in motion.notes.values()) - sum(
+        bool(note.label) for note in notes.values()
+    )
+    comments = (*motion.comments, *([f"Not carried over: {lost} names of poses"] if lost else []))
+    return (
+        replace(
+            motion,
+            channels=tuple(channels),
+            notes=notes,
+            ease=ease,
+            comments=comments,
+            is_recording=False,
+        ),
+        fit,
+    )
+
+
+def every_sample(motion: ForeignMotion, ease: Interpolation) -> ForeignMotion:
+    """Return a recording in degrees with all its samples as keys."""
+    return replace(
+        motion,
+        channels=tuple(
+            replace(c, values=bspline_values(c.times_s, c.values, BSPLINE_SHIFT_MAX_DEG))
+            if ease is Interpolation.SPLINE
+            else c
+            for c in motion.channels
+        ),
+        ease=ease,
+    )
+
+
+def _curve(
+    channel: Channel, tolerance_deg: float, ease: Interpolation, limit: Limits | None
+) -> Curve:
+    times_s, values = channel.times_s, channel.values
+    key_values = values
+    most = (np.full(len(values), math.inf),) * 2
+    range_deg = (-math.inf, math.inf)
+    if ease is Interpolation.SPLINE and limit is not None:
+        key_values = bspline_values(
+            times_s, values, min(BSPLINE_SHIFT_MAX_DEG, BSPLINE_SHIFT_RATIO * tolerance_deg)
+        )
+        speed, accel = peaks_of_samples(times_s, values)
+        most = np.maximum(speed, limit.speed_deg_s), np.maximum(accel, limit.accel_deg_s2)
+        range_deg = (
+            min(limit.range_deg[0], float(key_values.min())),
+            max(limit.range_deg[1], float(key_values.max())),
+        )
+    return Curve(
+        times_s=times_s,
+        values=values,
+        key_values=key_values,
+        speed_max_deg_s=most[0],
+        accel_max_deg_s2=most[1],
+        tolerance_deg=tolerance_deg,
+        ease=ease,
+        range_deg=range_deg,
+    )
+
+
+def _rounded(curve: Curve, keys: IntArray) -> FloatArray:
+    """Return the angles of the keys, rounded to the decimals that they need."""
+    times_s, values = curve.times_s[keys], curve.key_values[keys]
+    low_deg, high_deg = curve.range_deg
+    if values.min() < low_deg + EDGE_DEG or values.max() > high_deg - EDGE_DEG:
+        return np.round(values, DIGITS)
+    is_close = np.diff(times_s) < CLOSE_S
+    is_close = np.append(is_close, False) | np.append(False, is_close)
+    return np.where(is_close, np.round(values, DIGITS), np.round(values, ANGLE_DECIMALS))
+
+
+def _span(motion: ForeignMotion, kept: list[IntArray]) -> tuple[float, float, int]:
+    """Return the first and the last time of all keys, and the number of different times."""
+    times_s = np.unique(
+        np.concatenate([c.times_s[keys] for c, keys in zip(motion.channels, kept, strict=True)])
+    )
+    return float(times_s[0]), float(times_s[-1]), len(times_s)
+
+
+def _fit(
+    motion: ForeignMotion, channels: list[Channel], ease: Interpolation, keyframes_count: int
+) -> KeyFit:
+    worst = (-1.0, "", 0.0)
+    squares = 0.0
+    samples_count = 0
+    for whole, keys in zip(motion.channels, channels, strict=True):
+        error_deg = np.abs(
+            interpolated(ease, keys.times_s, keys.values, whole.times_s) - whole.values
+        )
+        at = int(np.argmax(error_deg))
+        if error_deg[at] > worst[0]:
+            worst = (float(error_deg[at]), whole.name, float(whole.times_s[at]))
+        squares += float(error_deg @ error_deg)
+        samples_count += len(error_deg)
+    return KeyFit(
+        samples_count=samples_count,
+        keys_count=sum(len(channel.times_s) for channel in channels),
+        keyframes_count=keyframes_count,
+        error_max_deg=worst[0],
+        error_rms_deg=math.sqrt(squares / samples_count),
+        joint=worst[1],
+        at_s=worst[2],
+    )
+
+
 LINEAR_RAMP_RATIO: Final = 0.25
 """Each ramp of a `linear` move takes this share of it, as in `trajectory.curves`."""
 
@@ -51,13 +232,13 @@ LINEAR_RAMP_RATIO: Final = 0.25
 def interpolated(
     ease: Interpolation, key_times_s: FloatArray, key_values: FloatArray, times_s: FloatArray
 ) -> FloatArray:
-    """Return what keys lead to at the increasing `times_s`: from rest to rest, still outside.
+    """Return the curve through keys at the increasing `times_s`: rest at both ends and outside.
 
     `ease` is `spline`, `smooth` or `linear`.
     """
     if len(key_times_s) == 1:
         return np.full(len(times_s), key_values[0])
-    # How many of the samples each span has; the last one has those after it as well.
+    # Number of samples in each span; samples after the last key belong to the last span.
     bounds = np.searchsorted(times_s, key_times_s[1:-1], side="left")
     counts = np.diff(np.concatenate([[0], bounds, [len(times_s)]]))
     return Spans.between(ease, key_times_s, key_values).at(times_s, counts)
@@ -134,7 +315,7 @@ class Spans:
         return self.start + values.min(axis=0), self.start + values.max(axis=0)
 
     def _coefficients(self, slopes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return those of the share, its square and its cube."""
+        """Return the coefficients of the share, its square and its cube."""
         before, after = slopes[:-1] * self.lengths_s, slopes[1:] * self.lengths_s
         square = 3.0 * self.moved - 2.0 * before - after
         return before, square, before + after - 2.0 * self.moved
@@ -151,42 +332,42 @@ def _trapezoid(share: FloatArray) -> FloatArray:
 
 
 APART: Final = 4
-"""Keys tried at once are so many apart: taking one out changes a smooth curve from two keys before
-it to two after it, and a spline little beyond that."""
+"""Distance, in keys, of keys that are tried at the same time. Removing a key changes a smooth curve
+from two keys before it to two keys after it, and a spline only little beyond that."""
 
 PULL: Final = 6
-"""How many keys away a key still bends a spline: by 0.27 to the power of this, 0.04 %."""
+"""Distance, in keys, at which a key still changes a spline: by 0.27 to the power of 6, 0.04 %."""
 
 OUT_DEG: Final = 1e-7
-"""Rounding of a spline that rests at the end of a range."""
+"""Tolerance for rounding of a spline that rests at the end of a range."""
 
 EXCESS_SLACK: Final = 5e-5
-"""Half of what the planner takes for rounding (`trajectory.solve.FEASIBLE_RATIO`)."""
+"""Half of the tolerance of the planner for rounding (`FEASIBLE_RATIO`)."""
 
 REST_MIN_S: Final = 0.25
-"""A joint that stays for so long was put there; its corners are the first keys to try."""
+"""A joint at rest for this long was put there; both ends of the rest are the first keys."""
 
 FAR_APART: Final = 12
-"""For the last keys: so far apart not even splines touch each other (each key on the way leaves a
-quarter of a change, so 0.02 % here)."""
+"""As `APART`, for the last pass: splines do not influence each other over this distance, because
+each key leaves a quarter of a change, so 0.02 % here."""
 
 SHIFTS: Final = (-16, -8, -4, -2, -1, 1, 2, 4, 8, 16)
-"""How many samples a key is moved at a time to bring the curve closer."""
+"""Shifts of a key, in samples, that are tried to reduce the error."""
 
 ROUNDS: Final = 2
-"""Rounds of moving keys and taking out what that frees."""
+"""Rounds of moving keys and removing the keys that are no longer needed."""
 
 SWEEPS_MAX: Final = 12
-"""Rounds of taking out keys. Measured: the last rounds of recordings take out less than 0.1 %."""
+"""Rounds of removing keys. Measured: the last rounds remove less than 0.1 % of the keys."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Curve:
-    """One joint's recording, how far its keys may lead away from it, and how hard they may drive.
+    """The recording of one joint, the tolerance of its keys, and the limits of a spline.
 
-    `key_values` are the angles that samples have as keys. `speed_max_deg_s`, `accel_max_deg_s2`:
-    what a spline may ask for around each sample; infinite where nobody minds. It may not leave
-    `range_deg` either, unless a key does.
+    `key_values` are the angles of samples that become keys. `speed_max_deg_s`, `accel_max_deg_s2`:
+    limits of a spline around each sample; infinite means no limit. A spline must stay within
+    `range_deg`, which contains all keys.
     """
 
     times_s: FloatArray
@@ -198,23 +379,23 @@ class Curve:
     ease: Interpolation
     range_deg: tuple[float, float] = (-np.inf, np.inf)
     step_s: float = 0.0
-    """0, or only the samples next to its multiples may be keys."""
+    """If not 0, only the samples next to multiples of this time may be keys."""
 
     @property
     def candidates(self) -> NDArray[np.bool_]:
-        """Which samples may be keys."""
+        """Mask of the samples that may be keys."""
         if self.step_s == 0.0:
             return np.ones(len(self.times_s), dtype=np.bool_)
         return np.concatenate([[True], np.diff(np.round(self.times_s / self.step_s)) > 0.0])
 
     def fits(self, keys: IntArray) -> bool:
+        """Return whether the error of the keys is within the tolerance."""
         return float(self.error_deg(keys).max()) <= self.tolerance_deg
 
     def error_deg(self, keys: IntArray) -> FloatArray:
-        """Return how far the keys (the first and the last sample among them) lead away.
+        """Return the error of the curve through the keys at the samples from first to last key.
 
-        A span that asks for more than it may counts as off by more than the tolerance, most so in
-        its middle.
+        A span over a limit gets an error above the tolerance, the largest in its middle.
         """
         counts = np.diff(keys)
         counts[-1] += 1
@@ -223,53 +404,55 @@ class Curve:
         error_deg -= self.values
         np.abs(error_deg, out=error_deg)
         if self.ease is Interpolation.SPLINE:
-            self._blame(keys, spans, error_deg)
+            self._raise_error_over_limits(keys, spans, error_deg)
         return error_deg
 
-    def _blame(self, keys: IntArray, spans: Spans, error_deg: FloatArray) -> None:
+    def _raise_error_over_limits(self, keys: IntArray, spans: Spans, error_deg: FloatArray) -> None:
+        """Raise `error_deg` above the tolerance in spans over a limit or out of range."""
         speed, accel = spans.peaks()
         excess = np.maximum(
-            speed / _most(self.speed_max_deg_s, keys), accel / _most(self.accel_max_deg_s2, keys)
+            speed / _largest_per_span(self.speed_max_deg_s, keys),
+            accel / _largest_per_span(self.accel_max_deg_s2, keys),
         )
         low_deg, high_deg = spans.extremes()
         is_out = (low_deg < self.range_deg[0] - OUT_DEG) | (high_deg > self.range_deg[1] + OUT_DEG)
         for span in np.flatnonzero(is_out | (excess > 1.0 + EXCESS_SLACK)).tolist():
             first, last = int(keys[span]), int(keys[span + 1])
             off = 2.0 * np.abs(np.arange(first, last) - 0.5 * (first + last)) / (last - first)
-            blame_deg = self.tolerance_deg * (1.0 + float(excess[span]) * (1.5 - off))
-            np.maximum(error_deg[first:last], blame_deg, out=error_deg[first:last])
+            raised_deg = self.tolerance_deg * (1.0 + float(excess[span]) * (1.5 - off))
+            np.maximum(error_deg[first:last], raised_deg, out=error_deg[first:last])
 
 
-def _most(per_sample: FloatArray, keys: IntArray) -> FloatArray:
-    """Return the largest value of each span, both of its keys included."""
+def _largest_per_span(per_sample: FloatArray, keys: IntArray) -> FloatArray:
+    """Return the largest value of each span, with both of its keys."""
     inside = np.maximum.reduceat(per_sample, keys[:-1])
     return np.maximum(inside, per_sample[keys[1:]])
 
 
 def rough_keys(curve: Curve) -> IntArray:
-    """Return samples that fit as keys, nearly the fewest."""
+    """Return samples that fit as keys, close to the smallest number."""
     if float(np.abs(curve.values - curve.key_values[0]).max()) <= curve.tolerance_deg:
         return np.zeros(1, dtype=np.intp)
     keys = _grown(curve)
     if not curve.fits(keys):
-        return keys  # The candidates are too few: the caller will say so.
+        return keys  # There are too few candidates; the caller reports that.
     return _pruned(curve, keys, APART)
 
 
 def refined_keys(curve: Curve, keys: IntArray) -> IntArray:
-    """Return fewer keys yet: moved to where more of them can go."""
+    """Return fewer keys: keys are moved so that more of them can be removed."""
     if len(keys) == 1 or not curve.fits(keys):
         return keys
     for _ in range(ROUNDS):
         shifted = _shifted(curve, keys)
         if not curve.fits(shifted):
-            break  # Splines that were shifted side by side; rare.
+            break  # Rare: shifts of adjacent splines add up.
         keys = _pruned(curve, shifted, APART)
     return _pruned(curve, keys, FAR_APART)
 
 
 def _grown(curve: Curve) -> IntArray:
-    """Return keys that fit: from all rests on, the worst sample of every bad span becomes a key."""
+    """Return keys that fit: first the rests, then the worst sample of every bad span."""
     is_candidate = curve.candidates
     rests = _rests(curve)
     keys = np.union1d([0, len(curve.times_s) - 1], rests[is_candidate[rests]])
@@ -291,13 +474,13 @@ def _grown(curve: Curve) -> IntArray:
 
 
 def _around(is_full: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the spans near those that are bad with no sample left: their keys pull at these."""
+    """Return the spans near full bad spans; a new key in one of them changes the bad one too."""
     reach = np.ones(2 * PULL + 1)
     return np.asarray(np.convolve(is_full, reach)[PULL:-PULL] > 0.0)
 
 
 def _rests(curve: Curve) -> IntArray:
-    """Return both ends of every stretch in which a joint stays within half the tolerance."""
+    """Return both ends of every rest: the joint stays within half the tolerance."""
     times_s = curve.times_s
     ends: list[int] = []
     first = 0
@@ -314,7 +497,7 @@ def _rests(curve: Curve) -> IntArray:
 
 
 def _pruned(curve: Curve, keys: IntArray, apart: int) -> IntArray:
-    """Return the keys without those that are not needed, tried `apart` keys from each other."""
+    """Return the keys without unneeded ones; keys at a distance of `apart` are tried together."""
     for _ in range(SWEEPS_MAX):
         before = len(keys)
         for phase in range(apart):
@@ -333,14 +516,14 @@ def _pruned(curve: Curve, keys: IntArray, apart: int) -> IntArray:
 
 
 def _shifted(curve: Curve, keys: IntArray) -> IntArray:
-    """Return the keys, each moved to a sample nearby where that brings the curve closer."""
+    """Return the keys, each moved to a sample nearby if that reduces the error."""
     is_candidate = curve.candidates
     keys = keys.copy()
     for phase in range(APART):
         tried = np.arange(1 + phase, len(keys) - 1, APART)
         if not len(tried):
             continue
-        # Each has the samples from two keys before it to two after it for itself.
+        # Each key is judged by the samples from two keys before it to two keys after it.
         starts = keys[np.maximum(tried - APART // 2, 0)]
         starts[0] = 0
         best = np.add.reduceat(curve.error_deg(keys) ** 2, starts)
@@ -360,7 +543,7 @@ def _shifted(curve: Curve, keys: IntArray) -> IntArray:
 
 
 def _is_near_bad(bad_spans: NDArray[np.bool_], tried: IntArray) -> NDArray[np.bool_]:
-    """Return which of the `tried` keys to blame for spans gone bad: the nearest of each."""
+    """Return which of the `tried` keys are the nearest to a bad span, and so its cause."""
     bad = np.flatnonzero(bad_spans)
     is_blamed = np.zeros(len(tried), dtype=np.bool_)
     # Span n lies between keys n and n + 1.
@@ -371,21 +554,22 @@ def _is_near_bad(bad_spans: NDArray[np.bool_], tried: IntArray) -> NDArray[np.bo
     return is_blamed
 
 
-EVENING_MAX_DEG: Final = 0.02
-"""How far a key may be from its sample: 1000 deg/s² (all that the ramps of a servo can express)
-at 100 Hz come to 0.017 deg. Where it would be more, the sample itself is the key."""
+BSPLINE_SHIFT_MAX_DEG: Final = 0.02
+"""Largest distance of a key from its sample: 1000 deg/s², the limit of the ramps of a servo, at
+100 Hz gives 0.017 deg. If the distance would be larger, the sample itself is the key."""
 
 EVEN_RATIO: Final = 0.01
-"""Steps of time that differ by less are even. Chosen: microseconds at 1 kHz are 0.1 %."""
+"""Time steps that differ by less are even. Chosen: rounding to 1 us at 1 kHz is 0.1 %."""
 
-REPEAT_DEG: Final = 1e-9
-"""Samples this near are at rest and stay what they are."""
+REST_DEG: Final = 1e-9
+"""Samples that would be moved by less are at rest and stay unchanged."""
 
 
-def evened(times_s: FloatArray, values: FloatArray, most_deg: float) -> FloatArray:
-    """Return the values at the samples of the uniform cubic B-spline that they control.
+def bspline_values(times_s: FloatArray, values: FloatArray, shift_max_deg: float) -> FloatArray:
+    """Return the uniform cubic B-spline with control points `values`, at the samples.
 
-    From rest to rest, as keys are. No value is moved by more than `most_deg`: then it stays.
+    The ends are at rest, as those of keys. A value that would move by more than `shift_max_deg`
+    stays unchanged.
     """
     if len(values) < 3:
         return values
@@ -394,12 +578,12 @@ def evened(times_s: FloatArray, values: FloatArray, most_deg: float) -> FloatArr
     is_even = np.abs(np.diff(steps_s)) <= EVEN_RATIO * steps_s[1:]
     around = np.concatenate([values[1:2], values, values[-2:-1]])
     by = (around[:-2] - 2.0 * values + around[2:]) / 6.0
-    is_moved = is_even & (np.abs(by) <= most_deg) & (np.abs(by) > REPEAT_DEG)
+    is_moved = is_even & (np.abs(by) <= shift_max_deg) & (np.abs(by) > REST_DEG)
     return np.where(is_moved, values + by, values)
 
 
-def drive(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return speed and acceleration of the recording around each sample, without signs."""
+def peaks_of_samples(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the absolute speed and acceleration of the recording around each sample."""
     if len(values) < 3:
         return np.full(len(values), np.inf), np.full(len(values), np.inf)
     steps_s = np.diff(times_s)
@@ -409,188 +593,4 @@ def drive(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArr
     return (
         np.maximum(np.append(speeds, 0.0), np.append(0.0, speeds)),
         np.concatenate([accels[:1], accels, accels[-1:]]),
-    )
-
-
-TOLERANCE_DEG: Final = 1.0
-"""How far keys may lead away from a recording, if nobody says otherwise (issue: `--tolerance-deg`).
-Below what an eye sees on a figure, above the backlash of a servo."""
-
-ANGLE_DECIMALS: Final = 4
-"""Keys are written with these: a person can read them, and no servo resolves them."""
-
-CLOSE_S: Final = 0.1
-"""Keys this close are written with `DIGITS`: there rounding to 4 would be seen in the acceleration
-(10 ms apart, 6 deg/s²; 100 ms apart, 0.06 deg/s²)."""
-
-EDGE_DEG: Final = 0.01
-"""A joint that comes this near to the end of its range has all its keys written with `DIGITS`, so
-that rounding swings no spline beyond it."""
-
-ROUNDING_DEG: Final = 0.5 * 10.0**-ANGLE_DECIMALS
-
-EVENING_RATIO: Final = 0.5
-"""The most of the tolerance that is spent on keys beside their samples. Chosen."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
-    """What a joint may be asked for: speed, acceleration, and where it may be."""
-
-    speed_deg_s: float
-    accel_deg_s2: float
-    range_deg: tuple[float, float]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class KeyFit:
-    """How well keys stand for a recording: measured at every one of its samples."""
-
-    samples_count: int
-    keys_count: int
-    keyframes_count: int
-    error_max_deg: float
-    error_rms_deg: float
-    joint: str
-    """The joint of the largest error, at `at_s`."""
-    at_s: float
-
-
-def reduced(
-    motion: ForeignMotion,
-    tolerance_deg: float,
-    ease: Interpolation,
-    limits: Mapping[str, Limits] | None = None,
-) -> tuple[ForeignMotion, KeyFit]:
-    """Return a recording in degrees with the fewest keys, at times of samples, and how it fits.
-
-    Where the recording keeps the `limits` of its joint, so does a spline through its keys. Raises
-    `InputError` where as many keyframes as a sequence may have cannot stay within the tolerance.
-    """
-    assert all(channel.unit is Unit.DEG for channel in motion.channels), "map it first"
-    curves = [
-        _curve(channel, tolerance_deg, ease, (limits or {}).get(channel.name))
-        for channel in motion.channels
-    ]
-    rough = [rough_keys(curve) for curve in curves]
-    start_s, end_s, count = _span(motion, rough)
-    if count > KEYFRAMES_MAX:
-        # Too many different times: the joints share as many as a sequence may have.
-        step_s = (end_s - start_s) / (KEYFRAMES_MAX - 2)
-        curves = [replace(curve, step_s=step_s) for curve in curves]
-        rough = [rough_keys(curve) for curve in curves]
-    channels: list[Channel] = []
-    for channel, curve, found in zip(motion.channels, curves, rough, strict=True):
-        keys = refined_keys(curve, found)
-        channels.append(replace(channel, times_s=curve.times_s[keys], values=_rounded(curve, keys)))
-    times_s = np.unique(np.concatenate([channel.times_s for channel in channels]))
-    fit = _fit(motion, channels, ease, len(times_s))
-    if len(times_s) > KEYFRAMES_MAX or fit.error_max_deg > tolerance_deg + ROUNDING_DEG:
-        raise InputError(
-            f"is too lively for {KEYFRAMES_MAX:,} keyframes: joint {fit.joint!r} would be "
-            f"{fit.error_max_deg:.2f} deg off at {fit.at_s:.3f} s, {tolerance_deg:g} deg are "
-            "allowed; give a larger --tolerance-deg, or cut the recording in parts",
-            path=motion.path,
-        )
-    notes = {at_s: note for at_s, note in motion.notes.items() if at_s in set(times_s.tolist())}
-    lost = sum(bool(note.label) for note in motion.notes.values()) - sum(
-        bool(note.label) for note in notes.values()
-    )
-    comments = (*motion.comments, *([f"Not carried over: {lost} names of poses"] if lost else []))
-    return (
-        replace(
-            motion,
-            channels=tuple(channels),
-            notes=notes,
-            ease=ease,
-            comments=comments,
-            is_recording=False,
-        ),
-        fit,
-    )
-
-
-def every_sample(motion: ForeignMotion, ease: Interpolation) -> ForeignMotion:
-    """Return a recording in degrees with all its samples as keys."""
-    return replace(
-        motion,
-        channels=tuple(
-            replace(c, values=evened(c.times_s, c.values, EVENING_MAX_DEG))
-            if ease is Interpolation.SPLINE
-            else c
-            for c in motion.channels
-        ),
-        ease=ease,
-    )
-
-
-def _curve(
-    channel: Channel, tolerance_deg: float, ease: Interpolation, limit: Limits | None
-) -> Curve:
-    times_s, values = channel.times_s, channel.values
-    key_values = values
-    most = (np.full(len(values), math.inf),) * 2
-    range_deg = (-math.inf, math.inf)
-    if ease is Interpolation.SPLINE and limit is not None:
-        key_values = evened(times_s, values, min(EVENING_MAX_DEG, EVENING_RATIO * tolerance_deg))
-        speed, accel = drive(times_s, values)
-        most = np.maximum(speed, limit.speed_deg_s), np.maximum(accel, limit.accel_deg_s2)
-        range_deg = (
-            min(limit.range_deg[0], float(key_values.min())),
-            max(limit.range_deg[1], float(key_values.max())),
-        )
-    return Curve(
-        times_s=times_s,
-        values=values,
-        key_values=key_values,
-        speed_max_deg_s=most[0],
-        accel_max_deg_s2=most[1],
-        tolerance_deg=tolerance_deg,
-        ease=ease,
-        range_deg=range_deg,
-    )
-
-
-def _rounded(curve: Curve, keys: IntArray) -> FloatArray:
-    """Return the angles of keys with as many decimals as they need."""
-    times_s, values = curve.times_s[keys], curve.key_values[keys]
-    low_deg, high_deg = curve.range_deg
-    if values.min() < low_deg + EDGE_DEG or values.max() > high_deg - EDGE_DEG:
-        return np.round(values, DIGITS)
-    is_close = np.diff(times_s) < CLOSE_S
-    is_close = np.append(is_close, False) | np.append(False, is_close)
-    return np.where(is_close, np.round(values, DIGITS), np.round(values, ANGLE_DECIMALS))
-
-
-def _span(motion: ForeignMotion, kept: list[IntArray]) -> tuple[float, float, int]:
-    """Return the first and last time of the keys, and how many different ones there are."""
-    times_s = np.unique(
-        np.concatenate([c.times_s[keys] for c, keys in zip(motion.channels, kept, strict=True)])
-    )
-    return float(times_s[0]), float(times_s[-1]), len(times_s)
-
-
-def _fit(
-    motion: ForeignMotion, channels: list[Channel], ease: Interpolation, keyframes_count: int
-) -> KeyFit:
-    worst = (-1.0, "", 0.0)
-    squares = 0.0
-    samples_count = 0
-    for whole, keys in zip(motion.channels, channels, strict=True):
-        error_deg = np.abs(
-            interpolated(ease, keys.times_s, keys.values, whole.times_s) - whole.values
-        )
-        at = int(np.argmax(error_deg))
-        if error_deg[at] > worst[0]:
-            worst = (float(error_deg[at]), whole.name, float(whole.times_s[at]))
-        squares += float(error_deg @ error_deg)
-        samples_count += len(error_deg)
-    return KeyFit(
-        samples_count=samples_count,
-        keys_count=sum(len(channel.times_s) for channel in channels),
-        keyframes_count=keyframes_count,
-        error_max_deg=worst[0],
-        error_rms_deg=math.sqrt(squares / samples_count),
-        joint=worst[1],
-        at_s=worst[2],
     )

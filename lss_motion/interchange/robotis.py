@@ -1,16 +1,15 @@
-"""Robotis motion files: `.mtn` text and binary pages.
+"""Robotis motion files: `.mtn` text (RoboPlus Motion) and binary pages of Robotis humanoids.
 
-Robotis `.mtn` text (RoboPlus Motion): pages of up to seven steps, positions of servos by id.
+Both consist of pages with up to seven steps. A step has positions of servos by id, the time to
+reach them, and the pause after it. A page has a speed that divides all times, a repeat count, and
+links to other pages by number. Each page is one motion here; its links are not followed.
 
-512 of 1024 is 0 deg and 300 deg are the whole range (AX servos, `motor_type` 0). A step's values
-are 26 positions, the pause after it and the time it takes, in seconds; times are divided by the
-page's speed. Pages link to each other by number; each is a motion of its own here.
-
-Binary motion files of Robotis humanoids: pages of 512 bytes with up to seven steps.
-
-A page is 64 bytes of header (name, repeat at 15, schedule at 16, steps at 20, speed at 22, next at
-25, exit at 26, checksum at 31) and seven steps of 31 positions (16 bit, low byte first), pause and
-time. Times are in 7.8125 ms, divided by speed / 32. The bytes of a page sum up to 255.
+- Text: a step has 26 positions, then pause and time in seconds. 512 of 1024 is 0 deg, and the range
+  is 300 deg (AX servos, `motor_type` 0).
+- Binary: a page has 512 bytes whose sum ends in 0xFF. The header of 64 bytes has the name, repeat
+  (byte 15), schedule (16), steps (20), speed (22), next (25), exit (26) and checksum (31). Seven
+  steps of 64 bytes follow: 31 positions (16 bit, low byte first), pause and time in 7.8125 ms,
+  divided by speed / 32. Positions are 4096 per turn (2048 is 0 deg), or as in the text form.
 """
 
 from __future__ import annotations
@@ -21,28 +20,28 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
-from lss_motion.interchange.fields import TextLines
+from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import Pose, motion_of_poses, read_or_refused, summarised
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from lss_motion.interchange.reader import ForeignMotion, RefusedMotion
 
 
 SERVOS_COUNT: Final = 26
-"""FACTS.md F5: 26 values, by id from 0."""
+"""Servos of the text form, by id from 0 (FACTS.md F5)."""
 
 POSITIONS_COUNT: Final = 1024
 RANGE_DEG: Final = 300.0
 """AX servos: 1024 positions over 300 deg, 512 in the middle (FACTS.md F5)."""
 
 REPEAT_MAX: Final = 255
-"""A byte in the binary form."""
+"""Largest repeat count: a byte in the binary form."""
 
 SPEED_MAX: Final = 100.0
-"""Chosen: real pages are played at 0.5 to 3 times their speed; more is a slip of the key."""
+"""Chosen: real pages have 0.5 to 3; more is a typing error."""
 
 
 def ax_deg(position: float) -> float:
@@ -50,8 +49,49 @@ def ax_deg(position: float) -> float:
     return (position - POSITIONS_COUNT / 2) * RANGE_DEG / POSITIONS_COUNT
 
 
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """One step of a page, checked, at the speed of the page."""
+
+    values: Mapping[str, float]
+    play_s: float
+    pause_s: float
+    line: int | None = None
+
+
+def _page_motion(
+    path: Path,
+    page: _TextPage | _BinaryPage,
+    steps: Sequence[_Step],
+    scale: str,
+    not_carried: Iterable[str],
+) -> ForeignMotion:
+    """Return the motion of a page: its steps one after the other, `repeat` times."""
+    poses: list[Pose] = []
+    end_s = 0.0
+    for turn in range(page.repeat):
+        for index, step in enumerate(steps, start=1):
+            pose = Pose(
+                at_s=end_s + step.play_s,
+                values=step.values,
+                hold_s=step.pause_s,
+                place=f"page {page.number}, turn {turn + 1}, step {index}",
+                line=step.line,
+            )
+            poses.append(pose)
+            end_s = pose.at_s + pose.hold_s
+    comments = (
+        f"Imported from {path.name} (Robotis motion, page {page.number}); {scale}.",
+        *summarised([*not_carried]),
+    )
+    return motion_of_poses(path, page.title, poses, comments=comments)
+
+
+# -- the text form -------------------------------------------------------------------------------
+
+
 @dataclass(slots=True)
-class _Page:
+class _TextPage:
     number: int
     line: int
     name: str = ""
@@ -73,14 +113,14 @@ class RobotisTextReader:
     name: str = "mtn"
 
     def recognises(self, data: bytes) -> bool:
-        head = data[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
+        head = text_head(data, 4096).lstrip()
         return head.startswith(b"type=motion") or (b"page_begin" in head and b"=" in head)
 
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
         lines = TextLines.of(path, data)
         enabled, pages = _parsed(lines)
         found = [
-            read_or_refused(page.title, partial(_motion, lines, page, enabled))
+            read_or_refused(page.title, partial(_text_motion, lines, page, enabled))
             for page in pages
             if page.steps
         ]
@@ -89,21 +129,21 @@ class RobotisTextReader:
         return tuple(found)
 
 
-def _parsed(lines: TextLines) -> tuple[list[int], list[_Page]]:
-    """Return the enabled ids and all pages, the empty ones too: they count in the numbering."""
+def _parsed(lines: TextLines) -> tuple[list[int], list[_TextPage]]:
+    """Return the enabled ids, and all pages; empty pages count in the numbering."""
     enabled = list(range(SERVOS_COUNT))
-    pages: list[_Page] = []
-    page: _Page | None = None
+    pages: list[_TextPage] = []
+    page: _TextPage | None = None
     for number, line in lines.numbered():
         key, _, value = line.partition("=")
         match key.strip():
             case "page_begin" if page is None:
-                page = _Page(len(pages) + 1, number)
+                page = _TextPage(len(pages) + 1, number)
             case "page_end" if page is not None:
                 pages.append(page)
                 page = None
             case "page_begin" | "page_end":
-                lines.refuse(number, f"{key} stands where no page can {key[5:]}")
+                lines.refuse(number, f"{key} is not allowed here")
             case "enable" if page is None:
                 flags = _row(lines, value, number, SERVOS_COUNT)
                 enabled = [servo for servo, flag in enumerate(flags) if flag]
@@ -118,13 +158,13 @@ def _parsed(lines: TextLines) -> tuple[list[int], list[_Page]]:
             case _ if page is not None:
                 _read_page(lines, page, key.strip(), value.strip(), number)
             case _:
-                pass  # type=, version=: nothing that a motion needs.
+                pass  # A motion does not need `type=` and `version=`.
     if page is not None:
         lines.refuse(page.line, "this page has no page_end: the file is cut short")
     return enabled, pages
 
 
-def _read_page(lines: TextLines, page: _Page, key: str, value: str, number: int) -> None:
+def _read_page(lines: TextLines, page: _TextPage, key: str, value: str, number: int) -> None:
     match key:
         case "name":
             page.name = value
@@ -148,69 +188,57 @@ def _read_page(lines: TextLines, page: _Page, key: str, value: str, number: int)
 def _row(lines: TextLines, text: str, number: int, count: int) -> list[float]:
     words = text.split()
     if len(words) != count:
-        lines.refuse(number, f"{len(words)} values where {count} belong")
+        lines.refuse(number, f"{len(words)} values, but {count} are required")
     return [lines.number(word, number) for word in words]
 
 
-def _motion(lines: TextLines, page: _Page, enabled: list[int]) -> ForeignMotion:
-    poses: list[Pose] = []
-    end_s = 0.0
-    for turn in range(page.repeat):
-        for index, (number, values) in enumerate(page.steps, start=1):
-            pause_s, play_s = values[-2] / page.speed_ratio, values[-1] / page.speed_ratio
-            if play_s <= 0.0 or pause_s < 0.0:
-                lines.refuse(number, f"step {index} of page {page.number} takes {play_s:g} s")
-            for servo in enabled:
-                if not 0.0 <= values[servo] < POSITIONS_COUNT:
-                    lines.refuse(number, f"position {values[servo]:g} of servo {servo}: 0 to 1023")
-            poses.append(
-                Pose(
-                    at_s=end_s + play_s,
-                    values={f"ID{servo}": ax_deg(values[servo]) for servo in enabled},
-                    hold_s=pause_s,
-                    place=f"page {page.number}, turn {turn + 1}, step {index}",
-                    line=number,
-                )
-            )
-            end_s += play_s + pause_s
-    found = [f"links to {page.links}"] if page.links else []
-    found += ["compliance and inertia"] if page.has_compliance else []
-    comments = (
-        f"Imported from {lines.path.name} (Robotis motion, page {page.number}); 512 = 0 deg.",
-        *summarised(found),
-    )
-    return motion_of_poses(lines.path, page.title, poses, comments=comments)
+def _text_motion(lines: TextLines, page: _TextPage, enabled: list[int]) -> ForeignMotion:
+    steps: list[_Step] = []
+    for index, (number, values) in enumerate(page.steps, start=1):
+        pause_s, play_s = values[-2] / page.speed_ratio, values[-1] / page.speed_ratio
+        if play_s <= 0.0 or pause_s < 0.0:
+            lines.refuse(number, f"step {index} of page {page.number} takes {play_s:g} s")
+        for servo in enabled:
+            if not 0.0 <= values[servo] < POSITIONS_COUNT:
+                lines.refuse(number, f"position {values[servo]:g} of servo {servo}: 0 to 1023")
+        angles_deg = {f"ID{servo}": ax_deg(values[servo]) for servo in enabled}
+        steps.append(_Step(angles_deg, play_s, pause_s, number))
+    not_carried = [f"links to {page.links}"] if page.links else []
+    not_carried += ["compliance and inertia"] if page.has_compliance else []
+    return _page_motion(lines.path, page, steps, "512 = 0 deg", not_carried)
 
+
+# -- the binary form -----------------------------------------------------------------------------
 
 PAGE_BYTES: Final = 512
 PAGES_MAX: Final = 256
-"""The number of a page is a byte."""
+"""Maximum number of pages: the number of a page is a byte."""
 
 STEP_BYTES: Final = 64
 STEPS_MAX: Final = 7
 BINARY_SERVOS_COUNT: Final = 31
 CHECKSUM: Final = 0xFF
 TIME_BASED: Final = 10
-"""Schedule of pages whose steps give times; 0 gives speeds, which depend on where a robot is."""
+"""Schedule of pages whose steps have times. Schedule 0 has speeds, so times depend on the pose."""
 
 UNIT_S: Final = 0.0078125
 SPEED_NORMAL: Final = 32
-"""Times are as given at this speed (FACTS.md F13: t = x * 32 / speed * 7.8125 ms)."""
+"""Speed at which times are not scaled (FACTS.md F13: t = x * 32 / speed * 7.8125 ms)."""
 
 NOT_KEYED: Final = 0x4000
-"""Bit of a position that a step leaves as it is."""
+"""Bit of a position that the step does not set."""
 
 TORQUE_OFF: Final = 0x2000
-"""Bit of a position of a servo that the step lets go limp."""
+"""Bit of the position of a servo that goes limp in the step."""
 
 BINARY_POSITIONS_COUNT: Final = 4096
 ZERO: Final = 2048
-"""4096 positions over 360 deg, 2048 = 0 deg; older files have 1024 (see `robotis_text`)."""
+"""4096 positions over 360 deg, 2048 is 0 deg. Older files have 1024, as in the text form."""
 
 
 @dataclass(frozen=True, slots=True)
 class _BinaryPage:
-    """One page with its steps: (positions, pause, time) as in the file."""
+    """One page. Its steps are (positions, pause, time) in units of the file."""
 
     number: int
     data: bytes
@@ -222,7 +250,12 @@ class _BinaryPage:
 
     @property
     def is_whole(self) -> bool:
+        """Whether the checksum is right."""
         return sum(self.data) & 0xFF == CHECKSUM
+
+    @property
+    def repeat(self) -> int:
+        return max(1, self.data[15])
 
     @property
     def steps(self) -> list[tuple[tuple[int, ...], int, int]]:
@@ -237,7 +270,7 @@ class _BinaryPage:
 
 @dataclass(frozen=True, slots=True)
 class RobotisPagesReader:
-    """Reads up to 256 pages; a motion for every page with steps, joints are `ID<n>`."""
+    """Reads up to 256 pages: one motion per page with steps; joints are `ID<n>`."""
 
     name: str = "robotis-bin"
 
@@ -245,7 +278,7 @@ class RobotisPagesReader:
         if not data or len(data) % PAGE_BYTES or len(data) > PAGES_MAX * PAGE_BYTES:
             return False
         pages = _pages(data)
-        # Page 0 is often never written; of the others, a text has no chance to sum up right.
+        # Page 0 is often not written. A text file does not have the right sums by chance.
         return b"\0" in data and sum(page.is_whole for page in pages) * 2 > len(pages)
 
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
@@ -269,10 +302,10 @@ class RobotisPagesReader:
 
 @dataclass(frozen=True, slots=True)
 class _Scale:
-    """What the whole file tells about its positions."""
+    """Properties of the whole file: the scale of positions, unused servos, broken pages."""
 
     is_fine: bool
-    """4096 positions over 360 deg, not 1024 over 300."""
+    """Whether positions are 4096 over 360 deg, not 1024 over 300 deg."""
     unused: Sequence[int]
     broken: Sequence[int]
 
@@ -292,7 +325,7 @@ def _is_position(value: int) -> bool:
 
 
 def _unused(pages: Sequence[_BinaryPage]) -> list[int]:
-    """Return the ids that no step moves: always 0, let go, not keyed or no position at all."""
+    """Return the ids that no step moves: always 0, limp, not set, or not a position."""
     used = {
         servo
         for page in pages
@@ -321,37 +354,35 @@ def _binary_motion(path: Path, page: _BinaryPage, scale: _Scale) -> ForeignMotio
             path, page, f"schedule {header[16]} gives speeds, not times; only {TIME_BASED} is read"
         )
     if not header[22]:
-        raise _error(path, page, "speed 0: it would never move")
+        raise _error(path, page, "speed 0, so the page would not move")
     unit_s = UNIT_S * SPEED_NORMAL / header[22]
-    poses: list[Pose] = []
+    steps: list[_Step] = []
     left_out: list[str] = []
-    end_s = 0.0
-    for turn in range(max(1, header[15])):
-        for index, (positions, pause, time) in enumerate(page.steps, start=1):
-            place = f"page {page.number}, turn {turn + 1}, step {index}"
-            if not time:
-                raise InputError(f"{place}: takes no time", path=path)
-            values, odd = _values(positions, scale)
-            left_out += odd
-            pose = Pose(
-                at_s=end_s + time * unit_s, values=values, hold_s=pause * unit_s, place=place
-            )
-            poses.append(pose)
-            end_s = pose.at_s + pose.hold_s
+    for index, (positions, pause, time) in enumerate(page.steps, start=1):
+        if not time:
+            raise InputError(f"page {page.number}, step {index}: takes no time", path=path)
+        values, odd = _values(positions, scale)
+        left_out += odd
+        steps.append(_Step(values, play_s=time * unit_s, pause_s=pause * unit_s))
     links = [f"page {n} as {what}" for n, what in ((header[25], "next"), (header[26], "exit")) if n]
-    scale_words = "4096 positions a turn" if scale.is_fine else "1024 positions over 300 deg"
-    found = [f"ids {', '.join(map(str, scale.unused))}, which no step moves"] * bool(scale.unused)
-    found += [f"pages {', '.join(map(str, scale.broken))}: wrong checksum"] * bool(scale.broken)
-    found += [f"links to {', '.join(links)}"] * bool(links)
-    comments = (
-        f"Imported from {path.name} (Robotis motion, page {page.number}); {scale_words}.",
-        *summarised([*found, *left_out, "gains and acceleration time"]),
+    not_carried: list[str] = []
+    if scale.unused:
+        not_carried.append(f"ids {', '.join(map(str, scale.unused))}, which no step moves")
+    if scale.broken:
+        not_carried.append(f"pages {', '.join(map(str, scale.broken))}: wrong checksum")
+    if links:
+        not_carried.append(f"links to {', '.join(links)}")
+    return _page_motion(
+        path,
+        page,
+        steps,
+        "4096 positions a turn" if scale.is_fine else "1024 positions over 300 deg",
+        [*not_carried, *left_out, "gains and acceleration time"],
     )
-    return motion_of_poses(path, page.title, poses, comments=comments)
 
 
 def _values(positions: Sequence[int], scale: _Scale) -> tuple[dict[str, float], list[str]]:
-    """Return the angles by joint, and what is no angle."""
+    """Return the angles by joint, and a text for each value that is not an angle."""
     values: dict[str, float] = {}
     odd: list[str] = []
     for servo, value in enumerate(positions):
@@ -360,7 +391,7 @@ def _values(positions: Sequence[int], scale: _Scale) -> tuple[dict[str, float], 
         if value & TORQUE_OFF:
             odd.append(f"ID{servo} goes limp")
         elif not _is_position(value):
-            odd.append(f"ID{servo} at {value}, which is no position")
+            odd.append(f"ID{servo} at {value}, which is not a position")
         else:
             values[f"ID{servo}"] = scale.deg(value)
     return values, odd

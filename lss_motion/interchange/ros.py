@@ -1,12 +1,11 @@
 """ROS motions in YAML: JointTrajectory messages, play_motion and play_motion2 collections, goals.
 
-Positions are radians (REP 103), or metres where a joint slides; the file does not say which. Joints
-whose names speak of sliding are therefore left to a map.
+Positions are radians (REP 103), or metres for a sliding joint; the file does not define which. A
+joint with the name of a sliding joint therefore needs a map.
 
-YAML of other tools as plain nested values with lines: nothing is constructed, all is bounded.
-
-Unlike `yaml_source`, which reads our own files, this takes the text, keeps every scalar as text,
-and stops at the end of the first document (as `ros2 topic echo` separates messages).
+`yaml_tree` reads the YAML as nested texts, lists and mappings with line numbers. It constructs no
+objects, and it bounds size and depth. Unlike `files.yaml_source`, it keeps every scalar as text,
+and stops at the end of the first document (`ros2 topic echo` separates messages by documents).
 """
 
 from __future__ import annotations
@@ -36,20 +35,20 @@ if TYPE_CHECKING:
 
 
 NODES_MAX: Final = 4_000_000
-"""As many as values of a recording; an alias counts as all that it repeats."""
+"""Maximum number of nodes, as for values of a recording. An alias counts as its content."""
 
 DEPTH_MAX: Final = 16
-"""A goal of a trajectory is 5 deep; without a bound, thousands of brackets overflow the stack."""
+"""Maximum depth. A goal of a trajectory has 5; thousands of brackets would overflow the stack."""
 
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A text, a list or a mapping, and the line that it starts in."""
+    """A text, a list or a mapping, and the line where it starts."""
 
     value: str | list[Node] | dict[str, Node]
     line: int
     size: int = 1
-    """How many nodes it holds, itself included, aliases as what they repeat."""
+    """Number of nodes in it, with itself and with the content of aliases."""
 
 
 def yaml_tree(text: str, path: Path) -> Node:
@@ -67,6 +66,8 @@ def yaml_tree(text: str, path: Path) -> Node:
 
 
 class _Builder:
+    """Builds the tree from the events of the YAML parser."""
+
     def __init__(self, path: Path, events: Iterator[Any]) -> None:
         self._path = path
         self._events = events
@@ -96,7 +97,7 @@ class _Builder:
         if depth > DEPTH_MAX:
             raise self._error(line, f"nested more than {DEPTH_MAX} deep")
         if event.tag is not None and event.tag.startswith("tag:yaml.org,2002:python"):
-            raise self._error(line, f"tag {event.tag!r:.60} asks to run code; that is never done")
+            raise self._error(line, f"tag {event.tag!r:.60} would run code, which is not allowed")
         match type(event).__name__:
             case "ScalarEvent":
                 node = Node(str(event.value), line)
@@ -137,11 +138,11 @@ class _Builder:
 
 
 _WRAPPINGS: Final = ("goal", "trajectory", "joint_trajectory", "play_motion", "ros__parameters")
-"""What a trajectory or a collection of motions may be wrapped in, besides the name of a node."""
+"""Keys around a trajectory or a collection of motions. The name of a node may be one as well."""
 
 GOAL_S: Final = 4.0
-"""When a published goal without `time_from_start` is reached, or with the next one if that comes
-first. Assumed: the publisher of ros2_controllers_test_nodes gives its goals so long."""
+"""Time to reach a published goal without `time_from_start`; less if the next goal comes earlier.
+Assumed: the publisher of ros2_controllers_test_nodes uses this time."""
 
 _POINT_EXTRAS: Final = ("velocities", "accelerations", "effort", "efforts")
 
@@ -150,8 +151,8 @@ _POINT_EXTRAS: Final = ("velocities", "accelerations", "effort", "efforts")
 class RosReader:
     """Reads `{joint_names, points}` and `{motions: {name: {joints, points | positions}}}`.
 
-    Also the parameters of a publisher of goals: `{goal_names, wait_sec_between_publish, joints}`
-    and the goals under their names.
+    It also reads the parameters of a publisher of goals: `{goal_names, wait_sec_between_publish,
+    joints}`, and the goals under their names.
     """
 
     name: str = "ros"
@@ -165,28 +166,30 @@ class RosReader:
         return b"motions" in data and b"joints" in data and has_times
 
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
-        reading = _Reading(path)
-        top = reading.unwrapped(yaml_tree(text_of(data, path), path))
+        file = _RosFile(path)
+        top = file.unwrapped(yaml_tree(text_of(data, path), path))
         if "joint_names" in top:
-            return (reading.motion(path.stem, top, top["joint_names"]),)
+            return (file.motion(path.stem, top, top["joint_names"]),)
         if "goal_names" in top:
-            return (reading.goals(path.stem, top),)
-        listed = reading.mapping(top["motions"], "motions")
+            return (file.goals(path.stem, top),)
+        listed = file.mapping(top["motions"], "motions")
         if not listed:
-            reading.refuse(top["motions"], "'motions' holds no motion")
+            file.refuse(top["motions"], "'motions' holds no motion")
         return tuple(
-            read_or_refused(name, partial(reading.listed_motion, name, node))
+            read_or_refused(name, partial(file.listed_motion, name, node))
             for name, node in listed.items()
         )
 
 
 @dataclass(slots=True)
-class _Reading:
+class _RosFile:
+    """Converts the nodes of one file; every `InputError` contains the line."""
+
     path: Path
     left_out: list[str] = field(default_factory=list)
 
     def unwrapped(self, node: Node) -> dict[str, Node]:
-        """Return the mapping that has `joint_names` or `motions`, from inside its wrappings."""
+        """Return the mapping with `joint_names`, `motions` or `goal_names` inside the wrappings."""
         while True:
             here = self.mapping(node, "the file")
             if "joint_names" in here or "motions" in here or "goal_names" in here:
@@ -195,14 +198,14 @@ class _Reading:
             if inner is None and len(here) == 1:
                 inner = next(iter(here.values()))
             if inner is None or not isinstance(inner.value, dict):
-                self.refuse(node, "here should be 'joint_names' and 'points', or 'motions'")
+                self.refuse(node, "must have 'joint_names' and 'points', or 'motions'")
             node = inner
 
     def goals(self, name: str, top: dict[str, Node]) -> ForeignMotion:
         """Return the goals that a publisher sends, one every `wait_sec_between_publish`."""
         for key in ("joints", "wait_sec_between_publish"):
             if key not in top:
-                self.refuse(top["goal_names"], f"beside 'goal_names' there must be {key!r}")
+                self.refuse(top["goal_names"], f"'goal_names' needs {key!r} beside it")
         joints = [str(item.value) for item in self.items(top["joints"], "'joints'")]
         wait_s = self.number(top["wait_sec_between_publish"])
         if wait_s <= 0.0 or len(set(joints)) < len(joints):
@@ -211,7 +214,7 @@ class _Reading:
         for index, item in enumerate(self.items(top["goal_names"], "'goal_names'")):
             goal = str(item.value)
             if goal not in top:
-                self.refuse(item, f"goal {goal!r:.60} is not there")
+                self.refuse(item, f"goal {goal!r:.60} does not exist")
             poses.append(self._goal(goal, top[goal], joints, index * wait_s, wait_s))
         known = {"goal_names", "joints", "wait_sec_between_publish", "controller_name"}
         found = [key for key in top if key not in {*known, *(pose.label for pose in poses)}]
@@ -240,12 +243,14 @@ class _Reading:
         )
 
     def listed_motion(self, name: str, node: Node) -> ForeignMotion:
+        """Return one motion of a collection."""
         motion = self.mapping(node, name)
         if "joints" not in motion:
             self.refuse(node, f"motion {name!r:.60} has no 'joints'")
         return self.motion(name, motion, motion["joints"])
 
     def motion(self, name: str, motion: dict[str, Node], joints: Node) -> ForeignMotion:
+        """Return the motion with `points`, or with the flat lists of play_motion2."""
         names = [str(item.value) for item in self.items(joints, "the list of joints")]
         if len(set(names)) < len(names):
             twice = next(joint for joint in names if names.count(joint) > 1)
@@ -312,25 +317,29 @@ class _Reading:
         return self.number(seconds) + (0.0 if rest is None else self.number(rest) / NS_PER_S)
 
     def number(self, node: Node) -> float:
+        """Return the number in `node`, or raise `InputError`."""
         try:
             value = float(node.value) if isinstance(node.value, str) else math.nan
         except ValueError:
             value = math.nan
         if not abs(value) <= NUMBER_MAX:
-            self.refuse(node, f"{node.value!r:.60} is not a number that a joint can reach")
+            self.refuse(node, f"{node.value!r:.60} is not a number, or out of range")
         return value
 
     def mapping(self, node: Node, where: str) -> dict[str, Node]:
+        """Return the mapping in `node`, or raise `InputError`."""
         if not isinstance(node.value, dict):
             self.refuse(node, f"{where:.60} must hold keys and values")
         return node.value
 
     def items(self, node: Node, where: str) -> list[Node]:
+        """Return the list in `node`, which has one entry or more, or raise `InputError`."""
         if not isinstance(node.value, list) or not node.value:
             self.refuse(node, f"{where} must be a list with at least one entry")
         return node.value
 
     def refuse(self, node: Node, reason: str) -> NoReturn:
+        """Raise `InputError` with `reason` and the line."""
         raise InputError(reason, path=self.path, line=node.line)
 
 

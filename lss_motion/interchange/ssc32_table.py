@@ -1,7 +1,7 @@
 """Step tables of the Lynxmotion SSC-32 visual sequencer: `PROJECT;SEQUENCE;STEP;PIN0…;T0…`.
 
-Every step gives each pin an angle in degrees and its own time in ms; the next step begins when the
-slowest pin is there (or after TMAX).
+A step gives each pin an angle in degrees and a time in ms. The next step begins when the slowest
+pin has arrived, or after TMAX if that is later.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.interchange.fields import TextLines
+from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import (
     Channel,
     ForeignMotion,
@@ -35,25 +35,24 @@ if TYPE_CHECKING:
 
 PINS_COUNT: Final = 32
 DURATION_MAX_MS: Final = 65_535
-"""A 16-bit number on the board."""
+"""Times are 16-bit numbers on the board."""
 
 _ABOUT: Final = ("PROJECT", "SEQUENCE", "STEP")
 
 
 @dataclass(frozen=True, slots=True)
 class Ssc32TableReader:
-    """Reads the table; a motion for every project and sequence, joints are `PIN<n>`."""
+    """Reads the table: one motion per project and sequence; joints are `PIN<n>`."""
 
     name: str = "ssc32-csv"
 
     def recognises(self, data: bytes) -> bool:
-        head = data[:4096].removeprefix(b"\xef\xbb\xbf").lstrip().split(b"\n", 1)[0]
+        head = text_head(data, 4096).lstrip().split(b"\n", 1)[0]
         return b"STEP;" in head and b";PIN" in head
 
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
         lines = TextLines.of(path, data)
-        rows = list(lines.numbered())
-        head_line, head = rows[0] if rows else (1, "")
+        head_line, head, rows = lines.with_head()
         columns = {word.strip(): at for at, word in enumerate(head.split(";")) if word.strip()}
         pins = [f"PIN{n}" for n in range(PINS_COUNT) if f"PIN{n}" in columns]
         needed = [*_ABOUT, *pins, *(f"T{pin[3:]}" for pin in pins)]
@@ -62,7 +61,7 @@ class Ssc32TableReader:
             lines.refuse(head_line, f"column {missing[0] if missing else 'PIN0'} is missing")
         groups: defaultdict[tuple[str, str], list[tuple[int, list[str]]]] = defaultdict(list)
         width = 1 + max(columns[name] for name in needed)
-        for number, row in rows[1:]:
+        for number, row in rows:
             cells = [cell.strip() for cell in row.split(";")]
             if len(cells) < width:
                 lines.refuse(number, f"{len(cells)} fields, at least {width} are needed")
@@ -98,11 +97,11 @@ def _motion(
             if time_s == 0.0:
                 lines.refuse(number, f"{pin} takes no time; give T{pin[3:]}")
             keys[pin].append((start_s + time_s, angle_deg))
-            if time_s < step_s:  # It waits there for the others.
+            if time_s < step_s:  # The pin waits for the others.
                 keys[pin].append((start_s + step_s, angle_deg))
         start_s += step_s
         if start_s > TIME_MAX_S:
-            lines.refuse(number, f"comes to more than a day ({TIME_MAX_S:g} s)")
+            lines.refuse(number, f"ends more than a day ({TIME_MAX_S:g} s) after the start")
     idle = [pin for pin in pins if not any(angle for _, angle in keys[pin])]
     idle = idle if len(idle) < len(pins) else []
     found = [f"{', '.join(idle)}, which stay at 0"] * bool(idle)
@@ -126,6 +125,6 @@ def _motion(
 
 
 def _cell(cells: Sequence[str], columns: Mapping[str, int], name: str) -> str:
-    """Return an optional cell; rows are often shorter than the header."""
+    """Return a cell, or "" if it is missing: rows are often shorter than the header."""
     at = columns.get(name)
     return "" if at is None or at >= len(cells) else cells[at]

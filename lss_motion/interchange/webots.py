@@ -1,4 +1,4 @@
-"""Webots `.motion` text: `minutes:seconds:milliseconds,pose,values`, `*` where nothing is keyed."""
+"""Webots `.motion` text: `minutes:seconds:milliseconds,pose,values`; `*` sets no key."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.interchange.fields import TextLines
+from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import Pose, motion_of_poses, summarised, unit_of_ros_joint
 
 if TYPE_CHECKING:
@@ -25,21 +25,20 @@ class WebotsReader:
     name: str = "webots"
 
     def recognises(self, data: bytes) -> bool:
-        return data[:64].removeprefix(b"\xef\xbb\xbf").lstrip().startswith(HEADER.encode())
+        return text_head(data, 64).lstrip().startswith(HEADER.encode())
 
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
         lines = TextLines.of(path, data)
-        rows = list(lines.numbered())
-        head_line, head = rows[0] if rows else (1, "")
+        head_line, head, rows = lines.with_head()
         title, *words = (word.strip() for word in head.split(","))
         if title != HEADER or len(words) < 2:
             lines.refuse(head_line, f"the first line must be `{HEADER},V1.0,joint,...`")
         names = words[1:]
         if len(set(names)) < len(names) or not all(names):
             lines.refuse(head_line, "every joint needs a name of its own")
-        poses = [_pose(lines, number, row, names) for number, row in rows[1:]]
+        poses = [_pose(lines, number, row, names) for number, row in rows]
         keyed = {name for pose in poses for name in pose.values}
-        idle = [f"joint {name}, which no row keys" for name in names if name not in keyed]
+        idle = [f"joint {name}, which has no value" for name in names if name not in keyed]
         comments = (f"Imported from {path.name} (Webots motion).", *summarised(idle))
         return (
             motion_of_poses(path, path.stem, poses, unit_of=unit_of_ros_joint, comments=comments),
@@ -51,7 +50,7 @@ def _pose(lines: TextLines, number: int, row: str, names: list[str]) -> Pose:
     time = _TIME.fullmatch(cells[0])
     if time is None:
         lines.refuse(number, f"{cells[0]!r:.60} is not a time of the form mm:ss:mmm")
-    # The name of the pose may be missing: older files have only times and values.
+    # Older files have no pose names, only times and values.
     has_label = len(cells) == len(names) + 2
     values = cells[2 if has_label else 1 :]
     if len(values) != len(names):

@@ -57,7 +57,7 @@ def test_every_real_motion_is_planned_with_the_times_of_its_author(file, tmp_pat
         assert isinstance(motion, ForeignMotion)
         robot = robot_for(motion, tmp_path)
         if any(channel.unit is Unit.RAD_OR_M for channel in motion.channels):
-            with pytest.raises(InputError, match="does not say whether it is given in radians or"):
+            with pytest.raises(InputError, match="does not define whether its values are"):
                 imported(motion, robot)
         sequence = imported(
             motion, robot, motion_map=load_map(map_for(motion, robot, tmp_path))

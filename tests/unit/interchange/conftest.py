@@ -1,4 +1,4 @@
-"""Robots for imports, and what readers say."""
+"""A robot for imports, and the results of readers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Keyframe JSON of the Bit-Bots: times, angles, what is kept for people, what is refused."""
+"""Keyframe JSON of the Bit-Bots: times, angles, comments, and errors."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_a_keyframe_is_reached_its_duration_after_the_pause_before() -> None:
     assert second.deg == {"Head": 10.0, "Jaw": 3.5}
 
 
-def test_what_has_no_place_in_a_sequence_is_told_in_comments() -> None:
+def test_keys_that_a_sequence_cannot_hold_are_listed_in_comments() -> None:
     content = nod() | {"stiff": [1, 2], "empty": {}}
     content["keyframes"][1]["torque"] = {"Head": 0}
     content["keyframes"][0]["torque"] = {}
@@ -60,7 +60,7 @@ def test_what_has_no_place_in_a_sequence_is_told_in_comments() -> None:
     )
 
 
-def test_names_that_a_sequence_file_would_refuse_are_made_printable_and_short() -> None:
+def test_labels_are_made_printable_and_short() -> None:
     content = nod()
     content["keyframes"][0]["name"] = "a\nb" + "c" * 100
     content["name"] = ""
@@ -69,7 +69,7 @@ def test_names_that_a_sequence_file_would_refuse_are_made_printable_and_short() 
     assert motion.keyframes[0].label == "a b".ljust(LABEL_MAX_CHARS, "c")
 
 
-def test_a_byte_order_mark_is_no_part_of_the_motion() -> None:
+def test_a_byte_order_mark_is_ignored() -> None:
     marked = b"\xef\xbb\xbf" + json.dumps(nod()).encode()
     assert BitBotsReader().read(PATH, marked).keyframes == read(nod()).keyframes
 
@@ -93,7 +93,7 @@ def test_the_content_decides_what_is_recognised() -> None:
         (lambda k: k.update(goals={"Head": "3"}), "keyframes[1].goals.Head is '3', but must be"),
         (lambda k: k.update(goals={"Head": None}), "keyframes[1].goals.Head is None"),
         (lambda k: k.update(goals={"Head": True}), "keyframes[1].goals.Head is True"),
-        (lambda k: k.update(goals={"Head": 10**400}), "out of all bounds"),
+        (lambda k: k.update(goals={"Head": 10**400}), "out of range"),
         (lambda k: k.update(duration=0), "keyframes[1].duration is 0, but must be more than 0 s"),
         (lambda k: k.update(duration=-1), "keyframes[1].duration is -1"),
         (lambda k: k.update(pause=-0.5), "keyframes[1].pause is -0.5, but must be 0 s or more"),
@@ -123,7 +123,7 @@ def test_a_wrong_keyframe_is_refused_with_its_place(change, reason: str) -> None
         (b"\x00\x01", None, "is a binary file"),
     ],
 )
-def test_what_is_no_such_file_is_refused(data: bytes, line: int | None, reason: str) -> None:
+def test_another_kind_of_file_is_refused(data: bytes, line: int | None, reason: str) -> None:
     error = refusal(data)
     assert reason in error.reason
     assert error.line == line

@@ -44,7 +44,7 @@ def test_a_curve_runs_between_the_signals_of_its_effector(read_one) -> None:
     np.testing.assert_allclose(servo.values[line], straight, atol=0.01)
 
 
-def test_between_curves_an_effector_stays(read_one) -> None:
+def test_between_curves_an_effector_keeps_its_signal(read_one) -> None:
     later = "sC,10,5000,100,8192,0,0,0,0,0"
     (servo,) = read_one(BottangoReader(), json.dumps([controller(EASED, later)])).channels
     still = (servo.times_s >= 3.0) & (servo.times_s <= 5.0)
@@ -62,13 +62,13 @@ def test_a_group_of_curves_stands_in_one_line(read_one) -> None:
     assert second.values[[0, -1]].tolist() == [2000.0, 1000.0]  # max below min: it turns round.
 
 
-def test_effectors_of_several_controllers_are_told_apart(read_one) -> None:
+def test_effectors_of_several_controllers_have_different_names(read_one) -> None:
     content = [controller(EASED), controller(EASED, name="arm")]
     motion = read_one(BottangoReader(), json.dumps(content))
     assert [channel.name for channel in motion.channels] == ["head/10", "arm/10"]
 
 
-def test_what_is_no_motion_is_told(read_one) -> None:
+def test_commands_without_motion_are_listed_in_comments(read_one) -> None:
     content = controller(EASED, "sCT,myMedia,0,0", "sCC,3,0,1")
     content["Animations"][0]["Animation Loop Commands"] = EASED
     comments = read_one(BottangoReader(), json.dumps([content])).comments
@@ -83,9 +83,9 @@ def test_what_is_no_motion_is_told(read_one) -> None:
         ("sC,11,0,100,0,0,0,0,0,0", "Animations[0] command 1: effector '11' is not set up"),
         ("sC,10,0,100,0,0,0,0,0", "a curve has an id and 8 numbers, not 7"),
         ("sC,10,0,100,0,x,0,0,0,0", "'x' is not a number"),
-        ("sC,10,0,nan,0,0,0,0,0,0", "'nan' is out of all bounds"),
+        ("sC,10,0,nan,0,0,0,0,0,0", "'nan' is out of range"),
         ("sC,10,-5,100,0,0,0,0,0,0", "must lie between 0 s and a day"),
-        ("sC,10,0,1e9,0,0,0,0,0,0", "out of all bounds"),
+        ("sC,10,0,1e9,0,0,0,0,0,0", "out of range"),
         (f"{EASED}\nsC,10,1500,100,0,0,0,0,0,0", "two curves of '10' overlap at 1.5 s"),
         ("sCT,a,0", "no animation has a curve"),
     ],
@@ -94,7 +94,7 @@ def test_a_wrong_curve_is_refused_with_its_place(refusal, command: str, reason: 
     assert reason in refusal(BottangoReader(), json.dumps([controller(command)])).reason
 
 
-def test_a_curve_of_hours_is_read_off_no_finer_than_needed(read_one) -> None:
+def test_a_curve_of_hours_has_at_most_500_samples(read_one) -> None:
     curves = ["sC,10,0,80000000,0,40000000,0,8192,-40000000,0"]
     (servo,) = read_one(BottangoReader(), json.dumps([controller(*curves)])).channels
     assert len(servo.times_s) < 600

@@ -40,7 +40,7 @@ def run(folder: Path, *words: str) -> int:
     return main(["import", *named, "--robot", str(folder / "robot.yaml")])
 
 
-def test_a_file_with_several_motions_asks_which(folder: Path, capsys) -> None:
+def test_a_file_with_several_motions_needs_a_name(folder: Path, capsys) -> None:
     assert run(folder, "motions.yaml", "-o", "out.yaml") == 2
     assert "holds 3 motions; name one with --motion:\n  slow\n  quick\n" in capsys.readouterr().err
     assert not (folder / "out.yaml").exists()
@@ -48,7 +48,7 @@ def test_a_file_with_several_motions_asks_which(folder: Path, capsys) -> None:
     assert "has no motion 'slw'; did you mean 'slow'?" in capsys.readouterr().err
 
 
-def test_an_imported_motion_is_written_and_its_feasibility_told(folder: Path, capsys) -> None:
+def test_an_imported_motion_is_written_and_its_feasibility_printed(folder: Path, capsys) -> None:
     assert run(folder, "motions.yaml", "--motion", "slow", "-o", "out.yaml") == 0
     assert "every keyframe is on time" in capsys.readouterr().out
     sequence = load_sequence(folder / "out.yaml")
@@ -103,7 +103,7 @@ def test_a_wrong_option_is_refused_before_anything_is_read(folder: Path, capsys,
         ("wave.lss", "# lss_motion program 1"),
     ],
 )
-def test_a_sequence_goes_out_by_the_suffix_of_the_file(tmp_path: Path, file, first) -> None:
+def test_the_suffix_of_the_file_selects_the_export_format(tmp_path: Path, file, first) -> None:
     output = tmp_path / file
     assert main(["export", str(EXAMPLES / "wave.yaml"), "-o", str(output)]) == 0
     assert output.read_text(encoding="utf-8").startswith(first)
@@ -118,7 +118,7 @@ def test_an_export_takes_a_format_and_a_rate(tmp_path: Path, capsys) -> None:
     assert output.read_text(encoding="utf-8").startswith("# fps: 25\nframe,base_deg,")
 
 
-def test_a_blender_file_of_ours_comes_in_again_without_a_map(tmp_path: Path) -> None:
+def test_an_exported_blender_file_is_imported_without_a_map(tmp_path: Path) -> None:
     output = tmp_path / "wave.json"
     robot = EXAMPLES / "robots" / "desk_arm.yaml"
     assert main(["export", str(EXAMPLES / "wave.yaml"), "-o", str(output)]) == 0

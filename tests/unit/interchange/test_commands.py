@@ -1,4 +1,4 @@
-"""Command text: groups, instants, moves that are overtaken, and what is no move."""
+"""Command text: groups, instants, commands during a move, and other commands."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ def test_ssc32_groups_share_the_time_at_their_end(read_one) -> None:
         "1.0 #5D100T1000\n1.5 #5D0T1000\n",
     ],
 )
-def test_with_instants_a_command_takes_over_where_the_servo_is(read_one, text: str) -> None:
+def test_with_instants_a_command_starts_at_the_position_of_the_servo(read_one, text: str) -> None:
     # At its target of 10 deg before; the second command comes before the first has ended.
     assert keys(read_one(CommandReader(), text)) == {"ID5": [(1.5, 10.0), (2.5, 0.0)]}
 
 
-def test_a_servo_overtaken_halfway_goes_on_from_there(read_one) -> None:
+def test_a_command_during_a_move_starts_at_the_position_in_the_move(read_one) -> None:
     text = "0.0 #5D0T100\n1.0 #5D100T1000\n1.25 #5D-100T500\n"
     motion = read_one(CommandReader(), text)
     assert motion.ease is Interpolation.SPLINE  # From rest to rest it would stop there.
@@ -72,8 +72,8 @@ def test_queries_replies_and_holds_are_counted(read_one) -> None:
 @pytest.mark.parametrize(
     ("text", "line", "reason"),
     [
-        ("#1D100T500\n#1D200\n", 2, "'#1D200' says no time (T)"),
-        ("#1D100T500\n#1D200T0\n", 2, "says no time"),
+        ("#1D100T500\n#1D200\n", 2, "'#1D200' has no time (T)"),
+        ("#1D100T500\n#1D200T0\n", 2, "has no time"),
         ("#1D100T500\n#251D200T10\n", 2, "'251' is not a whole number from 0 to 250"),
         ("#1D100T500\n#1D200T99999999\n", 2, "is not a whole number from 0 to 3600000"),
         ("1.0 #1D100T500\n#1D200T10\n", 2, "some commands have an instant and some have none"),

@@ -1,4 +1,4 @@
-"""Plans as other tools' text, and back."""
+"""Plans as text for other tools, and back."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def samples() -> Samples:
     ("name", "error_deg"),
     [("csv", 5e-5), ("ros", 5e-5), ("blender-csv", 5e-5), ("blender-json", 0.05)],
 )
-def test_what_is_written_is_recognised_and_reads_back(samples, name, error_deg) -> None:
+def test_an_export_is_recognised_and_read_back(samples, name, error_deg) -> None:
     data = exported(samples, name).encode()
     reader = next(reader for reader in READERS if reader.recognises(data))
     (motion,) = reader.motions(Path("sway"), data)

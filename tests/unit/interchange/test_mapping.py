@@ -1,4 +1,4 @@
-"""Maps: units, signs, names, what must be said, and the template that begins one."""
+"""Maps: units, signs, names, errors, and the template of a map."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_map_turns_values_into_joint_angles(arm, write_map) -> None:
     assert all(channel.unit is Unit.DEG for channel in made.channels)
 
 
-def test_the_unit_of_a_map_wins_over_that_of_the_file(arm, write_map) -> None:
+def test_the_unit_of_a_map_replaces_the_unit_of_the_file(arm, write_map) -> None:
     content = motion(("base", Unit.DEG, [1.0]), ("lift", Unit.RAD_OR_M, [0.5]))
     made = mapped(content, arm, write_map("  base: {unit: rad}\n  lift: {unit: m, scale: 3600}\n"))
     assert angles(made) == {"base": [57.29578], "lift": [1800.0]}
@@ -67,12 +67,12 @@ def test_the_unit_of_a_map_wins_over_that_of_the_file(arm, write_map) -> None:
     assert angles(made) == {"base": [1.0], "lift": [28.64789]}
 
 
-def test_lss_ids_become_the_joints_that_have_them(arm) -> None:
+def test_an_lss_id_becomes_the_joint_with_this_id(arm) -> None:
     made = mapped(motion(("ID5", Unit.DEG, [0.0, 30.0]), ("ID1", Unit.DEG, [7.0])), arm, None)
     assert angles(made) == {"elbow": [10.0, -20.0], "base": [7.0]}
 
 
-def test_a_skipped_joint_is_told(arm, write_map) -> None:
+def test_a_skipped_joint_is_listed_in_comments(arm, write_map) -> None:
     content = motion(("base", Unit.DEG, [1.0]), ("tail", Unit.RAW, [1.0]))
     made = mapped(content, arm, write_map("  tail: {skip: true}\n"))
     assert angles(made) == {"base": [1.0]}
@@ -82,9 +82,9 @@ def test_a_skipped_joint_is_told(arm, write_map) -> None:
 @pytest.mark.parametrize(
     ("unit", "words"),
     [
-        (Unit.US, "microseconds of a servo pulse, which is no angle; give `scale`"),
-        (Unit.RAW, "units of its own robot, which is no angle; give `scale`"),
-        (Unit.RAD_OR_M, "does not say whether it is given in radians or metres"),
+        (Unit.US, "microseconds of a servo pulse, which is not an angle; give `scale`"),
+        (Unit.RAW, "units of its own robot, which is not an angle; give `scale`"),
+        (Unit.RAD_OR_M, "does not define whether its values are radians or metres"),
     ],
 )
 def test_a_unit_without_an_angle_is_refused_without_a_map(arm, unit: Unit, words: str) -> None:
@@ -116,9 +116,11 @@ def test_a_wrong_map_is_refused_with_its_line(arm, write_map, text, line, reason
     assert caught.value.line in {line, line + 1}
 
 
-def test_two_joints_cannot_become_one(arm, write_map) -> None:
+def test_two_joints_of_a_motion_cannot_become_one_joint(arm, write_map) -> None:
     content = motion(("base", Unit.DEG, [1.0]), ("b", Unit.DEG, [1.0]))
-    with pytest.raises(InputError, match="2 joints of the motion become joint 'base'; one can"):
+    with pytest.raises(
+        InputError, match="2 joints of the motion become joint 'base'; only one can"
+    ):
         mapped(content, arm, write_map("  b: {name: base}\n"))
 
 
@@ -127,22 +129,22 @@ def test_a_map_that_skips_everything_is_refused(arm, write_map) -> None:
         mapped(motion(("base", Unit.DEG, [1.0])), arm, write_map("  base: {skip: true}\n"))
 
 
-def test_a_recording_of_an_encoder_that_wraps_is_unwrapped_and_told(arm) -> None:
+def test_full_turns_of_an_encoder_that_wraps_are_removed(arm) -> None:
     turning = [170.0, 178.0, -174.0, -166.0, -174.0, 178.0]
     made = mapped(motion(("base", Unit.DEG, turning), is_recording=True), arm, None)
     assert angles(made) == {"base": [170.0, 178.0, 186.0, 194.0, 186.0, 178.0]}
     assert made.comments == (
-        "Joint base jumps by a full turn 2 times, first at 0.2 s: read as an encoder that wraps, "
-        "and undone.",
+        "Joint base jumps by a full turn 2 times, first at 0.2 s. The turns were removed, "
+        "because the encoder wrapped.",
     )
 
 
-def test_poses_a_full_turn_apart_are_left_as_their_author_wrote_them(arm) -> None:
+def test_poses_a_full_turn_apart_are_not_changed(arm) -> None:
     made = mapped(motion(("base", Unit.DEG, [179.0, -179.0])), arm, None)
     assert angles(made) == {"base": [179.0, -179.0]}
 
 
-def test_the_template_is_a_map_that_says_what_is_a_guess(arm, write_map) -> None:
+def test_the_template_is_a_valid_map_with_marked_guesses(arm, write_map) -> None:
     content = motion(
         ("Base_Joint", Unit.RAD, [0.0, 1.0]),
         ("ID5", Unit.DEG, [0.0, 40.0]),
@@ -167,7 +169,7 @@ def test_the_template_is_a_map_that_says_what_is_a_guess(arm, write_map) -> None
         mapped(content, arm, write_map(text.partition("joints:\n")[2]))
 
 
-def test_a_template_maps_lss_ids_as_no_map_would(arm, write_map) -> None:
+def test_a_template_maps_lss_ids_like_no_map(arm, write_map) -> None:
     content = motion(("ID5", Unit.DEG, [0.0, 40.0]), ("ID1", Unit.DEG, [7.0]))
     text = map_template(content, arm).partition("joints:\n")[2]
     assert angles(mapped(content, arm, write_map(text))) == angles(mapped(content, arm, None))

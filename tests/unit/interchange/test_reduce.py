@@ -1,4 +1,4 @@
-"""Recordings to keys: within the tolerance, none too many, as the planner will play them."""
+"""Recordings to keys: within the tolerance, as few as possible, as the planner plays them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import pytest
 from lss_motion.errors import InputError
 from lss_motion.interchange import Channel, ForeignMotion, Unit, imported, reduced
 from lss_motion.interchange.reduce import (
-    EVENING_MAX_DEG,
+    BSPLINE_SHIFT_MAX_DEG,
     ROUNDING_DEG,
     Limits,
     Spans,
-    evened,
+    bspline_values,
     interpolated,
 )
 from lss_motion.sequence.model import Interpolation, Keyframe, Sequence
@@ -65,7 +65,7 @@ def test_keys_stay_within_the_tolerance_at_every_sample(ease, tolerance_deg: flo
 
 
 @pytest.mark.parametrize("ease", EASES)
-def test_no_key_could_be_left_out(ease) -> None:
+def test_every_key_is_needed(ease) -> None:
     (samples,) = recording(lively(3)).channels
     keys, _ = reduced(recording(samples.values), 1.0, ease)
     (own,) = keys.channels
@@ -81,7 +81,7 @@ def test_no_key_could_be_left_out(ease) -> None:
 
 
 def taught(seed: int) -> np.ndarray:
-    """Moves from rest to rest, as a hand that teaches makes them."""
+    """Moves from rest to rest, as in a recording by hand."""
     rng = np.random.default_rng(seed)
     pieces: list[np.ndarray] = []
     here_deg = 0.0
@@ -96,7 +96,7 @@ def taught(seed: int) -> np.ndarray:
     return np.round(curve + rng.normal(0.0, 0.05, len(curve)), 1)
 
 
-def test_a_spline_needs_fewer_keys_and_less_acceleration_for_motion_that_flows(arm) -> None:
+def test_a_spline_needs_fewer_keys_and_less_acceleration_for_smooth_motion(arm) -> None:
     counts, late_s = [], []
     for ease in (Interpolation.SPLINE, Interpolation.SMOOTH):
         made = imported(recording(np.minimum(1.0, np.arange(6000) / 100) * lively(4, 60.0)), arm,
@@ -108,11 +108,11 @@ def test_a_spline_needs_fewer_keys_and_less_acceleration_for_motion_that_flows(a
     assert late_s[0] <= 0.01 + late_s[1] / 10.0
 
 
-def test_moves_between_rests_need_little_more_than_their_ends() -> None:
+def test_moves_between_rests_need_few_keys_besides_their_ends() -> None:
     assert reduced(recording(taught(5)), 1.0, Interpolation.SMOOTH)[1].keys_count <= 2 * 24
 
 
-def test_a_joint_that_only_trembles_has_one_key() -> None:
+def test_a_joint_with_noise_within_the_tolerance_has_one_key() -> None:
     still = 20.0 + 0.4 * np.sin(np.arange(1000.0))
     _, fit = reduced(recording(still), 1.0, Interpolation.SPLINE)
     assert (fit.keys_count, fit.keyframes_count) == (1, 1)
@@ -133,7 +133,7 @@ def test_the_planner_follows_the_interpolation_that_the_error_was_measured_with(
     np.testing.assert_allclose(interpolated(ease, times_s, values, at_s), planned, atol=1e-6)
 
 
-def test_more_times_than_keyframes_are_shared_between_the_joints(monkeypatch) -> None:
+def test_joints_share_times_if_there_are_more_times_than_keyframes(monkeypatch) -> None:
     monkeypatch.setattr("lss_motion.interchange.reduce.KEYFRAMES_MAX", 200)
     names = tuple(f"j{n}" for n in range(8))
     whole = recording(*[lively(n) for n in range(8)], names=names)
@@ -144,9 +144,9 @@ def test_more_times_than_keyframes_are_shared_between_the_joints(monkeypatch) ->
     assert fit.keyframes_count <= 200
 
 
-def test_a_recording_too_lively_for_a_sequence_is_refused_with_the_error(monkeypatch) -> None:
+def test_a_recording_that_needs_too_many_keyframes_is_refused_with_the_error(monkeypatch) -> None:
     monkeypatch.setattr("lss_motion.interchange.reduce.KEYFRAMES_MAX", 20)
-    with pytest.raises(InputError, match=r"too lively for 20 keyframes: joint 'base' would be"):
+    with pytest.raises(InputError, match=r"needs more than 20 keyframes: joint 'base' would be"):
         reduced(recording(lively(8)), 0.5, Interpolation.SPLINE)
 
 
@@ -166,39 +166,39 @@ def test_tolerance_zero_keeps_every_sample(arm) -> None:
     assert made.fit is None
     kept_deg = np.array([keyframe.deg["base"] for keyframe in made.sequence.keyframes])
     assert len(kept_deg) == len(curve)
-    assert np.abs(kept_deg - curve).max() <= EVENING_MAX_DEG
+    assert np.abs(kept_deg - curve).max() <= BSPLINE_SHIFT_MAX_DEG
 
 
 LIMITS = Limits(speed_deg_s=180.0, accel_deg_s2=600.0, range_deg=(-10.0, 170.0))
 
 
 def bang_bang(accel_deg_s2: float = 600.0) -> np.ndarray:
-    """A motion from rest to rest that is always at its acceleration limit, this way or that."""
+    """A motion from rest to rest that is always at its acceleration limit."""
     signs = np.repeat([1, -1, -1, 1, 1, -1], [30, 30, 50, 50, 20, 20])
     speeds = np.concatenate([[0.0], np.cumsum(signs * accel_deg_s2 / 100.0)])
     return np.concatenate([[0.0], np.cumsum(0.5 * (speeds[1:] + speeds[:-1]) / 100.0)])
 
 
-def test_the_spline_of_evened_samples_asks_for_no_more_than_the_recording() -> None:
+def test_the_b_spline_of_the_samples_needs_no_more_acceleration_than_the_recording() -> None:
     values = bang_bang()
     times_s = np.arange(len(values)) / 100.0
     through = Spans.between(Interpolation.SPLINE, times_s, values)
-    beside = evened(times_s, values, EVENING_MAX_DEG)
+    beside = bspline_values(times_s, values, BSPLINE_SHIFT_MAX_DEG)
     assert through.peaks()[1].max() > 1.1 * 600.0
     assert Spans.between(Interpolation.SPLINE, times_s, beside).peaks()[1].max() <= 600.0 + 1e-6
     assert 0.0 < np.abs(beside - values).max() <= 600.0 * 0.01**2 / 6.0 + 1e-9
 
 
-def test_samples_that_would_move_too_far_stay() -> None:
+def test_samples_that_would_move_too_far_are_not_moved() -> None:
     values = np.array([0.0, 0.0, 1.0, 0.0, 0.0])
     times_s = np.arange(5) / 100.0
-    np.testing.assert_array_equal(evened(times_s, values, EVENING_MAX_DEG), values)
-    kept = evened(times_s**1.5, bang_bang()[:5], 1.0)  # Their times are uneven.
+    np.testing.assert_array_equal(bspline_values(times_s, values, BSPLINE_SHIFT_MAX_DEG), values)
+    kept = bspline_values(times_s**1.5, bang_bang()[:5], 1.0)  # Their times are uneven.
     np.testing.assert_array_equal(kept[1:-1], bang_bang()[1:4])
 
 
 @pytest.mark.parametrize("tolerance_deg", [0.04, 0.5])
-def test_keys_ask_for_no_more_than_limits_that_the_recording_keeps(tolerance_deg: float) -> None:
+def test_keys_keep_the_limits_that_the_recording_keeps(tolerance_deg: float) -> None:
     whole = recording(bang_bang())
     free, _ = reduced(whole, tolerance_deg, Interpolation.SPLINE)
     kept, fit = reduced(whole, tolerance_deg, Interpolation.SPLINE, {"base": LIMITS})
@@ -214,7 +214,7 @@ def test_keys_ask_for_no_more_than_limits_that_the_recording_keeps(tolerance_deg
     assert fit.keys_count < len(bang_bang()) / 2
 
 
-def test_keys_of_a_recording_that_touches_its_range_never_swing_beyond_it(arm) -> None:
+def test_keys_of_a_recording_at_the_end_of_its_range_stay_within_it(arm) -> None:
     low, high = arm.joints["base"].position_min_deg, arm.joints["base"].position_max_deg
     times_s = np.arange(700) / 100.0
     share = np.clip((times_s - 1.0) / 4.0, 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Other tools' files as sequences for one robot."""
+"""Files of other tools as sequences for one robot."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_an_imported_motion_is_written_and_read_back_unchanged(
     assert "# Imported from look.json (Bit-Bots keyframes).\n" in text
 
 
-def test_everything_that_the_robot_cannot_do_is_named(tmp_path: Path, figure: Robot) -> None:
+def test_the_error_lists_everything_that_the_robot_cannot_do(tmp_path: Path, figure: Robot) -> None:
     path = motion_file(tmp_path, HeadTilt=61.0, Jaw=3.0, Tail=4.0)
     with pytest.raises(InputError) as caught:
         import_motion(path, figure)
@@ -79,9 +79,7 @@ def test_everything_that_the_robot_cannot_do_is_named(tmp_path: Path, figure: Ro
     )
 
 
-def test_an_unknown_content_is_refused_with_the_formats_that_there_are(
-    tmp_path: Path, figure: Robot
-) -> None:
+def test_unknown_content_is_refused_with_the_known_formats(tmp_path: Path, figure: Robot) -> None:
     path = tmp_path / "other.json"
     path.write_text("{}", encoding="utf-8")
     with pytest.raises(InputError, match=f"can be read; there are: {', '.join(FORMAT_NAMES)}"):
@@ -94,7 +92,7 @@ def test_an_unknown_content_is_refused_with_the_formats_that_there_are(
         import_motion(tmp_path / "nothing.json", figure)
 
 
-def test_motions_of_one_name_are_told_apart(tmp_path: Path) -> None:
+def test_motions_with_the_same_name_get_numbers(tmp_path: Path) -> None:
     path = tmp_path / "two.ppr"
     path.write_text("d:1\nPose=a: 512\nSeq=s: a|250\nSeq=s: a|500\nSeq=s: a|50\n", "utf-8")
     assert [motion.name for motion in read_motions(path)] == ["s", "s (2)", "s (3)"]
@@ -102,7 +100,7 @@ def test_motions_of_one_name_are_told_apart(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("start_s", [1_700_000_000.25, -2.5])
-def test_times_that_are_none_of_a_show_are_moved_to_its_start(tmp_path: Path, start_s) -> None:
+def test_dates_and_negative_times_are_moved_to_start_at_0(tmp_path: Path, start_s) -> None:
     path = tmp_path / "log.csv"
     path.write_text(f"time_s,HeadPan\n{start_s},1\n{start_s + 0.5},2\n", encoding="utf-8")
     motion = read_motion(path)
@@ -127,10 +125,10 @@ def test_a_file_beyond_the_limit_is_refused(tmp_path: Path, monkeypatch) -> None
     ],
     ids=["lists", "keys", "lines"],
 )
-def test_many_small_things_are_refused_before_they_fill_the_memory(
+def test_too_many_small_values_are_refused_before_they_fill_the_memory(
     tmp_path: Path, start: bytes, part: bytes, times: int, reason: str
 ) -> None:
-    """Parsed, each of these would be twenty times its size, or more."""
+    """After parsing, each of these would need twenty times its size, or more."""
     path = tmp_path / "many"
     path.write_bytes(start + part * times)
     tracemalloc.start()
@@ -178,7 +176,7 @@ def test_a_real_motion_keeps_its_times_and_angles_on_the_figure(
 
 
 @pytest.mark.skipif(not MOTIONS.is_dir(), reason="the collection of real motions is not here")
-def test_real_motions_with_empty_extras_or_other_joints_are_read_or_refused_truly(
+def test_real_motions_with_empty_extras_are_read_and_with_other_joints_refused(
     figure: Robot,
 ) -> None:
     assert len(import_motion(MOTIONS / "throw.json", figure).keyframes) == 4

@@ -1,4 +1,4 @@
-"""CSV: wide and long, separators, decimal commas, gaps, frames, and what is refused."""
+"""CSV: wide and long, separators, decimal commas, gaps, frames, and errors."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_the_ending_of_a_column_is_its_unit(read_one) -> None:
         b"Time,base,\n0,1.5,\n0.5,2,\n",
     ],
 )
-def test_separators_line_ends_marks_and_frames_say_the_same(read_one, data: bytes) -> None:
+def test_separators_line_ends_marks_and_frames_give_the_same_motion(read_one, data: bytes) -> None:
     (base,) = read_one(CsvReader(), data).channels
     assert (base.times_s.tolist(), base.values.tolist()) == ([0.0, 0.5], [1.5, 2.0])
 
@@ -56,14 +56,14 @@ def test_a_dense_table_is_a_recording(read_one) -> None:
     [
         ("t_s,base\n0,1\n1,nan\n", 3, "'nan' is not a number"),
         ("t_s,base\n0,1\n1,inf\n", 3, "'inf' is not a number"),
-        ("t_s,base\n0,1\n1,1e999\n", 3, "out of all bounds"),
+        ("t_s,base\n0,1\n1,1e999\n", 3, "out of range"),
         ('t_s,base\n0,1\n1,"2,5"\n', 3, "'2,5' is not a number"),
         ("t_s,base\n0,1\n1,two\n", 3, "'two' is not a number"),
         ("t_s,base\n0,1\n0,2\n", 3, "times must increase, but 0 s follows 0 s"),
         ("t_s,base\n1,1\n0.5,2\n", 3, "times must increase"),
         ("t_s,base\n0,1\n1\n", 3, "1 cells, but the header has 2: is the file cut short?"),
         ("t_s,base\n0,1\n1,2,3\n", 3, "3 cells, but the header has 2"),
-        ("t_s,base,base\n0,1,2\n", 1, "column 'base' stands there twice"),
+        ("t_s,base,base\n0,1,2\n", 1, "column 'base' occurs twice"),
         ("t_s,base_deg,base\n0,1,2\n", 1, "joint 'base' has two columns"),
         ("# x\nbase,elbow\n0,1\n", 2, "no column is the time; name it time_s"),
         ("frame,base\n0,1\n", 1, "frames need their rate"),

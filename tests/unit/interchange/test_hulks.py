@@ -1,0 +1,51 @@
+"""HULKs motion JSON: times, units, and what is not carried over."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from lss_motion.interchange.hulks import HulksReader
+from lss_motion.interchange.reader import Unit
+
+HULKS = {
+    "initial_positions": {"head": {"yaw": 0.0}, "left_arm": {"hand": 0.0}},
+    "motion": [
+        {
+            "keyframes": [
+                {"duration": 0.5, "positions": {"head": {"yaw": 0.5}, "left_arm": {"hand": 1.0}}},
+                {"duration": 1.0, "positions": {"head": {"yaw": -0.5}}},
+            ],
+            "exit_condition": {"tolerance": 0.1},
+        },
+        {"keyframes": [{"duration": 0.25, "positions": {"head": {"yaw": 0.0}}}]},
+    ],
+}
+
+
+def test_hulks_keyframes_follow_each_other_from_the_initial_positions(read_one) -> None:
+    motion = read_one(HulksReader(), json.dumps(HULKS))
+    yaw, hand = motion.channels
+    assert (yaw.name, yaw.unit) == ("head.yaw", Unit.RAD)
+    assert yaw.times_s.tolist() == [0.0, 0.5, 1.5, 1.75]
+    assert yaw.values.tolist() == [0.0, 0.5, -0.5, 0.0]
+    assert (hand.name, hand.unit) == ("left_arm.hand", Unit.RAW)
+    assert hand.times_s.tolist() == [0.0, 0.5]
+    assert "Not carried over: motion: exit_condition" in motion.comments
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda k: k.update(duration=0), "motion[0].keyframes[1]: times must increase"),
+        (lambda k: k.update(duration=-1), "motion[0].keyframes[1].duration is -1"),
+        (lambda k: k.pop("positions"), "motion[0].keyframes[1].positions must be an object"),
+        (lambda k: k.update(positions={"head": {"yaw": "x"}}), "positions.head.yaw is 'x'"),
+        (lambda k: k.update(positions={"head": 3}), "positions.head must be an object"),
+    ],
+)
+def test_a_wrong_hulks_keyframe_is_refused_with_its_place(refusal, change, reason) -> None:
+    content = json.loads(json.dumps(HULKS))
+    change(content["motion"][0]["keyframes"][1])
+    assert reason in refusal(HulksReader(), json.dumps(content)).reason

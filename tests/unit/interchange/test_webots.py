@@ -1,0 +1,55 @@
+"""Webots motions: `*`, line ends, labels, and errors."""
+
+from __future__ import annotations
+
+import pytest
+
+from lss_motion.interchange.reader import Unit
+from lss_motion.interchange.webots import WebotsReader
+
+WEBOTS = """\
+#WEBOTS_MOTION,V1.0,ArmL,ArmR,Lift
+00:00:000,Rest,-0.5,0.2,0
+00:01:500,Up,*,0.4,*
+01:00:000,Rest,-0.5,0.2,0
+"""
+
+
+def test_a_webots_star_sets_no_key(read_one) -> None:
+    motion = read_one(WebotsReader(), WEBOTS)
+    left, right, lift = motion.channels
+    assert left.times_s.tolist() == [0.0, 60.0]
+    assert right.times_s.tolist() == [0.0, 1.5, 60.0]
+    assert right.values.tolist() == [0.2, 0.4, 0.2]
+    assert (right.unit, lift.unit) == (Unit.RAD, Unit.RAD_OR_M)
+    assert motion.notes[1.5].label == "Up"
+
+
+def test_line_ends_and_a_byte_order_mark_change_nothing(read_one) -> None:
+    plain = read_one(WebotsReader(), WEBOTS)
+    for content in (
+        b"\xef\xbb\xbf" + WEBOTS.encode(),
+        WEBOTS.replace("\n", "\r\n").encode(),
+        WEBOTS.replace("\n", "\r").encode(),
+    ):
+        other = read_one(WebotsReader(), content)
+        assert [c.values.tolist() for c in other.channels] == [
+            c.values.tolist() for c in plain.channels
+        ]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "reason"),
+    [
+        ("*,0.4,*", "0.4", 3, "2 values for 3 joints"),
+        ("00:01:500", "1.5", 3, "'1.5' is not a time of the form mm:ss:mmm"),
+        ("0.4", "nan", 3, "'nan' is not a number"),
+        ("0.4", "1e999", 3, "'1e999' is out of range"),
+        ("01:00:000", "00:01:000", 4, "times must increase, but this is 1 s after 1.5 s"),
+        ("ArmL,ArmR", "ArmL,ArmL", 1, "every joint needs a name of its own"),
+        (",ArmL,ArmR,Lift", "", 1, "the first line must be"),
+    ],
+)
+def test_a_wrong_webots_line_is_refused_with_its_number(refusal, old, new, line, reason) -> None:
+    error = refusal(WebotsReader(), WEBOTS.replace(old, new))
+    assert (error.line, reason in error.reason) == (line, True), error
