@@ -1,7 +1,7 @@
-"""THE table of the three protocol documents: every row of their tables, every example line.
+"""The three protocol documents as data: every row of their tables, and every example line.
 
-Data only, written from the documents and not from the package, which is tested against it.
-`line` is the line of the document. Documents: LSS 106.1 of 2019-02-22, LSS-PRO of 2023-12-14, 2IO
+The data comes from the documents and not from the package, which is tested against it. `line` is
+the line of the document. Documents: LSS 106.1 of 2019-02-22, LSS-PRO of 2023-12-14, 2IO
 in 2RC mode of 2020-02-07. Where a document contradicts itself, `decision` says what was decided.
 """
 
@@ -39,10 +39,10 @@ class DocumentRow:
 
 @dataclass(frozen=True)
 class Example:
-    """Bytes printed in a document (without the CR) and what they say, in physical units.
+    """Bytes printed in a document (without the CR), and their meaning in physical units.
 
-    `value` of a query is its suffix. `meant` are the right bytes where the printed ones are wrong.
-    `is_refused`: nothing that we would say.
+    `value` of a query is its suffix. `meant` are the correct bytes if the printed ones are wrong.
+    `is_refused`: the codec refuses to write this command.
     """
 
     line: int

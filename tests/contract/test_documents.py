@@ -1,4 +1,4 @@
-"""The simulated servos against the three documents: every reply that they print, every keyword."""
+"""The simulated servos against the three documents: every printed reply, and every keyword."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ STUCK = (Fault(kind=FaultKind.STUCK),)
 
 @dataclass(frozen=True)
 class State:
-    """How a servo comes to say what the document prints: what it is, what happens, who asks."""
+    """The set-up that makes a servo send a printed reply: servo, commands before, and the query."""
 
     lines: tuple[str, ...] = ()
     wait_s: float = 0.05
@@ -59,14 +59,14 @@ class Host:
         for pin_id, raw in state.inputs.items():
             self.bus.set_input(pin_id, raw, 0)
         for line in state.lines:
-            self.say(line)
+            self.send(line)
         self.wait_s(state.wait_s)
 
-    def say(self, line: str) -> None:
+    def send(self, line: str) -> None:
         self.bus.write(f"{line}\r".encode(), self.now_ns)
         self.wait_s(0.02)
 
-    def ask(self, line: str) -> bytes:
+    def query(self, line: str) -> bytes:
         self.bus.write(f"{line}\r".encode(), self.now_ns)
         received = b""
         while (end_ns := self.bus.next_arrival_ns()) is not None:
@@ -86,7 +86,7 @@ class Host:
         return self.bus.motors.horn_deg_s(0, self.now_ns)
 
 
-# -- the replies that the documents print --------------------------------------------------------
+# -- printed replies -----------------------------------------------------------------------------
 
 STATUS_STATES = {
     1: State(),
@@ -112,23 +112,23 @@ CAUSE_STATES = {
     ),
 }
 CAUSE_LINES = range(412, 416)
-"""Lines of the LSS-PRO document whose `*5Q0` … `*5Q3` answer `Q1`."""
+"""Lines of the LSS-PRO document where `*5Q0` to `*5Q3` are replies to `Q1`."""
 
 MOVED = {"QD": "D", "QDT": "D", "QP": "P", "QWD": "WD", "QWR": "WR"}
 
 DECISIONS = {
     (Family.LSS, 520): "a simulated servo is never in an unknown state",
     (Family.LSS_PRO, 393): "a simulated servo is never in an unknown state",
-    (Family.LSS_PRO, 395): "needs RDM, of which the document's tables have no row",
-    (Family.LSS_PRO, 400): "needs limits, of which the document's tables have no row",
+    (Family.LSS_PRO, 395): "needs RDM, which has no row in the tables of the document",
+    (Family.LSS_PRO, 400): "needs limits, which have no row in the tables of the document",
 }
-"""Replies that the simulator never gives, and why."""
+"""Replies that the simulator never sends, with the reason."""
 
 INSTEAD = {
     (Family.IO2, 56): (b"*209QD130\r", "the board works in whole degrees"),
     (Family.IO2, 185): (b"*205QA190\r", "the board clamps this sensor at 190 mm"),
 }
-"""Replies that it gives in place of the printed one."""
+"""Replies that differ from the printed one, with the reason."""
 
 INPUTS = {
     "*203QA364": {203: 364},
@@ -136,7 +136,7 @@ INPUTS = {
     "*204QA100": {204: SENSORS[Suffix.GP2Y0A21YK0F].raw(100)},
     "*205QA150": {205: SENSORS[Suffix.GP2Y0A02YK0F].raw(150)},
 }
-"""What the pins see."""
+"""Raw inputs of the pins for the printed replies."""
 
 SIMPLE = {
     "QMS": lambda text: State(name=text),
@@ -155,7 +155,7 @@ SIMPLE = {
 
 
 def state_of(family: Family, example) -> State:
-    """Return how to bring a servo into the state that a printed reply tells of."""
+    """Return the set-up that makes a servo send the printed reply."""
     keyword, text = example.keyword, example.data[1:-1].decode().partition(example.keyword)[2]
     address = example.servo_id
     if family is Family.IO2:
@@ -178,11 +178,11 @@ def state_of(family: Family, example) -> State:
         lines = (f"#{address}{MOVED[keyword]}{text}",) if text else ()
         return State(lines=lines, wait_s=8.0)
     row = FAMILY_TABLES[family].row(keyword)
-    says = (row.actions or row.configs)[0]
+    keyword_to_set = (row.actions or row.configs)[0]
     suffix = "1" if example.printed in ("*5QSR20", "*5QSR10") else ""
     if suffix:
-        says = row.configs[0]
-    return State(lines=(f"#{address}{says}{text}",), query=f"#{address}{keyword}{suffix}")
+        keyword_to_set = row.configs[0]
+    return State(lines=(f"#{address}{keyword_to_set}{text}",), query=f"#{address}{keyword}{suffix}")
 
 
 PRO_STATUS_STATES = {
@@ -214,19 +214,19 @@ def test_a_simulated_servo_replies_as_the_document_prints(family, example):
     state = state_of(family, example)
     host = Host(family, example.servo_id if family is not Family.IO2 else 209, state)
     printed, _ = INSTEAD.get((family, example.line), (example.data, ""))
-    assert host.ask(state.query or f"#{example.servo_id}{example.keyword}") == printed
+    assert host.query(state.query or f"#{example.servo_id}{example.keyword}") == printed
 
 
-def test_every_printed_reply_is_tried_or_decided(capsys):
+def test_every_printed_reply_is_checked_or_excluded_with_a_reason(capsys):
     lines = []
     for family in Family:
         total = sum(example.is_reply for example in EXAMPLES[family])
-        tried = sum(each[0] is family for each in REACHED)
+        checked = sum(each[0] is family for each in REACHED)
         decided = [line for known, line in DECISIONS if known is family]
         printed = {example.line for example in EXAMPLES[family] if example.is_reply}
         assert set(decided) <= printed
-        assert tried + len(decided) == total > 0
-        lines.append(f"{family}: {tried}/{total} printed replies, {len(decided)} decided\n")
+        assert checked + len(decided) == total > 0
+        lines.append(f"{family}: {checked}/{total} printed replies, {len(decided)} excluded\n")
     with capsys.disabled():
         sys.stdout.write("\n" + "".join(lines))
 
@@ -246,7 +246,7 @@ def host_for(family: Family, **state) -> Host:
 
 
 def other_value(row, default: int | None) -> int:
-    """Return an allowed value that is not the factory's."""
+    """Return an allowed value that differs from the factory value."""
     if row.choices is not None:
         return next(value for value in sorted(row.choices) if value != default)
     for value in (30, 300, 600, 3, 1):
@@ -257,7 +257,7 @@ def other_value(row, default: int | None) -> int:
 
 def moved(host: Host, line: str, wait_s: float = 2.0) -> float:
     before_deg = host.horn_deg()
-    host.say(line)
+    host.send(line)
     host.wait_s(wait_s)
     return host.horn_deg() - before_deg
 
@@ -268,81 +268,81 @@ def pro(family: Family) -> bool:
 
 def check_limp(host: Host, family: Family, line: str) -> None:
     address = line[: line.index("L")]
-    host.say(f"{address}D300")
+    host.send(f"{address}D300")
     host.wait_s(1.0)
-    host.say(line)
+    host.send(line)
     host.wait_s(0.1)
     assert not host.bus.motors._drives.is_powered[0]
 
 
 def check_halt(host: Host, family: Family, line: str) -> None:
-    host.say("#5WD20")
+    host.send("#5WD20")
     host.wait_s(1.0)
     assert abs(host.horn_deg_s()) > 1.0
-    host.say(line)
+    host.send(line)
     host.wait_s(0.5)
     assert abs(host.horn_deg_s()) < 0.01
-    assert host.ask("#5Q") == b"*5Q6\r"
+    assert host.query("#5Q") == b"*5Q6\r"
 
 
 def check_reset(host: Host, family: Family, line: str) -> None:
     address = line[: line.index("R")]
-    asked = f"{address}QLED"
-    host.say(f"{address}LED3")
-    assert host.ask(asked).endswith(b"QLED3\r")
-    host.bus.write(f"{line}\r{asked}\r".encode(), host.now_ns)
+    query = f"{address}QLED"
+    host.send(f"{address}LED3")
+    assert host.query(query).endswith(b"QLED3\r")
+    host.bus.write(f"{line}\r{query}\r".encode(), host.now_ns)
     host.wait_s(0.02)
     assert host.bus.read(host.now_ns) == b""
     host.wait_s(1.3)
-    assert not host.ask(asked).endswith(b"QLED3\r")
+    assert not host.query(query).endswith(b"QLED3\r")
 
 
 def check_default(host: Host, family: Family, line: str) -> None:
     address = line[: line.index("D")]
-    host.say(f"{address}CLED3")
-    host.say(line)
+    host.send(f"{address}CLED3")
+    host.send(line)
     if family is not Family.IO2:
-        host.say(f"{address}CONFIRM")
+        host.send(f"{address}CONFIRM")
     host.wait_s(1.4)
     default = FAMILY_TABLES[family].row("QLED").default
     expected = b"QLED%d\r" % default
-    assert host.ask(f"{address}QLED").endswith(expected)
+    assert host.query(f"{address}QLED").endswith(expected)
 
 
 def check_update(host: Host, family: Family, line: str) -> None:
-    host.say(line)
-    host.say("#5CONFIRM")
-    assert host.ask("#5Q") == b""
+    host.send(line)
+    host.send("#5CONFIRM")
+    assert host.query("#5Q") == b""
     host.wait_s(1.4)
-    assert host.ask("#5Q") == b"*5Q1\r"
+    assert host.query("#5Q") == b"*5Q1\r"
 
 
 def check_confirm(host: Host, family: Family, line: str) -> None:
-    host.say("#5CLED3")
-    host.say(line)
-    assert host.ask("#5QLED") == b"*5QLED3\r"
-    host.say("#5DEFAULT")
-    host.say(line)
+    host.send("#5CLED3")
+    host.send(line)
+    assert host.query("#5QLED") == b"*5QLED3\r"
+    host.send("#5DEFAULT")
+    host.send(line)
     host.wait_s(1.4)
-    assert host.ask("#5QLED") != b"*5QLED3\r"
+    assert host.query("#5QLED") != b"*5QLED3\r"
 
 
 def check_rc(host: Host, family: Family, line: str) -> None:
-    host.say(line + "1")
-    host.say("#5RESET")
+    host.send(line + "1")
+    host.send("#5RESET")
     host.wait_s(3.0)
-    assert host.ask("#5Q") == b""
+    assert host.query("#5Q") == b""
 
 
 def check_board_id(host: Host, family: Family, line: str) -> None:
-    host.say(line + "1")
-    assert host.ask("#1QMS") == b"*1QMSLSS-2IO-D9\r"
-    assert host.ask("#209QMS") == b""
+    host.send(line + "1")
+    assert host.query("#1QMS") == b"*1QMSLSS-2IO-D9\r"
+    assert host.query("#209QMS") == b""
 
 
 def check_baud(host: Host, family: Family, line: str) -> None:
-    host.say(line + "9600")
-    assert host.ask("#207QB") == b""
+    host.send(line + "9600")
+    assert host.query("#207QB") == b""
 
 
 def goes(value: str, wanted_deg):
@@ -355,7 +355,7 @@ def goes(value: str, wanted_deg):
 
 def turns(value: str, wanted_deg_s):
     def check(host: Host, family: Family, line: str) -> None:
-        host.say(line + value)
+        host.send(line + value)
         host.wait_s(1.0)
         wanted = wanted_deg_s(family) if callable(wanted_deg_s) else wanted_deg_s
         assert host.horn_deg_s() == pytest.approx(wanted, abs=0.5)
@@ -382,7 +382,7 @@ EFFECTS = {
     "CID": check_board_id,
     "CB": check_baud,
 }
-"""Keywords of which no query tells, by what they do."""
+"""Checks of keywords that no query can verify."""
 
 KEYWORDS = [
     (family, keyword, form)
@@ -400,12 +400,12 @@ def as_params(form_is_query: bool):
 
 
 @pytest.mark.parametrize(("family", "keyword"), as_params(form_is_query=True))
-def test_every_query_is_answered_in_all_its_forms(family, keyword):
+def test_every_query_has_a_reply_in_all_its_forms(family, keyword):
     row = FAMILY_TABLES[family].row(keyword)
     address = address_of(family, row)
     host = host_for(family, inputs={203: 200} if keyword == "QA" else {})
     for suffix in (None, *(row.suffixes or {})):
-        answer = host.ask(f"#{address}{keyword}{'' if suffix is None else suffix}")
+        answer = host.query(f"#{address}{keyword}{'' if suffix is None else suffix}")
         (reply,) = ReplyParser().feed(answer)
         assert isinstance(reply, Reply)
         assert (reply.servo_id, reply.keyword) == (address, keyword)
@@ -419,25 +419,25 @@ def test_every_action_and_configuration_has_its_effect(family, keyword):
     form, row = FAMILY_TABLES[family].find(keyword)
     host = host_for(family)
     line = f"#{address_of(family, row)}{keyword}"
-    is_told_elsewhere = not row.queries or keyword in ("D", "P", "WD", "WR", "RDM")
+    is_checked_by_effect = not row.queries or keyword in ("D", "P", "WD", "WR", "RDM")
     if family is Family.IO2 and keyword in ("CID", "CB"):
-        is_told_elsewhere = True
-    if is_told_elsewhere:
+        is_checked_by_effect = True
+    if is_checked_by_effect:
         EFFECTS[keyword](host, family, line)
         return
     value = other_value(row, row.default)
     query = f"#{address_of(family, row)}{row.queries[0]}"
-    before = host.ask(query)
-    host.say(f"{line}{value}")
-    assert host.ask(query) == f"*{query[1:]}{value}\r".encode() != before
+    before = host.query(query)
+    host.send(f"{line}{value}")
+    assert host.query(query) == f"*{query[1:]}{value}\r".encode() != before
     if form is Form.CONFIG and row.suffixes and 1 in row.suffixes:
-        assert host.ask(f"{query}1") == f"*{query[1:]}{value}\r".encode()
+        assert host.query(f"{query}1") == f"*{query[1:]}{value}\r".encode()
 
 
 def first_of(family: Family, lines: list[str], wait_s: float) -> float:
     host = host_for(family)
     for line in lines[:-1]:
-        host.say(line)
+        host.send(line)
     return moved(host, lines[-1], wait_s)
 
 
@@ -449,16 +449,16 @@ MODIFIER_EFFECTS = {
     "SD": lambda family: (
         first_of(family, ["#5D3000SD50"], 1.0) < first_of(family, ["#5D3000"], 1.0)
     ),
-    "CH": lambda family: asked_when_stuck("#5D900CH400") == b"*5Q6\r",
-    "CL": lambda family: asked_when_stuck("#5D900CL400") == b"*5Q1\r",
+    "CH": lambda family: status_when_stuck("#5D900CH400") == b"*5Q6\r",
+    "CL": lambda family: status_when_stuck("#5D900CL400") == b"*5Q1\r",
 }
 
 
-def asked_when_stuck(line: str) -> bytes:
+def status_when_stuck(line: str) -> bytes:
     host = Host(Family.LSS, 5, State(faults=STUCK))
-    host.say(line)
+    host.send(line)
     host.wait_s(1.0)
-    return host.ask("#5Q")
+    return host.query("#5Q")
 
 
 MODIFIERS = [(family, name) for family, table in FAMILY_TABLES.items() for name in table.modifiers]
@@ -469,18 +469,18 @@ def test_every_modifier_has_its_effect(family, name):
     assert MODIFIER_EFFECTS[name](family)
 
 
-def test_every_row_of_the_documents_is_walked(capsys):
-    """The three tests above walk all keywords; here: no row of a document is without one."""
-    walked = {(family, keyword) for family, keyword, _ in KEYWORDS} | set(MODIFIERS)
+def test_every_row_of_the_documents_is_checked(capsys):
+    """The three tests above cover all keywords; each row of the documents has one of them."""
+    checked = {(family, keyword) for family, keyword, _ in KEYWORDS} | set(MODIFIERS)
     lines = []
     for family, rows in ROWS.items():
         for row in rows:
             printed = f"{row.action} {row.query} {row.config}".split()
             assert printed
             for keyword in printed:
-                assert (family, row.meant.get(keyword, keyword)) in walked
+                assert (family, row.meant.get(keyword, keyword)) in checked
         assert len(rows) == DOCUMENT_ROW_COUNT[family]
         lines.append(f"{family}: {len(rows)}/{DOCUMENT_ROW_COUNT[family]} rows, ")
-        lines.append(f"{sum(known is family for known, _ in walked)} keywords walked\n")
+        lines.append(f"{sum(known is family for known, _ in checked)} keywords checked\n")
     with capsys.disabled():
         sys.stdout.write("\n" + "".join(lines))
