@@ -199,7 +199,7 @@ def _unit_of(name: str) -> tuple[str, Unit]:
 
 
 def _cells(
-    table: CsvRows, time_at: int, second: float, wanted: Sequence[int]
+    table: CsvRows, time_at: int, second: float, value_columns: Sequence[int]
 ) -> tuple[FloatArray, FloatArray]:
     """Return increasing times, and values (rows, joints) with NaN for empty cells."""
     lines, has_commas = table.lines, table.has_commas
@@ -209,15 +209,15 @@ def _cells(
         if times and time_s <= times[-1]:
             lines.refuse(number, f"times must increase, but {time_s:g} s follows {times[-1]:g} s")
         times.append(time_s)
-        if len(flat) + len(wanted) > VALUES_MAX:
+        if len(flat) + len(value_columns) > VALUES_MAX:
             lines.refuse(number, f"more than {VALUES_MAX:,} values")
-        for at in wanted:
+        for at in value_columns:
             word = row[at]
             empty = not word.strip()
             flat.append(
                 float("nan") if empty else lines.number(word, number, has_commas=has_commas)
             )
-    return np.array(times), np.array(flat).reshape(-1, len(wanted))
+    return np.array(times), np.array(flat).reshape(-1, len(value_columns))
 
 
 def _long(table: CsvRows, header: list[str]) -> ForeignMotion:

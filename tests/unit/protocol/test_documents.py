@@ -67,7 +67,7 @@ def test_a_row_of_the_document_has_its_keywords_unit_default_and_session(
 ) -> None:
     table = FAMILY_TABLES[family]
     if row.is_modifier:
-        ours = [table.modifiers[row.action]]
+        rows = [table.modifiers[row.action]]
     else:
         printed = [
             (form, row.meant.get(keyword, keyword))
@@ -81,8 +81,8 @@ def test_a_row_of_the_document_has_its_keywords_unit_default_and_session(
         assert printed
         found = [table.find(keyword) for _, keyword in printed]
         assert [form for form, _ in found] == [form for form, _ in printed]
-        ours = [known for _, known in found]
-    for known in ours:
+        rows = [known for _, known in found]
+    for known in rows:
         assert known.unit == row.unit
         assert float(known.wire_per_unit) == row.wire_per_unit
         assert known.default == row.default
