@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import re
-import select
 import sys
 import time
 from dataclasses import dataclass
@@ -16,9 +15,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from lss_motion.runtime.clock import MonotonicClock
 from lss_motion.runtime.port import list_devices, permission_hint
 from lss_motion.runtime.real_time import prompt_waits
-from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US
+from lss_motion.units import NS_PER_MS, NS_PER_US
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -242,13 +242,11 @@ def _smallest_step_ns() -> int:
 
 
 def _measure_lates_ns() -> list[int]:
+    clock = MonotonicClock()
     lates_ns = []
     with prompt_waits():
         for _ in range(JITTER_WAITS):
-            due_ns = time.monotonic_ns() + JITTER_WAIT_NS
-            if sys.platform == "win32":
-                time.sleep(JITTER_WAIT_NS / NS_PER_S)  # noqa: TID251 (as the runner waits there)
-            else:
-                select.select([], [], [], JITTER_WAIT_NS / NS_PER_S)
-            lates_ns.append(max(time.monotonic_ns() - due_ns, 0))
+            due_ns = clock.now_ns() + JITTER_WAIT_NS
+            clock.wait_until(due_ns)
+            lates_ns.append(max(clock.now_ns() - due_ns, 0))
     return lates_ns

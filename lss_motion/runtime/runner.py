@@ -1,17 +1,29 @@
-"""The only loop in the package that waits."""
+"""The run loop: moves bytes between a state machine and ports; the only code of a run that waits.
+
+One turn of the loop: controls act, the bytes that are due are written, events are passed on, then
+the loop waits for the next instant or for data, and reads. What is driven (`Driven`: a player or a
+simpler dialogue) decides everything and does no input or output; it gets the time as an argument.
+
+Threads and processes. `run` uses one thread, that of its caller, and starts none. What may block
+runs in a process of its own, which the loop never waits for: the log file (`runtime.log`), the
+functions and sounds of a show (`runtime.performer`) and the display (`cli.display`). The loop
+writes to their pipes without blocking; a line that does not fit is dropped and counted. Each of
+these processes ends when its pipe closes. `lss-motion sim` is a program of its own.
+
+Who waits. `Clock.wait_until` waits here: for the next wakeup of what is driven, for a port, or for
+a file number of the controls, 50 ms at most. Ports, controls, taps and callbacks must return at
+once. Two calls outside the loop wait for a limited time: a `SerialPort` that closes flushes its
+bytes, and the end of the log and of the performer waits for their processes.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import gc
-import select
-import sys
-import time
 from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
-from lss_motion.runtime.clock import VirtualClock
 from lss_motion.runtime.real_time import prompt_waits
-from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US, s_from_ns
+from lss_motion.units import NS_PER_MS, NS_PER_US
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,31 +32,29 @@ if TYPE_CHECKING:
     from lss_motion.runtime.clock import Clock
     from lss_motion.runtime.port import Port
 
-IDLE_NS: Final = NS_PER_S // 20
-"""The loop turns at least this often, so that keys and the display are never starved."""
-
-
-TAKES_STEP_NS: Final = 5 * NS_PER_US
-TAKES_MAX_NS: Final = NS_PER_MS
-"""A decision takes 0.1 to 0.5 ms here (measured). Chosen: a hundred of them settle what they take,
-and a computer that is slow for a moment makes no command early by more than one unit of T."""
+DECISION_STEP_NS: Final = 5 * NS_PER_US
+DECISION_MAX_NS: Final = NS_PER_MS
+"""A decision takes 0.1 to 0.5 ms (measured). Chosen: the estimate settles within a hundred turns,
+and a slow moment of the computer makes no command early by more than one unit of T."""
 
 
 class Driven(Protocol):
-    """What can be driven over ports: a `Player`, or a simpler conversation."""
+    """What the loop can drive over ports: a `Player`, or a simpler dialogue."""
 
     def data_to_send(self, leaves_ns: int) -> Mapping[str, bytes]:
         """Return the bytes to write, per bus. They leave at `leaves_ns`, shortly after the call."""
 
-    def receive_data(self, bus: str, data: bytes, now_ns: int) -> None: ...
+    def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:
+        """Take bytes that arrived on a bus. No byte raises."""
 
     def next_wakeup_ns(self) -> int | None:
-        """Return None when it is over."""
+        """Return when `data_to_send` must be called again; None: finished."""
 
-    def next_event(self) -> Event | None: ...
+    def next_event(self) -> Event | None:
+        """Return the oldest event that was not returned yet."""
 
     def safe_bytes(self) -> Mapping[str, bytes]:
-        """Return what must be the last bytes on each bus if it all ends here."""
+        """Return the bytes that must be the last on each bus if the run ends now."""
 
 
 D = TypeVar("D", bound=Driven)
@@ -52,24 +62,24 @@ D_contra = TypeVar("D_contra", bound=Driven, contravariant=True)
 
 
 class Controls(Protocol[D_contra]):
-    """What a person does meanwhile: keys and signals."""
+    """Input from a person during the run: keys and signals."""
 
     def filenos(self) -> Sequence[int]:
-        """Return what to wait on besides the ports."""
+        """Return the file numbers that end a wait, besides those of the ports."""
 
     def act(self, driven: D_contra, now_ns: int) -> None:
-        """Apply what was asked for since the last call."""
+        """Apply all input since the last call."""
 
 
 class Tap(Protocol):
-    """Sees every byte both ways; must return at once."""
+    """Receives a copy of every byte in both directions; must return at once."""
 
     def sent(self, bus: str, data: bytes, now_ns: int) -> None: ...
 
     def received(self, bus: str, data: bytes, now_ns: int) -> None: ...
 
     def turned(self, now_ns: int) -> None:
-        """Note that what is driven was asked, and had nothing to send."""
+        """Note a turn of the loop in which nothing was sent."""
 
     def happened(self, event: Event, now_ns: int) -> None: ...
 
@@ -84,14 +94,14 @@ def run(
     controls: Controls[D] | None = None,
     tap: Tap | None = None,
 ) -> None:
-    """Drive `driven` over `ports` until it is done.
+    """Drive `driven` over `ports` until it is finished.
 
-    However this ends, the last bytes are the safe state: its own, or, when something raises,
-    those sent here. Raises `BusError` when a port is lost.
+    However this ends, the last bytes are the safe state: `driven` sends its own, and when
+    something raises, its `safe_bytes` are sent here. Raises `BusError` when a port is lost.
     """
     try:
-        with _undisturbed(is_real=not isinstance(clock, VirtualClock)):
-            leaving = _Leaving(clock)
+        with _without_interruptions(clock):
+            leaving = _LeavingTime(clock)
             while True:
                 now_ns = leaving.next_ns()
                 if controls is not None:
@@ -108,43 +118,43 @@ def run(
                     return
                 if on_turn is not None:
                     on_turn(driven, now_ns)
-                _wait(ports, clock, wakeup_ns - leaving.takes_ns, controls)
+                _wait(ports, clock, wakeup_ns - leaving.decision_ns, controls)
                 _read(driven, ports, leaving, tap)
     except BaseException:
         _make_safe(driven, ports, clock, tap)
         raise
 
 
-class _Leaving:
-    """When what is decided now will leave: to decide takes time, which is learnt.
+class _LeavingTime:
+    """Estimates when the bytes of the next decision leave: now, plus the time to decide.
 
-    As many decisions take longer as take less (a step up or down after each). On a virtual clock
-    they take none.
+    The estimate is the median of the decision times: it takes a step up after a longer one and a
+    step down after a shorter one. On a virtual clock decisions take no time.
     """
 
     def __init__(self, clock: Clock) -> None:
-        self.takes_ns = 0
+        self.decision_ns = 0
         self._clock = clock
-        self._begun_ns = self._said_ns = clock.now_ns()
+        self._began_ns = self._returned_ns = clock.now_ns()
 
     def next_ns(self) -> int:
-        """Return when what is decided from now on will leave."""
-        self._begun_ns = self._clock.now_ns()
-        self._said_ns = max(self._said_ns, self._begun_ns + self.takes_ns)
-        return self._said_ns
+        """Return when the bytes of a decision that begins now will leave."""
+        self._began_ns = self._clock.now_ns()
+        self._returned_ns = max(self._returned_ns, self._began_ns + self.decision_ns)
+        return self._returned_ns
 
     def has_left(self) -> None:
-        took_ns = self._clock.now_ns() - self._begun_ns
-        step_ns = TAKES_STEP_NS if took_ns > self.takes_ns else -TAKES_STEP_NS
-        self.takes_ns = min(max(0, self.takes_ns + step_ns), TAKES_MAX_NS)
+        took_ns = self._clock.now_ns() - self._began_ns
+        step_ns = DECISION_STEP_NS if took_ns > self.decision_ns else -DECISION_STEP_NS
+        self.decision_ns = min(max(0, self.decision_ns + step_ns), DECISION_MAX_NS)
 
     def now_ns(self) -> int:
-        """Return what time it is, or what `next_ns` has said: time does not go back."""
-        return max(self._said_ns, self._clock.now_ns())
+        """Return the time, but not less than `next_ns` has returned."""
+        return max(self._returned_ns, self._clock.now_ns())
 
 
 def _write(driven: Driven, ports: Mapping[str, Port], leaves_ns: int, tap: Tap | None) -> bool:
-    """Write what `driven` decides to send, which leaves at `leaves_ns`; return whether it did."""
+    """Write what `driven` sends at `leaves_ns`; return whether there was anything."""
     sent = driven.data_to_send(leaves_ns)
     for bus, data in sent.items():
         ports[bus].write(data)
@@ -155,7 +165,9 @@ def _write(driven: Driven, ports: Mapping[str, Port], leaves_ns: int, tap: Tap |
     return bool(sent)
 
 
-def _read(driven: Driven, ports: Mapping[str, Port], leaving: _Leaving, tap: Tap | None) -> None:
+def _read(
+    driven: Driven, ports: Mapping[str, Port], leaving: _LeavingTime, tap: Tap | None
+) -> None:
     for bus, port in ports.items():
         if data := port.read():
             now_ns = leaving.now_ns()
@@ -165,7 +177,7 @@ def _read(driven: Driven, ports: Mapping[str, Port], leaving: _Leaving, tap: Tap
 
 
 def _make_safe(driven: Driven, ports: Mapping[str, Port], clock: Clock, tap: Tap | None) -> None:
-    """Send the safe state to every port that still takes it, whatever the others do."""
+    """Send the safe state to every port that still takes it; a port that fails stops no other."""
     for bus, data in driven.safe_bytes().items():
         with contextlib.suppress(Exception):
             ports[bus].write(data)
@@ -176,30 +188,20 @@ def _make_safe(driven: Driven, ports: Mapping[str, Port], clock: Clock, tap: Tap
 def _wait(
     ports: Mapping[str, Port], clock: Clock, wakeup_ns: int, controls: Controls[D] | None
 ) -> None:
-    """Wait until `wakeup_ns`, or until a port or a control has something."""
+    """Wait until `wakeup_ns`, or until data arrives at a port or a control."""
     arrivals_ns = [a for port in ports.values() if (a := port.next_arrival_ns()) is not None]
-    until_ns = min([wakeup_ns, *arrivals_ns])
-    if isinstance(clock, VirtualClock):
-        clock.advance_to(max(until_ns, clock.now_ns()))
-        return
     filenos = [f for port in ports.values() if (f := port.fileno()) is not None]
-    now_ns = clock.now_ns()
-    until_ns = min(until_ns, now_ns + IDLE_NS)
-    left_s = max(0.0, s_from_ns(until_ns - now_ns))
     if controls is not None:
         filenos += controls.filenos()
-    if filenos or sys.platform != "win32":
-        select.select(filenos, [], [], left_s)
-    else:
-        time.sleep(left_s)  # noqa: TID251 (the one place that waits)
+    clock.wait_until(min([wakeup_ns, *arrivals_ns]), filenos)
 
 
 @contextlib.contextmanager
-def _undisturbed(*, is_real: bool) -> Iterator[None]:
-    """Keep the garbage collector out while a show runs; in real time ask for fine timers too."""
+def _without_interruptions(clock: Clock) -> Iterator[None]:
+    """Stop the garbage collector during a run; in real time request precise waits as well."""
     was_enabled = gc.isenabled()
     with contextlib.ExitStack() as stack:
-        if is_real:
+        if not clock.is_virtual:
             gc.collect()
             gc.freeze()
             stack.callback(gc.unfreeze)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import select
 import threading
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -20,6 +19,7 @@ from lss_motion.sim.pty import serve_buses
 from tests.joints import joint
 
 if TYPE_CHECKING:
+    from lss_motion.runtime.clock import Clock
     from lss_motion.runtime.port import Port
 
 ST1 = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10)
@@ -33,6 +33,7 @@ ROBOT = Robot(
 )
 TURNS_MAX = 400
 """How often a port is looked at for an answer: no clock decides a test."""
+LOOK_NS = 5_000_000
 
 
 @dataclass
@@ -40,17 +41,15 @@ class Way:
     """A port, and how time is let pass until it has something."""
 
     port: Port
-    clock: MonotonicClock | VirtualClock
+    clock: Clock
 
     def read_lines(self, count: int) -> list[bytes]:
         data = b""
         for _ in range(TURNS_MAX):
             arrival_ns = self.port.next_arrival_ns()
-            if isinstance(self.clock, VirtualClock):
-                self.clock.advance_to(arrival_ns or self.clock.now_ns() + 1_000_000)
-            else:
-                fileno = self.port.fileno()
-                select.select([] if fileno is None else [fileno], [], [], 0.005)
+            fileno = self.port.fileno()
+            look_ns = arrival_ns or self.clock.now_ns() + LOOK_NS
+            self.clock.wait_until(look_ns, [] if fileno is None else [fileno])
             data += self.port.read()
             if data.count(b"\r") >= count:
                 break

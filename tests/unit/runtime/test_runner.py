@@ -8,7 +8,7 @@ import pytest
 
 from lss_motion.errors import BusError
 from lss_motion.runtime.clock import VirtualClock
-from lss_motion.runtime.runner import TAKES_MAX_NS, TAKES_STEP_NS, run
+from lss_motion.runtime.runner import DECISION_MAX_NS, DECISION_STEP_NS, run
 
 BUSES = ("a", "b", "c")
 STEP_NS = 10_000_000
@@ -188,7 +188,7 @@ def test_controls_act_before_every_writing():
 
 
 @pytest.mark.parametrize(
-    ("takes_ns", "learnt_ns"), [(0, 0), (300_000, 300_000), (5 * TAKES_MAX_NS, TAKES_MAX_NS)]
+    ("takes_ns", "learnt_ns"), [(0, 0), (300_000, 300_000), (5 * DECISION_MAX_NS, DECISION_MAX_NS)]
 )
 def test_what_takes_time_to_decide_leaves_when_it_was_to(takes_ns, learnt_ns):
     """A player is told when its bytes will leave, if it takes no longer than can be learnt."""
@@ -199,7 +199,7 @@ def test_what_takes_time_to_decide_leaves_when_it_was_to(takes_ns, learnt_ns):
     assert player.told[0] == 0
     settled = list(zip(player.told, port.written, strict=True))[250:]
     for number, (told_ns, (written_ns, _)) in enumerate(settled, start=250):
-        assert told_ns == pytest.approx(number * STEP_NS, abs=2 * TAKES_STEP_NS)
+        assert told_ns == pytest.approx(number * STEP_NS, abs=2 * DECISION_STEP_NS)
         late_ns = takes_ns - learnt_ns
-        assert written_ns == pytest.approx(told_ns + late_ns, abs=2 * TAKES_STEP_NS)
+        assert written_ns == pytest.approx(told_ns + late_ns, abs=2 * DECISION_STEP_NS)
     assert len(player.received) > 390
