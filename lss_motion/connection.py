@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 from lss_motion.errors import InputError
 from lss_motion.maintenance.discovery import Pause
-from lss_motion.maintenance.limits import answered, questions
+from lss_motion.maintenance.limits import questions, robot_from_answers
 from lss_motion.player.transactions import Conversation
 from lss_motion.runtime.clock import MonotonicClock, VirtualClock
 from lss_motion.runtime.port import SerialPort
@@ -107,7 +107,7 @@ def ask_limits(robot: Robot, *, port: str | None = None) -> Robot:
     there = with_port(robot, port)
     clock = VirtualClock() if is_simulated(there) else MonotonicClock()
     with connect(there.buses, robot=there, clock=clock) as connection:
-        return answered(robot, connection.ask(questions(robot)))
+        return robot_from_answers(robot, connection.ask(questions(robot)))
 
 
 class Connection:
@@ -156,9 +156,9 @@ class Connection:
         self.buses[bus_name] = dataclasses.replace(self.buses[bus_name], baud_bps=baud_bps)
         if (sim_bus := self.simulated.get(bus_name)) is not None:
             sim_bus.set_host_rate(baud_bps, self.clock.now_ns())
-        self.open_again(bus_name)
+        self.reopen(bus_name)
 
-    def open_again(self, bus_name: str) -> Port:
+    def reopen(self, bus_name: str) -> Port:
         """Open the same device once more; raises `BusError` while it is not there."""
         bus = self.buses[bus_name]
         sim_bus = self.simulated.get(bus_name)

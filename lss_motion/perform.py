@@ -175,7 +175,7 @@ def _reopening(connection: Connection, player: Player) -> dict[str, ReopeningPor
     return {
         name: ReopeningPort(
             port,
-            partial(connection.open_again, name),
+            partial(connection.reopen, name),
             connection.clock,
             waits=partial(player.waits_for_port, name),
             lost=partial(player.port_lost, name),

@@ -166,9 +166,9 @@ def complete(robot: Robot, arguments: argparse.Namespace, *, may_ask: bool = Tru
         return robot
     if arguments.robot_cache is not None:
         from lss_motion.maintenance.backup import read_backup
-        from lss_motion.maintenance.limits import from_backup
+        from lss_motion.maintenance.limits import robot_from_backup
 
-        return from_backup(robot, read_backup(arguments.robot_cache), arguments.robot_cache)
+        return robot_from_backup(robot, read_backup(arguments.robot_cache), arguments.robot_cache)
     if not may_ask:
         return robot
     from lss_motion.connection import ask_limits

@@ -15,7 +15,7 @@ from lss_motion.cli.scan import ask_alone, roll_call
 from lss_motion.cli.tables import write_text
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
 from lss_motion.maintenance import settings
-from lss_motion.maintenance.backup import Kept, backup_text, read_backup
+from lss_motion.maintenance.backup import ServoBackup, backup_text, read_backup
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.io2 import PIN_IDS
 from lss_motion.robot.servo_models import model_mismatch_text
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from lss_motion.cli.commands import Commands
     from lss_motion.connection import Connection
-    from lss_motion.maintenance.discovery import Present
+    from lss_motion.maintenance.discovery import ServoIdentity
     from lss_motion.maintenance.settings import Target
     from lss_motion.robot.model import Bus, Robot
 
@@ -231,7 +231,7 @@ def _assigned(text: str) -> tuple[str, float | None]:
 def _show(connection: Connection, targets: Sequence[Target], arguments: argparse.Namespace) -> int:
     """Print what servos store, or go by now."""
     from lss_motion.cli.servo_settings import read
-    from lss_motion.maintenance.settings import said
+    from lss_motion.maintenance.settings import value_text
 
     found = read(connection, targets, is_session=arguments.session)
     is_whole = True
@@ -240,7 +240,7 @@ def _show(connection: Connection, targets: Sequence[Target], arguments: argparse
         for name, row in target.rows(is_session=arguments.session).items():
             is_whole = is_whole and name in found[target.name]
             value = found[target.name].get(name)
-            shown = said(row, value) if name in found[target.name] else "no answer"
+            shown = value_text(row, value) if name in found[target.name] else "no answer"
             print(f"  {name:10} {shown:16} {row.meaning}")
     return EXIT_FINISHED if is_whole else EXIT_UNREACHABLE
 
@@ -358,7 +358,7 @@ def back_up(
         for p in ask_alone(connection, bus, {t.servo_id: t.model for t in targets if t.bus == bus})
     }
     servos = [
-        Kept(
+        ServoBackup(
             bus=target.bus,
             servo_id=target.servo_id,
             model=target.model,
@@ -413,7 +413,7 @@ def restore(connection: Connection, arguments: argparse.Namespace) -> int:
     return apply(connection, targets, wanted, arguments)
 
 
-def _find(connection: Connection, kept: Kept, arguments: argparse.Namespace) -> int:
+def _find(connection: Connection, kept: ServoBackup, arguments: argparse.Namespace) -> int:
     """Return the id at which the servo of a backup answers now: its own, or that of the factory."""
     pin = kept.model.removeprefix("LSS-2IO-").replace("LED", "MASTER")
     factory_id = PIN_IDS.get(pin, FACTORY_ID)
@@ -437,7 +437,7 @@ def _find(connection: Connection, kept: Kept, arguments: argparse.Namespace) -> 
     return own.servo_id
 
 
-def _is_same(present: Present, kept: Kept) -> bool:
+def _is_same(present: ServoIdentity, kept: ServoBackup) -> bool:
     if present.model != kept.model:
         return False
     return present.family is Family.IO2 or present.serial_number == kept.serial_number

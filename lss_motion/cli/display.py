@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from lss_motion.cli.terminal import KEYS_HELP
 from lss_motion.player.events import Phase
-from lss_motion.runtime.real_time import stand_back
+from lss_motion.runtime.real_time import lower_priority
 from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
 if TYPE_CHECKING:
@@ -267,7 +267,7 @@ def _table(joints: list[list[Any]], width: int) -> Table:
 
 def main() -> int:
     """Draw what comes in until there is no more."""
-    stand_back()
+    lower_priority()
     from rich.console import Console
     from rich.live import Live
 

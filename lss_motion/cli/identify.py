@@ -134,7 +134,11 @@ def _announce(
     connection: Connection, robot: Robot, joints: Sequence[Joint], span_deg: float
 ) -> None:
     """Ask every servo, refuse what cannot be measured, and say what is going to move."""
-    from lss_motion.maintenance.identify.trials import about_s, make_trials, make_window
+    from lss_motion.maintenance.identify.trials import (
+        estimated_duration_s,
+        make_trials,
+        make_window,
+    )
     from lss_motion.player import handshake
 
     answers = connection.ask(handshake.queries(joints))
@@ -145,7 +149,7 @@ def _announce(
         assert standing_deg is not None, "check_answers raises without it"
         window = make_window(joint, standing_deg, span_deg)
         low, high = sorted((joint.joint_deg(window.low_deg), joint.joint_deg(window.high_deg)))
-        lasts_s = about_s(make_trials(joint, window, standing_deg))
+        lasts_s = estimated_duration_s(make_trials(joint, window, standing_deg))
         print(
             f"{joint.name} (servo {joint.servo_id}) stands at {joint.joint_deg(standing_deg):.1f} "
             f"deg and will move between {low:.1f} and {high:.1f} deg for about {lasts_s:.0f} s, at "

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from lss_motion.cli.commands import Commands
     from lss_motion.connection import Connection
-    from lss_motion.maintenance.monitor import Alarms, Reading, Watch
+    from lss_motion.maintenance.monitor import Alarms, ServoState, Watch
     from lss_motion.maintenance.settings import Target
     from lss_motion.robot.model import Robot
 
@@ -272,7 +272,7 @@ class Recorder:
         self._writer = csv.writer(file, lineterminator="\n")
         self._writer.writerow(CSV_HEAD)
 
-    def write(self, readings: Iterable[Reading], started_ns: int) -> None:
+    def write(self, readings: Iterable[ServoState], started_ns: int) -> None:
         for reading in readings:
             values = (
                 reading.position_deg,
@@ -330,7 +330,7 @@ def sparkline(values: Sequence[float]) -> str:
     return "".join(BARS[round((value - low) / span * (len(BARS) - 1))] for value in values)
 
 
-def _cells(reading: Reading) -> tuple[str, ...]:
+def _cells(reading: ServoState) -> tuple[str, ...]:
     if reading.is_silent:
         return ("-", "", "-", "-", "-", "-", "silent")
     position = _said(reading.position_deg, "{:z.1f} deg")
@@ -345,7 +345,7 @@ def _cells(reading: Reading) -> tuple[str, ...]:
     )
 
 
-def _lines(readings: Sequence[Reading], elapsed_s: float) -> list[str]:
+def _lines(readings: Sequence[ServoState], elapsed_s: float) -> list[str]:
     width = max(len(reading.target.name) for reading in readings)
     lines = []
     for reading in readings:

@@ -334,7 +334,7 @@ def _perform(
             log = ByteLog(arguments.log, played=played, may_wait=arguments.virtual)
             logs.append(stack.enter_context(log))
         controls = Noted(terminal, logs[0]) if logs else terminal
-        note = logs[0].asked_for if logs else None
+        note = logs[0].requested if logs else None
         observer = Observer(
             on_event=lambda event: tell(event, say if display is None else display.note),
             on_turn=None if display is None else display.show,

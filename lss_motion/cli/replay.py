@@ -63,7 +63,7 @@ def _replay(arguments: argparse.Namespace) -> int:
     from lss_motion.runtime.replay import read_log
 
     played, entries = read_log(arguments.log)
-    if not entries or entries[-1].way != "#":
+    if not entries or entries[-1].kind != "#":
         print(
             f"warning: {arguments.log} is cut, its end is missing: the player was killed, or plays "
             f"on. At most its last tenth of a second is lost",
@@ -113,11 +113,11 @@ def _again(path: Path, played: dict[str, Any], entries: list[Entry]) -> int:
 def _servo(entries: list[Entry], servo_id: int) -> list[str]:
     from lss_motion.protocol.constants import BROADCAST_ID
     from lss_motion.protocol.line import Command, CommandParser
-    from lss_motion.runtime.replay import heard
+    from lss_motion.runtime.replay import sent_lines
 
     parser = CommandParser(grouped=False)
     lines, ids = [], set()
-    for at_ns, bus, line in heard(entries):
+    for at_ns, bus, line in sent_lines(entries):
         for item in parser.feed(line):
             if not isinstance(item, Command):
                 continue
@@ -135,23 +135,23 @@ def _summary(entries: list[Entry]) -> Iterator[str]:
     from collections import Counter
 
     from lss_motion.protocol.line import Command, CommandParser
-    from lss_motion.runtime.replay import heard
+    from lss_motion.runtime.replay import sent_lines
 
     end_ns = entries[-1].at_ns if entries else 0
     yield f"{s_from_ns(end_ns):.3f} s"
-    for bus in sorted({entry.bus for entry in entries if entry.way in "><"}):
+    for bus in sorted({entry.bus for entry in entries if entry.kind in "><"}):
         sent, came = (
-            sum(len(entry.data) for entry in entries if entry.bus == bus and entry.way == way)
+            sum(len(entry.data) for entry in entries if entry.bus == bus and entry.kind == way)
             for way in "><"
         )
         yield f"bus {bus}: {sent} bytes to the servos, {came} from them"
     for entry in entries:
-        texts = {"=": [f"asked for {entry.text}"], "?": [f"lost: {entry.text}"]}.get(entry.way, [])
-        for text in event_lines(entry.text) if entry.way == "!" else texts:
+        texts = {"=": [f"asked for {entry.text}"], "?": [f"lost: {entry.text}"]}.get(entry.kind, [])
+        for text in event_lines(entry.text) if entry.kind == "!" else texts:
             yield f"{s_from_ns(entry.at_ns):12.6f} {text}"
     counts: dict[tuple[str, int], Counter[str]] = {}
     parser = CommandParser(grouped=False)
-    for _, bus, line in heard(entries):
+    for _, bus, line in sent_lines(entries):
         for item in parser.feed(line):
             if isinstance(item, Command):
                 counts.setdefault((bus, item.servo_id), Counter())[item.keyword] += 1

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from lss_motion.cli.commands import Commands
     from lss_motion.connection import Connection
-    from lss_motion.maintenance.discovery import Look, Present
+    from lss_motion.maintenance.discovery import ServoCondition, ServoIdentity
     from lss_motion.robot.model import Bus, Robot
 
 
@@ -93,7 +93,7 @@ def _scanned(arguments: argparse.Namespace, found: list[dict[str, Any]]) -> int:
     return EXIT_FINISHED if is_well else EXIT_UNREACHABLE
 
 
-def survey(connection: Connection, bus: Bus, baud_bps: int | None) -> list[Look]:
+def survey(connection: Connection, bus: Bus, baud_bps: int | None) -> list[ServoCondition]:
     """Return everybody on a bus, at `baud_bps` or at every rate at which somebody answers.
 
     Leaves the port at the rate at which most answered.
@@ -105,9 +105,9 @@ def survey(connection: Connection, bus: Bus, baud_bps: int | None) -> list[Look]
     for rate_bps in rates_bps:
         _progress(f"{bus.port}: {rate_bps} bps")
         connection.set_baud(bus.name, rate_bps)
-        if any(connection.run(Listening(bus.name, presence_steps(rate_bps))).heard):
+        if any(connection.run(Listening(bus.name, presence_steps(rate_bps))).received):
             spoken.append(rate_bps)
-    looks: list[Look] = []
+    looks: list[ServoCondition] = []
     for rate_bps in spoken or rates_bps[:1]:  # A lone 2IO with other ids answers by name only.
         _progress(f"{bus.port}: {rate_bps} bps, all ids")
         connection.set_baud(bus.name, rate_bps)
@@ -119,7 +119,7 @@ def survey(connection: Connection, bus: Bus, baud_bps: int | None) -> list[Look]
     return looks
 
 
-def roll_call(connection: Connection, bus_name: str) -> list[Present]:
+def roll_call(connection: Connection, bus_name: str) -> list[ServoIdentity]:
     """Return everybody who answers on a bus at its present rate."""
     from lss_motion.maintenance import discovery
     from lss_motion.maintenance.discovery import Listening
@@ -130,8 +130,10 @@ def roll_call(connection: Connection, bus_name: str) -> list[Present]:
     doubtful: set[int] = set()
     for _ in range(discovery.CALLS):
         left = [servo_id for servo_id in range(ID_MAX + 1) if servo_id not in models]
-        heard = connection.run(Listening(bus_name, discovery.call_steps(baud_bps, left))).heard
-        answered, again = discovery.called(baud_bps, left, heard)
+        heard = connection.run(
+            Listening(bus_name, discovery.roll_call_steps(baud_bps, left))
+        ).received
+        answered, again = discovery.read_roll_call(baud_bps, left, heard)
         models |= answered
         doubtful |= again
     everybody = {
@@ -140,7 +142,9 @@ def roll_call(connection: Connection, bus_name: str) -> list[Present]:
     return ask_alone(connection, bus_name, everybody)
 
 
-def ask_alone(connection: Connection, bus_name: str, models: Mapping[int, str]) -> list[Present]:
+def ask_alone(
+    connection: Connection, bus_name: str, models: Mapping[int, str]
+) -> list[ServoIdentity]:
     """Return what answers to ids that are asked one by one. `models` may be empty texts."""
     from lss_motion.maintenance import discovery
     from lss_motion.maintenance.discovery import Listening
@@ -153,13 +157,13 @@ def ask_alone(connection: Connection, bus_name: str, models: Mapping[int, str]) 
         asked = [servo_id for servo_id in ids for _ in range(times)]
         steps = [discovery.question_alone(servo_id, keyword, baud_bps) for servo_id in asked]
         for servo_id, data in zip(
-            asked, connection.run(Listening(bus_name, steps)).heard, strict=True
+            asked, connection.run(Listening(bus_name, steps)).received, strict=True
         ):
             heard[servo_id].append(data)
 
     ask(models, "QMS", discovery.ASKED_ALONE)
     judged = {
-        servo_id: discovery.judged(servo_id, models[servo_id], heard[servo_id])
+        servo_id: discovery.judge_answers(servo_id, models[servo_id], heard[servo_id])
         for servo_id in models
     }
     numbered = [n for n, present in judged.items() if present and present.family is not Family.IO2]
@@ -167,20 +171,20 @@ def ask_alone(connection: Connection, bus_name: str, models: Mapping[int, str]) 
     doubtful = [n for n in models if discovery.is_doubtful(n, heard[n])]
     ask([n for n in doubtful if n in numbered], "QN", discovery.ASKED_AGAIN)
     ask([n for n in doubtful if n not in numbered], "QMS", discovery.ASKED_AGAIN)
-    final = (discovery.judged(n, models[n], heard[n]) for n in models)
+    final = (discovery.judge_answers(n, models[n], heard[n]) for n in models)
     return [present for present in final if present is not None]
 
 
-def _look(connection: Connection, bus_name: str, baud_bps: int) -> list[Look]:
+def _look(connection: Connection, bus_name: str, baud_bps: int) -> list[ServoCondition]:
     from lss_motion.maintenance import discovery
 
     found = roll_call(connection, bus_name)
     items = [item for p in found if not p.is_shared for item in discovery.questions(bus_name, p)]
     answers = connection.ask(items)
-    looks = [discovery.look(bus_name, baud_bps, present, answers) for present in found]
+    looks = [discovery.read_condition(bus_name, baud_bps, present, answers) for present in found]
     causes = connection.ask(discovery.cause_questions(looks))
     return [
-        dataclasses.replace(seen, cause=discovery.cause_of(seen, causes))
+        dataclasses.replace(seen, cause=discovery.read_cause(seen, causes))
         if (bus_name, seen.servo_id, "Q") in causes
         else seen
         for seen in looks
@@ -210,7 +214,7 @@ def _bus(port: str | None) -> Bus:
 
 
 def _as_json(
-    bus: Bus, looks: Sequence[Look], problems: Sequence[str], notes: Sequence[str]
+    bus: Bus, looks: Sequence[ServoCondition], problems: Sequence[str], notes: Sequence[str]
 ) -> dict[str, Any]:
     return {
         "bus": bus.name,
@@ -219,8 +223,8 @@ def _as_json(
             {
                 "id": look.servo_id,
                 "baud_bps": look.baud_bps,
-                "model": look.present.model,
-                "is_shared": look.present.is_shared,
+                "model": look.identity.model,
+                "is_shared": look.identity.is_shared,
                 "firmware": look.firmware,
                 "position_deg": look.position_deg,
                 "voltage_v": look.voltage_v,
@@ -234,7 +238,9 @@ def _as_json(
     }
 
 
-def _tell(bus: Bus, robot: Robot | None, looks: Sequence[Look]) -> tuple[list[str], list[str]]:
+def _tell(
+    bus: Bus, robot: Robot | None, looks: Sequence[ServoCondition]
+) -> tuple[list[str], list[str]]:
     """Print what was found on a bus; return the problems and the notes about it."""
     from lss_motion.maintenance import findings
 
@@ -247,7 +253,7 @@ def _tell(bus: Bus, robot: Robot | None, looks: Sequence[Look]) -> tuple[list[st
         problems += findings.differences(robot, bus, looks)
         notes += findings.unnamed(robot, bus, looks)
     if not looks:
-        problems = [findings.NOBODY]
+        problems = [findings.NO_ANSWER]
     for rate_bps in dict.fromkeys(look.baud_bps for look in looks):
         at_rate = [look for look in looks if look.baud_bps == rate_bps]
         count = "1 id answers" if len(at_rate) == 1 else f"{len(at_rate)} ids answer"
@@ -259,7 +265,7 @@ def _tell(bus: Bus, robot: Robot | None, looks: Sequence[Look]) -> tuple[list[st
     return problems, notes
 
 
-def _write_starter(path: Path, bus: Bus, looks: Sequence[Look]) -> None:
+def _write_starter(path: Path, bus: Bus, looks: Sequence[ServoCondition]) -> None:
     from lss_motion.cli.tables import write_text
     from lss_motion.maintenance.findings import starter_file
     from lss_motion.robot.load import load_robot

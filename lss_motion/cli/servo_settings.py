@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from lss_motion.connection import Connection
-    from lss_motion.maintenance.discovery import Present
+    from lss_motion.maintenance.discovery import ServoIdentity
     from lss_motion.maintenance.settings import Change, Values
 
 RESET_WAIT_S: Final = RESET_S + 0.25
@@ -56,13 +56,13 @@ def targets_at(connection: Connection, bus: str, names: Mapping[int, str]) -> li
     return targets
 
 
-def all_at(connection: Connection, bus: str, ids: Iterable[int]) -> list[Present]:
+def all_at(connection: Connection, bus: str, ids: Iterable[int]) -> list[ServoIdentity]:
     """Return what answers to each of some ids, in their order.
 
     Raises `BusError` if there is nobody, or more than one, at one of them.
     """
     ids = list(ids)
-    found: dict[int, Present] = {}
+    found: dict[int, ServoIdentity] = {}
     for _ in range(2):  # An answer can be lost.
         left = {servo_id: "" for servo_id in ids if servo_id not in found}
         found |= {present.servo_id: present for present in ask_alone(connection, bus, left)}
@@ -153,8 +153,8 @@ def write(
         needed = differing(connection, again, wanted, is_session=False)
     if needed:
         kept = "; ".join(
-            f"{c.target.name}: {c.row.name} is {settings.said(c.row, c.had)}, not "
-            f"{settings.said(c.row, c.wanted)}"
+            f"{c.target.name}: {c.row.name} is {settings.value_text(c.row, c.had)}, not "
+            f"{settings.value_text(c.row, c.wanted)}"
             for c in needed
         )
         raise BusError(f"not everything was kept: {kept}. Nothing else was lost; try again")
@@ -197,7 +197,7 @@ def reset(connection: Connection, targets: Sequence[Target]) -> None:
     connection.wait(RESET_WAIT_S)
 
 
-def renumber(connection: Connection, bus: str, old_id: int, new_id: int) -> Present:
+def renumber(connection: Connection, bus: str, old_id: int, new_id: int) -> ServoIdentity:
     """Give the only servo at `old_id` another id; return it as it answers there.
 
     Raises `InputError` if the id is taken, `BusError` if nobody or more than one answers, or the
@@ -228,7 +228,7 @@ def renumber(connection: Connection, bus: str, old_id: int, new_id: int) -> Pres
 
 
 def change_rate(
-    connection: Connection, bus: str, everybody: Sequence[Present], baud_bps: int
+    connection: Connection, bus: str, everybody: Sequence[ServoIdentity], baud_bps: int
 ) -> list[int]:
     """Set servos of a bus to another rate and go there; return the ids that do not answer there.
 

@@ -204,9 +204,9 @@ class _NotedSteering:
         self._log = log
 
     def set_rate(self, rate: float, now_ns: int) -> None:
-        self._log.asked_for(f"rate {rate!r}", now_ns)
+        self._log.requested(f"rate {rate!r}", now_ns)
         self._driven.set_rate(rate, now_ns)
 
     def stop(self, now_ns: int) -> None:
-        self._log.asked_for("stop", now_ns)
+        self._log.requested("stop", now_ns)
         self._driven.stop(now_ns)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.files.source import known_names
 from lss_motion.files.yaml_source import Problem, read_yaml
 from lss_motion.maintenance.discovery import family_of
-from lss_motion.maintenance.settings import said
+from lss_motion.maintenance.settings import value_text
 from lss_motion.protocol.codec import storable
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ servos:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Kept:
+class ServoBackup:
     """The settings of one servo, and how to know it again."""
 
     bus: str
@@ -43,7 +43,7 @@ class Kept:
     settings: Values = field(default_factory=dict)
 
 
-def backup_text(servos: Iterable[Kept]) -> str:
+def backup_text(servos: Iterable[ServoBackup]) -> str:
     """Return the text of a backup file."""
     servos = list(servos)
     text = _HEAD.format(count=len(servos))
@@ -55,11 +55,11 @@ def backup_text(servos: Iterable[Kept]) -> str:
         for name, wire in kept.settings.items():
             row = rows[name]
             shown = f"{name}: {_quoted(OFF) if wire is None else wire}"
-            text += f"      {shown:16}# {row.meaning}: {said(row, wire)}\n"
+            text += f"      {shown:16}# {row.meaning}: {value_text(row, wire)}\n"
     return text
 
 
-def read_backup(path: Path) -> list[Kept]:
+def read_backup(path: Path) -> list[ServoBackup]:
     """Return the servos of a backup file. Raises `InputError` with file and line."""
     from lss_motion.files.validation import validate
     from lss_motion.maintenance.backup_file import BackupFile
@@ -80,7 +80,7 @@ def read_backup(path: Path) -> list[Kept]:
     if problems or content is None:
         raise source.error(problems)
     return [
-        Kept(
+        ServoBackup(
             bus=servo.bus,
             servo_id=servo.id,
             model=servo.model,

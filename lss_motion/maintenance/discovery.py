@@ -59,7 +59,7 @@ class Listening:
     """
 
     def __init__(self, bus: str, steps: Sequence[Step]) -> None:
-        self.heard = [b"" for _ in steps]
+        self.received = [b"" for _ in steps]
         self._bus = bus
         self._steps = steps
         self._next = 0
@@ -78,7 +78,7 @@ class Listening:
 
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:  # noqa: ARG002
         if self._next:
-            self.heard[self._next - 1] += data
+            self.received[self._next - 1] += data
 
     def next_wakeup_ns(self) -> int | None:
         return self._until_ns
@@ -112,7 +112,7 @@ _CLEAN: Final = re.compile(rb"\*([0-9]+)(QMS|QN)([!-)+-~]+)\r")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Present:
+class ServoIdentity:
     """What answers to one id. `is_shared`: several devices do, at once.
 
     `model` is what `QMS` says, empty where every answer was damaged.
@@ -145,14 +145,14 @@ def presence_steps(baud_bps: int) -> list[Step]:
     ]
 
 
-def call_steps(baud_bps: int, ids: Iterable[int]) -> list[Step]:
+def roll_call_steps(baud_bps: int, ids: Iterable[int]) -> list[Step]:
     """Return the roll call: one question to each id, and a wait for what is held back."""
     gap_ns = TURNAROUND_NS + line_time_ns(REPLY_MAX_BYTES, baud_bps)
     steps = [_question(servo_id, "QMS", gap_ns, baud_bps) for servo_id in ids]
     return [*steps, Step(b"", REPLY_TIMEOUT_NS + HELD_BACK_NS)]
 
 
-def called(
+def read_roll_call(
     baud_bps: int, ids: Sequence[int], heard: Sequence[bytes]
 ) -> tuple[dict[int, str], set[int]]:
     """Return the models by id that answered a roll call of `ids`, and who is to be asked again.
@@ -184,7 +184,7 @@ def is_damaged(servo_id: int, data: bytes) -> bool:
     return bool(data) and (len(_values(servo_id, data)) != 1 or _CLEAN.sub(b"", data) != b"")
 
 
-def judged(servo_id: int, model: str, heard: Sequence[bytes]) -> Present | None:
+def judge_answers(servo_id: int, model: str, heard: Sequence[bytes]) -> ServoIdentity | None:
     """Return what answered to an id that was asked alone; None: nobody.
 
     Several devices share it when three quarters of what came was damaged or two answers, or when
@@ -197,7 +197,7 @@ def judged(servo_id: int, model: str, heard: Sequence[bytes]) -> Present | None:
     counts = _numbers(servo_id, heard).most_common(2)
     models = [text for data in answers for key, text in _values(servo_id, data) if key == "QMS"]
     is_shared = 4 * len(clean) <= len(answers) or (len(counts) > 1 and counts[1][1] > 1)
-    return Present(
+    return ServoIdentity(
         servo_id=servo_id,
         model=model or (models[0] if models else ""),
         serial_number="" if is_shared or not counts else counts[0][0],
@@ -249,12 +249,12 @@ _QUESTIONS: Final = ("QF", "QN", "QD", "QV", "QT", "Q")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Look:
+class ServoCondition:
     """What one servo said; None where it said nothing. Angles are the servo's own."""
 
     bus: str
     baud_bps: int
-    present: Present
+    identity: ServoIdentity
     firmware: int | None = None
     position_deg: float | None = None
     voltage_v: float | None = None
@@ -264,10 +264,10 @@ class Look:
 
     @property
     def servo_id(self) -> int:
-        return self.present.servo_id
+        return self.identity.servo_id
 
 
-def questions(bus: str, present: Present) -> list[Item]:
+def questions(bus: str, present: ServoIdentity) -> list[Item]:
     """Return what to ask of one servo, those questions only that its family answers."""
     table = FAMILY_TABLES[present.family]
     return [
@@ -277,7 +277,7 @@ def questions(bus: str, present: Present) -> list[Item]:
     ]
 
 
-def cause_questions(looks: Sequence[Look]) -> list[Item]:
+def cause_questions(looks: Sequence[ServoCondition]) -> list[Item]:
     """Return the questions for the cause of safe mode, of the servos that are in it."""
     return [
         Item(bus=look.bus, command=Command(look.servo_id, "Q", 1), is_query=True)
@@ -286,7 +286,9 @@ def cause_questions(looks: Sequence[Look]) -> list[Item]:
     ]
 
 
-def look(bus: str, baud_bps: int, present: Present, answers: Answers) -> Look:
+def read_condition(
+    bus: str, baud_bps: int, present: ServoIdentity, answers: Answers
+) -> ServoCondition:
     """Return what the answers to `questions` say."""
     firmware = answers.get((bus, present.servo_id, "QF"))
     version = firmware if isinstance(firmware, int) else None
@@ -300,10 +302,10 @@ def look(bus: str, baud_bps: int, present: Present, answers: Answers) -> Look:
         is_number = said is not None and isinstance(said.value, int | float)
         return float(said.value) if said is not None and is_number else None  # type: ignore[arg-type]
 
-    return Look(
+    return ServoCondition(
         bus=bus,
         baud_bps=baud_bps,
-        present=present,
+        identity=present,
         firmware=version,
         position_deg=number("QD"),
         voltage_v=number("QV"),
@@ -314,14 +316,14 @@ def look(bus: str, baud_bps: int, present: Present, answers: Answers) -> Look:
     )
 
 
-def cause_of(look_: Look, answers: Answers) -> SafeModeCause | None:
+def read_cause(look_: ServoCondition, answers: Answers) -> SafeModeCause | None:
     """Return what the answer to `cause_questions` says."""
     value = answers.get((look_.bus, look_.servo_id, "Q"))
     known = {int(cause) for cause in SafeModeCause}
     return SafeModeCause(value) if isinstance(value, int) and value in known else None
 
 
-def _is_answered_by(present: Present, keyword: str) -> bool:
+def _is_answered_by(present: ServoIdentity, keyword: str) -> bool:
     """Ask a 2IO for positions only at its digital pins, where RC servos are (FACTS.md B2)."""
     return keyword != "QD" or "LSS-2IO-" not in present.model or "-D" in present.model
 

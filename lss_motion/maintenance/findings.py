@@ -16,7 +16,7 @@ from lss_motion.robot.servo_models import SERVO_MODELS, model_mismatch_text
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from lss_motion.maintenance.discovery import Look
+    from lss_motion.maintenance.discovery import ServoCondition
     from lss_motion.robot.model import Bus, Robot
 
 
@@ -27,18 +27,18 @@ REMEDIES = {
     SafeModeCause.TEMPERATURE: "let it cool, and give it less to carry",
 }
 
-NOBODY = (
+NO_ANSWER = (
     "nobody answered at any baud rate that was tried. Check that the servos have power of their "
     "own (USB gives them none) and that the adapter is on the bus's connector. A servo in RC mode "
     "is deaf: hold its button at power-up to end that. To try without a robot: `lss-motion sim`"
 )
 
 
-def unreachable(bus: Bus, looks: Sequence[Look]) -> Iterator[str]:
+def unreachable(bus: Bus, looks: Sequence[ServoCondition]) -> Iterator[str]:
     """Say which servos cannot be worked with as they are: shared ids, several rates."""
     where = f"--port {bus.port}"
     for look in looks:
-        if look.present.is_shared:
+        if look.identity.is_shared:
             yield (
                 f"id {look.servo_id} at {look.baud_bps} bps: several servos answer at once, so "
                 f"their answers are garbled. Connect one of them alone and give it an id of its "
@@ -60,7 +60,7 @@ def unreachable(bus: Bus, looks: Sequence[Look]) -> Iterator[str]:
             )
 
 
-def differences(robot: Robot, bus: Bus, looks: Sequence[Look]) -> Iterator[str]:
+def differences(robot: Robot, bus: Bus, looks: Sequence[ServoCondition]) -> Iterator[str]:
     """Say where the servos of a bus are not those of the robot file."""
     found = {look.servo_id: look for look in looks}
     joints = {joint.servo_id: joint for joint in robot.joints.values() if joint.bus == bus.name}
@@ -71,16 +71,16 @@ def differences(robot: Robot, bus: Bus, looks: Sequence[Look]) -> Iterator[str]:
                 f"joint {joint.name!r}: servo {servo_id} does not answer on bus {bus.name!r}. "
                 f"Check its plug and its power; has it another id?"
             )
-        elif look.present.model and not look.present.model.startswith(joint.model.name):
-            yield f"joint {joint.name!r}: {model_mismatch_text(joint, look.present.model)}"
-        elif look.baud_bps != bus.baud_bps and not look.present.is_shared:
+        elif look.identity.model and not look.identity.model.startswith(joint.model.name):
+            yield f"joint {joint.name!r}: {model_mismatch_text(joint, look.identity.model)}"
+        elif look.baud_bps != bus.baud_bps and not look.identity.is_shared:
             yield (
                 f"joint {joint.name!r}: servo {servo_id} listens at {look.baud_bps} bps, the "
                 f"robot file says {bus.baud_bps}"
             )
 
 
-def warnings(looks: Sequence[Look], where: str) -> Iterator[str]:
+def warnings(looks: Sequence[ServoCondition], where: str) -> Iterator[str]:
     """Say which servos answer but are not well. `where` is how a command names the port."""
     for look in looks:
         if look.status is Status.SAFE_MODE:
@@ -102,21 +102,21 @@ def warnings(looks: Sequence[Look], where: str) -> Iterator[str]:
             )
 
 
-def unnamed(robot: Robot, bus: Bus, looks: Sequence[Look]) -> Iterator[str]:
+def unnamed(robot: Robot, bus: Bus, looks: Sequence[ServoCondition]) -> Iterator[str]:
     """Say which servos answer that the robot file does not name."""
     joints = {joint.servo_id for joint in robot.joints.values() if joint.bus == bus.name}
-    pins = [look for look in looks if look.present.family is Family.IO2]
+    pins = [look for look in looks if look.identity.family is Family.IO2]
     for look in looks:
         if look.servo_id not in joints and look not in pins:
-            yield f"servo {look.servo_id} ({look.present.model}) is not in the robot file"
+            yield f"servo {look.servo_id} ({look.identity.model}) is not in the robot file"
 
 
-def table(looks: Sequence[Look], names: Mapping[int, str]) -> list[str]:
+def table(looks: Sequence[ServoCondition], names: Mapping[int, str]) -> list[str]:
     """Return the rows of what was found, aligned, the head first."""
     head = ("id", "model", "firmware", "serial number", "position", "supply", "heat", "status")
     rows = [("joint", *head) if names else head]
     for look in looks:
-        present = look.present
+        present = look.identity
         cells = (
             str(look.servo_id),
             "several at once" if present.is_shared else present.model or "-",
@@ -167,16 +167,16 @@ joints:
 """
 
 
-def starter_file(name: str, bus: Bus, looks: Sequence[Look]) -> str | None:
+def starter_file(name: str, bus: Bus, looks: Sequence[ServoCondition]) -> str | None:
     """Return the text of a robot file; None if no servo was found that one could name.
 
     What is no joint, listens at another rate, or shares its id stands in a comment.
     """
     main_bps = bus.baud_bps
-    usable: list[Look] = []
-    left: list[Look] = []
+    usable: list[ServoCondition] = []
+    left: list[ServoCondition] = []
     for look in looks:
-        is_good = look.baud_bps == main_bps and not look.present.is_shared
+        is_good = look.baud_bps == main_bps and not look.identity.is_shared
         model = _model(look)
         (usable if is_good and model is not None else left).append(look)
     if not usable:
@@ -186,7 +186,7 @@ def starter_file(name: str, bus: Bus, looks: Sequence[Look]) -> str | None:
     firmwares = [
         look.firmware
         for look in usable
-        if look.firmware is not None and look.present.family is Family.LSS
+        if look.firmware is not None and look.identity.family is Family.LSS
     ]
     text = _HEAD.format(
         name=name,
@@ -206,22 +206,22 @@ def starter_file(name: str, bus: Bus, looks: Sequence[Look]) -> str | None:
     return text
 
 
-def _model(look: Look) -> str | None:
+def _model(look: ServoCondition) -> str | None:
     """Return the model as robot files name it; None where they cannot."""
-    named = (name for name in SERVO_MODELS if look.present.model.startswith(name))
-    is_pin = look.present.family is Family.IO2 and "-D" not in look.present.model
+    named = (name for name in SERVO_MODELS if look.identity.model.startswith(name))
+    is_pin = look.identity.family is Family.IO2 and "-D" not in look.identity.model
     return None if is_pin else max(named, key=len, default=None)
 
 
-def _seen(look: Look) -> str:
+def _seen(look: ServoCondition) -> str:
     stands = "" if look.position_deg is None else f", stood at {look.position_deg:z.1f} deg"
-    number = look.present.serial_number
-    return f"    # {look.present.model}{f', serial number {number}' if number else ''}{stands}"
+    number = look.identity.serial_number
+    return f"    # {look.identity.model}{f', serial number {number}' if number else ''}{stands}"
 
 
-def _why(look: Look, main_bps: int) -> str:
-    if look.present.is_shared:
+def _why(look: ServoCondition, main_bps: int) -> str:
+    if look.identity.is_shared:
         return "which several servos share"
     if look.baud_bps != main_bps:
-        return f"{look.present.model} at {look.baud_bps} bps"
-    return f"{look.present.model or 'no model known'}, which no joint of a robot file can be"
+        return f"{look.identity.model} at {look.baud_bps} bps"
+    return f"{look.identity.model or 'no model known'}, which no joint of a robot file can be"

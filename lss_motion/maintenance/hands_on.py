@@ -280,7 +280,7 @@ class HandsOn:
         """Whether no order waits for its place on the line."""
         return not self._poller.has_orders
 
-    def answered(self, name: str, keyword: str) -> int | None:
+    def answer_of(self, name: str, keyword: str) -> int | None:
         """Return the number (wire unit) that a joint's servo answered, if it did."""
         joint = self.robot.joints[name]
         value = self._answers.get((joint.bus, joint.servo_id, keyword))

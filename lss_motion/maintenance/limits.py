@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
-    from lss_motion.maintenance.backup import Kept
+    from lss_motion.maintenance.backup import ServoBackup
     from lss_motion.robot.model import Joint, Robot
 
     Answers = Mapping[tuple[str, int, str], int | str | None]
@@ -36,7 +36,7 @@ def questions(robot: Robot) -> list[Item]:
     ]
 
 
-def answered(robot: Robot, answers: Answers) -> Robot:
+def robot_from_answers(robot: Robot, answers: Answers) -> Robot:
     """Return the robot with the limits that its servos said.
 
     Raises `BusError` naming those that did not, `InputError` for a limit that allows nothing.
@@ -59,7 +59,7 @@ def answered(robot: Robot, answers: Answers) -> Robot:
     return known
 
 
-def from_backup(robot: Robot, kept: Iterable[Kept], path: Path) -> Robot:
+def robot_from_backup(robot: Robot, kept: Iterable[ServoBackup], path: Path) -> Robot:
     """Return the robot with the limits that its servos stored when the backup was made.
 
     Raises `InputError` for a servo that is not in it, and for a limit that allows nothing.

@@ -51,7 +51,7 @@ maker's library waits 15 s (FACTS.md H6)."""
 
 
 @dataclass(slots=True, kw_only=True)
-class Reading:
+class ServoState:
     """What is known of one servo; None: not said yet. Angles and speeds are the servo's own."""
 
     target: Target
@@ -99,7 +99,7 @@ class Reading:
 class _Lane:
     """One bus: its rounds are its own, however slow another bus is."""
 
-    readings: list[Reading]
+    readings: list[ServoState]
     line: SerialLine
     questioner: QueryTracker
     dialogue: Dialogue
@@ -116,8 +116,8 @@ class Watch:
     """
 
     def __init__(self, targets: Sequence[Target], buses: Mapping[str, Bus]) -> None:
-        self.readings = [Reading(target=target) for target in targets]
-        self._fresh: list[Reading] = []
+        self.readings = [ServoState(target=target) for target in targets]
+        self._fresh: list[ServoState] = []
         self._is_stopped = False
         self._lanes: dict[str, _Lane] = {}
         for name in dict.fromkeys(target.bus for target in targets):
@@ -140,7 +140,7 @@ class Watch:
     def stop(self) -> None:
         self._is_stopped = True
 
-    def take_fresh(self) -> list[Reading]:
+    def take_fresh(self) -> list[ServoState]:
         """Return the servos that answered in the rounds completed since the last call."""
         fresh, self._fresh = self._fresh, []
         return fresh
@@ -214,7 +214,7 @@ class Watch:
                 self._fresh.append(reading)
 
 
-def _keywords(reading: Reading, round_: int) -> tuple[str, ...]:
+def _keywords(reading: ServoState, round_: int) -> tuple[str, ...]:
     """Return what to ask a servo in a round: one thing only, until it has answered."""
     target = reading.target
     if target.family is Family.IO2:
@@ -235,7 +235,7 @@ class Thresholds:
     supply_min_v: float = SUPPLY_MIN_V
     supply_max_v: float = SUPPLY_MAX_V
 
-    def alarms(self, reading: Reading) -> list[tuple[str, str]]:
+    def alarms(self, reading: ServoState) -> list[tuple[str, str]]:
         """Return kind and text of everything that is wrong with a servo now."""
         name = reading.target.name
         found = []
@@ -276,7 +276,7 @@ class Alarms:
         self.active: dict[tuple[str, str], str] = {}
         """Servo and kind → text, newest words."""
 
-    def update(self, readings: Iterable[Reading]) -> list[str]:
+    def update(self, readings: Iterable[ServoState]) -> list[str]:
         """Return the texts of what has begun to be wrong since the last call."""
         now = {
             (reading.target.name, kind): text

@@ -71,7 +71,7 @@ class Change:
     wanted: int | None
 
     def __str__(self) -> str:
-        had, wanted = said(self.row, self.had), said(self.row, self.wanted)
+        had, wanted = value_text(self.row, self.had), value_text(self.row, self.wanted)
         return f"{self.target.name}: {self.row.meaning} ({self.row.name}) {had} → {wanted}"
 
 
@@ -160,7 +160,7 @@ def dangers(needed: Sequence[Change], baud_bps: int) -> list[str]:
     return found
 
 
-def said(row: Row, wire: int | None) -> str:
+def value_text(row: Row, wire: int | None) -> str:
     """Return a value for people: with its unit, and in words where it is a colour."""
     if wire is None:
         return "off"

@@ -183,7 +183,7 @@ RECORDED_MAX_S: Final = 3600.0
 
 
 @dataclass(slots=True)
-class Stretch:
+class RecordedSection:
     """Readings of a stretch of time, by joint; `start_ns` is its beginning."""
 
     start_ns: int
@@ -203,13 +203,13 @@ class Take:
     """Poses and stretches in the order in which they were shown. Nothing is judged here."""
 
     joints: tuple[str, ...]
-    parts: list[Pose | Stretch] = field(default_factory=list)
-    running: Stretch | None = None
+    parts: list[Pose | RecordedSection] = field(default_factory=list)
+    running: RecordedSection | None = None
 
     def start(self, now_ns: int) -> None:
         """Record from now on."""
         names = self.joints
-        self.running = Stretch(now_ns, {n: [] for n in names}, {n: [] for n in names})
+        self.running = RecordedSection(now_ns, {n: [] for n in names}, {n: [] for n in names})
 
     def finish(self) -> None:
         """Record no more; a stretch in which no joint was read is forgotten."""
@@ -245,7 +245,7 @@ class Take:
     @property
     def recorded_s(self) -> float:
         running_s = 0.0 if self.running is None else self.running.duration_s
-        return running_s + sum(p.duration_s for p in self.parts if isinstance(p, Stretch))
+        return running_s + sum(p.duration_s for p in self.parts if isinstance(p, RecordedSection))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -273,7 +273,7 @@ def sequence_of(
     assert take.parts, "nothing was shown"
     building = _Building(robot, name, tolerance_deg, ease)
     for number, part in enumerate(take.parts, start=1):
-        if isinstance(part, Stretch):
+        if isinstance(part, RecordedSection):
             building.stretch(part)
         else:
             building.pose(part, f"pose {number}")
@@ -306,7 +306,7 @@ class _Building:
         )
         self._arrived(at_s, angles_deg)
 
-    def stretch(self, stretch: Stretch) -> None:
+    def stretch(self, stretch: RecordedSection) -> None:
         channels: list[Channel] = []
         begun_s = 0.0
         for name, times_s in stretch.times_s.items():

@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError
-from lss_motion.runtime.real_time import stand_back
+from lss_motion.runtime.real_time import lower_priority
 from lss_motion.units import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class ByteLog:
     def happened(self, event: Event, now_ns: int) -> None:
         self._line(f"- ! {_escaped(repr(event))}", now_ns)
 
-    def asked_for(self, text: str, now_ns: int) -> None:
+    def requested(self, text: str, now_ns: int) -> None:
         """Note what a person asked for: `go`, `rate 0.5`, `stop`, `abort`."""
         self._line(f"- = {text}", now_ns)
 
@@ -143,7 +143,7 @@ def main() -> int:
     """Copy what comes in to the end of a file, until there is no more."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
-    stand_back()
+    lower_priority()
     with Path(sys.argv[1]).open("ab", buffering=0) as file:
         while chunk := os.read(0, 1 << 16):
             file.write(chunk)

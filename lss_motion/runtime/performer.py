@@ -93,7 +93,7 @@ class Performer:
             self.begun.append(cue)
         self._note_done()
 
-    def undone(self) -> list[str]:
+    def unfinished(self) -> list[str]:
         """Return, once this is closed, what was not done of all that was set off: a warning."""
         left = [f"{_named(cue)} at {cue.at_s:g} s" for cue in (*self.begun, *self.lost)]
         if not left:
@@ -167,7 +167,7 @@ def performing(
                 tell(Warned(text))
             yield perform_and_tell
     finally:
-        for text in performer.undone():
+        for text in performer.unfinished():
             tell(Warned(text))
 
 

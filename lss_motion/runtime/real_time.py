@@ -50,7 +50,7 @@ def real_time(*, is_wanted: bool = True) -> Iterator[list[str]]:
         yield refused
 
 
-def stand_back() -> None:
+def lower_priority() -> None:
     """Let this process never interrupt another: a helper of the player that has time.
 
     What the player hands over wakes its helper, which an ordinary scheduler lets run first.

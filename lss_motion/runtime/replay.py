@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from lss_motion.player.player import Player
 
-    Way = Literal[">", "<", ".", "=", "!", "?", "#"]
+    LineKind = Literal[">", "<", ".", "=", "!", "?", "#"]
 
 _LINE: Final = re.compile(r"(\d{1,9})\.(\d{9}) (\S+) ([><.=!?#])(?: (.*))?")
 
@@ -28,7 +28,7 @@ class Entry:
 
     at_ns: int
     bus: str
-    way: Way
+    kind: LineKind
     text: str
     line: int
 
@@ -66,7 +66,9 @@ def read_log(path: Path) -> tuple[dict[str, Any], list[Entry]]:
             played = _played(line.removeprefix("# played: "), path, number)
         elif match := _LINE.fullmatch(line):
             at_ns = int(match[1]) * NS_PER_S + int(match[2])
-            entries.append(Entry(at_ns, match[3], cast("Way", match[4]), match[5] or "", number))
+            entries.append(
+                Entry(at_ns, match[3], cast("LineKind", match[4]), match[5] or "", number)
+            )
         else:
             raise InputError(f"{line[:60]!r} is no line of a log", path=path, line=number)
     return played, entries
@@ -82,11 +84,11 @@ def _played(text: str, path: Path, line: int) -> dict[str, Any]:
     return played
 
 
-def heard(entries: list[Entry]) -> Iterator[tuple[int, str, bytes]]:
+def sent_lines(entries: list[Entry]) -> Iterator[tuple[int, str, bytes]]:
     """Yield instant of writing, bus and line of all that went to the servos."""
     rest: dict[str, bytes] = {}
     for entry in entries:
-        if entry.way == ">":
+        if entry.kind == ">":
             *lines, rest[entry.bus] = (rest.get(entry.bus, b"") + entry.data).split(b"\r")
             yield from ((entry.at_ns, entry.bus, line + b"\r") for line in lines)
 
@@ -100,7 +102,7 @@ def replay(entries: list[Entry], player: Player) -> Replayed:
     while index < len(entries):
         entry = entries[index]
         index += 1
-        match entry.way:
+        match entry.kind:
             case "<":
                 player.receive_data(entry.bus, entry.data, entry.at_ns)
             case "=":
@@ -108,7 +110,7 @@ def replay(entries: list[Entry], player: Player) -> Replayed:
             case "." | ">":
                 sent = dict(player.data_to_send(entry.at_ns))
                 result.compared += 1
-                group = [entry] if entry.way == ">" else []
+                group = [entry] if entry.kind == ">" else []
                 while index < len(entries) and _is_same_write(entry, entries[index]):
                     group.append(entries[index])
                     index += 1
@@ -125,7 +127,7 @@ def replay(entries: list[Entry], player: Player) -> Replayed:
 
 
 def _is_same_write(entry: Entry, other: Entry) -> bool:
-    return entry.way == other.way == ">" and entry.at_ns == other.at_ns and entry.bus != other.bus
+    return entry.kind == other.kind == ">" and entry.at_ns == other.at_ns and entry.bus != other.bus
 
 
 def _wish(player: Player, entry: Entry) -> None:

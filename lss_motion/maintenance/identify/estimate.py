@@ -14,7 +14,7 @@ import numpy as np
 from lss_motion.errors import PlaybackError
 from lss_motion.maintenance.identify.fit import (
     HYPOTHESES,
-    Fit,
+    ModelFit,
     Problem,
     Shape,
     fallen_deg,
@@ -65,7 +65,7 @@ class Rests:
 def read_rests(recording: Recording, trials: Sequence[Trial]) -> Rests:
     """Return what the rests at the end of the trials say."""
     window = recording.window
-    targets = np.array([trial.orders[-1].target_deg for trial in trials])
+    targets = np.array([trial.sent[-1].target_deg for trial in trials])
     missing = targets - np.array([trial.rest_deg() for trial in trials])
     away = (targets - 0.5 * (window.low_deg + window.high_deg)) / (0.5 * window.room_deg)
     load = np.stack([np.ones_like(away), away, away**2], axis=1)
@@ -228,19 +228,19 @@ def identify(joint: Joint, recording: Recording) -> Identified:
     )
 
 
-def _is_sure(fits: dict[Hypothesis, Fit], best: Fit, place: int) -> bool:
+def _is_sure(fits: dict[Hypothesis, ModelFit], best: ModelFit, place: int) -> bool:
     """Return whether every hypothesis with the other law at `place` is clearly worse."""
     others = [f for h, f in fits.items() if h[place] != best.hypothesis[place]]
     return min(f.misfit_deg for f in others) > DECIDED_RATIO * best.misfit_deg
 
 
-def _spread_error(fit: Fit) -> float:
+def _spread_error(fit: ModelFit) -> float:
     """Return how well the mean delay is known, as each command meets its own control loop."""
     delays = np.concatenate(fit.delays_s)
     return float(np.std(delays) / math.sqrt(len(delays)))
 
 
-def _parts(fit: Fit, delay: Measured, loop: Measured | None) -> tuple[Measured, Measured]:
+def _parts(fit: ModelFit, delay: Measured, loop: Measured | None) -> tuple[Measured, Measured]:
     """Return lag and dead time, which together are the delay.
 
     Only the shape of the ramps tells them apart, and slow ones hardly do. So where a control loop
@@ -254,16 +254,16 @@ def _parts(fit: Fit, delay: Measured, loop: Measured | None) -> tuple[Measured, 
     return Measured(fit.lag_s, fit.lag_s * fit.errors[2]), Measured(dead_s, error)
 
 
-def _loop(trials: Sequence[Trial], fit: Fit) -> Measured | None:
+def _loop(trials: Sequence[Trial], fit: ModelFit) -> Measured | None:
     """Return the period of the grid on which the commands were taken up, if there is one.
 
     All instants of take-up then point the same way on a clock of that period.
     """
     taken_s = np.array(
         [
-            trial.began_s + order.heard_s + delay_s
+            trial.began_s + order.received_s + delay_s
             for trial, delays_s in zip(trials, fit.delays_s, strict=True)
-            for order, delay_s in zip(trial.orders, delays_s, strict=True)
+            for order, delay_s in zip(trial.sent, delays_s, strict=True)
         ]
     )
     taken_s -= taken_s.mean()
@@ -280,7 +280,7 @@ def _loop(trials: Sequence[Trial], fit: Fit) -> Measured | None:
     return Measured(period_s, period_s * step_hz / float(rates_hz[at]))
 
 
-def _top_speed(recording: Recording, fit: Fit) -> tuple[Measured, bool]:
+def _top_speed(recording: Recording, fit: ModelFit) -> tuple[Measured, bool]:
     """Return the fastest that the horn turned, and whether its profile asked for more.
 
     Looked at is where the profile is fastest, not where a reading is: that would be its scatter.
@@ -289,10 +289,8 @@ def _top_speed(recording: Recording, fit: Fit) -> tuple[Measured, bool]:
     best, is_top = Measured(0.0, 0.0), False
     for trial in recording.trials:
         times_s = np.array(trial.times_s)
-        delays = [fit.delay_s - fit.lag_s] * len(trial.orders)
-        asked_deg, _ = horn_deg(
-            times_s, trial.start_deg, trial.orders, delays, shape, fit.hypothesis
-        )
+        delays = [fit.delay_s - fit.lag_s] * len(trial.sent)
+        asked_deg, _ = horn_deg(times_s, trial.start_deg, trial.sent, delays, shape, fit.hypothesis)
         slopes = _slopes(times_s, np.array(trial.readings_deg), asked_deg)
         if not len(slopes):
             continue
@@ -322,7 +320,7 @@ def _slopes(times_s: Array, angles_deg: Array, asked_deg: Array) -> Array:
     return np.array(rows)
 
 
-def _droop(joint: Joint, fit: Fit, *, is_falling: bool) -> tuple[float, float, float]:
+def _droop(joint: Joint, fit: ModelFit, *, is_falling: bool) -> tuple[float, float, float]:
     """Return how far the horn stands below its target, in joint degrees, from low to high."""
     level, slope, bend = fit.droop_deg
     at = np.array([-1.0, 0.0, 1.0])

@@ -18,7 +18,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import BusError, LssMotionError, PlaybackError
-from lss_motion.maintenance.identify.fit import Order
+from lss_motion.maintenance.identify.fit import SentMove
 from lss_motion.maintenance.identify.trials import (
     SETTLE_S,
     Kind,
@@ -428,8 +428,8 @@ class Experiment:
         wire = round(move.target_deg * self.joint.model.wire_per_deg)
         heard_ns = self._line.send(encode_move(self.joint.servo_id, wire, move.duration_ms), now_ns)
         self._target_deg = wire / self.joint.model.wire_per_deg
-        heard_s, duration_s = s_from_ns(heard_ns - self._began_ns), s_from_ms(move.duration_ms)
-        self._trial.orders.append(Order(heard_s, self._target_deg, duration_s))
+        received_s, duration_s = s_from_ns(heard_ns - self._began_ns), s_from_ms(move.duration_ms)
+        self._trial.sent.append(SentMove(received_s, self._target_deg, duration_s))
         self._profile.retarget(s_from_ns(heard_ns), self._target_deg, duration_s)
 
     def _is_over(self, now_ns: int) -> bool:

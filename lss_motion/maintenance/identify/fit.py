@@ -44,7 +44,7 @@ class FitTrial:
     start_deg: float
     arrived: float
     """Which way the horn last moved before: 1, -1, or 0 where nobody knows."""
-    orders: tuple[Order, ...]
+    sent: tuple[SentMove, ...]
     times_s: Array
     readings_deg: Array
 
@@ -55,7 +55,7 @@ def thinned(trial: Trial, arrived: float, most: int) -> FitTrial:
     return FitTrial(
         trial.start_deg,
         arrived,
-        tuple(trial.orders),
+        tuple(trial.sent),
         np.array(trial.times_s)[kept],
         np.array(trial.readings_deg)[kept],
     )
@@ -99,10 +99,10 @@ HYPOTHESES: tuple[Hypothesis, ...] = (
 )
 
 
-class Order(NamedTuple):
-    """A `D target T duration` whose last byte the servo had at `heard_s`."""
+class SentMove(NamedTuple):
+    """A `D target T duration` whose last byte the servo had at `received_s`."""
 
-    heard_s: float
+    received_s: float
     target_deg: float
     duration_s: float
 
@@ -134,7 +134,7 @@ class _State(NamedTuple):
 def horn_deg(
     times_s: NDArray[np.float64],
     start_deg: float,
-    orders: Sequence[Order],
+    sent: Sequence[SentMove],
     delays_s: Sequence[float],
     shape: Shape,
     hypothesis: Hypothesis,
@@ -146,13 +146,13 @@ def horn_deg(
     acceleration is solved exactly.
     """
     states = [_State(-math.inf, start_deg, 0.0, 0.0)]
-    for order, delay_s in zip(orders, delays_s, strict=True):
-        states = _retargeted(states, order, order.heard_s + delay_s, shape, hypothesis)
+    for order, delay_s in zip(sent, delays_s, strict=True):
+        states = _retargeted(states, order, order.received_s + delay_s, shape, hypothesis)
     return _lagged(states, shape.lag_s, times_s)
 
 
 def _retargeted(
-    states: list[_State], order: Order, taken_s: float, shape: Shape, hypothesis: Hypothesis
+    states: list[_State], order: SentMove, taken_s: float, shape: Shape, hypothesis: Hypothesis
 ) -> list[_State]:
     """Return the profile up to `taken_s`, and from there on to the order's target."""
     kept = [state for state in states if state.start_s < taken_s]
@@ -298,7 +298,7 @@ OWN_STEP_S: Final = 1e-5
 
 
 @dataclass(frozen=True)
-class Fit:
+class ModelFit:
     """The best numbers under one hypothesis. `delays_s` is one list a trial, one delay an order.
 
     A delay runs from the last byte of a command to what the horn does of it, `lag_s` included.
@@ -345,7 +345,7 @@ class Problem:
         self._middle_deg = 0.5 * (window.low_deg + window.high_deg)
         self._half_deg = 0.5 * window.room_deg
         self._rests = rests
-        counts = [len(trial.orders) for trial in self.trials]
+        counts = [len(trial.sent) for trial in self.trials]
         self._starts = SHARED + np.concatenate(([0], np.cumsum(counts)))
         size = int(self._starts[-1])
         self._prior = np.zeros(size)
@@ -356,7 +356,7 @@ class Problem:
         self._usual[:2] = np.log(self._ramp_deg_s2)
         self._usual[PLAY] = rests.play.value
 
-    def fit(self, hypothesis: Hypothesis, start: Fit | None = None) -> Fit:
+    def fit(self, hypothesis: Hypothesis, start: ModelFit | None = None) -> ModelFit:
         """Return the best fit, searched from `start` or from scratch. Levenberg-Marquardt."""
         if start is None:
             vectors = [self._vector(lag_s) for lag_s in LAGS_TRIED_S]
@@ -391,7 +391,7 @@ class Problem:
         own = vector[self._starts[index] : self._starts[index + 1]]
         delays = own + (vector[DELAY] - lag_s)
         horn, behind = horn_deg(
-            trial.times_s, trial.start_deg, trial.orders, delays.tolist(), shape, hypothesis
+            trial.times_s, trial.start_deg, trial.sent, delays.tolist(), shape, hypothesis
         )
         away = (horn - self._middle_deg) / self._half_deg
         droop = vector[3] + away * (vector[4] + away * vector[5])
@@ -417,7 +417,7 @@ class Problem:
             ([ramp, ramp, np.log(lag_s), *rests.droop_deg, lag_s, rests.play.value], own)
         )
 
-    def _vector_of(self, fit: Fit) -> Array:
+    def _vector_of(self, fit: ModelFit) -> Array:
         logs = np.log([fit.accel_deg_s2, fit.decel_deg_s2, fit.lag_s])
         own = np.concatenate(fit.delays_s) - fit.delay_s
         return np.concatenate([logs, fit.droop_deg, [fit.delay_s, fit.play_deg], own])
@@ -488,12 +488,12 @@ class Problem:
 
     # ---- the result
 
-    def _made(self, vector: Array, residuals: list[Array], hypothesis: Hypothesis) -> Fit:
+    def _made(self, vector: Array, residuals: list[Array], hypothesis: Hypothesis) -> ModelFit:
         accel, decel, lag_s = np.exp(vector[:3])
         flat = np.concatenate(residuals)
         weights = _weights(flat)
         delays = vector[DELAY] + vector
-        return Fit(
+        return ModelFit(
             hypothesis=hypothesis,
             accel_deg_s2=float(accel),
             decel_deg_s2=float(decel),

@@ -21,7 +21,7 @@ from lss_motion.units import MS_PER_S, s_from_ms
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from lss_motion.maintenance.identify.fit import Order
+    from lss_motion.maintenance.identify.fit import SentMove
     from lss_motion.robot.model import Joint
 
 
@@ -42,7 +42,7 @@ class Trial:
     """On the clock of the run."""
     start_deg: float
     """The target on which the servo rested before."""
-    orders: list[Order] = field(default_factory=list)
+    sent: list[SentMove] = field(default_factory=list)
     times_s: list[float] = field(default_factory=list)
     """When the servo had each question complete, which is when it is taken to look."""
     readings_deg: list[float] = field(default_factory=list)
@@ -79,17 +79,16 @@ class Trial:
     def last_way(self) -> float:
         """Return which way the horn moved last: 1 or -1; 0 if it was not sent anywhere."""
         ways_deg = [
-            order.target_deg - before
-            for before, order in zip(self._legs(), self.orders, strict=True)
+            order.target_deg - before for before, order in zip(self._legs(), self.sent, strict=True)
         ]
         return float(np.sign(ways_deg[-1])) if ways_deg else 0.0
 
     def _legs(self) -> list[float]:
         """Return about where each order found the horn: an interrupted move was half-way."""
         legs_deg = [self.start_deg]
-        for order in self.orders[:-1]:
+        for order in self.sent[:-1]:
             legs_deg.append(0.5 * (legs_deg[-1] + order.target_deg))
-        return legs_deg[: len(self.orders)]
+        return legs_deg[: len(self.sent)]
 
     def _between(self, from_s: float, to_s: float) -> list[float]:
         return [
@@ -239,7 +238,7 @@ def make_trials(
     return list(planner.trials())
 
 
-def about_s(trials: Sequence[TrialPlan]) -> float:
+def estimated_duration_s(trials: Sequence[TrialPlan]) -> float:
     """Return about how long the trials take, with a pause to settle after each."""
     return sum(trial.end_s + SETTLE_S for trial in trials)
 

@@ -13,7 +13,7 @@ from lss_motion.errors import BusError, InputError, PlaybackError
 from lss_motion.maintenance.identify import summary
 from lss_motion.maintenance.identify.estimate import identify
 from lss_motion.maintenance.identify.experiment import Experiment, State
-from lss_motion.maintenance.identify.fit import HYPOTHESES, Hypothesis, Order, Shape, horn_deg
+from lss_motion.maintenance.identify.fit import HYPOTHESES, Hypothesis, SentMove, Shape, horn_deg
 from lss_motion.maintenance.identify.trials import Window, make_trials, make_window
 from lss_motion.player import handshake
 from lss_motion.program.response import Profile
@@ -149,10 +149,7 @@ def test_ctrl_c_brakes_within_the_ramps_restores_and_holds():
     bench = Bench()
     fast = StopOnce(
         lambda e: (
-            len(e.recording.trials) == 6
-            and e._trial.orders
-            and e._moves == e._moves
-            and _is_fast(e)
+            len(e.recording.trials) == 6 and e._trial.sent and e._moves == e._moves and _is_fast(e)
         )
     )
     experiment = bench.run(controls=fast)
@@ -284,7 +281,7 @@ def test_no_trial_leaves_the_window_or_the_limits_whatever_the_servo_is(
     for ramp_ratio in (0.75, 1.3):
         for trial in make_trials(joint, window, at_deg):
             shape = Shape(ramp_ratio * accel, ramp_ratio * accel, float(speed), 0.001)
-            orders = [Order(m.at_s, m.target_deg, m.duration_ms / 1e3) for m in trial.moves]
+            orders = [SentMove(m.at_s, m.target_deg, m.duration_ms / 1e3) for m in trial.moves]
             times_s = np.arange(0.0, trial.end_s + 1.0, 0.001)
             delays = [0.0] * len(orders)
             horn, _ = horn_deg(times_s, at_deg, orders, delays, shape, hypothesis)
@@ -309,11 +306,11 @@ def test_the_fitted_model_moves_as_the_response_model_of_the_player(hypothesis):
     for _ in range(40):
         response = Response(retarget=hypothesis.retarget, t_law=hypothesis.t_law)
         profile = Profile(0.0, ramp_deg_s2=500.0, speed_max_deg_s=200.0, response=response)
-        heard_s = np.cumsum(random.uniform(0.05, 0.5, 2))
+        received_s = np.cumsum(random.uniform(0.05, 0.5, 2))
         first, second = random.uniform(-30.0, 30.0, 2)
         orders = [
-            Order(float(heard_s[0]), float(first), float(random.uniform(0.3, 0.8))),
-            Order(float(heard_s[1]), float(second), float(random.uniform(0.3, 0.8))),
+            SentMove(float(received_s[0]), float(first), float(random.uniform(0.3, 0.8))),
+            SentMove(float(received_s[1]), float(second), float(random.uniform(0.3, 0.8))),
         ]
         for order in orders:
             profile.retarget(*order)
@@ -330,14 +327,14 @@ def test_the_fitted_model_moves_as_the_response_model_of_the_player(hypothesis):
 
 def _turns_back(horn, times_s, orders):
     """Return whether the second order finds the horn going the wrong way, or too fast."""
-    at = np.searchsorted(times_s, orders[1].heard_s)
+    at = np.searchsorted(times_s, orders[1].received_s)
     speed = (horn[at - 1] - horn[at - 2]) / (times_s[1] - times_s[0])
     away = orders[1].target_deg - horn[at - 1]
     return away * speed < 0.0 or speed**2 > 2.0 * 500.0 * abs(away) * 0.9
 
 
 def test_the_lag_of_the_fitted_model_is_that_of_a_slow_motor():
-    order = Order(0.0, 20.0, 0.5)
+    order = SentMove(0.0, 20.0, 0.5)
     shape = Shape(600.0, 600.0, 180.0, 0.05)
     times_s = np.arange(0.0, 2.0, 1e-4)
     horn, behind = horn_deg(times_s, 0.0, [order], [0.0], shape, HYPOTHESES[0])

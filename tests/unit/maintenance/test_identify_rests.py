@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lss_motion.maintenance.identify.estimate import read_rests
-from lss_motion.maintenance.identify.fit import Order
+from lss_motion.maintenance.identify.fit import SentMove
 from lss_motion.maintenance.identify.trials import Kind, Recording, Trial, Window
 
 WINDOW = Window(-20.0, 20.0)
@@ -20,7 +20,7 @@ def rests(missing_deg, *, noise_deg=0.01):
         way = np.sign(target_deg - at_deg)
         rest_deg = target_deg - missing_deg(target_deg, way)
         readings = rest_deg + random.normal(0.0, noise_deg, 30)
-        trial = Trial(Kind.STEP, 0.0, at_deg, [Order(0.0, target_deg, 0.3)])
+        trial = Trial(Kind.STEP, 0.0, at_deg, [SentMove(0.0, target_deg, 0.3)])
         trial.times_s = [0.7 + 0.01 * index for index in range(30)]
         trial.readings_deg = readings.tolist()
         trials.append(trial)

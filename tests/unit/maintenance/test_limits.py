@@ -7,8 +7,8 @@ import pytest
 
 from lss_motion.connection import ask_limits, connect
 from lss_motion.errors import BusError, InputError
-from lss_motion.maintenance.backup import Kept
-from lss_motion.maintenance.limits import answered, from_backup, questions
+from lss_motion.maintenance.backup import ServoBackup
+from lss_motion.maintenance.limits import questions, robot_from_answers, robot_from_backup
 from lss_motion.player.transactions import Item
 from lss_motion.protocol.line import Command
 from lss_motion.robot.load import load_robot
@@ -50,7 +50,7 @@ def asked(robot):
                 Item(bus="main", command=Command(*setting), is_query=False) for setting in settings
             )
             connection.wait(0.02)
-            return answered(robot, connection.ask(questions(robot)))
+            return robot_from_answers(robot, connection.ask(questions(robot)))
 
     return ask
 
@@ -97,25 +97,27 @@ def test_a_simulated_robot_is_asked_as_a_real_one(robot):
 def test_a_servo_that_does_not_say_them_is_named(robot):
     said = {("main", 5, "QSD"): 1200, ("main", 5, "QAA"): 40, ("main", 5, "QAD"): 40}
     with pytest.raises(BusError, match=r"hand \(id 6 on bus 'main'\)") as caught:
-        answered(robot, said)
+        robot_from_answers(robot, said)
     assert "arm" not in str(caught.value)
     half = {**said, ("main", 6, "QSD"): 450}
     del half["main", 5, "QAD"]
     with pytest.raises(BusError, match=r"arm \(id 5"):
-        answered(robot, half)
+        robot_from_answers(robot, half)
 
 
 def test_a_limit_of_nothing_is_refused(robot):
     said = {("main", 5, "QSD"): 0, ("main", 5, "QAA"): 40, ("main", 5, "QAD"): 40}
     with pytest.raises(InputError, match="SD is 0; configure it, or give a number"):
-        answered(robot, said)
+        robot_from_answers(robot, said)
 
 
 def test_a_backup_serves_in_place_of_the_servos(robot, tmp_path):
     path = tmp_path / "backup.yaml"
-    arm = Kept(bus="main", servo_id=5, model="LSS-ST1", settings={"SD": 900, "AA": 50, "AD": 60})
-    hand = Kept(bus="main", servo_id=6, model="LSS-P-S1", settings={"SD": 300})
-    known = from_backup(robot, [arm, hand], path)
+    arm = ServoBackup(
+        bus="main", servo_id=5, model="LSS-ST1", settings={"SD": 900, "AA": 50, "AD": 60}
+    )
+    hand = ServoBackup(bus="main", servo_id=6, model="LSS-P-S1", settings={"SD": 300})
+    known = robot_from_backup(robot, [arm, hand], path)
     assert limits(known) == {"arm": (90.0, 250.0), "hand": (30.0, 200.0), "eye": (60.0, 300.0)}
     with pytest.raises(InputError, match=r"holds no SD of servo 6.*'hand'.*make it again"):
-        from_backup(robot, [arm], path)
+        robot_from_backup(robot, [arm], path)

@@ -9,7 +9,7 @@ import pytest
 from lss_motion import connection as connections
 from lss_motion.cli.main import main
 from lss_motion.cli.monitor import rendered, sparkline
-from lss_motion.maintenance.monitor import Alarms, Reading, Thresholds, Watch
+from lss_motion.maintenance.monitor import Alarms, ServoState, Thresholds, Watch
 from lss_motion.maintenance.settings import Target
 from lss_motion.player.transactions import Item
 from lss_motion.protocol.constants import Family, Status
@@ -165,7 +165,7 @@ def test_a_moving_horn_is_seen_moving(watched, spec, connected):
 
 
 def test_an_alarm_is_told_once_and_again_only_when_it_was_over():
-    reading = Reading(target=target(1), temperature_c=60.0, voltage_v=12.0, current_a=0.1)
+    reading = ServoState(target=target(1), temperature_c=60.0, voltage_v=12.0, current_a=0.1)
     alarms = Alarms(Thresholds())
     assert alarms.update([reading]) == []
     reading.temperature_c = 70.0
@@ -191,7 +191,7 @@ def test_an_alarm_is_told_once_and_again_only_when_it_was_over():
     ],
 )
 def test_every_trouble_has_its_alarm(wrong, kind):
-    reading = Reading(target=target(1), **wrong)
+    reading = ServoState(target=target(1), **wrong)
     assert [found for found, _ in Thresholds().alarms(reading)] == [kind]
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from lss_motion.cli.scan import roll_call, survey
 from lss_motion.maintenance import findings
-from lss_motion.maintenance.discovery import called, is_doubtful, judged
+from lss_motion.maintenance.discovery import is_doubtful, judge_answers, read_roll_call
 from lss_motion.maintenance.findings import starter_file
 from lss_motion.protocol.constants import SafeModeCause, Status
 from lss_motion.robot.load import load_robot
@@ -55,7 +55,7 @@ def test_damage_that_an_adapter_held_back_for_16_ms_puts_all_in_doubt_who_were_a
     heard = [b""] * 251
     heard[24] = b"*2\x80QM"
     heard[30] = b"*30QMSLSS-ST1\r"
-    models, doubtful = called(115200, range(251), heard)
+    models, doubtful = read_roll_call(115200, range(251), heard)
     assert models == {30: "LSS-ST1"}
     gap_s = 2e-3 + 24 * 10 / 115200 + 6 * 10 / 115200
     assert set(range(24 - int(16e-3 / gap_s), 25)) <= doubtful
@@ -90,9 +90,9 @@ def test_a_board_is_found_with_all_its_pins(connected, spec, servo_id):
     connection = connected(spec(servo_id, "LSS-2IO"))
     looks = survey(connection, connection.buses["main"], None)
     assert len(looks) == 7
-    assert {"LSS-2IO-LED", "LSS-2IO-A3", "LSS-2IO-D9"} <= {look.present.model for look in looks}
+    assert {"LSS-2IO-LED", "LSS-2IO-A3", "LSS-2IO-D9"} <= {look.identity.model for look in looks}
     servo = next(look for look in looks if look.servo_id == servo_id)
-    assert (servo.present.model, servo.position_deg) == ("LSS-2IO-D9", 0.0)
+    assert (servo.identity.model, servo.position_deg) == ("LSS-2IO-D9", 0.0)
 
 
 def test_all_three_families_say_how_they_are(connected, spec):
@@ -185,14 +185,14 @@ def test_without_a_servo_of_its_own_id_there_is_no_starter(connected, spec):
 def test_two_serial_numbers_behind_one_id_are_two_servos():
     heard = [b"*5QMSLSS-ST1\r", *[b"*5QN123\r", b"*5QN124\r"] * 2]
     assert is_doubtful(5, heard)
-    assert judged(5, "LSS-ST1", heard).is_shared
+    assert judge_answers(5, "LSS-ST1", heard).is_shared
 
 
 def test_a_serial_number_that_came_once_was_damaged():
     heard = [b"*5QMSLSS-ST1\r", b"*5QN124\r", *[b"*5QN123\r"] * 2]
     assert is_doubtful(5, heard)
-    assert judged(5, "LSS-ST1", heard).serial_number == "123"
+    assert judge_answers(5, "LSS-ST1", heard).serial_number == "123"
 
 
 def test_silence_is_nobody():
-    assert judged(5, "", [b"", b""]) is None
+    assert judge_answers(5, "", [b"", b""]) is None

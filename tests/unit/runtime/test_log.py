@@ -61,7 +61,7 @@ def test_lines_look_as_the_docstring_draws_them(tmp_path):
         log.sent("main", b"#5QD\r", 1_234_567)
         log.received("main", b"*5QD132\r\xff", 4_100_210)
         log.turned(4_180_007)
-        log.asked_for("rate 0.5", 1_203_004_100)
+        log.requested("rate 0.5", 1_203_004_100)
         log.happened(MarkPassed("up", 1.0), 1_203_104_100)
     assert path.read_text().splitlines()[1:] == [
         '# played: {"file": "show.yaml"}',

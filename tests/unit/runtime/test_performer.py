@@ -41,7 +41,7 @@ def test_functions_are_called_with_the_time_of_the_show(folder):
         for one in cues:
             performer.perform(one)
     assert (folder / "fog").read_text() == "1.5 2.5 "
-    assert performer.undone() == []
+    assert performer.unfinished() == []
 
 
 def test_what_a_function_raises_is_said_and_the_next_one_still_comes(folder, capfd):
@@ -83,7 +83,7 @@ def test_a_function_that_never_returns_delays_nobody(folder, monkeypatch):
         for _ in range(3000):
             performer.perform(stay)
     assert performer.lost
-    assert "and 2995 more" in performer.undone()[0]
+    assert "and 2995 more" in performer.unfinished()[0]
 
 
 def test_what_was_not_run_behind_a_slow_function_is_named(folder, monkeypatch):
@@ -93,7 +93,7 @@ def test_what_was_not_run_behind_a_slow_function_is_named(folder, monkeypatch):
     with Performer(cues) as performer:
         for one in cues:
             performer.perform(one)
-    [text] = performer.undone()
+    [text] = performer.unfinished()
     assert text.startswith(
         "not done: run effects:stay at 1 s (not at its end), run effects:fog at 2 s, sound "
         "bell.wav at 2.5 s. "
@@ -110,7 +110,7 @@ def test_neither_a_function_nor_its_programs_can_print_into_what_is_counted(fold
     loud = Cue(at_s=0.0, run="loud:shout", folder=str(folder))
     with Performer([loud]) as performer:
         performer.perform(loud)
-    assert performer.undone() == []
+    assert performer.unfinished() == []
     assert "....." in capfd.readouterr().err
 
 

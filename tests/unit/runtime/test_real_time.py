@@ -89,8 +89,8 @@ def test_a_player_asks_for_a_short_time_on_the_processor_and_gives_it_back():
 @pytest.mark.skipif(not hasattr(os, "SCHED_BATCH"), reason="this system has no such priority")
 def test_a_helper_never_interrupts_the_player():
     said = (
-        "import os; from lss_motion.runtime.real_time import stand_back; before = os.nice(0); "
-        "stand_back(); print(os.sched_getscheduler(0) == os.SCHED_BATCH, os.nice(0) > before)"
+        "import os; from lss_motion.runtime.real_time import lower_priority; before = os.nice(0); "
+        "lower_priority(); print(os.sched_getscheduler(0) == os.SCHED_BATCH, os.nice(0) > before)"
     )
     done = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["True", "True"]
