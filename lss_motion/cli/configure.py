@@ -15,7 +15,6 @@ from lss_motion.cli.scan import ask_alone, roll_call
 from lss_motion.cli.tables import write_text
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
 from lss_motion.maintenance import settings
-from lss_motion.maintenance.backup import ServoBackup, backup_text, read_backup
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.io2 import PIN_IDS
 from lss_motion.robot.servo_models import model_mismatch_text
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
 
     from lss_motion.cli.commands import Commands
     from lss_motion.connection import Connection
+    from lss_motion.maintenance.backup import ServoBackup
     from lss_motion.maintenance.discovery import ServoIdentity
     from lss_motion.maintenance.settings import Target
     from lss_motion.robot.model import Bus, Robot
@@ -350,6 +350,8 @@ def back_up(
     connection: Connection, targets: Sequence[Target], path: Path, *, is_forced: bool
 ) -> int:
     """Write all that servos store to a file."""
+    from lss_motion.maintenance.backup import ServoBackup, backup_text
+
     refuse_overwriting(path, is_forced=is_forced)
     found = servo_settings.read_whole(connection, targets)
     present = {
@@ -378,6 +380,8 @@ def back_up(
 
 def restore(connection: Connection, arguments: argparse.Namespace) -> int:
     """Write a backup back. A servo that has its factory id again gets its own first."""
+    from lss_motion.maintenance.backup import read_backup
+
     servos = [
         kept
         for kept in read_backup(arguments.restore)

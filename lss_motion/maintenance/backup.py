@@ -1,19 +1,24 @@
-"""Backup files: every setting that servos store, to be written back as it was.
+"""Backup files: every setting that servos store, so that it can be written back unchanged.
 
-Settings stand there as wire values, so that nothing depends on what a unit is taken to be; the
-comments say what they mean.
+The file holds wire values, so it does not depend on how a unit is interpreted; comments give the
+meaning of each value. This module imports pydantic, which is slow to load: import it only in a
+command that reads or writes a backup, inside the function that needs it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final, Literal
+
+from pydantic import Field
 
 from lss_motion.files.source import known_names
+from lss_motion.files.validation import FileModel, Name, Text, validate
 from lss_motion.files.yaml_source import Problem, read_yaml
 from lss_motion.maintenance.discovery import family_of
 from lss_motion.maintenance.settings import value_text
 from lss_motion.protocol.codec import storable
+from lss_motion.protocol.constants import ID_MAX
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -22,7 +27,7 @@ if TYPE_CHECKING:
     from lss_motion.maintenance.settings import Values
 
 OFF: Final = "off"
-"""How a first position that is switched off stands in the file."""
+"""The value in the file of a first position that is switched off."""
 
 _HEAD: Final = """\
 # What {count} servos stored; written by `lss-motion configure --backup`. To write it back:
@@ -32,9 +37,28 @@ servos:
 """
 
 
+class ServoEntry(FileModel, title="servo"):
+    """The stored settings of one servo, and what identifies it."""
+
+    bus: Name = Field(description="Name of the bus in the robot file.")
+    id: int = Field(ge=0, le=ID_MAX, description="Id of the servo.")
+    model: Text = Field(description="The answer to QMS.")
+    serial_number: Text | Literal[""] = Field(default="", description="The answer to QN.")
+    settings: dict[Text, int | Literal["off"]] = Field(
+        description="Wire values by keyword; off: no first position."
+    )
+
+
+class BackupFile(FileModel, title="backup file"):
+    """The settings of some servos."""
+
+    backup: Literal[1] = Field(description="Form of the file.")
+    servos: Annotated[list[ServoEntry], Field(min_length=1)]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoBackup:
-    """The settings of one servo, and how to know it again."""
+    """The settings of one servo, and what identifies it."""
 
     bus: str
     servo_id: int
@@ -47,12 +71,12 @@ def backup_text(servos: Iterable[ServoBackup]) -> str:
     """Return the text of a backup file."""
     servos = list(servos)
     text = _HEAD.format(count=len(servos))
-    for kept in servos:
-        text += f"  - bus: {_quoted(kept.bus)}\n    id: {kept.servo_id}\n"
-        text += f"    model: {_quoted(kept.model)}\n"
-        text += f"    serial_number: {_quoted(kept.serial_number)}\n    settings:\n"
-        rows = storable(family_of(kept.model))
-        for name, wire in kept.settings.items():
+    for servo in servos:
+        text += f"  - bus: {_quoted(servo.bus)}\n    id: {servo.servo_id}\n"
+        text += f"    model: {_quoted(servo.model)}\n"
+        text += f"    serial_number: {_quoted(servo.serial_number)}\n    settings:\n"
+        rows = storable(family_of(servo.model))
+        for name, wire in servo.settings.items():
             row = rows[name]
             shown = f"{name}: {_quoted(OFF) if wire is None else wire}"
             text += f"      {shown:16}# {row.meaning}: {value_text(row, wire)}\n"
@@ -61,9 +85,6 @@ def backup_text(servos: Iterable[ServoBackup]) -> str:
 
 def read_backup(path: Path) -> list[ServoBackup]:
     """Return the servos of a backup file. Raises `InputError` with file and line."""
-    from lss_motion.files.validation import validate
-    from lss_motion.maintenance.backup_file import BackupFile
-
     source = read_yaml(path)
     content, problems, _ = validate(BackupFile, source)
     servos = [] if content is None else content.servos
