@@ -3,8 +3,8 @@
     with connect(robot.buses, robot=robot) as connection:
         answers = connection.ask([Item(bus="main", command=Command(5, "QV"), is_query=True)])
 
-A bus whose port is `sim://` is simulated in process, from the joints of `robot`; any other port
-is opened with pyserial, also the pseudo-terminal of `lss-motion sim`.
+A bus whose port is `sim://` is simulated in this process, from the joints of `robot`; any other
+port is opened with pyserial, including the pseudo-terminal of `lss-motion sim`.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ SIMULATED: Final = "sim://"
 
 
 def with_port(robot: Robot, port: str | None) -> Robot:
-    """Return the robot with `port` in place of that of its bus.
+    """Return the robot with `port` in place of the port of its bus.
 
-    Raises `InputError` for an empty one, and if the robot has several buses: then the robot file
-    must say which is where.
+    Raises `InputError` for an empty text, and if the robot has several buses: then the robot file
+    must give the port of each.
     """
     if port is None:
         return robot
@@ -57,7 +57,7 @@ def with_port(robot: Robot, port: str | None) -> Robot:
 
 
 def is_simulated(robot: Robot) -> bool:
-    """Return whether every bus is simulated in process.
+    """Return whether every bus is simulated in this process.
 
     Raises `InputError` for a mixture: the results of such a run would have no clear meaning.
     """
@@ -80,9 +80,9 @@ def connect(
 ) -> Connection:
     """Open the port of every bus; all or none.
 
-    `robot` says what hangs on buses that are `sim://`, `seed` and `faults` what befalls them,
-    and `hand` who leads them.
-    Raises `BusError` for a port that cannot be opened, `InputError` for `sim://` without a robot.
+    On `sim://` buses `robot` gives the servos, `seed` and `faults` the disturbances, and `hand` the
+    hand that moves limp joints. Raises `BusError` for a port that cannot be opened, `InputError`
+    for `sim://` without a robot.
     """
     connection = Connection(buses, clock or MonotonicClock())
     try:
@@ -98,9 +98,9 @@ def connect(
 
 
 def ask_limits(robot: Robot, *, port: str | None = None) -> Robot:
-    """Return the robot with the limits that its file leaves to the servos, asked of them.
+    """Return the robot with the limits that its file leaves to the servos, read from the servos.
 
-    Nothing moves. Raises `BusError` when a servo does not say them.
+    Nothing moves. Raises `BusError` when a servo does not answer.
     """
     if not robot.unread:
         return robot
@@ -111,10 +111,10 @@ def ask_limits(robot: Robot, *, port: str | None = None) -> Robot:
 
 
 class Connection:
-    """Open ports by the name of their bus, and the clock that they live by.
+    """Open ports by the name of their bus, and the clock of their runs.
 
-    `simulated` holds the buses behind `sim://`, recording what they hear. A context manager that
-    closes the ports, which waits until everything has left.
+    `simulated` holds the buses behind `sim://`, which record what they receive. A context manager;
+    on closing, it waits until everything has left.
     """
 
     def __init__(self, buses: Mapping[str, Bus], clock: Clock) -> None:
@@ -142,7 +142,7 @@ class Connection:
         return self.run(Conversation(items, self.buses)).answers
 
     def run(self, driven: D) -> D:
-        """Drive what the runner can drive until it is done; return it."""
+        """Run the loop on `driven` until it is finished; return it."""
         run(driven, self.ports, self.clock)
         return driven
 
@@ -151,7 +151,7 @@ class Connection:
         self.run(Pause(self.clock.now_ns() + ns_from_s(seconds)))
 
     def set_baud(self, bus_name: str, baud_bps: int) -> None:
-        """Go on at another rate on one bus; raises `BusError` if the port does not take it."""
+        """Change the rate of one bus; raises `BusError` if the port does not accept it."""
         self.ports.pop(bus_name).close()
         self.buses[bus_name] = dataclasses.replace(self.buses[bus_name], baud_bps=baud_bps)
         if (sim_bus := self.simulated.get(bus_name)) is not None:
@@ -159,7 +159,7 @@ class Connection:
         self.reopen(bus_name)
 
     def reopen(self, bus_name: str) -> Port:
-        """Open the same device once more; raises `BusError` while it is not there."""
+        """Open the same device again; raises `BusError` while it is absent."""
         bus = self.buses[bus_name]
         sim_bus = self.simulated.get(bus_name)
         if sim_bus is None:
@@ -192,5 +192,6 @@ class Connection:
         self.ports[bus.name] = SimPort(sim_bus, self.clock)
 
     def close(self) -> None:
+        """Close every port."""
         for port in self.ports.values():
             port.close()

@@ -1,1 +1,14 @@
-"""The only side effects: clocks, ports, the one loop that waits, logs and reports."""
+"""Side effects of a run: the clock, the ports, the loop that waits, log and report.
+
+| file           | what it is                                      | who calls it               |
+|----------------|-------------------------------------------------|----------------------------|
+| `runner.py`    | the loop; explains threads, processes and waits | `api`, `connection`, `cli` |
+| `clock.py`     | the computer's clock, and virtual time          | `api`, `connection`, `sim` |
+| `port.py`      | serial ports: list, open, reopen                | `connection`, `api`, `cli` |
+| `real_time.py` | priority, memory and timers of the system       | `runner`, `api`, `sim.pty` |
+| `performer.py` | functions and sounds of a show, in a process    | `api`                      |
+| `log.py`       | the log of every byte, written by a process     | `cli`                      |
+| `replay.py`    | reads a log, repeats the player's decisions     | `cli.replay`               |
+| `report.py`    | the JSON report of a run                        | `api`, `cli`               |
+| `computer.py`  | checks of this computer (`lss-motion doctor`)   | `cli.doctor`               |
+"""

@@ -1,6 +1,6 @@
-"""What this computer is worth for playing: every check says what it found, and what to do.
+"""Checks of this computer: what each found, and what to do about it.
 
-No check raises, whatever it meets, and none opens a port: opening one may restart what is on it.
+No check raises, and none opens a port: opening a port may restart the device on it.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 LATENCY_MAX_MS: Final = 1
-"""More makes every answer wait (FACTS.md H1)."""
+"""A longer timer delays every answer (FACTS.md H1)."""
 RESOLUTION_MAX_NS: Final = 10 * NS_PER_US
-"""A hundredth of a command's line time at 115200 bps. Chosen."""
+"""A hundredth of the line time of a command at 115200 bps. Chosen."""
 JITTER_WAIT_NS: Final = 2 * NS_PER_MS
 JITTER_WAITS: Final = 250
-"""Half a second of waits as the runner waits."""
+"""Half a second in all, waited as the run loop waits."""
 LATE_MAX_NS: Final = NS_PER_MS
-"""One command's line time at 115200 bps: later than that, it is late (FACTS.md W25)."""
+"""The line time of a command at 115200 bps: later than that, it is late (FACTS.md W25)."""
 PORT_GRABBERS: Final = {
-    "ModemManager": "it opens new serial ports and talks to them for half a minute: "
+    "ModemManager": "it opens new serial ports and sends to them for half a minute: "
     "`sudo systemctl disable --now ModemManager`, if there is no modem",
     "brltty": "it takes adapters with a CH340 for Braille displays: `sudo apt remove brltty`, if "
     "there is none",
@@ -52,16 +52,17 @@ class Level(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """What one check found. `fix` is empty where nothing is to be done."""
+    """The result of one check. `fix` is empty where nothing has to be done."""
 
     subject: str
     level: Level
     said: str
+    """The result; the name is the key in the JSON of `lss-motion doctor`."""
     fix: str = ""
 
 
 def examine(root: Path = Path("/")) -> list[Finding]:
-    """Run every check. `root` is where /proc and /sys are looked for."""
+    """Run every check. `root` is the folder that holds /proc and /sys."""
     checks: Sequence[tuple[str, Callable[[], list[Finding]]]] = (
         ("Python", check_python),
         ("packages", check_packages),
@@ -77,29 +78,29 @@ def examine(root: Path = Path("/")) -> list[Finding]:
     for subject, check in checks:
         try:
             found += check()
-        except Exception as error:  # noqa: BLE001 (what a check meets must not end the others)
-            said = f"could not be checked: {type(error).__name__}: {error}"
-            found.append(Finding(subject=subject, level=Level.HINT, said=said))
+        except Exception as error:  # noqa: BLE001 (one check must not end the others)
+            text = f"could not be checked: {type(error).__name__}: {error}"
+            found.append(Finding(subject=subject, level=Level.HINT, said=text))
     return found
 
 
 def check_python() -> list[Finding]:
-    """Say which Python runs this; one that is too old does not come so far."""
-    said = ".".join(map(str, sys.version_info[:3])) + f" at {sys.executable}"
-    return [Finding(subject="Python", level=Level.OK, said=said)]
+    """Name the running Python. An older one than required cannot start this code."""
+    text = ".".join(map(str, sys.version_info[:3])) + f" at {sys.executable}"
+    return [Finding(subject="Python", level=Level.OK, said=text)]
 
 
 def check_packages(
     required: Sequence[str] | None = None, version_of: Callable[[str], str] = metadata.version
 ) -> list[Finding]:
-    """Compare what is installed with what the package asks for, its extras left out."""
+    """Compare the installed packages with the required ones, extras excepted."""
     if required is None:
         try:
             required = metadata.requires("lss-motion") or []
         except metadata.PackageNotFoundError:
             fix = "run it through `tools/run`, or `pip install -e .` in its folder"
-            said = "lss-motion itself is not installed"
-            return [Finding(subject="packages", level=Level.BAD, said=said, fix=fix)]
+            text = "lss-motion itself is not installed"
+            return [Finding(subject="packages", level=Level.BAD, said=text, fix=fix)]
     bad, count = [], 0
     for requirement in required:
         match = _REQUIREMENT.match(requirement)
@@ -115,23 +116,23 @@ def check_packages(
         if _numbers(installed) < _numbers(least):
             bad.append(f"{name} {installed} is older than {least}")
     if bad:
-        fix = "`pip install --upgrade lss-motion`, or delete .venv and let `tools/run` make it anew"
+        fix = "`pip install --upgrade lss-motion`, or delete .venv and let `tools/run` rebuild it"
         return [Finding(subject="packages", level=Level.BAD, said=", ".join(bad), fix=fix)]
     return [Finding(subject="packages", level=Level.OK, said=f"all {count} are there")]
 
 
 def check_ports() -> list[Finding]:
-    """Say which serial ports there are, and which this user may not open."""
+    """List the USB serial ports, and name those that this user may not open."""
     found = []
     for device in list_devices():
         if not device.is_usb:
             continue
-        said = f"{device.path}, {device.name}"
+        text = f"{device.path}, {device.name}"
         if os.name != "posix" or os.access(device.path, os.R_OK | os.W_OK):
-            found.append(Finding(subject="port", level=Level.OK, said=said))
+            found.append(Finding(subject="port", level=Level.OK, said=text))
         else:
             fix = permission_hint(device.path)
-            found.append(Finding(subject="port", level=Level.BAD, said=said, fix=fix))
+            found.append(Finding(subject="port", level=Level.BAD, said=text, fix=fix))
     if found:
         return found
     fix = "plug the adapter in; a port that is not on USB needs none of this"
@@ -139,30 +140,30 @@ def check_ports() -> list[Finding]:
 
 
 def check_latency(root: Path) -> list[Finding]:
-    """Read the latency timers of adapters of the FTDI kind (Linux)."""
+    """Read the latency timers of FTDI adapters (Linux)."""
     timers = sorted((root / "sys/bus/usb-serial/devices").glob("*/latency_timer"))
     found = []
     for timer in timers:
         wait_ms = int(timer.read_text(encoding="ascii"))
-        said = f"/dev/{timer.parent.name}: {wait_ms} ms"
+        text = f"/dev/{timer.parent.name}: {wait_ms} ms"
         if wait_ms <= LATENCY_MAX_MS:
-            found.append(Finding(subject="USB latency", level=Level.OK, said=said))
+            found.append(Finding(subject="USB latency", level=Level.OK, said=text))
             continue
         fix = (
-            f"lss_motion asks for 1 ms when it opens the port; where that is refused: "
+            f"lss_motion requests 1 ms when it opens the port; where that is refused: "
             f"`echo 1 | sudo tee {timer}`"
         )
-        found.append(Finding(subject="USB latency", level=Level.HINT, said=said, fix=fix))
+        found.append(Finding(subject="USB latency", level=Level.HINT, said=text, fix=fix))
     return found
 
 
 def check_grabbers(root: Path) -> list[Finding]:
-    """Look for programs that are known to open serial ports of others (Linux)."""
+    """Look for programs that are known to open any serial port (Linux)."""
     running = set()
     for comm in (root / "proc").glob("[0-9]*/comm"):
         try:
             running.add(comm.read_text(encoding="utf-8", errors="replace").strip())
-        except OSError:  # It has ended meanwhile.
+        except OSError:  # The process has ended in the meantime.
             continue
     return [
         Finding(subject="other programs", level=Level.HINT, said=f"{name} is running", fix=fix)
@@ -172,38 +173,38 @@ def check_grabbers(root: Path) -> list[Finding]:
 
 
 def check_clock(resolution_ns: int | None = None) -> list[Finding]:
-    """Measure the smallest step of the clock by which commands leave."""
+    """Measure the smallest step of the clock that times the commands."""
     if resolution_ns is None:
         resolution_ns = _smallest_step_ns()
-    said = f"steps of {resolution_ns} ns"
+    text = f"steps of {resolution_ns} ns"
     if resolution_ns <= RESOLUTION_MAX_NS:
-        return [Finding(subject="clock", level=Level.OK, said=said)]
+        return [Finding(subject="clock", level=Level.OK, said=text)]
     fix = (
         "commands leave as late as one such step; another system or a real machine has a finer one"
     )
-    return [Finding(subject="clock", level=Level.HINT, said=said, fix=fix)]
+    return [Finding(subject="clock", level=Level.HINT, said=text, fix=fix)]
 
 
 def check_timer(lates_ns: Sequence[int] | None = None) -> list[Finding]:
-    """Measure how late this computer wakes up, waiting as the runner does."""
+    """Measure how late this computer wakes up from a wait of the run loop."""
     lates = sorted(_measure_lates_ns() if lates_ns is None else lates_ns)
     usual_us = lates[len(lates) // 2] // NS_PER_US
     worst_ns = lates[int(0.99 * (len(lates) - 1))]
-    said = (
+    text = (
         f"wakes {usual_us} us late as a rule, {worst_ns // NS_PER_US} us in one of a hundred, "
         f"{lates[-1] // NS_PER_US} us at worst"
     )
     if worst_ns <= LATE_MAX_NS:
-        return [Finding(subject="timer", level=Level.OK, said=said)]
+        return [Finding(subject="timer", level=Level.OK, said=text)]
     fix = (
-        "end what keeps the computer busy; on Linux `lss-play --real-time` puts the player "
-        "first; a virtual machine or a laptop on battery may stay so"
+        "end programs that keep the computer busy; on Linux `lss-play --real-time` gives the "
+        "player priority; a virtual machine or a laptop on battery may stay late"
     )
-    return [Finding(subject="timer", level=Level.HINT, said=said, fix=fix)]
+    return [Finding(subject="timer", level=Level.HINT, said=text, fix=fix)]
 
 
 def check_governor(root: Path) -> list[Finding]:
-    """Say if the CPU saves power (Linux); it wakes later then."""
+    """Report a CPU that saves power (Linux); it wakes up later."""
     path = root / "sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"
     if not path.exists():
         return []
@@ -215,14 +216,14 @@ def check_governor(root: Path) -> list[Finding]:
 
 
 def check_terminals() -> list[Finding]:
-    """Say whether `lss-motion sim` can work here."""
+    """Report whether `lss-motion sim` can work here."""
     try:
         for descriptor in os.openpty():
             os.close(descriptor)
     except (AttributeError, OSError):
         fix = "`lss-motion sim` does not work here; sim:// in process does"
-        said = "this system has no pseudo-terminals"
-        return [Finding(subject="simulated ports", level=Level.HINT, said=said, fix=fix)]
+        text = "this system has no pseudo-terminals"
+        return [Finding(subject="simulated ports", level=Level.HINT, said=text, fix=fix)]
     return [Finding(subject="simulated ports", level=Level.OK, said="pseudo-terminals work")]
 
 

@@ -1,4 +1,4 @@
-r"""Every byte both ways with its instant, and all that happened, in a file that survives a crash.
+r"""A log of every byte in both directions with its instant, and of all events of a run.
 
     # lss_motion log 2
     # played: {"file": "/home/me/show.yaml", "speed": 1.0}
@@ -9,15 +9,17 @@ r"""Every byte both ways with its instant, and all that happened, in a file that
     1.203104100 - ! MarkPassed(label='up', show_s=1.0)
     1.203104100 - #
 
-Seconds since the run began; `>` to the servos, at the instant for which it was meant to be written,
-`<` from them: what was written or arrived at once, carriage returns as `\r`, other odd bytes as
-`\xNN`. `.` the player was asked and had nothing to
-send, `=` what a person asked for, `!` what happened; `?` so many lines were lost, since the disk
-did not keep up; `#` the end, without which a log was cut. With these lines the player's decisions
-can be made again (`runtime.replay`).
+Times are seconds since the run began. The sign gives the kind of a line:
 
-The file is written by a process of its own, which the player's never waits for; it goes on when
-the player is killed. Run as `python -m lss_motion.runtime.log FILE`.
+`>` sent to the servos, with the instant at which the bytes were due to leave; `<` received. One
+line holds what was written or read at once, carriage returns as `\r`, other bytes as `\xNN`.
+`.` the player had nothing to send. `=` input from a person. `!` an event. `?` this many lines were
+lost, because the disk was too slow. `#` the end; a log without it was cut off.
+
+These lines are enough to repeat the decisions of the player (`runtime.replay`).
+
+The file is written by a process of its own, for which the player never waits and which survives
+when the player is killed. It runs as `python -m lss_motion.runtime.log FILE`.
 """
 
 from __future__ import annotations
@@ -43,10 +45,10 @@ if TYPE_CHECKING:
 
 FIRST_LINE: Final = "# lss_motion log 2"
 HELD_MAX_BYTES: Final = 4 * 1024 * 1024
-"""What waits for the writing process at most: some ten seconds of a busy bus."""
+"""The most that is kept for the writing process: ten seconds of a busy bus."""
 PORTION_BYTES: Final = 4096
 FLUSH_NS: Final = 100 * NS_PER_MS
-"""What happened longer ago than this has been handed over."""
+"""Older lines than this have been handed to the writing process."""
 CLOSE_S: Final = 10.0
 
 
@@ -95,7 +97,7 @@ class ByteLog:
         self._line(f"- ! {_escaped(repr(event))}", now_ns)
 
     def requested(self, text: str, now_ns: int) -> None:
-        """Note what a person asked for: `go`, `rate 0.5`, `stop`, `abort`."""
+        """Note input from a person: `go`, `rate 0.5`, `stop`, `abort`."""
         self._line(f"- = {text}", now_ns)
 
     def _bytes(self, bus: str, way: str, data: bytes, now_ns: int) -> None:
@@ -125,7 +127,7 @@ class ByteLog:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Wait until everything is in the file, but not for ever."""
+        """Wait until everything is in the file, for `CLOSE_S` at most."""
         self._line("- #", self._last_ns)
         with contextlib.suppress(OSError, subprocess.TimeoutExpired):
             os.set_blocking(self._pipe_fd, True)
@@ -140,7 +142,7 @@ def _escaped(text: str) -> str:
 
 
 def main() -> int:
-    """Copy what comes in to the end of a file, until there is no more."""
+    """Copy standard input to the end of a file until it ends."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     lower_priority()

@@ -1,9 +1,9 @@
-"""Functions and sounds of a show, in a process of their own: they can never delay a command.
+"""Functions and sounds of a show, in a process of their own, so that they never delay a command.
 
-The player's process writes one JSON object a line to its standard input and never waits; what a
-full pipe does not take is lost. One is done after the other, and a dot comes back for each that is
-done, so that the player can say at the end what was not. Run as
-`python -m lss_motion.runtime.performer`.
+The player's process writes one JSON object a line to the standard input of this process and never
+waits; a line that does not fit into the pipe is lost. The process carries out one line after the
+other and writes a dot for each, so that the player can report at the end which were not done. It
+runs as `python -m lss_motion.runtime.performer`.
 """
 
 from __future__ import annotations
@@ -38,23 +38,26 @@ SOUND_PLAYERS: Final = (
     ("mpv", "--no-video", "--really-quiet"),
     ("aplay", "-q"),
 )
-"""Programs that play a sound file, the first that the system has. The last knows WAV only."""
+"""Programs that play a sound file; the first one installed is used. The last plays WAV only."""
 DOTS_MAX: Final = 4096
 CLOSE_S: Final = 5.0
-"""After the show, functions and sounds may go on for so long."""
+"""The longest time that functions and sounds may take after the show."""
 NAMED_MAX: Final = 5
-"""So many that were not done are named; of more it is said how many."""
+"""A warning names this many that were not done, and counts the others."""
 
 
 class Performer:
-    """The player's end. A context manager; raises `InputError` for a function that is not there."""
+    """The player's end of the pipe. A context manager.
+
+    Raises `InputError` for a function that does not exist.
+    """
 
     def __init__(self, cues: Collection[Cue]) -> None:
-        wanted = list({(cue.run, cue.folder) for cue in cues if cue.run})
+        functions = list({(cue.run, cue.folder) for cue in cues if cue.run})
         self.lost: list[Cue] = []
-        """What the full pipe did not take."""
-        self.begun: deque[Cue] = deque()
-        """What was set off and is not done, oldest first."""
+        """Cues that did not fit into the pipe."""
+        self.started: deque[Cue] = deque()
+        """Cues that were started and are not done, oldest first."""
         self.warnings: list[str] = []
         if any(cue.sound for cue in cues) and sound_player() is None:
             names = ", ".join(words[0] for words in SOUND_PLAYERS)
@@ -63,11 +66,11 @@ class Performer:
             [sys.executable, "-m", "lss_motion.runtime.performer"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C is for the player; this ends when it is told to.
+            start_new_session=True,  # Ctrl-C ends the player only; this ends with its pipe.
         )
         assert self._child.stdin is not None
         assert self._child.stdout is not None
-        self._child.stdin.write(json.dumps(wanted).encode() + b"\n")
+        self._child.stdin.write(json.dumps(functions).encode() + b"\n")
         self._child.stdin.flush()
         answer = self._child.stdout.readline().decode().strip()
         if answer != "ready":
@@ -79,26 +82,26 @@ class Performer:
         os.set_blocking(self._dots_fd, False)
 
     def perform(self, cue: Cue) -> None:
-        """Set off a function or a sound; never waits."""
+        """Start a function or a sound; never waits."""
         if not cue.run and not cue.sound:
             return
-        said = {"run": cue.run, "folder": cue.folder, "sound": cue.sound, "at_s": cue.at_s}
-        line = json.dumps(said).encode() + b"\n"
+        request = {"run": cue.run, "folder": cue.folder, "sound": cue.sound, "at_s": cue.at_s}
+        line = json.dumps(request).encode() + b"\n"
         try:
-            # Up to 4096 bytes a pipe takes a line as a whole or not at all.
+            # A pipe takes up to 4096 bytes as a whole or not at all.
             os.write(self._pipe_fd, line)
         except (BlockingIOError, BrokenPipeError):
             self.lost.append(cue)
         else:
-            self.begun.append(cue)
+            self.started.append(cue)
         self._note_done()
 
     def unfinished(self) -> list[str]:
-        """Return, once this is closed, what was not done of all that was set off: a warning."""
-        left = [f"{_named(cue)} at {cue.at_s:g} s" for cue in (*self.begun, *self.lost)]
+        """Return a warning, once closed, about everything that was started and not done."""
+        left = [f"{_named(cue)} at {cue.at_s:g} s" for cue in (*self.started, *self.lost)]
         if not left:
             return []
-        if self.begun:
+        if self.started:
             left[0] += " (not at its end)"
         named = ", ".join(left[:NAMED_MAX])
         more = f" and {len(left) - NAMED_MAX} more" if len(left) > NAMED_MAX else ""
@@ -108,11 +111,11 @@ class Performer:
         ]
 
     def _note_done(self) -> None:
-        """Take in the dots, so that their pipe is never full; never waits."""
+        """Read the dots, so that their pipe is never full; never waits."""
         with contextlib.suppress(BlockingIOError):
             while dots := os.read(self._dots_fd, DOTS_MAX):
                 for _ in dots:
-                    self.begun.popleft()
+                    self.started.popleft()
 
     def __enter__(self) -> Performer:
         return self
@@ -144,10 +147,10 @@ def _named(cue: Cue) -> str:
 def performing(
     cues: Collection[Cue], tell: Callable[[Event], None], *, is_virtual: bool
 ) -> Iterator[Callable[[Event], None]]:
-    """Yield what is to be told of events: it sets off functions and sounds, then tells `tell`.
+    """Yield an event handler that starts functions and sounds, then calls `tell`.
 
-    In virtual time nothing is set off: an hour of sounds would come at once. Raises `InputError`
-    for a function that is not there.
+    In virtual time none is started: an hour of sounds would play at once. Raises `InputError` for
+    a function that does not exist.
     """
     if is_virtual:
         check_functions(cues)
@@ -172,14 +175,14 @@ def performing(
 
 
 def sound_player() -> tuple[str, ...] | None:
-    """Return the command that plays a sound file when its path follows; None: there is none."""
+    """Return the command that plays the sound file given as its last argument, or None."""
     return next((words for words in SOUND_PLAYERS if shutil.which(words[0])), None)
 
 
 def check_functions(cues: Iterable[Cue]) -> None:
-    """Raise `InputError` for a function that is not there, without running its module.
+    """Raise `InputError` for a function that does not exist, without running its module.
 
-    A compiled program may have left its folder.
+    A compiled program may have been moved away from the folder of its functions.
     """
     for run, folder in {(cue.run, cue.folder): None for cue in cues if cue.run}:
         if problem := function_problem(run, folder):
@@ -187,7 +190,7 @@ def check_functions(cues: Iterable[Cue]) -> None:
 
 
 def load_function(run: str, folder: str) -> Callable[[float], Any]:
-    """Return the function `module:function`; raise `InputError` if there is none."""
+    """Return the function `module:function`; raises `InputError` if there is none."""
     module_name, _, name = run.partition(":")
     if folder not in sys.path:
         sys.path.insert(0, folder)
@@ -196,8 +199,8 @@ def load_function(run: str, folder: str) -> Callable[[float], Any]:
         function = getattr(importlib.import_module(module_name), name)
     except Exception as error:
         raise InputError(
-            f"run: {run!r} cannot be used: {type(error).__name__}: {error}. The module is looked "
-            f"for in {folder}, then among those installed"
+            f"run: {run!r} cannot be used: {type(error).__name__}: {error}. The module is searched "
+            f"in {folder}, then among the installed ones"
         ) from error
     if not callable(function):
         raise InputError(f"run: {run!r} is no function")
@@ -206,32 +209,32 @@ def load_function(run: str, folder: str) -> Callable[[float], Any]:
 
 
 def main() -> int:
-    """Do what comes in until there is no more, then wait for the sounds."""
-    # What a function prints, or a program that it starts, goes to the screen, not to the player.
-    answers, sys.stdout = os.fdopen(os.dup(1), "w"), sys.stderr
+    """Carry out the lines of standard input until it ends, then wait for the sounds."""
+    # Output of a function, or of a program that it starts, goes to the screen, not to the player.
+    replies, sys.stdout = os.fdopen(os.dup(1), "w"), sys.stderr
     os.dup2(2, 1)
     functions = {}
     try:
         for run, folder in json.loads(sys.stdin.readline()):
             functions[run, folder] = load_function(run, folder)
     except InputError as error:
-        print(error, file=answers, flush=True)
+        print(error, file=replies, flush=True)
         return error.exit_code
-    print("ready", file=answers, flush=True)
+    print("ready", file=replies, flush=True)
     player = sound_player()
     sounds: list[subprocess.Popen[bytes]] = []
     for line in sys.stdin:
-        said = json.loads(line)
-        if said["sound"] and player is not None:
-            words = [*player, said["sound"]]
+        request = json.loads(line)
+        if request["sound"] and player is not None:
+            words = [*player, request["sound"]]
             sounds.append(subprocess.Popen(words, stdin=subprocess.DEVNULL))  # noqa: S603
-        if said["run"]:
+        if request["run"]:
             try:
-                functions[said["run"], said["folder"]](said["at_s"])
-            except Exception as error:  # noqa: BLE001  whatever a function of the user raises
-                text = f"run: {said['run']}: {type(error).__name__}: {error}"
+                functions[request["run"], request["folder"]](request["at_s"])
+            except Exception as error:  # noqa: BLE001  a function of the user may raise anything
+                text = f"run: {request['run']}: {type(error).__name__}: {error}"
                 print(text, file=sys.stderr)  # noqa: T201
-        print(".", end="", file=answers, flush=True)
+        print(".", end="", file=replies, flush=True)
     for sound in sounds:
         sound.wait()
     return 0

@@ -1,8 +1,7 @@
-"""What the runner needs of a port, and the one that is real: pyserial.
+"""Ports: what the run loop requires of one, the serial port, and the computer's serial devices.
 
-A port that is opened again when it was lost, as long as somebody still wants it.
-
-The serial devices of this computer: their names, and what keeps us from opening one.
+`Port` is the contract; `SerialPort` opens a device with pyserial; `ReopeningPort` wraps a port and
+opens it again after it was lost. No call blocks, except `close`, which waits for the last bytes.
 """
 
 from __future__ import annotations
@@ -26,16 +25,124 @@ if TYPE_CHECKING:
     from lss_motion.runtime.clock import Clock
 
 
+READ_MAX_BYTES: Final = 4096
+"""The most that one call reads; a line at 115200 bps delivers that in a third of a second."""
+POLL_NS: Final = 2 * NS_PER_MS
+"""How often a port without a file number is polled (Windows, `loop://`)."""
+
+NO_PORT: Final = "that is no serial device. `lss-motion scan` lists them"
+IN_USE: Final = "another program has it open; end that one first (LSS Config? another lss-motion?)"
+GONE: Final = "the device is gone, or another program reads from it. Look at its plug and cable"
+
+
+class Port(Protocol):
+    """One open bus. No call blocks, except `close`."""
+
+    url: str
+
+    def write(self, data: bytes) -> None:
+        """Send `data`. Raises `BusError` when the port is lost."""
+
+    def read(self) -> bytes:
+        """Return what has arrived. Raises `BusError` when the port is lost."""
+
+    def fileno(self) -> int | None:
+        """Return the file number that becomes readable when data arrives, or None."""
+
+    def next_arrival_ns(self) -> int | None:
+        """Return when to read next; None where waiting on `fileno` is enough."""
+
+    def close(self) -> None: ...
+
+
+class SerialPort:
+    """A device or pyserial URL, opened exclusively, 8N1, without flow control."""
+
+    def __init__(self, url: str, baud_bps: int) -> None:
+        import serial
+
+        self.url = url
+        try:
+            self._serial: serial.Serial = serial.serial_for_url(
+                url, baudrate=baud_bps, timeout=0, write_timeout=None, do_not_open=True
+            )
+            with contextlib.suppress(ValueError, AttributeError, NotImplementedError):
+                self._serial.exclusive = True
+            self._serial.open()
+            self._serial.reset_input_buffer()
+            with contextlib.suppress(AttributeError, OSError, ValueError, NotImplementedError):
+                self._serial.set_low_latency_mode(True)
+        except (serial.SerialException, ValueError, OSError) as error:
+            raise BusError(f"cannot open port {url}: {_reason(error, url)}", url=url) from error
+
+    def write(self, data: bytes) -> None:
+        import serial
+
+        try:
+            self._serial.write(data)
+        except (serial.SerialException, OSError) as error:
+            raise self._lost() from error
+
+    def read(self) -> bytes:
+        import serial
+
+        try:
+            return bytes(self._serial.read(READ_MAX_BYTES))
+        except (serial.SerialException, OSError) as error:
+            raise self._lost() from error
+
+    def fileno(self) -> int | None:
+        try:
+            return int(self._serial.fileno())
+        except (AttributeError, OSError, NotImplementedError):
+            return None
+
+    def next_arrival_ns(self) -> int | None:
+        return None if self.fileno() is not None else time.monotonic_ns() + POLL_NS
+
+    def close(self) -> None:
+        """Wait until everything has left, then close."""
+        with contextlib.suppress(Exception):
+            self._serial.flush()
+        with contextlib.suppress(Exception):
+            self._serial.close()
+
+    def _lost(self) -> LostPortError:
+        return LostPortError(f"lost port {self.url}: {GONE}", url=self.url)
+
+
+def _reason(error: Exception, url: str) -> str:
+    """Return the cause of a failure to open or use a port, in words for a person."""
+    hints = {
+        errno.ENOENT: "there is no such device; is it plugged in?",
+        errno.EACCES: permission_hint(url),
+        errno.EBUSY: IN_USE,
+        errno.EAGAIN: IN_USE,
+        errno.ENOTTY: NO_PORT,
+        errno.EISDIR: NO_PORT,
+    }
+    return hints.get(_number(error), str(error))
+
+
+def _number(error: BaseException) -> int:
+    """Return the system's number of an error, also of one that pyserial only quotes."""
+    if isinstance(error, OSError) and error.errno is not None:
+        return error.errno
+    cause = error.__context__  # `termios.error` is not an OSError, but has its arguments.
+    first = cause.args[0] if cause is not None and cause.args else 0
+    return first if isinstance(first, int) else 0
+
+
 REOPEN_NS: Final = 100 * NS_PER_MS
-"""How often a lost port is looked for. Chosen: nobody notices a tenth of a second, and to look for
-a device that is not there takes microseconds."""
+"""How often a lost port is looked for. Chosen: a delay of 0.1 s does not matter to a person, and
+looking for an absent device takes microseconds."""
 
 
 class ReopeningPort:
-    """A port that takes what is written while it is lost, and drops it.
+    """A port that drops what is written while it is lost.
 
-    `waits` is asked when the port is lost, and while it is: False ends it with `BusError`. `lost`
-    is told the reason and the instant, `found` that it is open again.
+    `waits` is called when the port is lost and decides: False raises the `BusError`. `lost` is
+    called with the reason and the instant, `found` when the port is open again.
     """
 
     def __init__(
@@ -109,7 +216,7 @@ class ReopeningPort:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Device:
-    """A serial port that the system knows. `name` is what its USB chip calls itself."""
+    """A serial port of this computer. `name` is the text that its USB chip reports."""
 
     path: str
     name: str
@@ -128,7 +235,7 @@ def list_devices() -> list[Device]:
 
 
 def permission_hint(path: str) -> str:
-    """Return how to get the permission to open a device: which group to join, where there is one.
+    """Return how to get the permission to open a device: the group to join, where there is one.
 
     Never raises.
     """
@@ -142,7 +249,7 @@ def permission_hint(path: str) -> str:
     if group == "root":
         return (
             "no permission: it belongs to root alone. `sudo chmod a+rw` helps until it is plugged "
-            "in again; a udev rule that gives it to `dialout` helps for good"
+            "in again; a udev rule that gives it to `dialout` helps permanently"
         )
     return (
         f"no permission: it belongs to the group `{group}`. Join it with "
@@ -151,7 +258,7 @@ def permission_hint(path: str) -> str:
 
 
 def _name(port: object) -> str:
-    """Return what a port of pyserial's list is called, and its serial number where it has one."""
+    """Return the name of a port in pyserial's list, and its serial number if it has one."""
     words = [getattr(port, key, None) for key in ("manufacturer", "product")]
     name = " ".join(str(word) for word in words if word)
     if not name:
@@ -159,112 +266,3 @@ def _name(port: object) -> str:
         name = "" if description in (None, "n/a") else str(description)
     serial_number = getattr(port, "serial_number", None)
     return f"{name} ({serial_number})" if serial_number else name or "no name"
-
-
-READ_MAX_BYTES: Final = 4096
-"""Taken in one go; a 115200 line delivers that in a third of a second."""
-POLL_NS: Final = 2 * NS_PER_MS
-"""How often a port that cannot be waited on is looked at (Windows, `loop://`)."""
-
-NO_PORT: Final = "that is no serial device. `lss-motion scan` says which there are"
-IN_USE: Final = "another program has it open; end that one first (LSS Config? another lss-motion?)"
-
-GONE: Final = "the device is gone, or another program reads from it. Look at its plug and cable"
-
-
-class Port(Protocol):
-    """One open bus. Neither call blocks."""
-
-    url: str
-
-    def write(self, data: bytes) -> None:
-        """Hand `data` over. Raises `BusError` when the port is lost."""
-
-    def read(self) -> bytes:
-        """Return what has arrived. Raises `BusError` when the port is lost."""
-
-    def fileno(self) -> int | None:
-        """Return what to wait on for arrivals; None where there is no such thing."""
-
-    def next_arrival_ns(self) -> int | None:
-        """Return when to look for arrivals; None where waiting on `fileno` says it."""
-
-    def close(self) -> None: ...
-
-
-class SerialPort:
-    """A device or pyserial URL, opened exclusively, 8N1, without flow control."""
-
-    def __init__(self, url: str, baud_bps: int) -> None:
-        import serial
-
-        self.url = url
-        try:
-            self._serial: serial.Serial = serial.serial_for_url(
-                url, baudrate=baud_bps, timeout=0, write_timeout=None, do_not_open=True
-            )
-            with contextlib.suppress(ValueError, AttributeError, NotImplementedError):
-                self._serial.exclusive = True
-            self._serial.open()
-            self._serial.reset_input_buffer()
-            with contextlib.suppress(AttributeError, OSError, ValueError, NotImplementedError):
-                self._serial.set_low_latency_mode(True)
-        except (serial.SerialException, ValueError, OSError) as error:
-            raise BusError(f"cannot open port {url}: {_reason(error, url)}", url=url) from error
-
-    def write(self, data: bytes) -> None:
-        import serial
-
-        try:
-            self._serial.write(data)
-        except (serial.SerialException, OSError) as error:
-            raise self._lost() from error
-
-    def read(self) -> bytes:
-        import serial
-
-        try:
-            return bytes(self._serial.read(READ_MAX_BYTES))
-        except (serial.SerialException, OSError) as error:
-            raise self._lost() from error
-
-    def fileno(self) -> int | None:
-        try:
-            return int(self._serial.fileno())
-        except (AttributeError, OSError, NotImplementedError):
-            return None
-
-    def next_arrival_ns(self) -> int | None:
-        return None if self.fileno() is not None else time.monotonic_ns() + POLL_NS
-
-    def close(self) -> None:
-        """Wait until everything has left, then close."""
-        with contextlib.suppress(Exception):
-            self._serial.flush()
-        with contextlib.suppress(Exception):
-            self._serial.close()
-
-    def _lost(self) -> LostPortError:
-        return LostPortError(f"lost port {self.url}: {GONE}", url=self.url)
-
-
-def _reason(error: Exception, url: str) -> str:
-    """Return what to tell a person about a failure to open or use a port."""
-    hints = {
-        errno.ENOENT: "there is no such device; is it plugged in?",
-        errno.EACCES: permission_hint(url),
-        errno.EBUSY: IN_USE,
-        errno.EAGAIN: IN_USE,
-        errno.ENOTTY: NO_PORT,
-        errno.EISDIR: NO_PORT,
-    }
-    return hints.get(_number(error), str(error))
-
-
-def _number(error: BaseException) -> int:
-    """Return the number that the system gave an error, also one that pyserial only quotes."""
-    if isinstance(error, OSError) and error.errno is not None:
-        return error.errno
-    cause = error.__context__  # `termios.error` is no OSError, but has one's arguments.
-    first = cause.args[0] if cause is not None and cause.args else 0
-    return first if isinstance(first, int) else 0

@@ -1,7 +1,8 @@
-"""What an ordinary computer can be asked for, so that a show is on time beside other programs.
+"""Requests to the operating system that keep a show on time beside other programs.
 
-Real-time priority lets the player run before any ordinary program; locked memory is never waited
-for. Both need a permission on most systems, and a show plays without them: what is refused is said.
+With real-time priority the player runs before any ordinary program; locked memory is never
+swapped out. Most systems require a permission for both, and a show plays without them: each
+refusal is returned as a text.
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 NICENESS: Final = 10
-"""Of 0 to 19. Chosen: a tenth of the weight of an ordinary program, on a busy computer still a
-few frames a second."""
+"""Of 0 to 19. Chosen: a tenth of the weight of an ordinary program, which still gives a few frames
+a second on a busy computer."""
 PRIORITY: Final = 20
 """Of 1 to 99 (SCHED_FIFO). Chosen: before all programs, behind the kernel's own threads at 50."""
 SLICE_NS: Final = 100 * NS_PER_US
-"""The shortest that Linux knows (sched_setattr(2)). Measured beside two busy programs on two cores,
-91 commands a second: the latest of a thousand left 5 to 6 ms late, without it 8 ms."""
+"""The shortest that Linux accepts (sched_setattr(2)). Measured beside two busy programs on two
+cores, at 91 commands a second: the latest of a thousand left 5 to 6 ms late, without it 8 ms."""
 _PR_SET_TIMERSLACK: Final = 29
 _SCHED_SETATTR: Final = {"x86_64": 314, "aarch64": 274, "armv7l": 380, "armv6l": 380}
-"""Numbers of the system call, which few C libraries wrap (Linux, asm/unistd.h)."""
+"""Numbers of the system call, for which few C libraries have a function (Linux, asm/unistd.h)."""
 _SCHED_ATTR: Final = struct.Struct("=IIQiIQQQII")
 """`struct sched_attr` with its size, policy, flags, niceness, priority, runtime, deadline, period
 and utilisation (Linux, sched_setattr(2))."""
@@ -38,9 +39,9 @@ _MCL_FUTURE: Final = 2
 
 @contextlib.contextmanager
 def real_time(*, is_wanted: bool = True) -> Iterator[list[str]]:
-    """Ask for real-time priority and locked memory meanwhile; yield what was refused, as text.
+    """Request real-time priority and locked memory inside the block; yield the refusals.
 
-    Processes that are started meanwhile have ordinary priority.
+    Processes that are started inside the block get ordinary priority.
     """
     refused: list[str] = []
     with contextlib.ExitStack() as stack:
@@ -51,9 +52,9 @@ def real_time(*, is_wanted: bool = True) -> Iterator[list[str]]:
 
 
 def lower_priority() -> None:
-    """Let this process never interrupt another: a helper of the player that has time.
+    """Let this process interrupt no other: for helper processes of the player.
 
-    What the player hands over wakes its helper, which an ordinary scheduler lets run first.
+    Data from the player wakes its helper, which an ordinary scheduler then runs first.
     """
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
@@ -63,10 +64,10 @@ def lower_priority() -> None:
 
 @contextlib.contextmanager
 def prompt_waits() -> Iterator[None]:
-    """Ask Linux meanwhile to end every wait on the instant; it takes no permission.
+    """Request that waits inside the block end without delay (Linux; needs no permission).
 
-    Waits are rounded up to 50 us unless asked not to. And since Linux 6.12 an ordinary process may
-    say how long it will need a processor: one that needs little interrupts one that needs more.
+    Linux rounds waits up to 50 us by default. Since Linux 6.12 an ordinary process may also
+    state how long it will need a processor: a short request interrupts a longer one.
     """
     _set_timer_slack(1)
     is_brief = _set_slice(SLICE_NS)
@@ -79,7 +80,7 @@ def prompt_waits() -> Iterator[None]:
 
 
 def _set_timer_slack(slack_ns: int) -> None:
-    """0 asks for the default again."""
+    """Set by how much Linux may round waits up; 0 restores the default."""
     if not sys.platform.startswith("linux"):
         return
     with contextlib.suppress(OSError, AttributeError):
@@ -87,9 +88,9 @@ def _set_timer_slack(slack_ns: int) -> None:
 
 
 def _set_slice(slice_ns: int) -> bool:
-    """Set how long an ordinary process runs at a time; 0 asks for the default again.
+    """Set how long an ordinary process runs at a time; 0 restores the default.
 
-    Return whether that was done: not where there is no such call, nor with real-time priority.
+    Returns whether it was set: not without the system call, nor with real-time priority.
     """
     number = _SCHED_SETATTR.get(platform.machine())
     if not sys.platform.startswith("linux") or number is None:
@@ -111,7 +112,7 @@ def _raise_priority(stack: contextlib.ExitStack, refused: list[str]) -> None:
         refused.append("no real-time priority: this system offers none to Python")
         return
     policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
-    # Not every system that has the call has the flag.
+    # Some systems have the call without the flag.
     flag = getattr(os, "SCHED_RESET_ON_FORK", 0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO | flag, os.sched_param(PRIORITY))
@@ -137,14 +138,14 @@ def _lock_memory(stack: contextlib.ExitStack, refused: list[str]) -> None:
         return
     if not is_locked:
         refused.append(
-            "memory is not locked: the system does not permit so much. On Linux add the line "
+            "memory is not locked: the system does not permit it. On Linux add the line "
             f"`{_user()} - memlock unlimited` to /etc/security/limits.conf and log in again"
         )
         return
     stack.callback(_libc().munlockall)
 
 
-def _libc() -> Any:  # noqa: ANN401  whatever the C library has
+def _libc() -> Any:  # noqa: ANN401  the functions depend on the C library
     import ctypes
 
     return ctypes.CDLL(None)

@@ -1,4 +1,4 @@
-"""A log, read again: what each servo heard, and the player's decisions made once more."""
+"""Reads a log: what each servo was sent, and the player's decisions, made again and compared."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LINE: Final = re.compile(r"(\d{1,9})\.(\d{9}) (\S+) ([><.=!?#])(?: (.*))?")
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One line of a log; `data` are bytes for `>` and `<`, `text` what other lines say."""
+    """One line of a log. `data` are the bytes of a `>` or `<` line, `text` is its raw content."""
 
     at_ns: int
     bus: str
@@ -39,17 +39,17 @@ class Entry:
 
 @dataclass(slots=True)
 class Replayed:
-    """How far the player decided as it did when the log was written."""
+    """How many decisions of the player were compared with the log, and which differ."""
 
     compared: int = 0
     differing: list[tuple[Entry, bytes]] = field(default_factory=list)
-    """What the log says was sent, and what would be sent now."""
+    """Line of the log, and the bytes that the player sends now instead."""
 
 
 def read_log(path: Path) -> tuple[dict[str, Any], list[Entry]]:
-    """Return how the show was played and all lines; raise `InputError` for what is no log.
+    """Return how the show was played, and all lines. Raises `InputError` for another file.
 
-    A last line without its end is dropped: the log of a crash may have one.
+    A last line without its end is dropped: a log may end in a crash.
     """
     try:
         text = path.read_text(encoding="ascii")
@@ -85,7 +85,7 @@ def _played(text: str, path: Path, line: int) -> dict[str, Any]:
 
 
 def sent_lines(entries: list[Entry]) -> Iterator[tuple[int, str, bytes]]:
-    """Yield instant of writing, bus and line of all that went to the servos."""
+    """Yield instant, bus and bytes of every line that was sent to servos."""
     rest: dict[str, bytes] = {}
     for entry in entries:
         if entry.kind == ">":
@@ -94,9 +94,9 @@ def sent_lines(entries: list[Entry]) -> Iterator[tuple[int, str, bytes]]:
 
 
 def replay(entries: list[Entry], player: Player) -> Replayed:
-    """Let `player` live through the log: the same instants, answers and wishes.
+    """Feed the log to `player`: the same instants, answers and requests; compare what it sends.
 
-    It must be made from the same show and robot. Nothing is sent anywhere.
+    The player must be made from the same show and robot. Nothing is sent to a port.
     """
     result, index = Replayed(), 0
     while index < len(entries):
@@ -106,7 +106,7 @@ def replay(entries: list[Entry], player: Player) -> Replayed:
             case "<":
                 player.receive_data(entry.bus, entry.data, entry.at_ns)
             case "=":
-                _wish(player, entry)
+                _apply_request(player, entry)
             case "." | ">":
                 sent = dict(player.data_to_send(entry.at_ns))
                 result.compared += 1
@@ -114,13 +114,13 @@ def replay(entries: list[Entry], player: Player) -> Replayed:
                 while index < len(entries) and _is_same_write(entry, entries[index]):
                     group.append(entries[index])
                     index += 1
-                for said in group:
-                    if (now := sent.pop(said.bus, b"")) != said.data:
-                        result.differing.append((said, now))
+                for logged in group:
+                    if (now := sent.pop(logged.bus, b"")) != logged.data:
+                        result.differing.append((logged, now))
                 result.differing += [(entry, data) for data in sent.values()]
                 while player.next_event() is not None:
                     pass
-                player.next_wakeup_ns()  # A player that is woken later than this asks less.
+                player.next_wakeup_ns()  # It polls what is overdue by then, as in the run.
             case _:
                 pass
     return result
@@ -130,7 +130,7 @@ def _is_same_write(entry: Entry, other: Entry) -> bool:
     return entry.kind == other.kind == ">" and entry.at_ns == other.at_ns and entry.bus != other.bus
 
 
-def _wish(player: Player, entry: Entry) -> None:
+def _apply_request(player: Player, entry: Entry) -> None:
     word, _, value = entry.text.partition(" ")
     match word:
         case "go":
@@ -143,5 +143,5 @@ def _wish(player: Player, entry: Entry) -> None:
             player.abort(entry.at_ns)
         case _:
             raise InputError(
-                f"{entry.text!r} is nothing that a person can ask for", line=entry.line
+                f"{entry.text!r} is not a request (go, rate, stop or abort)", line=entry.line
             )

@@ -152,7 +152,8 @@ def make_report(
 ) -> Report:
     """Return the report of a run that took `run_s` in all, from the first query on.
 
-    `horn_error_deg`: per joint RMS and largest distance of the simulated horn from the plan.
+    `horn_error_deg` holds, by joint, the RMS and the largest distance of the simulated horn from
+    the plan.
     """
     program, show = player.program, player.show
     statistics = show.statistics if show is not None else Statistics()
@@ -181,7 +182,7 @@ def make_report(
 
 
 def _played_s(player: Player) -> float:
-    """Return the show time that was reached, never more than the plan's."""
+    """Return the show time that was reached, at most the duration of the plan."""
     if player.show is None or player.show_ended_ns is None:
         return 0.0
     reached_s = max(0.0, player.show.show_s(player.show_ended_ns))
@@ -189,7 +190,7 @@ def _played_s(player: Player) -> float:
 
 
 def _bus(player: Player, name: str, run_s: float) -> BusReport:
-    line, questioner = player.lines[name], player.trackers[name]
+    line, tracker = player.lines[name], player.trackers[name]
     reader = player.show.scheduler if player.show is not None else None
     busy_s = line.sent_bytes * LINE_BITS_PER_BYTE / line.bus.baud_bps
     return BusReport(

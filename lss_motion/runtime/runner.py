@@ -6,9 +6,9 @@ simpler dialogue) decides everything and does no input or output; it gets the ti
 
 Threads and processes. `run` uses one thread, that of its caller, and starts none. What may block
 runs in a process of its own, which the loop never waits for: the log file (`runtime.log`), the
-functions and sounds of a show (`runtime.performer`) and the display (`cli.display`). The loop
-writes to their pipes without blocking; a line that does not fit is dropped and counted. Each of
-these processes ends when its pipe closes. `lss-motion sim` is a program of its own.
+functions and sounds of a show (`runtime.performer`), the planner of a walk (`walking.process`) and
+the display (`cli.display`). The loop writes to their pipes without blocking; what does not fit is
+dropped, or written later. `lss-motion sim` is a program of its own, with its own loop.
 
 Who waits. `Clock.wait_until` waits here: for the next wakeup of what is driven, for a port, or for
 a file number of the controls, 50 ms at most. Ports, controls, taps and callbacks must return at
