@@ -128,7 +128,7 @@ def roll_call(connection: Connection, bus_name: str) -> list[ServoIdentity]:
     baud_bps = connection.buses[bus_name].baud_bps
     models: dict[int, str] = {}
     doubtful: set[int] = set()
-    for _ in range(discovery.CALLS):
+    for _ in range(discovery.ROLL_CALLS):
         left = [servo_id for servo_id in range(ID_MAX + 1) if servo_id not in models]
         heard = connection.run(
             Listening(bus_name, discovery.roll_call_steps(baud_bps, left))

@@ -1,17 +1,19 @@
-"""Looking after servos: finding them, reading and writing what they store, watching, measuring.
+"""Work on servos off the stage: find, configure, watch, calibrate and measure them, record by hand.
 
-What belongs here decides what to ask and to order, and what the answers mean. It is the core of
-the commands of the bench as `player` is that of a show: no port, no clock, no screen. Questions
-and orders go through `player.Conversation` or another object that `runtime.runner` can drive;
-`lss_motion.connection` opens the ports, `cli` asks people and prints.
+Nothing here has a port, a clock or a screen. The modules decide what to query and to command and
+interpret the answers; `player.Conversation` or the run loop sends, `lss_motion.connection` opens
+the ports, and `cli` interacts with the person.
 
-pause, listening   let time pass on open ports; say lines and keep all that comes back
-roll_call   who is on a bus: rates, ids, ids that several servos share
-settings, backup, backup_file   what servos store: differences, orders, dangers; files of it
-watch, alarms   all that servos say, as fast as the lines allow; when to call somebody
-look, findings, starter   how a servo does; what to tell of it; a robot file to begin with
-identify    how a servo really responds: small moves, and the model that fits them
-hands_on, polling   joints in a person's hands: limp, held, moved, and read all the time
-take, cleaning      what a hand showed, as a sequence
-calibration         where a joint's zero is, and which way it turns
+| file             | what it is                                          | who calls it        |
+|------------------|-----------------------------------------------------|---------------------|
+| `discovery.py`   | which servos are on a bus, and their condition      | `cli`, `connection` |
+| `findings.py`    | problems and remedies of a scan, first robot file   | `cli.scan`          |
+| `settings.py`    | stored values: queries, differences, commands       | `cli.configure`     |
+| `backup.py`      | files of stored settings; imports pydantic          | `cli.configure`     |
+| `limits.py`      | limits that a robot file leaves to its servos       | `cli`, `connection` |
+| `monitor.py`     | polls every servo, raises alarms                    | `cli.monitor`       |
+| `hands_on.py`    | joints moved by hand: limp, held, read continuously | `cli`               |
+| `take.py`        | recorded motion and poses as a sequence             | `cli.record`        |
+| `calibration.py` | zero and direction of a joint                       | `cli.hands`         |
+| `identify/`      | measures how a servo responds                       | `cli.identify`      |
 """

@@ -1,4 +1,4 @@
-"""Where a joint's zero is, and which way it turns, from what a hand showed."""
+"""Zero and direction of a joint, computed from positions to which a person moved it."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Joint
 
 MOVED_MIN_DEG: Final = 5.0
-"""A push that shows a direction. Chosen: far above backlash and noise, and easily made."""
+"""The smallest push that shows a direction. Chosen: far above backlash and noise, easy to do."""
 
 ZERO_DECIMALS: Final = 1
-"""Servos tell tenths of a degree."""
+"""Servos report tenths of a degree."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Frame:
-    """How joint angles lie on servo angles: `servo_deg = zero_deg + direction * joint_deg`."""
+    """The relation of joint and servo angles: `servo_deg = zero_deg + direction * joint_deg`."""
 
     zero_deg: float
     direction: Literal[1, -1]
@@ -28,10 +28,10 @@ class Frame:
 def frame_of(
     joint: Joint, *, servo_deg: float, pose_deg: float, pushed_deg: float | None
 ) -> Frame | None:
-    """Return the frame of a joint that stands at `pose_deg` when its servo says `servo_deg`.
+    """Return the frame of a joint that stands at `pose_deg` while its servo reports `servo_deg`.
 
-    `pushed_deg` is the servo angle after the joint was pushed towards larger joint angles, or
-    None to keep the direction that the robot file says. Returns None for too small a push.
+    `pushed_deg` is the servo angle after a push towards larger joint angles, or None to keep the
+    direction of the robot file. Returns None if the push was too small.
     """
     direction: Literal[1, -1] = joint.direction
     if pushed_deg is not None:
@@ -43,9 +43,9 @@ def frame_of(
 
 
 def moved_origin(joint: Joint, *, origin_wire: int, gyre: int, zero_deg: float) -> int:
-    """Return the origin offset (wire unit) with which the servo says 0 at its `zero_deg` of now.
+    """Return the origin offset (wire unit) that makes the servo report 0 at its present `zero_deg`.
 
-    A servo says `gyre * (raw - origin)`; the offset is kept within half a turn.
+    A servo reports `gyre * (raw - origin)`; the offset is kept within half a turn.
     """
     row = FAMILY_TABLES[joint.model.family].row("O")
     turn, moved = row.wire(360.0), origin_wire + gyre * row.wire(zero_deg)

@@ -1,6 +1,6 @@
-"""Limits that a robot file leaves to its servos: what to ask, and the robot that comes of it.
+"""Joint limits that a robot file leaves to its servos: the queries, and the robot with the answers.
 
-`speed_max_deg_s: servo` is what SD is set to, `accel_max_deg_s2: servo` the smaller of AA and AD.
+`speed_max_deg_s: servo` is the setting SD, `accel_max_deg_s2: servo` the smaller of AA and AD.
 """
 
 from __future__ import annotations
@@ -18,16 +18,15 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from lss_motion.maintenance.backup import ServoBackup
+    from lss_motion.player.handshake import Answers
     from lss_motion.robot.model import Joint, Robot
 
-    Answers = Mapping[tuple[str, int, str], int | str | None]
-
 SETTINGS: Final = {"speed_max_deg_s": ("SD",), "accel_max_deg_s2": ("AA", "AD")}
-"""The settings behind a limit; the least of them is it."""
+"""The settings behind a limit; the smallest of them is the limit."""
 
 
 def questions(robot: Robot) -> list[Item]:
-    """Return what to ask: the limits that servos go by now."""
+    """Return the queries for the open limits, as they are in this session."""
     return [
         Item(bus=joint.bus, command=Command(joint.servo_id, f"Q{name}"), is_query=True)
         for joint in robot.unread
@@ -37,9 +36,9 @@ def questions(robot: Robot) -> list[Item]:
 
 
 def robot_from_answers(robot: Robot, answers: Answers) -> Robot:
-    """Return the robot with the limits that its servos said.
+    """Return the robot with the limits that its servos answered.
 
-    Raises `BusError` naming those that did not, `InputError` for a limit that allows nothing.
+    Raises `BusError` naming the servos without an answer, `InputError` for a limit of 0.
     """
 
     def wire(joint: Joint, name: str) -> int | None:
@@ -52,7 +51,7 @@ def robot_from_answers(robot: Robot, answers: Answers) -> Robot:
             f"{joint.name} (id {joint.servo_id} on bus {joint.bus!r})" for joint in known.unread
         )
         raise BusError(
-            f"the robot file leaves limits to servos that do not say them: {named}. Check power "
+            f"the robot file leaves limits to servos that do not answer: {named}. Check power "
             f"and wiring, or give numbers",
             url=robot.buses[known.unread[0].bus].port,
         )
@@ -62,7 +61,7 @@ def robot_from_answers(robot: Robot, answers: Answers) -> Robot:
 def robot_from_backup(robot: Robot, kept: Iterable[ServoBackup], path: Path) -> Robot:
     """Return the robot with the limits that its servos stored when the backup was made.
 
-    Raises `InputError` for a servo that is not in it, and for a limit that allows nothing.
+    Raises `InputError` for a servo that the backup does not hold, and for a limit of 0.
     """
     stored = {(servo.bus, servo.servo_id): servo.settings for servo in kept}
 
@@ -73,32 +72,33 @@ def robot_from_backup(robot: Robot, kept: Iterable[ServoBackup], path: Path) -> 
     for joint in known.unread:
         raise InputError(
             f"holds no {' and '.join(n for key in sorted(joint.unread) for n in SETTINGS[key])} of "
-            f"servo {joint.servo_id} on bus {joint.bus!r} (joint {joint.name!r}); make it again",
+            f"servo {joint.servo_id} on bus {joint.bus!r} (joint {joint.name!r}); make a new "
+            f"backup",
             path=path,
         )
     return known
 
 
 def with_limits(robot: Robot, limits: Mapping[str, Mapping[str, float]]) -> Robot:
-    """Return the robot with those of the limits by joint and name that its file leaves open.
+    """Return the robot with `limits`, by joint and name, where its file leaves them open.
 
-    None is more than what the model can.
+    No limit exceeds that of the servo model.
     """
     joints = dict(robot.joints)
     for joint in robot.unread:
-        said = {
+        read = {
             key: min(value, getattr(joint, key))
             for key, value in limits.get(joint.name, {}).items()
             if key in joint.unread
         }
-        for key, value in said.items():
+        for key, value in read.items():
             if value <= 0.0:
                 raise InputError(
                     f"joint {joint.name!r}: {key} is left to servo {joint.servo_id}, and its "
                     f"{' or '.join(SETTINGS[key])} is 0; configure it, or give a number",
                     path=robot.path,
                 )
-        joints[joint.name] = replace(joint, unread=joint.unread - said.keys(), **said)
+        joints[joint.name] = replace(joint, unread=joint.unread - read.keys(), **read)
     asked = {**robot.read_limits, **{name: dict(values) for name, values in limits.items()}}
     return replace(robot, joints=joints, read_limits=asked)
 
@@ -106,7 +106,7 @@ def with_limits(robot: Robot, limits: Mapping[str, Mapping[str, float]]) -> Robo
 def _physical(
     robot: Robot, wire_of: Callable[[Joint, str], int | None]
 ) -> dict[str, dict[str, float]]:
-    """Return the limits that are known by joint and name, in degrees of the horn."""
+    """Return the known limits by joint and name, in horn degrees."""
     limits: dict[str, dict[str, float]] = {}
     for joint in robot.unread:
         rows = storable(joint.model.family)
@@ -119,7 +119,7 @@ def _physical(
             ]
             if len(values) < len(wires):
                 continue
-            # The ramps are `ramp_ratio` times what AA and AD say.
+            # The ramps are `ramp_ratio` times the values of AA and AD.
             ratio = 1.0 if key == "speed_max_deg_s" else joint.response.ramp_ratio
             limits.setdefault(joint.name, {})[key] = ratio * min(values)
     return limits

@@ -1,4 +1,4 @@
-"""The settings of servos: what to ask, how they differ from what is wanted, what to order.
+"""The settings of servos: queries, differences from the wanted values, commands to write.
 
 Values are wire values by the name of their row; None is a first position that is switched off.
 """
@@ -17,21 +17,25 @@ from lss_motion.protocol.table import Device, ReplyShape, Suffix
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
+    from lss_motion.player.handshake import Answers
     from lss_motion.protocol.table import Row
 
-    Answers = Mapping[tuple[str, int, str], int | str | None]
 
 Values = dict[str, int | None]
 
 RC_MODE: Final = "CRC"
 BAUD: Final = "B"
 LEAVING: Final = (RC_MODE, BAUD)
-"""Who has these changed does not answer on the same line after a RESET."""
+"""A servo with one of these changed no longer answers on its line after a RESET."""
+FRAME: Final = ("G", "O")
+"""Direction and origin, which define what an angle means."""
+FIRST: Final = ("FP", "FD")
+"""The two first positions; writing one erases the other (FACTS.md C16)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """A servo whose settings are read or written. `model` is what `QMS` says."""
+    """A servo whose settings are read or written. `model` is the answer to `QMS`."""
 
     name: str
     bus: str
@@ -50,7 +54,7 @@ class Target:
         return Device.ANALOG if "-A" in self.model else Device.SERVO
 
     def rows(self, *, is_session: bool) -> Mapping[str, Row]:
-        """Return what can be asked and written: what it stores, or what it goes by now."""
+        """Return the settings that can be read and written: stored, or those of the session."""
         return {
             name: row
             for name, row in storable(self.family).items()
@@ -63,7 +67,7 @@ class Target:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """A setting that is not as wanted."""
+    """A setting that differs from the wanted value."""
 
     target: Target
     row: Row
@@ -76,7 +80,7 @@ class Change:
 
 
 def questions(target: Target, rows: Mapping[str, Row], *, is_session: bool) -> list[Item]:
-    """Return the questions for the stored values, or for those of the session."""
+    """Return the queries for the stored values, or for those of the session."""
     items = []
     for row in rows.values():
         is_stored_asked = Suffix.CONFIGURED in (row.suffixes or {}).values() and not is_session
@@ -86,7 +90,7 @@ def questions(target: Target, rows: Mapping[str, Row], *, is_session: bool) -> l
 
 
 def values(target: Target, rows: Mapping[str, Row], answers: Answers) -> Values:
-    """Return what was answered to `questions`; what was not, is absent."""
+    """Return the values that answer `questions`; without an answer a setting is absent."""
     found: Values = {}
     for name, row in rows.items():
         address = (target.bus, target.servo_id, row.queries[0])
@@ -99,10 +103,10 @@ def values(target: Target, rows: Mapping[str, Row], answers: Answers) -> Values:
 
 
 def changes(target: Target, had: Values, wanted: Mapping[str, int | None]) -> list[Change]:
-    """Return what must be written, in the order in which to write it.
+    """Return what must be written, in the order of writing.
 
-    What nobody can read back, such as RC mode, always is. Of the two first positions, which
-    overwrite each other, the one that is wanted is written last.
+    A setting that cannot be read back, such as RC mode, is always written. Of the two first
+    positions, which overwrite each other, the wanted one is written last.
     """
     rows = storable(target.family)
     needed = [
@@ -111,12 +115,6 @@ def changes(target: Target, had: Values, wanted: Mapping[str, int | None]) -> li
         if name in wanted and (name not in had or had[name] != wanted[name])
     ]
     return sorted(needed, key=lambda change: change.wanted is not None and change.row.name in FIRST)
-
-
-FRAME: Final = ("G", "O")
-"""What an angle means: direction and origin."""
-FIRST: Final = ("FP", "FD")
-"""The two first positions; writing one forgets the other (FACTS.md C16)."""
 
 
 def orders(needed: Iterable[Change], *, is_session: bool) -> list[Item]:
@@ -130,14 +128,14 @@ def orders(needed: Iterable[Change], *, is_session: bool) -> list[Item]:
 
 
 def goes_limp(change: Change, *, is_session: bool) -> bool:
-    """Return whether a servo lets go while a change is written: for a RESET, or to turn nothing."""
+    """Return whether a servo goes limp while a change is written: for a RESET, or for safety."""
     return change.row.name in FRAME or (change.row.needs_reset and not is_session)
 
 
 def limp_orders(needed: Iterable[Change]) -> list[Item]:
-    """Return what lets go the servos whose angles get another meaning.
+    """Return the commands that release the servos whose angles change their meaning.
 
-    One that holds a position might go where that position then is (FACTS.md R11).
+    A servo that holds a position might turn to that position in the new frame (FACTS.md R11).
     """
     return [
         Item(bus=target.bus, command=Command(target.servo_id, "L"), is_query=False)
@@ -146,22 +144,24 @@ def limp_orders(needed: Iterable[Change]) -> list[Item]:
 
 
 def dangers(needed: Sequence[Change], baud_bps: int) -> list[str]:
-    """Return why changes would make a servo unreachable from a line at `baud_bps`."""
+    """Return the reasons why changes would make a servo unreachable at `baud_bps`."""
     found = []
     for change in needed:
         servo = f"{change.target.name} (id {change.target.servo_id})"
         if change.row.name == RC_MODE and change.wanted:
-            found.append(f"{servo}: RC mode makes it deaf to the bus; only its button ends that")
+            found.append(
+                f"{servo}: in RC mode it receives nothing from the bus; only its button ends that"
+            )
         if change.row.name == BAUD and change.wanted != baud_bps:
             found.append(
-                f"{servo}: at {change.wanted} bps it would not hear this line, which runs at "
+                f"{servo}: at {change.wanted} bps it would not receive this line, which runs at "
                 f"{baud_bps}; --new-baud changes all servos of a line together"
             )
     return found
 
 
 def value_text(row: Row, wire: int | None) -> str:
-    """Return a value for people: with its unit, and in words where it is a colour."""
+    """Return a value as text: with its unit, and with the name of a colour."""
     if wire is None:
         return "off"
     unit = f" {row.unit}" if row.unit else ""

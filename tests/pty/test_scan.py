@@ -58,7 +58,7 @@ def test_an_empty_bus_is_told_with_what_to_check(on_terminal, lss_motion):
     with on_terminal():
         code, out, _ = lss_motion("scan", "port", "--baud", 115200)
     assert code == EXIT_UNREACHABLE
-    assert "problem: nobody answered" in out
+    assert "problem: no servo answered" in out
     assert "power of their own" in out
 
 

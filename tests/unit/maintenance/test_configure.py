@@ -103,7 +103,10 @@ def test_one_setting_of_one_servo_needs_no_file(connected, spec, configure):
 
 def test_what_makes_a_servo_unreachable_needs_force(connected, spec, configure):
     connection = connected(spec(1), spec(2))
-    for setting, said in (("CRC=1", "deaf to the bus"), ("B=9600", "would not hear this line")):
+    for setting, said in (
+        ("CRC=1", "receives nothing from the bus"),
+        ("B=9600", "would not receive this line"),
+    ):
         words = ("--port", "P", "--id", 1, "--set", setting, "--yes")
         code, _, errors = configure(connection, *words)
         assert code == EXIT_INPUT

@@ -119,5 +119,5 @@ def test_a_backup_serves_in_place_of_the_servos(robot, tmp_path):
     hand = ServoBackup(bus="main", servo_id=6, model="LSS-P-S1", settings={"SD": 300})
     known = robot_from_backup(robot, [arm, hand], path)
     assert limits(known) == {"arm": (90.0, 250.0), "hand": (30.0, 200.0), "eye": (60.0, 300.0)}
-    with pytest.raises(InputError, match=r"holds no SD of servo 6.*'hand'.*make it again"):
+    with pytest.raises(InputError, match=r"holds no SD of servo 6.*'hand'.*make a new backup"):
         robot_from_backup(robot, [arm], path)
