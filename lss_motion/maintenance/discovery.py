@@ -58,7 +58,7 @@ damages some answers by itself (FACTS.md W21), so one bad answer proves nothing.
 _CLEAN: Final = re.compile(rb"\*([0-9]+)(QMS|QN)([!-)+-~]+)\r")
 
 HOT_C: Final = 65.0
-"""The temperature of a warning; at 85 °C a servo goes limp (FACTS.md S7). Chosen: time to react."""
+"""A warning is due from here on; at 85 °C a servo goes limp (FACTS.md S7). Chosen: time to act."""
 SUPPLY_MIN_V: Final = 6.0
 SUPPLY_MAX_V: Final = 12.6
 """The range of the datasheets (FACTS.md E4)."""
@@ -297,15 +297,15 @@ class Listening:
         self._next = 0
         self._until_ns: int | None = None
 
-    def data_to_send(self, now_ns: int) -> Mapping[str, bytes]:
-        if self._until_ns is not None and now_ns < self._until_ns:
+    def data_to_send(self, leaves_ns: int) -> Mapping[str, bytes]:
+        if self._until_ns is not None and leaves_ns < self._until_ns:
             return {}
         if self._next == len(self._steps):
             self._until_ns = None
             return {}
         step = self._steps[self._next]
         self._next += 1
-        self._until_ns = now_ns + step.listen_ns
+        self._until_ns = leaves_ns + step.listen_ns
         return {self._bus: step.data} if step.data else {}
 
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:  # noqa: ARG002

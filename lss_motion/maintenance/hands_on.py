@@ -1,12 +1,10 @@
-"""A robot in a person's hands: joints limp, held or moved, their angles read without a pause.
+"""A robot moved by hand: joints limp, held or moved, their angles read continuously.
 
-For the runner, as a `Player` is, with the same endings: whatever happens, servos hold where they
-are and get their settings back. A joint that is let go falls; the caller asks first.
+`HandsOn` is driven by the run loop as a `Player` is, and ends the same way: however it ends, the
+servos hold their position and get their settings back. A limp joint falls; the caller warns first.
 
-Phases: connect (who is there?), prepare (the joint's limits for the session, as for a show), show
-(the person's part), restore, done.
-
-Asking servos where they are, one after the other, as fast as their line allows.
+Phases: connect (query the servos), prepare (settings of the session, as for a show), show (the part
+of the person), restore, done.
 """
 
 from __future__ import annotations
@@ -38,15 +36,15 @@ if TYPE_CHECKING:
 
 
 STATUS_NS: Final = NS_PER_S // 2
-"""How often one joint, the next each time, is asked for its status: safe mode is noticed."""
+"""How often one joint, the next each time, is queried for its status to detect safe mode."""
 SILENT_NS: Final = NS_PER_S
-"""A joint without an answer for so long is named. Chosen: nobody waits longer to be told."""
+"""A joint without an answer for so long is reported. Chosen: a person waits no longer."""
 IDLE_NS: Final = 20 * NS_PER_MS
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """Where a joint was when its servo heard the question, in joint degrees."""
+    """The angle of a joint, in joint degrees, at the instant when its servo received the query."""
 
     joint: str
     at_ns: int
@@ -54,9 +52,9 @@ class Reading:
 
 
 class Poller:
-    """Orders before questions, as many of these in flight as can be told apart.
+    """Sends commands before queries, and as many queries at once as can be told apart.
 
-    The latest angles are in `readings`; `take()` returns what came since the last call.
+    The latest angles are in `readings`; `take()` returns those since the last call.
     """
 
     def __init__(
@@ -64,13 +62,13 @@ class Poller:
         robot: Robot,
         joints: Iterable[Joint],
         lines: Mapping[str, SerialLine],
-        questioners: Mapping[str, QueryTracker],
+        trackers: Mapping[str, QueryTracker],
     ) -> None:
         self.readings: dict[str, Reading] = {}
         self.faults: deque[Faulted] = deque()
         self._robot = robot
         self._lines = lines
-        self._questioners = questioners
+        self._trackers = trackers
         self._fresh: list[Reading] = []
         self._owners = {(joint.bus, joint.servo_id): joint for joint in joints}
         owners = self._owners.values()
@@ -78,12 +76,12 @@ class Poller:
         self._status_turns = {bus: deque(turn) for bus, turn in self._turns.items()}
         self._status_ns = dict.fromkeys(lines, 0)
         self._next_ns = dict.fromkeys(lines, 0)
-        """When the next question may be asked, if that was known."""
+        """When the next query may be sent, if that is known."""
         self._orders: dict[str, deque[Command]] = {bus: deque() for bus in lines}
-        self._named: set[str] = set()
+        self._reported: set[str] = set()
 
     def order(self, joint: Joint, command: Command) -> None:
-        """Send an order before the next question."""
+        """Send a command before the next query."""
         self._orders[joint.bus].append(command)
 
     @property
@@ -97,60 +95,60 @@ class Poller:
     def advance(self, now_ns: int) -> None:
         """Send what can be sent now."""
         for bus, line in self._lines.items():
-            self._questioners[bus].expire(now_ns)
+            self._trackers[bus].expire(now_ns)
             while self._orders[bus] and line.free_ns <= now_ns:
                 line.send(encode(self._orders[bus].popleft()), now_ns)
             while self._ask(bus, now_ns):
                 pass
 
     def receive(self, bus: str, reply: Reply, now_ns: int) -> None:
-        for asked, answer in self._questioners[bus].receive(reply, now_ns):
+        for asked, answer in self._trackers[bus].receive(reply, now_ns):
             joint = self._owners[bus, asked.command.servo_id]
             if asked.command.keyword == "Q":
                 self._notice_status(joint, answer)
                 continue
-            said = read_reply(joint.model.family, answer)
-            if said is not None and isinstance(said.value, int | float):
-                self.note(joint, asked.arrival_ns, float(said.value))
+            statement = read_reply(joint.model.family, answer)
+            if statement is not None and isinstance(statement.value, int | float):
+                self.note(joint, asked.arrival_ns, float(statement.value))
 
     def note(self, joint: Joint, at_ns: int, servo_deg: float) -> None:
-        """Take in that a servo was at an angle."""
+        """Record the angle of a servo."""
         reading = Reading(joint.name, at_ns, joint.joint_deg(servo_deg))
         self.readings[joint.name] = reading
         self._fresh.append(reading)
-        self._named.discard(f"{joint.name} does not answer")
+        self._reported.discard(f"{joint.name} does not answer")
 
     def next_wakeup_ns(self, now_ns: int) -> int:
         wakeups_ns = [now_ns + IDLE_NS]
-        for bus, questioner in self._questioners.items():
+        for bus, tracker in self._trackers.items():
             wakeups_ns.append(self._next_ns[bus])
-            if (give_up_ns := questioner.give_up_ns) is not None:
+            if (give_up_ns := tracker.give_up_ns) is not None:
                 wakeups_ns.append(give_up_ns)
         return min(wakeup_ns for wakeup_ns in wakeups_ns if wakeup_ns > now_ns)
 
     def _ask(self, bus: str, now_ns: int) -> bool:
-        """Ask the next servo, if it may be asked now; return whether it was."""
-        questioner, line = self._questioners[bus], self._lines[bus]
+        """Query the next servo, if that is possible now; return whether it was."""
+        tracker, line = self._trackers[bus], self._lines[bus]
         is_status_due = now_ns >= self._status_ns[bus]
         turn = self._status_turns[bus] if is_status_due else self._turns[bus]
         for _ in range(len(turn)):
             joint = turn[0]
             self._notice_silence(joint, now_ns)
-            if questioner.quiet_until_ns(joint.servo_id) <= now_ns:
+            if tracker.quiet_until_ns(joint.servo_id) <= now_ns:
                 break
             turn.rotate(-1)
         else:
             return False
-        if questioner.is_waiting(joint.servo_id):  # Equal questions are believed as a row only.
+        if tracker.is_waiting(joint.servo_id):  # Replies to equal queries cannot be told apart.
             return False
         command = Command(joint.servo_id, "Q" if is_status_due else "QD")
-        earliest_ns = questioner.earliest_ns(joint.servo_id, len(encode(command)))
+        earliest_ns = tracker.earliest_ns(joint.servo_id, len(encode(command)))
         if earliest_ns is None:
             return False
         self._next_ns[bus] = max(earliest_ns, line.free_ns)
         if self._next_ns[bus] > now_ns:
             return False
-        questioner.send(command, now_ns)
+        tracker.send(command, now_ns)
         turn.rotate(-1)
         if is_status_due:
             self._status_ns[bus] = now_ns + STATUS_NS
@@ -158,7 +156,7 @@ class Poller:
 
     def _notice_silence(self, joint: Joint, now_ns: int) -> None:
         if now_ns - self.readings[joint.name].at_ns > SILENT_NS:
-            self._name(joint, "does not answer", Cause.SILENT)
+            self._report(joint, "does not answer", Cause.SILENT)
 
     def _notice_status(self, joint: Joint, reply: Reply) -> None:
         if not isinstance(reply.value, int):
@@ -167,30 +165,30 @@ class Poller:
         state = status_from(reply.value, joint.model.family, firmware)
         if state in (Status.SAFE_MODE, Status.ERROR):
             cause = Cause.ERROR if state is Status.ERROR else Cause.SAFE_MODE
-            self._name(joint, f"reports {state.value}", cause)
+            self._report(joint, f"reports {state.value}", cause)
 
-    def _name(self, joint: Joint, text: str, cause: Cause) -> None:
-        if (key := f"{joint.name} {text}") not in self._named:
-            self._named.add(key)
+    def _report(self, joint: Joint, text: str, cause: Cause) -> None:
+        if (key := f"{joint.name} {text}") not in self._reported:
+            self._reported.add(key)
             self.faults.append(Faulted(joint.name, text, cause, FaultStep.WARN))
 
 
 SOFT: Final[Mapping[str, int]] = {"AH": -10, "AS": -4}
-"""Session settings with which a hand can push a holding joint: the softest that the documents
-allow (FACTS.md M24, M25). How soft that is, no document says."""
+"""Settings of the session with which a hand can push a holding joint: the softest that the
+documents allow (FACTS.md M24, M25). They do not state how soft that is."""
 
 GIVE_WAY_DEG: Final = 1.0
-"""A soft joint that was pushed this far is sent to where it is, within its range: what H does to a
-horn that was pushed, no document says. Chosen: above backlash and noise."""
+"""A soft joint that was pushed this far is commanded to its new angle, within its range: no
+document states what H does to a horn that was pushed. Chosen: above backlash and noise."""
 
 GIVE_WAY_S: Final = 0.02
 
 
 class HandsOn:
-    """Joints of `robot` in somebody's hands until `stop`; `error` says why it could not begin.
+    """Joints of `robot` that a person moves, until `stop`; `error` is set if it cannot begin.
 
-    With `is_soft`, joints that hold do so softly, and stay where a hand pushes them. What was
-    answered to `also_ask`, queries for every joint, `answered` tells from the show on.
+    With `is_soft`, joints hold softly and stay where a hand pushes them. `also_ask` are queries for
+    every joint; `answer_of` returns their answers from the show on.
     """
 
     def __init__(
@@ -209,8 +207,8 @@ class HandsOn:
         self.lines = {name: SerialLine(robot.buses[name]) for name in robot.buses}
         self._is_soft = is_soft
         self._held_deg: dict[str, float] = {}
-        self._questioners = {name: QueryTracker(line) for name, line in self.lines.items()}
-        self._poller = Poller(robot, self.joints, self.lines, self._questioners)
+        self._trackers = {name: QueryTracker(line) for name, line in self.lines.items()}
+        self._poller = Poller(robot, self.joints, self.lines, self._trackers)
         self._events: deque[Event] = deque([PhaseEntered(Phase.CONNECT)])
         self._answers: Answers = {}
         more = [
@@ -223,10 +221,10 @@ class HandsOn:
         self._stops = 0
         self._now_ns = 0
 
-    # ---- the four calls of the runner, and the last bytes
+    # ---- calls of the run loop
 
     def data_to_send(self, leaves_ns: int) -> Mapping[str, bytes]:
-        self._now_ns = leaves_ns
+        self._leaves_ns = leaves_ns
         while self._dialogue is not None:
             self._dialogue.advance(leaves_ns)
             if not self._dialogue.is_finished:
@@ -237,7 +235,7 @@ class HandsOn:
         return {name: data for name, line in self.lines.items() if (data := line.take())}
 
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:
-        """Take in bytes of a bus. No byte of any kind raises."""
+        """Take bytes of a bus. No byte raises."""
         for reply in self.lines[bus].receive(data):
             if self._dialogue is not None:
                 self._dialogue.receive(bus, reply, now_ns)
@@ -258,18 +256,18 @@ class HandsOn:
         return self._poller.faults.popleft() if self._poller.faults else None
 
     def safe_bytes(self) -> Mapping[str, bytes]:
-        """Return the last bytes if it ends here: hold, if any servo was let go, held or moved."""
+        """Return the last bytes: hold, if any servo was released, held or moved."""
         return handshake.safe_bytes(self.robot) if self._has_acted else {}
 
-    # ---- what a person may ask for
+    # ---- requests of a person
 
     @property
     def readings(self) -> Mapping[str, Reading]:
-        """The latest reading of each joint; all are there from the show on."""
+        """The latest reading of each joint; complete from the show on."""
         return self._poller.readings
 
     def take(self) -> list[Reading]:
-        """Return what was read since the last call, oldest first."""
+        """Return the readings since the last call, oldest first."""
         fresh = self._poller.take()
         if self._is_soft:
             self._give_way(fresh)
@@ -277,7 +275,7 @@ class HandsOn:
 
     @property
     def has_sent_all(self) -> bool:
-        """Whether no order waits for its place on the line."""
+        """Whether no command waits for its place on the line."""
         return not self._poller.has_orders
 
     def answer_of(self, name: str, keyword: str) -> int | None:
@@ -287,18 +285,18 @@ class HandsOn:
         return value if isinstance(value, int) else None
 
     def set(self, name: str, keyword: str, value: int) -> None:
-        """Set something of a joint's servo (wire unit) that no ending takes back."""
+        """Set a value of a joint's servo (wire unit) that stays after the end."""
         for joint in self._ready([name]):
             self._poller.order(joint, Command(joint.servo_id, keyword, value))
 
     def let_go(self, joints: Iterable[str]) -> None:
-        """Take the power off joints: they fall if nobody holds them."""
+        """Make joints limp: they fall if no hand holds them."""
         for joint in self._ready(joints):
             self._poller.order(joint, Command(joint.servo_id, "L"))
             self.limp.add(joint.name)
 
     def hold(self, joints: Iterable[str]) -> None:
-        """Let joints keep the angle that they have when they hear it."""
+        """Make joints keep the angle at which they receive the command."""
         for joint in self._ready(joints):
             self._poller.order(joint, Command(joint.servo_id, "H"))
             self._held_deg[joint.name] = self.readings[joint.name].deg
@@ -321,7 +319,7 @@ class HandsOn:
         return target_deg
 
     def stop(self) -> None:
-        """Hold, give the settings back and end. Asked twice: end at once, holding."""
+        """Hold, restore the settings and end. A second call ends at once, holding."""
         self._stops += 1
         if self.phase is Phase.RESTORE and self._stops > 1:
             self._finish(self._now_ns)
@@ -340,7 +338,7 @@ class HandsOn:
             case Phase.PREPARE:
                 for joint in self.joints:
                     angle_deg = handshake.reported(joint, self._answers, "QD")
-                    assert angle_deg is not None, "essential, so it was answered"
+                    assert angle_deg is not None, "essential queries are answered"
                     self._poller.note(joint, now_ns, angle_deg)
                 self._enter(Phase.SHOW)
             case _:
@@ -386,7 +384,7 @@ class HandsOn:
         self._events.append(PhaseEntered(phase))
 
     def _ask(self, items: Iterable[Item]) -> Dialogue:
-        return Dialogue(items, self.lines, self._questioners)
+        return Dialogue(items, self.lines, self._trackers)
 
     def _ready(self, joints: Iterable[str]) -> list[Joint]:
         if self.phase is not Phase.SHOW:
@@ -395,7 +393,7 @@ class HandsOn:
         return [self.robot.joints[name] for name in joints]
 
     def _give_way(self, fresh: Iterable[Reading]) -> None:
-        """Let joints that were pushed hold where they are now."""
+        """Make joints that were pushed hold their present angle."""
         for name, deg in {reading.joint: reading.deg for reading in fresh}.items():
             is_held = name in self._held_deg and name not in self.limp
             if is_held and abs(deg - self._held_deg[name]) > GIVE_WAY_DEG:
@@ -403,11 +401,11 @@ class HandsOn:
 
 
 def _session(robot: Robot, name: str, *, is_soft: bool) -> Joint:
-    """Return a joint with its settings for the session; one that cannot be read is refused."""
+    """Return a joint with the session's settings; raises `InputError` if it cannot be read."""
     joint = robot.joints[name]
     if joint.model.family is Family.IO2:
         raise InputError(
-            f"joint {name!r} is on an {joint.model.name}, which does not know where its servos "
+            f"joint {name!r} is on an {joint.model.name}, which cannot read where its servos "
             "are; leave it out with --joints",
             path=robot.path,
         )

@@ -228,7 +228,7 @@ class Experiment:
     # ---- the four calls
 
     def data_to_send(self, leaves_ns: int) -> Mapping[str, bytes]:
-        self._now_ns = leaves_ns
+        self._leaves_ns = leaves_ns
         while self._step(leaves_ns):
             pass
         data = self._line.take()
