@@ -50,7 +50,7 @@ def test_a_servo_is_measured_and_its_file_says_so(on_terminal, servo, lss_motion
     # A busy computer blurs the instants; how exact it is otherwise is judged in virtual time.
     assert 0.03 < response.lag_s < 0.07
     assert response.retarget == "keep_speed"
-    assert response.t_law == "exact" or "t_law could not be told" in out
+    assert response.t_law == "exact" or "t_law could not be decided" in out
     assert "}  # the free one" in robot.read_text()
 
 

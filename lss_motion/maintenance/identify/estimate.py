@@ -1,6 +1,7 @@
-"""Recording → what the servo does, each number with its uncertainty.
+"""Computes the parameters of a servo from a recording, each with its uncertainty.
 
-What the rests alone say: how far the load pulls the horn at each angle, and the play.
+`identify` fits the model of `fit` under every hypothesis and keeps the best. `read_rests` uses the
+rests alone: how far the load pulls the horn at each angle, and the play of the gears.
 """
 
 from __future__ import annotations
@@ -35,10 +36,29 @@ if TYPE_CHECKING:
 
 
 PLAY_LEAST_DEG: Final = 0.1
-"""Less play than a wire unit is none."""
+"""Less play than a wire unit counts as none."""
 PLAY_SIGMAS: Final = 4.0
 FALL_RATIO: Final = 0.5
-"""Gears that fall to their other side must explain this much of what is left without them."""
+"""Gears that fall to their other side must explain this share of the residuals without them."""
+DECIDED_RATIO: Final = 1.15
+"""A hypothesis is rejected if its residuals are larger than the best ones by this factor."""
+MISFIT_MAX_DEG: Final = 0.7
+"""Above this no hypothesis explains the readings, and no fitted value is valid. Several times the
+scatter of a reading (FACTS.md E7: 0.1 deg)."""
+LOOP_PERIODS_S: Final = (0.001, 0.025)
+"""The range in which a control period is searched."""
+LOOP_COHERENCE_LEAST: Final = 0.72
+"""Instants of take-up on a grid give 1, random ones 0; the best of the 30 000 grids that are tried
+gives 0.56 for thirty random instants."""
+LOOP_SIGMAS: Final = 3.0
+"""A dead time contradicts a control loop if it differs by so many standard errors."""
+SATURATED_RATIO: Final = 0.94
+"""A horn slower than this share of its profile turns at its top speed."""
+NOT_FITTED: Final = (Kind.REACH, Kind.FAST)
+"""Trials before the top speed is known: the servo may not have followed its profile."""
+STEEP_RATIO: Final = 0.97
+SLOPE_S: Final = 0.05
+"""Speeds are slopes over this time."""
 
 
 class Measured(NamedTuple):
@@ -48,88 +68,8 @@ class Measured(NamedTuple):
     error: float
 
 
-@dataclass(frozen=True, slots=True)
-class Rests:
-    """Servo degrees. `droop_deg` are coefficients over (angle - middle) / half room.
-
-    Play shows in one of two ways: without a load, by the way from which a rest was reached; under
-    a load that changes sides (`is_falling`), where it does, since the gears then fall to the other
-    end of their play. A load that does not hides it.
-    """
-
-    droop_deg: tuple[float, float, float]
-    play: Measured
-    is_falling: bool = False
-
-
-def read_rests(recording: Recording, trials: Sequence[Trial]) -> Rests:
-    """Return what the rests at the end of the trials say."""
-    window = recording.window
-    targets = np.array([trial.sent[-1].target_deg for trial in trials])
-    missing = targets - np.array([trial.rest_deg() for trial in trials])
-    away = (targets - 0.5 * (window.low_deg + window.high_deg)) / (0.5 * window.room_deg)
-    load = np.stack([np.ones_like(away), away, away**2], axis=1)
-    ways = np.array([trial.last_way() for trial in trials])
-    turned = _Line(np.column_stack([load, 0.5 * ways]), missing)
-    if turned.is_real(turned.step):
-        return Rests(turned.droop, turned.step)
-    plain = _Line(load, missing)
-    heights = np.unique(np.round(away, 3))
-    falls = [
-        _Line(np.column_stack([load, 0.5 * np.sign(away - height)]), missing)
-        for height in 0.5 * (heights[1:] + heights[:-1])
-    ]
-    best = min(falls, key=lambda line: line.rms_deg, default=plain)
-    level, slope, _ = best.droop
-    falling = best.step._replace(value=math.copysign(best.step.value, best.step.value * slope))
-    changes = abs(slope) > abs(level) and best.rms_deg < FALL_RATIO * plain.rms_deg
-    if changes and best.is_real(falling):
-        return Rests(best.droop, falling, is_falling=True)
-    return Rests(plain.droop, Measured(0.0, turned.step.error))
-
-
-class _Line:
-    """Least squares of the load's parabola and, in the fourth column, of a step."""
-
-    def __init__(self, columns: Array, missing: Array) -> None:
-        found = np.linalg.lstsq(columns, missing, rcond=None)[0]
-        left = missing - columns @ found
-        spare = max(1, len(missing) - columns.shape[1])
-        self.rms_deg = math.sqrt(float(left @ left) / spare)
-        self.droop = (float(found[0]), float(found[1]), float(found[2]))
-        self.step = Measured(0.0, math.inf)
-        if len(found) > 3:
-            spread = np.linalg.pinv(columns.T @ columns)[3, 3]
-            self.step = Measured(float(found[3]), self.rms_deg * math.sqrt(max(0.0, spread)))
-
-    @staticmethod
-    def is_real(step: Measured) -> bool:
-        return step.value > max(PLAY_LEAST_DEG, PLAY_SIGMAS * step.error)
-
-
-DECIDED_RATIO: Final = 1.15
-"""A hypothesis counts as wrong if its readings miss by this much more than those of the best."""
-MISFIT_MAX_DEG: Final = 0.7
-"""Above this no hypothesis explains the readings, and nothing that was fitted may be believed.
-Several times what a reading scatters (FACTS.md E7: 0.1 deg)."""
-LOOP_PERIODS_S: Final = (0.001, 0.025)
-"""Between these a control period is looked for."""
-LOOP_COHERENCE_LEAST: Final = 0.72
-"""Instants of take-up that lie on a grid give 1, instants at random 0; the best of the 30 000
-grids that are tried gives 0.56 for thirty random instants."""
-LOOP_SIGMAS: Final = 3.0
-"""A dead time contradicts a control loop when it is so many standard errors off."""
-SATURATED_RATIO: Final = 0.94
-"""A horn slower than this share of what its profile asks for turns as fast as it can."""
-NOT_FITTED: Final = (Kind.REACH, Kind.FAST)
-"""Trials before it is known how fast the servo can turn: it may not have followed its profile."""
-STEEP_RATIO: Final = 0.97
-SLOPE_S: Final = 0.05
-"""Speeds are slopes over this long."""
-
-
 class Decided(NamedTuple):
-    """The choice between two laws; `is_sure` if the readings tell them apart."""
+    """The choice between two laws; `is_sure` if the readings separate them."""
 
     value: str
     is_sure: bool
@@ -178,7 +118,7 @@ class Identified:
 
 
 def identify(joint: Joint, recording: Recording) -> Identified:
-    """Return what the recording says of the servo of `joint`.
+    """Return the parameters of the servo of `joint`.
 
     Raises `PlaybackError` if no hypothesis explains the readings.
     """
@@ -235,16 +175,16 @@ def _is_sure(fits: dict[Hypothesis, ModelFit], best: ModelFit, place: int) -> bo
 
 
 def _spread_error(fit: ModelFit) -> float:
-    """Return how well the mean delay is known, as each command meets its own control loop."""
+    """Return the standard error of the mean delay: each command meets its own control loop."""
     delays = np.concatenate(fit.delays_s)
     return float(np.std(delays) / math.sqrt(len(delays)))
 
 
 def _parts(fit: ModelFit, delay: Measured, loop: Measured | None) -> tuple[Measured, Measured]:
-    """Return lag and dead time, which together are the delay.
+    """Return lag and dead time, whose sum is the delay.
 
-    Only the shape of the ramps tells them apart, and slow ones hardly do. So where a control loop
-    was found and the shape does not contradict, the profile is taken to begin at the first loop.
+    Only the shape of the ramps separates them, slow ones poorly. Where a control loop was found and
+    the shape does not contradict it, the profile is assumed to begin at the first loop.
     """
     error = math.hypot(fit.lag_s * fit.errors[2], delay.error)
     dead_s = fit.delay_s - fit.lag_s
@@ -257,13 +197,13 @@ def _parts(fit: ModelFit, delay: Measured, loop: Measured | None) -> tuple[Measu
 def _loop(trials: Sequence[Trial], fit: ModelFit) -> Measured | None:
     """Return the period of the grid on which the commands were taken up, if there is one.
 
-    All instants of take-up then point the same way on a clock of that period.
+    On a clock with that period all instants of take-up have the same phase.
     """
     taken_s = np.array(
         [
-            trial.began_s + order.received_s + delay_s
+            trial.began_s + move.received_s + delay_s
             for trial, delays_s in zip(trials, fit.delays_s, strict=True)
-            for order, delay_s in zip(trial.sent, delays_s, strict=True)
+            for move, delay_s in zip(trial.sent, delays_s, strict=True)
         ]
     )
     taken_s -= taken_s.mean()
@@ -281,9 +221,9 @@ def _loop(trials: Sequence[Trial], fit: ModelFit) -> Measured | None:
 
 
 def _top_speed(recording: Recording, fit: ModelFit) -> tuple[Measured, bool]:
-    """Return the fastest that the horn turned, and whether its profile asked for more.
+    """Return the highest speed of the horn, and whether its profile was faster.
 
-    Looked at is where the profile is fastest, not where a reading is: that would be its scatter.
+    It is taken where the profile is fastest: the fastest reading would be mostly scatter.
     """
     shape = Shape(fit.accel_deg_s2, fit.decel_deg_s2, recording.speed_max_deg_s, fit.lag_s)
     best, is_top = Measured(0.0, 0.0), False
@@ -303,7 +243,7 @@ def _top_speed(recording: Recording, fit: ModelFit) -> tuple[Measured, bool]:
 
 
 def _slopes(times_s: Array, angles_deg: Array, asked_deg: Array) -> Array:
-    """Return of every stretch of `SLOPE_S` the slope of the angles, its error, and that asked."""
+    """Return for every span of `SLOPE_S` the slope of the angles, its error, and the asked one."""
     rows = []
     first = 0
     for last in range(len(times_s)):
@@ -339,3 +279,62 @@ def _noise_deg(trials: Sequence[Trial]) -> float:
 def _turnaround(recording: Recording) -> tuple[float, float, float]:
     least, middle, most = np.percentile(recording.turnarounds_s, (1.0, 50.0, 99.0)).tolist()
     return least, middle, most
+
+
+@dataclass(frozen=True, slots=True)
+class Rests:
+    """Servo degrees. `droop_deg` are coefficients over (angle - middle) / half room.
+
+    Play shows in one of two ways. Without a load, it depends on the direction from which a rest was
+    reached. Under a load that changes sides (`is_falling`), it shows at that angle, since the gears
+    fall to the other end of their play. A load that does not change sides hides it.
+    """
+
+    droop_deg: tuple[float, float, float]
+    play: Measured
+    is_falling: bool = False
+
+
+def read_rests(recording: Recording, trials: Sequence[Trial]) -> Rests:
+    """Return the load and the play that the rests at the end of the trials show."""
+    window = recording.window
+    targets = np.array([trial.sent[-1].target_deg for trial in trials])
+    missing = targets - np.array([trial.rest_deg() for trial in trials])
+    away = (targets - 0.5 * (window.low_deg + window.high_deg)) / (0.5 * window.room_deg)
+    load = np.stack([np.ones_like(away), away, away**2], axis=1)
+    ways = np.array([trial.last_direction() for trial in trials])
+    turned = _RestFit(np.column_stack([load, 0.5 * ways]), missing)
+    if turned.is_real(turned.step):
+        return Rests(turned.droop, turned.step)
+    plain = _RestFit(load, missing)
+    heights = np.unique(np.round(away, 3))
+    falls = [
+        _RestFit(np.column_stack([load, 0.5 * np.sign(away - height)]), missing)
+        for height in 0.5 * (heights[1:] + heights[:-1])
+    ]
+    best = min(falls, key=lambda line: line.rms_deg, default=plain)
+    level, slope, _ = best.droop
+    falling = best.step._replace(value=math.copysign(best.step.value, best.step.value * slope))
+    changes = abs(slope) > abs(level) and best.rms_deg < FALL_RATIO * plain.rms_deg
+    if changes and best.is_real(falling):
+        return Rests(best.droop, falling, is_falling=True)
+    return Rests(plain.droop, Measured(0.0, turned.step.error))
+
+
+class _RestFit:
+    """Least squares of the load's parabola and, in the fourth column, of a step."""
+
+    def __init__(self, columns: Array, missing: Array) -> None:
+        found = np.linalg.lstsq(columns, missing, rcond=None)[0]
+        left = missing - columns @ found
+        spare = max(1, len(missing) - columns.shape[1])
+        self.rms_deg = math.sqrt(float(left @ left) / spare)
+        self.droop = (float(found[0]), float(found[1]), float(found[2]))
+        self.step = Measured(0.0, math.inf)
+        if len(found) > 3:
+            spread = np.linalg.pinv(columns.T @ columns)[3, 3]
+            self.step = Measured(float(found[3]), self.rms_deg * math.sqrt(max(0.0, spread)))
+
+    @staticmethod
+    def is_real(step: Measured) -> bool:
+        return step.value > max(PLAY_LEAST_DEG, PLAY_SIGMAS * step.error)

@@ -1,12 +1,7 @@
-"""One joint's trials on its bus: moves on time, questions in between, safe however it ends.
+"""The trials of one joint on its bus: moves on time, queries in between; holds however it ends.
 
-The four calls of everything that the runner drives (`runtime.runner.Driven`), no port and no
-clock. Phases: prepare (session settings), hold, the trials, and whatever happens, restore the
-settings and hold.
-
-Asks one servo where it is as often as the line allows, and now and then how it fares.
-
-Where a horn must not be: the words for it, or nothing while all is well.
+`Experiment` is driven by the run loop (`runtime.runner.Driven`). Phases: prepare (settings of the
+session), hold, the trials, and however they end, restore the settings and hold.
 """
 
 from __future__ import annotations
@@ -52,134 +47,31 @@ if TYPE_CHECKING:
 
 
 READ_EVERY_NS: Final = 6 * NS_PER_MS
-"""So often, if the line allows: ten readings in a ramp of 60 ms."""
+"""The period of the readings, if the line allows: ten in a ramp of 60 ms."""
 STATUS_EVERY: Final = 10
-"""One question in so many asks how the servo fares."""
+"""One query in so many is for the status of the servo."""
 SILENT_ASKS: Final = 6
-"""So many questions in a row without an answer, with a pause after each, and it is silent."""
-
-
-@dataclass(frozen=True, slots=True)
-class Answered:
-    """What an answer said: a position, or what is wrong with the servo, or neither."""
-
-    asked_ns: int
-    """When the servo had the question complete."""
-    turnaround_s: float
-    reading_deg: float | None = None
-    fault: str | None = None
-
-
-class Asking:
-    """Questions to the servo of one joint, one at a time.
-
-    A servo that is stuck must say so twice: a horn that turns back stands still for a moment.
-    """
-
-    def __init__(self, joint: Joint, line: SerialLine) -> None:
-        self.questioner = QueryTracker(line)
-        self._joint = joint
-        self._line = line
-        self._next_ns = 0
-        self._count = 0
-        self._silent_count = 0
-        self._status: Status | None = None
-
-    @property
-    def is_silent(self) -> bool:
-        return self._silent_count >= SILENT_ASKS
-
-    def ask(self, now_ns: int, quiet_until_ns: int | None) -> None:
-        """Ask, if it is time and the line stays free until `quiet_until_ns`; None is for ever."""
-        questioner, servo_id = self.questioner, self._joint.servo_id
-        self._silent_count += len(questioner.expire(now_ns))
-        if questioner.is_waiting(servo_id):
-            return
-        self._next_ns = max(self._next_ns, questioner.quiet_until_ns(servo_id))
-        if now_ns < self._next_ns:
-            return
-        is_status = self._count % STATUS_EVERY == STATUS_EVERY - 1
-        question = Command(servo_id, "Q" if is_status else "QD")
-        ends_ns = self._line.arrival_ns(len(encode(question)), now_ns)
-        if quiet_until_ns is not None and ends_ns > quiet_until_ns:
-            self._next_ns = quiet_until_ns
-            return
-        questioner.send(question, now_ns)
-        self._count += 1
-        self._next_ns = now_ns + READ_EVERY_NS
-
-    def next_wakeup_ns(self) -> int:
-        give_up_ns = self.questioner.give_up_ns
-        return self._next_ns if give_up_ns is None else give_up_ns
-
-    def receive(self, reply: Reply, now_ns: int) -> Answered | None:
-        """Return what `reply` says; None if it answers nothing that was asked."""
-        answers = self.questioner.receive(reply, now_ns)
-        if not answers:
-            return None
-        asked, _ = answers[-1]  # One question at a time: there is no other.
-        self._silent_count = 0
-        wait_ns = now_ns - asked.arrival_ns - self._line.time_ns(len(encode(reply)))
-        turnaround_s = max(0.0, s_from_ns(wait_ns))
-        said = read_reply(self._joint.model.family, reply)
-        if said is None or not isinstance(said.value, int | float):
-            return Answered(asked.arrival_ns, turnaround_s)
-        if reply.keyword == "QD":
-            return Answered(asked.arrival_ns, turnaround_s, reading_deg=float(said.value))
-        firmware = self._line.bus.firmware
-        status = status_from(int(said.value), self._joint.model.family, firmware)
-        before, self._status = self._status, status
-        is_passing = status is Status.STUCK and before is not Status.STUCK
-        fault = None if is_passing else status_fault(status)
-        return Answered(asked.arrival_ns, turnaround_s, fault=fault)
-
-
+"""After so many queries without an answer, with a pause after each, a servo is silent."""
 ARRIVED_RATIO: Final = 0.5
-"""A horn that made less than this share of its way is held by something."""
+"""A horn that moved less than this share of its way is blocked."""
 WAY_LEAST_DEG: Final = 2.0
-"""Shorter ways are not judged: a load or play may take them up."""
+"""Shorter ways are not judged: load or play may absorb them."""
 GUARD_DEG: Final = 2.0
 """Readings this far outside the window end it: more than noise, less than harm."""
-
-
-def not_arrived(
-    joint: Joint, *, way_deg: float, from_deg: float, rest_deg: float, target_deg: float
-) -> str:
-    """Return what to say of a horn that rested at `from_deg`, was told to go, and now rests."""
-    if way_deg < WAY_LEAST_DEG or abs(rest_deg - from_deg) >= ARRIVED_RATIO * way_deg:
-        return ""
-    return (
-        f"was told to go to {joint.joint_deg(target_deg):.1f} deg and stays at "
-        f"{joint.joint_deg(rest_deg):.1f} deg: it is blocked, or its load is too heavy. Free it, "
-        f"and begin again"
-    )
-
-
-def outside(joint: Joint, window: Window, reading_deg: float) -> str:
-    """Return what to say of a horn at `reading_deg`."""
-    if window.low_deg - GUARD_DEG <= reading_deg <= window.high_deg + GUARD_DEG:
-        return ""
-    low, high = sorted((joint.joint_deg(window.low_deg), joint.joint_deg(window.high_deg)))
-    return (
-        f"is at {joint.joint_deg(reading_deg):.1f} deg and was to stay within {low:.1f} to "
-        f"{high:.1f} deg"
-    )
-
-
 HOLD_MS: Final = 300
-"""T of the first command, which takes the joint to where it already stands."""
+"""T of the first command, whose target is the present angle."""
 SETTLE_MAX_S: Final = 3.0
-"""Longer than this no horn takes to settle; one that still moves swings or is pushed."""
+"""No horn takes longer to settle; one that still moves swings or is pushed."""
 OUTSIDE_READINGS: Final = 2
-"""So many readings in a row outside the window end it: one may be damaged."""
+"""So many consecutive readings outside the window end it: one may be damaged."""
 DITHER_S: Final = 0.02
-"""Trials begin at instants spread evenly over this, so that the servo's control loops, whose
-period is some milliseconds, are met at every phase."""
+"""Trials begin at instants spread evenly over this time, so that they meet the control loops of the
+servo, whose period is some milliseconds, at every phase."""
 GOLDEN_RATIO: Final = 0.6180339887498949
 
 
 class State(Enum):
-    """What the experiment is doing."""
+    """The phase of an experiment."""
 
     PREPARE = "preparing"
     HOLD = "holding"
@@ -190,12 +82,12 @@ class State(Enum):
 
 
 class Experiment:
-    """Measures one joint. `error` says why it could not; `is_stopped` that somebody ended it."""
+    """Measures one joint. `error` is set if that failed, `is_stopped` if a person ended it."""
 
     def __init__(
         self, joint: Joint, robot: Robot, answers: Answers, window: Window, *, standing_deg: float
     ) -> None:
-        """`answers` are those to `setup.questions`; the joint stands at `standing_deg` (servo)."""
+        """`answers` are for `handshake.questions`; the joint stands at `standing_deg` (servo)."""
         self.joint = joint
         self.state = State.PREPARE
         self.error: LssMotionError | None = None
@@ -203,7 +95,7 @@ class Experiment:
         self.recording = Recording(window, float(ramp_setting_deg_s2(joint)), joint.speed_max_deg_s)
         self._answers: Answers = dict(answers)
         self._line = SerialLine(robot.buses[joint.bus])
-        self._asking = Asking(joint, self._line)
+        self._poller = PositionPoller(joint, self._line)
         self._standing_deg = self._target_deg = self._rested_deg = standing_deg
         self._profile = Profile(
             standing_deg,
@@ -225,7 +117,7 @@ class Experiment:
         self._has_moved = False
         self._now_ns = 0
 
-    # ---- the four calls
+    # ---- calls of the run loop
 
     def data_to_send(self, leaves_ns: int) -> Mapping[str, bytes]:
         self._leaves_ns = leaves_ns
@@ -241,16 +133,16 @@ class Experiment:
             if self._dialogue is not None:
                 self._dialogue.receive(bus, reply, now_ns)
                 continue
-            answered = self._asking.receive(reply, now_ns)
-            if answered is None:
+            polled = self._poller.receive(reply, now_ns)
+            if polled is None:
                 continue
-            self.recording.turnarounds_s.append(answered.turnaround_s)
-            if answered.reading_deg is not None:
-                self._trial.times_s.append(s_from_ns(answered.asked_ns - self._began_ns))
-                self._trial.readings_deg.append(answered.reading_deg)
-                self._watch(answered.reading_deg, now_ns)
-            elif answered.fault is not None:
-                self._fail(self._fault(answered.fault), now_ns)
+            self.recording.turnarounds_s.append(polled.turnaround_s)
+            if polled.reading_deg is not None:
+                self._trial.times_s.append(s_from_ns(polled.asked_ns - self._began_ns))
+                self._trial.readings_deg.append(polled.reading_deg)
+                self._watch(polled.reading_deg, now_ns)
+            elif polled.fault is not None:
+                self._fail(self._fault(polled.fault), now_ns)
 
     def next_wakeup_ns(self) -> int | None:
         if self.state is State.DONE:
@@ -258,7 +150,7 @@ class Experiment:
         if self._dialogue is not None:
             wakeup_ns = self._dialogue.next_wakeup_ns()
             return self._now_ns if wakeup_ns is None else max(wakeup_ns, self._now_ns)
-        wakeups_ns = [self._asking.next_wakeup_ns(), self._rests_ns + ns_from_s(SETTLE_MAX_S)]
+        wakeups_ns = [self._poller.next_wakeup_ns(), self._rests_ns + ns_from_s(SETTLE_MAX_S)]
         if self._moves:
             wakeups_ns.append(self._due_ns(self._moves[0]))
         return max(min(wakeups_ns), self._now_ns)
@@ -267,21 +159,21 @@ class Experiment:
         return None
 
     def safe_bytes(self) -> Mapping[str, bytes]:
-        """Return the last bytes if it ends here: the settings it found, and hold."""
+        """Return the last bytes if the run ends now: the settings that it found, and hold."""
         if not self._has_moved:
             return {}
         restored = handshake.restoring_orders([self.joint], self._answers)
         return {self.joint.bus: b"".join(encode(i.command) for i in restored) + self._hold_bytes()}
 
-    # ---- what a person may ask for
+    # ---- requests of a person
 
     @property
     def progress_ratio(self) -> float:
-        """How many of the trials are over."""
+        """The share of the trials that are over."""
         return 1.0 - len(self._plans) / self._planned if self._planned else 0.0
 
     def stop(self, now_ns: int) -> None:
-        """Brake and hold, give the settings back, end. Asked twice: at once, without braking."""
+        """Brake, hold, restore the settings, end. A second call ends at once without braking."""
         if self.state is State.DONE:
             return
         if self.is_stopped:
@@ -308,8 +200,8 @@ class Experiment:
         if self._is_over(now_ns):
             self._after_trial(now_ns)
             return True
-        self._asking.ask(now_ns, self._due_ns(self._moves[0]) if self._moves else None)
-        if self._asking.is_silent and self.state is not State.BRAKE:
+        self._poller.ask(now_ns, self._due_ns(self._moves[0]) if self._moves else None)
+        if self._poller.is_silent and self.state is not State.BRAKE:
             text = f"servo {self.joint.servo_id} has stopped answering; check its power and wiring"
             error = BusError(f"joint {self.joint.name!r}: {text}", url=self._line.bus.port)
             self._fail(error, now_ns)
@@ -348,7 +240,7 @@ class Experiment:
             self._restore()
 
     def _plan(self) -> None:
-        """Plan all trials, and, after the fast ones, those that are left once more."""
+        """Plan all trials; after the fast ones, plan the remaining ones again."""
         left = len(self._plans)
         top_deg_s = math.inf
         if self.state is State.HOLD:
@@ -382,7 +274,7 @@ class Experiment:
             self._brake(now_ns)
 
     def _brake(self, now_ns: int) -> None:
-        """Come to rest as gently as the joint may; on a fault, where the horn is."""
+        """Brake to rest within the joint's limits; on a fault, stop at the present angle."""
         if not self._has_moved:
             self._restore()
             return
@@ -433,7 +325,7 @@ class Experiment:
         self._profile.retarget(s_from_ns(heard_ns), self._target_deg, duration_s)
 
     def _is_over(self, now_ns: int) -> bool:
-        """Return whether the horn rests, or never will."""
+        """Return whether the horn rests, or has not come to rest in time."""
         if self._moves or now_ns < self._rests_ns + ns_from_s(SETTLE_S):
             return False
         if self._trial.is_settled(s_from_ns(now_ns - self._began_ns)):
@@ -445,7 +337,7 @@ class Experiment:
         return True
 
     def _check_arrival(self) -> None:
-        """Note the error of a horn that did not go where it was told."""
+        """Set the error if the horn did not move to its target."""
         cause = not_arrived(
             self.joint,
             way_deg=abs(self._target_deg - self._trial.start_deg),
@@ -457,7 +349,7 @@ class Experiment:
             self.error = self.error or self._fault(cause)
 
     def _watch(self, reading_deg: float, now_ns: int) -> None:
-        """Stop when the horn is where it must not be, by two readings in a row."""
+        """Stop after two consecutive readings outside the window."""
         cause = outside(self.joint, self.recording.window, reading_deg)
         self._outside_count = self._outside_count + 1 if cause else 0
         if self._outside_count >= OUTSIDE_READINGS:
@@ -471,4 +363,103 @@ class Experiment:
 
     def _ask(self, items: Sequence[Item]) -> Dialogue:
         bus = self.joint.bus
-        return Dialogue(items, {bus: self._line}, {bus: self._asking.questioner})
+        return Dialogue(items, {bus: self._line}, {bus: self._poller.tracker})
+
+
+@dataclass(frozen=True, slots=True)
+class PolledReading:
+    """The content of an answer: a position, a fault of the servo, or neither."""
+
+    asked_ns: int
+    """When the servo received the query completely."""
+    turnaround_s: float
+    reading_deg: float | None = None
+    fault: str | None = None
+
+
+class PositionPoller:
+    """Queries to the servo of one joint, one at a time.
+
+    STUCK must come twice to be a fault: a horn that turns back stands still for a moment.
+    """
+
+    def __init__(self, joint: Joint, line: SerialLine) -> None:
+        self.tracker = QueryTracker(line)
+        self._joint = joint
+        self._line = line
+        self._next_ns = 0
+        self._count = 0
+        self._silent_count = 0
+        self._status: Status | None = None
+
+    @property
+    def is_silent(self) -> bool:
+        return self._silent_count >= SILENT_ASKS
+
+    def ask(self, now_ns: int, quiet_until_ns: int | None) -> None:
+        """Send a query if it is due and ends before `quiet_until_ns` (None: no limit)."""
+        tracker, servo_id = self.tracker, self._joint.servo_id
+        self._silent_count += len(tracker.expire(now_ns))
+        if tracker.is_waiting(servo_id):
+            return
+        self._next_ns = max(self._next_ns, tracker.quiet_until_ns(servo_id))
+        if now_ns < self._next_ns:
+            return
+        is_status = self._count % STATUS_EVERY == STATUS_EVERY - 1
+        question = Command(servo_id, "Q" if is_status else "QD")
+        ends_ns = self._line.arrival_ns(len(encode(question)), now_ns)
+        if quiet_until_ns is not None and ends_ns > quiet_until_ns:
+            self._next_ns = quiet_until_ns
+            return
+        tracker.ask(question, now_ns)
+        self._count += 1
+        self._next_ns = now_ns + READ_EVERY_NS
+
+    def next_wakeup_ns(self) -> int:
+        give_up_ns = self.tracker.give_up_ns
+        return self._next_ns if give_up_ns is None else give_up_ns
+
+    def receive(self, reply: Reply, now_ns: int) -> PolledReading | None:
+        """Return the content of `reply`; None if it answers no query."""
+        answers = self.tracker.answer(reply, now_ns)
+        if not answers:
+            return None
+        asked, _ = answers[-1]  # One question at a time: there is no other.
+        self._silent_count = 0
+        wait_ns = now_ns - asked.arrival_ns - self._line.time_ns(len(encode(reply)))
+        turnaround_s = max(0.0, s_from_ns(wait_ns))
+        statement = read_reply(self._joint.model.family, reply)
+        if statement is None or not isinstance(statement.value, int | float):
+            return PolledReading(asked.arrival_ns, turnaround_s)
+        if reply.keyword == "QD":
+            return PolledReading(asked.arrival_ns, turnaround_s, reading_deg=float(statement.value))
+        firmware = self._line.bus.firmware
+        status = status_from(int(statement.value), self._joint.model.family, firmware)
+        before, self._status = self._status, status
+        is_passing = status is Status.STUCK and before is not Status.STUCK
+        fault = None if is_passing else status_fault(status)
+        return PolledReading(asked.arrival_ns, turnaround_s, fault=fault)
+
+
+def not_arrived(
+    joint: Joint, *, way_deg: float, from_deg: float, rest_deg: float, target_deg: float
+) -> str:
+    """Return the fault text of a horn that went from `from_deg` to `rest_deg` only, or ''."""
+    if way_deg < WAY_LEAST_DEG or abs(rest_deg - from_deg) >= ARRIVED_RATIO * way_deg:
+        return ""
+    return (
+        f"was commanded to {joint.joint_deg(target_deg):.1f} deg and stays at "
+        f"{joint.joint_deg(rest_deg):.1f} deg: it is blocked, or its load is too heavy. Free it, "
+        f"and begin again"
+    )
+
+
+def outside(joint: Joint, window: Window, reading_deg: float) -> str:
+    """Return the fault text of a horn at `reading_deg` outside the window, or ''."""
+    if window.low_deg - GUARD_DEG <= reading_deg <= window.high_deg + GUARD_DEG:
+        return ""
+    low, high = sorted((joint.joint_deg(window.low_deg), joint.joint_deg(window.high_deg)))
+    return (
+        f"is at {joint.joint_deg(reading_deg):.1f} deg but was to stay within {low:.1f} to "
+        f"{high:.1f} deg"
+    )

@@ -1,16 +1,12 @@
-"""Least squares over all trials: the one set of numbers, and one delay for each command.
+"""The response model of a servo, and its least squares fit over all trials.
 
-What is fitted for a hypothesis: the two ramps, the lag of the horn, how far the load pulls it
-(a parabola over the angle), and for each command how much later the horn does it. The last are
-not one number, because a servo takes a command up at its next control loop.
+Model (`horn_deg`): a profile with two ramps, and a horn that follows it with a first-order lag, for
+each hypothesis of what `D…T…` means. Unlike `program.response` it lets a command be taken up late,
+because the fit measures that. Angles are servo degrees, instants seconds of one trial.
 
-One trial as the fit sees it, and what lies between the horn of the model and a reading.
-
-Where a horn is after some commands, under each hypothesis: a profile, and a horn that lags it.
-
-This is the model that is fitted. Unlike `program.response` it has two ramps and a horn with a
-first-order lag, and its commands may be taken up late: what a servo does in between is asked, not
-assumed. Angles are servo degrees, instants seconds of one trial.
+Fit (`Problem`): for a hypothesis, the two ramps, the lag, how far the load pulls the horn (a
+parabola over the angle), the play, and one delay for each command, because a servo takes a command
+up at its next control loop.
 """
 
 from __future__ import annotations
@@ -33,59 +29,45 @@ if TYPE_CHECKING:
 
 
 FALLING_DEG: Final = 0.05
-"""Gears fall from one side to the other while the load changes by about this. Chosen: half a wire
-unit, so that the fit has a slope to go along."""
-
-
-@dataclass(frozen=True, slots=True)
-class FitTrial:
-    """One trial as the fit sees it: its readings as arrays, thinned."""
-
-    start_deg: float
-    arrived: float
-    """Which way the horn last moved before: 1, -1, or 0 where nobody knows."""
-    sent: tuple[SentMove, ...]
-    times_s: Array
-    readings_deg: Array
-
-
-def thinned(trial: Trial, arrived: float, most: int) -> FitTrial:
-    count = len(trial.times_s)
-    kept = np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))
-    return FitTrial(
-        trial.start_deg,
-        arrived,
-        tuple(trial.sent),
-        np.array(trial.times_s)[kept],
-        np.array(trial.readings_deg)[kept],
-    )
-
-
-def fallen_deg(droop_deg: Array, play_deg: float) -> Array:
-    """Return how much further the horn hangs since its gears lie on the side of the load."""
-    fallen: Array = 0.5 * play_deg * np.tanh(droop_deg / FALLING_DEG)
-    return fallen
-
-
-def with_play(horn: Array, arrived: float, play_deg: float) -> Array:
-    """Return where the shaft behind gears with play is: pushed along at either end of it."""
-    if play_deg <= 0.0 or not len(horn):
-        return horn
-    half = 0.5 * play_deg
-    shaft = np.empty_like(horn)
-    at = float(horn[0]) - arrived * half
-    for index, angle in enumerate(horn.tolist()):
-        at = min(max(at, angle - half), angle + half)
-        shaft[index] = at
-    return shaft
-
-
+"""The change of the load over which gears fall from one side to the other. Chosen: half a wire
+unit, so that the fit has a slope to follow."""
 TINY_DEG_S: float = 1e-6
-"""Slower than this is at rest: a wire unit in a day."""
+"""A slower horn is at rest: a wire unit in a day."""
+READINGS_MAX: Final = 120
+"""The number of readings of a trial that are used, evenly spread: more only take time."""
+READINGS_COARSE: Final = 40
+ITERATIONS_COARSE: Final = 10
+"""Enough to separate right from wrong hypotheses."""
+LAGS_TRIED_S: Final = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
+"""The search begins at the best of these. Chosen to cover all servos."""
+LAG_LEAST_S: Final = 5e-4
+"""A smaller lag counts as none: in half a millisecond no servo moves by a wire unit."""
+OUTLIER_DEG: Final = 0.4
+"""Larger residuals count less: a bus without checksums delivers wrong numbers."""
+ITERATIONS_MAX: Final = 25
+DELAY: Final = 6
+PLAY: Final = 7
+SHARED: Final = 8
+"""Logarithms of accel, decel and lag; three coefficients of the droop; the mean delay; the play.
+After these come the delays of the commands, as differences from their mean."""
+PRIOR_DEG: Final = 0.5
+"""Each prior below counts as one residual of this size: little beside the readings of a trial, but
+enough to exclude absurd numbers that would save a wrong hypothesis."""
+PRIOR_DELAY_S: Final = 0.006
+"""Delays differ by a control loop of some milliseconds."""
+PRIOR_LOG_RAMP: Final = 0.5
+"""Ramps are close to AA and AD."""
+COST_RATIO: Final = 1e-5
+"""A step that lowers the cost by less than this share is the last."""
+PRIOR_PLAY_DEG: Final = 0.5
+"""Play is close to that of the rests."""
+STEPS: Final = np.array([1e-4] * DELAY + [1e-5, 1e-3])
+OWN_STEP_S: Final = 1e-5
+"""Steps of the parameters for numeric derivatives."""
 
 
 class Hypothesis(NamedTuple):
-    """What no document says of `D…T…` (FACTS.md A10, A11); named as in `robot.model.Response`."""
+    """An undocumented meaning of `D…T…` (FACTS.md A10, A11); named as in `model.Response`."""
 
     retarget: Literal["keep_speed", "from_rest"]
     t_law: Literal["cruise", "exact"]
@@ -100,7 +82,7 @@ HYPOTHESES: tuple[Hypothesis, ...] = (
 
 
 class SentMove(NamedTuple):
-    """A `D target T duration` whose last byte the servo had at `received_s`."""
+    """A `D target T duration` whose last byte the servo received at `received_s`."""
 
     received_s: float
     target_deg: float
@@ -109,7 +91,7 @@ class SentMove(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """What shapes a motion: the two ramps, the cap SD, and the time constant of the horn's lag."""
+    """Parameters of a motion: two ramps, the speed limit SD, the time constant of the lag."""
 
     accel_deg_s2: float
     decel_deg_s2: float
@@ -117,7 +99,7 @@ class Shape:
     lag_s: float
 
 
-class _State(NamedTuple):
+class _ProfilePoint(NamedTuple):
     start_s: float
     position_deg: float
     speed_deg_s: float
@@ -141,47 +123,51 @@ def horn_deg(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the horn's angle at `times_s`, and how far it is behind the profile there.
 
-    The servo rested on `start_deg` before. It takes up each order its delay after it was heard.
-    The horn follows the profile with `lag_s * dh/dt = x - h`, which within a phase of constant
-    acceleration is solved exactly.
+    The servo rested on `start_deg` before. It takes up each move its delay after receiving it. The
+    horn follows the profile with `lag_s * dh/dt = x - h`, which is solved exactly within a phase of
+    constant acceleration.
     """
-    states = [_State(-math.inf, start_deg, 0.0, 0.0)]
-    for order, delay_s in zip(sent, delays_s, strict=True):
-        states = _retargeted(states, order, order.received_s + delay_s, shape, hypothesis)
-    return _lagged(states, shape.lag_s, times_s)
+    points = [_ProfilePoint(-math.inf, start_deg, 0.0, 0.0)]
+    for move, delay_s in zip(sent, delays_s, strict=True):
+        points = _retargeted(points, move, move.received_s + delay_s, shape, hypothesis)
+    return _lagged(points, shape.lag_s, times_s)
 
 
 def _retargeted(
-    states: list[_State], order: SentMove, taken_s: float, shape: Shape, hypothesis: Hypothesis
-) -> list[_State]:
-    """Return the profile up to `taken_s`, and from there on to the order's target."""
-    kept = [state for state in states if state.start_s < taken_s]
+    points: list[_ProfilePoint],
+    move: SentMove,
+    taken_s: float,
+    shape: Shape,
+    hypothesis: Hypothesis,
+) -> list[_ProfilePoint]:
+    """Return the profile up to `taken_s`, and from there to the target of the move."""
+    kept = [point for point in points if point.start_s < taken_s]
     last = kept[-1]
     position_deg, speed_deg_s = last.position_deg, 0.0
     if math.isfinite(last.start_s):
         position_deg, speed_deg_s = last.after(taken_s - last.start_s)
     if hypothesis.retarget == "from_rest":
         speed_deg_s = 0.0
-    away_deg = order.target_deg - position_deg
+    away_deg = move.target_deg - position_deg
     travel_deg_s = min(
         shape.speed_max_deg_s,
         _travel_deg_s(
             abs(away_deg),
-            order.duration_s,
+            move.duration_s,
             max(math.copysign(1.0, away_deg) * speed_deg_s, 0.0),
             shape,
             hypothesis.t_law,
         ),
     )
-    return kept + _move(taken_s, position_deg, speed_deg_s, order.target_deg, travel_deg_s, shape)
+    return kept + _move(taken_s, position_deg, speed_deg_s, move.target_deg, travel_deg_s, shape)
 
 
 def _travel_deg_s(
     distance_deg: float, duration_s: float, speed_deg_s: float, shape: Shape, t_law: str
 ) -> float:
-    """Return the speed that T asks for: distance / T, or that of the trapezoid that lasts T.
+    """Return the speed that T demands: distance / T, or that of the trapezoid that lasts T.
 
-    In the latter the ramps cost (v - v0)²/2a and v²/2d of the distance that v alone would make.
+    In the latter, the ramps take (v - v0)²/2a and v²/2d from the distance at speed v.
     """
     if t_law == "cruise":
         return distance_deg / duration_s
@@ -204,20 +190,21 @@ def _move(
     target_deg: float,
     travel_deg_s: float,
     shape: Shape,
-) -> list[_State]:
+) -> list[_ProfilePoint]:
     """Return the phases of a move that ends at rest on `target_deg`.
 
-    One that goes the wrong way, or too fast to stop in time, brakes to rest first and comes back.
+    If the horn moves the wrong way, or too fast to stop in time, it brakes to rest first and comes
+    back.
     """
-    states: list[_State] = []
+    points: list[_ProfilePoint] = []
     accel, decel = shape.accel_deg_s2, shape.decel_deg_s2
 
     def go(duration_s: float, accel_deg_s2: float) -> None:
         nonlocal now_s, position_deg, speed_deg_s
         if duration_s > 0.0:
-            state = _State(now_s, position_deg, speed_deg_s, accel_deg_s2)
-            states.append(state)
-            position_deg, speed_deg_s = state.after(duration_s)
+            point = _ProfilePoint(now_s, position_deg, speed_deg_s, accel_deg_s2)
+            points.append(point)
+            position_deg, speed_deg_s = point.after(duration_s)
             now_s += duration_s
 
     stop_deg = position_deg + 0.5 * speed_deg_s * abs(speed_deg_s) / decel
@@ -234,22 +221,24 @@ def _move(
     if peak > TINY_DEG_S:
         go(max(0.0, distance - ramps_deg) / peak, 0.0)
         go(peak / decel, -sign * decel)
-    states.append(_State(now_s, target_deg, 0.0, 0.0))
-    return states
+    points.append(_ProfilePoint(now_s, target_deg, 0.0, 0.0))
+    return points
 
 
 def _lagged(
-    states: list[_State], lag_s: float, times_s: NDArray[np.float64]
+    points: list[_ProfilePoint], lag_s: float, times_s: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return a horn that follows the profile with a first-order lag, and how far it is behind."""
-    table = np.array(states)
+    """Return a horn that follows the profile with a first-order lag, and its distance behind."""
+    table = np.array(points)
     start_s, position, speed, accel = table.T
-    start_s = np.where(np.isfinite(start_s), start_s, start_s[1] - 1.0 if len(states) > 1 else 0.0)
-    behind = position - lag_s * (speed - lag_s * accel)  # Where it would be, all else long past.
-    gap = np.zeros(len(states))
-    for index in range(1, len(states)):
+    start_s = np.where(np.isfinite(start_s), start_s, start_s[1] - 1.0 if len(points) > 1 else 0.0)
+    behind = position - lag_s * (
+        speed - lag_s * accel
+    )  # The horn's angle after a long time in this phase.
+    gap = np.zeros(len(points))
+    for index in range(1, len(points)):
         passed_s = start_s[index] - start_s[index - 1]
-        before = states[index - 1]
+        before = points[index - 1]
         speed_deg_s = before.speed_deg_s + before.accel_deg_s2 * passed_s
         final_deg = before.position_deg + 0.5 * (before.speed_deg_s + speed_deg_s) * passed_s
         final_deg -= lag_s * (speed_deg_s - lag_s * before.accel_deg_s2)
@@ -264,44 +253,55 @@ def _lagged(
     return profile - behind_deg, behind_deg
 
 
-READINGS_MAX: Final = 120
-"""As many readings of a trial are used, evenly spread: more only cost time."""
-READINGS_COARSE: Final = 40
-ITERATIONS_COARSE: Final = 10
-"""What is enough to tell right from wrong."""
-LAGS_TRIED_S: Final = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16)
-"""Where the search begins: the best of these. Chosen to cover what a servo can be."""
-LAG_LEAST_S: Final = 5e-4
-"""A lag below this is none: in half a millisecond no servo moves by a wire unit."""
-OUTLIER_DEG: Final = 0.4
-"""Residuals beyond this count less: a bus without checksums delivers wrong numbers."""
-ITERATIONS_MAX: Final = 25
-DELAY: Final = 6
-PLAY: Final = 7
-SHARED: Final = 8
-"""Logarithms of accel, decel and lag; three coefficients of the droop; the mean delay; the play.
-After these come the delays of the commands, as differences from their mean."""
-PRIOR_DEG: Final = 0.5
-"""What follows counts as much as one residual of this size: nothing against the readings of a
-trial, but enough that a wrong hypothesis cannot hide in absurd numbers."""
-PRIOR_DELAY_S: Final = 0.006
-"""Delays differ by a control loop of some milliseconds."""
-PRIOR_LOG_RAMP: Final = 0.5
-"""Ramps are about what AA and AD say."""
-COST_RATIO: Final = 1e-5
-"""A step that lowers the cost by less than this share is the last."""
-PRIOR_PLAY_DEG: Final = 0.5
-"""Play is about what the rests show."""
-STEPS: Final = np.array([1e-4] * DELAY + [1e-5, 1e-3])
-OWN_STEP_S: Final = 1e-5
-"""How far each number is moved to see what the readings would do."""
+@dataclass(frozen=True, slots=True)
+class FitTrial:
+    """One trial for the fit: its readings as arrays, thinned."""
+
+    start_deg: float
+    arrived: float
+    """Direction of the last move before: 1, -1, or 0 if unknown."""
+    sent: tuple[SentMove, ...]
+    times_s: Array
+    readings_deg: Array
+
+
+def thinned(trial: Trial, arrived: float, most: int) -> FitTrial:
+    """Return a trial with at most `most` of its readings."""
+    count = len(trial.times_s)
+    kept = np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))
+    return FitTrial(
+        trial.start_deg,
+        arrived,
+        tuple(trial.sent),
+        np.array(trial.times_s)[kept],
+        np.array(trial.readings_deg)[kept],
+    )
+
+
+def fallen_deg(droop_deg: Array, play_deg: float) -> Array:
+    """Return how much lower the horn hangs with its gears on the side of the load."""
+    fallen: Array = 0.5 * play_deg * np.tanh(droop_deg / FALLING_DEG)
+    return fallen
+
+
+def with_play(horn: Array, arrived: float, play_deg: float) -> Array:
+    """Return the angle of the shaft behind gears with play, pushed at either end of it."""
+    if play_deg <= 0.0 or not len(horn):
+        return horn
+    half = 0.5 * play_deg
+    shaft = np.empty_like(horn)
+    at = float(horn[0]) - arrived * half
+    for index, angle in enumerate(horn.tolist()):
+        at = min(max(at, angle - half), angle + half)
+        shaft[index] = at
+    return shaft
 
 
 @dataclass(frozen=True)
 class ModelFit:
-    """The best numbers under one hypothesis. `delays_s` is one list a trial, one delay an order.
+    """The best parameters under one hypothesis. `delays_s`: a tuple a trial, a delay a move.
 
-    A delay runs from the last byte of a command to what the horn does of it, `lag_s` included.
+    A delay runs from the last byte of a command to the effect at the horn, `lag_s` included.
     `errors` are standard errors by jackknife over the trials: of the logarithms of accel, decel
     and lag, of the droop's coefficients, of the mean delay (s), and of the play.
     """
@@ -317,14 +317,14 @@ class ModelFit:
     delays_s: tuple[tuple[float, ...], ...]
     rms_deg: float
     misfit_deg: float
-    """Like `rms_deg`, and more for delays and ramps that a servo hardly has."""
+    """Like `rms_deg`, plus a penalty for improbable delays and ramps."""
     errors: tuple[float, ...]
 
 
 class Problem:
-    """The trials of one joint, ready to be fitted under any hypothesis.
+    """The trials of one joint, to be fitted under any hypothesis.
 
-    `rests` say whether there is play, and how it shows; how much is fitted, too.
+    `rests` state whether there is play, and how it shows; its size is fitted, too.
     """
 
     def __init__(
@@ -336,10 +336,13 @@ class Problem:
         is_coarse: bool = False,
     ) -> None:
         window = recording.window
-        ways = [0.0, *(trial.last_way() for trial in trials)]
+        directions = [0.0, *(trial.last_direction() for trial in trials)]
         most = READINGS_COARSE if is_coarse else READINGS_MAX
         self._iterations = ITERATIONS_COARSE if is_coarse else ITERATIONS_MAX
-        self.trials = [thinned(trial, way, most) for trial, way in zip(trials, ways, strict=False)]
+        self.trials = [
+            thinned(trial, direction, most)
+            for trial, direction in zip(trials, directions, strict=False)
+        ]
         self._ramp_deg_s2 = recording.ramp_deg_s2
         self._speed_max_deg_s = recording.speed_max_deg_s
         self._middle_deg = 0.5 * (window.low_deg + window.high_deg)
@@ -380,9 +383,9 @@ class Problem:
     # ---- the model
 
     def predicted_deg(self, vector: Array, index: int, hypothesis: Hypothesis) -> Array:
-        """Return what the readings of a trial would be.
+        """Return the readings that the model predicts for a trial.
 
-        A load pulls a horn as it lags: what it pulls at an angle shows as much later.
+        A load pulls a horn that lags: the pull at an angle shows later by the lag.
         """
         trial = self.trials[index]
         accel, decel, lag_s = np.exp(vector[:3])
@@ -425,7 +428,7 @@ class Problem:
     def _cost(
         self, vector: Array, hypothesis: Hypothesis, residuals: list[Array] | None = None
     ) -> float:
-        """Return the sum of soft-l1 residuals and of what the prior adds."""
+        """Return the sum of the soft-l1 residuals and of the priors."""
         flat = np.concatenate(residuals or self._residuals(vector, hypothesis)) / OUTLIER_DEG
         soft = 2.0 * OUTLIER_DEG**2 * float(np.sum(np.sqrt(1.0 + flat * flat) - 1.0))
         return soft + float(np.sum(self._prior * (vector - self._usual) ** 2))
@@ -474,7 +477,7 @@ class Problem:
         damping: float,
         hypothesis: Hypothesis,
     ) -> tuple[Array | None, float]:
-        """Return a step that lowers the cost, if there is one, and the damping it took."""
+        """Return a step that lowers the cost, if there is one, and its damping."""
         scale = np.diag(normal) + 1e-9
         for _ in range(8):
             solved = np.linalg.solve(normal + damping * np.diag(scale), -gradient)
@@ -513,10 +516,10 @@ class Problem:
     def _errors(
         self, vector: Array, residuals: list[Array], hypothesis: Hypothesis
     ) -> tuple[float, ...]:
-        """Return standard errors of the shared numbers: each trial is left out once (jackknife).
+        """Return standard errors of the shared parameters: each trial is left out once (jackknife).
 
-        The delays, which only one trial knows, are eliminated from it first; then leaving a trial
-        out is a small linear problem.
+        The delays, which occur in one trial only, are eliminated from it first; leaving a trial
+        out is then a small linear problem.
         """
         parts = []
         for index, (jacobian, weighted) in enumerate(self._blocks(vector, residuals, hypothesis)):

@@ -1,4 +1,4 @@
-"""What was identified, in words, and what of it belongs into the robot file."""
+"""The result of an identification as text, and as fields of the robot file."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ if TYPE_CHECKING:
 
 
 SIGMAS: Final = 3.0
-"""A difference of less than so many standard errors is none."""
+"""A difference of fewer standard errors counts as none."""
 TIME_DIFFERENCE_S: Final = 0.001
 RAMP_DIFFERENCE_RATIO: Final = 0.03
 DROOP_DIFFERENCE_DEG: Final = 0.3
-"""Smaller differences from what is assumed do not matter for playing."""
+"""Smaller differences from the assumed values do not matter for playing."""
 MISFIT_RATIO: Final = 1.3
 MISFIT_LEAST_DEG: Final = 0.02
-"""What is left unexplained beyond this was not noise."""
+"""A residual beyond this was not noise."""
 
 
 def response_values(found: Identified, joint: Joint) -> dict[str, float | str]:
-    """Return the fields of `response` that were measured.
+    """Return the measured fields of `response`.
 
-    `lag_s` is what playing leads by beyond half a control loop (`program.compile.lead`), so that
-    the sum is right even where no loop was found. A law that was not decided is left out.
+    `lag_s` is the delay minus half a control loop: playing adds that half, so the sum is right even
+    where no loop was found. An undecided law is left out.
     """
     loop_s = joint.response.loop_s if found.loop_s is None else found.loop_s.value
     values: dict[str, float | str] = {
@@ -45,9 +45,9 @@ def response_values(found: Identified, joint: Joint) -> dict[str, float | str]:
 
 
 def ramp_ratio(found: Identified) -> float:
-    """Return how the ramps compare with what AA and AD say: 1 unless they clearly differ.
+    """Return the ratio of the ramps to AA and AD: 1 unless they clearly differ.
 
-    The response model has one ramp for both: the slower one, so that no plan asks for more.
+    The response model has one ramp for both: the slower one, so that no plan exceeds it.
     """
     ramp = min(found.accel_deg_s2, found.decel_deg_s2)
     away_deg_s2 = abs(ramp.value - found.ramp_deg_s2)
@@ -62,7 +62,7 @@ def summary_lines(found: Identified) -> list[str]:
     if found.loop_s is not None:
         loop = f"every {MS_PER_S * found.loop_s.value:.3f} ms"
     least_ms, middle_ms, most_ms = (MS_PER_S * s for s in found.turnaround_s)
-    reached = "its top" if found.is_top else "the fastest asked for; its top is higher"
+    reached = "its top" if found.is_top else "the fastest commanded; its top is higher"
     low, middle, high = found.droop_deg
     retarget = "keeps its speed" if found.retarget.value == "keep_speed" else "starts from rest"
     law = (
@@ -88,7 +88,7 @@ def summary_lines(found: Identified) -> list[str]:
 
 
 def difference_lines(found: Identified, joint: Joint) -> list[str]:
-    """Return what differs from what the robot file assumes, and what to do about it."""
+    """Return the differences from the robot file, and what to do about each."""
     assumed, lines = joint.response, []
     values = response_values(found, joint)
     lag_s = float(values["lag_s"])
@@ -106,14 +106,16 @@ def difference_lines(found: Identified, joint: Joint) -> list[str]:
     for key, decided in (("retarget", found.retarget), ("t_law", found.t_law)):
         was = getattr(assumed, key)
         if not decided.is_sure:
-            lines.append(f"{key} could not be told; it stays {was}. A larger --span-deg may help")
+            lines.append(
+                f"{key} could not be decided; it stays {was}. A larger --span-deg may help"
+            )
         elif decided.value != was:
             lines.append(f"{key} is {decided.value}, not {was}")
     return lines + _limits(found, joint)
 
 
 def _limits(found: Identified, joint: Joint) -> list[str]:
-    """Return what the servo cannot do that the robot file asks for."""
+    """Return where the servo cannot do what the robot file demands."""
     lines = []
     expected_deg_s2 = joint.response.ramp_ratio * found.ramp_deg_s2
     for name, ramp in (("up (AA)", found.accel_deg_s2), ("down (AD)", found.decel_deg_s2)):
@@ -132,7 +134,7 @@ def _limits(found: Identified, joint: Joint) -> list[str]:
         lines.append(
             f"the model misses by {found.misfit_deg:.2f} deg where readings scatter by "
             f"{found.noise_deg:.2f}: gears that fall to their other side, or a load that swings; "
-            f"believe the errors less"
+            f"the errors above are too small"
         )
     droop_deg = max(found.droop_deg, key=abs)
     if abs(droop_deg) > DROOP_DIFFERENCE_DEG:
@@ -144,7 +146,7 @@ def _limits(found: Identified, joint: Joint) -> list[str]:
 
 
 def comment_lines(found: Identified, when: str) -> list[str]:
-    """Return what stands above the joint in its robot file: the uncertainties, and the rest."""
+    """Return the comment above the joint in its robot file: uncertainties and other results."""
     loop = "no loop seen"
     if found.loop_s is not None:
         loop = f"loop {MS_PER_S * found.loop_s.value:.2f} ms"
@@ -177,5 +179,5 @@ def _of(number: Measured) -> str:
 
 
 def _deg(angle_deg: float) -> str:
-    """Return an angle to a hundredth; what rounds to nothing has no sign."""
+    """Return an angle to a hundredth; a rounded 0 has no sign."""
     return f"{round(angle_deg, 2) + 0.0:.2f}"

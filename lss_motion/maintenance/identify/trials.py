@@ -1,8 +1,7 @@
-"""The trials of an identification: their plan, and what was measured in each.
+"""The trials of an identification: their plan inside a window of angles, and their measurements.
 
-The trials of an identification: which small moves tell what, all inside a window of angles.
-
-What an experiment has measured: what was said and read in each trial, and when.
+`make_window` and `make_trials` plan small moves, each of which shows one property of the servo.
+`Trial` and `Recording` hold what was sent and read, and when.
 """
 
 from __future__ import annotations
@@ -26,115 +25,34 @@ if TYPE_CHECKING:
 
 
 SETTLE_S: Final = 0.3
-"""A horn rests when two halves of this long agree, after its profile has ended."""
+"""A horn rests when two halves of this time agree, after the end of its profile."""
 SETTLED_DEG: Final = 0.12
-"""How well they agree: one tenth is what a reading scatters (FACTS.md E7)."""
+"""How well they agree: a reading scatters by a tenth of a degree (FACTS.md E7)."""
 FAST_S: Final = 0.05
-"""A speed is a difference over this long: the scatter of two readings is 4 deg/s of it."""
-
-
-@dataclass(slots=True)
-class Trial:
-    """From rest to rest. Servo degrees; seconds since the trial began."""
-
-    kind: Kind
-    began_s: float
-    """On the clock of the run."""
-    start_deg: float
-    """The target on which the servo rested before."""
-    sent: list[SentMove] = field(default_factory=list)
-    times_s: list[float] = field(default_factory=list)
-    """When the servo had each question complete, which is when it is taken to look."""
-    readings_deg: list[float] = field(default_factory=list)
-
-    def is_settled(self, now_s: float) -> bool:
-        """Return whether the horn has not moved during the last `SETTLE_S`."""
-        late = self._between(now_s - 0.5 * SETTLE_S, now_s)
-        early = self._between(now_s - SETTLE_S, now_s - 0.5 * SETTLE_S)
-        if not late or not early:
-            return False
-        return abs(float(np.median(late)) - float(np.median(early))) < SETTLED_DEG
-
-    def rest_deg(self) -> float:
-        """Return where the horn rests at the end; there is at least one reading."""
-        last_s = self.times_s[-1]
-        return float(np.mean(self._between(last_s - 0.5 * SETTLE_S, last_s)))
-
-    def fastest_deg_s(self) -> float:
-        """Return the fastest that the horn turned over `FAST_S`; 0 without enough readings."""
-        fastest, first = 0.0, 0
-        for last, time_s in enumerate(self.times_s):
-            while first < last and time_s - self.times_s[first + 1] >= FAST_S:
-                first += 1
-            if (passed_s := time_s - self.times_s[first]) >= FAST_S:
-                turned_deg = self.readings_deg[last] - self.readings_deg[first]
-                fastest = max(fastest, abs(turned_deg) / passed_s)
-        return fastest
-
-    def rest_variance_deg2(self) -> float:
-        """Return how much the readings scatter at the end."""
-        last_s = self.times_s[-1]
-        return float(np.var(self._between(last_s - 0.5 * SETTLE_S, last_s)))
-
-    def last_way(self) -> float:
-        """Return which way the horn moved last: 1 or -1; 0 if it was not sent anywhere."""
-        ways_deg = [
-            order.target_deg - before for before, order in zip(self._legs(), self.sent, strict=True)
-        ]
-        return float(np.sign(ways_deg[-1])) if ways_deg else 0.0
-
-    def _legs(self) -> list[float]:
-        """Return about where each order found the horn: an interrupted move was half-way."""
-        legs_deg = [self.start_deg]
-        for order in self.sent[:-1]:
-            legs_deg.append(0.5 * (legs_deg[-1] + order.target_deg))
-        return legs_deg[: len(self.sent)]
-
-    def _between(self, from_s: float, to_s: float) -> list[float]:
-        return [
-            reading_deg
-            for time_s, reading_deg in zip(self.times_s, self.readings_deg, strict=True)
-            if from_s < time_s <= to_s
-        ]
-
-
-@dataclass(slots=True)
-class Recording:
-    """All trials of one joint, and how fast its servo answered."""
-
-    window: Window
-    ramp_deg_s2: float
-    """What AA and AD were set to."""
-    speed_max_deg_s: float
-    """What SD was set to."""
-    trials: list[Trial] = field(default_factory=list)
-    turnarounds_s: list[float] = field(default_factory=list)
-    """From the end of each question to the start of its answer, as the host sees it."""
-
-
+"""A speed is a difference over this time: the scatter of two readings is 4 deg/s of it."""
 SPAN_DEG: Final = 20.0
-"""How far to either side of where it stands a joint is moved unless asked otherwise. Chosen: a
-servo of the desk arm reaches two thirds of its speed limit there."""
+"""Default distance to either side of the present angle. Chosen: a servo of the desk arm reaches two
+thirds of its speed limit there."""
 SPAN_LEAST_DEG: Final = 5.0
 ROOM_LEAST_DEG: Final = 8.0
-"""Less room gives moves too short to tell a ramp from a lag: at 600 deg/s² they last 0.2 s."""
+"""In less room, moves are too short to separate ramp and lag: 0.2 s at 600 deg/s²."""
 MARGIN_RATIO: Final = 0.08
-"""Share of the room left free at either end, for a load that pulls and a horn that overshoots."""
+"""Share of the room left free at either end, for load and overshoot."""
 MARGIN_LEAST_DEG: Final = 0.5
 SWEEP_RATIOS: Final = (0.25, 0.4, 0.6)
-"""Speeds of the sweeps, as shares of the speed that the room and the ramps allow. Below 0.6 a
-servo that was seen to turn so fast follows its profile all the way."""
+"""Speeds of the sweeps, as shares of the speed that the room and the ramps allow. Below 0.6 of a
+speed that it has reached, a servo follows its profile all the way."""
 PAIR_RATIO: Final = 0.45
 """Speed at which a move is interrupted: it stops within a tenth of the room."""
 STEP_RATIO: Final = 0.45
 """Speed of the steps between rests, as a share of what a quarter of the room allows."""
 
 LEAST_DEG: Final = 1.0
-"""Shorter moves are left out: they say nothing."""
+"""Shorter moves are left out, since they show nothing."""
 
 
 class Kind(StrEnum):
-    """What a trial is for."""
+    """The purpose of a trial."""
 
     REACH = "reach"
     SWEEP = "sweep"
@@ -145,7 +63,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PlannedMove:
-    """A `D…T…` that leaves `at_s` after its trial began. Servo degrees."""
+    """A `D…T…` that is sent `at_s` after its trial began. Servo degrees."""
 
     at_s: float
     target_deg: float
@@ -159,12 +77,12 @@ class TrialPlan:
     kind: Kind
     moves: tuple[PlannedMove, ...]
     end_s: float
-    """When the servo's profile is at rest at the latest, whatever T means, without lag."""
+    """The latest end of the servo's profile under every meaning of T, without lag."""
 
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Where the horn may be during an identification, in servo degrees."""
+    """The range of the horn during an identification, in servo degrees."""
 
     low_deg: float
     high_deg: float
@@ -177,12 +95,91 @@ class Window:
         return max(MARGIN_LEAST_DEG, MARGIN_RATIO * self.room_deg)
 
 
+@dataclass(slots=True)
+class Trial:
+    """From rest to rest. Servo degrees; seconds since the trial began."""
+
+    kind: Kind
+    began_s: float
+    """On the clock of the run."""
+    start_deg: float
+    """The target of the rest before."""
+    sent: list[SentMove] = field(default_factory=list)
+    times_s: list[float] = field(default_factory=list)
+    """When the servo received each query completely, taken as the instant of its reading."""
+    readings_deg: list[float] = field(default_factory=list)
+
+    def is_settled(self, now_s: float) -> bool:
+        """Return whether the horn has not moved during the last `SETTLE_S`."""
+        late = self._between(now_s - 0.5 * SETTLE_S, now_s)
+        early = self._between(now_s - SETTLE_S, now_s - 0.5 * SETTLE_S)
+        if not late or not early:
+            return False
+        return abs(float(np.median(late)) - float(np.median(early))) < SETTLED_DEG
+
+    def rest_deg(self) -> float:
+        """Return the angle of rest at the end; there is at least one reading."""
+        last_s = self.times_s[-1]
+        return float(np.mean(self._between(last_s - 0.5 * SETTLE_S, last_s)))
+
+    def fastest_deg_s(self) -> float:
+        """Return the highest speed over `FAST_S`; 0 without enough readings."""
+        fastest, first = 0.0, 0
+        for last, time_s in enumerate(self.times_s):
+            while first < last and time_s - self.times_s[first + 1] >= FAST_S:
+                first += 1
+            if (passed_s := time_s - self.times_s[first]) >= FAST_S:
+                turned_deg = self.readings_deg[last] - self.readings_deg[first]
+                fastest = max(fastest, abs(turned_deg) / passed_s)
+        return fastest
+
+    def rest_variance_deg2(self) -> float:
+        """Return the variance of the readings at the end."""
+        last_s = self.times_s[-1]
+        return float(np.var(self._between(last_s - 0.5 * SETTLE_S, last_s)))
+
+    def last_direction(self) -> float:
+        """Return the direction of the last move: 1 or -1; 0 without a move."""
+        legs_turned_deg = [
+            move.target_deg - before for before, move in zip(self._legs(), self.sent, strict=True)
+        ]
+        return float(np.sign(legs_turned_deg[-1])) if legs_turned_deg else 0.0
+
+    def _legs(self) -> list[float]:
+        """Return about where each move started; an interrupted one was half-way."""
+        legs_deg = [self.start_deg]
+        for move in self.sent[:-1]:
+            legs_deg.append(0.5 * (legs_deg[-1] + move.target_deg))
+        return legs_deg[: len(self.sent)]
+
+    def _between(self, from_s: float, to_s: float) -> list[float]:
+        return [
+            reading_deg
+            for time_s, reading_deg in zip(self.times_s, self.readings_deg, strict=True)
+            if from_s < time_s <= to_s
+        ]
+
+
+@dataclass(slots=True)
+class Recording:
+    """All trials of one joint, and the reply latencies of its servo."""
+
+    window: Window
+    ramp_deg_s2: float
+    """The setting of AA and AD."""
+    speed_max_deg_s: float
+    """The setting of SD."""
+    trials: list[Trial] = field(default_factory=list)
+    turnarounds_s: list[float] = field(default_factory=list)
+    """From the end of each query to the start of its answer, at the host."""
+
+
 def make_window(joint: Joint, standing_deg: float, span_deg: float) -> Window:
-    """Return where the horn may be: `span_deg` around `standing_deg`, and inside the range.
+    """Return the window of the horn: `span_deg` around `standing_deg`, inside the joint's range.
 
     Raises `InputError` where the joint stands outside its range or has no room to move.
     """
-    if not span_deg >= SPAN_LEAST_DEG:  # Also what is no number.
+    if not span_deg >= SPAN_LEAST_DEG:  # True for NaN as well.
         raise InputError(
             f"--span-deg {span_deg:g} is too little to measure anything; "
             f"at least {SPAN_LEAST_DEG:g}"
@@ -218,12 +215,12 @@ def make_trials(
     droop_deg: float = 0.0,
     top_deg_s: float = math.inf,
 ) -> list[TrialPlan]:
-    """Return the trials from `standing_deg` and back, each beginning where the one before ended.
+    """Return the trials from `standing_deg` and back; each begins where the one before ended.
 
     `droop_deg` is how far the horn stands below its target: targets are shifted away from the end
     that it would otherwise pass. No move is faster than the joint's own limits. The fast trials
-    come first; those after them stay well below `top_deg_s`, which the servo was seen to turn, and
-    are as many whatever that is.
+    come first; the others stay well below `top_deg_s`, the measured top speed, on which their
+    number does not depend.
     """
     margin_deg = window.margin_deg()
     low_deg = window.low_deg + margin_deg + max(0.0, droop_deg)
@@ -239,7 +236,7 @@ def make_trials(
 
 
 def estimated_duration_s(trials: Sequence[TrialPlan]) -> float:
-    """Return about how long the trials take, with a pause to settle after each."""
+    """Return the approximate duration of the trials, with a pause to settle after each."""
     return sum(trial.end_s + SETTLE_S for trial in trials)
 
 
@@ -278,26 +275,26 @@ class _Planner:
             yield self._single(Kind.STEP, self._standing_deg, speed_deg_s)
 
     def _steps(self, room_deg: float) -> Iterator[TrialPlan]:
-        """Go up and down a stair: rests at every height, reached from below and from above."""
+        """Go up and down a stair: rest at every height, reached from below and from above."""
         speed_deg_s = STEP_RATIO * self._top_deg_s(room_deg / 4.0)
         for quarter in (1, 2, 3, 4, 3, 2, 1, 0):
             target_deg = self._low_deg + room_deg * quarter / 4.0
             yield self._single(Kind.STEP, target_deg, speed_deg_s)
 
     def _pairs(self, speed_deg_s: float, room_deg: float) -> Iterator[TrialPlan]:
-        """Interrupt moves: to go further, to turn back, to go faster, to go slower. Both ways."""
+        """Interrupt moves: to go further, turn back, go faster, go slower; in both directions."""
         ends = (self._low_deg, self._high_deg)
         slow_deg_s = 0.6 * speed_deg_s
         for here_deg, there_deg in (ends, ends[::-1]):
-            way = math.copysign(1.0, there_deg - here_deg)
-            further = here_deg + way * 0.65 * room_deg
+            direction = math.copysign(1.0, there_deg - here_deg)
+            further = here_deg + direction * 0.65 * room_deg
             yield self._pair(further, speed_deg_s, there_deg, speed_deg_s)
             yield self._pair(here_deg, speed_deg_s, there_deg, speed_deg_s)  # Turn back half-way.
             yield self._pair(here_deg, slow_deg_s, here_deg, speed_deg_s)
             yield self._pair(there_deg, speed_deg_s, there_deg, 0.5 * speed_deg_s)
 
     def _top_deg_s(self, distance_deg: float) -> float:
-        """Return the speed that ramps reach half-way, as far as the servo was seen to turn so."""
+        """Return the speed that ramps reach half-way, at most the measured top speed."""
         return min(self._seen_deg_s, self._limit_deg_s(distance_deg))
 
     def _limit_deg_s(self, distance_deg: float) -> float:
@@ -305,7 +302,7 @@ class _Planner:
         return min(self._speed_max_deg_s, math.sqrt(self._ramp_deg_s2 * distance_deg))
 
     def _duration_ms(self, distance_deg: float, speed_deg_s: float) -> int:
-        """Return a T at which the servo is no faster than `speed_deg_s`, whatever T means."""
+        """Return a T at which no meaning of T makes the servo faster than `speed_deg_s`."""
         duration_s = distance_deg / speed_deg_s + speed_deg_s / self._ramp_deg_s2
         return math.ceil(MS_PER_S * duration_s)
 
@@ -334,7 +331,7 @@ class _Planner:
         )
 
     def _fast(self, target_deg: float) -> TrialPlan:
-        """Go as fast as the joint may."""
+        """Move as fast as the joint may."""
         distance_deg = abs(target_deg - self._at_deg)
         duration_ms = math.ceil(MS_PER_S * distance_deg / self._speed_max_deg_s)
         self._at_deg = target_deg
