@@ -276,7 +276,7 @@ class _SequenceBuilder:
         )
 
     def _comments(self) -> Iterator[str]:
-        yield f"TakeResult by hand on {self.robot.name}."
+        yield f"Shown by hand on {self.robot.name}."
         if self.fits:
             yield f"Noise of the readings removed: {self.noise_deg:.2f} deg RMS at most."
         if self.lead_in_s > 0.0:

@@ -1,4 +1,4 @@
-"""Opening the ports of a robot: all or none, at any rate, in process as over a terminal."""
+"""Opening the ports of a robot: all or none, at any rate."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_questions_go_to_every_bus_and_a_missing_answer_is_absent(robot):
     assert answers == {("left", 5, "QID"): 5, ("right", 6, "QG"): 1}
 
 
-def test_at_another_rate_nobody_answers_and_back_at_the_first_all_do(robot):
+def test_no_servo_answers_at_another_rate_and_all_do_at_the_first_again(robot):
     with connect(robot.buses, robot=robot, clock=VirtualClock()) as connection:
         connection.set_baud("left", 9600)
         assert connection.ask([ask("left", 5, "QID")]) == {}
@@ -51,7 +51,7 @@ def test_at_another_rate_nobody_answers_and_back_at_the_first_all_do(robot):
         assert connection.ask([ask("left", 5, "QID")]) == {("left", 5, "QID"): 5}
 
 
-def test_a_wait_takes_its_time_and_drops_what_comes_late(robot):
+def test_a_wait_takes_its_time_and_drops_late_data(robot):
     clock = VirtualClock()
     with connect(robot.buses, robot=robot, clock=clock) as connection:
         connection.ports["left"].write(b"#5QD\r")
@@ -77,6 +77,6 @@ def test_a_simulated_port_needs_a_robot(robot):
         connect(robot.buses)
 
 
-def test_an_empty_port_is_no_port(robot):
+def test_an_empty_port_is_refused(robot):
     with pytest.raises(InputError, match="--port is empty"):
         with_port(robot, "")

@@ -20,7 +20,7 @@ def joint():
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("pose_deg", [0.0, 45.0, -60.0])
 @pytest.mark.parametrize("zero_deg", [0.0, 12.3, -170.5])
-def test_the_frame_of_a_joint_is_found_whatever_the_file_said(joint, direction, pose_deg, zero_deg):
+def test_the_frame_of_a_joint_is_found_for_any_file(joint, direction, pose_deg, zero_deg):
     true = replace(joint, zero_deg=zero_deg, direction=direction)
     found = frame_of(
         joint,
@@ -31,7 +31,7 @@ def test_the_frame_of_a_joint_is_found_whatever_the_file_said(joint, direction, 
     assert found == Frame(zero_deg=pytest.approx(zero_deg), direction=direction)
 
 
-def test_too_small_a_push_says_nothing_and_none_keeps_the_direction(joint):
+def test_too_small_a_push_gives_no_frame_and_none_keeps_the_direction(joint):
     assert frame_of(joint, servo_deg=10.0, pose_deg=0.0, pushed_deg=14.0) is None
     kept = frame_of(replace(joint, direction=-1), servo_deg=10.0, pose_deg=30.0, pushed_deg=None)
     assert kept == Frame(zero_deg=40.0, direction=-1)
@@ -39,7 +39,7 @@ def test_too_small_a_push_says_nothing_and_none_keeps_the_direction(joint):
 
 @pytest.mark.parametrize("gyre", [1, -1])
 @pytest.mark.parametrize(("origin", "zero_deg"), [(0, 20.0), (-150, -33.3), (1700, 90.0)])
-def test_with_the_moved_origin_the_servo_says_0_at_its_old_zero(joint, gyre, origin, zero_deg):
+def test_with_the_moved_origin_the_servo_reports_0_at_its_old_zero(joint, gyre, origin, zero_deg):
     raw = gyre * zero_deg * 10 + origin  # It said gyre * (raw - origin).
     moved = moved_origin(joint, origin_wire=origin, gyre=gyre, zero_deg=zero_deg)
     assert -1800 <= moved < 1800

@@ -32,7 +32,7 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def configure(folder, monkeypatch, capsys):
-    """Return what runs the command on a connection that stays open, in its virtual time."""
+    """Return a function that runs the command on an open connection, in its virtual time."""
 
     def run(connection, *words):
         monkeypatch.setattr(connections, "connect", lambda *_, **__: connection)
@@ -101,7 +101,7 @@ def test_one_setting_of_one_servo_needs_no_file(connected, spec, configure):
     assert "O          1.5 deg" in out
 
 
-def test_what_makes_a_servo_unreachable_needs_force(connected, spec, configure):
+def test_a_change_that_makes_a_servo_unreachable_needs_force(connected, spec, configure):
     connection = connected(spec(1), spec(2))
     for setting, said in (
         ("CRC=1", "receives nothing from the bus"),
@@ -118,7 +118,7 @@ def test_what_makes_a_servo_unreachable_needs_force(connected, spec, configure):
     assert servos(connection)[1].eeprom["CRC"] == 1
 
 
-def test_a_value_that_the_servo_does_not_keep_is_told(connected, spec, configure):
+def test_a_value_that_the_servo_does_not_keep_is_reported(connected, spec, configure):
     connection = connected(spec(1))
     words = ("--port", "P", "--id", 1, "--set", "SD=500", "--yes")
     code, _, errors = configure(connection, *words)
@@ -152,7 +152,7 @@ def test_a_line_that_loses_commands_and_answers_loses_no_setting(connected, spec
     assert {name: eeprom[name] for name in wanted} == wanted
 
 
-def test_a_servo_that_leaves_is_told(connected, spec):
+def test_a_servo_that_stops_answering_is_reported(connected, spec):
     gone = Fault(kind=FaultKind.DEAF, servo_id=1, at_s=1.0)
     connection = connected(spec(1), faults=[gone])
     (target,) = targets_by(connection, [1])
@@ -161,7 +161,7 @@ def test_a_servo_that_leaves_is_told(connected, spec):
         write(connection, [target], {target.name: {"LED": 3}})
 
 
-def test_a_port_that_is_pulled_meanwhile_ends_it_with_its_reason(connected, spec, configure):
+def test_an_unplugged_port_ends_it_with_its_reason(connected, spec, configure):
     pulled = Fault(kind=FaultKind.UNPLUGGED, at_s=0.5)
     connection = connected(spec(1), spec(2), faults=[pulled])
     code, _, errors = configure(connection, "robot.yaml", "--yes")
@@ -179,7 +179,7 @@ def test_a_servo_forced_to_another_rate_goes_there_with_all_its_settings(
     assert (servo.baud_bps, servo.settings.eeprom["LED"]) == (250000, 3)
 
 
-def test_what_is_stored_is_read_whatever_the_session_is(connected, spec):
+def test_stored_values_are_read_whatever_the_session_is(connected, spec):
     connection = connected(spec(1, eeprom={"O": 25}))
     order(connection, 1, "O", 99)
     (target,) = targets_by(connection, [1])
@@ -187,8 +187,8 @@ def test_what_is_stored_is_read_whatever_the_session_is(connected, spec):
     assert read(connection, [target], is_session=True)[target.name]["O"] == 99
 
 
-def test_of_the_first_positions_the_one_that_is_wanted_is_written_last(connected, spec):
-    """Writing one forgets the other, also when it is switched off."""
+def test_the_wanted_first_position_is_written_last(connected, spec):
+    """Writing one erases the other, also when it is switched off."""
     connection = connected(spec(1, eeprom={"FD": 50}))
     (target,) = targets_by(connection, [1])
     write(connection, [target], {target.name: {"FP": 1300, "FD": None}})
@@ -292,7 +292,7 @@ def test_a_spoilt_backup_writes_nothing(connected, spec, configure, folder, text
 
 
 @pytest.mark.parametrize("model", ["LSS-ST1", "LSS-P-S1"])
-def test_a_bag_of_servos_with_id_0_is_numbered_one_by_one(connected, spec, configure, model):
+def test_new_servos_with_id_0_are_numbered_one_by_one(connected, spec, configure, model):
     connection = connected(spec(0, model), spec(3))
     words = ("--port", "P", "--id", 0, "--new-id")
     code, _, errors = configure(connection, *words, 3, "--yes")
@@ -338,7 +338,7 @@ def test_all_servos_of_a_line_change_their_rate_together(connected, spec, config
     assert {servo.baud_bps for servo in bus._servos} == {500000}
 
 
-def test_a_rate_that_some_servo_does_not_know_changes_nothing(connected, spec, configure):
+def test_a_rate_that_some_servo_does_not_support_changes_nothing(connected, spec, configure):
     connection = connected(spec(1), spec(2, "LSS-P-S1"))
     code, _, errors = configure(connection, "--port", "P", "--new-baud", 500000, "--yes")
     assert (code, "LSS-PRO servos have no baud rate" in errors) == (EXIT_INPUT, True)
@@ -379,7 +379,7 @@ def test_a_part_of_a_line_changes_its_rate_only_when_forced(connected, spec, con
         (("robot.yaml", "--set", "LED=1"), "nobody is there to ask; add --yes"),
     ],
 )
-def test_what_cannot_be_meant_is_refused_with_what_can(connected, spec, configure, words, said):
+def test_invalid_words_are_refused_with_the_valid_ones(connected, spec, configure, words, said):
     connection = connected(spec(1), spec(2))
     code, _, errors = configure(connection, *words)
     assert code == EXIT_INPUT
@@ -394,7 +394,7 @@ def test_a_model_that_is_not_the_joints_is_not_written_to(connected, spec, confi
     assert "joint 'tilt': servo 2 is an LSS-P-S1" in errors
 
 
-def test_what_is_asked_and_answered_no_writes_nothing(connected, spec, configure, monkeypatch):
+def test_the_answer_no_writes_nothing(connected, spec, configure, monkeypatch):
     import io
 
     class Person(io.StringIO):
@@ -411,7 +411,7 @@ def test_what_is_asked_and_answered_no_writes_nothing(connected, spec, configure
     assert servos(connection)[1].eeprom["O"] == 25
 
 
-def test_reading_says_what_was_not_answered(connected, spec):
+def test_reading_reports_missing_answers(connected, spec):
     connection = connected(spec(1), firmware=367)
     (target,) = targets_by(connection, [1])
     assert "FPC" not in target.rows(is_session=False)  # Firmware 367 does not know it.

@@ -1,4 +1,4 @@
-"""What `identify` finds of servos that nobody told it about, and how it behaves meanwhile."""
+"""Results of `identify` for servos that it does not know, and its behaviour during a run."""
 
 from __future__ import annotations
 
@@ -11,10 +11,17 @@ from benches.identify import MODEL, blind, faults
 from lss_motion.connection import Connection
 from lss_motion.errors import BusError, InputError, PlaybackError
 from lss_motion.maintenance.identify import summary
-from lss_motion.maintenance.identify.estimate import identify
+from lss_motion.maintenance.identify.estimate import identify, read_rests
 from lss_motion.maintenance.identify.experiment import Experiment, State
 from lss_motion.maintenance.identify.fit import HYPOTHESES, Hypothesis, SentMove, Shape, horn_deg
-from lss_motion.maintenance.identify.trials import Window, make_trials, make_window
+from lss_motion.maintenance.identify.trials import (
+    Kind,
+    Recording,
+    Trial,
+    Window,
+    make_trials,
+    make_window,
+)
 from lss_motion.player import handshake
 from lss_motion.program.response import Profile
 from lss_motion.robot.model import Bus, Response, Robot
@@ -27,11 +34,12 @@ from lss_motion.sim.port import SimPort
 from tests.joints import joint
 
 JOINT = joint("elbow", 3, model=MODEL)
+RESTED_WINDOW = Window(-20.0, 20.0)
 RESTORED = {b"#3EM1", b"#3AA100", b"#3AD100", b"#3SD3600"}
 
 
 class Bench:
-    """A joint on a simulated bus in virtual time, and what becomes of an experiment with it."""
+    """A joint on a simulated bus in virtual time, and an experiment with it."""
 
     def __init__(self, joint=JOINT, span_deg=20.0, baud_bps=115200, **options):
         spec = ServoSpec(
@@ -75,7 +83,7 @@ class Bench:
 
 
 class StopOnce:
-    """Somebody who presses Ctrl-C when `when(experiment)` is first true, and how often."""
+    """Presses Ctrl-C, once or more, when `when(experiment)` is true for the first time."""
 
     def __init__(self, when, times=1):
         self.when, self.left = when, times
@@ -93,13 +101,13 @@ class StopOnce:
 
 
 @pytest.mark.parametrize("seed", [7, 14, 17])
-def test_a_servo_drawn_from_a_seed_is_found_whole_within_what_it_was_allowed(seed):
+def test_a_random_servo_is_identified_within_its_limits(seed):
     one = blind(seed)
     assert faults(one) == {}
     assert one.away_deg > 0.5 * one.span_deg  # It did move.
 
 
-def test_the_judge_sees_what_is_wrong():
+def test_the_judge_of_these_tests_finds_wrong_results():
     one = blind(7)
     fast = one.found.top_deg_s._replace(value=2.0 * one.found.top_deg_s.value)
     late = one.found.lag_s._replace(value=0.05)
@@ -107,7 +115,7 @@ def test_the_judge_sees_what_is_wrong():
     assert set(faults(replace(one, found=wrong, away_deg=99.0))) >= {"lag", "speed", "span"}
 
 
-def test_a_bad_line_costs_readings_but_not_the_result():
+def test_a_bad_line_loses_readings_but_not_the_result():
     rows = [
         Fault(kind=FaultKind.LOST_REPLY, ratio=0.02),
         Fault(kind=FaultKind.CORRUPT_REPLY, ratio=0.02),
@@ -120,7 +128,7 @@ def test_a_bad_line_costs_readings_but_not_the_result():
     assert found.retarget == ("keep_speed", True)
 
 
-def test_a_servo_too_weak_for_its_limit_is_told_with_its_top_speed():
+def test_a_servo_too_weak_for_its_limit_is_reported_with_its_top_speed():
     joint = replace(JOINT, speed_max_deg_s=300.0, accel_max_deg_s2=1000.0)
     weak = Fault(kind=FaultKind.WEAK, speed_ratio=0.4)
     bench = Bench(joint, span_deg=40.0, faults=[weak])
@@ -132,7 +140,7 @@ def test_a_servo_too_weak_for_its_limit_is_told_with_its_top_speed():
     )
 
 
-def test_what_is_as_assumed_is_not_called_different_and_what_no_model_explains_is_refused():
+def test_assumed_values_give_no_difference_and_unexplained_readings_are_refused():
     bench = Bench()
     assert summary.difference_lines(bench.identified(), bench.joint) == []
     swinging = np.random.default_rng(0).normal(0.0, 3.0, 1000)
@@ -180,7 +188,7 @@ def test_a_second_ctrl_c_ends_at_once_and_still_restores():
     assert set(heard[-5:-1]) == RESTORED
 
 
-def test_a_lost_port_leaves_the_settings_and_hold_as_the_last_that_is_tried():
+def test_a_lost_port_ends_with_an_attempt_to_restore_and_hold():
     bench = Bench(faults=[Fault(kind=FaultKind.UNPLUGGED, at_s=3.0)])
     with pytest.raises(BusError, match="lost port"):
         bench.run()
@@ -189,7 +197,7 @@ def test_a_lost_port_leaves_the_settings_and_hold_as_the_last_that_is_tried():
     assert set(safe[:-1]) == RESTORED
 
 
-def test_nothing_is_said_to_a_servo_that_was_not_moved():
+def test_a_servo_that_was_not_moved_gets_no_last_bytes():
     bench = Bench()
     assert bench.experiment.safe_bytes() == {}
     bench.run(controls=StopOnce(lambda _: True))
@@ -206,7 +214,7 @@ def test_nothing_is_said_to_a_servo_that_was_not_moved():
         (Fault(kind=FaultKind.RESET, at_s=2.0), BusError, "stopped answering"),
     ],
 )
-def test_what_befalls_a_servo_is_told_and_it_is_left_safe(fault, error, text):
+def test_a_fault_of_a_servo_is_reported_and_it_is_left_safe(fault, error, text):
     bench = Bench(faults=[fault])
     experiment = bench.run()
     assert isinstance(experiment.error, error)
@@ -240,7 +248,7 @@ def _plan_as_if(bench):
         bench.experiment._plans.extend(make_trials(JOINT, Window(-10.0, 30.0), 10.0))
 
 
-def test_a_load_that_leaves_no_room_is_told_before_any_trial():
+def test_a_load_that_leaves_no_room_is_reported_before_any_trial():
     experiment = Bench(droop_deg=7.0, span_deg=6.0, start_deg=0.0).run()
     assert isinstance(experiment.error, InputError)
     assert "load" in str(experiment.error)
@@ -326,7 +334,7 @@ def test_the_fitted_model_moves_as_the_response_model_of_the_player(hypothesis):
 
 
 def _turns_back(horn, times_s, orders):
-    """Return whether the second order finds the horn going the wrong way, or too fast."""
+    """Return whether the second move begins with the horn in the wrong direction, or too fast."""
     at = np.searchsorted(times_s, orders[1].received_s)
     speed = (horn[at - 1] - horn[at - 2]) / (times_s[1] - times_s[0])
     away = orders[1].target_deg - horn[at - 1]
@@ -344,3 +352,51 @@ def test_the_lag_of_the_fitted_model_is_that_of_a_slow_motor():
         stepped.append(stepped[-1] + (target - stepped[-1]) * 1e-4 / 0.05)
     assert np.abs(horn - stepped).max() < 0.05
     assert np.abs(behind - (stiff - horn)).max() < 1e-3
+
+
+def rests(missing_deg, *, noise_deg=0.01):
+    """Read the rests of two stairs; `missing_deg(target, sign)` is the error at a rest."""
+    random = np.random.default_rng(1)
+    trials, at_deg = [], -16.0
+    for target_deg in [-8.0, 0.0, 8.0, 16.0, 8.0, 0.0, -8.0, -16.0] * 2:
+        direction = np.sign(target_deg - at_deg)
+        rest_deg = target_deg - missing_deg(target_deg, direction)
+        readings = rest_deg + random.normal(0.0, noise_deg, 30)
+        trial = Trial(Kind.STEP, 0.0, at_deg, [SentMove(0.0, target_deg, 0.3)])
+        trial.times_s = [0.7 + 0.01 * index for index in range(30)]
+        trial.readings_deg = readings.tolist()
+        trials.append(trial)
+        at_deg = target_deg
+    return read_rests(Recording(RESTED_WINDOW, 600.0, 180.0, trials), trials)
+
+
+def test_without_load_and_play_both_are_zero():
+    found = rests(lambda target, sign: 0.0)
+    assert found.play.value == 0.0
+    assert np.abs(found.droop_deg).max() < 0.02
+
+
+def test_a_load_is_a_parabola_over_the_window():
+    found = rests(lambda target, sign: 2.0 + 0.5 * (target / 20.0) - 0.3 * (target / 20.0) ** 2)
+    assert found.droop_deg == pytest.approx((2.0, 0.5, -0.3), abs=0.02)
+    assert found.play.value == 0.0
+
+
+def test_play_shows_in_the_direction_from_which_a_rest_was_reached():
+    found = rests(lambda target, sign: 0.4 + 0.35 * sign)
+    assert found.play.value == pytest.approx(0.7, abs=0.02)
+    assert not found.is_falling
+    assert found.droop_deg[0] == pytest.approx(0.4, abs=0.02)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_gears_that_fall_to_their_other_side_show_their_play_there(side):
+    found = rests(lambda target, sign: side * (0.04 * (target - 3.0) + 0.4 * np.sign(target - 3.0)))
+    assert found.is_falling
+    assert found.play.value == pytest.approx(0.8, abs=0.05)
+
+
+def test_scatter_is_not_play():
+    random = np.random.default_rng(5)
+    found = rests(lambda target, sign: random.normal(0.0, 0.1), noise_deg=0.1)
+    assert found.play.value == 0.0

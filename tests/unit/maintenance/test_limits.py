@@ -1,4 +1,4 @@
-"""Limits that a robot file leaves to its servos: asked, from a backup, and refused when unknown."""
+"""Limits that a robot file leaves to its servos: queried, from a backup, refused when unknown."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def robot(tmp_path):
 
 @pytest.fixture
 def asked(robot):
-    """Return what sets simulated servos, then asks them for their limits."""
+    """Return a function that sets simulated servos, then queries their limits."""
 
     def ask(*settings):
         with connect(robot.buses, robot=robot, clock=VirtualClock()) as connection:
@@ -62,7 +62,7 @@ def limits(robot):
     }
 
 
-def test_a_limit_is_what_the_servo_is_set_to_and_the_smaller_ramp(asked):
+def test_limits_are_the_servo_settings_and_the_smaller_ramp(asked):
     known = asked((5, "SD", 1200), (5, "AA", 40), (5, "AD", 30), (6, "SD", 450), (7, "SD", 10))
     assert limits(known) == {"arm": (120.0, 150.0), "hand": (45.0, 200.0), "eye": (60.0, 300.0)}
     assert not known.unread
@@ -72,7 +72,7 @@ def test_a_limit_is_what_the_servo_is_set_to_and_the_smaller_ramp(asked):
     }
 
 
-def test_the_plan_keeps_to_them(asked):
+def test_the_plan_stays_within_the_limits(asked):
     known = asked((5, "SD", 300), (5, "AA", 20), (5, "AD", 100))
     trajectory = plan(SHOW, known)
     times_s = np.arange(0.0, trajectory.duration_s, 0.001)
@@ -81,20 +81,20 @@ def test_the_plan_keeps_to_them(asked):
     assert np.abs(trajectory.sample(times_s, 2)[:, arm]).max() <= 100.1
 
 
-def test_no_servo_allows_more_than_its_model_can(asked):
+def test_no_limit_exceeds_that_of_the_servo_model(asked):
     assert limits(asked((5, "SD", 9000)))["arm"][0] == 360.0
 
 
-def test_a_plan_without_them_is_refused_with_what_to_do(robot):
+def test_a_plan_without_limits_is_refused_with_a_remedy(robot):
     with pytest.raises(InputError, match=r"'arm'.*accel_max_deg_s2 and speed_max.*--robot-cache"):
         plan(SHOW, robot)
 
 
-def test_a_simulated_robot_is_asked_as_a_real_one(robot):
+def test_a_simulated_robot_is_queried_as_a_real_one(robot):
     assert not ask_limits(robot).unread
 
 
-def test_a_servo_that_does_not_say_them_is_named(robot):
+def test_a_servo_that_does_not_answer_is_named(robot):
     said = {("main", 5, "QSD"): 1200, ("main", 5, "QAA"): 40, ("main", 5, "QAD"): 40}
     with pytest.raises(BusError, match=r"hand \(id 6 on bus 'main'\)") as caught:
         robot_from_answers(robot, said)
@@ -105,7 +105,7 @@ def test_a_servo_that_does_not_say_them_is_named(robot):
         robot_from_answers(robot, half)
 
 
-def test_a_limit_of_nothing_is_refused(robot):
+def test_a_limit_of_0_is_refused(robot):
     said = {("main", 5, "QSD"): 0, ("main", 5, "QAA"): 40, ("main", 5, "QAD"): 40}
     with pytest.raises(InputError, match="SD is 0; configure it, or give a number"):
         robot_from_answers(robot, said)

@@ -1,4 +1,4 @@
-"""Watching servos: what is read, at which rate, and when somebody is called."""
+"""Watching servos: the values read, their rate, and the alarms."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def target(servo_id, model="LSS-ST1", family=Family.LSS):
 
 @pytest.fixture
 def watched(connected):
-    """Return what watches servos for some seconds and gives the watch and all it read."""
+    """Return a function that watches servos; it returns the watch and its readings."""
 
     def make(*specs, targets=None, for_s=2.0, on_turn=None, **options):
         connection = connected(*specs, **options)
@@ -53,7 +53,7 @@ def watched(connected):
     return make
 
 
-def test_everything_of_every_servo_is_read(watched, spec):
+def test_every_value_of_every_servo_is_read(watched, spec):
     targets = [
         target(1),
         target(2, "LSS-P-S1", Family.LSS_PRO),
@@ -76,8 +76,8 @@ def test_everything_of_every_servo_is_read(watched, spec):
     assert (pin.position_deg, sensor.raw) == (0.0, 426.0)
 
 
-def test_an_lss_pro_answers_all_that_it_is_asked(watched, spec):
-    """It has no word for its voltage."""
+def test_an_lss_pro_answers_every_query(watched, spec):
+    """It has no query for its voltage."""
     one = target(2, "LSS-P-S1", Family.LSS_PRO)
     watch, _, connection = watched(spec(2, "LSS-P-S1"), targets=[one])
     asked = {line.decode()[2:-1] for _, line in connection.simulated["main"].heard}
@@ -85,8 +85,8 @@ def test_an_lss_pro_answers_all_that_it_is_asked(watched, spec):
     assert watch.readings[0].temperature_c == pytest.approx(25.0, abs=1.0)
 
 
-def test_the_line_is_used(watched, spec):
-    """18 servos at 115200 bps: what 4 questions and answers a servo need, and little more."""
+def test_the_line_is_used_fully(watched, spec):
+    """18 servos at 115200 bps: the time of 4 queries and answers a servo, and little more."""
     specs = [spec(number) for number in range(1, 19)]
     watch, read, _ = watched(*specs, for_s=3.0)
     late = [servo_id for now_ns, servo_id in read if now_ns > 2 * NS_PER_S]
@@ -96,7 +96,7 @@ def test_the_line_is_used(watched, spec):
     assert watch.rounds["main"] > 20
 
 
-def test_a_missing_servo_does_not_hold_up_the_others(watched, spec):
+def test_a_missing_servo_does_not_delay_the_others(watched, spec):
     watch, read, _ = watched(spec(1), targets=[target(1), target(2)])
     assert not watch.readings[0].is_silent
     assert watch.readings[1].is_silent
@@ -164,7 +164,7 @@ def test_a_moving_horn_is_seen_moving(watched, spec, connected):
     assert watch.readings[0].position_deg == pytest.approx(90.0, abs=0.5)
 
 
-def test_an_alarm_is_told_once_and_again_only_when_it_was_over():
+def test_an_alarm_is_reported_once_until_it_ends():
     reading = ServoState(target=target(1), temperature_c=60.0, voltage_v=12.0, current_a=0.1)
     alarms = Alarms(Thresholds())
     assert alarms.update([reading]) == []
@@ -190,7 +190,7 @@ def test_an_alarm_is_told_once_and_again_only_when_it_was_over():
         ({"misses": 3}, "silent"),
     ],
 )
-def test_every_trouble_has_its_alarm(wrong, kind):
+def test_every_problem_raises_its_alarm(wrong, kind):
     reading = ServoState(target=target(1), **wrong)
     assert [found for found, _ in Thresholds().alarms(reading)] == [kind]
 
@@ -215,10 +215,10 @@ def test_a_sparkline_goes_from_the_lowest_to_the_highest():
     assert sparkline([]) == ""
 
 
-def test_a_status_is_read_by_the_firmware_that_the_servo_says(
+def test_a_status_is_interpreted_by_the_firmware_of_the_servo(
     connected, spec, tmp_path, monkeypatch, capsys
 ):
-    """The LSS-PRO of the newer firmware says 5 where older ones said 6 for holding."""
+    """An LSS-PRO with newer firmware reports 5 for holding, with older firmware 6."""
     robot = tmp_path / "robot.yaml"
     robot.write_text("""
 robot: one

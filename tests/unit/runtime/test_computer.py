@@ -1,4 +1,4 @@
-"""`lss-motion doctor`: every trouble is named with its fix, and nothing ends it early."""
+"""`lss-motion doctor`: every problem is named with its fix, and no check ends the others."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_this_computer_is_examined_from_python_to_its_timer(capsys, monkeypatch)
     assert "could not be checked" not in out
 
 
-def test_packages_are_compared_with_what_is_asked_for():
+def test_packages_are_compared_with_the_required_ones():
     installed = {"numpy": "1.26.4", "rich": "13.10.0"}
 
     def version_of(name):
@@ -82,11 +82,11 @@ def test_programs_that_grab_ports_are_named(tmp_path):
 
 
 @pytest.mark.parametrize(("steps_ns", "level"), [(50, Level.OK), (15_000_000, Level.HINT)])
-def test_a_coarse_clock_is_told(steps_ns, level):
+def test_a_coarse_clock_is_reported(steps_ns, level):
     assert only(computer.check_clock(steps_ns)).level is level
 
 
-def test_a_late_timer_is_told_by_its_hundredth_worst():
+def test_a_late_timer_is_judged_by_its_99th_percentile():
     quick = [60 * US] * 99 + [5000 * US]
     finding = only(computer.check_timer(quick))
     assert (finding.level, "5000 us at worst" in finding.said) == (Level.OK, True)
@@ -97,7 +97,7 @@ def test_a_late_timer_is_told_by_its_hundredth_worst():
     assert "--real-time" in finding.fix
 
 
-def test_a_cpu_that_saves_power_is_told(tmp_path):
+def test_a_cpu_that_saves_power_is_reported(tmp_path):
     assert computer.check_governor(tmp_path) == []
     folder = tmp_path / "sys/devices/system/cpu/cpu0/cpufreq"
     folder.mkdir(parents=True)
@@ -105,7 +105,7 @@ def test_a_cpu_that_saves_power_is_told(tmp_path):
     assert only(computer.check_governor(tmp_path)).level is Level.HINT
 
 
-def test_what_a_check_meets_does_not_end_the_others(monkeypatch, capsys):
+def test_a_check_that_fails_does_not_end_the_others(monkeypatch, capsys):
     def fail(*_):
         raise OSError("a device that nobody knows")
 

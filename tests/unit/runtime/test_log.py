@@ -19,7 +19,7 @@ LINE = re.compile(r"(\d+)\.(\d{9}) (\S+) ([<>]) (.*)")
 
 
 def read_back(path):
-    """Parse a log with nothing but what its docstring says."""
+    """Parse a log by its docstring alone."""
     first, *lines = path.read_text("ascii").split("\n")
     assert first == FIRST_LINE
     assert lines.pop() == ""
@@ -55,7 +55,7 @@ def test_a_log_gives_back_the_same_bytes(tmp_path, entries):
     assert read_back(path) == entries
 
 
-def test_lines_look_as_the_docstring_draws_them(tmp_path):
+def test_lines_look_as_in_the_docstring(tmp_path):
     path = tmp_path / "bytes.log"
     with ByteLog(path, played={"file": "show.yaml"}) as log:
         log.sent("main", b"#5QD\r", 1_234_567)
@@ -74,8 +74,8 @@ def test_lines_look_as_the_docstring_draws_them(tmp_path):
     ]
 
 
-def test_a_disk_that_does_not_keep_up_delays_nobody_and_what_is_lost_is_said(tmp_path, monkeypatch):
-    """The writing process is stopped: the pipe fills, then what is held, then lines are lost."""
+def test_a_slow_disk_delays_no_command_and_lost_lines_are_counted(tmp_path, monkeypatch):
+    """The writing process is stopped: the pipe fills, then the buffer, then lines are lost."""
     monkeypatch.setattr("lss_motion.runtime.log.HELD_MAX_BYTES", 100_000)
     path, count = tmp_path / "bytes.log", 40_000
     with ByteLog(path) as log:
@@ -110,7 +110,7 @@ def test_a_log_is_whole_when_the_player_is_killed(tmp_path):
     assert "#\n" not in path.read_text(), "its end is missing"
 
 
-def test_what_was_noted_is_there_after_a_crash(tmp_path):
+def test_noted_lines_are_in_the_file_after_a_crash(tmp_path):
     path = tmp_path / "bytes.log"
 
     def crash():

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="plays a shell s
 
 @pytest.fixture
 def folder(tmp_path):
-    """A module whose function writes down when it was called, and a player of sounds that does."""
+    """A module whose function records its calls, and a sound player that does so, too."""
     (tmp_path / "effects.py").write_text(
         "from pathlib import Path\n"
         "def fog(at_s): Path(__file__).with_name('fog').open('a').write(f'{at_s} ')\n"
@@ -44,7 +44,7 @@ def test_functions_are_called_with_the_time_of_the_show(folder):
     assert performer.unfinished() == []
 
 
-def test_what_a_function_raises_is_said_and_the_next_one_still_comes(folder, capfd):
+def test_an_exception_of_a_function_is_printed_and_the_next_one_runs(folder, capfd):
     cues = [cue(folder, "fail"), cue(folder, "fog", 3.0)]
     with Performer(cues) as performer:
         for one in cues:
@@ -54,12 +54,12 @@ def test_what_a_function_raises_is_said_and_the_next_one_still_comes(folder, cap
 
 
 @pytest.mark.parametrize("name", ["smoke", "number"])
-def test_a_function_that_is_not_there_is_an_input_error_before_the_show(folder, name):
+def test_a_missing_function_is_an_input_error_before_the_show(folder, name):
     with pytest.raises(InputError, match=f"effects:{name}"):
         Performer([cue(folder, name)])
 
 
-def test_sounds_are_played_by_what_the_system_has(folder, monkeypatch):
+def test_sounds_are_played_by_an_installed_program(folder, monkeypatch):
     monkeypatch.setenv("PATH", f"{folder}{os.pathsep}{os.environ['PATH']}")
     with Performer([Cue(at_s=0.0, sound="bell.wav")]) as performer:
         assert performer.warnings == []
@@ -67,7 +67,7 @@ def test_sounds_are_played_by_what_the_system_has(folder, monkeypatch):
     assert (folder / "heard").read_text() == "bell.wav\n"
 
 
-def test_without_any_player_of_sounds_that_is_said_and_nothing_fails(monkeypatch, tmp_path):
+def test_without_a_sound_player_there_is_a_warning_only(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     with Performer([Cue(at_s=0.0, sound="bell.wav")]) as performer:
         [text] = performer.warnings
@@ -75,8 +75,8 @@ def test_without_any_player_of_sounds_that_is_said_and_nothing_fails(monkeypatch
         performer.perform(Cue(at_s=0.0, sound="bell.wav"))
 
 
-def test_a_function_that_never_returns_delays_nobody(folder, monkeypatch):
-    """What the pipe does not take is lost; the process is ended after the show."""
+def test_a_function_that_never_returns_delays_no_command(folder, monkeypatch):
+    """Lines that do not fit into the pipe are lost; the process is ended after the show."""
     monkeypatch.setattr("lss_motion.runtime.performer.CLOSE_S", 0.1)
     stay = cue(folder, "stay")
     with Performer([stay]) as performer:
@@ -86,7 +86,7 @@ def test_a_function_that_never_returns_delays_nobody(folder, monkeypatch):
     assert "and 2995 more" in performer.unfinished()[0]
 
 
-def test_what_was_not_run_behind_a_slow_function_is_named(folder, monkeypatch):
+def test_functions_that_did_not_run_behind_a_slow_one_are_named(folder, monkeypatch):
     monkeypatch.setattr("lss_motion.runtime.performer.CLOSE_S", 1.0)
     cues = [cue(folder, "fog", 0.5), cue(folder, "stay", 1.0), cue(folder, "fog", 2.0)]
     cues.append(Cue(at_s=2.5, sound="/far/bell.wav"))
@@ -101,7 +101,7 @@ def test_what_was_not_run_behind_a_slow_function_is_named(folder, monkeypatch):
     assert (folder / "fog").read_text() == "0.5 "
 
 
-def test_neither_a_function_nor_its_programs_can_print_into_what_is_counted(folder, capfd):
+def test_output_of_functions_does_not_reach_the_reply_pipe(folder, capfd):
     (folder / "loud.py").write_text(
         "import os, subprocess\n"
         "def shout(at_s):\n    print('...')\n    os.write(1, b'....')\n"
@@ -114,7 +114,7 @@ def test_neither_a_function_nor_its_programs_can_print_into_what_is_counted(fold
     assert "....." in capfd.readouterr().err
 
 
-def test_a_show_ends_with_a_warning_of_what_was_not_run(folder, monkeypatch):
+def test_a_show_ends_with_a_warning_about_functions_that_did_not_run(folder, monkeypatch):
     monkeypatch.setattr("lss_motion.runtime.performer.CLOSE_S", 0.1)
     stay, told = cue(folder, "stay", 1.0), []
     with performing([stay], told.append, is_virtual=False) as on_event:

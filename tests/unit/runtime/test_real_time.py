@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(
 
 
 class System:
-    """Notes what it is asked for, and permits it or not."""
+    """Records the requests, and permits them or not."""
 
     def __init__(self, *, is_kind):
         self.calls = []
@@ -45,7 +45,7 @@ def system(request, monkeypatch):
 
 
 @pytest.mark.parametrize("system", [True], indirect=True)
-def test_what_was_granted_is_given_back(system):
+def test_granted_privileges_are_given_back(system):
     before = (os.sched_getscheduler(0), os.sched_getparam(0).sched_priority)
     with real_time() as refused:
         assert refused == []
@@ -54,7 +54,7 @@ def test_what_was_granted_is_given_back(system):
 
 
 @pytest.mark.parametrize("system", [False], indirect=True)
-def test_what_was_refused_is_said_with_what_to_do(system):
+def test_a_refusal_is_reported_with_a_remedy(system):
     with real_time() as refused:
         priority, memory = refused
     assert f"rtprio {PRIORITY}` to /etc/security/limits.conf" in priority
@@ -63,14 +63,14 @@ def test_what_was_refused_is_said_with_what_to_do(system):
 
 
 @pytest.mark.parametrize("system", [True], indirect=True)
-def test_nobody_is_asked_for_what_is_not_wanted(system):
+def test_nothing_is_requested_that_is_not_wanted(system):
     with real_time(is_wanted=False) as refused:
         assert refused == []
     assert system.calls == []
 
 
 def slice_ns():
-    """Return how long this process runs at a time, as Linux tells since 6.12."""
+    """Return how long this process runs at a time, as Linux reports since 6.12."""
     path = Path("/proc/self/sched")
     text = path.read_text(encoding="ascii") if path.exists() else ""
     match = re.search(r"^se\.slice\s*:\s*(\d+)", text, re.MULTILINE)
@@ -78,7 +78,7 @@ def slice_ns():
 
 
 @pytest.mark.skipif(slice_ns() is None, reason="this system has no slices, or does not tell them")
-def test_a_player_asks_for_a_short_time_on_the_processor_and_gives_it_back():
+def test_a_player_requests_a_short_slice_and_gives_it_back():
     before_ns = slice_ns()
     assert before_ns > SLICE_NS
     with prompt_waits():

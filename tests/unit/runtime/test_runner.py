@@ -1,4 +1,4 @@
-"""The loop, with a player that only counts and ports that only remember."""
+"""The run loop, with a player that counts and ports that record."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STEP_NS = 10_000_000
 
 
 class Port:
-    """Remembers what is written, and fails when told to."""
+    """Records written bytes, and fails at a given time."""
 
     def __init__(self, clock, *, arrivals=(), fails_at=None, error=None):
         self.url = "test://"
@@ -46,27 +46,27 @@ class Port:
 
 
 class Player:
-    """Says its number on every bus every 10 ns, ten times."""
+    """Sends a number on every bus every 10 ns, ten times."""
 
     def __init__(self):
         self.received = []
         self.events = ["first", "second"]
         self._now_ns = 0
-        self._said = 0
+        self._sent_count = 0
 
     def data_to_send(self, leaves_ns):
         assert gc.isenabled() is False, "the collector must not interrupt a show"
         self._now_ns = leaves_ns
-        if self._said > leaves_ns // 10:
+        if self._sent_count > leaves_ns // 10:
             return {}
-        self._said += 1
-        return dict.fromkeys(BUSES, b"%d" % self._said)
+        self._sent_count += 1
+        return dict.fromkeys(BUSES, b"%d" % self._sent_count)
 
     def receive_data(self, bus, data, now_ns):
         self.received.append((now_ns, bus, data))
 
     def next_wakeup_ns(self):
-        return None if self._said >= 10 else 10 * self._said
+        return None if self._sent_count >= 10 else 10 * self._sent_count
 
     def safe_bytes(self):
         return dict.fromkeys(BUSES, b"#254H\r")
@@ -76,30 +76,30 @@ class Player:
 
 
 class SlowPlayer(Player):
-    """Says its number every 10 ms, and takes its time to find out what to say."""
+    """Sends a number every 10 ms; each decision takes a given time."""
 
     def __init__(self, clock, takes_ns):
         super().__init__()
-        self.told = []
+        self.leaves = []
         self._clock = clock
         self._takes_ns = takes_ns
 
     def data_to_send(self, leaves_ns):
         assert leaves_ns >= self._now_ns, "time does not go back"
         self._now_ns = leaves_ns
-        if leaves_ns < self._said * STEP_NS:
+        if leaves_ns < self._sent_count * STEP_NS:
             return {}
-        self._said += 1
+        self._sent_count += 1
         self._clock.advance_to(self._clock.now_ns() + self._takes_ns)
-        self.told.append(leaves_ns)
-        return {"a": b"%d" % self._said}
+        self.leaves.append(leaves_ns)
+        return {"a": b"%d" % self._sent_count}
 
     def receive_data(self, bus, data, now_ns):
         assert now_ns >= self._now_ns, "time does not go back"
         super().receive_data(bus, data, now_ns)
 
     def next_wakeup_ns(self):
-        return None if self._said >= 400 else self._said * STEP_NS
+        return None if self._sent_count >= 400 else self._sent_count * STEP_NS
 
 
 class Tap:
@@ -123,7 +123,7 @@ def ports_for(clock, **fields):
     return {bus: Port(clock, **fields.get(bus, {})) for bus in BUSES}
 
 
-def test_what_is_due_is_written_at_its_instant_and_arrivals_are_read_at_theirs():
+def test_bytes_are_written_and_arrivals_are_read_at_their_instants():
     clock, player, tap, events = VirtualClock(), Player(), Tap(), []
     ports = ports_for(clock, b={"arrivals": [(13, b"*1Q6\r"), (47, b"*2Q6\r")]})
     run(player, ports, clock, on_event=events.append, tap=tap)
@@ -150,7 +150,7 @@ def test_a_lost_port_leaves_the_others_in_the_safe_state():
     assert gc.isenabled()
 
 
-def test_even_a_port_that_fails_in_a_strange_way_does_not_spare_the_others():
+def test_a_port_that_raises_any_error_leaves_the_others_in_the_safe_state():
     clock = VirtualClock()
     ports = ports_for(clock, a={"fails_at": 50, "error": ValueError("closed")})
     with pytest.raises(ValueError, match="closed"):
@@ -159,7 +159,7 @@ def test_even_a_port_that_fails_in_a_strange_way_does_not_spare_the_others():
 
 
 @pytest.mark.parametrize("error", [RuntimeError("no"), KeyboardInterrupt(), SystemExit(3)])
-def test_whatever_raises_in_an_observer_every_bus_is_made_safe(error):
+def test_any_exception_of_an_observer_makes_every_bus_safe(error):
     clock = VirtualClock()
     ports = ports_for(clock)
 
@@ -172,7 +172,7 @@ def test_whatever_raises_in_an_observer_every_bus_is_made_safe(error):
     assert gc.isenabled()
 
 
-def test_controls_act_before_every_writing():
+def test_controls_act_before_every_write():
     acts = []
 
     class Controls:
@@ -180,7 +180,7 @@ def test_controls_act_before_every_writing():
             return []
 
         def act(self, player, now_ns):
-            acts.append((now_ns, player._said))
+            acts.append((now_ns, player._sent_count))
 
     clock, player = VirtualClock(), Player()
     run(player, ports_for(clock), clock, controls=Controls())
@@ -190,14 +190,14 @@ def test_controls_act_before_every_writing():
 @pytest.mark.parametrize(
     ("takes_ns", "learnt_ns"), [(0, 0), (300_000, 300_000), (5 * DECISION_MAX_NS, DECISION_MAX_NS)]
 )
-def test_what_takes_time_to_decide_leaves_when_it_was_to(takes_ns, learnt_ns):
-    """A player is told when its bytes will leave, if it takes no longer than can be learnt."""
+def test_a_slow_decision_is_compensated(takes_ns, learnt_ns):
+    """The loop passes the instant at which bytes leave, up to the longest decision it learns."""
     clock = VirtualClock()
     arrivals = [(at * STEP_NS - 50_000, b"!") for at in range(1, 400)]
     port, player = Port(clock, arrivals=arrivals), SlowPlayer(clock, takes_ns)
     run(player, {"a": port}, clock)
-    assert player.told[0] == 0
-    settled = list(zip(player.told, port.written, strict=True))[250:]
+    assert player.leaves[0] == 0
+    settled = list(zip(player.leaves, port.written, strict=True))[250:]
     for number, (told_ns, (written_ns, _)) in enumerate(settled, start=250):
         assert told_ns == pytest.approx(number * STEP_NS, abs=2 * DECISION_STEP_NS)
         late_ns = takes_ns - learnt_ns

@@ -1,4 +1,4 @@
-"""Who is on a bus: every id, every rate, ids that several share; what a person is told of it."""
+"""Servos on a bus: every id, every rate, shared ids; the report to a person."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_a_roll_call_finds_every_servo_whatever_the_rate_and_the_adapter(
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("count", [2, 3])
-def test_an_id_that_several_servos_share_is_found_as_such(connected, spec, seed, count):
+def test_a_shared_id_is_found(connected, spec, seed, count):
     connection = connected(*[spec(0)] * count, spec(3), seed=seed)
     found = roll_call(connection, "main")
     assert [(p.servo_id, p.is_shared) for p in found] == [(0, True), (3, False)]
@@ -51,7 +51,7 @@ def test_a_shared_id_is_found_behind_an_adapter_that_holds_answers_back(connecte
     assert [(p.servo_id, p.is_shared) for p in found] == [(3, False), (20, True)]
 
 
-def test_damage_that_an_adapter_held_back_for_16_ms_puts_all_in_doubt_who_were_asked_meanwhile():
+def test_damage_held_back_for_16_ms_makes_every_id_queried_meanwhile_doubtful():
     heard = [b""] * 251
     heard[24] = b"*2\x80QM"
     heard[30] = b"*30QMSLSS-ST1\r"
@@ -63,7 +63,7 @@ def test_damage_that_an_adapter_held_back_for_16_ms_puts_all_in_doubt_who_were_a
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_noisy_line_makes_no_servo_look_like_two(connected, spec, seed):
+def test_noise_on_a_line_is_not_taken_for_a_shared_id(connected, spec, seed):
     noise = Fault(kind=FaultKind.CORRUPT_REPLY, ratio=0.1)
     connection = connected(*map(spec, range(1, 13)), seed=seed, faults=[noise])
     found = roll_call(connection, "main")
@@ -71,7 +71,7 @@ def test_a_noisy_line_makes_no_servo_look_like_two(connected, spec, seed):
     assert not any(present.is_shared for present in found)
 
 
-def test_servos_at_several_rates_are_found_at_theirs(connected, spec):
+def test_servos_are_found_at_their_own_rates(connected, spec):
     connection = connected(spec(1), spec(2), spec(7, baud_bps=57600))
     looks = survey(connection, connection.buses["main"], None)
     assert [(look.servo_id, look.baud_bps) for look in looks] == [
@@ -95,7 +95,7 @@ def test_a_board_is_found_with_all_its_pins(connected, spec, servo_id):
     assert (servo.identity.model, servo.position_deg) == ("LSS-2IO-D9", 0.0)
 
 
-def test_all_three_families_say_how_they_are(connected, spec):
+def test_the_condition_of_all_three_families_is_read(connected, spec):
     connection = connected(
         spec(1, start_deg=12.0), spec(2, "LSS-P-S1", start_deg=-3.25), spec(209, "LSS-2IO")
     )
@@ -107,12 +107,12 @@ def test_all_three_families_say_how_they_are(connected, spec):
     assert looks[209].status is None
 
 
-def test_nobody_is_told_as_nobody(connected):
+def test_an_empty_bus_is_reported_as_such(connected):
     connection = connected()
     assert survey(connection, connection.buses["main"], None) == []
 
 
-def test_safe_mode_is_told_with_its_cause_and_what_to_do(connected, spec):
+def test_safe_mode_is_reported_with_its_cause_and_remedy(connected, spec):
     hot = Fault(kind=FaultKind.HOT, servo_id=5, temperature_c=90.0)
     connection = connected(spec(5), spec(6), faults=[hot])
     connection.ask([])
@@ -126,7 +126,7 @@ def test_safe_mode_is_told_with_its_cause_and_what_to_do(connected, spec):
     assert "servo 5 is hot" in heat
 
 
-def test_a_robot_file_is_compared_with_what_is_there(connected, spec, tmp_path):
+def test_a_robot_file_is_compared_with_the_bus(connected, spec, tmp_path):
     path = tmp_path / "robot.yaml"
     path.write_text("""
 robot: three
@@ -194,5 +194,5 @@ def test_a_serial_number_that_came_once_was_damaged():
     assert judge_answers(5, "LSS-ST1", heard).serial_number == "123"
 
 
-def test_silence_is_nobody():
+def test_silence_means_no_device():
     assert judge_answers(5, "", [b"", b""]) is None
