@@ -196,12 +196,12 @@ def _bus(player: Player, name: str, run_s: float) -> BusReport:
     return BusReport(
         baud_bps=line.bus.baud_bps,
         tx_utilisation_ratio=round(busy_s / run_s, 4) if run_s > 0.0 else 0.0,
-        queries=questioner.query_count,
-        replies=questioner.reply_count,
-        timeouts=questioner.timeouts,
+        queries=tracker.query_count,
+        replies=tracker.reply_count,
+        timeouts=tracker.timeouts,
         garbage=line.garbage,
-        rejected=questioner.strays + (reader.rejected[name] if reader is not None else 0),
-        query_rate_hz=round(questioner.query_count / run_s, 1) if run_s > 0.0 else 0.0,
+        rejected=tracker.strays + (reader.rejected[name] if reader is not None else 0),
+        query_rate_hz=round(tracker.query_count / run_s, 1) if run_s > 0.0 else 0.0,
     )
 
 

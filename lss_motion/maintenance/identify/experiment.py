@@ -411,7 +411,7 @@ class PositionPoller:
         if quiet_until_ns is not None and ends_ns > quiet_until_ns:
             self._next_ns = quiet_until_ns
             return
-        tracker.ask(question, now_ns)
+        tracker.send(question, now_ns)
         self._count += 1
         self._next_ns = now_ns + READ_EVERY_NS
 
@@ -421,7 +421,7 @@ class PositionPoller:
 
     def receive(self, reply: Reply, now_ns: int) -> PolledReading | None:
         """Return the content of `reply`; None if it answers no query."""
-        answers = self.tracker.answer(reply, now_ns)
+        answers = self.tracker.receive(reply, now_ns)
         if not answers:
             return None
         asked, _ = answers[-1]  # One question at a time: there is no other.
