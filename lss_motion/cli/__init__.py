@@ -1,7 +1,51 @@
-"""`lss-play` and `lss-motion`: arguments in, text and exit codes out; nothing heavy at import."""
+"""The commands `lss-play` and `lss-motion`: arguments in, text and an exit code out.
+
+A module that `main` imports loads nothing heavy (numpy, pydantic, rich) when it is imported:
+`lss-motion --help` builds the parsers of all commands. Heavy imports are inside the functions that
+run a command. A command imports no other command.
+
+Commands, called by `main`:
+
+==============  =================================================================================
+calibrate       `calibrate`: find zero and direction of each joint by hand
+completion      `completion`: the script that lets a shell complete commands and options
+configure       `configure`: compare, write, back up and restore the settings of servos
+doctor          `doctor`: check this computer
+examples        `example`: list the packaged examples, write one
+exchange        `import`, `export`: motion of other tools, and motion for them
+identify        `identify`: measure the response of servos
+jog             `jog`: move joints with keys, keep poses
+monitor         `monitor`: the live state of all servos
+planning        `check`, `plan`, `compile`, `schema`, `gait`: all that needs no servo
+play            `play`, and the program `lss-play`
+record          `record`: a motion shown by hand becomes a sequence file
+reference       `reference`: the commands of the servos as Markdown
+replay          `replay`: the content of a log, and its second run
+report          `report`: the report of a show as text and picture; also called by `play`, `walk`
+scan            `scan`: find ports, baud rates and servos
+send            `send`: one command to one servo
+simulate        `sim`: a simulated robot behind a pseudo-terminal
+walk            `walk`: a gait that is steered while it runs
+==============  =================================================================================
+
+Shared by them:
+
+==============  =================================================================================
+commands        declares commands and shared arguments, checks them, loads the robot; all commands
+messages        prints errors and lines; turns exceptions into exit codes; `main`, `play`, others
+terminal        keys and signals during a run; `play`, `walk`, `identify`, `hands`
+shows           from a file to a compiled program; `play`, `walk`, `replay`, `planning`, `exchange`
+summaries       plan, program and robot as text and JSON; `planning`, `play`, `exchange`, `record`
+dialog          the question before a real robot moves, and a line an event; `play`, `walk`
+display         the live display, a process of its own; `play`, `walk`
+hands           a run with limp joints: keys and screen; `record`, `jog`, `calibrate`
+survey          finds the servos of a bus; `scan`, `monitor`, `configure`
+servo_settings  reads and writes settings over an open connection; `configure`
+==============  =================================================================================
+"""
 
 import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-"""No array here is so large that a second thread would help; starting one costs each command 35 ms
-of processor time (measured), and they would stand beside the player."""
+"""No array here is large enough for a second thread. Starting one costs each command 35 ms of
+processor time (measured), and the threads would compete with the player."""

@@ -1,8 +1,12 @@
-"""Declares commands, and the arguments that several commands share.
+"""What several commands share: declaring a command, arguments, checks, and loading the robot.
 
-How a command of `lss-motion` is declared.
+Two rules hold for all commands:
 
-The robot that a command is about: from its file, at its port, with limits that servos know.
+- `--robot FILE` names the robot file. A command about the robot itself also accepts it alone.
+- A YAML file (robot, sequence, map, backup) may have been edited, so it is overwritten only with
+  `--force`. Tables, pictures, compiled programs, reports and logs are replaced: a command can make
+  them again, or has just measured them. `jog`, `calibrate` and `identify` change single values of
+  the robot file.
 """
 
 from __future__ import annotations
@@ -22,8 +26,25 @@ if TYPE_CHECKING:
 
     from lss_motion.robot.model import Robot
 
-    Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # noqa: SLF001
-    """What `add_subparsers` returns; argparse has no public name for it."""
+    Commands: TypeAlias = "argparse._SubParsersAction[CommandParser]"  # noqa: SLF001
+    """The type that `add_subparsers` returns; argparse has no public name for it."""
+
+TOLERANCE_MAX_DEG: Final = 90.0
+"""The largest tolerance of a reduced recording; beyond it no motion is left."""
+
+PORT_HELP: Final = "serial device or URL, such as /dev/ttyUSB0; sim:// simulates the servos"
+ROBOT_HELP: Final = "use this robot file"
+CACHE_HELP: Final = (
+    "read limits that the robot file does not give from this backup, not from the servos; "
+    "`lss-motion configure ROBOT --backup FILE` writes one"
+)
+SEED_HELP: Final = "seed of the simulated bus (default 0)"
+NO_FEEDBACK_HELP: Final = "send no queries, correct nothing"
+QUIET_HELP: Final = "print errors only, no display"
+REPORT_HELP: Final = "write the report to this JSON file"
+PLOT_HELP: Final = "draw it into this picture; the suffix sets the format"
+VIRTUAL_HELP: Final = "simulate in virtual time: fast, and the same on every run"
+SIMULATED_NOTE: Final = "The servos are simulated: these values tell nothing about a real robot."
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -49,11 +70,15 @@ def add_command(
     text: str,
     description: str | None = None,
 ) -> argparse.ArgumentParser:
-    """Add a command that runs `handler`, which returns the exit code; return its parser."""
+    """Add a command that runs `handler`, which returns the exit code; return its parser.
+
+    `text` stands in the list of commands. Without `description` it is the first line of the help
+    of the command as well, as a sentence.
+    """
     added = commands.add_parser(
         name,
         help=text,
-        description=description or text,
+        description=description or f"{text[0].upper()}{text[1:]}.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     added.set_defaults(handler=handler)
@@ -69,19 +94,7 @@ def add_version(parser: argparse.ArgumentParser) -> None:
 
 def add_force(parser: argparse.ArgumentParser) -> None:
     """Add `--force`, for `refuse_overwriting`."""
-    parser.add_argument("--force", action="store_true", help="overwrite a file that is there")
-
-
-def refuse_overwriting(path: Path | None, *, is_forced: bool) -> None:
-    """Raise `InputError` if `path` is there already.
-
-    The rule of all commands: a YAML file (robot, sequence, map, backup) may have been edited, so it
-    is overwritten only with `--force`. What a command can make again or has just measured (tables,
-    pictures, compiled programs, reports, logs) is replaced. `jog`, `calibrate` and `identify`
-    change single values of the robot file that they are given.
-    """
-    if path is not None and path.exists() and not is_forced:
-        raise InputError("is there already; choose another name, or add --force", path=path)
+    parser.add_argument("--force", action="store_true", help="overwrite an existing file")
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
@@ -89,32 +102,15 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON for other programs")
 
 
-def print_json(value: Any) -> None:  # noqa: ANN401  JSON
-    """Print a value as JSON; what is not finite (a show without end) becomes null."""
-    sys.stdout.write(json.dumps(_finite(value), indent=2, ensure_ascii=False, default=str) + "\n")
-
-
-def _finite(value: Any) -> Any:  # noqa: ANN401  JSON
-    if isinstance(value, dict):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def add_robot(parser: argparse.ArgumentParser, *, is_required: bool) -> None:
-    """Add the robot of a command that is about a robot and no other file: ROBOT or `--robot`.
-
-    The rule of all commands: `--robot FILE` names the robot file. A command whose first file is a
-    show has only that; one about the robot itself accepts the file alone as well.
-    """
+    """Add the robot file as ROBOT or `--robot`, for a command that has no other file."""
     group = parser.add_mutually_exclusive_group(required=is_required)
-    group.add_argument("robot", nargs="?", action=_Robot, metavar="ROBOT", help="a robot file")
-    group.add_argument("--robot", action=_Robot, metavar="FILE", help="the same")
+    group.add_argument("robot", nargs="?", action=_Robot, metavar="ROBOT", help="the robot file")
+    group.add_argument("--robot", action=_Robot, metavar="FILE", help="the robot file")
 
 
 class _Robot(argparse.Action):
-    """Keeps the robot file that was given; an argument that was left out changes nothing."""
+    """Stores the given robot file. An omitted argument leaves the value of the other one."""
 
     def __call__(
         self,
@@ -127,14 +123,86 @@ class _Robot(argparse.Action):
             setattr(namespace, self.dest, Path(str(values)))
 
 
-CACHE_HELP: Final = (
-    "limits that the robot file leaves to its servos, from `lss-motion configure ROBOT --backup "
-    "FILE`, in place of asking them"
-)
+def add_robot_options(parser: argparse.ArgumentParser) -> None:
+    """Add `--robot` and `--robot-cache`, for a command whose first file is a show; for `reader`."""
+    parser.add_argument("--robot", type=Path, metavar="FILE", help=ROBOT_HELP)
+    add_cache_option(parser)
 
 
 def add_cache_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--robot-cache`, for `reader`."""
     parser.add_argument("--robot-cache", type=Path, metavar="FILE", help=CACHE_HELP)
+
+
+def number_from(
+    low: float, high: float, unit: str = "", *, is_above: bool = False
+) -> Callable[[str], float]:
+    """Return the type of an argument: a number from `low` to `high`, or above `low`."""
+
+    def number(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high or (is_above and value == low):
+            bounds = f"{'above' if is_above else 'from'} {low:g} to {high:,.12g} {unit}".rstrip()
+            raise argparse.ArgumentTypeError(f"{text!r} is not a number {bounds}")
+        return value
+
+    return number
+
+
+def refuse_overwriting(path: Path | None, *, is_forced: bool) -> None:
+    """Raise `InputError` if a file is at `path` and may not be overwritten."""
+    if path is not None and path.exists() and not is_forced:
+        raise InputError("exists already; choose another name, or add --force", path=path)
+
+
+def require_folder(path: Path | None) -> None:
+    """Raise `InputError` if the folder of a file that is to be written does not exist."""
+    if path is not None and not path.absolute().parent.is_dir():
+        raise InputError("cannot be written: its folder does not exist", path=path)
+
+
+def require_joint(robot: Robot, name: str) -> None:
+    """Raise `InputError`, with similar names, if the robot has no joint of this name."""
+    if name not in robot.joints:
+        from lss_motion.files.source import known_names
+
+        known = known_names(name, robot.joints)
+        raise InputError(f"unknown joint {name!r}; {known}", path=robot.path)
+
+
+def require_baud(option: str, rate_bps: int | None) -> None:
+    """Raise `InputError` if servos do not support the baud rate that `option` gives."""
+    from lss_motion.protocol.constants import BAUD_RATES_BPS
+
+    if rate_bps is not None and rate_bps not in BAUD_RATES_BPS:
+        allowed = ", ".join(map(str, BAUD_RATES_BPS))
+        raise InputError(f"{option} {rate_bps}: servos support {allowed}")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Replace a file as a whole, or raise `InputError` and leave the old one."""
+    try:
+        scratch = path.with_name(path.name + ".new")
+        scratch.write_text(text, encoding="utf-8")
+        scratch.replace(path)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", path=path) from error
+
+
+def print_json(value: Any) -> None:  # noqa: ANN401  JSON
+    """Print a value as JSON. A number that is not finite (an endless show) becomes null."""
+    sys.stdout.write(json.dumps(_finite(value), indent=2, ensure_ascii=False, default=str) + "\n")
+
+
+def _finite(value: Any) -> Any:  # noqa: ANN401  JSON
+    if isinstance(value, dict):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def robot_at(path: Path, port: str | None) -> Robot:
@@ -145,23 +213,22 @@ def robot_at(path: Path, port: str | None) -> Robot:
     return with_port(load_robot(path), port)
 
 
-def reader(arguments: argparse.Namespace, *, may_ask: bool) -> Callable[[Path], Robot]:
-    """Return what reads robot files for a command, and their missing limits.
+def reader(arguments: argparse.Namespace, *, may_query: bool) -> Callable[[Path], Robot]:
+    """Return the function that reads robot files for a command, with limits that a file omits.
 
-    Those are in --robot-cache, or the servos are asked, if they may be; else they stay missing,
-    and no plan is made.
+    It reads those limits from `--robot-cache`, or queries the servos if `may_query`. Otherwise they
+    stay unread, and no plan can be made.
     """
 
     def read(path: Path) -> Robot:
         from lss_motion.robot.load import load_robot
 
-        return complete(load_robot(path), arguments, may_ask=may_ask)
+        return _complete(load_robot(path), arguments, may_query=may_query)
 
     return read
 
 
-def complete(robot: Robot, arguments: argparse.Namespace, *, may_ask: bool = True) -> Robot:
-    """Return the robot with the limits that its file leaves to the servos."""
+def _complete(robot: Robot, arguments: argparse.Namespace, *, may_query: bool) -> Robot:
     if not robot.unread:
         return robot
     if arguments.robot_cache is not None:
@@ -169,7 +236,7 @@ def complete(robot: Robot, arguments: argparse.Namespace, *, may_ask: bool = Tru
         from lss_motion.maintenance.limits import robot_from_backup
 
         return robot_from_backup(robot, read_backup(arguments.robot_cache), arguments.robot_cache)
-    if not may_ask:
+    if not may_query:
         return robot
     from lss_motion.connection import ask_limits
 

@@ -1,8 +1,9 @@
-"""`lss-motion completion`: what a shell needs to complete commands, options and files."""
+"""The command `completion`: the script with which a shell completes commands, options, files."""
 
 from __future__ import annotations
 
 import argparse
+import functools
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -10,45 +11,52 @@ from lss_motion.cli.commands import add_command
 from lss_motion.errors import EXIT_FINISHED
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
     from lss_motion.cli.commands import Commands
 
-DESCRIPTION: Final = """\
-Print the completion of lss-motion and lss-play for the Tab key of a shell.
+    MakeParsers = Callable[[], Iterable[argparse.ArgumentParser]]
 
-  eval "$(lss-motion completion bash)"      in ~/.bashrc
-  eval "$(lss-motion completion zsh)"       in ~/.zshrc, after compinit
+DESCRIPTION: Final = """\
+Print a script for your shell. With it, the Tab key completes the commands, options and files of
+lss-motion and lss-play.
+
+  eval "$(lss-motion completion bash)"      add this line to ~/.bashrc
+  eval "$(lss-motion completion zsh)"       add this line to ~/.zshrc, after compinit
   lss-motion completion tcsh | source /dev/stdin
 """
 
 SHELLS: Final = ("bash", "zsh", "tcsh")
 
 
-def add_to(commands: Commands) -> None:
-    """Add the command of this module."""
+def add_to(commands: Commands, make_parsers: MakeParsers) -> None:
+    """Add the command. `make_parsers` returns the parsers of all programs."""
     completion = add_command(
-        commands, "completion", _completion, "complete commands with the Tab key", DESCRIPTION
+        commands,
+        "completion",
+        functools.partial(_completion, make_parsers),
+        "print the script that completes commands with the Tab key",
+        DESCRIPTION,
     )
-    completion.add_argument("shell", choices=SHELLS)
+    completion.add_argument("shell", choices=SHELLS, help="the shell that you use")
 
 
-def _completion(arguments: argparse.Namespace) -> int:
+def _completion(make_parsers: MakeParsers, arguments: argparse.Namespace) -> int:
     import shtab
 
-    from lss_motion.cli import main, play
-
-    for parser in (main.make_parser(), play.make_parser()):
+    for parser in make_parsers():
         _complete_files(parser)
         print(shtab.complete(parser, arguments.shell))
     return EXIT_FINISHED
 
 
 def _complete_files(parser: argparse.ArgumentParser) -> None:
-    """Let every argument that is a path be completed with files, those of commands included."""
+    """Complete every argument that is a path with files, in the parser and its commands."""
     import shtab
 
     for action in parser._actions:  # noqa: SLF001  (argparse has no public list of arguments)
         if action.type is Path or action.dest == "robot":
-            action.complete = shtab.FILE  # type: ignore[attr-defined]  # shtab looks for it
+            action.complete = shtab.FILE  # type: ignore[attr-defined]  # shtab reads it
         if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001
             for inner in action.choices.values():
                 _complete_files(inner)

@@ -1,23 +1,25 @@
-"""`lss-motion configure`: what servos store, compared with what is wanted, written and kept.
+"""The command `configure`: compare, write, back up and restore the settings of servos.
 
-The steps of `lss-motion configure` that a person sees: differences, questions, outcomes.
+What a person sees: differences, questions, outcomes. `servo_settings` talks to the servos.
 """
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli import servo_settings
-from lss_motion.cli.commands import add_command, add_robot, refuse_overwriting, robot_at
-from lss_motion.cli.scan import ask_alone, roll_call
-from lss_motion.cli.tables import write_text
+from lss_motion.cli.commands import (
+    PORT_HELP,
+    add_command,
+    add_robot,
+    refuse_overwriting,
+    require_baud,
+    require_joint,
+    robot_at,
+    write_text,
+)
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
-from lss_motion.maintenance import settings
-from lss_motion.protocol.constants import Family
-from lss_motion.protocol.io2 import PIN_IDS
-from lss_motion.robot.servo_models import model_mismatch_text
 
 if TYPE_CHECKING:
     import argparse
@@ -25,28 +27,29 @@ if TYPE_CHECKING:
 
     from lss_motion.cli.commands import Commands
     from lss_motion.connection import Connection
-    from lss_motion.maintenance.backup import ServoBackup
-    from lss_motion.maintenance.discovery import ServoIdentity
+    from lss_motion.maintenance.backup import Kept
+    from lss_motion.maintenance.discovery import Present
     from lss_motion.maintenance.settings import Target
     from lss_motion.robot.model import Bus, Robot
 
-    Wanted = Mapping[str, Mapping[str, int | None]]
 
+DESCRIPTION: Final = """\
+Compare the settings of servos with those of the robot file or --set. Show the differences, ask,
+write them and read them back.
 
-DESCRIPTION = """\
-Compare what servos store with what is wanted; show the differences, ask, write, read back.
+  lss-motion configure my_robot.yaml                      write each joint's `stored:` settings
+  lss-motion configure my_robot.yaml --set LED=3          one setting of all joints
+  lss-motion configure my_robot.yaml --session            `stored:` and `settings:`, until power-off
+  lss-motion configure --port P --id 0 --new-id 5         another id, for one servo at a time
+  lss-motion configure my_robot.yaml --new-baud 500000    another rate, for all servos of a bus
+  lss-motion configure my_robot.yaml --backup b.yaml      save all settings; --restore writes them
 
-  lss-motion configure my_robot.yaml                      writes each joint's `stored:` settings
-  lss-motion configure my_robot.yaml --set LED=3          one setting, all joints
-  lss-motion configure my_robot.yaml --session            `stored:` and `settings:` until power-off
-  lss-motion configure --port P --id 0 --new-id 5         a new id, for one servo at a time
-  lss-motion configure my_robot.yaml --new-baud 500000    all servos of a line together
-  lss-motion configure my_robot.yaml --backup b.yaml      all that they store; --restore writes it
-
-Without anything to set it shows what is stored. Names and units are those of
+Without anything to write it prints the stored settings. Names and units are those of
 `lss-motion reference`; in a robot file: `stored: {G: -1, O: 2.5, LED: 3, FD: DIS}`.
-Some settings act after a RESET: the servo is restarted, and is limp for a moment.
+Some settings act after a RESET: the servo restarts, and is limp for a moment.
 """
+FACTORY_ID: Final = 0
+"""The id of a smart servo from the factory (FACTS.md R1)."""
 
 
 def add_to(commands: Commands) -> None:
@@ -55,28 +58,46 @@ def add_to(commands: Commands) -> None:
         commands, "configure", _configure, "read, compare and write settings", DESCRIPTION
     )
     add_robot(configure, is_required=False)
-    configure.add_argument("--port", metavar="URL", help="serial device or URL")
-    configure.add_argument("--baud", type=int, metavar="BPS", help="without ROBOT; default 115200")
-    configure.add_argument("--joint", action="append", metavar="NAME", help="only this; repeatable")
+    configure.add_argument("--port", metavar="URL", help=PORT_HELP)
     configure.add_argument(
-        "--id", action="append", type=int, metavar="N", dest="ids", help="only this; repeatable"
+        "--baud", type=int, metavar="BPS", help="baud rate without a robot file (default 115200)"
     )
     configure.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", dest="sets", help="repeatable"
+        "--joint", action="append", metavar="NAME", help="only this joint; may be repeated"
     )
-    configure.add_argument("--session", action="store_true", help="until power-off only")
-    configure.add_argument("--dry-run", action="store_true", help="show the differences only")
-    configure.add_argument("--yes", action="store_true", help="do not ask")
+    configure.add_argument(
+        "--id",
+        action="append",
+        type=int,
+        metavar="N",
+        dest="ids",
+        help="only the servo with this id; may be repeated",
+    )
+    configure.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        dest="sets",
+        help="write this setting, not those of the robot file; may be repeated",
+    )
+    configure.add_argument(
+        "--session", action="store_true", help="write values that last until power-off"
+    )
+    configure.add_argument("--dry-run", action="store_true", help="print the differences only")
+    configure.add_argument("--yes", action="store_true", help="write without the question")
     configure.add_argument(
         "--force",
         action="store_true",
-        help="also what may make a servo unreachable; overwrite a backup",
+        help="also write what may make a servo unreachable; overwrite a backup file",
     )
     modes = configure.add_mutually_exclusive_group()
-    modes.add_argument("--new-id", type=int, metavar="N", help="give one servo another id")
-    modes.add_argument("--new-baud", type=int, metavar="BPS", help="give a line another rate")
-    modes.add_argument("--backup", type=Path, metavar="FILE", help="write all settings to a file")
-    modes.add_argument("--restore", type=Path, metavar="FILE", help="write them back")
+    modes.add_argument("--new-id", type=int, metavar="N", help="give one servo this id")
+    modes.add_argument("--new-baud", type=int, metavar="BPS", help="give a bus this baud rate")
+    modes.add_argument("--backup", type=Path, metavar="FILE", help="save all settings to a file")
+    modes.add_argument(
+        "--restore", type=Path, metavar="FILE", help="write the settings of a backup"
+    )
 
 
 def _configure(arguments: argparse.Namespace) -> int:
@@ -89,68 +110,71 @@ def _configure(arguments: argparse.Namespace) -> int:
     buses = {"main": _bus(arguments)} if robot is None else robot.buses
     with connect(buses, robot=robot) as connection:
         if connection.simulated:
-            print("The servos are simulated: what is written is forgotten when this command ends.")
+            print("The servos are simulated: they lose what is written when this command ends.")
         if arguments.new_id is not None:
-            return give_id(connection, arguments)
+            return _change_id(connection, arguments)
         if arguments.new_baud is not None:
-            return give_rate(connection, robot, arguments)
+            return _change_baud(connection, robot, arguments)
         if arguments.restore is not None:
-            return restore(connection, arguments)
+            return _restore(connection, arguments)
         targets = _targets(connection, robot, arguments)
         if arguments.backup is not None:
-            return back_up(connection, targets, arguments.backup, is_forced=arguments.force)
+            return _back_up(connection, targets, arguments.backup, is_forced=arguments.force)
         wanted = _wanted(targets, robot, arguments)
         if not any(wanted.values()):
             return _show(connection, targets, arguments)
-        return apply(connection, targets, wanted, arguments)
+        return _apply(connection, targets, wanted, arguments)
 
 
-def agree(arguments: argparse.Namespace, question: str) -> bool:
-    """Ask a person; `--yes` is the answer of one who is not there."""
+def _is_agreed(arguments: argparse.Namespace, question: str) -> bool:
+    """Ask a person whether to go on. With `--yes` the answer is yes."""
     if arguments.yes:
         return True
     if not sys.stdin.isatty():
-        raise InputError("nobody is there to ask; add --yes to go on without asking")
+        raise InputError(
+            "there is no terminal to agree on; add --yes to write without the question"
+        )
     print(f"{question} [y/N] ", end="", flush=True)
     return sys.stdin.readline().strip().lower() in {"y", "yes"}
 
 
 def _check(arguments: argparse.Namespace, robot: Robot | None) -> None:
-    """Refuse what cannot be meant."""
+    """Refuse arguments that contradict each other."""
     if robot is None and arguments.port is None:
         raise InputError("give a ROBOT file, or --port and --id of a servo")
     if robot is None and arguments.joint:
         raise InputError("--joint needs a ROBOT file; without one, --id names the servo")
     if robot is not None and arguments.baud is not None:
-        raise InputError("the robot file says the baud rate; --baud is for --port without one")
+        raise InputError(
+            "the robot file sets the baud rate; --baud is for --port without a robot file"
+        )
     _check_numbers(arguments)
     for name in arguments.joint or ():
-        if robot is not None and name not in robot.joints:
-            from lss_motion.files.source import known_names
-
-            raise InputError(f"unknown joint {name!r}; {known_names(name, robot.joints)}")
+        if robot is not None:
+            require_joint(robot, name)
     is_other = any(
         mode is not None
         for mode in (arguments.new_id, arguments.new_baud, arguments.backup, arguments.restore)
     )
     if is_other and (arguments.sets or arguments.session):
-        raise InputError("--set and --session write settings; --new-id and the like go without")
+        raise InputError(
+            "--set and --session cannot be used with --new-id, --new-baud, --backup or --restore"
+        )
     if arguments.new_id is not None and len(arguments.ids or ()) != 1:
-        raise InputError("--new-id is for one servo: say which with --id")
+        raise InputError("--new-id is for one servo; give its present id with --id")
 
 
 def _check_numbers(arguments: argparse.Namespace) -> None:
-    from lss_motion.protocol.constants import BAUD_RATES_BPS, ID_MAX
+    from lss_motion.protocol.constants import ID_MAX
 
-    for option, rate in (("--baud", arguments.baud), ("--new-baud", arguments.new_baud)):
-        if rate is not None and rate not in BAUD_RATES_BPS:
-            raise InputError(f"{option} {rate}: servos know {', '.join(map(str, BAUD_RATES_BPS))}")
+    require_baud("--baud", arguments.baud)
+    require_baud("--new-baud", arguments.new_baud)
     for servo_id in [
         *(arguments.ids or ()),
         *([] if arguments.new_id is None else [arguments.new_id]),
     ]:
         if not 0 <= servo_id <= ID_MAX:
-            raise InputError(f"id {servo_id}: allowed are 0 to {ID_MAX}")
+            raise InputError(f"id {servo_id}: an id is from 0 to {ID_MAX}")
 
 
 def _bus(arguments: argparse.Namespace) -> Bus:
@@ -162,15 +186,16 @@ def _bus(arguments: argparse.Namespace) -> Bus:
 def _targets(
     connection: Connection, robot: Robot | None, arguments: argparse.Namespace
 ) -> list[Target]:
-    """Return the servos that are meant, each of which has answered."""
-    from lss_motion.cli.scan import roll_call
+    """Return the chosen servos; each of them has replied."""
     from lss_motion.cli.servo_settings import targets_at
+    from lss_motion.cli.survey import roll_call
+    from lss_motion.robot.servo_models import other_model
 
     if robot is None:
         ids = arguments.ids or [present.servo_id for present in roll_call(connection, "main")]
         if not ids:
             raise BusError(
-                f"nobody answers on {arguments.port}; `lss-motion scan {arguments.port}` says more"
+                f"no servo replies on {arguments.port}; try `lss-motion scan {arguments.port}`"
             )
         return targets_at(connection, "main", {servo_id: f"servo {servo_id}" for servo_id in ids})
     joints = {
@@ -196,7 +221,7 @@ def _targets(
 def _wanted(
     targets: Sequence[Target], robot: Robot | None, arguments: argparse.Namespace
 ) -> dict[str, dict[str, int | None]]:
-    """Return the wire values that the robot file and `--set` ask for, by target."""
+    """Return the wire values that the robot file or `--set` sets, by the name of the target."""
     from lss_motion.protocol.codec import stored_wire
 
     given = dict(_assigned(text) for text in arguments.sets)
@@ -212,7 +237,7 @@ def _wanted(
             session = target.rows(is_session=True)
             for name in [name for name in values if name not in session]:
                 if name in given:
-                    raise InputError(f"{name} has no value for the session; leave --session out")
+                    raise InputError(f"{name} has no value until power-off; leave --session out")
                 del values[name]
         wanted[target.name] = values
     return wanted
@@ -229,9 +254,9 @@ def _assigned(text: str) -> tuple[str, float | None]:
 
 
 def _show(connection: Connection, targets: Sequence[Target], arguments: argparse.Namespace) -> int:
-    """Print what servos store, or go by now."""
+    """Print the stored settings, or with --session the present ones."""
     from lss_motion.cli.servo_settings import read
-    from lss_motion.maintenance.settings import value_text
+    from lss_motion.maintenance import settings
 
     found = read(connection, targets, is_session=arguments.session)
     is_whole = True
@@ -240,26 +265,25 @@ def _show(connection: Connection, targets: Sequence[Target], arguments: argparse
         for name, row in target.rows(is_session=arguments.session).items():
             is_whole = is_whole and name in found[target.name]
             value = found[target.name].get(name)
-            shown = value_text(row, value) if name in found[target.name] else "no answer"
+            shown = settings.said(row, value) if name in found[target.name] else "no reply"
             print(f"  {name:10} {shown:16} {row.meaning}")
     return EXIT_FINISHED if is_whole else EXIT_UNREACHABLE
 
 
-FACTORY_ID = 0
-"""The id of a smart servo from the factory (FACTS.md R1)."""
-
-
-def apply(
+def _apply(
     connection: Connection,
     targets: Sequence[Target],
     wanted: Mapping[str, Mapping[str, int | None]],
     arguments: argparse.Namespace,
 ) -> int:
     """Show the differences, ask, write. `wanted` is by the name of the target."""
+    from lss_motion.cli import servo_settings
+    from lss_motion.maintenance import settings
+
     is_session = arguments.session
     needed = servo_settings.differing(connection, targets, wanted, is_session=is_session)
     if not needed:
-        print(f"nothing to write: {len(targets)} servos are as wanted")
+        print(f"nothing to write: {len(targets)} servos have these settings already")
         return EXIT_FINISHED
     print("\n".join(map(str, needed)))
     dangers = {
@@ -268,13 +292,13 @@ def apply(
         for text in settings.dangers([change], connection.buses[change.target.bus].baud_bps)
     }
     if dangers and not arguments.force:
-        raise InputError("; ".join([*sorted(dangers), "--force writes it all the same"]))
+        raise InputError("; ".join([*sorted(dangers), "add --force to write it"]))
     if arguments.dry_run:
         return EXIT_FINISHED
     limp = {c.target.name for c in needed if settings.goes_limp(c, is_session=is_session)}
     if limp:
-        print(f"These let go meanwhile: {', '.join(sorted(limp))}. Support what they hold.")
-    if not agree(arguments, f"Write {len(needed)} settings?"):
+        print(f"These go limp meanwhile: {', '.join(sorted(limp))}. Support their load.")
+    if not _is_agreed(arguments, f"Write {len(needed)} settings?"):
         print("nothing was written")
         return EXIT_FINISHED
     done = servo_settings.write(connection, targets, wanted, is_session=is_session)
@@ -282,82 +306,92 @@ def apply(
     return EXIT_FINISHED
 
 
-def give_id(connection: Connection, arguments: argparse.Namespace) -> int:
-    """Give the one servo at an id another one."""
+def _change_id(connection: Connection, arguments: argparse.Namespace) -> int:
+    """Give the only servo at an id another id."""
+    from lss_motion.cli import servo_settings
+
     bus = next(iter(connection.buses))
     (old_id,), new_id = arguments.ids, arguments.new_id
     if len(connection.buses) > 1:
-        raise InputError("--new-id needs one line: give --port and --baud instead of ROBOT")
+        raise InputError("--new-id needs one bus: give --port and --baud instead of ROBOT")
     if old_id == new_id:
         raise InputError(f"it has id {old_id} already")
-    (present,) = servo_settings.all_at(connection, bus, [old_id])
+    (present,) = servo_settings.servos_at(connection, bus, [old_id])
     print(f"{present.model}: id {old_id} → {new_id}")
-    if arguments.dry_run or not agree(
+    if arguments.dry_run or not _is_agreed(
         arguments, f"Restart the servo with id {old_id} as {new_id}?"
     ):
         print("nothing was written")
         return EXIT_FINISHED
-    present = servo_settings.renumber(connection, bus, old_id, new_id)
+    present = servo_settings.change_id(connection, bus, old_id, new_id)
     number = f", serial number {present.serial_number}" if present.serial_number else ""
     print(f"the {present.model}{number} now has id {new_id}")
     return EXIT_FINISHED
 
 
-def give_rate(connection: Connection, robot: Robot | None, arguments: argparse.Namespace) -> int:
-    """Give all servos of a line another rate; one of several only with `--force`."""
+def _change_baud(connection: Connection, robot: Robot | None, arguments: argparse.Namespace) -> int:
+    """Give all servos of a bus another baud rate; only some of them with `--force`."""
+    from lss_motion.cli import servo_settings
+    from lss_motion.cli.survey import roll_call
+
     if len(connection.buses) > 1:
-        raise InputError("--new-baud changes one line: give --port and --baud instead of ROBOT")
+        raise InputError("--new-baud changes one bus: give --port and --baud instead of ROBOT")
     (bus,) = connection.buses.values()
     rate_bps = arguments.new_baud
-    everybody = roll_call(connection, bus.name)
-    if not everybody:
-        raise BusError(f"nobody answers on {bus.port} at {bus.baud_bps} bps", url=bus.port)
-    shared = [present.servo_id for present in everybody if present.is_shared]
+    servos = roll_call(connection, bus.name)
+    if not servos:
+        raise BusError(f"no servo replies on {bus.port} at {bus.baud_bps} bps", url=bus.port)
+    shared = [present.servo_id for present in servos if present.is_shared]
     if shared:
         raise BusError(f"several servos share id {shared[0]}; give each its own first (--new-id)")
-    expected = set(arguments.ids or [present.servo_id for present in everybody])
+    expected = set(arguments.ids or [present.servo_id for present in servos])
     if robot is not None and not arguments.ids:
         expected = {joint.servo_id for joint in robot.joints.values()}
-        missing = expected - {present.servo_id for present in everybody}
+        missing = expected - {present.servo_id for present in servos}
         if missing and not arguments.force:
             listed = ", ".join(map(str, sorted(missing)))
             raise InputError(
-                f"servo {listed} does not answer and would stay at {bus.baud_bps} bps, where it "
-                f"then is alone; plug it in, or add --force"
+                f"servo {listed} does not reply and would stay alone at {bus.baud_bps} bps; plug "
+                f"it in, or add --force"
             )
-        expected |= {present.servo_id for present in everybody}
-    chosen = [present for present in everybody if present.servo_id in expected]
-    left = [str(present.servo_id) for present in everybody if present.servo_id not in expected]
+        expected |= {present.servo_id for present in servos}
+    chosen = [present for present in servos if present.servo_id in expected]
+    left = [str(present.servo_id) for present in servos if present.servo_id not in expected]
     if left and not arguments.force:
         raise InputError(
-            f"servo {', '.join(left)} would stay at {bus.baud_bps} bps: a line carries one rate. "
-            f"Leave --id out to change all, or add --force"
+            f"servo {', '.join(left)} would stay at {bus.baud_bps} bps, but the servos of a bus need "
+            f"one rate. Leave --id out to change all, or add --force"
         )
-    print(f"{len(chosen)} ids go from {bus.baud_bps} to {rate_bps} bps; servos are limp meanwhile.")
-    if arguments.dry_run or not agree(arguments, "Go on?"):
+    print(
+        f"{len(chosen)} ids go from {bus.baud_bps} to {rate_bps} bps; "
+        f"the servos are limp meanwhile."
+    )
+    if arguments.dry_run or not _is_agreed(arguments, "Go on?"):
         print("nothing was written")
         return EXIT_FINISHED
-    lost = servo_settings.change_rate(connection, bus.name, chosen, rate_bps)
+    lost = servo_settings.change_baud(connection, bus.name, chosen, rate_bps)
     if lost:
         listed = ", ".join(map(str, lost))
-        print(f"servo {listed} does not answer at {rate_bps} bps; see `lss-motion scan {bus.port}`")
+        print(f"servo {listed} does not reply at {rate_bps} bps; see `lss-motion scan {bus.port}`")
         return EXIT_UNREACHABLE
-    print(f"all answer at {rate_bps} bps; write `baud_bps: {rate_bps}` into the robot file")
+    print(f"all servos reply at {rate_bps} bps; write `baud_bps: {rate_bps}` into the robot file")
     return EXIT_FINISHED
 
 
-def back_up(
+def _back_up(
     connection: Connection, targets: Sequence[Target], path: Path, *, is_forced: bool
 ) -> int:
-    """Write all that servos store to a file."""
-    from lss_motion.maintenance.backup import ServoBackup, backup_text
+    """Write all stored settings to a file."""
+    from lss_motion.cli import servo_settings
+    from lss_motion.cli.survey import query_each
+    from lss_motion.maintenance.backup import Kept, backup_text
 
     refuse_overwriting(path, is_forced=is_forced)
     found = servo_settings.read_whole(connection, targets)
     present = {
         (bus, p.servo_id): p
         for bus in {target.bus for target in targets}
-        for p in ask_alone(connection, bus, {t.servo_id: t.model for t in targets if t.bus == bus})
+        for p in query_each(connection, bus, {t.servo_id: t.model for t in targets if t.bus == bus})
     }
     servos = [
         ServoBackup(
@@ -371,15 +405,16 @@ def back_up(
         if (target.bus, target.servo_id) in present
     ]
     if len(servos) != len(targets):
-        raise BusError("a servo stopped answering while its settings were read; try again")
+        raise BusError("a servo stopped replying while its settings were read; try again")
     write_text(path, backup_text(servos))
     count = sum(len(kept.settings) for kept in servos)
     print(f"wrote {path}: {count} settings of {len(servos)} servos")
     return EXIT_FINISHED
 
 
-def restore(connection: Connection, arguments: argparse.Namespace) -> int:
-    """Write a backup back. A servo that has its factory id again gets its own first."""
+def _restore(connection: Connection, arguments: argparse.Namespace) -> int:
+    """Write the settings of a backup. A servo with the factory id gets its old id first."""
+    from lss_motion.cli import servo_settings
     from lss_motion.maintenance.backup import read_backup
 
     servos = [
@@ -391,9 +426,7 @@ def restore(connection: Connection, arguments: argparse.Namespace) -> int:
     for kept in servos:
         if kept.bus not in connection.buses:
             known = ", ".join(connection.buses)
-            raise InputError(
-                f"there is no bus {kept.bus!r} here, but {known}", path=arguments.restore
-            )
+            raise InputError(f"unknown bus {kept.bus!r}; there is {known}", path=arguments.restore)
         name = f"servo {kept.servo_id}" + (f" on {kept.bus}" if len(connection.buses) > 1 else "")
         now_id = _find(connection, kept, arguments)
         (target,) = servo_settings.targets_at(connection, kept.bus, {now_id: name})
@@ -404,44 +437,52 @@ def restore(connection: Connection, arguments: argparse.Namespace) -> int:
     for target, servo_id in moves:
         print(f"{target.model}: id {target.servo_id} → {servo_id}")
     if moves and (
-        arguments.dry_run or not agree(arguments, f"Give {len(moves)} servos their ids?")
+        arguments.dry_run or not _is_agreed(arguments, f"Give {len(moves)} servos their ids?")
     ):
         print("nothing was written")
         return EXIT_FINISHED
     for target, servo_id in moves:
-        servo_settings.renumber(connection, target.bus, target.servo_id, servo_id)
+        servo_settings.change_id(connection, target.bus, target.servo_id, servo_id)
         index = targets.index(target)
         (targets[index],) = servo_settings.targets_at(
             connection, target.bus, {servo_id: target.name}
         )
-    return apply(connection, targets, wanted, arguments)
+    return _apply(connection, targets, wanted, arguments)
 
 
 def _find(connection: Connection, kept: ServoBackup, arguments: argparse.Namespace) -> int:
-    """Return the id at which the servo of a backup answers now: its own, or that of the factory."""
+    """Return the present id of the servo of a backup: its own, or that of the factory."""
+    from lss_motion.cli import servo_settings
+    from lss_motion.cli.survey import query_each
+    from lss_motion.protocol.io2 import PIN_IDS
+
     pin = kept.model.removeprefix("LSS-2IO-").replace("LED", "MASTER")
     factory_id = PIN_IDS.get(pin, FACTORY_ID)
-    found = ask_alone(connection, kept.bus, dict.fromkeys((kept.servo_id, factory_id), ""))
+    found = query_each(connection, kept.bus, dict.fromkeys((kept.servo_id, factory_id), ""))
     for present in found:
         if not present.is_shared and _is_same(present, kept):
             return present.servo_id
     own = next((present for present in found if present.servo_id == kept.servo_id), None)
     if own is None or own.is_shared:
-        servo_settings.all_at(connection, kept.bus, [kept.servo_id])  # Says what is wrong.
-        raise BusError(f"servo {kept.servo_id} answers only now and then; check its plug")
+        servo_settings.servos_at(
+            connection, kept.bus, [kept.servo_id]
+        )  # Raises the error that explains it.
+        raise BusError(f"servo {kept.servo_id} replies only sometimes; check its plug")
     if own.model != kept.model:
         raise InputError(
-            f"servo {kept.servo_id} is an {own.model}; the backup is of an {kept.model}"
+            f"servo {kept.servo_id} is an {own.model}, but the backup is of an {kept.model}"
         )
     if not arguments.force:
         raise InputError(
-            f"servo {kept.servo_id} has serial number {own.serial_number}, the backup is of "
-            f"{kept.serial_number}; --force writes it into the new servo"
+            f"servo {kept.servo_id} has serial number {own.serial_number}, but the backup is of "
+            f"{kept.serial_number}; add --force to write it into this servo"
         )
     return own.servo_id
 
 
 def _is_same(present: ServoIdentity, kept: ServoBackup) -> bool:
+    from lss_motion.protocol.constants import Family
+
     if present.model != kept.model:
         return False
     return present.family is Family.IO2 or present.serial_number == kept.serial_number

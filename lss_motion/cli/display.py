@@ -1,7 +1,7 @@
-"""The live display: a process of its own, so that drawing can never delay a command.
+"""The live display: a process of its own, so that drawing never delays a command.
 
-The player's process writes one JSON object a line to its standard input, ten a second, and drops
-what a full pipe does not take. Run as `python -m lss_motion.cli.display`.
+`Display` runs in the process of the player. It writes ten frames a second, one JSON object a line,
+to the standard input of `python -m lss_motion.cli.display`. It skips frames while the pipe is full.
 """
 
 from __future__ import annotations
@@ -32,44 +32,49 @@ if TYPE_CHECKING:
 
 FRAME_NS: Final = NS_PER_S // 10
 ROOM_NS: Final = 3 * NS_PER_MS
-"""A frame is not handed over so shortly before a move is due: it takes 1 ms (measured)."""
+"""No frame is written within this time before a move is due; writing takes 1 ms (measured)."""
 NOTES_SHOWN: Final = 5
 PAUSED: Final = "paused"
 TITLES: Final = ("joint", "target", "measured", "error", "correction", "status", "°C")
-LEFT_OUT_FIRST: Final = ("correction", "°C", "target", "measured", "status")
-"""Where the terminal is narrow; who it is and how far off remains."""
+HIDDEN_FIRST: Final = ("correction", "°C", "target", "measured", "status")
+"""Columns that a narrow terminal does not show, in this order; joint and error always stay."""
 GAP_CHARS: Final = 2
 MARKS_SHOWN: Final = 3
-"""Named keyframes that are still to come."""
+"""Named keyframes ahead that are shown."""
 BAR_CHARS: Final = 60
 US_PER_MS: Final = 1000
 CLOSE_S: Final = 2.0
-"""A screen that takes nothing for so long is left alone."""
+"""After this time without progress, the display process is killed."""
 
 
 class Display:
-    """The player's end: hands over what is to be shown, never waits."""
+    """The end in the player's process: writes frames and never waits.
 
-    def __init__(self, keys_help: str = KEYS_HELP, *, say: Callable[[str], None] = print) -> None:
-        """Draw from when the robot has been checked and may go; until then, lines go to `say`."""
+    Drawing begins when the robot has been checked and may move; until then, lines go to
+    `print_line`.
+    """
+
+    def __init__(
+        self, keys_help: str = KEYS_HELP, *, print_line: Callable[[str], None] = print
+    ) -> None:
         self._keys_help = keys_help
-        self._say = say
+        self._print_line = print_line
         self._child: subprocess.Popen[bytes] | None = None
         self._pipe_fd = -1
         self._rest = b""
         self._next_ns = 0
         self._notes: list[str] = []
-        self._memory = Memory()
+        self._history = FrameHistory()
 
     def note(self, text: str) -> None:
         """Show a line of text with the next frame."""
         if self._child is None:
-            self._say(text)
+            self._print_line(text)
         else:
             self._notes.append(text)
 
     def show(self, player: Player, now_ns: int) -> None:
-        """Hand over a frame, if it is time for one and the last has been taken."""
+        """Write a frame, if one is due and the one before has been written."""
         if now_ns < self._next_ns or player.phase in (Phase.CONNECT, Phase.READY):
             return
         if player.is_due_within(ROOM_NS, now_ns) and now_ns < self._next_ns + FRAME_NS:
@@ -78,24 +83,24 @@ class Display:
             self._begin()
         self._next_ns = now_ns + FRAME_NS
         if not self._rest:
-            frame = frame_of(player, now_ns, self._notes, self._memory)
+            frame = frame_of(player, now_ns, self._notes, self._history)
             self._notes = []
             self._rest = json.dumps(frame, separators=(",", ":")).encode() + b"\n"
         with contextlib.suppress(BlockingIOError, BrokenPipeError):
             self._rest = self._rest[os.write(self._pipe_fd, self._rest) :]
 
     def _begin(self) -> None:
-        self._child = subprocess.Popen(  # noqa: S603  (our own words)
+        self._child = subprocess.Popen(  # noqa: S603  (fixed arguments)
             [sys.executable, "-m", "lss_motion.cli.display", self._keys_help],
             stdin=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C is for the player, even while this starts.
+            start_new_session=True,  # Ctrl-C must reach the player only.
         )
         assert self._child.stdin is not None
         self._pipe_fd = self._child.stdin.fileno()
         os.set_blocking(self._pipe_fd, False)
 
     def close(self) -> None:
-        """Hand over what was noted since the last frame, and clear the frame."""
+        """Write the notes since the last frame, and clear the screen."""
         if self._child is None:
             return
         last = json.dumps({"notes": self._notes}).encode() + b"\n"
@@ -106,8 +111,8 @@ class Display:
             self._child.communicate()
 
 
-class Memory:
-    """What a frame needs of the frames before."""
+class FrameHistory:
+    """The values of earlier frames from which a frame is computed."""
 
     def __init__(self) -> None:
         self._before: dict[str, tuple[int, int, int]] = {}
@@ -123,8 +128,8 @@ class Memory:
         passed = bisect.bisect_right(self._named, show_s, key=lambda mark: mark[0])
         return self._named[max(passed - 1, 0) : passed + MARKS_SHOWN]
 
-    def lines(self, player: Player, now_ns: int) -> dict[str, tuple[float, float]]:
-        """Return per bus the share of the line that was sent, and the answers a second."""
+    def bus_use(self, player: Player, now_ns: int) -> dict[str, tuple[float, float]]:
+        """Return for each bus the share of its capacity that was sent, and the replies a second."""
         found: dict[str, tuple[float, float]] = {}
         for name, line in player.lines.items():
             answered = player.trackers[name].reply_count
@@ -138,8 +143,10 @@ class Memory:
         return found
 
 
-def frame_of(player: Player, now_ns: int, notes: list[str], memory: Memory) -> dict[str, Any]:
-    """Return what there is to see of a run at this instant, as plain values."""
+def frame_of(
+    player: Player, now_ns: int, notes: list[str], history: FrameHistory
+) -> dict[str, Any]:
+    """Return what the display shows of a run at this instant, as values for JSON."""
     show, program = player.show, player.program
     latest_ns = show.statistics.latest_ns if show is not None else ()
     is_standing = player.is_paused and player.phase is Phase.SHOW
@@ -153,15 +160,15 @@ def frame_of(player: Player, now_ns: int, notes: list[str], memory: Memory) -> d
         "rate": 1.0 if show is None else round(show.clock.rate(now_ns), 2),
         "late_us": max(latest_ns, default=0) // NS_PER_US,
         "missed": 0 if show is None else show.statistics.missed,
-        "lines": memory.lines(player, now_ns),
+        "buses": history.bus_use(player, now_ns),
         "joints": [_joint(track, now_ns) for track in show.joint_states.values()] if show else [],
-        "marks": memory.marks_around(player, now_ns),
+        "marks": history.marks_around(player, now_ns),
         "notes": notes,
     }
 
 
 def _joint(track: JointState, now_ns: int) -> list[Any]:
-    """Return what there is to see of a joint: target, measured and error as of one reading."""
+    """Return the row of a joint; target, measured angle and error are those of one reading."""
     joint, measured_deg = track.joint, track.disturbance.measured_deg
     if measured_deg is None:
         target_deg, error_deg = track.place(now_ns)[0], 0.0
@@ -181,9 +188,9 @@ def _joint(track: JointState, now_ns: int) -> list[Any]:
 
 
 def rendered(frame: dict[str, Any], notes: list[str], keys_help: str, width: int) -> RenderableType:
-    """Return a frame as rich draws it: what matters most on top, since terminals are low.
+    """Return a frame for rich. The most important lines are on top, for terminals with few rows.
 
-    Of a table wider than `width` characters, the columns that matter least are left out.
+    A table wider than `width` characters loses columns, the least important ones first.
     """
     from rich.console import Group
     from rich.padding import Padding
@@ -193,7 +200,7 @@ def rendered(frame: dict[str, Any], notes: list[str], keys_help: str, width: int
     show_s, whole_s = frame["show_s"] or 0.0, frame["whole_s"]
     head = f"{frame['name']} on {frame['port']}  {frame['phase']}"
     head += f"  {max(show_s, 0.0):.1f}" + (f" of {whole_s:.1f} s" if whole_s else " s")
-    head += " again and again" if frame["is_endless"] else ""
+    head += ", repeated" if frame["is_endless"] else ""
     if frame["phase"] != PAUSED:
         head += f"  speed {frame['rate']:.0%}" + (" (full)" if frame["rate"] == 1.0 else "")
     total_s = whole_s or max(show_s, 1.0)
@@ -203,14 +210,14 @@ def rendered(frame: dict[str, Any], notes: list[str], keys_help: str, width: int
         style = "bold green" if at_s <= show_s else ""
         marks.append(f"{label} {at_s:.1f} s", style=style).append("   ")
     used = ", ".join(
-        f"{bus} {share:.0%} sent, {answers_hz} answers/s"
-        for bus, (share, answers_hz) in frame["lines"].items()
+        f"{bus} {share:.0%} sent, {replies_hz} replies/s"
+        for bus, (share, replies_hz) in frame["buses"].items()
     )
     timing = f"late {frame['late_us'] / US_PER_MS:.1f} ms at most"
     shown = [_note_text(note) for note in notes[-NOTES_SHOWN:]]
     return Group(
         Text(head, style="bold"),
-        # A bar ends no line by itself.
+        # The bar itself does not end its line.
         Padding(bar, (0, 0, 0, 0)),
         marks,
         Text(f"{used}   {timing}").append(
@@ -223,7 +230,7 @@ def rendered(frame: dict[str, Any], notes: list[str], keys_help: str, width: int
 
 
 def is_trouble(note: str) -> bool:
-    """Return whether a note is one that must not vanish with the frame."""
+    """Return whether a note stays on the screen after the frame is gone: a warning or a fault."""
     return note.startswith(("warning:", "fault:"))
 
 
@@ -239,7 +246,7 @@ def _table(joints: list[list[Any]], width: int) -> Table:
 
     rows = []
     for name, target, measured, error, allowed, offset, status, celsius in joints:
-        # Half of what ends the show is worth a look.
+        # Red is beyond the limit that ends the show; yellow is beyond half of it.
         style = "red" if abs(error) > allowed else "yellow" if abs(error) > allowed / 2 else ""
         cells = (
             name,
@@ -253,7 +260,7 @@ def _table(joints: list[list[Any]], width: int) -> Table:
         styles = {"error": style}
         rows.append({t: Text(c, styles.get(t, "")) for t, c in zip(TITLES, cells, strict=True)})
     needed = {title: max(len(title), *(len(row[title]) for row in rows), 0) for title in TITLES}
-    for title in LEFT_OUT_FIRST:
+    for title in HIDDEN_FIRST:
         if sum(needed.values()) + GAP_CHARS * (len(needed) - 1) > width:
             del needed[title]
     table = Table(box=None, pad_edge=False)
@@ -266,7 +273,7 @@ def _table(joints: list[list[Any]], width: int) -> Table:
 
 
 def main() -> int:
-    """Draw what comes in until there is no more."""
+    """Draw the frames of standard input until it ends."""
     lower_priority()
     from rich.console import Console
     from rich.live import Live
@@ -278,7 +285,7 @@ def main() -> int:
             frame = json.loads(line)
             for note in frame["notes"]:
                 if is_trouble(note):
-                    console.print(_note_text(note))  # Above the frame, for good.
+                    console.print(_note_text(note))  # Above the frame, to stay.
                 else:
                     notes.append(note)
             if "phase" in frame:

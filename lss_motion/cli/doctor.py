@@ -1,4 +1,4 @@
-"""`lss-motion doctor`: is this computer fit to play, and what to do where it is not."""
+"""The command `doctor`: check whether this computer can play, and print what to do."""
 
 from __future__ import annotations
 
@@ -15,16 +15,22 @@ if TYPE_CHECKING:
 
 
 DESCRIPTION = """\
-Check this computer: Python, packages, permissions for the ports, USB latency, programs that grab
-ports, clock and timer, each with what to do. Takes a second, opens no port, changes nothing.
+Check this computer: Python, packages, permissions of the ports, USB latency, programs that occupy
+ports, clock and timer. Each finding has its remedy. It takes a second, opens no port and changes
+nothing.
 
-Exit code 0: fit to play (hints may be left) · 2: a package · 4: a port may not be opened.
+Exit codes: 0 ready to play (hints may remain); 2 a package is missing or too old; 4 a port may not
+be opened.
 """
 
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    add_json(add_command(commands, "doctor", _doctor, "check this computer", DESCRIPTION))
+    add_json(
+        add_command(
+            commands, "doctor", _doctor, "check this computer; print what to do", DESCRIPTION
+        )
+    )
 
 
 def _doctor(arguments: argparse.Namespace) -> int:

@@ -1,6 +1,6 @@
-"""`lss-motion example`: the shows that come with the package, written where a person wants them.
+"""The command `example`: list the packaged examples, write one into the current folder.
 
-In a wheel they are in `lss_motion/examples`, in a checkout in `sequences/`.
+A wheel has them in `lss_motion/examples`, a checkout in `sequences/`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.cli.commands import add_command, add_force, refuse_overwriting
+from lss_motion.cli.commands import add_command, add_force, refuse_overwriting, write_text
 from lss_motion.errors import EXIT_FINISHED, InputError
 
 if TYPE_CHECKING:
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from lss_motion.cli.commands import Commands
 
 DESCRIPTION: Final = """\
-List the examples, or write one into the current folder, with its robot and all files it is made of.
+List the examples, or write one into the current folder, with its robot and all files that it uses.
 
-  lss-motion example             names, and what each shows
-  lss-motion example wave        writes wave.yaml and robots/desk_arm.yaml
-  lss-play wave.yaml             plays it, simulated
+  lss-motion example             list the names and what each shows
+  lss-motion example wave        write wave.yaml and robots/desk_arm.yaml
+  lss-play wave.yaml             play it, simulated
 """
 
 SCHEMA: Final = re.compile(r"\$schema=(\S+)")
@@ -37,7 +37,12 @@ def add_to(commands: Commands) -> None:
     example = add_command(
         commands, "example", _example, "list the examples, or write one here", DESCRIPTION
     )
-    example.add_argument("name", nargs="?", metavar="NAME", help="such as wave; default: list all")
+    example.add_argument(
+        "name",
+        nargs="?",
+        metavar="NAME",
+        help="the example to write, such as wave (default: list all)",
+    )
     add_force(example)
 
 
@@ -60,21 +65,21 @@ def _example(arguments: argparse.Namespace) -> int:
 
 
 def write_example(name: str, folder: Path, *, is_forced: bool) -> list[Path]:
-    """Write an example and all files it refers to; return those that were not there already.
+    """Write an example and all files that it uses; return the files that are new or replaced.
 
-    Raises `InputError` before anything is written if one would replace a different file.
+    Raises `InputError` before anything is written if a different file is in the way.
     """
     texts = {folder / part: _text(part) for part in _parts(f"{name}.yaml")}
     fresh = {path: text for path, text in texts.items() if not _has(path, text)}
     for path in fresh:
         refuse_overwriting(path, is_forced=is_forced)
-    from lss_motion.cli.tables import write_text
-
     for path, text in fresh.items():
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(f"cannot make its folder: {error.strerror}", path=path) from error
+            raise InputError(
+                f"cannot be written: its folder cannot be made: {error.strerror}", path=path
+            ) from error
         write_text(path, text)
     return list(fresh)
 
@@ -84,12 +89,12 @@ def _folder() -> Path:
     packaged = package / "examples"
     found = packaged if packaged.is_dir() else package.parent / CHECKOUT_FOLDER
     if not found.is_dir():
-        raise InputError("this installation holds no examples; install lss-motion again")
+        raise InputError("this installation has no examples; install lss-motion again")
     return found
 
 
 def _text(part: str) -> str:
-    """Return a file of the examples; the commands in its comments are as typed beside it."""
+    """Return a file of the examples; commands in its comments name files without a folder."""
     text = (_folder() / part).read_text(encoding="utf-8")
     return text.replace(f"{CHECKOUT_FOLDER}/", "")
 
@@ -102,7 +107,7 @@ def _has(path: Path, text: str) -> bool:
 
 
 def _parts(name: str) -> list[str]:
-    """Return the paths of an example and of all files it refers to, relative to its folder."""
+    """Return the paths of an example and of all files that it uses, relative to its folder."""
     found, pending = [], [name]
     while pending:
         part = pending.pop()
@@ -114,13 +119,13 @@ def _parts(name: str) -> list[str]:
 
 
 def _references(part: str) -> Iterator[str]:
-    """Yield every path of another file that stands in a file, relative to its folder."""
+    """Yield every path of another file in the text of a file, relative to its folder."""
     if not part.endswith(".yaml"):
         return
     import yaml
 
     text = _text(part)
-    if schema := SCHEMA.search(text):  # With it, editors complete and check.
+    if schema := SCHEMA.search(text):  # Editors use it to complete and check.
         yield schema[1]
     pending: list[Any] = [yaml.safe_load(text)]
     while pending:
@@ -136,7 +141,7 @@ def _references(part: str) -> Iterator[str]:
 
 
 def _summary(name: str) -> str:
-    """Return the first sentence at the head of an example; of a long one what is before `:`."""
+    """Return the first sentence at the head of an example; only up to `:` if it is long."""
     words = []
     for line in _text(f"{name}.yaml").splitlines():
         if not line.startswith("#"):

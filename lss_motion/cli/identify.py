@@ -1,4 +1,4 @@
-"""`lss-motion identify`: measure how servos really respond, and write it into the robot file."""
+"""The command `identify`: measure the response of servos, write it into the robot file."""
 
 from __future__ import annotations
 
@@ -8,7 +8,18 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import add_command, add_force, refuse_overwriting, robot_at
+from lss_motion.cli.commands import (
+    PORT_HELP,
+    SEED_HELP,
+    SIMULATED_NOTE,
+    VIRTUAL_HELP,
+    add_command,
+    add_force,
+    refuse_overwriting,
+    require_folder,
+    require_joint,
+    robot_at,
+)
 from lss_motion.cli.messages import ended_by
 from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, InputError
 
@@ -25,47 +36,49 @@ if TYPE_CHECKING:
 
 
 DESCRIPTION: Final = """\
-Measure how servos really respond, with small moves of one joint after the other.
+Measure the response of servos with small moves, one joint after the other.
 
-  lss-motion identify --robot my_robot.yaml elbow        asks, moves, measures, writes
+  lss-motion identify --robot my_robot.yaml elbow        ask, move, measure, write
   lss-motion identify --robot my_robot.yaml elbow wrist --span-deg 30 --yes
   lss-motion identify --robot my_robot.yaml elbow -o measured.yaml
 
-Measured are: how soon the servo answers, how late the horn does what it is told (dead time, lag),
-the period at which it takes commands up, what a new command in mid-move starts from, what T
-means, its ramps and top speed, how far its load pulls it, and the play of its gears. The joint
-must be free. It moves for half a minute within --span-deg of where it stands, never outside its
-range_deg and never faster than its limits. Ctrl-C brakes and holds; a second one stops at once.
+It measures the delay of replies, the dead time and the lag of the horn, the period at which the
+servo applies commands, the start of a new command in mid-move, the meaning of T, ramps and top
+speed, the droop under load, and the backlash of the gears. The joint must be free. It moves for
+half a minute within --span-deg of its present angle, never outside its range_deg and never faster
+than its limits. Ctrl-C brakes and holds; a second one stops at once.
 
-What is found goes into the joint's `response` in the robot file, its uncertainty into a comment
-above it; all else in the file stays as it is. What a show assumes and the servo does not do is
-listed. Exit codes: 0 measured, 2 your files or arguments, 4 port or servo not reachable, 5 the
-joint did not move as it should, 130 interrupted.
+The result is written as the joint's `response` into the robot file, with its uncertainty in a
+comment above it; nothing else in the file changes. Differences from the assumptions of a show are
+listed.
+
+Exit codes: 0 measured; 2 a file or an argument is wrong; 4 port or servo not reachable; 5 the joint
+did not move as it should; 130 interrupted.
 """
 
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
     added = add_command(
-        commands, "identify", _identify, "measure how servos really respond", DESCRIPTION
+        commands, "identify", _identify, "measure the response of servos", DESCRIPTION
     )
     added.add_argument("joints", nargs="+", metavar="JOINT", help="joints that are free to move")
-    added.add_argument("--robot", type=Path, required=True, metavar="FILE", help="a robot file")
-    added.add_argument("--port", metavar="URL", help="serial device or URL; sim:// is simulated")
+    added.add_argument("--robot", type=Path, required=True, metavar="FILE", help="the robot file")
+    added.add_argument("--port", metavar="URL", help=PORT_HELP)
     added.add_argument(
         "--span-deg",
         type=float,
         metavar="DEG",
-        help="move no further to either side (default 20)",
+        help="largest motion to either side (default 20)",
     )
-    added.add_argument("--yes", action="store_true", help="move without asking first")
-    added.add_argument("-o", "--output", type=Path, metavar="FILE", help="write a copy instead")
-    add_force(added)
-    added.add_argument("--no-write", action="store_true", help="print only")
+    added.add_argument("--yes", action="store_true", help="move without the question")
     added.add_argument(
-        "--virtual", action="store_true", help="simulated bus in virtual time; deterministic"
+        "-o", "--output", type=Path, metavar="FILE", help="write a copy, not the robot file"
     )
-    added.add_argument("--seed", type=int, default=0, metavar="N", help="of the simulated bus")
+    add_force(added)
+    added.add_argument("--no-write", action="store_true", help="print the result, write nothing")
+    added.add_argument("--virtual", action="store_true", help=VIRTUAL_HELP)
+    added.add_argument("--seed", type=int, default=0, metavar="N", help=SEED_HELP)
 
 
 def _identify(arguments: argparse.Namespace) -> int:
@@ -80,7 +93,7 @@ def _identify(arguments: argparse.Namespace) -> int:
     simulated = is_simulated(robot)
     _check(arguments, simulated=simulated)
     if simulated:
-        print(f"The robot {robot.name!r} is simulated: nothing here says anything about a real one")
+        print(SIMULATED_NOTE)
     buses = {name: robot.buses[name] for name in {joint.bus for joint in joints}}
     clock = VirtualClock() if arguments.virtual else MonotonicClock()
     with connect(buses, robot=robot, clock=clock, seed=arguments.seed) as connection:
@@ -101,39 +114,37 @@ def _identify(arguments: argparse.Namespace) -> int:
 
 
 def _joints(robot: Robot, names: Sequence[str]) -> list[Joint]:
-    """Return the joints as they are measured: in EM1, whatever drive they are played with."""
-    from lss_motion.files.source import known_names
+    """Return the joints with the timed drive: they are measured in EM1."""
     from lss_motion.protocol.constants import Family
 
     for name in dict.fromkeys(names):
-        if name not in robot.joints:
-            hint = known_names(name, robot.joints)
-            raise InputError(f"unknown joint {name!r}; {hint}", path=robot.path)
+        require_joint(robot, name)
         if robot.joints[name].model.family is Family.IO2:
             raise InputError(
-                f"joint {name!r} is the RC servo of an LSS-2IO, which does not say where it is: "
-                f"nothing can be measured",
+                f"joint {name!r} is an RC servo of an LSS-2IO: it reports no position and "
+                f"cannot be measured",
                 path=robot.path,
             )
     return [replace(robot.joints[name], drive="timed") for name in dict.fromkeys(names)]
 
 
 def _check(arguments: argparse.Namespace, *, simulated: bool) -> None:
-    """Refuse what would only be noticed after the moves, or when nobody is there to answer."""
+    """Refuse arguments whose fault would otherwise appear only after the moves."""
     if arguments.virtual and not simulated:
         raise InputError("--virtual needs the simulated bus: use it with --port sim://")
     if not (simulated or arguments.yes or sys.stdin.isatty()):
-        raise InputError("the joint will move, and nobody is there to agree; give --yes")
+        raise InputError(
+            "the joint would move, and there is no terminal to agree on; add --yes to move it"
+        )
     output = arguments.output
     refuse_overwriting(output, is_forced=arguments.force)
-    if output is not None and not output.absolute().parent.is_dir():
-        raise InputError("cannot be written: there is no such folder", path=output)
+    require_folder(output)
 
 
 def _announce(
     connection: Connection, robot: Robot, joints: Sequence[Joint], span_deg: float
 ) -> None:
-    """Ask every servo, refuse what cannot be measured, and say what is going to move."""
+    """Query every servo, refuse joints that cannot be measured, and print the coming moves."""
     from lss_motion.maintenance.identify.trials import (
         estimated_duration_s,
         make_trials,
@@ -158,14 +169,18 @@ def _announce(
 
 
 def _is_agreed() -> bool:
-    print("Nothing may touch it or be in its way. Ctrl-C stops. Begin? [y/N] ", end="", flush=True)
+    print(
+        "Keep its range clear; nothing may touch it. Ctrl-C stops. Begin? [y/N] ",
+        end="",
+        flush=True,
+    )
     return sys.stdin.readline().strip().lower() in {"y", "yes"}
 
 
 def _measured(
     connection: Connection, robot: Robot, joint: Joint, span_deg: float, terminal: Terminal
 ) -> Experiment:
-    """Run the trials of one joint; raise what went wrong."""
+    """Run the trials of one joint; raise the error that ended them."""
     from lss_motion.maintenance.identify.experiment import Experiment
     from lss_motion.maintenance.identify.trials import make_window
     from lss_motion.player import handshake
@@ -183,7 +198,7 @@ def _measured(
         connection.ports,
         connection.clock,
         on_turn=progress.show,
-        controls=_OneSpeed(terminal),
+        controls=_StopControls(terminal),
     )
     progress.clear()
     if experiment.error is not None and not experiment.is_stopped:
@@ -194,7 +209,7 @@ def _measured(
 def _conclude(
     arguments: argparse.Namespace, path: Path, joint: Joint, experiment: Experiment
 ) -> None:
-    """Say what was found, and write it into the robot file that is at `path` by now."""
+    """Print the result, and write it into the robot file at `path`."""
     from lss_motion.maintenance.identify import summary
     from lss_motion.maintenance.identify.estimate import identify
     from lss_motion.robot.write import write_response
@@ -204,9 +219,9 @@ def _conclude(
         print(line)
     differences = summary.difference_lines(found, joint)
     print(
-        f"{joint.name} differs from what the robot file assumes:"
+        f"{joint.name} differs from the assumptions of the robot file:"
         if differences
-        else f"{joint.name} is as the robot file assumes"
+        else f"{joint.name} matches the assumptions of the robot file"
     )
     for line in differences:
         print(f"  - {line}")
@@ -220,8 +235,8 @@ def _conclude(
     print(f"{joint.name}: written to {output}", flush=True)
 
 
-class _OneSpeed:
-    """Keys and signals for what can be stopped but has one speed only."""
+class _StopControls:
+    """Keys and signals for a motion that can be stopped, but has one speed only."""
 
     def __init__(self, terminal: Terminal) -> None:
         self._terminal = terminal
@@ -243,18 +258,18 @@ class _Stoppable:
         self._experiment.stop(now_ns)
 
     def set_rate(self, rate: float, now_ns: int) -> None:
-        """Do nothing: what is measured is measured at one speed."""
+        """Do nothing: a measurement has one speed."""
 
 
 class _Progress:
-    """How far a measurement is, on a screen that somebody looks at."""
+    """The progress of a measurement, on a terminal."""
 
     def __init__(self, name: str) -> None:
         self._name = name
         self._is_shown = sys.stderr.isatty()
         self._percent = -1
 
-    def show(self, driven: Experiment, now_ns: int) -> None:  # noqa: ARG002  (the runner's)
+    def show(self, driven: Experiment, now_ns: int) -> None:  # noqa: ARG002  (signature of the runner)
         percent = int(100.0 * driven.progress_ratio)
         if self._is_shown and percent != self._percent:
             self._percent = percent

@@ -1,4 +1,4 @@
-"""`lss-motion COMMAND`: everything around playing. One module a group of commands."""
+"""The program `lss-motion COMMAND`. Each group of commands is a module with `add_to`."""
 
 from __future__ import annotations
 
@@ -7,19 +7,21 @@ import sys
 from typing import TYPE_CHECKING
 
 from lss_motion.cli import (
+    calibrate,
     completion,
     configure,
     doctor,
     examples,
     exchange,
-    hands,
     identify,
+    jog,
     monitor,
     planning,
     play,
     record,
     reference,
     replay,
+    report,
     scan,
     send,
     simulate,
@@ -43,14 +45,15 @@ GROUPS = (
     send,
     record,
     replay,
-    hands,
+    report,
+    jog,
+    calibrate,
     exchange,
     identify,
     walk,
     reference,
-    completion,
 )
-"""Each has `add_to(commands)`, and imports nothing heavy before a command of its own runs."""
+"""The modules in the order of the help text. Each has `add_to(commands)`."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -64,13 +67,20 @@ def make_parser() -> argparse.ArgumentParser:
     """Return the parser of `lss-motion` with all its commands."""
     parser = argparse.ArgumentParser(
         prog="lss-motion",
-        description="Plan, check, compile and simulate motion of smart servos.",
-        epilog="Tab completion: lss-motion completion --help",
+        description=(
+            "Plan, check, compile, play and simulate motion of smart servos; find, set up and "
+            "watch servos. Begin with: lss-motion example"
+        ),
+        epilog=(
+            "`lss-motion COMMAND --help` explains a command. `lss-motion completion --help` "
+            "explains how to complete commands with the Tab key."
+        ),
     )
     add_version(parser)
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=CommandParser)
     for group in GROUPS:
         group.add_to(commands)
+    completion.add_to(commands, lambda: (make_parser(), play.make_parser()))
     return parser
 
 

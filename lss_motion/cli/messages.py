@@ -1,6 +1,7 @@
-"""Errors for people: one line each on standard error, an exit code, never a traceback.
+"""Text for people: errors as one line and an exit code, and lines while a robot moves.
 
-And lines for people while a robot moves: whatever becomes of the screen, it goes on.
+A command raises `LssMotionError` for everything that a user can cause; `guarded` prints it without
+a traceback. No output can stop or delay a moving robot: `put` never raises, `Printer` never waits.
 """
 
 from __future__ import annotations
@@ -25,75 +26,14 @@ from lss_motion.errors import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-_PLACE = re.compile(r"\S+:\d+: ")
-"""`file:line: ` at the start of a message says more than the name of the command."""
+_PLACE: Final = re.compile(r"\S+:\d+: ")
+"""`file:line: ` at the start of a message: it replaces the name of the program."""
 HELD_LINES_MAX: Final = 1000
-"""What a screen that takes nothing is still shown when it does. Chosen: some pages."""
-
-
-def put(text: str, stream: TextIO | None = None, *, end: str = "\n") -> None:
-    """Print to `stream`, or standard output. Never raises `OSError`.
-
-    A stream that cannot be written to (a full disk, a closed terminal) is given up: what else is
-    printed there goes nowhere. Of standard output that is said on standard error.
-    """
-    stream = stream or sys.stdout
-    try:
-        print(text, end=end, file=stream, flush=True)
-    except OSError as error:
-        _give_up(stream)
-        if stream is sys.stdout:
-            reason = f"standard output cannot be written to ({error.strerror})"
-            put(f"warning: {reason}; all goes on without it", sys.stderr)
-
-
-def _give_up(stream: TextIO) -> None:
-    """Let what else is printed to `stream` go nowhere."""
-    with contextlib.suppress(OSError, ValueError):
-        nowhere_fd = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere_fd, stream.fileno())
-        os.close(nowhere_fd)
-
-
-class Printer:
-    """Standard output while a robot moves: nobody ever waits for it.
-
-    Lines for which there is no room (a pager, Ctrl-S) come with a later one, or with `finish`.
-    """
-
-    def __init__(self) -> None:
-        self._held: deque[str] = deque(maxlen=HELD_LINES_MAX)
-
-    def say(self, text: str) -> None:
-        self._held.append(text)
-        while self._held and _has_room(sys.stdout):
-            put(self._held.popleft())
-
-    def finish(self) -> None:
-        """Print all that is left; this may wait."""
-        while self._held:
-            put(self._held.popleft())
-
-
-def ended_by(signal_number: int | None) -> int:
-    """Return the exit code of a run that a person ended: by a signal, or else by a key."""
-    return EXIT_INTERRUPTED if signal_number is None else EXIT_OF_SIGNAL + signal_number
-
-
-def nothing(text: str) -> None:
-    """Say nothing."""
-
-
-def _has_room(stream: TextIO) -> bool:
-    """Return whether a line can be written without waiting. A pipe takes 4096 bytes, or says no."""
-    try:
-        return bool(select.select([], [stream.fileno()], [], 0.0)[1])
-    except (OSError, ValueError):  # Windows waits for sockets only.
-        return True
+"""The newest lines that are kept while standard output is blocked. Chosen: some pages."""
 
 
 def guarded(program: str, do: Callable[[], int]) -> int:
-    """Run a command; turn what it raises on purpose into messages and an exit code."""
+    """Run a command; print the errors that it raises on purpose; return its exit code."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # "deg/s²" on a terminal that has no "²".
             stream.reconfigure(errors="replace")
@@ -111,10 +51,75 @@ def guarded(program: str, do: Callable[[], int]) -> int:
         return EXIT_INTERRUPTED
     except OSError as error:
         if error.filename is None:
-            _give_up(sys.stdout)
-        if isinstance(error, BrokenPipeError):  # `schema | head`: the reader has seen enough.
+            _redirect_to_null(sys.stdout)
+        if isinstance(error, BrokenPipeError):  # `schema | head` closes the pipe early.
             return 0
         what = error.filename or "standard output"
         put(f"{program}: {what} cannot be used: {error.strerror or error}", sys.stderr)
         return EXIT_INPUT
     return code
+
+
+def ended_by(signal_number: int | None) -> int:
+    """Return the exit code of a run that a signal ended, or a key (None)."""
+    return EXIT_INTERRUPTED if signal_number is None else EXIT_OF_SIGNAL + signal_number
+
+
+def put(text: str, stream: TextIO | None = None, *, end: str = "\n") -> None:
+    """Print to `stream`, or to standard output. Never raises `OSError`.
+
+    A stream that fails (a full disk, a closed terminal) is redirected to the null device. If it is
+    standard output, a warning goes to standard error.
+    """
+    stream = stream or sys.stdout
+    try:
+        print(text, end=end, file=stream, flush=True)
+    except OSError as error:
+        _redirect_to_null(stream)
+        if stream is sys.stdout:
+            put(
+                f"warning: standard output cannot be written ({error.strerror}); "
+                "the run goes on without it",
+                sys.stderr,
+            )
+
+
+def discard(text: str) -> None:
+    """Print nothing: the line printer of a quiet run."""
+
+
+class Printer:
+    """Standard output while a robot moves; it never waits.
+
+    Lines that find no room (a pager, Ctrl-S) are printed with a later line or by `finish`.
+    """
+
+    def __init__(self) -> None:
+        self._held: deque[str] = deque(maxlen=HELD_LINES_MAX)
+
+    def print(self, text: str) -> None:
+        """Print the lines held so far and this one, as far as there is room."""
+        self._held.append(text)
+        while self._held and _has_room(sys.stdout):
+            put(self._held.popleft())
+
+    def finish(self) -> None:
+        """Print all lines that are left; this may wait."""
+        while self._held:
+            put(self._held.popleft())
+
+
+def _redirect_to_null(stream: TextIO) -> None:
+    """Drop everything that is printed to `stream` from now on."""
+    with contextlib.suppress(OSError, ValueError):
+        null_fd = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null_fd, stream.fileno())
+        os.close(null_fd)
+
+
+def _has_room(stream: TextIO) -> bool:
+    """Return whether a line can be written without waiting; a writable pipe takes 4096 bytes."""
+    try:
+        return bool(select.select([], [stream.fileno()], [], 0.0)[1])
+    except (OSError, ValueError):  # Windows waits for sockets only.
+        return True

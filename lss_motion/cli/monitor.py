@@ -1,7 +1,4 @@
-"""`lss-motion monitor`: how all servos do, live.
-
-What `lss-motion monitor` shows and writes: a table that lives, lines, CSV, beeps.
-"""
+"""The command `monitor`: the live state of all servos, as table, lines, CSV file and beeps."""
 
 from __future__ import annotations
 
@@ -11,7 +8,14 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self, TextIO
 
-from lss_motion.cli.commands import add_command, add_robot, robot_at
+from lss_motion.cli.commands import (
+    PORT_HELP,
+    SIMULATED_NOTE,
+    add_command,
+    add_robot,
+    number_from,
+    robot_at,
+)
 from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, BusError, InputError
 from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
 
@@ -28,41 +32,56 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
 
 
-DESCRIPTION = """\
-Show position, speed, current, supply, temperature and status of all servos, as fast as the line
-allows. Asks only; moves and changes nothing. Ctrl-C ends it.
+DESCRIPTION: Final = """\
+Show position, speed, current, supply, temperature and status of all servos, as fast as the bus
+allows. Sends queries only; moves and changes nothing. Ctrl-C ends it.
 
   lss-motion monitor my_robot.yaml
   lss-motion monitor --port /dev/ttyUSB0 --csv evening.csv
   lss-motion monitor my_robot.yaml --for 10 | cat      lines instead of a table
 
-It beeps once when a servo gets hot, takes much current, is badly supplied, is stuck or in safe
-mode, or falls silent. Angles and speeds are those of the servos, not of joints.
+It beeps once when a servo gets hot, draws much current, has a wrong supply voltage, is stuck, is in
+safe mode, or stops replying. Angles and speeds are those of the servos, not of the joints.
 """
 
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
     monitor = add_command(
-        commands, "monitor", _monitor, "show how all servos do, live", DESCRIPTION
+        commands, "monitor", _monitor, "show the live state of all servos", DESCRIPTION
     )
     add_robot(monitor, is_required=False)
-    monitor.add_argument("--port", metavar="URL", help="serial device or URL")
-    monitor.add_argument("--baud", type=int, default=115200, metavar="BPS", help="without ROBOT")
-    monitor.add_argument("--csv", type=Path, metavar="FILE", help="write every reading")
-    monitor.add_argument("--for", type=_seconds, metavar="S", dest="for_s", help="end after S s")
+    monitor.add_argument("--port", metavar="URL", help=PORT_HELP)
     monitor.add_argument(
-        "--every", type=_seconds, default=1.0, metavar="S", help="between lines; default 1"
+        "--baud",
+        type=int,
+        default=115200,
+        metavar="BPS",
+        help="baud rate without a robot file (default 115200)",
     )
-    monitor.add_argument("--hot-c", type=float, default=65.0, metavar="C", help="default 65")
-    monitor.add_argument("--current-a", type=float, default=1.5, metavar="A", help="default 1.5")
+    monitor.add_argument(
+        "--csv", type=Path, metavar="FILE", help="write every reading to this file"
+    )
+    seconds = number_from(0.0, 1e9, "seconds", is_above=True)
+    monitor.add_argument(
+        "--for", type=seconds, metavar="S", dest="for_s", help="end after S seconds"
+    )
+    monitor.add_argument(
+        "--every", type=seconds, default=1.0, metavar="S", help="seconds between lines (default 1)"
+    )
+    monitor.add_argument(
+        "--hot-c", type=float, default=65.0, metavar="C", help="alarm above this °C (default 65)"
+    )
+    monitor.add_argument(
+        "--current-a", type=float, default=1.5, metavar="A", help="alarm above this A (default 1.5)"
+    )
     monitor.add_argument(
         "--supply-v",
         type=float,
         nargs=2,
         default=(6.0, 12.6),
         metavar=("MIN", "MAX"),
-        help="default 6 12.6",
+        help="alarm outside these V (default 6 12.6)",
     )
     monitor.add_argument("--quiet", action="store_true", help="do not beep")
 
@@ -91,8 +110,8 @@ def _monitor(arguments: argparse.Namespace) -> int:
         table = None if arguments.csv is None else stack.enter_context(_open(arguments.csv))
         connection = stack.enter_context(connect(buses, robot=robot))
         if connection.simulated:
-            print("The servos are simulated: nothing here says anything about a real robot.")
-        watch = Watch(_dated(connection, _targets(connection, robot)), connection.buses)
+            print(SIMULATED_NOTE)
+        watch = Watch(_with_firmware(connection, _targets(connection, robot)), connection.buses)
         screen = stack.enter_context(
             Screen(watch, alarms, every_s=arguments.every, is_quiet=arguments.quiet)
         )
@@ -128,8 +147,8 @@ def _run(
 
 
 def _targets(connection: Connection, robot: Robot | None) -> list[Target]:
-    """Return whom to watch: the joints of the robot, there or not, or everybody who answers."""
-    from lss_motion.cli.scan import roll_call
+    """Return all joints of the robot, or without one the servos that reply."""
+    from lss_motion.cli.survey import roll_call
     from lss_motion.maintenance.settings import Target
 
     if robot is not None:
@@ -148,8 +167,8 @@ def _targets(connection: Connection, robot: Robot | None) -> list[Target]:
     if not found:
         bus = connection.buses["main"]
         raise BusError(
-            f"no servo with an id of its own answers on {bus.port} at {bus.baud_bps} bps; "
-            f"`lss-motion scan {bus.port}` says more",
+            f"no servo with an id of its own replies on {bus.port} at {bus.baud_bps} bps; "
+            f"try `lss-motion scan {bus.port}`",
             url=bus.port,
         )
     return [
@@ -166,8 +185,8 @@ def _targets(connection: Connection, robot: Robot | None) -> list[Target]:
     ]
 
 
-def _dated(connection: Connection, targets: Sequence[Target]) -> list[Target]:
-    """Return the targets with the firmware that they say: it decides what a status means."""
+def _with_firmware(connection: Connection, targets: Sequence[Target]) -> list[Target]:
+    """Return the targets with the firmware that they report; the codes of a status depend on it."""
     from dataclasses import replace
 
     from lss_motion.player.transactions import Item
@@ -179,38 +198,26 @@ def _dated(connection: Connection, targets: Sequence[Target]) -> list[Target]:
         for target in targets
         if target.family is not Family.IO2
     )
-    dated = []
+    complete = []
     for target in targets:
         firmware = answers.get((target.bus, target.servo_id, "QF"))
-        dated.append(replace(target, firmware=firmware) if isinstance(firmware, int) else target)
-    return dated
+        complete.append(replace(target, firmware=firmware) if isinstance(firmware, int) else target)
+    return complete
 
 
 def _open(path: Path) -> TextIO:
     try:
         return path.open("w", encoding="utf-8", newline="")
     except OSError as error:
-        raise InputError(f"cannot write it: {error.strerror}", path=path) from error
-
-
-def _seconds(text: str) -> float:
-    import argparse
-
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = 0.0
-    if not 0.0 < seconds < 1e9:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds above 0")
-    return seconds
+        raise InputError(f"cannot be written: {error.strerror}", path=path) from error
 
 
 FRAME_NS: Final = NS_PER_S // 8
 BARS: Final = "▁▂▃▄▅▆▇█"
-SPARK_LEAST_DEG: Final = 1.0
-"""A horn that moves less than this shows a flat line, not its noise."""
+SPARK_MIN_DEG: Final = 1.0
+"""A horn that moves less than this is shown as a flat line, without its noise."""
 SETTLED_S: Final = 1.0
-"""Until everything has been asked once, lines would have holes; nobody waits longer than this."""
+"""Lines are printed when every value has been queried once, or after this time."""
 CSV_HEAD: Final = (
     "t_s",
     "servo",
@@ -224,7 +231,7 @@ CSV_HEAD: Final = (
 
 
 class Screen:
-    """A table where there is a terminal, lines where there is none; beeps for new alarms."""
+    """A table on a terminal, lines elsewhere. Beeps for new alarms."""
 
     def __init__(self, watch: Watch, alarms: Alarms, *, every_s: float, is_quiet: bool) -> None:
         self._watch = watch
@@ -246,7 +253,7 @@ class Screen:
         self._stack.close()
 
     def update(self, now_ns: int, started_ns: int) -> None:
-        """Show what is known, if it is time to."""
+        """Print new alarms; draw the table or print lines, if they are due."""
         for text in self._alarms.update(self._watch.readings):
             if not self._is_quiet:
                 print("\a", end="", file=sys.stderr, flush=True)
@@ -265,7 +272,7 @@ class Screen:
 
 
 class Recorder:
-    """Writes readings as CSV, one row a servo and round."""
+    """Writes readings as CSV, one row per servo and round."""
 
     def __init__(self, file: TextIO) -> None:
         self._file = file
@@ -293,7 +300,7 @@ class Recorder:
 
 
 def rendered(watch: Watch, alarms: Alarms, elapsed_s: float) -> RenderableType:
-    """Return what a terminal shows."""
+    """Return the table, the alarms and a foot line for rich."""
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text
@@ -321,11 +328,11 @@ def rendered(watch: Watch, alarms: Alarms, elapsed_s: float) -> RenderableType:
 
 
 def sparkline(values: Sequence[float]) -> str:
-    """Return values as little bars, from the lowest to the highest of them."""
+    """Return values as small bars, scaled from the lowest to the highest."""
     if not values:
         return ""
     low, span = min(values), max(values) - min(values)
-    if span < SPARK_LEAST_DEG:
+    if span < SPARK_MIN_DEG:
         return BARS[0] * len(values)
     return "".join(BARS[round((value - low) / span * (len(BARS) - 1))] for value in values)
 
@@ -333,14 +340,14 @@ def sparkline(values: Sequence[float]) -> str:
 def _cells(reading: ServoState) -> tuple[str, ...]:
     if reading.is_silent:
         return ("-", "", "-", "-", "-", "-", "silent")
-    position = _said(reading.position_deg, "{:z.1f} deg")
+    position = _formatted(reading.position_deg, "{:z.1f} deg")
     return (
         position if reading.raw is None else f"{reading.raw:.0f} raw",
         sparkline(reading.positions_deg),
-        _said(reading.speed_deg_s, "{:z.0f} deg/s"),
-        _said(reading.current_a, "{:.2f} A"),
-        _said(reading.voltage_v, "{:.1f} V"),
-        _said(reading.temperature_c, "{:.0f} °C"),
+        _formatted(reading.speed_deg_s, "{:z.0f} deg/s"),
+        _formatted(reading.current_a, "{:.2f} A"),
+        _formatted(reading.voltage_v, "{:.1f} V"),
+        _formatted(reading.temperature_c, "{:.0f} °C"),
         "-" if reading.status is None else reading.status.value,
     )
 
@@ -355,5 +362,5 @@ def _lines(readings: Sequence[ServoState], elapsed_s: float) -> list[str]:
     return lines
 
 
-def _said(value: float | None, form: str) -> str:
+def _formatted(value: float | None, form: str) -> str:
     return "-" if value is None else form.format(value)

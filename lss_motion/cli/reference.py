@@ -1,4 +1,7 @@
-"""`lss-motion reference`: every command of the bus languages, as the package knows them."""
+"""The command `reference`: every command of the servo families as a Markdown page.
+
+The pages come from the tables that the encoder, the parser and the simulator use.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +25,10 @@ a section of the LSS-PRO one of 2023-12-14, `2IO 3` a command of the 2RC mode of
 FAMILIES: Final = ("LSS", "LSS-PRO", "LSS-2IO")
 
 DESCRIPTION: Final = """\
-Print the reference page of a bus language as Markdown, from the tables that the encoder, the
-parser and the simulator use: keyword, unit, range, forms, where it is documented, and what was
-decided where documents disagree.
+Print the commands of the servos as a Markdown page: keyword, meaning, unit, range, default, source
+and notes. The encoder, the parser and the simulator use the same tables.
+
+  lss-motion reference LSS > lss.md
 """
 
 HEAD: Final = (
@@ -47,7 +51,9 @@ def add_to(commands: Commands) -> None:
     reference = add_command(
         commands, "reference", _reference, "print the commands of the servos", DESCRIPTION
     )
-    reference.add_argument("family", nargs="?", choices=FAMILIES, help="default: all three")
+    reference.add_argument(
+        "family", nargs="?", choices=FAMILIES, help="only this family (default: all three)"
+    )
 
 
 def _reference(arguments: argparse.Namespace) -> int:
@@ -65,8 +71,8 @@ def page(table: FamilyTable) -> str:
     modifiers = [row for row in table.rows if row.is_modifier]
     parts = [
         f"# {table.family}",
-        "Values are in the unit given; `value x scale` is what stands on the wire. A number after"
-        " a query asks for: "
+        "Values are in the unit given; `value x scale` is the number on the wire. A number after"
+        " a query selects: "
         + "; ".join(f"`{number}` {meaning}" for number, meaning in _suffixes(commands))
         + ". "
         + SOURCES,
@@ -78,13 +84,13 @@ def page(table: FamilyTable) -> str:
 
 
 def _suffixes(rows: Iterable[Row]) -> list[tuple[str, str]]:
-    """Return what the numbers after queries ask for, each once, in the order of the numbers."""
-    said = {
+    """Return the numbers after queries with their meanings, each once, in ascending order."""
+    suffixes = {
         (number, f"{meaning} ({', '.join(_queries_with(rows, number, meaning))})")
         for row in rows
         for number, meaning in (row.suffixes or {}).items()
     }
-    return [(str(number), text) for number, text in sorted(said)]
+    return [(str(number), text) for number, text in sorted(suffixes)]
 
 
 def _queries_with(rows: Iterable[Row], number: int, meaning: str) -> list[str]:

@@ -1,23 +1,133 @@
-"""The report of a show, as text and as a picture.
+"""The command `report`, and the report of a show as text and as a picture.
 
-The report of a show as text.
-
-The report of a show as a picture: every joint's plan and readings, errors, lateness, lines.
+`play` and `walk` print `report_lines` at the end of a show. The keys of a report are those of
+`lss_motion.runtime.report`.
 """
 
 from __future__ import annotations
 
+import contextlib
+import json
+import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.errors import InputError
-from lss_motion.picture import new_figure, save
+from lss_motion.cli.commands import PLOT_HELP, add_command, add_json, print_json
+from lss_motion.errors import EXIT_FINISHED, InputError
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    import argparse
+    from collections.abc import Iterator
+
+    from lss_motion.cli.commands import Commands
+
+DESCRIPTION: Final = """\
+Print a report that lss-play or walk wrote with --report, draw it, or compare two reports.
+
+  lss-motion report show.json
+  lss-motion report show.json --plot show.png
+  lss-motion report before.json after.json      the numbers that differ
+"""
+
+COMPARED: Final = ("timing", "buses", "joints")
+"""The parts of two reports that are compared."""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command of this module."""
+    report = add_command(
+        commands, "report", _report, "print a report of lss-play, or compare two", DESCRIPTION
+    )
+    report.add_argument(
+        "reports", type=Path, nargs="+", metavar="FILE", help="one report, or two to compare"
+    )
+    report.add_argument(
+        "--plot", type=Path, metavar="F.png", help=f"{PLOT_HELP}; for one report only"
+    )
+    add_json(report)
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    if len(arguments.reports) > 2:
+        raise InputError(f"{len(arguments.reports)} reports: give one, or two to compare")
+    if arguments.plot is not None and len(arguments.reports) > 1:
+        raise InputError("--plot draws one report; give one")
+    found = [_read_report(path) for path in arguments.reports]
+    shown = [] if arguments.json else zip(arguments.reports, found, strict=True)
+    for path, report in shown:
+        with _complete(path):
+            for line in report_lines(report):
+                print(line)
+    if arguments.json:
+        print_json(found[0] if len(found) == 1 else {"first": found[0], "second": found[1]})
+    elif len(found) == 2:
+        for line in _differences(*found):
+            print(line)
+    if arguments.plot is not None:
+        with _complete(arguments.reports[0]):
+            plot_report(found[0], arguments.plot)
+    return EXIT_FINISHED
+
+
+@contextlib.contextmanager
+def _complete(path: Path) -> Iterator[None]:
+    """Turn the errors of an incomplete report into an `InputError` about its file."""
+    try:
+        yield
+    except InputError:
+        raise
+    except KeyError as error:
+        raise InputError(
+            f"is not a complete report of lss-play: {error.args[0]!r} is missing", path=path
+        ) from error
+    except (TypeError, ValueError, AttributeError) as error:
+        raise InputError(
+            "is not a complete report of lss-play: a value has the wrong type", path=path
+        ) from error
+
+
+def _read_report(path: Path) -> dict[str, Any]:
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", path=path) from error
+    except ValueError as error:
+        raise InputError(f"is not a report: {error}", path=path) from error
+    if not isinstance(report, dict) or report.get("schema") != 1:
+        raise InputError("is not a report of lss-play (`schema: 1`)", path=path)
+    return report
+
+
+def _differences(before: dict[str, Any], after: dict[str, Any]) -> Iterator[str]:
+    """Yield a line for every number that differs between the reports, with its ratio."""
+    rows = []
+    for name, was in _numbers({key: before[key] for key in COMPARED}):
+        is_now = dict(_numbers({key: after[key] for key in COMPARED})).get(name)
+        if is_now is not None and is_now != was:
+            ratio = f"{is_now / was:.2f} x" if was else ""
+            rows.append((name, f"{was:g}", f"{is_now:g}", ratio))
+    if not rows:
+        yield "the numbers are the same"
+        return
+    rows.insert(0, ("", "first", "second", ""))
+    widths = [max(len(row[column]) for row in rows) for column in range(4)]
+    for name, was_text, now_text, ratio in rows:
+        yield (
+            f"{name:{widths[0]}}  {was_text:>{widths[1]}}  {now_text:>{widths[2]}}  "
+            f"{ratio:>{widths[3]}}"
+        ).rstrip()
+
+
+def _numbers(part: Any, name: str = "") -> Iterator[tuple[str, float]]:  # noqa: ANN401  JSON
+    if isinstance(part, dict):
+        for key, value in part.items():
+            yield from _numbers(value, f"{name} {key}".strip())
+    elif isinstance(part, int | float) and not isinstance(part, bool) and math.isfinite(part):
+        yield name, float(part)
 
 
 def report_lines(report: dict[str, Any]) -> list[str]:
-    """Return the report as a person reads it at the end of a show."""
+    """Return the lines that are printed at the end of a show."""
     timing = report["timing"]
     planned = "endless" if report["planned_s"] is None else f"{report['planned_s']:.2f} s"
     simulated = ", simulated" if report["simulated"] else ""
@@ -40,7 +150,7 @@ def report_lines(report: dict[str, Any]) -> list[str]:
         head = f"{'joint':{width}}  readings  error rms   max  correction"
         lines.append(head + ("  true horn rms   max   (deg)" if has_truth else "  (deg)"))
         for name, joint in report["joints"].items():
-            seen = (  # What nobody has measured is no 0.
+            seen = (  # An unmeasured value is shown as a dash, not as 0.
                 f"{joint['error_rms_deg']:9.2f} {joint['error_max_deg']:5.2f}"
                 if joint["readings"]
                 else f"{'-':>9} {'-':>5}"
@@ -59,22 +169,27 @@ def report_lines(report: dict[str, Any]) -> list[str]:
 
 
 WIDTH_IN: Final = 15.0
+
 ROW_HEIGHT_IN: Final = 1.5
+
 ROW_HEIGHT_MIN_IN: Final = 0.95
-"""Many joints get lower rows."""
+"""Rows are lower if there are many joints."""
+
 PLANNED, MEASURED, ERROR, BAR = "#1f5fa8", "#e0701a", "#c0392b", "#9aa5b1"
 """Colours of the plan, the readings, the error between both, and of counts."""
 
 
 def plot_report(report: dict[str, Any], path: Path) -> None:
-    """Draw a report into `path`; the kind of picture is that of its suffix.
+    """Draw a report into `path`; the suffix sets the format.
 
     Raises `InputError` for a suffix that cannot be drawn, a file that cannot be written, and a
     report in which no joint was read.
     """
+    from lss_motion.picture import new_figure, save
+
     joints = {name: joint for name, joint in report["joints"].items() if joint["trace"]["at_s"]}
     if not joints:
-        raise InputError("no joint was read in this run: there is nothing to draw")
+        raise InputError("no joint was read in this run, so there is nothing to draw")
     row_in = max(ROW_HEIGHT_MIN_IN, min(ROW_HEIGHT_IN, 16.0 / len(joints)))
     figure = new_figure(path, WIDTH_IN, 3.6 + row_in * len(joints))
     halves = figure.subfigures(2, 1, squeeze=False, height_ratios=[row_in * len(joints) + 0.8, 2.8])
@@ -138,7 +253,7 @@ def _lines(axis: Any, buses: dict[str, Any]) -> None:  # noqa: ANN401  (axes)
     shares = [100.0 * bus["tx_utilisation_ratio"] for bus in buses.values()]
     axis.barh(names, shares, color=BAR)
     for index, bus in enumerate(buses.values()):
-        text = f" {bus['query_rate_hz']:.0f} questions/s, {bus['timeouts']} unanswered"
+        text = f" {bus['query_rate_hz']:.0f} queries/s, {bus['timeouts']} timeouts"
         axis.text(0.0, index, text, fontsize=7, va="center")
     axis.set_xlim(0.0, 100.0)
     axis.set_title("line in use, %", fontsize=10, loc="left")

@@ -1,11 +1,11 @@
-"""`lss-motion send`: one command or question to one servo, from the shell."""
+"""The command `send`: one command or query to one servo, from the shell."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import add_command, robot_at
+from lss_motion.cli.commands import PORT_HELP, add_command, robot_at
 from lss_motion.errors import EXIT_FINISHED, BusError, InputError
 
 if TYPE_CHECKING:
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
 
 
-DESCRIPTION = """\
-Send one command to one servo and print what it answers.
+DESCRIPTION: Final = """\
+Send one command to one servo and print its reply. Values have the units of the reference page
+(`lss-motion reference`), not those on the wire.
 
-  lss-motion send --port /dev/ttyUSB0 --id 5 QD            *5QD132   13.2 deg
-  lss-motion send --port /dev/ttyUSB0 --id 5 D 90 T 500    90 deg in 500 ms; values with units of
-                                                           the reference page, not of the wire
-  lss-motion send --port /dev/ttyUSB0 --id 5 --raw D900T500
+  lss-motion send --port /dev/ttyUSB0 --id 5 QD            prints *5QD132   13.2 deg
+  lss-motion send --port /dev/ttyUSB0 --id 5 D 90 T 500    moves to 90 deg in 500 ms
+  lss-motion send --port /dev/ttyUSB0 --id 5 --raw D900T500    the same, as on the wire
   lss-motion send --robot my_robot.yaml --id 5 QV          port and family from the robot file
 
-A query that is not answered ends with exit code 4; an action is never answered.
+A query without a reply ends with exit code 4. Servos never reply to an action.
 """
 
 
@@ -36,13 +36,35 @@ def add_to(commands: Commands) -> None:
     send = add_command(
         commands, "send", _send, "send one command to one servo; print the reply", DESCRIPTION
     )
-    send.add_argument("--port", metavar="URL", help="serial device or URL")
-    send.add_argument("--robot", type=Path, metavar="FILE", help="simulated if its port is sim://")
-    send.add_argument("--baud", type=int, default=115200, metavar="BPS", help="default 115200")
-    send.add_argument("--firmware", type=int, metavar="N", help="default: the newest known")
-    send.add_argument("--family", choices=("LSS", "LSS-PRO", "LSS-2IO"), help="default LSS")
-    send.add_argument("--id", type=int, required=True, metavar="N", dest="servo_id")
-    send.add_argument("--raw", action="store_true", help="send the words as they are")
+    send.add_argument("--port", metavar="URL", help=PORT_HELP)
+    send.add_argument(
+        "--robot",
+        type=Path,
+        metavar="FILE",
+        help="the robot file; its servos are simulated if the port is sim://",
+    )
+    send.add_argument(
+        "--baud",
+        type=int,
+        default=115200,
+        metavar="BPS",
+        help="baud rate without a robot file (default 115200)",
+    )
+    send.add_argument(
+        "--firmware",
+        type=int,
+        metavar="N",
+        help="firmware of the servo, such as 370 (default: the newest known)",
+    )
+    send.add_argument(
+        "--family",
+        choices=("LSS", "LSS-PRO", "LSS-2IO"),
+        help="family of the servo (default: that of the robot file, or LSS)",
+    )
+    send.add_argument(
+        "--id", type=int, required=True, metavar="N", dest="servo_id", help="id of the servo"
+    )
+    send.add_argument("--raw", action="store_true", help="send the words unchanged")
     send.add_argument(
         "words", nargs="+", metavar="WORD", help="KEYWORD [VALUE [MODIFIER VALUE]...]"
     )
@@ -71,25 +93,24 @@ def _send(arguments: argparse.Namespace) -> int:
     address = (bus.name, command.servo_id, command.keyword)
     if address not in answers:
         raise BusError(
-            f"no answer to {command.keyword} from servo {command.servo_id} on {bus.port} at "
+            f"no reply to {command.keyword} from servo {command.servo_id} on {bus.port} at "
             f"{bus.baud_bps} bps",
             url=bus.port,
         )
-    print(_answer(family, command, answers[address]))
+    print(_reply_text(family, command, answers[address]))
     return EXIT_FINISHED
 
 
 def _robot(arguments: argparse.Namespace) -> Robot | None:
-
     if arguments.robot is None:
         if arguments.port is None or arguments.port.startswith("sim://"):
-            raise InputError("give --port, or --robot with the servos to simulate")
+            raise InputError("give --port, or --robot with the servos that are simulated")
         return None
     return robot_at(arguments.robot, arguments.port)
 
 
 def _command(arguments: argparse.Namespace, family: Family) -> Command:
-    """Return what the words say: raw, or with values in physical units."""
+    """Return the command of the words: raw, or with values in physical units."""
     from lss_motion.protocol.codec import make_command
     from lss_motion.protocol.line import Command, CommandParser
 
@@ -102,7 +123,7 @@ def _command(arguments: argparse.Namespace, family: Family) -> Command:
         return parsed[0]
     numbers = [_number(word) for word in words[1::2]]
     if len(words) % 2 == 1 and len(words) > 1:
-        raise InputError("after the keyword come a value, then pairs of modifier and value")
+        raise InputError("a keyword is followed by a value, then by pairs of modifier and value")
     modifiers = dict(zip([word.upper() for word in words[2::2]], numbers[1:], strict=True))
     return make_command(
         family,
@@ -121,35 +142,37 @@ def _number(word: str) -> float:
         raise InputError(f"{word!r} is not a number") from None
 
 
-def _answer(family: Family, command: Command, value: int | str | None) -> str:
+def _reply_text(family: Family, command: Command, value: int | str | None) -> str:
     from lss_motion.protocol.codec import read_reply
     from lss_motion.protocol.line import Reply, encode
 
     reply = Reply(command.servo_id, command.keyword, value)
     line = encode(reply)[:-1].decode("ascii")
     suffix = command.value if isinstance(command.value, int) else None
-    said = read_reply(family, reply, suffix=suffix)
-    return line if said is None else f"{line}   {_meaning(family, command, said)}".rstrip()
+    statement = read_reply(family, reply, suffix=suffix)
+    if statement is None:
+        return line
+    return f"{line}   {_meaning(family, command, statement)}".rstrip()
 
 
-def _meaning(family: Family, command: Command, said: Decoded) -> str:
-    """Return the value with its unit, and in words where it is a code."""
+def _meaning(family: Family, command: Command, statement: Decoded) -> str:
+    """Return the value with its unit; a code as its name."""
     from lss_motion.protocol.constants import Led, SafeModeCause, status_from
 
-    if said.value is None:
+    if statement.value is None:
         return "no value"
-    if isinstance(said.value, int):
+    if isinstance(statement.value, int):
         try:
             match command.keyword, command.value:
                 case "Q", 1:
-                    return SafeModeCause(said.value).name.lower().replace("_", " ")
+                    return SafeModeCause(statement.value).name.lower().replace("_", " ")
                 case "Q", _:
-                    return status_from(said.value, family, 0).value
+                    return status_from(statement.value, family, 0).value
                 case "QLED", _:
-                    return Led(said.value).name.lower()
+                    return Led(statement.value).name.lower()
                 case _:
                     pass
-        except ValueError:  # A code that no document names: the number has to do.
+        except ValueError:  # No document names this code: print the number.
             pass
-    text = f"{said.value:g}" if isinstance(said.value, float) else str(said.value)
-    return f"{text} {said.unit.value}"
+    text = f"{statement.value:g}" if isinstance(statement.value, float) else str(statement.value)
+    return f"{text} {statement.unit.value}"

@@ -1,10 +1,15 @@
-"""Reading and writing what servos store, over an open connection: ask, write, read back, RESET."""
+"""Reads and writes the settings of servos over an open connection, for `configure`.
+
+Every write is read back. A servo with changes that act after a RESET is restarted, and its settings
+are read once more. `change_id` and `change_baud` write a setting that moves the servo to another
+address, and look for it there.
+"""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.scan import ask_alone
+from lss_motion.cli.survey import query_each
 from lss_motion.errors import BusError, InputError
 from lss_motion.maintenance import settings
 from lss_motion.maintenance.settings import Target
@@ -20,21 +25,22 @@ if TYPE_CHECKING:
     from lss_motion.maintenance.discovery import ServoIdentity
     from lss_motion.maintenance.settings import Change, Values
 
+
 RESET_WAIT_S: Final = RESET_S + 0.25
-"""How long a servo is left alone after RESET: it is deaf for 1.25 s (FACTS.md R4), and libraries
-wait 1.5 s and more."""
+"""No command is sent for this time after a RESET: the servo receives nothing for 1.25 s
+(FACTS.md R4), and libraries wait 1.5 s and more."""
 ROUNDS: Final = 4
-"""How often a thing is tried until it is so: a line may lose a command, a servo may restart."""
+"""Attempts until a value is read or written: a command can be lost, a servo can restart."""
 SETTLE_S: Final = 0.02
-"""Between writing and reading back: 10 ms is what careful users leave (FACTS.md R9), doubled."""
+"""Time between writing and reading back: twice the 10 ms that careful users leave (FACTS.md R9)."""
 
 
 def targets_at(connection: Connection, bus: str, names: Mapping[int, str]) -> list[Target]:
-    """Return the servos at ids of a bus, with the names that people know them by.
+    """Return the servos at these ids of a bus, with the names that people use for them.
 
-    Raises `BusError` if nobody, or more than one, answers to one of them.
+    Raises `BusError` if no servo or more than one replies at an id.
     """
-    found = {present.servo_id: present for present in all_at(connection, bus, names)}
+    found = {present.servo_id: present for present in servos_at(connection, bus, names)}
     answers = connection.ask(
         Item(bus=bus, command=Command(servo_id, "QF"), is_query=True)
         for servo_id, present in found.items()
@@ -56,29 +62,29 @@ def targets_at(connection: Connection, bus: str, names: Mapping[int, str]) -> li
     return targets
 
 
-def all_at(connection: Connection, bus: str, ids: Iterable[int]) -> list[ServoIdentity]:
-    """Return what answers to each of some ids, in their order.
+def servos_at(connection: Connection, bus: str, ids: Iterable[int]) -> list[ServoIdentity]:
+    """Return the servo at each of these ids, in their order.
 
-    Raises `BusError` if there is nobody, or more than one, at one of them.
+    Raises `BusError` if no servo or more than one replies at an id.
     """
     ids = list(ids)
     found: dict[int, ServoIdentity] = {}
-    for _ in range(2):  # An answer can be lost.
+    for _ in range(2):  # A reply can be lost.
         left = {servo_id: "" for servo_id in ids if servo_id not in found}
-        found |= {present.servo_id: present for present in ask_alone(connection, bus, left)}
-    line = connection.buses[bus]
+        found |= {present.servo_id: present for present in query_each(connection, bus, left)}
+    port, baud_bps = connection.buses[bus].port, connection.buses[bus].baud_bps
     missing = [str(servo_id) for servo_id in ids if servo_id not in found]
     if missing:
         raise BusError(
-            f"no servo answers to id {', '.join(missing)} on {line.port} at {line.baud_bps} bps; "
-            f"`lss-motion scan {line.port}` finds who is there",
-            url=line.port,
+            f"no servo replies at id {', '.join(missing)} on {port} at {baud_bps} bps; "
+            f"`lss-motion scan {port}` lists the servos",
+            url=port,
         )
     for servo_id in ids:
         if found[servo_id].is_shared:
             raise BusError(
-                f"several servos answer to id {servo_id} at once: connect one of them alone",
-                url=line.port,
+                f"several servos share id {servo_id}; connect one of them alone",
+                url=port,
             )
     return [found[servo_id] for servo_id in ids]
 
@@ -86,9 +92,9 @@ def all_at(connection: Connection, bus: str, ids: Iterable[int]) -> list[ServoId
 def read(
     connection: Connection, targets: Sequence[Target], *, is_session: bool = False
 ) -> dict[str, Values]:
-    """Return the settings of every target by its name; what was not answered is absent.
+    """Return the settings of every target by its name, without those that got no reply.
 
-    A servo that answered something is asked again for the rest: a line may lose an answer.
+    A servo that sent some replies is queried again for the rest, because a reply can be lost.
     """
     left = {target.name: dict(target.rows(is_session=is_session)) for target in targets}
     found: dict[str, Values] = {target.name: {} for target in targets}
@@ -99,24 +105,24 @@ def read(
             for item in settings.questions(target, left[target.name], is_session=is_session)
         )
         for target in targets:
-            said = settings.values(target, left[target.name], answers)
-            found[target.name] |= said
+            values = settings.values(target, left[target.name], answers)
+            found[target.name] |= values
             rows = left[target.name].items()
-            left[target.name] = {name: row for name, row in rows if said and name not in said}
+            left[target.name] = {name: row for name, row in rows if values and name not in values}
         if not any(left.values()):
             break
     return found
 
 
 def read_whole(connection: Connection, targets: Sequence[Target]) -> dict[str, Values]:
-    """Return all stored settings; raises `BusError` if one cannot be read."""
+    """Return all stored settings; raise `BusError` if one cannot be read."""
     found = read(connection, targets)
     for target in targets:
         missing = [name for name in target.rows(is_session=False) if name not in found[target.name]]
         if missing:
             raise BusError(
-                f"{target.name} (id {target.servo_id}) did not say all that it stores: "
-                f"{', '.join(missing)}. Check plugs and power and try again"
+                f"{target.name} (id {target.servo_id}) did not report all settings: "
+                f"{', '.join(missing)} missing. Check plugs and power, then try again"
             )
     return found
 
@@ -128,11 +134,11 @@ def write(
     *,
     is_session: bool = False,
 ) -> list[Change]:
-    """Write what is not as wanted until it reads back; return what was changed.
+    """Write the settings that differ from `wanted` until they read back; return the changes.
 
-    Servos with changes that act after a RESET get one, and must read back once more after it,
-    those that went to another rate or into RC mode excepted.
-    Raises `BusError` for what they do not keep.
+    A servo with a change that acts after a RESET is restarted, and its settings must read back once
+    more, unless it went to another baud rate or into RC mode. Raises `BusError` for settings that
+    a servo does not keep.
     """
     needed = differing(connection, targets, wanted, is_session=is_session)
     done, unread = list(needed), [c for c in needed if not c.row.queries]
@@ -157,7 +163,7 @@ def write(
             f"{settings.value_text(c.row, c.wanted)}"
             for c in needed
         )
-        raise BusError(f"not everything was kept: {kept}. Nothing else was lost; try again")
+        raise BusError(f"servos did not keep all settings: {kept}. The others are kept; try again")
     return done
 
 
@@ -168,7 +174,7 @@ def differing(
     *,
     is_session: bool,
 ) -> list[Change]:
-    """Return what is not as wanted. A servo that is silent is waited for, then asked again."""
+    """Return the settings that differ from `wanted`. A silent servo gets time to restart first."""
     had = read(connection, targets, is_session=is_session)
     silent = [target for target in targets if not had[target.name]]
     if silent:
@@ -177,7 +183,7 @@ def differing(
     for target in silent:
         if not had[target.name]:
             raise BusError(
-                f"{target.name} (id {target.servo_id}) does not answer any more; check plugs and "
+                f"{target.name} (id {target.servo_id}) no longer replies; check plugs and "
                 f"power, then try again"
             )
     return [
@@ -188,7 +194,7 @@ def differing(
 
 
 def reset(connection: Connection, targets: Sequence[Target]) -> None:
-    """Restart servos and wait until they hear again. They go limp."""
+    """Restart servos and wait until they receive commands again. They go limp."""
     connection.ask(
         Item(bus=target.bus, command=Command(target.servo_id, "RESET"), is_query=False)
         for target in targets
@@ -197,17 +203,17 @@ def reset(connection: Connection, targets: Sequence[Target]) -> None:
     connection.wait(RESET_WAIT_S)
 
 
-def renumber(connection: Connection, bus: str, old_id: int, new_id: int) -> ServoIdentity:
+def change_id(connection: Connection, bus: str, old_id: int, new_id: int) -> ServoIdentity:
     """Give the only servo at `old_id` another id; return it as it answers there.
 
-    Raises `InputError` if the id is taken, `BusError` if nobody or more than one answers, or the
-    servo does not take it.
+    Raises `InputError` if the id is in use, `BusError` if no servo or more than one replies, or if
+    the servo keeps its old id.
     """
-    (present,) = all_at(connection, bus, [old_id])
+    (present,) = servos_at(connection, bus, [old_id])
     command = make_command(present.family, old_id, "CID", new_id)
-    for other in ask_alone(connection, bus, {new_id: ""}):
+    for other in query_each(connection, bus, {new_id: ""}):
         raise InputError(
-            f"id {new_id} is taken by a {other.model or 'servo'}; choose another, or connect the "
+            f"id {new_id} is used by a {other.model or 'servo'}; choose another, or connect the "
             f"servo with id {old_id} alone"
         )
     for _ in range(ROUNDS):
@@ -216,38 +222,38 @@ def renumber(connection: Connection, bus: str, old_id: int, new_id: int) -> Serv
         if present.family is not Family.IO2:
             connection.ask([Item(bus=bus, command=Command(old_id, "RESET"), is_query=False)])
             connection.wait(RESET_WAIT_S)
-        found = ask_alone(connection, bus, {new_id: "", old_id: ""})
+        found = query_each(connection, bus, {new_id: "", old_id: ""})
         if [p.servo_id for p in found] == [new_id] and found[0].model == present.model:
             return found[0]
         if not any(p.servo_id == old_id for p in found):
             connection.wait(RESET_WAIT_S)
     raise BusError(
-        f"the {present.model} did not go from id {old_id} to {new_id}; power it off and on, then "
-        f"`lss-motion scan {connection.buses[bus].port}`"
+        f"the {present.model} did not change from id {old_id} to {new_id}; switch it off "
+        f"and on, then `lss-motion scan {connection.buses[bus].port}`"
     )
 
 
-def change_rate(
-    connection: Connection, bus: str, everybody: Sequence[ServoIdentity], baud_bps: int
+def change_baud(
+    connection: Connection, bus: str, servos: Sequence[ServoIdentity], baud_bps: int
 ) -> list[int]:
-    """Set servos of a bus to another rate and go there; return the ids that do not answer there.
+    """Set servos of a bus and its port to another baud rate; return the ids without a reply there.
 
-    Raises `ProtocolError` or `InputError` before anything is written if one of them cannot.
+    Raises `ProtocolError` or `InputError` before anything is written if a servo cannot change.
     """
-    fixed = [str(p.servo_id) for p in everybody if p.family is Family.LSS_PRO]
+    fixed = [str(p.servo_id) for p in servos if p.family is Family.LSS_PRO]
     if fixed:
-        raise InputError(f"LSS-PRO servos have no baud rate to set (here {', '.join(fixed)})")
+        raise InputError(f"LSS-PRO servos have no baud rate to set (ids {', '.join(fixed)})")
     firmware = {
         servo_id: value
         for (_, servo_id, _), value in connection.ask(
             Item(bus=bus, command=Command(p.servo_id, "QF"), is_query=True)
-            for p in everybody
+            for p in servos
             if p.family is Family.LSS
         ).items()
     }
     smart: list[Command] = []
     boards: list[Command] = []
-    for present in everybody:
+    for present in servos:
         if present.family is Family.IO2 and not present.model.endswith("-LED"):
             continue
         known = firmware.get(present.servo_id)
@@ -259,13 +265,13 @@ def change_rate(
             firmware=known if isinstance(known, int) else None,
         )
         (boards if present.family is Family.IO2 else smart).append(command)
-    for _ in range(2):  # Nothing acknowledges; the second is for a line that was lost.
+    for _ in range(2):  # No reply confirms it; the second covers a lost command.
         connection.ask(Item(bus=bus, command=command, is_query=False) for command in smart)
         connection.wait(SETTLE_S)
-    # A board changes at once: whoever still listens at the old rate must have been told before.
+    # A board changes its rate at once, so it is the last to get its command at the old rate.
     last = [Command(command.servo_id, "RESET") for command in smart] + boards
     connection.ask(Item(bus=bus, command=command, is_query=False) for command in last)
     connection.wait(RESET_WAIT_S)
     connection.set_baud(bus, baud_bps)
-    there = {p.servo_id for p in ask_alone(connection, bus, {p.servo_id: "" for p in everybody})}
-    return [present.servo_id for present in everybody if present.servo_id not in there]
+    there = {p.servo_id for p in query_each(connection, bus, {p.servo_id: "" for p in servos})}
+    return [present.servo_id for present in servos if present.servo_id not in there]

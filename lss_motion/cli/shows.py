@@ -1,16 +1,19 @@
-"""From the file on the command line to a program: what `lss-play` and `lss-motion` share."""
+"""From the file on the command line to a compiled program, for `lss-play` and `lss-motion`.
+
+A file is a sequence, a gait or a program that was compiled before.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from lss_motion.gait.model import Gait
     from lss_motion.program.model import Program
@@ -23,14 +26,14 @@ if TYPE_CHECKING:
 PROGRAM_SUFFIX = ".lss"
 
 GAIT_TOLERANCE_DEG: Final = 0.03
-"""How far a leg's predicted horn may be from its plan. Measured on simulated servos with feedback,
-nine patterns with two seeds each: feet slip 0.32 mm at most, of the 0.5 mm allowed; with 0.05 deg
-0.36 mm, and a quarter fewer commands."""
+"""The largest deviation of a leg's predicted horn from its plan. Measured on simulated servos with
+feedback, nine patterns with two seeds each: feet slip at most 0.32 mm of the 0.5 mm allowed. With
+0.05 deg they slip 0.36 mm, and a quarter fewer commands are sent."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Show:
-    """A program ready to play. `trajectory` is None for one that was compiled before."""
+    """A program ready to play. `trajectory` is None if it was compiled before."""
 
     robot: Robot
     program: Program
@@ -42,12 +45,18 @@ def is_program(path: Path) -> bool:
     return path.suffix.lower() == PROGRAM_SUFFIX
 
 
+def require_program_suffix(path: Path) -> None:
+    """Raise `InputError` if a program that is to be written would not be read as one."""
+    if not is_program(path):
+        raise InputError("must end in .lss; lss-play reads other files as sequences", path=path)
+
+
 def load(
     path: Path, robot_path: Path | None, read_robot: ReadRobot | None = None
 ) -> tuple[Sequence, Robot]:
-    """Return the sequence at `path` and its robot, or the one that `--robot` names.
+    """Return the sequence at `path` and its robot; `robot_path` replaces the robot of the file.
 
-    That of a gait file is what its robot walks. `read_robot` reads robot files.
+    A gait file gives the sequence that its robot walks. `read_robot` reads robot files.
     """
     from lss_motion.gait.load import is_gait_file
     from lss_motion.gait.to_sequence import gait_as_sequence, sequence_of
@@ -65,7 +74,7 @@ def load(
     if robot is None:
         assert sequence.robot_path is not None
         robot = read_robot(sequence.robot_path)
-        if robot.read_limits:  # What walks in it was paced for other limits.
+        if robot.read_limits:  # A gait in it was paced for other limits.
             sequence = load_sequence(path, robot, read_other=gait_as_sequence)
     return sequence, robot
 
@@ -73,7 +82,7 @@ def load(
 def load_gait(
     path: Path, robot_path: Path | None, read_robot: ReadRobot | None = None
 ) -> tuple[Gait, Robot]:
-    """Return the gait at `path` and its robot, or the one that `--robot` names."""
+    """Return the gait at `path` and its robot; `robot_path` replaces the robot of the file."""
     from lss_motion.gait import load
     from lss_motion.robot.load import load_robot
 
@@ -110,7 +119,7 @@ def prepare(
 def compiled(
     sequence: Sequence, robot: Robot, *, speed_ratio: float = 1.0, loop: int | str | None = None
 ) -> Show:
-    """Return the show of a sequence that was read already; the rest is as in `prepare`."""
+    """Return the show of a sequence; `speed_ratio` and `loop` as in `prepare`."""
     from lss_motion.program.compile import TOLERANCE_DEG, compile_program
 
     trajectory = planned(sequence, robot, speed_ratio=speed_ratio, loop=loop)
@@ -120,7 +129,7 @@ def compiled(
 
 
 def walks(sequence: Sequence) -> bool:
-    """Return whether a gait is played anywhere in a show."""
+    """Return whether a sequence or a part of it is a gait."""
     from lss_motion.gait.load import is_gait_file
 
     if sequence.path is not None and is_gait_file(sequence.path):
@@ -132,9 +141,9 @@ def walks(sequence: Sequence) -> bool:
 def planned(
     sequence: Sequence, robot: Robot, *, speed_ratio: float = 1.0, loop: int | str | None = None
 ) -> Trajectory:
-    """Return the plan, after the wishes of the command line.
+    """Return the plan with the speed and the loop of the command line.
 
-    `loop` is how often what the file loops is played: all of it, or its `loop_span_s`.
+    `loop` is the number of passes of the part that the file loops: all of it, or `loop_span_s`.
     """
     from lss_motion.sequence.check import check_sequence
     from lss_motion.trajectory.planner import plan
@@ -156,6 +165,8 @@ def _read(path: Path, robot_path: Path | None, read_robot: ReadRobot | None) -> 
     return Show(robot=robot, program=program)
 
 
-def in_folder(path: Path) -> Path:
-    """Return the absolute folder of a file that is to be written."""
-    return Path(path).absolute().parent
+def shown_s(trajectory: Trajectory) -> float:
+    """Return the duration of a plan; of an endless one, that of its first pass and one more."""
+    if trajectory.loop is None:
+        return trajectory.first.duration_s + trajectory.middle.duration_s
+    return trajectory.duration_s

@@ -1,4 +1,4 @@
-"""`lss-motion sim`: a simulated robot for this and any other program."""
+"""The command `sim`: a simulated robot for this and any other program."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.commands import add_command, add_robot
+from lss_motion.cli.commands import SEED_HELP, add_command, add_robot
 from lss_motion.cli.messages import ended_by
 from lss_motion.errors import InputError
 
@@ -15,19 +15,22 @@ if TYPE_CHECKING:
 
 
 USB_LATENCY_MAX_MS: Final = 255
-"""What the latency timer of an adapter of the FTDI kind can be set to at most."""
+"""The largest value of the latency timer of an FTDI adapter."""
 
 DESCRIPTION: Final = """\
-Simulate the buses of a robot behind pseudo-terminals: any program that opens a serial port can
-talk to them. Prints each port and runs until Ctrl-C.
+Simulate the buses of a robot behind pseudo-terminals. Any program that opens a serial port can talk
+to them. Prints the path of each port and runs until Ctrl-C.
 
-Modelled: the line (baud rate, ten bits a byte, turnaround, colliding replies, group lines and
-slots of firmware 370), every command and query of the documents, ramps and the EM0 filter, lag,
-load, backlash, top speed by voltage, currents, heat, stalls and safe mode.
-Not modelled: inertia of what hangs on a horn, noise on the lines without a fault or a collision,
-the LED's start-up sequence, RC pulses, EEPROM wear, the acceleration sensors of LSS-PRO (they
-answer 0), LSS-2IO boards with other sketches than the 2RC one. Physical figures are those of the
-documents where they give any, and marked assumptions in lss_motion.sim.physics where they do not.
+  lss-motion sim my_robot.yaml --link /tmp/robot
+  lss-play show.yaml --port /tmp/robot             in another terminal
+
+Simulated: the bus (baud rate, ten bits a byte, turnaround, colliding replies, group lines and
+slots of firmware 370), every documented command and query, ramps and the EM0 filter, lag, load,
+backlash, top speed by voltage, currents, heat, stalls and safe mode.
+Not simulated: inertia of the load, noise without a fault or a collision, the start-up sequence of
+the LED, RC pulses, EEPROM wear, the acceleration sensors of LSS-PRO (they report 0), LSS-2IO boards
+with other sketches than 2RC. Physical values are those of the documents; where these give none,
+lss_motion.sim.physics marks an assumption.
 """
 
 
@@ -38,38 +41,41 @@ def add_to(commands: Commands) -> None:
     )
     sim.epilog = _faults_text()
     add_robot(sim, is_required=True)
-    sim.add_argument("--link", type=Path, metavar="PATH", help="symbolic link to the port")
-    sim.add_argument("--seed", type=int, default=0, metavar="N", help="of all that is chance")
-    sim.add_argument("--faults", type=Path, metavar="FILE", help="what goes wrong; see below")
+    sim.add_argument(
+        "--link", type=Path, metavar="PATH", help="make a symbolic link with this path to the port"
+    )
+    sim.add_argument("--seed", type=int, default=0, metavar="N", help=SEED_HELP)
+    sim.add_argument("--faults", type=Path, metavar="FILE", help="faults to simulate; see below")
     sim.add_argument(
         "--hand",
         metavar="FILE|SEED",
-        help="who leads limp joints from power-up on: a CSV t_s,<joint>,... or a seed",
+        help="a simulated hand moves the limp joints from power-up on: a CSV file t_s,<joint>,... "
+        "or a seed",
     )
     sim.add_argument(
         "--usb-latency-ms",
         type=_latency,
         default=0,
         metavar="N",
-        help="an adapter that delivers replies every N ms (16 is usual; default: none)",
+        help="simulate an adapter that delivers replies every N ms (16 is usual; default 0: none)",
     )
 
 
 def _faults_text() -> str:
-    """Return what a faults file may hold."""
+    """Return the description of a faults file."""
     from lss_motion.sim.faults import MEANINGS
 
     width = max(len(kind) for kind in MEANINGS)
     kinds = "\n".join(f"  {kind:{width}}  {meaning}" for kind, meaning in MEANINGS.items())
     return f"""\
-A faults file has rows of when, who and what; times are seconds from power-up:
+A faults file has one row per fault; times are seconds from power-up:
 
   faults:
     - {{kind: lost_reply, servo: 5, at_s: 2, until_s: 4, ratio: 0.1}}
     - {{kind: reset, servo: 7, at_s: 3}}
 
-at_s, until_s, servo, bus and ratio may be left out: from the beginning, for ever, all of them,
-every time. Kinds:
+Without at_s a fault begins at power-up, without until_s it lasts for ever, without servo or bus it
+applies to all of them, without ratio it happens every time. Kinds:
 
 {kinds}
 """
@@ -90,7 +96,7 @@ def _sim(arguments: argparse.Namespace) -> int:
         faults = load_faults(arguments.faults, robot)
         if any(fault.kind is FaultKind.OVERSLEEP for fault in faults):
             raise InputError(
-                f"{FaultKind.OVERSLEEP} needs `lss-play --virtual`: here the host is another "
+                f"{FaultKind.OVERSLEEP} needs `lss-play --virtual`: sim cannot delay another "
                 f"program",
                 path=arguments.faults,
             )
@@ -108,5 +114,7 @@ def _sim(arguments: argparse.Namespace) -> int:
 
 def _latency(text: str) -> int:
     if not text.isdigit() or int(text) > USB_LATENCY_MAX_MS:
-        raise argparse.ArgumentTypeError(f"{text!r} is not in 0 to {USB_LATENCY_MAX_MS}")
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a whole number from 0 to {USB_LATENCY_MAX_MS}"
+        )
     return int(text)

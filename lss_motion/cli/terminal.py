@@ -1,4 +1,8 @@
-"""Keys and signals while a show runs: space pauses, + and − change the speed, q and Ctrl-C stop."""
+"""Keys and signals during a run: space pauses, + and - change the speed, q and Ctrl-C stop.
+
+`Inputs` collects keys and signals and never blocks. `Terminal` turns them into orders for what is
+driven; `LoggedControls` also writes these orders to a log, from which `replay` repeats them.
+"""
 
 from __future__ import annotations
 
@@ -19,22 +23,22 @@ if TYPE_CHECKING:
 
 KEYS_HELP: Final = "space pause, - slower, + up to full speed, q stop"
 RATE_STEP: Final = 0.1
-RATE_LEAST: Final = 0.1
+RATE_MIN: Final = 0.1
 _SIGNALS: Final = tuple(
     getattr(signal, name)
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
     if hasattr(signal, name)
 )
-"""What asks a run to end: Ctrl-C, `kill`, a terminal that is closed (a dropped ssh), Ctrl-\\."""
+"""Signals that end a run: Ctrl-C, `kill`, a closed terminal (a dropped ssh session), Ctrl-\\."""
 _HANGUP: Final = getattr(signal, "SIGHUP", None)
-UNHEARD_MAX: Final = 5
-"""So many signals that nobody takes end a program that hangs, as they would any other."""
+_PENDING_MAX: Final = 5
+"""One more signal that no call of `take` has collected ends a program that hangs."""
 
 
 def is_at_keyboard() -> bool:
     """Return whether standard input is a terminal in the foreground, from which keys can be read.
 
-    Never on a system without Unix terminals.
+    False on a system without Unix terminals.
     """
     try:
         import termios  # noqa: F401  (Windows has none)
@@ -45,18 +49,10 @@ def is_at_keyboard() -> bool:
         return False
 
 
-class Steered(Protocol):
-    """What a person at the terminal steers: a show, or something else that moves."""
-
-    def stop(self, now_ns: int) -> None: ...
-
-    def set_rate(self, rate: float, now_ns: int) -> None: ...
-
-
 class Inputs:
-    """Keys and signals as they come; a context manager.
+    """Collects keys and signals; a context manager.
 
-    `signal_number` is the last signal that asked the run to end, or None.
+    `signal_number` is the last signal that ended the run, or None.
     """
 
     def __init__(self) -> None:
@@ -89,15 +85,16 @@ class Inputs:
         self._stack.close()
 
     def filenos(self) -> Sequence[int]:
+        """Return the descriptors that become readable when a key or a signal arrives."""
         return [self._wake.fileno()] + ([] if self._keys_fd is None else [self._keys_fd])
 
     @property
     def has_keys(self) -> bool:
-        """Whether keys are read at all: from a terminal in the foreground."""
+        """True while keys are read, from a terminal in the foreground."""
         return self._keys_fd is not None
 
     def take(self) -> tuple[int, str]:
-        """Return how many signals came since the last call, and which keys."""
+        """Return the number of signals since the last call, and the keys."""
         with contextlib.suppress(BlockingIOError):
             self._wake.recv(64)
         count = len(self._pending)
@@ -108,12 +105,12 @@ class Inputs:
 
     def _note(self, number: int, frame: FrameType | None) -> None:  # noqa: ARG002
         if number == _HANGUP:
-            # Of one closed terminal the system and its shell tell more than once.
+            # The system and the shell both send it when one terminal is closed.
             if self._has_hung_up:
                 return
             self._has_hung_up = True
         self._pending.append(number)
-        if len(self._pending) > UNHEARD_MAX:
+        if len(self._pending) > _PENDING_MAX:
             raise KeyboardInterrupt
 
     def _keys(self) -> str:
@@ -122,11 +119,11 @@ class Inputs:
         with contextlib.suppress(OSError):
             if keys := os.read(self._keys_fd, 32):
                 return keys.decode("ascii", "ignore")
-        self._keys_fd = None  # The terminal is gone: nothing more will come.
+        self._keys_fd = None  # The terminal is closed: no more keys can arrive.
         return ""
 
     def _read_keys(self) -> None:
-        """Take single keys from the terminal, if standard input is one in the foreground."""
+        """Read single keys from the terminal, if standard input is one in the foreground."""
         import termios
         import tty
 
@@ -136,7 +133,7 @@ class Inputs:
         before: list[Any] = termios.tcgetattr(stdin)
 
         def restore() -> None:
-            with contextlib.suppress(termios.error):  # The terminal may be gone.
+            with contextlib.suppress(termios.error):  # The terminal may be closed.
                 termios.tcsetattr(stdin, termios.TCSADRAIN, before)
 
         self._stack.callback(restore)
@@ -144,11 +141,19 @@ class Inputs:
         self._keys_fd = stdin
 
 
-class Terminal(Inputs):
-    """Turns keys and signals into wishes for the player.
+class Steerable(Protocol):
+    """What `Terminal` steers: a show, or another motion."""
 
-    Faster than planned is not offered: the plan is within the limits at its own speed only. With
-    `on_keys`, keys mean what it makes of them.
+    def stop(self, now_ns: int) -> None: ...
+
+    def set_rate(self, rate: float, now_ns: int) -> None: ...
+
+
+class Terminal(Inputs):
+    """Turns keys and signals into orders for what is driven.
+
+    The speed never exceeds that of the plan, which is within the limits at that speed only. With
+    `on_keys`, that function gets the keys instead.
     """
 
     def __init__(self, on_keys: Callable[[str], None] | None = None) -> None:
@@ -157,8 +162,8 @@ class Terminal(Inputs):
         self._rate = 1.0
         self._is_paused = False
 
-    def act(self, driven: Steered, now_ns: int) -> None:
-        """Apply what came since the last call."""
+    def act(self, driven: Steerable, now_ns: int) -> None:
+        """Apply the keys and signals since the last call."""
         signals_count, keys = self.take()
         for _ in range(signals_count):
             driven.stop(now_ns)
@@ -168,14 +173,14 @@ class Terminal(Inputs):
         for key in keys:
             self._press(key, driven, now_ns)
 
-    def _press(self, key: str, driven: Steered, now_ns: int) -> None:
+    def _press(self, key: str, driven: Steerable, now_ns: int) -> None:
         match key:
             case " ":
                 self._is_paused = not self._is_paused
                 driven.set_rate(0.0 if self._is_paused else self._rate, now_ns)
             case "+" | "=" | "-" | "_":
                 step = RATE_STEP if key in "+=" else -RATE_STEP
-                self._rate = round(min(max(self._rate + step, RATE_LEAST), 1.0), 3)
+                self._rate = round(min(max(self._rate + step, RATE_MIN), 1.0), 3)
                 if not self._is_paused:
                     driven.set_rate(self._rate, now_ns)
             case "q" | "Q":
@@ -184,8 +189,8 @@ class Terminal(Inputs):
                 pass
 
 
-class Noted:
-    """Controls whose wishes are noted in a log."""
+class LoggedControls:
+    """A terminal whose orders are written to a log."""
 
     def __init__(self, terminal: Terminal, log: ByteLog) -> None:
         self._terminal = terminal
@@ -194,12 +199,12 @@ class Noted:
     def filenos(self) -> Sequence[int]:
         return self._terminal.filenos()
 
-    def act(self, driven: Steered, now_ns: int) -> None:
-        self._terminal.act(_NotedSteering(driven, self._log), now_ns)
+    def act(self, driven: Steerable, now_ns: int) -> None:
+        self._terminal.act(_LoggedSteering(driven, self._log), now_ns)
 
 
-class _NotedSteering:
-    def __init__(self, driven: Steered, log: ByteLog) -> None:
+class _LoggedSteering:
+    def __init__(self, driven: Steerable, log: ByteLog) -> None:
         self._driven = driven
         self._log = log
 

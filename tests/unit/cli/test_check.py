@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from lss_motion.cli.planning import limit_uses, plan_lines
+from lss_motion.cli.summaries import limit_uses, plan_lines
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.sequence.model import Keyframe, Sequence, Timing
 from lss_motion.trajectory.planner import plan

@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from lss_motion.cli import shows
-from lss_motion.cli.display import KEYS_HELP, Display, Memory, frame_of, is_trouble, rendered
+from lss_motion.cli.display import KEYS_HELP, Display, FrameHistory, frame_of, is_trouble, rendered
 from lss_motion.perform import Observer, perform
 from lss_motion.player.events import Phase
 
@@ -19,7 +19,7 @@ WAVE = Path(__file__).parents[3] / "sequences" / "wave.yaml"
 def frames():
     """Frames of a show at ten a second, from its first question to its end."""
     show = shows.prepare(WAVE, None, loop=1)
-    found, memory = [], Memory()
+    found, memory = [], FrameHistory()
 
     def look(player, now_ns):
         if now_ns >= len(found) * 10**8:
@@ -61,7 +61,7 @@ def test_a_frame_shows_target_measured_and_error_of_every_joint(frames):
 
 def test_a_frame_shows_what_the_line_does_now(frames):
     for frame in in_show(frames)[5:50]:
-        share, answers_hz = frame["lines"]["main"]
+        share, answers_hz = frame["buses"]["main"]
         assert 0.3 < share < 1.0
         assert 800 < answers_hz < 1800
     assert "answers/s" in drawn(in_show(frames)[20])
@@ -122,7 +122,7 @@ def test_a_pause_is_called_one_and_full_speed_too(frames):
     def look(player, now_ns):
         if player.phase is Phase.SHOW and not found:
             player.set_rate(0.0, now_ns)
-            found.append(frame_of(player, now_ns, [], Memory()))
+            found.append(frame_of(player, now_ns, [], FrameHistory()))
             player.set_rate(1.0, now_ns)
 
     observer = Observer(on_turn=look)

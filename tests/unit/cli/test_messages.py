@@ -41,13 +41,13 @@ def test_a_reader_that_does_not_read_makes_nobody_wait_and_misses_nothing(monkey
     printer, lines = Printer(), [f"{number:04d}" + "." * 995 for number in range(200)]
     with into_a_pipe(monkeypatch) as pipe:
         for line in lines:
-            printer.say(line)
+            printer.print(line)
         got = b""
         while len(got) < sum(len(line) + 1 for line in lines):
             more = pipe.read()
             assert more, f"only {len(got)} bytes came"
             got += more
-            printer.say("")
+            printer.print("")
     assert got.decode().split() == lines
 
 
@@ -55,7 +55,7 @@ def test_what_was_held_back_is_printed_in_the_end(monkeypatch):
     printer, count = Printer(), 80
     with into_a_pipe(monkeypatch) as pipe:
         for _ in range(count):
-            printer.say("." * 999)
+            printer.print("." * 999)
         before = pipe.read()
         assert len(before) < 1000 * count
         printer.finish()
@@ -67,7 +67,7 @@ def test_a_pipe_whose_reader_has_gone_is_given_up_and_that_is_said_once(monkeypa
     with into_a_pipe(monkeypatch) as pipe:
         pipe.close()
         for text in ("one", "two", "three"):
-            printer.say(text)
+            printer.print(text)
     said = capsys.readouterr().err
     assert said.count("warning: standard output cannot be written to") == 1
     assert "Broken pipe" in said

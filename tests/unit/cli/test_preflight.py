@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from lss_motion.cli.play import table_lines
+from lss_motion.cli.dialog import servo_table
 from lss_motion.player.events import Found
 
 PAN = Found(
@@ -32,7 +32,7 @@ SILENT = Found(
 
 
 def test_what_was_found_is_a_line_each_with_where_it_is_and_how_far_it_has_to_go():
-    head, pan, silent = table_lines([PAN, SILENT])
+    head, pan, silent = servo_table([PAN, SILENT])
     assert pan.split() == [
         "pan",
         "7",

@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 
-from lss_motion.cli.scan import roll_call, survey
+from lss_motion.cli.survey import roll_call, survey
 from lss_motion.maintenance import findings
 from lss_motion.maintenance.discovery import is_doubtful, judge_answers, read_roll_call
 from lss_motion.maintenance.findings import starter_file

@@ -1,0 +1,186 @@
+"""What a person reads and answers in a run: a line an event, and the question before the motion.
+
+A real robot moves only after a person has agreed, or with `--yes`.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.cli.messages import put
+from lss_motion.errors import InputError
+from lss_motion.player.events import (
+    Checked,
+    CueReached,
+    Faulted,
+    MarkPassed,
+    Phase,
+    PhaseEntered,
+    Waited,
+    Warned,
+)
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable, Sequence
+
+    from lss_motion.cli.terminal import Inputs
+    from lss_motion.player.events import Event, Found
+    from lss_motion.player.player import Player
+    from lss_motion.robot.model import Robot
+    from lss_motion.runtime.runner import Controls
+    from lss_motion.sequence.model import Cue
+
+YES_HELP: Final = "move a real robot without the question; it is checked all the same"
+YES_KEYS: Final = "yY"
+NO_KEYS: Final = "nNqQ\r\n\x1b\x03\x04"
+"""Enter alone means no, as the question shows."""
+LEFT_COLUMNS: Final = (0, 2, 4)
+"""The columns of words in the table of servos; the others are numbers."""
+WAIT_TEXTS: Final = {
+    "begun": "        waiting for {}",
+    "met": "        {}: going on",
+    "timeout": "warning: no {} in time; going on",
+}
+
+
+def must_ask(arguments: argparse.Namespace, robot: Robot) -> bool:
+    """Return whether a person must agree: true for a real robot, unless `--yes` is given.
+
+    A pseudo-terminal counts as real, because the program behind it is unknown. Raises `InputError`
+    if a person must agree and there is no terminal to answer on.
+    """
+    from lss_motion.cli.terminal import is_at_keyboard
+    from lss_motion.connection import is_simulated
+
+    if arguments.yes or is_simulated(robot):
+        return False
+    if not is_at_keyboard():
+        raise InputError(
+            "a real robot would move, and there is no terminal to agree on: nothing was sent. "
+            "Run it in a terminal, or add --yes to move without the question"
+        )
+    return True
+
+
+def simulated_text(name: str, robot: Robot, how: str = "") -> str:
+    """Return the line that tells that no real robot moves."""
+    return f"{name}: no hardware, the robot {robot.name!r} is simulated{how}"
+
+
+class Confirmation:
+    """Controls that ask `go? [y/N]` once the robot has been checked, and then pass on to `inner`.
+
+    `note` receives the answer and its instant.
+    """
+
+    def __init__(
+        self,
+        inner: Controls[Player],
+        inputs: Inputs,
+        robot_name: str,
+        note: Callable[[str, int], None] | None = None,
+    ) -> None:
+        self._inner = inner
+        self._inputs = inputs
+        self._robot_name = robot_name
+        self._note = note
+        self._is_asking = False
+
+    def filenos(self) -> Sequence[int]:
+        return (self._inputs if self._is_asking else self._inner).filenos()
+
+    def act(self, driven: Player, now_ns: int) -> None:
+        """Ask when the robot is ready; apply the answer."""
+        if driven.phase is not Phase.READY:
+            self._is_asking = False
+            self._inner.act(driven, now_ns)
+            return
+        if not self._is_asking:
+            self._is_asking = True
+            _print(f"the robot {self._robot_name!r} will move: go? [y/N] ")
+        signals_count, keys = self._inputs.take()
+        answer = next((key for key in keys if key in YES_KEYS + NO_KEYS), "")
+        if signals_count or not self._inputs.has_keys or (answer and answer in NO_KEYS):
+            _print("no: nothing was moved\n")
+            if self._note is not None:
+                self._note("stop", now_ns)
+            driven.stop(now_ns)
+        elif answer:
+            _print("yes\n")
+            if self._note is not None:
+                self._note("go", now_ns)
+            driven.go()
+
+
+def _print(text: str) -> None:
+    put(text, sys.stderr, end="")
+
+
+def print_event(event: Event, print_line: Callable[[str], None]) -> None:
+    """Print an event as one line; the result of the check as a table of the servos."""
+    match event:
+        case PhaseEntered(phase):
+            print_line(f"        {phase.value}")
+        case Checked(servos):
+            for line in servo_table(servos):
+                print_line(line)
+        case MarkPassed(label, show_s) if label:
+            print_line(f"{show_s:7.2f} s {label}")
+        case CueReached(cue, show_s):
+            print_line(f"{show_s:7.2f} s {_cue_text(cue)}")
+        case Waited(text, state):
+            print_line(WAIT_TEXTS[state].format(text))
+        case Warned(text):
+            print_line(f"warning: {text}")
+        case Faulted(step=step):
+            print_line(f"fault: {event} ({step})")
+        case _:
+            pass
+
+
+def _cue_text(cue: Cue) -> str:
+    if cue.say:
+        return f'"{cue.say}"'
+    if cue.led:
+        from lss_motion.protocol.constants import Led
+
+        return "led " + ", ".join(f"{name} {Led(code).name.lower()}" for name, code in cue.led)
+    return f"run {cue.run}" if cue.run else f"sound {Path(cue.sound).name}"
+
+
+def servo_table(servos: Sequence[Found]) -> list[str]:
+    """Return a table of the checked servos, one line each. An unknown value is a dash."""
+    head = ("joint", "servo", "model", "firmware", "status", "at", "to start", "V", "°C", "deg/s",
+            "deg/s²")  # fmt: skip
+    rows = [head, *map(_row, servos)]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
+    return [
+        "  ".join(
+            text.ljust(width) if column in LEFT_COLUMNS else text.rjust(width)
+            for column, (text, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+
+
+def _row(found: Found) -> tuple[str, ...]:
+    return (
+        found.joint,
+        str(found.servo_id),
+        found.model or "-",
+        "-" if found.firmware is None else str(found.firmware),
+        found.status or "-",
+        f"{found.position_deg:.1f}",
+        f"{found.start_deg - found.position_deg:+.1f}",
+        _number(found.voltage_v, 1),
+        _number(found.temperature_c, 0),
+        _number(found.speed_max_deg_s, 0),
+        _number(found.accel_max_deg_s2, 0),
+    )
+
+
+def _number(value: float | None, decimals: int) -> str:
+    return "-" if value is None else f"{value:.{decimals}f}"

@@ -1,0 +1,150 @@
+"""The command `jog`: keys move joints and write poses into the robot file."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.cli.commands import add_command
+from lss_motion.cli.hands import HandsControls, add_hands_arguments, joint_lines, load, run_command
+from lss_motion.errors import InputError
+from lss_motion.player.events import Phase
+
+if TYPE_CHECKING:
+    import argparse
+
+    from lss_motion.cli.commands import Commands
+    from lss_motion.maintenance.hands_on import HandsOn
+    from lss_motion.robot.model import Robot
+
+
+DESCRIPTION: Final = """\
+Move joints with keys, within their ranges and not faster than the robot's approach_speed_deg_s.
+
+  lss-motion jog my_robot.yaml
+
+Keys: up and down choose a joint; left and right move it by a step; [ and ] make the step smaller
+and larger; l makes the joint limp (hold it, it falls); h holds it; c writes the angles of all
+joints as a pose into the robot file; q ends. Nothing else in the robot file changes.
+"""
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command of this module."""
+    jog = add_command(
+        commands, "jog", _jog, "move joints with keys; write poses into the robot file", DESCRIPTION
+    )
+    add_hands_arguments(jog)
+    jog.add_argument(
+        "--pose",
+        default="pose",
+        metavar="NAME",
+        help="name of the poses that the key c writes (default pose, pose_2, ...)",
+    )
+
+
+def _jog(arguments: argparse.Namespace) -> int:
+    from lss_motion.maintenance.hands_on import HandsOn
+
+    robot, joints = load(arguments)
+    if not _is_name(arguments.pose):
+        raise InputError(f"--pose {arguments.pose!r}: a name has letters, digits, - and _ only")
+    return run_command(arguments, HandsOn(robot, joints), JogControls(robot, arguments.pose))
+
+
+def _is_name(name: str) -> bool:
+    return name.replace("_", "").replace("-", "").isalnum() and name.isascii()
+
+
+JOG_KEYS: Final = "arrows choose and move  [ ] step  l limp  h hold  c keep pose  q end"
+
+STEPS_DEG: Final = (0.1, 0.5, 1.0, 5.0, 15.0)
+
+LEAD_S: Final = 0.5
+"""While a key is held down, the target leads the joint by at most the angle that the joint turns in
+this time, so that it stops soon after the key is released. Chosen."""
+
+
+class JogControls(HandsControls):
+    """Moves one joint at a time. Writes each pose into the robot file at once."""
+
+    greeting = JOG_KEYS
+
+    def __init__(self, robot: Robot, pose_name: str) -> None:
+        super().__init__()
+        self._robot = robot
+        self._pose_name = pose_name
+        self._poses = set(robot.poses)
+        self._chosen = 0
+        self._step = 2
+        self._target_deg: dict[str, float] = {}
+
+    def turn(self, hands_on: HandsOn) -> None:
+        hands_on.take()
+
+    def press(self, key: str, hands_on: HandsOn) -> None:
+        joint = hands_on.joints[self._chosen]
+        match key:
+            case "\x1b[A" | "k":
+                self._chosen = (self._chosen - 1) % len(hands_on.joints)
+            case "\x1b[B" | "j":
+                self._chosen = (self._chosen + 1) % len(hands_on.joints)
+            case "\x1b[C" | "+" | "=":
+                self._move(hands_on, joint.name, STEPS_DEG[self._step])
+            case "\x1b[D" | "-":
+                self._move(hands_on, joint.name, -STEPS_DEG[self._step])
+            case "[" | "]":
+                self._step += 1 if key == "]" else -1
+                self._step = min(max(self._step, 0), len(STEPS_DEG) - 1)
+            case "l":
+                hands_on.let_go([joint.name])
+                self._target_deg.pop(joint.name, None)
+            case "h":
+                hands_on.hold([joint.name])
+                self._target_deg.pop(joint.name, None)
+            case "c":
+                self._keep(hands_on)
+            case _:
+                pass
+
+    def lines(self, hands_on: HandsOn, now_ns: int) -> list[str]:
+        if hands_on.phase is not Phase.SHOW:
+            return []
+        chosen = hands_on.joints[self._chosen].name
+        head = f"step {STEPS_DEG[self._step]:g} deg   {JOG_KEYS}"
+        return [head, *joint_lines(hands_on, now_ns, chosen)]
+
+    def _move(self, hands_on: HandsOn, name: str, step_deg: float) -> None:
+        joint, here_deg = self._robot.joints[name], hands_on.readings[name].deg
+        speed_deg_s = min(self._robot.approach_speed_deg_s, joint.speed_max_deg_s)
+        lead_deg = max(abs(step_deg), LEAD_S * speed_deg_s)
+        desired_deg = self._target_deg.get(name, here_deg) + step_deg
+        desired_deg = min(max(desired_deg, here_deg - lead_deg), here_deg + lead_deg)
+        desired_deg = round(desired_deg, 2)
+        target_deg = hands_on.move(name, desired_deg, abs(desired_deg - here_deg) / speed_deg_s)
+        self._target_deg[name] = target_deg
+        if target_deg != desired_deg:
+            low, high = joint.position_min_deg, joint.position_max_deg
+            self.print(f"\a{name} ends at {target_deg:g} deg; its range is {low:g} to {high:g}")
+
+    def _keep(self, hands_on: HandsOn) -> None:
+        """Write the angles of all joints into the robot file, under an unused name."""
+        from lss_motion.robot.write import write_pose
+
+        assert self._robot.path is not None
+        names = (self._pose_name, *(f"{self._pose_name}_{n}" for n in range(2, 1000)))
+        name = next((n for n in names if n not in self._poses), "")
+        if not name:
+            self.print("a thousand poses have this name; end and give another --pose")
+            return
+        pose = {}
+        for joint in hands_on.joints:
+            deg = round(hands_on.readings[joint.name].deg, 1)
+            pose[joint.name] = min(max(deg, joint.position_min_deg), joint.position_max_deg)
+        try:
+            write_pose(self._robot.path, name, pose)
+        except InputError as error:
+            self.print(f"the pose was not written: {error}")
+            return
+        self._poses.add(name)
+        angles = ", ".join(f"{joint} {angle:g}" for joint, angle in pose.items())
+        self.print(f"{self._robot.path}: pose {name}: {angles}")

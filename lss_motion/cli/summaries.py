@@ -1,0 +1,281 @@
+"""What a plan, a program and a robot amount to, as text for people and as JSON.
+
+`check` prints all of it; `plan`, `import` and `record` print `plan_lines`; `compile` and
+`lss-play --dry-run` print `program_lines`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from lss_motion.cli.shows import Show
+    from lss_motion.interchange.reduce import Fit
+    from lss_motion.program.model import Program
+    from lss_motion.robot.model import Joint, Robot
+    from lss_motion.trajectory.model import Stretch, Trajectory
+
+
+SAMPLE_S: Final = 0.001
+"""The largest values are found by sampling at 1 kHz, as the verifier does."""
+
+BLOCK_SAMPLES: Final = 8192
+"""Samples are taken in blocks, so that a long show needs no more memory than a short one."""
+
+FULL_RATIO: Final = 0.995
+"""From this share on, a limit counts as fully used: planning leaves about a thousandth free."""
+
+
+@dataclass(frozen=True, slots=True)
+class LimitUse:
+    """The largest speed and acceleration of a joint, and their times."""
+
+    joint: Joint
+    speed_deg_s: float
+    speed_at_s: float
+    accel_deg_s2: float
+    accel_at_s: float
+
+    @property
+    def speed_ratio(self) -> float:
+        return self.speed_deg_s / self.joint.speed_max_deg_s
+
+    @property
+    def accel_ratio(self) -> float:
+        return self.accel_deg_s2 / self.joint.accel_max_deg_s2
+
+    @property
+    def faster_ratio(self) -> float:
+        """The factor by which the joint could be faster; acceleration grows with its square."""
+        return 1.0 / max(self.speed_ratio, math.sqrt(self.accel_ratio), 1e-9)
+
+
+def plan_lines(trajectory: Trajectory, robot: Robot) -> list[str]:
+    """Return the length of the plan, what was slowed and why, and the use of each limit."""
+    length = "forever" if trajectory.loop is None else f"{trajectory.duration_s:.3f} s"
+    passes = "" if trajectory.loop == 1 else f", one pass {trajectory.middle.duration_s:.3f} s"
+    lines = [f"{trajectory.name}: {length}{passes}, {len(trajectory.joints)} joints moved"]
+    if not trajectory.stretched:
+        lines.append(
+            "every keyframe is on time" if _has_times(trajectory) else "the file gives no times"
+        )
+    lines += [f"slower: {stretch_text(stretch)}" for stretch in trajectory.stretched]
+    uses = limit_uses(trajectory, robot)
+    width = max(len(name) for name in (*trajectory.joints, "joint"))
+    lines.append(f"{'joint':{width}}  fastest deg/s (limit)   hardest deg/s² (limit)")
+    for use in uses:
+        lines.append(
+            f"{use.joint.name:{width}}  {use.speed_deg_s:7.1f} ({use.joint.speed_max_deg_s:g}) "
+            f"{use.speed_ratio:6.0%}   {use.accel_deg_s2:7.1f} "
+            f"({use.joint.accel_max_deg_s2:g}) {use.accel_ratio:6.0%}"
+        )
+    return [*lines, *_margin_lines(trajectory, uses)]
+
+
+def limit_uses(trajectory: Trajectory, robot: Robot) -> list[LimitUse]:
+    """Return the use of its limits by each joint, over the first pass and one more."""
+    import numpy as np
+
+    end_s = trajectory.first.duration_s
+    if trajectory.loop != 1:
+        end_s += trajectory.middle.duration_s
+    steps = math.ceil(end_s / SAMPLE_S) + 1
+    worst = np.zeros((2, len(trajectory.joints)))
+    worst_at_s = np.zeros_like(worst)
+    for first in range(0, steps, BLOCK_SAMPLES):
+        times_s = np.minimum(np.arange(first, min(first + BLOCK_SAMPLES, steps)) * SAMPLE_S, end_s)
+        for row, order in enumerate((1, 2)):
+            sizes = np.abs(trajectory.sample(times_s, order))
+            tops = sizes.max(axis=0)
+            worst_at_s[row] = np.where(
+                tops > worst[row], times_s[sizes.argmax(axis=0)], worst_at_s[row]
+            )
+            worst[row] = np.maximum(worst[row], tops)
+    return [
+        LimitUse(robot.joints[name], *(float(value) for value in values))
+        for name, *values in zip(
+            trajectory.joints, worst[0], worst_at_s[0], worst[1], worst_at_s[1], strict=True
+        )
+    ]
+
+
+def _margin_lines(trajectory: Trajectory, uses: Sequence[LimitUse]) -> list[str]:
+    """Return the joint that is nearest to a limit, and the possible gain in speed."""
+    tightest = min(uses, key=lambda use: use.faster_ratio)
+    if tightest.speed_ratio >= math.sqrt(tightest.accel_ratio):
+        quantity, unit, at_s = "speed", "deg/s", tightest.speed_at_s
+        value, allowed = tightest.speed_deg_s, tightest.joint.speed_max_deg_s
+    else:
+        quantity, unit, at_s = "acceleration", "deg/s²", tightest.accel_at_s
+        value, allowed = tightest.accel_deg_s2, tightest.joint.accel_max_deg_s2
+    if value == 0.0:
+        return ["nothing moves"]
+    lines = [
+        f"tightest: joint {tightest.joint.name!r}, {quantity} {value:.0f} of {allowed:g} {unit} at "
+        f"{at_s:.3f} s, {max(0.0, 1.0 - value / allowed):.0%} to spare"
+    ]
+    # Rounded down, so that the printed factor is possible.
+    ratio = math.floor(100.0 * tightest.faster_ratio) / 100.0
+    if value >= FULL_RATIO * allowed or ratio <= 1.0:
+        return [*lines, "the show runs as fast as it can; faster would slow more of it down"]
+    pass_s = trajectory.middle.duration_s / ratio
+    return [
+        *lines,
+        f"the show could run {ratio:.2f} times as fast, a pass in {pass_s:.3f} s, before anything "
+        f"must be slowed (--speed {ratio:.2f})",
+    ]
+
+
+def stretch_text(stretch: Stretch) -> str:
+    """Return the text about one span that takes longer than the file sets."""
+    unit = "deg/s" if stretch.limit == "speed" else "deg/s²"
+    return (
+        f"{stretch.from_s:.3f} s to {stretch.to_s:.3f} s takes {stretch.by_s:.3f} s longer: joint "
+        f"{stretch.joint!r} would need {stretch.limit} {stretch.authored:.0f} {unit}, allowed "
+        f"{stretch.allowed:g} {unit}"
+    )
+
+
+def _has_times(trajectory: Trajectory) -> bool:
+    return any(mark.authored_s is not None for mark in trajectory.marks)
+
+
+def program_lines(show: Show) -> list[str]:
+    """Return the lines of `plan_lines`, the load of each bus, and the predicted accuracy."""
+    lines = [] if show.trajectory is None else plan_lines(show.trajectory, show.robot)
+    program = show.program
+    for use in program.line_use.values():
+        lines.append(
+            f"bus {use.bus}: {use.commands} commands, {use.utilisation_ratio:.1%} of "
+            f"{use.baud_bps} bps, {use.worst_100_ms_ratio:.0%} in the worst 100 ms, "
+            f"{use.overlaps} overlaps, at most {use.late_max_us} us late"
+        )
+        if math.isfinite(use.reading_rate_hz):
+            least_hz = show.robot.buses[use.bus].reading_rate_min_hz
+            lines.append(
+                f"bus {use.bus}: {1.0 - use.utilisation_ratio:.1%} free for queries; in the "
+                f"worst second each joint can be read {use.reading_rate_hz:.1f} times "
+                f"(at least {least_hz:g})"
+            )
+    lines += drive_lines(program)
+    errors_deg = {n: e for n, e in program.error_max_deg.items() if n not in _stepped(program)}
+    if errors_deg:
+        name = max(errors_deg, key=lambda joint: errors_deg[joint])
+        lines.append(
+            f"predicted horns stay within {errors_deg[name]:.2f} deg of the plan "
+            f"({name}; tolerance {program.tolerance_deg:g} deg)"
+        )
+    return lines
+
+
+def _stepped(program: Program) -> set[str]:
+    """Return the joints without a tolerance: they move in whole degrees."""
+    return {name for name, driving in program.drives.items() if driving.drive == "stepped"}
+
+
+def drive_lines(program: Program) -> list[str]:
+    """Return a line for every joint with another drive than the usual one: drive and reason."""
+    lines = []
+    for name in program.start_deg:
+        driving = program.drives.get(name)
+        if driving is None and name not in program.drive_reasons:
+            continue
+        how = "timed (D…T… in EM1)"
+        if driving is not None and driving.drive == "streamed":
+            how = f"streamed (bare D in EM0, FPC {driving.filter_count})"
+        elif driving is not None:
+            how = "stepped (whole degrees to an RC servo, no feedback)"
+        error_deg = program.error_max_deg.get(name)
+        within = "" if error_deg is None else f", predicted within {error_deg:.2f} deg"
+        why = program.drive_reasons.get(name, "set by the robot file").partition(": ")
+        lines.append(f"joint {name}: {how}{within}; {why[2] or why[0]}")
+    return lines
+
+
+def show_as_json(show: Show) -> dict[str, Any]:
+    """Return the result of `check --json` for a show; angles in degrees."""
+    program, trajectory = show.program, show.trajectory
+    uses = [] if trajectory is None else limit_uses(trajectory, show.robot)
+    joints: dict[str, dict[str, Any]] = {name: {} for name in program.start_deg}
+    for use in uses:
+        joints[use.joint.name] |= {
+            "speed_deg_s": use.speed_deg_s,
+            "speed_max_deg_s": use.joint.speed_max_deg_s,
+            "speed_at_s": use.speed_at_s,
+            "accel_deg_s2": use.accel_deg_s2,
+            "accel_max_deg_s2": use.joint.accel_max_deg_s2,
+            "accel_at_s": use.accel_at_s,
+        }
+    for name, error_deg in program.error_max_deg.items():
+        joints[name]["error_max_deg"] = error_deg
+    return {
+        "kind": "show",
+        "name": program.name,
+        "robot": program.robot,
+        "duration_s": program.duration_s if trajectory is None else trajectory.duration_s,
+        "tolerance_deg": program.tolerance_deg,
+        "joints": joints,
+        "stretched": [asdict(stretch) for stretch in program.stretched],
+        "buses": {name: asdict(use) for name, use in program.line_use.items()},
+    }
+
+
+def robot_lines(robot: Robot) -> list[str]:
+    """Return the buses of a robot and the limits of each joint; `servo`: read from the servo."""
+    from lss_motion.files.source import counted
+
+    counts = [counted(robot.joints, "joint"), counted(robot.poses, "pose")]
+    lines = [f"{robot.name}: {', '.join(counts)}, {counted(robot.buses, 'bus', 'buses')}"]
+    lines += [f"bus {b.name}: {b.port} at {b.baud_bps} bps" for b in robot.buses.values()]
+    width = max(len(name) for name in (*robot.joints, "joint"))
+    lines.append(f"{'joint':{width}}   id  model          range deg        deg/s   deg/s²")
+    for joint in robot.joints.values():
+        reach = f"{joint.position_min_deg:g} to {joint.position_max_deg:g}"
+        speed, accel = (
+            "servo" if limit in joint.unread else f"{value:g}"
+            for limit, value in (
+                ("speed_max_deg_s", joint.speed_max_deg_s),
+                ("accel_max_deg_s2", joint.accel_max_deg_s2),
+            )
+        )
+        lines.append(
+            f"{joint.name:{width}}  {joint.servo_id:3d}  {joint.model.name:13}  {reach:15}  "
+            f"{speed:>5}  {accel:>7}"
+        )
+    return lines
+
+
+def robot_as_json(robot: Robot) -> dict[str, Any]:
+    """Return the result of `check --json` for a robot file; null: the servo has the limit."""
+    return {
+        "kind": "robot",
+        "name": robot.name,
+        "buses": {b.name: {"port": b.port, "baud_bps": b.baud_bps} for b in robot.buses.values()},
+        "joints": {
+            joint.name: {
+                "bus": joint.bus,
+                "id": joint.servo_id,
+                "model": joint.model.name,
+                "range_deg": [joint.position_min_deg, joint.position_max_deg],
+                **{
+                    limit: None if limit in joint.unread else getattr(joint, limit)
+                    for limit in ("speed_max_deg_s", "accel_max_deg_s2")
+                },
+            }
+            for joint in robot.joints.values()
+        },
+        "poses": list(robot.poses),
+    }
+
+
+def fit_text(fit: Fit) -> str:
+    """Return the text about the reduction of a recording to keys."""
+    return (
+        f"Reduced from {fit.samples_count:,} samples to {fit.keys_count:,} keys in "
+        f"{fit.keyframes_count:,} keyframes: at most {fit.error_max_deg:.2f} deg off (joint "
+        f"{fit.joint} at {fit.at_s:.2f} s), {fit.error_rms_deg:.2f} deg RMS."
+    )

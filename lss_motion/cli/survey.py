@@ -1,0 +1,119 @@
+"""Finds the servos of a bus over an open connection. Sends queries only; moves nothing.
+
+`survey` tries baud rates and ids, for `scan`. `roll_call` finds all ids at the present rate, for
+`monitor` and `configure`. `query_each` sends queries to single ids, one at a time, so that replies
+of two servos with the same id are noticed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from lss_motion.connection import Connection
+    from lss_motion.maintenance.discovery import Look, Present
+    from lss_motion.robot.model import Bus
+
+
+def survey(connection: Connection, bus: Bus, baud_bps: int | None) -> list[Look]:
+    """Return the servos of a bus, at `baud_bps` or at every rate with a reply.
+
+    Leaves the port at the rate with the most replies.
+    """
+    from lss_motion.maintenance.discovery import RATES_BPS, Listening, presence_steps
+
+    rates_bps = list(dict.fromkeys((bus.baud_bps, *RATES_BPS))) if baud_bps is None else [baud_bps]
+    used_bps = []
+    for rate_bps in rates_bps:
+        _progress(f"{bus.port}: {rate_bps} bps")
+        connection.set_baud(bus.name, rate_bps)
+        if any(connection.run(Listening(bus.name, presence_steps(rate_bps))).heard):
+            used_bps.append(rate_bps)
+    looks: list[Look] = []
+    for rate_bps in (
+        used_bps or rates_bps[:1]
+    ):  # A lone 2IO with other ids replies to its own ids only.
+        _progress(f"{bus.port}: {rate_bps} bps, all ids")
+        connection.set_baud(bus.name, rate_bps)
+        looks += _look(connection, bus.name, rate_bps)
+    counts = [look.baud_bps for look in looks]
+    if counts:
+        connection.set_baud(bus.name, max(counts, key=counts.count))
+    _progress("")
+    return looks
+
+
+def roll_call(connection: Connection, bus_name: str) -> list[Present]:
+    """Return the servos that reply on a bus at its present rate."""
+    from lss_motion.maintenance import discovery
+    from lss_motion.maintenance.discovery import Listening
+    from lss_motion.protocol.constants import ID_MAX
+
+    baud_bps = connection.buses[bus_name].baud_bps
+    models: dict[int, str] = {}
+    doubtful: set[int] = set()
+    for _ in range(discovery.CALLS):
+        left = [servo_id for servo_id in range(ID_MAX + 1) if servo_id not in models]
+        heard = connection.run(Listening(bus_name, discovery.call_steps(baud_bps, left))).heard
+        answered, again = discovery.called(baud_bps, left, heard)
+        models |= answered
+        doubtful |= again
+    found = {servo_id: models.get(servo_id, "") for servo_id in sorted(models.keys() | doubtful)}
+    return query_each(connection, bus_name, found)
+
+
+def query_each(connection: Connection, bus_name: str, models: Mapping[int, str]) -> list[Present]:
+    """Return the servos that reply at these ids. `models` may be empty texts."""
+    from lss_motion.maintenance import discovery
+    from lss_motion.maintenance.discovery import Listening
+    from lss_motion.protocol.constants import Family
+
+    baud_bps = connection.buses[bus_name].baud_bps
+    replies: dict[int, list[bytes]] = {servo_id: [] for servo_id in models}
+
+    def query(ids: Iterable[int], keyword: str, times: int) -> None:
+        asked = [servo_id for servo_id in ids for _ in range(times)]
+        steps = [discovery.question_alone(servo_id, keyword, baud_bps) for servo_id in asked]
+        for servo_id, data in zip(
+            asked, connection.run(Listening(bus_name, steps)).heard, strict=True
+        ):
+            replies[servo_id].append(data)
+
+    query(models, "QMS", discovery.ASKED_ALONE)
+    judged = {
+        servo_id: discovery.judged(servo_id, models[servo_id], replies[servo_id])
+        for servo_id in models
+    }
+    numbered = [n for n, present in judged.items() if present and present.family is not Family.IO2]
+    query(numbered, "QN", discovery.ASKED_ALONE)
+    doubtful = [n for n in models if discovery.is_doubtful(n, replies[n])]
+    query([n for n in doubtful if n in numbered], "QN", discovery.ASKED_AGAIN)
+    query([n for n in doubtful if n not in numbered], "QMS", discovery.ASKED_AGAIN)
+    final = (discovery.judged(n, models[n], replies[n]) for n in models)
+    return [present for present in final if present is not None]
+
+
+def _look(connection: Connection, bus_name: str, baud_bps: int) -> list[Look]:
+    from lss_motion.maintenance import discovery
+
+    found = roll_call(connection, bus_name)
+    items = [item for p in found if not p.is_shared for item in discovery.questions(bus_name, p)]
+    answers = connection.ask(items)
+    looks = [discovery.look(bus_name, baud_bps, present, answers) for present in found]
+    causes = connection.ask(discovery.cause_questions(looks))
+    return [
+        dataclasses.replace(seen, cause=discovery.cause_of(seen, causes))
+        if (bus_name, seen.servo_id, "Q") in causes
+        else seen
+        for seen in looks
+    ]
+
+
+def _progress(text: str) -> None:
+    """Show the present step on a terminal, in place of the one before."""
+    if sys.stderr.isatty():
+        print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
