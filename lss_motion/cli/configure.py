@@ -359,8 +359,8 @@ def _change_baud(connection: Connection, robot: Robot | None, arguments: argpars
     left = [str(present.servo_id) for present in servos if present.servo_id not in expected]
     if left and not arguments.force:
         raise InputError(
-            f"servo {', '.join(left)} would stay at {bus.baud_bps} bps, but the servos of a bus need "
-            f"one rate. Leave --id out to change all, or add --force"
+            f"servo {', '.join(left)} would stay at {bus.baud_bps} bps, but a bus has one "
+            f"rate. Leave --id out to change all, or add --force"
         )
     print(
         f"{len(chosen)} ids go from {bus.baud_bps} to {rate_bps} bps; "
