@@ -94,7 +94,7 @@ def test_an_edited_file_is_overwritten_with_force_only(lss):
     (lss.folder / "wave.yaml").unlink()
     refused = lss("lss-motion", "example", "wave")
     assert refused.returncode == 2
-    assert "desk_arm.yaml: is there already" in refused.stderr
+    assert "desk_arm.yaml: exists already" in refused.stderr
     assert "--force" in refused.stderr
     assert robot.read_text(encoding="utf-8") == "robot: mine\n"
     assert not (lss.folder / "wave.yaml").exists(), "nothing is written by halves"

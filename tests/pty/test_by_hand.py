@@ -147,7 +147,7 @@ def test_poses_and_a_stretch_that_a_hand_shows_become_a_sequence(tmp_path):
         someone.press("r")
         someone.wait_for("recorded")
         someone.press("pu")
-        someone.wait_for("forgotten")
+        someone.wait_for("removed")
         someone.press("q")
         code = someone.end()
         assert code == 0, someone.said

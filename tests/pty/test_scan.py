@@ -23,8 +23,8 @@ def test_a_bag_of_servos_is_found_with_all_that_is_wrong(on_terminal, servo, lss
         code, out, errors = lss_motion("scan", port, "-o", starter)
         heard = {line for _, line in bus.heard}
     assert (code, errors) == (EXIT_UNREACHABLE, "")
-    assert f"{port} at 115200 bps: 10 ids answer" in out
-    assert f"{port} at 250000 bps: 1 id answers" in out
+    assert f"{port} at 115200 bps: 10 ids reply" in out
+    assert f"{port} at 250000 bps: 1 id replies" in out
     assert "id 0 at 115200 bps: several servos answer at once" in out
     assert "servo 5 is in safe mode (temperature)" in out
     assert "servo 7 listens at 250000 bps" in out
@@ -108,7 +108,7 @@ def test_what_exists_is_not_overwritten_and_no_rate_is_guessed(lss_motion, tmp_p
     (tmp_path / "mine.yaml").write_text("mine")
     code, _, errors = lss_motion("scan", "/dev/null", "-o", tmp_path / "mine.yaml")
     assert code == EXIT_INPUT
-    assert "is there already" in errors
+    assert "exists already" in errors
     code, _, errors = lss_motion("scan", "/dev/null", "--baud", 31250)
     assert code == EXIT_INPUT
-    assert "servos know 9600" in errors
+    assert "servos support 9600" in errors

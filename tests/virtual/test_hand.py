@@ -167,5 +167,5 @@ def test_the_command_writes_a_file_that_plays(tmp_path, capsys) -> None:
     assert "every keyframe is on time" in said
     robot = load_robot(ARM)
     assert 3.0 <= plan(load_sequence(out, robot), robot).duration_s < 4.5
-    assert main(["record", *options]) == 2  # It is there already.
+    assert main(["record", *options]) == 2  # It exists already.
     assert "--force" in capsys.readouterr().err

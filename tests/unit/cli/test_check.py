@@ -48,7 +48,7 @@ def test_what_is_said_about_speed_is_true(robot):
 
 def test_a_show_at_its_limits_says_so(robot):
     lines = plan_lines(plan(show((None, 0.0), (None, 90.0), timing=Timing.FASTEST), robot), robot)
-    assert lines[-1] == "the show runs as fast as it can without slowing more of it"
+    assert lines[-1] == "the show runs as fast as it can; faster would slow more of it down"
     assert "0% to spare" in lines[-2]
 
 

@@ -89,7 +89,7 @@ def test_a_yaml_file_is_overwritten_with_force_only(words, code, capsys, tmp_pat
     table.write_text("t_s,base\n0,0\n1,20\n2,0\n", encoding="utf-8")
     words = [str(table) if word.endswith("motion.csv") else word for word in words]
     assert main([*words, str(path)]) == 2
-    assert f"{path}: is there already" in capsys.readouterr().err
+    assert f"{path}: exists already" in capsys.readouterr().err
     assert path.read_text(encoding="utf-8") == "mine\n"
     assert main([*words, str(path), "--force"]) == code
     assert path.read_text(encoding="utf-8") != "mine\n"

@@ -64,7 +64,7 @@ def test_a_frame_shows_what_the_line_does_now(frames):
         share, answers_hz = frame["buses"]["main"]
         assert 0.3 < share < 1.0
         assert 800 < answers_hz < 1800
-    assert "answers/s" in drawn(in_show(frames)[20])
+    assert "replies/s" in drawn(in_show(frames)[20])
 
 
 def test_what_goes_wrong_stands_out_and_the_keys_are_seen_on_a_low_terminal(frames):

@@ -73,7 +73,7 @@ def test_a_show_follows_many_times_better_with_what_was_identified(
     asked = ["identify", "--robot", "robot.yaml", "pan", "--virtual", "-o", "found.yaml"]
     assert main(asked) == 0
     said = capsys.readouterr().out
-    assert "simulated: nothing here says anything about a real one" in said
+    assert "simulated: these values tell nothing about a real robot" in said
     assert difference in said
     assert (folder / "robot.yaml").read_text() == ROBOT
     found = (folder / "found.yaml").read_text()
@@ -92,8 +92,8 @@ def test_a_show_follows_many_times_better_with_what_was_identified(
         (["pan", "--span-deg", "2"], 2, "too little to measure"),
         (["pan", "--span-deg", "nan"], 2, "too little to measure"),
         (["pan", "-o", "robot.yaml"], 2, "choose another name"),
-        (["pan", "-o", "nowhere/found.yaml"], 2, "no such folder"),
-        (["pan", "--port", "/dev/does-not-exist"], 2, "give --yes"),
+        (["pan", "-o", "nowhere/found.yaml"], 2, "folder does not exist"),
+        (["pan", "--port", "/dev/does-not-exist"], 2, "add --yes"),
         (["pan", "--port", "/dev/does-not-exist", "--yes"], 4, "no such device"),
         (["pan", "--port", "/dev/x", "--virtual", "--yes"], 2, "--virtual needs the simulated"),
     ],
@@ -110,5 +110,5 @@ def test_an_rc_servo_has_nothing_to_measure(folder):
     robot = load_robot("robot.yaml")
     model = replace(robot.joints["pan"].model, name="LSS-2IO", family=Family.IO2)
     rc = replace(robot, joints={"eye": replace(robot.joints["pan"], name="eye", model=model)})
-    with pytest.raises(InputError, match="does not say where it is"):
+    with pytest.raises(InputError, match="reports no position"):
         identify._joints(rc, ["eye"])

@@ -69,7 +69,7 @@ def test_a_pipe_whose_reader_has_gone_is_given_up_and_that_is_said_once(monkeypa
         for text in ("one", "two", "three"):
             printer.print(text)
     said = capsys.readouterr().err
-    assert said.count("warning: standard output cannot be written to") == 1
+    assert said.count("warning: standard output cannot be written") == 1
     assert "Broken pipe" in said
 
 

@@ -255,7 +255,7 @@ def test_a_full_disk_under_standard_output_ends_no_show(folder):
         )
     assert done.returncode == 0
     [line] = done.stderr.decode().splitlines()
-    assert "standard output cannot be written to (No space left on device)" in line
+    assert "standard output cannot be written (No space left on device)" in line
     assert json.loads(report.read_text())["played_s"] == 2.0
 
 

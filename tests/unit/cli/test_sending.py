@@ -123,7 +123,7 @@ def test_a_board_obeys_and_answers(send, tmp_path):
         assert send(*asked, "--id", 203, "QA", 1)[:2] == (EXIT_FINISHED, "*203QA50   50 mm")
         code, out, errors = send(*asked, "--id", 254, "QMS")
     assert (code, out) == (EXIT_UNREACHABLE, "")
-    assert "no answer to QMS from servo 254" in errors
+    assert "no reply to QMS from servo 254" in errors
 
 
 MODELS = {
@@ -137,7 +137,7 @@ MODELS = {
 def test_a_servo_that_is_not_there_ends_with_its_exit_code(send, robot):
     code, out, errors = send("--robot", robot, "--id", 77, "QD")
     assert (code, out) == (EXIT_UNREACHABLE, "")
-    assert "no answer to QD from servo 77 on sim:// at 115200 bps" in errors
+    assert "no reply to QD from servo 77 on sim:// at 115200 bps" in errors
 
 
 def test_a_port_that_does_not_exist_is_named(send):
@@ -151,7 +151,7 @@ def test_a_port_that_does_not_exist_is_named(send):
     [
         (["QDD"], "'QDD' is no LSS keyword; did you mean QD"),
         (["D", "fast"], "'fast' is not a number"),
-        (["D", "90", "T"], "then pairs of modifier and value"),
+        (["D", "90", "T"], "then by pairs of modifier and value"),
         (["LED", "9"], "LED 9: allowed are 0 to 7"),
         (["D", "90", "X", "1"], "allowed modifiers are T, SD, CH, CL"),
         (["D"], "D needs a value"),
@@ -175,7 +175,7 @@ def test_newer_commands_are_refused_for_older_firmware(send, robot):
 def test_without_a_port_or_a_robot_nothing_is_sent(send, port):
     code, _, errors = send(*port, "--id", 5, "QD")
     assert code == EXIT_INPUT
-    assert "give --port, or --robot with the servos to simulate" in errors
+    assert "give --port, or --robot with the servos that are simulated" in errors
 
 
 def test_negative_values_are_values(send, tmp_path):

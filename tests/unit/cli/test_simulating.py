@@ -56,7 +56,7 @@ def test_help_names_every_fault_and_what_is_not_modelled(capsys):
     for kind in FaultKind:
         assert f"  {kind} " in out
         assert MEANINGS[kind] in out
-    assert "Not modelled: " in out
+    assert "Not simulated: " in out
 
 
 def test_a_show_meets_the_faults_of_the_file(lss_play, folder):
@@ -113,4 +113,4 @@ def test_a_latency_that_no_adapter_has_is_refused(folder, text, capsys):
     with pytest.raises(SystemExit) as ended:
         main(["sim", str(folder / "robot.yaml"), f"--usb-latency-ms={text}"])
     assert ended.value.code == EXIT_INPUT
-    assert "is not in 0 to 255" in capsys.readouterr().err
+    assert "is not a whole number from 0 to 255" in capsys.readouterr().err

@@ -62,7 +62,7 @@ def test_a_template_is_edited_and_used(folder: Path, capsys) -> None:
     assert "--make-map" in capsys.readouterr().err
     assert run(folder, "motions.yaml", "--motion", "high", "--make-map", "map.yaml") == 0
     assert run(folder, "motions.yaml", "--motion", "high", "--make-map", "map.yaml") == 2
-    assert "is there already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
     path = folder / "map.yaml"
     text = path.read_text(encoding="utf-8")
     edited = text.replace('name: "lift_joint"', "unit: m, scale: 300")

@@ -79,7 +79,7 @@ def test_a_robot_file_is_compared_written_and_kept_over_a_restart(connected, spe
     lines = heard(connection)
     assert lines.index(b"#2L\r") < lines.index(b"#2CG-1\r")
     code, out, _ = configure(connection, "robot.yaml", "--yes")
-    assert "nothing to write: 2 servos are as wanted" in out
+    assert "nothing to write: 2 servos have these settings already" in out
 
 
 def test_session_settings_leave_the_eeprom_alone(connected, spec, configure):
@@ -157,7 +157,7 @@ def test_a_servo_that_stops_answering_is_reported(connected, spec):
     connection = connected(spec(1), faults=[gone])
     (target,) = targets_by(connection, [1])
     connection.wait(1.0)
-    with pytest.raises(BusError, match=r"servo 1 .* does not answer any more"):
+    with pytest.raises(BusError, match=r"servo 1 .* no longer replies"):
         write(connection, [target], {target.name: {"LED": 3}})
 
 
@@ -278,7 +278,7 @@ def test_a_backup_is_not_written_into_another_servo_unless_forced(connected, spe
         ),
         (
             "backup: 1\nservos:\n  - {bus: left, id: 5, model: LSS-ST1, settings: {O: 3}}\n",
-            "no bus 'left'",
+            "unknown bus 'left'",
         ),
     ],
 )
@@ -296,7 +296,7 @@ def test_new_servos_with_id_0_are_numbered_one_by_one(connected, spec, configure
     connection = connected(spec(0, model), spec(3))
     words = ("--port", "P", "--id", 0, "--new-id")
     code, _, errors = configure(connection, *words, 3, "--yes")
-    assert (code, "id 3 is taken" in errors) == (EXIT_INPUT, True)
+    assert (code, "id 3 is used" in errors) == (EXIT_INPUT, True)
     code, out, _ = configure(connection, *words, 7, "--dry-run")
     assert (code, "id 0 → 7" in out) == (EXIT_FINISHED, True)
     assert sorted(servos(connection)) == [0, 3]
@@ -306,7 +306,7 @@ def test_new_servos_with_id_0_are_numbered_one_by_one(connected, spec, configure
     assert "now has id 7" in out
     assert sorted(servos(connection)) == [3, 7]
     code, _, errors = configure(connection, *words, 8, "--yes")
-    assert (code, "no servo answers to id 0" in errors) == (EXIT_UNREACHABLE, True)
+    assert (code, "no servo replies at id 0" in errors) == (EXIT_UNREACHABLE, True)
 
 
 def test_two_servos_with_one_id_are_not_renumbered_together(connected, spec, configure):
@@ -328,7 +328,7 @@ def test_all_servos_of_a_line_change_their_rate_together(connected, spec, config
     connection = connected(spec(1), spec(2), spec(209, "LSS-2IO"))
     code, out, errors = configure(connection, "--port", "P", "--new-baud", 500000, "--yes")
     assert (code, errors) == (EXIT_FINISHED, "")
-    assert "all answer at 500000 bps" in out
+    assert "all servos reply at 500000 bps" in out
     bus = connection.simulated["main"]
     assert {servo.baud_bps for servo in bus._servos} == {500000}
     assert bus._boards[0].baud_bps == 500000
@@ -354,7 +354,7 @@ def test_a_part_of_a_line_changes_its_rate_only_when_forced(connected, spec, con
     code, _, errors = configure(connection, *words)
     assert (code, "servo 2 would stay at 115200 bps" in errors) == (EXIT_INPUT, True)
     code, _, errors = configure(connected(spec(1)), "robot.yaml", *words[-3:])
-    assert (code, "servo 2 does not answer and would stay" in errors) == (EXIT_INPUT, True)
+    assert (code, "servo 2 does not reply and would stay" in errors) == (EXIT_INPUT, True)
     assert configure(connection, *words, "--force")[0] == EXIT_FINISHED
     rates = {servo.servo_id: servo.baud_bps for servo in connection.simulated["main"]._servos}
     assert rates == {1: 9600, 2: 115200}
@@ -371,12 +371,12 @@ def test_a_part_of_a_line_changes_its_rate_only_when_forced(connected, spec, con
         (("robot.yaml", "--set", "OX=3"), "'OX' is no setting that LSS stores"),
         (("robot.yaml", "--set", "AS=11"), "allowed are -10 to 10"),
         (("robot.yaml", "--set", "AS=DIS"), "AS has no DIS"),
-        (("robot.yaml", "--new-id", "7"), "say which with --id"),
-        (("--port", "P", "--id", "1", "--new-id", "251"), "allowed are 0 to 250"),
-        (("--port", "P", "--new-baud", "1000"), "servos know 9600"),
-        (("robot.yaml", "--backup", "b.yaml", "--set", "O=1"), "go without"),
-        (("robot.yaml", "--restore", "b.yaml", "--session"), "go without"),
-        (("robot.yaml", "--set", "LED=1"), "nobody is there to ask; add --yes"),
+        (("robot.yaml", "--new-id", "7"), "give its present id with --id"),
+        (("--port", "P", "--id", "1", "--new-id", "251"), "an id is from 0 to 250"),
+        (("--port", "P", "--new-baud", "1000"), "servos support 9600"),
+        (("robot.yaml", "--backup", "b.yaml", "--set", "O=1"), "cannot be used with"),
+        (("robot.yaml", "--restore", "b.yaml", "--session"), "cannot be used with"),
+        (("robot.yaml", "--set", "LED=1"), "there is no terminal to agree on; add --yes"),
     ],
 )
 def test_invalid_words_are_refused_with_the_valid_ones(connected, spec, configure, words, said):
