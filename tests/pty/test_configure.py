@@ -34,7 +34,7 @@ def test_a_servo_that_restarts_meanwhile_and_one_that_is_missing(on_terminal, se
         code, _, errors = lss_motion("configure", "robot.yaml", "--yes")
         assert not any(b"#1C" in line for _, line in bus.heard)
     assert code == EXIT_UNREACHABLE
-    assert "no servo answers to id 2" in errors
+    assert "no servo replies at id 2" in errors
 
 
 def test_a_servo_of_the_bag_gets_its_id_and_goes_to_the_rate_of_the_others(

@@ -125,7 +125,7 @@ def test_on_a_terminal_there_is_a_table_and_ctrl_c_ends_it(on_terminal, servo):
     ("words", "said"),
     [
         ((), "give a ROBOT file, or --port"),
-        (("robot.yaml", "--csv", "no/such/f.csv"), "cannot write it"),
+        (("robot.yaml", "--csv", "no/such/f.csv"), "cannot be written"),
     ],
 )
 def test_what_cannot_be_meant_is_refused(lss_motion, tmp_path, monkeypatch, words, said):
