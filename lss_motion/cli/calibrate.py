@@ -164,7 +164,7 @@ class CalibrateControls(HandsControls):
         frames = dict(self._frames)
         origins: dict[str, int] = {}
         for name, frame in self._frames.items() if self._is_to_servos else ():
-            origin, gyre = hands_on.answered(name, "QO"), hands_on.answered(name, "QG")
+            origin, gyre = hands_on.answer_of(name, "QO"), hands_on.answer_of(name, "QG")
             if origin is None or gyre is None:
                 self.print(f"{name} did not report its origin and gyre; its servo is not changed")
                 continue

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
     from lss_motion.cli.commands import Commands
     from lss_motion.connection import Connection
-    from lss_motion.maintenance.backup import Kept
-    from lss_motion.maintenance.discovery import Present
+    from lss_motion.maintenance.backup import ServoBackup
+    from lss_motion.maintenance.discovery import ServoIdentity
     from lss_motion.maintenance.settings import Target
     from lss_motion.robot.model import Bus, Robot
 
@@ -189,7 +189,7 @@ def _targets(
     """Return the chosen servos; each of them has replied."""
     from lss_motion.cli.servo_settings import targets_at
     from lss_motion.cli.survey import roll_call
-    from lss_motion.robot.servo_models import other_model
+    from lss_motion.robot.servo_models import model_mismatch_text
 
     if robot is None:
         ids = arguments.ids or [present.servo_id for present in roll_call(connection, "main")]
@@ -265,7 +265,7 @@ def _show(connection: Connection, targets: Sequence[Target], arguments: argparse
         for name, row in target.rows(is_session=arguments.session).items():
             is_whole = is_whole and name in found[target.name]
             value = found[target.name].get(name)
-            shown = settings.said(row, value) if name in found[target.name] else "no reply"
+            shown = settings.value_text(row, value) if name in found[target.name] else "no reply"
             print(f"  {name:10} {shown:16} {row.meaning}")
     return EXIT_FINISHED if is_whole else EXIT_UNREACHABLE
 
@@ -384,7 +384,7 @@ def _back_up(
     """Write all stored settings to a file."""
     from lss_motion.cli import servo_settings
     from lss_motion.cli.survey import query_each
-    from lss_motion.maintenance.backup import Kept, backup_text
+    from lss_motion.maintenance.backup import ServoBackup, backup_text
 
     refuse_overwriting(path, is_forced=is_forced)
     found = servo_settings.read_whole(connection, targets)

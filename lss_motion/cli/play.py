@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from lss_motion.cli.shows import Show
     from lss_motion.cli.terminal import Terminal
     from lss_motion.errors import LssMotionError
+    from lss_motion.perform import Result
     from lss_motion.robot.model import Robot
     from lss_motion.sim.faults import Fault
 
@@ -209,6 +210,7 @@ def _perform(
 ) -> Result:
     from lss_motion.cli.display import Display
     from lss_motion.cli.terminal import LoggedControls
+    from lss_motion.perform import Observer, perform
 
     with contextlib.ExitStack() as stack:
         display = None
@@ -224,8 +226,8 @@ def _perform(
             stack.enter_context(log)
         note = print_line if display is None else display.note
         controls = terminal if log is None else LoggedControls(terminal, log)
-        note_answer = None if log is None else log.asked_for
-        observer = api.Observer(
+        note_answer = None if log is None else log.requested
+        observer = Observer(
             on_event=lambda event: print_event(event, note),
             on_turn=None if display is None else display.show,
             controls=Confirmation(controls, terminal, robot.name, note_answer),
@@ -285,14 +287,14 @@ def _explained(error: LssMotionError, result: Result) -> LssMotionError:
         f"themselves, and keep the settings of the show until they are switched off"
     )
     if result.player.show is not None:
-        played_s = result.report["played_s"]
+        played_s = result.report.played_s
         text += f". The show stopped at {played_s:.2f} s; --from {played_s:.2f} continues it"
     return LostPortError(text, url=error.url)
 
 
 def _exit_code(result: Result, terminal: Terminal) -> int:
     """Return the exit code of a show; print the fault that ended it early."""
-    match result.report["outcome"]:
+    match result.report.outcome:
         case "stopped":
             return ended_by(terminal.signal_number)
         case "fault":

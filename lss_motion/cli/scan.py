@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from lss_motion.cli.commands import Commands
-    from lss_motion.maintenance.discovery import Look
+    from lss_motion.maintenance.discovery import ServoCondition
     from lss_motion.robot.model import Bus, Robot
 
 

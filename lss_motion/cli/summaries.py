@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from lss_motion.cli.shows import Show
-    from lss_motion.interchange.reduce import Fit
+    from lss_motion.interchange.reduce import KeyFit
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Joint, Robot
-    from lss_motion.trajectory.model import Stretch, Trajectory
+    from lss_motion.trajectory.model import SlowSpan, Trajectory
 
 
 SAMPLE_S: Final = 0.001
@@ -130,7 +130,7 @@ def _margin_lines(trajectory: Trajectory, uses: Sequence[LimitUse]) -> list[str]
     ]
 
 
-def stretch_text(stretch: Stretch) -> str:
+def stretch_text(stretch: SlowSpan) -> str:
     """Return the text about one span that takes longer than the file sets."""
     unit = "deg/s" if stretch.limit == "speed" else "deg/s²"
     return (
@@ -272,7 +272,7 @@ def robot_as_json(robot: Robot) -> dict[str, Any]:
     }
 
 
-def fit_text(fit: Fit) -> str:
+def fit_text(fit: KeyFit) -> str:
     """Return the text about the reduction of a recording to keys."""
     return (
         f"Reduced from {fit.samples_count:,} samples to {fit.keys_count:,} keys in "

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from lss_motion.connection import Connection
-    from lss_motion.maintenance.discovery import Look, Present
+    from lss_motion.maintenance.discovery import ServoCondition, ServoIdentity
     from lss_motion.robot.model import Bus
 
 
-def survey(connection: Connection, bus: Bus, baud_bps: int | None) -> list[Look]:
+def survey(connection: Connection, bus: Bus, baud_bps: int | None) -> list[ServoCondition]:
     """Return the servos of a bus, at `baud_bps` or at every rate with a reply.
 
     Leaves the port at the rate with the most replies.
@@ -31,9 +31,9 @@ def survey(connection: Connection, bus: Bus, baud_bps: int | None) -> list[Look]
     for rate_bps in rates_bps:
         _progress(f"{bus.port}: {rate_bps} bps")
         connection.set_baud(bus.name, rate_bps)
-        if any(connection.run(Listening(bus.name, presence_steps(rate_bps))).heard):
+        if any(connection.run(Listening(bus.name, presence_steps(rate_bps))).received):
             used_bps.append(rate_bps)
-    looks: list[Look] = []
+    looks: list[ServoCondition] = []
     for rate_bps in (
         used_bps or rates_bps[:1]
     ):  # A lone 2IO with other ids replies to its own ids only.
@@ -47,7 +47,7 @@ def survey(connection: Connection, bus: Bus, baud_bps: int | None) -> list[Look]
     return looks
 
 
-def roll_call(connection: Connection, bus_name: str) -> list[Present]:
+def roll_call(connection: Connection, bus_name: str) -> list[ServoIdentity]:
     """Return the servos that reply on a bus at its present rate."""
     from lss_motion.maintenance import discovery
     from lss_motion.maintenance.discovery import Listening
@@ -56,17 +56,21 @@ def roll_call(connection: Connection, bus_name: str) -> list[Present]:
     baud_bps = connection.buses[bus_name].baud_bps
     models: dict[int, str] = {}
     doubtful: set[int] = set()
-    for _ in range(discovery.CALLS):
+    for _ in range(discovery.ROLL_CALLS):
         left = [servo_id for servo_id in range(ID_MAX + 1) if servo_id not in models]
-        heard = connection.run(Listening(bus_name, discovery.call_steps(baud_bps, left))).heard
-        answered, again = discovery.called(baud_bps, left, heard)
+        heard = connection.run(
+            Listening(bus_name, discovery.roll_call_steps(baud_bps, left))
+        ).received
+        answered, again = discovery.read_roll_call(baud_bps, left, heard)
         models |= answered
         doubtful |= again
     found = {servo_id: models.get(servo_id, "") for servo_id in sorted(models.keys() | doubtful)}
     return query_each(connection, bus_name, found)
 
 
-def query_each(connection: Connection, bus_name: str, models: Mapping[int, str]) -> list[Present]:
+def query_each(
+    connection: Connection, bus_name: str, models: Mapping[int, str]
+) -> list[ServoIdentity]:
     """Return the servos that reply at these ids. `models` may be empty texts."""
     from lss_motion.maintenance import discovery
     from lss_motion.maintenance.discovery import Listening
@@ -79,13 +83,13 @@ def query_each(connection: Connection, bus_name: str, models: Mapping[int, str])
         asked = [servo_id for servo_id in ids for _ in range(times)]
         steps = [discovery.question_alone(servo_id, keyword, baud_bps) for servo_id in asked]
         for servo_id, data in zip(
-            asked, connection.run(Listening(bus_name, steps)).heard, strict=True
+            asked, connection.run(Listening(bus_name, steps)).received, strict=True
         ):
             replies[servo_id].append(data)
 
     query(models, "QMS", discovery.ASKED_ALONE)
     judged = {
-        servo_id: discovery.judged(servo_id, models[servo_id], replies[servo_id])
+        servo_id: discovery.judge_answers(servo_id, models[servo_id], replies[servo_id])
         for servo_id in models
     }
     numbered = [n for n, present in judged.items() if present and present.family is not Family.IO2]
@@ -93,20 +97,20 @@ def query_each(connection: Connection, bus_name: str, models: Mapping[int, str])
     doubtful = [n for n in models if discovery.is_doubtful(n, replies[n])]
     query([n for n in doubtful if n in numbered], "QN", discovery.ASKED_AGAIN)
     query([n for n in doubtful if n not in numbered], "QMS", discovery.ASKED_AGAIN)
-    final = (discovery.judged(n, models[n], replies[n]) for n in models)
+    final = (discovery.judge_answers(n, models[n], replies[n]) for n in models)
     return [present for present in final if present is not None]
 
 
-def _look(connection: Connection, bus_name: str, baud_bps: int) -> list[Look]:
+def _look(connection: Connection, bus_name: str, baud_bps: int) -> list[ServoCondition]:
     from lss_motion.maintenance import discovery
 
     found = roll_call(connection, bus_name)
     items = [item for p in found if not p.is_shared for item in discovery.questions(bus_name, p)]
     answers = connection.ask(items)
-    looks = [discovery.look(bus_name, baud_bps, present, answers) for present in found]
+    looks = [discovery.read_condition(bus_name, baud_bps, present, answers) for present in found]
     causes = connection.ask(discovery.cause_questions(looks))
     return [
-        dataclasses.replace(seen, cause=discovery.cause_of(seen, causes))
+        dataclasses.replace(seen, cause=discovery.read_cause(seen, causes))
         if (bus_name, seen.servo_id, "Q") in causes
         else seen
         for seen in looks
