@@ -224,7 +224,7 @@ class HandsOn:
     # ---- calls of the run loop
 
     def data_to_send(self, leaves_ns: int) -> Mapping[str, bytes]:
-        self._leaves_ns = leaves_ns
+        self._now_ns = leaves_ns
         while self._dialogue is not None:
             self._dialogue.advance(leaves_ns)
             if not self._dialogue.is_finished:

@@ -120,7 +120,7 @@ class Experiment:
     # ---- calls of the run loop
 
     def data_to_send(self, leaves_ns: int) -> Mapping[str, bytes]:
-        self._leaves_ns = leaves_ns
+        self._now_ns = leaves_ns
         while self._step(leaves_ns):
             pass
         data = self._line.take()
