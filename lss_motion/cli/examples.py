@@ -1,7 +1,7 @@
 """The command `example`: list the packaged examples, write one into the current folder.
 
-A wheel has them in `lss_motion/examples`, a checkout in `sequences/`. The schemas that they name are
-packaged in `lss_motion/schema`; a written example gets a copy beside it.
+A wheel has them in `lss_motion/examples`, a checkout in `sequences/`. The schemas that they name
+are packaged in `lss_motion/schema`; a written example gets a copy beside it.
 """
 
 from __future__ import annotations
