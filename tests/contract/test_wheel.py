@@ -127,6 +127,7 @@ def test_the_wheel_has_types_version_programs_and_a_readme_that_stands_alone(whe
     text = metadata.get_payload()
     assert "# lss_motion" in text
     assert "](sequences/" not in text
+    assert "](lss_motion/" not in text
 
 
 def test_with_a_repository_pictures_and_links_of_the_readme_lead_there():
