@@ -1,4 +1,4 @@
-"""The table of `tools/FIGURES.md` and one line of the README, made from what `tools/bench.py all --json` has written."""
+"""The table of `tools/FIGURES.md` and one line of the README, from `tools/bench.py all --json`."""
 
 from __future__ import annotations
 
@@ -100,8 +100,8 @@ def line() -> str:
     pick = next(pick for pick in PICKS if pick.bench == "horn")
     row = _row(pick, run["benches"][pick.bench])
     return (
-        f"Error of a simulated horn against its plan: {row['ours']} RMS, against {row['reference']} "
-        f"with one `D…T…` a keyframe.\n"
+        f"Error of a simulated horn against its plan: {row['ours']} RMS, "
+        f"against {row['reference']} with one `D…T…` a keyframe.\n"
     )
 
 
