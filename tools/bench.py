@@ -4,7 +4,7 @@ tools/run tools/bench.py                 everything, in less than ten minutes on
 tools/run tools/bench.py codec plan      some of it, the long way where there is one
 tools/run tools/bench.py scaling --full  shows of up to an hour
 tools/run tools/bench.py all --json F    also as JSON
-tools/run tools/bench.py all --readme    and into the table of the README
+tools/run tools/bench.py all --readme    and into tools/FIGURES.md and README.md
 """
 
 from __future__ import annotations

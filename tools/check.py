@@ -78,12 +78,12 @@ def _readme() -> bool:
 
 
 def _figures() -> bool:
-    """Return whether the table of the README has the figures of the last run of the bench."""
+    """Return whether `tools/FIGURES.md` and README show the last run of the bench."""
     from benches import headline
 
     if headline.is_current():
         return True
-    print("the table of the README differs from tools/benches/last.json; write it again:")
+    print("tools/FIGURES.md or README.md differs from tools/benches/last.json; write them again:")
     print("tools/run tools/bench.py all --readme")
     return False
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Write `sequences/reference.md`: every key of the files and every option of the commands.
+"""Write `lss_motion/REFERENCE.md`: every key of the files and every option of the commands.
 
     tools/run tools/make_reference.py
 
@@ -22,15 +22,15 @@ from lss_motion.sequence.load import sequence_schema
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-PATH = Path(__file__).resolve().parent.parent / "sequences" / "reference.md"
+PATH = Path(__file__).resolve().parent.parent / "lss_motion" / "REFERENCE.md"
 
 HEAD = """\
 # Reference
 
 Every key of the files and every option of the commands. Made from the code by
-`tools/run tools/make_reference.py`; the guides are in [README.md](README.md). What the servos
-themselves understand is printed by `lss-motion reference`; what a faults file holds, by
-`lss-motion sim --help`.
+`tools/run tools/make_reference.py`; the guides are in
+[sequences/README.md](../sequences/README.md). `lss-motion reference` prints what the servos
+themselves understand; `lss-motion sim --help` says what a faults file holds.
 """
 
 PLAIN = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true, false"}

@@ -1,9 +1,9 @@
 """Would the tests notice? Changes one thing at a time in a module and runs the tests that judge it.
 
 tools/run tools/mutate.py                       all modules named below, with their figures
-tools/run tools/mutate.py following ladder      some of them, by name
-tools/run tools/mutate.py following --list      what would be changed
-tools/run tools/mutate.py readings --sample 40  only so many of each module, from all over it
+tools/run tools/mutate.py estimators faults     some of them, by name
+tools/run tools/mutate.py estimators --list     what would be changed
+tools/run tools/mutate.py polling --sample 40   only so many of each module, from all over it
 
 A mutant is killed when a test fails, or when the tests take ten times the processor time. One that
 no test can see, because it means the same, stands in `tools/mutation/explained.txt` with a reason;

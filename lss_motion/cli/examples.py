@@ -1,6 +1,7 @@
 """The command `example`: list the packaged examples, write one into the current folder.
 
-A wheel has them in `lss_motion/examples`, a checkout in `sequences/`.
+A wheel has them in `lss_motion/examples`, a checkout in `sequences/`. The schemas that they name
+are packaged in `lss_motion/schema`; a written example gets a copy beside it.
 """
 
 from __future__ import annotations
@@ -27,9 +28,11 @@ List the examples, or write one into the current folder, with its robot and all 
   lss-play wave.yaml             play it, simulated
 """
 
+PACKAGE: Final = Path(__file__).resolve().parent.parent
 SCHEMA: Final = re.compile(r"\$schema=(\S+)")
 SUMMARY_CHARS_MAX: Final = 80
 CHECKOUT_FOLDER: Final = "sequences"
+SCHEMA_FOLDER: Final = "schema"
 
 
 def add_to(commands: Commands) -> None:
@@ -85,17 +88,18 @@ def write_example(name: str, folder: Path, *, is_forced: bool) -> list[Path]:
 
 
 def _folder() -> Path:
-    package = Path(__file__).resolve().parent.parent
-    packaged = package / "examples"
-    found = packaged if packaged.is_dir() else package.parent / CHECKOUT_FOLDER
+    packaged = PACKAGE / "examples"
+    found = packaged if packaged.is_dir() else PACKAGE.parent / CHECKOUT_FOLDER
     if not found.is_dir():
         raise InputError("this installation has no examples; install lss-motion again")
     return found
 
 
 def _text(part: str) -> str:
-    """Return a file of the examples; commands in its comments name files without a folder."""
-    text = (_folder() / part).read_text(encoding="utf-8")
+    """Return a file of the examples; its comments name commands and schemas as written copies."""
+    is_schema = part.startswith(f"{SCHEMA_FOLDER}/")
+    text = ((PACKAGE if is_schema else _folder()) / part).read_text(encoding="utf-8")
+    text = text.replace(f"../{PACKAGE.name}/{SCHEMA_FOLDER}/", f"{SCHEMA_FOLDER}/")
     return text.replace(f"{CHECKOUT_FOLDER}/", "")
 
 

@@ -20,8 +20,11 @@ if TYPE_CHECKING:
 
     from lss_motion.sequence.model import Keyframe, Sequence
 
-SCHEMA: Final = Path("schema", "sequence.schema.json")
-"""Path of the schema beside the example sequences; files written there or below refer to it."""
+SCHEMAS: Final = (
+    Path("schema", "sequence.schema.json"),
+    Path("lss_motion", "schema", "sequence.schema.json"),
+)
+"""Where the schema is below a folder of examples or a checkout. A file written there names it."""
 
 _PLAIN: Final = re.compile(r"(\.\./)*[A-Za-z_][A-Za-z0-9_./-]*")
 _NOT_TEXT: Final = frozenset({"null", "true", "false"})
@@ -49,7 +52,8 @@ def sequence_text(sequence: Sequence, folder: Path, *, comments: Iterable[str] =
 
 
 def _head(sequence: Sequence, folder: Path, comments: Iterable[str]) -> Iterator[str]:
-    schema = next((p / SCHEMA for p in _upwards(folder) if (p / SCHEMA).is_file()), None)
+    places = (above / schema for above in _upwards(folder) for schema in SCHEMAS)
+    schema = next((place for place in places if place.is_file()), None)
     if schema is not None:
         yield f"# yaml-language-server: $schema={_relative(schema, folder)}"
     for comment in comments:

@@ -82,6 +82,11 @@ def test_every_example_is_written_whole(lss):
         assert written == original
         assert written.robot_path is not None
         assert written.robot_path.is_relative_to(folder)
+        for copy in folder.rglob("*.yaml"):
+            first, _, _ = copy.read_text(encoding="utf-8").partition("\n")
+            schema = copy.parent / first.removeprefix("# yaml-language-server: $schema=")
+            assert schema.resolve().is_relative_to(folder)
+            assert schema.is_file()
 
 
 def test_an_edited_file_is_overwritten_with_force_only(lss):
@@ -114,13 +119,15 @@ def test_the_wheel_has_types_version_programs_and_a_readme_that_stands_alone(whe
         (info,) = [name for name in names if name.endswith("/METADATA")]
         metadata = email.message_from_bytes(archive.read(info))
         programs = archive.read(info.replace("METADATA", "entry_points.txt")).decode()
-    assert "lss_motion/py.typed" in names
+    packaged = {"py.typed", "REFERENCE.md", "ARCHITECTURE.md", "schema/robot.schema.json"}
+    assert {f"lss_motion/{name}" for name in packaged} <= set(names)
     assert {name.split("/")[0] for name in names} == {"lss_motion", info.split("/")[0]}
     assert metadata["Version"] == lss_motion.__version__
     assert "lss-play = lss_motion.cli.play:main" in programs
     text = metadata.get_payload()
     assert "# lss_motion" in text
     assert "](sequences/" not in text
+    assert "](lss_motion/" not in text
 
 
 def test_with_a_repository_pictures_and_links_of_the_readme_lead_there():

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import re
+
 import pytest
-from mutate import explanations
+from mutate import EXPLAINED, ROOT, TARGETS, explanations
 from mutation.mutants import mutants_of, sampled
 
 SOURCE = '''
@@ -56,3 +58,20 @@ def test_a_reason_is_for_all_mutants_right_above_it():
     }
     with pytest.raises(ValueError, match="no reason below: d"):
         explanations("c\n    no\nd\n")
+
+
+def test_every_explained_mutant_names_a_function_of_a_module_that_is_mutated():
+    keys = explanations(EXPLAINED.read_text(encoding="utf-8"))
+    assert keys
+    for key in keys:
+        module, _, rest = key.partition(" ")
+        assert module in TARGETS, key
+        name = rest.partition(": ")[0].rpartition(".")[2]
+        source = (ROOT / "lss_motion" / f"{module}.py").read_text(encoding="utf-8")
+        assert name == "module" or re.search(rf"^ *(def|class) {name}\b", source, re.MULTILINE), key
+
+
+def test_every_mutated_module_and_its_tests_exist():
+    for module, tests in TARGETS.items():
+        assert (ROOT / "lss_motion" / f"{module}.py").is_file()
+        assert all((ROOT / test).exists() for test in tests)

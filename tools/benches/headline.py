@@ -1,4 +1,4 @@
-"""The table at the head of the README, made from what `tools/bench.py all --json` has written."""
+"""The table of `tools/FIGURES.md` and one line of the README, from `tools/bench.py all --json`."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 FIGURES = ROOT / "tools" / "benches" / "last.json"
-"""The last run of all benches, kept: each figure of the README is in it."""
+"""The last run of all benches, kept: each figure of the page is in it."""
+PAGE = ROOT / "tools" / "FIGURES.md"
 README = ROOT / "README.md"
 BUSY_LOAD = 1.0
 """With more than this at work on two cores, what is timed by the clock says little."""
-BEGIN, END = "<!-- headline -->\n", "<!-- end of headline -->\n"
+TABLE = "<!-- headline -->\n", "<!-- end of headline -->\n"
+LINE = "<!-- figure -->\n", "<!-- end of figure -->\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +54,7 @@ PICKS = (
 
 
 def block() -> str:
-    """Return what stands in the README between the marks."""
+    """Return the table that stands on the page between the marks."""
     run = json.loads(FIGURES.read_text(encoding="utf-8"))
     lines = ["| what | ours | against | ratio |", "|---|---|---|---|"]
     for pick in PICKS:
@@ -92,19 +94,32 @@ def _row(pick: Pick, rows: list[dict[str, Any]]) -> dict[str, Any]:
     return max(found, key=lambda row: row["ratio"]) if pick.is_worst else found[0]
 
 
+def line() -> str:
+    """Return the line of the README: how far the horn is from the plan."""
+    run = json.loads(FIGURES.read_text(encoding="utf-8"))
+    pick = next(pick for pick in PICKS if pick.bench == "horn")
+    row = _row(pick, run["benches"][pick.bench])
+    return (
+        f"Error of a simulated horn against its plan: {row['ours']} RMS, "
+        f"against {row['reference']} with one `D…T…` a keyframe.\n"
+    )
+
+
 def is_current() -> bool:
-    """Return whether the README shows the figures of the last run."""
-    return _parts()[1] == block()
+    """Return whether page and README show the figures of the last run."""
+    return _parts(PAGE, TABLE)[1] == block() and _parts(README, LINE)[1] == line()
 
 
 def write() -> None:
-    """Put the figures of the last run into the README."""
-    before, _, after = _parts()
-    README.write_text(before + BEGIN + block() + END + after, encoding="utf-8")
+    """Put the figures of the last run into the page, and its line into the README."""
+    for path, marks, text in ((PAGE, TABLE, block()), (README, LINE, line())):
+        before, _, after = _parts(path, marks)
+        path.write_text(before + marks[0] + text + marks[1] + after, encoding="utf-8")
 
 
-def _parts() -> tuple[str, str, str]:
-    text = README.read_text(encoding="utf-8")
-    before, _, rest = text.partition(BEGIN)
-    shown, _, after = rest.partition(END)
+def _parts(path: Path, marks: tuple[str, str]) -> tuple[str, str, str]:
+    text = path.read_text(encoding="utf-8")
+    assert marks[0] in text, path
+    before, _, rest = text.partition(marks[0])
+    shown, _, after = rest.partition(marks[1])
     return before, shown, after

@@ -45,7 +45,7 @@ def is_valid(content: object, schema: dict[str, Any]) -> bool:
 @pytest.mark.parametrize("kind", SCHEMAS)
 def test_the_shipped_schema_is_the_one_that_the_code_makes(kind: str) -> None:
     made = json.dumps(SCHEMAS[kind](), indent=2, ensure_ascii=False) + "\n"
-    shipped = EXAMPLES / "schema" / f"{kind}.schema.json"
+    shipped = EXAMPLES.parent / "lss_motion" / "schema" / f"{kind}.schema.json"
     assert shipped.read_text(encoding="utf-8") == made, f"write robot or sequence schema: {shipped}"
 
 

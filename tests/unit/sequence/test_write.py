@@ -59,12 +59,15 @@ def test_the_robot_is_named_relative_to_the_file(folder: Path, sequence: Sequenc
     assert back.robot_path.samefile(folder / "robot.yaml")
 
 
-def test_the_schema_is_named_where_one_lies_above(folder: Path, sequence: Sequence) -> None:
-    (folder / "schema").mkdir()
-    (folder / "schema" / "sequence.schema.json").write_text("{}")
+@pytest.mark.parametrize("place", ["schema", "lss_motion/schema"])
+def test_the_schema_is_named_where_one_lies_above(
+    folder: Path, sequence: Sequence, place: str
+) -> None:
+    (folder / place).mkdir(parents=True)
+    (folder / place / "sequence.schema.json").write_text("{}")
     (folder / "shows").mkdir()
     first, _, _ = sequence_text(sequence, folder / "shows").partition("\n")
-    assert first == "# yaml-language-server: $schema=../schema/sequence.schema.json"
+    assert first == f"# yaml-language-server: $schema=../{place}/sequence.schema.json"
 
 
 def test_the_most_common_interpolation_is_written_once(folder: Path, sequence: Sequence) -> None:

@@ -1,4 +1,4 @@
-"""What is said next to a name that nobody knows."""
+"""The text about an unknown name: the nearest one, and a list."""
 
 from __future__ import annotations
 

@@ -1,0 +1,109 @@
+"""`lss-motion replay`: the content of a log, and the player run again from it."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from lss_motion.cli.main import main
+from lss_motion.cli.replay import event_lines
+from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_NOT_FOLLOWED
+from lss_motion.player.events import (
+    CueReached,
+    Faulted,
+    MarkPassed,
+    Phase,
+    PhaseEntered,
+    Waited,
+    Warned,
+)
+from lss_motion.robot.on_fault import Cause, FaultStep
+from lss_motion.sequence.model import Cue
+
+
+def test_the_player_decides_the_same_when_it_lives_through_its_log_again(played, capsys):
+    assert main(["replay", "--again", str(played / "a.log")]) == EXIT_FINISHED
+    out = capsys.readouterr().out
+    assert "outputs compared, 0 differ" in out
+    assert int(out.split(" outputs compared")[0].split()[-1]) > 1000
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [("*2QD", "*3QD"), ("> #1D", "> #2D")], ids=["an answer", "a command"]
+)
+def test_another_log_is_not_taken_for_the_same(played, tmp_path, capsys, old, new):
+    text = (played / "a.log").read_text()
+    half = len(text) // 2
+    path = tmp_path / "b.log"
+    path.write_text(text[:half] + text[half:].replace(old, new, 3))
+    assert main(["replay", "--again", str(path)]) == EXIT_NOT_FOLLOWED
+    assert " differ\n" in capsys.readouterr().out
+
+
+def test_a_log_says_what_each_servo_heard_and_what_happened(played, capsys):
+    assert main(["replay", str(played / "a.log")]) == EXIT_FINISHED
+    out = capsys.readouterr().out
+    commands = json.loads((played / "a.json").read_text())["timing"]["commands"]
+    moves = [int(line.split(" D ")[1].split(",")[0]) for line in out.splitlines() if " D " in line]
+    assert sum(moves) >= commands
+    happened = [line.split(maxsplit=1)[-1] for line in out.splitlines()]
+    assert {"playing", f"checked {len(moves)} servos", "done"} <= set(happened)
+    assert main(["replay", str(played / "a.log"), "--servo", "2"]) == EXIT_FINISHED
+    lines = capsys.readouterr().out.splitlines()
+    assert len([line for line in lines if "#2D" in line]) == moves[1]
+    assert lines[-1].endswith("#254H")
+    assert not any("#3" in line for line in lines)
+    assert main(["replay", str(played / "a.log"), "--servo", "77"]) == EXIT_INPUT
+    assert (
+        "no line of this log is for servo 77; it has lines for: 1, 2, 3" in capsys.readouterr().err
+    )
+
+
+@pytest.mark.parametrize("is_cut", [True, False])
+def test_a_log_that_was_cut_is_read_and_named(played, tmp_path, capsys, is_cut):
+    lines = (played / "a.log").read_text().splitlines(keepends=True)
+    path = tmp_path / "cut.log"
+    path.write_text("".join(lines[: len(lines) // 2] if is_cut else lines))
+    for option in ([], ["--again"], ["--servo", "1"]):
+        assert main(["replay", str(path), *option]) == EXIT_FINISHED
+        assert (f"warning: {path} has no end" in capsys.readouterr().err) is is_cut
+
+
+@pytest.mark.parametrize(
+    ("event", "lines"),
+    [
+        (PhaseEntered(Phase.SHOW), ["playing"]),
+        (MarkPassed("wave \u00fc", 2.0), ["2.00 s wave \u00fc"]),
+        (MarkPassed("", 1.6), ["1.60 s a keyframe"]),
+        (Warned("it's late"), ["warning: it's late"]),
+        (
+            Faulted("elbow", "is stuck", Cause.STUCK, FaultStep.SLOW),
+            ["fault: joint 'elbow' is stuck (slow)"],
+        ),
+        (CueReached(Cue(at_s=1.0, led=(("base", 1),)), 1.0), ["1.00 s led base red"]),
+        (Waited("a visitor", "met"), ["a visitor: going on"]),
+        ("Strange(x=1)", ["Strange(x=1)"]),
+        ("__import__('os').getcwd()", ["__import__('os').getcwd()"]),
+    ],
+)
+def test_an_event_of_a_log_has_the_words_that_it_had_on_the_screen(event, lines):
+    written = event if isinstance(event, str) else repr(event)
+    assert event_lines(written.encode("unicode_escape").decode("ascii")) == lines
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("hello\n", "a.log:1: not a log"),
+        ("# lss_motion log 2\nnonsense\n", "a.log:2: 'nonsense' is no line"),
+        ("# lss_motion log 2\n# played: {\n", "a.log:2: `# played:` holds no JSON"),
+        ("# lss_motion log 2\n", "does not name the file that was played"),
+        ("\xff", "not ASCII"),
+    ],
+)
+def test_what_is_no_log_is_refused_with_its_line(tmp_path, capsys, text, words):
+    path = tmp_path / "a.log"
+    path.write_bytes(text.encode("latin-1"))
+    assert main(["replay", "--again", str(path)]) == EXIT_INPUT
+    assert words in capsys.readouterr().err
