@@ -339,7 +339,7 @@ def test_a_port_that_vanishes_is_an_error_that_says_what_became_of_robot_and_sho
         assert process.returncode == 4
         assert "lost port" in errors
         assert "the device is gone" in errors
-        assert "could not be told to hold" in errors
+        assert "command to hold could not be sent" in errors
         played_s = json.loads(report.read_text())["played_s"]
         assert 0.0 < played_s < 60.0
         assert f"--from {played_s:.2f}" in errors

@@ -191,9 +191,9 @@ def test_a_servo_in_safe_mode_is_refused(stage, kit):
 @pytest.mark.parametrize(
     ("keyword", "wire", "said"),
     [
-        ("SD", 900, "asks for 180 deg/s, but servo 2 is set to 90 deg/s (SD)"),
-        ("AA", 30, "asks for 600 deg/s², but servo 2 is set to 300 deg/s² (AA)"),
-        ("AD", 59, "asks for 600 deg/s², but servo 2 is set to 590 deg/s² (AD)"),
+        ("SD", 900, "requires 180 deg/s, but servo 2 is set to 90 deg/s (SD)"),
+        ("AA", 30, "requires 600 deg/s², but servo 2 is set to 300 deg/s² (AA)"),
+        ("AD", 59, "requires 600 deg/s², but servo 2 is set to 590 deg/s² (AD)"),
     ],
 )
 def test_a_servo_that_is_set_to_less_than_the_file_asks_is_refused(stage, kit, keyword, wire, said):
