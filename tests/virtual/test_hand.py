@@ -100,6 +100,22 @@ def test_a_recording_reads_as_often_as_one_question_after_the_other_can() -> Non
     assert max(counts.values()) - min(counts.values()) <= 2
 
 
+def test_every_turn_of_the_loop_waits_until_something_is_due() -> None:
+    robot = load_robot(ARM)
+    hands_on = HandsOn(robot, list(robot.joints))
+    clock, take, waits_ns = VirtualClock(), Take(tuple(robot.joints)), []
+
+    def note_wait(driven: HandsOn, now_ns: int) -> None:
+        waits_ns.append(driven.next_wakeup_ns() - now_ns)
+        assert len(waits_ns) < 10_000, "time stands still"
+
+    with connect(robot.buses, robot=robot, clock=clock) as connection:
+        run(hands_on, connection.ports, clock, controls=Person(take, 1.0), on_turn=note_wait)
+    count = sum(len(times) for times in take.parts[0].times_s.values())
+    # A query that is sent, its answer, and the instant at which the line is free again.
+    assert count < len(waits_ns) < 4 * count
+
+
 def test_servos_hold_and_have_their_settings_back_afterwards() -> None:
     robot = load_robot(ARM)
     _, bus, _ = shown(robot, hand_from_seed(5, robot), seconds=1.0, is_soft=True)
