@@ -55,13 +55,19 @@ def play(
     is_virtual: bool = False,
     seed: int = 0,
     has_feedback: bool = True,
+    allow_run: bool = False,
+    is_forced: bool = False,
 ) -> Report:
     """Play `program` on `robot` and return the report.
 
     `port` overrides the robot file's. `is_virtual` needs a simulated robot: its time passes as
-    fast as the computer can, and the same `seed` gives the same bytes. Raises `BusError` when a
-    port or a servo cannot be reached, and `InputError` or `PlaybackError` when the robot is not
-    what the file says or not fit to move; however it ends, the last bytes are the safe state.
+    fast as the computer can, and the same `seed` gives the same bytes. `allow_run` lets the show
+    call the Python functions that its events name, with all that your user may do. Without feedback
+    the servos must store no higher limits than their joints have, unless `is_forced`.
+
+    Raises `BusError` when a port or a servo cannot be reached, and `InputError` or `PlaybackError`
+    when the robot is not what the file says or not fit to move; however it ends, the last bytes are
+    the safe state.
     """
     result = perform(
         program,
@@ -69,6 +75,8 @@ def play(
         is_virtual=is_virtual,
         seed=seed,
         has_feedback=has_feedback,
+        may_run=allow_run,
+        is_forced=is_forced,
     )
     if result.error is not None:
         raise result.error

@@ -9,24 +9,29 @@ port is opened with pyserial, including the pseudo-terminal of `lss-motion sim`.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from lss_motion.errors import InputError
+from lss_motion.errors import BlockedPortError, BusError, InputError
 from lss_motion.maintenance.discovery import Pause
 from lss_motion.maintenance.limits import questions, robot_from_answers
+from lss_motion.player.checks import check_answers
+from lss_motion.player.preflight import Examination
 from lss_motion.player.transactions import Conversation
 from lss_motion.runtime.clock import MonotonicClock, VirtualClock
 from lss_motion.runtime.port import SerialPort
 from lss_motion.runtime.runner import D, run
+from lss_motion.runtime.signals import raising
 from lss_motion.units import ns_from_s
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from types import TracebackType
 
+    from lss_motion.player.handshake import Answers
     from lss_motion.player.transactions import Item
-    from lss_motion.robot.model import Bus, Robot
+    from lss_motion.robot.model import Bus, Joint, Robot
     from lss_motion.runtime.clock import Clock
     from lss_motion.runtime.port import Port
     from lss_motion.sim.bus import SimBus
@@ -61,7 +66,7 @@ def is_simulated(robot: Robot) -> bool:
 
     Raises `InputError` for a mixture: the results of such a run would have no clear meaning.
     """
-    simulated = [bus.port.startswith(SIMULATED) for bus in robot.buses.values()]
+    simulated = [bus.is_simulated for bus in robot.buses.values()]
     if any(simulated) and not all(simulated):
         raise InputError(
             "some buses are sim:// and some are not; give all or none", path=robot.path
@@ -87,7 +92,7 @@ def connect(
     connection = Connection(buses, clock or MonotonicClock())
     try:
         for bus in buses.values():
-            if not bus.port.startswith(SIMULATED):
+            if not bus.is_simulated:
                 connection.ports[bus.name] = SerialPort(bus.port, bus.baud_bps)
                 continue
             connection.simulate(bus, robot, seed=seed, faults=faults, hand=hand)
@@ -120,10 +125,13 @@ class Connection:
     def __init__(self, buses: Mapping[str, Bus], clock: Clock) -> None:
         self.buses = dict(buses)
         self.clock = clock
+        self._raising = raising()
         self.ports: dict[str, Port] = {}
         self.simulated: dict[str, SimBus] = {}
 
     def __enter__(self) -> Self:
+        self._raising = raising()  # One that has been used cannot be entered again.
+        self._raising.__enter__()
         return self
 
     def __exit__(
@@ -132,7 +140,14 @@ class Connection:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.close()
+        try:
+            self.close()
+        except BlockedPortError as blocked:
+            # Servos without a reply are explained by a port from which no query left.
+            if error is None or isinstance(error, BusError):
+                raise blocked from None
+        finally:
+            self._raising.__exit__(None, None, None)
 
     def ask(self, items: Iterable[Item]) -> Mapping[tuple[str, int, str], int | str | None]:
         """Send queries and actions; return `(bus, servo id, keyword)` → value.
@@ -140,6 +155,17 @@ class Connection:
         A query without a reply is absent. Raises `BusError` when a port is lost.
         """
         return self.run(Conversation(items, self.buses)).answers
+
+    def examined(self, joints: Iterable[Joint], robot: Robot) -> tuple[Answers, list[str]]:
+        """Return the answers of a preflight of `joints`, and its warnings; nothing moves.
+
+        Raises where these joints of `robot` may not be moved, as `checks.check_answers` does.
+        """
+        joints = list(joints)
+        preflight = self.run(Examination(joints, robot)).preflight
+        preflight.require_own_ids()
+        warnings = check_answers(joints, preflight.answers, robot, stored=preflight.stored)
+        return preflight.answers, warnings
 
     def run(self, driven: D) -> D:
         """Run the loop on `driven` until it is finished; return it."""
@@ -192,6 +218,7 @@ class Connection:
         self.ports[bus.name] = SimPort(sim_bus, self.clock)
 
     def close(self) -> None:
-        """Close every port."""
-        for port in self.ports.values():
-            port.close()
+        """Close every port. Raises `BlockedPortError` if bytes did not leave one of them."""
+        with contextlib.ExitStack() as stack:
+            for port in self.ports.values():
+                stack.callback(port.close)

@@ -7,6 +7,7 @@
      ├── ProtocolError(ValueError)       2   a command that cannot be expressed on the wire
      ├── BusError(OSError)               4   the port or the servos cannot be reached
      │    └── LostPortError              4   a port that was open is gone
+     │         └── BlockedPortError      4   it is there, but no byte leaves it
      └── PlaybackError                   5   the robot did not follow
 
 The errors from `BusError` on come from the port or the robot, those before it from files and
@@ -105,6 +106,10 @@ class BusError(LssMotionError, OSError):
 
 class LostPortError(BusError):
     """A port that was open is gone: no byte reaches the servos on it."""
+
+
+class BlockedPortError(LostPortError):
+    """A port that is still there, but takes no bytes, or none leaves it."""
 
 
 class PlaybackError(LssMotionError):

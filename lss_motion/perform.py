@@ -8,6 +8,7 @@ fails on the way. `Observer` has the callbacks through which a caller watches an
 
 from __future__ import annotations
 
+import io
 import math
 from dataclasses import dataclass, field
 from functools import partial
@@ -16,7 +17,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.connection import connect, is_simulated
-from lss_motion.errors import BusError, InputError, LssMotionError
+from lss_motion.errors import BlockedPortError, BusError, InputError, LssMotionError
+from lss_motion.files.output import write_output
 from lss_motion.player.events import Warned
 from lss_motion.player.player import Player
 from lss_motion.runtime.clock import MonotonicClock, VirtualClock
@@ -94,23 +96,24 @@ def perform(  # noqa: PLR0913  (the options of one run)
     is_open: bool = False,
     is_real_time: bool = False,
     must_ask: bool = False,
+    may_run: bool = False,
+    is_forced: bool = False,
 ) -> Result:
     """Play `program` on `robot` and return the result, also when the run failed on the way.
 
     With `trajectory`, the report has the distance of the simulated horns from it. `faults` apply
-    to the simulated buses and, in virtual time, to the host. While `is_open`, the show does not
-    end with the program: `observer.controls` may extend it. With `must_ask` no joint moves before
-    the controls call `go`. `is_real_time` requests real-time priority and locked memory; a refusal
-    is a warning. Raises `InputError` or `BusError` only before the first byte.
+    to simulated buses and, in virtual time, to the host. While `is_open`, `observer.controls` may
+    extend the show. With `must_ask` no joint moves before they call `go`. Functions of the show
+    need `may_run`. `is_forced`: see `Player`. With `is_real_time`, priority and locked memory are
+    requested. Raises `InputError` or `BusError` only before the first byte.
     """
-    simulated = is_simulated(robot)
-    _check(program, faults, has_feedback=has_feedback, simulated=simulated, is_virtual=is_virtual)
+    _check_functions(program, is_allowed=may_run or is_virtual)
+    simulated = _checked(program, robot, faults, has_feedback=has_feedback, is_virtual=is_virtual)
     clock = _clock(faults, is_virtual=is_virtual, seed=seed)
     connection = connect(robot.buses, robot=robot, clock=clock, seed=seed, faults=faults)
-    started_ns = clock.now_ns()
-    options = {"has_feedback": has_feedback, "must_ask": must_ask, "is_open": is_open}
-    player = Player(program, robot, start_s=start_s, **options)
-    error, observer = None, observer or Observer()
+    started_ns, error, observer = clock.now_ns(), None, observer or Observer()
+    options = {"must_ask": must_ask, "is_open": is_open, "is_forced": is_forced}
+    player = Player(program, robot, has_feedback=has_feedback, start_s=start_s, **options)
     note = _Noting(observer.on_event)
     try:
         with (
@@ -119,36 +122,61 @@ def perform(  # noqa: PLR0913  (the options of one run)
         ):
             for text in refused:
                 on_event(Warned(text))
+            tap = None if observer.make_tap is None else observer.make_tap(started_ns)
             run(
                 player,
-                _reopening(connection, player),
+                _reopening(connection, player, tap),
                 clock,
                 on_event=on_event,
                 on_turn=observer.on_turn,
                 controls=observer.controls,
-                tap=observer.make_tap(started_ns) if observer.make_tap is not None else None,
+                tap=tap,
             )
     except BusError as lost:
         error = lost
     finally:
-        connection.close()
+        error = _close(connection, error)
     player.end_show(clock.now_ns())
-    truth = _truth(player, robot, connection.simulated) if simulated else None
+    run_s = run_seconds(started_ns, clock.now_ns())
+    horns = connection.simulated if simulated else None
+    return _result(player, horns, trajectory, run_s=run_s, error=error, warnings=note.warnings)
+
+
+def _result(
+    player: Player,
+    simulated: Mapping[str, SimBus] | None,
+    trajectory: Trajectory | None,
+    *,
+    run_s: float,
+    error: LssMotionError | None,
+    warnings: list[str],
+) -> Result:
+    """Return the result of a run that has ended; `simulated` is None on a real robot."""
+    truth = None if simulated is None else _truth(player, player.robot, simulated)
     report = make_report(
         player,
-        run_s=run_seconds(started_ns, clock.now_ns()),
-        is_simulated=simulated,
+        run_s=run_s,
+        is_simulated=simulated is not None,
         outcome=_outcome(player, error),
-        warnings=note.warnings,
+        warnings=warnings,
         horn_error_deg=_horn_error_deg(truth, trajectory),
     )
     return Result(
         report=report,
         player=player,
         truth=truth,
-        error=error or player.error,
-        simulated=connection.simulated,
+        error=player.error or error,
+        simulated=simulated or {},
     )
+
+
+def _close(connection: Connection, error: BusError | None) -> BusError | None:
+    """Close the ports; return the error that ended the run, or that of bytes that did not leave."""
+    try:
+        connection.close()
+    except BlockedPortError as blocked:
+        return error or blocked
+    return error
 
 
 def _outcome(player: Player, error: LssMotionError | None) -> str:
@@ -170,42 +198,68 @@ class _Noting:
             self._on_event(event)
 
 
-def _reopening(connection: Connection, player: Player) -> dict[str, ReopeningPort]:
+def _reopening(connection: Connection, player: Player, tap: Tap | None) -> dict[str, ReopeningPort]:
     """Return ports that are opened again after a loss, as long as the player waits for them."""
+
+    def lose(bus: str, reason: str, now_ns: int) -> None:
+        if tap is not None:
+            tap.noted(bus, f"lost {reason}", now_ns)
+        player.port_lost(bus, reason, now_ns)
+
+    def find(bus: str, now_ns: int) -> None:
+        if tap is not None:
+            tap.noted(bus, "found", now_ns)
+        player.port_found(bus)
+
     return {
         name: ReopeningPort(
             port,
             partial(connection.reopen, name),
             connection.clock,
             waits=partial(player.waits_for_port, name),
-            lost=partial(player.port_lost, name),
-            found=partial(player.port_found, name),
+            lost=partial(lose, name),
+            found=partial(find, name),
         )
         for name, port in connection.ports.items()
     }
 
 
-def _check(
+def _checked(
     program: Program,
+    robot: Robot,
     faults: Sequence[Fault],
     *,
     has_feedback: bool,
-    simulated: bool,
     is_virtual: bool,
-) -> None:
-    """Refuse waits without feedback, virtual time and faults on a real bus."""
+) -> bool:
+    """Return whether the robot is simulated.
+
+    Refuses waits without feedback, and virtual time and faults on a real bus.
+    """
+    simulated = is_simulated(robot)
     if program.waits and not has_feedback:
         raise InputError("the show waits for a sensor, which must be asked: not with --no-feedback")
     if is_virtual and not simulated:
         raise InputError("--virtual needs the simulated bus: use it with --port sim://")
     if not faults:
-        return
+        return simulated
     from lss_motion.sim.faults import FaultKind
 
     if not simulated:
         raise InputError("--faults needs the simulated bus: use it with --port sim://")
     if not is_virtual and any(fault.kind is FaultKind.OVERSLEEP for fault in faults):
         raise InputError(f"{FaultKind.OVERSLEEP} needs --virtual: in real time this host is real")
+    return simulated
+
+
+def _check_functions(program: Program, *, is_allowed: bool) -> None:
+    """Refuse a show that would call Python functions without consent."""
+    functions = ", ".join(dict.fromkeys(cue.run for cue in program.cues if cue.run))
+    if functions and not is_allowed:
+        raise InputError(
+            f"the show would call Python functions ({functions}); read them, then play it with "
+            f"allow_run=True"
+        )
 
 
 def _clock(
@@ -267,7 +321,6 @@ def write_truth(truth: Truth, path: Path) -> None:
     header = ",".join(["t_s", *truth.joints])
     table = np.column_stack([truth.times_s, truth.horn_deg])
     formats = ["%.2f"] + ["%.3f"] * len(truth.joints)
-    try:
-        np.savetxt(path, table, fmt=formats, delimiter=",", header=header, comments="")
-    except OSError as error:
-        raise InputError(f"cannot write the truth: {error.strerror}", path=path) from error
+    text = io.StringIO()
+    np.savetxt(text, table, fmt=formats, delimiter=",", header=header, comments="")
+    write_output(path, text.getvalue())

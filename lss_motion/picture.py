@@ -5,10 +5,12 @@ Used by `trajectory.plot` and `gait.plot`. matplotlib is imported when a figure 
 
 from __future__ import annotations
 
+import io
 import warnings
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
+from lss_motion.files.output import write_output
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -36,10 +38,9 @@ def new_figure(path: Path, width_in: float, height_in: float) -> Figure:
 
 def save(figure: Figure, path: Path) -> None:
     """Write the figure; raises `InputError` if the file cannot be written."""
-    try:
-        with warnings.catch_warnings():
-            # A character that the font does not have is drawn as a box; the warning is no help.
-            warnings.simplefilter("ignore")
-            figure.savefig(path, dpi=DPI)
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", path=path) from error
+    drawn = io.BytesIO()
+    with warnings.catch_warnings():
+        # A character that the font does not have is drawn as a box; the warning is no help.
+        warnings.simplefilter("ignore")
+        figure.savefig(drawn, dpi=DPI, format=path.suffix.lstrip(".").lower())
+    write_output(path, drawn.getvalue())

@@ -21,15 +21,19 @@ settings.register_profile(
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "gate"))
 
 
+# Tests that are started in the background have these ignored, here and in every child.
 if hasattr(signal, "SIGHUP"):
-    # Who starts the tests to outlive a terminal has it ignored, here and in every child.
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    signal.signal(signal.SIGQUIT, signal.SIG_DFL)
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Keep plans in a folder of the test run, not in the user's cache."""
+    """Keep plans and answers in folders of the test run, not in those of the user."""
     os.environ["LSS_MOTION_CACHE_DIR"] = str(tmp_path_factory.mktemp("cache"))
+    os.environ["LSS_MOTION_STATE_DIR"] = str(tmp_path_factory.mktemp("state"))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -3,7 +3,9 @@
 tools/run tools/fuzz.py                        10,000 seeds: a night's work
 tools/run tools/fuzz.py --seconds 120 --jobs 2 as many as go into two minutes on two cores
 tools/run tools/fuzz.py --any                  robot, show and keys from the seed, too
+tools/run tools/fuzz.py --all-kinds            every kind of fault, mixed
 tools/run tools/fuzz.py --from 4711 --seeds 1  one of them again
+tools/run tools/fuzz.py --judge both           asks the independent judge (tools/judge), too
 
 Promised is: it ends, and without a crash; no command leads out of a joint's range, and no horn
 breaks a limit by the player's doing; damaged answers move no command further than a correction may;
@@ -20,6 +22,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -29,6 +32,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 from campaign.judge import judged
 from campaign.shows import SLOW_BPS
 
+from lss_motion.sim.faults import Fault
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
@@ -37,6 +42,8 @@ if TYPE_CHECKING:
 NIGHT_SEEDS: Final = 10_000
 SAYS_EVERY_S: Final = 60.0
 """How often it says how far it has come."""
+OBJECTIONS_SHOWN: Final = 4
+"""One fault of the player breaks a rule with every move that follows."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -54,19 +61,31 @@ def main(argv: Sequence[str] | None = None) -> int:
                         help="rate of the slowest line of the three robots")  # fmt: skip
     parser.add_argument("--any", action="store_true", help="any robot, any show, and somebody "
                         "who plays with the keys")  # fmt: skip
+    parser.add_argument("--all-kinds", action="store_true", help="restarts, stalls, wrong robots, "
+                        "low supply, a second host and all others, mixed")  # fmt: skip
+    parser.add_argument("--judge", choices=("own", "independent", "both"), default="own",
+                        help="the campaign's judge, the one of tools/judge, or both")  # fmt: skip
     arguments = parser.parse_args(argv)
     again = "tools/run tools/fuzz.py"
     again += " --any" if arguments.any else f" --slow-bps {arguments.slow_bps}"
+    again += " --all-kinds" if arguments.all_kinds else ""
+    again += "" if arguments.judge == "own" else f" --judge {arguments.judge}"
     started_s = said_s = time.monotonic()
     outcomes: Counter[str] = Counter()
     failed = 0
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     with tempfile.TemporaryDirectory() as plans:
         os.environ["LSS_MOTION_CACHE_DIR"] = plans  # A million shows that are played once.
-        play = partial(judged, is_any=arguments.any, slow_bps=arguments.slow_bps)
+        play = partial(
+            judged,
+            is_any=arguments.any,
+            slow_bps=arguments.slow_bps,
+            is_mixed=arguments.all_kinds,
+            judges=arguments.judge,
+        )
         for seed, result in _played(seeds, arguments.jobs, play):
             outcomes[result.outcome] += 1
-            failed += bool(result.broken)
+            failed += bool(result.broken or result.objections)
             _tell(seed, result, again)
             now_s = time.monotonic()
             if now_s - said_s > SAYS_EVERY_S:
@@ -90,13 +109,23 @@ def _played(
 
 
 def _tell(seed: int, result: Judged, again: str) -> None:
-    if not result.broken:
+    if not result.broken and not result.objections:
         return
     for promise in result.broken:
         print(f"seed {seed}: {promise}")
+    for objection in result.objections[:OBJECTIONS_SHOWN]:
+        print(f"seed {seed}: objection: {objection}")
     for fault in result.faults:
-        print(f"  {fault}")
+        print(f"  {_row(fault)}")
     print(f"  {again} --from {seed} --seeds 1", flush=True)
+
+
+def _row(fault: Fault) -> str:
+    """Return a fault as a row of a faults file: what differs from the defaults."""
+    values = {field.name: getattr(fault, field.name) for field in fields(fault)}
+    plain = Fault(kind=fault.kind, until_s=fault.until_s)
+    row = {name: value for name, value in values.items() if value != getattr(plain, name)}
+    return f"{fault.kind} until {fault.until_s:g} s {row}"
 
 
 def _summary(outcomes: Counter[str], failed: int, passed_s: float) -> str:

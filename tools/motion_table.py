@@ -95,7 +95,7 @@ def robot_for(motion: ForeignMotion, folder: Path) -> Robot:
     path.write_text(
         "robot: generous\nbuses: {main: {port: 'sim://', baud_bps: 921600}}\n"
         "defaults: {model: LSS-HS1, range_deg: [-360, 360], speed_max_deg_s: 360,\n"
-        "           accel_max_deg_s2: 1000}\njoints:\n" + "\n".join([*joints, ""]),
+        "           accel_max_deg_s2: 1000, turns: powered}\njoints:\n" + "\n".join([*joints, ""]),
         encoding="utf-8",
     )
     return load_robot(path)

@@ -47,7 +47,7 @@ _LADDER = "tests/virtual/test_ladder.py"
 _SHOW = "tests/virtual/test_show.py"
 TARGETS = {
     "protocol/codec": ("tests/unit/protocol",),
-    "protocol/line": ("tests/unit/protocol", "tests/property/test_protocol.py"),
+    "protocol/framing": ("tests/unit/protocol", "tests/property/test_protocol.py"),
     "trajectory/verify": ("tests/unit/trajectory/test_verify.py",),
     "program/verify": ("tests/unit/program/test_verify.py",),
     "program/line": ("tests/unit/program/test_line.py",),

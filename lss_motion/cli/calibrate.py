@@ -31,7 +31,8 @@ Find the zero and the direction of each joint by hand, and write them into the r
 
 The joints go limp: hold the robot. Bring it to its zero pose, or to the pose that --at names. Then
 push each joint towards its larger angles when its line appears. The result is shown first. If you
-agree, it is written as zero_deg and direction; nothing else in the robot file changes. With
+agree, it is written as zero_deg and direction; where the servo has another gyre or origin than the
+file states, those are written as well (`stored`). Nothing else in the robot file changes. With
 --to-servos the origin offset of each servo is set and stored as well, so that the servo itself
 reports 0 at the zero pose.
 """
@@ -64,7 +65,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
         known = known_names(arguments.at, robot.poses)
         raise InputError(f"unknown pose {arguments.at!r}; {known}", path=robot.path)
     pose = robot.poses.get(arguments.at, {})
-    hands_on = HandsOn(robot, joints, also_ask=("QO", "QG") if arguments.to_servos else ())
+    hands_on = HandsOn(robot, joints, needs_frame=False)
     return run_command(
         arguments, hands_on, CalibrateControls(robot, pose, is_to_servos=arguments.to_servos)
     )
@@ -156,13 +157,19 @@ class CalibrateControls(HandsControls):
         self._frames[joint.name] = frame
         self._ask_for_push(hands_on)
 
+    def _servo_frame(self, hands_on: HandsOn, name: str) -> dict[str, int]:
+        """Return gyre and origin of a servo, as far as it reported them, in wire units."""
+        answers = {key: hands_on.answer_of(name, f"Q{key}") for key in ("G", "O")}
+        return {key: wire for key, wire in answers.items() if wire is not None}
+
     def _write(self, hands_on: HandsOn) -> None:
-        from lss_motion.maintenance.calibration import Frame, moved_origin
+        from lss_motion.maintenance.calibration import Frame, moved_origin, stated_frame
         from lss_motion.robot.write import write_frames
 
         assert self._robot.path is not None
         frames = dict(self._frames)
         origins: dict[str, int] = {}
+        stored = {name: self._servo_frame(hands_on, name) for name in self._frames}
         for name, frame in self._frames.items() if self._is_to_servos else ():
             origin, gyre = hands_on.answer_of(name, "QO"), hands_on.answer_of(name, "QG")
             if origin is None or gyre is None:
@@ -175,9 +182,12 @@ class CalibrateControls(HandsControls):
                 zero_deg=frame.zero_deg,
             )
             frames[name] = Frame(zero_deg=0.0, direction=frame.direction)
+            stored[name]["O"] = origins[name]
         try:
             write_frames(
-                self._robot.path, {n: (f.zero_deg, f.direction) for n, f in frames.items()}
+                self._robot.path,
+                {n: (f.zero_deg, f.direction) for n, f in frames.items()},
+                {n: stated_frame(self._robot.joints[n], wires) for n, wires in stored.items()},
             )
         except InputError as error:
             self.error = error

@@ -3,10 +3,11 @@
 Two rules hold for all commands:
 
 - `--robot FILE` names the robot file. A command about the robot itself also accepts it alone.
-- A YAML file (robot, sequence, map, backup) may have been edited, so it is overwritten only with
-  `--force`. Tables, pictures, compiled programs, reports and logs are replaced: a command can make
-  them again, or has just measured them. `jog`, `calibrate` and `identify` change single values of
-  the robot file.
+- `files.output` decides what an output may replace, before any work. A YAML file (robot, sequence,
+  map, backup) may have been edited, so it is overwritten only with `--force`. Tables, pictures,
+  compiled programs, reports and logs replace a file of the same kind; `lss-play` and `walk` replace
+  no other file, the other commands do so with `--force`. A file that a command reads is never an
+  output; `jog`, `calibrate` and `identify` change single values of the robot file.
 """
 
 from __future__ import annotations
@@ -40,6 +41,10 @@ CACHE_HELP: Final = (
 )
 SEED_HELP: Final = "seed of the simulated bus (default 0)"
 NO_FEEDBACK_HELP: Final = "send no queries, correct nothing"
+UNLIMITED_HELP: Final = (
+    "with --no-feedback: play although servos store higher limits than their joints have, so that "
+    "one which restarts would move too fast and nothing would notice it"
+)
 QUIET_HELP: Final = "print errors only, no display"
 REPORT_HELP: Final = "write the report to this JSON file"
 PLOT_HELP: Final = "draw it into this picture; the suffix sets the format"
@@ -93,7 +98,7 @@ def add_version(parser: argparse.ArgumentParser) -> None:
 
 
 def add_force(parser: argparse.ArgumentParser) -> None:
-    """Add `--force`, for `refuse_overwriting`."""
+    """Add `--force`, for `require_outputs`."""
     parser.add_argument("--force", action="store_true", help="overwrite an existing file")
 
 
@@ -152,18 +157,6 @@ def number_from(
     return number
 
 
-def refuse_overwriting(path: Path | None, *, is_forced: bool) -> None:
-    """Raise `InputError` if a file is at `path` and may not be overwritten."""
-    if path is not None and path.exists() and not is_forced:
-        raise InputError("exists already; choose another name, or add --force", path=path)
-
-
-def require_folder(path: Path | None) -> None:
-    """Raise `InputError` if the folder of a file that is to be written does not exist."""
-    if path is not None and not path.absolute().parent.is_dir():
-        raise InputError("cannot be written: its folder does not exist", path=path)
-
-
 def require_joint(robot: Robot, name: str) -> None:
     """Raise `InputError`, with similar names, if the robot has no joint of this name."""
     if name not in robot.joints:
@@ -180,16 +173,6 @@ def require_baud(option: str, rate_bps: int | None) -> None:
     if rate_bps is not None and rate_bps not in BAUD_RATES_BPS:
         allowed = ", ".join(map(str, BAUD_RATES_BPS))
         raise InputError(f"{option} {rate_bps}: servos support {allowed}")
-
-
-def write_text(path: Path, text: str) -> None:
-    """Replace a file as a whole, or raise `InputError` and leave the old one."""
-    try:
-        scratch = path.with_name(path.name + ".new")
-        scratch.write_text(text, encoding="utf-8")
-        scratch.replace(path)
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", path=path) from error
 
 
 def print_json(value: Any) -> None:  # noqa: ANN401  JSON

@@ -13,13 +13,12 @@ from lss_motion.cli.commands import (
     PORT_HELP,
     add_command,
     add_robot,
-    refuse_overwriting,
     require_baud,
     require_joint,
     robot_at,
-    write_text,
 )
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
+from lss_motion.files.output import Kind, Output, require_outputs, write_output
 
 if TYPE_CHECKING:
     import argparse
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     from lss_motion.maintenance.backup import ServoBackup
     from lss_motion.maintenance.discovery import ServoIdentity
     from lss_motion.maintenance.settings import Target
-    from lss_motion.robot.model import Bus, Robot
+    from lss_motion.robot.model import Bus, Joint, Robot
 
 
 DESCRIPTION: Final = """\
@@ -39,10 +38,15 @@ write them and read them back.
 
   lss-motion configure my_robot.yaml                      write each joint's `stored:` settings
   lss-motion configure my_robot.yaml --set LED=3          one setting of all joints
+  lss-motion configure my_robot.yaml --limits             the same, and the limits of each joint
   lss-motion configure my_robot.yaml --session            `stored:` and `settings:`, until power-off
   lss-motion configure --port P --id 0 --new-id 5         another id, for one servo at a time
   lss-motion configure my_robot.yaml --new-baud 500000    another rate, for all servos of a bus
   lss-motion configure my_robot.yaml --backup b.yaml      save all settings; --restore writes them
+
+--limits is the recommended set-up. A servo that restarts (a loose plug, a dip of its supply)
+forgets the limits that a show has given it. From the factory it then moves at its full speed, until
+that is noticed; with stored limits it never does. Shows with --no-feedback require them.
 
 Without anything to write it prints the stored settings. Names and units are those of
 `lss-motion reference`; in a robot file: `stored: {G: -1, O: 2.5, LED: 3, FD: DIS}`.
@@ -82,6 +86,11 @@ def add_to(commands: Commands) -> None:
         help="write this setting, not those of the robot file; may be repeated",
     )
     configure.add_argument(
+        "--limits",
+        action="store_true",
+        help="also store the speed and acceleration of each joint of ROBOT (SD, AA, AD)",
+    )
+    configure.add_argument(
         "--session", action="store_true", help="write values that last until power-off"
     )
     configure.add_argument("--dry-run", action="store_true", help="print the differences only")
@@ -119,11 +128,20 @@ def _configure(arguments: argparse.Namespace) -> int:
             return _restore(connection, arguments)
         targets = _targets(connection, robot, arguments)
         if arguments.backup is not None:
-            return _back_up(connection, targets, arguments.backup, is_forced=arguments.force)
+            return _back_up(
+                connection,
+                targets,
+                arguments.backup,
+                robot_path=arguments.robot,
+                is_forced=arguments.force,
+            )
         wanted = _wanted(targets, robot, arguments)
-        if not any(wanted.values()):
-            return _show(connection, targets, arguments)
-        return _apply(connection, targets, wanted, arguments)
+        if any(wanted.values()):
+            return _apply(connection, targets, wanted, arguments)
+        code = _show(connection, targets, arguments)
+        if robot is not None and not arguments.session:
+            _note_limits(connection, targets, robot)
+        return code
 
 
 def _is_agreed(arguments: argparse.Namespace, question: str) -> bool:
@@ -144,6 +162,11 @@ def _check(arguments: argparse.Namespace, robot: Robot | None) -> None:
         raise InputError("give a ROBOT file, or --port and --id of a servo")
     if robot is None and arguments.joint:
         raise InputError("--joint needs a ROBOT file; without one, --id names the servo")
+    if arguments.limits and (robot is None or arguments.session):
+        raise InputError(
+            "--limits stores the limits of a ROBOT file; it cannot be used without one, nor with "
+            "--session"
+        )
     if robot is not None and arguments.baud is not None:
         raise InputError(
             "the robot file sets the baud rate; --baud is for --port without a robot file"
@@ -156,9 +179,10 @@ def _check(arguments: argparse.Namespace, robot: Robot | None) -> None:
         mode is not None
         for mode in (arguments.new_id, arguments.new_baud, arguments.backup, arguments.restore)
     )
-    if is_other and (arguments.sets or arguments.session):
+    if is_other and (arguments.sets or arguments.session or arguments.limits):
         raise InputError(
-            "--set and --session cannot be used with --new-id, --new-baud, --backup or --restore"
+            "--set, --limits and --session cannot be used with --new-id, --new-baud, --backup or "
+            "--restore"
         )
     if arguments.new_id is not None and len(arguments.ids or ()) != 1:
         raise InputError("--new-id is for one servo; give its present id with --id")
@@ -231,6 +255,8 @@ def _wanted(
         if robot is not None and not given:
             stored = dict(robot.joints[target.name].stored)
         values = {name: stored_wire(target.family, name, value) for name, value in stored.items()}
+        if robot is not None and arguments.limits:
+            values |= _limits(robot.joints[target.name], values)
         if arguments.session:
             if robot is not None and not given:
                 values |= robot.joints[target.name].settings
@@ -241,6 +267,15 @@ def _wanted(
                 del values[name]
         wanted[target.name] = values
     return wanted
+
+
+def _limits(joint: Joint, wanted: Mapping[str, int | None]) -> dict[str, int]:
+    """Return the limits of a joint as wire values, or lower ones that the file wants stored."""
+    from lss_motion.player.checks import stored_limits
+
+    limits = stored_limits(joint)
+    own = {name: value for name, value in wanted.items() if value is not None and name in limits}
+    return {name: min(limit, own.get(name, limit)) for name, limit in limits.items()}
 
 
 def _assigned(text: str) -> tuple[str, float | None]:
@@ -268,6 +303,20 @@ def _show(connection: Connection, targets: Sequence[Target], arguments: argparse
             shown = settings.value_text(row, value) if name in found[target.name] else "no reply"
             print(f"  {name:10} {shown:16} {row.meaning}")
     return EXIT_FINISHED if is_whole else EXIT_UNREACHABLE
+
+
+def _note_limits(connection: Connection, targets: Sequence[Target], robot: Robot) -> None:
+    """Print which servos store higher limits than their joints have, and how to mend it."""
+    from lss_motion.player.checks import stored_excesses, stored_queries
+
+    joints = [robot.joints[target.name] for target in targets]
+    excesses = stored_excesses(joints, connection.ask(stored_queries(joints)))
+    if excesses:
+        print(
+            f"note: {len(excesses)} of {len(joints)} servos store higher limits than their joints "
+            f"have, with which they would restart. --limits stores those of the joints: "
+            f"{excesses[0]}"
+        )
 
 
 def _apply(
@@ -379,14 +428,20 @@ def _change_baud(connection: Connection, robot: Robot | None, arguments: argpars
 
 
 def _back_up(
-    connection: Connection, targets: Sequence[Target], path: Path, *, is_forced: bool
+    connection: Connection,
+    targets: Sequence[Target],
+    path: Path,
+    *,
+    robot_path: Path | None,
+    is_forced: bool,
 ) -> int:
     """Write all stored settings to a file."""
     from lss_motion.cli import servo_settings
     from lss_motion.cli.survey import query_each
     from lss_motion.maintenance.backup import ServoBackup, backup_text
 
-    refuse_overwriting(path, is_forced=is_forced)
+    output = Output(path, Kind.YAML)
+    require_outputs([output], sources=[robot_path], is_forced=is_forced)
     found = servo_settings.read_whole(connection, targets)
     present = {
         (bus, p.servo_id): p
@@ -406,7 +461,7 @@ def _back_up(
     ]
     if len(servos) != len(targets):
         raise BusError("a servo stopped replying while its settings were read; try again")
-    write_text(path, backup_text(servos))
+    write_output(path, backup_text(servos))
     count = sum(len(kept.settings) for kept in servos)
     print(f"wrote {path}: {count} settings of {len(servos)} servos")
     return EXIT_FINISHED

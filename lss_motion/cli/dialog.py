@@ -124,8 +124,8 @@ def print_event(event: Event, print_line: Callable[[str], None]) -> None:
     match event:
         case PhaseEntered(phase):
             print_line(f"        {phase.value}")
-        case Checked(servos):
-            for line in servo_table(servos):
+        case Checked(servos, notes):
+            for line in [*servo_table(servos), *(f"note: {note}" for note in notes)]:
                 print_line(line)
         case MarkPassed(label, show_s) if label:
             print_line(f"{show_s:7.2f} s {label}")

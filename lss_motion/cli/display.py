@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from lss_motion.player.joint_state import JointState
     from lss_motion.player.player import Player
+    from lss_motion.program.model import Program
 
 FRAME_NS: Final = NS_PER_S // 10
 ROOM_NS: Final = 3 * NS_PER_MS
@@ -91,7 +92,7 @@ class Display:
 
     def _begin(self) -> None:
         self._child = subprocess.Popen(  # noqa: S603  (fixed arguments)
-            [sys.executable, "-m", "lss_motion.cli.display", self._keys_help],
+            [sys.executable, "-P", "-m", "lss_motion.cli.display", self._keys_help],
             stdin=subprocess.PIPE,
             start_new_session=True,  # Ctrl-C must reach the player only.
         )
@@ -126,7 +127,11 @@ class FrameHistory:
         show = player.show
         show_s = 0.0 if show is None else player.program.within(show.show_s(now_ns))
         passed = bisect.bisect_right(self._named, show_s, key=lambda mark: mark[0])
-        return self._named[max(passed - 1, 0) : passed + MARKS_SHOWN]
+        around = self._named[max(passed - 1, 0) : passed + MARKS_SHOWN]
+        if show is None or player.program.is_endless:
+            return around
+        passes_s = show.show_s(now_ns) - show_s
+        return [(round(at_s + passes_s, 2), label) for at_s, label in around]
 
     def bus_use(self, player: Player, now_ns: int) -> dict[str, tuple[float, float]]:
         """Return for each bus the share of its capacity that was sent, and the replies a second."""
@@ -143,20 +148,26 @@ class FrameHistory:
         return found
 
 
+def _shown_s(program: Program, show_s: float) -> float:
+    """Return the time that is shown: within its pass, if there is no end to count to."""
+    return program.within(show_s) if program.is_endless else show_s
+
+
 def frame_of(
     player: Player, now_ns: int, notes: list[str], history: FrameHistory
 ) -> dict[str, Any]:
     """Return what the display shows of a run at this instant, as values for JSON."""
     show, program = player.show, player.program
     latest_ns = show.statistics.latest_ns if show is not None else ()
+    whole_s = program.pass_s if program.is_endless else program.duration_s
     is_standing = player.is_paused and player.phase is Phase.SHOW
     return {
         "phase": PAUSED if is_standing else player.phase.value,
         "name": program.name,
         "port": ", ".join(sorted({line.bus.port for line in player.lines.values()})),
-        "show_s": None if show is None else round(program.within(show.show_s(now_ns)), 2),
-        "whole_s": None if math.isinf(program.pass_s) else round(program.pass_s, 2),
-        "is_endless": program.repeat is not None,
+        "show_s": None if show is None else round(_shown_s(program, show.show_s(now_ns)), 2),
+        "whole_s": None if math.isinf(whole_s) else round(whole_s, 2),
+        "is_endless": program.is_endless,
         "rate": 1.0 if show is None else round(show.clock.rate(now_ns), 2),
         "late_us": max(latest_ns, default=0) // NS_PER_US,
         "missed": 0 if show is None else show.statistics.missed,

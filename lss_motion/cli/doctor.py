@@ -5,13 +5,28 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING
 
-from lss_motion.cli.commands import add_command, add_json, print_json
-from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_UNREACHABLE
+from lss_motion.cli.commands import (
+    PORT_HELP,
+    add_command,
+    add_json,
+    add_robot,
+    print_json,
+    robot_at,
+)
+from lss_motion.errors import (
+    EXIT_FINISHED,
+    EXIT_INPUT,
+    EXIT_UNREACHABLE,
+    InputError,
+    LssMotionError,
+)
 
 if TYPE_CHECKING:
     import argparse
 
     from lss_motion.cli.commands import Commands
+    from lss_motion.robot.model import Robot
+    from lss_motion.runtime.computer import Finding
 
 
 DESCRIPTION = """\
@@ -19,24 +34,40 @@ Check this computer: Python, packages, permissions of the ports, USB latency, pr
 ports, clock and timer. Each finding has its remedy. It takes a second, opens no port and changes
 nothing.
 
-Exit codes: 0 ready to play (hints may remain); 2 a package is missing or too old; 4 a port may not
-be opened.
+  lss-motion doctor
+  lss-motion doctor my_robot.yaml      the servos of this robot as well
+
+With a robot it also sends queries to its servos: whether they are set up as the robot file has it,
+and whether they would restart with higher limits than their joints have. Nothing moves.
+
+Exit codes: 0 ready to play (hints may remain); 2 a package is missing or too old, or a servo is not
+what the robot file states; 4 a port may not be opened, or a servo cannot be used.
 """
 
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
-    add_json(
-        add_command(
-            commands, "doctor", _doctor, "check this computer; print what to do", DESCRIPTION
-        )
+    doctor = add_command(
+        commands, "doctor", _doctor, "check this computer; print what to do", DESCRIPTION
     )
+    add_robot(doctor, is_required=False)
+    doctor.add_argument("--port", metavar="URL", help=PORT_HELP)
+    add_json(doctor)
 
 
 def _doctor(arguments: argparse.Namespace) -> int:
     from lss_motion.runtime.computer import Level, examine
 
+    robot = None
+    if arguments.robot is not None:
+        robot = robot_at(arguments.robot, arguments.port)
+    elif arguments.port is not None:
+        raise InputError("--port is the port of a ROBOT; give its file")
     findings = examine()
+    error = None
+    if robot is not None:
+        more, error = _examined(robot)
+        findings += more
     width = max(len(finding.subject) for finding in findings)
     if arguments.json:
         print_json({"findings": [dataclasses.asdict(finding) for finding in findings]})
@@ -47,4 +78,41 @@ def _doctor(arguments: argparse.Namespace) -> int:
     bad = {finding.subject for finding in findings if finding.level is Level.BAD}
     if not bad:
         return EXIT_FINISHED
-    return EXIT_INPUT if "packages" in bad else EXIT_UNREACHABLE
+    if "packages" in bad or isinstance(error, InputError):
+        return EXIT_INPUT
+    return EXIT_UNREACHABLE
+
+
+def _examined(robot: Robot) -> tuple[list[Finding], LssMotionError | None]:
+    """Return what a preflight of all joints finds, and the error that would refuse a show."""
+    from lss_motion.connection import ask_limits, connect
+    from lss_motion.player import checks
+    from lss_motion.player.preflight import Examination
+    from lss_motion.runtime.clock import MonotonicClock, VirtualClock
+    from lss_motion.runtime.computer import Finding, Level
+
+    is_simulated = all(bus.is_simulated for bus in robot.buses.values())
+    clock = VirtualClock() if is_simulated else MonotonicClock()
+    try:
+        robot = ask_limits(robot)
+        joints = list(robot.joints.values())
+        with connect(robot.buses, robot=robot, clock=clock) as connection:
+            preflight = connection.run(Examination(joints, robot, reads_stored=True)).preflight
+        preflight.require_own_ids()
+        warnings = checks.check_answers(joints, preflight.answers, robot, stored=preflight.stored)
+        warnings += checks.check_range(joints, preflight.answers)
+    except LssMotionError as error:
+        return [Finding(subject="robot", level=Level.BAD, said=str(error))], error
+    findings = [Finding(subject="robot", level=Level.HINT, said=text) for text in warnings]
+    findings += [
+        Finding(
+            subject="stored limits",
+            level=Level.HINT,
+            said=f"{text}: with that it would restart",
+            fix=f"lss-motion configure {robot.path} --limits",
+        )
+        for text in checks.stored_excesses(joints, preflight.stored)
+    ]
+    simulated = " (simulated)" if is_simulated else ""
+    said = f"{len(joints)} servos answer as {robot.name!r} has them{simulated}"
+    return [*findings, Finding(subject="robot", level=Level.OK, said=said)], None

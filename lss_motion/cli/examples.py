@@ -11,8 +11,10 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.cli.commands import add_command, add_force, refuse_overwriting, write_text
+from lss_motion.cli.commands import add_command, add_force
 from lss_motion.errors import EXIT_FINISHED, InputError
+from lss_motion.files.output import FORCE_REMEDY, write_output
+from lss_motion.files.source import read_text
 
 if TYPE_CHECKING:
     import argparse
@@ -75,7 +77,8 @@ def write_example(name: str, folder: Path, *, is_forced: bool) -> list[Path]:
     texts = {folder / part: _text(part) for part in _parts(f"{name}.yaml")}
     fresh = {path: text for path, text in texts.items() if not _has(path, text)}
     for path in fresh:
-        refuse_overwriting(path, is_forced=is_forced)
+        if path.exists() and not is_forced:
+            raise InputError(f"exists already; {FORCE_REMEDY}", path=path)
     for path, text in fresh.items():
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -83,7 +86,7 @@ def write_example(name: str, folder: Path, *, is_forced: bool) -> list[Path]:
             raise InputError(
                 f"cannot be written: its folder cannot be made: {error.strerror}", path=path
             ) from error
-        write_text(path, text)
+        write_output(path, text)
     return list(fresh)
 
 
@@ -105,8 +108,8 @@ def _text(part: str) -> str:
 
 def _has(path: Path, text: str) -> bool:
     try:
-        return path.read_text(encoding="utf-8") == text
-    except (OSError, ValueError):
+        return read_text(path) == text
+    except InputError:
         return False
 
 

@@ -13,30 +13,46 @@ from lss_motion.cli.commands import (
     add_robot_options,
     number_from,
     reader,
-    refuse_overwriting,
-    write_text,
 )
 from lss_motion.errors import EXIT_FINISHED, InputError
+from lss_motion.files.output import Kind, Output, require_outputs, write_output
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Callable
 
     from lss_motion.cli.commands import Commands
+    from lss_motion.cli.shows import Show
     from lss_motion.interchange.export import Samples
+    from lss_motion.robot.model import Robot
     from lss_motion.trajectory.model import Trajectory
 
 
 FORMATS_IN: Final = (
     "bitbots, hulks, pypot, blender, bottango, webots, mtn, maestro, ssc32-csv, pypose, ros, csv, "
-    "commands, robotis-bin"
+    "commands, d6a, lerobot, opencat, poses, robotis-bin"
 )
 """The names of `interchange.FORMAT_NAMES`, which loads too slowly for a help text; a test
 compares them."""
 
 PROGRAM: Final = "lss"
 
-FORMATS_OUT: Final = ("csv", "ros", "blender-csv", "blender-json", PROGRAM)
-"""The names of `interchange.EXPORT_NAMES`, and the compiled program of this package."""
+SKETCH: Final = "arduino"
+
+MCAP: Final = "mcap"
+
+FORMATS_OUT: Final = ("csv", "ros", "blender-csv", "blender-json", PROGRAM, SKETCH, MCAP)
+"""The names of `interchange.EXPORT_NAMES`; the compiled program, as text and as a sketch; a log."""
+
+KINDS: Final = {
+    "csv": Kind.TABLE,
+    "ros": Kind.ROS,
+    "blender-csv": Kind.TABLE,
+    "blender-json": Kind.BLENDER,
+    PROGRAM: Kind.PROGRAM,
+    SKETCH: Kind.ARDUINO,
+    MCAP: Kind.MCAP,
+}
 
 SUFFIXES: Final = {
     ".csv": "csv",
@@ -44,6 +60,8 @@ SUFFIXES: Final = {
     ".yml": "ros",
     ".json": "blender-json",
     ".lss": PROGRAM,
+    ".ino": SKETCH,
+    ".mcap": MCAP,
 }
 
 IMPORT_TEXT: Final = f"""\
@@ -60,15 +78,26 @@ the meaning of its values; --make-map writes one to begin with.
 """
 
 EXPORT_TEXT: Final = """\
-Write the motion of a sequence for other tools.
+Write the motion of a sequence, or a log of lss-play, for other tools.
 
   lss-motion export wave.yaml -o wave.csv
   lss-motion export wave.yaml --to blender-csv -o wave.csv
+  lss-motion export wave.yaml -o wave/wave.ino
+  lss-motion export wave.log -o wave.mcap
+
+An Arduino sketch (and wave_program.h beside it) plays the compiled program without a computer, with
+the library "LSS" of the maker of the servos. MCAP holds what a log does: positions that the servos
+reported and targets that they were sent as sensor_msgs/msg/JointState, events as JSON.
 """
 
 
 def add_to(commands: Commands) -> None:
     """Add the commands of this module."""
+    _add_import(commands)
+    _add_export(commands)
+
+
+def _add_import(commands: Commands) -> None:
     imported = add_command(
         commands, "import", _import, "turn another tool's motion into a sequence file", IMPORT_TEXT
     )
@@ -104,22 +133,37 @@ def add_to(commands: Commands) -> None:
         help="between the keys of a recording: spline (default) needs the least acceleration, "
         "smooth never goes beyond a key, linear stops at every key",
     )
+    imported.add_argument(
+        "--unwrap",
+        action="store_true",
+        help="remove the full turns of encoders that wrap, in a recording",
+    )
+    imported.add_argument(
+        "--clip",
+        action="store_true",
+        help="limit angles beyond the range of a joint to the range, and list them",
+    )
     target = imported.add_mutually_exclusive_group(required=True)
     target.add_argument("-o", "--output", type=Path, metavar="S.yaml", help="the sequence to write")
     target.add_argument(
         "--make-map", type=Path, metavar="M.yaml", help="write only a map file to begin with"
     )
     add_force(imported)
+
+
+def _add_export(commands: Commands) -> None:
     exported = add_command(
         commands, "export", _export, "write the motion of a sequence for other tools", EXPORT_TEXT
     )
-    exported.add_argument("file", type=Path, metavar="FILE", help="a sequence or a gait")
+    exported.add_argument(
+        "file", type=Path, metavar="FILE", help="a sequence or a gait; for mcap a log"
+    )
     add_robot_options(exported)
     exported.add_argument(
         "--to",
         choices=FORMATS_OUT,
         help="the format (default, by the suffix of the output: csv, ros for .yaml, blender-json "
-        "for .json, lss)",
+        "for .json, lss, arduino for .ino, mcap)",
     )
     exported.add_argument(
         "--rate-hz",
@@ -131,6 +175,7 @@ def add_to(commands: Commands) -> None:
     exported.add_argument(
         "-o", "--output", type=Path, required=True, metavar="F", help="the file to write"
     )
+    add_force(exported)
 
 
 def _import(arguments: argparse.Namespace) -> int:
@@ -141,13 +186,17 @@ def _import(arguments: argparse.Namespace) -> int:
     from lss_motion.sequence.write import write_sequence
     from lss_motion.trajectory.planner import plan
 
-    refuse_overwriting(arguments.make_map or arguments.output, is_forced=arguments.force)
+    require_outputs(
+        [Output(arguments.make_map or arguments.output, Kind.YAML)],
+        sources=[arguments.file, arguments.robot, arguments.robot_cache, arguments.map],
+        is_forced=arguments.force,
+    )
     robot = reader(arguments, may_query=False)(arguments.robot)
     motion = read_motion(
         arguments.file, format_name=arguments.format_name, motion_name=arguments.motion
     )
     if arguments.make_map is not None:
-        write_text(arguments.make_map, map_template(motion, robot))
+        write_output(arguments.make_map, map_template(motion, robot))
         print(f"{arguments.make_map}: {len(motion.channels)} joints; edit it, then use --map")
         return EXIT_FINISHED
     made = imported(
@@ -156,6 +205,8 @@ def _import(arguments: argparse.Namespace) -> int:
         motion_map=None if arguments.map is None else load_map(arguments.map),
         tolerance_deg=arguments.tolerance_deg,
         ease=Interpolation(arguments.interpolation),
+        is_unwrapped=arguments.unwrap,
+        is_clipped=arguments.clip,
     )
     fit = [] if made.fit is None else [fit_text(made.fit)]
     write_sequence(made.sequence, arguments.output, comments=[*made.comments, *fit])
@@ -168,6 +219,7 @@ def _import(arguments: argparse.Namespace) -> int:
 def _export(arguments: argparse.Namespace) -> int:
     from lss_motion.cli import shows
     from lss_motion.interchange.export import exported
+    from lss_motion.program.arduino import header_name
     from lss_motion.program.text import to_text
 
     read_robot = reader(arguments, may_query=False)
@@ -176,17 +228,75 @@ def _export(arguments: argparse.Namespace) -> int:
     if format_name is None:
         known = ", ".join(FORMATS_OUT)
         raise InputError(f"has a suffix without a format; add --to: {known}", path=output)
+    outputs = [Output(output, KINDS[format_name])]
+    if format_name == SKETCH:
+        outputs.append(Output(output.with_name(header_name(output)), Kind.ARDUINO))
+    given = [arguments.file, arguments.robot, arguments.robot_cache]
+    if format_name == SKETCH and output.parent.name == output.stem and output.parents[1].is_dir():
+        output.parent.mkdir(exist_ok=True)  # The Arduino tools require a folder of this name.
+    require_outputs(outputs, sources=given, is_forced=arguments.force)
     if format_name == PROGRAM:
         shows.require_program_suffix(output)
         show = shows.prepare(arguments.file, arguments.robot, read_robot=read_robot)
-        write_text(output, to_text(show.program, folder=output.absolute().parent))
+        write_output(output, to_text(show.program, folder=output.absolute().parent))
         print(f"{output}: {len(show.program.moves)} commands")
         return EXIT_FINISHED
+    if format_name == SKETCH:
+        show = shows.prepare(arguments.file, arguments.robot, read_robot=read_robot)
+        _write_sketch(show, output)
+        return EXIT_FINISHED
+    if format_name == MCAP:
+        _write_mcap(arguments.file, arguments.robot, output, read_robot)
+        return EXIT_FINISHED
     sequence, robot = shows.load(arguments.file, arguments.robot, read_robot)
-    samples = sampled(shows.planned(sequence, robot), arguments.rate_hz)
-    write_text(output, exported(samples, format_name))
+    sources = [*given, *shows.files_of(sequence)]
+    require_outputs(outputs, sources=sources, is_forced=arguments.force)
+    trajectory = shows.planned(sequence, robot)
+    shows.require_rows(trajectory, arguments.rate_hz)
+    samples = sampled(trajectory, arguments.rate_hz)
+    write_output(output, exported(samples, format_name))
     print(f"{output}: {len(samples.times_s)} samples of {len(samples.joints)} joints")
     return EXIT_FINISHED
+
+
+def _write_mcap(
+    log: Path, robot_path: Path | None, output: Path, read_robot: Callable[[Path], Robot]
+) -> None:
+    """Write a log as MCAP; the log names the robot if `robot_path` does not."""
+    from lss_motion.cli import shows
+    from lss_motion.program.text import load_program
+    from lss_motion.runtime.log_mcap import mcap_of_log
+    from lss_motion.runtime.replay import read_log
+
+    played, entries = read_log(log)
+    robot_path = robot_path or (Path(played["robot"]) if played.get("robot") else None)
+    if robot_path is not None:
+        robot = read_robot(robot_path)
+    elif "file" not in played:
+        raise InputError("does not name the file that was played; add --robot FILE", path=log)
+    elif shows.is_program(Path(played["file"])):
+        _, robot = load_program(Path(played["file"]), read_robot)
+    else:
+        _, robot = shows.load(Path(played["file"]), None, read_robot)
+    write_output(output, mcap_of_log(entries, robot))
+    print(f"{output}: {len(entries)} lines of {log}")
+
+
+def _write_sketch(show: Show, output: Path) -> None:
+    """Write the sketch and its header."""
+    from lss_motion.player.handshake import session_commands
+    from lss_motion.program.arduino import header_name, sketch
+
+    joints = [show.robot.joints[name] for name in show.program.start_deg]
+    made = sketch(show.program, show.robot, session_commands(joints), output)
+    header = output.with_name(header_name(output))
+    write_output(header, made.header)
+    write_output(output, made.sketch)
+    print(f"{output}, {header.name}: {len(show.program.moves)} commands")
+    for text in made.left_out:
+        print(f"Not carried over: {text}")
+    if output.absolute().parent.name != output.stem:
+        print(f"the Arduino IDE opens it in a folder named {output.stem}")
 
 
 def sampled(trajectory: Trajectory, rate_hz: float) -> Samples:

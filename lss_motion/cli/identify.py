@@ -15,13 +15,12 @@ from lss_motion.cli.commands import (
     VIRTUAL_HELP,
     add_command,
     add_force,
-    refuse_overwriting,
-    require_folder,
     require_joint,
     robot_at,
 )
 from lss_motion.cli.messages import ended_by
 from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, InputError
+from lss_motion.files.output import Kind, Output, require_outputs
 
 if TYPE_CHECKING:
     import argparse
@@ -137,8 +136,8 @@ def _check(arguments: argparse.Namespace, *, simulated: bool) -> None:
             "the joint would move, and there is no terminal to agree on; add --yes to move it"
         )
     output = arguments.output
-    refuse_overwriting(output, is_forced=arguments.force)
-    require_folder(output)
+    sources = [arguments.robot]
+    require_outputs([Output(output, Kind.YAML)], sources=sources, is_forced=arguments.force)
 
 
 def _announce(
@@ -152,12 +151,12 @@ def _announce(
     )
     from lss_motion.player import handshake
 
-    answers = connection.ask(handshake.queries(joints))
-    for text in handshake.check_answers(joints, answers, robot):
+    answers, warnings = connection.examined(joints, robot)
+    for text in warnings:
         print(f"warning: {text}", file=sys.stderr)
     for joint in joints:
         standing_deg = handshake.reported(joint, answers, "QD")
-        assert standing_deg is not None, "check_answers raises without it"
+        assert standing_deg is not None, "`examined` raises without it"
         window = make_window(joint, standing_deg, span_deg)
         low, high = sorted((joint.joint_deg(window.low_deg), joint.joint_deg(window.high_deg)))
         lasts_s = estimated_duration_s(make_trials(joint, window, standing_deg))
@@ -186,10 +185,9 @@ def _measured(
     from lss_motion.player import handshake
     from lss_motion.runtime.runner import run
 
-    answers = connection.ask(handshake.queries([joint]))
-    handshake.check_answers([joint], answers, robot)
+    answers, _ = connection.examined([joint], robot)
     standing_deg = handshake.reported(joint, answers, "QD")
-    assert standing_deg is not None, "check_answers raises without it"
+    assert standing_deg is not None, "`examined` raises without it"
     window = make_window(joint, standing_deg, span_deg)
     experiment = Experiment(joint, robot, answers, window, standing_deg=standing_deg)
     progress = _Progress(joint.name)

@@ -46,6 +46,7 @@ def _jog(arguments: argparse.Namespace) -> int:
     from lss_motion.maintenance.hands_on import HandsOn
 
     robot, joints = load(arguments)
+    robot.require_turns(robot.joints[name] for name in joints)
     if not _is_name(arguments.pose):
         raise InputError(f"--pose {arguments.pose!r}: a name has letters, digits, - and _ only")
     return run_command(arguments, HandsOn(robot, joints), JogControls(robot, arguments.pose))

@@ -29,6 +29,7 @@ from lss_motion.cli import (
 )
 from lss_motion.cli.commands import CommandParser, add_version
 from lss_motion.cli.messages import guarded
+from lss_motion.runtime.signals import as_program
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -85,4 +86,4 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(as_program("lss-motion", main))

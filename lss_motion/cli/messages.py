@@ -6,9 +6,7 @@ a traceback. No output can stop or delay a moving robot: `put` never raises, `Pr
 
 from __future__ import annotations
 
-import contextlib
 import io
-import os
 import re
 import select
 import sys
@@ -22,6 +20,7 @@ from lss_motion.errors import (
     InputError,
     LssMotionError,
 )
+from lss_motion.runtime.signals import exit_code, redirect_to_null
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -46,18 +45,30 @@ def guarded(program: str, do: Callable[[], int]) -> int:
         has_place = is_of_file or _PLACE.match(str(error)) is not None
         put(str(error) if has_place else f"{program}: {error}", sys.stderr)
         return error.exit_code
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interrupt:
         put(f"{program}: interrupted", sys.stderr)
-        return EXIT_INTERRUPTED
+        return exit_code(interrupt)
     except OSError as error:
         if error.filename is None:
-            _redirect_to_null(sys.stdout)
+            redirect_to_null(sys.stdout)
         if isinstance(error, BrokenPipeError):  # `schema | head` closes the pipe early.
             return 0
         what = error.filename or "standard output"
         put(f"{program}: {what} cannot be used: {error.strerror or error}", sys.stderr)
         return EXIT_INPUT
     return code
+
+
+def failures(write: Callable[..., None], *arguments: object) -> list[str]:
+    """Call a function that writes a file; return why it could not, or nothing.
+
+    For what is written after a robot has moved: the rest must still be printed and written.
+    """
+    try:
+        write(*arguments)
+    except InputError as error:
+        return [str(error)]
+    return []
 
 
 def ended_by(signal_number: int | None) -> int:
@@ -75,7 +86,7 @@ def put(text: str, stream: TextIO | None = None, *, end: str = "\n") -> None:
     try:
         print(text, end=end, file=stream, flush=True)
     except OSError as error:
-        _redirect_to_null(stream)
+        redirect_to_null(stream)
         if stream is sys.stdout:
             put(
                 f"warning: standard output cannot be written ({error.strerror}); "
@@ -107,14 +118,6 @@ class Printer:
         """Print all lines that are left; this may wait."""
         while self._held:
             put(self._held.popleft())
-
-
-def _redirect_to_null(stream: TextIO) -> None:
-    """Drop everything that is printed to `stream` from now on."""
-    with contextlib.suppress(OSError, ValueError):
-        null_fd = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(null_fd, stream.fileno())
-        os.close(null_fd)
 
 
 def _has_room(stream: TextIO) -> bool:

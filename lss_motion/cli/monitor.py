@@ -12,11 +12,14 @@ from lss_motion.cli.commands import (
     PORT_HELP,
     SIMULATED_NOTE,
     add_command,
+    add_force,
     add_robot,
     number_from,
     robot_at,
 )
-from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, BusError, InputError
+from lss_motion.errors import EXIT_FINISHED, BusError, InputError
+from lss_motion.files.output import Kind, Output, require_outputs, write_output
+from lss_motion.runtime.signals import exit_code
 from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
@@ -62,6 +65,7 @@ def add_to(commands: Commands) -> None:
     monitor.add_argument(
         "--csv", type=Path, metavar="FILE", help="write every reading to this file"
     )
+    add_force(monitor)
     seconds = number_from(0.0, 1e9, "seconds", is_above=True)
     monitor.add_argument(
         "--for", type=seconds, metavar="S", dest="for_s", help="end after S seconds"
@@ -93,6 +97,8 @@ def _monitor(arguments: argparse.Namespace) -> int:
 
     if arguments.robot is None and arguments.port is None:
         raise InputError("give a ROBOT file, or --port")
+    outputs = [Output(arguments.csv, Kind.READINGS)]
+    require_outputs(outputs, sources=[arguments.robot], is_forced=arguments.force)
     robot = None
     if arguments.robot is not None:
         robot = robot_at(arguments.robot, arguments.port)
@@ -141,8 +147,8 @@ def _run(
 
     try:
         run(watch, connection.ports, connection.clock, on_turn=on_turn)
-    except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
+    except KeyboardInterrupt as interrupt:
+        return exit_code(interrupt)
     return EXIT_FINISHED
 
 
@@ -191,7 +197,7 @@ def _with_firmware(connection: Connection, targets: Sequence[Target]) -> list[Ta
 
     from lss_motion.player.transactions import Item
     from lss_motion.protocol.constants import Family
-    from lss_motion.protocol.line import Command
+    from lss_motion.protocol.framing import Command
 
     answers = connection.ask(
         Item(bus=target.bus, command=Command(target.servo_id, "QF"), is_query=True, tries=1)
@@ -206,8 +212,10 @@ def _with_firmware(connection: Connection, targets: Sequence[Target]) -> list[Ta
 
 
 def _open(path: Path) -> TextIO:
+    """Return a new table; rows are appended to it as they are measured."""
+    write_output(path, "")
     try:
-        return path.open("w", encoding="utf-8", newline="")
+        return path.open("a", encoding="utf-8", newline="")
     except OSError as error:
         raise InputError(f"cannot be written: {error.strerror}", path=path) from error
 

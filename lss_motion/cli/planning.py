@@ -18,10 +18,10 @@ from lss_motion.cli.commands import (
     number_from,
     print_json,
     reader,
-    refuse_overwriting,
-    write_text,
 )
 from lss_motion.errors import EXIT_FINISHED, InputError
+from lss_motion.files.output import Kind, Output, require_outputs, write_output
+from lss_motion.files.source import RECORDING_MAX_BYTES, read_text
 
 if TYPE_CHECKING:
     import argparse
@@ -38,9 +38,11 @@ if TYPE_CHECKING:
 
 CHECK_TEXT: Final = """\
 Check a file: read it, plan and compile it, and print what was slowed down and why, the use of each
-limit and the load of the bus. Nothing is written and no servo is contacted.
+limit and the load of the bus. Nothing is written and no servo is contacted. Of slow spans and late
+keyframes the worst ten are listed after the totals; `--all` and `--json` list all.
 
   lss-motion check wave.yaml
+  lss-motion check wave.yaml --all
   lss-motion check robots/desk_arm.yaml --json
 """
 
@@ -71,12 +73,14 @@ def add_to(commands: Commands) -> None:
         "file", type=Path, metavar="FILE", help="a sequence, a gait, a program or a robot"
     )
     add_robot_options(check)
+    _add_all(check)
     add_json(check)
     planned = add_command(
         commands, "plan", _plan, "plan a sequence; write it as a table or a picture", PLAN_TEXT
     )
     planned.add_argument("file", type=Path, metavar="FILE", help="a sequence or a gait")
     add_robot_options(planned)
+    _add_all(planned)
     planned.add_argument(
         "--csv", type=Path, metavar="F", help="write this table: t_s,<joint>,... in degrees"
     )
@@ -94,6 +98,7 @@ def add_to(commands: Commands) -> None:
         metavar="F",
         help="also draw the true horn angles, from the file of lss-play --truth",
     )
+    add_force(planned)
     compiled = add_command(
         commands, "compile", _compile, "compile a sequence to a program (.lss)", COMPILE_TEXT
     )
@@ -102,6 +107,7 @@ def add_to(commands: Commands) -> None:
     compiled.add_argument(
         "-o", "--output", type=Path, metavar="F.lss", help="the program to write (default: print)"
     )
+    add_force(compiled)
     schema = add_command(
         commands, "schema", _schema, "print the JSON Schema of a robot, sequence or gait file"
     )
@@ -123,9 +129,24 @@ def add_to(commands: Commands) -> None:
     gait.add_argument("--plot", type=Path, metavar="F.png", help=PLOT_HELP)
 
 
+def _add_all(parser: argparse.ArgumentParser) -> None:
+    """Add `--all`."""
+    parser.add_argument(
+        "--all",
+        action="store_true",
+        help="list all slow spans and late keyframes, not only the worst ten",
+    )
+
+
 def _files(arguments: argparse.Namespace) -> tuple[Path, Path | None, Callable[[Path], Robot]]:
     """Return the file, the robot file or None, and the function that reads robot files."""
     return arguments.file, arguments.robot, reader(arguments, may_query=False)
+
+
+def _inputs(arguments: argparse.Namespace) -> list[Path | None]:
+    """Return the files that the arguments name as input."""
+    truth = getattr(arguments, "truth", None)
+    return [arguments.file, arguments.robot, arguments.robot_cache, truth]
 
 
 def _check(arguments: argparse.Namespace) -> int:
@@ -137,6 +158,7 @@ def _check(arguments: argparse.Namespace) -> int:
 
     if is_robot_file(arguments.file):
         robot = reader(arguments, may_query=False)(arguments.file)
+        robot.require_turns(robot.joints.values())
         if arguments.json:
             print_json(robot_as_json(robot))
         else:
@@ -153,7 +175,7 @@ def _check(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json(show_as_json(show))
     else:
-        print("\n".join([*lines, *program_lines(show)]))
+        print("\n".join([*lines, *program_lines(show, is_whole=arguments.all)]))
     return EXIT_FINISHED
 
 
@@ -161,16 +183,22 @@ def _plan(arguments: argparse.Namespace) -> int:
     from lss_motion.cli import shows
     from lss_motion.cli.summaries import plan_lines
 
+    outputs = [Output(arguments.csv, Kind.TABLE), Output(arguments.plot, Kind.PICTURE)]
+    given = _inputs(arguments)
+    require_outputs(outputs, sources=given, is_forced=arguments.force)
     sequence, robot = shows.load(*_files(arguments))
+    sources = [*given, *shows.files_of(sequence)]
+    require_outputs(outputs, sources=sources, is_forced=arguments.force)
     trajectory = shows.planned(sequence, robot)
     if arguments.csv is not None:
-        write_text(arguments.csv, plan_table(trajectory, arguments.rate_hz))
+        shows.require_rows(trajectory, arguments.rate_hz)
+        write_output(arguments.csv, plan_table(trajectory, arguments.rate_hz))
     if arguments.plot is not None:
         from lss_motion.trajectory.plot import plot
 
         horn = None if arguments.truth is None else read_table(arguments.truth, trajectory.joints)
         plot(trajectory, robot, arguments.plot, horn=horn)
-    print("\n".join(plan_lines(trajectory, robot)))
+    print("\n".join(plan_lines(trajectory, robot, is_whole=arguments.all)))
     return EXIT_FINISHED
 
 
@@ -181,11 +209,14 @@ def _compile(arguments: argparse.Namespace) -> int:
 
     if arguments.output is not None:
         shows.require_program_suffix(arguments.output)
+    outputs = [Output(arguments.output, Kind.PROGRAM)]
+    require_outputs(outputs, sources=_inputs(arguments), is_forced=arguments.force)
     show = shows.prepare(*_files(arguments))
     if arguments.output is None:
         print(to_text(show.program, folder=Path.cwd()), end="")
         return EXIT_FINISHED
-    write_text(arguments.output, to_text(show.program, folder=arguments.output.absolute().parent))
+    text = to_text(show.program, folder=arguments.output.absolute().parent)
+    write_output(arguments.output, text)
     print("\n".join(program_lines(show)))
     return EXIT_FINISHED
 
@@ -211,10 +242,12 @@ def _gait(arguments: argparse.Namespace) -> int:
     from lss_motion.sequence.write import write_sequence
     from lss_motion.trajectory.planner import plan
 
-    refuse_overwriting(arguments.output, is_forced=arguments.force)
+    outputs = [Output(arguments.output, Kind.YAML), Output(arguments.plot, Kind.PICTURE)]
+    require_outputs(outputs, sources=_inputs(arguments), is_forced=arguments.force)
     gait, robot = shows.load_gait(
         arguments.file, arguments.robot, reader(arguments, may_query=False)
     )
+    require_outputs(outputs, sources=[robot.path], is_forced=arguments.force)
     passages = paced(gait, robot)
     sequence = sequence_from(gait, passages)
     plan(sequence, robot)  # The verifier of the planner must accept it before anything is written.
@@ -230,8 +263,6 @@ def _gait(arguments: argparse.Namespace) -> int:
 
 def is_robot_file(path: Path) -> bool:
     """Return whether a file describes a robot; raise `InputError` if it cannot be read."""
-    from lss_motion.files.source import read_text
-
     return path.suffix.lower() in (".yaml", ".yml") and bool(ROBOT_KEYS.search(read_text(path)))
 
 
@@ -260,14 +291,12 @@ def read_table(path: Path, joints: Sequence[str]) -> tuple[FloatArray, FloatArra
     """Return times and (n, joints) angles of the named joints from a table at `path`."""
     import numpy as np
 
+    text = read_text(path, RECORDING_MAX_BYTES)
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.reader(file))
+        rows = list(csv.reader(io.StringIO(text, newline="")))
         columns = [rows[0].index(name) for name in ("t_s", *joints)]
         table = np.array([[float(row[column]) for column in columns] for row in rows[1:]])
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", path=path) from error
-    except (ValueError, IndexError) as error:
+    except (ValueError, IndexError, csv.Error) as error:
         raise InputError(
             f"is not a table with the columns t_s,{','.join(joints)} in numbers", path=path
         ) from error

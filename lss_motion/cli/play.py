@@ -14,17 +14,27 @@ from lss_motion.cli.commands import (
     QUIET_HELP,
     REPORT_HELP,
     SEED_HELP,
+    UNLIMITED_HELP,
     VIRTUAL_HELP,
     add_command,
     add_robot_options,
     add_version,
     number_from,
     reader,
-    require_folder,
 )
+from lss_motion.cli.consent import ALLOW_HELP, may_call
 from lss_motion.cli.dialog import YES_HELP, Confirmation, must_ask, print_event, simulated_text
-from lss_motion.cli.messages import Printer, discard, ended_by, guarded, put
-from lss_motion.errors import EXIT_FINISHED, EXIT_NOT_FOLLOWED, InputError, LostPortError
+from lss_motion.cli.messages import Printer, discard, ended_by, failures, guarded, put
+from lss_motion.errors import (
+    EXIT_FINISHED,
+    EXIT_INPUT,
+    EXIT_INTERRUPTED,
+    EXIT_NOT_FOLLOWED,
+    InputError,
+    LostPortError,
+)
+from lss_motion.files.output import OTHER_NAME_REMEDY, Kind, Output, require_outputs
+from lss_motion.runtime.signals import as_program
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -54,9 +64,10 @@ plan; q or Ctrl-C stops, and the servos hold. A signal or a closed terminal stop
 A second Ctrl-C stops at once; the servos then keep the settings of the show until they are
 switched off.
 
-Exit codes: 0 played to the end; 2 a file or an argument is wrong; 3 no plan is possible, or the
-bus is too slow for it; 4 port or servos not reachable; 5 the robot did not follow; 130
-interrupted; 128 plus its number for any other signal.
+Exit codes: 0 played to the end; 2 a file or an argument is wrong, or the show was played and a log,
+report or truth could not be written; 3 no plan is possible, or the bus is too slow for it; 4 port
+or servos not reachable; 5 the robot did not follow; 130 interrupted; 128 plus its number for any
+other signal.
 """
 
 
@@ -110,6 +121,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="start S seconds into the show",
     )
     parser.add_argument("--no-feedback", action="store_true", help=NO_FEEDBACK_HELP)
+    parser.add_argument("--force", action="store_true", help=UNLIMITED_HELP)
     parser.add_argument(
         "--dry-run", action="store_true", help="plan, compile and check; move nothing"
     )
@@ -141,6 +153,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--quiet", action="store_true", help=QUIET_HELP)
     parser.add_argument("--yes", action="store_true", help=YES_HELP)
+    parser.add_argument("--allow-run", action="store_true", help=ALLOW_HELP)
 
 
 def play(arguments: argparse.Namespace) -> int:
@@ -150,6 +163,7 @@ def play(arguments: argparse.Namespace) -> int:
     from lss_motion.cli.report import report_lines
     from lss_motion.cli.terminal import Terminal
 
+    _check_outputs(arguments)
     show = shows.prepare(
         arguments.file,
         arguments.robot,
@@ -165,6 +179,12 @@ def play(arguments: argparse.Namespace) -> int:
         for line in [] if arguments.quiet else program_lines(show):
             print(line)
         return EXIT_FINISHED
+    # In virtual time no function is called.
+    if not arguments.virtual and not may_call(
+        arguments.file, show.program.cues, is_allowed=arguments.allow_run
+    ):
+        put("no: nothing was played", sys.stderr)
+        return EXIT_INTERRUPTED
     is_asked = not arguments.virtual and must_ask(arguments, robot)
     with contextlib.ExitStack() as stack:
         printer = Printer()
@@ -174,13 +194,27 @@ def play(arguments: argparse.Namespace) -> int:
             how = " in virtual time" if arguments.virtual else " in real time"
             print_line(simulated_text(show.program.name, robot, how))
         terminal = stack.enter_context(Terminal())
-        result = _perform(arguments, show, robot, print_line, terminal, is_asked=is_asked)
-        _write_results(arguments, result)
+        problems: list[str] = []
+        result = _perform(arguments, show, robot, print_line, terminal, problems, is_asked=is_asked)
+        problems += _write_results(arguments, result)
+        for text in problems:
+            put(f"lss-play: {text}", sys.stderr)
         if result.error is not None:
             raise _explained(result.error, result)
         for line in report_lines(result.report.to_dict()):
             print_line(line)
-        return _exit_code(result, terminal)
+        return _exit_code(result, terminal) or (EXIT_INPUT if problems else EXIT_FINISHED)
+
+
+def _check_outputs(arguments: argparse.Namespace) -> None:
+    """Refuse outputs that cannot be written, or that would replace what is not theirs."""
+    outputs = [
+        Output(arguments.report, Kind.REPORT),
+        Output(arguments.truth, Kind.TABLE),
+        Output(arguments.log, Kind.LOG),
+    ]
+    sources = [arguments.file, arguments.robot, arguments.robot_cache, arguments.faults]
+    require_outputs(outputs, sources=sources, remedy=OTHER_NAME_REMEDY)
 
 
 def _check(arguments: argparse.Namespace, show: Show, *, is_simulated: bool) -> None:
@@ -189,14 +223,12 @@ def _check(arguments: argparse.Namespace, show: Show, *, is_simulated: bool) -> 
         raise InputError("--truth needs the simulated bus: a real horn angle is not known exactly")
     if arguments.faults is not None and not is_simulated:
         raise InputError("--faults needs the simulated bus")
-    if arguments.virtual and show.program.repeat is not None:
+    if arguments.virtual and show.program.is_endless:
         raise InputError("--virtual never ends with a loop forever; give --loop N")
     if arguments.start_s is not None and arguments.start_s >= show.program.duration_s:
         raise InputError(
             f"--from {arguments.start_s:g}: the show ends at {show.program.duration_s:.3f} s"
         )
-    for path in (arguments.report, arguments.truth, arguments.log):
-        require_folder(path)
 
 
 def _perform(
@@ -205,9 +237,11 @@ def _perform(
     robot: Robot,
     print_line: Callable[[str], None],
     terminal: Terminal,
+    problems: list[str],
     *,
     is_asked: bool,
 ) -> Result:
+    """Play; add to `problems` why the log is not complete, if it is not."""
     from lss_motion.cli.display import Display
     from lss_motion.cli.terminal import LoggedControls
     from lss_motion.perform import Observer, perform
@@ -223,7 +257,7 @@ def _perform(
 
             played = {**_played(arguments), "must_ask": is_asked, "limits": robot.read_limits}
             log = ByteLog(arguments.log, played=played, may_wait=arguments.virtual)
-            stack.enter_context(log)
+            stack.enter_context(log.reporting_to(problems))
         note = print_line if display is None else display.note
         controls = terminal if log is None else LoggedControls(terminal, log)
         note_answer = None if log is None else log.requested
@@ -239,12 +273,14 @@ def _perform(
             is_virtual=arguments.virtual,
             seed=arguments.seed,
             has_feedback=not arguments.no_feedback,
+            is_forced=arguments.force,
             start_s=arguments.start_s,
             trajectory=show.trajectory,
             observer=observer,
             faults=_faults(arguments, robot),
             is_real_time=arguments.real_time,
             must_ask=is_asked,
+            may_run=True,
         )
 
 
@@ -257,6 +293,8 @@ def _played(arguments: argparse.Namespace) -> dict[str, Any]:
         "loop": arguments.loop,
         "start_s": arguments.start_s,
         "has_feedback": not arguments.no_feedback,
+        "is_forced": arguments.force,
+        "port": arguments.port,
     }
 
 
@@ -268,14 +306,17 @@ def _faults(arguments: argparse.Namespace, robot: Robot) -> Sequence[Fault]:
     return load_faults(arguments.faults, robot)
 
 
-def _write_results(arguments: argparse.Namespace, result: Result) -> None:
+def _write_results(arguments: argparse.Namespace, result: Result) -> list[str]:
+    """Write report and truth; return what could not be written, since the show was played."""
     from lss_motion.perform import write_truth
     from lss_motion.runtime.report import write_report
 
+    problems = []
     if arguments.report is not None:
-        write_report(result.report, arguments.report)
+        problems += failures(write_report, result.report, arguments.report)
     if arguments.truth is not None and result.truth is not None:
-        write_truth(result.truth, arguments.truth)
+        problems += failures(write_truth, result.truth, arguments.truth)
+    return problems
 
 
 def _explained(error: LssMotionError, result: Result) -> LssMotionError:
@@ -319,4 +360,4 @@ def _loop(text: str) -> int | str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(as_program("lss-play", main))

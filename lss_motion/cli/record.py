@@ -11,13 +11,12 @@ from lss_motion.cli.commands import (
     add_command,
     add_force,
     number_from,
-    refuse_overwriting,
-    require_folder,
     robot_at,
 )
 from lss_motion.cli.hands import HAND_HELP, HandsControls, chosen_joints, joint_lines, perform
 from lss_motion.cli.messages import ended_by
 from lss_motion.errors import EXIT_FINISHED, BusError, InputError
+from lss_motion.files.output import Kind, Output, require_outputs
 from lss_motion.player.events import Phase
 from lss_motion.units import NS_PER_S, ns_from_s
 
@@ -121,8 +120,8 @@ def _record(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace, *, simulated: bool) -> None:
-    refuse_overwriting(arguments.output, is_forced=arguments.force)
-    require_folder(arguments.output)
+    output = Output(arguments.output, Kind.YAML)
+    require_outputs([output], sources=[arguments.robot], is_forced=arguments.force)
     if not simulated and (arguments.virtual or arguments.hand is not None):
         raise InputError("--virtual and --hand need the simulated bus: use --port sim://")
     if arguments.virtual and arguments.seconds is None:

@@ -74,6 +74,7 @@ def _replay(arguments: argparse.Namespace) -> int:
 
 def _again(path: Path, played: dict[str, Any], entries: list[Entry]) -> int:
     from lss_motion.cli import shows
+    from lss_motion.connection import with_port
     from lss_motion.maintenance.limits import with_limits
     from lss_motion.player.player import Player
     from lss_motion.robot.load import load_robot
@@ -92,10 +93,11 @@ def _again(path: Path, played: dict[str, Any], entries: list[Entry]) -> int:
     )
     player = Player(
         show.program,
-        show.robot,
+        with_port(show.robot, played.get("port")),  # A simulated robot is asked for less.
         has_feedback=played.get("has_feedback", True),
         start_s=played.get("start_s"),
         must_ask=played.get("must_ask", False),
+        is_forced=played.get("is_forced", False),
     )
     result = replay(entries, player)
     count = len(result.differing)
@@ -107,7 +109,7 @@ def _again(path: Path, played: dict[str, Any], entries: list[Entry]) -> int:
 
 def _lines_to(entries: list[Entry], servo_id: int) -> list[str]:
     from lss_motion.protocol.constants import BROADCAST_ID
-    from lss_motion.protocol.line import Command, CommandParser
+    from lss_motion.protocol.framing import Command, CommandParser
     from lss_motion.runtime.replay import sent_lines
 
     parser = CommandParser(grouped=False)
@@ -129,7 +131,7 @@ def _lines_to(entries: list[Entry], servo_id: int) -> list[str]:
 def _summary(entries: list[Entry]) -> Iterator[str]:
     from collections import Counter
 
-    from lss_motion.protocol.line import Command, CommandParser
+    from lss_motion.protocol.framing import Command, CommandParser
     from lss_motion.runtime.replay import sent_lines
 
     end_ns = entries[-1].at_ns if entries else 0
@@ -141,7 +143,11 @@ def _summary(entries: list[Entry]) -> Iterator[str]:
         )
         yield f"bus {bus}: {sent} bytes sent, {received} received"
     for entry in entries:
-        texts = {"=": [f"order: {entry.text}"], "?": [f"lost: {entry.text}"]}.get(entry.kind, [])
+        texts = {
+            "=": [f"order: {entry.text}"],
+            "~": [f"port {entry.bus}: {entry.text}"],
+            "?": [f"lost: {entry.text}"],
+        }.get(entry.kind, [])
         for text in event_lines(entry.text) if entry.kind == "!" else texts:
             yield f"{s_from_ns(entry.at_ns):12.6f} {text}"
     counts: dict[tuple[str, int], Counter[str]] = {}

@@ -12,8 +12,10 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.cli.commands import PLOT_HELP, add_command, add_json, print_json
+from lss_motion.cli.commands import PLOT_HELP, add_command, add_force, add_json, print_json
 from lss_motion.errors import EXIT_FINISHED, InputError
+from lss_motion.files.output import Kind, Output, require_outputs
+from lss_motion.files.source import RECORDING_MAX_BYTES, read_text
 
 if TYPE_CHECKING:
     import argparse
@@ -45,6 +47,7 @@ def add_to(commands: Commands) -> None:
         "--plot", type=Path, metavar="F.png", help=f"{PLOT_HELP}; for one report only"
     )
     add_json(report)
+    add_force(report)
 
 
 def _report(arguments: argparse.Namespace) -> int:
@@ -52,6 +55,8 @@ def _report(arguments: argparse.Namespace) -> int:
         raise InputError(f"{len(arguments.reports)} reports: give one, or two to compare")
     if arguments.plot is not None and len(arguments.reports) > 1:
         raise InputError("--plot draws one report; give one")
+    outputs = [Output(arguments.plot, Kind.PICTURE)]
+    require_outputs(outputs, sources=arguments.reports, is_forced=arguments.force)
     found = [_read_report(path) for path in arguments.reports]
     shown = [] if arguments.json else zip(arguments.reports, found, strict=True)
     for path, report in shown:
@@ -87,14 +92,15 @@ def _complete(path: Path) -> Iterator[None]:
 
 
 def _read_report(path: Path) -> dict[str, Any]:
+    from lss_motion.runtime.report import SCHEMA_VERSION
+
+    text = read_text(path, RECORDING_MAX_BYTES)
     try:
-        report = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", path=path) from error
-    except ValueError as error:
+        report = json.loads(text)
+    except (ValueError, RecursionError) as error:
         raise InputError(f"is not a report: {error}", path=path) from error
-    if not isinstance(report, dict) or report.get("schema") != 1:
-        raise InputError("is not a report of lss-play (`schema: 1`)", path=path)
+    if not isinstance(report, dict) or report.get("schema") != SCHEMA_VERSION:
+        raise InputError(f"is not a report of lss-play (`schema: {SCHEMA_VERSION}`)", path=path)
     return report
 
 

@@ -14,13 +14,12 @@ from lss_motion.cli.commands import (
     add_force,
     add_json,
     print_json,
-    refuse_overwriting,
     require_baud,
     robot_at,
-    write_text,
 )
 from lss_motion.cli.survey import survey
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
+from lss_motion.files.output import Kind, Output, require_outputs, write_output
 
 if TYPE_CHECKING:
     import argparse
@@ -76,7 +75,11 @@ def _scanned(arguments: argparse.Namespace, found: list[dict[str, Any]]) -> int:
     from lss_motion.connection import connect
 
     require_baud("--baud", arguments.baud)
-    refuse_overwriting(arguments.output, is_forced=arguments.force)
+    require_outputs(
+        [Output(arguments.output, Kind.YAML)],
+        sources=[arguments.robot],
+        is_forced=arguments.force,
+    )
     robot = None
     if arguments.robot is not None:
         robot = robot_at(arguments.robot, arguments.port)
@@ -182,6 +185,6 @@ def _write_starter(path: Path, bus: Bus, looks: Sequence[ServoCondition]) -> Non
     text = starter_file(path.stem, dataclasses.replace(bus, baud_bps=main_bps), looks)
     if text is None:
         raise BusError("no robot file was written: no servo has an id of its own")
-    write_text(path, text)
+    write_output(path, text)
     robot = load_robot(path)
     print(f"wrote {path}: {len(robot.joints)} joints. Edit the ranges before you move it")

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import PORT_HELP, add_command, robot_at
-from lss_motion.errors import EXIT_FINISHED, BusError, InputError
+from lss_motion.cli.messages import put
+from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, BusError, InputError
 
 if TYPE_CHECKING:
     import argparse
 
     from lss_motion.cli.commands import Commands
+    from lss_motion.connection import Connection
+    from lss_motion.maintenance.single_command import Standing, Verdict
     from lss_motion.protocol.codec import Decoded
     from lss_motion.protocol.constants import Family
-    from lss_motion.protocol.line import Command
-    from lss_motion.robot.model import Robot
+    from lss_motion.protocol.framing import Command
+    from lss_motion.robot.model import Joint, Robot
 
 
 DESCRIPTION: Final = """\
@@ -28,6 +32,11 @@ Send one command to one servo and print its reply. Values have the units of the 
   lss-motion send --robot my_robot.yaml --id 5 QV          port and family from the robot file
 
 A query without a reply ends with exit code 4. Servos never reply to an action.
+
+Queries, H, L and LED are sent at once. Before anything else is sent to a real servo you see what it
+does, and are asked; --yes skips the question. With --robot a move keeps the range and the speed of
+its joint: T is made longer, and a target outside is refused. --force sends it all the same, and a
+command to every servo (id 254). On sim:// nothing is asked, but the same is refused.
 """
 
 
@@ -65,18 +74,25 @@ def add_to(commands: Commands) -> None:
         "--id", type=int, required=True, metavar="N", dest="servo_id", help="id of the servo"
     )
     send.add_argument("--raw", action="store_true", help="send the words unchanged")
+    send.add_argument("--yes", action="store_true", help="send without the question")
+    send.add_argument(
+        "--force",
+        action="store_true",
+        help="also send what leaves the limits of the joint, or changes every servo",
+    )
     send.add_argument(
         "words", nargs="+", metavar="WORD", help="KEYWORD [VALUE [MODIFIER VALUE]...]"
     )
 
 
 def _send(arguments: argparse.Namespace) -> int:
-    from lss_motion.connection import connect
+    from lss_motion.connection import SIMULATED, connect
+    from lss_motion.maintenance.single_command import judge
     from lss_motion.player.transactions import Item
     from lss_motion.protocol.constants import Family
     from lss_motion.robot.model import Bus
 
-    robot = _robot(arguments)
+    robot, joint = _robot(arguments), None
     bus = Bus(name="main", port=arguments.port or "", baud_bps=arguments.baud, firmware=0)
     family = Family(arguments.family or Family.LSS)
     if robot is not None:
@@ -87,6 +103,13 @@ def _send(arguments: argparse.Namespace) -> int:
     command = _command(arguments, family)
     is_query = command.keyword.startswith("Q")
     with connect({bus.name: bus}, robot=robot) as connection:
+        if not is_query:
+            standing = None if joint is None else _standing(connection, joint, command)
+            verdict = judge(command, family, joint, standing)
+            if not _is_agreed(arguments, verdict, is_simulated=bus.port.startswith(SIMULATED)):
+                put("no: nothing was sent", sys.stderr)
+                return EXIT_INTERRUPTED
+            command = verdict.command
         answers = connection.ask([Item(bus=bus.name, command=command, is_query=is_query)])
     if not is_query:
         return EXIT_FINISHED
@@ -101,6 +124,61 @@ def _send(arguments: argparse.Namespace) -> int:
     return EXIT_FINISHED
 
 
+def _standing(connection: Connection, joint: Joint, command: Command) -> Standing | None:
+    """Return where the servo of a joint stands, if the command is a move to an angle."""
+    from lss_motion.maintenance.single_command import TO_ANGLE, read_standing, standing_queries
+    from lss_motion.player.transactions import Item
+    from lss_motion.protocol.framing import Command
+
+    if command.keyword not in TO_ANGLE:
+        return None
+    # Each number must come twice: a corrupted one would give a move that is too fast.
+    items = [
+        Item(
+            bus=joint.bus,
+            command=Command(joint.servo_id, keyword),
+            is_query=True,
+            agree_within=joint.model.wire_per_deg if keyword == "QD" else 0,
+        )
+        for keyword in standing_queries(joint)
+    ]
+    answers = connection.ask(items)
+    return read_standing(
+        joint,
+        {
+            keyword: value
+            for (_, servo_id, keyword), value in answers.items()
+            if servo_id == joint.servo_id
+        },
+    )
+
+
+def _is_agreed(arguments: argparse.Namespace, verdict: Verdict, *, is_simulated: bool) -> bool:
+    """Show what a command does; return whether it may be sent. Raises `InputError` if it may not.
+
+    A simulated robot is not asked about, but keeps the same limits, so that what works on `sim://`
+    works on a robot.
+    """
+    from lss_motion.cli.terminal import is_at_keyboard
+    from lss_motion.maintenance.single_command import Consent
+
+    if verdict.consent is Consent.FORCE and not arguments.force:
+        raise InputError(
+            f"{verdict.text}: {'; '.join(verdict.notes)}. Nothing was sent; --force sends it"
+        )
+    for line in (verdict.text, *verdict.notes):
+        put(line, sys.stderr)
+    if verdict.consent is Consent.NONE or is_simulated or arguments.yes:
+        return True
+    if not is_at_keyboard():
+        raise InputError(
+            "there is no terminal to agree on: nothing was sent. Run it in a terminal, or add "
+            "--yes to send it without the question"
+        )
+    put("send it? [y/N] ", sys.stderr, end="")
+    return sys.stdin.readline().strip().lower() in {"y", "yes"}
+
+
 def _robot(arguments: argparse.Namespace) -> Robot | None:
     if arguments.robot is None:
         if arguments.port is None or arguments.port.startswith("sim://"):
@@ -112,7 +190,7 @@ def _robot(arguments: argparse.Namespace) -> Robot | None:
 def _command(arguments: argparse.Namespace, family: Family) -> Command:
     """Return the command of the words: raw, or with values in physical units."""
     from lss_motion.protocol.codec import make_command
-    from lss_motion.protocol.line import Command, CommandParser
+    from lss_motion.protocol.framing import Command, CommandParser
 
     words: list[str] = arguments.words
     if arguments.raw:
@@ -144,7 +222,7 @@ def _number(word: str) -> float:
 
 def _reply_text(family: Family, command: Command, value: int | str | None) -> str:
     from lss_motion.protocol.codec import read_reply
-    from lss_motion.protocol.line import Reply, encode
+    from lss_motion.protocol.framing import Reply, encode
 
     reply = Reply(command.servo_id, command.keyword, value)
     line = encode(reply)[:-1].decode("ascii")

@@ -16,7 +16,7 @@ from lss_motion.maintenance.settings import Target
 from lss_motion.player.transactions import Item
 from lss_motion.protocol.codec import make_command
 from lss_motion.protocol.constants import RESET_S, Family
-from lss_motion.protocol.line import Command
+from lss_motion.protocol.framing import Command
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

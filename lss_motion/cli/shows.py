@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from lss_motion.gait.model import Gait
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     ReadRobot = Callable[[Path], Robot]
 
 PROGRAM_SUFFIX = ".lss"
+
+TABLE_VALUES_MAX: Final = 20_000_000
+"""Angles of one table. Chosen: three hours of 18 joints at 100 Hz, 160 MB of text."""
 
 GAIT_TOLERANCE_DEG: Final = 0.03
 """The largest deviation of a leg's predicted horn from its plan. Measured on simulated servos with
@@ -77,6 +80,16 @@ def load(
         if robot.read_limits:  # A gait in it was paced for other limits.
             sequence = load_sequence(path, robot, read_other=gait_as_sequence)
     return sequence, robot
+
+
+def files_of(sequence: Sequence) -> Iterator[Path]:
+    """Yield every sequence, gait and robot file that a sequence was made of."""
+    for path in (sequence.path, sequence.robot_path):
+        if path is not None:
+            yield path
+    parts = [step.sequence for step in sequence.play if step.sequence is not None]
+    for part in (*sequence.tracks, *parts, *(layer.sequence for layer in sequence.layers)):
+        yield from files_of(part)
 
 
 def load_gait(
@@ -163,6 +176,17 @@ def _read(path: Path, robot_path: Path | None, read_robot: ReadRobot | None) -> 
     program, robot = load_program(path, read_robot or load_robot, robot_path=robot_path)
     verify_program(program, robot)
     return Show(robot=robot, program=program)
+
+
+def require_rows(trajectory: Trajectory, rate_hz: float) -> None:
+    """Raise `InputError` if a table of the plan would be too large, before it is made."""
+    values = shown_s(trajectory) * rate_hz * len(trajectory.joints)
+    if values > TABLE_VALUES_MAX:
+        raise InputError(
+            f"a table of {shown_s(trajectory):,.0f} s at {rate_hz:g} Hz would have {values:,.0f} "
+            f"angles, at most {TABLE_VALUES_MAX:,} are written; give a lower --rate-hz, or loop "
+            "the sequence less often"
+        )
 
 
 def shown_s(trajectory: Trajectory) -> float:

@@ -10,6 +10,8 @@ import math
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+from lss_motion.cli.consent import call_lines, calls_of
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
     from lss_motion.interchange.reduce import KeyFit
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Joint, Robot
-    from lss_motion.trajectory.model import SlowSpan, Trajectory
+    from lss_motion.trajectory.model import Mark, SlowSpan, Trajectory
 
 
 SAMPLE_S: Final = 0.001
@@ -25,6 +27,15 @@ SAMPLE_S: Final = 0.001
 
 BLOCK_SAMPLES: Final = 8192
 """Samples are taken in blocks, so that a long show needs no more memory than a short one."""
+
+HOLD_SLACK_S: Final = 1e-5
+"""Holds that are shorter by less are not listed: a hundredth of a millisecond."""
+
+LATE_MIN_S: Final = 0.001
+"""Keyframes that are late by less are on time: the finest that a command can express."""
+
+WORST_COUNT: Final = 10
+"""Slow spans and late keyframes that are listed. Chosen: both fit on a screen."""
 
 FULL_RATIO: Final = 0.995
 """From this share on, a limit counts as fully used: planning leaves about a thousandth free."""
@@ -54,16 +65,19 @@ class LimitUse:
         return 1.0 / max(self.speed_ratio, math.sqrt(self.accel_ratio), 1e-9)
 
 
-def plan_lines(trajectory: Trajectory, robot: Robot) -> list[str]:
-    """Return the length of the plan, what was slowed and why, and the use of each limit."""
+def plan_lines(trajectory: Trajectory, robot: Robot, *, is_whole: bool = False) -> list[str]:
+    """Return the length of the plan, what was slowed and why, and the use of each limit.
+
+    `is_whole`: all slow spans and late keyframes, not only the worst ten.
+    """
     length = "forever" if trajectory.loop is None else f"{trajectory.duration_s:.3f} s"
     passes = "" if trajectory.loop == 1 else f", one pass {trajectory.middle.duration_s:.3f} s"
     lines = [f"{trajectory.name}: {length}{passes}, {len(trajectory.joints)} joints moved"]
-    if not trajectory.stretched:
-        lines.append(
-            "every keyframe is on time" if _has_times(trajectory) else "the file gives no times"
-        )
-    lines += [f"slower: {stretch_text(stretch)}" for stretch in trajectory.stretched]
+    lines += [
+        *_slow_lines(trajectory, is_whole=is_whole),
+        *_late_lines(trajectory, is_whole=is_whole),
+    ]
+    lines += [f"shorter: {hold_text(mark)}" for mark in shortened_holds(trajectory)]
     uses = limit_uses(trajectory, robot)
     width = max(len(name) for name in (*trajectory.joints, "joint"))
     lines.append(f"{'joint':{width}}  fastest deg/s (limit)   hardest deg/s² (limit)")
@@ -74,6 +88,64 @@ def plan_lines(trajectory: Trajectory, robot: Robot) -> list[str]:
             f"({use.joint.accel_max_deg_s2:g}) {use.accel_ratio:6.0%}"
         )
     return [*lines, *_margin_lines(trajectory, uses)]
+
+
+def _slow_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
+    """Return how many spans are slowed, by how much and by which joint, then the worst."""
+    from lss_motion.files.source import counted
+
+    spans = sorted(trajectory.stretched, key=lambda span: -span.by_s)
+    if not spans:
+        return []
+    by_s: dict[str, float] = {}
+    for span in spans:
+        by_s[span.joint] = by_s.get(span.joint, 0.0) + span.by_s
+    joint = max(by_s, key=lambda name: by_s[name])
+    total = (
+        f"{counted(spans, 'span')} slowed, {sum(by_s.values()):.3f} s in all, most by {joint!r} "
+        f"({by_s[joint]:.3f} s)"
+    )
+    shown = spans if is_whole else spans[:WORST_COUNT]
+    lines = [total, *(f"slower: {stretch_text(span)}" for span in shown)]
+    if rest := spans[len(shown) :]:
+        lines.append(f"and {counted(rest, 'more span')} slowed less (check --all lists them)")
+    return lines
+
+
+def _late_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
+    """Return how many keyframes are late, then the latest."""
+    from lss_motion.files.source import counted
+
+    if not _has_times(trajectory):
+        return ["the file gives no times"] if not trajectory.stretched else []
+    found = late_marks(trajectory)
+    if not found:
+        return ["every keyframe is on time"]
+    timed = [mark for mark in trajectory.marks if mark.authored_s is not None]
+    shown = found if is_whole else found[:WORST_COUNT]
+    lines = [f"{len(found)} of {counted(timed, 'keyframe')} late, at most {found[0][1]:.3f} s"]
+    lines += [f"late: keyframe {mark_name(mark)} is {late_s:.3f} s late" for mark, late_s in shown]
+    if rest := found[len(shown) :]:
+        lines.append(f"and {counted(rest, 'more keyframe')} less late (check --all lists them)")
+    return lines
+
+
+def late_marks(trajectory: Trajectory) -> list[tuple[Mark, float]]:
+    """Return the keyframes that are reached late and by how many seconds, the latest first."""
+    from lss_motion.trajectory.model import LoopedSpan
+
+    after_s, skipped_s = math.inf, 0.0
+    if isinstance(trajectory.middle, LoopedSpan) and trajectory.loop is not None:
+        # Marks behind a looped span are planned after all passes, but authored after one.
+        after_s = trajectory.first.duration_s
+        skipped_s = (trajectory.loop - 1) * trajectory.middle.duration_s
+    found = [
+        (mark, mark.planned_s - mark.authored_s - (skipped_s if mark.planned_s > after_s else 0.0))
+        for mark in trajectory.marks
+        if mark.authored_s is not None
+    ]
+    late = [(mark, late_s) for mark, late_s in found if late_s > LATE_MIN_S]
+    return sorted(late, key=lambda pair: -pair[1])
 
 
 def limit_uses(trajectory: Trajectory, robot: Robot) -> list[LimitUse]:
@@ -140,13 +212,34 @@ def stretch_text(stretch: SlowSpan) -> str:
     )
 
 
+def shortened_holds(trajectory: Trajectory) -> list[Mark]:
+    """Return the keyframes of the first pass that are held shorter than the file sets."""
+    return [mark for mark in trajectory.marks if mark.hold_s - mark.held_s > HOLD_SLACK_S]
+
+
+def hold_text(mark: Mark) -> str:
+    """Return the text about one hold that the plan shortens."""
+    return (
+        f"keyframe {mark_name(mark)} is held {mark.held_s:.3f} s instead of {mark.hold_s:g} s, "
+        f"because the motion is late and its hold_may_shrink is true"
+    )
+
+
+def mark_name(mark: Mark) -> str:
+    """Return label and authored time of a keyframe."""
+    at = f"at {mark.authored_s:g} s" if mark.authored_s is not None else "without time"
+    return f"{mark.label!r} {at}" if mark.label else at
+
+
 def _has_times(trajectory: Trajectory) -> bool:
     return any(mark.authored_s is not None for mark in trajectory.marks)
 
 
-def program_lines(show: Show) -> list[str]:
+def program_lines(show: Show, *, is_whole: bool = False) -> list[str]:
     """Return the lines of `plan_lines`, the load of each bus, and the predicted accuracy."""
-    lines = [] if show.trajectory is None else plan_lines(show.trajectory, show.robot)
+    lines = []
+    if show.trajectory is not None:
+        lines = plan_lines(show.trajectory, show.robot, is_whole=is_whole)
     program = show.program
     for use in program.line_use.values():
         lines.append(
@@ -161,7 +254,7 @@ def program_lines(show: Show) -> list[str]:
                 f"worst second each joint can be read {use.reading_rate_hz:.1f} times "
                 f"(at least {least_hz:g})"
             )
-    lines += drive_lines(program)
+    lines += [*drive_lines(program), *call_lines(program.cues)]
     errors_deg = {n: e for n, e in program.error_max_deg.items() if n not in _stepped(program)}
     if errors_deg:
         name = max(errors_deg, key=lambda joint: errors_deg[joint])
@@ -220,7 +313,28 @@ def show_as_json(show: Show) -> dict[str, Any]:
         "tolerance_deg": program.tolerance_deg,
         "joints": joints,
         "stretched": [asdict(stretch) for stretch in program.stretched],
+        "late_keyframes": []
+        if trajectory is None
+        else [
+            {"label": mark.label, "at_s": mark.authored_s, "late_s": late_s}
+            for mark, late_s in late_marks(trajectory)
+        ],
+        "shortened_holds": []
+        if trajectory is None
+        else [
+            {
+                "label": mark.label,
+                "at_s": mark.authored_s,
+                "hold_s": mark.hold_s,
+                "held_s": mark.held_s,
+            }
+            for mark in shortened_holds(trajectory)
+        ],
         "buses": {name: asdict(use) for name, use in program.line_use.items()},
+        "functions": [
+            {"run": call.run, "files": [str(file) for file in call.files], "count": call.count}
+            for call in calls_of(program.cues)
+        ],
     }
 
 

@@ -14,6 +14,8 @@ import socket
 import sys
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 
+from lss_motion.runtime.signals import ENDING
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from types import FrameType, TracebackType
@@ -24,12 +26,6 @@ if TYPE_CHECKING:
 KEYS_HELP: Final = "space pause, - slower, + up to full speed, q stop"
 RATE_STEP: Final = 0.1
 RATE_MIN: Final = 0.1
-_SIGNALS: Final = tuple(
-    getattr(signal, name)
-    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
-    if hasattr(signal, name)
-)
-"""Signals that end a run: Ctrl-C, `kill`, a closed terminal (a dropped ssh session), Ctrl-\\."""
 _HANGUP: Final = getattr(signal, "SIGHUP", None)
 _PENDING_MAX: Final = 5
 """One more signal that no call of `take` has collected ends a program that hangs."""
@@ -69,7 +65,7 @@ class Inputs:
             self._stack.callback(end.close)
         before = signal.set_wakeup_fd(self._alarm.fileno(), warn_on_full_buffer=False)
         self._stack.callback(signal.set_wakeup_fd, before)
-        for number in _SIGNALS:
+        for number in ENDING:
             if number != _HANGUP or signal.getsignal(number) is not signal.SIG_IGN:  # nohup
                 self._stack.callback(signal.signal, number, signal.signal(number, self._note))
         with contextlib.suppress(OSError, ValueError, ImportError):
@@ -110,7 +106,7 @@ class Inputs:
                 return
             self._has_hung_up = True
         self._pending.append(number)
-        if len(self._pending) > _PENDING_MAX:
+        if len(self._pending) == _PENDING_MAX + 1:  # Once: the end must not be interrupted again.
             raise KeyboardInterrupt
 
     def _keys(self) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -13,15 +14,22 @@ from lss_motion.cli.commands import (
     QUIET_HELP,
     REPORT_HELP,
     SEED_HELP,
+    UNLIMITED_HELP,
     add_command,
     add_robot_options,
     number_from,
     reader,
-    require_folder,
 )
 from lss_motion.cli.dialog import YES_HELP, Confirmation, must_ask, print_event, simulated_text
-from lss_motion.cli.messages import Printer, discard, ended_by
-from lss_motion.errors import EXIT_FINISHED, EXIT_NOT_FOLLOWED, InputError, PlanningError
+from lss_motion.cli.messages import Printer, discard, ended_by, failures, put
+from lss_motion.errors import (
+    EXIT_FINISHED,
+    EXIT_INPUT,
+    EXIT_NOT_FOLLOWED,
+    InputError,
+    PlanningError,
+)
+from lss_motion.files.output import OTHER_NAME_REMEDY, Kind, Output, require_outputs
 
 if TYPE_CHECKING:
     import argparse
@@ -89,6 +97,7 @@ def add_to(commands: Commands) -> None:
         "--gamepad", type=Path, metavar="DEVICE", help="steer with it, such as /dev/input/js0"
     )
     walk.add_argument("--no-feedback", action="store_true", help=NO_FEEDBACK_HELP)
+    walk.add_argument("--force", action="store_true", help=UNLIMITED_HELP)
     walk.add_argument("--seed", type=int, default=0, metavar="N", help=SEED_HELP)
     walk.add_argument("--report", type=Path, metavar="FILE", help=REPORT_HELP)
     walk.add_argument("--quiet", action="store_true", help=QUIET_HELP)
@@ -105,7 +114,9 @@ def _walk(arguments: argparse.Namespace) -> int:
     from lss_motion.runtime.report import write_report
     from lss_motion.walking.inputs import OperatorInput
 
-    require_folder(arguments.report)
+    outputs = [Output(arguments.report, Kind.REPORT)]
+    sources = [arguments.file, arguments.robot, arguments.robot_cache]
+    require_outputs(outputs, sources=sources, remedy=OTHER_NAME_REMEDY)
     read_robot = reader(arguments, may_query=True)
     gait, robot = shows.load_gait(arguments.file, arguments.robot, read_robot)
     gait, top = fastest(replace(gait, start=BodyPose()), robot, arguments)
@@ -122,8 +133,11 @@ def _walk(arguments: argparse.Namespace) -> int:
         terminal = stack.enter_context(Terminal(wishes.press))
         steered = (wishes, terminal)
         result, pilot = _perform(arguments, gait, robot, steered, print_line, is_asked=is_asked)
+        problems = []
         if arguments.report is not None:
-            write_report(result.report, arguments.report)
+            problems = failures(write_report, result.report, arguments.report)
+        for text in problems:
+            put(f"lss-motion: {text}", sys.stderr)
         for failed in (result.error, pilot.lost):
             if failed is not None:
                 raise failed
@@ -136,7 +150,7 @@ def _walk(arguments: argparse.Namespace) -> int:
             case "fault":
                 return EXIT_NOT_FOLLOWED
             case _:
-                return EXIT_FINISHED
+                return EXIT_INPUT if problems else EXIT_FINISHED
 
 
 def fastest(gait: Gait, robot: Robot, arguments: argparse.Namespace) -> tuple[Gait, Twist]:
@@ -267,6 +281,7 @@ def _perform(
             robot,
             seed=arguments.seed,
             has_feedback=not arguments.no_feedback,
+            is_forced=arguments.force,
             observer=Observer(
                 on_event=lambda event: print_event(event, note),
                 on_turn=None if display is None else display.show,

@@ -1,4 +1,4 @@
-"""The files that authors write: read with their lines, checked, edited in place.
+"""Files: those of authors, read with their lines, checked, edited in place; and all outputs.
 
 | file | what it is | called by |
 |---|---|---|
@@ -6,4 +6,5 @@
 | `yaml_source` | YAML as plain values with their lines | `validation`, readers of YAML files |
 | `validation` | checks values against pydantic models | readers of YAML files |
 | `yaml_edit` | changes single values of a YAML text, keeps the rest | `maintenance`, commands |
+| `output` | refuses to lose a file, writes one as a whole | all writers |
 """

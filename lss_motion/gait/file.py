@@ -15,7 +15,7 @@ from lss_motion.gait.model import LegKind
 from lss_motion.gait.patterns import PATTERNS
 from lss_motion.robot.file import AngleDeg  # noqa: TC001  (pydantic reads it)
 from lss_motion.sequence.file import Loop, TimeS  # noqa: TC001  (pydantic reads them)
-from lss_motion.sequence.keyframes import TIME_MAX_S
+from lss_motion.sequence.model import TIME_MAX_S
 
 LENGTH_MAX_MM: Final = 10_000.0
 """Chosen: ten metres; more is a typing error or another unit."""

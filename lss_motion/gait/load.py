@@ -33,8 +33,7 @@ if TYPE_CHECKING:
 
     from lss_motion.files.yaml_source import YamlSource
     from lss_motion.gait.file import ActionEntry, GaitFile, LegEntry, MoveEntry, WalkEntry
-    from lss_motion.gait.model import Action
-    from lss_motion.gait.patterns import Pattern
+    from lss_motion.gait.model import Action, Pattern
     from lss_motion.robot.model import Robot
 
 

@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING, Final, Literal
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from lss_motion.gait.patterns import Pattern
-
 LEAD_IN_CYCLES: Final = 3
 """After so many cycles of one velocity a walk is steady: feet that were placed before the velocity
 was blended in have stepped once more, and the effect on the spline has decayed."""
@@ -59,6 +57,22 @@ class Leg:
     """Where the knee of an abduction leg points."""
     zero_deg: Triple = (0.0, 0.0, 0.0)
     direction: tuple[int, int, int] = (1, 1, 1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pattern:
+    """When in a cycle each leg lifts, as a share of the cycle, in the order of `patterns.PARTS`.
+
+    `duty_ratio` is the default share of the cycle in which a foot is on the ground. `is_static`:
+    the robot can stop at any instant without falling; `pacing` checks that. `sway_ratio` is how far
+    the body leans away from a lifted leg by default, as a share of the distance from body to foot.
+    """
+
+    name: str
+    lifts_ratio: tuple[float, ...]
+    duty_ratio: float
+    is_static: bool
+    sway_ratio: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

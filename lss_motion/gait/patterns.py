@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
+
+from lss_motion.gait.model import Pattern
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -25,22 +26,6 @@ PARTS: Final[Mapping[int, tuple[str, ...]]] = MappingProxyType(
     }
 )
 """Positions of the legs by the number of legs, in the order of `Pattern.lifts_ratio`."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pattern:
-    """When in a cycle each leg lifts, as a share of the cycle, in the order of `PARTS`.
-
-    `duty_ratio` is the default share of the cycle in which a foot is on the ground. `is_static`:
-    the robot can stop at any instant without falling; `pacing` checks that. `sway_ratio` is how far
-    the body leans away from a lifted leg by default, as a share of the distance from body to foot.
-    """
-
-    name: str
-    lifts_ratio: tuple[float, ...]
-    duty_ratio: float
-    is_static: bool
-    sway_ratio: float = 0.0
 
 
 _THIRD, _SIXTH = 1.0 / 3.0, 1.0 / 6.0

@@ -9,8 +9,7 @@ from lss_motion.gait.load import is_gait_file, load_gait
 from lss_motion.gait.model import LEAD_IN_CYCLES, Walk
 from lss_motion.gait.pacing import action_at, joints_of, paced
 from lss_motion.gait.passage import Walking
-from lss_motion.sequence.keyframes import KEYFRAMES_MAX
-from lss_motion.sequence.model import Interpolation, Keyframe, Sequence, Timing
+from lss_motion.sequence.model import KEYFRAMES_MAX, Interpolation, Keyframe, Sequence, Timing
 
 if TYPE_CHECKING:
     from pathlib import Path

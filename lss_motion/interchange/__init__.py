@@ -20,8 +20,12 @@ One reader per module:
 | `bottango`    | `AnimationCommands.json` of Bottango                                   |
 | `commands`    | command text of the SSC-32 and of LSS servos; logs and `.lss` programs |
 | `csv`         | wide and long CSV tables                                               |
+| `d6a`         | action groups of Hiwonder robots (SQLite)                              |
 | `hulks`       | motion JSON of the HULKs humanoids                                     |
+| `lerobot`     | LeRobot datasets (parquet; needs pyarrow)                              |
 | `maestro`     | settings XML of the Pololu Maestro                                     |
+| `opencat`     | C arrays of OpenCat skills (Petoi)                                     |
+| `poses`       | plain lists of poses in JSON or CSV                                    |
 | `pypose`      | PyPose projects (`.ppr`)                                               |
 | `pypot`       | recorded moves of pypot (Poppy robots)                                 |
 | `robotis`     | Robotis motion files: `.mtn` text and binary pages                     |

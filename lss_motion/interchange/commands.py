@@ -4,6 +4,9 @@ A line may begin with the instant of its command: seconds with a decimal point (
 whole microseconds (`.lss` programs). With instants, a command that arrives during a move starts at
 the position that the servo has then. Without instants, commands to different servos start together,
 and the next command to one of these servos starts when all of them have arrived.
+
+Lines such as `wait 500 ms`, `pause 0.5`, `delay(500);` or `time.sleep(0.5)` are the clock of a
+script: what follows is sent that long after what stands above was sent, arrived or not.
 """
 
 from __future__ import annotations
@@ -15,19 +18,20 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from lss_motion.interchange.fields import TextLines
+from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import (
+    DIGITS,
     VALUES_MAX,
     Channel,
     ForeignMotion,
+    Note,
     Unit,
     is_dense,
     motion_name,
     summarised,
     thinned,
 )
-from lss_motion.sequence.keyframes import TIME_MAX_S
-from lss_motion.sequence.model import Interpolation
+from lss_motion.sequence.model import TIME_MAX_S, Interpolation
 from lss_motion.units import s_from_ms, s_from_us
 
 if TYPE_CHECKING:
@@ -50,6 +54,20 @@ _STAMP: Final = re.compile(r"(\d{1,12}|\d{1,9}\.\d{1,9})\s+(?:\S{1,64}\s+)??(?:[
 _TIME: Final = re.compile(r"T(\d{1,9})", re.ASCII)
 _SPEED: Final = re.compile(r"SD?\d", re.ASCII)
 
+_WAIT: Final = re.compile(
+    r"\b(?:\w{1,20}\.)?(wait|pause|delay|sleep)(?:_(ms|s))?[\s(:=]{1,4}(\d{1,9}(?:[.,]\d{1,6})?)\s{0,4}"
+    r"(?:(milliseconds?|msecs?|ms|seconds?|secs?|s)\b)?[\s)]{0,4};?",
+    re.ASCII | re.IGNORECASE,
+)
+_IN_SECONDS: Final = frozenset({"sleep"})
+"""As in a shell and in Python. `delay` is in ms, as in an Arduino sketch."""
+_COMMENT: Final = re.compile(r"//.*|#(?!\d).*|^\s*[;%].*", re.ASCII)
+_LOG_LINE: Final = re.compile(r"\d{1,9}\.\d{9} \S{1,64} ([><.=!~?#])(?: .*)?", re.ASCII)
+"""A line of a log. Only those of bytes that were sent (`>`) or received (`<`) hold commands."""
+
+LISTED_MAX: Final = 10
+"""Chosen: more lines without a meaning are counted only."""
+
 
 class _ServoMove(NamedTuple):
     value: float
@@ -65,7 +83,7 @@ class CommandReader:
     name: str = "commands"
 
     def recognises(self, data: bytes) -> bool:
-        head = data[:8192].decode("utf-8", "replace")
+        head = text_head(data, 8192).decode("utf-8", "replace").lstrip()
         return not head.startswith("#WEBOTS") and _MOVE.search(head) is not None
 
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
@@ -87,17 +105,60 @@ class _CommandText:
     group_start_s: float = 0.0
     group_end_s: float = 0.0
     moves_count: int = 0
+    assumed: dict[str, str] = field(default_factory=dict)
+    """Words of waits whose unit the text does not give, and the unit that is assumed."""
+    idle: list[str] = field(default_factory=list)
+    """Lines that mean nothing."""
+    is_paced: bool = False
+    """Whether the text has waits."""
     is_stream: bool = False
     """Whether a command arrived before the move of its servo had ended."""
 
     def read(self, number: int, line: str) -> None:
-        """Read all commands of a line. A line without commands is a comment."""
+        """Read all commands and waits of a line, in their order."""
+        log_line = _LOG_LINE.fullmatch(line)
+        if log_line and log_line[1] not in "><":
+            return
         stamp = _STAMP.match(line)
-        text = line[stamp.end() :] if stamp else line
+        text = _COMMENT.sub("", line[stamp.end() :] if stamp else line)
         text = text.replace("\\r", "\r")  # The log writes a CR so.
+        start = 0
+        has_meaning = log_line is not None or not text.strip()
+        for wait in _WAIT.finditer(text):
+            has_meaning |= self._commands(number, text[start : wait.start()], stamp)
+            self._wait(number, wait, is_stamped=stamp is not None or self.is_stamped is True)
+            start, has_meaning = wait.end(), True
+        has_meaning |= self._commands(number, text[start:], stamp)
+        if not has_meaning:
+            self.idle.append(f"line {number}, which means nothing here: {line!r:.60}")
+
+    def _wait(self, number: int, wait: re.Match[str], *, is_stamped: bool) -> None:
+        """Let the clock of the script advance."""
+        word, digits = wait[1].lower(), wait[3]
+        unit = (wait[2] or wait[4] or "").lower()
+        if not unit:
+            unit = "s" if word in _IN_SECONDS or not digits.isdigit() else "ms"
+            if word in {"wait", "pause"}:
+                self.assumed[f"{word} {digits}"] = unit
+        value = self.lines.number(digits, number, has_commas=True)
+        wait_s = s_from_ms(value) if unit.startswith("m") else value
+        if is_stamped:
+            self.left_out["waits, because the commands have instants"] += 1
+            return
+        self.is_paced = True
+        self.group.clear()
+        self.group_start_s += wait_s
+        if self.group_start_s > TIME_MAX_S:
+            self.lines.refuse(number, f"ends more than a day ({TIME_MAX_S:g} s) after the start")
+        self.group_end_s = self.group_start_s
+
+    def _commands(self, number: int, text: str, stamp: re.Match[str] | None) -> bool:
+        """Read the commands in `text`; return whether there is one."""
+        found = False
         for command in text.split("\r"):
             times = _TIME.findall(command)
             for part in _PART.findall(command):
+                found = True
                 move = _MOVE.match(part)
                 if move is None:
                     other = _OTHER.match(part)
@@ -107,6 +168,7 @@ class _CommandText:
                     own = _TIME.findall(part) or times[-1:]
                     self._move(number, move, own[0] if own else "", stamp[1] if stamp else None)
                     self.left_out["speeds (S, SD)"] += _SPEED.search(part) is not None
+        return found
 
     def _move(self, number: int, move: re.Match[str], time: str, stamp: str | None) -> None:
         if self.is_stamped not in {None, stamp is not None}:
@@ -147,8 +209,15 @@ class _CommandText:
         channels = [self._channel(name, moves) for name, moves in self.moves.items()]
         has_pulses = any(channel.unit is Unit.US for channel in channels)
         title = "SSC-32 commands" if has_pulses else "LSS commands"
-        order = "at their instants" if self.is_stamped else "one group after the other"
-        found = [f"{count} {what}" for what, count in sorted(self.left_out.items()) if count]
+        order = "one group after the other"
+        if self.is_paced:
+            order = "paced by the waits of the text"
+        if self.is_stamped:
+            order = "at their instants"
+        found = self.idle[:LISTED_MAX]
+        if len(self.idle) > LISTED_MAX:
+            found.append(f"{len(self.idle) - LISTED_MAX} more lines that mean nothing here")
+        found += [f"{count} {what}" for what, count in sorted(self.left_out.items()) if count]
         found.append("positions of the servos before their first command: the text has none")
         path = self.lines.path
         # Moves that do not end before the next command are a curve. Whole moves are poses.
@@ -157,37 +226,47 @@ class _CommandText:
             path=path,
             name=motion_name(path),
             channels=tuple(channels),
-            notes={},
+            notes=self._last_pause(channels),
             ease=Interpolation.SPLINE if is_recording or self.is_stream else Interpolation.LINEAR,
             comments=(
                 f"Imported from {path.name} ({title}, {order}).",
                 "Each servo is assumed to move at constant speed for the time of its command.",
+                *(f"`{wait}` is read as {unit}." for wait, unit in self.assumed.items()),
                 *summarised(found),
             ),
             is_recording=is_recording,
         )
 
+    def _last_pause(self, channels: list[Channel]) -> dict[float, Note]:
+        """Return the wait after the last move, as a hold of the last pose."""
+        end_s = max(float(channel.times_s[-1]) for channel in channels)
+        hold_s = round(self.group_start_s - end_s, DIGITS) if self.is_paced else 0.0
+        return {end_s: Note(hold_s=hold_s)} if hold_s > 0.0 else {}
+
     def _channel(self, name: str, moves: list[_ServoMove]) -> Channel:
         samples = np.array(list(self._samples(moves)))
         times_s, values = thinned(samples[:, 0], samples[:, 1])
+        ends_s, at = np.unique(np.round(samples[:, 0], DIGITS), return_index=True)
+        lines = samples[at[np.searchsorted(ends_s, times_s)], 2].astype(np.int32)
         is_pulse = name.startswith("PIN")
         return Channel(
             name=name,
             unit=Unit.US if is_pulse else Unit.DEG,
             times_s=times_s,
             values=values,
+            lines=lines,
             servo_id=None if is_pulse else int(name[2:]),
         )
 
-    def _samples(self, moves: list[_ServoMove]) -> Iterator[tuple[float, float]]:
-        """Yield the position at the start of each command, and the target if it is reached."""
+    def _samples(self, moves: list[_ServoMove]) -> Iterator[tuple[float, float, int]]:
+        """Yield instant, position and line: the start of each command, and a target if reached."""
         from_value = moves[0].value
         last_s = -1.0
         for move, following in zip(moves, [*moves[1:], None], strict=True):
             if move.start_s < last_s:
                 self.lines.refuse(move.line, "instants must not go back")
             if last_s >= 0.0:
-                yield move.start_s, from_value
+                yield move.start_s, from_value, move.line
             last_s = move.start_s
             share = 1.0
             if following is not None and following.start_s < move.start_s + move.duration_s:
@@ -195,4 +274,4 @@ class _CommandText:
                 self.is_stream = True
             from_value += share * (move.value - from_value)
             if share == 1.0:
-                yield move.start_s + move.duration_s, from_value
+                yield move.start_s + move.duration_s, from_value, move.line

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from lss_motion.interchange.reader import FloatArray
+    from lss_motion.interchange.reader import FloatArray, IntArray
 
 
 SECONDS: Final = {
@@ -52,7 +52,10 @@ _FPS: Final = re.compile(r"#\s*fps\s*[:=]\s*(\d{1,4}(?:\.\d{1,6})?)\s*", re.IGNO
 
 @dataclass(frozen=True, slots=True)
 class CsvRows:
-    """A table: its header, its separator, and its rows with their line numbers."""
+    """A table: its header, its separator, and its rows with their line numbers.
+
+    `first_row` is the number of lines above the first row.
+    """
 
     lines: TextLines
     header_line: int
@@ -71,7 +74,11 @@ class CsvRows:
         reader = csv.reader(text, delimiter=self.delimiter)
         try:
             for row in reader:
-                if not row or (len(row) == 1 and not row[0].strip()) or row[0].startswith("#"):
+                if (
+                    not row
+                    or (len(row) == 1 and not row[0].strip())
+                    or row[0].lstrip().startswith("#")
+                ):
                     continue
                 number = self.first_row + reader.line_num
                 if len(row) != len(self.header):
@@ -142,7 +149,8 @@ class CsvReader:
 
     def recognises(self, data: bytes) -> bool:
         head = text_head(data, 65_536).decode("utf-8", "replace")
-        first = next((row for row in head.splitlines() if row.strip() and row[0] != "#"), "")
+        rows = (row.strip() for row in head.splitlines())
+        first = next((row for row in rows if row and not row.startswith("#")), "")
         words = {word.strip().strip('"').lower() for word in re.split(r"[,;\t]", first)}
         return bool(words & {*SECONDS, FRAME}) and len(words) > 1
 
@@ -158,12 +166,12 @@ def _wide(table: CsvRows) -> ForeignMotion:
     names = [(at, name) for at, name in enumerate(table.header) if at != time_at and name]
     if not names:
         table.lines.refuse(table.header_line, "no column is a joint")
-    columns = [(at, *_unit_of(name)) for at, name in names]
+    columns = [(at, *unit_of_column(name)) for at, name in names]
     joints = [joint for _, joint, _ in columns]
     if len(set(joints)) < len(joints):
         twice = next(joint for joint in joints if joints.count(joint) > 1)
         table.lines.refuse(table.header_line, f"joint {twice!r:.60} has two columns")
-    times_s, values = _cells(table, time_at, second, [at for at, _, _ in columns])
+    times_s, values, numbers = _cells(table, time_at, second, [at for at, _, _ in columns])
     channels: list[Channel] = []
     empty: list[str] = []
     for column, (_, joint, unit) in enumerate(columns):
@@ -171,7 +179,11 @@ def _wide(table: CsvRows) -> ForeignMotion:
         if given.any():
             own_times_s = times_s if given.all() else times_s[given]
             channel = Channel(
-                name=joint, unit=unit, times_s=own_times_s, values=values[given, column]
+                name=joint,
+                unit=unit,
+                times_s=own_times_s,
+                values=values[given, column],
+                lines=numbers if given.all() else numbers[given],
             )
             channels.append(channel)
         else:
@@ -191,7 +203,8 @@ def _wide(table: CsvRows) -> ForeignMotion:
     )
 
 
-def _unit_of(name: str) -> tuple[str, Unit]:
+def unit_of_column(name: str) -> tuple[str, Unit]:
+    """Return joint and unit of a column; a name without an ending is in degrees."""
     for suffix, unit in _SUFFIXES.items():
         if name.endswith(suffix) and len(name) > len(suffix):
             return name.removesuffix(suffix), unit
@@ -200,15 +213,16 @@ def _unit_of(name: str) -> tuple[str, Unit]:
 
 def _cells(
     table: CsvRows, time_at: int, second: float, value_columns: Sequence[int]
-) -> tuple[FloatArray, FloatArray]:
-    """Return increasing times, and values (rows, joints) with NaN for empty cells."""
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return increasing times, values (rows, joints) with NaN for empty cells, and line numbers."""
     lines, has_commas = table.lines, table.has_commas
-    flat, times = array("d"), array("d")
+    flat, times, numbers = array("d"), array("d"), array("i")
     for number, row in table.rows():
         time_s = round(lines.number(row[time_at], number, has_commas=has_commas) * second, DIGITS)
         if times and time_s <= times[-1]:
             lines.refuse(number, f"times must increase, but {time_s:g} s follows {times[-1]:g} s")
         times.append(time_s)
+        numbers.append(number)
         if len(flat) + len(value_columns) > VALUES_MAX:
             lines.refuse(number, f"more than {VALUES_MAX:,} values")
         for at in value_columns:
@@ -217,7 +231,8 @@ def _cells(
             flat.append(
                 float("nan") if empty else lines.number(word, number, has_commas=has_commas)
             )
-    return np.array(times), np.array(flat).reshape(-1, len(value_columns))
+    rows = np.array(flat).reshape(-1, len(value_columns))
+    return np.array(times), rows, np.array(numbers, dtype=np.int32)
 
 
 def _long(table: CsvRows, header: list[str]) -> ForeignMotion:
@@ -227,7 +242,7 @@ def _long(table: CsvRows, header: list[str]) -> ForeignMotion:
     unit_name = next(name for name in _LONG_VALUES if name in header)
     value_at = header.index(unit_name)
     ease_at = header.index("ease") if "ease" in header else None
-    samples: dict[str, dict[float, float]] = {}
+    samples: dict[str, dict[float, tuple[float, int]]] = {}
     eases: dict[float, Interpolation] = {}
     for count, (number, row) in enumerate(table.rows()):
         if count >= VALUES_MAX:
@@ -240,8 +255,9 @@ def _long(table: CsvRows, header: list[str]) -> ForeignMotion:
         if not joint:
             lines.refuse(number, "names no joint")
         own = samples.setdefault(joint, {})
-        if own.setdefault(time_s, value) != value:
-            lines.refuse(number, f"{joint!r:.60} is already at {own[time_s]:g} at {time_s:g} s")
+        there, _ = own.setdefault(time_s, (value, number))
+        if there != value:
+            lines.refuse(number, f"{joint!r:.60} is already at {there:g} at {time_s:g} s")
         if ease_at is not None and (word := row[ease_at].strip()):
             ease = _ease(lines, number, word)
             if eases.setdefault(time_s, ease) is not ease:
@@ -266,10 +282,15 @@ def _long(table: CsvRows, header: list[str]) -> ForeignMotion:
     )
 
 
-def _channel(joint: str, unit: Unit, samples: dict[float, float]) -> Channel:
+def _channel(joint: str, unit: Unit, samples: dict[float, tuple[float, int]]) -> Channel:
     times_s = sorted(samples)
-    values = [samples[time_s] for time_s in times_s]
-    return Channel(name=joint, unit=unit, times_s=np.array(times_s), values=np.array(values))
+    return Channel(
+        name=joint,
+        unit=unit,
+        times_s=np.array(times_s),
+        values=np.array([samples[time_s][0] for time_s in times_s]),
+        lines=np.array([samples[time_s][1] for time_s in times_s], dtype=np.int32),
+    )
 
 
 def _ease(lines: TextLines, number: int, word: str) -> Interpolation:

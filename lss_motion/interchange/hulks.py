@@ -1,6 +1,7 @@
 """Motion JSON of the HULKs humanoids: groups of joints in radians, durations in seconds.
 
 The motion starts at `initial_positions`. Each keyframe is reached `duration` after the one before.
+Older files have `frames` in place of `motion`. Newer ones have stiffnesses beside the positions.
 """
 
 from __future__ import annotations
@@ -21,36 +22,62 @@ if TYPE_CHECKING:
 class HulksReader:
     """Reads `{"initial_positions", "motion": [{"keyframes": [{"duration", "positions"}]}]}`.
 
+    `initial_positions` may be `{"positions", "stiffnesses"}`, as each keyframe may.
+
     The name of a joint is `group.joint`, such as `left_arm.elbow_roll`.
     """
 
     name: str = "hulks"
 
     def recognises(self, data: bytes) -> bool:
-        keys = (b'"initial_positions"', b'"motion"', b'"keyframes"')
-        return starts_json(data, b"{") and all(key in data for key in keys)
+        if not starts_json(data, b"{") or b'"initial_positions"' not in data:
+            return False
+        return (b'"motion"' in data and b'"keyframes"' in data) or b'"frames"' in data
 
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
         fields = JsonFields(path)
         top = fields.mapping(parsed_json(path, data), "the file")
-        start = _values(fields, top.get("initial_positions"), "initial_positions")
-        poses = [Pose(at_s=0.0, values=start, place="initial_positions")]
-        found = [key for key in top if key not in {"initial_positions", "motion"} and top[key]]
-        for number, entry in enumerate(fields.items(top, "motion", "the file")):
-            where = f"motion[{number}]"
-            part = fields.mapping(entry, where)
-            found += [f"motion: {key}" for key in part if key != "keyframes" and part[key]]
-            for index, listed in enumerate(fields.items(part, "keyframes", where)):
-                place = f"{where}.keyframes[{index}]"
+        first = fields.mapping(top.get("initial_positions"), "initial_positions")
+        found: list[str] = []
+        place = "initial_positions"
+        if "positions" in first:
+            found += [f"{place}: {key}" for key in first if key != "positions" and first[key]]
+            place, first = f"{place}.positions", fields.mapping(first["positions"], place)
+        poses = [Pose(at_s=0.0, values=_values(fields, first, place), place=place)]
+        known = {"initial_positions", "motion", "frames", "interpolation_mode"}
+        found += [key for key in top if key not in known and top[key]]
+        found += _mode(top)
+        for where, part, key in _parts(fields, top):
+            if part is not top:
+                known = {"keyframes", "interpolation_mode"}
+                found += [f"motion: {name}" for name in part if name not in known and part[name]]
+                found += _mode(part)
+            for index, listed in enumerate(fields.items(part, key, where or "the file")):
+                place = f"{where}.{key}[{index}]".lstrip(".")
                 keyframe = fields.mapping(listed, place)
                 duration_s = fields.duration(keyframe, "duration", place)
                 values = _values(fields, keyframe.get("positions"), f"{place}.positions")
                 at_s = poses[-1].at_s + duration_s
                 poses.append(Pose(at_s=at_s, values=values, place=place))
-                known = {"duration", "positions"}
-                found += [f"keyframes: {key}" for key in keyframe if key not in known]
+                known = {"duration", "positions", "interpolation_mode"}
+                found += [f"keyframes: {name}" for name in keyframe if name not in known]
+                found += _mode(keyframe)
         comments = (f"Imported from {path.name} (HULKs motion).", *summarised(found))
         return (motion_of_poses(path, path.stem, poses, unit_of=_unit, comments=comments),)
+
+
+def _parts(fields: JsonFields, top: dict[str, object]) -> list[tuple[str, dict[str, object], str]]:
+    """Return place, content and key of each list of keyframes."""
+    if "motion" not in top:
+        return [("", top, "frames")]
+    entries = enumerate(fields.items(top, "motion", "the file"))
+    places = [(f"motion[{number}]", entry) for number, entry in entries]
+    return [(where, fields.mapping(entry, where), "keyframes") for where, entry in places]
+
+
+def _mode(part: dict[str, object]) -> list[str]:
+    mode = part.get("interpolation_mode")
+    return [f"interpolation_mode {mode!s:.40}; the keys are joined smoothly"] if mode else []
 
 
 def _values(fields: JsonFields, groups: object, where: str) -> dict[str, float]:

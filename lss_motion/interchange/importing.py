@@ -14,15 +14,19 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import InputError
-from lss_motion.files.source import known_names, read_data
+from lss_motion.files.source import RECORDING_MAX_BYTES, known_names, read_data
 from lss_motion.interchange.bitbots import BitBotsReader
 from lss_motion.interchange.blender import BlenderReader
 from lss_motion.interchange.bottango import BottangoReader
 from lss_motion.interchange.commands import CommandReader
 from lss_motion.interchange.csv import CsvReader
+from lss_motion.interchange.d6a import D6aReader
 from lss_motion.interchange.hulks import HulksReader
+from lss_motion.interchange.lerobot import LeRobotReader
 from lss_motion.interchange.maestro import MaestroReader
-from lss_motion.interchange.mapping import mapped
+from lss_motion.interchange.mapping import UNWRAP_OFFER, mapped
+from lss_motion.interchange.opencat import OpenCatReader
+from lss_motion.interchange.poses import PosesReader
 from lss_motion.interchange.pypose import PyPoseReader
 from lss_motion.interchange.pypot import PypotReader
 from lss_motion.interchange.reader import DIGITS, ForeignMotion, RefusedMotion
@@ -32,15 +36,14 @@ from lss_motion.interchange.ros import RosReader
 from lss_motion.interchange.ssc32_table import Ssc32TableReader
 from lss_motion.interchange.webots import WebotsReader
 from lss_motion.sequence.check import joint_problems, jumps
-from lss_motion.sequence.keyframes import KEYFRAMES_MAX, TIME_MAX_S
-from lss_motion.sequence.model import Interpolation, Sequence
+from lss_motion.sequence.model import KEYFRAMES_MAX, TIME_MAX_S, Interpolation, Sequence
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from collections.abc import Sequence as SequenceOf
 
     from lss_motion.interchange.mapping import MotionMap
-    from lss_motion.interchange.reader import Reader
+    from lss_motion.interchange.reader import Channel, Reader
     from lss_motion.interchange.reduce import KeyFit
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.model import Keyframe
@@ -60,16 +63,16 @@ READERS: Final[tuple[Reader, ...]] = (
     RosReader(),
     CsvReader(),
     CommandReader(),
+    D6aReader(),
+    LeRobotReader(),
+    OpenCatReader(),
+    PosesReader(),
     RobotisPagesReader(),
 )
 """In the order in which `recognises` is called: readers of special formats before general ones."""
 
 FORMAT_NAMES: Final = tuple(reader.name for reader in READERS)
 """Allowed values of `format_name`."""
-
-FILE_MAX_BYTES: Final = 64_000_000
-"""Ten minutes of 20 joints at 100 Hz are 42 MB in the longest format (pypot). Measured: 50 MB of
-CSV need 0.2 to 0.6 GB of memory, 50 MB of JSON 0.6 GB, and 1 GB in the worst case."""
 
 
 def read_motion(
@@ -106,7 +109,7 @@ def read_motions(
     if format_name is not None and format_name not in FORMAT_NAMES:
         known = known_names(format_name, FORMAT_NAMES)
         raise InputError(f"unknown motion format {format_name!r}; {known}")
-    data = read_data(path, FILE_MAX_BYTES)
+    data = read_data(path, RECORDING_MAX_BYTES)
     for reader in READERS:
         if reader.name == format_name or (format_name is None and reader.recognises(data)):
             return tuple(_distinct(reader.motions(path, data)))
@@ -168,16 +171,26 @@ def import_motion(
     motion_name: str | None = None,
     motion_map: MotionMap | None = None,
     tolerance_deg: float = TOLERANCE_DEG,
+    is_unwrapped: bool = False,
+    is_clipped: bool = False,
 ) -> Sequence:
     """Return the motion in a file of another tool as a sequence for `robot`.
 
     Without `format_name` the content decides. The times of the file are kept. A joint stays at its
     first key until the time of that key; the player moves it there before the show starts. Raises
     `InputError` for a file that cannot be read, for joints that the robot does not have, and for
-    angles outside their range.
+    angles outside their range, unless `is_clipped`. `is_unwrapped` removes the full turns of
+    encoders that wrap.
     """
     motion = read_motion(path, format_name=format_name, motion_name=motion_name)
-    return imported(motion, robot, motion_map=motion_map, tolerance_deg=tolerance_deg).sequence
+    return imported(
+        motion,
+        robot,
+        motion_map=motion_map,
+        tolerance_deg=tolerance_deg,
+        is_unwrapped=is_unwrapped,
+        is_clipped=is_clipped,
+    ).sequence
 
 
 def imported(
@@ -187,6 +200,8 @@ def imported(
     motion_map: MotionMap | None = None,
     tolerance_deg: float = TOLERANCE_DEG,
     ease: Interpolation = Interpolation.SPLINE,
+    is_unwrapped: bool = False,
+    is_clipped: bool = False,
 ) -> Imported:
     """Return `motion` for `robot`. A recording is reduced to keys; tolerance 0 keeps all samples.
 
@@ -198,7 +213,9 @@ def imported(
     motion).
     """
     fit: KeyFit | None = None
-    own = mapped(motion, robot, motion_map)
+    own = mapped(motion, robot, motion_map, is_unwrapped=is_unwrapped)
+    if is_clipped:
+        own = clipped(own, robot)
     if own.is_recording and tolerance_deg == 0.0:
         own = every_sample(own, ease)
     elif own.is_recording:
@@ -209,6 +226,35 @@ def imported(
             note = f"A spline would swing joint {joint} out of its range: smooth instead."
             own = replace(own, comments=(*own.comments, note))
     return Imported(sequence=sequence_for(own, robot), comments=own.comments, fit=fit)
+
+
+def clipped(motion: ForeignMotion, robot: Robot) -> ForeignMotion:
+    """Return a motion in joints of `robot` within their ranges; comments list what was not.
+
+    Joints that the robot does not have stay as they are; `sequence_for` refuses them.
+    """
+    channels: list[Channel] = []
+    comments: list[str] = []
+    for channel in motion.channels:
+        joint = robot.joints.get(channel.name)
+        if joint is None:
+            channels.append(channel)
+            continue
+        low, high = joint.position_min_deg, joint.position_max_deg
+        within = np.clip(channel.values, low, high)
+        beyond = np.abs(channel.values - within)
+        if beyond.any():
+            worst = int(np.argmax(beyond))
+            at_s = float(channel.times_s[worst])
+            line = channel.line_at(at_s)
+            comments.append(
+                f"Clipped: {np.count_nonzero(beyond)} of {len(within)} angles of joint "
+                f"{channel.name} to its range of {low:g} to {high:g} deg; the farthest was "
+                f"{channel.values[worst]:.6g} deg at {at_s:g} s"
+                f"{f', line {line}' if line else ''}."
+            )
+        channels.append(replace(channel, values=within))
+    return replace(motion, channels=tuple(channels), comments=(*motion.comments, *comments))
 
 
 def _limits(robot: Robot) -> dict[str, Limits]:
@@ -252,27 +298,38 @@ def sequence_for(motion: ForeignMotion, robot: Robot) -> Sequence:
             f"has {count:,} keyframes, at most {KEYFRAMES_MAX:,} are allowed", path=motion.path
         )
     keyframes = motion.keyframes
-    reasons = [*_unknown_joints(motion, robot), *_impossible_keyframes(keyframes, robot)]
-    if reasons:
-        errors = [InputError(reason, path=motion.path) for reason in reasons]
-        raise InputError(reasons[0], path=motion.path, more=errors[1:])
+    errors = [
+        *_unknown_joints(motion, robot),
+        *_impossible_keyframes(motion, keyframes, robot),
+    ]
+    if errors:
+        errors += [
+            InputError(comment, path=motion.path)
+            for comment in motion.comments
+            if comment.endswith(UNWRAP_OFFER)
+        ]
+        raise InputError(errors[0].reason, path=motion.path, line=errors[0].line, more=errors[1:])
     return Sequence(name=motion.name, keyframes=keyframes, path=motion.path, robot_path=robot.path)
 
 
-def _unknown_joints(motion: ForeignMotion, robot: Robot) -> Iterator[str]:
+def _unknown_joints(motion: ForeignMotion, robot: Robot) -> Iterator[InputError]:
     unknown = [channel.name for channel in motion.channels if channel.name not in robot.joints]
     if unknown:
-        yield (
+        yield InputError(
             f"robot {robot.name!r} does not have the joints {', '.join(unknown)}; it has "
             f"{', '.join(robot.joints)}; rename or skip them in a map file (--make-map writes one "
-            "to begin with), or name another robot"
+            "to begin with), or name another robot",
+            path=motion.path,
         )
 
 
-def _impossible_keyframes(keyframes: tuple[Keyframe, ...], robot: Robot) -> Iterator[str]:
+def _impossible_keyframes(
+    motion: ForeignMotion, keyframes: tuple[Keyframe, ...], robot: Robot
+) -> Iterator[InputError]:
+    path = motion.path
     last_s = max((keyframe.at_s or 0.0) + keyframe.hold_s for keyframe in keyframes)
     if last_s > TIME_MAX_S:
-        yield f"takes {last_s:g} s, more than a day ({TIME_MAX_S:g} s)"
+        yield InputError(f"takes {last_s:g} s, more than a day ({TIME_MAX_S:g} s)", path=path)
     worst: dict[str, tuple[float, int, str]] = {}
     counts: dict[str, int] = {}
     for index, name, reason in joint_problems(keyframes, robot):
@@ -284,12 +341,18 @@ def _impossible_keyframes(keyframes: tuple[Keyframe, ...], robot: Robot) -> Iter
         counts[name] = counts.get(name, 0) + 1
         if name not in worst or beyond_deg > worst[name][0]:
             worst[name] = (beyond_deg, index, reason)
+    by_name = {channel.name: channel for channel in motion.channels}
     for name, (_, index, reason) in worst.items():
         others = counts[name] - 1
         more = f" (the worst; {others} more keyframes of it are as well)" if others else ""
-        yield f"{_keyframe_text(index, keyframes[index])}: {reason}{more}"
+        line = by_name[name].line_at(keyframes[index].at_s or 0.0)
+        text = f"{_keyframe_text(index, keyframes[index])}: {reason}{more}; {CLIP_OFFER}"
+        yield InputError(text, path=path, line=line)
     for index, reason in jumps(keyframes):
-        yield f"{_keyframe_text(index, keyframes[index])}: {reason}"
+        yield InputError(f"{_keyframe_text(index, keyframes[index])}: {reason}", path=path)
+
+
+CLIP_OFFER: Final = "--clip limits the angles to the range"
 
 
 def _keyframe_text(index: int, keyframe: Keyframe) -> str:

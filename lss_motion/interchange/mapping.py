@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from lss_motion.files.yaml_source import YamlSource
     from lss_motion.interchange.reader import FloatArray, ForeignMotion
     from lss_motion.robot.model import Joint, Robot
@@ -34,6 +36,12 @@ TURN_DEG: Final = 360.0
 WRAP_MIN_DEG: Final = 270.0
 """Two samples of a recording this far apart mean that the encoder wrapped: at 10 Hz the motion
 would be 2700 deg/s, and the fastest servo reaches 600 deg/s (FACTS.md E1)."""
+
+WRAP_SPEED_DEG_S: Final = 1500.0
+"""A step faster than this is no motion: 2.5 times the fastest servo (FACTS.md E1)."""
+
+WRAP_STEPS_MAX: Final = 4
+"""Chosen: most steps of one wrap, at a reading that is filtered over some samples."""
 
 PULSE_DEG_PER_US: Final = 0.09
 PULSE_OFFSET_DEG: Final = -135.0
@@ -95,11 +103,18 @@ def load_map(path: Path) -> MotionMap:
     return MotionMap(content.joints, source)
 
 
-def mapped(motion: ForeignMotion, robot: Robot, motion_map: MotionMap | None) -> ForeignMotion:
+def mapped(
+    motion: ForeignMotion,
+    robot: Robot,
+    motion_map: MotionMap | None,
+    *,
+    is_unwrapped: bool = False,
+) -> ForeignMotion:
     """Return the motion in degrees of joints of `robot`.
 
     Joints that the map does not contain keep their names; `sequence_for` checks these. An LSS id
-    becomes the joint that has this id. Raises `InputError` with every name of the map that does not
+    becomes the joint that has this id. `is_unwrapped` removes the full turns of encoders that wrap;
+    without it a comment offers that. Raises `InputError` with every name of the map that does not
     exist, and every unit that is not an angle.
     """
     entries = {} if motion_map is None else dict(motion_map.entries)
@@ -115,16 +130,17 @@ def mapped(motion: ForeignMotion, robot: Robot, motion_map: MotionMap | None) ->
             continue
         unit, reason = _unit(channel, entry)
         reasons += [reason] * bool(reason)
-        joint, values = _own_joint(channel, entry, robot), channel.values
+        joint, own, values = _own_joint(channel, entry, robot), channel, channel.values
         if unit in DEG_PER_UNIT:
-            values, turns = _without_wraps(motion, channel, values * DEG_PER_UNIT[unit])
+            values_deg = values * DEG_PER_UNIT[unit]
+            own, values, turns = _turns(motion, channel, values_deg, is_unwrapped=is_unwrapped)
             comments += turns
         if entry is not None:
             values = entry.offset_deg + entry.sign * (entry.scale or 1.0) * values
         elif joint is not None and channel.servo_id is not None:
             values = np.array([joint.joint_deg(value) for value in values.tolist()])
         name = (entry.name if entry else None) or (joint.name if joint else channel.name)
-        channels.append(Channel(name=name, unit=Unit.DEG, times_s=channel.times_s, values=values))
+        channels.append(replace(own, name=name, unit=Unit.DEG, values=values, servo_id=None))
     reasons += _name_problems(motion, channels)
     if reasons:
         errors = [InputError(reason, path=motion.path) for reason in reasons]
@@ -194,23 +210,64 @@ def _name_problems(motion: ForeignMotion, channels: list[Channel]) -> Iterator[s
         yield f"{names.count(name)} joints of the motion become joint {name!r}; only one can"
 
 
-def _without_wraps(
-    motion: ForeignMotion, channel: Channel, values_deg: FloatArray
-) -> tuple[FloatArray, list[str]]:
-    """Return a recording without the full turns of an encoder that wraps, and a comment on them."""
+def _turns(
+    motion: ForeignMotion, channel: Channel, values_deg: FloatArray, *, is_unwrapped: bool
+) -> tuple[Channel, FloatArray, list[str]]:
+    """Return channel and values without the full turns of an encoder, if desired, and a comment.
+
+    An encoder that is read while it wraps may give values between both ends of its turn: a run of
+    steps that no servo can make, in one direction, that add up to about a turn. The values inside
+    of such a run are removed.
+    """
     if not motion.is_recording:
-        return values_deg, []
-    steps_deg = np.diff(values_deg)
-    jumps = np.flatnonzero(np.abs(steps_deg) >= WRAP_MIN_DEG)
-    if not len(jumps):
-        return values_deg, []
+        return channel, values_deg, []
+    is_inside, turns = _wraps(channel.times_s, values_deg)
+    starts = np.flatnonzero(turns)
+    if not len(starts):
+        return channel, values_deg, []
+    at_s = float(channel.times_s[starts[0]])
+    count = f"{len(starts)} time{'s' if len(starts) > 1 else ''}"
+    what = f"Joint {channel.name} jumps by a full turn {count}, first at {at_s:g} s"
+    if not is_unwrapped:
+        return channel, values_deg, [f"{what}, as an encoder does that wraps. {UNWRAP_OFFER}"]
+    kept = ~is_inside
+    values_deg = (values_deg + TURN_DEG * np.cumsum(turns))[kept]
+    own = replace(
+        channel,
+        times_s=channel.times_s[kept],
+        values=channel.values[kept],
+        lines=None if channel.lines is None else channel.lines[kept],
+    )
+    return own, values_deg, [f"{what}. The turns were removed (--unwrap)."]
+
+
+UNWRAP_OFFER: Final = "--unwrap removes the turns."
+
+
+def _wraps(times_s: FloatArray, values_deg: FloatArray) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Return which values lie inside of a wrap, and the turns to be added from each value on."""
+    is_inside = np.zeros(len(values_deg), dtype=np.bool_)
     turns = np.zeros(len(values_deg))
-    turns[jumps + 1] = -np.round(steps_deg[jumps] / TURN_DEG)
-    at_s = float(channel.times_s[jumps[0] + 1])
-    return values_deg + TURN_DEG * np.cumsum(turns), [
-        f"Joint {channel.name} jumps by a full turn {len(jumps)} times, first at {at_s:g} s. The "
-        "turns were removed, because the encoder wrapped."
-    ]
+    steps_deg = np.diff(values_deg)
+    is_fast = np.abs(steps_deg) > WRAP_SPEED_DEG_S * np.diff(times_s)
+    is_fast |= np.abs(steps_deg) >= WRAP_MIN_DEG
+    index = 0
+    for first in np.flatnonzero(is_fast).tolist():
+        if first < index:
+            continue
+        index = first + 1
+        sign = steps_deg[first] > 0.0
+        while (
+            index < min(len(steps_deg), first + WRAP_STEPS_MAX)
+            and is_fast[index]
+            and (steps_deg[index] > 0.0) == sign
+        ):
+            index += 1
+        change_deg = values_deg[index] - values_deg[first]
+        if abs(change_deg) >= WRAP_MIN_DEG:
+            is_inside[first + 1 : index] = True
+            turns[index] -= np.round(change_deg / TURN_DEG)
+    return is_inside, turns
 
 
 def map_template(motion: ForeignMotion, robot: Robot) -> str:

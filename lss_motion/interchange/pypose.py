@@ -26,6 +26,7 @@ AX_POSITIONS: Final = 1024
 MX_POSITIONS: Final = 4096
 """The two resolutions of Dynamixel servos: 300 deg in 1024 and 360 deg in 4096; the middle is 0."""
 
+_POSE: Final = re.compile(r"pose\s*=", re.IGNORECASE)
 _HEADER: Final = re.compile(r"[^:=]{0,200}:\s*\d{1,3}\s*(:.*)?", re.ASCII)
 
 
@@ -37,8 +38,9 @@ class PyPoseReader:
 
     def recognises(self, data: bytes) -> bool:
         head = text_head(data, 65_536)
-        first = head.split(b"\n", 1)[0].strip().decode("utf-8", "replace")
-        return _HEADER.fullmatch(first) is not None and b"\nPose=" in head
+        rows = [row.strip() for row in head.decode("utf-8", "replace").splitlines() if row.strip()]
+        is_headed = bool(rows) and _HEADER.fullmatch(rows[0]) is not None
+        return is_headed and any(_POSE.match(row) for row in rows)
 
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
         lines = TextLines.of(path, data)

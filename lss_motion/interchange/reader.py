@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     FloatArray = NDArray[np.float64]
+    IntArray = NDArray[np.int32]
 
 
 DIGITS: Final = 6
@@ -83,11 +84,23 @@ class Channel:
     values: FloatArray
     servo_id: int | None = None
     """Id on the bus, in files with commands for LSS servos; `values` are then servo angles."""
+    lines: IntArray | None = None
+    """Line of each value, in text files."""
 
     def __post_init__(self) -> None:
         assert len(self.times_s) == len(self.values) > 0, self.name
         assert np.isfinite([self.times_s, self.values]).all(), self.name
         assert (np.diff(self.times_s) > 0.0).all(), self.name
+        assert self.lines is None or len(self.lines) == len(self.values), self.name
+
+    def line_at(self, at_s: float) -> int | None:
+        """Return the line of the value next to `at_s`, if the file has lines."""
+        if self.lines is None:
+            return None
+        after = int(np.clip(np.searchsorted(self.times_s, at_s), 0, len(self.times_s) - 1))
+        before = max(0, after - 1)
+        is_before = at_s - self.times_s[before] < self.times_s[after] - at_s
+        return int(self.lines[before if is_before else after]) or None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -166,7 +179,8 @@ class Reader(Protocol):
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
         """Return the motions in `data`, one or more, in the file's order.
 
-        Raises `InputError` and nothing else. `path` is used only in its text.
+        Raises `InputError` and nothing else. `path` is used only in its text; `lerobot` looks for
+        the description of the dataset in the folders above it.
         """
         ...
 
@@ -229,12 +243,13 @@ def motion_of_poses(
         raise InputError(f"motion {name!r} moves no joint", path=path)
     times_s = [round(pose.at_s, DIGITS) for pose in poses]
     _check_times(path, poses, times_s)
-    columns: dict[str, tuple[list[float], list[float]]] = {}
+    columns: dict[str, tuple[list[float], list[float], list[int]]] = {}
     for at_s, pose in zip(times_s, poses, strict=True):
         for joint, value in pose.values.items():
-            own_times_s, values = columns.setdefault(joint, ([], []))
+            own_times_s, values, lines = columns.setdefault(joint, ([], [], []))
             own_times_s.append(at_s)
             values.append(value)
+            lines.append(pose.line or 0)
     holds = any(pose.hold_s for pose in poses)
     return ForeignMotion(
         path=path,
@@ -245,8 +260,9 @@ def motion_of_poses(
                 unit=unit_of(joint),
                 times_s=np.array(own_times_s),
                 values=np.array(values),
+                lines=np.array(lines, dtype=np.int32) if any(lines) else None,
             )
-            for joint, (own_times_s, values) in columns.items()
+            for joint, (own_times_s, values, lines) in columns.items()
         ),
         notes={
             at_s: Note(hold_s=round(pose.hold_s, DIGITS), label=motion_label(pose.label))

@@ -6,7 +6,8 @@ The planner is in a layer above this package; a test compares the two.
 
 The keys of a joint (`rough_keys`, `refined_keys`) start with the ends and the rests. Keys are added
 until the curve fits, then keys that are not needed are removed, then the others are moved so that
-more of them can be removed.
+more of them can be removed. Then the joints share times (`shared_keys`): a keyframe that holds many
+joints is easier to read and to edit than many keyframes that hold one.
 
 A spline exactly through the samples oscillates where the acceleration jumps, so a motion at its
 limits would be slowed down when it is planned again. Keys of a spline are therefore the values of
@@ -24,12 +25,12 @@ import numpy as np
 
 from lss_motion.errors import InputError
 from lss_motion.interchange.reader import DIGITS, Unit
-from lss_motion.sequence.keyframes import KEYFRAMES_MAX
-from lss_motion.sequence.model import Interpolation
+from lss_motion.sequence.model import KEYFRAMES_MAX, Interpolation
 from lss_motion.splines import clamped_slopes, monotone_slopes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from collections.abc import Sequence as SequenceOf
 
     from numpy.typing import NDArray
 
@@ -58,6 +59,16 @@ ROUNDING_DEG: Final = 0.5 * 10.0**-ANGLE_DECIMALS
 
 BSPLINE_SHIFT_RATIO: Final = 0.5
 """Largest part of the tolerance for the distance of keys from their samples. Chosen."""
+
+
+BROKEN_RATIO: Final = 1.5
+"""Where a recording is beyond a limit, so may the spline be, by this ratio: the planner slows that
+span down in any case. Measured on random motion of 8 joints at 50 Hz, 5 deg: 1,110 keys with ratio
+1, 669 with 1.25, 659 with 1.5 and above."""
+
+NOISE_RATIO: Final = 1.01
+"""A recording this little beyond a limit is at its limit: rounding to 1 us and 1e-6 deg at 100 Hz
+changes an acceleration of 600 deg/s² by 0.01 %."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,7 +102,8 @@ def reduced(
 ) -> tuple[ForeignMotion, KeyFit]:
     """Return a recording in degrees reduced to few keys, at times of samples, and its `KeyFit`.
 
-    Where the recording keeps the `limits` of its joint, a spline through the keys keeps them too.
+    Keys of different joints are at the same times where the tolerance allows. Where the recording
+    keeps the `limits` of its joint, a spline through the keys keeps them too.
     Raises `InputError` if even as many keyframes as a sequence may have exceed the tolerance.
     """
     assert all(channel.unit is Unit.DEG for channel in motion.channels), "map it first"
@@ -107,9 +119,14 @@ def reduced(
         curves = [replace(curve, step_s=step_s) for curve in curves]
         rough = [rough_keys(curve) for curve in curves]
     channels: list[Channel] = []
-    for channel, curve, found in zip(motion.channels, curves, rough, strict=True):
-        keys = refined_keys(curve, found)
-        channels.append(replace(channel, times_s=curve.times_s[keys], values=_rounded(curve, keys)))
+    refined = [refined_keys(curve, found) for curve, found in zip(curves, rough, strict=True)]
+    shared = shared_keys(curves, refined)
+    for channel, curve, keys in zip(motion.channels, curves, shared, strict=True):
+        own_lines = None if channel.lines is None else channel.lines[keys]
+        values = _rounded(curve, keys)
+        channels.append(
+            replace(channel, times_s=curve.times_s[keys], values=values, lines=own_lines)
+        )
     times_s = np.unique(np.concatenate([channel.times_s for channel in channels]))
     fit = _fit(motion, channels, ease, len(times_s))
     if len(times_s) > KEYFRAMES_MAX or fit.error_max_deg > tolerance_deg + ROUNDING_DEG:
@@ -163,10 +180,11 @@ def _curve(
             times_s, values, min(BSPLINE_SHIFT_MAX_DEG, BSPLINE_SHIFT_RATIO * tolerance_deg)
         )
         speed, accel = peaks_of_samples(times_s, values)
-        most = np.maximum(speed, limit.speed_deg_s), np.maximum(accel, limit.accel_deg_s2)
+        most = _allowed(speed, limit.speed_deg_s), _allowed(accel, limit.accel_deg_s2)
+        low_deg, high_deg = limit.range_deg
         range_deg = (
-            min(limit.range_deg[0], float(key_values.min())),
-            max(limit.range_deg[1], float(key_values.max())),
+            low_deg if key_values.min() >= low_deg else -math.inf,
+            high_deg if key_values.max() <= high_deg else math.inf,
         )
     return Curve(
         times_s=times_s,
@@ -178,6 +196,11 @@ def _curve(
         ease=ease,
         range_deg=range_deg,
     )
+
+
+def _allowed(peaks: FloatArray, limit: float) -> FloatArray:
+    """Return the limit of a spline around each sample, from the peaks of the recording there."""
+    return np.where(peaks > NOISE_RATIO * limit, BROKEN_RATIO * peaks, np.maximum(peaks, limit))
 
 
 def _rounded(curve: Curve, keys: IntArray) -> FloatArray:
@@ -449,6 +472,58 @@ def refined_keys(curve: Curve, keys: IntArray) -> IntArray:
             break  # Rare: shifts of adjacent splines add up.
         keys = _pruned(curve, shifted, APART)
     return _pruned(curve, keys, FAR_APART)
+
+
+def shared_keys(curves: SequenceOf[Curve], keys: SequenceOf[IntArray]) -> list[IntArray]:
+    """Return keys at fewer different times: joints use the times of joints with more keys."""
+    result = list(keys)
+    taken_s = np.empty(0)
+    for index in sorted(range(len(keys)), key=lambda index: -len(keys[index])):
+        curve, own = curves[index], keys[index]
+        there = np.flatnonzero(np.isin(curve.times_s, taken_s) & curve.candidates)
+        if len(own) > 2 and len(there) and curve.fits(own):
+            own = _pruned(curve, _moved_to(curve, own, there), APART)
+        result[index] = own
+        taken_s = np.union1d(taken_s, curve.times_s[own])
+    return result
+
+
+def _moved_to(curve: Curve, keys: IntArray, there: IntArray) -> IntArray:
+    """Return the keys with as many of them as fit at the samples `there`.
+
+    A key moves to the nearest of these samples, else to the next on its other side, else it gives
+    way to both.
+    """
+    for way in (_nearer, _farther, _both):
+        for phase in range(APART):
+            inner = np.flatnonzero(~np.isin(keys, there))
+            tried = inner[(inner > 0) & (inner < len(keys) - 1) & (inner % APART == phase)]
+            while len(tried):
+                at = np.searchsorted(there, keys[tried])
+                before = there[np.maximum(at - 1, 0)]
+                after = there[np.minimum(at, len(there) - 1)]
+                places = way(keys[tried], before, after)
+                moved = np.union1d(np.delete(keys, tried), places)
+                moved = moved[(moved >= keys[0]) & (moved <= keys[-1])]
+                worst_deg = np.maximum.reduceat(curve.error_deg(moved), keys)
+                is_bad = _is_near_bad(worst_deg > curve.tolerance_deg, tried)
+                if not is_bad.any():
+                    keys = moved
+                    break
+                tried = tried[~is_bad]
+    return keys
+
+
+def _nearer(keys: IntArray, before: IntArray, after: IntArray) -> IntArray:
+    return np.where(np.abs(keys - before) <= np.abs(after - keys), before, after)
+
+
+def _farther(keys: IntArray, before: IntArray, after: IntArray) -> IntArray:
+    return np.where(np.abs(keys - before) <= np.abs(after - keys), after, before)
+
+
+def _both(_keys: IntArray, before: IntArray, after: IntArray) -> IntArray:
+    return np.concatenate([before, after])
 
 
 def _grown(curve: Curve) -> IntArray:

@@ -89,6 +89,13 @@ def _page_motion(
 
 # -- the text form -------------------------------------------------------------------------------
 
+PAGE_BEGIN: Final = b"page_begin"
+PAGE_END: Final = b"page_end"
+MARKS: Final = (PAGE_BEGIN.decode(), PAGE_END.decode())
+
+OUTSIDE_MAX: Final = 10
+"""Chosen: more lines without a meaning are counted only."""
+
 
 @dataclass(slots=True)
 class _TextPage:
@@ -117,10 +124,12 @@ class RobotisTextReader:
         return head.startswith(b"type=motion") or (b"page_begin" in head and b"=" in head)
 
     def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
+        data, tail = _without_tail(data)
         lines = TextLines.of(path, data)
-        enabled, pages = _parsed(lines)
+        enabled, pages, outside = _parsed(lines)
+        outside += tail
         found = [
-            read_or_refused(page.title, partial(_text_motion, lines, page, enabled))
+            read_or_refused(page.title, partial(_text_motion, lines, page, enabled, outside))
             for page in pages
             if page.steps
         ]
@@ -129,39 +138,67 @@ class RobotisTextReader:
         return tuple(found)
 
 
-def _parsed(lines: TextLines) -> tuple[list[int], list[_TextPage]]:
-    """Return the enabled ids, and all pages; empty pages count in the numbering."""
+def _without_tail(data: bytes) -> tuple[bytes, list[str]]:
+    """Return the text to the end of the last page, and what follows it, for a comment.
+
+    Some editors leave old bytes after the last page, which are not always text.
+    """
+    end = data.rfind(PAGE_END) + len(PAGE_END)
+    tail = data[end:].strip(b"\r\n\t \0\x1a")
+    if end < len(PAGE_END) or not tail or PAGE_BEGIN in tail:
+        return data, []
+    return data[:end], [f"{len(tail)} bytes after the last page"]
+
+
+def _parsed(lines: TextLines) -> tuple[list[int], list[_TextPage], list[str]]:
+    """Return the enabled ids, all pages, and lines outside of them that have no meaning.
+
+    Empty pages count in the numbering.
+    """
     enabled = list(range(SERVOS_COUNT))
+    outside: list[str] = []
     pages: list[_TextPage] = []
     page: _TextPage | None = None
     for number, line in lines.numbered():
-        key, _, value = line.partition("=")
-        match key.strip():
+        mark = line.split(maxsplit=1)[0]
+        if mark in MARKS and line != mark:
+            outside.append(f"line {number}, after {mark}: {line[len(mark) :].strip()!r:.40}")
+        match mark:
             case "page_begin" if page is None:
                 page = _TextPage(len(pages) + 1, number)
             case "page_end" if page is not None:
                 pages.append(page)
                 page = None
             case "page_begin" | "page_end":
-                lines.refuse(number, f"{key} is not allowed here")
-            case "enable" if page is None:
-                flags = _row(lines, value, number, SERVOS_COUNT)
-                enabled = [servo for servo, flag in enumerate(flags) if flag]
-            case "motor_type":
-                types = _row(lines, value, number, SERVOS_COUNT)
-                if odd := [servo for servo in enabled if types[servo]]:
-                    lines.refuse(
-                        number,
-                        f"servo {odd[0]} is of type {types[odd[0]]:g}; only type 0 (AX, 1024 "
-                        "positions over 300 deg) is known",
-                    )
-            case _ if page is not None:
-                _read_page(lines, page, key.strip(), value.strip(), number)
+                lines.refuse(number, f"{mark} is not allowed here")
             case _:
-                pass  # A motion does not need `type=` and `version=`.
+                key, _, value = (word.strip() for word in line.partition("="))
+                if page is not None:
+                    _read_page(lines, page, key, value, number)
+                elif key == "enable":
+                    flags = _row(lines, value, number, SERVOS_COUNT)
+                    enabled = [servo for servo, flag in enumerate(flags) if flag]
+                else:
+                    _read_head(lines, key, value, number, enabled, outside)
     if page is not None:
         lines.refuse(page.line, "this page has no page_end: the file is cut short")
-    return enabled, pages
+    return enabled, pages, outside
+
+
+def _read_head(
+    lines: TextLines, key: str, value: str, number: int, enabled: list[int], outside: list[str]
+) -> None:
+    """Check a line outside of the pages; one without a meaning is added to `outside`."""
+    if key == "motor_type":
+        types = _row(lines, value, number, SERVOS_COUNT)
+        if odd := [servo for servo in enabled if types[servo]]:
+            lines.refuse(
+                number,
+                f"servo {odd[0]} is of type {types[odd[0]]:g}; only type 0 (AX, 1024 "
+                "positions over 300 deg) is known",
+            )
+    elif key not in {"type", "version"}:
+        outside.append(f"line {number}, outside of the pages: {f'{key}={value}'!r:.40}")
 
 
 def _read_page(lines: TextLines, page: _TextPage, key: str, value: str, number: int) -> None:
@@ -189,10 +226,13 @@ def _row(lines: TextLines, text: str, number: int, count: int) -> list[float]:
     words = text.split()
     if len(words) != count:
         lines.refuse(number, f"{len(words)} values, but {count} are required")
-    return [lines.number(word, number) for word in words]
+    # Windows writes the times with the decimal sign of its language.
+    return [lines.number(word, number, has_commas=True) for word in words]
 
 
-def _text_motion(lines: TextLines, page: _TextPage, enabled: list[int]) -> ForeignMotion:
+def _text_motion(
+    lines: TextLines, page: _TextPage, enabled: list[int], outside: list[str]
+) -> ForeignMotion:
     steps: list[_Step] = []
     for index, (number, values) in enumerate(page.steps, start=1):
         pause_s, play_s = values[-2] / page.speed_ratio, values[-1] / page.speed_ratio
@@ -205,6 +245,9 @@ def _text_motion(lines: TextLines, page: _TextPage, enabled: list[int]) -> Forei
         steps.append(_Step(angles_deg, play_s, pause_s, number))
     not_carried = [f"links to {page.links}"] if page.links else []
     not_carried += ["compliance and inertia"] if page.has_compliance else []
+    not_carried += outside[:OUTSIDE_MAX]
+    if len(outside) > OUTSIDE_MAX:
+        not_carried.append(f"{len(outside) - OUTSIDE_MAX} more lines outside of the pages")
     return _page_motion(lines.path, page, steps, "512 = 0 deg", not_carried)
 
 

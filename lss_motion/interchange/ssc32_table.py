@@ -15,16 +15,17 @@ import numpy as np
 
 from lss_motion.interchange.fields import TextLines, text_head
 from lss_motion.interchange.reader import (
+    DIGITS,
     Channel,
     ForeignMotion,
     Note,
     Unit,
-    motion_label,
+    motion_name,
     read_or_refused,
     summarised,
     thinned,
 )
-from lss_motion.sequence.keyframes import TIME_MAX_S
+from lss_motion.sequence.model import TIME_MAX_S
 from lss_motion.units import s_from_ms
 
 if TYPE_CHECKING:
@@ -68,7 +69,9 @@ class Ssc32TableReader:
             groups[cells[columns["PROJECT"]], cells[columns["SEQUENCE"]]].append((number, cells))
         if not groups:
             lines.refuse(head_line, "has no step")
-        titles = [f"{project} {sequence}".strip() for project, sequence in groups]
+        titles = [
+            f"{project} {sequence}".strip() or motion_name(path) for project, sequence in groups
+        ]
         return tuple(
             read_or_refused(title, partial(_motion, lines, title, steps, columns, pins))
             for title, steps in zip(titles, groups.values(), strict=True)
@@ -82,7 +85,7 @@ def _motion(
     columns: Mapping[str, int],
     pins: Sequence[str],
 ) -> ForeignMotion:
-    keys: dict[str, list[tuple[float, float]]] = {pin: [] for pin in pins}
+    keys: dict[str, list[tuple[float, float, int]]] = {pin: [] for pin in pins}
     start_s = 0.0
     for number, cells in steps:
         times_s = [
@@ -96,25 +99,33 @@ def _motion(
             angle_deg = lines.number(cells[columns[pin]], number, has_commas=True)
             if time_s == 0.0:
                 lines.refuse(number, f"{pin} takes no time; give T{pin[3:]}")
-            keys[pin].append((start_s + time_s, angle_deg))
+            keys[pin].append((start_s + time_s, angle_deg, number))
             if time_s < step_s:  # The pin waits for the others.
-                keys[pin].append((start_s + step_s, angle_deg))
+                keys[pin].append((start_s + step_s, angle_deg, number))
         start_s += step_s
         if start_s > TIME_MAX_S:
             lines.refuse(number, f"ends more than a day ({TIME_MAX_S:g} s) after the start")
-    idle = [pin for pin in pins if not any(angle for _, angle in keys[pin])]
+    idle = [pin for pin in pins if not any(angle for _, angle, _ in keys[pin])]
     idle = idle if len(idle) < len(pins) else []
     found = [f"{', '.join(idle)}, which stay at 0"] * bool(idle)
     channels: list[Channel] = []
     for pin in pins:
         if pin not in idle:
-            own_times_s, angles_deg = thinned(*np.array(keys[pin]).T)
+            times_s, angles_deg, numbers = np.array(keys[pin]).T
+            own_times_s, own_deg = thinned(times_s, angles_deg)
+            own_lines = numbers[np.searchsorted(np.round(times_s, DIGITS), own_times_s)]
             channels.append(
-                Channel(name=pin, unit=Unit.DEG, times_s=own_times_s, values=angles_deg)
+                Channel(
+                    name=pin,
+                    unit=Unit.DEG,
+                    times_s=own_times_s,
+                    values=own_deg,
+                    lines=own_lines.astype(np.int32),
+                )
             )
     return ForeignMotion(
         path=lines.path,
-        name=motion_label(title) or "motion",
+        name=motion_name(lines.path, title),
         channels=tuple(channels),
         notes=dict[float, Note](),
         comments=(

@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
 
-from lss_motion.protocol.codec import FAMILY_TABLES
+from lss_motion.player.checks import expected_frame
+from lss_motion.protocol.codec import FAMILY_TABLES, storable
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from lss_motion.robot.model import Joint
 
 MOVED_MIN_DEG: Final = 5.0
@@ -40,6 +43,19 @@ def frame_of(
         direction = 1 if pushed_deg > servo_deg else -1
     zero_deg = round(servo_deg - direction * pose_deg, ZERO_DECIMALS) + 0.0
     return Frame(zero_deg=zero_deg, direction=direction)
+
+
+def stated_frame(joint: Joint, wires: Mapping[str, int]) -> dict[str, float]:
+    """Return which settings `stored:` must state so that the file has those of the servo.
+
+    `wires` are gyre (G) and origin (O) of the servo, in wire units.
+    """
+    rows, expected = storable(joint.model.family), expected_frame(joint)
+    return {
+        name: rows[name].physical(wire)
+        for name, wire in wires.items()
+        if name in expected and expected[name] != wire
+    }
 
 
 def moved_origin(joint: Joint, *, origin_wire: int, gyre: int, zero_deg: float) -> int:

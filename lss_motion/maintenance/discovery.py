@@ -27,8 +27,8 @@ from lss_motion.protocol.constants import (
     Status,
     status_from,
 )
+from lss_motion.protocol.framing import Command, Reply, ReplyParser, encode
 from lss_motion.protocol.io2 import PIN_IDS
-from lss_motion.protocol.line import Command, Reply, ReplyParser, encode
 from lss_motion.units import NS_PER_MS, line_time_ns
 
 if TYPE_CHECKING:

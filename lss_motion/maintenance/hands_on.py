@@ -16,14 +16,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError, LssMotionError
-from lss_motion.player import handshake
+from lss_motion.player import checks, handshake
 from lss_motion.player.events import Event, Faulted, Phase, PhaseEntered, Warned
+from lss_motion.player.preflight import Preflight
 from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.transactions import Dialogue, Item
 from lss_motion.protocol.codec import make_command, read_reply
 from lss_motion.protocol.constants import Family, Status, status_from
-from lss_motion.protocol.line import Command, encode
+from lss_motion.protocol.framing import Command, encode
 from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.units import MS_PER_S, NS_PER_MS, NS_PER_S
 
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from lss_motion.player.handshake import Answers
-    from lss_motion.protocol.line import Reply
+    from lss_motion.protocol.framing import Reply
     from lss_motion.robot.model import Joint, Robot
 
 
@@ -81,8 +82,12 @@ class Poller:
         self._reported: set[str] = set()
 
     def order(self, joint: Joint, command: Command) -> None:
-        """Send a command before the next query."""
-        self._orders[joint.bus].append(command)
+        """Send a command before the next query; a move takes the place of one that waits."""
+        orders = self._orders[joint.bus]
+        if command.keyword == "D":
+            waiting = [o for o in orders if (o.servo_id, o.keyword) != (command.servo_id, "D")]
+            orders = self._orders[joint.bus] = deque(waiting)
+        orders.append(command)
 
     @property
     def has_orders(self) -> bool:
@@ -187,8 +192,9 @@ GIVE_WAY_S: Final = 0.02
 class HandsOn:
     """Joints of `robot` that a person moves, until `stop`; `error` is set if it cannot begin.
 
-    With `is_soft`, joints hold softly and stay where a hand pushes them. `also_ask` are queries for
-    every joint; `answer_of` returns their answers from the show on.
+    With `is_soft`, joints hold softly and stay where a hand pushes them. `answer_of` returns what a
+    servo answered before the show. Without `needs_frame` a servo
+    may have another gyre or origin than its robot file states: that is a warning.
     """
 
     def __init__(
@@ -197,7 +203,7 @@ class HandsOn:
         joints: Sequence[str],
         *,
         is_soft: bool = False,
-        also_ask: Sequence[str] = (),
+        needs_frame: bool = True,
     ) -> None:
         self.robot = robot
         self.joints = [_session(robot, name, is_soft=is_soft) for name in joints]
@@ -211,12 +217,10 @@ class HandsOn:
         self._poller = Poller(robot, self.joints, self.lines, self._trackers)
         self._events: deque[Event] = deque([PhaseEntered(Phase.CONNECT)])
         self._answers: Answers = {}
-        more = [
-            Item(bus=joint.bus, command=Command(joint.servo_id, keyword), is_query=True)
-            for joint in self.joints
-            for keyword in also_ask
-        ]
-        self._dialogue: Dialogue | None = self._ask([*handshake.queries(self.joints), *more])
+        self._needs_frame = needs_frame
+        self._dialogue: Dialogue | Preflight | None = Preflight(
+            self.joints, robot, self.lines, self._trackers
+        )
         self._has_set = self._has_acted = False
         self._stops = 0
         self._now_ns = 0
@@ -330,11 +334,12 @@ class HandsOn:
 
     def _after_dialogue(self, now_ns: int) -> None:
         assert self._dialogue is not None
-        self._answers = {**self._answers, **self._dialogue.answers}
-        self._dialogue = None
+        dialogue, self._dialogue = self._dialogue, None
+        self._answers = {**self._answers, **dialogue.answers}
         match self.phase:
             case Phase.CONNECT:
-                self._connected()
+                assert isinstance(dialogue, Preflight)
+                self._connected(dialogue)
             case Phase.PREPARE:
                 for joint in self.joints:
                     angle_deg = handshake.reported(joint, self._answers, "QD")
@@ -344,10 +349,17 @@ class HandsOn:
             case _:
                 self._finish(now_ns)
 
-    def _connected(self) -> None:
+    def _connected(self, preflight: Preflight) -> None:
         try:
-            for text in handshake.check_answers(self.joints, self._answers, self.robot):
-                self._events.append(Warned(text))
+            preflight.require_own_ids()
+            texts = checks.check_answers(
+                self.joints,
+                self._answers,
+                self.robot,
+                stored=preflight.stored,
+                needs_frame=self._needs_frame,
+            )
+            self._events += map(Warned, texts)
         except LssMotionError as error:
             self.error = error
             self._restore()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.errors import BusError, InputError
 from lss_motion.player.transactions import Item
 from lss_motion.protocol.codec import storable
-from lss_motion.protocol.line import Command
+from lss_motion.protocol.framing import Command
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping

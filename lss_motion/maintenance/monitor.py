@@ -23,7 +23,7 @@ from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.transactions import Dialogue, Item
 from lss_motion.protocol.codec import FAMILY_TABLES, read_reply
 from lss_motion.protocol.constants import Family, Status, status_from
-from lss_motion.protocol.line import Command, Reply
+from lss_motion.protocol.framing import Command, Reply
 from lss_motion.protocol.table import Device
 from lss_motion.units import NS_PER_S
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.player.transactions import Item
 from lss_motion.protocol.codec import storable
 from lss_motion.protocol.constants import Family, Led
-from lss_motion.protocol.line import DISABLED, Command
+from lss_motion.protocol.framing import DISABLED, Command
 from lss_motion.protocol.table import Device, ReplyShape, Suffix
 
 if TYPE_CHECKING:

@@ -221,7 +221,9 @@ class _SequenceBuilder:
             notes={},
             is_recording=True,
         )
-        made = imported(motion, self.robot, tolerance_deg=self.tolerance_deg, ease=self.ease)
+        made = imported(
+            motion, self.robot, tolerance_deg=self.tolerance_deg, ease=self.ease, is_unwrapped=True
+        )
         self.notes += made.comments
         if made.fit is not None:
             self.fits.append(made.fit)

@@ -15,16 +15,20 @@ calls with the same arguments give the same bytes, so a log can be replayed (`ru
     file            what it is                                          who calls it
     player          state machine of a show, `Player`                   api, runtime, cli, walking
     session         the servos during one show, shared by all phases    player
-    handshake       checks, settings, restore, recovery                 session, faults, maintenance
+    preflight       the dialogue before anything moves, asked twice     session, maintenance, cli
+    checks          what the servos answered, compared with the files   session, preflight, cli
+    handshake       settings, restore, recovery                         session, faults, maintenance
     transactions    lists of queries and orders on every bus            handshake, connection, cli
     approach        program from where the robot stands to the start    session
     streamer        one program on the show clock                       session
-    show_clock      show time, rate ramps, moves during them            streamer
+    show_clock      show time as a function of the run clock            streamer, cues
+    rate_ramps      moves while the rate of the show is not 1           streamer
     joint_state     one joint: sent moves, model, readings; statistics  streamer, polling, report
     estimators      load, lag and lost moves of one joint               joint_state
     polling         which servo is polled for what, and when            streamer
     query_tracker   queries in flight on one bus                        polling, transactions
     serial_line     one line: when it is free, what came in             all that send
+    settings_watch  servos that may have lost their settings        polling
     health          faults found in answers and in missing answers      polling
     faults          steps that are taken about faults                   player
     cues            marks, cues, and waits for sensors                  session, streamer

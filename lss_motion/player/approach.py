@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from lss_motion.program.model import Move, Program, ramp_deg_s2
 from lss_motion.program.reference import DURATION_MAX_MS, GRID_S, Reference
 from lss_motion.program.response import Piece, PiecewiseProfile, trapezoid
 from lss_motion.program.verify import profiles
-from lss_motion.units import MS_PER_S, NS_PER_US, line_time_ns, s_from_us, us_from_s
+from lss_motion.units import MS_PER_S, NS_PER_US, line_time_ns, s_from_ms, s_from_us, us_from_s
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
 APPROACH_LEAST_S: Final = 0.3
 """Even a servo that stands in its place is given this long: it may be limp."""
+LEG_MAX_S: Final = s_from_ms(DURATION_MAX_MS)
+"""The longest move."""
 GLIDE_AFTER_S: Final = 0.25
 """A course of bare `D`s begins this long after the first commands, so that each gets its slot."""
 GLIDE_TOLERANCE_DEG: Final = 0.05
@@ -34,18 +37,65 @@ def with_room(robot: Robot, standing_deg: Mapping[str, float]) -> Robot:
     """Return `robot` with ranges that include where its servos stand (servo angles).
 
     A joint without T moves step by step. If it stands outside of its range, it must move back into
-    it at the same slow speed as everything else, not jump.
+    it at the same slow speed as everything else, not jump. A timed joint goes back into its range
+    with its first move, unless the way is too long for one T.
     """
     joints = dict(robot.joints)
     for name, servo_deg in standing_deg.items():
         joint = joints[name]
-        if joint.drive != "timed":
+        here_deg = joint.joint_deg(servo_deg)
+        out_deg = max(joint.position_min_deg - here_deg, here_deg - joint.position_max_deg)
+        if joint.drive != "timed" or out_deg > LEG_MAX_S * _speed(robot, joint):
             joints[name] = replace(
                 joint,
-                position_min_deg=min(joint.position_min_deg, joint.joint_deg(servo_deg)),
-                position_max_deg=max(joint.position_max_deg, joint.joint_deg(servo_deg)),
+                position_min_deg=min(joint.position_min_deg, here_deg),
+                position_max_deg=max(joint.position_max_deg, here_deg),
             )
     return replace(robot, joints=joints)
+
+
+class _Leg(NamedTuple):
+    """One move of every timed joint at the same time: servo angles, and T in seconds."""
+
+    targets_deg: dict[str, float]
+    lasts_s: float
+
+
+def _legs(
+    robot: Robot, standing_deg: Mapping[str, float], end_deg: Mapping[str, float]
+) -> list[_Leg]:
+    """Return the moves of the timed joints: as few as T allows, none above the approach speed.
+
+    Every target is in the range of its joint. So a joint that stands outside has a longer way in
+    its first move than in the others, and this move takes longer for all joints.
+    """
+    joints = [robot.joints[name] for name in end_deg]
+    for count in itertools.count(1):
+        legs, before_deg = [], dict(standing_deg)
+        for number in range(1, count + 1):
+            targets_deg, lasts_s = {}, APPROACH_LEAST_S / count
+            for joint in joints:
+                from_deg, whole_deg = standing_deg[joint.name], end_deg[joint.name]
+                whole_deg -= from_deg
+                target_deg = _within_range(joint, from_deg + number / count * whole_deg)
+                way_deg = abs(whole_deg) / count
+                if joint.drive == "timed":
+                    is_cut = _within_range(joint, from_deg) != from_deg
+                    way_deg = abs(target_deg - before_deg[joint.name]) if is_cut else way_deg
+                    targets_deg[joint.name] = before_deg[joint.name] = target_deg
+                lasts_s = max(lasts_s, way_deg / _speed(robot, joint))
+            legs.append(_Leg(targets_deg, lasts_s))
+        if all(leg.lasts_s <= LEG_MAX_S for leg in legs):
+            return legs
+    raise AssertionError("moves get shorter with their number")
+
+
+def _within_range(joint: Joint, servo_deg: float) -> float:
+    """Return the servo angle within the range of a joint that is nearest to `servo_deg`."""
+    here_deg = joint.joint_deg(servo_deg)
+    if joint.position_min_deg <= here_deg <= joint.position_max_deg:
+        return servo_deg
+    return joint.servo_deg(min(max(here_deg, joint.position_min_deg), joint.position_max_deg))
 
 
 def approach(
@@ -61,24 +111,19 @@ def approach(
     """
     robot = with_room(robot, standing_deg)
     joints = [robot.joints[name] for name in start_deg]
-    longest_s, slowest_ramp_s = APPROACH_LEAST_S, 0.0
-    for joint in joints:
-        way_deg = abs(joint.servo_deg(start_deg[joint.name]) - standing_deg[joint.name])
-        longest_s = max(longest_s, way_deg / _speed(robot, joint))
-        slowest_ramp_s = max(slowest_ramp_s, _speed(robot, joint) / ramp_deg_s2(joint))
-    legs = math.ceil(MS_PER_S * longest_s / DURATION_MAX_MS)
-    leg_s = longest_s / legs + slowest_ramp_s
+    end_deg = {joint.name: joint.servo_deg(start_deg[joint.name]) for joint in joints}
+    legs = _legs(robot, standing_deg, end_deg)
+    slowest_ramp_s = max((_speed(robot, joint) / ramp_deg_s2(joint) for joint in joints), default=0)
+    longest_s = sum(leg.lasts_s for leg in legs)
     moves: list[Move] = []
-    for leg in range(legs):
-        targets = {}
-        for joint in joints:
-            end_deg, from_deg = joint.servo_deg(start_deg[joint.name]), standing_deg[joint.name]
-            if joint.drive == "timed":
-                targets[joint.name] = from_deg + (leg + 1) / legs * (end_deg - from_deg)
-            elif leg == 0:
-                targets[joint.name] = from_deg
-        duration_ms = math.ceil(MS_PER_S * longest_s / legs)
-        moves += _at_once(robot, targets, us_from_s(leg * leg_s), duration_ms)
+    begins_s = leg_s = 0.0
+    for leg in legs:
+        targets = dict(leg.targets_deg)
+        if leg is legs[0]:
+            leg_s = leg.lasts_s + slowest_ramp_s
+            targets = {name: targets.get(name, standing_deg[name]) for name in end_deg}
+        moves += _at_once(robot, targets, us_from_s(begins_s), math.ceil(MS_PER_S * leg.lasts_s))
+        begins_s += leg.lasts_s + slowest_ramp_s
     first_s = s_from_us(max((m.due_us for m in moves if m.due_us < us_from_s(leg_s)), default=0))
     courses = {
         joint.name: _course(

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from collections import deque
 from itertools import dropwhile
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 from lss_motion.player.events import CueReached, MarkPassed, Waited
+from lss_motion.protocol.framing import Command, encode
 from lss_motion.protocol.io2 import IO2_TABLE
-from lss_motion.protocol.line import Command, encode
 from lss_motion.units import NS_PER_MS, NS_PER_US, ns_from_s
 
 if TYPE_CHECKING:
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from lss_motion.player.events import Event, WaitState
     from lss_motion.player.serial_line import SerialLine
     from lss_motion.player.show_clock import ShowClock
-    from lss_motion.player.streamer import Streamer
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Robot, Sensor
     from lss_motion.sequence.model import Wait
@@ -31,6 +30,16 @@ if TYPE_CHECKING:
 
 LED_KEYWORD = "LED"
 """What a cue may change at a servo."""
+
+
+class Streaming(Protocol):
+    """What `Agenda` needs of a show: its clock, and the time that its moves leave on the lines."""
+
+    clock: ShowClock
+
+    def quiet_ns(self, now_ns: int) -> int | None:
+        """Return until when no move is due; None: no move is planned."""
+        ...
 
 
 class Agenda:
@@ -55,11 +64,9 @@ class Agenda:
         while self._cue is not None and self._cue[0] < show_s:
             self._cue = next(self._cues, None)
 
-    def advance(
-        self, streamer: Streamer, lines: Mapping[str, SerialLine], now_ns: int
-    ) -> list[Event]:
+    def advance(self, show: Streaming, lines: Mapping[str, SerialLine], now_ns: int) -> list[Event]:
         """Return the marks and cues reached; send the LED orders that fit between moves."""
-        show_s = streamer.show_s(now_ns)
+        show_s = show.clock.show_s(now_ns)
         events: list[Event] = []
         while self._mark is not None and self._mark[0] <= show_s:
             events.append(MarkPassed(self._mark[1].label, self._mark[0]))
@@ -73,22 +80,22 @@ class Agenda:
                 self._lights.append((joint.bus, order))
             self._cue = next(self._cues, None)
         if self._lights:
-            self._light(streamer.quiet_ns(now_ns), lines, now_ns)
+            self._light(show.quiet_ns(now_ns), lines, now_ns)
         return events
 
     def wakeup_ns(
-        self, streamer: Streamer | None, lines: Mapping[str, SerialLine], now_ns: int
+        self, show: Streaming | None, lines: Mapping[str, SerialLine], now_ns: int
     ) -> int | None:
         """Return when `advance` must be called at the latest, if the rate stays as it is.
 
-        While the rate changes, and while only moves leave no room, the streamer wakes often enough.
+        While the rate changes, and while only moves leave no room, the show wakes often enough.
         """
         wakeups_ns = []
         if self._lights and lines[self._lights[0][0]].free_ns > now_ns:
             wakeups_ns.append(lines[self._lights[0][0]].free_ns)
         nexts = [due[0] for due in (self._mark, self._cue) if due is not None]
-        if nexts and streamer is not None and not streamer.clock.is_ramping(now_ns):
-            due_ns = streamer.clock.instant_ns(min(nexts))
+        if nexts and show is not None and not show.clock.is_ramping(now_ns):
+            due_ns = show.clock.instant_ns(min(nexts))
             if due_ns is not None:
                 # What was rounded down is not passed yet.
                 wakeups_ns.append(max(due_ns, now_ns + NS_PER_US))

@@ -118,6 +118,11 @@ class DisturbanceEstimator:
         self.estimate_deg, self.offset_deg = earlier.estimate_deg, earlier.offset_deg
 
     @property
+    def last_deg(self) -> float | None:
+        """The last horn angle that is known."""
+        return self.standing_deg if self.measured_deg is None else self.measured_deg
+
+    @property
     def error_rms_deg(self) -> float:
         return (self.square_sum_deg2 / self.readings) ** 0.5 if self.readings else 0.0
 

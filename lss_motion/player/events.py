@@ -106,6 +106,8 @@ class Checked:
     """Every servo is present and may do what the program requires."""
 
     servos: tuple[Found, ...]
+    notes: tuple[str, ...] = ()
+    """What a person may want to mend."""
 
 
 Event = PhaseEntered | Warned | MarkPassed | CueReached | Waited | Faulted | Checked

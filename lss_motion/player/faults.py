@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.errors import BusError, LostPortError
 from lss_motion.player.events import Faulted, Warned
 from lss_motion.player.handshake import Recovery
+from lss_motion.player.health import turn_text
 from lss_motion.robot.on_fault import ENDING, Cause, FaultStep
 from lss_motion.units import NS_PER_S, ns_from_s
 
@@ -114,8 +115,9 @@ class FaultEscalation:
                 FaultStep.HOLD,
             )
         self._resumes += FaultStep.RESUME in steps
-        self._active[joint, cause] = fault = _Escalated(steps, 0, now_ns)
-        return self.note(joint, cause, text, fault.step)
+        if joint:  # What is no joint's ends with its recovery, and not by patience.
+            self._active[joint, cause] = _Escalated(steps, 0, now_ns)
+        return self.note(joint, cause, text, steps[0])
 
     def give_up(self, joint: str, cause: Cause, text: str) -> Faulted:
         """Take the step after `resume` for what did not come back: at least hold."""
@@ -166,8 +168,9 @@ SILENT_TEXT: Final = (
     "does not answer where the show begins: its restart would look like this. Look at its cable "
     "and its power"
 )
-ABSENT: Final = (Cause.SILENT, Cause.RESTARTED)
-"""With these it is unknown whether a servo still has the limits that it was given."""
+ABSENT: Final = (Cause.SILENT, Cause.RESTARTED, Cause.LOST_TURN)
+"""With these it is unknown whether a servo still has the limits that it was given, or where it
+is."""
 LEFT_OUT_TEXT: Final = (
     "is sent no move until it is back and has its settings again (`on_fault`: `restarted: resume`)"
 )
@@ -228,7 +231,7 @@ class FaultHandler:
             return Verdict.CONTINUE
         self._session.put_back(gone)
         # A power failure of one servo may have hit others that have not been noticed yet.
-        gone |= health.unresponsive()
+        gone |= health.unresponsive() | streamer.scheduler.watch.doubted
         self._wait_for([joint for joint in self._session.driven if joint.name in gone], now_ns)
         return Verdict.RECOVER
 
@@ -255,6 +258,18 @@ class FaultHandler:
         self._wait_for(gone, now_ns)
         return Verdict.RECOVER
 
+    def lose_turns(self, turned: Iterable[tuple[Joint, float, float]], now_ns: int) -> Verdict:
+        """Judge joints that report a servo angle in another turn than the one where they were."""
+        taken = [
+            self.escalation.begin(
+                joint.name, Cause.LOST_TURN, turn_text(joint, reported_deg, before_deg), now_ns
+            )
+            for joint, reported_deg, before_deg in turned
+        ]
+        for fault in taken:
+            self._take(fault, now_ns)
+        return Verdict.END if taken else Verdict.CONTINUE
+
     def note_astray(self, joint: str, off_deg: float, approaches: int) -> None:
         """Note that a joint does not reach the place where the show begins or goes on."""
         text = (
@@ -263,12 +278,39 @@ class FaultHandler:
         )
         self._events.append(self.escalation.note(joint, Cause.ASTRAY, text, FaultStep.HOLD))
 
+    def goal_misses(self, streamer: Streamer) -> dict[str, float]:
+        """Return the joints beyond their goal tolerance by their last reading, and by how far."""
+        if streamer.scheduler is None:
+            return {}
+        return {
+            name: abs(state.disturbance.error_deg)
+            for name, state in streamer.joint_states.items()
+            if name not in self._session.left_out
+            and state.joint.drive != "stepped"
+            and abs(state.disturbance.error_deg) > state.joint.goal_deg
+        }
+
+    def note_goal(self, name: str, off_deg: float) -> Verdict:
+        """Note that a joint has not reached its goal in its time: a warning, or no finish."""
+        joint = self._session.robot.joints[name]
+        key = "following_deg" if joint.goal_tolerance_deg is None else "goal_tolerance_deg"
+        text = (
+            f"is {off_deg:.1f} deg from its goal {joint.goal_time_s:g} s after the show, allowed "
+            f"is {joint.goal_deg:g} deg ({key}). Look for what holds it"
+        )
+        steps = self._session.robot.escalation(Cause.ASTRAY, joint, self._session.program.on_fault)
+        step = FaultStep.WARN if steps == (FaultStep.WARN,) else FaultStep.HOLD
+        self._events.append(self.escalation.note(name, Cause.ASTRAY, text, step))
+        return Verdict.CONTINUE if step is FaultStep.WARN else Verdict.END
+
     def _take(self, fault: Faulted, now_ns: int) -> None:
         """Report a step, and carry out what concerns its joint alone."""
         self._events.append(fault)
         joint = self._session.robot.joints[fault.joint]
         if fault.step is FaultStep.LIMP:
             self._session.make_limp(joint, now_ns)
+        elif fault.kind is Cause.LOST_TURN:
+            self._session.halt(joint, now_ns)
         is_absent = fault.kind in ABSENT and fault.step is not FaultStep.RESUME
         if fault.step is FaultStep.LIMP or is_absent:
             if is_absent and fault.step not in ENDING and joint.name not in self._session.left_out:
@@ -281,6 +323,23 @@ class FaultHandler:
             return True
         is_limp = any(joint.name == name for joint in self._session.limp)
         return cause in ABSENT and not is_limp
+
+    def stall(self, text: str, now_ns: int) -> Verdict:
+        """Note that this program was held up while a move was due.
+
+        All servos are examined before the show goes on: they may have restarted meanwhile.
+        """
+        fault = self.escalation.begin("", Cause.STALLED, text, now_ns)
+        self._events.append(fault)
+        if fault.step is not FaultStep.RESUME:
+            return Verdict.END
+        self._wait_for(self._session.driven, now_ns)
+        return Verdict.RECOVER
+
+    def extend_recovery(self, by_ns: int) -> None:
+        """Wait longer for the missing servos: this program was held up meanwhile."""
+        if self.recovery is not None:
+            self.recovery.give_up_ns += by_ns
 
     # ---- ports
 

@@ -1,11 +1,11 @@
-"""Checks, settings, restore and recovery: what surrounds the motion of a show.
+"""Settings, restore and recovery: what surrounds the motion of a show.
 
-Before the show, every servo is queried (`queries`), and `check` compares the answers with the robot
-file and the program. `SettingsDialogue` then sends the session settings until every servo answers
-with what it was sent: a timed servo gets the joint's own limits (AA, AD and SD), which it keeps
-whatever it receives, and EM1, in which `D…T…` works; a streamed one gets EM0 with the program's
-FPC. An RC servo on a 2IO has no settings. `Recovery` waits for servos that are missing. Afterwards
-`restoring_orders` gives back the original settings, and `safe_bytes` are the last bytes.
+Before the show, `preflight` has queried every servo, and `checks` has compared the answers with the
+robot file and the program. `SettingsDialogue` then sends the session settings until every servo
+answers with what it was sent: a timed servo gets the joint's own limits (AA, AD and SD), which it
+keeps whatever it receives, and EM1, in which `D…T…` works; a streamed one gets EM0 with the
+program's FPC. An RC servo on a 2IO has no settings. `Recovery` waits for servos that are missing.
+Afterwards `restoring_orders` gives back the original settings, and `safe_bytes` are the last bytes.
 
 Answers are keyed by `(bus, servo id, keyword)`.
 """
@@ -15,25 +15,20 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.errors import BusError, InputError, PlaybackError
+from lss_motion.errors import BusError, PlaybackError
 from lss_motion.player.cues import LED_KEYWORD
-from lss_motion.player.events import Checked, Found, Warned
 from lss_motion.player.transactions import Dialogue, Item
 from lss_motion.program.model import ramp_setting_deg_s2
 from lss_motion.protocol.codec import FAMILY_TABLES, make_command, read_reply
-from lss_motion.protocol.constants import BROADCAST_ID, Status, status_from
-from lss_motion.protocol.line import Command, Reply, encode
-from lss_motion.robot.servo_models import FILTER_FIRMWARE_MIN, model_mismatch_text
-from lss_motion.units import NS_PER_MS
+from lss_motion.protocol.constants import BROADCAST_ID
+from lss_motion.protocol.framing import Command, Reply, encode
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Mapping, Sequence
 
-    from lss_motion.player.events import Event
     from lss_motion.player.query_tracker import QueryTracker
     from lss_motion.player.serial_line import SerialLine
-    from lss_motion.program.model import Program
-    from lss_motion.robot.model import Bus, Joint, Robot, Sensor
+    from lss_motion.robot.model import Joint, Robot
 
     Answers = Mapping[tuple[str, int, str], int | str | None]
 
@@ -204,6 +199,21 @@ def _session_orders(joint: Joint, answers: Answers, *, is_known: bool) -> list[I
     ]
 
 
+def session_commands(joints: Iterable[Joint]) -> list[Command]:
+    """Return the settings for the show, for a host that does not read the original values."""
+    return [
+        command
+        for joint in joints
+        for command in (
+            *(
+                make_command(joint.model.family, joint.servo_id, keyword, value)
+                for keyword, value in _session_of(joint).items()
+            ),
+            *(Command(joint.servo_id, keyword, value) for keyword, value in joint.settings.items()),
+        )
+    ]
+
+
 def changed(joint: Joint, led_joints: Container[str]) -> list[str]:
     """Return the keywords that a show sets besides those of the drive.
 
@@ -248,11 +258,6 @@ def _order(joint: Joint, command: Command) -> Item:
     return Item(bus=joint.bus, command=command, is_query=False)
 
 
-QUERIES: Final = ("QMS", "QF", "Q", "QSD", "QAA", "QAD", "QEM", "QV", "QT", "QD")
-"""Queries to every servo before anything moves. Without an answer to QD the show does not start. A
-servo that answers QMS and QD but not the others is driven: no document says which family answers
-all. A servo that does not answer the first query counts as silent (`transactions.TRIES`), so that
-is QMS, which all three documents have."""
 PLACE_WITHIN_DEG: Final = 2.0
 """Two positions agree within this: noise, and an arm that sags when a hand releases it."""
 AGREE_WITHIN: Final = {"QV": 500, "QT": 20}
@@ -263,180 +268,25 @@ LOADED_DEG: Final = 1.0
 """With feedback the load is known after the first approach. A joint that its load keeps further
 away than this is sent there once more, corrected: that takes half a second, and the show then
 begins at the right place."""
-OUTSIDE_DEG: Final = 1.0
-"""No warning for less outside of the range: a load may have pulled the joint there. Chosen."""
-LATENCY_BAD_NS: Final = 5 * NS_PER_MS
-"""A servo answers within 2 ms (FACTS.md W14); an adapter's latency timer makes it longer."""
-FILTER_QUERIES: Final = ("QFPC", "QIPE")
-"""Further queries to streamed servos. IPE makes the filter step by itself (FACTS.md M8); a servo
-that does not answer QIPE is assumed to have the factory setting, which does so."""
-FILTER_ESSENTIAL: Final = ("QD", "QEM", "QFPC")
-IO2_QUERIES: Final = ("QMS", "QG", "QD")
-"""An RC servo on a 2IO answers no more, and QD is only its last command (FACTS.md B8, B10)."""
-LIMIT_SLACK_RATIO: Final = 0.999
-"""Limits read back from a servo are rounded to its wire unit."""
-
-
-def queries(joints: Iterable[Joint], led_joints: Container[str] = ()) -> list[Item]:
-    """Return the queries before a show that changes the LED colours of `led_joints`.
-
-    Queries that only some servos support come last.
-    """
-    joints = list(joints)
-    known = [
-        _query(joint, keyword)
-        for joint in joints
-        for keyword in _asked_of(joint)
-        if keyword in FAMILY_TABLES[joint.model.family].by_keyword
-    ]
-    return known + settings_queries(joints, led_joints)
-
-
-def _asked_of(joint: Joint) -> tuple[str, ...]:
-    match joint.drive:
-        case "stepped":
-            return IO2_QUERIES
-        case "streamed":
-            return (*QUERIES, *FILTER_QUERIES)
-        case _:
-            return QUERIES
 
 
 def settings_queries(joints: Iterable[Joint], led_joints: Container[str] = ()) -> list[Item]:
     """Return the queries for what `settings` of the robot file, and LED colours, will overwrite."""
-    return [_query(joint, f"Q{word}") for joint in joints for word in changed(joint, led_joints)]
+    return [query(joint, f"Q{word}") for joint in joints for word in changed(joint, led_joints)]
 
 
 def position_queries(joints: Iterable[Joint]) -> list[Item]:
     """Return the position query of every servo."""
-    return [_query(joint, "QD") for joint in joints]
+    return [query(joint, "QD") for joint in joints]
 
 
-def _query(joint: Joint, keyword: str) -> Item:
+def query(joint: Joint, keyword: str) -> Item:
+    """Return a query of which two answers must agree."""
     within = AGREE_WITHIN.get(keyword, 0)
     if keyword == "QD":
         within = round(PLACE_WITHIN_DEG * joint.model.wire_per_deg)
     command = Command(joint.servo_id, keyword)
     return Item(bus=joint.bus, command=command, is_query=True, agree_within=within)
-
-
-def check(
-    program: Program,
-    robot: Robot,
-    joints: Sequence[Joint],
-    answers: Answers,
-    trackers: Mapping[str, QueryTracker],
-    start_deg: Mapping[str, float],
-) -> list[Event]:
-    """Return the warnings, and what was found at the servos, in answer to the queries.
-
-    Raises as `check_sensors` and `check_answers` do. `start_deg`: where the show begins.
-    """
-    check_sensors(program, robot, answers)
-    warnings = findings(joints, answers, robot, trackers)
-    rows = found(joints, answers, robot, start_deg)
-    return [*map(Warned, warnings), Checked(tuple(rows))]
-
-
-def findings(
-    joints: Iterable[Joint],
-    answers: Answers,
-    robot: Robot,
-    trackers: Mapping[str, QueryTracker],
-) -> list[str]:
-    """Return all warnings about servos and ports; raise as `check_answers` does."""
-    joints = list(joints)
-    return (
-        check_answers(joints, answers, robot)
-        + check_range(joints, answers)
-        + check_latency(robot.buses, trackers)
-    )
-
-
-def check_range(joints: Iterable[Joint], answers: Answers) -> list[str]:
-    """Return a warning for every joint outside of its range: the approach moves it back.
-
-    An RC servo on a 2IO does not report where it stands.
-    """
-    warnings = []
-    for joint in joints:
-        servo_deg = reported(joint, answers, "QD")
-        if servo_deg is None or joint.drive == "stepped":
-            continue
-        angle_deg, least_deg, most_deg = (
-            joint.joint_deg(servo_deg),
-            joint.position_min_deg,
-            joint.position_max_deg,
-        )
-        if not least_deg - OUTSIDE_DEG <= angle_deg <= most_deg + OUTSIDE_DEG:
-            warnings.append(
-                f"joint {joint.name!r} stands at {angle_deg:.1f} deg, outside of its range of "
-                f"{least_deg:g} to {most_deg:g} deg, and is led back into it. See that its way is "
-                f"free, and that `zero_deg` and `direction` are right (lss-motion calibrate)"
-            )
-    return warnings
-
-
-def sensor_queries(program: Program, robot: Robot) -> list[Item]:
-    """Return a query to every sensor that the show waits for."""
-    return [
-        Item(bus=sensor.bus, command=Command(sensor.servo_id, "QA"), is_query=True)
-        for sensor in _sensors(program, robot)
-    ]
-
-
-def check_sensors(program: Program, robot: Robot, answers: Answers) -> None:
-    """Raise `BusError` for a sensor that the show waits for and that does not answer."""
-    for sensor in _sensors(program, robot):
-        if not isinstance(answers.get((sensor.bus, sensor.servo_id, "QA")), int):
-            raise BusError(
-                f"no answer from sensor {sensor.name!r} (id {sensor.servo_id} on bus "
-                f"{sensor.bus!r}), which the show waits for",
-                url=robot.buses[sensor.bus].port,
-            )
-
-
-def _sensors(program: Program, robot: Robot) -> list[Sensor]:
-    return [robot.sensors[name] for name in {p.wait.sensor: None for p in program.waits}]
-
-
-def check_answers(joints: Iterable[Joint], answers: Answers, robot: Robot) -> list[str]:
-    """Return warnings about the servos.
-
-    Raises before anything moves: `BusError` for servos that do not answer, `InputError` where the
-    robot file contradicts the servo or exceeds its limits, `PlaybackError` for one in safe mode.
-    """
-    joints = list(joints)
-    standing = standing_deg(joints, answers)
-    if silent := [joint for joint in joints if joint.name not in standing]:
-        raise silent_error(silent, joints, robot)
-    warnings: list[str] = []
-    for joint in joints:
-        _check_drive(joint, answers, robot)
-        _check_joint(joint, answers, robot, warnings)
-    return warnings
-
-
-def _check_drive(joint: Joint, answers: Answers, robot: Robot) -> None:
-    """Raise for a servo that cannot be driven as the program requires."""
-    if joint.drive == "stepped" and reported(joint, answers, "QG") == -1.0:
-        raise InputError(
-            f"joint {joint.name!r}: servo {joint.servo_id} has a gyre of -1, with which an LSS-2IO "
-            f"says nonsense about where it is. Set its gyre to 1 (CG1), and `direction: -1` here",
-            path=robot.path,
-        )
-    unknown = [key[1:] for key in FILTER_ESSENTIAL if reported(joint, answers, key) is None]
-    if joint.drive == "streamed" and unknown:
-        firmware = answers.get((joint.bus, joint.servo_id, "QF"))
-        is_old = isinstance(firmware, int) and firmware < FILTER_FIRMWARE_MIN
-        why = f"has firmware {firmware}" if is_old else f"does not say its {' and '.join(unknown)}"
-        raise InputError(
-            f"joint {joint.name!r}: servo {joint.servo_id} {why}, so it cannot be streamed and set "
-            f"back. That needs an LSS with firmware {FILTER_FIRMWARE_MIN} or later; otherwise use "
-            f"`drive: timed`",
-            path=robot.path,
-            line=joint.lines.get("drive"),
-        )
 
 
 def standing_deg(joints: Iterable[Joint], answers: Answers) -> dict[str, float]:
@@ -454,99 +304,6 @@ def silent_error(silent: Sequence[Joint], joints: Sequence[Joint], robot: Robot)
         f"ids and the baud rate ({bus.baud_bps} bps)",
         url=bus.port,
     )
-
-
-def _check_joint(joint: Joint, answers: Answers, robot: Robot, warnings: list[str]) -> None:
-    bus = robot.buses[joint.bus]
-    model = answers.get((joint.bus, joint.servo_id, "QMS"))
-    if model is not None and not str(model).startswith(joint.model.name):
-        raise InputError(
-            f"joint {joint.name!r}: {model_mismatch_text(joint, str(model))}",
-            path=robot.path,
-            line=joint.lines.get("model"),
-        )
-    firmware = answers.get((joint.bus, joint.servo_id, "QF"))
-    if isinstance(firmware, int) and firmware != bus.firmware:
-        warnings.append(
-            f"joint {joint.name!r}: servo {joint.servo_id} has firmware {firmware}, the robot "
-            f"file says {bus.firmware}"
-        )
-    status = _status(joint, answers, robot)
-    if status in (Status.SAFE_MODE, Status.ERROR):
-        raise PlaybackError(
-            f"joint {joint.name!r}: servo {joint.servo_id} reports {status.value}; find the "
-            f"cause, then RESET it",
-            joint=joint.name,
-        )
-    needs: dict[str, float] = {"QSD": joint.speed_max_deg_s}
-    if joint.drive == "timed":
-        needs |= dict.fromkeys(("QAA", "QAD"), ramp_setting_deg_s2(joint))
-    for keyword, needed in needs.items():
-        allowed = reported(joint, answers, keyword)
-        if allowed is not None and allowed < LIMIT_SLACK_RATIO * needed:
-            is_speed = keyword == "QSD"
-            unit = "deg/s" if is_speed else "deg/s²"
-            raise InputError(
-                f"joint {joint.name!r}: the robot file requires {needed:g} {unit}, but servo "
-                f"{joint.servo_id} is set to {allowed:g} {unit} ({keyword[1:]}). Lower the limit "
-                f"in the robot file, or configure the servo",
-                path=robot.path,
-                line=joint.lines.get("speed_max_deg_s" if is_speed else "accel_max_deg_s2"),
-            )
-
-
-def _status(joint: Joint, answers: Answers, robot: Robot) -> Status | None:
-    """Return the status that a servo reported; None: it did not."""
-    code = answers.get((joint.bus, joint.servo_id, "Q"))
-    if not isinstance(code, int):
-        return None
-    return status_from(code, joint.model.family, robot.buses[joint.bus].firmware)
-
-
-def check_latency(buses: Mapping[str, Bus], trackers: Mapping[str, QueryTracker]) -> list[str]:
-    """Return a warning for every port on which all answers came later than servos answer."""
-    warnings = []
-    for name, tracker in trackers.items():
-        least_ns, port = tracker.shortest_latency_ns, buses[name].port
-        if least_ns is None or least_ns < LATENCY_BAD_NS:
-            continue
-        device = port.rpartition("/")[2]
-        warnings.append(
-            f"port {port}: answers come {least_ns / NS_PER_MS:.0f} ms late, so there are fewer "
-            f"readings: the USB adapter holds them back. Linux: `echo 1 | sudo tee "
-            f"/sys/bus/usb-serial/devices/{device}/latency_timer`; Windows: device manager, port, "
-            f"advanced, latency timer 1 ms"
-        )
-    return warnings
-
-
-def found(
-    joints: Iterable[Joint], answers: Answers, robot: Robot, start_deg: Mapping[str, float]
-) -> list[Found]:
-    """Return what is known of every servo, for people to check before anything moves."""
-    rows = []
-    for joint in joints:
-        model = answers.get((joint.bus, joint.servo_id, "QMS"))
-        firmware = answers.get((joint.bus, joint.servo_id, "QF"))
-        values = {key: reported(joint, answers, key) for key in ("QD", "QV", "QT", "QSD", "QAA")}
-        assert values["QD"] is not None, "checked before"
-        status = _status(joint, answers, robot)
-        rows.append(
-            Found(
-                joint=joint.name,
-                servo_id=joint.servo_id,
-                model=None if model is None else str(model),
-                firmware=firmware if isinstance(firmware, int) else None,
-                status=None if status is None else status.value,
-                position_deg=joint.joint_deg(values["QD"]),
-                start_deg=start_deg[joint.name],
-                voltage_v=values["QV"],
-                temperature_c=values["QT"],
-                speed_max_deg_s=values["QSD"],
-                accel_max_deg_s2=values["QAA"],
-            )
-        )
-    return rows
 
 
 def safe_bytes(

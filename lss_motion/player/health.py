@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.protocol.constants import Status
+from lss_motion.robot.model import HALF_TURN_DEG
 from lss_motion.robot.on_fault import Cause
-from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
+from lss_motion.units import NS_PER_MS, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -22,8 +23,10 @@ if TYPE_CHECKING:
     FaultKey = tuple[str, Cause]
 
 
-ASTRAY_NS: Final = NS_PER_S // 2
-"""A joint must be off by more than `following_deg` for this long: one late move is no fault."""
+ASTRAY_NS: Final = 50 * NS_PER_MS
+"""A joint must be off by more than `following_deg` for this long, in all readings, of which there
+are as many as the line allows. Chosen: one damaged reading is no fault, and the first step of
+`on_fault` is taken within 0.1 s of the reading that showed it."""
 BACK_RATIO: Final = 0.5
 """The fault ends when the joint is off by less than this share of `following_deg`."""
 CONFIRMATIONS: Final = 2
@@ -55,6 +58,42 @@ def status_fault(status: Status) -> str | None:
     return None if cause is Cause.RESTARTED else STATUS_TEXTS[cause]
 
 
+def hot_text(joint: Joint, temperature_c: float) -> str:
+    """Return the fault of a servo that is too hot."""
+    return (
+        f"is hot: {temperature_c:.0f} C, allowed is {joint.temperature_max_c:g} C "
+        f"(temperature_max_c). Let it rest, or give it less to carry"
+    )
+
+
+def low_voltage_text(joint: Joint, voltage_v: float) -> str:
+    """Return the fault of a servo with too little voltage."""
+    return (
+        f"has {voltage_v:.1f} V, needed are {joint.voltage_min_v:g} V (voltage_min_v). Charge the "
+        f"battery, or look at the wires"
+    )
+
+
+def is_turned(state: JointState, measured_deg: float, read_s: float) -> bool:
+    """Return whether a servo angle is in another turn than the joint.
+
+    The joint can be anywhere between its last reading and its profile: moves may be lost.
+    """
+    expected_deg = state.profile.at(read_s)[0]
+    last_deg = state.disturbance.last_deg
+    low_deg, high_deg = sorted((expected_deg if last_deg is None else last_deg, expected_deg))
+    return not low_deg - HALF_TURN_DEG <= measured_deg <= high_deg + HALF_TURN_DEG
+
+
+def turn_text(joint: Joint, reported_deg: float, before_deg: float) -> str:
+    """Return the text of the fault of a joint in another turn; both are servo angles."""
+    return (
+        f"is in another turn: servo {joint.servo_id} reports {reported_deg:.1f} deg, and was at "
+        f"{before_deg:.1f} deg. It has restarted, and is not driven. Look at its power supply, "
+        f"bring the joint to its place by hand and begin anew"
+    )
+
+
 @dataclass(slots=True)
 class _Unanswered:
     """A servo without an answer since `since_ns`, and when that was noticed first and last."""
@@ -73,6 +112,10 @@ class HealthMonitor:
         self.active_faults: dict[FaultKey, str] = {}
         self.unconfirmed: dict[str, str] = {}
         """Keyword by joint of a query that must be repeated at once to confirm its answer."""
+        self._lost_settings: set[str] = set()
+        """Joints whose servo has restarted, whatever its status is now."""
+        self._turned: set[str] = set()
+        """Joints whose last reading is in another turn."""
         self._counts: dict[FaultKey, int] = {}
         self._astray_since_ns: dict[str, int] = {}
         self._unanswered: dict[str, _Unanswered] = {}
@@ -85,13 +128,43 @@ class HealthMonitor:
         trouble = (joint.name, Cause.ASTRAY)
         if error_deg <= joint.following_deg:
             self._astray_since_ns.pop(joint.name, None)
+            self._confirmed(joint.name, "QD")
             if error_deg <= BACK_RATIO * joint.following_deg:
                 self.active_faults.pop(trouble, None)
         elif arrival_ns - self._astray_since_ns.setdefault(joint.name, arrival_ns) > ASTRAY_NS:
+            self._confirmed(joint.name, "QD")
             self.active_faults[trouble] = (
                 f"is {error_deg:.1f} deg off its course, allowed is {joint.following_deg:g} deg "
                 f"(following_deg). Look for what holds it, or lower its limits"
             )
+        elif trouble not in self.active_faults:
+            self.unconfirmed.setdefault(joint.name, "QD")
+
+    def turn(self, state: JointState, measured_deg: float, read_s: float) -> bool:
+        """Return whether a reading is in another turn than the joint: then no move is sent to it.
+
+        The second such reading in a row is a fault.
+        """
+        name, from_deg = state.joint.name, state.disturbance.last_deg
+        if from_deg is None or not is_turned(state, measured_deg, read_s):
+            if name in self._turned:
+                self._turned.remove(name)
+                self._confirmed(name, "QD")
+            return False
+        state.hold_back()
+        if name in self._turned:
+            self._confirmed(name, "QD")
+            text = turn_text(state.joint, measured_deg, from_deg)
+            self.active_faults[name, Cause.LOST_TURN] = text
+        else:
+            self._turned.add(name)
+            self.unconfirmed[name] = "QD"
+        return True
+
+    def lost_settings(self, state: JointState, text: str) -> None:
+        """Note that a servo has restarted."""
+        self._lost_settings.add(state.joint.name)
+        self.active_faults[state.joint.name, Cause.RESTARTED] = text
 
     def status(self, state: JointState, code: int, firmware: int) -> None:
         state.note_status(code, firmware)
@@ -101,21 +174,15 @@ class HealthMonitor:
 
     def temperature(self, state: JointState, temperature_c: float) -> None:
         state.note_temperature(self._twice(state, "QT", temperature_c, min))
-        limit_c = state.joint.temperature_max_c
-        text = (
-            f"is hot: {temperature_c:.0f} C, allowed is {limit_c:g} C (temperature_max_c). Let it "
-            f"rest, or give it less to carry"
-        )
-        self._judge(state, Cause.HOT, "QT", text, is_bad=temperature_c > limit_c)
+        text = hot_text(state.joint, temperature_c)
+        is_bad = temperature_c > state.joint.temperature_max_c
+        self._judge(state, Cause.HOT, "QT", text, is_bad=is_bad)
 
     def voltage(self, state: JointState, voltage_v: float) -> None:
         state.note_voltage(self._twice(state, "QV", voltage_v, max))
-        limit_v = state.joint.voltage_min_v
-        text = (
-            f"has {voltage_v:.1f} V, needed are {limit_v:g} V (voltage_min_v). Charge the battery, "
-            f"or look at the wires"
-        )
-        self._judge(state, Cause.LOW_VOLTAGE, "QV", text, is_bad=voltage_v < limit_v)
+        text = low_voltage_text(state.joint, voltage_v)
+        is_bad = voltage_v < state.joint.voltage_min_v
+        self._judge(state, Cause.LOW_VOLTAGE, "QV", text, is_bad=is_bad)
 
     def answered(self, state: JointState) -> None:
         """Note any answer of a servo."""
@@ -168,17 +235,22 @@ class HealthMonitor:
     ) -> None:
         name = state.joint.name
         if not is_bad:
-            if self._counts.pop((name, cause), 0) and self.unconfirmed.get(name) == keyword:
-                del self.unconfirmed[name]
-            self.active_faults.pop((name, cause), None)
+            if self._counts.pop((name, cause), 0):
+                self._confirmed(name, keyword)
+            if cause is not Cause.RESTARTED or name not in self._lost_settings:
+                self.active_faults.pop((name, cause), None)
             return
         count = self._counts[name, cause] = self._counts.get((name, cause), 0) + 1
         if count < CONFIRMATIONS:
             self.unconfirmed[name] = keyword
             return
+        self._confirmed(name, keyword)
+        self.active_faults[name, cause] = text
+
+    def _confirmed(self, name: str, keyword: str) -> None:
+        """Repeat a query no more, if it was this one."""
         if self.unconfirmed.get(name) == keyword:
             del self.unconfirmed[name]
-        self.active_faults[name, cause] = text
 
     def _twice(
         self, state: JointState, keyword: str, value: float, choose: Callable[[float, float], float]

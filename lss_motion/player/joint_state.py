@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -25,7 +25,7 @@ from lss_motion.program.stepped import PULSE_S
 from lss_motion.program.streamed import SETTLED_DEG, FilterProfile
 from lss_motion.program.verify import make_profile, profiles
 from lss_motion.protocol.constants import status_from
-from lss_motion.protocol.line import encode_move
+from lss_motion.protocol.framing import encode_move
 from lss_motion.units import MS_PER_S, NS_PER_US, ns_from_s, s_from_ms, s_from_ns, s_from_us
 
 if TYPE_CHECKING:
@@ -136,6 +136,12 @@ class JointState:
     trace: Trace = field(default_factory=Trace)
     is_driven: bool = True
     """False while the servo's settings are unknown, or it is left out; no moves are sent."""
+    in_doubt: bool = False
+    """Whether the servo may have restarted: no moves are sent until its settings are known."""
+    held_back: int = 0
+    """Number of moves that were not sent since the servo was in doubt."""
+    _has_missed: bool = False
+    """Whether a move was held back since the doubt began."""
 
     # ---- where the servo is
 
@@ -160,6 +166,7 @@ class JointState:
         """Note that the servo stands at `position_deg`, whatever was sent before."""
         self.profile = make_profile(self.joint, position_deg, origin_s=self.origin_s)
         self.deferred = self.guide_ns = None
+        self.in_doubt = False
         self.setpoints = make_setpoints(self.joint, position_deg, self.limits)
         self.disturbance.stand_at(position_deg)
 
@@ -168,6 +175,12 @@ class JointState:
         droop_deg = self.place(now_ns)[0] - measured_deg
         if abs(droop_deg) <= within_deg:
             self.disturbance.rest(droop_deg)
+
+    def limit_speed(self, speed_max_deg_s: float) -> None:
+        """Send no faster move, also where a correction makes it longer; before the first one."""
+        slower_deg_s = min(self.limits.speed_max_deg_s, speed_max_deg_s)
+        self.limits = replace(self.limits, speed_max_deg_s=slower_deg_s)
+        self.setpoints = make_setpoints(self.joint, self.place(0)[0], self.limits)
 
     def take_over(self, earlier: JointState) -> None:
         """Take over the estimates of load, lag and lost moves of the same joint."""
@@ -193,7 +206,7 @@ class JointState:
         """
         if self.joint.drive == "timed":
             self.deferred = None
-        elif self.joint.drive == "streamed" and self.is_driven and self.guide_ns is None:
+        elif self.joint.drive == "streamed" and self.guide_ns is None and self.takes_moves:
             self.guide_ns = now_ns
 
     def suspend(self) -> None:
@@ -204,6 +217,20 @@ class JointState:
     def resume(self) -> None:
         """Send moves to the servo again."""
         self.is_driven = True
+
+    def hold_back(self, *, has_missed: bool = False) -> None:
+        """Send no move to the servo until `release`: it may have lost its limits, or its turn.
+
+        `has_missed`: it needs a move already.
+        """
+        self.in_doubt = True
+        self._has_missed |= has_missed or self.resend_ns is not None
+        self.deferred = self.guide_ns = None
+
+    def release(self) -> bool:
+        """Send moves to the servo again; return whether any was held back."""
+        self.in_doubt, self._has_missed, had_missed = False, False, self._has_missed
+        return had_missed
 
     def defer(self, resend_ns: int, target_deg: float, travel_deg_s: float = math.inf) -> None:
         """Send `target_deg` again at `resend_ns`; a timed joint then travels at `travel_deg_s`."""
@@ -216,6 +243,11 @@ class JointState:
     def count_resent(self) -> None:
         """Count a move that is sent again because the servo has lost it."""
         self.resent += 1
+
+    @property
+    def takes_moves(self) -> bool:
+        """Whether the servo is sent moves."""
+        return self.is_driven and not self.in_doubt
 
     @property
     def resend_ns(self) -> int | None:
@@ -251,9 +283,11 @@ class JointState:
     def send(self, line: SerialLine, target_deg: float, left_s: float, now_ns: int) -> None:
         """Send the move to `target_deg`, corrected and within the limits, with `left_s` to travel.
 
-        While the joint is not driven, nothing is sent.
+        While the joint is not driven or in doubt, nothing is sent.
         """
-        if not self.is_driven:
+        if not self.takes_moves:
+            self._has_missed |= self.in_doubt
+            self.held_back += self.in_doubt
             return
         servo_id, is_timed = self.joint.servo_id, self.joint.drive == "timed"
         guess_ms = max(1, round(MS_PER_S * left_s)) if is_timed else None
@@ -266,6 +300,24 @@ class JointState:
             self.guide_ns -= line.time_ns(len(data))
         arrival_ns = line.send(data, now_ns)
         self.note_sent(arrival_ns, target_wire, duration_ms)
+
+    def halt(self, line: SerialLine, now_ns: int) -> None:
+        """Brake within the limits, and expect no target that was deferred.
+
+        A timed joint is sent the nearest place where it can stop. The others have stopped at
+        their last target.
+        """
+        self.deferred = self.guide_ns = None
+        if self.joint.drive != "timed" or self.active is None:
+            return
+        arrival_ns = line.arrival_ns(len(self.active.data), now_ns)
+        position_deg, speed_deg_s = self.place(arrival_ns)
+        if abs(speed_deg_s) < REST_DEG_S:
+            return
+        way_deg = 0.5 * speed_deg_s * abs(speed_deg_s) / self.limits.ramp_deg_s2
+        way_deg += speed_deg_s * self.joint.response.loop_s
+        target_deg = position_deg + way_deg - self.disturbance.offset_deg
+        self.send(line, target_deg, abs(way_deg / speed_deg_s), now_ns)
 
     def wire_for(self, target_deg: float, arrival_ns: int) -> int:
         """Return the wire value next to `target_deg` plus the correction, within the limits.
@@ -583,6 +635,10 @@ class Statistics:
     max_ns: int = 0
     _bins: Counter[int] = field(default_factory=Counter, repr=False)
     """Number of moves by the upper end of their bin in ns."""
+
+    def left_out(self) -> None:
+        """Count a move that was not sent, since the next one of its joint was due as well."""
+        self.missed += 1
 
     def sent(self, late_ns: int) -> None:
         """Count a move that left `late_ns` late."""

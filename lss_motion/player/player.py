@@ -7,8 +7,9 @@
 
 The phases (`events.Phase`): connect (check the servos), ready (wait for a person), prepare (session
 settings), approach (move to the start), show, and in any case restore (the settings) and done (the
-safe state is the last that is sent). From approach and show a fault may lead to recover, and from
-there through prepare and approach back to the show; or to stop, which brakes.
+safe state is the last that is sent). From approach and show a fault, or a stall of this program,
+may lead to recover, and from there through prepare and approach back to the show; or to stop, which
+brakes.
 
 In every phase the player has one activity: a dialogue (`transactions`, `handshake`) or a streamer
 (`streamer`), or it waits. `session` holds what the phases share, `faults` decides about faults, and
@@ -26,12 +27,13 @@ from lss_motion.player import handshake
 from lss_motion.player.events import Phase, PhaseEntered, Warned
 from lss_motion.player.faults import FaultHandler, Verdict
 from lss_motion.player.handshake import SettingsDialogue
+from lss_motion.player.preflight import Preflight
 from lss_motion.player.session import Session
 from lss_motion.program.verify import driven
-from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
+from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from lss_motion.player.events import Event, Faulted
     from lss_motion.player.handshake import Answers
@@ -69,10 +71,12 @@ class Player:
         start_s: float | None = None,
         must_ask: bool = False,
         is_open: bool = False,
+        is_forced: bool = False,
     ) -> None:
         """Play `program`; while `is_open` the show does not end there but waits for extensions.
 
-        With `must_ask`, nothing moves before `go`.
+        With `must_ask`, nothing moves before `go`. `is_forced`: play without feedback also where
+        servos store higher limits than their joints have.
         """
         self.program = program
         self.robot = robot = driven(robot, program)
@@ -83,7 +87,9 @@ class Player:
         self.show: Streamer | None = None
         """The show itself, once it has begun."""
         self.show_ended_ns: int | None = None
-        self._session = Session(program, robot, has_feedback=has_feedback, start_s=start_s)
+        self._session = Session(
+            program, robot, has_feedback=has_feedback, start_s=start_s, is_forced=is_forced
+        )
         self.lines = self._session.lines
         self.trackers = self._session.trackers
         self._faults = FaultHandler(self._session)
@@ -93,7 +99,7 @@ class Player:
         self._is_open = self._was_open = is_open
         self._rate = 1.0
         """The rate that a person set; a fault may reduce it further."""
-        self._dialogue: Dialogue | SettingsDialogue | None = self._session.connect_dialogue()
+        self._dialogue: Dialogue | SettingsDialogue | Preflight | None = self._session.preflight()
         self._streamer: Streamer | None = None
         self._approaches = 0
         self._has_set = False
@@ -101,6 +107,10 @@ class Player:
         self._has_moved = False
         self._stops = 0
         self._now_ns = 0
+        self._ended_ns: int | None = None
+        """When the show had ended but for its goal tolerances."""
+        self._goal_ns: int | None = None
+        """When the time of a joint to come within its goal tolerance is over."""
 
     # ---- the four calls
 
@@ -109,8 +119,8 @@ class Player:
 
         `leaves_ns` is the instant at which the bytes will leave, shortly after the call.
         """
-        self._note_stall(leaves_ns)
         self._now_ns = leaves_ns
+        self._note_stall(leaves_ns)
         while self._step(leaves_ns):
             pass
         return {name: data for name, line in self.lines.items() if (data := line.take())}
@@ -154,12 +164,30 @@ class Player:
             wakeups_ns.append(self._streamer.next_wakeup_ns(self._now_ns))
         if self.phase is Phase.SHOW:
             wakeups_ns.append(self._session.agenda.wakeup_ns(self.show, self.lines, self._now_ns))
+            wakeups_ns.append(self._goal_ns)
         return wakeups_ns
 
     def _note_stall(self, now_ns: int) -> None:
-        text = self._stalls.text(now_ns, None if self.show is None else self.show.show_s)
-        if text is not None and self.phase in DRIVING:
-            self._events.append(Warned(text))
+        """Brake if a move was due long ago: this program was held up; then recover or end."""
+        gap_ns = self._stalls.gap_ns(now_ns)
+        streamer = self._streamer if self._dialogue is None else None
+        due_ns = None if streamer is None else streamer.due_ns()
+        if streamer is None or due_ns is None or now_ns - due_ns < GAP_NS:
+            if gap_ns and self.phase in DRIVING and (text := self._stalls.warning(gap_ns)):
+                self._events.append(Warned(text))
+            if self.phase is Phase.RECOVER:
+                self._faults.extend_recovery(gap_ns)
+            return
+        streamer.halt(due_ns, now_ns)
+        if self.phase not in DRIVING:
+            self._faults.extend_recovery(now_ns - due_ns)
+            return
+        show_s = None if self.show is None else self.show.show_s(due_ns)
+        match self._faults.stall(stall_text(now_ns - due_ns, show_s), now_ns):
+            case Verdict.RECOVER:
+                self._recover(now_ns)
+            case _:
+                self._end("fault", now_ns)
 
     # ---- state of the run
 
@@ -318,7 +346,29 @@ class Player:
             is_standing = self._streamer is None or self._streamer.is_standing(now_ns)
             return is_standing and not (self.phase is Phase.RECOVER and self._faults.lost_ports)
         assert self._streamer is not None
-        return self._streamer.is_finished(now_ns)
+        if not self._streamer.is_finished(now_ns):
+            return False
+        return self.phase is not Phase.SHOW or self._has_reached_goal(self._streamer, now_ns)
+
+    def _has_reached_goal(self, show: Streamer, now_ns: int) -> bool:
+        """Return whether no joint has time left to come within its goal tolerance.
+
+        The show has not finished if one is beyond it after its time.
+        """
+        misses = self._faults.goal_misses(show)
+        if self._ended_ns is None:
+            self._ended_ns = now_ns
+        ends_ns = [
+            self._ended_ns + ns_from_s(self.robot.joints[name].goal_time_s) for name in misses
+        ]
+        self._goal_ns = min((end_ns for end_ns in ends_ns if end_ns > now_ns), default=None)
+        if self._goal_ns is not None:
+            return False
+        for name, off_deg in misses.items():
+            if self._faults.note_goal(name, off_deg) is Verdict.END:
+                self.outcome = self.outcome or "fault"
+        self._report_faults()
+        return True
 
     def _after_streamer(self, now_ns: int) -> None:
         if self.phase is Phase.RECOVER:
@@ -338,7 +388,8 @@ class Player:
         assert dialogue is not None
         match self.phase:
             case Phase.CONNECT:
-                self._connected(dialogue.answers)
+                assert isinstance(dialogue, Preflight)
+                self._connected(dialogue)
             case Phase.PREPARE:
                 assert isinstance(dialogue, SettingsDialogue)
                 self._prepared(dialogue, now_ns)
@@ -361,9 +412,9 @@ class Player:
     def _report_faults(self) -> None:
         self._events += self._faults.take_events()
 
-    def _connected(self, answers: Answers) -> None:
+    def _connected(self, preflight: Preflight) -> None:
         try:
-            self._events += self._session.note_original(answers)
+            self._events += self._session.note_original(preflight)
         except LssMotionError as error:
             self._fail(error)
             return
@@ -379,6 +430,8 @@ class Player:
         self._dialogue = self._session.settings_dialogue()
 
     def _prepared(self, settings: SettingsDialogue, now_ns: int) -> None:
+        if self._has_lost_turns(settings.answers, now_ns):
+            return
         silent = self._session.note_positions(settings.answers)
         if not settings.wrong and not silent:
             self._approach(now_ns)
@@ -391,6 +444,14 @@ class Player:
         else:
             self._fail(handshake.silent_error(silent, self._session.joints, self.robot))
 
+    def _has_lost_turns(self, answers: Answers, now_ns: int) -> bool:
+        """End the run if a joint is in another turn than it was: no move takes it back."""
+        verdict = self._faults.lose_turns(self._session.turned(answers, now_ns), now_ns)
+        if verdict is Verdict.END:
+            self._streamer = None
+            self._end("fault", now_ns)
+        return verdict is Verdict.END
+
     def _approach(self, now_ns: int) -> None:
         self._approaches += 1
         self._has_moved = True
@@ -401,6 +462,8 @@ class Player:
 
     def _arrived(self, answers: Answers, now_ns: int) -> None:
         """Go on with the show if every joint is where it begins; else repeat the approach."""
+        if self._has_lost_turns(answers, now_ns):
+            return
         session = self._session
         silent = session.note_positions(answers)
         silent += [joint for joint in session.unreported(answers) if joint not in silent]
@@ -458,8 +521,13 @@ class Player:
         self._dialogue = None
         if self._streamer is not None:
             self._streamer.leave_out(self._session.left_out | self._faults.missing)
-            self._streamer.set_rate(0.0, now_ns)
+            self._brake(now_ns)
         self._enter(Phase.RECOVER)
+
+    def _brake(self, now_ns: int) -> None:
+        """Ramp the rate to 0, unless that was done."""
+        if self._streamer is not None and self._streamer.rate_wanted != 0.0:
+            self._streamer.set_rate(0.0, now_ns)
 
     # ---- the end
 
@@ -472,7 +540,7 @@ class Player:
         """Brake if anything moves, then restore and end."""
         self.outcome = self.outcome or outcome
         if self._streamer is not None and self.phase in (*DRIVING, Phase.RECOVER):
-            self._streamer.set_rate(0.0, now_ns)
+            self._brake(now_ns)
             self._enter(Phase.STOP)
         elif self.phase is not Phase.STOP:
             self._restore()
@@ -496,10 +564,22 @@ class Player:
 
 
 GAP_NS: Final = NS_PER_S // 4
-"""A shorter delay is not reported. Chosen: four times the delay at which a move counts as missed
+"""A shorter delay is no stall. Chosen: four times the delay at which a move counts as missed
 (`quantize.LATEST_ARRIVAL_S`), and longer than any wait on a busy host that was measured."""
 NAMED_MAX: Final = 10
 """Number of delays that are reported. On a host that is too slow, every move would be one."""
+STALL_REASON: Final = (
+    "stopped (Ctrl-Z), asleep, or without processor time (lss-motion doctor, --real-time)"
+)
+
+
+def stall_text(gap_ns: int, show_s: float | None) -> str:
+    """Return the text of the fault after a stall in which moves were due."""
+    where = "" if show_s is None else f" at {show_s:.2f} s of the show"
+    return (
+        f"this program was held up for {s_from_ns(gap_ns):.2f} s{where}: {STALL_REASON}. The moves "
+        f"of that time were not sent"
+    )
 
 
 class StallDetector:
@@ -513,16 +593,19 @@ class StallDetector:
         """Note when the player must be called at the latest."""
         self._wakeup_ns = wakeup_ns
 
-    def text(self, now_ns: int, show_s: Callable[[int], float] | None) -> str | None:
-        """Return a warning if the call at `now_ns` is too late; `show_s` gives the show time."""
+    def gap_ns(self, now_ns: int) -> int:
+        """Return by how much the call at `now_ns` is too late; 0: not by `GAP_NS`."""
         wakeup_ns, self._wakeup_ns = self._wakeup_ns, None
-        if wakeup_ns is None or now_ns - wakeup_ns < GAP_NS or self._named == NAMED_MAX:
+        gap_ns = 0 if wakeup_ns is None else now_ns - wakeup_ns
+        return gap_ns if gap_ns >= GAP_NS else 0
+
+    def warning(self, gap_ns: int) -> str | None:
+        """Return the warning about a delay in which no move was due; None: there were enough."""
+        if self._named == NAMED_MAX:
             return None
         self._named += 1
-        gap_s = s_from_ns(now_ns - wakeup_ns)
-        where = "" if show_s is None else f", up to {show_s(now_ns):.2f} s of the show"
         last = ". Further delays are not reported" if self._named == NAMED_MAX else ""
         return (
-            f"this program was held up for {gap_s:.2f} s{where}, and what was due then left late: "
-            f"stopped (Ctrl-Z), or without processor time (lss-motion doctor, --real-time){last}"
+            f"this program was held up for {s_from_ns(gap_ns):.2f} s: {STALL_REASON}. No move was "
+            f"due meanwhile{last}"
         )

@@ -9,21 +9,25 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain, cycle
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.health import HealthMonitor
+from lss_motion.player.settings_watch import HOLD_SIGNS, SettingsWatch
 from lss_motion.protocol.codec import FAMILY_TABLES, read_reply
-from lss_motion.protocol.constants import Family
-from lss_motion.protocol.line import Command, Reply, encode
+from lss_motion.protocol.constants import Family, Status
+from lss_motion.protocol.framing import Command, Reply, encode
 from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from lss_motion.player.cues import Waiting
     from lss_motion.player.joint_state import JointState
     from lss_motion.player.query_tracker import PendingQuery, QueryTracker
     from lss_motion.player.serial_line import SerialLine
+    from lss_motion.player.settings_watch import Probe
 
 
 TARGET_KEYWORD: Final = "QDT"
@@ -38,6 +42,15 @@ def health_words(family: Family) -> tuple[str, ...]:
     """Return the health queries that a family supports, in turn."""
     known = FAMILY_TABLES[family].by_keyword
     return tuple(word for word in HEALTH_KEYWORDS if word in known)
+
+
+@lru_cache(maxsize=1024)
+def health_round(family: Family, probes: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the health queries to one servo in turn: every other one is a probe, if it has any."""
+    words = health_words(family)
+    if not probes:
+        return words
+    return tuple(chain.from_iterable(zip(cycle(probes), words, strict=False)))
 
 
 @lru_cache(maxsize=1024)
@@ -60,6 +73,8 @@ servos there is a gap, since the start of the next answer is not known exactly."
 VISIT_NS: Final = NS_PER_S // 4
 """All servos of a bus are polled at least this often. A servo that must report its target is as
 urgent as one at rest that was not polled for this long."""
+DOUBT_NS: Final = 3600 * NS_PER_S
+"""A servo whose answer must be confirmed comes before all others."""
 LONGEST_NS: Final = NS_PER_S // 2
 """A servo that was not polled for this long comes next, however fast others move: a restart takes
 more than a second, and must be noticed before the servo is back."""
@@ -97,8 +112,11 @@ class PollScheduler:
         trackers: Mapping[str, QueryTracker],
         lines: Mapping[str, SerialLine],
         waiting: Waiting,
+        probes: Mapping[str, Sequence[Probe]] = MappingProxyType({}),
     ) -> None:
         self._waiting = waiting
+        self._probes = probes
+        self.watch = SettingsWatch(probes)
         self.health = HealthMonitor()
         self.rejected: dict[str, int] = dict.fromkeys(lines, 0)
         self.to_resend: dict[str, JointState] = {}
@@ -119,7 +137,9 @@ class PollScheduler:
     def anew(self) -> PollScheduler:
         """Return a scheduler without faults; the count of rejected readings goes on."""
         joint_states = {state.joint.name: state for state in self._by_address.values()}
-        scheduler = PollScheduler(joint_states, self._trackers, self._lines, self._waiting)
+        scheduler = PollScheduler(
+            joint_states, self._trackers, self._lines, self._waiting, self._probes
+        )
         scheduler.rejected = self.rejected
         return scheduler
 
@@ -164,7 +184,10 @@ class PollScheduler:
             return False
         keyword = self._keyword(bus, turn, now_ns)
         question, size_bytes = query_of(turn.state.joint.servo_id, keyword)
-        if not self._send_if_allowed(bus, question, size_bytes, now_ns, quiet_until_ns):
+        is_urgent = keyword == self.watch.urgent(turn.state.joint.name)
+        if not self._send_if_allowed(
+            bus, question, size_bytes, now_ns, quiet_until_ns, is_urgent=is_urgent
+        ):
             return False
         turn.left -= 1
         turn.state.note_visit(now_ns)
@@ -185,10 +208,12 @@ class PollScheduler:
         size_bytes: int,
         now_ns: int,
         quiet_until_ns: int | None,
+        *,
+        is_urgent: bool = False,
     ) -> bool:
         """Send a query if line and servo allow it now; otherwise note when to try again."""
         tracker, line = self._trackers[bus], self._lines[bus]
-        earliest_ns = tracker.earliest_ns(question.servo_id, size_bytes)
+        earliest_ns = tracker.earliest_ns(question.servo_id, size_bytes, is_urgent=is_urgent)
         if earliest_ns is None or earliest_ns > max(now_ns, line.free_ns):
             self._next_ns[bus] = earliest_ns
             return False
@@ -202,18 +227,21 @@ class PollScheduler:
         return True
 
     def _poll_overdue(self, bus: str, now_ns: int) -> None:
-        """Poll overdue or silent servos even when moves are queued.
+        """Poll overdue, silent or doubted servos even when moves are queued.
 
         This is no visit: the order of the turns does not change.
         """
         tracker, quiet = self._trackers[bus], self.health.unresponsive()
         waits_ns = [(tracker.last_sent_ns(t.joint.servo_id), t) for t in self._by_bus[bus]]
         for last_sent_ns, state in sorted(waits_ns, key=lambda wait: wait[0]):
-            if now_ns - last_sent_ns <= LONGEST_NS and state.joint.name not in quiet:
+            urgent = self.watch.urgent(state.joint.name)
+            is_due = now_ns - last_sent_ns > LONGEST_NS or state.joint.name in quiet
+            if urgent is None and not is_due:
                 continue
             servo_id = state.joint.servo_id
-            question, size_bytes = query_of(servo_id, self._fresh(bus, state))
-            earliest_ns = tracker.earliest_ns(servo_id, size_bytes)
+            question, size_bytes = query_of(servo_id, urgent or self._fresh(bus, state))
+            is_urgent = urgent is not None
+            earliest_ns = tracker.earliest_ns(servo_id, size_bytes, is_urgent=is_urgent)
             if earliest_ns is not None and earliest_ns <= now_ns:
                 tracker.send(question, now_ns)
                 return
@@ -229,7 +257,7 @@ class PollScheduler:
         for query, answer in accepted:
             if answer.keyword == "QA":
                 self._waiting.take_reply(bus, query.command.servo_id, answer.value)
-            if state is not None:
+            if state is not None and not self._take_probe(state, answer):
                 self._take(bus, state, query, answer, plan_deg)
 
     def _take(
@@ -248,9 +276,9 @@ class PollScheduler:
                 self._take_position(bus, state, answer.value, query, plan_deg)
             case "QDT":
                 if state.take_target(answer.value, s_from_ns(query.arrival_ns)):
-                    self.to_resend[state.joint.name] = state
+                    self._note_lost_move(state)
             case "Q":
-                self.health.status(state, int(answer.value), self._lines[bus].bus.firmware)
+                self._take_status(bus, state, int(answer.value), query.arrival_ns)
             case "QT":
                 self.health.temperature(state, answer.value)
             case "QV":
@@ -259,6 +287,42 @@ class PollScheduler:
                 state.note_current(answer.value)
             case _:
                 pass
+
+    def _note_lost_move(self, state: JointState) -> None:
+        """Send the rest of a lost move; where it may be in another turn, only after a reading."""
+        name = state.joint.name
+        if state.joint.turns is None:
+            self.to_resend[name] = state
+            return
+        state.hold_back(has_missed=True)
+        self.health.unconfirmed[name] = "QD"
+
+    def _take_status(self, bus: str, state: JointState, code: int, arrival_ns: int) -> None:
+        self.health.status(state, code, self._lines[bus].bus.firmware)
+        if state.status is Status.LIMP:
+            self.watch.note_sign(state, arrival_ns, count=HOLD_SIGNS)
+
+    def _take_probe(self, state: JointState, reply: Reply) -> bool:
+        """Judge by the answer to a probe whether a servo has restarted; False: it is another.
+
+        A servo that has not restarted gets the moves that were held back.
+        """
+        name, value = state.joint.name, reply.value
+        if reply.keyword not in self.watch.keywords(name):
+            return False
+        number = value if isinstance(value, int) else None
+        fault = self.watch.take(state, reply.keyword, number)
+        if fault is not None:
+            self.health.lost_settings(state, fault)
+        else:
+            self._release(state)
+        return True
+
+    def _release(self, state: JointState) -> None:
+        """Send a servo the moves that were held back, if it is in doubt no more."""
+        is_doubted = state.joint.name in self.watch.doubted
+        if state.in_doubt and not is_doubted and state.release():
+            self.to_resend[state.joint.name] = state
 
     def wakeups_ns(self, now_ns: int) -> list[int]:
         """Return when something may be due, besides an answer that comes in."""
@@ -279,7 +343,7 @@ class PollScheduler:
         turn, tracker = self._turns[bus], self._trackers[bus]
         if turn is not None and turn.left > 0:
             servo_id = turn.state.joint.servo_id
-            if tracker.quiet_until_ns(servo_id) <= now_ns:
+            if tracker.quiet_until_ns(servo_id) <= now_ns and not self.watch.doubted:
                 return turn
         # A row is not cut short for a servo that must report its target: that would cost a tenth
         # of the answers (measured), and that servo waits for a row or two at most.
@@ -292,6 +356,8 @@ class PollScheduler:
         tracker, servo_id = self._trackers[bus], state.joint.servo_id
         latency = tracker.latency(servo_id)
         if not latency.is_known or tracker.is_overdue(servo_id, "QD"):
+            return 1
+        if state.joint.name in self.watch.doubted:
             return 1
         line = self._lines[bus]
         reply_ns = line.time_ns(tracker.reply_bytes(servo_id, "QD"))
@@ -309,15 +375,18 @@ class PollScheduler:
         """
         tracker, state = self._trackers[bus], turn.state
         servo_id = state.joint.servo_id
+        if (urgent := self.watch.urgent(state.joint.name)) is not None:
+            return urgent
         if tracker.is_overdue(servo_id, "QD"):
             return self._fresh(bus, state)
         if state.needs_target(now_ns) and not tracker.is_overdue(servo_id, TARGET_KEYWORD):
             return TARGET_KEYWORD
         is_alone = turn.left == 1 and turn.places == 0
-        is_due = state.health_ns is None or now_ns - state.health_ns >= HEALTH_NS
+        period_ns = HEALTH_NS // 2 if self.watch.keywords(state.joint.name) else HEALTH_NS
+        is_due = state.health_ns is None or now_ns - state.health_ns >= period_ns
         is_due = is_due and self._health_wait[bus] >= HEALTH_LEAST - 1
         doubt = self.health.unconfirmed.get(state.joint.name)
-        words = health_words(state.joint.model.family)
+        words = self._health_round(state)
         if turn.left > 1 or (is_alone and doubt is None and not is_due):
             return "QD"
         return doubt or words[state.health_count % len(words)]
@@ -325,25 +394,34 @@ class PollScheduler:
     def _fresh(self, bus: str, state: JointState) -> str:
         """Return a keyword for whose answer no overdue answer of the servo can be taken."""
         tracker, servo_id = self._trackers[bus], state.joint.servo_id
-        words = ("QD", *health_words(state.joint.model.family))
+        words = ("QD", *self._health_round(state))
         return next((word for word in words if not tracker.is_overdue(servo_id, word)), "QD")
+
+    def _health_round(self, state: JointState) -> tuple[str, ...]:
+        return health_round(state.joint.model.family, self.watch.keywords(state.joint.name))
 
     def _most_urgent(self, bus: str, now_ns: int) -> JointState | None:
         """Return the joint with the oldest reading, weighted by its speed and error."""
-        best, best_merit = None, (-1, 0.0)
+        best, best_merit = None, (-1, -1.0)
+        doubted = self.watch.doubted
         now_s = s_from_ns(now_ns)
         tracker = self._trackers[bus]
         for state in self._by_bus[bus]:
             servo_id = state.joint.servo_id
-            if tracker.is_waiting(servo_id) or tracker.quiet_until_ns(servo_id) > now_ns:
+            if tracker.is_waiting(servo_id):
                 continue
-            if state.visited_ns is None or state.joint.name in self.health.unconfirmed:
+            is_urgent = state.joint.name in doubted
+            if tracker.quiet_until_ns(servo_id) > now_ns and not is_urgent:
+                continue
+            if state.visited_ns is None:
                 return state
             _, speed_deg_s = state.profile.at(now_s)
             weight = 1.0 + SPEED_WEIGHT_S_PER_DEG * abs(speed_deg_s)
             weight += ERROR_WEIGHT_PER_DEG * abs(state.disturbance.error_deg)
             age_ns = now_ns - state.visited_ns
             overdue_ns = age_ns if age_ns > LONGEST_NS else 0
+            if is_urgent or state.joint.name in self.health.unconfirmed:
+                overdue_ns = DOUBT_NS + age_ns
             merit = overdue_ns, age_ns * weight + VISIT_NS * state.needs_target(now_ns)
             if merit > best_merit:
                 best, best_merit = state, merit
@@ -358,10 +436,15 @@ class PollScheduler:
         plan_deg: Callable[[JointState, int], float],
     ) -> None:
         read_s = s_from_ns(query.arrival_ns)
+        if self.health.turn(state, measured_deg, read_s):
+            self.rejected[bus] += 1
+            return
+        self._release(state)
         planned_deg = plan_deg(state, query.arrival_ns)
         missed = state.take_position(measured_deg, read_s, planned_deg)
         if missed is None:
             self.rejected[bus] += 1
+            self.watch.note_sign(state, query.arrival_ns)
             return
         if missed:
             self.to_resend[state.joint.name] = state
@@ -374,3 +457,5 @@ class PollScheduler:
         if state is not None:
             since_ns = self._trackers[bus].last_reply_ns(state.joint.servo_id)
             self.health.unanswered(state, now_ns, now_ns if since_ns is None else since_ns)
+            if since_ns is None or since_ns <= expired.arrival_ns:  # No later query was answered.
+                self.watch.note_sign(state, now_ns)

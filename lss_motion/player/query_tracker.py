@@ -17,7 +17,7 @@ from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.protocol.line import Command, Reply, encode
+from lss_motion.protocol.framing import Command, Reply, encode
 from lss_motion.units import NS_PER_MS
 
 if TYPE_CHECKING:
@@ -220,15 +220,17 @@ class QueryTracker:
         """
         return keyword in self._known(servo_id).overdue
 
-    def earliest_ns(self, servo_id: int, size_bytes: int) -> int | None:
+    def earliest_ns(self, servo_id: int, size_bytes: int, *, is_urgent: bool = False) -> int | None:
         """Return the earliest instant at which a query of `size_bytes` may begin to leave.
 
-        None: a query in flight must be answered or given up first.
+        None: a query in flight must be answered or given up first. An urgent one may leave soon
+        after a timeout: a late answer to an earlier one is as good.
         """
         link = self._known(servo_id)
+        quiet_until_ns = 0 if is_urgent else link.quiet_until_ns
         if self._flights and servo_id == next(reversed(self._flights)):
             is_full = len(self._flights[servo_id].waiting) >= self._window(link)
-            return None if is_full else link.quiet_until_ns
+            return None if is_full else quiet_until_ns
         if servo_id in self._flights or len(self._flights) >= FLIGHTS_MAX:
             return None
         arrival_ns = 0
@@ -236,7 +238,7 @@ class QueryTracker:
             if not (link.latency.is_known and self._known(other_id).latency.is_known):
                 return None
             arrival_ns = max(arrival_ns, flight.end_ns - link.latency.earliest_ns)
-        return max(link.quiet_until_ns, arrival_ns - self._line.time_ns(size_bytes))
+        return max(quiet_until_ns, arrival_ns - self._line.time_ns(size_bytes))
 
     def send(self, command: Command, now_ns: int) -> None:
         """Send a query; `earliest_ns` returns when that is allowed."""
@@ -265,7 +267,9 @@ class QueryTracker:
         self.reply_count += 1
         size_bytes = len(encode(reply))
         link.note_size(reply.keyword, size_bytes)
-        if flight.arrived_ns <= query.arrival_ns and query is flight.waiting[0]:
+        is_timed = flight.arrived_ns <= query.arrival_ns and query is flight.waiting[0]
+        # After `give_up_ns` this program was held up: that is no latency of the servo.
+        if is_timed and now_ns < flight.give_up_ns:
             began_ns = now_ns - self._line.time_ns(size_bytes)
             link.latency.take(began_ns - query.arrival_ns)
         while (skipped := flight.waiting.popleft()) is not query:

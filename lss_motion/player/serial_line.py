@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from lss_motion.protocol.line import Garbage, Reply, ReplyParser
+from lss_motion.protocol.framing import Garbage, Reply, ReplyParser
 from lss_motion.units import line_time_ns
 
 if TYPE_CHECKING:
@@ -42,6 +42,11 @@ class SerialLine:
         out = bytes(self._out)
         self._out.clear()
         return out
+
+    @property
+    def has_unfinished(self) -> bool:
+        """Whether bytes came that are no whole reply yet."""
+        return self._parser.has_unfinished
 
     def receive(self, data: bytes) -> list[Reply]:
         """Return the replies in `data`; everything else is counted."""

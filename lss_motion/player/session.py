@@ -10,15 +10,21 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.player import handshake
+from lss_motion.player import checks, handshake
 from lss_motion.player.approach import approach
 from lss_motion.player.cues import Agenda
 from lss_motion.player.handshake import SettingsDialogue
+from lss_motion.player.health import is_turned
+from lss_motion.player.preflight import Preflight
 from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.serial_line import SerialLine
+from lss_motion.player.settings_watch import Probe
 from lss_motion.player.streamer import Streamer
 from lss_motion.player.transactions import Dialogue
 from lss_motion.program.verify import profiles
+from lss_motion.protocol.framing import Command, encode
+from lss_motion.robot.model import HALF_TURN_DEG
+from lss_motion.units import s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -42,7 +48,13 @@ class Session:
     """The servos of one robot during one show."""
 
     def __init__(
-        self, program: Program, robot: Robot, *, has_feedback: bool, start_s: float | None
+        self,
+        program: Program,
+        robot: Robot,
+        *,
+        has_feedback: bool,
+        start_s: float | None,
+        is_forced: bool = False,
     ) -> None:
         self.program = program
         self.robot = robot
@@ -52,6 +64,8 @@ class Session:
         self.agenda = Agenda(program, robot)
         self.agenda.begin_at(start_s)
         self.has_feedback = has_feedback
+        self.is_forced = is_forced
+        """Whether a person accepts what a show without feedback gives up."""
         self.start_s = start_s
         self.original: Answers = {}
         """Answers of every servo before anything was changed."""
@@ -81,6 +95,10 @@ class Session:
         self.limp.append(joint)
         self.lines[joint.bus].send(handshake.limp_bytes(joint), now_ns)
 
+    def halt(self, joint: Joint, now_ns: int) -> None:
+        """Stop one servo where it is, whatever it was sent before."""
+        self.lines[joint.bus].send(encode(Command(joint.servo_id, "H")), now_ns)
+
     def safe_bytes(self, *, is_limp: bool) -> Mapping[str, bytes]:
         return handshake.safe_bytes(self.robot, is_limp=is_limp, limp=self.limp)
 
@@ -89,10 +107,23 @@ class Session:
     def dialogue(self, items: Iterable[Item]) -> Dialogue:
         return Dialogue(items, self.lines, self.trackers)
 
-    def connect_dialogue(self) -> Dialogue:
-        """Return the queries before anything is changed: servos, settings, sensors."""
-        queries = handshake.queries(self.joints, self.agenda.led_joints)
-        return self.dialogue(queries + handshake.sensor_queries(self.program, self.robot))
+    def preflight(self) -> Preflight:
+        """Return the dialogue before anything is changed: servos, settings, sensors.
+
+        Without feedback the stored limits must be right. What a simulated servo stores tells
+        nothing about a real one, so otherwise it is not asked for it.
+        """
+        is_simulated = all(bus.is_simulated for bus in self.robot.buses.values())
+        return Preflight(
+            self.joints,
+            self.robot,
+            self.lines,
+            self.trackers,
+            more=checks.sensor_queries(self.program, self.robot),
+            led_joints=self.agenda.led_joints,
+            reads_stored=not (self.has_feedback and is_simulated),
+            show=self.program.on_fault,
+        )
 
     def settings_dialogue(self) -> SettingsDialogue:
         """Return the dialogue that gives the servos their settings and polls their positions."""
@@ -115,15 +146,42 @@ class Session:
 
     # ---- answers
 
-    def note_original(self, answers: Answers) -> list[Event]:
+    def note_original(self, preflight: Preflight) -> list[Event]:
         """Keep what the servos answered before any change; return what a person should know.
 
         Raises if a servo or a sensor is missing, or a servo must not do what the program requires.
         """
-        self.original = answers
-        return handshake.check(
-            self.program, self.robot, self.joints, answers, self.trackers, self.start_deg()
+        self.original = preflight.answers
+        self.standing_deg = handshake.standing_deg(self.joints, preflight.answers)
+        preflight.require_own_ids()
+        return checks.check(
+            self.program,
+            self.robot,
+            self.joints,
+            preflight,
+            self.trackers,
+            self.start_deg(),
+            has_feedback=self.has_feedback,
+            is_forced=self.is_forced,
         )
+
+    def turned(self, answers: Answers, now_ns: int) -> list[tuple[Joint, float, float]]:
+        """Return joints that are more than half a turn from where they were sent, or stood.
+
+        With each the servo angle that it reports, and the one where it was.
+        """
+        found = []
+        for name, reported_deg in handshake.standing_deg(self.driven, answers).items():
+            state, before_deg = self._states.get(name), self.standing_deg[name]
+            if state is not None:
+                is_elsewhere = is_turned(state, reported_deg, s_from_ns(now_ns))
+                before_deg = state.place(now_ns)[0]
+            else:
+                is_elsewhere = abs(reported_deg - before_deg) > HALF_TURN_DEG
+            joint = self.robot.joints[name]
+            if is_elsewhere and joint.drive != "stepped":
+                found.append((joint, reported_deg, before_deg))
+        return found
 
     def note_positions(self, answers: Answers) -> list[Joint]:
         """Keep where the driven servos stand; return those that did not answer."""
@@ -199,7 +257,10 @@ class Session:
     def approach(self, pose_deg: Mapping[str, float], now_ns: int) -> Streamer:
         """Return the streamer that takes every driven joint from where it stands to `pose_deg`."""
         program = approach(self.robot, self.standing_deg, pose_deg)
-        return self._stream(program, self.standing_deg, now_ns)
+        streamer = self._stream(program, self.standing_deg, now_ns)
+        for state in streamer.joint_states.values():
+            state.limit_speed(self.robot.approach_speed_deg_s)
+        return streamer
 
     def begin(self, start_ns: int, *, is_open: bool) -> Streamer:
         """Return the show, which starts at `start_ns` with every joint at its start.
@@ -234,10 +295,23 @@ class Session:
             has_feedback=self.has_feedback,
             start_ns=now_ns,
             start_s=start_s,
+            probes=self._probes(),
         )
         streamer.leave_out(self.left_out)
         self._take_over(streamer)
         return streamer
+
+    def _probes(self) -> dict[str, list[Probe]]:
+        """Return by joint what shows whether its servo has restarted."""
+        names = {(joint.bus, joint.servo_id): joint.name for joint in self.driven}
+        probes: dict[str, list[Probe]] = {}
+        for order in handshake.changing_orders(self.driven, self.original):
+            servo, keyword = (order.bus, order.command.servo_id), f"Q{order.command.keyword}"
+            original = self.original.get((*servo, keyword))
+            if isinstance(order.command.value, int) and isinstance(original, int):
+                probe = Probe(keyword, order.command.value, original)
+                probes.setdefault(names[servo], []).append(probe)
+        return probes
 
     def _take_over(self, streamer: Streamer) -> None:
         """Give the joints of `streamer` the estimates of the streamer before it."""

@@ -22,6 +22,7 @@ import heapq
 import math
 from dataclasses import replace
 from itertools import chain, takewhile
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.player.approach import with_room
@@ -36,9 +37,10 @@ from lss_motion.player.joint_state import (
     make_joint_states,
 )
 from lss_motion.player.polling import PollScheduler
-from lss_motion.player.show_clock import RAMP_TICK_NS, ShowClock, ramp_periods, ramp_s, spot_moves
+from lss_motion.player.rate_ramps import RAMP_TICK_NS, ramp_periods, ramp_s, spot_moves
+from lss_motion.player.show_clock import ShowClock
 from lss_motion.program.streamed import FilterProfile
-from lss_motion.protocol.line import encode_move
+from lss_motion.protocol.framing import encode_move
 from lss_motion.units import (
     NS_PER_MS,
     US_PER_S,
@@ -50,13 +52,14 @@ from lss_motion.units import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from lss_motion.player.query_tracker import QueryTracker
     from lss_motion.player.serial_line import SerialLine
+    from lss_motion.player.settings_watch import Probe
     from lss_motion.program.model import Move, Program
     from lss_motion.program.splice import Extension
-    from lss_motion.protocol.line import Reply
+    from lss_motion.protocol.framing import Reply
     from lss_motion.robot.model import Robot
 
 
@@ -275,6 +278,8 @@ def _wanted_deg(
 
 SETTLE_S: Final = 0.15
 """Time after the last horn should have arrived, for the servo's own settling."""
+DOUBT_S: Final = 3.0
+"""Longest wait at the end for a servo that may have restarted, which takes 1.25 s (FACTS.md R4)."""
 PLAN_HISTORY_S: Final = 5.0
 """A plan that is extended keeps this much of its past: longer than any answer may take."""
 ON_TIME_NS: Final = NS_PER_MS // 2
@@ -284,7 +289,7 @@ ON_TIME_NS: Final = NS_PER_MS // 2
 class Streamer:
     """Streams one program from its first to its last move. Owns no port and no clock."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  (what one program needs)
         self,
         program: Program,
         robot: Robot,
@@ -295,8 +300,12 @@ class Streamer:
         has_feedback: bool,
         start_ns: int,
         start_s: float | None = None,
+        probes: Mapping[str, Sequence[Probe]] = MappingProxyType({}),
     ) -> None:
-        """Start `program` at `start_ns`. `standing_deg`: servo angles where the servos stand."""
+        """Start `program` at `start_ns`. `standing_deg`: servo angles where the servos stand.
+
+        `probes` show whether a servo has restarted; without one it is not examined for that.
+        """
         self.is_open = False
         """While it is open, the show does not end with the program, which may still be extended."""
         self._program = program
@@ -317,7 +326,7 @@ class Streamer:
         self._has_moved = False
         """Whether moves left in this call of `advance`."""
         self.waiting = Waiting(program.unrolled_waits(), robot.sensors, begin_s)
-        scheduler = PollScheduler(self.joint_states, trackers, lines, self.waiting)
+        scheduler = PollScheduler(self.joint_states, trackers, lines, self.waiting, probes)
         self.scheduler = scheduler if has_feedback else None
         if start_s is not None:
             self._begin_at(start_ns)
@@ -336,8 +345,13 @@ class Streamer:
             return False
         if self.clock.target_rate == 0.0 and not self.clock.is_ramping(now_ns):
             return False
-        is_over = self.clock.show_s(now_ns) >= self._program.duration_s + SETTLE_S
-        return is_over and self._has_arrived(now_ns)
+        end_s = self._program.duration_s + SETTLE_S + (DOUBT_S if self._has_doubts() else 0.0)
+        return self.clock.show_s(now_ns) >= end_s and self._has_arrived(now_ns)
+
+    def _has_doubts(self) -> bool:
+        """Return whether a servo that is driven may have restarted."""
+        doubted = () if self.scheduler is None else self.scheduler.watch.doubted
+        return any(self.joint_states[name].is_driven for name in doubted)
 
     def is_standing(self, now_ns: int) -> bool:
         """Return whether a ramp to rate 0 has ended and every horn should be at rest."""
@@ -421,10 +435,7 @@ class Streamer:
         if self._tick_ns is not None:
             self._advance_ramp(now_ns)
         elif self.clock.target_rate > 0.0:
-            while (due_ns := self._next_due_ns()) is not None and due_ns <= now_ns:
-                due = self._moves.pop()
-                self._send_due(due.due_us, due.move, now_ns, now_ns - due_ns)
-                self._has_moved = True
+            self._send_all_due(now_ns)
         self._wait(now_ns)
         self._resend_due(now_ns)
         if self.scheduler is not None and (
@@ -484,12 +495,45 @@ class Streamer:
 
     def quiet_ns(self, now_ns: int) -> int | None:
         """Return until when no move is due; None: no move is planned."""
-        quiet_ns = self._resends_ns()
+        due_ns = self.due_ns()
+        return None if due_ns is None else max(due_ns, now_ns)
+
+    def due_ns(self) -> int | None:
+        """Return when the next move is due, also in the past; None: no move is planned."""
+        due_ns = self._resends_ns()
         if self._tick_ns is not None:
-            quiet_ns.append(self._tick_ns)
-        elif self.clock.target_rate > 0.0 and (due_ns := self._next_due_ns()) is not None:
-            quiet_ns.append(due_ns)
-        return max(min(quiet_ns), now_ns) if quiet_ns else None
+            due_ns.append(self._tick_ns)
+        elif self.clock.target_rate > 0.0 and (next_ns := self._next_due_ns()) is not None:
+            due_ns.append(next_ns)
+        return min(due_ns, default=None)
+
+    def halt(self, since_ns: int, now_ns: int) -> None:
+        """Brake after a stall: the show stands since `since_ns`, when a move was due.
+
+        What was due meanwhile is due again when the rate is raised.
+        """
+        if not self.waiting.is_waiting:
+            self.clock.halt(since_ns)
+        self._tick_ns = None
+        for state in self.joint_states.values():
+            state.halt(self._lines[state.joint.bus], now_ns)
+
+    def _send_all_due(self, now_ns: int) -> None:
+        """Send the moves that are due; of those that are late only the latest one of each joint.
+
+        A servo that receives several at once obeys the last only, as late as they keep the line.
+        """
+        due: list[tuple[int, Due]] = []
+        while (due_ns := self._next_due_ns()) is not None and due_ns <= now_ns:
+            due.append((due_ns, self._moves.pop()))
+        latest = {(one.move.bus, one.move.servo_id): one.number for _, one in due}
+        for due_ns, one in due:
+            self._has_moved = True
+            is_latest = latest[one.move.bus, one.move.servo_id] == one.number
+            if is_latest or now_ns - due_ns <= ON_TIME_NS:
+                self._send_due(one.due_us, one.move, now_ns, now_ns - due_ns)
+            else:
+                self.statistics.left_out()
 
     def _send_due(self, due_us: int, move: Move, now_ns: int, late_ns: int) -> None:
         state = self._by_address[move.bus, move.servo_id]
@@ -506,7 +550,10 @@ class Streamer:
         """Send the rest of a move that its servo has lost; a ramp sends all anew anyway."""
         if self._tick_ns is not None or self.clock.target_rate < 1.0:
             return
-        if state.active is None or not state.is_driven:
+        if state.active is None or not state.takes_moves:
+            return
+        if state.joint.drive == "streamed":
+            state.guide_at(now_ns)
             return
         state.count_resent()
         line = self._lines[state.joint.bus]

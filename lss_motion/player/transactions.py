@@ -9,18 +9,18 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.serial_line import SerialLine
-from lss_motion.protocol.line import encode
+from lss_motion.protocol.framing import encode
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from lss_motion.player.events import Event
     from lss_motion.player.query_tracker import PendingQuery
-    from lss_motion.protocol.line import Command, Reply
+    from lss_motion.protocol.framing import Command, Reply
     from lss_motion.robot.model import Bus
 
 
@@ -60,6 +60,22 @@ class _Entry:
             return True
         self.earlier_values.append(value)
         return False
+
+
+class Transactions(Protocol):
+    """Queries and orders that are sent on all buses until they are finished."""
+
+    answers: dict[tuple[str, int, str], int | str | None]
+
+    @property
+    def is_finished(self) -> bool: ...
+
+    def advance(self, now_ns: int) -> None:
+        """Send what can be sent now."""
+
+    def receive(self, bus: str, reply: Reply, now_ns: int) -> None: ...
+
+    def next_wakeup_ns(self) -> int | None: ...
 
 
 class Dialogue:
@@ -191,8 +207,8 @@ class Conversation:
 
     def __init__(self, items: Iterable[Item], buses: Mapping[str, Bus]) -> None:
         self.lines = {name: SerialLine(bus) for name, bus in buses.items()}
-        trackers = {name: QueryTracker(line) for name, line in self.lines.items()}
-        self._dialogue = Dialogue(items, self.lines, trackers)
+        self.trackers = {name: QueryTracker(line) for name, line in self.lines.items()}
+        self._dialogue: Transactions = Dialogue(items, self.lines, self.trackers)
 
     @property
     def answers(self) -> Mapping[tuple[str, int, str], int | str | None]:

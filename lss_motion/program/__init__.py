@@ -21,6 +21,7 @@
   verify     motion of the compiled bytes against every limit        compile, splice, cli, player
   model      the program as a value                                  all packages above this one
   text       the program as a file                                   cli
+  arduino    the program as an Arduino sketch                        cli
 
 Angles in this package are servo angles in degrees, unless a name says `joint`; instants are show
 time. A *reference* is what a profile should do, a *profile* what the response model of a servo

@@ -8,12 +8,14 @@ verifier, or an error is raised.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from lss_motion.errors import InputError, LineLoadError
+from lss_motion.files.source import counted
 from lss_motion.program.drives import choices, profile_lead_s
 from lss_motion.program.line import LineUse, line_use, reading_rate_hz
 from lss_motion.program.model import TIMED, Driving, Program, Repeat
@@ -29,6 +31,7 @@ from lss_motion.program.schedule import (
 from lss_motion.program.table import columns_of, moves_of
 from lss_motion.program.verify import verify_program
 from lss_motion.trajectory.cues import all_cues, all_marks, all_waits
+from lss_motion.trajectory.model import JOINT_SECONDS_MAX, LoopedSpan
 from lss_motion.units import s_from_us, us_from_s
 
 if TYPE_CHECKING:
@@ -36,12 +39,17 @@ if TYPE_CHECKING:
 
     from lss_motion.program.drives import Choice
     from lss_motion.program.model import Move
-    from lss_motion.program.schedule import FittedJoint
+    from lss_motion.program.moves import FittedJoint
     from lss_motion.robot.model import Robot
     from lss_motion.trajectory.model import Trajectory
 
 TOLERANCE_DEG: Final = 0.2
 """How far the predicted horn may be from the plan (FACTS.md A18)."""
+WRITTEN_PASSES: Final = 4
+"""Passes of a long loop that are written; one of them is repeated. The first, two in the middle and
+the last have every pass and every kind of seam."""
+WRITTEN_MAX_S: Final = 120.0
+"""A loop that is over by then is written out: its file is easier to read. Chosen: two minutes."""
 PREROLL_S: Final = 0.25
 """The show clock starts this long before the plan, so that all first moves find a slot."""
 SAMPLED_AT_ONCE: Final = 2048
@@ -61,7 +69,8 @@ def compile_program(
     """
     if unknown := [name for name in trajectory.joints if name not in robot.joints]:
         raise InputError(f"robot {robot.name!r} has no joint {unknown[0]!r}")
-    repeat = _repeat(trajectory)
+    trajectory, repeat = _written(trajectory)
+    _check_length(trajectory)
     seams_s = () if repeat is None else (s_from_us(repeat.from_us), s_from_us(repeat.to_us))
     problem: LineLoadError | None = None
     found = choices(robot, lambda driven: _references(trajectory, driven), tolerance_deg)
@@ -106,19 +115,55 @@ def _readings_error(use: LineUse, program: Program, robot: Robot) -> LineLoadErr
     )
 
 
-def _repeat(trajectory: Trajectory) -> Repeat | None:
-    """Return the pass that is repeated, if the show has no end."""
-    if trajectory.loop is not None:
-        return None
+def _written(trajectory: Trajectory) -> tuple[Trajectory, Repeat | None]:
+    """Return the passes that are written, and the one of them that is repeated.
+
+    It is the second, if the show has no end, or is long and has more passes than are written.
+    """
+    count = trajectory.loop
+    if count is not None and (count <= WRITTEN_PASSES or trajectory.duration_s <= WRITTEN_MAX_S):
+        return trajectory, None
     from_s = trajectory.first.duration_s
-    return Repeat(from_us=us_from_s(from_s), to_us=us_from_s(from_s + trajectory.middle.duration_s))
+    to_s = from_s + trajectory.middle.duration_s
+    times = None if count is None else count - WRITTEN_PASSES + 1
+    repeat = Repeat(from_us=us_from_s(from_s), to_us=us_from_s(to_s), times=times)
+    return trajectory if count is None else _shortened(trajectory, count), repeat
+
+
+def _shortened(trajectory: Trajectory, count: int) -> Trajectory:
+    """Return the show with `WRITTEN_PASSES` of its `count` passes."""
+    marks = trajectory.marks
+    if isinstance(trajectory.middle, LoopedSpan):  # Its marks are in the time of the whole show.
+        skipped_s = (count - WRITTEN_PASSES) * trajectory.middle.duration_s
+        end_s = trajectory.first.duration_s
+        marks = tuple(
+            replace(mark, planned_s=mark.planned_s - (skipped_s if mark.planned_s > end_s else 0.0))
+            for mark in marks
+        )
+    return replace(trajectory, loop=WRITTEN_PASSES, marks=marks)
+
+
+def _check_length(trajectory: Trajectory) -> None:
+    """Raise `InputError` for a show that cannot be compiled in memory, before any is used."""
+    written_s = _written_s(trajectory)
+    most_s = JOINT_SECONDS_MAX / max(1, len(trajectory.joints))
+    if written_s > most_s:
+        raise InputError(
+            f"sequence {trajectory.name!r} would be compiled for {written_s:,.0f} s of "
+            f"{counted(trajectory.joints, 'joint')}, at most {most_s:,.0f} s is possible: repeat a "
+            f"shorter one with `loop`, which is compiled once"
+        )
+
+
+def _written_s(trajectory: Trajectory) -> float:
+    if trajectory.loop is None:
+        return trajectory.first.duration_s + 2.0 * trajectory.middle.duration_s
+    return trajectory.duration_s
 
 
 def _references(trajectory: Trajectory, robot: Robot) -> dict[str, Reference]:
     """Return what each servo's profile has to do: the plan, earlier by the lead of its profile."""
-    end_s = trajectory.duration_s
-    if trajectory.loop is None:
-        end_s = trajectory.first.duration_s + 2.0 * trajectory.middle.duration_s
+    end_s = _written_s(trajectory)
     references = {}
     steps = math.ceil((end_s + 2.0 * PREROLL_S) / GRID_S) + 1
     times_s = -PREROLL_S + GRID_S * np.arange(steps, dtype=np.float64)
@@ -155,16 +200,20 @@ def _program(
 ) -> Program:
     robot = choice.robot
     moves: Sequence[Move] = moves_of(schedule.fitted, robot)
+    added_s = 0.0 if repeat is None else s_from_us(repeat.added_us)
     if repeat is not None:
-        moves = tuple(closed_pass(moves, repeat, robot))
+        rest = () if repeat.times is None else moves[_first_from(moves, repeat.to_us) :]
+        moves = (*closed_pass(moves, repeat, robot), *rest)
     start = trajectory.sample(np.zeros(1))[0]
-    end_s = trajectory.duration_s if repeat is None else s_from_us(repeat.to_us)
+    end_s = trajectory.duration_s
+    if repeat is not None and repeat.times is None:
+        end_s = s_from_us(repeat.to_us)
     return Program(
         name=trajectory.name,
         robot=robot.name,
         robot_path=robot.path,
         moves=moves,
-        duration_s=trajectory.duration_s,
+        duration_s=trajectory.duration_s + added_s,
         start_deg={n: float(v) for n, v in zip(trajectory.joints, start, strict=True)},
         tolerance_deg=schedule.tolerance_deg,
         drives=driving_of(robot, trajectory.joints),
@@ -181,6 +230,10 @@ def _program(
             for name, fitted in schedule.fitted.items()
         },
     )
+
+
+def _first_from(moves: Sequence[Move], from_us: int) -> int:
+    return bisect_left(moves, from_us, key=lambda move: move.due_us)
 
 
 def driving_of(robot: Robot, names: Iterable[str]) -> dict[str, Driving]:

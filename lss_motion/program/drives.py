@@ -25,7 +25,7 @@ from lss_motion.program.reference import DURATION_MAX_MS, GRID_S, servo_limits
 from lss_motion.program.stepped import PULSE_S, StepFitter
 from lss_motion.program.streamed import StreamFitter
 from lss_motion.program.verify import filter_profile
-from lss_motion.protocol.line import encode_move
+from lss_motion.protocol.framing import encode_move
 from lss_motion.robot.servo_models import FAMILIES, FILTER_FIRMWARE_MIN, can_be_streamed
 
 if TYPE_CHECKING:

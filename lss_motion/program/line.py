@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.protocol.line import Command, Reply, encode
+from lss_motion.protocol.framing import Command, Reply, encode
 from lss_motion.units import NS_PER_US, US_PER_S, line_time_ns
 
 if TYPE_CHECKING:

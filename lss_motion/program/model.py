@@ -7,12 +7,14 @@ computes from the same moves what every servo will do.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from bisect import bisect_left
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import count
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
 from lss_motion.files.source import counted, duration_text
-from lss_motion.protocol.line import encode_move
+from lss_motion.protocol.framing import encode_move
 from lss_motion.robot.servo_models import RAMP_STEP_DEG_S2, RAMP_STEPS_MAX, ramp_steps
 from lss_motion.units import NS_PER_US, line_time_ns, s_from_us
 
@@ -50,10 +52,23 @@ class Move(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Repeat:
-    """A part of the show whose moves are repeated until the show is stopped."""
+    """A part of the written program that is played `times`; None: until the show is stopped.
+
+    What is written after the part is played after its last time, so much later.
+    """
 
     from_us: int
     to_us: int
+    times: int | None = None
+
+    @property
+    def period_us(self) -> int:
+        return self.to_us - self.from_us
+
+    @property
+    def added_us(self) -> int:
+        """How much longer the show is than it is written; 0 for one that never ends."""
+        return 0 if self.times is None else (self.times - 1) * self.period_us
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +94,7 @@ class Program:
     robot_path: Path | None = None
     moves: Sequence[Move]
     duration_s: float
-    """Show time at which the last horn arrives; `math.inf` with `repeat`."""
+    """Show time at which the last horn arrives; `math.inf` for a show that never ends."""
     start_deg: Mapping[str, float]
     """Angles at which the joints of the show must stand before it starts."""
     tolerance_deg: float
@@ -115,34 +130,61 @@ class Program:
 
         return to_text(self, folder=folder)
 
+    @property
+    def is_endless(self) -> bool:
+        """True if the show is played until it is stopped."""
+        return self.repeat is not None and self.repeat.times is None
+
     @cached_property
     def pass_s(self) -> float:
         """Show time after which every part of the program has been played once."""
-        if self.repeat is not None:
+        if self.repeat is None:
+            return self.duration_s
+        if self.repeat.times is None:
             return s_from_us(self.repeat.to_us)
-        return self.duration_s
+        return self.duration_s - s_from_us(self.repeat.added_us)
 
     def within(self, show_s: float) -> float:
         """Return the instant of the written program that is played at `show_s`."""
         if self.repeat is None or show_s < s_from_us(self.repeat.to_us):
             return show_s
+        added_s = s_from_us(self.repeat.added_us)
+        if self.repeat.times is not None and show_s >= s_from_us(self.repeat.to_us) + added_s:
+            return show_s - added_s
         start_s = s_from_us(self.repeat.from_us)
-        return start_s + math.fmod(show_s - start_s, s_from_us(self.repeat.to_us) - start_s)
+        return start_s + math.fmod(show_s - start_s, s_from_us(self.repeat.period_us))
 
     def unrolled(self) -> Iterator[tuple[int, Move]]:
-        """Yield `(due_us, move)` in order of time, without end if the program repeats."""
-        yield from ((move.due_us, move) for move in self.moves)
+        """Yield `(due_us, move)` in order of time, without end if the show has none."""
         if self.repeat is None:
+            yield from ((move.due_us, move) for move in self.moves)
             return
-        again = [m for m in self.moves if self.repeat.from_us <= m.due_us < self.repeat.to_us]
-        period_us = self.repeat.to_us - self.repeat.from_us
-        shift_us = period_us
-        while again:
+        first = bisect_left(self.moves, self.repeat.from_us, key=lambda move: move.due_us)
+        end = bisect_left(self.moves, self.repeat.to_us, key=lambda move: move.due_us)
+        yield from ((move.due_us, move) for move in self.moves[:end])
+        again = self.moves[first:end]
+        for shift_us in self._shifts_us() if again else ():
             yield from ((move.due_us + shift_us, move) for move in again)
-            shift_us += period_us
+        added_us = self.repeat.added_us
+        yield from ((move.due_us + added_us, move) for move in self.moves[end:])
+
+    def _shifts_us(self) -> Iterator[int]:
+        """Yield how much later the part is played each time but the first."""
+        assert self.repeat is not None
+        times = self.repeat.times
+        counts = count(1) if times is None else range(1, times)
+        return (number * self.repeat.period_us for number in counts)
+
+    def repeated(self, times: int) -> Program:
+        """Return the program with all moves written out and its part played `times`."""
+        if self.repeat is None:
+            return self
+        fewer = replace(self, repeat=replace(self.repeat, times=times))
+        moves = tuple(move._replace(due_us=due_us) for due_us, move in fewer.unrolled())
+        return replace(fewer, moves=moves, repeat=None)
 
     def unrolled_marks(self) -> Iterator[tuple[float, Mark]]:
-        """Yield `(show time, mark)` in order, without end if the program repeats."""
+        """Yield `(show time, mark)` in order, without end if the show has none."""
         return self._unrolled([(mark.planned_s, mark.planned_s, mark) for mark in self.marks])
 
     def unrolled_cues(self) -> Iterator[tuple[float, Cue]]:
@@ -158,23 +200,31 @@ class Program:
 
         An item whose lead begins before the pass of its instant starts in the pass before.
         """
-        from_s, to_s, again = math.inf, math.inf, []
-        if self.repeat is not None:
-            from_s, to_s = s_from_us(self.repeat.from_us), s_from_us(self.repeat.to_us)
-            again = [
-                (start_s if start_s >= from_s else start_s + to_s - from_s, item)
-                for start_s, at_s, item in items
-                if from_s <= at_s < to_s
-            ]
+        if self.repeat is None:
+            yield from sorted(((start_s, item) for start_s, _, item in items), key=_instant)
+            return
+        from_s, to_s = s_from_us(self.repeat.from_us), s_from_us(self.repeat.to_us)
+        again = [
+            (start_s if start_s >= from_s else start_s + to_s - from_s, item)
+            for start_s, at_s, item in items
+            if from_s <= at_s < to_s
+        ]
         early = {id(item) for start_s, at_s, item in items if start_s < from_s <= at_s}
         first = [(start_s, item) for start_s, at_s, item in items if at_s < to_s]
         first += [(start_s, item) for start_s, item in again if id(item) in early]
-        yield from sorted(first, key=lambda due: due[0])
-        again.sort(key=lambda due: due[0])
-        shift_s = to_s - from_s
-        while again:
+        yield from sorted(first, key=_instant)
+        again.sort(key=_instant)
+        for shift_us in self._shifts_us() if again else ():
+            shift_s = s_from_us(shift_us)
             yield from ((start_s + shift_s, item) for start_s, item in again)
-            shift_s += to_s - from_s
+        # One that starts before the end of the part has been started by its last time.
+        added_s = s_from_us(self.repeat.added_us)
+        rest = [(start_s + added_s, item) for start_s, _, item in items if start_s >= to_s]
+        yield from sorted(rest, key=_instant)
+
+
+def _instant(due: tuple[float, T]) -> float:
+    return due[0]
 
 
 def ramp_setting_deg_s2(joint: Joint) -> int:

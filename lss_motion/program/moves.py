@@ -37,6 +37,16 @@ class Setpoint(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
+class FittedJoint:
+    """The moves of one joint in order, and the profile they make. A T of NaN is a bare `D`."""
+
+    received_s: FloatArray
+    target_wire: FloatArray
+    duration_ms: FloatArray
+    profile: PiecewiseProfile
+
+
+@dataclass(frozen=True, slots=True)
 class FittedMoves:
     """Timed moves to `target_wire` in `duration_ms`, and the profile's state at their receipt."""
 

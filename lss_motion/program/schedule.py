@@ -19,7 +19,7 @@ from lss_motion.program.drives import late_max_s, longest_move, make_fitter
 from lss_motion.program.fit import RIVALRY_S, TURN_S, TimedFit
 from lss_motion.program.line import LineSchedule, sent_us
 from lss_motion.program.model import Move
-from lss_motion.program.moves import fitted_profiles
+from lss_motion.program.moves import FittedJoint, fitted_profiles
 from lss_motion.program.reference import servo_limits
 from lss_motion.protocol.constants import BAUD_RATES_BPS
 from lss_motion.units import s_from_us, us_from_s
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from lss_motion.program.model import Repeat
     from lss_motion.program.moves import InitialMotion
     from lss_motion.program.reference import Reference
-    from lss_motion.program.response import FloatArray, IntArray, PiecewiseProfile
+    from lss_motion.program.response import IntArray
     from lss_motion.robot.model import Joint, Robot
 
 RELAXED_RATIOS: Final = (1.0, 1.5, 2.5, 4.0, 6.0)
@@ -47,16 +47,6 @@ US_PER_MS: Final = 1_000
 STRETCH_MAX_US: Final = 10_000
 """A move may last this much longer than planned. Chosen: at 1000 deg/s² the horn is then 0.05 deg
 off."""
-
-
-@dataclass(frozen=True, slots=True)
-class FittedJoint:
-    """The moves of one joint in order, and the profile they make. A T of NaN is a bare `D`."""
-
-    received_s: FloatArray
-    target_wire: FloatArray
-    duration_ms: FloatArray
-    profile: PiecewiseProfile
 
 
 class _Slot(NamedTuple):

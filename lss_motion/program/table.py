@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING, Final, overload
 import numpy as np
 
 from lss_motion.program.model import Move
-from lss_motion.protocol.line import encode_move
+from lss_motion.protocol.framing import encode_move
 from lss_motion.units import LINE_BITS_PER_BYTE, US_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from lss_motion.program.moves import FittedJoint
     from lss_motion.program.response import FloatArray, Index, IntArray
-    from lss_motion.program.schedule import FittedJoint
     from lss_motion.robot.model import Robot
 
 MADE_AT_ONCE: Final = 256

@@ -16,6 +16,9 @@
     1477500 main #1D-612T384
     1478300 main #2D455
 
+A show that repeats a part of itself has a line `# repeat_us: FROM TO TIMES`, without TIMES and with
+`duration_us: forever` if it never ends. The moves from TO on come after the last time.
+
 `due_us` is show time in microseconds; 0 is the start of the plan. `drives` names the joints that
 are not timed, with the FPC of the streamed ones; a program whose joints are all timed has no such
 line. A cue is its instant and a JSON object; a wait is its instant, a sensor and a threshold.
@@ -31,6 +34,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
+from lss_motion.files.source import read_text
 from lss_motion.program.compile import lines_use
 from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
 from lss_motion.protocol.constants import Led
@@ -50,6 +54,8 @@ _NUMBER = r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)"
 _WAIT: Final = re.compile(rf"(\d+) (\S+) (below|above) {_NUMBER}(?: timeout {_NUMBER})?")
 FIRST_LINE: Final = "# lss_motion program 1"
 FOREVER: Final = "forever"
+TIMES_MAX: Final = 1_000_000
+"""As often as a sequence may be looped."""
 TEXT_MAX_BYTES: Final = 256 * 1024 * 1024
 """A program of ten hours and forty joints. A larger file is not a program."""
 DURATION_READ_MAX_MS: Final = 30_000
@@ -137,7 +143,9 @@ def to_text(program: Program, *, folder: Path | None = None) -> str:
     else:
         lines.append(f"# duration_us: {us_from_s(program.duration_s)}")
     if program.repeat is not None:
-        lines.append(f"# repeat_us: {program.repeat.from_us} {program.repeat.to_us}")
+        repeat = program.repeat
+        times = "" if repeat.times is None else f" {repeat.times}"
+        lines.append(f"# repeat_us: {repeat.from_us} {repeat.to_us}{times}")
     lines.append(f"# tolerance_deg: {program.tolerance_deg:g}")
     start = " ".join(f"{name}={angle:.9g}" for name, angle in program.start_deg.items())
     lines.append(f"# start_deg: {start}")
@@ -165,14 +173,7 @@ def load_program(
 
     Raises `InputError` with file and line for anything that is not a program of that robot.
     """
-    try:
-        if path.stat().st_size > TEXT_MAX_BYTES:
-            raise InputError(f"larger than {TEXT_MAX_BYTES} bytes, not a program", path=path)
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError("not a program: not UTF-8 text", path=path) from error
-    except OSError as error:
-        raise InputError(f"cannot read it: {error.strerror}", path=path) from error
+    text = read_text(path, TEXT_MAX_BYTES)
     _check_first_line(text, path)
     if robot_path is None:
         robot_file = re.search(r"^# robot_file: (.+)$", text, re.MULTILINE)
@@ -314,7 +315,13 @@ class _Reader:
                 raise self._error(1, f"the header line `# {key}: …` is missing")
         header = self._header
         repeat = self._repeat(header)
-        end_us = self._whole(header["duration_us"], 1) if repeat is None else repeat.to_us
+        is_endless = repeat is not None and repeat.times is None
+        duration_us = 0 if is_endless else self._whole(header["duration_us"], 1)
+        end_us = duration_us
+        if repeat is not None:
+            end_us = repeat.to_us if is_endless else duration_us - repeat.added_us
+            if end_us < repeat.to_us:
+                raise self._error(1, "`# repeat_us:` repeats more than `# duration_us:` allows")
         if self._moves and self._moves[-1].due_us > end_us:
             raise self._error(self._move_line, f"due after the end of the program at {end_us} us")
         return Program(
@@ -322,7 +329,7 @@ class _Reader:
             robot=header["robot"],
             robot_path=self._robot.path,
             moves=tuple(self._moves),
-            duration_s=s_from_us(end_us) if repeat is None else math.inf,
+            duration_s=math.inf if is_endless else s_from_us(duration_us),
             start_deg=self._start_deg(header),
             tolerance_deg=self._number(header["tolerance_deg"]),
             drives=self._drives,
@@ -341,16 +348,22 @@ class _Reader:
             raise self._error(1, f"on_fault: {error}") from None
 
     def _repeat(self, header: Mapping[str, str]) -> Repeat | None:
-        if header["duration_us"] != FOREVER:
-            if "repeat_us" in header:
-                raise self._error(1, f"`# repeat_us:` needs `# duration_us: {FOREVER}`")
+        is_endless = header["duration_us"] == FOREVER
+        if not is_endless and "repeat_us" not in header:
             return None
-        edges = header.get("repeat_us", "").split()
-        if len(edges) != 2:
+        numbers = [self._whole(text, 1) for text in header.get("repeat_us", "").split()]
+        if is_endless and len(numbers) != 2:
             raise self._error(1, "a program that lasts forever needs `# repeat_us: FROM TO`")
-        repeat = Repeat(from_us=self._whole(edges[0], 1), to_us=self._whole(edges[1], 1))
+        if not is_endless and len(numbers) != 3:
+            raise self._error(
+                1,
+                f"`# repeat_us:` needs `FROM TO TIMES`; or `FROM TO` with `duration_us: {FOREVER}`",
+            )
+        repeat = Repeat(**dict(zip(("from_us", "to_us", "times"), numbers, strict=False)))
         if repeat.to_us <= repeat.from_us:
             raise self._error(1, "`# repeat_us: FROM TO` needs FROM before TO")
+        if repeat.times is not None and not 2 <= repeat.times <= TIMES_MAX:
+            raise self._error(1, f"`# repeat_us:` allows 2 to {TIMES_MAX:,} TIMES")
         return repeat
 
     def _start_deg(self, header: Mapping[str, str]) -> dict[str, float]:

@@ -2,7 +2,7 @@
 
 | module      | contents                                                | callers                 |
 |-------------|---------------------------------------------------------|-------------------------|
-| `line`      | commands and replies ⇄ bytes; incremental parsers       | player, sim, cli        |
+| `framing`   | commands and replies ⇄ bytes; incremental parsers       | player, sim, cli        |
 | `codec`     | physical values ⇄ commands and replies, `FAMILY_TABLES` | player, sim, cli        |
 | `table`     | `Row` and `FamilyTable`: the types of the tables        | `codec`, the rows, sim  |
 | `lss`       | the rows of the LSS language                            | the other tables        |
@@ -12,7 +12,7 @@
 """
 
 from lss_motion.protocol.constants import Family
-from lss_motion.protocol.line import (
+from lss_motion.protocol.framing import (
     Command,
     CommandParser,
     Garbage,

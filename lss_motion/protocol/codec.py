@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Final, assert_never
 
 from lss_motion.errors import ProtocolError
 from lss_motion.protocol.constants import BROADCAST_ID, BUTTON_ID, GROUP_FIRMWARE, Family
+from lss_motion.protocol.framing import DISABLED, Command, Reply
 from lss_motion.protocol.io2 import IO2_TABLE
-from lss_motion.protocol.line import DISABLED, Command, Reply
 from lss_motion.protocol.lss import LSS_TABLE
 from lss_motion.protocol.lss_pro import PRO_TABLE
 from lss_motion.protocol.table import Form, ReplyShape, Suffix, Unit, Value, unknown_text

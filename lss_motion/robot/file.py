@@ -14,6 +14,7 @@ from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo, With
 from lss_motion.files.source import known_names
 from lss_motion.files.validation import FileModel, Name, Text, check_text
 from lss_motion.robot.model import (
+    GOAL_TIME_S,
     PATIENCE_S,
     READING_RATE_MIN_HZ,
     RESUME_S,
@@ -92,12 +93,22 @@ class JointOnFaultEntry(FileModel, title="on_fault of a joint"):
     silent: Escalation = Field(
         default=None, description="No reply to queries for silent_s. [resume, hold]"
     )
+    lost_turn: Escalation = Field(
+        default=None,
+        description="It reports an angle more than half a turn from where it was: it has restarted "
+        "in another turn, and is not driven. Only hold or limp. [hold]",
+    )
 
 
 class OnFaultEntry(JointOnFaultEntry, title="on_fault"):
     """The same for all joints. That of a joint comes first, then of the show, then of the robot."""
 
     lost_port: Escalation = Field(default=None, description="A port is lost. [resume, hold]")
+    stalled: Escalation = Field(
+        default=None,
+        description="This program was held up for more than 0.25 s while a move was due: process "
+        "stopped, computer asleep or too slow. [resume, hold]",
+    )
 
 
 def escalations(entry: JointOnFaultEntry) -> Escalations:
@@ -243,11 +254,33 @@ class JointDefaults(FileModel, title="joint defaults"):
     zero_deg: AngleDeg | None = Field(
         default=None, description="Servo angle where the joint angle is 0. Default 0."
     )
+    turns: Literal["by_hand", "powered"] | None = Field(
+        default=None,
+        description="How the turn is known after power-up, where the range takes the servo further "
+        "than 180 degrees from its zero; without it, such a joint is not played. by_hand: a person "
+        "brings it within 180 degrees before power-up. powered: the servo keeps its power.",
+    )
     following_deg: float | None = Field(
         default=None,
         gt=0.0,
         le=360.0,
-        description="Above this position error, a joint is `astray` (see on_fault). Default 10.",
+        description="Path tolerance: above this position error, a joint is `astray` (see "
+        "on_fault). Default 10.",
+    )
+    goal_tolerance_deg: float | None = Field(
+        default=None,
+        gt=0.0,
+        le=360.0,
+        description="Goal tolerance: a joint that is further from its last key when the show ends, "
+        "and stays so for goal_time_s, is `astray`, and the show has not finished. Default: "
+        "following_deg.",
+    )
+    goal_time_s: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=60.0,
+        description="Longest wait after the show until a joint is within its goal tolerance. "
+        f"Default {GOAL_TIME_S:g}.",
     )
     temperature_max_c: float | None = Field(
         default=None,

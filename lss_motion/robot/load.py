@@ -14,7 +14,7 @@ from lss_motion.errors import ProtocolError
 from lss_motion.files.source import known_names
 from lss_motion.files.yaml_source import Location, Problem, read_yaml
 from lss_motion.protocol.constants import Family
-from lss_motion.protocol.line import DISABLED
+from lss_motion.protocol.framing import DISABLED
 from lss_motion.robot.model import SERVO, Bus, Joint, Response, Robot, Sensor
 from lss_motion.robot.servo_models import (
     BAUD_FIRMWARE_MIN,
@@ -61,6 +61,9 @@ _PLAIN: Final = (
     "direction",
     "zero_deg",
     "following_deg",
+    "goal_tolerance_deg",
+    "goal_time_s",
+    "turns",
     "drive",
     "filter_count",
     "temperature_max_c",

@@ -8,12 +8,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Literal
 
+from lss_motion.errors import InputError
 from lss_motion.files.source import counted
 from lss_motion.protocol.constants import Family  # noqa: TC001 (importable from here)
 from lss_motion.robot.on_fault import DEFAULTS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from lss_motion.robot.on_fault import Cause, Escalations, FaultStep
@@ -30,6 +31,8 @@ is detected before the servo is driven without its settings; long enough for a l
 third reply."""
 READING_RATE_MIN_HZ: Final = 2.0
 """Chosen: two polls before a joint counts as silent (`SILENT_S`)."""
+GOAL_TIME_S: Final = 1.0
+"""Chosen: a servo has settled after 0.15 s; more is a load that it carries slowly to its place."""
 PATIENCE_S: Final = 3.0
 """Chosen: at a tenth of the speed a joint catches up with a heavy move in this time."""
 RESUME_S: Final = 10.0
@@ -41,6 +44,14 @@ SERVO: Final = "servo"
 Drive = Literal["timed", "streamed", "stepped"]
 """How a joint is commanded (FACTS.md M1): `D…T…` in EM1; bare `D` through the filter of EM0; whole
 degrees to the RC servo of a 2IO."""
+
+
+Turns = Literal["by_hand", "powered"]
+"""How the turn of a servo is known after power-up, where its range is more than one turn: a person
+brings it within half a turn of its zero, or it keeps its power, and so its count of turns."""
+HALF_TURN_DEG: Final = 180.0
+"""After power-up a servo reports an angle within half a turn of its zero (FACTS.md R5). Turns are
+360 deg apart, so a horn that seems to be further away than this is in another one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,6 +103,11 @@ class Bus:
     reading_rate_min_hz: float = READING_RATE_MIN_HZ
     """Each joint of a show must be polled at least so often between its commands."""
 
+    @property
+    def is_simulated(self) -> bool:
+        """Whether its servos are simulated in this process."""
+        return self.port.startswith("sim://")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Joint:
@@ -114,7 +130,11 @@ class Joint:
     direction: Literal[1, -1] = 1
     zero_deg: float = 0.0
     following_deg: float = FOLLOWING_DEG
-    """Above this position error the joint is astray."""
+    """Path tolerance: above this position error the joint is astray."""
+    goal_tolerance_deg: float | None = None
+    """Largest position error where the show ends; None: the path tolerance."""
+    goal_time_s: float = GOAL_TIME_S
+    """How long after its end the show waits until the joint is within its goal tolerance."""
     temperature_max_c: float = TEMPERATURE_MAX_C
     voltage_min_v: float = VOLTAGE_MIN_V
     silent_s: float = SILENT_S
@@ -127,6 +147,8 @@ class Joint:
     """What `lss-motion configure` writes into the servo, such as `{"O": 2.5}`: by the name of the
     setting in the family's table, in its unit; None: no first position."""
     response: Response = field(default_factory=Response)
+    turns: Turns | None = None
+    """How the turn of its servo is known; None: its range is within half a turn of 0."""
     drive: Drive | Literal["auto"] = "timed"
     filter_count: int = 4
     """FPC of a streamed joint. Chosen: see `program.streamed`."""
@@ -138,6 +160,12 @@ class Joint:
         """The smallest difference between two targets."""
         return self.model.wire_step / self.model.wire_per_deg
 
+    @property
+    def goal_deg(self) -> float:
+        """The goal tolerance."""
+        own = self.goal_tolerance_deg
+        return self.following_deg if own is None else own
+
     def servo_deg(self, joint_deg: float) -> float:
         """Return the servo angle of a joint angle."""
         return self.zero_deg + self.direction * joint_deg
@@ -145,6 +173,25 @@ class Joint:
     def joint_deg(self, servo_deg: float) -> float:
         """Return the joint angle of a servo angle."""
         return self.direction * (servo_deg - self.zero_deg)
+
+    def turns_problem(self) -> str:
+        """Return why the turn of the servo is unknown after power-up; an empty text if it is not.
+
+        A servo that does not know its turn takes the way through the other turns.
+        """
+        ends_deg = map(self.servo_deg, (self.position_min_deg, self.position_max_deg))
+        far_deg = max(ends_deg, key=abs)
+        if self.turns is not None or abs(far_deg) <= HALF_TURN_DEG or self.drive == "stepped":
+            return ""
+        return (
+            f"joint {self.name!r}: its range of {self.position_min_deg:g} to "
+            f"{self.position_max_deg:g} deg takes the servo to {far_deg:g} deg. After power-up a "
+            f"servo reports an angle within 180 deg of its zero, so it would be unknown in which "
+            f"turn it is. Shift the zero of the servo so that the range fits (`stored: {{O: …}}`, "
+            f"then calibrate), reduce range_deg, or state how the turn is known: `turns: by_hand` "
+            f"(a person brings the joint within 180 deg of the zero before power-up) or `turns: "
+            f"powered` (the servo keeps its power between shows)"
+        )
 
     def range_problem(self, joint_deg: float) -> str:
         """Return why `joint_deg` is not allowed; an empty text if it is."""
@@ -208,6 +255,12 @@ class Robot:
     def unread(self) -> list[Joint]:
         """The joints with a limit that is set in the servo and was not read yet."""
         return [joint for joint in self.joints.values() if joint.unread]
+
+    def require_turns(self, joints: Iterable[Joint]) -> None:
+        """Raise `InputError` for the first joint whose turn is unknown after power-up."""
+        for joint in joints:
+            if problem := joint.turns_problem():
+                raise InputError(problem, path=self.path, line=joint.lines.get("range_deg"))
 
     def escalation(
         self, cause: Cause, joint: Joint | None, show: Escalations

@@ -29,7 +29,11 @@ class Cause(StrEnum):
     LOW_VOLTAGE = "low_voltage"
     RESTARTED = "restarted"
     SILENT = "silent"
+    LOST_TURN = "lost_turn"
+    """It is in another turn than it was; a move would take it through the turns between."""
     LOST_PORT = "lost_port"
+    STALLED = "stalled"
+    """This program was held up: no cause of a joint."""
 
 
 class FaultStep(StrEnum):
@@ -52,7 +56,7 @@ Escalations: TypeAlias = "Mapping[Cause, tuple[FaultStep, ...]]"
 ENDING: Final = frozenset({FaultStep.HOLD, FaultStep.LIMP})
 """Steps that end the show, so no step can follow."""
 
-RESUMABLE: Final = frozenset({Cause.SILENT, Cause.RESTARTED, Cause.LOST_PORT})
+RESUMABLE: Final = frozenset({Cause.SILENT, Cause.RESTARTED, Cause.LOST_PORT, Cause.STALLED})
 """Causes that can pass without a repair; only these allow `resume`."""
 
 DEFAULTS: Final[Escalations] = MappingProxyType(
@@ -68,9 +72,31 @@ DEFAULTS: Final[Escalations] = MappingProxyType(
         Cause.LOW_VOLTAGE: (FaultStep.WARN,),
         Cause.RESTARTED: (FaultStep.RESUME, FaultStep.HOLD),
         Cause.SILENT: (FaultStep.RESUME, FaultStep.HOLD),
+        Cause.LOST_TURN: (FaultStep.HOLD,),
         Cause.LOST_PORT: (FaultStep.RESUME, FaultStep.HOLD),
+        Cause.STALLED: (FaultStep.RESUME, FaultStep.HOLD),
     }
 )
+
+
+ONLY: Final[Mapping[Cause, tuple[frozenset[FaultStep], str]]] = MappingProxyType(
+    {
+        Cause.LOST_PORT: (
+            frozenset({FaultStep.RESUME, FaultStep.HOLD}),
+            "a lost port takes no command, so there is no {}; use resume or hold",
+        ),
+        Cause.STALLED: (
+            frozenset({FaultStep.RESUME, FaultStep.HOLD}),
+            "after a stall the robot is not where the show is, so there is no {}; use resume or "
+            "hold",
+        ),
+        Cause.LOST_TURN: (
+            ENDING,
+            "a joint in another turn cannot be driven, so there is no {}; use hold or limp",
+        ),
+    }
+)
+"""The steps that can be taken on these causes, and the text for any other."""
 
 
 def escalation_problem(cause: str, steps: Sequence[object]) -> str:
@@ -82,8 +108,8 @@ def escalation_problem(cause: str, steps: Sequence[object]) -> str:
             return f"step {str(step)!r} is not known; {known_names(str(step), map(str, FaultStep))}"
         if step == FaultStep.RESUME and cause not in RESUMABLE:
             return f"nothing comes back from {cause}; resume is for {', '.join(sorted(RESUMABLE))}"
-        if cause == Cause.LOST_PORT and step not in (FaultStep.RESUME, FaultStep.HOLD):
-            return f"a lost port takes no command, so there is no {step}; use resume or hold"
+        if cause in ONLY and step not in ONLY[Cause(cause)][0]:
+            return ONLY[Cause(cause)][1].format(step)
         if step in ENDING and place + 1 < len(steps):
             return f"nothing comes after {step}, which ends the show"
         if step in steps[:place]:

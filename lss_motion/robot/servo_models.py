@@ -12,8 +12,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.protocol.constants import Family
+from lss_motion.protocol.framing import encode_move
 from lss_motion.protocol.io2 import BAUD_MAX_BPS, SECTION_MAX_CHARS
-from lss_motion.protocol.line import encode_move
 from lss_motion.robot.model import ServoModel
 
 if TYPE_CHECKING:

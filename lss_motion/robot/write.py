@@ -7,21 +7,18 @@ not at all, after the new text was loaded and compared with the expected robot.
 from __future__ import annotations
 
 import codecs
-import os
-import shutil
-from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
-from tempfile import NamedTemporaryFile
 from typing import TYPE_CHECKING, Any, Literal
 
 from lss_motion.errors import InputError
+from lss_motion.files.output import write_output
 from lss_motion.files.source import read_data, text_of
 from lss_motion.files.yaml_edit import set_comment, set_values
 from lss_motion.robot.load import load_robot
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
 
     from lss_motion.robot.model import Robot
 
@@ -82,10 +79,15 @@ def write_pose(path: Path, name: str, angles_deg: Mapping[str, float]) -> None:
     )
 
 
-def write_frames(path: Path, frames: Mapping[str, tuple[float, Literal[1, -1]]]) -> None:
+def write_frames(
+    path: Path,
+    frames: Mapping[str, tuple[float, Literal[1, -1]]],
+    stored: Mapping[str, Mapping[str, float]],
+) -> None:
     """Set `zero_deg` and `direction` of joints in the robot file; equal values are not written.
 
-    Raises `InputError` as `write_response` does.
+    `stored` are settings that the joints' `stored` states from now on. Raises `InputError` as
+    `write_response` does.
     """
     text, mark = _text_of(path)
     robot = load_robot(path)
@@ -98,7 +100,11 @@ def write_frames(path: Path, frames: Mapping[str, tuple[float, Literal[1, -1]]])
         if joint.direction != direction:
             values["direction"] = direction
         text = set_values(path, text, ("joints", name), values)
-        joints[name] = replace(joint, zero_deg=zero_deg, direction=direction)
+        own = stored.get(name, {})
+        text = set_values(path, text, ("joints", name, "stored"), own)
+        joints[name] = replace(
+            joint, zero_deg=zero_deg, direction=direction, stored={**joint.stored, **own}
+        )
     by_hand = "; ".join(f"{n}: zero_deg {z:g}, direction {d}" for n, (z, d) in frames.items())
     _replace(
         mark + text.encode("utf-8"),
@@ -124,24 +130,13 @@ def _replace(
     by_hand: str,
 ) -> None:
     """Replace the file if `data` loads as the expected robot; else raise `InputError`."""
-    target = output.resolve()
-    try:
-        with NamedTemporaryFile(dir=target.parent, suffix=".yaml", delete=False) as temporary:
-            temporary.write(data)
-        made = Path(temporary.name)
-        try:
-            changed = load_robot(made)
-            if replace(changed, path=None) != replace(expected(changed), path=None):
-                raise InputError(
-                    f"is written in a way that cannot be changed here; by hand, {by_hand}",
-                    path=source,
-                )
-            shutil.copymode(source, made)
-            os.replace(made, target)  # noqa: PTH105  (the name says that it replaces)
-        finally:
-            with suppress(FileNotFoundError):
-                made.unlink()
-    except InputError:
-        raise
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", path=output) from error
+
+    def check(made: Path) -> None:
+        changed = load_robot(made)
+        if replace(changed, path=None) != replace(expected(changed), path=None):
+            raise InputError(
+                f"is written in a way that cannot be changed here; by hand, {by_hand}",
+                path=source,
+            )
+
+    write_output(output, data, check=check, like=source)

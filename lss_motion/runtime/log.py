@@ -7,13 +7,16 @@ r"""A log of every byte in both directions with its instant, and of all events o
     0.004180007 - .
     1.203004100 - = rate 0.5
     1.203104100 - ! MarkPassed(label='up', show_s=1.0)
+    1.500000000 main ~ lost port /dev/ttyUSB0: the device is gone
+    1.900000000 main ~ found
     1.203104100 - #
 
 Times are seconds since the run began. The sign gives the kind of a line:
 
 `>` sent to the servos, with the instant at which the bytes were due to leave; `<` received. One
 line holds what was written or read at once, carriage returns as `\r`, other bytes as `\xNN`.
-`.` the player had nothing to send. `=` input from a person. `!` an event. `?` this many lines were
+`.` the player had nothing to send. `=` input from a person. `!` an event. `~` a port: `lost` with
+the reason, or `found`; `safe`: the next bytes are those after an error. `?` this many lines were
 lost, because the disk was too slow. `#` the end; a log without it was cut off.
 
 These lines are enough to repeat the decisions of the player (`runtime.replay`).
@@ -33,12 +36,12 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.errors import InputError
+from lss_motion.files.output import write_output
 from lss_motion.runtime.real_time import lower_priority
 from lss_motion.units import NS_PER_MS, NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from types import TracebackType
 
     from lss_motion.player.events import Event
@@ -64,15 +67,16 @@ class ByteLog:
     ) -> None:
         self._start_ns = self._flushed_ns = self._last_ns = 0
         self._lost = 0
+        self.problem = ""
+        """Once closed: why the file is not complete; empty if it is."""
+        self._path = path
         head = FIRST_LINE + "\n" + (f"# played: {json.dumps(played)}\n" if played else "")
-        try:
-            path.write_text(head, encoding="ascii")
-        except OSError as error:
-            raise InputError(f"cannot write the log: {error.strerror}", path=path) from error
+        write_output(path, head)
         self._held = bytearray()
         self._child = subprocess.Popen(  # noqa: S603  our own program
-            [sys.executable, "-m", "lss_motion.runtime.log", str(path)],
+            [sys.executable, "-P", "-m", "lss_motion.runtime.log", str(path)],
             stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
             start_new_session=True,
         )
         assert self._child.stdin is not None
@@ -96,6 +100,9 @@ class ByteLog:
     def happened(self, event: Event, now_ns: int) -> None:
         self._line(f"- ! {_escaped(repr(event))}", now_ns)
 
+    def noted(self, bus: str, text: str, now_ns: int) -> None:
+        self._line(f"{bus} ~ {_escaped(text)}", now_ns)
+
     def requested(self, text: str, now_ns: int) -> None:
         """Note input from a person: `go`, `rate 0.5`, `stop`, `abort`."""
         self._line(f"- = {text}", now_ns)
@@ -118,6 +125,16 @@ class ByteLog:
             with contextlib.suppress(BlockingIOError, BrokenPipeError):
                 del self._held[: os.write(self._pipe_fd, self._held)]
 
+    @contextlib.contextmanager
+    def reporting_to(self, problems: list[str]) -> Iterator[ByteLog]:
+        """Close the log at the end of the block; add why it is not complete, if it is not."""
+        try:
+            with self:
+                yield self
+        finally:
+            if self.problem:
+                problems.append(self.problem)
+
     def __enter__(self) -> ByteLog:
         return self
 
@@ -129,12 +146,17 @@ class ByteLog:
     ) -> None:
         """Wait until everything is in the file, for `CLOSE_S` at most."""
         self._line("- #", self._last_ns)
+        reason = b""
         with contextlib.suppress(OSError, subprocess.TimeoutExpired):
             os.set_blocking(self._pipe_fd, True)
-            self._child.communicate(bytes(self._held), timeout=CLOSE_S)
+            reason, _ = self._child.communicate(bytes(self._held), timeout=CLOSE_S)
         if self._child.poll() is None:
             self._child.kill()
             self._child.communicate()
+            reason = b"the disk is too slow"
+        if self._child.returncode:
+            why = reason.decode("utf-8", "replace") or "the process that writes it has ended"
+            self.problem = f"{self._path}: the log is not complete: {why}"
 
 
 def _escaped(text: str) -> str:
@@ -142,14 +164,26 @@ def _escaped(text: str) -> str:
 
 
 def main() -> int:
-    """Copy standard input to the end of a file until it ends."""
+    """Copy standard input to the end of a file until it ends.
+
+    When the file takes no more, print the reason and drop the rest: a log with a gap would mislead.
+    """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     lower_priority()
-    with Path(sys.argv[1]).open("ab", buffering=0) as file:
-        while chunk := os.read(0, 1 << 16):
-            file.write(chunk)
-    return 0
+    reason = ""
+    try:
+        with Path(sys.argv[1]).open("ab", buffering=0) as file:
+            while chunk := os.read(0, 1 << 16):
+                while chunk:
+                    chunk = chunk[file.write(chunk) :]
+    except OSError as error:
+        reason = error.strerror or str(error)
+        while os.read(0, 1 << 16):
+            pass
+    with contextlib.suppress(OSError):
+        os.write(1, reason.encode())
+    return 1 if reason else 0
 
 
 if __name__ == "__main__":

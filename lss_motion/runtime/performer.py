@@ -1,27 +1,29 @@
 """Functions and sounds of a show, in a process of their own, so that they never delay a command.
 
-The player's process writes one JSON object a line to the standard input of this process and never
-waits; a line that does not fit into the pipe is lost. The process carries out one line after the
-other and writes a dot for each, so that the player can report at the end which were not done. It
-runs as `python -m lss_motion.runtime.performer`.
+The player's process writes one JSON object a line to the standard input of that process
+(`runtime.performer_process`) and never waits; a line that does not fit into the pipe is lost. It
+reads the reports: what is done, what failed, what was printed. Whatever way the show ends, no
+process is left: the whole process group is killed after the show.
 """
 
 from __future__ import annotations
 
 import contextlib
-import importlib
 import json
 import os
-import shutil
+import select
+import signal
 import subprocess
 import sys
+import time
 from collections import deque
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError
 from lss_motion.player.events import CueReached, Warned
-from lss_motion.sequence.load import function_problem
+from lss_motion.runtime.performer_process import CLOSE_S, LOOK_S, SOUND_PLAYERS, sound_player
+from lss_motion.sequence.functions import function_problem
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
@@ -30,26 +32,20 @@ if TYPE_CHECKING:
     from lss_motion.player.events import Event
     from lss_motion.sequence.model import Cue
 
-SOUND_PLAYERS: Final = (
-    ("pw-play",),
-    ("paplay",),
-    ("afplay",),
-    ("ffplay", "-nodisp", "-autoexit", "-loglevel", "error"),
-    ("mpv", "--no-video", "--really-quiet"),
-    ("aplay", "-q"),
-)
-"""Programs that play a sound file; the first one installed is used. The last plays WAV only."""
-DOTS_MAX: Final = 4096
-CLOSE_S: Final = 5.0
-"""The longest time that functions and sounds may take after the show."""
+START_S: Final = 10.0
+"""The longest time that importing the modules of the functions may take. Chosen: large libraries
+take a few seconds on a small computer."""
+READ_BYTES: Final = 65536
+PRINTED_MAX: Final = 10
+"""So many of the last lines that functions and sounds have printed are reported."""
 NAMED_MAX: Final = 5
 """A warning names this many that were not done, and counts the others."""
 
 
 class Performer:
-    """The player's end of the pipe. A context manager.
+    """The player's end of the pipes. A context manager.
 
-    Raises `InputError` for a function that does not exist.
+    Raises `InputError` for a function that does not exist or is not imported in `START_S`.
     """
 
     def __init__(self, cues: Collection[Cue]) -> None:
@@ -58,28 +54,34 @@ class Performer:
         """Cues that did not fit into the pipe."""
         self.started: deque[Cue] = deque()
         """Cues that were started and are not done, oldest first."""
-        self.warnings: list[str] = []
+        self.warnings: deque[str] = deque()
+        """Texts for a person that `take_warnings` has not returned yet."""
+        self._printed: deque[str] = deque(maxlen=PRINTED_MAX)
+        self._printed_count = 0
+        self._playing = 0
+        self._loading = ""
+        self._rest = b""
+        self._is_ready, self._answer = False, ""
         if any(cue.sound for cue in cues) and sound_player() is None:
             names = ", ".join(words[0] for words in SOUND_PLAYERS)
             self.warnings.append(f"no sounds: none of {names} is installed")
-        self._child = subprocess.Popen(
-            [sys.executable, "-m", "lss_motion.runtime.performer"],
+        self._child = subprocess.Popen(  # noqa: S603  our own program
+            # -P: no module of the current folder is imported in place of an installed one.
+            [sys.executable, "-P", "-m", "lss_motion.runtime.performer_process", str(os.getpid())],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,  # Ctrl-C ends the player only; this ends with its pipe.
         )
         assert self._child.stdin is not None
         assert self._child.stdout is not None
+        self._pipe_fd, self._reports_fd = self._child.stdin.fileno(), self._child.stdout.fileno()
+        os.set_blocking(self._reports_fd, False)
         self._child.stdin.write(json.dumps(functions).encode() + b"\n")
         self._child.stdin.flush()
-        answer = self._child.stdout.readline().decode().strip()
-        if answer != "ready":
-            self._child.kill()
-            self._child.communicate()
-            raise InputError(answer or "the process for functions and sounds did not start")
-        self._pipe_fd, self._dots_fd = self._child.stdin.fileno(), self._child.stdout.fileno()
         os.set_blocking(self._pipe_fd, False)
-        os.set_blocking(self._dots_fd, False)
+        if problem := self._problem():
+            self._end(0.0)
+            raise InputError(problem)
 
     def perform(self, cue: Cue) -> None:
         """Start a function or a sound; never waits."""
@@ -94,28 +96,80 @@ class Performer:
             self.lost.append(cue)
         else:
             self.started.append(cue)
-        self._note_done()
+
+    def take_warnings(self) -> list[str]:
+        """Return what went wrong since the last call; never waits."""
+        self._read()
+        texts, self.warnings = list(self.warnings), deque()
+        return texts
 
     def unfinished(self) -> list[str]:
-        """Return a warning, once closed, about everything that was started and not done."""
+        """Return warnings, once closed: what was not done, and what functions have printed."""
+        texts = []
         left = [f"{_named(cue)} at {cue.at_s:g} s" for cue in (*self.started, *self.lost)]
-        if not left:
-            return []
-        if self.started:
-            left[0] += " (not at its end)"
-        named = ", ".join(left[:NAMED_MAX])
-        more = f" and {len(left) - NAMED_MAX} more" if len(left) > NAMED_MAX else ""
-        return [
-            f"not done: {named}{more}. Each waits until the one before it returns; after the show "
-            f"there are {CLOSE_S:g} s. Let a slow function start a thread"
-        ]
+        if left:
+            if self.started:
+                left[0] += " (not at its end)"
+            named = ", ".join(left[:NAMED_MAX])
+            more = f" and {len(left) - NAMED_MAX} more" if len(left) > NAMED_MAX else ""
+            texts.append(
+                f"not done: {named}{more}. Each waits until the one before it returns; after the "
+                f"show there are {CLOSE_S:g} s. Let a slow function start a thread"
+            )
+        if self._playing:
+            texts.append(f"a sound was stopped that did not end {CLOSE_S:g} s after the show")
+        if self._printed:
+            shown = "".join(f"\n  {line}" for line in self._printed)
+            texts.append(
+                f"functions and sounds printed {self._printed_count} lines; the last:{shown}"
+            )
+        return texts
 
-    def _note_done(self) -> None:
-        """Read the dots, so that their pipe is never full; never waits."""
+    def _problem(self) -> str:
+        """Wait until the functions are there, for `START_S`; return why they are not."""
+        end_s = time.monotonic() + START_S
+        while not self._is_ready and not self._answer:
+            left_s = end_s - time.monotonic()
+            if left_s <= 0.0:
+                return (
+                    f"run: {self._loading!r} cannot be used: importing its module takes more than "
+                    f"{START_S:g} s"
+                )
+            readable, _, _ = select.select([self._reports_fd], [], [], left_s)
+            if readable and not self._read():
+                name = f" while {self._loading!r} was imported" if self._loading else ""
+                return f"the process for functions and sounds ended{name}"
+        return self._answer
+
+    def _read(self) -> bool:
+        """Take what the process has reported, so that its pipe is never full; False at its end."""
+        if self._child.stdout is None or self._child.stdout.closed:
+            return False
         with contextlib.suppress(BlockingIOError):
-            while dots := os.read(self._dots_fd, DOTS_MAX):
-                for _ in dots:
-                    self.started.popleft()
+            while data := os.read(self._reports_fd, READ_BYTES):
+                *lines, self._rest = (self._rest + data).split(b"\n")
+                for line in lines:
+                    self._take(json.loads(line))
+            return False
+        return True
+
+    def _take(self, report: dict[str, Any]) -> None:
+        match report:
+            case {"done": True}:
+                self.started.popleft()
+            case {"failed": text}:
+                self.warnings.append(text)
+            case {"printed": text}:
+                self._printed.append(text)
+                self._printed_count += 1
+            case {"sounds": count}:
+                self._playing = count
+            case {"loading": name}:
+                self._loading = name
+            case {"problem": text}:
+                self._answer = text
+            case _:
+                self._is_ready = True
 
     def __enter__(self) -> Performer:
         return self
@@ -126,16 +180,31 @@ class Performer:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self._end(CLOSE_S if kind is None else 0.0)
+
+    def _end(self, wait_s: float) -> None:
+        """Wait for the process, then kill whatever is left of its group."""
         assert self._child.stdin is not None
         assert self._child.stdout is not None
         with contextlib.suppress(OSError):
             self._child.stdin.close()
-        try:
-            self._child.wait(timeout=CLOSE_S if kind is None else 0.0)
-        except subprocess.TimeoutExpired:
+        end_s = time.monotonic() + wait_s
+        while self._child.poll() is None and time.monotonic() < end_s:
+            select.select([self._reports_fd], [], [], LOOK_S)
+            if not self._read():
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    self._child.wait(max(end_s - time.monotonic(), 0.0))
+        if code := self._child.poll():
+            self.warnings.append(
+                f"the process for functions and sounds ended with exit code {code}"
+            )
+        if hasattr(os, "killpg"):
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self._child.pid, signal.SIGKILL)
+        else:
             self._child.kill()
-            self._child.wait()
-        self._note_done()
+        self._child.wait()
+        self._read()
         self._child.stdout.close()
 
 
@@ -159,24 +228,23 @@ def performing(
         return
     performer = Performer(cues)
 
+    def warn() -> None:
+        for text in performer.take_warnings():
+            tell(Warned(text))
+
     def perform_and_tell(event: Event) -> None:
         if isinstance(event, CueReached):
             performer.perform(event.cue)
         tell(event)
+        warn()
 
     try:
         with performer:
-            for text in performer.warnings:
-                tell(Warned(text))
+            warn()
             yield perform_and_tell
     finally:
-        for text in performer.unfinished():
+        for text in [*performer.warnings, *performer.unfinished()]:
             tell(Warned(text))
-
-
-def sound_player() -> tuple[str, ...] | None:
-    """Return the command that plays the sound file given as its last argument, or None."""
-    return next((words for words in SOUND_PLAYERS if shutil.which(words[0])), None)
 
 
 def check_functions(cues: Iterable[Cue]) -> None:
@@ -187,58 +255,3 @@ def check_functions(cues: Iterable[Cue]) -> None:
     for run, folder in {(cue.run, cue.folder): None for cue in cues if cue.run}:
         if problem := function_problem(run, folder):
             raise InputError(f"run: {run!r} cannot be used: {problem}")
-
-
-def load_function(run: str, folder: str) -> Callable[[float], Any]:
-    """Return the function `module:function`; raises `InputError` if there is none."""
-    module_name, _, name = run.partition(":")
-    if folder not in sys.path:
-        sys.path.insert(0, folder)
-    importlib.invalidate_caches()
-    try:
-        function = getattr(importlib.import_module(module_name), name)
-    except Exception as error:
-        raise InputError(
-            f"run: {run!r} cannot be used: {type(error).__name__}: {error}. The module is searched "
-            f"in {folder}, then among the installed ones"
-        ) from error
-    if not callable(function):
-        raise InputError(f"run: {run!r} is no function")
-    checked: Callable[[float], Any] = function
-    return checked
-
-
-def main() -> int:
-    """Carry out the lines of standard input until it ends, then wait for the sounds."""
-    # Output of a function, or of a program that it starts, goes to the screen, not to the player.
-    replies, sys.stdout = os.fdopen(os.dup(1), "w"), sys.stderr
-    os.dup2(2, 1)
-    functions = {}
-    try:
-        for run, folder in json.loads(sys.stdin.readline()):
-            functions[run, folder] = load_function(run, folder)
-    except InputError as error:
-        print(error, file=replies, flush=True)
-        return error.exit_code
-    print("ready", file=replies, flush=True)
-    player = sound_player()
-    sounds: list[subprocess.Popen[bytes]] = []
-    for line in sys.stdin:
-        request = json.loads(line)
-        if request["sound"] and player is not None:
-            words = [*player, request["sound"]]
-            sounds.append(subprocess.Popen(words, stdin=subprocess.DEVNULL))  # noqa: S603
-        if request["run"]:
-            try:
-                functions[request["run"], request["folder"]](request["at_s"])
-            except Exception as error:  # noqa: BLE001  a function of the user may raise anything
-                text = f"run: {request['run']}: {type(error).__name__}: {error}"
-                print(text, file=sys.stderr)  # noqa: T201
-        print(".", end="", file=replies, flush=True)
-    for sound in sounds:
-        sound.wait()
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

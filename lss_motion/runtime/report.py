@@ -13,7 +13,7 @@ import re
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.errors import InputError
+from lss_motion.files.output import write_output
 from lss_motion.files.source import counted
 from lss_motion.player.joint_state import Statistics
 from lss_motion.units import LINE_BITS_PER_BYTE, s_from_ns
@@ -239,10 +239,7 @@ def write_report(report: Report, path: Path) -> None:
     """Write a report as JSON, each list of numbers on one line. Raises `InputError`."""
     text = json.dumps(report.to_dict(), indent=1)
     text = _NUMBERS.sub(lambda found: "[" + " ".join(found[1].split()) + "]", text)
-    try:
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot write the report: {error.strerror}", path=path) from error
+    write_output(path, text + "\n")
 
 
 def run_seconds(started_ns: int, ended_ns: int) -> float:

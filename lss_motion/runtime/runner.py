@@ -38,6 +38,10 @@ DECISION_MAX_NS: Final = NS_PER_MS
 and a slow moment of the computer makes no command early by more than one unit of T."""
 
 
+SAFE: Final = "safe"
+"""Note to a `Tap`: what follows on this bus are the safe bytes after an error."""
+
+
 class Driven(Protocol):
     """What the loop can drive over ports: a `Player`, or a simpler dialogue."""
 
@@ -82,6 +86,9 @@ class Tap(Protocol):
         """Note a turn of the loop in which nothing was sent."""
 
     def happened(self, event: Event, now_ns: int) -> None: ...
+
+    def noted(self, bus: str, text: str, now_ns: int) -> None:
+        """Note what decides besides bytes: a port `lost REASON` or `found`; `safe` at the end."""
 
 
 def run(
@@ -182,6 +189,7 @@ def _make_safe(driven: Driven, ports: Mapping[str, Port], clock: Clock, tap: Tap
         with contextlib.suppress(Exception):
             ports[bus].write(data)
             if tap is not None:
+                tap.noted(bus, SAFE, clock.now_ns())
                 tap.sent(bus, data, clock.now_ns())
 
 

@@ -12,8 +12,7 @@ from pydantic import ConfigDict, Field, PlainValidator, WithJsonSchema
 
 from lss_motion.files.validation import FileModel, Name, Text
 from lss_motion.robot.file import AngleDeg, OnFaultEntry
-from lss_motion.sequence.keyframes import KEYFRAMES_MAX, TIME_MAX_S
-from lss_motion.sequence.parts import STEPS_MAX
+from lss_motion.sequence.model import KEYFRAMES_MAX, PLAY_STEPS_MAX, TIME_MAX_S
 
 TIME_MIN_S: Final = 0.001
 """The unit of T on the wire: one millisecond."""
@@ -92,7 +91,15 @@ class KeyframeEntry(FileModel, title="keyframe"):
         description="Joint angles in degrees, in place of those of the pose.",
         examples=[{"elbow": -20}],
     )
-    hold_s: TimeS = Field(default=0.0, description="How long the named joints stay there.")
+    hold_s: TimeS = Field(
+        default=0.0,
+        description="How long the named joints stay there, at least; kept when the motion is late.",
+    )
+    hold_may_shrink: bool | None = Field(
+        default=None,
+        description="A motion that is late may shorten hold_s to make up for it. "
+        "Default: hold_may_shrink of the track or file.",
+    )
     anchor: bool = Field(
         default=False, description="This time must be met; planning fails if it cannot be."
     )
@@ -127,6 +134,11 @@ class TrackEntry(FileModel, title="track"):
         description="How joints travel between keyframes. smooth: never beyond the keys. "
         "spline: rounder, may swing beyond them. linear: straight lines with stops. "
         "hold: wait, then move as late as possible.",
+    )
+    hold_may_shrink: bool | None = Field(
+        default=None,
+        description="Default of the keyframes: a motion that is late may shorten their hold_s. "
+        "Default of a track: that of the file; of a file: false.",
     )
     keyframes: Annotated[list[KeyframeEntry], Field(min_length=1, max_length=KEYFRAMES_MAX)] = (
         Field(default=[], description="In order of time.")
@@ -257,7 +269,7 @@ class SequenceFile(TrackEntry, title="sequence file"):
         description="Other joints at the same time, by the name of the track, each with its own "
         "keyframes, timing and loop. Tracks are independent except for anchors.",
     )
-    play: Annotated[list[StepEntry], Field(min_length=1, max_length=STEPS_MAX)] = Field(
+    play: Annotated[list[StepEntry], Field(min_length=1, max_length=PLAY_STEPS_MAX)] = Field(
         default=[],
         description="Instead of keyframes: other sequences and pauses, one after the other.",
     )

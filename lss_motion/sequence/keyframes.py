@@ -7,13 +7,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
 from lss_motion.files.yaml_source import Location, Problem
 from lss_motion.sequence.check import SAME_TIME_S, joint_problems, jumps, loop_problem
-from lss_motion.sequence.model import Interpolation, Keyframe, Sequence, Timing
+from lss_motion.sequence.model import TIME_MAX_S, Interpolation, Keyframe, Sequence, Timing
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Iterator, Mapping
@@ -22,13 +22,6 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.file import KeyframeEntry, TrackEntry
     from lss_motion.sequence.model import Layer, Step
-
-KEYFRAMES_MAX: Final = 10_000
-"""Chosen: hours of a lively show. The cost of planning grows with the count; an export that is far
-too large is refused early."""
-
-TIME_MAX_S: Final = 86_400.0
-"""Chosen: a day. A longer show is a loop; a larger time is a typing error."""
 
 
 def has_times(content: TrackEntry) -> bool:
@@ -156,6 +149,8 @@ class TrackLoader:
     is_offset: bool = False
     """The angles are added to others, so no range applies to them alone."""
     is_looped_in_part: bool = False
+    holds_may_shrink: bool = False
+    """Default of `hold_may_shrink` where neither keyframe nor track gives it."""
     problems: list[Problem] = field(default_factory=list)
 
     def sequence(self, name: str) -> Sequence:
@@ -194,11 +189,13 @@ class TrackLoader:
 
     def _keyframe(self, index: int, entry: KeyframeEntry) -> Keyframe:
         is_read = ("keyframes", index) not in self.left_out
+        given = (entry.hold_may_shrink, self.content.hold_may_shrink, self.holds_may_shrink)
         if not entry.deg and entry.pose is None and is_read:
             self._note(("keyframes", index), "a keyframe names joints: give 'pose' or 'deg'")
         return Keyframe(
             deg={**self._pose(index, entry.pose), **(entry.deg or {})},
             hold_s=entry.hold_s,
+            hold_may_shrink=next(may for may in given if may is not None),
             is_anchor=entry.anchor,
             ease=Interpolation(entry.ease or self.content.interpolation),
             label=entry.label or entry.pose or "",

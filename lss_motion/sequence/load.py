@@ -6,12 +6,7 @@ is left out of later checks, so that one mistake is reported once.
 
 from __future__ import annotations
 
-import ast
-import contextlib
-import importlib
 from dataclasses import dataclass, field, replace
-from importlib.machinery import PathFinder
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -21,13 +16,19 @@ from lss_motion.files.yaml_source import Location, Problem, read_yaml
 from lss_motion.protocol.constants import Led
 from lss_motion.robot.load import load_named_robot
 from lss_motion.sequence.check import check_sequence
+from lss_motion.sequence.functions import function_problem
 from lss_motion.sequence.keyframes import TrackLoader, at_speed, timing_of
-from lss_motion.sequence.model import Cue, Sequence, Timing
-from lss_motion.sequence.parts import FileContext, PartLoader, mirrored
+from lss_motion.sequence.model import EXPANDED_MAX, Cue, Sequence, Timing
+from lss_motion.sequence.parts import (
+    FileContext,
+    PartLoader,
+    expanded,
+    expanded_text,
+    mirrored,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
-    from importlib.machinery import ModuleSpec
 
     from lss_motion.files.yaml_source import YamlSource
     from lss_motion.robot.model import Robot
@@ -178,6 +179,7 @@ class _Loader:
         self.problems += parts.problems
         self.errors += parts.errors
         self._check_tracks(sequence)
+        self._check_expanded(sequence)
         return sequence
 
     def _own_left_out(self) -> frozenset[Location]:
@@ -195,7 +197,7 @@ class _Loader:
             return
         if not (has_frames or has_play or content.tracks):
             self._note((), "no keyframes: give 'keyframes', 'tracks' or 'play'")
-        for key in ("keyframes", "tracks", "timing", "duration_s"):
+        for key in ("keyframes", "tracks", "timing", "duration_s", "hold_may_shrink"):
             if has_play and getattr(content, key):
                 self._note((key,), f"{key} does not go with 'play'; put it into a file of the list")
         if content.layers and content.loop == "forever":
@@ -225,7 +227,13 @@ class _Loader:
         for name, entry in self.content.tracks.items():
             place = ("tracks", name)
             loader = TrackLoader(
-                entry, place, frozenset(), self.source, self.robot, self.part.is_offset
+                entry,
+                place,
+                frozenset(),
+                self.source,
+                self.robot,
+                self.part.is_offset,
+                holds_may_shrink=bool(self.content.hold_may_shrink),
             )
             if not entry.keyframes:
                 self._note(place, f"track {name!r} has no keyframes")
@@ -233,6 +241,17 @@ class _Loader:
             tracks.append(loader.sequence(name))
             self.problems += loader.problems
         return tuple(tracks)
+
+    def _check_expanded(self, sequence: Sequence) -> None:
+        """Note parts that repeat so often that the memory would not hold their plan."""
+        for track in sequence.tracks:
+            if (count := expanded(track)) > EXPANDED_MAX:
+                self._note(("tracks", track.name, "loop"), f"loop: {expanded_text(count)}")
+        layered = sum(expanded(layer.sequence) for layer in sequence.layers)
+        if sequence.layers and (count := expanded(replace(sequence, layers=()))) > EXPANDED_MAX:
+            self._note(("loop",), f"loop: with layers it {expanded_text(count)}")
+        elif layered > EXPANDED_MAX:
+            self._note(("layers",), f"layers: {expanded_text(layered)}")
 
     def _check_tracks(self, sequence: Sequence) -> None:
         owners = {name: "" for frame in sequence.keyframes for name in frame.deg}
@@ -291,64 +310,3 @@ def cues(
             folder=str(folder) if entry.run else "",
             line=source.line(place),
         )
-
-
-DYNAMIC: Final = frozenset({"__getattr__", "exec", "globals", "setattr", "vars"})
-"""A module that uses one of these, or a star import, can have names that its source lacks."""
-
-
-def function_problem(run: str, folder: str) -> str:
-    """Return why `module:function` cannot be called; an empty text if no reason was found.
-
-    The module is searched in `folder`, then among those installed. It is not run. The process that
-    calls the functions imports it before a show in real time moves, and finds the other errors.
-    """
-    module_name, _, name = run.partition(":")
-    spec = _find(module_name, folder)
-    if spec is None:
-        return f"there is no module {module_name!r} in {folder}, nor is one installed"
-    if spec.origin is None or not spec.origin.endswith(".py"):
-        return ""
-    try:
-        tree = ast.parse(Path(spec.origin).read_bytes())
-    except (SyntaxError, ValueError) as error:
-        line = f":{error.lineno}" if isinstance(error, SyntaxError) else ""
-        return f"{spec.origin}{line} is no Python: {error.args[0]}"
-    except OSError as error:
-        return f"{spec.origin} cannot be read: {error.strerror}"
-    if name in (names := _names(tree)) or names & DYNAMIC:
-        return ""
-    functions = [node.name for node in tree.body if isinstance(node, ast.FunctionDef)]
-    return f"{spec.origin} has no function {name!r}; {known_names(name, functions)}"
-
-
-def _find(module_name: str, folder: str) -> ModuleSpec | None:
-    """Return the location of a module without importing its packages, as `find_spec` would do."""
-    importlib.invalidate_caches()
-    path, *inner = module_name.split(".")
-    spec = PathFinder.find_spec(path, [folder])
-    if spec is None:
-        with contextlib.suppress(ValueError):  # Raised for a loaded module without a spec.
-            spec = find_spec(path)
-    for name in inner:
-        if spec is None or spec.submodule_search_locations is None:
-            return None
-        path = f"{path}.{name}"
-        spec = PathFinder.find_spec(path, list(spec.submodule_search_locations))
-    return spec
-
-
-def _names(tree: ast.Module) -> set[str]:
-    """Return every name that a module can have, and those of `DYNAMIC` that it uses."""
-    names = set()
-    for node in ast.walk(tree):
-        match node:
-            case ast.FunctionDef() | ast.AsyncFunctionDef() | ast.ClassDef():
-                names.add(node.name)
-            case ast.Name() if isinstance(node.ctx, ast.Store) or node.id in DYNAMIC:
-                names.add(node.id)
-            case ast.alias():
-                names.add("globals" if node.name == "*" else node.asname or node.name)
-            case _:
-                pass
-    return names

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from lss_motion.files.source import counted
 
@@ -16,6 +16,20 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from lss_motion.robot.on_fault import Escalations
+
+KEYFRAMES_MAX: Final = 10_000
+"""Chosen: hours of a lively show. The cost of planning grows with the count; an export that is far
+too large is refused early."""
+
+TIME_MAX_S: Final = 86_400.0
+"""Chosen: a day. A longer show is a loop; a larger time is a typing error."""
+
+EXPANDED_MAX: Final = 50_000
+"""Keyframes of the parts of a show, with every repetition. Chosen: five of the longest files. Only
+the loop of the file that is played costs nothing, because its passes are not written out."""
+
+PLAY_STEPS_MAX: Final = 1000
+"""Steps of a play list, nested ones included. Chosen: a day of shows; more is a mistake."""
 
 
 class Timing(StrEnum):
@@ -53,6 +67,8 @@ class Keyframe:
     deg: Mapping[str, float]
     at_s: float | None = None
     hold_s: float = 0.0
+    hold_may_shrink: bool = False
+    """A motion that is late may leave earlier than after `hold_s`; else it is kept in full."""
     is_anchor: bool = False
     ease: Interpolation = Interpolation.SMOOTH
     """How the named joints travel *to* this keyframe; the default of the file is applied."""

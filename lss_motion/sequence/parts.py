@@ -6,14 +6,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Literal
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
 from lss_motion.files.yaml_source import Location, Problem
 from lss_motion.sequence.check import check_sequence, jumps
 from lss_motion.sequence.keyframes import at_speed
-from lss_motion.sequence.model import Layer, Sequence, Step, Timing, Wait
+from lss_motion.sequence.model import (
+    EXPANDED_MAX,
+    PLAY_STEPS_MAX,
+    Layer,
+    Sequence,
+    Step,
+    Timing,
+    Wait,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -58,10 +66,6 @@ def _exchanged(angles_deg: Mapping[str, float], images: Images) -> dict[str, flo
         image, sign = images.get(name, (name, 1))
         exchanged[image] = angle_deg if sign == 1 else -angle_deg
     return exchanged
-
-
-STEPS_MAX: Final = 1000
-"""Steps of a play list, nested ones included. Chosen: a day of shows; more is a mistake."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,16 +114,24 @@ class PartLoader:
     def steps(self) -> tuple[Step, ...]:
         """Return the steps of the play list; steps with problems are left out."""
         steps: list[Step] = []
+        total = 0
         for index, entry in enumerate(self.content.play):
             place: Location = ("play", index)
             if place in self.left_out or (step := self._step(entry, place)) is None:
                 continue
+            total += expanded(step)
+            if total > EXPANDED_MAX:
+                key = "times" if step.times > 1 else "file"
+                self._note((*place, key), f"{key}: {expanded_text(total)}")
+                break
             if entry.join == "through" and not self.problems and not self.errors:
                 self._join(steps, step, place)
             else:
                 steps.append(step)
-        if sum(map(_count, steps)) > STEPS_MAX:
-            self._note(("play",), f"comes to more than {STEPS_MAX} steps, nested ones included")
+        if sum(map(_count, steps)) > PLAY_STEPS_MAX:
+            self._note(
+                ("play",), f"comes to more than {PLAY_STEPS_MAX} steps, nested ones included"
+            )
         return tuple(steps)
 
     def layers(self) -> tuple[Layer, ...]:
@@ -255,6 +267,24 @@ class PartLoader:
             self._note((*place, "join"), f"{reason}; or give move_s")
         joined = replace(first, keyframes=(*first.keyframes, *shifted))
         steps[-1] = replace(before, sequence=joined)
+
+
+def expanded(part: Step | Sequence) -> int:
+    """Return how many keyframes a part comes to, with every pass and repetition written out."""
+    if isinstance(part, Step):
+        return part.times * expanded(part.sequence) if part.sequence is not None else 0
+    own = len(part.keyframes) + sum(map(expanded, part.play))
+    beside = sum(map(expanded, (*part.tracks, *(layer.sequence for layer in part.layers))))
+    return (part.loop or 1) * own + beside
+
+
+def expanded_text(count: int) -> str:
+    """Return why a part that comes to so many keyframes is refused."""
+    return (
+        f"comes to {count:,} keyframes with all its repetitions, at most {EXPANDED_MAX:,} can be "
+        f"played as a part; repeat it less often, or loop the file that is played: that is "
+        f"compiled once"
+    )
 
 
 def keyed_joints(sequence: Sequence) -> set[str]:

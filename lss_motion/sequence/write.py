@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
+from lss_motion.files.output import write_output
 from lss_motion.sequence.model import Interpolation
 
 if TYPE_CHECKING:
@@ -34,10 +35,7 @@ def write_sequence(sequence: Sequence, path: Path | str, *, comments: Iterable[s
     """Write `sequence_text` to `path`, replacing a file there; raise `InputError` if that fails."""
     path = Path(path)
     text = sequence_text(sequence, path.parent, comments=comments)
-    try:
-        path.write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", path=path) from error
+    write_output(path, text)
 
 
 def sequence_text(sequence: Sequence, folder: Path, *, comments: Iterable[str] = ()) -> str:
@@ -104,6 +102,8 @@ def _keyframe(keyframe: Keyframe, default: Interpolation) -> Iterator[str]:
     yield f"deg: {_angles(keyframe.deg)}"
     if keyframe.hold_s > 0.0:
         yield f"hold_s: {_number(keyframe.hold_s)}"
+    if keyframe.hold_may_shrink:
+        yield "hold_may_shrink: true"
     if keyframe.is_anchor:
         yield "anchor: true"
     if keyframe.ease is not default:

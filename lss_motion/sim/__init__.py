@@ -8,8 +8,9 @@
 | `wire` | the two serial lines byte by byte, the USB adapter, the order of replies | `bus` |
 | `servo` | the firmware of one servo: moves, readings, settings | `bus` |
 | `boards` | LSS-2IO boards with their pins | `bus` |
-| `motors` | horns with load, play, current, temperature and safe mode | `bus`, `servo` |
-| `profile` | the trajectory that a servo generates for one move | `motors` |
+| `motors` | all motors of a bus: orders, current, temperature, safe mode | `bus`, `servo` |
+| `horns` | how horns follow their profiles, with load and play | `motors` |
+| `profile` | the trajectory that a servo generates for one move | `horns`, `servo` |
 | `physics` | every physical number, with its source | all |
 | `faults`, `faults_file` | faults as rows, from code or from a file | `bus`, `wire`, `lss-play` |
 | `clocks` | a host that wakes late, and host and servo clocks that drift | `perform`, `bus` |

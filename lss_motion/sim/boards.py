@@ -8,8 +8,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.protocol.constants import BROADCAST_ID, PULSE_MAX_US, PULSE_MIN_US
+from lss_motion.protocol.framing import Command, Reply
 from lss_motion.protocol.io2 import IO2_TABLE, PIN_IDS, SECTION_MAX_CHARS
-from lss_motion.protocol.line import Command, Reply
 from lss_motion.protocol.table import Device, Form, Suffix
 from lss_motion.sim.profile import Chase, Limp
 from lss_motion.units import NS_PER_MS
@@ -89,9 +89,10 @@ class Pin:
     raw: int = 0
 
     def attach(self, index: int, spec: ServoSpec) -> None:
-        """Put the RC servo `spec` on the pin, which takes its id."""
+        """Put the RC servo `spec` on the pin, which takes its id and its gyre."""
         self.index = index
         self.servo_id = spec.servo_id
+        self.gyre = self.config_gyre = spec.eeprom.get("G", 1)
 
 
 def make_boards(
@@ -225,6 +226,13 @@ class Board:
             self._turn(pin, pin.config_gyre)
             pin.written_deg, pin.pulse_us = DEG_MAX // 2, (PULSE_MIN_US + PULSE_MAX_US) // 2
             self._release(pin, now_ns)
+
+    def store(self, pins: Sequence[Pin], settings: Mapping[str, int]) -> None:
+        """Take wire values of some pins at once, also for every later start; they have G and ID."""
+        for pin in pins:
+            pin.config_gyre = settings.get("G", pin.config_gyre)
+            self._turn(pin, pin.config_gyre)
+            pin.servo_id = settings.get("ID", pin.servo_id)
 
     def _restore_factory(self, now_ns: int) -> None:
         """Reset all values at once, ids and rate as well ("all values": FACTS.md B14)."""

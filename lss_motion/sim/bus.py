@@ -6,14 +6,18 @@ one bus of a robot file.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from random import Random
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
+from lss_motion.protocol.codec import storable, stored_wire
 from lss_motion.protocol.constants import BROADCAST_ID, Family
-from lss_motion.protocol.line import Command, CommandParser
+from lss_motion.protocol.framing import Command, CommandParser
 from lss_motion.sim.boards import RAW_MAX, make_boards
 from lss_motion.sim.clocks import Drift
-from lss_motion.sim.faults import FaultKind, Faults
+from lss_motion.sim.faults import FOREVER_NS, FaultKind, Faults, SecondMaster
 from lss_motion.sim.horn_history import HornHistory
 from lss_motion.sim.motors import Motors
 from lss_motion.sim.physics import TICK_NS, Physics, ServoSpec
@@ -23,12 +27,17 @@ from lss_motion.sim.wire import Adapter, Answer, Answering, HostLine, ServoLine
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
-    from lss_motion.robot.model import Robot
+    from lss_motion.robot.model import Joint, Robot
     from lss_motion.sim.faults import Fault, Turn
     from lss_motion.sim.hand import Hand
+
+
+TWIN_DEG: Final = 20.0
+"""How far from a servo its twin stands, so that the two report different angles. Chosen."""
+ELSEWHERE: Final = frozenset({"B", "CRC", "FD", "FP"})
+"""Settings of a robot file that a simulated servo does not have from the beginning."""
 
 
 class SimBus:
@@ -57,12 +66,24 @@ class SimBus:
         inputs: Sequence[int] = (),
     ) -> None:
         physics = physics or Physics()
+        own_count = len(servos)
+        servos = [*servos, *_twins(servos, faults)]
         randoms = [Random(f"{seed}/{index}") for index in range(len(servos))]
         phases_ns = [random.randrange(TICK_NS) for random in randoms]
         self.baud_bps = baud_bps
         self.motors = Motors(servos, physics, phases_ns)
+        self._set_up_ids = [spec.servo_id for spec in servos]
+        self._set_up_gyre = np.array([spec.eeprom.get("G", 1) for spec in servos[:own_count]])
+        self._set_up_origin_deg = np.array([_origin_deg(spec) for spec in servos[:own_count]])
         self.heard: list[tuple[int, bytes]] | None = None
         """After `record()`: every line that reached the servos, and when its CR did."""
+        self.received: list[list[tuple[int, bytes]]] = [[] for _ in servos]
+        """After `record()`: of these, the lines that each servo received, in the order of `servos`.
+        A servo that is deaf receives none, and a line for other servos is left out."""
+        self.restarts_ns: list[list[int]] = [[] for _ in servos]
+        """When each servo lost its session: the instants of its `reset` faults."""
+        self.stored_ns: list[list[tuple[int, Mapping[str, int]]]] = [[] for _ in servos]
+        """When each servo got other settings: its `stored` faults, with wire values by name."""
         self._is_ordered = firmware >= ORDERED_FIRMWARE
         self._parser = CommandParser(grouped=self._is_ordered)
         self._adapter = Adapter(usb_latency_ns)
@@ -72,8 +93,10 @@ class SimBus:
         self._answering = Answering(
             self._servo_line, self._faults, physics=physics, firmware=firmware, seed=seed
         )
+        self._second_master = SecondMaster(faults)
         self._drift = Drift(fault for fault in faults if fault.kind is FaultKind.CLOCK_DRIFT)
         self._outages_ns: list[tuple[int, int]] = []
+        self._blocks_ns: list[tuple[int, int]] = []
         self._is_started = False
         self._servos = [
             Servo(
@@ -111,25 +134,25 @@ class SimBus:
     def next_arrival_ns(self) -> int | None:
         """Return when the earliest reply that was not read to its end is complete.
 
+        With another host on the line it may also be when the next line of that host arrives.
         Bytes that the host has written reach the servos whatever it writes later, so this
         simulates ahead as far as the bytes on the line allow.
         """
-        lines = self._host_line.lines
-        while lines:
+        while self._host_line.lines:
             end_ns = self._servo_line.next_end_ns()
-            if end_ns is not None and end_ns <= lines[0][0]:
+            if end_ns is not None and end_ns <= self._next_line_ns():
                 break
-            self._hear(*lines.popleft())
-        end_ns = self._servo_line.next_end_ns()
-        return None if end_ns is None else self._drift.host_ns(end_ns)
+            self._hear(*self._pop_line())
+        due_ns = (self._servo_line.next_end_ns(), self._second_master.next_ns())
+        earliest_ns = min((ns for ns in due_ns if ns is not None), default=None)
+        return None if earliest_ns is None else self._drift.host_ns(earliest_ns)
 
     def advance(self, now_ns: int) -> None:
         if not self._is_started:
             self._start(now_ns)
         now_ns = self._drift.bus_ns(now_ns)
-        lines = self._host_line.lines
-        while lines and lines[0][0] <= now_ns:
-            self._hear(*lines.popleft())
+        while self._next_line_ns() <= now_ns:
+            self._hear(*self._pop_line())
         self._turn_until(now_ns)
         self.motors.advance(now_ns)
 
@@ -157,13 +180,21 @@ class SimBus:
         """Return when the port is unplugged and back again; after the first instant."""
         return [(self._drift.host_ns(a), self._drift.host_ns(b)) for a, b in self._outages_ns]
 
+    def blocks_ns(self) -> list[tuple[int, int]]:
+        """Return when the port takes no bytes of the host; after the first instant."""
+        return [(self._drift.host_ns(a), self._drift.host_ns(b)) for a, b in self._blocks_ns]
+
     def horn_deg(self, times_ns: Iterable[int]) -> NDArray[np.float64]:
         """Return the true servo angles at given instants, (instants, servos), in the order given.
 
-        Only after `record()`, and up to the instant of the last `advance`.
+        They are angles of the gyre and origin with which each servo was set up, whatever its
+        settings are meanwhile. Twins of servos are left out. Only after `record()`, and up to the
+        instant of the last `advance`.
         """
         assert self.motors.history is not None, "call record() first"
-        return self.motors.history.horn_deg(map(self._drift.bus_ns, times_ns))
+        raw_deg = self.motors.history.horn_deg(map(self._drift.bus_ns, times_ns))
+        own_deg = raw_deg[:, : len(self._set_up_gyre)]
+        return np.asarray(self._set_up_gyre * (own_deg - self._set_up_origin_deg))
 
     def set_input(self, servo_id: int, raw: int, now_ns: int) -> None:
         """Set the value of the analog inputs with an id to `raw` (0 to 1023) from now on.
@@ -179,9 +210,23 @@ class SimBus:
         self._drift.start(now_ns)
         self.motors.start(now_ns)
         self._faults.start(now_ns)
+        self._second_master.start(now_ns)
         self._outages_ns = self._faults.spans_ns(FaultKind.UNPLUGGED)
+        self._blocks_ns = self._faults.spans_ns(FaultKind.BLOCKED_PORT)
         self._adapter.start(now_ns, self._outages_ns)
         self._host_line.start(self._faults.spans_ns(FaultKind.CLOGGED), self._outages_ns)
+
+    def _next_line_ns(self) -> int:
+        """Return when the next line reaches the servos, from this host or another."""
+        lines, other_ns = self._host_line.lines, self._second_master.next_ns()
+        own_ns = lines[0][0] if lines else FOREVER_NS
+        return own_ns if other_ns is None else min(own_ns, other_ns)
+
+    def _pop_line(self) -> tuple[int, bytes]:
+        """Return the next line, and when it reaches the servos."""
+        lines, other_ns = self._host_line.lines, self._second_master.next_ns()
+        is_own = other_ns is None or (bool(lines) and lines[0][0] <= other_ns)
+        return lines.popleft() if is_own else self._second_master.pop()
 
     # -- what the servos receive ----------------------------------------------------------------
 
@@ -199,7 +244,10 @@ class SimBus:
         answers: list[Answer] = []
         for command in commands:
             for servo in self._meant(command.servo_id):
-                reply = servo.obey(command, heard_ns) if self._hears(servo, heard_ns) else None
+                if not self._hears(servo, heard_ns):
+                    continue
+                self._note(servo.index, heard_ns, line)
+                reply = servo.obey(command, heard_ns)
                 if reply is not None:
                     answers.append(Answer(servo, servo.servo_id, command, reply))
         is_group = self._is_ordered and len(commands) > 1
@@ -217,10 +265,19 @@ class SimBus:
             for pin in board.meant(command.servo_id):
                 servo_id = pin.servo_id
                 if not self._faults.is_deaf(servo_id, heard_ns):
+                    if pin.index is not None:
+                        self._note(pin.index, heard_ns, line)
                     reply = board.obey(pin, command, heard_ns)
                     if reply is not None:
                         answer = Answer(board, servo_id, command, reply)
                         self._answering.send_each(heard_ns, [answer])
+
+    def _note(self, index: int, heard_ns: int, line: bytes) -> None:
+        """Record a line that a servo received; one with several commands only once."""
+        if self.heard is not None:
+            entry = (self._drift.host_ns(heard_ns), line)
+            if self.received[index][-1:] != [entry]:
+                self.received[index].append(entry)
 
     def _meant(self, servo_id: int) -> list[Servo]:
         if servo_id == BROADCAST_ID:
@@ -238,17 +295,21 @@ class SimBus:
         while (due_ns := self._faults.next_turn_ns()) is not None and due_ns <= now_ns:
             turn = self._faults.pop_turn()
             self.motors.advance(due_ns)
+            if turn.fault.kind is FaultKind.LOW_VOLTAGE:
+                self.motors.supply(due_ns, turn.fault.supply_v if turn.is_begin else None)
+                continue
             for servo in self._servos:
-                if turn.fault.servo_id in (None, servo.servo_id):
+                is_renumbered = turn.fault.kind is FaultKind.STORED
+                known_id = self._set_up_ids[servo.index] if is_renumbered else servo.servo_id
+                if turn.fault.servo_id in (None, known_id):
                     self._befall(servo.index, servo, turn)
             self._befall_boards(turn)
 
     def _befall(self, index: int, servo: Servo | None, turn: Turn) -> None:
         fault = turn.fault
         match fault.kind:
-            case FaultKind.RESET:
-                if servo is not None:
-                    servo.reset(turn.due_ns)
+            case FaultKind.RESET | FaultKind.STORED | FaultKind.WRONG_SCALE:
+                self._befall_settings(index, servo, turn)
             case FaultKind.HOT:
                 self.motors.heat(index, turn.due_ns, fault.temperature_c)
             case FaultKind.STUCK:
@@ -261,12 +322,29 @@ class SimBus:
             case _:
                 raise AssertionError(f"{fault.kind} is not about a servo")
 
+    def _befall_settings(self, index: int, servo: Servo | None, turn: Turn) -> None:
+        """Let a servo lose or change its settings; without `servo` it is an output of a board."""
+        fault, at_ns = turn.fault, self._drift.host_ns(turn.due_ns)
+        match fault.kind:
+            case FaultKind.RESET:
+                self.restarts_ns[index].append(at_ns)
+                if servo is not None:
+                    servo.reset(turn.due_ns, fault.deaf_s)
+            case FaultKind.STORED:
+                self.stored_ns[index].append((at_ns, fault.settings))
+                if servo is not None:
+                    servo.store(fault.settings, turn.due_ns)
+            case _ if servo is not None:
+                servo.rescale(fault.setting, fault.scale_ratio, turn.due_ns)
+
     def _befall_boards(self, turn: Turn) -> None:
         fault = turn.fault
         for board in self._boards:
             pins = board.pins if fault.servo_id is None else board.meant(fault.servo_id)
             if pins and fault.kind is FaultKind.RESET:
                 board.reset(turn.due_ns)
+            if fault.kind is FaultKind.STORED:
+                board.store(pins, fault.settings)
             for pin in pins:
                 if pin.index is not None:
                     self._befall(pin.index, None, turn)
@@ -277,6 +355,36 @@ class SimBus:
         for board in self._boards:
             for pin in board.pins if servo_id is None else board.meant(servo_id):
                 pin.raw = raw
+
+
+def _twins(servos: Sequence[ServoSpec], faults: Sequence[Fault]) -> list[ServoSpec]:
+    """Return the servos that share the id of one of `servos`; each stands a little elsewhere."""
+    return [
+        replace(spec, start_deg=spec.start_deg + TWIN_DEG, hand=None)
+        for fault in faults
+        if fault.kind is FaultKind.TWIN
+        for spec in servos
+        if fault.servo_id in (None, spec.servo_id)
+    ]
+
+
+def _origin_deg(spec: ServoSpec) -> float:
+    rows = storable(spec.model.family)
+    return rows["O"].physical(spec.eeprom.get("O", 0)) if "O" in rows else 0.0
+
+
+def set_up_settings(joint: Joint) -> dict[str, int]:
+    """Return the stored settings with which the servo of `joint` is set up, as wire values.
+
+    They are those of its robot file. What would take it from its line (baud rate, RC mode) and a
+    first position are left out, because the simulated robot stands on its line when it begins.
+    """
+    stored = {
+        name: stored_wire(joint.model.family, name, value)
+        for name, value in joint.stored.items()
+        if name not in ELSEWHERE
+    }
+    return {name: wire for name, wire in stored.items() if wire is not None}
 
 
 def bus_from_robot(  # noqa: PLR0913  (the parameters of one bus)
@@ -299,20 +407,19 @@ def bus_from_robot(  # noqa: PLR0913  (the parameters of one bus)
     """
     bus = robot.buses[bus_name]
     asked_deg = start_deg or {}
-    specs = [
-        ServoSpec(
+    specs = []
+    for joint in (robot.joints[name] for name in servos_of(robot, bus_name)):
+        rest_deg = min(max(0.0, joint.position_min_deg), joint.position_max_deg)
+        spec = ServoSpec(
             servo_id=joint.servo_id,
             model=joint.model,
-            start_deg=joint.servo_deg(
-                asked_deg.get(
-                    joint.name, min(max(0.0, joint.position_min_deg), joint.position_max_deg)
-                )
-            ),
-            hand=None if hand is None else hand.led(joint),
             droop_deg=(droop_deg or {}).get(joint.name, 0.0),
+            eeprom=set_up_settings(joint),
         )
-        for joint in (robot.joints[name] for name in servos_of(robot, bus_name))
-    ]
+        raw = _raw_joint(joint, spec)
+        stands_deg = raw.servo_deg(asked_deg.get(joint.name, rest_deg))
+        led = None if hand is None else hand.led(raw)
+        specs.append(replace(spec, start_deg=stands_deg, hand=led))
     return SimBus(
         specs,
         baud_bps=bus.baud_bps,
@@ -323,6 +430,13 @@ def bus_from_robot(  # noqa: PLR0913  (the parameters of one bus)
         usb_latency_ns=usb_latency_ns,
         inputs=[one.servo_id for one in robot.sensors.values() if one.bus == bus_name],
     )
+
+
+def _raw_joint(joint: Joint, spec: ServoSpec) -> Joint:
+    """Return the joint whose servo angles count from the factory's zero, clockwise."""
+    gyre = -1 if spec.eeprom.get("G", 1) == -1 else 1
+    zero_deg = gyre * joint.zero_deg + _origin_deg(spec)
+    return replace(joint, zero_deg=zero_deg, direction=1 if gyre == joint.direction else -1)
 
 
 def servos_of(robot: Robot, bus_name: str) -> list[str]:

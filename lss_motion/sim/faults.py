@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import heapq
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
+from lss_motion.protocol.constants import RESET_S
 from lss_motion.units import ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from random import Random
 
 
@@ -31,6 +33,7 @@ class FaultKind(StrEnum):
     SPLIT_REPLY = "split_reply"
 
     CLOGGED = "clogged"
+    BLOCKED_PORT = "blocked_port"
     UNPLUGGED = "unplugged"
 
     OVERSLEEP = "oversleep"
@@ -43,6 +46,13 @@ class FaultKind(StrEnum):
     WEAK = "weak"
     HOT = "hot"
     INPUT = "input"
+    STORED = "stored"
+    TWIN = "twin"
+
+    LOW_VOLTAGE = "low_voltage"
+
+    WRONG_SCALE = "wrong_scale"
+    SECOND_MASTER = "second_master"
 
 
 MEANINGS = {
@@ -59,22 +69,36 @@ MEANINGS = {
     FaultKind.LATE_REPLY: "a reply comes `late_s` later",
     FaultKind.SPLIT_REPLY: "the second half of a reply comes `late_s` later",
     FaultKind.CLOGGED: "what the host writes waits until `until_s`",
+    FaultKind.BLOCKED_PORT: "the port takes no bytes of the host",
     FaultKind.UNPLUGGED: "the port is gone; what was on its way is lost",
     FaultKind.OVERSLEEP: "the host wakes `late_s` too late (virtual time only)",
     FaultKind.CLOCK_DRIFT: "the servos' time runs `drift_ppm` faster than the host's",
     FaultKind.DEAF: "a servo does not hear a line",
     FaultKind.WRONG_ID: "a servo answers as `as_id`",
-    FaultKind.RESET: "a servo restarts",
+    FaultKind.RESET: "a servo restarts: it is deaf for `deaf_s`, then limp, without its settings",
     FaultKind.STUCK: "a horn does not turn",
     FaultKind.WEAK: "a motor has only `speed_ratio` of its top speed",
     FaultKind.HOT: "a servo has `temperature_c` at once",
     FaultKind.INPUT: "an analog input of an LSS-2IO takes a value",
+    FaultKind.STORED: "the `settings` of a servo are these at once, stored ones as well",
+    FaultKind.TWIN: "another servo with the same id is on the bus, from power-up",
+    FaultKind.LOW_VOLTAGE: "the supply of the bus gives only `supply_v`",
+    FaultKind.WRONG_SCALE: "one unit of `setting` is `scale_ratio` times that of the documents",
+    FaultKind.SECOND_MASTER: "another host sends `text` every `every_s`; its replies arrive, too",
 }
 
-INSTANT = frozenset({FaultKind.RESET, FaultKind.HOT, FaultKind.INPUT})
+INSTANT = frozenset(
+    {
+        FaultKind.RESET,
+        FaultKind.HOT,
+        FaultKind.INPUT,
+        FaultKind.STORED,
+        FaultKind.WRONG_SCALE,
+    }
+)
 """These happen once, at `at_s`; all others last until `until_s`."""
 
-ABOUT_DEVICES = INSTANT | {FaultKind.STUCK, FaultKind.WEAK}
+ABOUT_DEVICES = INSTANT | {FaultKind.STUCK, FaultKind.WEAK, FaultKind.LOW_VOLTAGE}
 """These begin and end at instants; all others apply to each line or reply that passes."""
 
 ABOUT_LINE = frozenset(
@@ -85,14 +109,24 @@ ABOUT_LINE = frozenset(
         FaultKind.DOUBLE_COMMAND,
         FaultKind.MERGED_COMMAND,
         FaultKind.CLOGGED,
+        FaultKind.BLOCKED_PORT,
         FaultKind.UNPLUGGED,
         FaultKind.OVERSLEEP,
         FaultKind.CLOCK_DRIFT,
+        FaultKind.LOW_VOLTAGE,
+        FaultKind.SECOND_MASTER,
     }
 )
 """These concern the line or the host. A servo that does not receive commands is `deaf`."""
 
-STEADY = ABOUT_DEVICES | {FaultKind.CLOGGED, FaultKind.UNPLUGGED, FaultKind.CLOCK_DRIFT}
+STEADY = ABOUT_DEVICES | {
+    FaultKind.TWIN,
+    FaultKind.CLOGGED,
+    FaultKind.BLOCKED_PORT,
+    FaultKind.UNPLUGGED,
+    FaultKind.CLOCK_DRIFT,
+    FaultKind.SECOND_MASTER,
+}
 """These have no `ratio`: they apply all the time."""
 
 _LINE_KINDS = (
@@ -113,6 +147,9 @@ REPLY_KINDS = (
 )
 """These damage replies; no servo is affected."""
 
+SCALED = ("D", "SD", "AA", "AD", "T")
+"""Values whose scale may be another one: D and SD with everything in their units."""
+
 FOREVER_NS = 2**62
 """The end of a fault without an end: 146 years."""
 
@@ -130,6 +167,16 @@ class Fault:
     `temperature_c`  for `hot`
     `drift_ppm`      for `clock_drift`: millionths by which the servos' time runs faster
     `raw`            for `input`: the value of the converter, 0 to 1023
+    `deaf_s`         for `reset`: how long the servo receives nothing, less after a dip of its
+                     supply; a board of an LSS-2IO has a time of its own
+    `settings`       for `stored`: wire values by the name of the setting, such as `{"G": -1}`; ID
+                     acts at once, too. `servo_id` is then the id with which the servo was set up
+    `supply_v`       for `low_voltage`: what the supply gives without load
+    `setting`        for `wrong_scale`: one of `SCALED`; the servo takes and answers it so, from
+                     then on
+    `scale_ratio`    for `wrong_scale`
+    `text`           for `second_master`: one line, without its CR
+    `every_s`        for `second_master`
     """
 
     kind: FaultKind
@@ -144,6 +191,13 @@ class Fault:
     temperature_c: float = 0.0
     drift_ppm: float = 0.0
     raw: int = 0
+    deaf_s: float = RESET_S
+    settings: Mapping[str, int] = field(default_factory=dict, hash=False)
+    supply_v: float = 0.0
+    setting: str = ""
+    scale_ratio: float = 1.0
+    text: str = ""
+    every_s: float = 1.0
 
     def __post_init__(self) -> None:
         if self.kind is FaultKind.CLOGGED and math.isinf(self.until_s):
@@ -284,6 +338,36 @@ class Faults:
             for fault in faults
             if fault.at_s <= now_s < fault.until_s and fault.servo_id in (None, servo_id)
         ]
+
+
+class SecondMaster:
+    """The lines that another host sends, from rows of `second_master`.
+
+    Assumed: both hosts' lines arrive whole, one after the other. `corrupt_command` has those that
+    damage each other.
+    """
+
+    def __init__(self, faults: Iterable[Fault]) -> None:
+        self._rows = [fault for fault in faults if fault.kind is FaultKind.SECOND_MASTER]
+        self._due: list[tuple[int, int, int]] = []
+
+    def start(self, now_ns: int) -> None:
+        """Count time from `now_ns`."""
+        for index, fault in enumerate(self._rows):
+            from_ns, until_ns = fault.span_ns(now_ns)
+            heapq.heappush(self._due, (from_ns, index, until_ns))
+
+    def next_ns(self) -> int | None:
+        """Return when its next line arrives at the servos; None: never."""
+        return self._due[0][0] if self._due else None
+
+    def pop(self) -> tuple[int, bytes]:
+        """Return its next line, CR included, and when it arrives."""
+        now_ns, index, until_ns = heapq.heappop(self._due)
+        again_ns = now_ns + max(ns_from_s(self._rows[index].every_s), 1)
+        if again_ns < until_ns:
+            heapq.heappush(self._due, (again_ns, index, until_ns))
+        return now_ns, self._rows[index].text.encode("latin-1") + b"\r"
 
 
 def damaged(data: bytes, random: Random) -> bytes:

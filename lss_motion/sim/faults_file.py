@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
+from lss_motion.errors import ProtocolError
 from lss_motion.files.source import known_names
 from lss_motion.files.validation import FileModel, validate
 from lss_motion.files.yaml_source import Problem, read_yaml
+from lss_motion.protocol.codec import FAMILY_TABLES, stored_wire
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.io2 import PIN_IDS
 from lss_motion.sim.boards import RAW_MAX, SENSORS
@@ -28,6 +30,11 @@ NEEDED: dict[FaultKind, tuple[str, ...]] = {
     FaultKind.WEAK: ("speed_ratio",),
     FaultKind.HOT: ("temperature_c",),
     FaultKind.INPUT: ("servo",),
+    FaultKind.STORED: ("settings",),
+    FaultKind.TWIN: ("servo",),
+    FaultKind.LOW_VOLTAGE: ("supply_v",),
+    FaultKind.WRONG_SCALE: ("setting", "scale_ratio"),
+    FaultKind.SECOND_MASTER: ("text", "every_s"),
 }
 """Keys that a kind needs."""
 
@@ -37,10 +44,19 @@ OWN: dict[str, frozenset[FaultKind]] = {
     "as_id": frozenset({FaultKind.WRONG_ID}),
     "speed_ratio": frozenset({FaultKind.WEAK}),
     "temperature_c": frozenset({FaultKind.HOT}),
+    "deaf_s": frozenset({FaultKind.RESET}),
     "raw": frozenset({FaultKind.INPUT}),
     "distance_mm": frozenset({FaultKind.INPUT}),
     "sensor": frozenset({FaultKind.INPUT}),
+    "settings": frozenset({FaultKind.STORED}),
+    "supply_v": frozenset({FaultKind.LOW_VOLTAGE}),
+    "setting": frozenset({FaultKind.WRONG_SCALE}),
+    "scale_ratio": frozenset({FaultKind.WRONG_SCALE}),
+    "text": frozenset({FaultKind.SECOND_MASTER}),
+    "every_s": frozenset({FaultKind.SECOND_MASTER}),
     "ratio": frozenset(FaultKind) - STEADY,
+    "at_s": frozenset(FaultKind) - {FaultKind.TWIN},
+    "until_s": frozenset(FaultKind) - {FaultKind.TWIN},
 }
 """Keys that only these kinds may have."""
 
@@ -69,6 +85,9 @@ class FaultEntry(FileModel, title="fault"):
     drift_ppm: Annotated[float, Field(ge=-100_000.0, le=100_000.0)] | None = Field(
         default=None, description="clock_drift: millionths by which the servos' time runs faster."
     )
+    deaf_s: Seconds | None = Field(
+        default=None, description="reset: how long the servo receives nothing; left out: 1.25."
+    )
     raw: Annotated[int, Field(ge=0, le=RAW_MAX)] | None = Field(
         default=None, description="input: the value of the converter."
     )
@@ -79,6 +98,30 @@ class FaultEntry(FileModel, title="fault"):
         default=None,
         description="input: the model of that sensor.",
         json_schema_extra={"enum": list(SENSOR_NAMES)},
+    )
+    settings: Annotated[dict[str, float], Field(min_length=1)] | None = Field(
+        default=None,
+        description="stored: settings by name, in the units of `lss-motion reference`; ID as well.",
+        examples=[{"G": -1, "O": 5.0, "SD": 360}],
+    )
+    supply_v: Annotated[float, Field(ge=0.0, le=60.0)] | None = Field(
+        default=None, description="low_voltage: what the supply gives without load."
+    )
+    setting: Literal["D", "SD", "AA", "AD", "T"] | None = Field(
+        default=None, description="wrong_scale: the value that has another scale."
+    )
+    scale_ratio: Annotated[float, Field(gt=0.0)] | None = Field(
+        default=None,
+        description="wrong_scale: one unit on the wire is so many times that of the documents.",
+        examples=[0.1, 10],
+    )
+    text: str | None = Field(
+        default=None,
+        description="second_master: the line that another host sends, without its end.",
+        examples=["#5QD", "#254L"],
+    )
+    every_s: Annotated[float, Field(ge=0.001)] | None = Field(
+        default=None, description="second_master: how often it sends that line."
     )
 
 
@@ -101,9 +144,10 @@ def load_faults(path: Path | str, robot: Robot | None = None) -> tuple[Fault, ..
         if ("faults", index) not in left_out:
             problems += _problems(index, entry)
             problems += [] if robot is None else _strangers(index, entry, robot)
+            problems += _setting_problems(index, entry, robot)
     if problems:
         raise source.error(problems)
-    return tuple(_fault(entry) for entry in entries)
+    return tuple(_fault(entry, robot) for entry in entries)
 
 
 def _problems(index: int, entry: FaultEntry) -> list[Problem]:
@@ -128,9 +172,8 @@ def _problems(index: int, entry: FaultEntry) -> list[Problem]:
             Problem((*place, "until_s"), f"until_s {entry.until_s:g} must be after {entry.at_s:g}")
         )
     if entry.servo is not None and kind in ABOUT_LINE:
-        problems.append(
-            Problem((*place, "servo"), f"{kind} befalls the line; for one servo use 'deaf'")
-        )
+        hint = "; for one servo use 'deaf'" if kind is not FaultKind.LOW_VOLTAGE else ""
+        problems.append(Problem((*place, "servo"), f"{kind} befalls the line{hint}"))
     if kind is FaultKind.INPUT:
         problems += _input_problems(index, entry)
     return problems
@@ -175,11 +218,50 @@ def _strangers(index: int, entry: FaultEntry, robot: Robot) -> list[Problem]:
     return []
 
 
-def _fault(entry: FaultEntry) -> Fault:
+def _setting_problems(index: int, entry: FaultEntry, robot: Robot | None) -> list[Problem]:
+    """Return the settings that a servo does not have, or not with that value."""
+    problems = []
+    for name, value in (entry.settings or {}).items():
+        try:
+            _wire(name, value, _family(entry, robot))
+        except ProtocolError as error:
+            problems.append(Problem(("faults", index, "settings", name), str(error)))
+    return problems
+
+
+def _family(entry: FaultEntry, robot: Robot | None) -> Family:
+    """Return the family of the servo of a row; LSS if that is not known."""
+    joints = () if robot is None else robot.joints.values()
+    return next(
+        (
+            joint.model.family
+            for joint in joints
+            if entry.servo in (None, joint.servo_id) and entry.bus in (None, joint.bus)
+        ),
+        Family.LSS,
+    )
+
+
+def _wire(name: str, value: float, family: Family) -> int:
+    """Return the wire value of a setting; raise `ProtocolError` as `stored_wire` does."""
+    if name == "ID":
+        row = FAMILY_TABLES[family].row("CID")
+        if not row.allows(round(value)):
+            raise ProtocolError(f"ID {value:g}: {row.allowed()}")
+        return round(value)
+    wire = stored_wire(family, name, value)
+    assert wire is not None, "a number was given"
+    return wire
+
+
+def _fault(entry: FaultEntry, robot: Robot | None) -> Fault:
     values = entry.model_dump(exclude_none=True)
     values["kind"] = FaultKind(values.pop("kind"))
     if "servo" in values:
         values["servo_id"] = values.pop("servo")
+    if entry.settings is not None:
+        family = _family(entry, robot)
+        values["settings"] = {n: _wire(n, value, family) for n, value in entry.settings.items()}
     sensor = values.pop("sensor", None)
     if sensor is not None:
         values["raw"] = SENSOR_NAMES[sensor].raw(values.pop("distance_mm"))

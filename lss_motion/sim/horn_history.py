@@ -16,7 +16,7 @@ FIRST_ROWS = 1024
 
 
 class HornHistory:
-    """A growing table of instants and servo angles, in order of time.
+    """A growing table of instants and raw angles, in order of time.
 
     Angles between two rows are interpolated, so a horn at rest needs no rows.
     """

@@ -1,9 +1,8 @@
-"""The motors and horns of all servos of one bus, simulated through time.
+"""The motors of all servos of one bus, simulated through time.
 
-`Motors` executes orders, steps the common grid of control loops and applies safe mode. `Horns`
-computes how horns follow their profiles: a first-order lag, exact within a phase, for all servos in
-one numpy step. `Power` computes currents, the voltage of the common battery, temperatures, and
-which motors are stalled. All angles are raw: from the factory's zero, clockwise, over many turns.
+`Motors` executes orders, steps the common grid of control loops and applies safe mode. `Power`
+computes currents, the voltage of the common battery, temperatures, and which motors are stalled.
+All angles are raw: from the factory's zero, clockwise, over many turns.
 """
 
 from __future__ import annotations
@@ -16,19 +15,10 @@ import numpy as np
 
 from lss_motion.protocol.constants import Family
 from lss_motion.sim.hand import HAND_DEG_S
+from lss_motion.sim.horns import Drives, Horns, Mode
 from lss_motion.sim.physics import TICK_NS
-from lss_motion.sim.profile import (
-    Drives,
-    Halt,
-    Limp,
-    Mode,
-    Motion,
-    Order,
-    Phase,
-    SafeCause,
-    rest_at,
-)
-from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
+from lss_motion.sim.profile import Halt, Limp, Motion, Order, SafeCause
+from lss_motion.units import s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,168 +27,6 @@ if TYPE_CHECKING:
 
     from lss_motion.sim.horn_history import HornHistory
     from lss_motion.sim.physics import Physics, ServoSpec
-
-
-FOREVER_NS = 2**63 - 1
-
-SETTLED_DEG = 1e-4
-"""A horn this near to where it will end is at rest: a thousandth of the wire's resolution."""
-
-
-class Horns:
-    """Raw angles of all horns of a bus. Each has its own present phase and its own instant.
-
-    `lag * dh/dt = x - droop - h`: in a phase, where x is a parabola, h is another parabola
-    (`x` some way behind) and a gap that fades with `exp(-t / lag)`. So no step is too long,
-    unless the motor's top speed or a jam holds the horn back.
-    """
-
-    def __init__(self, specs: Sequence[ServoSpec], physics: Physics) -> None:
-        count = len(specs)
-        self.deg = np.array([spec.start_deg for spec in specs], dtype=float)
-        self.deg_s = np.zeros(count)
-        self.gap_deg = np.zeros(count)
-        self.droop_deg = np.zeros(count)
-        self.phases = [rest_at(spec.start_deg) for spec in specs]
-        self.end_ns = [FOREVER_NS] * count
-        self._began_ns = [0] * count
-        self._lags_s = [physics.lag_s] * count
-        self._lag_s = np.full(count, physics.lag_s)
-        self._is_jammed = [False] * count
-        self._is_any_jammed = False
-        self._ns = np.zeros(count, dtype=np.int64)
-        self._phase_ns = np.zeros(count, dtype=np.int64)
-        self._position_deg = self.deg.copy()
-        self._speed_deg_s = np.zeros(count)
-        self._accel_deg_s2 = np.zeros(count)
-        self._load_deg = np.array([spec.droop_deg for spec in specs], dtype=float)
-        self._level_deg = np.array([spec.level_deg for spec in specs], dtype=float)
-        self._is_loaded = bool(self._load_deg.any())
-        self._half_play_deg = np.array([spec.backlash_deg for spec in specs], dtype=float) / 2.0
-        self._has_play = bool(self._half_play_deg.any())
-        self._shaft_deg = self.deg.copy()
-        self.holding_ratio = np.ones(count)
-        self.pull_deg = np.zeros(count)
-        """How far a hand pulls each powered horn; set by `motors`."""
-
-    def start(self, now_ns: int) -> None:
-        self._ns[:] = now_ns
-        self._phase_ns[:] = now_ns
-        self._began_ns = [now_ns] * len(self._began_ns)
-
-    def begin(self, index: int, now_ns: int, phase: Phase) -> None:
-        """Begin a phase at `now_ns`, to which the horn has been brought."""
-        self.phases[index] = phase
-        is_last = math.isinf(phase.duration_s)
-        self.end_ns[index] = FOREVER_NS if is_last else now_ns + ns_from_s(phase.duration_s)
-        self._began_ns[index] = now_ns
-        self._phase_ns[index] = now_ns
-        self._position_deg[index] = phase.position_deg
-        self._speed_deg_s[index] = phase.speed_deg_s
-        self._accel_deg_s2[index] = phase.accel_deg_s2
-        self.gap_deg[index] = self.deg[index] - self._final_deg(index, now_ns)
-
-    def coast(self, index: int, now_ns: int, top_deg_s: float) -> None:
-        """Bring one horn to `now_ns` within its phase."""
-        passed_s = s_from_ns(now_ns - int(self._ns[index]))
-        if passed_s <= 0.0:
-            return
-        final_deg = self._final_deg(index, now_ns)
-        deg = float(self.deg[index])
-        fading = math.exp(-passed_s / self._lags_s[index])
-        moved_deg = final_deg + float(self.gap_deg[index]) * fading - deg
-        reach_deg = 0.0 if self._is_jammed[index] else top_deg_s * passed_s
-        moved_deg = min(max(moved_deg, -reach_deg), reach_deg)
-        self.deg[index] = deg + moved_deg
-        self.deg_s[index] = moved_deg / passed_s
-        self.gap_deg[index] = deg + moved_deg - final_deg
-        self._ns[index] = now_ns
-
-    def step(self, now_ns: int, top_deg_s: NDArray[np.float64]) -> None:
-        """Bring all horns to `now_ns`; none of their phases ends before."""
-        phase_s = (now_ns - self._phase_ns) / NS_PER_S
-        passed_s = np.maximum(now_ns - self._ns, 1) / NS_PER_S
-        speed_deg_s = self._speed_deg_s + self._accel_deg_s2 * phase_s
-        final_deg = self._position_deg + 0.5 * (self._speed_deg_s + speed_deg_s) * phase_s
-        final_deg -= self._lag_s * (speed_deg_s - self._lag_s * self._accel_deg_s2)
-        final_deg -= self.droop_deg
-        moved_deg = final_deg + self.gap_deg * np.exp(-passed_s / self._lag_s) - self.deg
-        reach_deg = top_deg_s * passed_s
-        moved_deg = np.minimum(np.maximum(moved_deg, -reach_deg), reach_deg)
-        if self._is_any_jammed:
-            moved_deg[self._is_jammed] = 0.0
-        self.deg = self.deg + moved_deg
-        self.deg_s = moved_deg / passed_s
-        self.gap_deg = self.deg - final_deg
-        self._ns[:] = now_ns
-        if self._has_play:
-            self._shaft_deg = self.shafts_deg()
-
-    def shafts_deg(self) -> NDArray[np.float64]:
-        """Return where the horns are: within the play of their gears, on the side of their load."""
-        if not self._has_play:
-            return self.deg
-        low_deg, high_deg = self.deg - self._half_play_deg, self.deg + self._half_play_deg
-        shaft_deg = np.minimum(np.maximum(self._shaft_deg, low_deg), high_deg)
-        pull = self._load_deg * np.cos(np.radians(self.deg - self._level_deg))
-        return np.where(pull == 0.0, shaft_deg, np.where(pull > 0.0, low_deg, high_deg))
-
-    def shaft_deg(self, index: int) -> float:
-        """Return where one horn is; see `shafts_deg`."""
-        return float(self.shafts_deg()[index]) if self._has_play else float(self.deg[index])
-
-    def wrap(self, index: int) -> None:
-        """Forget whole turns: the angle lies within ±180 from now on."""
-        turned_deg = (self.deg[index] + 180.0) % 360.0 - 180.0 - self.deg[index]
-        self.deg[index] += turned_deg
-        self._shaft_deg[index] += turned_deg
-
-    def sag(self, is_powered: NDArray[np.bool_]) -> None:
-        """Let the loads pull as they do at the angles that the horns have now."""
-        if self._is_loaded or any(self.pull_deg.tolist()) or any(self.droop_deg.tolist()):
-            level = np.cos(np.radians(self.deg - self._level_deg))
-            pulled_deg = self._load_deg * self.holding_ratio * level - self.pull_deg
-            droop_deg = is_powered * pulled_deg
-            self.gap_deg += droop_deg - self.droop_deg
-            self.droop_deg = droop_deg
-
-    def release(self, index: int) -> None:
-        """Take the motor's force away: friction alone keeps the horn where it is."""
-        self.droop_deg[index] = self.deg_s[index] = 0.0
-
-    def lead(self, index: int, now_ns: int, deg_s: float) -> None:
-        """Let a horn without power turn at `deg_s` from now on."""
-        ahead_deg = self._lags_s[index] * deg_s
-        self.begin(index, now_ns, Phase(math.inf, float(self.deg[index]) + ahead_deg, deg_s, 0.0))
-
-    def set_lag(self, index: int, now_ns: int, lag_s: float) -> None:
-        self._lags_s[index] = self._lag_s[index] = lag_s
-        self.gap_deg[index] = self.deg[index] - self._final_deg(index, now_ns)
-
-    def jam(self, index: int, *, is_jammed: bool) -> None:
-        """Keep a horn from turning whatever the motor does, or free it again."""
-        self._is_jammed[index] = is_jammed
-        self._is_any_jammed = any(self._is_jammed)
-
-    def is_settled(self) -> bool:
-        return all(abs(gap_deg) < SETTLED_DEG for gap_deg in self.gap_deg.tolist())
-
-    def profile_deg(self, index: int, now_ns: int) -> float:
-        """Return where the servo's own profile is."""
-        _, position_deg, speed_deg_s, accel_deg_s2 = self.phases[index]
-        passed_s = s_from_ns(now_ns - self._began_ns[index])
-        return position_deg + (speed_deg_s + 0.5 * accel_deg_s2 * passed_s) * passed_s
-
-    def profile_deg_s(self, index: int, now_ns: int) -> float:
-        _, _, speed_deg_s, accel_deg_s2 = self.phases[index]
-        return speed_deg_s + accel_deg_s2 * s_from_ns(now_ns - self._began_ns[index])
-
-    def _final_deg(self, index: int, now_ns: int) -> float:
-        """Return the angle that the horn would approach if this phase never ended."""
-        lag_s = self._lags_s[index]
-        accel_deg_s2 = self.phases[index].accel_deg_s2
-        behind_deg = lag_s * (self.profile_deg_s(index, now_ns) - lag_s * accel_deg_s2)
-        return self.profile_deg(index, now_ns) - behind_deg - float(self.droop_deg[index])
 
 
 TURNING_DEG_S = 1.0
@@ -211,6 +39,8 @@ class Power:
     def __init__(self, physics: Physics, model_deg_s: NDArray[np.float64]) -> None:
         count = len(model_deg_s)
         self._physics = physics
+        self.battery_v = physics.supply_v
+        """Voltage of the supply without load."""
         self._model_deg_s = model_deg_s
         self.duty_ratio = np.ones(count)
         self.strength_ratio = np.ones(count)
@@ -277,7 +107,7 @@ class Power:
     def supply_v(self) -> float:
         """Return the voltage at the servos: the battery less the drop of all currents."""
         total_ma = self._physics.idle_ma * len(self.motor_ma) + float(np.add.reduce(self.motor_ma))
-        return self._physics.supply_v - self._physics.supply_ohm * total_ma / 1000.0
+        return self.battery_v - self._physics.supply_ohm * total_ma / 1000.0
 
     def _is_supplied(self) -> bool:
         return self._physics.supply_min_v <= self.supply_v() <= self._physics.supply_max_v
@@ -385,6 +215,12 @@ class Motors:
         """Limit a motor to that share of its top speed."""
         self._disturb(index, now_ns)
         self.power.strength_ratio[index] = speed_ratio
+
+    def supply(self, now_ns: int, battery_v: float | None) -> None:
+        """Set the voltage of the supply without load; None: that of `physics`."""
+        for index in range(len(self.safe_cause)):
+            self._disturb(index, now_ns)
+        self.power.battery_v = self.physics.supply_v if battery_v is None else battery_v
 
     def heat(self, index: int, now_ns: int, temperature_c: float) -> None:
         self._disturb(index, now_ns)
@@ -516,4 +352,4 @@ class Motors:
 
     def _record(self, now_ns: int) -> None:
         if self.history is not None:
-            self.history.append(now_ns, self.gyre * (self.horns.shafts_deg() - self.origin_deg))
+            self.history.append(now_ns, self.horns.shafts_deg())

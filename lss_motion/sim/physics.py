@@ -17,9 +17,6 @@ TICK_NS = 5_000_000
 FILTER_TICKS = 4
 """The EM0 filter steps every 20 ms, four control loops (FACTS.md M6)."""
 
-RESET_NS = 1_250_000_000
-"""How long a servo is deaf after RESET: 1.25 s (FACTS.md R4)."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Turnaround:
@@ -114,7 +111,8 @@ class Physics:
 class ServoSpec:
     """One servo on the bus when the power comes on.
 
-    `start_deg`   servo angle of the horn at power-up, within ±180 (FACTS.md R5: turns are lost)
+    `start_deg`   raw angle of the horn at power-up, within ±180 (FACTS.md R5: turns are lost): from
+                  the factory's zero, clockwise, whatever `eeprom` has for G and O
     `droop_deg`   how far the load pulls the horn below a held position when its arm is level;
                   the pull goes with the cosine of the angle from `level_deg` and is towards
                   negative angles. 0: no load
@@ -126,8 +124,8 @@ class ServoSpec:
     `baud_bps`    None: that of the bus
     `hand`        the motion of a hand that moves the horn; None: no hand
 
-    With a model of the 2IO family it is one RC servo of a board (`boards`), which does not use
-    `eeprom` and `answers`.
+    With a model of the 2IO family it is one RC servo of a board (`boards`), which uses only G of
+    `eeprom`, and no `answers`.
     """
 
     servo_id: int

@@ -9,10 +9,11 @@ import signal
 import sys
 import threading
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import BusError, InputError
 from lss_motion.runtime.real_time import prompt_waits
+from lss_motion.runtime.signals import ENDING
 from lss_motion.sim.bus import bus_from_robot
 from lss_motion.units import LINE_BITS_PER_BYTE, NS_PER_MS, NS_PER_S, line_time_ns
 
@@ -36,6 +37,9 @@ EARLY_NS = 100_000
 """How much before a reply is complete its port is woken. Waking and computing take 60 to 120 us
 (measured); the last of it is waited for without sleeping, so that no reply is early either."""
 
+PTY_FOLDERS: Final = ("/dev/pts/", "/dev/ttys")
+"""How the names of pseudo-terminals begin on Linux and on macOS."""
+
 TCGETS2 = 0x802C542A
 TERMIOS2_BYTES = 44
 """Linux, `asm-generic/termbits.h`: `struct termios2` ends with the output rate as a number."""
@@ -55,11 +59,11 @@ def serve(
     hand: Hand | None = None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> int | None:
-    """Serve every bus of `robot` until SIGINT, SIGTERM or `should_stop()`; return the signal.
+    """Serve every bus of `robot` until a signal ends it or `should_stop()`; return the signal.
 
     `link` becomes a symbolic link to the port, `LINK.<bus>` where there are several buses; it
     is removed when this returns. A host may close and reopen a port at any time. `announce` gets
-    the path of each port, and a line when a port was unplugged or is back.
+    the path of each port, and a line when a port was unplugged or blocked, or is back.
     """
     buses = {
         name: bus_from_robot(
@@ -128,10 +132,13 @@ class Port:
         }
         bus.advance(time.monotonic_ns())
         self._outages_ns = bus.outages_ns()
+        self._blocks_ns = bus.blocks_ns()
+        self._is_blocked = False
 
     def open(self) -> None:
         """Plug it in: make the pseudo-terminal and the link to it, and announce its path."""
         self.master_fd, self._slave_fd = os.openpty()
+        self._is_blocked = False
         self._opened.callback(os.close, self.master_fd)
         self._opened.callback(os.close, self._slave_fd)
         path = shown = os.ttyname(self._slave_fd)
@@ -155,13 +162,23 @@ class Port:
         return self.master_fd >= 0
 
     def plug(self, now_ns: int) -> None:
-        """Close and open the port as the `unplugged` faults of the bus require."""
+        """Close, open, block and free the port as the faults of the bus require."""
         is_out = any(from_ns <= now_ns < until_ns for from_ns, until_ns in self._outages_ns)
         if is_out and self.is_plugged:
             self.close()
             self._announce(f"{self._name}: unplugged")
         elif not is_out and not self.is_plugged:
             self.open()
+        if self.is_plugged:
+            self._block(is_wanted=any(a_ns <= now_ns < z_ns for a_ns, z_ns in self._blocks_ns))
+
+    def _block(self, *, is_wanted: bool) -> None:
+        """Make writes of the host fail, as a full system buffer does, or let them pass again."""
+        if is_wanted is not self._is_blocked:
+            self._is_blocked = is_wanted
+            action = self._termios.TCOOFF if is_wanted else self._termios.TCOON
+            self._termios.tcflow(self._slave_fd, action)
+            self._announce(f"{self._name}: {'takes no bytes' if is_wanted else 'takes bytes'}")
 
     def is_open_to_host(self, now_ns: int) -> bool:
         """Return whether the adapter has room; if not, the host's bytes wait in the system."""
@@ -170,7 +187,8 @@ class Port:
     def wakeup_ns(self, now_ns: int) -> int:
         """Return the next instant with something to do if the host sends nothing."""
         poll_ns = RESTING_POLL_NS if self.bus.is_resting else MOVING_POLL_NS
-        turns_ns = [turn_ns for span_ns in self._outages_ns for turn_ns in span_ns]
+        spans_ns = [*self._outages_ns, *self._blocks_ns]
+        turns_ns = [turn_ns for span_ns in spans_ns for turn_ns in span_ns]
         wakeup_ns = min([now_ns + poll_ns, *(turn for turn in turns_ns if turn > now_ns)])
         arrival_ns = self.bus.next_arrival_ns()
         if arrival_ns is not None:
@@ -250,11 +268,20 @@ def _turn(ports: list[Port], alarm_fd: int) -> None:
         port.plug(now_ns)
 
 
+def _is_left_over(link: Path) -> bool:
+    """Return whether `link` is a symbolic link to a pseudo-terminal that does not exist."""
+    return link.is_symlink() and str(link.readlink()).startswith(PTY_FOLDERS) and not link.exists()
+
+
 @contextlib.contextmanager
 def _linked(link: Path, target: str) -> Iterator[None]:
-    """Make the symbolic link for the time of the context. It replaces links, never files."""
-    if link.exists() and not link.is_symlink():
-        raise InputError(f"{link} exists and is no symbolic link; choose another --link")
+    """Make the symbolic link for the time of the context.
+
+    It replaces only what another simulator that was killed has left: a link to a pseudo-terminal
+    that is gone.
+    """
+    if os.path.lexists(link) and not _is_left_over(link):
+        raise InputError(f"{link} exists already; choose another --link, or remove it first")
     fresh = link.with_name(f".{link.name}.{os.getpid()}")
     try:
         fresh.symlink_to(target)
@@ -270,7 +297,7 @@ def _linked(link: Path, target: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _signals() -> Iterator[tuple[int, list[int]]]:
-    """Collect SIGINT and SIGTERM, and make the yielded descriptor readable when one comes.
+    """Collect the signals that end a program; each makes the yielded descriptor readable.
 
     Outside the main thread, where Python delivers no signals, the list stays empty.
     """
@@ -284,7 +311,7 @@ def _signals() -> Iterator[tuple[int, list[int]]]:
             os.write(ring_fd, b"!")
 
     is_main = threading.current_thread() is threading.main_thread()
-    numbers = (signal.SIGINT, signal.SIGTERM) if is_main else ()
+    numbers = ENDING if is_main else ()
     previous = {number: signal.signal(number, ring) for number in numbers}
     try:
         yield alarm_fd, received

@@ -7,7 +7,7 @@ commands into orders to the motor.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from lss_motion.protocol.codec import FAMILY_TABLES
 from lss_motion.protocol.constants import (
@@ -15,26 +15,30 @@ from lss_motion.protocol.constants import (
     DEG_S_PER_RPM,
     PULSE_MAX_US,
     PULSE_MIN_US,
+    RESET_S,
     Family,
     Status,
     status_codes,
 )
-from lss_motion.protocol.line import DISABLED, Reply
+from lss_motion.protocol.framing import DISABLED, Reply
 from lss_motion.protocol.table import Form, ReplyShape, Suffix
-from lss_motion.sim.physics import RESET_NS
 from lss_motion.sim.profile import Chase, Halt, Limp, Motion, ProfileMove, Ramps, Wheel
-from lss_motion.units import s_from_ms
+from lss_motion.units import ns_from_s, s_from_ms
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from random import Random
 
-    from lss_motion.protocol.line import Command
+    from lss_motion.protocol.framing import Command
     from lss_motion.protocol.table import FamilyTable, Row
     from lss_motion.robot.model import ServoModel
     from lss_motion.sim.motors import Motors
     from lss_motion.sim.physics import ServoSpec
     from lss_motion.sim.profile import Order
+
+
+SAME_SCALE: Final = {"MD": "D", "DT": "D", "VT": "SD"}
+"""Rows in the units of another one."""
 
 
 class Settings:
@@ -57,6 +61,8 @@ class Settings:
         }
         self.eeprom = {**self._factory, **eeprom}
         self.session = dict(self.eeprom)
+        self.scale_ratios: dict[str, float] = {}
+        """Faults (`wrong_scale`): one unit on the wire is so many times that of the documents."""
 
     def restart(self) -> None:
         self.session = dict(self.eeprom)
@@ -80,7 +86,22 @@ class Settings:
 
     def physical(self, name: str) -> float:
         """Return a session value in the physical unit of its row."""
-        return self.row(name).physical(self.number(name))
+        return self.degrees(name, self.number(name))
+
+    def degrees(self, name: str, value: int) -> float:
+        """Return a wire value in the physical unit of a row."""
+        return self.row(name).physical(value) * self.scale_ratio(name)
+
+    def wire(self, name: str, physical: float) -> int:
+        """Return a physical value in the units that the row has on the wire."""
+        return self.row(name).wire(physical / self.scale_ratio(name))
+
+    def scale_ratio(self, name: str) -> float:
+        """Return how many times the unit of the documents a unit of this servo is.
+
+        The row T is the temperature; the modifier of that name has its scale in `Moves`.
+        """
+        return self.scale_ratios.get(SAME_SCALE.get(name, name), 1.0) if name != "T" else 1.0
 
     def write(self, row: Row, value: int | None, *, is_config: bool) -> bool:
         """Store a value as the servo would; return whether it was taken."""
@@ -247,7 +268,7 @@ class Readings:
         return gyre * self._motors.horn_deg_s(self._index, now_ns)
 
     def _wire(self, name: str, physical: float) -> int:
-        return self._settings.row(name).wire(physical)
+        return self._settings.wire(name, physical)
 
 
 def _speed_in(row: Row, speed_deg_s: float) -> int:
@@ -393,14 +414,14 @@ class Moves:
         return self._degrees(name, max(abs(self._settings.number(name)), 1))
 
     def _degrees(self, name: str, value: int) -> float:
-        return self._settings.row(name).physical(value)
+        return self._settings.degrees(name, value)
 
     def _modifiers(self, command: Command) -> dict[str, float]:
         """Return the modifiers in physical units; those that do not belong here do nothing."""
         table = self._settings.table
         allowed = table.row(command.keyword).modifiers
         return {
-            name: row.physical(value)
+            name: row.physical(value) * self._settings.scale_ratios.get(name, 1.0)
             for name, value in command.modifiers
             if name in allowed
             and (row := table.modifiers[name]).firmware <= self._firmware
@@ -480,9 +501,9 @@ class Servo:
                 self._set(command, row, now_ns, is_config=form is Form.CONFIG)
         return None
 
-    def reset(self, now_ns: int) -> None:
-        """Restart: deaf for 1.25 s, limp, session values forgotten; then the first position."""
-        self._deaf_until_ns = now_ns + RESET_NS
+    def reset(self, now_ns: int, deaf_s: float = RESET_S) -> None:
+        """Restart: deaf for `deaf_s`, limp, session values forgotten; then the first position."""
+        self._deaf_until_ns = now_ns + ns_from_s(deaf_s)
         self.settings.restart()
         self.servo_id = self.settings.number("ID")
         self.baud_bps = self.settings.number("B") or self.baud_bps
@@ -491,6 +512,18 @@ class Servo:
         self._apply_session(now_ns)
         if self.settings.session.get("FD") is not None and not self._is_rc:
             self._moves.start_at(self.settings.physical("FD"), self._deaf_until_ns)
+
+    def store(self, settings: Mapping[str, int], now_ns: int) -> None:
+        """Take wire values by row name at once, for the session and for every later start."""
+        self.settings.eeprom |= settings
+        self.settings.session |= settings
+        self.servo_id = self.settings.number("ID")
+        self._apply_session(now_ns)
+
+    def rescale(self, name: str, scale_ratio: float, now_ns: int) -> None:
+        """Take, and answer, a value in another unit from now on."""
+        self.settings.scale_ratios[name] = scale_ratio
+        self._apply_session(now_ns)
 
     def _answer(self, command: Command, row: Row, now_ns: int) -> Reply:
         suffix = None

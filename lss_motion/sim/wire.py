@@ -14,7 +14,7 @@ from random import Random
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from lss_motion.protocol.constants import BROADCAST_ID
-from lss_motion.protocol.line import Command, Reply, encode
+from lss_motion.protocol.framing import Command, Reply, encode
 from lss_motion.sim.faults import damaged
 from lss_motion.sim.physics import CORRUPT_SERIAL_RATIO, corrupt_reply_ratio_of, turnaround_of
 from lss_motion.sim.servo import ORDERED_FIRMWARE, Servo

@@ -2,22 +2,25 @@
 
 `planner.plan` is the entry point. It returns a `model.Trajectory` that has passed `verify.verify`.
 
-| file          | what it is                                           | called by               |
-|---------------|------------------------------------------------------|-------------------------|
-| `planner.py`  | `plan`: sequence and robot to trajectory; cache      | api, cli                |
-| `model.py`    | `Trajectory`, its passes, the clock of a path        | program, player, cli    |
-| `tracks.py`   | keyframes of a track, parallel tracks, given motion  | planner, walking        |
-| `playlist.py` | steps one after the other, and the moves between     | planner                 |
-| `layers.py`   | layers blended on top of a show                      | planner                 |
-| `cues.py`     | marks, cues and waits in every pass of a loop        | program, playlist       |
-| `keys.py`     | the keys of each joint, checked, with path positions | retime, curves, tracks  |
-| `curves.py`   | the cubics between keys, for each interpolation      | retime                  |
-| `path.py`     | cubics of all joints over the path position          | all that plan           |
-| `retime.py`   | paths of a sequence, and the clock that follows them | tracks, layers, planner |
-| `solver.py`   | largest legal rates along a path; imports toppra     | retime, tracks          |
-| `verify.py`   | independent check against all limits                 | tracks, layers, planner |
-| `explain.py`  | slowed spans, marks, anchors that are met or missed  | tracks, layers          |
-| `plot.py`     | a picture of a trajectory                            | cli                     |
+| file            | what it is                                           | called by               |
+|-----------------|------------------------------------------------------|-------------------------|
+| `planner.py`    | `plan`: sequence and robot to trajectory             | api, cli                |
+| `model.py`      | `Trajectory`, its passes, the clock of a path        | program, player, cli    |
+| `tracks.py`     | keyframes of a track, parallel tracks, given motion  | planner, walking        |
+| `playlist.py`   | steps one after the other, and the moves between     | planner                 |
+| `layers.py`     | layers blended on top of a show                      | planner                 |
+| `cues.py`       | marks, cues and waits in every pass of a loop        | program, playlist       |
+| `keys.py`       | the keys of each joint, checked, with path positions | retime, curves, tracks  |
+| `curves.py`     | the cubics between keys, for each interpolation      | retime                  |
+| `path.py`       | cubics of all joints over the path position          | all that plan           |
+| `retime.py`     | paths of a sequence, and the clock that follows them | tracks, layers, planner |
+| `catch_up.py`   | faster while late, back at the author's pace in time | retime                  |
+| `solver.py`     | largest legal rates along a path; imports toppra     | retime, tracks          |
+| `verify.py`     | independent check against all limits                 | tracks, layers, planner |
+| `plan_cache.py` | plans on disk, found by content, not trusted         | planner, layers         |
+| `recheck.py`    | closed-form check of a stored plan against limits    | plan_cache              |
+| `explain.py`    | slowed spans, marks, anchors that are met or missed  | tracks, layers          |
+| `plot.py`       | a picture of a trajectory                            | cli                     |
 
 toppra takes a second to import. It is imported only where a motion must be slowed or made as fast
 as possible; a plan from the cache loads neither toppra nor the modules that make plans.

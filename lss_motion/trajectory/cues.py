@@ -68,6 +68,7 @@ def all_marks(trajectory: Trajectory, end_s: float) -> tuple[Mark, ...]:
         replace(
             mark,
             planned_s=start_s + ratio * mark.planned_s,
+            held_s=ratio * mark.held_s,
             authored_s=None if mark.authored_s is None else start_s + mark.authored_s,
         )
         for start_s, ratio in _passes(trajectory, end_s)

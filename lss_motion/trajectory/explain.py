@@ -43,8 +43,7 @@ def slow_spans(
     found = []
     for window in windows:
         authored_s = authored(window.grid_s)
-        rates = np.sqrt(window.squares)
-        spent_s = 2.0 * np.diff(window.grid_s) / (rates[:-1] + rates[1:])
+        spent_s = window.spent_s
         lost_s = spent_s - np.diff(authored_s)
         is_slow = lost_s > 1e-6 * spent_s
         for first, end in runs(is_slow):
@@ -96,17 +95,23 @@ def _worst_limit(
     return by_accel, "acceleration", float(needed), float(allowed)
 
 
-def marks(keyframes: Sequence[Keyframe], spacing: Spacing, clock: PathClock) -> tuple[Mark, ...]:
+def marks(
+    keyframes: Sequence[Keyframe], spacing: Spacing, clock: PathClock, *, is_timed: bool
+) -> tuple[Mark, ...]:
     """Return the mark of each keyframe: its authored time and when the first pass reaches it."""
     planned_s = clock.times_of(spacing.reached_s).tolist()
+    held_s = (clock.times_of(spacing.left_s) - planned_s).tolist()
     return tuple(
         Mark(
             label=keyframe.label,
             authored_s=keyframe.at_s,
             planned_s=at_s,
             is_anchor=keyframe.is_anchor,
+            hold_s=keyframe.hold_s,
+            held_s=kept_s if is_timed else keyframe.hold_s,
+            hold_may_shrink=keyframe.hold_may_shrink,
         )
-        for keyframe, at_s in zip(keyframes, planned_s, strict=True)
+        for keyframe, at_s, kept_s in zip(keyframes, planned_s, held_s, strict=True)
     )
 
 

@@ -7,6 +7,7 @@ by cubics, then slowed where the sum exceeds a limit.
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -14,11 +15,13 @@ import numpy as np
 
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.trajectory import explain
+from lss_motion.trajectory.catch_up import Dues
+from lss_motion.trajectory.cues import all_marks
 from lss_motion.trajectory.keys import SAME_INSTANT_S
-from lss_motion.trajectory.model import PathMotion, Trajectory
+from lss_motion.trajectory.model import PathMotion, Trajectory, motions_of
 from lss_motion.trajectory.path import Path, cubics
-from lss_motion.trajectory.planner import PLANNER_VERSION, cached
-from lss_motion.trajectory.retime import authored_clock, slowed_windows
+from lss_motion.trajectory.plan_cache import PLANNER_VERSION, cached
+from lss_motion.trajectory.retime import authored_clock, timed_windows, united
 from lss_motion.trajectory.solver import RateTask
 from lss_motion.trajectory.verify import verify
 from lss_motion.units import significant
@@ -90,7 +93,10 @@ def layered(
         cells_min=CELLS_MIN,
     )
     trajectory = cached(
-        _cache_name(task, show, base, robot), lambda: _retimed(task, total, show, robot)
+        _cache_name(task, show, total, robot),
+        lambda: _retimed(task, total, show, robot),
+        lambda stored: _follows(stored, path, total.joints),
+        robot,
     )
     _check_anchors(trajectory, show)
     return trajectory
@@ -115,9 +121,31 @@ def _unbounded(robot: Robot) -> Robot:
     return replace(robot, joints=joints)
 
 
+def _knots_count(total: LayeredSum) -> float:
+    """Return how many knots the show and its layers have, all passes included."""
+    spans = [(total.base, total.duration_s)]
+    spans += [(placed.trajectory, placed.to_s - placed.from_s) for placed in total.layers]
+    found = 0.0
+    for trajectory, span_s in spans:
+        period_s = max(trajectory.middle.duration_s, 1e-3)
+        passes = min(trajectory.loop or math.inf, 1.0 + span_s / period_s)
+        found += passes * len(trajectory.middle.knots_s)
+    return found
+
+
+def _too_many(end_s: float, show: Sequence) -> InputError:
+    return InputError(
+        f"layers over {end_s:.0f} s come to more than {KNOTS_MAX:,} polynomials; layer the parts "
+        "of the show instead",
+        path=show.path,
+    )
+
+
 def _as_cubics(total: LayeredSum, robot: Robot, show: Sequence) -> Path:
     """Return the sum as cubics, divided until their acceleration error is below the limit."""
     end_s = total.duration_s
+    if _knots_count(total) > KNOTS_MAX:  # Before they are made: a loop can have a million passes.
+        raise _too_many(end_s, show)
     knots = [total.base.knots_until(end_s), np.array([0.0, end_s])]
     for placed in total.layers:
         fade_s = placed.layer.fade_s
@@ -133,11 +161,7 @@ def _as_cubics(total: LayeredSum, robot: Robot, show: Sequence) -> Path:
     allowed = ACCEL_ERROR_RATIO * np.array([robot.joints[n].accel_max_deg_s2 for n in total.joints])
     while True:
         if len(knots_s) > KNOTS_MAX:
-            raise InputError(
-                f"layers over {end_s:.0f} s come to more than {KNOTS_MAX:,} polynomials; layer "
-                "the parts of the show instead",
-                path=show.path,
-            )
+            raise _too_many(end_s, show)
         path = cubics(knots_s, *total.at(knots_s))
         steps_s = path.segment_lengths_s
         is_bad = np.zeros(len(steps_s), dtype=np.bool_)
@@ -155,19 +179,34 @@ def _as_cubics(total: LayeredSum, robot: Robot, show: Sequence) -> Path:
         knots_s = np.sort(np.concatenate([knots_s, middles_s]))
 
 
-def _cache_name(task: RateTask, show: Sequence, base: Trajectory, robot: Robot) -> str:
+def _follows(stored: Trajectory, path: Path, joints: tuple[str, ...]) -> bool:
+    """Return whether a stored plan follows the path, once, from its start to its end."""
+    own, clock = motions_of(stored)[0].path, motions_of(stored)[0].clock
+    return (
+        (stored.joints, stored.loop) == (joints, 1)
+        and np.array_equal(own.knots_s, path.knots_s)
+        and np.array_equal(own.coefficients, path.coefficients)
+        and abs(float(clock.path_s[0])) <= SAME_INSTANT_S
+        and abs(float(clock.path_s[-1]) - path.length_s) <= SAME_INSTANT_S
+    )
+
+
+def _cache_name(task: RateTask, show: Sequence, total: LayeredSum, robot: Robot) -> str:
     digest = hashlib.sha256()
     for array in (task.path.knots_s, task.path.coefficients):
         digest.update(np.ascontiguousarray(array).tobytes())
     joints = [replace(joint, settings={}) for joint in robot.joints.values()]
-    digest.update(repr((PLANNER_VERSION, show.name, base.marks, base.stretched, joints)).encode())
+    parts = [total.base, *(placed.trajectory for placed in total.layers)]
+    found = [(part.marks, part.stretched) for part in parts]
+    digest.update(repr((PLANNER_VERSION, show.name, found, joints)).encode())
     return digest.hexdigest()
 
 
 def _retimed(task: RateTask, total: LayeredSum, show: Sequence, robot: Robot) -> Trajectory:
     """Return the sum at its own times, slowed where it exceeds a limit."""
-    windows = slowed_windows(task)
-    clock = authored_clock(task.path, windows, (), lambda path_s: path_s)
+    dues = Dues(authored=lambda path_s: path_s, held=_held(total), anchors_s=_anchors_s(total))
+    windows = timed_windows(task, dues)
+    clock = authored_clock(task.path, windows, (), dues)
     motion = PathMotion(path=task.path, clock=clock)
 
     def moved(times_s: list[float]) -> list[float]:
@@ -180,10 +219,15 @@ def _retimed(task: RateTask, total: LayeredSum, show: Sequence, robot: Robot) ->
             for mark in placed.trajectory.marks
             if mark.planned_s + placed.from_s <= placed.to_s
         ]
+    ends_s = moved([mark.planned_s + mark.held_s for mark in marks])
     stretched = [*explain.slow_spans(task, total.joints, windows, clock, lambda path_s: path_s)]
-    for stretch in total.base.stretched:
-        from_s, to_s = moved([stretch.from_s, stretch.to_s])
-        stretched.append(replace(stretch, from_s=from_s, to_s=to_s))
+    below = [(0.0, total.duration_s, total.base)]
+    below += [(placed.from_s, placed.to_s, placed.trajectory) for placed in total.layers]
+    for start_s, end_s, part in below:
+        for stretch in part.stretched:
+            if start_s + stretch.from_s < end_s:
+                from_s, to_s = moved([start_s + stretch.from_s, start_s + stretch.to_s])
+                stretched.append(replace(stretch, from_s=from_s, to_s=to_s))
     trajectory = Trajectory(
         name=show.name,
         joints=total.joints,
@@ -194,9 +238,9 @@ def _retimed(task: RateTask, total: LayeredSum, show: Sequence, robot: Robot) ->
         marks=tuple(
             sorted(
                 (
-                    replace(mark, planned_s=at_s)
-                    for mark, at_s in zip(
-                        marks, moved([mark.planned_s for mark in marks]), strict=True
+                    replace(mark, planned_s=at_s, held_s=end_s - at_s)
+                    for mark, at_s, end_s in zip(
+                        marks, moved([mark.planned_s for mark in marks]), ends_s, strict=True
                     )
                 ),
                 key=lambda mark: mark.planned_s,
@@ -205,6 +249,28 @@ def _retimed(task: RateTask, total: LayeredSum, show: Sequence, robot: Robot) ->
     )
     verify(trajectory, robot)
     return trajectory
+
+
+def _held(total: LayeredSum) -> FloatArray:
+    """Return from when to when a hold of the show or of a layer must be kept, (n, 2)."""
+    spans = []
+    sources = [(0.0, total.base, total.duration_s)]
+    sources += [(placed.from_s, placed.trajectory, placed.to_s) for placed in total.layers]
+    for from_s, trajectory, to_s in sources:
+        for mark in all_marks(trajectory, to_s - from_s):
+            start_s = from_s + mark.planned_s
+            if mark.hold_s > 0.0 and not mark.hold_may_shrink and start_s < to_s:
+                spans.append([start_s, min(start_s + mark.held_s, to_s)])
+    return united(np.array(spans).reshape(-1, 2))
+
+
+def _anchors_s(total: LayeredSum) -> tuple[float, ...]:
+    """Return when anchors of the show and of its layers are planned before they are added up."""
+    found = [mark.planned_s for mark in all_marks(total.base, total.duration_s) if mark.is_anchor]
+    for placed in total.layers:
+        marks = all_marks(placed.trajectory, placed.to_s - placed.from_s)
+        found += [placed.from_s + mark.planned_s for mark in marks if mark.is_anchor]
+    return tuple(sorted({at_s for at_s in found if at_s <= total.duration_s}))
 
 
 def _check_anchors(trajectory: Trajectory, show: Sequence) -> None:

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
+JOINT_SECONDS_MAX: Final = 500_000
+"""Seconds of a plan times its joints: seven hours of 18 joints. More takes minutes to verify, and
+more than 0.8 GB to compile. A loop counts as what is written of it."""
+
 SEAM_DEG: Final = 0.001
 """Largest difference of a joint's angle between both ends of a looped span. Chosen: a tenth
 of the finest unit of a servo; keys that are rounded to 1e-5 deg stay far below."""
@@ -54,12 +58,18 @@ class SlowSpan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mark:
-    """A keyframe in the plan: its authored time (None: not given) and when it is reached."""
+    """A keyframe in the plan: its authored time (None: not given) and when it is reached.
+
+    `hold_s` is how long the author holds it, `held_s` how long it is held in the plan.
+    """
 
     label: str
     authored_s: float | None
     planned_s: float
     is_anchor: bool
+    hold_s: float = 0.0
+    held_s: float = 0.0
+    hold_may_shrink: bool = False
 
     def later(self, by_s: float) -> Mark:
         """Return the mark with both times moved by `by_s`."""

@@ -1,23 +1,14 @@
 """The entry point: `plan` makes a verified trajectory of a sequence, or loads it from the cache.
 
-The cache holds verified plans on disk, found by content. The name of an entry is a hash of
-everything that the plan depends on (keys, times and limits), so that an entry never fits another
-sequence or robot. Each entry holds a plan that has passed the verifier, and a hash of itself: what
-is loaded equals what was verified, to the bit, and is not verified again.
-
 The modules that make plans are imported only when a plan is made.
 """
 
 from __future__ import annotations
 
 import hashlib
-import io
-import json
-import os
-import tempfile
-from dataclasses import asdict, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -25,44 +16,16 @@ from lss_motion.errors import InputError
 from lss_motion.sequence.keyframes import at_speed
 from lss_motion.sequence.model import Timing
 from lss_motion.trajectory.cues import planned_cues
-from lss_motion.trajectory.model import (
-    Mark,
-    PathClock,
-    PathMotion,
-    SlowSpan,
-    Trajectory,
-    motions_of,
-    with_looped_span,
-)
-from lss_motion.trajectory.path import Path as JointPath
+from lss_motion.trajectory.model import JOINT_SECONDS_MAX, Trajectory, with_looped_span
+from lss_motion.trajectory.plan_cache import PLANNER_VERSION, cached
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.model import Sequence
 
 
-PLANNER_VERSION: Final = 3
-"""Part of every name. Raise it whenever the plan of an unchanged sequence changes."""
-
-DIRECTORY_VARIABLE: Final = "LSS_MOTION_CACHE_DIR"
-"""Environment variable with the folder of the cache."""
-
-BYTES_MAX: Final = 128 * 1024 * 1024
-"""The oldest entries are removed beyond this size. Chosen: some fifty long shows."""
-
-PIECES_MIN: Final = 64
-"""Plans with fewer polynomials and clock pieces are not stored: they are made as fast as loaded."""
-
-SUFFIX: Final = ".plan.npz"
-
-_DIGEST_BYTES: Final = 32
-"""Length of the SHA-256 hash before the content."""
-
-_PARTS: Final = ("first", "middle", "last")
-_PATH: Final = ("knots_s", "coefficients")
-_CLOCK: Final = ("times_s", "path_s", "rates", "rate_slopes")
+KEY_SLACK_DEG: Final = 1e-6
+"""Rounding error of an angle at its key: far below the finest unit of a servo (0.01 deg)."""
 
 
 def plan(sequence: Sequence, robot: Robot) -> Trajectory:
@@ -78,7 +41,8 @@ def plan(sequence: Sequence, robot: Robot) -> Trajectory:
 
 
 def _check_limits(robot: Robot) -> None:
-    """Raise `InputError` where a limit is a setting of the servo that has not been read."""
+    """Raise `InputError` where a limit was not read from the servo, or its turn is unknown."""
+    robot.require_turns(robot.joints.values())
     for joint in robot.unread:
         raise InputError(
             f"joint {joint.name!r}: its robot file leaves {' and '.join(sorted(joint.unread))} to "
@@ -152,22 +116,50 @@ def _planned_track(track: Sequence, robot: Robot) -> Trajectory:
 
 def _keyframes(track: Sequence, robot: Robot) -> Trajectory:
     """Return the plan of the keyframes alone, made or from the cache."""
+    _check_length(track)
 
     def make() -> Trajectory:
         from lss_motion.trajectory.tracks import planned_track
 
         return planned_track(track, robot)
 
-    return cached(cache_name(track, robot), make)
+    return cached(cache_name(track, robot), make, lambda plan: _fits(plan, track, robot), robot)
 
 
-def cache_directory() -> Path:
-    """Return the folder of the plans: `LSS_MOTION_CACHE_DIR`, else the user's cache folder."""
-    if chosen := os.environ.get(DIRECTORY_VARIABLE):
-        return Path(chosen)
-    import platformdirs
+def _check_length(track: Sequence) -> None:
+    """Raise `InputError` for keyframes over a time that cannot be verified, before any work."""
+    joints = len({name for keyframe in track.keyframes for name in keyframe.deg})
+    if not track.keyframes or not math.isfinite(track.keyframes[-1].at_s or 0.0):
+        return  # `keys_by_joint` reports that.
+    last = track.keyframes[-1]
+    most_s = JOINT_SECONDS_MAX / max(1, joints)
+    if (last.at_s or 0.0) + last.hold_s > most_s:
+        raise InputError(
+            f"the keyframes end at {(last.at_s or 0.0) + last.hold_s:,.0f} s; with {joints} joints "
+            f"at most {most_s:,.0f} s can be planned at once: repeat shorter ones with `loop`",
+            path=track.path,
+            line=last.line,
+        )
 
-    return Path(platformdirs.user_cache_dir("lss_motion", appauthor=False)) / "plans"
+
+def _fits(trajectory: Trajectory, track: Sequence, robot: Robot) -> bool:
+    """Return whether a stored plan moves the joints of the track through all of its keyframes."""
+    keyframes = track.keyframes
+    keyed = {name for keyframe in keyframes for name in keyframe.deg}
+    if (trajectory.name, trajectory.joints, trajectory.loop, len(trajectory.marks)) != (
+        track.name,
+        tuple(name for name in robot.joints if name in keyed),
+        track.loop,
+        len(keyframes),
+    ):
+        return False
+    angles_deg = trajectory.sample(np.array([mark.planned_s for mark in trajectory.marks]))
+    column = {name: index for index, name in enumerate(trajectory.joints)}
+    return all(
+        abs(row[column[name]] - angle_deg) <= KEY_SLACK_DEG
+        for row, keyframe in zip(angles_deg.tolist(), keyframes, strict=True)
+        for name, angle_deg in keyframe.deg.items()
+    )
 
 
 def cache_name(sequence: Sequence, robot: Robot) -> str:
@@ -199,6 +191,7 @@ def cache_name(sequence: Sequence, robot: Robot) -> str:
                 (
                     frame.at_s,
                     frame.hold_s,
+                    frame.hold_may_shrink,
                     frame.is_anchor,
                     str(frame.ease),
                     frame.label,
@@ -207,96 +200,3 @@ def cache_name(sequence: Sequence, robot: Robot) -> str:
             ).encode()
         )
     return digest.hexdigest()
-
-
-def cached(name: str, make: Callable[[], Trajectory]) -> Trajectory:
-    """Return the plan stored under `name`, else that of `make`, which must have been verified.
-
-    A damaged entry is replaced. A cache that cannot be written is no error; the plan is then not
-    stored.
-    """
-    path = cache_directory() / f"{name}{SUFFIX}"
-    trajectory = _load(path)
-    if trajectory is None:
-        trajectory = make()
-        motions = {id(part): part for part in motions_of(trajectory)}.values()
-        if sum(len(m.path.knots_s) + len(m.clock.rates) for m in motions) >= PIECES_MIN:
-            _store(path, trajectory)
-    return trajectory
-
-
-def _load(path: Path) -> Trajectory | None:
-    try:
-        whole = path.read_bytes()
-    except OSError:
-        return None
-    digest, content = whole[:_DIGEST_BYTES], whole[_DIGEST_BYTES:]
-    if hashlib.sha256(content).digest() != digest:
-        return None
-    with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-        facts: dict[str, Any] = json.loads(stored["facts"].tobytes())
-        motions = [
-            PathMotion(
-                path=JointPath(**{key: stored[f"{number}.{key}"] for key in _PATH}),
-                clock=PathClock(**{key: stored[f"{number}.{key}"] for key in _CLOCK}),
-            )
-            for number in range(max(facts["parts"]) + 1)
-        ]
-    parts = (motions[number] for number in facts["parts"])
-    return Trajectory(
-        name=facts["name"],
-        joints=tuple(facts["joints"]),
-        **dict(zip(_PARTS, parts, strict=True)),
-        loop=facts["loop"],
-        is_periodic=facts["is_periodic"],
-        stretched=tuple(SlowSpan(**stretch) for stretch in facts["stretched"]),
-        marks=tuple(Mark(**mark) for mark in facts["marks"]),
-    )
-
-
-def _store(path: Path, trajectory: Trajectory) -> None:
-    motions: list[PathMotion] = []
-    numbers = []
-    for motion in motions_of(trajectory):
-        if not any(motion is earlier for earlier in motions):
-            motions.append(motion)
-        numbers.append(next(n for n, earlier in enumerate(motions) if motion is earlier))
-    facts = {
-        "parts": numbers,
-        "name": trajectory.name,
-        "joints": trajectory.joints,
-        "loop": trajectory.loop,
-        "is_periodic": trajectory.is_periodic,
-        "stretched": [asdict(stretch) for stretch in trajectory.stretched],
-        "marks": [asdict(mark) for mark in trajectory.marks],
-    }
-    arrays = {"facts": np.frombuffer(json.dumps(facts).encode(), dtype=np.uint8)}
-    for number, motion in enumerate(motions):
-        arrays |= {f"{number}.{key}": getattr(motion.path, key) for key in _PATH}
-        arrays |= {f"{number}.{key}": getattr(motion.clock, key) for key in _CLOCK}
-    content = io.BytesIO()
-    np.savez(content, allow_pickle=False, **arrays)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
-            part.write(hashlib.sha256(content.getbuffer()).digest())
-            part.write(content.getbuffer())
-        # Renamed when complete, so that another process never reads a part of an entry.
-        Path(part.name).replace(path)
-        _trim(path.parent)
-    except OSError:
-        return
-
-
-def _trim(folder: Path) -> None:
-    """Remove the oldest entries beyond `BYTES_MAX`."""
-    entries = sorted(
-        ((entry.stat(), entry) for entry in folder.glob(f"*{SUFFIX}")),
-        key=lambda pair: pair[0].st_mtime_ns,
-        reverse=True,
-    )
-    total = 0
-    for status, entry in entries:
-        total += status.st_size
-        if total > BYTES_MAX:
-            entry.unlink(missing_ok=True)

@@ -10,6 +10,7 @@ into a clock. `slowed_to`, `scaled` and `least_fit_s` serve durations that the a
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
@@ -18,11 +19,12 @@ import numpy as np
 
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.splines import runs
+from lss_motion.trajectory.catch_up import Dues, made_up
 from lss_motion.trajectory.curves import JointKeys, build_path, joint_keys, seam_slope_deg_s
 from lss_motion.trajectory.keys import SAME_INSTANT_S, Spacing, is_timed, keys_by_joint, spacing_of
 from lss_motion.trajectory.model import PathClock, PathMotion, Trajectory, motions_of
 from lss_motion.trajectory.path import Path, concatenate, peaks
-from lss_motion.trajectory.solver import FEASIBLE_RATIO, RATE_FREE, RateTask, solve
+from lss_motion.trajectory.solver import FEASIBLE_RATIO, RATE_FREE, RateTask, slow_outline, solve
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -38,6 +40,9 @@ if TYPE_CHECKING:
 
 WINDOW_MIN_S: Final = 0.2
 """Least growth of a window. Chosen: braking from rate 1 takes a few tenths of a second."""
+
+REST_RATIO: Final = 1e-9
+"""A path is at rest where its slopes are below this share of the speed limits: rounding."""
 
 FIT_TOLERANCE_S: Final = 0.001
 """A fitted pass is as long as requested, to the millisecond."""
@@ -70,6 +75,24 @@ class Layout:
         """Return the knots of the joined path where one pass ends and the next starts."""
         counts = np.cumsum([len(path.knots_s) - 1 for path in self.paths])
         return tuple(counts[:-1].tolist())
+
+    def dues(self) -> Dues:
+        """Return what the author wants along all passes."""
+        frames, spacing = self.sequence.keyframes, self.spacing
+        starts_s = spacing.length_s * np.arange(len(self.paths))
+        keep = np.array([frame.hold_s > 0.0 and not frame.hold_may_shrink for frame in frames])
+        own = np.stack([spacing.reached_s, spacing.left_s], axis=1)[keep]
+        is_anchor = np.array([frame.is_anchor for frame in frames])
+        anchors_s = (starts_s[:, None] + spacing.reached_s[is_anchor]).ravel()
+        if is_anchor.any() and self.sequence.loop != 1:
+            # Anchors of the next pass can be met only if this one ends on time.
+            anchors_s = np.append(anchors_s, starts_s + spacing.length_s)
+        return Dues(
+            authored=self.authored,
+            held=united((starts_s[:, None, None] + own).reshape(-1, 2)),
+            anchors_s=tuple(np.unique(anchors_s).tolist()),
+            seams_s=tuple(concatenate(self.paths).knots_s[list(self.seams())].tolist()),
+        )
 
     def task(self, caps: Mapping[int, float]) -> RateTask:
         joints = [self.robot.joints[name] for name in self.keys]
@@ -110,6 +133,17 @@ def laid_out(sequence: Show, robot: Robot, *, may_flow: bool = True) -> Layout:
     )
 
 
+def united(spans: FloatArray) -> FloatArray:
+    """Return spans, (n, 2), in order, with those that overlap or touch made one."""
+    found: list[list[float]] = []
+    for from_s, to_s in sorted(spans.tolist()):
+        if found and from_s <= found[-1][1]:
+            found[-1][1] = max(found[-1][1], to_s)
+        elif to_s > from_s:
+            found.append([from_s, to_s])
+    return np.array(found, dtype=np.float64).reshape(-1, 2)
+
+
 def segments_over_limits(task: RateTask) -> NDArray[np.bool_]:
     """Return which segments exceed a limit at rate 1."""
     speed, accel = peaks(task.path)
@@ -117,49 +151,82 @@ def segments_over_limits(task: RateTask) -> NDArray[np.bool_]:
     return np.asarray(is_fast | np.any(accel > task.accel_max_deg_s2 * FEASIBLE_RATIO, axis=1))
 
 
-def slowed_windows(task: RateTask) -> list[RateWindow]:
-    """Return the windows in which the rate is below 1, in order; none if the path is legal."""
-    is_rest = task.path.rests
+def stops(task: RateTask) -> NDArray[np.bool_]:
+    """Return for each knot whether no joint moves there, so that the rate may jump."""
+    path = task.path
+    segments = np.arange(len(path.knots_s) - 1)
+    still = REST_RATIO * task.speed_max_deg_s
+    starts, ends = (
+        np.all(np.abs(path.slopes(at_s, segments)[0]) <= still, axis=1)
+        for at_s in (path.knots_s[:-1], path.knots_s[1:])
+    )
+    is_stop: NDArray[np.bool_] = np.append(starts, True) & np.append(True, ends)
+    return is_stop
+
+
+def timed_windows(task: RateTask, dues: Dues) -> list[RateWindow]:
+    """Return the windows in which the rate is not 1: slow where limits bind, fast while late."""
+    is_stop = stops(task)
+    outlines = slowed_windows(task, is_stop, is_outline=not dues.seams_s)
+    found = made_up(task, outlines, task.path.knots_s[is_stop], dues)
+    return slowed_windows(task, is_stop, is_outline=False) if found is None else found
+
+
+def slowed_windows(
+    task: RateTask, is_stop: NDArray[np.bool_], *, is_outline: bool
+) -> list[RateWindow]:
+    """Return the windows in which the rate is below 1, in order; none if the path is legal.
+
+    `is_outline`: on the coarse grid alone, as `catch_up.made_up` needs them.
+    """
+    solver = slow_outline if is_outline else solve
+    path = task.path
     is_active = segments_over_limits(task)
     for knot, cap in task.knot_caps.items():
         if cap < 1.0:
             is_active[knot - 1 : knot + 1] = True
     solved: dict[tuple[int, int], RateWindow] = {}
-    for run in runs(is_active):
+    for run in _spans(is_active, is_stop):
         for step in (-1, +1):
-            _widen(is_active, is_rest, task.path, run, step)
-    while pending := [run for run in runs(is_active) if run not in solved]:
+            _widen(is_active, is_stop, path, run, step)
+    while pending := [run for run in _spans(is_active, is_stop) if run not in solved]:
         for first, end in pending:
-            window = solve(task, first, end)
+            window = solver(task, float(path.knots_s[first]), float(path.knots_s[end]))
             solved[first, end] = window
-            if window.squares[0] < 1.0 and _can_widen(is_rest, first - 1):
-                _widen(is_active, is_rest, task.path, (first, end), -1)
-            if window.squares[-1] < 1.0 and _can_widen(is_rest, end):
-                _widen(is_active, is_rest, task.path, (first, end), +1)
-    return [solved[run] for run in runs(is_active)]
+            if window.squares[0] < 1.0:
+                _widen(is_active, is_stop, path, (first, end), -1)
+            if window.squares[-1] < 1.0:
+                _widen(is_active, is_stop, path, (first, end), +1)
+    return [solved[run] for run in _spans(is_active, is_stop)]
 
 
-def _can_widen(is_rest: NDArray[np.bool_], segment: int) -> bool:
-    """Return whether a window may grow into a segment; at a rest the rate may jump instead."""
-    return 0 <= segment < len(is_rest) and not is_rest[segment]
+def _spans(is_active: NDArray[np.bool_], is_stop: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the runs of active segments, cut where no joint moves."""
+    is_cut = is_stop[1:-1] & is_active[1:] & is_active[:-1]
+    cuts = 1 + np.flatnonzero(is_cut)
+    found = runs(is_active)
+    bounds = np.unique(np.concatenate([np.array(found, dtype=np.intp).ravel(), cuts])).tolist()
+    return [(low, high) for low, high in itertools.pairwise(bounds) if is_active[low]]
 
 
 def _widen(
     is_active: NDArray[np.bool_],
-    is_rest: NDArray[np.bool_],
+    is_stop: NDArray[np.bool_],
     path: Path,
     run: tuple[int, int],
     step: int,
 ) -> None:
-    """Activate segments before (`step` -1) or after a run, up to the next rest or active one.
+    """Activate segments before (`step` -1) or after a run, up to the next stop or active one.
 
     The run grows by `WINDOW_MIN_S` or half of its length, whichever is more. Where it meets another
-    run, both become one.
+    run, both become one. At a stop the rate may jump instead.
     """
     first, end = run
     wanted_s = max(WINDOW_MIN_S, 0.5 * float(path.knots_s[end] - path.knots_s[first]))
     segment = first - 1 if step < 0 else end
-    while wanted_s > 0.0 and _can_widen(is_rest, segment) and not is_active[segment]:
+    while wanted_s > 0.0 and 0 <= segment < len(is_active):
+        if is_stop[segment + 1 if step < 0 else segment] or is_active[segment]:
+            return
         wanted_s -= float(path.knots_s[segment + 1] - path.knots_s[segment])
         is_active[segment] = True
         segment += step
@@ -176,14 +243,9 @@ class _Pieces:
         self.now_s = 0.0
 
     def follow(self, window: RateWindow) -> None:
-        rates = np.sqrt(window.squares)
-        steps_s = np.diff(window.grid_s)
-        self._add(
-            window.grid_s[:-1],
-            2.0 * steps_s / (rates[:-1] + rates[1:]),
-            rates[:-1],
-            np.diff(window.squares) / (2.0 * steps_s),
-        )
+        rates = np.sqrt(window.squares[:-1])
+        slopes = np.diff(window.squares) / (2.0 * np.diff(window.grid_s))
+        self._add(window.grid_s[:-1], window.spent_s, rates, slopes)
 
     def go(self, from_s: float, to_s: float, spent_s: float) -> None:
         """Follow the path at a constant rate, for `spent_s`."""
@@ -212,41 +274,58 @@ class _Pieces:
 
 
 def authored_clock(
-    path: Path,
-    windows: Sequence[RateWindow],
-    seams: Sequence[int],
-    authored: Callable[[FloatArray], FloatArray],
+    path: Path, windows: Sequence[RateWindow], seams: Sequence[int], dues: Dues
 ) -> PathClock:
     """Return the clock with rate 1 outside of `windows`, with a piece boundary at all `seams`.
 
-    Where the motion is late at the start of a rest, the rest is shortened by as much. `authored`
-    maps path positions to authored times.
+    A rest is shortened by as much as the motion is late in its pass, except where it is held.
     """
     is_rest = path.rests
-    kinds = np.where(is_rest, -1, 0)
-    for number, window in enumerate(windows, start=1):
-        kinds[window.first : window.end] = number
-    changes = 1 + np.flatnonzero(np.diff(kinds))
-    bounds = np.unique(
-        np.concatenate([[0], changes, np.asarray(seams, dtype=np.intp), [len(kinds)]])
+    changes = 1 + np.flatnonzero(np.diff(is_rest))
+    knots = np.unique(
+        np.concatenate([[0], changes, np.asarray(seams, dtype=np.intp), [len(is_rest)]])
     )
+    edges_s = path.knots_s[knots]
+    is_resting = np.append(is_rest, False)[knots]
+    seams_s = set(path.knots_s[list(seams)].tolist())
+    following = {window.from_s: window for window in windows}
+    if windows:
+        ends_s = np.array([[window.from_s, window.to_s] for window in windows]).ravel()
+        bounds_s = np.union1d(edges_s, ends_s)
+        is_resting = is_resting[np.searchsorted(edges_s, bounds_s, side="right") - 1]
+        edges_s = bounds_s
     pieces = _Pieces()
-    followed = 0
-    for first, end in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True):
-        from_s, to_s = float(path.knots_s[first]), float(path.knots_s[end])
-        kind = int(kinds[first])
-        if kind > 0:
-            if kind > followed:
-                pieces.follow(windows[kind - 1])
-                followed = kind
+    pass_start_s = reached_s = 0.0
+    for (from_s, to_s), rests in zip(
+        itertools.pairwise(edges_s.tolist()), is_resting.tolist(), strict=False
+    ):
+        if from_s < reached_s:
             continue
-        spent_s = to_s - from_s
-        if kind < 0:
-            begin_s, finish_s = authored(np.array([from_s, to_s])).tolist()
-            if pieces.now_s - begin_s > SAME_INSTANT_S:
-                spent_s = max(0.0, finish_s - pieces.now_s)
-        pieces.go(from_s, to_s, spent_s)
+        if from_s in seams_s:
+            pass_start_s = pieces.now_s - float(dues.authored(np.array([from_s]))[0])
+        if window := following.get(from_s):
+            pieces.follow(window)
+            reached_s = window.to_s
+        elif rests:
+            _rest(pieces, (from_s, to_s), dues, pass_start_s)
+        else:
+            pieces.go(from_s, to_s, to_s - from_s)
     return pieces.clock(float(path.knots_s[-1]))
+
+
+def _rest(pieces: _Pieces, rest: tuple[float, float], dues: Dues, pass_start_s: float) -> None:
+    """Rest until the motion is no longer late, at least as long as it is held."""
+    cuts_s = np.array(rest)
+    if pieces.now_s - (float(dues.authored(cuts_s[:1])[0]) + pass_start_s) > SAME_INSTANT_S:
+        inner_s = dues.held[(dues.held > rest[0]) & (dues.held < rest[1])]
+        cuts_s = np.unique(np.concatenate([cuts_s, inner_s]))
+    due_s = (dues.authored(cuts_s) + pass_start_s).tolist()
+    for part, (from_s, to_s) in enumerate(itertools.pairwise(cuts_s.tolist())):
+        spent_s = to_s - from_s
+        is_late = pieces.now_s - due_s[part] > SAME_INSTANT_S
+        if is_late and not dues.is_held(from_s, to_s):
+            spent_s = max(0.0, due_s[part + 1] - pieces.now_s)
+        pieces.go(from_s, to_s, spent_s)
 
 
 def stopping_clock(

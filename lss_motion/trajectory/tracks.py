@@ -21,6 +21,7 @@ from lss_motion.trajectory.model import PathMotion, Trajectory, steady_clock
 from lss_motion.trajectory.path import cubics
 from lss_motion.trajectory.retime import (
     FIT_TOLERANCE_S,
+    REST_RATIO,
     Layout,
     authored_clock,
     laid_out,
@@ -28,8 +29,8 @@ from lss_motion.trajectory.retime import (
     scaled,
     segments_over_limits,
     slowed_to,
-    slowed_windows,
     stopping_clock,
+    timed_windows,
 )
 from lss_motion.trajectory.solver import solve
 from lss_motion.trajectory.verify import verify
@@ -54,9 +55,6 @@ SEAM_ROUNDS_MAX: Final = 8
 SEAM_RATE_SLACK: Final = 1e-7
 """Rates at seams that differ by less are equal: at 360 deg/s, within a millisecond, this is an
 acceleration of 0.04 deg/s²."""
-
-REST_RATIO: Final = 1e-9
-"""A path is at rest where its slopes are below this share of the speed limits: rounding."""
 
 PERIOD_MAX_S: Final = 600.0
 """Longest common period of tracks that loop forever. Chosen: the whole period is compiled."""
@@ -114,9 +112,10 @@ def _seam_rates(layout: Layout, clock: PathClock) -> list[float]:
 
 def _timed(layout: Layout, task: RateTask) -> tuple[list[RateWindow], PathClock]:
     windows: list[RateWindow] = []
+    dues = layout.dues()
     if segments_over_limits(task).any() or task.knot_caps:
-        windows = slowed_windows(task)
-    return windows, authored_clock(task.path, windows, layout.seams(), layout.authored)
+        windows = timed_windows(task, dues)
+    return windows, authored_clock(task.path, windows, layout.seams(), dues)
 
 
 def _free(layout: Layout, task: RateTask) -> tuple[list[RateWindow], PathClock]:
@@ -135,10 +134,10 @@ def _free(layout: Layout, task: RateTask) -> tuple[list[RateWindow], PathClock]:
     stops_s = sorted({0.0, *pauses_s, end_s})
     knots = np.searchsorted(task.path.knots_s, stops_s).tolist()
     stop_max = [_stop_square(task, knot) for knot in knots]
-    legs = list(zip(knots[:-1], knots[1:], stop_max[:-1], stop_max[1:], strict=True))
+    legs = list(zip(stops_s[:-1], stops_s[1:], stop_max[:-1], stop_max[1:], strict=True))
     windows = [
-        solve(task, first, end, start_max=before, end_max=after)
-        for first, end, before, after in legs
+        solve(task, from_s, to_s, start_max=before, end_max=after)
+        for from_s, to_s, before, after in legs
     ]
     return windows, stopping_clock(windows, pauses_s, end_s)
 
@@ -160,7 +159,7 @@ def _assembled(
     )
     if layout.is_timed:
         explain.check_anchors(sequence, spacing, clock, layout.authored, stretched)
-    marks = explain.marks(sequence.keyframes, spacing, clock)
+    marks = explain.marks(sequence.keyframes, spacing, clock, is_timed=layout.is_timed)
     motions = [
         PathMotion(path=path, clock=clock.cut(start_s, start_s + path.length_s))
         for path, start_s in zip(

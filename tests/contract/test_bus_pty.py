@@ -139,9 +139,17 @@ def test_every_bus_has_its_own_port_and_no_link_is_left(tmp_path):
 def test_a_file_in_the_place_of_the_link_is_kept(tmp_path):
     link = tmp_path / "precious"
     link.write_text("mine")
-    with pytest.raises(InputError, match="precious exists"):
+    with pytest.raises(InputError, match="precious exists already"):
         serve(make_robot(), link, seed=1, announce=print, should_stop=lambda: True)
     assert link.read_text() == "mine"
+
+
+def test_a_link_that_a_killed_simulator_left_is_replaced(tmp_path):
+    link = tmp_path / "lss"
+    link.symlink_to("/dev/pts/999999")
+    with served(make_robot(), link), opened(link) as port:
+        assert ask(port, "#5QLED") == "*5QLED7\r"
+    assert not link.is_symlink()
 
 
 def test_no_client_is_served_faster_than_the_line(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 
 from lss_motion.protocol.codec import FAMILY_TABLES, read_reply
 from lss_motion.protocol.constants import Family
-from lss_motion.protocol.line import Reply, ReplyParser
+from lss_motion.protocol.framing import Reply, ReplyParser
 from lss_motion.protocol.table import Device, Form, ReplyShape, Suffix
 from lss_motion.robot.model import ServoModel
 from lss_motion.sim.boards import SENSORS

@@ -123,7 +123,7 @@ def test_the_wheel_has_types_version_programs_and_a_readme_that_stands_alone(whe
     assert {f"lss_motion/{name}" for name in packaged} <= set(names)
     assert {name.split("/")[0] for name in names} == {"lss_motion", info.split("/")[0]}
     assert metadata["Version"] == lss_motion.__version__
-    assert "lss-play = lss_motion.cli.play:main" in programs
+    assert "lss-play = lss_motion.cli.start:play" in programs
     text = metadata.get_payload()
     assert "# lss_motion" in text
     assert "](sequences/" not in text

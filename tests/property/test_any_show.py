@@ -50,6 +50,7 @@ def robot_of(random: np.random.Generator, count: int) -> Robot:
             model=MODEL,
             position_min_deg=-reach_deg,
             position_max_deg=reach_deg,
+            turns="by_hand" if reach_deg > 180.0 else None,
             speed_max_deg_s=float(600.0 * 10.0 ** random.uniform(-2.0, 0.0)),
             accel_max_deg_s2=float(1000.0 * 10.0 ** random.uniform(-2.0, 0.0)),
         )

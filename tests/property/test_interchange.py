@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import sqlite3
+from contextlib import closing
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +36,30 @@ PAGE[64:126] = (2048).to_bytes(2, "little") * 31
 PAGE[127] = 64
 PAGE[31] = (0xFF - sum(PAGE)) & 0xFF
 
+
+def sqlite_file(rows: list[tuple[int, ...]]) -> bytes:
+    """Return an action group as SQLite writes it."""
+    with closing(sqlite3.connect(":memory:")) as base:
+        base.execute("PRAGMA page_size = 512")
+        base.execute("CREATE TABLE ActionGroup([Index] INT, Time INT, Servo1 INT, Servo2 INT)")
+        base.executemany("INSERT INTO ActionGroup VALUES (?, ?, ?, ?)", rows)
+        base.commit()
+        return base.serialize()
+
+
+def parquet_file() -> bytes:
+    """Return an episode of a dataset as pyarrow writes it."""
+    pa, pq = import_module("pyarrow"), import_module("pyarrow.parquet")
+    columns = {
+        "observation.state": pa.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]], pa.list_(pa.float32())),
+        "timestamp": pa.array([0.0, 0.1, 0.2], pa.float32()),
+        "episode_index": pa.array([0, 0, 1], pa.int64()),
+    }
+    out = io.BytesIO()
+    pq.write_table(pa.table(columns), out)
+    return out.getvalue()
+
+
 MTN_ROW = " ".join(["512"] * 26)
 SEEDS = {
     "bitbots": b'{"name":"n","keyframes":[{"duration":1.0,"pause":0.5,"goals":{"a":1,"b":-2}},'
@@ -58,8 +87,17 @@ SEEDS = {
     "csv": b"# fps: 25\nframe,a_deg,b_rad\n0,1.5,2\n1,,-3e-1\n2,4,5\n",
     "commands": b"#5P1500#6P1600T1000\r#5P1700T500\r\n#1D100T500#254H\n",
     "robotis-bin": bytes(PAGE),
+    "d6a": sqlite_file([(1, 500, 480, 0), (2, 1000, 500, 1000)]),
+    "opencat": b"const int8_t wk[] PROGMEM = {\n2, 0, 0, 1,\n 1, 2, 3, 4, 5, 6, 7, 8,\n 9, 8, 7, 6,"
+    b"5, 4, 3, 2,};\nconst int8_t hi[] PROGMEM = {-2, 0, -30, 2,\n 0, 1, 2,\n 1, 2, 8, 1, 0, 0,\n "
+    b"9, 5, 10, 0, 1, 20,};\n",
+    "poses": b'[{"name":"up","deg":{"a":10,"b":-5.5},"duration_s":0.5,"hold_ms":100},'
+    b'{"b":0.5,"a":20,"duration_s":1}]',
 }
 """A small whole file of each format; what hypothesis damages."""
+
+if find_spec("pyarrow"):
+    SEEDS["lerobot"] = parquet_file()
 
 TOKENS = {
     b"{", b"}", b"[", b"]", b",", b";", b":", b"\n", b"\r", b"\0", b"#", b"*", b'"', b"=", b"|",
@@ -104,7 +142,12 @@ def fuzz_one(reader: Reader, data: bytes) -> bool:
 
 
 def by_name() -> list[object]:
-    return [pytest.param(reader, id=reader.name) for reader in READERS]
+    return [pytest.param(reader, id=reader.name) for reader in READERS if reader.name in SEEDS]
+
+
+def test_every_reader_is_fuzzed() -> None:
+    missing = {reader.name for reader in READERS} - SEEDS.keys()
+    assert missing == (set() if find_spec("pyarrow") else {"lerobot"})
 
 
 @pytest.mark.parametrize("reader", by_name())

@@ -15,7 +15,7 @@ from lss_motion.protocol.codec import (
     read_command,
     read_reply,
 )
-from lss_motion.protocol.line import (
+from lss_motion.protocol.framing import (
     LINE_MAX_BYTES,
     Command,
     CommandParser,

@@ -14,7 +14,7 @@ from lss_motion.program.model import received_us
 from lss_motion.program.reference import GRID_S, Reference
 from lss_motion.program.schedule import Schedule, slot_us
 from lss_motion.program.table import moves_of, sizes_bytes
-from lss_motion.protocol.line import encode_move
+from lss_motion.protocol.framing import encode_move
 from lss_motion.robot.model import Bus, Joint, Robot
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sequence.model import Keyframe, Sequence

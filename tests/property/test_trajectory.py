@@ -49,6 +49,7 @@ def robots(draw: st.DrawFn) -> Robot:
             model=MODEL,
             position_min_deg=-RANGE_DEG,
             position_max_deg=RANGE_DEG,
+            turns="by_hand",
             speed_max_deg_s=draw(st.floats(3.6, 360.0)),
             accel_max_deg_s2=draw(st.floats(20.0, 2000.0)),
         )

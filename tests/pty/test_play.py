@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from lss_motion.cli.main import main
+from lss_motion.cli.play import main as play
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.bus import bus_from_robot
 from lss_motion.sim.pty import serve_buses
@@ -111,6 +112,7 @@ import os, sys
 os.setsid()
 os.close(os.open(os.ttyname(0), os.O_RDWR))
 from lss_motion.cli.main import main
+from lss_motion.cli.play import main as play
 sys.exit(main(sys.argv[1:]))
 """
 """Runs `lss-motion` with the terminal as its own, as a shell's job in the foreground has it."""
@@ -385,3 +387,41 @@ def test_a_killed_player_leaves_a_robot_that_comes_to_rest_by_itself(folder):
         end_ns = last_ns + int((longest_s + 1.0) * 1e9)
         settled = port.bus.horn_deg(np.arange(end_ns, end_ns + 400_000_000, 20_000_000))
         assert np.ptp(settled, axis=0).max() < 0.2
+
+
+def test_a_show_without_feedback_needs_limits_that_the_servos_store(folder, capsys):
+    """A restart is not noticed then: the servo would go on with the speed of the factory."""
+    show = folder / "sway.yaml"
+    show.write_text(SWAY % 1)
+    with simulated(folder) as served:
+        words = [str(show), "--port", served.path, "--yes", "--no-feedback"]
+        assert play(words) == 2
+        errors = capsys.readouterr().err
+        assert "nothing notices a servo that restarts" in errors
+        assert "pan (servo 1): SD 360, the joint allows 180 deg/s" in errors
+        assert "configure" in errors
+        assert not any(is_move(line) for _, line in served.bus.heard)
+        configure = ["configure", str(folder / "robot.yaml"), "--port", served.path, "--yes"]
+        assert main([*configure, "--limits"]) == 0
+        assert "SD" in capsys.readouterr().out
+        assert play(words) == 0
+        assert any(is_move(line) for _, line in served.bus.heard)
+        stored = [servo.settings.eeprom for servo in served.bus._servos]
+        assert {(one["SD"], one["AA"], one["AD"]) for one in stored} == {(1800, 60, 60)}
+
+
+def test_a_real_robot_tells_of_higher_stored_limits(folder, capsys):
+    show = folder / "sway.yaml"
+    show.write_text(SWAY % 1)
+    with simulated(folder) as served:
+        assert play([str(show), "--port", served.path, "--yes"]) == 0
+        printed = capsys.readouterr().out
+        assert "note: a servo that restarts moves with its stored limits" in printed
+        doctor = ["doctor", str(folder / "robot.yaml"), "--port", served.path]
+        assert main(doctor) == 0
+        printed = capsys.readouterr().out
+        assert "pan (servo 1): SD 360, the joint allows 180 deg/s" in printed
+        assert "2 servos answer as 'pair' has them" in printed
+        words = [str(show), "--port", served.path, "--yes", "--no-feedback", "--force"]
+        assert play(words) == 0
+        assert "--force: played all the same" in capsys.readouterr().out

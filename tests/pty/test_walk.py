@@ -87,7 +87,7 @@ def horns_at_the_end(bus):
 
 
 def test_keys_make_it_walk_and_an_interrupt_brings_it_to_its_stand(tmp_path):
-    with walking(tmp_path, "--no-feedback") as (bus, process, keyboard):
+    with walking(tmp_path, "--no-feedback", "--force") as (bus, process, keyboard):
         wait_for(process, "playing")
         wait_for_moves(bus, APPROACH_MOVES)
         os.write(keyboard, b"ww")
@@ -117,7 +117,7 @@ def approached(bus):
 
 
 def test_q_ends_in_the_stand_too(tmp_path):
-    with walking(tmp_path, "--no-feedback", "--quiet") as (bus, process, keyboard):
+    with walking(tmp_path, "--no-feedback", "--force", "--quiet") as (bus, process, keyboard):
         wait_for_moves(bus, APPROACH_MOVES)
         os.write(keyboard, b"w\x1b[D")
         wait_for_moves(bus, APPROACH_MOVES + 100)

@@ -126,6 +126,28 @@ class Played:
         return speed, (smooth[4:] - smooth[:-4]) / 0.02
 
 
+class Sent:
+    """A tap that keeps what was sent: `(instant, bus, bytes)`."""
+
+    def __init__(self, sent):
+        self._sent = sent
+
+    def sent(self, bus, data, now_ns):
+        self._sent.append((now_ns, bus, data))
+
+    def received(self, bus, data, now_ns):
+        pass
+
+    def turned(self, now_ns):
+        pass
+
+    def happened(self, event, now_ns):
+        pass
+
+    def noted(self, bus, text, now_ns):
+        pass
+
+
 class Stage:
     """Plans, compiles and plays; `play` patches only how the simulated buses are made."""
 
@@ -170,19 +192,6 @@ class Stage:
                 on_bus(buses[name])
             return buses[name]
 
-        class Tap:
-            def sent(self, bus, data, now_ns):
-                sent.append((now_ns, bus, data))
-
-            def received(self, bus, data, now_ns):
-                pass
-
-            def turned(self, now_ns):
-                pass
-
-            def happened(self, event, now_ns):
-                pass
-
         def note(event):
             events.append(event)
             if on_event is not None:
@@ -198,7 +207,7 @@ class Stage:
                 trajectory=trajectory,
                 faults=[fault for fault in faults if fault.kind is FaultKind.OVERSLEEP],
                 observer=Observer(
-                    on_event=note, controls=controls, make_tap=lambda start_ns: Tap()
+                    on_event=note, controls=controls, make_tap=lambda start_ns: Sent(sent)
                 ),
                 **options,
             )

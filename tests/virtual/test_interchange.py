@@ -135,3 +135,47 @@ def test_a_compiled_program_read_as_commands_is_nearly_what_it_was_compiled_from
     assert np.median(errors_deg) < 0.6
     assert max(errors_deg) < 6.0
     assert plan(sequence, robot).duration_s == pytest.approx(before.duration_s, rel=0.04)
+
+
+SCRIPT = """\
+#1D0T500
+#2D0T500
+delay(1000);
+#1D300T1000
+delay(1500);
+#1D-300T2000
+#2D450T1500
+wait 2.5 s
+#1D0T800 #2D0T800
+sleep 1
+"""
+ARRIVALS = [(1, 300, 2.0), (2, 450, 4.0), (1, -300, 4.5), (1, 0, 5.8), (2, 0, 5.8)]
+"""Servo, target in tenths, and instant at which each command of the script ends, in seconds."""
+
+
+def test_the_commands_of_a_paced_script_come_out_with_their_targets_and_times(tmp_path) -> None:
+    """Not with their T: the plan ramps at each end, and the compiler follows the plan."""
+    robot_path = tmp_path / "robot.yaml"
+    robot_path.write_text(
+        "robot: two\ndefaults: {model: LSS-ST1, range_deg: [-170, 170], speed_max_deg_s: 180, "
+        "accel_max_deg_s2: 600}\njoints: {pan: {id: 1}, tilt: {id: 2}}\n",
+        encoding="utf-8",
+    )
+    path = tmp_path / "script.txt"
+    path.write_text(SCRIPT, encoding="utf-8")
+    robot = load_robot(robot_path)
+    trajectory = plan(import_motion(path, robot), robot)
+    assert not trajectory.stretched
+    assert trajectory.duration_s == pytest.approx(6.0)
+    program = compile_program(trajectory, robot)
+    ends = [
+        (move.servo_id, move.target_wire, 1e-6 * move.due_us + 1e-3 * (move.duration_ms or 0))
+        for move in program.moves
+    ]
+    for servo_id, target_wire, at_s in ARRIVALS:
+        near_s = [abs(s - at_s) for i, wire, s in ends if (i, wire) == (servo_id, target_wire)]
+        assert near_s, (servo_id, target_wire)
+        assert min(near_s) < 0.1
+        planned_deg = trajectory.sample(np.array([at_s]))[0, servo_id - 1]
+        assert planned_deg == pytest.approx(target_wire / 10.0, abs=0.01)
+    assert max(program.error_max_deg.values()) <= 0.25

@@ -86,6 +86,8 @@ class _Sent:
 
     def turned(self, now_ns: int) -> None: ...
 
+    def noted(self, bus: str, text: str, now_ns: int) -> None: ...
+
 
 def _filled(program: Program, robot: Robot) -> tuple[float, float]:
     """Return the share of a core that the player takes to keep the line full, and answers/s."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from benches.table import Row, interleaved
-from lss_motion.protocol.line import (
+from lss_motion.protocol.framing import (
     Command,
     CommandParser,
     Reply,

@@ -16,7 +16,7 @@ from benches.shows import lively_show, robot_of
 from benches.table import Row
 from lss_motion import api
 from lss_motion.perform import perform
-from lss_motion.protocol.line import encode_move
+from lss_motion.protocol.framing import encode_move
 from lss_motion.sim.bus import bus_from_robot
 from lss_motion.units import ns_from_s
 

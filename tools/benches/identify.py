@@ -19,7 +19,7 @@ from lss_motion.connection import Connection
 from lss_motion.maintenance.identify.estimate import identify
 from lss_motion.maintenance.identify.experiment import Experiment
 from lss_motion.maintenance.identify.trials import make_window
-from lss_motion.player import handshake
+from lss_motion.player import checks, handshake
 from lss_motion.robot.model import Bus, Joint, Robot
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.runtime.clock import VirtualClock
@@ -80,7 +80,7 @@ def blind(seed: int) -> Blind:
     bus = SimBus([spec], baud_bps=115200, firmware=370, seed=seed, physics=physics)
     bus.record()
     connection.ports["main"] = SimPort(bus, connection.clock)
-    answers = connection.ask(handshake.queries([joint]))
+    answers = connection.ask(checks.queries([joint]))
     standing_deg = handshake.reported(joint, answers, "QD")
     assert standing_deg is not None
     window = make_window(joint, standing_deg, span_deg)

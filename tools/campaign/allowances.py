@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from lss_motion.sim.faults import FaultKind
+
+if TYPE_CHECKING:
+    from lss_motion.robot.model import Joint
+    from lss_motion.sim.faults import Fault
 
 STEP_NS: Final = 5_000_000
 WINDOW: Final = 4
@@ -23,6 +27,9 @@ RESTS_WITHIN_DEG: Final = 4.0
 while it moves, and at its end a joint must have arrived (3 deg), besides noise."""
 TELLING_S: Final = 1.5
 """A fault that begins later than this before the end of the run need not have been noticed."""
+NOTICE_S: Final = 1.5
+"""A servo that restarted has the ramps that it has stored; the host cannot know of it at once. Its
+speed is judged all the same: a move may bring its own."""
 
 WORD_KINDS: Final = {
     FaultKind.CORRUPT_COMMAND,
@@ -33,16 +40,33 @@ WORD_KINDS: Final = {
 MISSED_KINDS: Final = {
     FaultKind.LOST_COMMAND,
     FaultKind.CLOGGED,
+    FaultKind.BLOCKED_PORT,
     FaultKind.UNPLUGGED,
     FaultKind.DEAF,
     FaultKind.RESET,
 }
 """With these a servo misses what was said, and hears the next of it: a timed one keeps its limits
 all the same, for they are set in it; one in EM0 has none."""
-BODY_KINDS: Final = {FaultKind.STUCK, FaultKind.WEAK, FaultKind.HOT}
+GONE_KINDS: Final = {FaultKind.UNPLUGGED, FaultKind.BLOCKED_PORT}
+"""With these no byte reaches the servos."""
+BODY_KINDS: Final = {FaultKind.STUCK, FaultKind.WEAK, FaultKind.HOT, FaultKind.LOW_VOLTAGE}
 """With these a horn does what the motor makes of it."""
 
 LYING_KINDS: Final = {FaultKind.CORRUPT_REPLY, FaultKind.SHORT_REPLY}
 LYING_RATIO: Final = 0.5
 """With so many damaged answers two of them lie alike, and a joint in EM0, which is told first where
 it stands, is then told a wrong place; a timed one goes slowly from wherever it is."""
+
+
+def is_moved_otherwise(joint: Joint, fault: Fault) -> bool:
+    """Return whether a fault lets a servo make something else of the bytes that it receives.
+
+    It has another scale, or another host sends it commands. A host that only asks moves no horn.
+    """
+    if fault.kind is FaultKind.WRONG_SCALE:
+        return fault.servo_id in (None, joint.servo_id)
+    return (
+        fault.kind is FaultKind.SECOND_MASTER
+        and fault.bus in (None, joint.bus)
+        and not fault.text.lstrip("#0123456789").startswith("Q")
+    )

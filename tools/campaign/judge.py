@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 from campaign.allowances import (
     ACCEL_EXCESS,
     BODY_KINDS,
+    GONE_KINDS,
     LAGS,
     LED_BACK_DEG,
     LYING_KINDS,
     LYING_RATIO,
     MISSED_KINDS,
+    NOTICE_S,
     RANGE_EXCESS_DEG,
     RESTS_WITHIN_DEG,
     SPEED_EXCESS,
@@ -22,10 +24,12 @@ from campaign.allowances import (
     TELLING_S,
     WINDOW,
     WORD_KINDS,
+    is_moved_otherwise,
 )
 from campaign.any_show import any_show
-from campaign.random_faults import random_faults
-from campaign.shows import NAMES, RESUME_S, SLOW_BPS, Show, show
+from campaign.outside import objections_to
+from campaign.random_faults import KINDS, mixed_faults, random_faults
+from campaign.shows import NAMES, RESUME_S, SLOW_BPS, Show, show, with_stored_limits
 from campaign.stale import lawless_ns
 from campaign.witness import Act, HangError, Witness, random_acts
 
@@ -46,36 +50,72 @@ MOVE: Final = re.compile(rb"#(\d+)D(-?\d+)(?:T\d+)?\r")
 SAFE: Final = re.compile(rb"#254H\r(#\d+L\r)*$")
 LIMP: Final = re.compile(rb"#254L\r$")
 
+BLIND_REST: Final = 7
+"""Of the seeds with all kinds, those with this remainder by ten are played without feedback."""
+
+Judges = Literal["own", "independent", "both"]
+"""That of the campaign, the one that shares no code with it (`tools/judge`), or both."""
+
 
 @dataclass(frozen=True)
 class Judged:
-    """The outcome of a show, and the promises that were broken."""
+    """The outcome of a show, and the promises that were broken.
+
+    `objections` are those of the independent judge (`tools/judge`), if it was asked.
+    """
 
     outcome: str
     broken: tuple[str, ...]
     faults: tuple[Fault, ...]
+    objections: tuple[str, ...] = ()
 
 
-def judged(seed: int, *, is_any: bool = False, slow_bps: int = SLOW_BPS) -> Judged:
+def judged(
+    seed: int,
+    *,
+    is_any: bool = False,
+    slow_bps: int = SLOW_BPS,
+    is_mixed: bool = False,
+    judges: Judges = "own",
+) -> Judged:
     """Play one seed. Every fourth has only damaged answers, so that all of it can be judged.
 
-    With `is_any`, robot and show come from the seed as well, and random keys are pressed.
+    With `is_any`, robot and show come from the seed as well, and random keys are pressed. With
+    `is_mixed`, the faults are of all kinds (`random_faults.mixed_faults`), every second seed is any
+    show, and every tenth is played without feedback by servos that store the joints' limits.
     """
-    played = any_show(seed) if is_any else show(NAMES[seed % len(NAMES)], slow_bps)
-    faults = random_faults(
-        seed,
-        servo_ids=[joint.servo_id for joint in played.robot.joints.values()],
-        duration_s=played.program.duration_s + 1.0,
-        kinds=REPLY_KINDS if seed % 4 == 3 else tuple(FaultKind),
-    )
+    is_any = is_any or (is_mixed and bool(seed % 2))
+    named = NAMES[(seed // 2 if is_mixed else seed) % len(NAMES)]
+    played = any_show(seed) if is_any else show(named, slow_bps)
+    has_feedback = not is_mixed or seed % 10 != BLIND_REST
+    if not has_feedback:
+        played = replace(played, robot=with_stored_limits(played.robot))
+    if is_mixed:
+        faults = mixed_faults(seed, played.robot, played.program.duration_s)
+        if not has_feedback:  # Simulated servos that store more are played with a warning.
+            faults = tuple(fault for fault in faults if "SD" not in fault.settings)
+    else:
+        faults = random_faults(
+            seed,
+            servo_ids=[joint.servo_id for joint in played.robot.joints.values()],
+            duration_s=played.program.duration_s + 1.0,
+            kinds=REPLY_KINDS if seed % 4 == 3 else KINDS,
+        )
     acts = random_acts(seed, played.program.duration_s) if is_any else ()
-    return Judged(*judged_with(played, faults, seed, acts), faults)
+    return judged_with(played, faults, seed, acts, judges, has_feedback=has_feedback)
 
 
 def judged_with(
-    played: Show, faults: Sequence[Fault], seed: int, acts: Sequence[Act] = ()
-) -> tuple[str, tuple[str, ...]]:
+    played: Show,
+    faults: Sequence[Fault],
+    seed: int,
+    acts: Sequence[Act] = (),
+    judges: Judges = "own",
+    *,
+    has_feedback: bool = True,
+) -> Judged:
     """Play a show with `faults`; return what became of it, and the promises that it broke."""
+    faults = tuple(faults)
     witness = Witness(list(acts))
     observer = Observer(controls=witness, make_tap=lambda _: witness)
     try:
@@ -84,25 +124,35 @@ def judged_with(
             played.robot,
             is_virtual=True,
             seed=seed,
+            has_feedback=has_feedback,
             faults=faults,
             observer=observer,
         )
     except HangError as error:
-        return "hung", (f"it hangs: {error}",)
+        return Judged("hung", (f"it hangs: {error}",), faults)
     except Exception as error:  # noqa: BLE001  (a crash of any kind is what is looked for)
-        return "crashed", (f"it crashed: {error!r}",)
+        return Judged("crashed", (f"it crashed: {error!r}",), faults)
     for bus in result.simulated.values():
         bus.advance(witness.end_ns + NS_PER_S)  # What is on its way is heard, and done.
-    judge = _Judge(played, faults, witness, result)
-    return result.report.outcome, tuple(judge.broken())
+    judge = _Judge(played, faults, witness, result, has_feedback=has_feedback)
+    broken = [] if judges == "independent" else judge.broken()
+    objections = [] if judges == "own" else objections_to(played.robot, faults, witness, result)
+    return Judged(result.report.outcome, tuple(broken), faults, tuple(objections))
 
 
 class _Judge:
     def __init__(
-        self, played: Show, faults: Sequence[Fault], witness: Witness, result: Result
+        self,
+        played: Show,
+        faults: Sequence[Fault],
+        witness: Witness,
+        result: Result,
+        *,
+        has_feedback: bool = True,
     ) -> None:
         self.robot, self.program = played.robot, played.program
         self.faults = faults
+        self.has_feedback = has_feedback
         self.witness = witness
         self.result = result
         self.kinds = {fault.kind for fault in faults}
@@ -115,7 +165,7 @@ class _Judge:
             *self._last_bytes(),
             *self._offsets(),
             *self._horns(),
-            *self._silences(),
+            *(self._silences() if self.has_feedback else ()),
         ]
 
     def _targets(self) -> dict[str, list[float]]:
@@ -133,6 +183,8 @@ class _Judge:
         broken = []
         for name, angles in self.targets.items():
             joint = self.robot.joints[name]
+            if self._has_other_angles(joint):
+                continue  # By what it reports it stands outside, and is led back.
             last_deg = self._garbled_reach_deg(joint)
             for angle in angles:
                 out_deg = _outside_deg(joint, angle)
@@ -141,6 +193,12 @@ class _Judge:
                 if out_deg > joint.unit_deg:
                     last_deg = min(last_deg, out_deg + LED_BACK_DEG)
         return broken
+
+    def _has_other_angles(self, joint: Joint) -> bool:
+        return any(
+            fault.kind is FaultKind.WRONG_SCALE and fault.setting == "D" and _shares(joint, fault)
+            for fault in self.faults
+        )
 
     def _garbled_reach_deg(self, joint: Joint) -> float:
         """Return how far outside of its range a horn was put by bytes that were not sent.
@@ -157,8 +215,7 @@ class _Judge:
         """Judge the last bytes on every bus whose port is there at the end."""
         end_s = s_from_ns(self.witness.end_ns)
         is_gone = any(
-            fault.kind is FaultKind.UNPLUGGED and fault.until_s > end_s - 1.0
-            for fault in self.faults
+            fault.kind in GONE_KINDS and fault.until_s > end_s - 1.0 for fault in self.faults
         )
         is_limp = self.robot.end == "limp" and self.result.report.outcome == "finished"
         safe = LIMP if is_limp else SAFE
@@ -171,7 +228,10 @@ class _Judge:
                 broken.append(f"the last bytes on bus {bus} are {bytes(data[-20:])!r}")
             heard = self.result.simulated[bus].heard
             assert heard is not None, "perform records"
-            lines = b"".join(line for _, line in heard)
+            others = {fault.text.encode() + b"\r" for fault in self.faults if fault.text}
+            if others & {b"#254H\r", b"#254L\r"}:
+                continue  # Both hosts send the same: no byte tells them apart.
+            lines = b"".join(line for _, line in heard if line not in others)
             if not is_garbled and not safe.search(lines):
                 broken.append(f"the last that bus {bus} heard is {lines[-20:]!r}")
         return broken
@@ -191,18 +251,18 @@ class _Judge:
             if joint.drive != "timed":
                 continue
             sent, most_deg = [*self.targets[name]], OFFSET_MAX_DEG + joint.unit_deg
-            # What lies makes the player think that a move was lost: it is said again, in two parts.
+            # What lies makes the player think that a move was lost: it is said again, in two parts;
+            # or that a servo has restarted: its moves are held back, and the rest is sent then.
             spare = 2 * report.joints[name].said_again
-            for wanted_deg in reversed(self._planned_deg(joint)):
-                while spare and abs(sent[-1] - wanted_deg) > most_deg:
-                    sent.pop()
-                    spare -= 1
-                sent_deg = sent.pop()
-                if abs(sent_deg - wanted_deg) > most_deg:
-                    broken.append(
-                        f"{name} was sent to {sent_deg:.1f} deg in place of {wanted_deg:.1f}"
-                    )
+            unsaid, wrong = _unlike(sent, self._planned_deg(joint), most_deg)
+            if unsaid > self._held_back(name) or wrong > spare:
+                broken.append(f"{name}: {unsaid} moves of the plan were not sent, {wrong} others")
         return broken
+
+    def _held_back(self, name: str) -> int:
+        """Return how many moves were not sent since the servo might have restarted."""
+        show = self.result.player.show
+        return 0 if show is None else show.joint_states[name].held_back
 
     def _planned_deg(self, joint: Joint) -> list[float]:
         return [
@@ -236,7 +296,9 @@ class _Judge:
         }
 
     def _is_of_its_own(self, joint: Joint) -> bool:
-        """Return whether a horn may move without a command."""
+        """Return whether a horn may move without a command, or otherwise than commanded."""
+        if any(is_moved_otherwise(joint, fault) for fault in self.faults):
+            return True
         is_streamed = joint.drive == "streamed"
         kinds = BODY_KINDS | (MISSED_KINDS if is_streamed else set())
         own = [fault for fault in self.faults if _shares(joint, fault)]
@@ -257,6 +319,9 @@ class _Judge:
             # Without power a motor stops at once.
             at = instant_ns // STEP_NS
             accel[max(0, at - 2 * WINDOW) : at + WINDOW] = 0.0
+        for instant_ns in self._restarts_ns(joint):
+            at = instant_ns // STEP_NS
+            accel[at : at + ns_from_s(NOTICE_S) // STEP_NS] = 0.0
         lag_ns = ns_from_s(LAGS * joint.response.lag_s)
         for from_ns, until_ns in lawless_ns(joint.servo_id, self.faults, writes, heard):
             first, last = from_ns // STEP_NS - 2 * WINDOW, (until_ns + lag_ns) // STEP_NS
@@ -281,19 +346,21 @@ class _Judge:
 
     def _powerless_ns(self, joint: Joint, heard: Sequence[tuple[int, bytes]]) -> list[int]:
         """Return when a servo restarted, or heard that it is to be limp (`on_fault`, `end`)."""
-        resets = [
+        limp = (b"#%dL\r" % joint.servo_id, b"#254L\r")
+        return self._restarts_ns(joint) + [heard_ns for heard_ns, line in heard if line in limp]
+
+    def _restarts_ns(self, joint: Joint) -> list[int]:
+        return [
             ns_from_s(fault.at_s)
             for fault in self.faults
             if fault.kind is FaultKind.RESET and _shares(joint, fault)
         ]
-        limp = (b"#%dL\r" % joint.servo_id, b"#254L\r")
-        return resets + [heard_ns for heard_ns, line in heard if line in limp]
 
     def _rest(self, joint: Joint, angle: float) -> list[str]:
         """Judge where a joint stands after a show that says that all went well."""
         report = self.result.report
-        if report.outcome != "finished" or report.faults:
-            return []
+        if report.outcome != "finished" or report.faults or not self.has_feedback:
+            return []  # Without feedback nothing can be noticed.
         if any(self._is_telling_too_late(fault) for fault in self.faults):
             return []
         wanted_deg = [self.program.start_deg[joint.name], *self._planned_deg(joint)][-1]
@@ -328,6 +395,22 @@ class _Judge:
 
 def _shares(joint: Joint, fault: Fault) -> bool:
     return fault.servo_id in (None, joint.servo_id)
+
+
+def _unlike(sent: Sequence[float], wanted: Sequence[float], most_deg: float) -> tuple[int, int]:
+    """Return how many of `wanted` have no like in `sent`, and how many of `sent` come between.
+
+    What was sent before the first of them is the approach.
+    """
+    row: list[tuple[int, int]] = [(0, 0)] * (len(sent) + 1)
+    for wanted_deg in wanted:
+        last, row = row, [(row[0][0] + 1, row[0][1])]
+        for at, sent_deg in enumerate(sent):
+            ways = [(last[at + 1][0] + 1, last[at + 1][1]), (row[at][0], row[at][1] + 1)]
+            if abs(sent_deg - wanted_deg) <= most_deg:
+                ways.append(last[at])
+            row.append(min(ways, key=sum))
+    return row[-1]
 
 
 def _outside_deg(joint: Joint, angle: float) -> float:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion import api
+from lss_motion.program.model import ramp_setting_deg_s2
 from lss_motion.robot.model import Bus, Joint, Robot
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sequence.model import Keyframe, Sequence
@@ -43,6 +45,17 @@ def show(name: str, slow_bps: int = SLOW_BPS) -> Show:
     )
     sequence = Sequence(name=name, keyframes=frames)
     return Show(robot, api.compile(api.plan(sequence, robot), robot))
+
+
+def with_stored_limits(robot: Robot) -> Robot:
+    """Return a robot whose servos store the limits of its joints, as `configure` recommends."""
+    joints = {}
+    for name, joint in robot.joints.items():
+        ramp = float(ramp_setting_deg_s2(joint))
+        limits = {"SD": math.floor(10.0 * joint.speed_max_deg_s) / 10.0, "AA": ramp, "AD": ramp}
+        own = {} if joint.drive == "stepped" else limits
+        joints[name] = replace(joint, stored={**joint.stored, **own})
+    return replace(robot, joints=joints)
 
 
 ARM_KEYS: Final = (

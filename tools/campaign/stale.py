@@ -10,7 +10,6 @@ import re
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.sim.faults import Fault, FaultKind
-from lss_motion.sim.physics import RESET_NS
 from lss_motion.units import ns_from_s
 
 if TYPE_CHECKING:
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
     Lines = Sequence[tuple[int, bytes]]
     """Each with its instant."""
 
+WAITING: Final = {FaultKind.CLOGGED, FaultKind.BLOCKED_PORT}
 LIMITS: Final = re.compile(rb"#(\d+)AD\d+\r")
 """With AA and AD, which come one after the other, a servo has its limits again: from its next move
 on, for the one that is under way ends with the ramps with which it began."""
@@ -29,12 +29,12 @@ def lawless_ns(
 ) -> list[tuple[int, int]]:
     """Return from when until when a servo may go by such words, as written and heard on its bus."""
     own = [fault for fault in faults if fault.servo_id in (None, servo_id)]
-    clogs = [fault for fault in own if fault.kind is FaultKind.CLOGGED]
+    clogs = [fault for fault in own if fault.kind in WAITING]
     resets = [fault for fault in own if fault.kind is FaultKind.RESET] if clogs else []
     written = list(_lines_of(writes)) if resets else []
     spans_ns = []
     for reset in resets:
-        back_ns = ns_from_s(reset.at_s) + RESET_NS
+        back_ns = ns_from_s(reset.at_s + reset.deaf_s)
         for heard_ns, line in heard:
             if heard_ns < back_ns or not line.startswith(b"#%dD" % servo_id):
                 continue

@@ -76,6 +76,9 @@ class Witness:
     def turned(self, now_ns: int) -> None:
         """Say nothing: `act` counts."""
 
+    def noted(self, bus: str, text: str, now_ns: int) -> None:
+        """Note nothing: the bytes are enough."""
+
     def happened(self, event: Event, now_ns: int) -> None:
         if isinstance(event, PhaseEntered):
             self.phases.append((now_ns, event.phase))

@@ -22,8 +22,6 @@ QUICK_FAULTS: Final = {
     "mixed": ("many",),
 }
 """Fault plans of the quick set, by robot; the whole set has every plan on `FAULT_ROBOTS`."""
-ENDLESS: Final = (("ladders", "unplugged"),)
-"""Left out: virtual time stands still for ever after the port is back (ladder warn, resume)."""
 FAULT_ROBOTS: Final = ("timed", "streamed", "ladders", "mixed", "pro")
 QUICK_PLAYS: Final = ("nod",)
 """Examples that the quick set plays; their shows are short."""
@@ -118,8 +116,6 @@ def _families() -> Iterator[Case]:
 def _faults() -> Iterator[Case]:
     for robot in FAULT_ROBOTS:
         for faults in FAULTS:
-            if (robot, faults) in ENDLESS:
-                continue
             options = ("--faults", f"faults_{faults}.yaml")
             is_quick = faults in QUICK_FAULTS.get(robot, ())
             steps = [_play("play1", f"{robot}_show.yaml", *options, seed=1, is_quick=is_quick)]

@@ -15,8 +15,10 @@ import numpy as np
 from lss_motion.errors import PlaybackError
 from lss_motion.maintenance.identify.fit import (
     HYPOTHESES,
+    Measured,
     ModelFit,
     Problem,
+    Rests,
     Shape,
     fallen_deg,
     horn_deg,
@@ -59,13 +61,6 @@ NOT_FITTED: Final = (Kind.REACH, Kind.FAST)
 STEEP_RATIO: Final = 0.97
 SLOPE_S: Final = 0.05
 """Speeds are slopes over this time."""
-
-
-class Measured(NamedTuple):
-    """A number and its standard error."""
-
-    value: float
-    error: float
 
 
 class Decided(NamedTuple):
@@ -279,20 +274,6 @@ def _noise_deg(trials: Sequence[Trial]) -> float:
 def _turnaround(recording: Recording) -> tuple[float, float, float]:
     least, middle, most = np.percentile(recording.turnarounds_s, (1.0, 50.0, 99.0)).tolist()
     return least, middle, most
-
-
-@dataclass(frozen=True, slots=True)
-class Rests:
-    """Servo degrees. `droop_deg` are coefficients over (angle - middle) / half room.
-
-    Play shows in one of two ways. Without a load, it depends on the direction from which a rest was
-    reached. Under a load that changes sides (`is_falling`), it shows at that angle, since the gears
-    fall to the other end of their play. A load that does not change sides hides it.
-    """
-
-    droop_deg: tuple[float, float, float]
-    play: Measured
-    is_falling: bool = False
 
 
 def read_rests(recording: Recording, trials: Sequence[Trial]) -> Rests:

@@ -13,12 +13,12 @@ from enum import Enum
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import BusError, LssMotionError, PlaybackError
-from lss_motion.maintenance.identify.fit import SentMove
 from lss_motion.maintenance.identify.trials import (
     SETTLE_S,
     Kind,
     PlannedMove,
     Recording,
+    SentMove,
     Trial,
     TrialPlan,
     make_trials,
@@ -32,7 +32,7 @@ from lss_motion.program.model import ramp_deg_s2, ramp_setting_deg_s2
 from lss_motion.program.response import Profile
 from lss_motion.protocol.codec import read_reply
 from lss_motion.protocol.constants import Status, status_from
-from lss_motion.protocol.line import Command, encode, encode_move
+from lss_motion.protocol.framing import Command, encode, encode_move
 from lss_motion.units import NS_PER_MS, ns_from_s, s_from_ms, s_from_ns
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from lss_motion.player.events import Event
     from lss_motion.player.handshake import Answers
     from lss_motion.player.transactions import Item
-    from lss_motion.protocol.line import Reply
+    from lss_motion.protocol.framing import Reply
     from lss_motion.robot.model import Joint, Robot
 
 

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lss_motion.maintenance.identify.estimate import Rests
-    from lss_motion.maintenance.identify.trials import Recording, Trial
+    from lss_motion.maintenance.identify.trials import Recording, SentMove, Trial
 
     Array = NDArray[np.float64]
 
@@ -81,12 +80,25 @@ HYPOTHESES: tuple[Hypothesis, ...] = (
 )
 
 
-class SentMove(NamedTuple):
-    """A `D target T duration` whose last byte the servo received at `received_s`."""
+class Measured(NamedTuple):
+    """A number and its standard error."""
 
-    received_s: float
-    target_deg: float
-    duration_s: float
+    value: float
+    error: float
+
+
+@dataclass(frozen=True, slots=True)
+class Rests:
+    """Servo degrees. `droop_deg` are coefficients over (angle - middle) / half room.
+
+    Play shows in one of two ways. Without a load, it depends on the direction from which a rest was
+    reached. Under a load that changes sides (`is_falling`), it shows at that angle, since the gears
+    fall to the other end of their play. A load that does not change sides hides it.
+    """
+
+    droop_deg: tuple[float, float, float]
+    play: Measured
+    is_falling: bool = False
 
 
 @dataclass(frozen=True, slots=True)

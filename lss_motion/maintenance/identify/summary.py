@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.units import MS_PER_S
 
 if TYPE_CHECKING:
-    from lss_motion.maintenance.identify.estimate import Identified, Measured
+    from lss_motion.maintenance.identify.estimate import Identified
+    from lss_motion.maintenance.identify.fit import Measured
     from lss_motion.robot.model import Joint
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from lss_motion.units import MS_PER_S, s_from_ms
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from lss_motion.maintenance.identify.fit import SentMove
     from lss_motion.robot.model import Joint
 
 
@@ -49,6 +48,14 @@ STEP_RATIO: Final = 0.45
 
 LEAST_DEG: Final = 1.0
 """Shorter moves are left out, since they show nothing."""
+
+
+class SentMove(NamedTuple):
+    """A `D target T duration` whose last byte the servo received at `received_s`."""
+
+    received_s: float
+    target_deg: float
+    duration_s: float
 
 
 class Kind(StrEnum):

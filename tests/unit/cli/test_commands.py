@@ -43,6 +43,30 @@ def test_check_as_json_has_limits_and_lines(capsys):
     assert found["buses"]["main"]["commands"] > 100
 
 
+def test_check_lists_all_slow_spans_and_late_keyframes_where_asked(capsys, tmp_path):
+    rows = ["- {at_s: 0, deg: {base: 0}}"]
+    for index in range(24):
+        rows.append(f"- {{at_s: {index + 0.15}, deg: {{base: {30 + index}}}}}")
+        rows.append(f"- {{at_s: {index + 1}, deg: {{base: 0}}}}")
+    path = tmp_path / "talk.yaml"
+    head = f"sequence: talk\nrobot: {Path(ROBOT).absolute()}\nkeyframes:\n"
+    path.write_text(head + "\n".join(rows) + "\n", encoding="utf-8")
+    found = shown(capsys, "check", str(path), "--json")
+    assert len(found["stretched"]) > 20
+    lates_s = [mark["late_s"] for mark in found["late_keyframes"]]
+    assert len(lates_s) > 20
+    assert lates_s == sorted(lates_s, reverse=True)
+    for command, words, counts in (
+        ("check", [], (10, 10)),
+        ("check", ["--all"], (len(found["stretched"]), len(lates_s))),
+        ("plan", ["--all"], (len(found["stretched"]), len(lates_s))),
+    ):
+        assert main([command, str(path), *words]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        starts = [line.split(":")[0] for line in lines]
+        assert (starts.count("slower"), starts.count("late")) == counts
+
+
 def test_a_robot_file_is_checked_alone(capsys, tmp_path):
     assert main(["check", ROBOT]) == 0
     assert "desk_arm: 5 joints" in capsys.readouterr().out
@@ -53,6 +77,23 @@ def test_a_robot_file_is_checked_alone(capsys, tmp_path):
     wrong.write_text(text, encoding="utf-8")
     assert main(["check", str(wrong)]) == 2
     assert str(wrong) in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("fields", ["range_deg: [-90, 400]", "range_deg: [-60, 90], zero_deg: 150"])
+def test_check_refuses_a_joint_whose_turn_is_unknown_and_names_what_to_do(tmp_path, capsys, fields):
+    path = tmp_path / "robot.yaml"
+    text = (
+        "robot: winch\n"
+        "defaults: {model: LSS-ST1, speed_max_deg_s: 90, accel_max_deg_s2: 300}\n"
+        f"joints:\n  drum: {{id: 1, {fields}}}\n"
+    )
+    path.write_text(text)
+    assert main(["check", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert f"{path}:4: joint 'drum': its range of" in error
+    assert "`turns: by_hand`" in error
+    path.write_text(text.replace("id: 1", "id: 1, turns: powered"))
+    assert main(["check", str(path)]) == 0
 
 
 def test_doctor_and_scan_as_json(capsys):

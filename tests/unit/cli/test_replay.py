@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from lss_motion.cli import play
 from lss_motion.cli.main import main
 from lss_motion.cli.replay import event_lines
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_NOT_FOLLOWED
@@ -27,6 +28,36 @@ def test_the_player_decides_the_same_when_it_lives_through_its_log_again(played,
     out = capsys.readouterr().out
     assert "outputs compared, 0 differ" in out
     assert int(out.split(" outputs compared")[0].split()[-1]) > 1000
+
+
+@pytest.mark.parametrize("resume_s", [10, 0.2])
+def test_an_unplugged_port_is_replayed(played, tmp_path, capsys, resume_s):
+    """`resume_s` 0.2: the port does not come back in time, and the show ends without it."""
+    (tmp_path / "robot.yaml").write_text(
+        (played / "robot.yaml").read_text() + f"resume_s: {resume_s}\n"
+    )
+    (tmp_path / "show.yaml").write_text((played / "show.yaml").read_text())
+    (tmp_path / "faults.yaml").write_text("faults: [{kind: unplugged, at_s: 1, until_s: 1.6}]\n")
+    words = [str(tmp_path / "show.yaml"), "--virtual", "--quiet"]
+    play.main([*words, "--faults", str(tmp_path / "faults.yaml"), "--log", str(tmp_path / "a.log")])
+    assert main(["replay", "--again", str(tmp_path / "a.log")]) == EXIT_FINISHED
+    assert "outputs compared, 0 differ" in capsys.readouterr().out
+    assert main(["replay", str(tmp_path / "a.log")]) == EXIT_FINISHED
+    assert "port main: lost" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("steps", ["hold", "[resume, hold]"])
+def test_a_stall_is_replayed(played, tmp_path, capsys, steps):
+    (tmp_path / "robot.yaml").write_text(
+        (played / "robot.yaml").read_text() + f"on_fault: {{stalled: {steps}, lost_port: hold}}\n"
+    )
+    (tmp_path / "show.yaml").write_text((played / "show.yaml").read_text())
+    rows = "{kind: oversleep, at_s: 1, until_s: 1.1, late_s: 2}, {kind: unplugged, at_s: 4}"
+    (tmp_path / "faults.yaml").write_text(f"faults: [{rows}]\n")
+    words = [str(tmp_path / "show.yaml"), "--virtual", "--quiet"]
+    play.main([*words, "--faults", str(tmp_path / "faults.yaml"), "--log", str(tmp_path / "a.log")])
+    assert main(["replay", "--again", str(tmp_path / "a.log")]) == EXIT_FINISHED
+    assert "outputs compared, 0 differ" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -99,7 +130,7 @@ def test_an_event_of_a_log_has_the_words_that_it_had_on_the_screen(event, lines)
         ("# lss_motion log 2\nnonsense\n", "a.log:2: 'nonsense' is no line"),
         ("# lss_motion log 2\n# played: {\n", "a.log:2: `# played:` holds no JSON"),
         ("# lss_motion log 2\n", "does not name the file that was played"),
-        ("\xff", "not ASCII"),
+        ("\xff", "byte 0xff is not UTF-8"),
     ],
 )
 def test_what_is_no_log_is_refused_with_its_line(tmp_path, capsys, text, words):

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from lss_motion.cli.summaries import limit_uses, plan_lines
+from lss_motion.cli.summaries import limit_uses, plan_lines, stretch_text
 from lss_motion.robot.model import Bus, Robot
-from lss_motion.sequence.model import Keyframe, Sequence, Timing
+from lss_motion.sequence.model import Keyframe, Layer, Sequence, Timing
 from lss_motion.trajectory.planner import plan
 from tests.joints import joint
 
@@ -57,6 +57,78 @@ def test_a_stretched_span_is_told_with_what_was_asked_and_allowed(robot):
     (slower,) = [line for line in lines if line.startswith("slower")]
     assert "joint 'base' would need acceleration 15" in slower
     assert slower.endswith("allowed 600 deg/s²")
+
+
+def talk(count: int = 24) -> Sequence:
+    """Return moves that are too fast, each by another amount, and time to make up for them."""
+    keys = [(0.0, 0.0)]
+    for index in range(count):
+        keys += [(index + 0.15, 30.0 + index), (index + 1.0, 0.0)]
+    return show(*keys)
+
+
+def test_totals_come_first_then_the_worst_ten(robot):
+    trajectory = plan(talk(), robot)
+    spans = sorted(trajectory.stretched, key=lambda span: -span.by_s)
+    assert len(spans) > 20
+    lines = plan_lines(trajectory, robot)
+    total_s = sum(span.by_s for span in spans)
+    assert lines[1] == (
+        f"{len(spans)} spans slowed, {total_s:.3f} s in all, most by 'base' ({total_s:.3f} s)"
+    )
+    slower = [line for line in lines if line.startswith("slower: ")]
+    assert slower == [f"slower: {stretch_text(span)}" for span in spans[:10]]
+    assert f"and {len(spans) - 10} more spans slowed less (check --all lists them)" in lines
+    whole = plan_lines(trajectory, robot, is_whole=True)
+    assert sum(line.startswith("slower: ") for line in whole) == len(spans)
+    assert not any("--all" in line for line in whole)
+
+
+def test_the_latest_keyframes_are_named_with_their_lateness(robot):
+    trajectory = plan(talk(), robot)
+    late = sorted(
+        (mark.planned_s - mark.authored_s, mark.authored_s)
+        for mark in trajectory.marks
+        if mark.planned_s - mark.authored_s > 0.001
+    )
+    lines = plan_lines(trajectory, robot)
+    assert f"{len(late)} of 49 keyframes late, at most {late[-1][0]:.3f} s" in lines
+    named = [line for line in lines if line.startswith("late: ")]
+    assert len(late) > len(named) == 10
+    assert named[0] == f"late: keyframe at {late[-1][1]:g} s is {late[-1][0]:.3f} s late"
+    assert f"and {len(late) - 10} more keyframes less late (check --all lists them)" in lines
+    whole = plan_lines(trajectory, robot, is_whole=True)
+    assert sum(line.startswith("late: ") for line in whole) == len(late)
+
+
+def test_a_late_layer_is_not_on_time(robot):
+    jaw = show((0.0, 0.0), (0.1, 100.0), (3.0, 0.0))
+    layer = Layer(sequence=jaw, joints=("base",), from_s=1.0)
+    lines = plan_lines(plan(replace(show((0.0, 0.0), (6.0, 0.0)), layers=(layer,)), robot), robot)
+    assert "every keyframe is on time" not in lines
+    assert any(line.startswith("slower: 1.0") for line in lines)
+    assert any(line.startswith("late: keyframe at 1.1 s is 0.") for line in lines)
+
+
+def test_passes_of_a_looped_part_are_not_lateness(robot):
+    keys = ((0.0, 0.0), (2.0, 20.0), (4.0, 0.0), (6.0, 20.0), (8.0, 0.0))
+    looped = plan(show(*keys, loop=3, loop_span_s=(0.0, 4.0)), robot)
+    assert "every keyframe is on time" in plan_lines(looped, robot)
+
+
+def test_a_hold_that_became_shorter_is_named(robot):
+    frames = [
+        Keyframe(at_s=0.0, deg={"base": 0.0}),
+        Keyframe(at_s=0.2, deg={"base": 100.0}, hold_s=2.0, hold_may_shrink=True, label="up"),
+        Keyframe(at_s=4.0, deg={"base": 0.0}),
+    ]
+    lines = plan_lines(plan(Sequence(name="show", keyframes=tuple(frames)), robot), robot)
+    (shorter,) = [line for line in lines if line.startswith("shorter")]
+    assert shorter.startswith("shorter: keyframe 'up' at 0.2 s is held 1.3")
+    assert "instead of 2 s" in shorter
+    kept = [replace(frame, hold_may_shrink=False) for frame in frames]
+    lines = plan_lines(plan(Sequence(name="show", keyframes=tuple(kept)), robot), robot)
+    assert not any(line.startswith("shorter") for line in lines)
 
 
 def test_a_show_in_which_nothing_moves_says_so(robot):

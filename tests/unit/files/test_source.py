@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
-from lss_motion.files.source import LISTED_MAX, known_names
+from typing import TYPE_CHECKING
+
+import pytest
+
+from lss_motion.errors import InputError
+from lss_motion.files.source import LISTED_MAX, known_names, text_of
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def test_the_nearest_name_is_offered_whatever_its_case() -> None:
@@ -17,3 +25,12 @@ def test_nothing_is_offered_when_nothing_is_near() -> None:
 def test_a_long_list_is_cut_and_counted() -> None:
     said = known_names("zzz", [f"j{n}" for n in range(LISTED_MAX + 3)])
     assert said.endswith(f"j{LISTED_MAX - 1} and 3 more")
+
+
+def test_the_byte_that_is_not_utf8_is_named_also_after_a_byte_order_mark(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        text_of(b"\xef\xbb\xbfab\xffcd\n", tmp_path)
+    assert "byte 0xff is not UTF-8" in caught.value.reason
+    with pytest.raises(InputError) as caught:
+        text_of(b"\xef\xbb\xbfa\n\xff", tmp_path)
+    assert caught.value.line == 2

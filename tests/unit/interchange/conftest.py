@@ -57,7 +57,7 @@ def arm(tmp_path: Path) -> Robot:
     path.write_text(
         "robot: arm\n"
         "defaults: {model: LSS-HS1, range_deg: [-180, 180], speed_max_deg_s: 360,\n"
-        "           accel_max_deg_s2: 1000}\n"
+        "           accel_max_deg_s2: 1000, turns: powered}\n"
         "joints:\n"
         "  base: {id: 1}\n"
         "  elbow: {id: 5, direction: -1, zero_deg: 10}\n"

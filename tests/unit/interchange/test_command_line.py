@@ -126,3 +126,14 @@ def test_an_exported_blender_file_is_imported_without_a_map(tmp_path: Path) -> N
     target = tmp_path / "again.yaml"
     assert main(["import", str(output), "--robot", str(robot), "-o", str(target)]) == 0
     assert load_sequence(target, load_robot(robot)).keyframes
+
+
+def test_clip_lists_what_it_limited_and_the_refusal_offers_it(folder: Path, capsys) -> None:
+    (folder / "t.csv").write_text("time_s,pan\n0,0\n2,120\n", encoding="utf-8")
+    assert run(folder, "t.csv", "-o", "out.yaml") == 2
+    err = capsys.readouterr().err
+    assert "t.csv:3: keyframe 2 at 2 s: joint 'pan' at 120 deg is outside" in err
+    assert "--clip" in err
+    assert run(folder, "t.csv", "--clip", "-o", "out.yaml") == 0
+    assert "the farthest was 120 deg at 2 s, line 3." in capsys.readouterr().out
+    assert load_sequence(folder / "out.yaml").keyframes[1].deg == {"pan": 90.0}

@@ -85,3 +85,66 @@ def test_queries_replies_and_holds_are_counted(read_one) -> None:
 def test_a_wrong_command_is_refused_with_its_line(refusal, text, line, reason) -> None:
     error = refusal(CommandReader(), text)
     assert (error.line, reason in error.reason) == (line, True), error
+
+
+@pytest.mark.parametrize(
+    "wait",
+    ["wait 750", "WAIT 750 ms", "pause 0.75", "delay(750);", "sleep 0.75", "time.sleep(0.75)  # s",
+     "pause: 0,75 s", "delay_ms(750)", "delay(500); delay(250); // then go"],
+)  # fmt: skip
+def test_waits_pace_the_commands_from_the_instant_they_were_sent(read_one, wait: str) -> None:
+    motion = read_one(CommandReader(), f"#1D100T500\n#2D0T1000\n{wait}\n#1D200T250\n")
+    assert keys(motion) == {
+        "ID1": [(0.5, 10.0), (0.75, 10.0), (1.0, 20.0)],
+        "ID2": [(1.0, 0.0)],
+    }
+    assert any("paced by the waits" in comment for comment in motion.comments)
+    assert not any("means nothing" in comment for comment in motion.comments)
+
+
+def test_a_wait_that_is_shorter_than_the_move_cuts_the_move(read_one) -> None:
+    text = "#1D0T100\r\ndelay(100)\r\n#1D100T1000 delay(250) #1D0T500\n"
+    times_s, values = zip(*keys(read_one(CommandReader(), text))["ID1"], strict=True)
+    assert times_s == (0.1, 0.35, 0.85)
+    assert values == pytest.approx((0.0, 2.5, 0.0))
+
+
+def test_a_wait_at_the_end_is_a_hold(read_one) -> None:
+    motion = read_one(CommandReader(), "delay(100)\n#1D100T500\ndelay(2000)\n")
+    assert keys(motion) == {"ID1": [(0.6, 10.0)]}
+    assert motion.notes[0.6].hold_s == 1.5
+
+
+def test_a_unit_that_the_text_does_not_give_is_named(read_one) -> None:
+    comments = read_one(CommandReader(), "#1D100T500\nwait 700\npause 0.5\nsleep 1\n").comments
+    assert "`wait 700` is read as ms." in comments
+    assert "`pause 0.5` is read as s." in comments
+    assert not any("sleep" in comment for comment in comments)
+
+
+def test_lines_without_a_meaning_are_listed_and_comments_are_not(read_one) -> None:
+    lines = [f"go {n}" for n in range(12)]
+    text = "# a comment\n// one more\n; and this\n#1D100T500\n" + "\n".join(lines) + "\n"
+    comments = read_one(CommandReader(), text).comments
+    listed = [comment for comment in comments if "means nothing here" in comment]
+    assert len(listed) == 10
+    assert "line 5, which means nothing here: 'go 0'" in listed[0]
+    assert "Not carried over: 2 more lines that mean nothing here" in comments
+
+
+def test_waits_beside_instants_are_listed(read_one) -> None:
+    comments = read_one(CommandReader(), "0.5 #1D100T500\nwait 300\n1.5 #1D0T500\n").comments
+    assert "Not carried over: 1 waits, because the commands have instants" in comments
+
+
+def test_a_log_has_no_lines_without_a_meaning(read_one) -> None:
+    text = (
+        "# lss_motion log 2\n0.100000000 main > #5D100T500\\r#5QD\\r\n0.110000000 main < *5Q\n"
+        "0.120000000 main < D98\\r\n0.130000000 main ~ lost\n"
+        "0.140000000 - ! MarkPassed(label='wait 5')\n"
+        "0.150000000 - #\n"
+    )
+    motion = read_one(CommandReader(), text)
+    assert keys(motion) == {"ID5": [(0.6, 10.0)]}
+    assert not any("means nothing" in comment for comment in motion.comments)
+    assert not any("waits" in comment for comment in motion.comments)

@@ -94,3 +94,8 @@ def test_a_wrong_row_is_refused_with_its_line(refusal, text, line, reason) -> No
 )
 def test_another_encoding_is_refused(refusal, data: bytes, reason: str) -> None:
     assert reason in refusal(CsvReader(), data).reason
+
+
+def test_leading_blanks_change_nothing(read_one) -> None:
+    motion = read_one(CsvReader(), "\n  # made by hand\n  # fps: 25\n   frame,a_deg\n  0,1\n 1,2\n")
+    assert motion.channels[0].times_s.tolist() == [0.0, 0.04]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from lss_motion.cli.exchange import FORMATS_IN, FORMATS_OUT, PROGRAM, SUFFIXES
+from lss_motion.cli.exchange import FORMATS_IN, FORMATS_OUT, KINDS, MCAP, PROGRAM, SKETCH, SUFFIXES
 from lss_motion.interchange import (
     EXPORT_NAMES,
     FORMAT_NAMES,
@@ -61,5 +61,6 @@ def test_a_ros_trajectory_has_speeds_and_whole_nanoseconds(samples) -> None:
 
 def test_the_command_line_names_the_formats_that_there_are() -> None:
     assert tuple(FORMATS_IN.split(", ")) == FORMAT_NAMES
-    assert (*EXPORT_NAMES, PROGRAM) == FORMATS_OUT
+    assert (*EXPORT_NAMES, PROGRAM, SKETCH, MCAP) == FORMATS_OUT
     assert set(SUFFIXES.values()) <= set(FORMATS_OUT)
+    assert set(KINDS) == set(FORMATS_OUT)

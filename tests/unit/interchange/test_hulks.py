@@ -49,3 +49,29 @@ def test_a_wrong_hulks_keyframe_is_refused_with_its_place(refusal, change, reaso
     content = json.loads(json.dumps(HULKS))
     change(content["motion"][0]["keyframes"][1])
     assert reason in refusal(HulksReader(), json.dumps(content)).reason
+
+
+def test_initial_positions_may_stand_beside_stiffnesses(read_one) -> None:
+    content = json.loads(json.dumps(HULKS))
+    plain = read_one(HulksReader(), json.dumps(content))
+    content["initial_positions"] = {
+        "positions": content["initial_positions"],
+        "stiffnesses": {"head": {"yaw": 0.8}},
+    }
+    content["interpolation_mode"] = "Linear"
+    content["motion"][0]["interpolation_mode"] = "Spline"
+    motion = read_one(HulksReader(), json.dumps(content))
+    for own, other in zip(motion.channels, plain.channels, strict=True):
+        assert own.name == other.name
+        assert own.values.tolist() == other.values.tolist()
+    assert "Not carried over: initial_positions: stiffnesses" in motion.comments
+    for mode in ("Linear", "Spline"):
+        assert any(f"interpolation_mode {mode};" in text for text in motion.comments)
+
+
+def test_older_files_have_one_list_of_frames(read_one) -> None:
+    frames = HULKS["motion"][0]["keyframes"]
+    content = {"initial_positions": HULKS["initial_positions"], "frames": frames}
+    motion = read_one(HulksReader(), json.dumps(content))
+    assert motion.channels[0].times_s.tolist() == [0.0, 0.5, 1.5]
+    assert not any("Not carried over" in text for text in motion.comments)

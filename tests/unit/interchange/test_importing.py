@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ from lss_motion.errors import InputError
 from lss_motion.interchange import (
     FORMAT_NAMES,
     import_motion,
+    imported,
     read_motion,
     read_motions,
     sequence_for,
@@ -75,7 +77,7 @@ def test_the_error_lists_everything_that_the_robot_cannot_do(tmp_path: Path, fig
     assert joints.startswith(f"{path}: robot 'figure' does not have the joints Jaw, Tail; it has")
     assert tilt == (
         f"{path}: keyframe 2 (away) at 3 s: joint 'HeadTilt' at 61 deg is outside its range, "
-        "-45 to 60 deg"
+        "-45 to 60 deg; --clip limits the angles to the range"
     )
 
 
@@ -109,7 +111,7 @@ def test_dates_and_negative_times_are_moved_to_start_at_0(tmp_path: Path, start_
 
 
 def test_a_file_beyond_the_limit_is_refused(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr("lss_motion.interchange.importing.FILE_MAX_BYTES", 100)
+    monkeypatch.setattr("lss_motion.interchange.importing.RECORDING_MAX_BYTES", 100)
     path = tmp_path / "big.csv"
     path.write_text("t_s,HeadPan\n" + "0,1\n" * 50, encoding="utf-8")
     with pytest.raises(InputError, match="is larger than 0 MB, the most that is read"):
@@ -182,3 +184,74 @@ def test_real_motions_with_empty_extras_are_read_and_with_other_joints_refused(
     assert len(import_motion(MOTIONS / "throw.json", figure).keyframes) == 4
     with pytest.raises(InputError, match=r"does not have the joints .*LKnee.* RKnee"):
         import_motion(MOTIONS / "cheering.json", figure)
+
+
+CSV = "# made by hand\ntime_s,HeadPan,HeadTilt\n0,0,0\n1,5,70\n2,0,90\n3,0,0\n"
+
+
+def test_an_angle_out_of_range_names_the_line_of_the_file(tmp_path: Path, figure: Robot) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(CSV, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        import_motion(path, figure)
+    assert (caught.value.line, caught.value.path) == (5, path)
+    assert "joint 'HeadTilt' at 90 deg is outside its range" in caught.value.reason
+    assert "1 more keyframes" in caught.value.reason
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "line"),
+    [
+        ("a.txt", "#1D0T500\ndelay(600)\n#1D900T1000\n", 3),
+        ("a.motion", "#WEBOTS_MOTION,V1.0,HeadTilt\n00:00:000,0\n00:01:000,1.6\n", 3),
+        ("a.csv", "time_s;servo;deg\n0;HeadTilt;0\n2;HeadTilt;0\n1;HeadTilt;99\n", 4),
+        ("b.csv", "PROJECT;SEQUENCE;STEP;PIN0;T0;\nW;1;1;9;500;\nW;1;2;95;500;\n", 3),
+        ("c.csv", "HeadTilt,HeadPan\n1,1\n88,1\n", 3),
+    ],
+)
+def test_every_text_format_gives_the_line(tmp_path, figure, name, text, line) -> None:
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    motion = read_motion(path)
+    motion = replace(
+        motion,
+        channels=tuple(
+            replace(c, name="HeadPan" if c.name == "HeadPan" else "HeadTilt", servo_id=None)
+            for c in motion.channels
+        ),
+    )
+    with pytest.raises(InputError) as caught:
+        imported(motion, figure)
+    assert caught.value.line == line, caught.value
+
+
+def test_a_line_is_found_in_a_recording_that_was_reduced(tmp_path: Path, figure: Robot) -> None:
+    rows = [f"{n / 50},{min(n, 100)}" for n in range(150)]
+    path = tmp_path / "recording.csv"
+    path.write_text("time_s,HeadTilt\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        import_motion(path, figure)
+    row = rows[(caught.value.line or 0) - 2]
+    assert 60 < float(row.partition(",")[2]) <= 100
+
+
+def test_clipped_angles_are_at_the_range_and_listed(tmp_path: Path, figure: Robot) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(CSV, encoding="utf-8")
+    made = imported(read_motion(path), figure, is_clipped=True)
+    assert [keyframe.deg["HeadTilt"] for keyframe in made.sequence.keyframes] == [0, 60, 60, 0]
+    assert made.comments[-1] == (
+        "Clipped: 2 of 4 angles of joint HeadTilt to its range of -45 to 60 deg; the farthest "
+        "was 90 deg at 2 s, line 5."
+    )
+
+
+def test_an_encoder_that_wraps_is_named_where_its_turn_is_refused(tmp_path, figure) -> None:
+    rows = [f"{n / 50},{(n * 2 + 180) % 360 - 180}" for n in range(120)]
+    path = tmp_path / "recording.csv"
+    path.write_text("time_s,HeadPan\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        import_motion(path, figure)
+    assert "--unwrap removes the turns" in str(caught.value)
+    made = imported(read_motion(path), figure, is_unwrapped=True, is_clipped=True)
+    assert any("The turns were removed (--unwrap)" in comment for comment in made.comments)

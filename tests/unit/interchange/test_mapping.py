@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -129,14 +130,42 @@ def test_a_map_that_skips_everything_is_refused(arm, write_map) -> None:
         mapped(motion(("base", Unit.DEG, [1.0])), arm, write_map("  base: {skip: true}\n"))
 
 
-def test_full_turns_of_an_encoder_that_wraps_are_removed(arm) -> None:
+def test_full_turns_of_an_encoder_that_wraps_are_removed_where_desired(arm) -> None:
     turning = [170.0, 178.0, -174.0, -166.0, -174.0, 178.0]
-    made = mapped(motion(("base", Unit.DEG, turning), is_recording=True), arm, None)
+    content = motion(("base", Unit.DEG, turning), is_recording=True)
+    offered = mapped(content, arm, None)
+    assert angles(offered) == {"base": turning}
+    assert offered.comments == (
+        "Joint base jumps by a full turn 2 times, first at 0.2 s, as an encoder does that wraps. "
+        "--unwrap removes the turns.",
+    )
+    made = mapped(content, arm, None, is_unwrapped=True)
     assert angles(made) == {"base": [170.0, 178.0, 186.0, 194.0, 186.0, 178.0]}
     assert made.comments == (
-        "Joint base jumps by a full turn 2 times, first at 0.2 s. The turns were removed, "
-        "because the encoder wrapped.",
+        "Joint base jumps by a full turn 2 times, first at 0.2 s. The turns were removed "
+        "(--unwrap).",
     )
+
+
+@pytest.mark.parametrize("passed", [[20.0], [100.0, -60.0]])
+def test_values_that_were_read_while_the_encoder_wrapped_are_removed(arm, passed) -> None:
+    turning = [170.0, 178.0, *passed, -174.0, -166.0]
+    content = motion(("base", Unit.DEG, turning), is_recording=True)
+    step_s = 0.02
+    times_s = step_s * np.arange(len(turning))
+    content = replace(content, channels=(replace(content.channels[0], times_s=times_s),))
+    (own,) = mapped(content, arm, None, is_unwrapped=True).channels
+    assert own.values.tolist() == [170.0, 178.0, 186.0, 194.0]
+    expected_s = [0.0, 1.0, 2.0 + len(passed), 3.0 + len(passed)]
+    assert own.times_s.tolist() == pytest.approx([step_s * n for n in expected_s])
+
+
+def test_a_fast_motion_is_no_wrap(arm) -> None:
+    quick = [0.0, 60.0, 120.0, 180.0, 120.0, 60.0, 0.0]
+    content = motion(("base", Unit.DEG, quick), is_recording=True)
+    made = mapped(content, arm, None, is_unwrapped=True)
+    assert angles(made) == {"base": quick}
+    assert made.comments == ()
 
 
 def test_poses_a_full_turn_apart_are_not_changed(arm) -> None:

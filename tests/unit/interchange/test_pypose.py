@@ -54,3 +54,8 @@ def test_a_pypose_sequence_of_unknown_poses_is_refused_alone() -> None:
     assert isinstance(bad, RefusedMotion)
     assert "step 1 names pose 'op', which does not exist" in bad.error.reason
     assert isinstance(good, ForeignMotion)
+
+
+def test_blank_lines_and_blanks_at_the_start_change_nothing(read_one) -> None:
+    text = "\n\n  droid:1\n\n  Pose=a: 512\n  Seq=s: a|250\n"
+    assert read_one(PyPoseReader(), text).channels[0].values.tolist() == [0.0]

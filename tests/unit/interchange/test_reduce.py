@@ -230,3 +230,50 @@ def test_keys_of_a_recording_at_the_end_of_its_range_stay_within_it(arm) -> None
     assert low - 1e-6 <= planned_deg.min() <= planned_deg.max() <= high + 1e-6
     assert made.fit is not None
     assert made.fit.keys_count < 60
+
+
+def moves(seed: int, *, rate_hz: float = 50.0, duration_s: float = 20.0) -> np.ndarray:
+    """A joint that moves and rests at random, faster than its limits here and there."""
+    random = np.random.default_rng(seed)
+    times_s = np.arange(int(duration_s * rate_hz)) / rate_hz
+    values, at_s, here_deg = np.zeros(len(times_s)), random.uniform(0.0, 2.0), 0.0
+    while at_s < duration_s:
+        move_s, there_deg = random.uniform(0.3, 1.5), random.uniform(-60.0, 60.0)
+        share = np.clip((times_s - at_s) / move_s, 0.0, 1.0)
+        values += (there_deg - here_deg) * (10 * share**3 - 15 * share**4 + 6 * share**5)
+        here_deg, at_s = there_deg, at_s + move_s + random.exponential(0.5)
+    return np.round(values / 0.29) * 0.29
+
+
+def many(count: int) -> ForeignMotion:
+    times_s = np.round(np.arange(1000) / 50.0, 6)
+    channels = [
+        Channel(name=f"j{n}", unit=Unit.DEG, times_s=times_s, values=moves(n)) for n in range(count)
+    ]
+    return ForeignMotion(
+        path=Path("r.csv"), name="r", channels=tuple(channels), notes={}, is_recording=True
+    )
+
+
+def test_joints_share_the_times_of_their_keys() -> None:
+    """With times of their own, these four joints have 136 keys in 123 keyframes."""
+    whole = many(4)
+    keys, fit = reduced(whole, 5.0, Interpolation.SPLINE)
+    assert fit.error_max_deg <= 5.0 + ROUNDING_DEG
+    assert fit.keys_count <= 140
+    assert fit.keyframes_count <= 80
+    for own, recorded in zip(keys.channels, whole.channels, strict=True):
+        error_deg = (
+            interpolated(Interpolation.SPLINE, own.times_s, own.values, recorded.times_s)
+            - recorded.values
+        )
+        assert np.abs(error_deg).max() <= 5.0 + ROUNDING_DEG
+
+
+def test_where_a_recording_breaks_a_limit_the_limit_costs_few_keys() -> None:
+    """The planner slows such spans down in any case; keys would not help. Once 1,146 instead."""
+    whole = many(4)
+    limits = {channel.name: LIMITS for channel in whole.channels}
+    _, free = reduced(whole, 5.0, Interpolation.SPLINE)
+    _, kept = reduced(whole, 5.0, Interpolation.SPLINE, limits)
+    assert kept.keys_count <= 2 * free.keys_count

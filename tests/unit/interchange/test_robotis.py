@@ -177,3 +177,32 @@ def test_another_kind_of_file_is_refused(data: bytes, reason: str) -> None:
     assert not RobotisPagesReader().recognises(data)
     with pytest.raises(InputError, match=reason):
         RobotisPagesReader().motions(PATH, data)
+
+
+def test_mtn_numbers_may_have_decimal_commas(read_one) -> None:
+    text = mtn(step(512, 0) + step(768, 1023, 0.5, 0.5))
+    plain = read_one(RobotisTextReader(), text)
+    commas = text.replace("1.01", "1,01").replace("0.5", "0,5").replace("2.0", "2,0")
+    motion = read_one(RobotisTextReader(), commas)
+    assert motion.channels[0].times_s.tolist() == plain.channels[0].times_s.tolist()
+    assert motion.notes[0.75].hold_s == 0.25
+
+
+@pytest.mark.parametrize(
+    "tail", [b"\0\0\xfe\xffold bytes", b"page_end\n\xc0\xff", b" stray", b"\r\n\x1a"]
+)
+def test_garbage_after_the_last_page_is_listed_and_left_out(read_one, tail: bytes) -> None:
+    text = mtn(step(512, 0) + step(768, 1023, 0.5, 0.5)).rstrip().encode()
+    if tail.startswith(b"page_end"):
+        text = text.removesuffix(b"page_end")
+    motion = read_one(RobotisTextReader(), text + tail)
+    assert motion.channels[0].times_s.tolist() == [0.5, 0.75, 1.5, 1.75]
+    listed = any("after the last page" in comment for comment in motion.comments)
+    assert listed is (tail.strip() != b"\x1a")
+
+
+def test_lines_outside_of_the_pages_are_listed(read_one) -> None:
+    text = mtn(step(512, 0)).replace("page_end\npage_begin", "page_end zz\nwhat=1\npage_begin")
+    comments = read_one(RobotisTextReader(), text).comments
+    assert "Not carried over: line 8, after page_end: 'zz'" in comments
+    assert "Not carried over: line 9, outside of the pages: 'what=1'" in comments

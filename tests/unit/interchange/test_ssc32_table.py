@@ -44,3 +44,10 @@ def test_a_wrong_ssc32_row_is_refused_with_its_line(text, line, reason) -> None:
         (bad,) = Ssc32TableReader().motions(Path("m"), text.encode())
         assert isinstance(bad, RefusedMotion)
         assert str(bad.error) == "m:2: 'x' is not a number"
+
+
+def test_a_table_without_names_is_named_after_its_file() -> None:
+    motions = Ssc32TableReader().motions(Path("wave.csv"), ssc32(";;1;9;9;9;5;5;5").encode())
+    assert [motion.name for motion in motions] == ["wave"]
+    (bad,) = Ssc32TableReader().motions(Path("wave.csv"), ssc32(";;1;x;9;9;5;5;5").encode())
+    assert (bad.name, isinstance(bad, RefusedMotion)) == ("wave", True)

@@ -47,9 +47,41 @@ def test_line_ends_and_a_byte_order_mark_change_nothing(read_one) -> None:
         ("0.4", "1e999", 3, "'1e999' is out of range"),
         ("01:00:000", "00:01:000", 4, "times must increase, but this is 1 s after 1.5 s"),
         ("ArmL,ArmR", "ArmL,ArmL", 1, "every joint needs a name of its own"),
-        (",ArmL,ArmR,Lift", "", 1, "the first line must be"),
+        (",ArmL,ArmR,Lift", "", 2, "names of joints are expected here"),
     ],
 )
 def test_a_wrong_webots_line_is_refused_with_its_number(refusal, old, new, line, reason) -> None:
     error = refusal(WebotsReader(), WEBOTS.replace(old, new))
     assert (error.line, reason in error.reason) == (line, True), error
+
+
+@pytest.mark.parametrize(
+    ("text", "times_s"),
+    [
+        ("#WEBOTS_MOTION,V1.0\nArmL,ArmR\n00:00:000,a,1,2\n00:00:500,b,3,4\n", [0.0, 0.5]),
+        ("#WEBOTS_MOTION,V1.0\nArmL,ArmR\n00:00:000,1,2,\n00:00:500,3,4,\n", [0.0, 0.5]),
+        ("#WEBOTS_MOTION,V1.1\nArmL%ArmR\n40%1%2\n500%3%4\n", [0.04, 0.54]),
+        ("#WEBOTS_MOTION%V1.1%ArmL%ArmR\n00:00:040%1%2%\n00:00:540%3%4%\n", [0.04, 0.54]),
+    ],
+)
+def test_names_may_have_a_line_of_their_own_and_durations_are_summed(read_one, text, times_s):
+    motion = read_one(WebotsReader(), text)
+    assert [channel.name for channel in motion.channels] == ["ArmL", "ArmR"]
+    assert motion.channels[1].values.tolist() == [2.0, 4.0]
+    assert motion.channels[0].times_s.tolist() == times_s
+    has_durations = "40%" in text and "00:" not in text
+    assert any("assumed to be milliseconds" in text for text in motion.comments) is has_durations
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("#WEBOTS_MOTION,V1.0\n00:00:000,a,1,2\n", 2),
+        ("#WEBOTS_MOTION,V1.0\n", 1),
+        ("#WEBOTS_MOTION,one,ArmL\n00:00:000,1\n", 1),
+        ("#WEBOTS_MOTION,V1.1\nArmL\n1.5,1\n", 3),
+    ],
+)
+def test_a_refusal_names_the_variants_that_are_read(refusal, text, line) -> None:
+    error = refusal(WebotsReader(), text)
+    assert (error.line, "divided by `%`" in error.reason) == (line, True)

@@ -50,7 +50,7 @@ def test_frames_and_poses_change_nothing_else_in_a_robot_file(tmp_path):
     path = tmp_path / "robot.yaml"
     before = ARM.read_text(encoding="utf-8")
     path.write_text(before, encoding="utf-8")
-    write_frames(path, {"base": (12.5, -1), "shoulder": (0.0, -1)})
+    write_frames(path, {"base": (12.5, -1), "shoulder": (0.0, -1)}, {"base": {"G": -1.0}})
     write_pose(path, "pick", {"base": 10.5, "elbow": -20.0})
     write_pose(path, "home", {"base": 3.0})
     after = path.read_text(encoding="utf-8")

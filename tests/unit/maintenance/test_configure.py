@@ -9,8 +9,8 @@ from lss_motion.cli.main import main
 from lss_motion.cli.servo_settings import read, read_whole, targets_at, write
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_UNREACHABLE, BusError
 from lss_motion.player.transactions import Item
+from lss_motion.protocol.framing import Command
 from lss_motion.protocol.io2 import PIN_IDS
-from lss_motion.protocol.line import Command
 from lss_motion.sim.faults import Fault, FaultKind
 
 ROBOT = """

@@ -13,16 +13,17 @@ from lss_motion.errors import BusError, InputError, PlaybackError
 from lss_motion.maintenance.identify import summary
 from lss_motion.maintenance.identify.estimate import identify, read_rests
 from lss_motion.maintenance.identify.experiment import Experiment, State
-from lss_motion.maintenance.identify.fit import HYPOTHESES, Hypothesis, SentMove, Shape, horn_deg
+from lss_motion.maintenance.identify.fit import HYPOTHESES, Hypothesis, Shape, horn_deg
 from lss_motion.maintenance.identify.trials import (
     Kind,
     Recording,
+    SentMove,
     Trial,
     Window,
     make_trials,
     make_window,
 )
-from lss_motion.player import handshake
+from lss_motion.player import checks, handshake
 from lss_motion.program.response import Profile
 from lss_motion.robot.model import Bus, Response, Robot
 from lss_motion.runtime.clock import VirtualClock
@@ -56,8 +57,8 @@ class Bench:
         self.bus = SimBus([spec], baud_bps=baud_bps, firmware=370, **options)
         self.bus.record()
         self.connection.ports["main"] = SimPort(self.bus, self.connection.clock)
-        answers = self.connection.ask(handshake.queries([joint]))
-        handshake.check_answers([joint], answers, self.robot)
+        answers = self.connection.ask(checks.queries([joint]))
+        checks.check_answers([joint], answers, self.robot)
         self.standing_deg = handshake.reported(joint, answers, "QD")
         window = make_window(joint, self.standing_deg, span_deg)
         self.experiment = Experiment(

@@ -10,7 +10,7 @@ from lss_motion.errors import BusError, InputError
 from lss_motion.maintenance.backup import ServoBackup
 from lss_motion.maintenance.limits import questions, robot_from_answers, robot_from_backup
 from lss_motion.player.transactions import Item
-from lss_motion.protocol.line import Command
+from lss_motion.protocol.framing import Command
 from lss_motion.robot.load import load_robot
 from lss_motion.runtime.clock import VirtualClock
 from lss_motion.sequence.model import Keyframe, Sequence

@@ -13,7 +13,7 @@ from lss_motion.maintenance.monitor import Alarms, ServoState, Thresholds, Watch
 from lss_motion.maintenance.settings import Target
 from lss_motion.player.transactions import Item
 from lss_motion.protocol.constants import Family, Status
-from lss_motion.protocol.line import Command
+from lss_motion.protocol.framing import Command
 from lss_motion.runtime.runner import run
 from lss_motion.sim.faults import Fault, FaultKind
 

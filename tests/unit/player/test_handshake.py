@@ -1,15 +1,11 @@
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
-
 import pytest
 
-from lss_motion.errors import BusError, InputError
 from lss_motion.player import handshake
 from lss_motion.player.approach import approach
 from lss_motion.program.verify import profiles
-from lss_motion.protocol.line import encode
+from lss_motion.protocol.framing import encode
 from lss_motion.robot.servo_models import SERVO_MODELS
 
 ANSWERS = {"QMS": "LSS-ST1", "QF": 370, "Q": 1, "QSD": 3600, "QAA": 100, "QAD": 100, "QEM": 1}
@@ -24,26 +20,6 @@ def sent(items):
     return [encode(item.command) for item in items]
 
 
-def test_good_answers_raise_nothing_and_warn_of_nothing(kit):
-    assert handshake.check_answers([kit.joint()], answers(), kit.robot()) == []
-
-
-@pytest.mark.parametrize("said", ["silent", None, "DIS"])
-def test_a_servo_that_does_not_report_its_position_counts_as_silent(kit, said):
-    with pytest.raises(BusError, match=r"j0 \(id 1 on bus 'main'\)"):
-        handshake.check_answers([kit.joint()], answers(QD=said), kit.robot())
-
-
-def test_a_servo_that_answers_little_but_its_place_is_driven_and_given_its_limits(kit):
-    known = answers(**dict.fromkeys(ANSWERS, "silent"))
-    assert handshake.check_answers([kit.joint()], known, kit.robot()) == []
-    assert handshake.session_orders([kit.joint()], known) == []
-    limits = [b"#1EM1\r", b"#1AA60\r", b"#1AD60\r", b"#1SD1800\r"]
-    assert sent(handshake.unconfirmed_orders([kit.joint()], known)) == limits
-    assert handshake.unconfirmed_orders([kit.joint()], answers()) == []
-    assert handshake.restoring_orders([kit.joint()], known) == []
-
-
 def test_the_session_gets_the_joints_own_limits(kit):
     one = kit.joint(accel_max_deg_s2=455.0, speed_max_deg_s=123.4, settings={"AS": -2})
     orders = handshake.session_orders([one], answers())
@@ -56,21 +32,6 @@ def test_what_was_read_is_given_back_to_the_letter(kit):
     orders = handshake.restoring_orders([one], had)
     once = [b"#1EM0\r", b"#1AA77\r", b"#1AD33\r", b"#1SD2000\r", b"#1AS4\r"]
     assert sent(orders) == handshake.RESTORING_TIMES * once
-
-
-def test_the_settings_of_the_file_are_queried_too(kit):
-    one = kit.joint(settings={"AS": -2, "AH": 3})
-    assert {b"#1QAS\r", b"#1QAH\r", b"#1QD\r"} <= set(sent(handshake.queries([one])))
-
-
-@pytest.mark.parametrize("drive", ["timed", "streamed", "stepped"])
-def test_the_first_question_is_one_that_all_documents_have(kit, drive):
-    """By it a servo counts as silent: QFPC is nothing that an old firmware knows."""
-    model = SERVO_MODELS["LSS-2IO" if drive == "stepped" else "LSS-ST1"]
-    asked = sent(handshake.queries([kit.joint(model=model, drive=drive, settings={"AS": -2})]))
-    assert asked[0] == b"#1QMS\r"
-    assert asked[-1] == b"#1QAS\r"
-    assert len(set(asked)) == len(asked) > 3
 
 
 def test_an_order_counts_as_taken_only_when_the_servo_answers_with_it(kit):
@@ -113,25 +74,28 @@ def test_a_joint_that_was_let_go_stays_so(kit):
     assert handshake.safe_bytes(kit.robot(one), limp=[one]) == {"main": b"#254H\r#1L\r"}
 
 
-def test_a_servo_of_another_model_is_refused_at_the_line_that_names_the_model(kit):
-    robot = replace(kit.robot(one := kit.joint(lines={"model": 7})), path=Path("arm.yaml"))
-    with pytest.raises(InputError, match=r"^arm.yaml:7: joint 'j0': servo 1 is an LSS-HT1"):
-        handshake.check_answers([one], answers(QMS="LSS-HT1"), robot)
+def speeds_deg_s(program, standing_deg):
+    """Return the speeds that the moves of a program ask for: way by T, in order of time."""
+    at_deg, speeds = dict(standing_deg), []
+    for move in sorted(program.moves, key=lambda move: move.due_us):
+        target_deg = move.target_wire / 10.0
+        way_deg = abs(target_deg - at_deg[move.servo_id])
+        speeds.append(way_deg * 1000.0 / move.duration_ms)
+        at_deg[move.servo_id] = target_deg
+    return speeds
 
 
-@pytest.mark.parametrize(("wire", "is_said"), [(-905, False), (905, False), (1201, True)])
-def test_a_joint_outside_of_its_range_is_named_with_angle_and_range(kit, wire, is_said):
-    one = kit.joint(position_min_deg=-90.0, position_max_deg=90.0, direction=-1)
-    texts = handshake.check_range([one], answers(QD=wire))
-    assert [text.partition(", and")[0] for text in texts] == [
-        "joint 'j0' stands at -120.1 deg, outside of its range of -90 to 90 deg"
-    ] * is_said
+def test_a_joint_far_outside_of_its_range_is_led_back_no_faster_than_asked(kit):
+    """The first of two moves ends in the range: its way is the longer one, and so is its T."""
+    robot = kit.robot(kit.joint(), kit.joint("j1", 2), approach_speed_deg_s=30.0)
+    program = approach(robot, {"j0": -350.0, "j1": 10.0}, {"j0": 0.0, "j1": -20.0})
+    assert len(program.moves) == 4
+    assert all(-900 <= move.target_wire <= 900 for move in program.moves)
+    assert max(speeds_deg_s(program, {1: -350.0, 2: 10.0})) == pytest.approx(30.0, rel=0.01)
 
 
-def test_a_limp_servo_is_reported_before_it_moves(kit):
-    one = kit.joint()
-    said = [
-        handshake.found([one], answers(Q=code), kit.robot(one), {"j0": 0.0})[0].status
-        for code in (1, 6, "silent")
-    ]
-    assert said == ["limp", "holding", None]
+def test_the_way_back_into_the_range_may_be_too_long_for_one_move(kit):
+    robot = kit.robot(kit.joint(), approach_speed_deg_s=10.0)
+    program = approach(robot, {"j0": -250.0}, {"j0": 0.0})
+    assert max(speeds_deg_s(program, {1: -250.0})) <= 10.05
+    assert program.moves[-1].target_wire == 0

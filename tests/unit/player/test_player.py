@@ -1,29 +1,34 @@
 from __future__ import annotations
 
-from lss_motion.player.player import GAP_NS, NAMED_MAX, StallDetector
+from lss_motion.player.player import GAP_NS, NAMED_MAX, StallDetector, stall_text
 
 S = 1_000_000_000
 
 
-def test_only_a_long_delay_is_reported():
+def test_only_a_long_delay_is_a_gap():
     gaps = StallDetector()
-    assert gaps.text(9 * S, None) is None
-    for wakeup_ns, now_ns, is_named in (
-        (10 * S, 9 * S, False),
-        (10 * S, 10 * S + GAP_NS - 1, False),
-        (10 * S, 10 * S + GAP_NS, True),
-        (None, 99 * S, False),
+    assert gaps.gap_ns(9 * S) == 0
+    for wakeup_ns, now_ns, gap_ns in (
+        (10 * S, 9 * S, 0),
+        (10 * S, 10 * S + GAP_NS - 1, 0),
+        (10 * S, 10 * S + GAP_NS, GAP_NS),
+        (None, 99 * S, 0),
     ):
         gaps.expect(wakeup_ns)
-        assert (gaps.text(now_ns, None) is not None) is is_named
-        assert gaps.text(now_ns + S, None) is None, "it was named"
+        assert gaps.gap_ns(now_ns) == gap_ns
+        assert gaps.gap_ns(now_ns + S) == 0, "it was named"
 
 
-def test_delays_are_reported_with_length_and_show_time_up_to_a_maximum():
-    gaps, texts = StallDetector(), []
-    for _ in range(NAMED_MAX + 5):
-        gaps.expect(2 * S)
-        texts.append(gaps.text(5 * S, lambda _: 7.25))
-    assert texts[0].startswith("this program was held up for 3.00 s, up to 7.25 s of the show")
+def test_delays_are_reported_with_their_length_up_to_a_maximum():
+    gaps = StallDetector()
+    texts = [gaps.warning(3 * S) for _ in range(NAMED_MAX + 5)]
+    assert texts[0].startswith("this program was held up for 3.00 s: stopped (Ctrl-Z)")
     assert [text is None for text in texts] == [False] * NAMED_MAX + [True] * 5
     assert texts[NAMED_MAX - 1].endswith("Further delays are not reported")
+
+
+def test_a_stall_is_reported_with_its_length_and_the_place_in_the_show():
+    assert stall_text(3 * S, 7.25).startswith(
+        "this program was held up for 3.00 s at 7.25 s of the show: stopped (Ctrl-Z)"
+    )
+    assert "held up for 3.00 s: stopped" in stall_text(3 * S, None), "before the show"

@@ -27,7 +27,7 @@ from lss_motion.player.polling import (
 from lss_motion.player.query_tracker import STARVED_NS, STRAY_NS, QueryTracker
 from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.show_clock import ShowClock
-from lss_motion.protocol.line import Command, CommandParser, Reply, encode
+from lss_motion.protocol.framing import Command, CommandParser, Reply, encode
 from lss_motion.robot.model import Bus, Sensor
 from lss_motion.robot.on_fault import Cause
 from lss_motion.robot.servo_models import SERVO_MODELS

@@ -17,7 +17,7 @@ from lss_motion.player.query_tracker import (
     WINDOW_MAX,
     ReplyLatency,
 )
-from lss_motion.protocol.line import Command, Reply, encode
+from lss_motion.protocol.framing import Command, Reply, encode
 
 # ---- queries
 
@@ -47,6 +47,15 @@ def test_an_answer_ends_the_question(tracker, line):
     assert reply.value == 100
     assert (tracker.query_count, tracker.reply_count, tracker.strays) == (1, 1, 0)
     assert not tracker.is_waiting(5)
+
+
+def test_an_answer_that_was_read_late_after_a_stall_is_no_latency(tracker, line):
+    now_ns = take_over(tracker, line, 5)
+    before = tracker.latency(5).latest_ns
+    tracker.send(ASK, now_ns)
+    [(_, reply)] = tracker.receive(Reply(5, "QD", 100), now_ns + 30_000_000_000)
+    assert reply.value == 100, "the answer itself is used"
+    assert tracker.latency(5).latest_ns == before
 
 
 def test_the_last_query_of_each_servo_and_starvation_are_known(tracker):

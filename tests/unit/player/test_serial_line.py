@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from lss_motion.protocol.line import Reply
+from lss_motion.protocol.framing import Reply
 
 
 def test_bytes_leave_in_order_and_the_line_is_free_when_they_have(line):

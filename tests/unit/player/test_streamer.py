@@ -35,7 +35,7 @@ from lss_motion.program.model import Driving, Move, Program, Repeat
 from lss_motion.program.response import PiecewiseProfile
 from lss_motion.program.splice import Extension
 from lss_motion.program.verify import profiles
-from lss_motion.protocol.line import Reply
+from lss_motion.protocol.framing import Reply
 from lss_motion.robot.model import Bus, Sensor
 from lss_motion.sequence.model import Wait
 from lss_motion.trajectory.model import WaitPoint

@@ -7,7 +7,7 @@ import pytest
 from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.transactions import AGREE_TRIES, TRIES, Dialogue, Item
-from lss_motion.protocol.line import Command, Reply
+from lss_motion.protocol.framing import Command, Reply
 
 
 def ask(servo_id, keyword="QD", bus="main"):

@@ -92,7 +92,11 @@ def test_comments_and_blank_lines_are_ignored(robot):
         (2, "", "`# name: …` is missing"),
         (4, "# duration_us: long", "'long' is not a whole number"),
         (4, "# duration_us: forever", "needs `# repeat_us: FROM TO`"),
-        (7, "# repeat_us: 0 1000", "needs `# duration_us: forever`"),
+        (
+            7,
+            "# repeat_us: 0 1000",
+            "needs `FROM TO TIMES`; or `FROM TO` with `duration_us: forever`",
+        ),
         (5, "# tolerance_deg: nan", "'nan' is not a number"),
         (6, "# start_deg: j0=0 elbow=1", "no joint 'elbow'"),
         (6, "# start_deg: j0=0 a=b=91", "outside of its range"),
@@ -149,12 +153,12 @@ def test_another_robot_may_be_given_and_is_required_if_none_is_named(robot, tmp_
 def test_a_file_that_is_no_program_is_refused_before_a_robot_is_loaded(tmp_path, content):
     path = tmp_path / "not.lss"
     path.write_bytes(content)
-    with pytest.raises(InputError, match="not a program"):
+    with pytest.raises(InputError, match=r"not a program|is a binary file"):
         load_program(path, lambda _: pytest.fail("a robot was loaded"))
 
 
 def test_a_missing_file_is_an_input_error(tmp_path):
-    with pytest.raises(InputError, match="cannot read it"):
+    with pytest.raises(InputError, match="file not found"):
         load_program(tmp_path / "none.lss", lambda _: pytest.fail("a robot was loaded"))
 
 

@@ -15,7 +15,7 @@ from lss_motion.protocol.codec import (
     read_reply,
 )
 from lss_motion.protocol.constants import Family
-from lss_motion.protocol.line import Command, CommandParser, Reply, encode
+from lss_motion.protocol.framing import Command, CommandParser, Reply, encode
 from lss_motion.protocol.table import Suffix, Unit
 
 LSS, PRO, IO2 = Family.LSS, Family.LSS_PRO, Family.IO2

@@ -15,7 +15,7 @@ from lss_motion.protocol.codec import (
     read_reply,
 )
 from lss_motion.protocol.constants import Family
-from lss_motion.protocol.line import Command, CommandParser, Reply, ReplyParser, encode
+from lss_motion.protocol.framing import Command, CommandParser, Reply, ReplyParser, encode
 from lss_motion.protocol.table import Form
 from tests.protocol_table import (
     DOCUMENT_EXAMPLE_COUNT,

@@ -10,8 +10,8 @@ import pytest
 from lss_motion.errors import ProtocolError
 from lss_motion.protocol.codec import FAMILY_TABLES
 from lss_motion.protocol.constants import BAUD_RATES_BPS, Family
+from lss_motion.protocol.framing import Command, encode
 from lss_motion.protocol.io2 import BAUD_MAX_BPS, IO2_TABLE, PIN_IDS, SECTION_MAX_CHARS
-from lss_motion.protocol.line import Command, encode
 from lss_motion.protocol.lss import LSS_TABLE
 from lss_motion.protocol.lss_pro import PRO_TABLE
 from lss_motion.protocol.table import Device, FamilyTable, Form, Row, Value, make_table

@@ -302,6 +302,11 @@ def test_escalations_are_read_for_the_robot_and_for_a_joint(tmp_path) -> None:
         ("{astray: [hold, warn]}", "nothing comes after hold"),
         ("{astray: resume}", "nothing comes back from astray"),
         ("{lost_port: limp}", "a lost port takes no command"),
+        (
+            "{stalled: warn}",
+            "is not where the show is, so there is no warn",
+        ),
+        ("{lost_turn: warn}", "a joint in another turn cannot be driven, so there is no warn"),
         ("{astray: [warn, warn]}", "warn stands there twice"),
         ("{astray: []}", "names no step"),
         ("{astray: 3}", "step '3' is not known"),

@@ -124,5 +124,5 @@ def test_noted_lines_are_in_the_file_after_a_crash(tmp_path):
 
 
 def test_a_log_that_cannot_be_written_is_an_input_error(tmp_path):
-    with pytest.raises(InputError, match="cannot write the log"):
+    with pytest.raises(InputError, match="cannot be written: No such"):
         ByteLog(tmp_path / "no" / "such" / "folder.log")

@@ -115,6 +115,9 @@ class Tap:
     def happened(self, event, now_ns):
         pass
 
+    def noted(self, bus, text, now_ns):
+        pass
+
     def received(self, bus, data, now_ns):
         self.seen.append((now_ns, bus, "<", data))
 

@@ -58,6 +58,23 @@ def test_one_keyframe_with_authored_timing_is_at_the_start(load) -> None:
     assert (sequence.timing, times_s(sequence)) == (Timing.AUTHORED, [0.0])
 
 
+def test_whether_a_hold_may_shrink_is_that_of_keyframe_track_or_file(load) -> None:
+    frames = "  - {at_s: 0, deg: {%s: 0}, hold_s: 1}\n"
+    other = "  - {after_s: 1, deg: {%s: 1}, hold_s: 1, hold_may_shrink: %s}\n"
+    tracks = "tracks:\n  nod:\n    keyframes:\n    " + (frames % "elbow")
+
+    def shrinking(text: str) -> list[bool]:
+        sequence = load(text)
+        frames = [f for part in (sequence, *sequence.tracks) for f in part.keyframes]
+        return [keyframe.hold_may_shrink for keyframe in frames]
+
+    base = frames % "base" + other % ("base", "true")
+    assert shrinking(base + tracks) == [False, True, False]
+    assert shrinking(base + "hold_may_shrink: true\n" + tracks) == [True, True, True]
+    kept = "    hold_may_shrink: false\n"
+    assert shrinking(base + "hold_may_shrink: true\n" + tracks + kept) == [True, True, False]
+
+
 @pytest.mark.parametrize(
     ("keyframes", "times"),
     [

@@ -26,6 +26,7 @@ def sequence(folder: Path) -> Sequence:
         keyframes=(
             Keyframe(at_s=0.0, deg={"base": 0.5, "elbow": -20.0}, label="true"),
             Keyframe(at_s=1.25, deg={"base": 3.0}, hold_s=0.5, ease=Interpolation.LINEAR),
+            Keyframe(at_s=2.0, deg={"base": 3.0}, hold_s=1.5, hold_may_shrink=True),
             Keyframe(at_s=4.0, deg={"base": 0.5, "elbow": -20.0}, is_anchor=True),
         ),
     )
@@ -44,6 +45,7 @@ def test_a_keyframe_is_one_line_with_only_what_is_not_the_default(
         "keyframes:\n"
         '  - {at_s: 0, label: "true", deg: {base: 0.5, elbow: -20}}\n'
         "  - {at_s: 1.25, deg: {base: 3}, hold_s: 0.5, ease: linear}\n"
+        "  - {at_s: 2, deg: {base: 3}, hold_s: 1.5, hold_may_shrink: true}\n"
         "  - {at_s: 4, deg: {base: 0.5, elbow: -20}, anchor: true}\n"
     )
 

@@ -1,7 +1,7 @@
 from dataclasses import replace
 
 import pytest
-from campaign.random_faults import random_faults
+from campaign.random_faults import KINDS, mixed_faults, random_faults
 
 from lss_motion.errors import InputError
 from lss_motion.protocol.constants import Family
@@ -48,6 +48,89 @@ def test_a_lost_reply_never_comes_and_the_command_was_obeyed(make_host):
     assert host.ask("#5QLED") == ""
     host.wait_s(1.0)
     assert host.ask("#5QLED") == "*5QLED3|"
+
+
+@pytest.mark.parametrize("deaf_s", [0.02, 0.3, 1.25])
+def test_a_restarted_servo_is_deaf_for_as_long_as_the_row_gives(make_host, deaf_s):
+    host = make_host(faults=[Fault(kind=FaultKind.RESET, at_s=1.0, deaf_s=deaf_s)])
+    host.say("#5SD100")
+    host.wait_s(1.0)
+    assert host.ask("#5QSD") == ""
+    host.wait_s(deaf_s)
+    assert host.ask("#5QSD") == "*5QSD3600|"
+
+
+@pytest.mark.parametrize(
+    ("setting", "command", "query", "scale_ratio", "angle_deg", "answer"),
+    [
+        ("D", "#5D300", "#5QD", 0.1, 3.0, "*5QD300|"),
+        ("D", "#5D30", "#5QD", 10.0, 30.0, "*5QD30|"),
+        ("SD", "#5SD100", "#5QSD", 10.0, 30.0, "*5QSD100|"),
+        ("T", "#5D300T20000", "#5QT", 0.01, 30.0, "*5QT250|"),
+    ],
+)
+def test_a_servo_with_another_scale_takes_and_answers_its_own(
+    make_host, setting, command, query, scale_ratio, angle_deg, answer
+):
+    fault = Fault(kind=FaultKind.WRONG_SCALE, setting=setting, scale_ratio=scale_ratio)
+    host = make_host(faults=[fault])
+    host.say(command)
+    if setting == "SD":
+        host.say("#5D300")
+    host.wait_s(0.7)  # Too short for 30 deg at 10 deg/s, long enough at 100 deg/s.
+    assert host.horn_deg() == pytest.approx(angle_deg, abs=0.1)
+    assert host.ask(query) == answer
+
+
+def test_ramps_in_another_scale_are_as_much_steeper(make_host):
+    at_deg = {}
+    for ratio in (1.0, 4.0):
+        rows = [
+            Fault(kind=FaultKind.WRONG_SCALE, setting=setting, scale_ratio=ratio)
+            for setting in ("AA", "AD")
+        ]
+        host = make_host(faults=rows, physics=Physics(noise_deg=0.0, lag_s=0.001))
+        host.say("#5AA10")
+        host.say("#5AD10")
+        host.say("#5D3000")
+        host.wait_s(0.5)
+        at_deg[ratio] = host.horn_deg()
+    assert at_deg[4.0] == pytest.approx(4.0 * at_deg[1.0], rel=0.05)
+
+
+def test_another_host_is_heard_and_so_are_the_replies_to_it(make_host):
+    row = Fault(
+        kind=FaultKind.SECOND_MASTER, text="#5QG", every_s=0.5, at_s=1.0, until_s=2.2, bus=None
+    )
+    host = make_host(faults=[row])
+    host.say("#5LED1")
+    host.wait_s(3.0)
+    assert [line for _, line in host.bus.heard] == [b"#5LED1\r", *[b"#5QG\r"] * 3]
+    assert [at_ns / 1e9 for at_ns, _ in host.bus.heard[1:]] == [1.0, 1.5, 2.0]
+    assert host.bus.read(host.now_ns) == b"*5QG1\r" * 3
+
+
+def test_a_reply_is_expected_although_another_host_sends_later(make_host):
+    row = Fault(kind=FaultKind.SECOND_MASTER, text="#5LED2", every_s=0.5, at_s=1.0, until_s=2.2)
+    host = make_host(faults=[row])
+    host.bus.write(b"#5QLED\r", 0)
+    assert host.bus.next_arrival_ns() < 10**7
+    host.wait_s(0.1)
+    assert host.bus.read(host.now_ns) == b"*5QLED7\r"
+    assert host.bus.next_arrival_ns() == 10**9
+    host.wait_s(2.5)
+    assert host.ask("#5QLED") == "*5QLED2|"
+
+
+def test_lines_of_two_hosts_arrive_in_the_order_of_time(make_host):
+    row = Fault(kind=FaultKind.SECOND_MASTER, text="#5LED2", every_s=0.1, at_s=1.0, until_s=1.25)
+    host = make_host(faults=[row])
+    for _ in range(30):
+        host.say("#5LED1")
+        host.wait_s(0.045)
+    at_ns = [ns for ns, _ in host.bus.heard]
+    assert at_ns == sorted(at_ns)
+    assert [line for _, line in host.bus.heard].count(b"#5LED2\r") == 3
 
 
 def test_a_ratio_strikes_that_share(make_host):
@@ -127,6 +210,68 @@ def test_a_hot_servo_trips(make_host):
     host.say("#5D900")
     host.wait_s(0.6)
     assert [host.ask("#5Q"), host.ask("#5Q1"), host.ask("#5QT")] == ["*5Q10|", "*5Q3|", "*5QT900|"]
+
+
+def test_stored_settings_act_at_once_and_after_a_restart(make_host, make_servo):
+    stored = Fault(kind=FaultKind.STORED, servo_id=5, settings={"G": -1, "O": 50, "SD": 900})
+    host = make_host(make_servo(5, start_deg=20.0), make_servo(6), faults=[stored])
+    first = [host.ask(line) for line in ("#5QG", "#5QO", "#5QSD1", "#5QD", "#6QG")]
+    assert first == ["*5QG-1|", "*5QO50|", "*5QSD900|", "*5QD-150|", "*6QG1|"]
+    host.say("#5G1")
+    host.say("#5RESET")
+    host.wait_s(1.5)
+    assert [host.ask("#5QG"), host.ask("#5QD")] == ["*5QG-1|", "*5QD-150|"]
+
+
+def test_servos_may_have_exchanged_their_ids(make_host, make_servo):
+    faults = [
+        Fault(kind=FaultKind.STORED, servo_id=5, settings={"ID": 6}),
+        Fault(kind=FaultKind.STORED, servo_id=6, settings={"ID": 5}),
+    ]
+    host = make_host(make_servo(5, start_deg=10.0), make_servo(6), faults=faults)
+    assert [host.ask("#5QD"), host.ask("#6QD")] == ["*5QD0|", "*6QD100|"]
+
+
+def test_two_servos_with_one_id_answer_together(make_host):
+    host = make_host(faults=[Fault(kind=FaultKind.TWIN, servo_id=5)], baud_bps=921600)
+    said = {host.ask("#5QD") for _ in range(20)}
+    assert "*5QD0|*5QD200|" in said or "*5QD200|*5QD0|" in said
+    assert any(text not in ("*5QD0|*5QD200|", "*5QD200|*5QD0|") for text in said)
+    host.say("#5D100T500")
+    host.wait_s(1.0)
+    assert host.bus.horn_deg([host.now_ns]).tolist() == [[pytest.approx(10.0, abs=0.01)]]
+
+
+def test_the_supply_falls_and_comes_back(make_host):
+    low = Fault(kind=FaultKind.LOW_VOLTAGE, at_s=1.0, until_s=2.0, supply_v=7.0)
+    host = make_host(faults=[low])
+    volts = []
+    for _ in range(3):
+        host.wait_s(0.5)
+        volts.append(round(int(host.ask("#5QV")[4:-1]) / 1000.0, 1))
+        host.wait_s(0.5)
+    assert volts == [12.0, 7.0, 12.0]
+
+
+def test_a_supply_below_the_least_of_the_servos_stops_them(make_host):
+    host = make_host(faults=[Fault(kind=FaultKind.LOW_VOLTAGE, at_s=0.2, supply_v=5.0)])
+    host.say("#5D900T2000")
+    host.wait_s(1.0)
+    assert [host.ask("#5Q"), host.ask("#5Q1")] == ["*5Q10|", "*5Q2|"]
+    assert host.horn_deg() < 20.0
+
+
+def test_a_simulated_servo_has_the_settings_of_its_robot_file(two_buses):
+    one = replace(two_buses.joints["left"], stored={"G": -1.0, "O": 5.0, "FD": 20.0}, zero_deg=3.0)
+    robot = replace(two_buses, joints={**two_buses.joints, "left": one})
+    quiet = Physics(noise_deg=0.0)
+    bus = bus_from_robot(robot, "left", start_deg={"left": 10.0}, physics=quiet)
+    bus.record()
+    bus.write(b"#1QG\r#1QO\r#1QFD\r", 0)
+    bus.advance(50_000_000)
+    bus.write(b"#1QD\r", 50_000_000)
+    assert bus.read(100_000_000) == b"*1QG-1\r*1QO50\r*1QFDDIS\r*1QD130\r"
+    assert bus.horn_deg([0]).tolist() == [[13.0]]
 
 
 def test_faults_repeat_with_their_seed(make_host):
@@ -261,8 +406,22 @@ def test_old_firmware_damages_replies_now_and_then_and_serial_numbers_oftener(ma
 def test_random_faults_are_the_same_for_a_seed_and_cover_every_kind():
     rows = [random_faults(seed, servo_ids=(3, 5), duration_s=10.0) for seed in range(300)]
     assert rows == [random_faults(seed, servo_ids=(3, 5), duration_s=10.0) for seed in range(300)]
-    assert {fault.kind for some in rows for fault in some} == set(FaultKind)
+    assert {fault.kind for some in rows for fault in some} == set(KINDS)
     assert {fault.servo_id for some in rows for fault in some} == {None, 3, 5}
+
+
+def test_mixed_rows_are_the_same_for_a_seed_and_cover_every_kind(two_buses):
+    rows = [mixed_faults(seed, two_buses, 5.0) for seed in range(400)]
+    assert rows == [mixed_faults(seed, two_buses, 5.0) for seed in range(400)]
+    assert {fault.kind for some in rows for fault in some} >= {
+        *KINDS,
+        FaultKind.STORED,
+        FaultKind.TWIN,
+        FaultKind.BLOCKED_PORT,
+        FaultKind.LOW_VOLTAGE,
+        FaultKind.WRONG_SCALE,
+        FaultKind.SECOND_MASTER,
+    }
 
 
 @pytest.mark.parametrize("seed", range(60))
@@ -292,7 +451,19 @@ def test_a_bus_survives_random_faults_and_answers_when_they_are_over(make_host, 
             "{kind: clock_drift, drift_ppm: 10, ratio: 0.5}",
             "'ratio' says nothing about clock_drift",
         ),
+        ("{kind: wrong_scale, setting: SD}", "wrong_scale needs 'scale_ratio'"),
+        ("{kind: second_master, text: '#5QD'}", "second_master needs 'every_s'"),
+        ("{kind: second_master, text: '#5QD', every_s: 1, servo: 5}", "befalls the line"),
+        ("{kind: deaf, deaf_s: 0.1}", "'deaf_s' says nothing about deaf"),
         ("{kind: unplugged, servo: 5}", "befalls the line"),
+        ("{kind: stored, servo: 5}", "stored needs 'settings'"),
+        ("{kind: stored, servo: 5, settings: {GG: 1}}", "'GG' is no setting that LSS stores"),
+        ("{kind: stored, servo: 5, settings: {G: 2}}", "G"),
+        ("{kind: reset, settings: {G: -1}}", "'settings' says nothing about reset"),
+        ("{kind: twin}", "twin needs 'servo'"),
+        ("{kind: twin, servo: 5, at_s: 1}", "'at_s' says nothing about twin"),
+        ("{kind: low_voltage}", "low_voltage needs 'supply_v'"),
+        ("{kind: low_voltage, supply_v: 9, servo: 5}", "befalls the line"),
         ("{kind: input, servo: 203}", "input needs 'raw', or 'distance_mm' with 'sensor'"),
         ("{kind: input, servo: 203, raw: 1, distance_mm: 5}", "input needs 'raw', or"),
         ("{kind: input, servo: 203, distance_mm: 5}", "'distance_mm' and 'sensor' together"),

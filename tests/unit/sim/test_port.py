@@ -1,6 +1,6 @@
 import pytest
 
-from lss_motion.errors import BusError
+from lss_motion.errors import BlockedPortError, BusError
 from lss_motion.runtime.clock import VirtualClock
 from lss_motion.sim.bus import SimBus
 from lss_motion.sim.clocks import SleepyClock
@@ -18,6 +18,7 @@ def make_bus(make_servo):
     return make
 
 
+BLOCKED = Fault(kind=FaultKind.BLOCKED_PORT, at_s=1.0, until_s=1.5)
 UNPLUGGED = Fault(kind=FaultKind.UNPLUGGED, at_s=1.0, until_s=2.0)
 
 
@@ -65,6 +66,48 @@ def test_servos_go_on_while_unplugged_and_what_was_on_its_way_is_lost(make_bus):
     clock.advance_to(3 * S + S // 10)
     again.read()
     assert bus.horn_deg([clock.now_ns()])[0, 0] == pytest.approx(90.0, abs=0.01)
+
+
+def test_a_blocked_port_holds_what_is_written_until_it_takes_bytes_again(make_bus):
+    bus, clock = make_bus(BLOCKED), VirtualClock()
+    port = SimPort(bus, clock)
+    clock.advance_to(S + S // 10)
+    port.write(b"#5QG\r")
+    assert not port.has_sent_all()
+    assert port.next_arrival_ns() == 3 * S // 2
+    clock.advance_to(3 * S // 2)
+    assert (port.read(), port.has_sent_all()) == (b"", True)
+    clock.advance_to(2 * S)
+    assert port.read() == b"*5QG1\r"
+
+
+def test_a_port_that_stays_blocked_is_lost_and_closing_it_does_not_hang(make_bus):
+    for_ever = Fault(kind=FaultKind.BLOCKED_PORT, at_s=1.0)
+    clock = VirtualClock()
+    port = SimPort(make_bus(for_ever), clock)
+    clock.advance_to(2 * S)
+    port.write(b"#5QG\r")
+    clock.advance_to(port.next_arrival_ns())
+    with pytest.raises(BlockedPortError, match="lost port sim://: it takes no bytes"):
+        port.read()
+    assert 5 * S <= 2 * clock.now_ns() < 5 * S + S // 10
+    port.close()
+    assert 2 * clock.now_ns() < 5 * S + S // 10
+    again = SimPort(port.bus, clock)
+    again.write(b"#254H\r")
+    with pytest.raises(BlockedPortError):
+        again.close()
+    assert clock.now_ns() < 3 * S + S // 10
+
+
+def test_what_a_blocked_port_holds_at_its_end_still_leaves(make_bus):
+    bus, clock = make_bus(BLOCKED), VirtualClock()
+    bus.record()
+    port = SimPort(bus, clock)
+    clock.advance_to(S)
+    port.write(b"#254H\r")
+    port.close()
+    assert [line for _, line in bus.heard] == [b"#254H\r"]
 
 
 def test_a_host_that_oversleeps_wakes_that_much_later_in_its_time():

@@ -36,6 +36,7 @@ def make_robot() -> MakeRobot:
                 model=MODEL,
                 position_min_deg=-reach,
                 position_max_deg=reach,
+                turns="by_hand" if reach > 180.0 else None,
                 speed_max_deg_s=own_speed,
                 accel_max_deg_s2=own_accel,
             )
@@ -47,10 +48,20 @@ def make_robot() -> MakeRobot:
 
 @pytest.fixture
 def frame() -> MakeFrame:
-    def make(at_s=None, hold_s=0.0, ease="smooth", label="", line=None, anchor=False, **deg):
+    def make(
+        at_s=None,
+        hold_s=0.0,
+        ease="smooth",
+        label="",
+        line=None,
+        anchor=False,
+        may_shrink=False,
+        **deg,
+    ):
         return Keyframe(
             at_s=at_s,
             hold_s=hold_s,
+            hold_may_shrink=may_shrink,
             ease=Interpolation(ease),
             label=label,
             line=line,

@@ -74,16 +74,44 @@ def test_a_sum_is_slowed_only_where_it_exceeds_a_limit(make_robot, frame):
     verify(trajectory, robot)
     assert trajectory.stretched
     assert all(1.4 < s.from_s < s.to_s < 3.2 for s in trajectory.stretched)
-    assert trajectory.duration_s == pytest.approx(8.0 + sum(s.by_s for s in trajectory.stretched))
+    assert trajectory.duration_s == pytest.approx(8.0)
+
+
+def test_a_layer_that_is_late_itself_names_its_slow_spans(make_robot, frame):
+    jaw = show(frame(0.0, elbow=0.0), frame(0.1, elbow=100.0), frame(0.2, elbow=0.0), name="jaw")
+    robot = make_robot()
+    alone = plan(jaw, robot)
+    trajectory = plan(base_show(frame, layers=(layer_of(jaw, "elbow", from_s=2.0),)), robot)
+    assert alone.stretched
+    assert {span.joint for span in trajectory.stretched} == {"elbow"}
+    for own in alone.stretched:
+        wanted = pytest.approx((2.0 + own.from_s, 2.0 + own.to_s, own.by_s), abs=0.005)
+        assert wanted in [(span.from_s, span.to_s, span.by_s) for span in trajectory.stretched]
+
+
+@pytest.mark.parametrize("may_shrink", [False, True])
+def test_a_sum_that_is_late_keeps_the_holds_below_it(make_robot, frame, may_shrink):
+    below = show(
+        frame(0.0, base=0.0),
+        frame(2.0, base=60.0, hold_s=1.0, may_shrink=may_shrink, label="up"),
+        frame(6.0, base=0.0),
+    )
+    shake = show(frame(0.0, base=0.0), frame(0.6, base=40.0), frame(1.2, base=0.0), name="shake")
+    top = layer_of(shake, "base", mode="add", from_s=0.8)
+    trajectory = plan(replace(below, layers=(top,)), make_robot(speed=75.0, accel=700.0))
+    (up,) = [mark for mark in trajectory.marks if mark.label == "up"]
+    late_s = up.planned_s - 2.0
+    assert late_s > 0.05
+    assert up.held_s == pytest.approx(1.0 - late_s if may_shrink else 1.0, abs=1e-6)
 
 
 def test_a_layer_that_makes_an_anchor_late_is_refused(make_robot, frame):
     shake = show(frame(0.0, base=0.0), frame(0.6, base=40.0), frame(1.2, base=0.0))
     frames = list(base_show(frame).keyframes)
     frames[1] = frame(4.0, base=60.0, elbow=0.0, anchor=True, label="beat")
-    top = layer_of(shake, "base", mode="add", from_s=1.5)
+    top = layer_of(shake, "base", mode="add", from_s=2.8)
     with pytest.raises(PlanningError, match=r"anchor 'beat' at 4 s cannot be met with the layers"):
-        plan(show(*frames, layers=(top,)), make_robot(speed=110.0, accel=700.0))
+        plan(show(*frames, layers=(top,)), make_robot(speed=75.0, accel=700.0))
 
 
 @pytest.mark.parametrize("fade_s", [0.0, 0.5])
@@ -151,7 +179,7 @@ def test_a_layered_plan_is_loaded_from_the_cache(make_robot, frame, monkeypatch)
     top = layer_of(blink(frame, joint="base"), "base", mode="add", from_s=2.0, fade_s=0.2)
     first = plan(base_show(frame, layers=(top,)), make_robot())
     monkeypatch.setattr("lss_motion.trajectory.layers.verify", None)
-    monkeypatch.setattr("lss_motion.trajectory.layers.slowed_windows", None)
+    monkeypatch.setattr("lss_motion.trajectory.layers.timed_windows", None)
     again = plan(base_show(frame, layers=(top,)), make_robot())
     times_s = np.linspace(0.0, 8.0, 99)
     assert np.array_equal(first.sample(times_s), again.sample(times_s))

@@ -45,34 +45,129 @@ def test_only_the_span_that_is_too_fast_is_slowed(make_robot, frame):
     assert stretch.authored == pytest.approx(15000.0, rel=1e-2)
 
 
-def test_a_rest_is_shortened_by_the_delay_before_it(make_robot, frame):
+def held_s(trajectory, joint, deg) -> float:
+    """Return how long a joint stands at an angle, from samples 1 ms apart."""
+    times_s = np.arange(0.0, trajectory.duration_s, 0.001)
+    return 0.001 * np.count_nonzero(np.abs(at(trajectory, joint, *times_s) - deg) < 1e-9)
+
+
+def test_a_hold_is_kept_by_a_motion_that_is_late(make_robot, frame):
+    frames = [frame(0.0, base=0.0), frame(0.1, base=100.0, hold_s=0.5), frame(2.0, base=0.0)]
+    trajectory = plan(show(*frames), make_robot())
+    assert trajectory.marks[1].planned_s == pytest.approx(trapezoid_s(100.0), rel=0.02)
+    assert trajectory.marks[1].held_s == pytest.approx(0.5, abs=1e-9)
+    assert held_s(trajectory, "base", 100.0) >= 0.499
+
+
+def test_a_rest_beyond_the_hold_is_shortened_by_the_delay_before_it(make_robot, frame):
     frames = [
         frame(0.0, base=0.0),
-        frame(0.2, base=100.0, hold_s=2.0),
+        frame(0.2, base=100.0, hold_s=0.5),
+        frame(2.2, base=100.0),
         frame(4.0, base=0.0),
     ]
     trajectory = plan(show(*frames), make_robot())
     assert trajectory.marks[1].planned_s > 0.8
-    assert trajectory.marks[2].planned_s == pytest.approx(4.0, abs=1e-9)
+    assert trajectory.marks[1].held_s == pytest.approx(0.5, abs=1e-9)
+    assert trajectory.marks[2].planned_s == pytest.approx(2.2, abs=1e-9)
     assert trajectory.duration_s == pytest.approx(4.0, abs=1e-9)
 
 
-def test_a_rest_shorter_than_the_delay_is_left_out(make_robot, frame):
-    frames = [frame(0.0, base=0.0), frame(0.2, base=100.0, hold_s=0.3), frame(2.5, base=0.0)]
+def test_holds_that_overlap_are_kept_together(make_robot, frame):
+    frames = [
+        frame(0.0, base=0.0, elbow=0.0),
+        frame(0.2, base=100.0, hold_s=0.5),
+        frame(0.4, elbow=0.0, hold_s=0.7),
+        frame(3.0, base=100.0, elbow=0.0),
+    ]
     trajectory = plan(show(*frames), make_robot())
-    lost_s = trajectory.stretched[0].by_s
-    assert lost_s > 0.3
-    assert trajectory.duration_s == pytest.approx(2.5 + lost_s - 0.3, abs=1e-6)
+    assert [mark.held_s for mark in trajectory.marks[1:3]] == pytest.approx([0.5, 0.7], abs=1e-9)
+    assert trajectory.marks[3].planned_s == pytest.approx(3.0, abs=1e-9)
 
 
-def test_a_rest_is_shortened_only_if_all_joints_rest(make_robot, frame):
+def test_a_hold_that_may_shrink_gives_up_the_delay_before_it(make_robot, frame):
+    frames = [
+        frame(0.0, base=0.0),
+        frame(0.2, base=100.0, hold_s=2.0, may_shrink=True),
+        frame(4.0, base=0.0),
+    ]
+    trajectory = plan(show(*frames), make_robot())
+    late_s = trajectory.marks[1].planned_s - 0.2
+    assert late_s > 0.6
+    assert trajectory.marks[1].held_s == pytest.approx(2.0 - late_s, abs=1e-9)
+    assert trajectory.marks[2].planned_s == pytest.approx(4.0, abs=1e-9)
+
+
+def test_a_hold_that_may_shrink_and_is_shorter_than_the_delay_is_left_out(make_robot, frame):
+    frames = [
+        frame(0.0, base=0.0),
+        frame(0.2, base=100.0, hold_s=0.3, may_shrink=True),
+        frame(2.5, base=0.0),
+    ]
+    trajectory = plan(show(*frames), make_robot())
+    assert trajectory.stretched[0].by_s > 0.3
+    assert trajectory.marks[1].held_s == pytest.approx(0.0, abs=1e-9)
+    assert trajectory.duration_s == pytest.approx(2.5, abs=1e-6)
+
+
+def test_passes_of_a_loop_are_late_on_their_own(make_robot, frame):
+    frames = [
+        frame(0.0, base=0.0),
+        frame(0.5, base=20.0),
+        frame(0.6, base=100.0),
+        frame(3.0, base=100.0),
+        frame(5.0, base=0.0),
+        frame(6.0, base=-20.0),
+        frame(6.5, base=0.0),
+    ]
+    trajectory = plan(show(*frames, loop=4), make_robot())
+    assert trajectory.is_periodic
+    lengths_s = [trajectory.motion_of(index).duration_s for index in range(4)]
+    assert min(lengths_s) >= 6.5 - 1e-9
+
+
+def test_a_hold_is_kept_under_the_motion_of_another_joint(make_robot, frame):
     frames = [
         frame(0.0, base=0.0, elbow=0.0),
         frame(0.2, base=100.0, hold_s=2.0),
         frame(4.0, base=0.0, elbow=90.0),
     ]
     trajectory = plan(show(*frames), make_robot())
-    assert trajectory.marks[2].planned_s > 4.5
+    assert trajectory.marks[1].held_s >= 2.0 - 1e-9
+    assert trajectory.marks[2].planned_s == pytest.approx(4.0, abs=1e-6)
+
+
+def late_s(trajectory) -> list[float]:
+    return [mark.planned_s - mark.authored_s for mark in trajectory.marks]
+
+
+CASE_1 = ((0.0, 0.0), (1.0, 100.0), (1.2, 0.0), (8.0, 10.0))
+CASE_2 = ((0.0, 0.0), (0.1, 100.0), (1.6, 0.0), (3.0, 100.0))
+
+
+def test_slack_behind_a_slow_span_meets_an_anchor(make_robot, frame):
+    frames = [frame(at_s, base=deg, anchor=at_s == 8.0) for at_s, deg in CASE_1]
+    trajectory = plan(show(*frames), make_robot(speed=360.0, accel=1000.0))
+    # The closed form of the optimum has 0.432 s at the third key and none elsewhere.
+    assert late_s(trajectory) == pytest.approx([0.0, 0.0, 0.432, 0.0], abs=0.002)
+
+
+def test_lateness_behind_a_hold_is_made_up_over_two_moves(make_robot, frame):
+    frames = [frame(at_s, base=deg, hold_s=0.5 * (at_s == 0.1)) for at_s, deg in CASE_2]
+    trajectory = plan(show(*frames), make_robot(speed=360.0, accel=1000.0))
+    # Closed form: 0.532, 0.165, 0 with the hold kept.
+    assert sum(late_s(trajectory)) <= 1.02 * 0.697
+    assert trajectory.marks[1].held_s == pytest.approx(0.5, abs=1e-9)
+
+
+def test_before_an_anchor_the_motion_is_faster_than_twice_the_authors_pace(make_robot, frame):
+    slack = [frame(1.2, base=0.0), frame(1.72, base=0.5, anchor=True), frame(3.0, base=20.0)]
+    frames = [frame(0.0, base=0.0), frame(1.0, base=100.0), *slack]
+    robot = make_robot(speed=360.0, accel=1000.0)
+    trajectory = plan(show(*frames), robot)
+    assert late_s(trajectory)[2] > 0.4
+    assert late_s(trajectory)[3:] == pytest.approx([0.0, 0.0], abs=2e-4)
+    assert min(late_s(trajectory)) > -1e-6
 
 
 def test_an_anchor_that_can_be_met_is_met(make_robot, frame):
@@ -106,10 +201,11 @@ def test_the_message_of_a_much_too_short_move_has_the_needed_acceleration(make_r
 def test_an_anchor_after_a_rest_long_enough_is_met(make_robot, frame):
     frames = [
         frame(0.0, base=0.0),
-        frame(0.2, base=100.0, hold_s=2.0),
+        frame(0.2, base=100.0, hold_s=0.5),
+        frame(2.2, base=100.0),
         frame(4.0, base=0.0, anchor=True),
     ]
-    assert plan(show(*frames), make_robot()).marks[2].planned_s == pytest.approx(4.0, abs=1e-9)
+    assert plan(show(*frames), make_robot()).marks[3].planned_s == pytest.approx(4.0, abs=1e-9)
 
 
 def test_an_anchor_in_a_loop_counts_in_every_pass(make_robot, frame):
@@ -117,7 +213,7 @@ def test_an_anchor_in_a_loop_counts_in_every_pass(make_robot, frame):
         frame(0.0, base=0.0, anchor=True),
         frame(1.0, base=10.0),
         frame(1.1, base=-60.0),
-        frame(3.0, base=0.0),
+        frame(1.6, base=0.0),
     ]
     assert plan(show(*frames), make_robot()).stretched
     with pytest.raises(PlanningError, match="anchor"):
@@ -257,7 +353,7 @@ def test_a_track_is_not_slowed_by_another(make_robot, frame):
     assert trajectory.joints == ("base", "elbow")
     assert at(trajectory, "elbow", 0.5, 1.0, 2.0) == pytest.approx([20.0, 0.0, 0.0])
     assert at(trajectory, "elbow", 2.0, order=1) == 0.0
-    assert trajectory.duration_s > 3.4
+    assert max(late_s(trajectory)) > 0.6
     assert {stretch.joint for stretch in trajectory.stretched} == {"base"}
 
 

@@ -97,6 +97,11 @@ class _SectionParser:
         self._grouped = grouped
         self._rest = b""
 
+    @property
+    def has_unfinished(self) -> bool:
+        """Whether bytes of a section are stored whose end has not come yet."""
+        return bool(self._rest)
+
     def _section(
         self,
         data: bytes,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.protocol.line import (
+from lss_motion.protocol.framing import (
     LINE_MAX_BYTES,
     Command,
     CommandParser,

@@ -1,0 +1,140 @@
+"""Whether a show may call its Python functions: asked once for each file and its content.
+
+A show comes from anywhere, and a function can do whatever its user can. So a person sees which
+functions of which files would run, and agrees, before any of them is imported. The answer is kept
+in the user's state folder with a hash of the show, of the functions that it calls and of the files
+that hold them; a change of any of them asks again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import sys
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.cli.messages import put
+from lss_motion.errors import InputError
+from lss_motion.files.output import write_output
+from lss_motion.files.source import counted, read_data
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from lss_motion.sequence.model import Cue
+
+ALLOW_HELP: Final = "call the Python functions of the show without the question"
+
+DIRECTORY_VARIABLE: Final = "LSS_MOTION_STATE_DIR"
+"""Environment variable with the folder of what the program remembers."""
+
+FILE_NAME: Final = "allowed_functions.json"
+
+KEPT_MAX: Final = 1000
+"""Answers that are kept, the newest. Chosen: years of shows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """A function of a show, the files that are run for it, and how often it is called."""
+
+    run: str
+    files: tuple[Path, ...]
+    count: int
+
+    @property
+    def text(self) -> str:
+        """Function, files and count, for people."""
+        where = ", ".join(map(str, self.files)) or "built into Python"
+        times = "once" if self.count == 1 else f"{self.count} times"
+        return f"{self.run} {times} ({where})"
+
+
+def calls_of(cues: Iterable[Cue]) -> list[Call]:
+    """Return the functions that are called; a loop that repeats them counts once."""
+    from lss_motion.sequence.functions import function_files
+
+    counts = Counter((cue.run, cue.folder) for cue in cues if cue.run)
+    return [
+        Call(run, tuple(function_files(run, folder)), count)
+        for (run, folder), count in counts.items()
+    ]
+
+
+def call_lines(cues: Iterable[Cue]) -> list[str]:
+    """Return a line for each function that a show calls."""
+    return [f"runs Python: {call.text}" for call in calls_of(cues)]
+
+
+def may_call(path: Path, cues: Sequence[Cue], *, is_allowed: bool) -> bool:
+    """Return whether the functions of the show at `path` may be called; ask if it is not known.
+
+    Raises `InputError` where a person must be asked, and there is no terminal to answer on.
+    """
+    from lss_motion.cli.terminal import is_at_keyboard
+
+    calls = calls_of(cues)
+    if not calls or is_allowed:
+        return True
+    digest = _digest(path, calls)
+    if digest in _kept():
+        return True
+    if not is_at_keyboard():
+        raise InputError(
+            f"calls {counted(calls, 'Python function')} on this computer "
+            f"({', '.join(call.run for call in calls)}), and there is no terminal to agree on: "
+            "nothing was played. Read them, then run it in a terminal, or add --allow-run",
+            path=path,
+        )
+    put(f"{path} runs Python on this computer, with all that you may do:", sys.stderr)
+    for call in calls:
+        put(f"  {call.text}", sys.stderr)
+    put("allow it, until a file of these changes? [y/N] ", sys.stderr, end="")
+    if sys.stdin.readline().strip().lower() not in {"y", "yes"}:
+        return False
+    _keep(path, digest)
+    return True
+
+
+def state_directory() -> Path:
+    """Return the folder of what the program remembers, of the user or `LSS_MOTION_STATE_DIR`."""
+    if chosen := os.environ.get(DIRECTORY_VARIABLE):
+        return Path(chosen)
+    import platformdirs
+
+    return Path(platformdirs.user_state_dir("lss_motion", appauthor=False))
+
+
+def _digest(path: Path, calls: Sequence[Call]) -> str:
+    """Return the hash of the show, of the names of its functions, and of their files."""
+    digest = hashlib.sha256(json.dumps([str(path.resolve())]).encode())
+    files = {path.resolve()} | {file.resolve() for call in calls for file in call.files}
+    digest.update(json.dumps(sorted(call.run for call in calls)).encode())
+    for file in sorted(files):
+        content = hashlib.sha256(read_data(file)).hexdigest()
+        digest.update(json.dumps([str(file), content]).encode())
+    return digest.hexdigest()
+
+
+def _kept() -> dict[str, str]:
+    """Return the shows that were allowed, by hash; what cannot be read was not allowed."""
+    try:
+        kept = json.loads(read_data(state_directory() / FILE_NAME))
+    except (InputError, ValueError, RecursionError):
+        return {}
+    return kept if isinstance(kept, dict) else {}
+
+
+def _keep(path: Path, digest: str) -> None:
+    kept = {**_kept(), digest: str(path.resolve())}
+    newest = dict(list(kept.items())[-KEPT_MAX:])
+    file = state_directory() / FILE_NAME
+    try:
+        file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        write_output(file, json.dumps(newest, indent=1) + "\n")
+    except (InputError, OSError) as error:
+        put(f"warning: the answer cannot be kept, so it is asked again: {error}", sys.stderr)

@@ -1,0 +1,273 @@
+"""Plain lists of poses in JSON or CSV, as people write them by hand.
+
+JSON: a list of poses, or an object with a list `poses` (`frames`, `keyframes`) and maybe `joints`
+(names) and `fps`. A pose is a list of angles, or an object: angles by joint, directly or below
+`deg`, `rad`, `us`, `joints`, `angles`, `positions` or `pose`, with an instant (`time_s`), a
+duration (`duration_s`) and a pause (`hold_s`). CSV: one row per pose, without a column of times;
+joints in the header, else numbered from 1; columns `duration_s`, `hold_s` and `name` as in JSON.
+
+All times may end in `_ms`. Durations are the way to a pose, after the pause of the pose before.
+Angles are degrees if nothing else is given. Poses without times get `STEP_S` each.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.errors import InputError
+from lss_motion.interchange.csv import csv_rows, unit_of_column
+from lss_motion.interchange.fields import (
+    JsonFields,
+    TextLines,
+    parsed_json,
+    starts_json,
+    text_head,
+)
+from lss_motion.interchange.reader import (
+    FPS_MAX,
+    VALUES_MAX,
+    Pose,
+    Unit,
+    motion_label,
+    motion_name,
+    motion_of_poses,
+    summarised,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from lss_motion.interchange.reader import ForeignMotion
+
+STEP_S: Final = 1.0
+"""Assumed time of a pose without a time; the comments name it."""
+
+LISTS: Final = ("poses", "frames", "keyframes")
+INSTANTS: Final = {
+    **dict.fromkeys(["time_s", "at_s", "t_s", "time", "t"], 1.0),
+    **dict.fromkeys(["time_ms", "at_ms", "t_ms"], 1e-3),
+}
+DURATIONS: Final = {
+    **dict.fromkeys(["duration_s", "after_s", "duration"], 1.0),
+    **dict.fromkeys(["duration_ms", "after_ms"], 1e-3),
+}
+HOLDS: Final = {
+    **dict.fromkeys(["hold_s", "pause_s", "hold", "pause"], 1.0),
+    **dict.fromkeys(["hold_ms", "pause_ms"], 1e-3),
+}
+NAMES: Final = ("name", "label")
+VALUES: Final = {
+    **dict.fromkeys(["deg", "joints", "angles", "angles_deg", "positions", "pose"], Unit.DEG),
+    **dict.fromkeys(["rad", "angles_rad"], Unit.RAD),
+    "us": Unit.US,
+}
+
+_NUMBER_ROW: Final = re.compile(
+    r"\s*[-+]?\d+([.,]\d+)?(\s*[;\t]\s*[-+]?\d+([.,]\d+)?)+\s*"
+    r"|\s*[-+]?\d+(\.\d+)?(\s*,\s*[-+]?\d+(\.\d+)?)+\s*",
+    re.ASCII,
+)
+_JSON_ROW: Final = re.compile(rb"\[\s*(\{|\[\s*[-+\d])")
+
+
+@dataclass(frozen=True, slots=True)
+class PosesReader:
+    """Reads `[{"deg": {joint: angle}, "duration_s": …}]`, `[[…], […]]` and rows of angles."""
+
+    name: str = "poses"
+
+    def recognises(self, data: bytes) -> bool:
+        head = text_head(data, 65_536)
+        if starts_json(data, b"["):
+            return _JSON_ROW.match(head.lstrip()) is not None
+        if starts_json(data, b"{"):
+            return b'"poses"' in data or b'"frames"' in data
+        rows = [
+            row
+            for row in head.decode("utf-8", "replace").splitlines()
+            if row.strip() and not row.lstrip().startswith("#")
+        ]
+        # The last row may be cut, where the file is longer than the head.
+        return len(rows) > 1 and all(_NUMBER_ROW.fullmatch(row) for row in rows[1:3])
+
+    def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion, ...]:
+        is_json = starts_json(data, b"[") or starts_json(data, b"{")
+        return (_from_json(path, data) if is_json else _from_rows(TextLines.of(path, data)),)
+
+
+@dataclass(slots=True)
+class _Poses:
+    """Collects poses; checks that units and kinds of times are the same in all of them."""
+
+    path: Path
+    poses: list[Pose] = field(default_factory=list)
+    units: dict[str, Unit] = field(default_factory=dict)
+    kind: str = ""
+    values_count: int = 0
+
+    def add(
+        self,
+        values: dict[str, tuple[float, Unit]],
+        times: dict[str, float],
+        *,
+        label: str = "",
+        place: str = "",
+        line: int | None = None,
+    ) -> None:
+        """Add a pose; `times` has at most an instant, a duration and a pause, in seconds."""
+        if not values:
+            self._refuse(f"{place} has no angle", line)
+        for joint, (_, unit) in values.items():
+            if self.units.setdefault(joint, unit) is not unit:
+                self._refuse(
+                    f"{place}: {joint!r:.60} is in {unit}, before in {self.units[joint]}", line
+                )
+        self.values_count += len(values)
+        if self.values_count > VALUES_MAX:
+            self._refuse(f"more than {VALUES_MAX:,} values", line)
+        kind = next((kind for kind in ("instant", "duration") if kind in times), "none")
+        self.kind = self.kind or kind
+        if kind != self.kind:
+            self._refuse(
+                f"{place}: either all poses have an instant, all a duration, or none", line
+            )
+        end_s = self.poses[-1].at_s + self.poses[-1].hold_s if self.poses else 0.0
+        # The show begins in the first pose, unless the file gives the time to reach it.
+        way_s = times.get("duration", STEP_S if self.poses else 0.0)
+        at_s = times.get("instant", end_s + way_s)
+        if way_s < 0.0 or times.get("hold", 0.0) < 0.0:
+            self._refuse(f"{place}: durations and pauses must be 0 s or more", line)
+        self.poses.append(
+            Pose(
+                at_s=at_s,
+                values={joint: value for joint, (value, _) in values.items()},
+                hold_s=times.get("hold", 0.0),
+                label=label,
+                place=place,
+                line=line,
+            )
+        )
+
+    def motion(self, name: str, left_out: list[str]) -> ForeignMotion:
+        guess = [f"The poses have no times: {STEP_S:g} s each."] if self.kind == "none" else []
+        about = [f"Imported from {self.path.name} (list of poses).", *guess, *summarised(left_out)]
+        return motion_of_poses(
+            self.path, name, self.poses, unit_of=self.units.__getitem__, comments=about
+        )
+
+    def _refuse(self, reason: str, line: int | None) -> None:
+        raise InputError(reason, path=self.path, line=line)
+
+
+def _from_json(path: Path, data: bytes) -> ForeignMotion:
+    fields = JsonFields(path)
+    content = parsed_json(path, data)
+    top: dict[str, object] = {"poses": content}
+    if not isinstance(content, list):
+        top = fields.mapping(content, "the file")
+    key = next((key for key in LISTS if key in top), LISTS[0])
+    names = top.get("joints", top.get("names"))
+    if names is not None and not (
+        isinstance(names, list) and all(isinstance(name, str) and name for name in names)
+    ):
+        fields.refuse("joints must be a list of names")
+    fps = fields.number(top, "fps", "the file") if "fps" in top else None
+    if fps is not None and not 0.0 < fps <= FPS_MAX:
+        fields.refuse(f"fps {fps:g} must be more than 0 and at most {FPS_MAX:g}")
+    left_out = [
+        f"key {name}" for name in top if name not in {key, "joints", "names", "fps", "name"}
+    ]
+    found = _Poses(path)
+    for index, entry in enumerate(fields.items(top, key, "the file")):
+        place = f"{key}[{index}]"
+        values, times, label = _entry(fields, entry, place, names, left_out)
+        if fps is not None:
+            times = {"instant": index / fps, **{k: t for k, t in times.items() if k == "hold"}}
+        found.add(values, times, label=label, place=place)
+    return found.motion(motion_label(top.get("name")), left_out)
+
+
+Entry = tuple[dict[str, tuple[float, Unit]], dict[str, float], str]
+
+
+def _entry(
+    fields: JsonFields, entry: object, place: str, names: object, left_out: list[str]
+) -> Entry:
+    """Return values, times and label of one pose."""
+    if isinstance(entry, list):
+        return _listed(fields, entry, place, names, Unit.DEG), {}, ""
+    values: dict[str, tuple[float, Unit]] = {}
+    times: dict[str, float] = {}
+    label = ""
+    for name, value in fields.mapping(entry, place).items():
+        where = f"{place}.{name}"
+        lower = name.lower()
+        for kind, units in (("instant", INSTANTS), ("duration", DURATIONS), ("hold", HOLDS)):
+            if lower in units:
+                times[kind] = fields.plain_number(value, where) * units[lower]
+                break
+        else:
+            if lower in VALUES and isinstance(value, dict):
+                values |= {
+                    joint: (fields.plain_number(angle, f"{where}.{joint}"), VALUES[lower])
+                    for joint, angle in value.items()
+                }
+            elif lower in VALUES and isinstance(value, list):
+                values |= _listed(fields, value, where, names, VALUES[lower])
+            elif lower in NAMES:
+                label = motion_label(value)
+            elif isinstance(value, int | float) and not isinstance(value, bool):
+                joint, unit = unit_of_column(name)
+                values[joint] = (fields.plain_number(value, where), unit)
+            else:
+                left_out.append(f"{name} of the poses")
+    return values, times, label
+
+
+def _listed(
+    fields: JsonFields, listed: list[object], place: str, names: object, unit: Unit
+) -> dict[str, tuple[float, Unit]]:
+    """Return a list of angles by the names of the joints, or by their numbers from 1."""
+    own = names if isinstance(names, list) else [f"J{n}" for n in range(1, len(listed) + 1)]
+    if len(own) != len(listed) or len(set(own)) < len(own):
+        fields.refuse(f"{place} has {len(listed)} values for {len(set(own))} joints")
+    return {
+        str(joint): (fields.plain_number(value, f"{place}[{index}]"), unit)
+        for index, (joint, value) in enumerate(zip(own, listed, strict=True))
+    }
+
+
+def _from_rows(lines: TextLines) -> ForeignMotion:
+    table = csv_rows(lines)
+    if all(_is_number(cell) for cell in table.header):
+        numbered = [f"J{n}" for n in range(1, len(table.header) + 1)]
+        table = replace(table, header=numbered, first_row=table.header_line - 1)
+    times = {**dict.fromkeys(INSTANTS, "instant"), **dict.fromkeys(DURATIONS, "duration"),
+             **dict.fromkeys(HOLDS, "hold")}  # fmt: skip
+    seconds = INSTANTS | DURATIONS | HOLDS
+    found = _Poses(lines.path)
+    for number, row in table.rows():
+        values: dict[str, tuple[float, Unit]] = {}
+        own: dict[str, float] = {}
+        label = ""
+        for name, cell in zip(table.header, row, strict=True):
+            lower, word = name.lower(), cell.strip()
+            if lower in NAMES:
+                label = motion_label(word)
+            elif word and name:
+                value = lines.number(word, number, has_commas=table.has_commas)
+                if lower in times:
+                    own[times[lower]] = value * seconds[lower]
+                else:
+                    joint, unit = unit_of_column(name)
+                    values[joint] = (value, unit)
+        found.add(values, own, label=label, place="this row", line=number)
+    if not found.poses:
+        lines.refuse(None, "has no row with a value")
+    return found.motion(motion_name(lines.path), [])
+
+
+def _is_number(cell: str) -> bool:
+    return re.fullmatch(r"[-+]?\d+([.,]\d*)?", cell, re.ASCII) is not None

@@ -1,0 +1,118 @@
+"""Whether servos still have the settings of the session: a restart takes them away.
+
+A servo that restarts is back with its stored settings, which may allow more than the joint does. It
+does not report that. So the settings that a restart would change back, its probes, are read with
+the health queries. Between two of them a restart shows by other signs: queries without an answer,
+an angle to which the horn cannot have turned, a servo that is limp. With the first sign the servo
+is in doubt and a probe is queried at once. With a few signs in a row, or an answer as after a
+restart, it is sent no move until a probe is answered. The answer is right: its moves go on. It is
+wrong: the servo has restarted.
+
+One wrong answer is no proof, since a bus without checksums can deliver one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import KeysView, Mapping, Sequence
+
+    from lss_motion.player.joint_state import JointState
+
+
+HOLD_SIGNS: Final = 3
+"""Signs in a row after which a servo is sent no move. Chosen: on a line that loses every tenth
+answer, that is one query in a thousand; a servo that does not answer at all is held back after
+50 ms, since each query is given up after 10 to 15 ms."""
+PROOFS: Final = 2
+"""Wrong answers in a row that prove a restart."""
+
+
+class Probe(NamedTuple):
+    """The query of one setting, with answers as wire values."""
+
+    keyword: str
+    value: int
+    """The answer of a servo that has not restarted."""
+    original: int | None
+    """The answer before the show, and probably after a restart."""
+
+
+@dataclass(slots=True)
+class _Doubt:
+    """Signs of a restart of one servo since its last right answer."""
+
+    signs: int = 0
+    last_ns: int = -1
+    proofs: int = 0
+    wrong: dict[str, int] = field(default_factory=dict)
+    """The last wrong answer by keyword."""
+
+
+class SettingsWatch:
+    """Watches the servos of one streamer; `probes` by joint name.
+
+    A joint without a probe has the same settings after a restart, so it is never in doubt.
+    """
+
+    def __init__(self, probes: Mapping[str, Sequence[Probe]]) -> None:
+        self._probes = probes
+        self._doubts: dict[str, _Doubt] = {}
+
+    def keywords(self, name: str) -> tuple[str, ...]:
+        """Return the keywords of the probes of a joint."""
+        return tuple(probe.keyword for probe in self._probes.get(name, ()))
+
+    def urgent(self, name: str) -> str | None:
+        """Return the probe that must be queried at once; None: there is no doubt.
+
+        After a timeout it is another one. A late answer to an earlier query is as good.
+        """
+        if (doubt := self._doubts.get(name)) is None:
+            return None
+        words = self.keywords(name)
+        return words[doubt.signs % len(words)]
+
+    @property
+    def doubted(self) -> KeysView[str]:
+        """The joints whose settings are in doubt."""
+        return self._doubts.keys()
+
+    def note_sign(self, state: JointState, now_ns: int, *, count: int = 1) -> None:
+        """Note a sign of a restart that counts `count` times; several at one instant are one."""
+        name = state.joint.name
+        if not self._probes.get(name):
+            return
+        doubt = self._doubts.setdefault(name, _Doubt())
+        if doubt.last_ns != now_ns:
+            doubt.last_ns = now_ns
+            doubt.signs += count
+        if doubt.signs >= HOLD_SIGNS:
+            state.hold_back()
+
+    def take(self, state: JointState, keyword: str, value: int | None) -> str | None:
+        """Judge the answer to a probe; return the text of the fault if the servo has restarted.
+
+        A right answer ends the doubt. `state` may then be sent moves again.
+        """
+        name = state.joint.name
+        probe = next(probe for probe in self._probes[name] if probe.keyword == keyword)
+        if value == probe.value:
+            self._doubts.pop(name, None)
+            return None
+        doubt = self._doubts.setdefault(name, _Doubt())
+        if value is None or value not in (probe.original, doubt.wrong.get(keyword)):
+            doubt.proofs = 0
+            if value is not None:
+                doubt.wrong[keyword] = value
+            return None
+        doubt.proofs += 1
+        state.hold_back()
+        if doubt.proofs < PROOFS:
+            return None
+        return (
+            f"has lost its settings: servo {state.joint.servo_id} answers {value} to {keyword}, it "
+            f"was set to {probe.value}. It has restarted. Look at its power supply"
+        )

@@ -1,0 +1,363 @@
+"""The horns of all servos of one bus, and what drives them through time.
+
+`Horns` computes how horns follow their profiles: a first-order lag, exact within a phase, for all
+servos in one numpy step. `Drives` gives each horn its phases: limp, a profile (EM1, wheel, hold) or
+the filter (EM0). Angles are raw.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from enum import Enum
+from typing import TYPE_CHECKING, Literal, assert_never
+
+import numpy as np
+
+from lss_motion.sim.physics import FILTER_TICKS, TICK_NS
+from lss_motion.sim.profile import (
+    Chase,
+    Halt,
+    Limp,
+    Motion,
+    Order,
+    Phase,
+    ProfileMove,
+    Ramps,
+    Wheel,
+    plan_move,
+    plan_wheel,
+    rest_at,
+    travel_speed_deg_s,
+)
+from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from lss_motion.sim.physics import Physics, ServoSpec
+
+
+FOREVER_NS = 2**63 - 1
+
+SETTLED_DEG = 1e-4
+"""A horn this near to where it will end is at rest: a thousandth of the wire's resolution."""
+
+
+class Horns:
+    """Raw angles of all horns of a bus. Each has its own present phase and its own instant.
+
+    `lag * dh/dt = x - droop - h`: in a phase, where x is a parabola, h is another parabola
+    (`x` some way behind) and a gap that fades with `exp(-t / lag)`. So no step is too long,
+    unless the motor's top speed or a jam holds the horn back.
+    """
+
+    def __init__(self, specs: Sequence[ServoSpec], physics: Physics) -> None:
+        count = len(specs)
+        self.deg = np.array([spec.start_deg for spec in specs], dtype=float)
+        self.deg_s = np.zeros(count)
+        self.gap_deg = np.zeros(count)
+        self.droop_deg = np.zeros(count)
+        self.phases = [rest_at(spec.start_deg) for spec in specs]
+        self.end_ns = [FOREVER_NS] * count
+        self._began_ns = [0] * count
+        self._lags_s = [physics.lag_s] * count
+        self._lag_s = np.full(count, physics.lag_s)
+        self._is_jammed = [False] * count
+        self._is_any_jammed = False
+        self._ns = np.zeros(count, dtype=np.int64)
+        self._phase_ns = np.zeros(count, dtype=np.int64)
+        self._position_deg = self.deg.copy()
+        self._speed_deg_s = np.zeros(count)
+        self._accel_deg_s2 = np.zeros(count)
+        self._load_deg = np.array([spec.droop_deg for spec in specs], dtype=float)
+        self._level_deg = np.array([spec.level_deg for spec in specs], dtype=float)
+        self._is_loaded = bool(self._load_deg.any())
+        self._half_play_deg = np.array([spec.backlash_deg for spec in specs], dtype=float) / 2.0
+        self._has_play = bool(self._half_play_deg.any())
+        self._shaft_deg = self.deg.copy()
+        self.holding_ratio = np.ones(count)
+        self.pull_deg = np.zeros(count)
+        """How far a hand pulls each powered horn; set by `motors`."""
+
+    def start(self, now_ns: int) -> None:
+        self._ns[:] = now_ns
+        self._phase_ns[:] = now_ns
+        self._began_ns = [now_ns] * len(self._began_ns)
+
+    def begin(self, index: int, now_ns: int, phase: Phase) -> None:
+        """Begin a phase at `now_ns`, to which the horn has been brought."""
+        self.phases[index] = phase
+        is_last = math.isinf(phase.duration_s)
+        self.end_ns[index] = FOREVER_NS if is_last else now_ns + ns_from_s(phase.duration_s)
+        self._began_ns[index] = now_ns
+        self._phase_ns[index] = now_ns
+        self._position_deg[index] = phase.position_deg
+        self._speed_deg_s[index] = phase.speed_deg_s
+        self._accel_deg_s2[index] = phase.accel_deg_s2
+        self.gap_deg[index] = self.deg[index] - self._final_deg(index, now_ns)
+
+    def coast(self, index: int, now_ns: int, top_deg_s: float) -> None:
+        """Bring one horn to `now_ns` within its phase."""
+        passed_s = s_from_ns(now_ns - int(self._ns[index]))
+        if passed_s <= 0.0:
+            return
+        final_deg = self._final_deg(index, now_ns)
+        deg = float(self.deg[index])
+        fading = math.exp(-passed_s / self._lags_s[index])
+        moved_deg = final_deg + float(self.gap_deg[index]) * fading - deg
+        reach_deg = 0.0 if self._is_jammed[index] else top_deg_s * passed_s
+        moved_deg = min(max(moved_deg, -reach_deg), reach_deg)
+        self.deg[index] = deg + moved_deg
+        self.deg_s[index] = moved_deg / passed_s
+        self.gap_deg[index] = deg + moved_deg - final_deg
+        self._ns[index] = now_ns
+
+    def step(self, now_ns: int, top_deg_s: NDArray[np.float64]) -> None:
+        """Bring all horns to `now_ns`; none of their phases ends before."""
+        phase_s = (now_ns - self._phase_ns) / NS_PER_S
+        passed_s = np.maximum(now_ns - self._ns, 1) / NS_PER_S
+        speed_deg_s = self._speed_deg_s + self._accel_deg_s2 * phase_s
+        final_deg = self._position_deg + 0.5 * (self._speed_deg_s + speed_deg_s) * phase_s
+        final_deg -= self._lag_s * (speed_deg_s - self._lag_s * self._accel_deg_s2)
+        final_deg -= self.droop_deg
+        moved_deg = final_deg + self.gap_deg * np.exp(-passed_s / self._lag_s) - self.deg
+        reach_deg = top_deg_s * passed_s
+        moved_deg = np.minimum(np.maximum(moved_deg, -reach_deg), reach_deg)
+        if self._is_any_jammed:
+            moved_deg[self._is_jammed] = 0.0
+        self.deg = self.deg + moved_deg
+        self.deg_s = moved_deg / passed_s
+        self.gap_deg = self.deg - final_deg
+        self._ns[:] = now_ns
+        if self._has_play:
+            self._shaft_deg = self.shafts_deg()
+
+    def shafts_deg(self) -> NDArray[np.float64]:
+        """Return where the horns are: within the play of their gears, on the side of their load."""
+        if not self._has_play:
+            return self.deg
+        low_deg, high_deg = self.deg - self._half_play_deg, self.deg + self._half_play_deg
+        shaft_deg = np.minimum(np.maximum(self._shaft_deg, low_deg), high_deg)
+        pull = self._load_deg * np.cos(np.radians(self.deg - self._level_deg))
+        return np.where(pull == 0.0, shaft_deg, np.where(pull > 0.0, low_deg, high_deg))
+
+    def shaft_deg(self, index: int) -> float:
+        """Return where one horn is; see `shafts_deg`."""
+        return float(self.shafts_deg()[index]) if self._has_play else float(self.deg[index])
+
+    def wrap(self, index: int) -> None:
+        """Forget whole turns: the angle lies within ±180 from now on."""
+        turned_deg = (self.deg[index] + 180.0) % 360.0 - 180.0 - self.deg[index]
+        self.deg[index] += turned_deg
+        self._shaft_deg[index] += turned_deg
+
+    def sag(self, is_powered: NDArray[np.bool_]) -> None:
+        """Let the loads pull as they do at the angles that the horns have now."""
+        if self._is_loaded or any(self.pull_deg.tolist()) or any(self.droop_deg.tolist()):
+            level = np.cos(np.radians(self.deg - self._level_deg))
+            pulled_deg = self._load_deg * self.holding_ratio * level - self.pull_deg
+            droop_deg = is_powered * pulled_deg
+            self.gap_deg += droop_deg - self.droop_deg
+            self.droop_deg = droop_deg
+
+    def release(self, index: int) -> None:
+        """Take the motor's force away: friction alone keeps the horn where it is."""
+        self.droop_deg[index] = self.deg_s[index] = 0.0
+
+    def lead(self, index: int, now_ns: int, deg_s: float) -> None:
+        """Let a horn without power turn at `deg_s` from now on."""
+        ahead_deg = self._lags_s[index] * deg_s
+        self.begin(index, now_ns, Phase(math.inf, float(self.deg[index]) + ahead_deg, deg_s, 0.0))
+
+    def set_lag(self, index: int, now_ns: int, lag_s: float) -> None:
+        self._lags_s[index] = self._lag_s[index] = lag_s
+        self.gap_deg[index] = self.deg[index] - self._final_deg(index, now_ns)
+
+    def jam(self, index: int, *, is_jammed: bool) -> None:
+        """Keep a horn from turning whatever the motor does, or free it again."""
+        self._is_jammed[index] = is_jammed
+        self._is_any_jammed = any(self._is_jammed)
+
+    def is_settled(self) -> bool:
+        return all(abs(gap_deg) < SETTLED_DEG for gap_deg in self.gap_deg.tolist())
+
+    def profile_deg(self, index: int, now_ns: int) -> float:
+        """Return where the servo's own profile is."""
+        _, position_deg, speed_deg_s, accel_deg_s2 = self.phases[index]
+        passed_s = s_from_ns(now_ns - self._began_ns[index])
+        return position_deg + (speed_deg_s + 0.5 * accel_deg_s2 * passed_s) * passed_s
+
+    def profile_deg_s(self, index: int, now_ns: int) -> float:
+        _, _, speed_deg_s, accel_deg_s2 = self.phases[index]
+        return speed_deg_s + accel_deg_s2 * s_from_ns(now_ns - self._began_ns[index])
+
+    def _final_deg(self, index: int, now_ns: int) -> float:
+        """Return the angle that the horn would approach if this phase never ended."""
+        lag_s = self._lags_s[index]
+        accel_deg_s2 = self.phases[index].accel_deg_s2
+        behind_deg = lag_s * (self.profile_deg_s(index, now_ns) - lag_s * accel_deg_s2)
+        return self.profile_deg(index, now_ns) - behind_deg - float(self.droop_deg[index])
+
+
+FILTER_NS = FILTER_TICKS * TICK_NS
+
+FILTER_SETTLED_DEG = 0.05
+"""The EM0 filter ends on its target when this near: half of the wire's resolution. Assumed."""
+
+
+class Mode(Enum):
+    """The kind of drive of a horn."""
+
+    LIMP = "limp"
+    PROFILE = "profile"
+    FILTER = "filter"
+    FREE = "free"
+
+
+class Drives:
+    """Feeds `horns` with the phases of all servos. Every instant is one of the servo's loops."""
+
+    def __init__(self, horns: Horns, physics: Physics, loop_phases_ns: Sequence[int]) -> None:
+        count = len(loop_phases_ns)
+        self.mode = [Mode.LIMP] * count
+        self.is_powered = np.zeros(count, dtype=bool)
+        self.travel_deg_s = [0.0] * count
+        self._horns = horns
+        self._physics = physics
+        self._first_loop_ns = list(loop_phases_ns)
+        self._target_deg: list[float | None] = [None] * count
+        self._phases: list[deque[Phase]] = [deque() for _ in range(count)]
+        self._filters: list[Chase | None] = [None] * count
+
+    def start(self, now_ns: int) -> None:
+        self._first_loop_ns = [now_ns + phase_ns for phase_ns in self._first_loop_ns]
+
+    def loop_ns(self, index: int, heard_ns: int) -> int:
+        """Return the first control loop of a servo from `heard_ns` on."""
+        return heard_ns + (self._first_loop_ns[index] - heard_ns) % TICK_NS
+
+    def take_up(self, index: int, now_ns: int, order: Order) -> None:
+        """Begin an order from the present position and speed of the profile."""
+        position_deg = self._horns.profile_deg(index, now_ns)
+        speed_deg_s = self._horns.profile_deg_s(index, now_ns)
+        if self.mode[index] is Mode.LIMP:  # Without a profile: from where the horn is.
+            position_deg, speed_deg_s = float(self._horns.deg[index]), 0.0
+        if self._physics.retarget == "from_rest":
+            speed_deg_s = 0.0
+        match order:
+            case Limp():
+                self.go_limp(index, now_ns)
+            case Halt():
+                self.hold(index, now_ns, position_deg)
+            case Chase():
+                self._chase(index, now_ns, position_deg, order)
+            case ProfileMove():
+                ramps = _timed(position_deg, speed_deg_s, order, self._physics.t_law)
+                phases = plan_move(position_deg, speed_deg_s, order.target_deg, ramps)
+                self.travel_deg_s[index] = ramps.speed_deg_s
+                self._follow(index, now_ns, order.target_deg, phases)
+            case Wheel(wheel_deg_s, wheel_ramps, is_free):
+                self.travel_deg_s[index] = abs(wheel_deg_s)
+                if wheel_ramps is None:
+                    phases = [Phase(math.inf, position_deg, wheel_deg_s, 0.0)]
+                else:
+                    phases = plan_wheel(position_deg, speed_deg_s, wheel_deg_s, wheel_ramps)
+                self._follow(index, now_ns, None, phases)
+                if is_free:
+                    self.mode[index] = Mode.FREE
+            case _:
+                assert_never(order)
+
+    def _follow(
+        self, index: int, now_ns: int, target_deg: float | None, phases: list[Phase]
+    ) -> None:
+        self._filters[index] = None
+        self._target_deg[index] = target_deg
+        self.mode[index] = Mode.PROFILE
+        self.is_powered[index] = True
+        self._start(index, now_ns, phases)
+
+    def hold(self, index: int, now_ns: int, position_deg: float) -> None:
+        """Hold a position from now on."""
+        self._follow(index, now_ns, position_deg, [rest_at(position_deg)])
+
+    def _chase(self, index: int, now_ns: int, position_deg: float, chase: Chase) -> None:
+        self._filters[index] = chase
+        self.mode[index] = Mode.FILTER
+        self.is_powered[index] = True
+        if not chase.is_repeated:
+            self._start(index, now_ns, [rest_at(_filtered(position_deg, chase))])
+        else:
+            since_ns = now_ns - self._first_loop_ns[index]
+            wait_s = s_from_ns(FILTER_NS - since_ns % FILTER_NS)
+            self._start(index, now_ns, [Phase(wait_s, position_deg, 0.0, 0.0)])
+
+    def go_limp(self, index: int, now_ns: int) -> None:
+        """Take the power off, where the horn is."""
+        self._filters[index] = None
+        self._target_deg[index] = None
+        self.mode[index] = Mode.LIMP
+        self.is_powered[index] = False
+        self._horns.release(index)
+        self._start(index, now_ns, [rest_at(float(self._horns.deg[index]))])
+
+    def _start(self, index: int, now_ns: int, phases: list[Phase]) -> None:
+        self._phases[index] = deque(phases)
+        self.next_phase(index, now_ns)
+
+    def next_phase(self, index: int, now_ns: int) -> None:
+        """Begin the phase that follows the one that ends now."""
+        if self._phases[index]:
+            self._horns.begin(index, now_ns, self._phases[index].popleft())
+            return
+        chase = self._filters[index]
+        assert chase is not None, "only the filter makes its phases as it goes"
+        position_deg = _filtered(self._horns.phases[index].position_deg, chase)
+        wait_s = math.inf if position_deg == chase.target_deg else s_from_ns(FILTER_NS)
+        self._horns.begin(index, now_ns, Phase(wait_s, position_deg, 0.0, 0.0))
+
+    def motion(self, index: int, now_ns: int) -> Motion:
+        """Return the state of a servo from its profile."""
+        if self.mode[index] is Mode.LIMP:
+            return Motion.LIMP
+        if self.mode[index] is Mode.FREE:
+            return Motion.FREE_MOVING
+        speed_deg_s = self._horns.profile_deg_s(index, now_ns)
+        accel_deg_s2 = self._horns.phases[index].accel_deg_s2
+        if self.mode[index] is Mode.FILTER or speed_deg_s == accel_deg_s2 == 0.0:
+            return Motion.HOLDING
+        if accel_deg_s2 == 0.0:
+            return Motion.TRAVELING
+        is_faster = speed_deg_s * accel_deg_s2 >= 0.0
+        return Motion.ACCELERATING if is_faster else Motion.DECELERATING
+
+    def target_deg(self, index: int) -> float | None:
+        """Return the target; in EM0 the present output of the filter (FACTS.md M9)."""
+        if self.mode[index] is Mode.FILTER:
+            return self._horns.phases[index].position_deg
+        return self._target_deg[index]
+
+
+def _timed(
+    position_deg: float, speed_deg_s: float, move: ProfileMove, t_law: Literal["cruise", "exact"]
+) -> Ramps:
+    """Return the ramps of a move with the travel speed that its T requires."""
+    away_deg = move.target_deg - position_deg
+    if move.duration_s is None or away_deg == 0.0:
+        return move.ramps
+    towards_deg_s = math.copysign(1.0, away_deg) * speed_deg_s
+    travel_deg_s = travel_speed_deg_s(
+        abs(away_deg), move.duration_s, towards_deg_s, move.ramps, t_law
+    )
+    return move.ramps._replace(speed_deg_s=travel_deg_s)
+
+
+def _filtered(position_deg: float, chase: Chase) -> float:
+    """Return one step of the EM0 filter: `x = (x*(FPC-1)+target)/FPC` (FACTS.md M6)."""
+    count = max(chase.filter_count, 1)
+    stepped_deg = (position_deg * (count - 1) + chase.target_deg) / count
+    is_near = abs(stepped_deg - chase.target_deg) < FILTER_SETTLED_DEG
+    return chase.target_deg if is_near else stepped_deg

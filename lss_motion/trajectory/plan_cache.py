@@ -1,0 +1,250 @@
+"""Plans on disk, found by content: what is loaded is checked as if a stranger had written it.
+
+The name of an entry is a hash of everything that the plan depends on. An entry holds a plan that
+passed the verifier, and a hash of name and content, so that a renamed or damaged entry is found. A
+hash is no proof of who wrote it: a loaded plan must also fit what was asked for, and
+`recheck.is_within_limits` must find it within all limits. Everything else is a miss: the plan is
+made again, and replaces the entry.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import math
+import os
+import tempfile
+import zipfile
+from contextlib import suppress
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+import numpy as np
+
+from lss_motion.errors import InputError
+from lss_motion.files.source import read_data
+from lss_motion.trajectory.model import (
+    Mark,
+    PathClock,
+    PathMotion,
+    SlowSpan,
+    Trajectory,
+    motions_of,
+)
+from lss_motion.trajectory.path import Path as JointPath
+from lss_motion.trajectory.recheck import is_within_limits
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from lss_motion.robot.model import Robot
+
+    Value = TypeVar("Value", Mark, SlowSpan)
+
+PLANNER_VERSION: Final = 6
+"""Part of the name of every entry. Raise it whenever the plan of an unchanged sequence changes."""
+
+DIRECTORY_VARIABLE: Final = "LSS_MOTION_CACHE_DIR"
+"""Environment variable with the folder of the cache."""
+
+BYTES_MAX: Final = 128 * 1024 * 1024
+"""The oldest entries are removed beyond this size. Chosen: some fifty long shows."""
+
+PIECES_MIN: Final = 64
+"""Plans with fewer polynomials and clock pieces are not stored: they are made as fast as loaded."""
+
+SUFFIX: Final = ".plan.npz"
+
+_DIGEST_BYTES: Final = 32
+"""Length of the SHA-256 hash before the content."""
+
+_PATH: Final = {"knots_s": 1, "coefficients": 3}
+_CLOCK: Final = {"times_s": 1, "path_s": 1, "rates": 1, "rate_slopes": 1}
+"""The arrays of an entry, and how many dimensions each has."""
+
+_TYPES: Final[Mapping[str, tuple[type, ...]]] = {
+    "str": (str,),
+    "bool": (bool,),
+    "float": (float, int),
+    "float | None": (float, int, type(None)),
+    "Literal['speed', 'acceleration']": (str,),
+}
+"""What an entry may hold for the annotation of a field of `Mark` and `SlowSpan`."""
+
+
+class _MissError(Exception):
+    """An entry is not there, or is not a plan that may be played."""
+
+
+def cache_directory() -> Path:
+    """Return the folder of the plans: `LSS_MOTION_CACHE_DIR`, else the user's cache folder."""
+    if chosen := os.environ.get(DIRECTORY_VARIABLE):
+        return Path(chosen)
+    import platformdirs
+
+    return Path(platformdirs.user_cache_dir("lss_motion", appauthor=False)) / "plans"
+
+
+def cached(
+    name: str,
+    make: Callable[[], Trajectory],
+    fits: Callable[[Trajectory], bool],
+    robot: Robot,
+) -> Trajectory:
+    """Return the plan stored under `name`, else that of `make`, which must have been verified.
+
+    `fits` returns whether a stored plan, within the limits of `robot`, is the one asked for. An
+    entry that is damaged or does not fit is replaced. A cache that cannot be written is no error;
+    the plan is then not stored.
+    """
+    path = cache_directory() / f"{name}{SUFFIX}"
+    try:
+        return _loaded(path, name, fits, robot)
+    except _MissError:
+        trajectory = make()
+    motions = {id(part): part for part in motions_of(trajectory)}.values()
+    if sum(len(m.path.knots_s) + len(m.clock.rates) for m in motions) >= PIECES_MIN:
+        _store(path, name, trajectory)
+    return trajectory
+
+
+def _loaded(path: Path, name: str, fits: Callable[[Trajectory], bool], robot: Robot) -> Trajectory:
+    """Return the plan of an entry, or raise `_MissError`."""
+    try:
+        whole = read_data(path, BYTES_MAX)
+    except InputError as error:
+        raise _MissError from error
+    content = memoryview(whole)[_DIGEST_BYTES:]
+    if _digest(name, content) != whole[:_DIGEST_BYTES]:
+        raise _MissError
+    try:
+        trajectory = _read(content)
+        is_right = (
+            all(joint in robot.joints for joint in trajectory.joints)
+            and is_within_limits(trajectory, robot)
+            and fits(trajectory)
+        )
+    except (
+        # What json, zipfile and numpy raise for bytes that are not theirs.
+        *(ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError),
+        *(RecursionError, TypeError, ValueError, NotImplementedError, zipfile.BadZipFile),
+    ) as error:
+        raise _MissError from error
+    if not is_right:
+        raise _MissError
+    return trajectory
+
+
+def _digest(name: str, content: memoryview) -> bytes:
+    digest = hashlib.sha256(name.encode())
+    digest.update(content)
+    return digest.digest()
+
+
+def _read(content: memoryview) -> Trajectory:
+    """Return the plan of an entry; raises any of the errors that `_loaded` lists."""
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        # Nothing is compressed, so that a small file cannot become a large one.
+        if sum(entry.file_size for entry in archive.infolist()) > len(content):
+            raise ValueError("an entry that grows")
+    with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+        facts: dict[str, Any] = json.loads(stored["facts"].tobytes())
+        numbers = [int(number) for number in facts["parts"]]
+        motions = {
+            number: PathMotion(
+                path=JointPath(**_arrays(stored, number, _PATH)),
+                clock=PathClock(**_arrays(stored, number, _CLOCK)),
+            )
+            for number in dict.fromkeys(numbers)
+        }
+    first, middle, last = parts = [motions[number] for number in numbers]
+    joints = tuple(str(joint) for joint in facts["joints"])
+    if any(part.path.coefficients.shape[2] != len(joints) for part in parts):
+        raise ValueError("not one column a joint")
+    if not isinstance(facts["loop"], int | None) or not isinstance(facts["is_periodic"], bool):
+        raise TypeError("loop or is_periodic")
+    return Trajectory(
+        name=str(facts["name"]),
+        joints=joints,
+        first=first,
+        middle=middle,
+        last=last,
+        loop=facts["loop"],
+        is_periodic=facts["is_periodic"],
+        stretched=tuple(_made(SlowSpan, stretch) for stretch in facts["stretched"]),
+        marks=tuple(_made(Mark, mark) for mark in facts["marks"]),
+    )
+
+
+def _arrays(
+    stored: Mapping[str, Any], number: int, names: Mapping[str, int]
+) -> dict[str, np.ndarray[Any, np.dtype[np.float64]]]:
+    found = {key: stored[f"{number}.{key}"] for key in names}
+    for key, array in found.items():
+        if array.dtype != np.float64 or array.ndim != names[key]:
+            raise ValueError(key)
+    return found
+
+
+def _made(kind: type[Value], stored: Mapping[str, Any]) -> Value:
+    for field in fields(kind):
+        value = stored[field.name]
+        if not isinstance(value, _TYPES[str(field.type)]):
+            raise TypeError(field.name)
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ValueError(field.name)
+    return kind(**stored)
+
+
+def _store(path: Path, name: str, trajectory: Trajectory) -> None:
+    motions: list[PathMotion] = []
+    numbers = []
+    for motion in motions_of(trajectory):
+        if not any(motion is earlier for earlier in motions):
+            motions.append(motion)
+        numbers.append(next(n for n, earlier in enumerate(motions) if motion is earlier))
+    facts = {
+        "parts": numbers,
+        "name": trajectory.name,
+        "joints": trajectory.joints,
+        "loop": trajectory.loop,
+        "is_periodic": trajectory.is_periodic,
+        "stretched": [asdict(stretch) for stretch in trajectory.stretched],
+        "marks": [asdict(mark) for mark in trajectory.marks],
+    }
+    arrays = {"facts": np.frombuffer(json.dumps(facts).encode(), dtype=np.uint8)}
+    for number, motion in enumerate(motions):
+        arrays |= {f"{number}.{key}": getattr(motion.path, key) for key in _PATH}
+        arrays |= {f"{number}.{key}": getattr(motion.clock, key) for key in _CLOCK}
+    content = io.BytesIO()
+    np.savez(content, allow_pickle=False, **arrays)
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # Renamed when complete, so that another process never reads a part of an entry. Not put on
+        # the disk at once: an entry that power loss damages is a miss.
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
+            fresh = Path(part.name)
+            try:
+                part.write(_digest(name, content.getbuffer()))
+                part.write(content.getbuffer())
+                part.flush()
+                fresh.replace(path)
+            finally:
+                fresh.unlink(missing_ok=True)
+        _trim(path.parent)
+
+
+def _trim(folder: Path) -> None:
+    """Remove the oldest entries beyond `BYTES_MAX`."""
+    entries = sorted(
+        ((entry.stat(), entry) for entry in folder.glob(f"*{SUFFIX}")),
+        key=lambda pair: pair[0].st_mtime_ns,
+        reverse=True,
+    )
+    total = 0
+    for status, entry in entries:
+        total += status.st_size
+        if total > BYTES_MAX:
+            entry.unlink(missing_ok=True)

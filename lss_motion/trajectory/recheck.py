@@ -1,0 +1,224 @@
+"""The check of a stored plan, in closed form: cheap enough for every plan that is loaded.
+
+Between two knots of path and clock the square of the rate is linear in the path position. So the
+acceleration of a joint is a quadratic, and the extremes of acceleration, speed and angle follow
+from roots of quadratics: no sample is needed. `verify` samples a new plan 20 times slower; it
+decides where this check finds no proof, such as where rounding makes a jump.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.errors import PlanningError
+from lss_motion.trajectory.model import motions_of
+from lss_motion.trajectory.verify import EXCESS_MAX_RATIO, RANGE_SLACK_DEG, SAMPLE_S, verify
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from lss_motion.robot.model import Robot
+    from lss_motion.trajectory.model import PathMotion, Trajectory
+
+    FloatArray = NDArray[np.float64]
+
+JUMP_RATIO: Final = EXCESS_MAX_RATIO - 1.0
+"""A jump of the speed is rounding, if over one sample of the verifier it adds this to the limit."""
+
+
+def is_within_limits(trajectory: Trajectory, robot: Robot) -> bool:
+    """Return whether the plan of a single track would pass `verify`.
+
+    It may hold any numbers: those that make no motion are not within limits.
+    """
+    with np.errstate(all="ignore"):
+        if not all(map(_is_motion, motions_of(trajectory))):
+            return False
+        if _is_proved(trajectory, robot):
+            return True
+        try:
+            verify(trajectory, robot)
+        except PlanningError:
+            return False
+    return True
+
+
+def _is_motion(motion: PathMotion) -> bool:
+    """Return whether the arrays fit each other, are finite, and times do not decrease."""
+    path, clock = motion.path, motion.clock
+    count = len(clock.rates)
+    if not (
+        path.coefficients.shape[:2] == (len(path.knots_s) - 1, 4)
+        and (len(clock.times_s), len(clock.path_s)) == (count + 1, count + 1)
+        and len(clock.rate_slopes) == count > 0
+    ):
+        return False
+    arrays = (path.knots_s, path.coefficients, clock.times_s, clock.path_s, clock.rates)
+    return (
+        all(np.isfinite(array).all() for array in (*arrays, clock.rate_slopes))
+        and bool((np.diff(path.knots_s) >= 0.0).all())
+        and bool((np.diff(clock.times_s) >= 0.0).all())
+        and bool(clock.times_s[0] == 0.0)
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Ends:
+    """Angles and speeds at both ends of every piece, (pieces, joints)."""
+
+    start_deg: FloatArray
+    end_deg: FloatArray
+    start_deg_s: FloatArray
+    end_deg_s: FloatArray
+
+
+class _Limits:
+    """The limits of the joints, with what the verifier allows beyond them."""
+
+    def __init__(self, trajectory: Trajectory, robot: Robot) -> None:
+        joints = [robot.joints[name] for name in trajectory.joints]
+        self.low_deg = np.array([joint.position_min_deg for joint in joints]) - RANGE_SLACK_DEG
+        self.high_deg = np.array([joint.position_max_deg for joint in joints]) + RANGE_SLACK_DEG
+        accel_deg_s2 = np.array([joint.accel_max_deg_s2 for joint in joints])
+        self.speed_deg_s = EXCESS_MAX_RATIO * np.array([joint.speed_max_deg_s for joint in joints])
+        self.accel_deg_s2 = EXCESS_MAX_RATIO * accel_deg_s2
+        self.jump_deg_s = JUMP_RATIO * SAMPLE_S * accel_deg_s2
+
+    def hold_angles(self, *angles_deg: FloatArray) -> bool:
+        """Return whether all angles are in range; NaN is not."""
+        return all(
+            bool(((deg >= self.low_deg) & (deg <= self.high_deg)).all()) for deg in angles_deg
+        )
+
+    def join(
+        self, end: tuple[FloatArray, FloatArray], start: tuple[FloatArray, FloatArray]
+    ) -> bool:
+        """Return whether a motion at `end` (angle, speed) continues at `start` without a jump."""
+        return bool(
+            (np.abs(end[0] - start[0]) <= RANGE_SLACK_DEG).all()
+            and (np.abs(end[1] - start[1]) <= self.jump_deg_s).all()
+        )
+
+
+def _is_proved(trajectory: Trajectory, robot: Robot) -> bool:
+    """Return whether every piece keeps the limits, and every seam is without a jump."""
+    limits = _Limits(trajectory, robot)
+    ends: dict[int, _Ends] = {}
+    for motion in {id(part): part for part in motions_of(trajectory)}.values():
+        found = _pieces_within(motion, limits)
+        if found is None:
+            return False
+        ends[id(motion)] = found
+    still = np.zeros(len(trajectory.joints))
+    begin = ends[id(trajectory.first)]
+    if not limits.join((begin.start_deg[0], begin.start_deg_s[0]), (begin.start_deg[0], still)):
+        return False
+    for before, after in _seams(trajectory):
+        end, start = ends[id(before)], ends[id(after)]
+        if not limits.join(
+            (end.end_deg[-1], end.end_deg_s[-1]), (start.start_deg[0], start.start_deg_s[0])
+        ):
+            return False
+    end = ends[id(trajectory.last)]
+    return trajectory.loop is None or limits.join(
+        (end.end_deg[-1], end.end_deg_s[-1]), (end.end_deg[-1], still)
+    )
+
+
+def _seams(trajectory: Trajectory) -> Iterator[tuple[PathMotion, PathMotion]]:
+    """Yield the passes before and after every kind of seam."""
+    first, middle, last = motions_of(trajectory)
+    count = trajectory.loop
+    if count is None or count > 2:
+        yield first, middle
+        yield middle, middle
+    if count is not None and count > 1:
+        yield (first if count == 2 else middle), last
+
+
+def _pieces_within(motion: PathMotion, limits: _Limits) -> _Ends | None:
+    """Return the ends of all pieces of a pass; None if one is not proved to keep the limits."""
+    path, clock = motion.path, motion.clock
+    times_s = motion.knots_s
+    middles_s = 0.5 * (times_s[:-1] + times_s[1:])
+    pieces = np.clip(
+        np.searchsorted(clock.times_s, middles_s, side="right") - 1, 0, len(clock.rates) - 1
+    )
+    slopes = clock.rate_slopes[pieces][:, None]
+    starts_s, start_rates = _moved(motion, pieces, times_s[:-1])
+    ends_s, end_rates = _moved(motion, pieces, times_s[1:])
+    if (start_rates < -JUMP_RATIO).any() or (end_rates < -JUMP_RATIO).any():
+        return None
+    segments = path.segments_of(_moved(motion, pieces, middles_s)[0] + path.knots_s[0])
+    from_s = (starts_s + path.knots_s[0] - path.knots_s[segments])[:, None]
+    width_s = (ends_s - starts_s)[:, None]
+    # Cubics of the position in the piece, u from 0 to its width.
+    c0, c1, c2, c3 = (path.coefficients[segments, power] for power in range(4))
+    c0, c1, c2 = (
+        c0 + from_s * (c1 + from_s * (c2 + from_s * c3)),
+        c1 + from_s * (2.0 * c2 + 3.0 * from_s * c3),
+        c2 + 3.0 * from_s * c3,
+    )
+    square = (start_rates**2)[:, None]
+
+    def angle(u: FloatArray) -> FloatArray:
+        return np.asarray(c0 + u * (c1 + u * (c2 + u * c3)))
+
+    def speed(u: FloatArray) -> FloatArray:
+        rate = np.sqrt(np.maximum(square + 2.0 * slopes * u, 0.0))
+        return np.asarray((c1 + u * (2.0 * c2 + 3.0 * u * c3)) * rate)
+
+    # (2 c2 + 6 c3 u) (square + 2 slope u) + (c1 + 2 c2 u + 3 c3 u²) slope
+    a0 = 2.0 * c2 * square + c1 * slopes
+    a1 = 6.0 * c3 * square + 6.0 * c2 * slopes
+    a2 = 15.0 * c3 * slopes
+
+    def accel(u: FloatArray) -> FloatArray:
+        return np.asarray(a0 + u * (a1 + u * a2))
+
+    zero = np.zeros_like(width_s)
+    turns = [_inside(-a1 / (2.0 * a2), width_s)]
+    hardest = np.abs(np.stack([accel(u) for u in (zero, width_s, *turns)]))
+    fastest = np.abs(np.stack([speed(u) for u in (zero, width_s, *_roots(a0, a1, a2, width_s))]))
+    reached = [angle(u) for u in _roots(c1, 2.0 * c2, 3.0 * c3, width_s)]
+    found = _Ends(angle(zero), angle(width_s), speed(zero), speed(width_s))
+    is_within = (
+        limits.hold_angles(found.start_deg, found.end_deg, *reached)
+        and bool((fastest <= limits.speed_deg_s).all())
+        and bool((hardest <= limits.accel_deg_s2).all())
+        and limits.join(
+            (found.end_deg[:-1], found.end_deg_s[:-1]), (found.start_deg[1:], found.start_deg_s[1:])
+        )
+    )
+    return found if is_within else None
+
+
+def _moved(
+    motion: PathMotion, pieces: NDArray[np.intp], times_s: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return path position and rate at each instant, by the given piece of the clock."""
+    clock = motion.clock
+    local_s = times_s - clock.times_s[pieces]
+    rates, slopes = clock.rates[pieces], clock.rate_slopes[pieces]
+    path_s = clock.path_s[pieces] + local_s * (rates + 0.5 * slopes * local_s)
+    return path_s, rates + slopes * local_s
+
+
+def _roots(
+    constant: FloatArray, linear: FloatArray, square: FloatArray, width_s: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the roots of quadratics that lie from 0 to the width; 0 in place of the others."""
+    root = np.sqrt(np.maximum(linear**2 - 4.0 * square * constant, 0.0))
+    # Added with equal signs, so that no digits are lost.
+    total = -0.5 * (linear + np.copysign(root, linear))
+    return _inside(total / square, width_s), _inside(constant / total, width_s)
+
+
+def _inside(u: FloatArray, width_s: FloatArray) -> FloatArray:
+    """Return the positions that lie from 0 to the width; 0 in place of the others and of NaN."""
+    return np.where((u > 0.0) & (u < width_s), u, 0.0)

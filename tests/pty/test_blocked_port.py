@@ -1,0 +1,139 @@
+"""A pseudo-terminal that takes no bytes, as a stalled adapter does: no command waits for it."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+import subprocess
+import sys
+import termios
+import time
+import tty
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from lss_motion.errors import EXIT_INTERRUPTED, EXIT_UNREACHABLE
+from lss_motion.runtime.port import SerialPort
+from lss_motion.sim.faults import Fault, FaultKind
+
+pytestmark = pytest.mark.realtime
+
+ROBOT = """
+robot: one
+resume_s: 1.0
+buses: {main: {port: port}}
+defaults: {speed_max_deg_s: 90, accel_max_deg_s2: 600}
+joints: {pan: {id: 1, model: LSS-ST1, range_deg: [-90, 90]}}
+poses: {home: {pan: 0}}
+"""
+SHOW = """
+sequence: sway
+robot: robot.yaml
+loop: forever
+keyframes: [{at_s: 0, pose: home}, {at_s: 1, deg: {pan: 30}}, {at_s: 2, pose: home}]
+"""
+ENDS_S = 60.0
+"""No command may take longer; on an idle computer the slowest takes 4 s."""
+
+
+@pytest.fixture
+def blocked_port(on_terminal, servo):
+    """Return a context: a port with one servo that takes no bytes from `at_s` on."""
+
+    @contextmanager
+    def serve(at_s=0.0, until_s=float("inf")):
+        fault = Fault(kind=FaultKind.BLOCKED_PORT, at_s=at_s, until_s=until_s)
+        with on_terminal(servo(1), faults=[fault]) as bus:
+            Path("robot.yaml").write_text(ROBOT)
+            Path("show.yaml").write_text(SHOW)
+            yield bus
+
+    return serve
+
+
+def _own_the_terminal():
+    """Make standard input the terminal that keys come from."""
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+
+def start(*words):
+    """Start a command whose standard input is a terminal of its own."""
+    keyboard_fd, terminal_fd = os.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "lss_motion.cli.main", *words],
+        stdin=terminal_fd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        start_new_session=True,
+        preexec_fn=_own_the_terminal,  # noqa: PLW1509  (it only makes one system call)
+    )  # fmt: skip
+    os.close(terminal_fd)
+    process.keyboard_fd = keyboard_fd  # Open as long as the process object lives.
+    return process
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "play show.yaml --yes",
+        "play show.yaml --yes --no-feedback",
+        "scan port",
+        "monitor robot.yaml --for 5",
+        "send --port port --id 1 QD",
+        "send --port port --id 1 LED 1",
+        "configure robot.yaml --backup saved.yaml",
+        "jog robot.yaml",
+        "record -o taken.csv --robot robot.yaml",
+        "calibrate robot.yaml",
+        "identify --robot robot.yaml --yes pan",
+    ],
+)
+def test_a_port_that_takes_no_bytes_ends_every_command_with_its_reason(blocked_port, words):
+    with blocked_port():
+        process = start(*words.split())
+        _, errors = process.communicate(timeout=ENDS_S)
+    assert (process.returncode, "takes no bytes" in errors) == (EXIT_UNREACHABLE, True), errors
+    assert "Traceback" not in errors
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 6])
+def test_ctrl_c_ends_a_show_whose_port_takes_no_bytes(blocked_port, count):
+    with blocked_port(4.0):
+        process = start("play", "show.yaml", "--yes")
+        for line in process.stdout:
+            if "lost_port" in line or "takes no bytes" in line:
+                break
+        for _ in range(count):
+            process.send_signal(signal.SIGINT)
+            time.sleep(0.05)
+        _, errors = process.communicate(timeout=ENDS_S)
+    assert process.returncode in (EXIT_UNREACHABLE, EXIT_INTERRUPTED)
+    assert "Traceback" not in errors
+
+
+def test_closing_a_port_waits_for_its_bytes_as_long_as_they_leave(blocked_port):
+    with blocked_port(0.0, 1.2) as bus:
+        while not bus.blocks_ns():
+            time.sleep(0.01)
+        while time.monotonic_ns() < bus.blocks_ns()[0][0] + 900_000_000:
+            time.sleep(0.01)
+        port = SerialPort("port", 115200)
+        port.write(b"#254H\r")
+        assert not port.has_sent_all()
+        port.close()
+        while not bus.heard:
+            time.sleep(0.01)
+    assert [line for _, line in bus.heard] == [b"#254H\r"]
+
+
+def test_the_system_refuses_a_write_to_a_terminal_that_was_stopped():
+    """What the simulator and these tests rest on."""
+    host_fd, terminal_fd = os.openpty()
+    tty.setraw(terminal_fd)
+    os.set_blocking(terminal_fd, False)
+    termios.tcflow(terminal_fd, termios.TCOOFF)
+    with pytest.raises(BlockingIOError):
+        os.write(terminal_fd, b"#1QD\r")
+    os.close(terminal_fd)
+    os.close(host_fd)

@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+import pytest
+
+from lss_motion.player.settings_watch import HOLD_SIGNS, Probe, SettingsWatch
+
+PROBES = (Probe("QAA", 60, 100), Probe("QSD", 1800, 3600))
+
+
+@pytest.fixture
+def state(kit):
+    return kit.state(kit.joint())
+
+
+@pytest.fixture
+def watch():
+    return SettingsWatch({"j0": PROBES})
+
+
+def test_the_first_sign_asks_at_once_and_a_few_in_a_row_hold_the_moves_back(watch, state):
+    assert watch.urgent("j0") is None
+    for number in range(1, HOLD_SIGNS + 1):
+        watch.note_sign(state, 1000 * number)
+        watch.note_sign(state, 1000 * number)
+        assert watch.urgent("j0") == PROBES[number % 2].keyword, "each time another"
+        assert state.takes_moves is (number < HOLD_SIGNS)
+    assert watch.take(state, "QAA", 60) is None
+    assert not watch.doubted
+    assert state.release() is False, "no move was due"
+    assert state.takes_moves
+
+
+def test_a_limp_servo_is_held_back_at_once(watch, state):
+    watch.note_sign(state, 1, count=HOLD_SIGNS)
+    assert not state.takes_moves
+
+
+def test_the_answer_before_the_show_twice_is_a_restart(watch, state):
+    assert watch.take(state, "QSD", 3600) is None
+    assert not state.takes_moves
+    text = watch.take(state, "QSD", 3600)
+    assert "servo 1 answers 3600 to QSD, it was set to 1800" in text
+
+
+def test_a_damaged_answer_is_none(watch, state):
+    for value in (180, 800, 80, None, 1000, 8):
+        assert watch.take(state, "QSD", value) is None
+        assert state.takes_moves
+        assert watch.doubted == {"j0"}, "it is asked again"
+    assert watch.take(state, "QSD", 8) is None, "the same again"
+    assert not state.takes_moves
+    assert watch.take(state, "QSD", 8) is not None, "it is set to something else"
+
+
+def test_a_servo_whose_settings_a_restart_does_not_change_is_never_in_doubt(state):
+    watch = SettingsWatch({})
+    watch.note_sign(state, 1, count=HOLD_SIGNS)
+    assert (watch.keywords("j0"), watch.doubted, state.takes_moves) == ((), set(), True)
+
+
+def test_moves_that_were_held_back_are_sent_on_release(watch, state, line):
+    watch.note_sign(state, 1, count=HOLD_SIGNS)
+    state.send(line, 10.0, 0.5, 5)
+    assert (line.take(), state.held_back) == (b"", 1)
+    assert state.release() is True
+    state.send(line, 10.0, 0.5, 5)
+    assert line.take() == b"#1D100T500\r"

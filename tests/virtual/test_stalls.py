@@ -1,0 +1,149 @@
+"""What is sent after this program was held up, judged by bytes and horns."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lss_motion.player.events import PhaseEntered
+from lss_motion.robot.on_fault import Cause, FaultStep
+from lss_motion.robot.servo_models import SERVO_MODELS
+from lss_motion.sim.faults import Fault, FaultKind
+
+S = 1_000_000_000
+SPEED_DEG_S = 180.0
+MOVE = re.compile(rb"#(\d+)D(-?\d+)(?:T\d+)?\r")
+STALLS_S = (0.05, 0.2, 1.0, 5.0, 30.0)
+
+
+def held_up(at_s, late_s):
+    """Return a fault that strikes the first wait that ends in the time after `at_s`."""
+    until_s = at_s + min(0.8 * late_s, 0.4)
+    return Fault(kind=FaultKind.OVERSLEEP, at_s=at_s, until_s=until_s, late_s=late_s)
+
+
+def steps(played):
+    return [(fault.joint, fault.kind, fault.step) for fault in played.report.faults]
+
+
+def wakes(played, at_s, late_s):
+    """Return the instant at which the program sent again after the stall."""
+    return min(ns for ns, _, _ in played.sent if ns >= (at_s + late_s) * S)
+
+
+def moves_at_once(played, at_s, late_s):
+    """Return how many moves each servo was sent at the first instant after the stall."""
+    if not played.report.faults:
+        instants: dict[int, Counter[bytes]] = {}
+        for at_ns, _, data in played.sent:
+            ids = (match[1] for match in MOVE.finditer(data))
+            instants.setdefault(at_ns, Counter()).update(ids)
+        return max(max(counts.values(), default=0) for counts in instants.values())
+    return max(moves_after(played, wakes(played, at_s, late_s)).values(), default=0)
+
+
+def moves_after(played, from_ns):
+    """Return how many moves each servo was sent shortly after an instant, before settings."""
+    counts: Counter[bytes] = Counter()
+    for at_ns, _, data in played.sent:
+        if at_ns >= from_ns:
+            if b"EM" in data or at_ns > from_ns + S // 50:
+                break
+            counts.update(match[1] for match in MOVE.finditer(data))
+    return counts
+
+
+def assert_speeds_hold(played, slack=1.05):
+    horns = played.bus.horn_deg(np.arange(0, played.bus.heard[-1][0], 5_000_000))
+    speed = (horns[4:] - horns[:-4]) / 0.02
+    assert np.abs(speed).max() <= slack * SPEED_DEG_S
+
+
+@pytest.mark.parametrize(
+    ("late_s", "at_s", "has_feedback"),
+    [
+        *((late_s, at_s, True) for late_s in STALLS_S for at_s in (1.9, 4.6)),
+        *((late_s, at_s, False) for late_s in (0.2, 5.0) for at_s in (0.3, 1.9, 4.6)),
+        (5.0, 0.3, True),
+    ],
+)
+def test_after_a_stall_a_servo_gets_one_move_and_the_show_goes_on(
+    stage, kit, late_s, at_s, has_feedback
+):
+    sequence = kit.sequence(2, 1.6, swing_deg=40.0, step_s=(0.3, 0.5), loop=3)
+    played = stage.play(
+        kit.robot(2, baud_bps=38400), sequence, faults=[held_up(at_s, late_s)],
+        has_feedback=has_feedback, start_deg={"j0": 20.0, "j1": -10.0},
+    )  # fmt: skip
+    assert played.report.outcome == "finished"
+    assert_speeds_hold(played)
+    (end_deg,) = played.bus.horn_deg([played.bus.heard[-1][0]])
+    assert np.abs(end_deg).max() < 1.5, "it ends where the plan ends"
+    is_stall = late_s > 0.25 and at_s > 0.5
+    stalls = [step for step in steps(played) if step[1] is Cause.STALLED]
+    assert stalls == [("", Cause.STALLED, FaultStep.RESUME)] * is_stall
+    behind = {(cause, step) for _, cause, step in steps(played)} - {
+        (Cause.STALLED, FaultStep.RESUME)
+    }
+    assert behind <= {(Cause.ASTRAY, FaultStep.SLOW)}, "a horn that a short gap left behind"
+    assert moves_at_once(played, at_s, late_s) <= 1 + bool(
+        behind
+    )  # A joint that is slowed is led on.
+
+
+def test_thirty_seconds_of_stall_send_no_queue_of_moves(stage, kit):
+    robot = kit.robot(3, baud_bps=115200)
+    sequence = kit.sequence(3, 6.0, swing_deg=60.0, step_s=(0.5, 0.9), loop=8)
+    played = stage.play(robot, sequence, faults=[held_up(3.0, 30.0)], has_feedback=False)
+    woke_ns = wakes(played, 3.0, 30.0)
+    at_once = [data for ns, _, data in played.sent if woke_ns <= ns < woke_ns + S // 10]
+    assert len(MOVE.findall(b"".join(at_once))) <= 3
+    assert steps(played) == [("", Cause.STALLED, FaultStep.RESUME)]
+    assert re.search("held up for (29.9|30.0)", played.report.faults[0].cause)
+    horns = played.bus.horn_deg(np.arange(woke_ns, woke_ns + S // 5, 5_000_000))
+    assert np.abs(np.diff(horns, axis=0)).max() / 0.005 <= 30.0 * 1.1 + 40.0
+    assert played.report.outcome == "finished"
+    assert np.abs(played.horn_error_deg(from_s=40.0)).max() < 4.0
+    assert_speeds_hold(played)
+
+
+def test_a_stall_ends_the_show_where_the_robot_file_requires_it(stage, kit):
+    robot = kit.robot(2, on_fault={Cause.STALLED: (FaultStep.HOLD,)})
+    played = stage.play(robot, kit.sequence(2, 6.0), faults=[held_up(3.0, 5.0)])
+    assert played.report.outcome == "fault"
+    assert steps(played) == [("", Cause.STALLED, FaultStep.HOLD)]
+    assert played.heard()[-1] == b"#254H\r"
+    phases = [event.phase for event in played.events if isinstance(event, PhaseEntered)]
+    assert phases[-3:] == ["stopping", "restoring", "done"]
+
+
+def test_a_stall_while_nothing_is_due_is_a_warning(stage, kit):
+    rest = kit.sequence(1, 3.0).keyframes[-1]
+    sequence = replace(
+        kit.sequence(1, 3.0), keyframes=(*kit.sequence(1, 3.0).keyframes, replace(rest, at_s=7.0))
+    )
+    played = stage.play(kit.robot(1), sequence, faults=[held_up(5.0, 0.5)])
+    assert played.report.outcome == "finished"
+    assert not played.report.faults
+    assert ["No move was due meanwhile" in text for text in played.report.warnings] == [True]
+
+
+@pytest.mark.parametrize("drive", ["streamed", "stepped"])
+@pytest.mark.parametrize("late_s", [0.1, 5.0])
+def test_other_drives_get_one_target_after_a_stall(stage, kit, drive, late_s):
+    fields = {"drive": drive, "baud_bps": 115200}
+    if drive == "stepped":
+        fields["model"] = SERVO_MODELS["LSS-2IO"]
+    robot = kit.robot(2, **fields)
+    sequence = kit.sequence(2, 4.0, swing_deg=40.0, step_s=(0.6, 0.9), loop=2)
+    played = stage.play(robot, sequence, faults=[held_up(3.0, late_s)])
+    assert played.report.outcome == "finished"
+    (end_deg,) = played.bus.horn_deg([played.bus.heard[-1][0]])
+    assert np.abs(end_deg).max() < 1.0
+    assert moves_at_once(played, 3.0, late_s) <= 1
+    if drive == "streamed":
+        assert_speeds_hold(played, 1.15)

@@ -1,0 +1,125 @@
+"""What an independent judge (`tools/judge`) is given of a run: plain values, nothing of ours.
+
+The robot goes over as the text of a robot file, the run as what a JSON file could hold.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from campaign.allowances import BODY_KINDS, STEP_NS
+from judge.recording import recording_of
+from judge.verdict import objections
+
+from lss_motion.sim.bus import servos_of, set_up_settings
+from lss_motion.sim.faults import FaultKind
+from lss_motion.units import NS_PER_S, s_from_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from campaign.witness import Witness
+
+    from lss_motion.perform import Result
+    from lss_motion.robot.model import Joint, Robot
+    from lss_motion.sim.faults import Fault
+
+EXCUSES: Final = {*BODY_KINDS, FaultKind.WRONG_SCALE}
+"""With these a horn does what motor or servo make of a right command."""
+KEPT: Final = ("SD", "AA", "AD", "EM", "FPC", "G", "O", "AR")
+
+
+def objections_to(
+    robot: Robot, faults: Sequence[Fault], witness: Witness, result: Result
+) -> list[str]:
+    """Return what the independent judge objects to in a run."""
+    record = record_of(robot, faults, witness, result)
+    return [str(one) for one in objections(recording_of(robot_of(robot), record))]
+
+
+def robot_of(robot: Robot) -> dict[str, Any]:
+    """Return a robot as its file holds it, as far as the judge reads it."""
+    return {
+        "buses": {name: {"baud_bps": bus.baud_bps} for name, bus in robot.buses.items()},
+        "joints": {
+            joint.name: {
+                "id": joint.servo_id,
+                "bus": joint.bus,
+                "model": joint.model.name,
+                "range_deg": [joint.position_min_deg, joint.position_max_deg],
+                "speed_max_deg_s": joint.speed_max_deg_s,
+                "accel_max_deg_s2": joint.accel_max_deg_s2,
+                "direction": joint.direction,
+                "zero_deg": joint.zero_deg,
+                "stored": {name: joint.stored[name] for name in ("G", "O") if name in joint.stored},
+            }
+            for joint in robot.joints.values()
+        },
+    }
+
+
+def record_of(
+    robot: Robot, faults: Sequence[Fault], witness: Witness, result: Result
+) -> dict[str, Any]:
+    """Return a run as JSON holds it."""
+    end_ns = witness.end_ns + NS_PER_S
+    return {
+        "end_s": s_from_ns(end_ns),
+        "buses": {
+            name: {
+                "baud_bps": bus.baud_bps,
+                "written": _rows(witness.writes.get(name, [])),
+                "gone": [
+                    [s_from_ns(a), s_from_ns(b)] for a, b in [*bus.outages_ns(), *bus.blocks_ns()]
+                ],
+            }
+            for name, bus in result.simulated.items()
+        },
+        "servos": [
+            one for name in result.simulated for one in _servos(robot, name, faults, result, end_ns)
+        ],
+    }
+
+
+def _servos(
+    robot: Robot, bus_name: str, faults: Sequence[Fault], result: Result, end_ns: int
+) -> list[Mapping[str, Any]]:
+    bus = result.simulated[bus_name]
+    seen_deg = bus.horn_deg(np.arange(0, end_ns, STEP_NS))
+    rows = []
+    for index, name in enumerate(servos_of(robot, bus_name)):
+        joint = robot.joints[name]
+        own = [f for f in faults if f.servo_id in (None, joint.servo_id)]
+        body = [f"{f.kind} {f.setting}".strip() for f in own if f.kind in EXCUSES]
+        gyre, origin_deg = joint.stored.get("G") or 1.0, joint.stored.get("O") or 0.0
+        rows.append(
+            {
+                "bus": bus_name,
+                "id": joint.servo_id,
+                "stored": _stored(joint),
+                "changes": [
+                    [s_from_ns(at_ns), {k: v for k, v in settings.items() if k in KEPT}]
+                    for at_ns, settings in bus.stored_ns[index]
+                ],
+                "received": _rows(bus.received[index]),
+                "restarts": [s_from_ns(at_ns) for at_ns in bus.restarts_ns[index]],
+                "step_s": s_from_ns(STEP_NS),
+                "horn_deg": (gyre * seen_deg[:, index] + origin_deg).tolist(),
+                "excuse": ", ".join(body),
+            }
+        )
+    return rows
+
+
+def _stored(joint: Joint) -> dict[str, int]:
+    """Return what a servo has stored at power-up, in wire units."""
+    return {name: wire for name, wire in set_up_settings(joint).items() if name in KEPT}
+
+
+def _rows(lines: Sequence[tuple[int, bytes]]) -> list[tuple[float, str]]:
+    return [
+        (s_from_ns(at_ns), line.decode("latin-1"))
+        for at_ns, data in lines
+        for line in data.splitlines(keepends=True)
+    ]
