@@ -1,4 +1,4 @@
-"""What the filter of a servo in EM0, wherever its steps fall, makes of the targets it hears."""
+"""What the filter of a servo in EM0, wherever its steps fall, makes of the targets it receives."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import numpy as np
 FILTER_S = 0.02
 
 
-def staircase(heard, count, phase_s, end_s):
+def staircase(received, count, phase_s, end_s):
     """Return what a filter that steps at `phase_s` and every 20 ms from there makes of targets.
 
-    `heard`: `(instant in ns, target in degrees)`; the filter stands at 0.
+    `received`: `(instant in ns, target in degrees)`; the filter stands at 0.
     """
     value, values = 0.0, []
     for step in range(round((end_s - phase_s) / FILTER_S)):
-        before = [deg for at_ns, deg in heard if at_ns / 1e9 <= phase_s + step * FILTER_S]
+        before = [deg for at_ns, deg in received if at_ns / 1e9 <= phase_s + step * FILTER_S]
         value += ((before[-1] if before else 0.0) - value) / count
         values.append(value)
     return np.array(values)

@@ -19,7 +19,7 @@ def travel(target_deg, due_s=0.0, lasts_s=1.0):
 
 
 def timed(kit, *moves, **fields):
-    """Return the track of a joint whose plan hears all of `moves`; the first is under way."""
+    """Return the track of a joint whose plan receives all of `moves`; the first is under way."""
     state = kit.state(kit.joint(**fields), moves)
     state.begin_move(moves[0])
     return state

@@ -1,4 +1,4 @@
-"""Plays short shows with faults from seeds in virtual time, and judges what was sent, heard, done.
+"""Plays short shows with faults from seeds in virtual time, and judges bytes, horns and reports.
 
 tools/run tools/fuzz.py                        10,000 seeds: a night's work
 tools/run tools/fuzz.py --seconds 120 --jobs 2 as many as go into two minutes on two cores

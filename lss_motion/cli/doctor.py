@@ -72,7 +72,7 @@ def _doctor(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json({"findings": [dataclasses.asdict(finding) for finding in findings]})
     for finding in [] if arguments.json else findings:
-        print(f"{finding.level:4}  {finding.subject:{width}}  {finding.said}")
+        print(f"{finding.level:4}  {finding.subject:{width}}  {finding.text}")
         if finding.fix:
             print(f"{'':6}{'':{width}}  → {finding.fix}")
     bad = {finding.subject for finding in findings if finding.level is Level.BAD}
@@ -102,17 +102,17 @@ def _examined(robot: Robot) -> tuple[list[Finding], LssMotionError | None]:
         warnings = checks.check_answers(joints, preflight.answers, robot, stored=preflight.stored)
         warnings += checks.check_range(joints, preflight.answers)
     except LssMotionError as error:
-        return [Finding(subject="robot", level=Level.BAD, said=str(error))], error
-    findings = [Finding(subject="robot", level=Level.HINT, said=text) for text in warnings]
+        return [Finding(subject="robot", level=Level.BAD, text=str(error))], error
+    findings = [Finding(subject="robot", level=Level.HINT, text=text) for text in warnings]
     findings += [
         Finding(
             subject="stored limits",
             level=Level.HINT,
-            said=f"{text}: with that it would restart",
+            text=f"{text}: with that it would restart",
             fix=f"lss-motion configure {robot.path} --limits",
         )
         for text in checks.stored_excesses(joints, preflight.stored)
     ]
     simulated = " (simulated)" if is_simulated else ""
-    said = f"{len(joints)} servos answer as {robot.name!r} has them{simulated}"
-    return [*findings, Finding(subject="robot", level=Level.OK, said=said)], None
+    text = f"{len(joints)} servos answer as {robot.name!r} has them{simulated}"
+    return [*findings, Finding(subject="robot", level=Level.OK, text=text)], None

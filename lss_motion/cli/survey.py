@@ -58,10 +58,10 @@ def roll_call(connection: Connection, bus_name: str) -> list[ServoIdentity]:
     doubtful: set[int] = set()
     for _ in range(discovery.ROLL_CALLS):
         left = [servo_id for servo_id in range(ID_MAX + 1) if servo_id not in models]
-        heard = connection.run(
+        received = connection.run(
             Listening(bus_name, discovery.roll_call_steps(baud_bps, left))
         ).received
-        answered, again = discovery.read_roll_call(baud_bps, left, heard)
+        answered, again = discovery.read_roll_call(baud_bps, left, received)
         models |= answered
         doubtful |= again
     found = {servo_id: models.get(servo_id, "") for servo_id in sorted(models.keys() | doubtful)}

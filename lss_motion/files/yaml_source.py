@@ -82,8 +82,8 @@ class YamlSource:
         )
         errors = [InputError(reason, path=self.path, line=line) for line, reason in placed]
         if len(errors) > PROBLEMS_MAX:
-            unsaid = InputError(f"and {len(errors) - PROBLEMS_MAX} more problems", path=self.path)
-            errors = [*errors[:PROBLEMS_MAX], unsaid]
+            rest = InputError(f"and {len(errors) - PROBLEMS_MAX} more problems", path=self.path)
+            errors = [*errors[:PROBLEMS_MAX], rest]
         top = errors[0]
         return InputError(top.reason, path=self.path, line=top.line, more=errors[1:])
 

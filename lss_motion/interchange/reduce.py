@@ -25,7 +25,7 @@ import numpy as np
 
 from lss_motion.errors import InputError
 from lss_motion.interchange.reader import DIGITS, Unit
-from lss_motion.sequence.model import KEYFRAMES_MAX, Interpolation
+from lss_motion.sequence.model import KEYFRAMES_MAX, LINEAR_RAMP_RATIO, Interpolation
 from lss_motion.splines import clamped_slopes, monotone_slopes
 
 if TYPE_CHECKING:
@@ -246,10 +246,6 @@ def _fit(
         joint=worst[1],
         at_s=worst[2],
     )
-
-
-LINEAR_RAMP_RATIO: Final = 0.25
-"""Each ramp of a `linear` move takes this share of it, as in `trajectory.curves`."""
 
 
 def interpolated(

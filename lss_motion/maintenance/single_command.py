@@ -190,10 +190,10 @@ def _within_speed(command: Command, joint: Joint, way_deg: float) -> Verdict:
 def _text(command: Command, meant: Decoded | None) -> str:
     """Return bytes and meaning: `#5D900T500: servo 5, position 90 deg, T 500 ms`."""
     line = encode(command)[:-1].decode("ascii", "replace")
-    whom = "every servo" if command.servo_id == BROADCAST_ID else f"servo {command.servo_id}"
+    receiver = "every servo" if command.servo_id == BROADCAST_ID else f"servo {command.servo_id}"
     if meant is None:
-        return f"{line}: {whom}, {command.keyword}"
-    words = [f"{whom}, {meant.row.meaning}"]
+        return f"{line}: {receiver}, {command.keyword}"
+    words = [f"{receiver}, {meant.row.meaning}"]
     if meant.value is not None:
         words[0] += f" {_value(meant.value)}{_unit(meant.unit)}"
     table = FAMILY_TABLES[Family.LSS].modifiers

@@ -554,7 +554,7 @@ class Setpoints:
         return low_deg, high_deg
 
     def commanded(self, arrival_s: float, target_deg: float) -> None:
-        """Note that the servo hears `D target` at `heard_s`."""
+        """Note that the servo receives `D target` at `received_s`."""
         self._advance(arrival_s)
         self._target_deg = target_deg
 

@@ -56,7 +56,7 @@ class Finding:
 
     subject: str
     level: Level
-    said: str
+    text: str
     """The result; the name is the key in the JSON of `lss-motion doctor`."""
     fix: str = ""
 
@@ -80,14 +80,14 @@ def examine(root: Path = Path("/")) -> list[Finding]:
             found += check()
         except Exception as error:  # noqa: BLE001 (one check must not end the others)
             text = f"could not be checked: {type(error).__name__}: {error}"
-            found.append(Finding(subject=subject, level=Level.HINT, said=text))
+            found.append(Finding(subject=subject, level=Level.HINT, text=text))
     return found
 
 
 def check_python() -> list[Finding]:
     """Name the running Python. An older one than required cannot start this code."""
     text = ".".join(map(str, sys.version_info[:3])) + f" at {sys.executable}"
-    return [Finding(subject="Python", level=Level.OK, said=text)]
+    return [Finding(subject="Python", level=Level.OK, text=text)]
 
 
 def check_packages(
@@ -100,7 +100,7 @@ def check_packages(
         except metadata.PackageNotFoundError:
             fix = "run it through `tools/run`, or `pip install -e .` in its folder"
             text = "lss-motion itself is not installed"
-            return [Finding(subject="packages", level=Level.BAD, said=text, fix=fix)]
+            return [Finding(subject="packages", level=Level.BAD, text=text, fix=fix)]
     bad, count = [], 0
     for requirement in required:
         match = _REQUIREMENT.match(requirement)
@@ -117,8 +117,8 @@ def check_packages(
             bad.append(f"{name} {installed} is older than {least}")
     if bad:
         fix = "`pip install --upgrade lss-motion`, or delete .venv and let `tools/run` rebuild it"
-        return [Finding(subject="packages", level=Level.BAD, said=", ".join(bad), fix=fix)]
-    return [Finding(subject="packages", level=Level.OK, said=f"all {count} are there")]
+        return [Finding(subject="packages", level=Level.BAD, text=", ".join(bad), fix=fix)]
+    return [Finding(subject="packages", level=Level.OK, text=f"all {count} are there")]
 
 
 def check_ports() -> list[Finding]:
@@ -129,14 +129,14 @@ def check_ports() -> list[Finding]:
             continue
         text = f"{device.path}, {device.name}"
         if os.name != "posix" or os.access(device.path, os.R_OK | os.W_OK):
-            found.append(Finding(subject="port", level=Level.OK, said=text))
+            found.append(Finding(subject="port", level=Level.OK, text=text))
         else:
             fix = permission_hint(device.path)
-            found.append(Finding(subject="port", level=Level.BAD, said=text, fix=fix))
+            found.append(Finding(subject="port", level=Level.BAD, text=text, fix=fix))
     if found:
         return found
     fix = "plug the adapter in; a port that is not on USB needs none of this"
-    return [Finding(subject="ports", level=Level.HINT, said="none on USB", fix=fix)]
+    return [Finding(subject="ports", level=Level.HINT, text="none on USB", fix=fix)]
 
 
 def check_latency(root: Path) -> list[Finding]:
@@ -147,13 +147,13 @@ def check_latency(root: Path) -> list[Finding]:
         wait_ms = int(timer.read_text(encoding="ascii"))
         text = f"/dev/{timer.parent.name}: {wait_ms} ms"
         if wait_ms <= LATENCY_MAX_MS:
-            found.append(Finding(subject="USB latency", level=Level.OK, said=text))
+            found.append(Finding(subject="USB latency", level=Level.OK, text=text))
             continue
         fix = (
             f"lss_motion requests 1 ms when it opens the port; where that is refused: "
             f"`echo 1 | sudo tee {timer}`"
         )
-        found.append(Finding(subject="USB latency", level=Level.HINT, said=text, fix=fix))
+        found.append(Finding(subject="USB latency", level=Level.HINT, text=text, fix=fix))
     return found
 
 
@@ -166,7 +166,7 @@ def check_grabbers(root: Path) -> list[Finding]:
         except OSError:  # The process has ended in the meantime.
             continue
     return [
-        Finding(subject="other programs", level=Level.HINT, said=f"{name} is running", fix=fix)
+        Finding(subject="other programs", level=Level.HINT, text=f"{name} is running", fix=fix)
         for name, fix in PORT_GRABBERS.items()
         if name in running
     ]
@@ -178,11 +178,11 @@ def check_clock(resolution_ns: int | None = None) -> list[Finding]:
         resolution_ns = _smallest_step_ns()
     text = f"steps of {resolution_ns} ns"
     if resolution_ns <= RESOLUTION_MAX_NS:
-        return [Finding(subject="clock", level=Level.OK, said=text)]
+        return [Finding(subject="clock", level=Level.OK, text=text)]
     fix = (
         "commands leave as late as one such step; another system or a real machine has a finer one"
     )
-    return [Finding(subject="clock", level=Level.HINT, said=text, fix=fix)]
+    return [Finding(subject="clock", level=Level.HINT, text=text, fix=fix)]
 
 
 def check_timer(lates_ns: Sequence[int] | None = None) -> list[Finding]:
@@ -195,12 +195,12 @@ def check_timer(lates_ns: Sequence[int] | None = None) -> list[Finding]:
         f"{lates[-1] // NS_PER_US} us at worst"
     )
     if worst_ns <= LATE_MAX_NS:
-        return [Finding(subject="timer", level=Level.OK, said=text)]
+        return [Finding(subject="timer", level=Level.OK, text=text)]
     fix = (
         "end programs that keep the computer busy; on Linux `lss-play --real-time` gives the "
         "player priority; a virtual machine or a laptop on battery may stay late"
     )
-    return [Finding(subject="timer", level=Level.HINT, said=text, fix=fix)]
+    return [Finding(subject="timer", level=Level.HINT, text=text, fix=fix)]
 
 
 def check_governor(root: Path) -> list[Finding]:
@@ -210,9 +210,9 @@ def check_governor(root: Path) -> list[Finding]:
         return []
     governor = path.read_text(encoding="ascii").strip()
     if governor != "powersave":
-        return [Finding(subject="CPU", level=Level.OK, said=f"governor {governor}")]
+        return [Finding(subject="CPU", level=Level.OK, text=f"governor {governor}")]
     fix = "if the timer is late: `sudo cpupower frequency-set -g performance`"
-    return [Finding(subject="CPU", level=Level.HINT, said=f"governor {governor}", fix=fix)]
+    return [Finding(subject="CPU", level=Level.HINT, text=f"governor {governor}", fix=fix)]
 
 
 def check_terminals() -> list[Finding]:
@@ -223,8 +223,8 @@ def check_terminals() -> list[Finding]:
     except (AttributeError, OSError):
         fix = "`lss-motion sim` does not work here; sim:// in process does"
         text = "this system has no pseudo-terminals"
-        return [Finding(subject="simulated ports", level=Level.HINT, said=text, fix=fix)]
-    return [Finding(subject="simulated ports", level=Level.OK, said="pseudo-terminals work")]
+        return [Finding(subject="simulated ports", level=Level.HINT, text=text, fix=fix)]
+    return [Finding(subject="simulated ports", level=Level.OK, text="pseudo-terminals work")]
 
 
 def _numbers(version: str) -> tuple[int, ...]:

@@ -83,7 +83,7 @@ class JointReport:
     predicted_error_max_deg: float | None
     lag_extra_s: float
     """The measured lag of the servo beyond that of the robot file."""
-    said_again: int
+    resent: int
     """Moves that the servo did not execute and that were sent a second time."""
     temperature_max_c: float | None
     voltage_min_v: float | None
@@ -218,7 +218,7 @@ def _joint(
         offset_max_deg=round(following.offset_max_deg, 3),
         predicted_error_max_deg=None if predicted_deg is None else round(predicted_deg, 3),
         lag_extra_s=round(track.lag.estimate_s, 4),
-        said_again=track.resent,
+        resent=track.resent,
         temperature_max_c=track.temperature_max_c,
         voltage_min_v=track.voltage_min_v,
         current_max_a=track.current_max_a,

@@ -203,8 +203,8 @@ class Board:
             return None
         value = command.value if isinstance(command.value, int) else None
         if form is Form.QUERY:
-            said = None if is_broadcast else self._value(pin, row, value)
-            return None if said is None else Reply(pin.servo_id, command.keyword, said)
+            answer = None if is_broadcast else self._value(pin, row, value)
+            return None if answer is None else Reply(pin.servo_id, command.keyword, answer)
         match row.name:
             case "RESET":
                 self.reset(now_ns)

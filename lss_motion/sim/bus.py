@@ -75,7 +75,7 @@ class SimBus:
         self._set_up_ids = [spec.servo_id for spec in servos]
         self._set_up_gyre = np.array([spec.eeprom.get("G", 1) for spec in servos[:own_count]])
         self._set_up_origin_deg = np.array([_origin_deg(spec) for spec in servos[:own_count]])
-        self.heard: list[tuple[int, bytes]] | None = None
+        self.lines: list[tuple[int, bytes]] | None = None
         """After `record()`: every line that reached the servos, and when its CR did."""
         self.received: list[list[tuple[int, bytes]]] = [[] for _ in servos]
         """After `record()`: of these, the lines that each servo received, in the order of `servos`.
@@ -118,9 +118,9 @@ class SimBus:
         )
 
     def record(self) -> None:
-        """Keep `heard` and the true angles from now on; to be called before the first instant."""
+        """Keep `lines` and the true angles from now on; to be called before the first instant."""
         assert not self._is_started, "what happened before cannot be recorded"
-        self.heard = []
+        self.lines = []
         self.motors.history = HornHistory(self.servo_count)
 
     def write(self, data: bytes, now_ns: int) -> None:
@@ -142,7 +142,7 @@ class SimBus:
             end_ns = self._servo_line.next_end_ns()
             if end_ns is not None and end_ns <= self._next_line_ns():
                 break
-            self._hear(*self._pop_line())
+            self._receive(*self._pop_line())
         due_ns = (self._servo_line.next_end_ns(), self._second_master.next_ns())
         earliest_ns = min((ns for ns in due_ns if ns is not None), default=None)
         return None if earliest_ns is None else self._drift.host_ns(earliest_ns)
@@ -152,7 +152,7 @@ class SimBus:
             self._start(now_ns)
         now_ns = self._drift.bus_ns(now_ns)
         while self._next_line_ns() <= now_ns:
-            self._hear(*self._pop_line())
+            self._receive(*self._pop_line())
         self._turn_until(now_ns)
         self.motors.advance(now_ns)
 
@@ -230,52 +230,52 @@ class SimBus:
 
     # -- what the servos receive ----------------------------------------------------------------
 
-    def _hear(self, heard_ns: int, sent: bytes) -> None:
-        self._turn_until(heard_ns)
-        self.motors.advance(heard_ns)
-        for line in self._faults.heard(sent, heard_ns):
-            if self.heard is not None:
-                self.heard.append((self._drift.host_ns(heard_ns), line))
-            self._let_servos_hear(heard_ns, line)
-            self._let_boards_hear(heard_ns, line)
+    def _receive(self, received_ns: int, sent: bytes) -> None:
+        self._turn_until(received_ns)
+        self.motors.advance(received_ns)
+        for line in self._faults.received(sent, received_ns):
+            if self.lines is not None:
+                self.lines.append((self._drift.host_ns(received_ns), line))
+            self._deliver_to_servos(received_ns, line)
+            self._deliver_to_boards(received_ns, line)
 
-    def _let_servos_hear(self, heard_ns: int, line: bytes) -> None:
+    def _deliver_to_servos(self, received_ns: int, line: bytes) -> None:
         commands = [item for item in self._parser.feed(line) if isinstance(item, Command)]
         answers: list[Answer] = []
         for command in commands:
             for servo in self._meant(command.servo_id):
-                if not self._hears(servo, heard_ns):
+                if not self._receives(servo, received_ns):
                     continue
-                self._note(servo.index, heard_ns, line)
-                reply = servo.obey(command, heard_ns)
+                self._note(servo.index, received_ns, line)
+                reply = servo.obey(command, received_ns)
                 if reply is not None:
                     answers.append(Answer(servo, servo.servo_id, command, reply))
         is_group = self._is_ordered and len(commands) > 1
         if is_group and all(command.servo_id != BROADCAST_ID for command in commands):
-            self._answering.send_in_turn(heard_ns, answers)
+            self._answering.send_in_turn(received_ns, answers)
         else:
-            self._answering.send_each(heard_ns, answers)
+            self._answering.send_each(received_ns, answers)
 
-    def _let_boards_hear(self, heard_ns: int, line: bytes) -> None:
+    def _deliver_to_boards(self, received_ns: int, line: bytes) -> None:
         for board in self._boards:
-            is_deaf = board.baud_bps != self.baud_bps or not board.is_listening(heard_ns)
-            command = None if is_deaf else board.command_in(line, heard_ns)
+            is_deaf = board.baud_bps != self.baud_bps or not board.is_listening(received_ns)
+            command = None if is_deaf else board.command_in(line, received_ns)
             if command is None:
                 continue
             for pin in board.meant(command.servo_id):
                 servo_id = pin.servo_id
-                if not self._faults.is_deaf(servo_id, heard_ns):
+                if not self._faults.is_deaf(servo_id, received_ns):
                     if pin.index is not None:
-                        self._note(pin.index, heard_ns, line)
-                    reply = board.obey(pin, command, heard_ns)
+                        self._note(pin.index, received_ns, line)
+                    reply = board.obey(pin, command, received_ns)
                     if reply is not None:
                         answer = Answer(board, servo_id, command, reply)
-                        self._answering.send_each(heard_ns, [answer])
+                        self._answering.send_each(received_ns, [answer])
 
-    def _note(self, index: int, heard_ns: int, line: bytes) -> None:
+    def _note(self, index: int, received_ns: int, line: bytes) -> None:
         """Record a line that a servo received; one with several commands only once."""
-        if self.heard is not None:
-            entry = (self._drift.host_ns(heard_ns), line)
+        if self.lines is not None:
+            entry = (self._drift.host_ns(received_ns), line)
             if self.received[index][-1:] != [entry]:
                 self.received[index].append(entry)
 
@@ -286,7 +286,7 @@ class SimBus:
 
     # -- faults ---------------------------------------------------------------------------------
 
-    def _hears(self, servo: Servo, now_ns: int) -> bool:
+    def _receives(self, servo: Servo, now_ns: int) -> bool:
         is_deaf = self._faults.is_deaf(servo.servo_id, now_ns)
         return servo.baud_bps == self.baud_bps and servo.is_listening(now_ns) and not is_deaf
 

@@ -59,7 +59,7 @@ MEANINGS = {
     FaultKind.LOST_COMMAND: "a line of the host reaches no servo",
     FaultKind.CORRUPT_COMMAND: "one byte of a line of the host is another",
     FaultKind.SHORT_COMMAND: "one byte of a line of the host is missing",
-    FaultKind.DOUBLE_COMMAND: "a line of the host is heard twice",
+    FaultKind.DOUBLE_COMMAND: "a line of the host is received twice",
     FaultKind.MERGED_COMMAND: "the CR of a line of the host is lost: it runs into the next",
     FaultKind.LOST_REPLY: "a reply is not sent",
     FaultKind.CORRUPT_REPLY: "one byte of a reply is another",
@@ -73,7 +73,7 @@ MEANINGS = {
     FaultKind.UNPLUGGED: "the port is gone; what was on its way is lost",
     FaultKind.OVERSLEEP: "the host wakes `late_s` too late (virtual time only)",
     FaultKind.CLOCK_DRIFT: "the servos' time runs `drift_ppm` faster than the host's",
-    FaultKind.DEAF: "a servo does not hear a line",
+    FaultKind.DEAF: "a servo does not receive a line",
     FaultKind.WRONG_ID: "a servo answers as `as_id`",
     FaultKind.RESET: "a servo restarts: it is deaf for `deaf_s`, then limp, without its settings",
     FaultKind.STUCK: "a horn does not turn",
@@ -258,7 +258,7 @@ class Faults:
     def pop_turn(self) -> Turn:
         return self._turns.pop()
 
-    def heard(self, line: bytes, now_ns: int) -> list[bytes]:
+    def received(self, line: bytes, now_ns: int) -> list[bytes]:
         """Return the lines that reach the servos in place of one: none, one or two."""
         if not self._about_lines:
             return [line]

@@ -235,9 +235,9 @@ class Drives:
     def start(self, now_ns: int) -> None:
         self._first_loop_ns = [now_ns + phase_ns for phase_ns in self._first_loop_ns]
 
-    def loop_ns(self, index: int, heard_ns: int) -> int:
-        """Return the first control loop of a servo from `heard_ns` on."""
-        return heard_ns + (self._first_loop_ns[index] - heard_ns) % TICK_NS
+    def loop_ns(self, index: int, received_ns: int) -> int:
+        """Return the first control loop of a servo from `received_ns` on."""
+        return received_ns + (self._first_loop_ns[index] - received_ns) % TICK_NS
 
     def take_up(self, index: int, now_ns: int, order: Order) -> None:
         """Begin an order from the present position and speed of the profile."""

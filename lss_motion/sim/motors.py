@@ -170,15 +170,15 @@ class Motors:
                 self._drives.take_up(index, taken_ns, order)
         self._tick_until(now_ns)
 
-    def order(self, index: int, heard_ns: int, order: Order) -> None:
-        """Give servo `index` an order; it starts at its first control loop from `heard_ns` on."""
+    def order(self, index: int, received_ns: int, order: Order) -> None:
+        """Give servo `index` an order; it starts at its first control loop from `received_ns`."""
         self._order_count += 1
-        entry = (self.loop_ns(index, heard_ns), self._order_count, index, order)
+        entry = (self.loop_ns(index, received_ns), self._order_count, index, order)
         heapq.heappush(self._orders, entry)
 
-    def loop_ns(self, index: int, heard_ns: int) -> int:
-        """Return when servo `index` starts a command that it received at `heard_ns`."""
-        return self._drives.loop_ns(index, heard_ns)
+    def loop_ns(self, index: int, received_ns: int) -> int:
+        """Return when servo `index` starts a command that it received at `received_ns`."""
+        return self._drives.loop_ns(index, received_ns)
 
     def reset(self, index: int, now_ns: int) -> None:
         """Clear orders, safe mode and turns: the servo is limp, its position within ±180."""

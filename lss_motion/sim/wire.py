@@ -269,14 +269,14 @@ class Answering:
         self._race_ratio = corrupt_reply_ratio_of(firmware) if ratio is None else ratio
         self._race = Random(f"{seed}/race")
 
-    def send_each(self, heard_ns: int, answers: Sequence[Answer]) -> None:
+    def send_each(self, received_ns: int, answers: Sequence[Answer]) -> None:
         """Send every reply after its own turnaround; replies that overlap damage each other."""
         for answer in answers:
-            self._send(answer, self._start_ns(answer, heard_ns))
+            self._send(answer, self._start_ns(answer, received_ns))
 
-    def send_in_turn(self, heard_ns: int, answers: Sequence[Answer]) -> None:
+    def send_in_turn(self, received_ns: int, answers: Sequence[Answer]) -> None:
         """Send the replies to a group line one after another, in its order (FACTS.md W17)."""
-        start_ns = heard_ns + self._turnaround.group_ns
+        start_ns = received_ns + self._turnaround.group_ns
         previous: Talker | None = None
         for answer in answers:
             if previous is not None and answer.talker is not previous:
@@ -284,19 +284,19 @@ class Answering:
             previous = answer.talker
             start_ns = self._send(answer, start_ns)
 
-    def _start_ns(self, answer: Answer, heard_ns: int) -> int:
+    def _start_ns(self, answer: Answer, received_ns: int) -> int:
         """Return when the reply to one query begins."""
         turnaround, command, servo = self._turnaround, answer.command, answer.talker
         is_slotted = self._is_ordered and command.servo_id == BROADCAST_ID
         if is_slotted and isinstance(servo, Servo):
             if command.keyword == "QID" and isinstance(command.value, int):
                 slot_ns = command.value * 1000 * servo.servo_id
-                return heard_ns + turnaround.broadcast_ns + slot_ns
+                return received_ns + turnaround.broadcast_ns + slot_ns
             if servo.settings.number("SLOTCOUNT"):
                 slot_ns = turnaround.slot_ns * servo.settings.number("SLOT")
-                return heard_ns + turnaround.broadcast_ns + slot_ns
+                return received_ns + turnaround.broadcast_ns + slot_ns
         wait_ns = servo.random.randint(turnaround.single_min_ns, turnaround.single_max_ns)
-        return heard_ns + wait_ns
+        return received_ns + wait_ns
 
     def _send(self, answer: Answer, start_ns: int) -> int:
         """Send one reply after the last one of its sender; return when it ends."""

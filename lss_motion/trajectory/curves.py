@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.sequence.model import Interpolation
+from lss_motion.sequence.model import LINEAR_RAMP_RATIO, Interpolation
 from lss_motion.splines import clamped_slopes, monotone_slopes, runs
 from lss_motion.trajectory.keys import PATH_DECIMALS, least_move_s
 from lss_motion.trajectory.path import Path, hermite
@@ -28,10 +28,6 @@ if TYPE_CHECKING:
 
 ANGLE_DECIMALS: Final = 9
 """Angles are rounded to this, so that a difference by rounding alone is no move."""
-
-LINEAR_RAMP_RATIO: Final = 0.25
-"""Each ramp of a `linear` move takes this share of its duration. Chosen: the peak speed is 4/3 of
-the mean. All joints use the same share, so that the line stays straight."""
 
 _FLOWING: Final = (Interpolation.SMOOTH, Interpolation.SPLINE)
 """Between two of these a joint passes its key in motion; `linear` and `hold` stop at keys."""

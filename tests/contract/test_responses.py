@@ -1,6 +1,6 @@
 """The response models of streamed and stepped joints against the simulated servos, at the horn.
 
-Two implementations that share no code hear the same bytes. (Timed moves: tests/property.)
+Two implementations that share no code receive the same bytes. (Timed moves: tests/property.)
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ def simulated(model="LSS-HS1", *, settings=b"", physics=CRISP, seed=3):
 
 
 def tell(bus, said):
-    """Write bare `D`s, `(at_s, wire)`; return when each is heard."""
-    heard_s = []
+    """Write bare `D`s, `(at_s, wire)`; return when each is received."""
+    received_s = []
     for at_s, wire in said:
         bus.write(b"#5D%d\r" % wire, round(at_s * 1e9))
-        heard_s.append(at_s + bus.backlog_ns(round(at_s * 1e9)) / 1e9)
-    return heard_s
+        received_s.append(at_s + bus.backlog_ns(round(at_s * 1e9)) / 1e9)
+    return received_s
 
 
 @cache
@@ -50,13 +50,13 @@ def filter_step_s():
     """
     bus = simulated(settings=b"#5FPC1\r#5EM0\r")
     said = swing(99)
-    heard_s = tell(bus, said)
+    received_s = tell(bus, said)
     bus.advance(6_000_000_000)
     trials_s = np.arange(0.0, PERIOD_S, 0.00025)
     errors = []
     for step_s in trials_s:
         held_s = step_s + PERIOD_S * np.arange(200)
-        held_deg = model_of(1, said, heard_s, float(step_s)).sample(held_s + 0.5 * PERIOD_S)
+        held_deg = model_of(1, said, received_s, float(step_s)).sample(held_s + 0.5 * PERIOD_S)
         errors.append(np.abs(settled(bus, held_s) - held_deg).mean())
     best = trials_s[np.array(errors) <= min(errors) + 1e-3]
     return float(np.mean(best))
@@ -78,14 +78,14 @@ def swing(seed, *, spread_s=(0.004, 0.09)):
 
 
 def clear_of_loops(said, step_s):
-    """Leave out what is heard so near to a control loop that nobody can say which one it is."""
+    """Leave out what is received so near to a control loop that nobody can say which one it is."""
     line_s = 8 * 10 / BAUD_BPS
     return [one for one in said if 0.0006 < (one[0] + line_s - step_s) % 0.005 < 0.0044]
 
 
-def model_of(count, said, heard_s, step_s):
+def model_of(count, said, received_s, step_s):
     model = FilterProfile(0.0, count=count, response=Response(), step_s=step_s)
-    for (_, wire), instant_s in zip(said, heard_s, strict=True):
+    for (_, wire), instant_s in zip(said, received_s, strict=True):
         model.retarget(instant_s, wire / 10, None)
     return PiecewiseProfile(model.pieces())
 
@@ -99,9 +99,9 @@ def test_with_the_same_parameters_the_filter_is_predicted_to_its_rounding(count,
     spread_s = (0.004, 0.03 if count == 1 else 0.09)
     said = clear_of_loops(swing(seed, spread_s=spread_s), step_s)
     assert len(said) > 40
-    heard_s = tell(bus, said)
+    received_s = tell(bus, said)
     bus.advance(6_000_000_000)
-    expected = model_of(count, said, heard_s, step_s)
+    expected = model_of(count, said, received_s, step_s)
     steps = np.arange(240)
     held_s = step_s + PERIOD_S * steps
     horn_deg = settled(bus, held_s)
@@ -130,12 +130,12 @@ def test_not_knowing_when_the_filter_steps_costs_no_more_than_one_period_of_moti
     step_s = filter_step_s()
     bus = simulated(settings=b"#5FPC4\r#5EM0\r")
     said = swing(2, spread_s=(0.02, 0.02))
-    heard_s = tell(bus, said)
+    received_s = tell(bus, said)
     bus.advance(6_000_000_000)
     times_s = step_s + PERIOD_S * (np.arange(240) + 0.5)
     horn_deg = settled(bus, times_s - 0.5 * PERIOD_S)
-    right = np.abs(horn_deg - model_of(4, said, heard_s, step_s).sample(times_s)).max()
-    wrong = np.abs(horn_deg - model_of(4, said, heard_s, step_s + wrong_s).sample(times_s)).max()
+    right = np.abs(horn_deg - model_of(4, said, received_s, step_s).sample(times_s)).max()
+    wrong = np.abs(horn_deg - model_of(4, said, received_s, step_s + wrong_s).sample(times_s)).max()
     assert right < wrong < 1.1 * SPEED_DEG_S * PERIOD_S + 0.1
 
 
@@ -159,8 +159,8 @@ def test_an_rc_servo_jumps_to_the_whole_degrees_that_it_was_told(seed):
     said = [(float(s), 10 * int(random.integers(-20, 21))) for s in instants_s]
     bus = simulated("LSS-2IO", physics=Physics(lag_s=1e-4, noise_deg=0.0))
     model = StepProfile(0.0)
-    heard_s = tell(bus, said)
-    for (_, wire), instant_s in zip(said, heard_s, strict=True):
+    received_s = tell(bus, said)
+    for (_, wire), instant_s in zip(said, received_s, strict=True):
         model.retarget(instant_s, wire / 10, None)
     bus.advance(9_000_000_000)
     reference = PiecewiseProfile(model.pieces())

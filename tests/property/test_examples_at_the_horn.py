@@ -80,7 +80,7 @@ def test_whatever_somebody_does_no_horn_breaks_a_limit(example, name, seed):
     assert len(meddler.done) >= 3
     assert not result.report.faults
     for bus_name, bus in result.simulated.items():
-        end_ns = bus.heard[-1][0]
+        end_ns = bus.lines[-1][0]
         horns = bus.horn_deg(np.arange(0, end_ns, STEP_NS))
         for column, joint_name in enumerate(servos_of(robot, bus_name)):
             joint = robot.joints[joint_name]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import signal
@@ -10,7 +11,6 @@ import sys
 import termios
 import time
 import tty
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -43,15 +43,26 @@ ENDS_S = 60.0
 def blocked_port(on_terminal, servo):
     """Return a context: a port with one servo that takes no bytes from `at_s` on."""
 
-    @contextmanager
+    @contextlib.contextmanager
     def serve(at_s=0.0, until_s=float("inf")):
         fault = Fault(kind=FaultKind.BLOCKED_PORT, at_s=at_s, until_s=until_s)
         with on_terminal(servo(1), faults=[fault]) as bus:
             Path("robot.yaml").write_text(ROBOT)
             Path("show.yaml").write_text(SHOW)
+            if at_s == 0.0:
+                wait_until_blocked()
             yield bus
 
     return serve
+
+
+def wait_until_blocked():
+    """Return when the system refuses a write to the port; an empty line does nothing at a servo."""
+    port_fd = os.open("port", os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    with contextlib.suppress(BlockingIOError):
+        while os.write(port_fd, b"\r"):
+            time.sleep(0.01)
+    os.close(port_fd)
 
 
 def _own_the_terminal():
@@ -114,17 +125,15 @@ def test_ctrl_c_ends_a_show_whose_port_takes_no_bytes(blocked_port, count):
 
 def test_closing_a_port_waits_for_its_bytes_as_long_as_they_leave(blocked_port):
     with blocked_port(0.0, 1.2) as bus:
-        while not bus.blocks_ns():
-            time.sleep(0.01)
         while time.monotonic_ns() < bus.blocks_ns()[0][0] + 900_000_000:
             time.sleep(0.01)
         port = SerialPort("port", 115200)
         port.write(b"#254H\r")
         assert not port.has_sent_all()
         port.close()
-        while not bus.heard:
+        while not any(line != b"\r" for _, line in bus.lines):
             time.sleep(0.01)
-    assert [line for _, line in bus.heard] == [b"#254H\r"]
+    assert [line for _, line in bus.lines if line != b"\r"] == [b"#254H\r"]
 
 
 def test_the_system_refuses_a_write_to_a_terminal_that_was_stopped():

@@ -129,15 +129,15 @@ def person(folder, *command):
         someone.close()
 
 
-def heard(bus):
-    return [line.rstrip(b"\r") for _, line in bus.heard]
+def received(bus):
+    return [line.rstrip(b"\r") for _, line in bus.lines]
 
 
 def test_poses_and_a_stretch_that_a_hand_shows_become_a_sequence(tmp_path):
     out = tmp_path / "shown.yaml"
     with simulated(tmp_path, SWAY) as (bus, _), person(tmp_path, "record", "-o", out) as someone:
         someone.wait_for("press l")
-        assert not any(line.endswith(b"L") for line in heard(bus))  # Nothing falls unasked.
+        assert not any(line.endswith(b"L") for line in received(bus))  # Nothing falls unasked.
         someone.press("l")
         someone.wait_for("let go")
         someone.press("p")
@@ -152,7 +152,7 @@ def test_poses_and_a_stretch_that_a_hand_shows_become_a_sequence(tmp_path):
         code = someone.end()
         assert code == 0, someone.said
         assert "Traceback" not in someone.said
-        lines = heard(bus)
+        lines = received(bus)
     assert {b"#1L", b"#2L", b"#1H", b"#2H"} <= set(lines)
     assert lines[-1] == b"#254H"
     sequence = load_sequence(out, load_robot(tmp_path / "robot.yaml"))
@@ -174,8 +174,8 @@ def test_a_signal_leaves_servos_that_hold_and_a_file_of_what_was_shown(tmp_path,
         else:
             someone.process.send_signal(number)
         assert someone.end() == code
-        assert heard(bus)[-1] == b"#254H"
-        assert b"#1SD3600" in heard(bus)[-14:]
+        assert received(bus)[-1] == b"#254H"
+        assert b"#1SD3600" in received(bus)[-14:]
     assert load_sequence(out, load_robot(tmp_path / "robot.yaml")).keyframes
     assert "Traceback" not in someone.said
 
@@ -205,12 +205,12 @@ def test_jog_moves_within_the_range_and_keeps_poses_in_the_robot_file(tmp_path):
         someone.wait_for("pose nod: ")
         someone.press("q")
         assert someone.end() == 0, someone.said
-        lines = heard(bus)
+        lines = received(bus)
     targets = [int(re.split(rb"D|T", line)[1]) for line in lines if line.startswith(b"#2D")]
     assert max(targets) == 600
     assert not any(line.startswith(b"#1D") for line in lines)
-    end_ns = bus.heard[-1][0]
-    tilt_deg = bus.horn_deg(range(bus.heard[0][0], end_ns, 20_000_000))[:, 1]
+    end_ns = bus.lines[-1][0]
+    tilt_deg = bus.horn_deg(range(bus.lines[0][0], end_ns, 20_000_000))[:, 1]
     assert tilt_deg.max() <= 60.0 + 0.1
     assert np.abs(np.diff(tilt_deg)).max() / 0.02 < 1.5 * 30.0  # approach_speed_deg_s
     assert lines[-1] == b"#254H"
@@ -255,7 +255,7 @@ def test_calibrate_finds_zero_and_direction(tmp_path):
         assert "zero_deg" not in (tmp_path / "robot.yaml").read_text()
         someone.press("y")
         assert someone.end() == 0, someone.said
-        lines = heard(bus)
+        lines = received(bus)
     robot = load_robot(tmp_path / "robot.yaml")
     assert (robot.joints["pan"].direction, robot.joints["tilt"].direction) == (1, -1)
     assert robot.joints["pan"].zero_deg == pytest.approx(0.0, abs=0.3)
@@ -273,7 +273,7 @@ def test_a_signal_while_calibrating_writes_nothing_and_holds(tmp_path):
         someone.wait_for("press Enter")
         someone.press("\x03")
         assert someone.end() == 130
-        assert heard(bus)[-1] == b"#254H"
+        assert received(bus)[-1] == b"#254H"
     assert (tmp_path / "robot.yaml").read_text() == ROBOT
 
 

@@ -32,7 +32,7 @@ def test_a_servo_that_restarts_meanwhile_and_one_that_is_missing(on_terminal, se
     assert (stored[1]["O"], stored[1]["FD"], stored[2]["LED"]) == (25, 100, 3)
     with on_terminal(servo(1)) as bus:
         code, _, errors = lss_motion("configure", "robot.yaml", "--yes")
-        assert not any(b"#1C" in line for _, line in bus.heard)
+        assert not any(b"#1C" in line for _, line in bus.lines)
     assert code == EXIT_UNREACHABLE
     assert "no servo replies at id 2" in errors
 

@@ -33,15 +33,15 @@ def robot(tmp_path):
     return tmp_path / "robot.yaml"
 
 
-def heard(bus):
-    return [line.rstrip(b"\r") for _, line in bus.heard]
+def received(bus):
+    return [line.rstrip(b"\r") for _, line in bus.lines]
 
 
 def test_a_servo_is_measured_and_its_file_says_so(on_terminal, servo, lss_motion, robot):
     physics = Physics(lag_s=0.045, t_law="exact")
     with on_terminal(servo(1), physics=physics) as bus:
         code, out, errors = lss_motion(*ASKED, "--yes")
-        last = heard(bus)[-5:]
+        last = received(bus)[-5:]
     assert (code, errors) == (0, "")
     assert "pan: written to robot.yaml" in out
     assert last[-1] == b"#1H"
@@ -87,11 +87,11 @@ def test_a_signal_brakes_restores_and_holds(on_terminal, servo, robot, number, c
             text=True,
         )
         turn = threading.Event()
-        while process.poll() is None and sum(line.startswith(b"#1D") for line in heard(bus)) < 4:
+        while process.poll() is None and sum(line.startswith(b"#1D") for line in received(bus)) < 4:
             turn.wait(0.01)
         process.send_signal(number)
         _, errors = process.communicate(timeout=20)
-        last = heard(bus)[-5:]
+        last = received(bus)[-5:]
     assert process.returncode == code
     assert errors == "pan: stopped; nothing was measured\n"
     assert last[-1] == b"#1H"
@@ -114,7 +114,7 @@ def test_nobody_agrees_and_nothing_moves(on_terminal, servo, robot, answer, code
         out, errors = process.communicate(timeout=20)
         os.close(ours)
         os.close(theirs)
-        assert all(b"Q" in line for line in heard(bus))
+        assert all(b"Q" in line for line in received(bus))
     assert (process.returncode, errors) == (code, "")
     assert "will move between -6.0 and 6.0 deg" in out
     assert "nothing was moved" in out

@@ -60,7 +60,7 @@ def test_lines_a_table_and_beeps_for_a_hot_servo_and_a_missing_one(on_terminal, 
                 "ALARM  gone does not answer",
             ),
         )
-        orders = [line for _, line in bus.heard if b"Q" not in line]
+        orders = [line for _, line in bus.lines if b"Q" not in line]
     assert code == EXIT_INTERRUPTED
     assert errors == "\a" * out.count("ALARM  ")
     assert orders == []

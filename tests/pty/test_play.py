@@ -1,4 +1,4 @@
-"""`lss-play` over a pseudo-terminal in real time, judged by what the simulated servos heard."""
+"""`lss-play` over a pseudo-terminal in real time, judged by what the simulated servos received."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def at_a_keyboard(folder, port, *options):
 
 @contextmanager
 def on_a_terminal(folder, port, *options):
-    """Play with a terminal for all it says and hears; yields the process and the other end."""
+    """Play with a terminal for all it says and receives; yields the process and the other end."""
     other_end, terminal = pty.openpty()
     command = in_front(folder, port, *options)
     process = subprocess.Popen(command, stdin=terminal, stdout=terminal, stderr=terminal)
@@ -228,7 +228,7 @@ def test_where_nobody_can_be_asked_the_port_is_not_even_opened(folder):
 
 
 def lines_heard(port):
-    return [line for _, line in port.bus.heard]
+    return [line for _, line in port.bus.lines]
 
 
 def wait_for(process, text):
@@ -248,7 +248,7 @@ def test_a_show_reaches_its_end_and_its_keyframes_over_a_real_terminal(folder):
             assert process.returncode == 0, errors
         moves = [line for line in lines_heard(port) if is_move(line)]
         pan = [found for line in moves if (found := re.match(rb"#1D(-?\d+)", line))]
-        end_ns = port.bus.heard[-1][0]
+        end_ns = port.bus.lines[-1][0]
         assert lines_heard(port)[-1].rstrip(b"\r") == b"#254H"
         assert abs(port.bus.horn_deg([end_ns])[0, 0]) < 0.6
     report = json.loads(path.read_text())
@@ -274,16 +274,16 @@ def test_a_signal_in_the_middle_brakes_restores_and_holds(folder, number, code):
         assert process.returncode == code
         assert errors == ""
         assert_restored_and_held(port)
-        end_ns = port.bus.heard[-1][0]
+        end_ns = port.bus.lines[-1][0]
         last = port.bus.horn_deg(np.arange(end_ns - 100_000_000, end_ns, 5_000_000))
         assert np.ptp(last, axis=0).max() < 0.2  # It stood still before it was told to hold.
 
 
 def assert_restored_and_held(port):
-    heard = [line.rstrip(b"\r") for line in lines_heard(port)]
-    assert heard[-1] == b"#254H"
+    received = [line.rstrip(b"\r") for line in lines_heard(port)]
+    assert received[-1] == b"#254H"
     for setting in SESSION_BEFORE:
-        assert setting in heard[-12:]
+        assert setting in received[-12:]
 
 
 def test_a_terminal_that_is_closed_in_the_middle_brakes_restores_and_holds(folder):
@@ -307,7 +307,7 @@ def test_an_interrupt_while_helpers_start_is_theirs_to_ignore_and_the_robot_hold
 
 
 def wait_for_moves(port, count):
-    """Wait, without looking at the clock, until the servos have heard so many moves."""
+    """Wait, without looking at the clock, until the servos have received so many moves."""
     turn = threading.Event()
     while sum(line.startswith(b"#1D") for line in lines_heard(port)) < count:
         turn.wait(0.01)
@@ -357,12 +357,12 @@ def test_a_port_that_is_plugged_in_again_is_played_on(folder):
             wait_for_moves(port, 6)
             port.unplug()
             wait_for(process, "recovering")
-            heard = len(port.bus.heard)
+            received = len(port.bus.lines)
             with simulated(folder, port.bus):
                 wait_for(process, "playing")
                 _, errors = process.communicate(timeout=60)
         assert process.returncode == 0, errors
-        lines = [line.rstrip(b"\r") for line in lines_heard(port)[heard:]]
+        lines = [line.rstrip(b"\r") for line in lines_heard(port)[received:]]
         first = next(i for i, line in enumerate(lines) if line.startswith(b"#1D"))
         assert {b"#1EM1", b"#1AA60", b"#1SD1800"} <= set(lines[:first])
         assert lines[-1] == b"#254H"
@@ -382,7 +382,7 @@ def test_a_killed_player_leaves_a_robot_that_comes_to_rest_by_itself(folder):
             for line in lines_heard(port)
             if is_move(line)
         )
-        last_ns = port.bus.heard[-1][0]
+        last_ns = port.bus.lines[-1][0]
         port.bus.advance(last_ns + int((longest_s + 1.5) * 1e9))
         end_ns = last_ns + int((longest_s + 1.0) * 1e9)
         settled = port.bus.horn_deg(np.arange(end_ns, end_ns + 400_000_000, 20_000_000))
@@ -400,12 +400,12 @@ def test_a_show_without_feedback_needs_limits_that_the_servos_store(folder, caps
         assert "nothing notices a servo that restarts" in errors
         assert "pan (servo 1): SD 360, the joint allows 180 deg/s" in errors
         assert "configure" in errors
-        assert not any(is_move(line) for _, line in served.bus.heard)
+        assert not any(is_move(line) for _, line in served.bus.lines)
         configure = ["configure", str(folder / "robot.yaml"), "--port", served.path, "--yes"]
         assert main([*configure, "--limits"]) == 0
         assert "SD" in capsys.readouterr().out
         assert play(words) == 0
-        assert any(is_move(line) for _, line in served.bus.heard)
+        assert any(is_move(line) for _, line in served.bus.lines)
         stored = [servo.settings.eeprom for servo in served.bus._servos]
         assert {(one["SD"], one["AA"], one["AD"]) for one in stored} == {(1800, 60, 60)}
 

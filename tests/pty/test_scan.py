@@ -21,7 +21,7 @@ def test_a_bag_of_servos_is_found_with_all_that_is_wrong(on_terminal, servo, lss
     bag = [servo(0), servo(0), servo(5), servo(6), servo(7, baud_bps=250000), servo(209, "LSS-2IO")]
     with on_terminal(*bag, faults=[hot]) as bus:
         code, out, errors = lss_motion("scan", port, "-o", starter)
-        heard = {line for _, line in bus.heard}
+        received = {line for _, line in bus.lines}
     assert (code, errors) == (EXIT_UNREACHABLE, "")
     assert f"{port} at 115200 bps: 10 ids reply" in out
     assert f"{port} at 250000 bps: 1 id replies" in out
@@ -30,7 +30,7 @@ def test_a_bag_of_servos_is_found_with_all_that_is_wrong(on_terminal, servo, lss
     assert "servo 7 listens at 250000 bps" in out
     assert "LSS-2IO-D9" in out
     assert list(load_robot(starter).joints)[:2] == ["joint_5", "joint_6"]
-    assert all(b"Q" in line for line in heard if line.startswith(b"#"))
+    assert all(b"Q" in line for line in received if line.startswith(b"#"))
 
 
 def test_a_healthy_robot_is_well_and_a_missing_servo_is_named(

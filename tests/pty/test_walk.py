@@ -75,14 +75,14 @@ def wait_for(process, text):
 
 
 def wait_for_moves(bus, count):
-    """Wait, without looking at the clock, until the servos have heard so many moves."""
+    """Wait, without looking at the clock, until the servos have received so many moves."""
     turn = threading.Event()
-    while sum(is_move(line) for _, line in bus.heard) < count:
+    while sum(is_move(line) for _, line in bus.lines) < count:
         turn.wait(0.01)
 
 
 def horns_at_the_end(bus):
-    end_ns = bus.heard[-1][0]
+    end_ns = bus.lines[-1][0]
     return bus.horn_deg(np.arange(end_ns - 100_000_000, end_ns, 10_000_000))
 
 
@@ -97,8 +97,8 @@ def test_keys_make_it_walk_and_an_interrupt_brings_it_to_its_stand(tmp_path):
         _, errors = process.communicate(timeout=60)
         assert process.returncode == 130, errors
         assert errors == ""
-        heard = [line.rstrip(b"\r") for _, line in bus.heard]
-        assert heard[-1] == b"#254H"
+        received = [line.rstrip(b"\r") for _, line in bus.lines]
+        assert received[-1] == b"#254H"
         stand_deg = approached(bus)
         last = horns_at_the_end(bus)
         assert np.ptp(last, axis=0).max() < 0.2
@@ -108,7 +108,7 @@ def test_keys_make_it_walk_and_an_interrupt_brings_it_to_its_stand(tmp_path):
 def approached(bus):
     """Return where the approach, the first move of every servo, was to lead, by servo."""
     targets = {}
-    for _, line in bus.heard:
+    for _, line in bus.lines:
         if is_move(line):
             servo, rest = line[1:].split(b"D")
             targets.setdefault(int(servo), int(rest.split(b"T")[0]) / 10.0)

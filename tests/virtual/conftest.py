@@ -1,4 +1,4 @@
-"""Shows played on a simulated bus in virtual time, judged at what its servos heard and did."""
+"""Shows played on a simulated bus in virtual time, judged at what its servos received and did."""
 
 from __future__ import annotations
 
@@ -104,11 +104,11 @@ class Played:
     def bus(self):
         return next(iter(self.buses.values()))
 
-    def heard(self, *, after_ns=-1):
-        return [line for at_ns, line in self.bus.heard if at_ns > after_ns]
+    def received(self, *, after_ns=-1):
+        return [line for at_ns, line in self.bus.lines if at_ns > after_ns]
 
     def moves(self):
-        return [line for line in self.heard() if is_move(line)]
+        return [line for line in self.lines() if is_move(line)]
 
     def horn_error_deg(self, from_s=0.0):
         """Return horn minus plan, (instants, joints), at show times from `from_s` on."""

@@ -20,7 +20,7 @@ FOUND = (
     113,  # Two servos restarted at once; the second, not missed yet, was still told to brake.
     272,  # A trouble of the approach woke the player without end while it asked who had arrived.
     514,  # A host that overslept made up for it with more than the acceleration allowed in EM0.
-    1310,  # A servo that did not hear what it was asked at first was not given its limits.
+    1310,  # A servo that did not receive its first query was not given its limits.
     1420,  # A late host made up for it, in EM0, with what the instants of a filter's steps allow,
     3076,  # if they are those assumed.
     1634,  # One still deaf from its restart at the end of the approach was not missed.

@@ -1,4 +1,4 @@
-"""Robots that mix timed, streamed and stepped joints, judged at what was heard and at the horns."""
+"""Robots that mix timed, streamed and stepped joints, judged at the servos and horns."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def mixed_robot(kit, baud_bps=115200, **fields):
 
 
 def bare(played, servo_id, after_ns=-1):
-    """Return `(heard_ns, degrees)` of the bare commands that a servo heard."""
-    found = [(at, BARE.fullmatch(line)) for at, line in played.bus.heard if at > after_ns]
+    """Return `(received_ns, degrees)` of the bare commands that a servo received."""
+    found = [(at, BARE.fullmatch(line)) for at, line in played.bus.lines if at > after_ns]
     return [(at, int(m[2]) / 10) for at, m in found if m and int(m[1]) == servo_id]
 
 
@@ -48,7 +48,7 @@ def stands(player, now_ns):
 
 def assert_speeds_hold(played, from_ns=0, *, slack=1.05):
     """No horn of a smart servo is faster than its limit; the RC servo jumps by whole degrees."""
-    speed, _ = played.speeds(from_ns, played.bus.heard[-1][0])
+    speed, _ = played.speeds(from_ns, played.bus.lines[-1][0])
     horns = np.abs(speed[:, :3])
     # The horn follows steps every 20 ms: within one it is up to 1.6 times as fast as on average.
     steady = np.abs(np.convolve(np.ones(4) / 4, horns[:, 1], "same"))
@@ -57,7 +57,7 @@ def assert_speeds_hold(played, from_ns=0, *, slack=1.05):
 
 
 def assert_ended_safely(played):
-    lines = played.heard()
+    lines = played.lines()
     assert lines[-1] == HOLD
     restored = {b"#2EM1\r", b"#2FPC5\r", b"#2SD3600\r", b"#1EM1\r", b"#1AA100\r", b"#3EM1\r"}
     assert restored <= set(lines[-30:])
@@ -82,17 +82,17 @@ def test_a_mixed_robot_plays_and_every_horn_follows(stage, kit, seed):
 
 def test_what_a_board_on_the_bus_cannot_bear_is_never_sent(stage, kit):
     played = stage.play(mixed_robot(kit))
-    assert max(len(line) - 1 for line in played.heard()) <= 15
-    about_board = {line for line in played.heard() if line.startswith(b"#209Q")}
+    assert max(len(line) - 1 for line in played.lines()) <= 15
+    about_board = {line for line in played.lines() if line.startswith(b"#209Q")}
     assert about_board == {b"#209QMS\r", b"#209QG\r", b"#209QD\r"}
-    asked_ns = [at for at, line in played.bus.heard if line.startswith(b"#209Q")]
-    assert played.bus.heard[-1][0] - max(asked_ns) > 6e9, "the show plays for 6 s, and does not ask"
-    assert not any(re.match(rb"#209(EM|AA|SD|H)", line) for line in played.heard())
+    asked_ns = [at for at, line in played.bus.lines if line.startswith(b"#209Q")]
+    assert played.bus.lines[-1][0] - max(asked_ns) > 6e9, "the show plays for 6 s, and does not ask"
+    assert not any(re.match(rb"#209(EM|AA|SD|H)", line) for line in played.lines())
 
 
 def test_the_session_of_a_streamed_joint_is_set_before_its_first_command(stage, kit):
     played = stage.play(mixed_robot(kit))
-    lines = played.heard()
+    lines = played.lines()
     first = next(i for i, line in enumerate(lines) if BARE.fullmatch(line))
     wanted = [b"#2FPC4\r", b"#2IPE1\r", b"#2SD1800\r", b"#2EM0\r"]
     assert [line for line in lines[:first] if line in wanted] == wanted
@@ -142,8 +142,8 @@ def test_stopped_anywhere_it_brakes_on_its_path_and_holds(stage, kit, seed):
     assert played.report.outcome == "stopped"
     assert_ended_safely(played)
     (stopped_ns,) = played.acted_ns
-    assert played.bus.heard[-1][0] - stopped_ns < 1_600_000_000
-    speed, _ = played.speeds(stopped_ns, played.bus.heard[-1][0])
+    assert played.bus.lines[-1][0] - stopped_ns < 1_600_000_000
+    speed, _ = played.speeds(stopped_ns, played.bus.lines[-1][0])
     assert np.abs(speed[-3:]).max() < 3.0, "it stands before it is told to hold"
     assert_speeds_hold(played)
     assert np.abs(played.horn_error_deg()).max() < 3.0
@@ -154,7 +154,7 @@ def test_aborted_in_mid_move_it_holds_at_once_and_near(stage, kit):
         player.abort(now_ns)
 
     played = stage.play(mixed_robot(kit), wishes=[(kit.in_show(2.0), abort)], physics=QUIET)
-    at_ns, line = played.bus.heard[-1]
+    at_ns, line = played.bus.lines[-1]
     assert line == HOLD
     assert at_ns - played.acted_ns[0] < 5_000_000
     later = played.bus.horn_deg([at_ns, at_ns + 2_000_000_000])
@@ -178,7 +178,7 @@ def test_through_pauses_and_at_other_speeds_every_joint_keeps_its_path(stage, ki
     assert np.abs(error_deg[:, :2]).max() < 1.2, "without a pause it is up to 0.8"
     assert np.abs(error_deg[:, 2]).max() < 2.5, "40 ms between its steps"
     assert np.sqrt(np.mean(error_deg**2)) < 0.5
-    _, accel = played.speeds(0, played.bus.heard[-1][0])
+    _, accel = played.speeds(0, played.bus.lines[-1][0])
     assert np.abs(accel[:, 1:3]).max() < 1.1 * ACCEL_DEG_S2 + TOLERANCE_DEG / FILTER_S**2
     assert_speeds_hold(played)
     assert_ended_safely(played)
@@ -205,7 +205,7 @@ def test_a_host_that_oversleeps_breaks_no_limit_and_catches_up(stage, kit, seed)
     for (before_ns, from_deg), (after_ns, to_deg) in pairwise(steps):
         passed_s = min((after_ns - before_ns) / 1e9, 0.04)
         assert abs(to_deg - from_deg) <= 1.0 + SPEED_DEG_S * passed_s + 0.5
-    (end_deg,) = played.bus.horn_deg([played.bus.heard[-1][0]])
+    (end_deg,) = played.bus.horn_deg([played.bus.lines[-1][0]])
     assert end_deg == pytest.approx([0.0, 0.0, 4.2, 0.0], abs=0.5), "it got there before it held"
 
 
@@ -213,7 +213,7 @@ def test_a_host_that_oversleeps_the_end_waits_until_every_servo_is_there(stage, 
     sleep = Fault(kind=FaultKind.OVERSLEEP, at_s=5.9, until_s=5.92, late_s=0.35)
     sequence = kit.sequence(4, 6.0, seed=1, swing_deg=70.0, step_s=(0.6, 1.0))
     played = stage.play(mixed_robot(kit), sequence, faults=[sleep], physics=QUIET, seed=1)
-    (end_deg,) = played.bus.horn_deg([played.bus.heard[-1][0]])
+    (end_deg,) = played.bus.horn_deg([played.bus.lines[-1][0]])
     assert end_deg[1:] == pytest.approx([0.0, 4.2, 0.0], abs=0.5), "it got there before it held"
 
 
@@ -235,8 +235,8 @@ def test_a_dead_host_leaves_the_horns_within_reach_and_range(stage, kit):
                 on_bus=buses.append,
             )  # fmt: skip
         bus = buses[-1]
-        end_ns = bus.heard[-1][0]
-        before = [line for _, line in bus.heard if line != HOLD]
+        end_ns = bus.lines[-1][0]
+        before = [line for _, line in bus.lines if line != HOLD]
         told = [int(m[2]) / 10 for line in before if (m := BARE.fullmatch(line)) and m[1] == b"2"]
         horn_deg = bus.horn_deg([end_ns])[0][1]
         assert abs(told[-1]) <= 90.0
@@ -265,7 +265,7 @@ def test_a_silent_board_is_missed_before_anything_moves(stage, kit):
     program, _ = stage.compile(robot, kit.sequence(4))
     played = stage.play(robot, program=program, wired=wired)
     assert "j3 (id 209 on bus 'bus0')" in str(played.result.error)
-    assert not any(BARE.fullmatch(line) for line in played.heard())
+    assert not any(BARE.fullmatch(line) for line in played.lines())
 
 
 def test_a_loop_without_end_never_drifts(stage, kit):
@@ -288,4 +288,4 @@ def test_the_owl_of_the_examples_flaps_and_blinks(stage):
     assert max(by_name[name] for name in ("left_wing", "right_wing")) < 0.6
     assert max(by_name[name] for name in ("left_lid", "right_lid", "beak")) < 1.0
     assert played.report.joints["left_lid"].readings == 0
-    assert max(len(line) - 1 for line in played.heard()) <= 15
+    assert max(len(line) - 1 for line in played.lines()) <= 15

@@ -26,9 +26,9 @@ def marks_of(played):
 
 
 def leds(played):
-    """Return show time and line of every colour that a servo heard."""
+    """Return show time and line of every colour that a servo received."""
     clock = played.result.player.show.clock
-    return [(clock.show_s(at_ns), line) for at_ns, line in played.bus.heard if b"LED" in line]
+    return [(clock.show_s(at_ns), line) for at_ns, line in played.bus.lines if b"LED" in line]
 
 
 @pytest.mark.parametrize("has_feedback", [True, False])
@@ -46,7 +46,7 @@ def test_colours_come_at_their_time_between_the_moves_and_go_after_the_show(
     assert played.report.timing.late_max_us <= COMMAND_US
     restored = [line for _, line in leds(played)[-18:]]
     assert set(restored) == {b"#%dLED%d\r" % (i + 1, WHITE) for i in range(18)}
-    assert played.heard()[-1] == b"#254H\r"
+    assert played.lines()[-1] == b"#254H\r"
 
 
 @pytest.mark.parametrize("has_feedback", [True, False])
@@ -70,10 +70,10 @@ def test_a_loop_without_end_reports_the_same_in_every_pass(stage, kit):
     show = replace(kit.sequence(2, 3.0, loop=None), events=events)
     played = stage.play(kit.robot(2), show, wishes=[(kit.in_show(10.0), kit.stop)])
     said = [show_s for cue, show_s in cues_of(played) if cue.say]
-    heard = [show_s for cue, show_s in cues_of(played) if cue.sound]
+    received = [show_s for cue, show_s in cues_of(played) if cue.sound]
     assert len(said) == 3
-    assert len(heard) == 4
-    for times_s in (said, heard):
+    assert len(received) == 4
+    for times_s in (said, received):
         periods_s = [b - a for a, b in pairwise(times_s)]
         assert periods_s[-1] == pytest.approx(periods_s[0], abs=0.1)
         assert periods_s[-1] == pytest.approx(3.0, abs=0.3)

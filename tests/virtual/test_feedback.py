@@ -21,7 +21,7 @@ WRONG_LAG = Physics(lag_s=0.05)
 """30 ms more than a robot file assumes."""
 TARGET = re.compile(rb"#\d+D-?\d+\r")
 BYTE_NS = 90_000
-"""Of 115200 bps: a target with a digit less is heard so much earlier."""
+"""Of 115200 bps: a target with a digit less is received so much earlier."""
 LOST = Fault(kind=FaultKind.LOST_COMMAND, ratio=0.02)
 
 
@@ -62,38 +62,38 @@ def test_a_wrong_lag_is_learnt_and_commands_leave_earlier_for_it(rms_deg):
 def test_servos_that_are_as_assumed_are_left_alone(rms_deg):
     _, played = rms_deg()
     for joint in played.report.joints.values():
-        assert joint.said_again == 0
+        assert joint.resent == 0
         assert abs(joint.lag_extra_s) < 0.004
 
 
 def test_a_lost_command_is_sent_again_and_breaks_no_limit(rms_deg, kit):
     _, played = rms_deg(faults=[LOST])
-    said_again = sum(joint.said_again for joint in played.report.joints.values())
-    assert 0 < said_again < 0.1 * played.report.timing.commands
-    end_ns = played.bus.heard[-1][0]
+    resent = sum(joint.resent for joint in played.report.joints.values())
+    assert 0 < resent < 0.1 * played.report.timing.commands
+    end_ns = played.bus.lines[-1][0]
     speed, accel = played.speeds(0, end_ns)
     assert np.abs(speed).max() < 1.05 * 180.0
     assert np.abs(accel).max() < 1.1 * 600.0
 
 
 def lost_moves(played):
-    """Return `(instant, servo)` of every move that was sent and that no servo heard."""
-    heard = Counter(played.heard())
+    """Return `(instant, servo)` of every move that was sent and that no servo received."""
+    received = Counter(played.lines())
     lost = []
     for at_ns, _, data in reversed(played.sent):
         for move in MOVE.finditer(data):
-            heard[move[0]] -= 1
-            if heard[move[0]] < 0:
+            received[move[0]] -= 1
+            if received[move[0]] < 0:
                 lost.append((at_ns, int(move[1])))
     return lost
 
 
 def unheard_ns(played):
-    """Return for every move that was lost how long its servo heard none."""
-    moves = [(at_ns, MOVE.fullmatch(line)) for at_ns, line in played.bus.heard]
-    heard = [(at_ns, int(move[1])) for at_ns, move in moves if move]
+    """Return for every move that was lost how long its servo received none."""
+    moves = [(at_ns, MOVE.fullmatch(line)) for at_ns, line in played.bus.lines]
+    received = [(at_ns, int(move[1])) for at_ns, move in moves if move]
     return [
-        min((t_ns for t_ns, one in heard if one == servo_id and t_ns > at_ns), default=10**12)
+        min((t_ns for t_ns, one in received if one == servo_id and t_ns > at_ns), default=10**12)
         - at_ns
         for at_ns, servo_id in lost_moves(played)
     ]
@@ -143,9 +143,9 @@ def test_the_instants_of_a_moving_joint_in_em0_do_not_creep_while_its_lag_is_lea
     show = kit.sequence(1, 6.0, seed=3, step_s=(0.5, 0.9))
     played = stage.play(replace(robot, joints={"j0": wing}), show, physics=WRONG_LAG)
     assert played.report.joints["j0"].lag_extra_s > 0.015, "it is learnt, and led by"
-    heard_ns = [at_ns for at_ns, line in played.bus.heard if TARGET.fullmatch(line)]
+    received_ns = [at_ns for at_ns, line in played.bus.lines if TARGET.fullmatch(line)]
     crept_ns = [
-        (b - a + FILTER_NS // 2) % FILTER_NS - FILTER_NS // 2 for a, b in pairwise(heard_ns)
+        (b - a + FILTER_NS // 2) % FILTER_NS - FILTER_NS // 2 for a, b in pairwise(received_ns)
     ]
     moved = sum(abs(ns) > BYTE_NS for ns in crept_ns)
     assert 0 < moved < 0.1 * len(crept_ns), "where it rests, and nowhere else"

@@ -69,7 +69,7 @@ def truth_deg(robot, bus, instants_ns):
 
 
 def lines(bus):
-    return [line.rstrip(b"\r") for _, line in bus.heard]
+    return [line.rstrip(b"\r") for _, line in bus.lines]
 
 
 @pytest.mark.parametrize("seed", [1, 3])
@@ -119,14 +119,14 @@ def test_every_turn_of_the_loop_waits_until_something_is_due() -> None:
 def test_servos_hold_and_have_their_settings_back_afterwards() -> None:
     robot = load_robot(ARM)
     _, bus, _ = shown(robot, hand_from_seed(5, robot), seconds=1.0, is_soft=True)
-    heard = lines(bus)
-    assert heard[-1] == b"#254H"
+    received = lines(bus)
+    assert received[-1] == b"#254H"
     asked = {b"#2AH-10", b"#2AS-4", b"#2L", b"#2H"}
-    assert asked <= set(heard)
-    last = {line[: len(b"#2AH")]: line for line in heard if line.startswith((b"#2AH", b"#2AS"))}
+    assert asked <= set(received)
+    last = {line[: len(b"#2AH")]: line for line in received if line.startswith((b"#2AH", b"#2AS"))}
     assert last == {b"#2AH": b"#2AH4", b"#2AS": b"#2AS0"}
-    first_hold = heard.index(b"#2H")
-    assert heard.index(b"#2AH4") > first_hold  # It holds before it becomes stiff again.
+    first_hold = received.index(b"#2H")
+    assert received.index(b"#2AH4") > first_hold  # It holds before it becomes stiff again.
 
 
 def test_damaged_and_missing_readings_are_no_motion() -> None:
@@ -169,9 +169,9 @@ def test_a_soft_joint_stays_where_it_was_pushed(tmp_path) -> None:
     clock = VirtualClock()
     with connect(robot.buses, robot=robot, clock=clock, hand=hand) as connection:
         run(hands_on, connection.ports, clock, controls=Pushing(take, 6.0))
-    heard = lines(connection.simulated["main"])
-    assert b"#1L" not in heard
-    assert sum(line.startswith(b"#1D") for line in heard) > 5
+    received = lines(connection.simulated["main"])
+    assert b"#1L" not in received
+    assert sum(line.startswith(b"#1D") for line in received) > 5
     end_deg = truth_deg(robot, connection.simulated["main"], np.array([clock.now_ns()]))[0, 0]
     assert 20.0 < end_deg < 41.0
 

@@ -42,9 +42,9 @@ def test_a_servo_that_stays_silent_is_waited_for_and_named_and_the_robot_holds(s
     assert faults(played) == [("j1", "silent", "hold")]
     assert "servo 2 did not answer, and was not back after 4 s" in played.report.faults[0].cause
     assert 2.5 + 1.0 + 4.0 < played.report.run_s < 2.5 + 1.4 + 4.0 + 0.5
-    assert played.heard()[-1] == HOLD
-    assert b"#1SD3600\r" in played.heard()[-30:]
-    end_ns = played.bus.heard[-1][0]
+    assert played.lines()[-1] == HOLD
+    assert b"#1SD3600\r" in played.lines()[-30:]
+    end_ns = played.bus.lines[-1][0]
     assert at_rest(played, end_ns - 3 * S, end_ns) < 0.3
 
 
@@ -56,11 +56,11 @@ def test_a_servo_that_restarts_gets_its_settings_back_before_it_is_driven_on(sta
     assert played.report.outcome == "finished"
     assert ("j1", "restarted", "resume") in faults(played)
     back_ns = int((at_s + RESET_S) * S)
-    heard = [line for line in played.heard(after_ns=back_ns) if line.startswith(b"#2")]
-    first = next(i for i, line in enumerate(heard) if line.startswith(b"#2D"))
-    assert {b"#2EM1\r", b"#2AA60\r", b"#2AD60\r", b"#2SD1800\r"} <= set(heard[:first])
-    assert any(line.startswith(b"#2D") for line in heard[first + 1 :]), "and then it goes on"
-    speed, accel = played.speeds(back_ns, played.bus.heard[-1][0])
+    received = [line for line in played.lines(after_ns=back_ns) if line.startswith(b"#2")]
+    first = next(i for i, line in enumerate(received) if line.startswith(b"#2D"))
+    assert {b"#2EM1\r", b"#2AA60\r", b"#2AD60\r", b"#2SD1800\r"} <= set(received[:first])
+    assert any(line.startswith(b"#2D") for line in received[first + 1 :]), "and then it goes on"
+    speed, accel = played.speeds(back_ns, played.bus.lines[-1][0])
     assert np.abs(speed[:, 1]).max() <= 1.05 * 180.0
     assert np.abs(accel[:, 1]).max() <= 1.1 * 600.0
     ends = played.horn_error_deg(from_s=played.result.truth.times_s[-1] - 0.2)
@@ -72,9 +72,11 @@ def test_a_servo_that_restarts_on_the_way_to_the_start_is_noticed_before_the_sho
     played = stage.play(kit.robot(baud_bps=115200), kit.sequence(3, 3.0), faults=resets)
     assert played.report.outcome == "finished"
     assert faults(played) == [("j1", "silent", "resume"), ("j1", "restarted", "resume")]
-    heard = [line for line in played.heard(after_ns=int((0.15 + RESET_S) * S)) if line[:2] == b"#2"]
-    first = next(i for i, line in enumerate(heard) if line.startswith(b"#2D"))
-    assert {b"#2AA60\r", b"#2SD1800\r"} <= set(heard[:first])
+    received = [
+        line for line in played.lines(after_ns=int((0.15 + RESET_S) * S)) if line[:2] == b"#2"
+    ]
+    first = next(i for i, line in enumerate(received) if line.startswith(b"#2D"))
+    assert {b"#2AA60\r", b"#2SD1800\r"} <= set(received[:first])
 
 
 def test_a_servo_that_does_not_report_its_limits_is_sent_them_all_the_same(stage, kit, monkeypatch):
@@ -86,9 +88,9 @@ def test_a_servo_that_does_not_report_its_limits_is_sent_them_all_the_same(stage
     )
     played = stage.play(kit.robot(1, baud_bps=115200), kit.sequence(1, 2.0))
     assert played.report.outcome == "finished"
-    heard = played.heard()
-    first = next(i for i, line in enumerate(heard) if line.startswith(b"#1D"))
-    assert b"#1AA60\r" in heard[:first]
+    received = played.lines()
+    first = next(i for i, line in enumerate(received) if line.startswith(b"#1D"))
+    assert b"#1AA60\r" in received[:first]
 
 
 def test_a_servo_that_does_not_take_its_limits_is_not_driven(stage, kit, monkeypatch):
@@ -131,7 +133,7 @@ def test_a_joint_that_cannot_catch_up_ends_the_show(stage, kit):
     assert played.report.outcome == "fault"
     assert ("j0", "astray", "hold") in faults(played)
     assert "off its course, allowed is 3 deg" in played.report.faults[0].cause
-    assert played.heard()[-1] == HOLD
+    assert played.lines()[-1] == HOLD
 
 
 @pytest.mark.parametrize("baud_bps", [19200, 115200])
@@ -213,7 +215,7 @@ def test_a_blocked_joint_goes_limp_alone_where_its_step_is_limp(stage, kit):
     played = stage.play(robot, faults=[Fault(kind=FaultKind.STUCK, servo_id=3, at_s=2.0)])
     assert played.report.outcome == "fault"
     assert "limp" in [step for _, _, step in faults(played)]
-    lines = played.heard()
+    lines = played.lines()
     let_go = lines.index(b"#3L\r")
     assert not any(line.startswith(b"#3D") for line in lines[let_go:])
     assert any(line.startswith(b"#1D") for line in lines[let_go:]), "the others brake on their way"
@@ -227,7 +229,7 @@ def test_a_joint_that_is_silent_may_be_left_out_of_the_show(stage, kit):
     played = stage.play(robot, faults=[reset])
     assert played.report.outcome == "finished"
     assert ("j1", "silent", "warn") in faults(played)
-    after = played.heard(after_ns=int((2.0 + RESET_S) * S))
+    after = played.lines(after_ns=int((2.0 + RESET_S) * S))
     assert not any(line.startswith(b"#2D") for line in after)
     assert any(line.startswith(b"#1D") for line in after)
     assert [e.text for e in played.events if isinstance(e, Warned)] == [
@@ -245,10 +247,10 @@ def test_one_that_was_left_out_is_taken_up_again_when_it_answers(stage, kit, kin
     assert played.report.outcome == "finished"
     assert ("j1", "silent", "warn") in faults(played)
     assert phases(played).count("playing") == 2
-    after = [line for line in played.heard(after_ns=int(3.5 * S)) if line.startswith(b"#2")]
+    after = [line for line in played.lines(after_ns=int(3.5 * S)) if line.startswith(b"#2")]
     moved = next(at for at, line in enumerate(after) if is_move(line))
     assert any(line.startswith(b"#2QSD") for line in after[:moved]), "it has its settings first"
-    horn_deg = played.bus.horn_deg(np.array([played.bus.heard[-1][0]]))[0, 1]
+    horn_deg = played.bus.horn_deg(np.array([played.bus.lines[-1][0]]))[0, 1]
     assert horn_deg == pytest.approx(sequence.keyframes[-1].deg["j1"], abs=1.5)
 
 
@@ -256,7 +258,7 @@ def test_after_the_warning_comes_the_next_step_for_one_that_stays_silent(stage, 
     robot = kit.robot(on_fault={Cause.SILENT: (FaultStep.WARN, FaultStep.HOLD)})
     played = stage.play(robot, faults=[Fault(kind=FaultKind.DEAF, servo_id=2, at_s=2.0)])
     assert (played.report.outcome, faults(played)) == ("fault", [("j1", "silent", "hold")])
-    assert played.heard()[-1] == HOLD
+    assert played.lines()[-1] == HOLD
 
 
 @pytest.mark.parametrize(
@@ -276,8 +278,8 @@ def test_a_stop_while_it_waits_is_heeded(stage, kit):
     played = stage.play(robot, faults=[deaf], wishes=[(kit.in_phase("recovering", 6.0), kit.stop)])
     assert played.report.outcome == "stopped"
     assert played.report.run_s < 7.0
-    assert played.heard()[-1] == HOLD
-    assert b"#1SD3600\r" in played.heard()[-30:]
+    assert played.lines()[-1] == HOLD
+    assert b"#1SD3600\r" in played.lines()[-30:]
 
 
 def test_a_pause_that_is_set_during_recovery_is_kept(stage, kit):
@@ -321,12 +323,12 @@ def test_a_show_goes_on_with_settings_sent_again_when_a_port_comes_back(stage, k
     played = stage.play(faults=[gone])
     assert played.report.outcome == "finished"
     assert faults(played) == [("", "lost_port", "resume")]
-    after = played.heard(after_ns=5 * S)
+    after = played.lines(after_ns=5 * S)
     first = next(i for i, line in enumerate(after) if is_move(line))
     assert {b"#1AA60\r", b"#2SD1800\r", b"#3EM1\r"} <= set(after[:first])
-    assert played.heard()[-1] == HOLD
+    assert played.lines()[-1] == HOLD
     assert np.abs(played.horn_error_deg(from_s=2.5)).max() < 1.0
-    _, accel = played.speeds(5 * S, played.bus.heard[-1][0])
+    _, accel = played.speeds(5 * S, played.bus.lines[-1][0])
     assert np.abs(accel).max() <= 1.1 * 600.0
 
 
@@ -344,11 +346,11 @@ def test_a_port_that_is_back_while_the_robot_brakes_gets_no_move_before_its_sett
     sequence = kit.sequence(3, 3.5, swing_deg=50.0, step_s=(0.5, 0.9))
     played = stage.play(sequence=sequence, faults=[gone])
     assert played.report.outcome == "finished"
-    after = played.heard(after_ns=int(2.15 * S))
+    after = played.lines(after_ns=int(2.15 * S))
     for servo in (b"#1", b"#2", b"#3"):
-        heard = [line for line in after if line.startswith(servo)]
-        first = next(i for i, line in enumerate(heard) if line.startswith(servo + b"D"))
-        assert {servo + b"AA60\r", servo + b"SD1800\r"} <= set(heard[:first])
+        received = [line for line in after if line.startswith(servo)]
+        first = next(i for i, line in enumerate(received) if line.startswith(servo + b"D"))
+        assert {servo + b"AA60\r", servo + b"SD1800\r"} <= set(received[:first])
 
 
 def test_when_one_of_two_ports_stays_away_the_other_is_restored_and_holds(stage, kit):
@@ -359,7 +361,7 @@ def test_when_one_of_two_ports_stays_away_the_other_is_restored_and_holds(stage,
     assert isinstance(played.result.error, BusError)
     assert "and was not back after 2 s" in str(played.result.error)
     assert faults(played) == [("", "lost_port", "hold")]
-    lines = [line for _, line in played.buses["bus0"].heard]
+    lines = [line for _, line in played.buses["bus0"].lines]
     assert lines[-1] == HOLD
     assert {b"#1SD3600\r", b"#3SD3600\r"} <= set(lines[-17:])
     assert played.report.run_s < 5.0
@@ -384,7 +386,7 @@ def blocked(at_s, until_s=float("inf"), **fields):
 def test_a_port_that_takes_no_bytes_for_a_moment_is_waited_for(stage, kit):
     played = stage.play(faults=[blocked(2.0, 2.3)])
     assert (played.report.outcome, faults(played)) == ("finished", [])
-    _, accel = played.speeds(2 * S, played.bus.heard[-1][0])
+    _, accel = played.speeds(2 * S, played.bus.lines[-1][0])
     assert np.abs(accel).max() <= 1.1 * 600.0
 
 
@@ -394,11 +396,11 @@ def test_a_show_goes_on_when_a_blocked_port_takes_bytes_again(stage, kit):
     assert played.report.outcome == "finished"
     assert faults(played) == [("", "lost_port", "resume")]
     assert sum(getattr(event, "kind", None) == "lost_port" for event in played.events) == 1
-    after = [line for line in played.heard(after_ns=int(7.01 * S)) if line != b"#\r"]
+    after = [line for line in played.lines(after_ns=int(7.01 * S)) if line != b"#\r"]
     first = next(i for i, line in enumerate(after) if is_move(line))
     assert {b"#1AA60\r", b"#2SD1800\r", b"#3EM1\r"} <= set(after[:first])
-    assert played.heard()[-1] == HOLD
-    _, accel = played.speeds(0, played.bus.heard[-1][0])
+    assert played.lines()[-1] == HOLD
+    _, accel = played.speeds(0, played.bus.lines[-1][0])
     assert np.abs(accel).max() <= 1.1 * 600.0
 
 
@@ -408,7 +410,7 @@ def test_a_port_that_stays_blocked_is_given_up_like_one_that_is_gone(stage, kit)
     assert played.report.outcome == "lost"
     assert "takes no bytes" in str(played.result.error)
     assert "and was not back after 2 s" in str(played.result.error)
-    assert [line for _, line in played.buses["bus0"].heard][-1] == HOLD
+    assert [line for _, line in played.buses["bus0"].lines][-1] == HOLD
     assert played.report.run_s < 2.0 + FULL_STOP_S + 2.0 + 2 * FULL_STOP_S
 
 
@@ -438,4 +440,4 @@ def test_the_safe_state_is_the_last_that_a_port_gets_that_was_blocked_when_it_wa
     played = stage.play(faults=[blocked(2.0, 2.4)], wishes=wishes)
     assert played.report.outcome == "stopped"
     assert played.result.error is None
-    assert played.heard()[-1] == HOLD
+    assert played.lines()[-1] == HOLD

@@ -53,7 +53,7 @@ def test_the_horns_move_as_if_every_pass_were_written(stage, kit, monkeypatch, i
         assert played.report.timing.missed == 0
         truth = played.result.truth
         found.append(truth.horn_deg - trajectory.sample(truth.times_s))
-        speed, _ = played.speeds(0, played.bus.heard[-1][0])
+        speed, _ = played.speeds(0, played.bus.lines[-1][0])
         assert np.abs(speed).max() <= 1.02 * 180.0
     rms = [float(np.sqrt(np.mean(error**2))) for error in found]
     assert rms[1] <= 1.1 * rms[0]

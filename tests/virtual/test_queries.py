@@ -149,5 +149,5 @@ def test_an_lss_pro_gets_only_queries_of_its_document_and_answers_all(stage, kit
     bus = played.report.buses["bus0"]
     assert bus.timeouts == bus.rejected == 0
     assert bus.replies > 1000
-    asked = {word for line in played.heard() if (word := line.decode()[2:-1]).startswith("Q")}
+    asked = {word for line in played.lines() if (word := line.decode()[2:-1]).startswith("Q")}
     assert {"Q", "QT", "QC", "QD"} <= asked <= set(PRO_TABLE.by_keyword)

@@ -24,7 +24,7 @@ def moves_without_settings(played, at_s, deaf_s):
     """Return when servo 2 received moves between a restart and its settings."""
     back_ns = int((at_s + deaf_s) * S)
     missing, moves_ns = set(SETTINGS), []
-    for at_ns, line in played.bus.heard:
+    for at_ns, line in played.bus.lines:
         if at_ns < back_ns:
             continue
         missing.discard(line)
@@ -54,9 +54,9 @@ def test_a_servo_that_was_away_for_however_short_gets_its_settings_before_it_mov
     late_ns = moves_without_settings(played, at_s, deaf_s)
     # A restart that no query met is found by the next read-back.
     assert max(late_ns, default=0) <= (0.3 if deaf_s < 0.05 else 0.06) * S
-    speed, _ = played.speeds(0, played.bus.heard[-1][0])
+    speed, _ = played.speeds(0, played.bus.lines[-1][0])
     assert np.abs(speed[:, 1]).max() <= 1.05 * SPEED_DEG_S
-    (end_deg,) = played.bus.horn_deg([played.bus.heard[-1][0]])
+    (end_deg,) = played.bus.horn_deg([played.bus.lines[-1][0]])
     assert np.abs(end_deg).max() < 1.0
 
 
@@ -64,7 +64,7 @@ def test_two_restarts_around_the_approach(stage, kit):
     played = show(stage, kit, [restart(0.4, 0.1), restart(1.0, 0.1)])
     assert played.report.outcome == "finished"
     assert {f.kind for f in played.report.faults} == {Cause.RESTARTED}
-    speed, _ = played.speeds(0, played.bus.heard[-1][0])
+    speed, _ = played.speeds(0, played.bus.lines[-1][0])
     assert np.abs(speed[:, 1]).max() <= 1.05 * SPEED_DEG_S
 
 

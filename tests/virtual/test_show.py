@@ -1,4 +1,4 @@
-"""Whole shows in virtual time: what the servos heard, and where the horns were."""
+"""Whole shows in virtual time: what the servos received, and where the horns were."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ RESTORED = {b"#%dEM1\r", b"#%dAA100\r", b"#%dAD100\r", b"#%dSD3600\r"}
 def assert_ended_safely(played, robot, safe=HOLD):
     """Every session setting as it was, then the safe state, and nothing after it."""
     for name, bus in played.buses.items():
-        lines = [line for _, line in bus.heard]
+        lines = [line for _, line in bus.lines]
         assert lines[-1] == safe
         ids = [joint.servo_id for joint in robot.joints.values() if joint.bus == name]
         restored = {line % servo_id for servo_id in ids for line in RESTORED}
@@ -66,7 +66,7 @@ def test_a_show_is_counted_in_and_may_be_stopped_meanwhile(stage, kit, act):
         "pause": [(in_count_in, kit.rate(0.0)), (stands, kit.rate(1.0))],
     }[act]
     played = stage.play(robot, wishes=wishes)
-    moved = [at_ns for at_ns, line in played.bus.heard if is_move(line)]
+    moved = [at_ns for at_ns, line in played.bus.lines if is_move(line)]
     show = [at_ns for at_ns in moved if at_ns > begun_ns[0]]
     assert_ended_safely(played, robot)
     assert show == [] if act == "stop" else show[0] >= begun_ns[0] + COUNT_IN_NS
@@ -77,8 +77,8 @@ def test_a_show_is_counted_in_and_may_be_stopped_meanwhile(stage, kit, act):
 def test_without_feedback_the_same_moves_arrive_and_no_query_in_the_show(stage, kit):
     played = stage.play(has_feedback=False)
     assert np.abs(played.horn_error_deg()).max() < 0.8
-    moves = [at_ns for at_ns, line in played.bus.heard if is_move(line)]
-    asked = [at_ns for at_ns, line in played.bus.heard if b"Q" in line]
+    moves = [at_ns for at_ns, line in played.bus.lines if is_move(line)]
+    asked = [at_ns for at_ns, line in played.bus.lines if b"Q" in line]
     assert asked
     assert max(asked) < min(moves)
 
@@ -86,7 +86,7 @@ def test_without_feedback_the_same_moves_arrive_and_no_query_in_the_show(stage, 
 def test_the_session_is_set_before_the_first_move_and_restored_after_the_last(stage, kit):
     robot = kit.robot(settings={"AS": -2})
     played = stage.play(robot)
-    lines = played.heard()
+    lines = played.lines()
     first = next(i for i, line in enumerate(lines) if line in played.moves())
     for servo_id in (1, 2, 3):
         wanted = [b"#%dEM1\r", b"#%dAA60\r", b"#%dAD60\r", b"#%dSD1800\r", b"#%dAS-2\r"]
@@ -105,7 +105,7 @@ def test_a_robot_that_should_end_limp_does_and_only_after_a_show_that_finished(s
 def test_the_same_seed_gives_the_same_bytes_and_another_one_does_not(stage, kit):
     runs = [stage.play(seed=seed) for seed in (7, 7, 8)]
     assert runs[0].sent == runs[1].sent
-    assert runs[0].bus.heard == runs[1].bus.heard
+    assert runs[0].bus.lines == runs[1].bus.lines
     assert runs[0].report == runs[1].report
     assert runs[0].sent != runs[2].sent
 
@@ -116,7 +116,7 @@ def test_two_buses_are_played_side_by_side(stage, kit):
     assert np.abs(played.horn_error_deg()).max() < 0.8
     assert_ended_safely(played, robot)
     for bus, own in (("bus0", b"13"), ("bus1", b"24")):
-        said = {line[1:2] for _, line in played.buses[bus].heard if is_move(line)}
+        said = {line[1:2] for _, line in played.buses[bus].lines if is_move(line)}
         assert said == {bytes([digit]) for digit in own}
 
 
@@ -126,7 +126,7 @@ def test_the_approach_is_slow_and_ends_where_the_show_starts(stage, kit):
     assert entered == [
         "connecting", "preparing", "approaching", "playing", "restoring", "done",
     ]  # fmt: skip
-    first_ns = next(at for at, line in played.bus.heard if line in played.moves())
+    first_ns = next(at for at, line in played.bus.lines if line in played.moves())
     speed, _ = played.speeds(first_ns, first_ns + 2_500_000_000)
     assert 29.0 < np.abs(speed).max() < 30.5
     assert np.abs(played.horn_error_deg()[:10]).max() < 0.2
@@ -144,7 +144,7 @@ def test_a_correction_does_not_make_an_approach_faster(stage, kit, monkeypatch):
     from_ns, to_ns = played.acted_ns
     moves = [
         (at_ns, *map(int, MOVE.fullmatch(line).groups()))
-        for at_ns, line in played.bus.heard
+        for at_ns, line in played.bus.lines
         if is_move(line) and line.startswith(b"#1D") and from_ns < at_ns < to_ns
     ]
     assert moves
@@ -177,8 +177,8 @@ def test_a_show_of_a_minute_with_eighteen_joints_fits_the_line_and_the_horns(sta
 
 def assert_nothing_moved(played):
     assert played.moves() == []
-    assert not any(b"H\r" in line or b"EM1" in line for line in played.heard())
-    assert played.heard()[-1].startswith(b"#"), "something was said at all"
+    assert not any(b"H\r" in line or b"EM1" in line for line in played.lines())
+    assert played.lines()[-1].startswith(b"#"), "something was said at all"
     assert played.result.truth is None or not len(played.result.truth.times_s)
 
 
@@ -274,13 +274,13 @@ def test_stopped_while_settings_are_sent_they_are_given_back(stage, kit):
     said = [0]
     robot = kit.robot(settings={"AS": -2})
     complete = stage.play(robot)
-    lines = complete.heard()
+    lines = complete.lines()
     position = lines.index(b"#1AS-2\r")
     said[0] = sum(map(len, lines[: position + 1]))
     played = stage.play(robot, wishes=[(has_said, count), (has_said, kit.stop)])
-    assert b"#1AS-2\r" in played.heard()
+    assert b"#1AS-2\r" in played.lines()
     assert played.moves() == []
-    assert b"#1AS0\r" in played.heard()[played.heard().index(b"#1AS-2\r") :]
+    assert b"#1AS0\r" in played.lines()[played.lines().index(b"#1AS-2\r") :]
 
 
 # ---- stopping
@@ -301,7 +301,7 @@ def test_stopped_anywhere_it_brakes_within_the_limits_and_ends_safely(stage, kit
     )
     assert played.report.outcome == "stopped"
     assert_ended_safely(played, robot)
-    end_ns = played.bus.heard[-1][0]
+    end_ns = played.bus.lines[-1][0]
     (stopped_ns,) = played.acted_ns
     assert end_ns - stopped_ns < 1_500_000_000
     speed, accel = played.speeds(stopped_ns - 200_000_000, end_ns)
@@ -320,7 +320,7 @@ def test_stopped_in_the_approach_it_brakes_too(stage, kit):
         physics=QUIET,
     )
     assert_ended_safely(played, robot)
-    speed, accel = played.speeds(played.acted_ns[0] - 100_000_000, played.bus.heard[-1][0])
+    speed, accel = played.speeds(played.acted_ns[0] - 100_000_000, played.bus.lines[-1][0])
     assert np.abs(speed[0]).max() == pytest.approx(30.0, abs=0.5)
     assert np.abs(speed[-3:]).max() < 1.0
     assert np.abs(accel).max() <= 1.05 * 600.0
@@ -342,7 +342,7 @@ def test_a_second_stop_holds_at_once(stage, kit):
     robot = kit.robot(baud_bps=FAST_BPS)
     played = stage.play(robot, wishes=[(kit.in_show(2.0), kit.stop), (after_first, again)])
     assert played.report.outcome == "stopped"
-    at_ns, line = played.bus.heard[-1]
+    at_ns, line = played.bus.lines[-1]
     assert line == HOLD
     assert at_ns - later[0] < 10_000_000
 
@@ -399,7 +399,7 @@ def test_a_long_pause_is_silent_and_keeps_the_place(stage, kit):
     )
     from_ns, to_ns = played.acted_ns
     assert to_ns - from_ns > 20_000_000_000
-    inside = [a for a, _ in played.bus.heard if from_ns + 1_500_000_000 < a < to_ns]
+    inside = [a for a, _ in played.bus.lines if from_ns + 1_500_000_000 < a < to_ns]
     assert inside == []
     speed, _ = played.speeds(from_ns + 1_500_000_000, to_ns)
     assert np.abs(speed).max() < 0.01
@@ -463,8 +463,8 @@ def test_an_exception_on_the_way_leaves_every_bus_in_the_safe_state(stage, kit):
         stage.play(robot, on_bus=buses.append, on_event=fail)
     assert len(buses) == 2
     for bus in buses:
-        assert bus.heard[-1][1] == HOLD
-        assert sum(is_move(line) for _, line in bus.heard) > 5
+        assert bus.lines[-1][1] == HOLD
+        assert sum(is_move(line) for _, line in bus.lines) > 5
 
 
 # ---- what refuses a robot before it moves
@@ -478,7 +478,7 @@ def test_a_servo_that_is_not_set_up_as_the_file_states_never_moves(stage, kit, s
     assert isinstance(played.result.error, InputError)
     assert "joint 'j1': servo 2 has" in str(played.result.error)
     assert played.moves() == []
-    assert set(played.heard()) - {HOLD} == {line for line in played.heard() if b"Q" in line}
+    assert set(played.lines()) - {HOLD} == {line for line in played.lines() if b"Q" in line}
 
 
 def test_two_servos_with_one_id_never_move(stage, kit):

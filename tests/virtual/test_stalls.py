@@ -58,7 +58,7 @@ def moves_after(played, from_ns):
 
 
 def assert_speeds_hold(played, slack=1.05):
-    horns = played.bus.horn_deg(np.arange(0, played.bus.heard[-1][0], 5_000_000))
+    horns = played.bus.horn_deg(np.arange(0, played.bus.lines[-1][0], 5_000_000))
     speed = (horns[4:] - horns[:-4]) / 0.02
     assert np.abs(speed).max() <= slack * SPEED_DEG_S
 
@@ -81,7 +81,7 @@ def test_after_a_stall_a_servo_gets_one_move_and_the_show_goes_on(
     )  # fmt: skip
     assert played.report.outcome == "finished"
     assert_speeds_hold(played)
-    (end_deg,) = played.bus.horn_deg([played.bus.heard[-1][0]])
+    (end_deg,) = played.bus.horn_deg([played.bus.lines[-1][0]])
     assert np.abs(end_deg).max() < 1.5, "it ends where the plan ends"
     is_stall = late_s > 0.25 and at_s > 0.5
     stalls = [step for step in steps(played) if step[1] is Cause.STALLED]
@@ -116,7 +116,7 @@ def test_a_stall_ends_the_show_where_the_robot_file_requires_it(stage, kit):
     played = stage.play(robot, kit.sequence(2, 6.0), faults=[held_up(3.0, 5.0)])
     assert played.report.outcome == "fault"
     assert steps(played) == [("", Cause.STALLED, FaultStep.HOLD)]
-    assert played.heard()[-1] == b"#254H\r"
+    assert played.lines()[-1] == b"#254H\r"
     phases = [event.phase for event in played.events if isinstance(event, PhaseEntered)]
     assert phases[-3:] == ["stopping", "restoring", "done"]
 
@@ -142,7 +142,7 @@ def test_other_drives_get_one_target_after_a_stall(stage, kit, drive, late_s):
     sequence = kit.sequence(2, 4.0, swing_deg=40.0, step_s=(0.6, 0.9), loop=2)
     played = stage.play(robot, sequence, faults=[held_up(3.0, late_s)])
     assert played.report.outcome == "finished"
-    (end_deg,) = played.bus.horn_deg([played.bus.heard[-1][0]])
+    (end_deg,) = played.bus.horn_deg([played.bus.lines[-1][0]])
     assert np.abs(end_deg).max() < 1.0
     assert moves_at_once(played, 3.0, late_s) <= 1
     if drive == "streamed":

@@ -75,11 +75,11 @@ def test_a_servo_that_restarted_in_another_turn_is_not_driven(stage, kit, deaf_s
     assert (last.joint, last.kind, last.step) == ("j0", Cause.LOST_TURN, FaultStep.HOLD)
     assert "reports -9" in last.cause
     back_ns = int((5.0 + deaf_s) * S)
-    late = [ns - back_ns for ns, line in played.bus.heard if is_move(line) and ns > back_ns]
+    late = [ns - back_ns for ns, line in played.bus.lines if is_move(line) and ns > back_ns]
     assert max(late, default=0) < 0.1 * S
-    horns = played.bus.horn_deg(np.arange(back_ns, played.bus.heard[-1][0], 5_000_000))
+    horns = played.bus.horn_deg(np.arange(back_ns, played.bus.lines[-1][0], 5_000_000))
     assert np.ptp(horns) < 5.0, "it stays where it is"
-    assert played.heard()[-1] == b"#254H\r"
+    assert played.lines()[-1] == b"#254H\r"
 
 
 def test_a_port_that_was_lost_in_a_large_move_loses_no_turn(stage, kit):

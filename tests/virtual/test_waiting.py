@@ -53,14 +53,14 @@ def states(played):
 
 
 def moves_ns(played):
-    """Return when moves were heard."""
+    """Return when moves were received."""
     moves = set(played.moves())
-    return [at_ns for at_ns, line in played.bus.heard if line in moves]
+    return [at_ns for at_ns, line in played.bus.lines if line in moves]
 
 
 def waited_s(played):
     """Return from when to when the show stood, by what was asked of the sensor."""
-    asked = [at_ns for at_ns, line in played.bus.heard if line == b"#203QA1\r"]
+    asked = [at_ns for at_ns, line in played.bus.lines if line == b"#203QA1\r"]
     return asked[0] / 1e9, asked[-1] / 1e9
 
 
@@ -78,7 +78,7 @@ def test_the_robot_stands_until_something_comes_near_and_then_goes_on(stage, kit
     assert not [at_ns for at_ns in moves_ns(played) if (from_s + 0.2) * 1e9 < at_ns < to_s * 1e9]
     error_deg = played.horn_error_deg()
     assert np.abs(error_deg).max() < 0.8, "the plan is followed on both sides of it"
-    end_deg = played.bus.horn_deg(np.array([played.bus.heard[-1][0]]))[0, 0]
+    end_deg = played.bus.horn_deg(np.array([played.bus.lines[-1][0]]))[0, 0]
     assert abs(end_deg) < 1.0
 
 
@@ -98,7 +98,7 @@ def test_a_plain_input_is_compared_as_it_is(stage, kit):
     ]
     played = stage.play(robot(kit), show(wait), faults=inputs)
     assert states(played) == ["begun", "met"]
-    asked = [at_ns for at_ns, line in played.bus.heard if line == b"#77QA\r"]
+    asked = [at_ns for at_ns, line in played.bus.lines if line == b"#77QA\r"]
     assert asked[-1] / 1e9 == pytest.approx(8.0, abs=0.15)
 
 
@@ -117,7 +117,7 @@ def test_every_pass_waits_again(stage, kit, loop, times):
 def test_a_person_may_stop_a_robot_that_waits(stage, kit):
     played = stage.play(robot(kit), show(), wishes=[(lambda _, now_ns: now_ns > 9e9, kit.stop)])
     assert played.report.outcome == "stopped"
-    assert played.heard()[-1] == b"#254H\r"
+    assert played.lines()[-1] == b"#254H\r"
     assert states(played) == ["begun"]
 
 

@@ -190,15 +190,15 @@ def test_one_interruption_walks_to_the_stand_and_holds(monkeypatch):
     assert walk.report.played_s > 5.0
     walk.assert_within_limits()
     walk.assert_stands()
-    assert walk.bus.heard[-1][1] == b"#254H\r"
+    assert walk.bus.lines[-1][1] == b"#254H\r"
 
 
 def test_a_second_interruption_holds_at_once(monkeypatch):
     ahead = wish(Twist(forward_mm_s=25.0))
     walk = Walk(monkeypatch, "quadruped_trot", [(1.0, ahead), (4.0, stop), (4.3, stop)])
     assert walk.report.outcome == "stopped"
-    assert walk.bus.heard[-1][1] == b"#254H\r"
-    assert walk.bus.heard[-1][0] - walk.acted_ns[-1] < 20_000_000
+    assert walk.bus.lines[-1][1] == b"#254H\r"
+    assert walk.bus.lines[-1][0] - walk.acted_ns[-1] < 20_000_000
     assert np.abs(walk.truth.horn_deg[-1] - walk.stand_deg).max() > 1.0, "in the middle of a step"
 
 

@@ -1,4 +1,4 @@
-"""A simulated robot in a process of its own, behind a pseudo-terminal, that says what it heard."""
+"""A simulated robot in a process of its own, behind a pseudo-terminal, that reports its bytes."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ _PROCESSES = multiprocessing.get_context("spawn")
 
 @contextlib.contextmanager
 def robot_behind_pty(robot: Robot, *, seed: int = 1) -> Iterator[tuple[Robot, Callable[[], Heard]]]:
-    """Yield the robot with the port to open, and what returns all lines its servos heard so far.
+    """Yield the robot with the port to open, and what returns all lines its servos received so far.
 
-    A line is heard, by the monotonic clock, when its last byte has arrived at the servos.
+    A line is received, by the monotonic clock, when its last byte has arrived at the servos.
     """
     with tempfile.TemporaryDirectory() as folder:
         link = Path(folder) / "port"
@@ -41,12 +41,12 @@ def robot_behind_pty(robot: Robot, *, seed: int = 1) -> Iterator[tuple[Robot, Ca
             assert ours.recv() == "ready"
             buses = {name: replace(bus, port=str(link)) for name, bus in robot.buses.items()}
 
-            def heard() -> Heard:
-                ours.send("heard")
+            def received() -> Heard:
+                ours.send("received")
                 lines: Heard = ours.recv()
                 return lines
 
-            yield replace(robot, buses=buses), heard
+            yield replace(robot, buses=buses), received
         finally:
             with contextlib.suppress(BrokenPipeError):
                 ours.send("end")
@@ -54,7 +54,7 @@ def robot_behind_pty(robot: Robot, *, seed: int = 1) -> Iterator[tuple[Robot, Ca
 
 
 def _serve(robot: Robot, link: Path, seed: int, pipe: Connection) -> None:
-    """Serve until the pipe says `end`; answer anything else with what was heard since.
+    """Serve until the pipe says `end`; answer anything else with what was received since.
 
     Servos do not wait for a processor: where the system permits, neither does this process.
     """
@@ -68,9 +68,9 @@ def _serve(robot: Robot, link: Path, seed: int, pipe: Connection) -> None:
         while pipe.poll():
             if pipe.recv() == "end":
                 return True
-            assert bus.heard is not None
-            pipe.send(list(bus.heard))
-            bus.heard.clear()
+            assert bus.lines is not None
+            pipe.send(list(bus.lines))
+            bus.lines.clear()
         return False
 
     serve_buses(buses, link, announce=lambda _: pipe.send("ready"), should_stop=should_stop)

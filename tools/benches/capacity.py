@@ -97,14 +97,14 @@ def _filled(program: Program, robot: Robot) -> tuple[float, float]:
     assert report.outcome == "finished", report
     (from_ns, before_s), (to_ns, after_s), *_ = tap.show
     bus = bus_from_robot(robot, "main", seed=0)
-    heard_s: list[float] = []
+    received_s: list[float] = []
     for data, now_ns in tap.lines:
-        if now_ns >= (from_ns, to_ns, math.inf)[len(heard_s)]:
-            heard_s.append(time.process_time())
+        if now_ns >= (from_ns, to_ns, math.inf)[len(received_s)]:
+            received_s.append(time.process_time())
         while (arrival_ns := bus.next_arrival_ns()) is not None and arrival_ns <= now_ns:
             bus.read(arrival_ns)
         bus.write(data, now_ns)
-    simulator_s = heard_s[1] - heard_s[0]
+    simulator_s = received_s[1] - received_s[0]
     core_ratio = (after_s - before_s - simulator_s) / report.played_s
     return core_ratio, report.buses["main"].query_rate_hz
 

@@ -91,7 +91,7 @@ def blind(seed: int) -> Blind:
         raise experiment.error
     instants_ns = np.arange(0, connection.clock.now_ns(), TICK_NS)
     horn_deg = bus.horn_deg(instants_ns.tolist())[:, 0]
-    assert bus.heard is not None
+    assert bus.lines is not None
     return Blind(
         seed=seed,
         physics=physics,
@@ -100,7 +100,7 @@ def blind(seed: int) -> Blind:
         span_deg=span_deg,
         found=identify(joint, experiment.recording),
         away_deg=float(np.abs(horn_deg - spec.start_deg).max()),
-        last_heard=tuple(line.rstrip(b"\r") for _, line in bus.heard[-5:]),
+        last_heard=tuple(line.rstrip(b"\r") for _, line in bus.lines[-5:]),
     )
 
 

@@ -1,4 +1,4 @@
-"""How late commands are where the servo hears them, over a pseudo-terminal, the display being on.
+"""How late commands reach the servo over a pseudo-terminal, with the display on.
 
 Meanwhile a loop in C sends the same moves at the same distances to a second simulated robot. Its
 lateness is that of the machine at this time. (In turns would not do: what the owner of a
@@ -88,8 +88,8 @@ def measure(rounds: int = ROUNDS) -> list[Row]:
 
 def _robot(robot: Robot, stack: contextlib.ExitStack) -> tuple[Robot, Callable[[], Heard]]:
     """Return a robot behind a port, and what says what came through it, tapped if that can be."""
-    real, heard = stack.enter_context(robot_behind_pty(robot))
-    return stack.enter_context(tapped(real)) or (real, heard)
+    real, received = stack.enter_context(robot_behind_pty(robot))
+    return stack.enter_context(tapped(real)) or (real, received)
 
 
 def measure_short() -> list[Row]:
@@ -99,7 +99,7 @@ def measure_short() -> list[Row]:
 
 @dataclass(frozen=True)
 class Lateness:
-    """When the moves of one round were to be heard, and how much later each of them was."""
+    """When the moves of one round were to be received, and how much later each of them was."""
 
     expected_ns: np.ndarray
     late_ns: np.ndarray
@@ -110,8 +110,10 @@ class Lateness:
 
     def less(self, gone: Away) -> Lateness:
         """Return what is left without the time in which a processor was away meanwhile."""
-        heard_ns = self.expected_ns + self.late_ns
-        return Lateness(self.expected_ns, self.late_ns - gone.within_ns(self.expected_ns, heard_ns))
+        received_ns = self.expected_ns + self.late_ns
+        return Lateness(
+            self.expected_ns, self.late_ns - gone.within_ns(self.expected_ns, received_ns)
+        )
 
 
 @dataclass(frozen=True)
@@ -166,8 +168,8 @@ class Pair:
 
     def _play(self, *, is_real_time: bool) -> list[int] | None:
         """Play; return when each move was due, or None if the show was held in the middle."""
-        robot, heard = self.ours
-        heard()
+        robot, received = self.ours
+        received()
         with _screen() as display:
             observer = Observer(on_turn=display.show)
             result = perform(self.program, robot, observer=observer, is_real_time=is_real_time)
@@ -184,8 +186,8 @@ class Pair:
     @contextlib.contextmanager
     def _loop(self, *, is_real_time: bool) -> Iterator[list[int]]:
         """Run the loop until its end; yield when each move is due."""
-        robot, heard = self.theirs
-        heard()
+        robot, received = self.theirs
+        received()
         start_ns = time.monotonic_ns() + ns_from_s(LOOP_AFTER_S)
         dues_ns = [start_ns + move.due_us * NS_PER_US for move in self.program.moves]
         if self.loop is None:
@@ -237,39 +239,39 @@ def _row(what: str, ours: list[Lateness], theirs: list[Lateness]) -> Row:
 def _lateness(
     program: Program, side: tuple[Robot, Callable[[], Heard]], dues_ns: list[int]
 ) -> Lateness:
-    """Return how late every move was heard."""
-    robot, heard = side
+    """Return how late every move was received."""
+    robot, received = side
     [bus] = robot.buses.values()
-    heard_ns: dict[int, list[int]] = {}
+    received_ns: dict[int, list[int]] = {}
     expected_ns: dict[int, list[int]] = {}
-    for instant_ns, line in heard():
+    for instant_ns, line in received():
         if (match := MOVE.match(line)) is not None:
-            heard_ns.setdefault(int(match[1]), []).append(instant_ns)
+            received_ns.setdefault(int(match[1]), []).append(instant_ns)
     for due_ns, move in zip(dues_ns, program.moves, strict=True):
         line_ns = line_time_ns(len(move.data), bus.baud_bps)
         expected_ns.setdefault(move.servo_id, []).append(due_ns + line_ns)
     late_ns = [
-        _in_order(np.array(instants_ns), np.array(heard_ns[servo_id]))
+        _in_order(np.array(instants_ns), np.array(received_ns[servo_id]))
         for servo_id, instants_ns in expected_ns.items()
     ]
     expected = np.concatenate([np.array(instants_ns) for instants_ns in expected_ns.values()])
     return Lateness(expected, np.concatenate(late_ns))
 
 
-def _in_order(expected_ns: np.ndarray, heard_ns: np.ndarray) -> np.ndarray:
+def _in_order(expected_ns: np.ndarray, received_ns: np.ndarray) -> np.ndarray:
     """Return the lateness of one servo's moves, each taken for another line, in their order.
 
     There are more lines than moves: the approach, and what is said once more after a late move, for
     the sake of the speed limit. The lines are chosen that are nearest in all.
     """
-    late_ns = heard_ns[:, None] - expected_ns
-    best = np.full((len(heard_ns) + 1, len(expected_ns) + 1), np.inf)
+    late_ns = received_ns[:, None] - expected_ns
+    best = np.full((len(received_ns) + 1, len(expected_ns) + 1), np.inf)
     best[:, 0] = 0.0
-    for line in range(len(heard_ns)):
+    for line in range(len(received_ns)):
         taken = best[line, :-1] + np.abs(late_ns[line])
         best[line + 1, 1:] = np.minimum(best[line, 1:], taken)
     lates_ns = np.empty(len(expected_ns))
-    line, move = len(heard_ns), len(expected_ns)
+    line, move = len(received_ns), len(expected_ns)
     while move:
         line -= 1
         if best[line + 1, move] < best[line, move]:

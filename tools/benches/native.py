@@ -191,7 +191,7 @@ class Away:
 def tapped(robot: Robot) -> Iterator[tuple[Robot, Callable[[], Heard]] | None]:
     """Yield the robot with another port, and what returns the lines that came through it so far.
 
-    A line is heard when its last byte has left a line of the bus's rate that begins at the port.
+    A line is received when its last byte has left a line of the bus's rate that begins at the port.
     None where there is no compiler.
     """
     [(name, bus)] = robot.buses.items()
@@ -200,7 +200,7 @@ def tapped(robot: Robot) -> Iterator[tuple[Robot, Callable[[], Heard]] | None]:
         if program is None:
             yield None
             return
-        file = Path(folder) / "heard.txt"
+        file = Path(folder) / "received.txt"
         words = [program, bus.port, str(PRIORITY + 20)]
         with file.open("w") as output:
             process = subprocess.Popen(words, stdout=output)
@@ -210,13 +210,13 @@ def tapped(robot: Robot) -> Iterator[tuple[Robot, Callable[[], Heard]] | None]:
             time.sleep(0.01)
         port, taken = text.strip(), len(text)
 
-        def heard() -> Heard:
+        def received() -> Heard:
             nonlocal taken
             new = file.read_text()[taken:]
             taken += len(new)
             return _lines(new, bus.baud_bps)
 
-        yield replace(robot, buses={name: replace(bus, port=port)}), heard
+        yield replace(robot, buses={name: replace(bus, port=port)}), received
 
 
 def _lines(log: str, baud_bps: int) -> Heard:

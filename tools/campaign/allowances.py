@@ -45,7 +45,7 @@ MISSED_KINDS: Final = {
     FaultKind.DEAF,
     FaultKind.RESET,
 }
-"""With these a servo misses what was said, and hears the next of it: a timed one keeps its limits
+"""With these a servo loses lines, and receives the next: a timed one keeps its limits
 all the same, for they are set in it; one in EM0 has none."""
 GONE_KINDS: Final = {FaultKind.UNPLUGGED, FaultKind.BLOCKED_PORT}
 """With these no byte reaches the servos."""

@@ -1,4 +1,4 @@
-"""One seed: a show with faults in virtual time, judged by what was sent, heard, and done."""
+"""One seed: a show with faults in virtual time, judged by what was sent, received, and done."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def judged_with(
     except Exception as error:  # noqa: BLE001  (a crash of any kind is what is looked for)
         return Judged("crashed", (f"it crashed: {error!r}",), faults)
     for bus in result.simulated.values():
-        bus.advance(witness.end_ns + NS_PER_S)  # What is on its way is heard, and done.
+        bus.advance(witness.end_ns + NS_PER_S)  # What is on its way is received, and done.
     judge = _Judge(played, faults, witness, result, has_feedback=has_feedback)
     broken = [] if judges == "independent" else judge.broken()
     objections = [] if judges == "own" else objections_to(played.robot, faults, witness, result)
@@ -226,14 +226,14 @@ class _Judge:
                 continue
             if not safe.search(bytes(data)):
                 broken.append(f"the last bytes on bus {bus} are {bytes(data[-20:])!r}")
-            heard = self.result.simulated[bus].heard
-            assert heard is not None, "perform records"
+            received = self.result.simulated[bus].lines
+            assert received is not None, "perform records"
             others = {fault.text.encode() + b"\r" for fault in self.faults if fault.text}
             if others & {b"#254H\r", b"#254L\r"}:
                 continue  # Both hosts send the same: no byte tells them apart.
-            lines = b"".join(line for _, line in heard if line not in others)
+            lines = b"".join(line for _, line in received if line not in others)
             if not is_garbled and not safe.search(lines):
-                broken.append(f"the last that bus {bus} heard is {lines[-20:]!r}")
+                broken.append(f"the last that bus {bus} received is {lines[-20:]!r}")
         return broken
 
     def _offsets(self) -> list[str]:
@@ -253,10 +253,10 @@ class _Judge:
             sent, most_deg = [*self.targets[name]], OFFSET_MAX_DEG + joint.unit_deg
             # What lies makes the player think that a move was lost: it is said again, in two parts;
             # or that a servo has restarted: its moves are held back, and the rest is sent then.
-            spare = 2 * report.joints[name].said_again
-            unsaid, wrong = _unlike(sent, self._planned_deg(joint), most_deg)
-            if unsaid > self._held_back(name) or wrong > spare:
-                broken.append(f"{name}: {unsaid} moves of the plan were not sent, {wrong} others")
+            spare = 2 * report.joints[name].resent
+            rest, wrong = _unlike(sent, self._planned_deg(joint), most_deg)
+            if rest > self._held_back(name) or wrong > spare:
+                broken.append(f"{name}: {rest} moves of the plan were not sent, {wrong} others")
         return broken
 
     def _held_back(self, name: str) -> int:
@@ -314,8 +314,8 @@ class _Judge:
         speed = (angles[WINDOW:] - angles[:-WINDOW]) / span_s
         accel = (speed[WINDOW:] - speed[:-WINDOW]) / span_s
         writes = self.witness.writes.get(joint.bus, [])
-        heard = self.result.simulated[joint.bus].heard or []
-        for instant_ns in self._powerless_ns(joint, heard):
+        received = self.result.simulated[joint.bus].lines or []
+        for instant_ns in self._powerless_ns(joint, received):
             # Without power a motor stops at once.
             at = instant_ns // STEP_NS
             accel[max(0, at - 2 * WINDOW) : at + WINDOW] = 0.0
@@ -323,7 +323,7 @@ class _Judge:
             at = instant_ns // STEP_NS
             accel[at : at + ns_from_s(NOTICE_S) // STEP_NS] = 0.0
         lag_ns = ns_from_s(LAGS * joint.response.lag_s)
-        for from_ns, until_ns in lawless_ns(joint.servo_id, self.faults, writes, heard):
+        for from_ns, until_ns in lawless_ns(joint.servo_id, self.faults, writes, received):
             first, last = from_ns // STEP_NS - 2 * WINDOW, (until_ns + lag_ns) // STEP_NS
             speed[max(0, first) : last] = accel[max(0, first) : last] = 0.0
         speed_deg_s = SPEED_EXCESS * joint.speed_max_deg_s
@@ -344,10 +344,12 @@ class _Judge:
                 )
         return broken + self._rest(joint, float(angles[-1]))
 
-    def _powerless_ns(self, joint: Joint, heard: Sequence[tuple[int, bytes]]) -> list[int]:
-        """Return when a servo restarted, or heard that it is to be limp (`on_fault`, `end`)."""
+    def _powerless_ns(self, joint: Joint, received: Sequence[tuple[int, bytes]]) -> list[int]:
+        """Return when a servo restarted, or received that it is to be limp (`on_fault`, `end`)."""
         limp = (b"#%dL\r" % joint.servo_id, b"#254L\r")
-        return self._restarts_ns(joint) + [heard_ns for heard_ns, line in heard if line in limp]
+        return self._restarts_ns(joint) + [
+            received_ns for received_ns, line in received if line in limp
+        ]
 
     def _restarts_ns(self, joint: Joint) -> list[int]:
         return [

@@ -25,9 +25,9 @@ on, for the one that is under way ends with the ramps with which it began."""
 
 
 def lawless_ns(
-    servo_id: int, faults: Iterable[Fault], writes: Lines, heard: Lines
+    servo_id: int, faults: Iterable[Fault], writes: Lines, received: Lines
 ) -> list[tuple[int, int]]:
-    """Return from when until when a servo may go by such words, as written and heard on its bus."""
+    """Return from when until when a servo may follow such lines, as written and received."""
     own = [fault for fault in faults if fault.servo_id in (None, servo_id)]
     clogs = [fault for fault in own if fault.kind in WAITING]
     resets = [fault for fault in own if fault.kind is FaultKind.RESET] if clogs else []
@@ -35,13 +35,13 @@ def lawless_ns(
     spans_ns = []
     for reset in resets:
         back_ns = ns_from_s(reset.at_s + reset.deaf_s)
-        for heard_ns, line in heard:
-            if heard_ns < back_ns or not line.startswith(b"#%dD" % servo_id):
+        for received_ns, line in received:
+            if received_ns < back_ns or not line.startswith(b"#%dD" % servo_id):
                 continue
-            written_ns = max((ns for ns, words in written if words == line and ns <= heard_ns),
-                             default=heard_ns)  # fmt: skip
-            if written_ns < back_ns and _is_within(clogs, written_ns, heard_ns):
-                spans_ns.append((heard_ns, _limited_ns(servo_id, heard, heard_ns)))
+            written_ns = max((ns for ns, words in written if words == line and ns <= received_ns),
+                             default=received_ns)  # fmt: skip
+            if written_ns < back_ns and _is_within(clogs, written_ns, received_ns):
+                spans_ns.append((received_ns, _limited_ns(servo_id, received, received_ns)))
     return spans_ns
 
 
@@ -59,13 +59,13 @@ def _is_within(clogs: Iterable[Fault], from_ns: int, until_ns: int) -> bool:
     )
 
 
-def _limited_ns(servo_id: int, heard: Lines, from_ns: int) -> int:
-    """Return when a servo begins its next move within limits, or the end of all that it heard."""
+def _limited_ns(servo_id: int, received: Lines, from_ns: int) -> int:
+    """Return when a servo begins its next move within limits, or when its lines end."""
     has_limits = False
-    for heard_ns, line in heard:
-        if heard_ns > from_ns:
+    for received_ns, line in received:
+        if received_ns > from_ns:
             said = LIMITS.fullmatch(line)
             has_limits |= said is not None and int(said[1]) == servo_id
             if has_limits and line.startswith(b"#%dD" % servo_id):
-                return heard_ns
-    return heard[-1][0]
+                return received_ns
+    return received[-1][0]

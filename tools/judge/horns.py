@@ -39,14 +39,14 @@ GAP_S: Final = 0.5
 RESTS_DEG_S: Final = 2.0
 
 
-def about_horn(joint: JointRow, servo: ServoRecord, heard: Told) -> Iterator[Objection]:
+def about_horn(joint: JointRow, servo: ServoRecord, received: Told) -> Iterator[Objection]:
     """Judge the record of one horn, as far as the host's bytes moved it."""
     if servo.excuse or len(servo.horn_deg) < 2:
         return
     times_s = servo.horn_from_s + servo.step_s * np.arange(len(servo.horn_deg))
     shaft_deg = np.asarray(servo.horn_deg, dtype=np.float64)
     angles = joint.direction * (joint.gyre * (shaft_deg - joint.origin_deg) - joint.zero_deg)
-    is_own = times_s < heard.foreign_s
+    is_own = times_s < received.foreign_s
     yield from _range(joint, times_s[is_own], angles[is_own])
     if joint.family == IO2:
         return
@@ -55,11 +55,11 @@ def about_horn(joint: JointRow, servo: ServoRecord, heard: Told) -> Iterator[Obj
         return
     speed = (angles[span:] - angles[:-span]) / (span * servo.step_s)
     accel = (speed[span:] - speed[:-span]) / (span * servo.step_s)
-    is_streamed = any(not move.has_profile for move in heard.moves)
-    fine = _judged(times_s, servo, heard, is_streamed=is_streamed)
+    is_streamed = any(not move.has_profile for move in received.moves)
+    fine = _judged(times_s, servo, received, is_streamed=is_streamed)
     fine &= is_own
     speed[~fine[span:]] = 0.0
-    gentle = fine & _is_powered(times_s, heard)
+    gentle = fine & _is_powered(times_s, received)
     accel[~(gentle[2 * span :] & gentle[: -2 * span])] = 0.0
     accel_deg_s2 = joint.accel_deg_s2 * ACCEL_RATIO
     if is_streamed:
@@ -91,7 +91,7 @@ def _range(
 
 
 def _judged(
-    times_s: NDArray[np.float64], servo: ServoRecord, heard: Told, *, is_streamed: bool
+    times_s: NDArray[np.float64], servo: ServoRecord, received: Told, *, is_streamed: bool
 ) -> NDArray[np.bool_]:
     """Return at which instants a horn is judged: not where lost lines explain its motion.
 
@@ -99,17 +99,17 @@ def _judged(
     """
     fine = np.ones(len(times_s), dtype=bool)
     spans = [(at_s, at_s) for at_s in servo.restarts]
-    spans += heard.gaps if is_streamed else []
+    spans += received.gaps if is_streamed else []
     for from_s, until_s in spans if is_streamed else []:
         fine &= (times_s < from_s - SPAN_S) | (times_s > until_s + GAP_S)
     return fine
 
 
-def _is_powered(times_s: NDArray[np.float64], heard: Told) -> NDArray[np.bool_]:
+def _is_powered(times_s: NDArray[np.float64], received: Told) -> NDArray[np.bool_]:
     """Return at which instants the ramps of a horn are those that the host set."""
     powered = np.ones(len(times_s), dtype=bool)
-    restarts = [move.restarted_s for move in heard.moves if move.restarted_s is not None]
-    for cut_s in heard.powerless_s:
+    restarts = [move.restarted_s for move in received.moves if move.restarted_s is not None]
+    for cut_s in received.powerless_s:
         powered &= (times_s < cut_s - STOP_S) | (times_s > cut_s + STOP_S)
     for at_s in {*restarts}:
         powered &= (times_s < at_s - STOP_S) | (times_s > at_s + NOTICE_S)

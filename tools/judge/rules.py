@@ -155,10 +155,10 @@ def _take(
 # -- one servo ----------------------------------------------------------------------------------
 
 
-def about_moves(joint: JointRow, servo: ServoRecord, heard: Told) -> Iterator[Objection]:
+def about_moves(joint: JointRow, servo: ServoRecord, received: Told) -> Iterator[Objection]:
     """Judge every move that a servo received from the host, one by one."""
-    for move in heard.moves:
-        is_tampered = heard.foreign_s <= move.at_s
+    for move in received.moves:
+        is_tampered = received.foreign_s <= move.at_s
         texts = [("range", _range_text(joint, servo, move))]
         if not is_tampered:
             texts.append(("frame", _frame_text(joint, move)))
@@ -169,9 +169,9 @@ def about_moves(joint: JointRow, servo: ServoRecord, heard: Told) -> Iterator[Ob
             if text:
                 yield Objection(rule, joint.name, move.at_s, f"{move.text}: {text}")
     if joint.family == IO2:
-        yield from _stepped(joint, heard)
+        yield from _stepped(joint, received)
     else:
-        yield from _filtered(joint, servo, heard)
+        yield from _filtered(joint, servo, received)
 
 
 def _range_text(joint: JointRow, servo: ServoRecord, move: Move) -> str:
@@ -251,10 +251,12 @@ def _since(move: Move) -> str:
     return "" if move.restarted_s is None else f"; it restarted at {move.restarted_s:.3f} s"
 
 
-def _filtered(joint: JointRow, servo: ServoRecord, heard: Told) -> Iterator[Objection]:
+def _filtered(joint: JointRow, servo: ServoRecord, received: Told) -> Iterator[Objection]:
     """Judge the speed of the filter of EM0: every 20 ms, x = (x (FPC - 1) + target) / FPC."""
-    streamed = [move for move in heard.moves if not move.has_profile and move.shaft_deg is not None]
-    if not streamed or heard.foreign_s < math.inf or servo.excuse:
+    streamed = [
+        move for move in received.moves if not move.has_profile and move.shaft_deg is not None
+    ]
+    if not streamed or received.foreign_s < math.inf or servo.excuse:
         return
     first, at_s = streamed[0], streamed[0].at_s
     shaft_deg = servo.shaft_deg(at_s)
@@ -274,26 +276,26 @@ def _filtered(joint: JointRow, servo: ServoRecord, heard: Told) -> Iterator[Obje
             at_s += FILTER_S
             speed_deg_s = abs(past[-1] - past[0]) / (FILTER_S * (len(past) - 1))
             is_whole = len(past) > FILTER_STEPS
-            if is_whole and speed_deg_s > allowed_deg_s and not _is_in_gap(heard, at_s):
+            if is_whole and speed_deg_s > allowed_deg_s and not _is_in_gap(received, at_s):
                 text = f"{move.text}: its filter goes at {speed_deg_s:.0f} deg/s"
                 text += f", allowed is {joint.speed_deg_s:g}"
                 yield Objection("speed", joint.name, at_s, text)
                 return
 
 
-def _is_in_gap(heard: Told, at_s: float, after_s: float = 0.5) -> bool:
+def _is_in_gap(received: Told, at_s: float, after_s: float = 0.5) -> bool:
     """Return whether a line that was lost or late explains what happened."""
-    powerless = any(cut_s - FILTER_S <= at_s <= cut_s + after_s for cut_s in heard.powerless_s)
-    return powerless or any(a - FILTER_S <= at_s <= b + after_s for a, b in heard.gaps)
+    powerless = any(cut_s - FILTER_S <= at_s <= cut_s + after_s for cut_s in received.powerless_s)
+    return powerless or any(a - FILTER_S <= at_s <= b + after_s for a, b in received.gaps)
 
 
-def _stepped(joint: JointRow, heard: Told) -> Iterator[Objection]:
+def _stepped(joint: JointRow, received: Told) -> Iterator[Objection]:
     """Judge an RC servo, which jumps to each whole degree: the way in 100 ms."""
-    if heard.foreign_s < math.inf:
+    if received.foreign_s < math.inf:
         return
     recent: deque[Move] = deque()
-    for move in heard.moves:
-        if any(recent and recent[-1].at_s < cut_s <= move.at_s for cut_s in heard.powerless_s):
+    for move in received.moves:
+        if any(recent and recent[-1].at_s < cut_s <= move.at_s for cut_s in received.powerless_s):
             recent.clear()
         recent.append(move)
         while len(recent) > 2 and move.at_s - recent[1].at_s > STEPPED_S:
@@ -302,7 +304,7 @@ def _stepped(joint: JointRow, heard: Told) -> Iterator[Objection]:
         gone_s = move.at_s - recent[0].at_s
         way_deg = abs(targets[-1] - targets[0])
         most_deg = joint.speed_deg_s * STEPPED_RATIO * (gone_s + STEPPED_WAIT_S)
-        if way_deg > most_deg + STEPPED_SPARE_DEG and not _is_in_gap(heard, move.at_s):
+        if way_deg > most_deg + STEPPED_SPARE_DEG and not _is_in_gap(received, move.at_s):
             text = f"{move.text}: {way_deg:.0f} deg in {gone_s:.2f} s"
             text += f", allowed is {joint.speed_deg_s:g} deg/s"
             yield Objection("speed", joint.name, move.at_s, text)

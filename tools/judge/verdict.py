@@ -21,10 +21,10 @@ def objections(recording: Recording) -> list[Objection]:
         found += about_writes(name, bus, on_bus)
         for joint in on_bus:
             servo = servos[name, joint.servo_id]
-            heard = told(joint, servo, bus)
-            found += about_moves(joint, servo, heard)
+            received = told(joint, servo, bus)
+            found += about_moves(joint, servo, received)
             found += about_end(recording, joint)
-            found += about_horn(joint, servo, heard)
-            if heard.foreign_s > recording.end_s and not heard.gaps:
+            found += about_horn(joint, servo, received)
+            if received.foreign_s > recording.end_s and not received.gaps:
                 found += about_rest(joint, servo, recording.end_s)
     return sorted(found, key=lambda one: one.at_s)

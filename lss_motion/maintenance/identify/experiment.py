@@ -318,11 +318,16 @@ class Experiment:
 
     def _send(self, move: PlannedMove, now_ns: int) -> None:
         wire = round(move.target_deg * self.joint.model.wire_per_deg)
-        heard_ns = self._line.send(encode_move(self.joint.servo_id, wire, move.duration_ms), now_ns)
+        received_ns = self._line.send(
+            encode_move(self.joint.servo_id, wire, move.duration_ms), now_ns
+        )
         self._target_deg = wire / self.joint.model.wire_per_deg
-        received_s, duration_s = s_from_ns(heard_ns - self._began_ns), s_from_ms(move.duration_ms)
+        received_s, duration_s = (
+            s_from_ns(received_ns - self._began_ns),
+            s_from_ms(move.duration_ms),
+        )
         self._trial.sent.append(SentMove(received_s, self._target_deg, duration_s))
-        self._profile.retarget(s_from_ns(heard_ns), self._target_deg, duration_s)
+        self._profile.retarget(s_from_ns(received_ns), self._target_deg, duration_s)
 
     def _is_over(self, now_ns: int) -> bool:
         """Return whether the horn rests, or has not come to rest in time."""

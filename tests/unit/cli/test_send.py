@@ -112,8 +112,8 @@ def test_values_are_in_units_and_reach_the_servo_in_its_own(send, tmp_path):
             "#5LED3: servo 5, LED colour 3\n",
         )
         code, out, _ = send("--port", link, "--id", 5, "QLED")
-        heard = [line for _, line in bus.heard]
-    assert heard == [b"#5D450T300\r", b"#5SD900\r", b"#5LED3\r", b"#5QLED\r"]
+        received = [line for _, line in bus.lines]
+    assert received == [b"#5D450T300\r", b"#5SD900\r", b"#5LED3\r", b"#5QLED\r"]
     assert (code, out) == (EXIT_FINISHED, "*5QLED3   blue")
 
 
@@ -188,7 +188,7 @@ def test_negative_values_are_values(send, tmp_path):
     with served(link, ServoSpec(servo_id=5, model=MODELS["LSS"])) as bus:
         assert send("--port", link, "--id", 5, "--yes", "D", "-12.3")[0] == EXIT_FINISHED
         send("--port", link, "--id", 5, "QG")
-        assert bus.heard[0][1] == b"#5D-123\r"
+        assert bus.lines[0][1] == b"#5D-123\r"
 
 
 ASKED = [
@@ -228,7 +228,7 @@ def at_keyboard(monkeypatch):
 
 def moves(bus):
     """Return the lines to servo 5, or to all, that are no query."""
-    return [line for _, line in bus.heard if not line.startswith(b"#5Q")]
+    return [line for _, line in bus.lines if not line.startswith(b"#5Q")]
 
 
 @pytest.mark.parametrize(("words", "shown"), ASKED)
@@ -246,7 +246,7 @@ def test_what_moves_or_changes_a_real_servo_is_shown_and_asked(
         code, out, errors = send(*to, *words)
         assert (code, out) == (EXIT_INTERRUPTED, "")
         assert "send it? [y/N] no: nothing was sent" in errors
-        assert bus.heard == []
+        assert bus.lines == []
         at_keyboard("y\n")
         assert send(*to, *words)[0] == EXIT_FINISHED
         send(*to, "QID")
@@ -260,7 +260,7 @@ def test_what_stops_or_asks_a_servo_is_sent_at_once(send, tmp_path, words, servo
     with served(link, ServoSpec(servo_id=5, model=MODELS["LSS"])) as bus:
         send("--port", link, "--id", servo_id, *words)
         send("--port", link, "--id", 5, "QID")
-        assert bus.heard[0][1].startswith(b"#%d" % servo_id)
+        assert bus.lines[0][1].startswith(b"#%d" % servo_id)
 
 
 @pytest.mark.parametrize(
@@ -282,7 +282,7 @@ def test_a_command_to_every_servo_needs_force_and_is_asked_all_the_same(
             assert "every servo on the bus would obey at once. Nothing was sent; --force" in errors
             at_keyboard("n\n")
             assert send(*to, "--id", 254, "--force", *words)[0] == EXIT_INTERRUPTED
-        assert bus.heard == []
+        assert bus.lines == []
         assert send(*to, "--id", 254, "--force", "--yes", *words)[0] == EXIT_FINISHED
         send("--port", link, "--id", 5, "QID")
         assert len(moves(bus)) == 1

@@ -47,8 +47,8 @@ def servos(connection):
     return {servo.servo_id: servo.settings for servo in connection.simulated["main"]._servos}
 
 
-def heard(connection):
-    return [line for _, line in connection.simulated["main"].heard]
+def received(connection):
+    return [line for _, line in connection.simulated["main"].lines]
 
 
 def targets_by(connection, ids):
@@ -66,7 +66,7 @@ def test_a_robot_file_is_compared_written_and_kept_over_a_restart(connected, spe
     assert code == EXIT_FINISHED
     assert "pan: origin offset from the factory zero (O) 0 deg → 2.5 deg" in out
     assert "tilt: gyre, the direction of positive angles (G) 1 → -1" in out
-    assert not any(b"#1C" in line or b"#2C" in line for line in heard(connection))
+    assert not any(b"#1C" in line or b"#2C" in line for line in received(connection))
     code, out, _ = configure(connection, "robot.yaml", "--yes")
     assert code == EXIT_FINISHED
     assert "written and read back: 7 settings" in out
@@ -74,9 +74,9 @@ def test_a_robot_file_is_compared_written_and_kept_over_a_restart(connected, spe
     wanted = {"O": 25, "LED": 3, "FD": 100, "SD": 1200, "AS": -2}
     assert {name: eeprom[1][name] for name in wanted} == wanted
     assert (eeprom[2]["G"], eeprom[2]["LED"]) == (-1, 3)
-    assert b"#1RESET\r" in heard(connection)
-    assert b"#2RESET\r" not in heard(connection)
-    lines = heard(connection)
+    assert b"#1RESET\r" in received(connection)
+    assert b"#2RESET\r" not in received(connection)
+    lines = received(connection)
     assert lines.index(b"#2L\r") < lines.index(b"#2CG-1\r")
     code, out, _ = configure(connection, "robot.yaml", "--yes")
     assert "nothing to write: 2 servos have these settings already" in out
@@ -112,7 +112,7 @@ def test_a_change_that_makes_a_servo_unreachable_needs_force(connected, spec, co
         assert code == EXIT_INPUT
         assert said in errors
         assert "--force" in errors
-    assert not any(b"#1C" in line for line in heard(connection))
+    assert not any(b"#1C" in line for line in received(connection))
     code, _, _ = configure(connection, *words[:-2], "CRC=1", "--yes", "--force")
     assert code == EXIT_FINISHED
     assert servos(connection)[1].eeprom["CRC"] == 1
@@ -193,7 +193,7 @@ def test_the_wanted_first_position_is_written_last(connected, spec):
     (target,) = targets_by(connection, [1])
     write(connection, [target], {target.name: {"FP": 1300, "FD": None}})
     assert servos(connection)[1].eeprom["FP"] == 1300
-    lines = heard(connection)
+    lines = received(connection)
     assert lines.index(b"#1CFD\r") < lines.index(b"#1CFP1300\r")
     assert lines.count(b"#1CFP1300\r") == 1
 
@@ -288,7 +288,7 @@ def test_a_spoilt_backup_writes_nothing(connected, spec, configure, folder, text
     code, _, errors = configure(connection, "--port", "P", "--restore", "b.yaml", "--yes")
     assert code == EXIT_INPUT
     assert said in errors
-    assert not any(b"#5C" in line for line in heard(connection))
+    assert not any(b"#5C" in line for line in received(connection))
 
 
 @pytest.mark.parametrize("model", ["LSS-ST1", "LSS-P-S1"])
@@ -314,7 +314,7 @@ def test_two_servos_with_one_id_are_not_renumbered_together(connected, spec, con
     code, _, errors = configure(connection, "--port", "P", "--id", 0, "--new-id", 7, "--yes")
     assert code == EXIT_UNREACHABLE
     assert "connect one of them alone" in errors
-    assert not any(b"CID" in line for line in heard(connection))
+    assert not any(b"CID" in line for line in received(connection))
 
 
 def test_a_pin_of_a_board_gets_another_id(connected, spec, configure):
@@ -345,7 +345,7 @@ def test_a_rate_that_some_servo_does_not_support_changes_nothing(connected, spec
     old = connected(spec(1), firmware=368)
     code, _, errors = configure(old, "--port", "P", "--new-baud", 921600, "--yes")
     assert (code, "needs firmware 369" in errors) == (EXIT_INPUT, True)
-    assert not any(b"CB" in line for line in heard(connection) + heard(old))
+    assert not any(b"CB" in line for line in received(connection) + received(old))
 
 
 def test_a_part_of_a_line_changes_its_rate_only_when_forced(connected, spec, configure):
@@ -384,7 +384,7 @@ def test_invalid_words_are_refused_with_the_valid_ones(connected, spec, configur
     code, _, errors = configure(connection, *words)
     assert code == EXIT_INPUT
     assert said in errors
-    assert not any(b"#1C" in line for line in heard(connection))
+    assert not any(b"#1C" in line for line in received(connection))
 
 
 def test_a_model_that_is_not_the_joints_is_not_written_to(connected, spec, configure):

@@ -52,10 +52,10 @@ def test_a_shared_id_is_found_behind_an_adapter_that_holds_answers_back(connecte
 
 
 def test_damage_held_back_for_16_ms_makes_every_id_queried_meanwhile_doubtful():
-    heard = [b""] * 251
-    heard[24] = b"*2\x80QM"
-    heard[30] = b"*30QMSLSS-ST1\r"
-    models, doubtful = read_roll_call(115200, range(251), heard)
+    received = [b""] * 251
+    received[24] = b"*2\x80QM"
+    received[30] = b"*30QMSLSS-ST1\r"
+    models, doubtful = read_roll_call(115200, range(251), received)
     assert models == {30: "LSS-ST1"}
     gap_s = 2e-3 + 24 * 10 / 115200 + 6 * 10 / 115200
     assert set(range(24 - int(16e-3 / gap_s), 25)) <= doubtful
@@ -183,15 +183,15 @@ def test_without_a_servo_of_its_own_id_there_is_no_starter(connected, spec):
 
 
 def test_two_serial_numbers_behind_one_id_are_two_servos():
-    heard = [b"*5QMSLSS-ST1\r", *[b"*5QN123\r", b"*5QN124\r"] * 2]
-    assert is_doubtful(5, heard)
-    assert judge_answers(5, "LSS-ST1", heard).is_shared
+    received = [b"*5QMSLSS-ST1\r", *[b"*5QN123\r", b"*5QN124\r"] * 2]
+    assert is_doubtful(5, received)
+    assert judge_answers(5, "LSS-ST1", received).is_shared
 
 
 def test_a_serial_number_that_came_once_was_damaged():
-    heard = [b"*5QMSLSS-ST1\r", b"*5QN124\r", *[b"*5QN123\r"] * 2]
-    assert is_doubtful(5, heard)
-    assert judge_answers(5, "LSS-ST1", heard).serial_number == "123"
+    received = [b"*5QMSLSS-ST1\r", b"*5QN124\r", *[b"*5QN123\r"] * 2]
+    assert is_doubtful(5, received)
+    assert judge_answers(5, "LSS-ST1", received).serial_number == "123"
 
 
 def test_silence_means_no_device():

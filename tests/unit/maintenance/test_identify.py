@@ -79,8 +79,8 @@ class Bench:
         times_ns = np.arange(0, self.connection.clock.now_ns(), TICK_NS)
         return self.bus.horn_deg(times_ns.tolist())[:, 0]
 
-    def heard(self):
-        return [line.rstrip(b"\r") for _, line in self.bus.heard]
+    def received(self):
+        return [line.rstrip(b"\r") for _, line in self.bus.lines]
 
 
 class StopOnce:
@@ -165,9 +165,9 @@ def test_ctrl_c_brakes_within_the_ramps_restores_and_holds():
     assert experiment.is_stopped
     assert experiment.error is None
     assert experiment.state is State.DONE
-    heard = bench.heard()
-    assert heard[-1] == b"#3H"
-    assert set(heard[-5:-1]) == RESTORED
+    received = bench.lines()
+    assert received[-1] == b"#3H"
+    assert set(received[-5:-1]) == RESTORED
     horn = bench.horn_deg()
     assert np.ptp(horn[-20:]) < 0.01  # At rest when it was told to hold.
     accel = np.diff(horn, n=2) / (1e-9 * TICK_NS) ** 2
@@ -184,9 +184,9 @@ def _is_fast(experiment):
 def test_a_second_ctrl_c_ends_at_once_and_still_restores():
     bench = Bench()
     bench.run(controls=StopOnce(_is_fast, times=2))
-    heard = bench.heard()
-    assert heard[-1] == b"#3H"
-    assert set(heard[-5:-1]) == RESTORED
+    received = bench.lines()
+    assert received[-1] == b"#3H"
+    assert set(received[-5:-1]) == RESTORED
 
 
 def test_a_lost_port_ends_with_an_attempt_to_restore_and_hold():
@@ -202,8 +202,8 @@ def test_a_servo_that_was_not_moved_gets_no_last_bytes():
     bench = Bench()
     assert bench.experiment.safe_bytes() == {}
     bench.run(controls=StopOnce(lambda _: True))
-    assert not any(line.startswith((b"#3D", b"#3H")) for line in bench.heard())
-    assert set(bench.heard()[-4:]) == RESTORED
+    assert not any(line.startswith((b"#3D", b"#3H")) for line in bench.lines())
+    assert set(bench.lines()[-4:]) == RESTORED
 
 
 @pytest.mark.parametrize(
@@ -220,16 +220,16 @@ def test_a_fault_of_a_servo_is_reported_and_it_is_left_safe(fault, error, text):
     experiment = bench.run()
     assert isinstance(experiment.error, error)
     assert any(part in str(experiment.error) for part in text.split("|"))
-    heard = bench.heard()
-    assert heard[-1] == b"#3H"
-    assert set(heard[-5:-1]) == RESTORED
+    received = bench.lines()
+    assert received[-1] == b"#3H"
+    assert set(received[-5:-1]) == RESTORED
     assert bench.connection.clock.now_ns() < 6e9
 
 
 def test_a_blocked_horn_is_not_pushed_any_longer():
     bench = Bench(faults=[Fault(kind=FaultKind.STUCK, at_s=2.0)])
     bench.run()
-    last = [line for line in bench.heard() if line.startswith(b"#3D")][-1]
+    last = [line for line in bench.lines() if line.startswith(b"#3D")][-1]
     assert int(last[3:]) / 10 == pytest.approx(bench.horn_deg()[-1], abs=0.3)
 
 
@@ -239,7 +239,7 @@ def test_a_horn_that_leaves_its_window_is_stopped():
     bench.experiment._plan = lambda: _plan_as_if(bench)
     experiment = bench.run()
     assert "was to stay within 9.0 to 11.0 deg" in str(experiment.error)
-    assert bench.heard()[-1] == b"#3H"
+    assert bench.lines()[-1] == b"#3H"
     assert np.abs(bench.horn_deg() - 10.0).max() < 8.0
 
 

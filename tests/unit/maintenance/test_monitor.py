@@ -80,7 +80,7 @@ def test_an_lss_pro_answers_every_query(watched, spec):
     """It has no query for its voltage."""
     one = target(2, "LSS-P-S1", Family.LSS_PRO)
     watch, _, connection = watched(spec(2, "LSS-P-S1"), targets=[one])
-    asked = {line.decode()[2:-1] for _, line in connection.simulated["main"].heard}
+    asked = {line.decode()[2:-1] for _, line in connection.simulated["main"].lines}
     assert asked == {"QD", "QWD", "QC", "Q", "QT"}
     assert watch.readings[0].temperature_c == pytest.approx(25.0, abs=1.0)
 

@@ -311,13 +311,13 @@ def profile_of(*moves):
     return profile
 
 
-def judged(heard, *, until_s=1.6, noise=lambda time_s: 0.0, hz=100.0):
-    """Return when a horn on the course of the moves `heard` is found on another, and that course.
+def judged(received, *, until_s=1.6, noise=lambda time_s: 0.0, hz=100.0):
+    """Return when a horn on the course of `received` is found on another, and that course.
 
-    All of `MOVES` were said.
+    All of `MOVES` were sent.
     """
     truth, said, lost_moves, commanded = (
-        profile_of(*heard),
+        profile_of(*received),
         profile_of(),
         LostMoveDetector(UNIT_DEG, LOOP_S),
         0,
@@ -343,16 +343,16 @@ def test_a_servo_that_received_all_moves_is_never_doubted():
 
 @pytest.mark.parametrize("missed", [0, 1, 2])
 def test_the_move_that_was_missed_is_known_soon_after_the_courses_part(missed):
-    heard = [one for index, one in enumerate(MOVES) if index != missed]
-    time_s, found = judged(heard)
-    truth, said = profile_of(*heard), profile_of(*MOVES)
+    received = [one for index, one in enumerate(MOVES) if index != missed]
+    time_s, found = judged(received)
+    truth, said = profile_of(*received), profile_of(*MOVES)
     parted_s = next(
         t / 1000 for t in range(1600) if abs(truth.at(t / 1000)[0] - said.at(t / 1000)[0]) > 1.0
     )
     assert parted_s < time_s < parted_s + 0.12
     if missed == len(MOVES) - 1 or MOVES[missed + 1][0] > time_s:
-        heard = [one for one in heard if one[0] <= time_s]
-    assert found.at(time_s)[0] == pytest.approx(profile_of(*heard).at(time_s)[0], abs=1e-9)
+        received = [one for one in received if one[0] <= time_s]
+    assert found.at(time_s)[0] == pytest.approx(profile_of(*received).at(time_s)[0], abs=1e-9)
 
 
 def test_one_wrong_reading_is_no_proof():

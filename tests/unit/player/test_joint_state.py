@@ -181,7 +181,7 @@ def test_a_move_counts_from_the_arrival_of_its_last_byte(kit, line):
     assert state.lost_moves.last.arrival_s == state.last_arrival_ns / 1e9
     assert state.lost_moves.last.target_deg == 40.0
     assert state.lost_moves.alternatives[-1].profile.at(5.0) == (0.0, 0.0), (
-        "as if it had not heard it"
+        "as if it had not received it"
     )
 
 
@@ -477,7 +477,7 @@ def test_what_is_near_closes_up_by_half_a_step_at_a_time(limits):
 def test_no_filter_leaves_its_limits_whatever_targets_arrive_when(asked, count):
     limits = servo_limits(joint(drive="streamed"), TOLERANCE_DEG)
     setpoints = Setpoints(0.0, count=count, limits=limits)
-    at_us, heard = 0.3, []
+    at_us, received = 0.3, []
     for gap_us, wanted_deg in asked:
         at_us += gap_us
         low_deg, high_deg = setpoints.allowed(at_us / 1e6)
@@ -486,9 +486,9 @@ def test_no_filter_leaves_its_limits_whatever_targets_arrive_when(asked, count):
             break
         target_deg = min(max(wanted_deg, low_deg, -90.0), high_deg, 90.0)
         setpoints.commanded(at_us / 1e6, target_deg)
-        heard.append((1e3 * at_us, target_deg))
+        received.append((1e3 * at_us, target_deg))
     for phase in range(STEP_OFFSETS):
-        values = staircase(heard, count, phase * FILTER_S / STEP_OFFSETS, at_us / 1e6 + FILTER_S)
+        values = staircase(received, count, phase * FILTER_S / STEP_OFFSETS, at_us / 1e6 + FILTER_S)
         assert np.abs(np.diff(values)).max(initial=0.0) <= 180.0 * FILTER_S + 0.05
         most_deg_s2 = 600.0 + (TOLERANCE_DEG + 0.05) / FILTER_S**2
         assert np.abs(felt(values)).max(initial=0.0) <= most_deg_s2

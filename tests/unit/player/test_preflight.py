@@ -25,8 +25,8 @@ def examined(kit, *joints, faults=(), baud_bps=115200, seed=0, **options):
         robot.buses, robot=robot, clock=VirtualClock(), faults=faults, seed=seed
     ) as connection:
         run = connection.run(Examination(robot.joints.values(), robot, **options))
-        heard = [line for _, line in connection.simulated["main"].heard]
-    return robot, run.preflight, heard
+        received = [line for _, line in connection.simulated["main"].lines]
+    return robot, run.preflight, received
 
 
 def judged(robot, preflight):
@@ -49,9 +49,9 @@ def test_a_servo_with_other_settings_is_refused(kit, settings, model):
 
 def test_a_simulated_robot_agrees_with_its_own_file(kit):
     one = kit.joint(stored={"G": -1.0, "O": 12.5, "AR": 90.0})
-    robot, preflight, heard = examined(kit, one)
+    robot, preflight, received = examined(kit, one)
     assert judged(robot, preflight) == []
-    assert heard.count(b"#1QG\r") == 1, "one answer is enough if it is the right one"
+    assert received.count(b"#1QG\r") == 1, "one answer is enough if it is the right one"
     assert preflight.stored == {}
 
 
@@ -106,5 +106,5 @@ def test_stored_settings_are_read_where_they_are_wanted(kit):
 
 def test_only_queries_are_sent(kit):
     stored = Fault(kind=FaultKind.STORED, servo_id=1, settings={"G": -1})
-    _, _, heard = examined(kit, kit.joint(), faults=[stored], reads_stored=True)
-    assert all(line.startswith(b"#1Q") for line in heard)
+    _, _, received = examined(kit, kit.joint(), faults=[stored], reads_stored=True)
+    assert all(line.startswith(b"#1Q") for line in received)

@@ -912,11 +912,11 @@ def led(
 ):
     """Guide a joint along `planned_deg(instant_s)` until guiding ends, or until `until_s`.
 
-    Return when it heard which target: `(ns, degrees)`.
+    Return when it received which target: `(ns, degrees)`.
     """
     line = SerialLine(Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=370))
     state.guide_at(now_ns)
-    heard = []
+    received = []
 
     def planned(_, at_ns):
         return planned_deg(at_ns / 1e9)
@@ -925,19 +925,19 @@ def led(
         now_ns = max(state.guide_ns, line.free_ns)
         guide(state, line, planned, now_ns, period_ns, is_even=is_even)
         target = re.fullmatch(rb"#2D(-?\d+)\r", line.take())
-        heard.append((state.last_arrival_ns, int(target[1]) / 10))
+        received.append((state.last_arrival_ns, int(target[1]) / 10))
         assert now_ns < 10e9, "it arrives some time"
-    return heard
+    return received
 
 
 @pytest.mark.parametrize("target_deg", [80.0, -80.0])
 def test_a_joint_that_is_led_far_keeps_its_limits_and_arrives(state, target_deg):
-    heard = led(state, lambda _: target_deg)
-    end_s = heard[-1][0] / 1e9
+    received = led(state, lambda _: target_deg)
+    end_s = received[-1][0] / 1e9
     assert 0.8 < end_s < 1.6, "80 deg at 180 deg/s, and two ramps of 0.3 s"
     assert state.profile.at(end_s + 1.0) == (target_deg, 0.0)
     for phase_s in np.arange(0.0, FILTER_S, 0.001):
-        values = staircase(heard, state.joint.filter_count, phase_s, end_s + 0.5)
+        values = staircase(received, state.joint.filter_count, phase_s, end_s + 0.5)
         assert np.abs(np.diff(values)).max() <= 180.0 * FILTER_S + 0.05
         assert np.abs(felt(values)).max() <= 1.1 * 600.0 + TOLERANCE_DEG / FILTER_S**2
         assert np.abs(values).max() <= 80.05, "it does not go beyond"
@@ -946,9 +946,9 @@ def test_a_joint_that_is_led_far_keeps_its_limits_and_arrives(state, target_deg)
 def test_correction_and_range_hold_for_bare_targets_too(kit):
     state = kit.state(kit.joint("j0", 2, drive="streamed", position_max_deg=20.0))
     state.disturbance.offset_deg = 1.5
-    heard = led(state, lambda _: 10.0)
+    received = led(state, lambda _: 10.0)
     assert state.profile.at(5.0) == (11.5, 0.0)
-    led(state, lambda _: 20.0, now_ns=heard[-1][0] + STEP_NS)
+    led(state, lambda _: 20.0, now_ns=received[-1][0] + STEP_NS)
     assert state.profile.at(9.0) == (20.0, 0.0)
 
 
@@ -964,8 +964,8 @@ def test_it_closes_up_on_a_plan_that_moves_and_keeps_to_it(state, speed_deg_s, o
 
 
 def test_where_the_line_is_busy_it_is_on_its_plan_after_every_second_step(state):
-    heard = led(state, lambda at_s: 40.0 * at_s, until_s=1.5, period_ns=2 * STEP_NS)
-    steps = [state.profile.acts_on(at_ns / 1e9) for at_ns, _ in heard]
+    received = led(state, lambda at_s: 40.0 * at_s, until_s=1.5, period_ns=2 * STEP_NS)
+    steps = [state.profile.acts_on(at_ns / 1e9) for at_ns, _ in received]
     assert {b - a for a, b in pairwise(steps)} == {2}
     for step in steps[-10:-1]:
         wanted_deg = 40.0 * (state.profile.step_s(step) - FILTER_S / 2 + state.lead_s)
@@ -973,9 +973,9 @@ def test_where_the_line_is_busy_it_is_on_its_plan_after_every_second_step(state)
 
 
 def test_every_guiding_target_arrives_half_a_step_before_it_counts(state):
-    heard = led(state, lambda at_s: -60.0 - 8.0 * at_s, until_s=1.5, baud_bps=19200)
+    received = led(state, lambda at_s: -60.0 - 8.0 * at_s, until_s=1.5, baud_bps=19200)
     profile = state.profile
-    for at_ns, _ in heard[-20:]:
+    for at_ns, _ in received[-20:]:
         best_s = profile.receive_s(profile.acts_on(at_ns / 1e9))
         assert at_ns / 1e9 == pytest.approx(best_s, abs=1e-5)
 

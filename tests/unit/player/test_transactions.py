@@ -25,7 +25,7 @@ class Bench:
         self.lines = {bus: SerialLine(kit.bus) for bus in buses}
         self.trackers = {bus: QueryTracker(line) for bus, line in self.lines.items()}
         self.dialogue = Dialogue(items, self.lines, self.trackers)
-        self.said = []
+        self.sent = []
         self._replies = replies
         self._coming = []
 
@@ -36,7 +36,7 @@ class Bench:
             self.dialogue.advance(now_ns)
             for bus, line in self.lines.items():
                 if data := line.take():
-                    self.said.append((now_ns, bus, data))
+                    self.sent.append((now_ns, bus, data))
                     for wait_ns, reply in self._replies(bus, data):
                         self._coming.append((line.free_ns + wait_ns, bus, reply))
             self._coming.sort(key=lambda coming: coming[0])
@@ -57,14 +57,14 @@ def echo(bus, data):
 def test_questions_are_answered_and_orders_sent_in_their_order(kit):
     bench = Bench([ask(1), order(1, "EM", 1), ask(2)], echo, kit)
     bench.run()
-    assert [data for _, _, data in bench.said] == [b"#1QD\r", b"#1EM1\r", b"#2QD\r"]
+    assert [data for _, _, data in bench.sent] == [b"#1QD\r", b"#1EM1\r", b"#2QD\r"]
     assert bench.dialogue.answers == {("main", 1, "QD"): 10, ("main", 2, "QD"): 20}
 
 
 def test_orders_are_sent_no_faster_than_the_line_carries_them(kit):
     bench = Bench([order(1, "AA", 60) for _ in range(20)], echo, kit)
     end_ns = bench.run()
-    starts_ns = [at_ns for at_ns, _, _ in bench.said]
+    starts_ns = [at_ns for at_ns, _, _ in bench.sent]
     assert end_ns >= 19 * bench.lines["main"].time_ns(7)
     for at_ns, successor_ns in pairwise(starts_ns):
         assert successor_ns - at_ns >= bench.lines["main"].time_ns(7)
@@ -73,7 +73,7 @@ def test_orders_are_sent_no_faster_than_the_line_carries_them(kit):
 def test_a_silent_servo_is_polled_again_and_then_given_up(kit):
     bench = Bench([ask(1), ask(2)], lambda bus, data: echo(bus, data) if b"#2" in data else [], kit)
     bench.run()
-    assert [data for _, _, data in bench.said] == [b"#1QD\r"] * TRIES + [b"#2QD\r"]
+    assert [data for _, _, data in bench.sent] == [b"#1QD\r"] * TRIES + [b"#2QD\r"]
     assert bench.dialogue.answers == {("main", 2, "QD"): 20}
     assert bench.trackers["main"].timeouts == TRIES
 
@@ -94,7 +94,7 @@ def test_one_lost_answer_is_made_up_for(kit):
 @pytest.mark.parametrize("late_ns", [45_000_000, 80_000_000, 130_000_000])
 def test_a_late_answer_is_not_taken_for_the_answer_to_another_question(kit, late_ns):
     def late_once(bus, data):
-        is_first = data == b"#1QD\r" and len(bench.said) == 1
+        is_first = data == b"#1QD\r" and len(bench.sent) == 1
         return [(late_ns, Reply(1, "QD", 666))] if is_first else echo(bus, data)
 
     bench = Bench([ask(1), ask(1, "Q"), ask(2)], late_once, kit)
@@ -140,7 +140,7 @@ def test_what_matters_is_believed_when_two_answers_agree(kit, values, within, be
     bench = Bench([sure(1, within)], lambda bus, data: [(10**6, Reply(1, "QD", next(said)))], kit)
     bench.run()
     assert bench.dialogue.answers == {("main", 1, "QD"): believed}
-    assert len(bench.said) == len(values)
+    assert len(bench.sent) == len(values)
 
 
 def test_answers_that_never_agree_count_as_none(kit):
@@ -148,11 +148,11 @@ def test_answers_that_never_agree_count_as_none(kit):
     bench = Bench([sure(1, 20)], lambda bus, data: [(10**6, Reply(1, "QD", next(wild)))], kit)
     bench.run()
     assert bench.dialogue.answers == {}
-    assert len(bench.said) == AGREE_TRIES
+    assert len(bench.sent) == AGREE_TRIES
 
 
 def test_a_servo_that_never_answered_does_not_get_the_other_queries(kit):
     items = [ask(1), ask(1, "QT"), ask(2), ask(1, "QV"), order(1, "EM", 1)]
     bench = Bench(items, lambda bus, data: echo(bus, data) if b"#2" in data else [], kit)
     bench.run()
-    assert [data for _, _, data in bench.said] == [b"#1QD\r"] * TRIES + [b"#2QD\r", b"#1EM1\r"]
+    assert [data for _, _, data in bench.sent] == [b"#1QD\r"] * TRIES + [b"#2QD\r", b"#1EM1\r"]

@@ -41,10 +41,10 @@ def test_packages_are_compared_with_the_required_ones():
         return only(computer.check_packages(required, version_of))
 
     assert check("numpy>=1.26", "rich>=13.7", 'pytest>=8; extra == "dev"').level is Level.OK
-    assert check("numpy>=1.26", "rich>=13.7").said == "all 2 are there"
+    assert check("numpy>=1.26", "rich>=13.7").text == "all 2 are there"
     old = check("numpy>=2.0", "rich>=13.7")
-    assert (old.level, old.said) == (Level.BAD, "numpy 1.26.4 is older than 2.0")
-    assert check("toppra>=0.6", "rich").said == "toppra is missing"
+    assert (old.level, old.text) == (Level.BAD, "numpy 1.26.4 is older than 2.0")
+    assert check("toppra>=0.6", "rich").text == "toppra is missing"
 
 
 def test_a_port_without_permission_names_the_group(monkeypatch, capsys):
@@ -57,7 +57,7 @@ def test_a_port_without_permission_names_the_group(monkeypatch, capsys):
     monkeypatch.setattr("os.access", lambda *_: False)
     monkeypatch.setattr(grp, "getgrgid", lambda _: grp.struct_group(("dialout", "x", 20, [])))
     finding = only(computer.check_ports())
-    assert (finding.level, finding.said) == (Level.BAD, "/dev/null, FT232R USB UART (A5XK)")
+    assert (finding.level, finding.text) == (Level.BAD, "/dev/null, FT232R USB UART (A5XK)")
     assert "sudo usermod -aG dialout" in finding.fix
     assert main(["doctor"]) == EXIT_UNREACHABLE
     assert "BAD   port" in capsys.readouterr().out
@@ -69,7 +69,7 @@ def test_a_slow_latency_timer_is_named_with_its_file(tmp_path):
     for text, level in (("16\n", Level.HINT), ("1\n", Level.OK)):
         (folder / "latency_timer").write_text(text)
         finding = only(computer.check_latency(tmp_path))
-        assert (finding.level, finding.said) == (level, f"/dev/ttyUSB0: {text.strip()} ms")
+        assert (finding.level, finding.text) == (level, f"/dev/ttyUSB0: {text.strip()} ms")
         assert (str(folder / "latency_timer") in finding.fix) == (level is Level.HINT)
 
 
@@ -77,7 +77,7 @@ def test_programs_that_grab_ports_are_named(tmp_path):
     for number, name in ((1, "init"), (77, "ModemManager"), (78, "brltty")):
         (tmp_path / f"proc/{number}").mkdir(parents=True)
         (tmp_path / f"proc/{number}/comm").write_text(f"{name}\n")
-    said = [finding.said for finding in computer.check_grabbers(tmp_path)]
+    said = [finding.text for finding in computer.check_grabbers(tmp_path)]
     assert said == ["ModemManager is running", "brltty is running"]
 
 
@@ -89,11 +89,11 @@ def test_a_coarse_clock_is_reported(steps_ns, level):
 def test_a_late_timer_is_judged_by_its_99th_percentile():
     quick = [60 * US] * 99 + [5000 * US]
     finding = only(computer.check_timer(quick))
-    assert (finding.level, "5000 us at worst" in finding.said) == (Level.OK, True)
+    assert (finding.level, "5000 us at worst" in finding.text) == (Level.OK, True)
     slow = [60 * US] * 97 + [1500 * US] * 3
     finding = only(computer.check_timer(slow))
     assert finding.level is Level.HINT
-    assert "1500 us in one of a hundred" in finding.said
+    assert "1500 us in one of a hundred" in finding.text
     assert "--real-time" in finding.fix
 
 

@@ -31,7 +31,7 @@ def folder(tmp_path):
         "def spawn(at_s): import subprocess; subprocess.Popen(['sleep', '1000'])\n"
     )
     player = tmp_path / "pw-play"
-    player.write_text(f'#!/bin/sh\necho "$1" >> {tmp_path}/heard\n')
+    player.write_text(f'#!/bin/sh\necho "$1" >> {tmp_path}/received\n')
     player.chmod(player.stat().st_mode | stat.S_IXUSR)
     return tmp_path
 
@@ -138,7 +138,7 @@ def test_sounds_are_played_by_an_installed_program(folder, monkeypatch):
     with Performer([Cue(at_s=0.0, sound="bell.wav")]) as performer:
         assert performer.take_warnings() == []
         performer.perform(Cue(at_s=0.0, sound="bell.wav"))
-    assert (folder / "heard").read_text() == "bell.wav\n"
+    assert (folder / "received").read_text() == "bell.wav\n"
 
 
 def test_a_sound_that_cannot_be_played_is_reported_with_the_last_line_of_its_player(

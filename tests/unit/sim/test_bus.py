@@ -10,10 +10,10 @@ def test_a_command_acts_when_its_last_byte_has_arrived(host):
     host.bus.write(b"#5LED3\r", 0)
     arrival_ns = 7 * 10 * 10**9 // 115200
     host.bus.advance(arrival_ns - 1_000)
-    assert host.bus.heard == []
+    assert host.bus.lines == []
     host.bus.advance(arrival_ns + 1_000)
-    assert [line for _, line in host.bus.heard] == [b"#5LED3\r"]
-    assert host.bus.heard[0][0] == pytest.approx(arrival_ns, abs=1)
+    assert [line for _, line in host.bus.lines] == [b"#5LED3\r"]
+    assert host.bus.lines[0][0] == pytest.approx(arrival_ns, abs=1)
 
 
 def test_a_reply_comes_after_the_turnaround_and_takes_its_line_time(make_host):

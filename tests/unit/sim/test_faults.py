@@ -29,7 +29,7 @@ def test_a_lost_command_reaches_no_servo(make_host):
     host.say("#5LED1")
     host.wait_s(1.0)
     host.say("#5LED2")
-    assert host.bus.heard[-1][1] == b"#5LED1\r"
+    assert host.bus.lines[-1][1] == b"#5LED1\r"
     host.wait_s(1.0)
     assert host.ask("#5QLED") == "*5QLED1|"
 
@@ -37,9 +37,9 @@ def test_a_lost_command_reaches_no_servo(make_host):
 def test_a_corrupt_command_differs_in_one_byte(make_host):
     host = make_host(faults=[Fault(kind=FaultKind.CORRUPT_COMMAND)])
     host.say("#5D1234T500")
-    heard = host.bus.heard[0][1]
-    assert len(heard) == 12
-    assert sum(a != b for a, b in zip(heard, b"#5D1234T500\r", strict=True)) == 1
+    received = host.bus.lines[0][1]
+    assert len(received) == 12
+    assert sum(a != b for a, b in zip(received, b"#5D1234T500\r", strict=True)) == 1
 
 
 def test_a_lost_reply_never_comes_and_the_command_was_obeyed(make_host):
@@ -105,8 +105,8 @@ def test_another_host_is_heard_and_so_are_the_replies_to_it(make_host):
     host = make_host(faults=[row])
     host.say("#5LED1")
     host.wait_s(3.0)
-    assert [line for _, line in host.bus.heard] == [b"#5LED1\r", *[b"#5QG\r"] * 3]
-    assert [at_ns / 1e9 for at_ns, _ in host.bus.heard[1:]] == [1.0, 1.5, 2.0]
+    assert [line for _, line in host.bus.lines] == [b"#5LED1\r", *[b"#5QG\r"] * 3]
+    assert [at_ns / 1e9 for at_ns, _ in host.bus.lines[1:]] == [1.0, 1.5, 2.0]
     assert host.bus.read(host.now_ns) == b"*5QG1\r" * 3
 
 
@@ -128,9 +128,9 @@ def test_lines_of_two_hosts_arrive_in_the_order_of_time(make_host):
     for _ in range(30):
         host.say("#5LED1")
         host.wait_s(0.045)
-    at_ns = [ns for ns, _ in host.bus.heard]
+    at_ns = [ns for ns, _ in host.bus.lines]
     assert at_ns == sorted(at_ns)
-    assert [line for _, line in host.bus.heard].count(b"#5LED2\r") == 3
+    assert [line for _, line in host.bus.lines].count(b"#5LED2\r") == 3
 
 
 def test_a_ratio_strikes_that_share(make_host):
@@ -324,13 +324,13 @@ def test_a_wrong_row_is_named_with_its_line(tmp_path, row, words):
 def test_a_short_command_lacks_one_byte(make_host):
     host = make_host(faults=[Fault(kind=FaultKind.SHORT_COMMAND)])
     host.say("#5D1234T500")
-    assert len(host.bus.heard[0][1]) == 11
+    assert len(host.bus.lines[0][1]) == 11
 
 
 def test_a_double_command_is_received_twice(make_host):
     host = make_host(faults=[Fault(kind=FaultKind.DOUBLE_COMMAND)])
     assert host.ask("#5QG") == "*5QG1|*5QG1|"
-    assert [line for _, line in host.bus.heard] == [b"#5QG\r"] * 2
+    assert [line for _, line in host.bus.lines] == [b"#5QG\r"] * 2
 
 
 @pytest.mark.parametrize(("firmware", "led"), [(370, 2), (368, 7)])
@@ -339,9 +339,9 @@ def test_a_merged_command_runs_into_the_next_one(make_host, firmware, led):
     host.bus.write(b"#5LED2\r", 0)
     host.wait_s(0.05)
     host.say("#5G-1")
-    assert host.bus.heard[0][1] == b"#5LED2#5G-1\r"
+    assert host.bus.lines[0][1] == b"#5LED2#5G-1\r"
     assert [host.ask("#5QLED"), host.ask("#5QG")] == [f"*5QLED{led}|", "*5QG-1|"]
-    assert [line for _, line in host.bus.heard[1:]] == [b"#5QLED\r", b"#5QG\r"]
+    assert [line for _, line in host.bus.lines[1:]] == [b"#5QLED\r", b"#5QG\r"]
 
 
 def test_a_short_reply_lacks_one_byte(make_host):
@@ -371,17 +371,17 @@ def test_a_clogged_line_holds_bytes_back_and_then_lets_them_go(make_host):
     host.bus.write(b"#5LED1\r#5LED2\r", host.now_ns)
     assert host.bus.backlog_ns(host.now_ns) == pytest.approx(0.9e9 + 14 * 86_806, abs=1e4)
     host.wait_s(0.9)
-    assert host.bus.heard == []
+    assert host.bus.lines == []
     host.wait_s(0.1)
-    assert [line for _, line in host.bus.heard] == [b"#5LED1\r", b"#5LED2\r"]
-    assert host.bus.heard[0][0] == pytest.approx(1.5e9 + 7 * 86_806, abs=1e4)
+    assert [line for _, line in host.bus.lines] == [b"#5LED1\r", b"#5LED2\r"]
+    assert host.bus.lines[0][0] == pytest.approx(1.5e9 + 7 * 86_806, abs=1e4)
 
 
 def test_a_clog_in_the_middle_of_a_line_delays_its_end_only(make_host):
     host = make_host(faults=[Fault(kind=FaultKind.CLOGGED, at_s=0.001, until_s=0.101)])
     host.bus.write(b"#5LED1\r" * 3, 0)
     host.wait_s(0.2)
-    arrivals_ms = [round(heard_ns / 1e6, 2) for heard_ns, _ in host.bus.heard]
+    arrivals_ms = [round(received_ns / 1e6, 2) for received_ns, _ in host.bus.lines]
     assert arrivals_ms == [0.61, 101.22, 101.82]
 
 
@@ -510,11 +510,11 @@ def test_a_row_about_what_the_robot_has_not_got_is_a_mistake(tmp_path, two_buses
 
 def test_a_row_may_be_about_one_bus(two_buses):
     fault = Fault(kind=FaultKind.LOST_COMMAND, bus="left")
-    heard = {}
+    received = {}
     for name in two_buses.buses:
         bus = bus_from_robot(two_buses, name, faults=[fault])
         bus.record()
         bus.write(b"#254LED1\r", 0)
         bus.advance(10**9)
-        heard[name] = [line for _, line in bus.heard]
-    assert heard == {"left": [], "right": [b"#254LED1\r"]}
+        received[name] = [line for _, line in bus.lines]
+    assert received == {"left": [], "right": [b"#254LED1\r"]}

@@ -45,10 +45,10 @@ def test_a_timed_move_is_a_trapezoid_within_a_tenth_of_a_degree(make_host, comma
     host.ask("#5AA30")
     host.ask("#5AD60")
     host.bus.write(f"#5{command}\r".encode(), host.now_ns)
-    heard_ns = host.now_ns + host.bus.backlog_ns(host.now_ns)
+    received_ns = host.now_ns + host.bus.backlog_ns(host.now_ns)
     distance_deg = int(command[1:].split("T")[0]) / 10
     host.wait_s(3.0)
-    start_ns = host.bus.motors.loop_ns(0, heard_ns)
+    start_ns = host.bus.motors.loop_ns(0, received_ns)
     times_ns = [start_ns + step * 1_000_000 for step in range(2000)]
     expected_deg = [
         trapezoid_deg((time_ns - start_ns) / 1e9, distance_deg, travel_deg_s, 300.0, 600.0)
@@ -74,8 +74,8 @@ def test_a_step_of_the_horns_equals_many_small_ones(make_host):
     """The lag against its definition, dh/dt = (x - h) / lag, integrated here at 20 µs."""
     host = make_host(physics=replace(CRISP, lag_s=0.02))
     host.bus.write(b"#5D450T400\r", 0)
-    heard_ns = host.bus.backlog_ns(0)
-    start_ns = host.bus.motors.loop_ns(0, heard_ns)
+    received_ns = host.bus.backlog_ns(0)
+    start_ns = host.bus.motors.loop_ns(0, received_ns)
     host.wait_s(1.0)
     horn_deg, worst_deg, step_s = 0.0, 0.0, 20e-6
     for step in range(40_000):

@@ -107,7 +107,7 @@ def test_what_a_blocked_port_holds_at_its_end_still_leaves(make_bus):
     clock.advance_to(S)
     port.write(b"#254H\r")
     port.close()
-    assert [line for _, line in bus.heard] == [b"#254H\r"]
+    assert [line for _, line in bus.lines] == [b"#254H\r"]
 
 
 def test_a_host_that_oversleeps_wakes_that_much_later_in_its_time():
