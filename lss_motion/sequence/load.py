@@ -73,6 +73,9 @@ def _load(path: Path, robot: Robot | None, part: FileContext) -> Sequence:
     if (other := part.other(path, robot)) is not None:
         return other
     source = read_yaml(path)
+    if "joints" in source.value and "sequence" not in source.value:
+        reason = "this is a robot file, which cannot be played; name a sequence that has `robot:`"
+        raise InputError(reason, path=path, line=source.line(("joints",)))
     blanks = {
         "keyframes": KeyframeEntry(),
         "play": StepEntry(pause_s=0.0),

@@ -311,13 +311,6 @@ def test_problems_of_the_robot_file_come_with_those_of_the_sequence(folder: Path
     assert "both have id 1" in found[1][1]
 
 
-def test_a_robot_file_in_place_of_a_sequence_is_refused_with_the_missing_key(folder: Path) -> None:
-    with pytest.raises(InputError) as caught:
-        load_sequence(folder / "robot.yaml")
-    assert "'sequence' is missing" in str(caught.value)
-    assert "unknown key 'joints'" in str(caught.value)
-
-
 def test_the_escalations_of_a_show_are_read(load) -> None:
     sequence = load("  - {pose: home}\non_fault: {astray: warn, silent: [resume, limp]}\n")
     assert sequence.on_fault == {
@@ -436,3 +429,10 @@ def test_a_missing_module_is_named(problem, tmp_path, run):
 )
 def test_functions_of_installed_modules_are_found(problem, run):
     assert problem("", run) == ""
+
+
+def test_a_robot_file_in_place_of_a_sequence_is_one_message() -> None:
+    with pytest.raises(InputError) as caught:
+        load_sequence(ROOT / "sequences/robots/desk_arm.yaml")
+    assert "this is a robot file" in str(caught.value)
+    assert not caught.value.more
