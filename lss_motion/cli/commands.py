@@ -102,6 +102,15 @@ def add_force(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="overwrite an existing file")
 
 
+def add_all(parser: argparse.ArgumentParser, words: str = "") -> None:
+    """Add `--all`, which lists all of what `summaries.plan_lines` finds; `words` begin its help."""
+    parser.add_argument(
+        "--all",
+        action="store_true",
+        help=f"{words}list all slow spans and late keyframes, not only the worst ten",
+    )
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add `--json`, for `print_json`."""
     parser.add_argument("--json", action="store_true", help="print JSON for other programs")

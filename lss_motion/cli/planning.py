@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.cli.commands import (
     PLOT_HELP,
+    add_all,
     add_command,
     add_force,
     add_json,
@@ -73,14 +74,14 @@ def add_to(commands: Commands) -> None:
         "file", type=Path, metavar="FILE", help="a sequence, a gait, a program or a robot"
     )
     add_robot_options(check)
-    _add_all(check)
+    add_all(check)
     add_json(check)
     planned = add_command(
         commands, "plan", _plan, "plan a sequence; write it as a table or a picture", PLAN_TEXT
     )
     planned.add_argument("file", type=Path, metavar="FILE", help="a sequence or a gait")
     add_robot_options(planned)
-    _add_all(planned)
+    add_all(planned)
     planned.add_argument(
         "--csv", type=Path, metavar="F", help="write this table: t_s,<joint>,... in degrees"
     )
@@ -107,6 +108,7 @@ def add_to(commands: Commands) -> None:
     compiled.add_argument(
         "-o", "--output", type=Path, metavar="F.lss", help="the program to write (default: print)"
     )
+    add_all(compiled)
     add_force(compiled)
     schema = add_command(
         commands, "schema", _schema, "print the JSON Schema of a robot, sequence or gait file"
@@ -127,15 +129,6 @@ def add_to(commands: Commands) -> None:
     )
     add_force(gait)
     gait.add_argument("--plot", type=Path, metavar="F.png", help=PLOT_HELP)
-
-
-def _add_all(parser: argparse.ArgumentParser) -> None:
-    """Add `--all`."""
-    parser.add_argument(
-        "--all",
-        action="store_true",
-        help="list all slow spans and late keyframes, not only the worst ten",
-    )
 
 
 def _files(arguments: argparse.Namespace) -> tuple[Path, Path | None, Callable[[Path], Robot]]:
@@ -217,7 +210,7 @@ def _compile(arguments: argparse.Namespace) -> int:
         return EXIT_FINISHED
     text = to_text(show.program, folder=arguments.output.absolute().parent)
     write_output(arguments.output, text)
-    print("\n".join(program_lines(show)))
+    print("\n".join(program_lines(show, is_whole=arguments.all)))
     return EXIT_FINISHED
 
 

@@ -16,6 +16,7 @@ from lss_motion.cli.commands import (
     SEED_HELP,
     UNLIMITED_HELP,
     VIRTUAL_HELP,
+    add_all,
     add_command,
     add_robot_options,
     add_version,
@@ -125,6 +126,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dry-run", action="store_true", help="plan, compile and check; move nothing"
     )
+    add_all(parser, "with --dry-run: ")
     parser.add_argument("--virtual", action="store_true", help=VIRTUAL_HELP)
     parser.add_argument("--seed", type=int, default=0, metavar="N", help=SEED_HELP)
     parser.add_argument(
@@ -176,7 +178,7 @@ def play(arguments: argparse.Namespace) -> int:
     if arguments.dry_run:
         from lss_motion.cli.summaries import program_lines
 
-        for line in [] if arguments.quiet else program_lines(show):
+        for line in [] if arguments.quiet else program_lines(show, is_whole=arguments.all):
             print(line)
         return EXIT_FINISHED
     # In virtual time no function is called.
@@ -219,6 +221,8 @@ def _check_outputs(arguments: argparse.Namespace) -> None:
 
 def _check(arguments: argparse.Namespace, show: Show, *, is_simulated: bool) -> None:
     """Refuse arguments whose fault would otherwise appear only after the show."""
+    if arguments.all and not arguments.dry_run:
+        raise InputError("--all lists what --dry-run prints; give both, or neither")
     if arguments.truth is not None and not is_simulated:
         raise InputError("--truth needs the simulated bus: a real horn angle is not known exactly")
     if arguments.faults is not None and not is_simulated:

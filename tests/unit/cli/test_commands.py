@@ -60,11 +60,21 @@ def test_check_lists_all_slow_spans_and_late_keyframes_where_asked(capsys, tmp_p
         ("check", [], (10, 10)),
         ("check", ["--all"], (len(found["stretched"]), len(lates_s))),
         ("plan", ["--all"], (len(found["stretched"]), len(lates_s))),
+        ("compile", ["-o", str(tmp_path / "talk.lss")], (10, 10)),
+        (
+            "compile",
+            ["-o", str(tmp_path / "talk.lss"), "--all"],
+            (len(found["stretched"]), len(lates_s)),
+        ),
+        ("play", ["--dry-run"], (10, 10)),
+        ("play", ["--dry-run", "--all"], (len(found["stretched"]), len(lates_s))),
     ):
         assert main([command, str(path), *words]) == 0
         lines = capsys.readouterr().out.splitlines()
         starts = [line.split(":")[0] for line in lines]
         assert (starts.count("slower"), starts.count("late")) == counts
+    assert main(["play", str(path), "--all", "--virtual"]) == 2
+    assert "--all lists what --dry-run prints" in capsys.readouterr().err
 
 
 def test_a_robot_file_is_checked_alone(capsys, tmp_path):
