@@ -5,6 +5,7 @@ The functions yield or return reasons as texts for people; only `check_sequence`
 
 from __future__ import annotations
 
+from itertools import combinations, groupby, pairwise, product
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
@@ -62,21 +63,54 @@ def joint_problems(
 
 def jumps(keyframes: abc.Sequence[Keyframe]) -> abc.Iterator[tuple[int, str]]:
     """Yield index and reason of keyframes that move a joint in no time, at the end of a hold."""
-    for index in range(1, len(keyframes)):
-        before, here = keyframes[index - 1], keyframes[index]
+    instants = [list(group) for _, group in groupby(enumerate(keyframes), _instant)]
+    for earlier, later in pairwise(instants):
+        for index, here in later:
+            for reason in jumps_between([before for _, before in earlier], [here]):
+                yield index, reason
+
+
+def jumps_between(
+    earlier: abc.Sequence[Keyframe], later: abc.Sequence[Keyframe]
+) -> abc.Iterator[str]:
+    """Yield reasons why joints cannot go from the end of one instant to the next one."""
+    for before, here in product(earlier, later):
         if before.at_s is None or here.at_s is None:
             continue
         if abs(here.at_s - (before.at_s + before.hold_s)) >= SAME_TIME_S:
             continue
-        for name, angle_deg in here.deg.items():
-            start_deg = before.deg.get(name, angle_deg)
-            if abs(angle_deg - start_deg) > SEAM_TOLERANCE_DEG:
+        for name in _differing(before, here):
+            yield (
+                f"joint {name!r} would have to go from {before.deg[name]:g} to "
+                f"{here.deg[name]:g} deg in no time, because the keyframe before ends at "
+                f"{here.at_s:g} s; shorten its hold_s or come later"
+            )
+
+
+def clashes(keyframes: abc.Sequence[Keyframe]) -> abc.Iterator[tuple[int, str]]:
+    """Yield index and reason of keyframes at one instant that give a joint different angles."""
+    for at_s, group in groupby(enumerate(keyframes), _instant):
+        for (_, before), (index, here) in combinations(group if at_s is not None else (), 2):
+            for name in _differing(before, here):
                 yield (
                     index,
-                    f"joint {name!r} would have to go from {start_deg:g} to {angle_deg:g} deg in "
-                    f"no time, because the keyframe before ends at {here.at_s:g} s; "
-                    "shorten its hold_s or come later",
+                    f"joint {name!r} is at {here.deg[name]:g} deg here and at "
+                    f"{before.deg[name]:g} deg in line {before.line}, both at {at_s:g} s; "
+                    "keep one of them",
                 )
+
+
+def _instant(numbered: tuple[int, Keyframe]) -> float | None:
+    return numbered[1].at_s
+
+
+def _differing(before: Keyframe, here: Keyframe) -> list[str]:
+    """Return the joints to which both keyframes give an angle, and not the same."""
+    return [
+        name
+        for name, angle_deg in here.deg.items()
+        if abs(angle_deg - before.deg.get(name, angle_deg)) > SEAM_TOLERANCE_DEG
+    ]
 
 
 def loop_problem(keyframes: abc.Sequence[Keyframe]) -> str:

@@ -78,6 +78,8 @@ class KeyframeEntry(FileModel, title="keyframe"):
     A keyframe names at least one joint, by `pose`, `deg` or both. `at_s` is absolute; `after_s`
     counts from the end of the keyframe before (its time plus its `hold_s`), for the first
     keyframe from the start of the show. The first keyframe may leave its time out: 0.
+    Keyframes at one time are reached together, and none may give a joint another angle than
+    the others; `after_s` then counts from the end of the longest hold.
     """
 
     at_s: TimeS | None = Field(default=None, description="Seconds from the start of the show.")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
 from lss_motion.files.yaml_source import Location, Problem
-from lss_motion.sequence.check import SAME_TIME_S, joint_problems, jumps, loop_problem
+from lss_motion.sequence.check import SAME_TIME_S, clashes, joint_problems, jumps, loop_problem
 from lss_motion.sequence.model import TIME_MAX_S, Interpolation, Keyframe, Sequence, Timing
 
 if TYPE_CHECKING:
@@ -74,7 +74,8 @@ def absolute_times(
     """Return the time of every keyframe, and what is wrong with the times.
 
     None stands for a time that is unknown because that keyframe, or one before it, is wrong. A time
-    that equals the end of the keyframe before, except for rounding, is set to exactly that end.
+    that equals the one before or its end, except for rounding, is set to exactly that. Keyframes at
+    one instant end together, with the longest of their holds.
     """
     times_s: list[float | None] = []
     problems: list[Problem] = []
@@ -87,7 +88,9 @@ def absolute_times(
             at_s, found = _time(index, entry, before_s, end_s)
             problems += [Problem(("keyframes", index, key), reason) for key, reason in found]
         times_s.append(at_s)
-        end_s = None if at_s is None else at_s + entry.hold_s
+        is_same = at_s is not None and at_s == before_s and end_s is not None
+        until_s = None if at_s is None else at_s + entry.hold_s
+        end_s = max(end_s or 0.0, until_s or 0.0) if is_same else until_s
     return times_s, problems
 
 
@@ -112,8 +115,9 @@ def _time(
             key = "at_s"
         case _:
             return None, [("after_s", "'at_s' and 'after_s' exclude each other; keep one")]
-    if end_s is not None and abs(at_s - end_s) < SAME_TIME_S:
-        at_s = end_s
+    for known_s in (end_s, before_s):
+        if known_s is not None and abs(at_s - known_s) < SAME_TIME_S:
+            at_s = known_s
     return at_s, [(key, reason) for reason in _order_problems(key, at_s, before_s, end_s)]
 
 
@@ -124,9 +128,9 @@ def _order_problems(
         yield f"{key}: comes to {at_s:g} s, more than a day ({TIME_MAX_S:g} s)"
     if before_s is None or end_s is None:
         return
-    if at_s <= before_s:
+    if at_s < before_s:
         yield f"{key}: times must increase, but this is {at_s:g} s after {before_s:g} s"
-    elif at_s < end_s:
+    elif before_s < at_s < end_s:
         yield (
             f"{key}: {at_s:g} s is before the end of the keyframe before, which is held until "
             f"{end_s:g} s; come later, or shorten its hold_s"
@@ -216,7 +220,7 @@ class TrackLoader:
             for problem in problems:
                 self._note(problem.location, problem.reason)
         timed = [replace(k, at_s=at_s) for k, at_s in zip(keyframes, times_s, strict=True)]
-        for index, reason in jumps(timed):
+        for index, reason in (*jumps(timed), *clashes(timed)):
             self._note(("keyframes", index), reason)
         return timed
 

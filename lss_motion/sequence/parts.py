@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
 from lss_motion.files.yaml_source import Location, Problem
-from lss_motion.sequence.check import check_sequence, jumps
+from lss_motion.sequence.check import check_sequence, jumps_between
 from lss_motion.sequence.keyframes import at_speed
 from lss_motion.sequence.model import (
     EXPANDED_MAX,
@@ -260,10 +260,10 @@ class PartLoader:
             )
             return
         first, second = (at_speed(part) for part in parts if part is not None)
-        last = first.keyframes[-1]
-        end_s = (last.at_s or 0.0) + last.hold_s + (step.move_s or 0.0)
+        last = [frame for frame in first.keyframes if frame.at_s == first.keyframes[-1].at_s]
+        end_s = max((frame.at_s or 0.0) + frame.hold_s for frame in last) + (step.move_s or 0.0)
         shifted = [replace(frame, at_s=(frame.at_s or 0.0) + end_s) for frame in second.keyframes]
-        for _, reason in jumps([last, shifted[0]]):
+        for reason in jumps_between(last, [f for f in shifted if f.at_s == shifted[0].at_s]):
             self._note((*place, "join"), f"{reason}; or give move_s")
         joined = replace(first, keyframes=(*first.keyframes, *shifted))
         steps[-1] = replace(before, sequence=joined)

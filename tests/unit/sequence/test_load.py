@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from lss_motion.errors import InputError
@@ -40,6 +41,22 @@ def test_after_s_counts_from_the_end_of_the_hold_before(load) -> None:
         "  - {after_s: 0.5, deg: {base: 4}}\n"
     )
     assert times_s(sequence) == [0.5, 1.75, 3.0, 3.5]
+
+
+def test_keyframes_at_one_instant_move_together_and_end_with_the_longest_hold(load) -> None:
+    sequence = load(
+        "  - {at_s: 0, pose: home}\n"
+        "  - {at_s: 1, deg: {base: 30}, hold_s: 0.5}\n"
+        "  - {at_s: 1.0000000001, deg: {elbow: 10}, anchor: true}\n"
+        "  - {after_s: 1, pose: home}"
+    )
+    assert [frame.at_s for frame in sequence.keyframes] == [0.0, 1.0, 1.0, 2.5]
+    trajectory = plan(sequence, load_robot(sequence.robot_path))
+    angles = dict(zip(trajectory.joints, trajectory.sample(np.array([1.0, 1.5])).T, strict=True))
+    assert angles["base"].tolist() == pytest.approx([30.0, 30.0])
+    assert angles["elbow"][0] == pytest.approx(10.0)
+    assert angles["elbow"][1] < 9.0
+    assert [mark.planned_s for mark in trajectory.marks] == pytest.approx([0.0, 1.0, 1.0, 2.5])
 
 
 def test_the_first_keyframe_may_leave_its_time_out(load) -> None:
@@ -161,8 +178,23 @@ def test_a_time_at_the_end_of_a_hold_is_exactly_that_end(load) -> None:
         ("  - {at_s: 0, after_s: 0, deg: {base: 1}}", 4, "exclude each other"),
         ("  - home", 4, "must hold keys and values"),
         ("  - {at_s: 1, pose: home}\n  - {at_s: 0.5, pose: out}", 5, "times must increase"),
-        ("  - {at_s: 1, pose: home}\n  - {at_s: 1, pose: home}", 5, "times must increase"),
-        ("  - {at_s: 1, pose: home}\n  - {after_s: 0, pose: home}", 5, "times must increase"),
+        (
+            "  - {at_s: 1, pose: home}\n  - {at_s: 1, deg: {elbow: 3}}",
+            5,
+            "joint 'elbow' is at 3 deg here and at -20 deg in line 4, both at 1 s; keep one",
+        ),
+        (
+            "  - {at_s: 1, deg: {base: 0}}\n  - {at_s: 1, pose: home}\n"
+            "  - {after_s: 0, deg: {elbow: 3}}",
+            6,
+            "joint 'elbow' is at 3 deg here and at -20 deg in line 5, both at 1 s; keep one",
+        ),
+        (
+            "  - {at_s: 0, deg: {elbow: 1}, hold_s: 1}\n  - {at_s: 0, deg: {base: 1}}\n"
+            "  - {at_s: 1, deg: {elbow: 45}}",
+            6,
+            "joint 'elbow' would have to go from 1 to 45 deg in no time",
+        ),
         (
             "  - {at_s: 86400, pose: home}\n  - {after_s: 1, pose: home}",
             5,
