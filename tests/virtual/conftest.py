@@ -104,7 +104,7 @@ class Played:
     def bus(self):
         return next(iter(self.buses.values()))
 
-    def received(self, *, after_ns=-1):
+    def lines(self, *, after_ns=-1):
         return [line for at_ns, line in self.bus.lines if at_ns > after_ns]
 
     def moves(self):

@@ -178,7 +178,7 @@ def test_a_show_of_a_minute_with_eighteen_joints_fits_the_line_and_the_horns(sta
 def assert_nothing_moved(played):
     assert played.moves() == []
     assert not any(b"H\r" in line or b"EM1" in line for line in played.lines())
-    assert played.lines()[-1].startswith(b"#"), "something was said at all"
+    assert played.lines()[-1].startswith(b"#"), "something was sent"
     assert played.result.truth is None or not len(played.result.truth.times_s)
 
 

@@ -51,7 +51,7 @@ class Blind:
     found: Identified
     away_deg: float
     """How far the horn was from where it stood, at most."""
-    last_heard: tuple[bytes, ...]
+    last_lines: tuple[bytes, ...]
 
 
 def blind(seed: int) -> Blind:
@@ -100,7 +100,7 @@ def blind(seed: int) -> Blind:
         span_deg=span_deg,
         found=identify(joint, experiment.recording),
         away_deg=float(np.abs(horn_deg - spec.start_deg).max()),
-        last_heard=tuple(line.rstrip(b"\r") for _, line in bus.lines[-5:]),
+        last_lines=tuple(line.rstrip(b"\r") for _, line in bus.lines[-5:]),
     )
 
 
@@ -133,8 +133,8 @@ def faults(one: Blind) -> dict[str, str]:
             wrong[what] = f"{law}, true {getattr(physics, what)}"
     if one.away_deg > one.span_deg:
         wrong["span"] = f"{one.away_deg:.1f} deg away, allowed {one.span_deg:.1f}"
-    if set(one.last_heard) != {b"#3EM1", b"#3AA100", b"#3AD100", b"#3SD3600", b"#3H"}:
-        wrong["end"] = str(one.last_heard)
+    if set(one.last_lines) != {b"#3EM1", b"#3AA100", b"#3AD100", b"#3SD3600", b"#3H"}:
+        wrong["end"] = str(one.last_lines)
     return wrong
 
 
