@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lss_motion.interchange.reduce import KeyFit
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Joint, Robot
-    from lss_motion.trajectory.model import Mark, SlowSpan, Trajectory
+    from lss_motion.trajectory.model import GivenUp, Mark, MissedKey, SlowSpan, Trajectory
 
 
 SAMPLE_S: Final = 0.001
@@ -36,6 +36,9 @@ LATE_MIN_S: Final = 0.001
 
 WORST_COUNT: Final = 10
 """Slow spans and late keyframes that are listed. Chosen: both fit on a screen."""
+
+MISSED_COUNT: Final = 3
+"""Missed keys of a joint that are listed. Chosen: with all joints they fit on a screen."""
 
 FULL_RATIO: Final = 0.995
 """From this share on, a limit counts as fully used: planning leaves about a thousandth free."""
@@ -77,6 +80,7 @@ def plan_lines(trajectory: Trajectory, robot: Robot, *, is_whole: bool = False) 
         *_slow_lines(trajectory, is_whole=is_whole),
         *_late_lines(trajectory, is_whole=is_whole),
     ]
+    lines += _given_up_lines(trajectory, is_whole=is_whole)
     lines += [f"shorter: {hold_text(mark)}" for mark in shortened_holds(trajectory)]
     uses = limit_uses(trajectory, robot)
     width = max(len(name) for name in (*trajectory.joints, "joint"))
@@ -110,6 +114,56 @@ def _slow_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
     if rest := spans[len(shown) :]:
         lines.append(f"and {counted(rest, 'more span')} slowed less (check --all lists them)")
     return lines
+
+
+def _given_up_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
+    """Return how much angle is given up to keep the time, the worst spans, and missed keys."""
+    from lss_motion.files.source import counted
+
+    spans = sorted(trajectory.given_up, key=lambda span: -span.by_deg)
+    if not spans:
+        return []
+    whole_s = sum(span.to_s - span.from_s for span in spans)
+    lines = [
+        f"angle given up to keep the time: {counted(spans, 'span')}, {whole_s:.3f} s in all, at "
+        f"most {spans[0].by_deg:.1f} deg by {spans[0].joint!r}"
+    ]
+    shown = spans if is_whole else spans[:WORST_COUNT]
+    lines += [f"less far: {given_up_text(span)}" for span in shown]
+    if rest := spans[len(shown) :]:
+        lines.append(f"and {counted(rest, 'more span')} less far off (check --all lists them)")
+    for name in trajectory.joints:
+        missed = [key for span in spans if span.joint == name for key in span.missed]
+        if missed:
+            lines.append(_missed_text(name, missed, is_whole=is_whole))
+    return lines
+
+
+def given_up_text(span: GivenUp) -> str:
+    """Return the text about one span in which a joint keeps its time and gives up angle."""
+    return (
+        f"{span.from_s:.3f} s to {span.to_s:.3f} s joint {span.joint!r} is up to "
+        f"{span.by_deg:.1f} deg off (at {span.at_s:.3f} s), {span.rms_deg:.1f} deg RMS"
+    )
+
+
+def _missed_text(joint: str, missed: Sequence[MissedKey], *, is_whole: bool) -> str:
+    """Return the text about keys at which a joint should turn or stay, the worst first."""
+    from lss_motion.files.source import counted
+
+    worst = sorted(missed, key=lambda key: -abs(key.given_deg - key.asked_deg))
+    shown = worst if is_whole else worst[:MISSED_COUNT]
+    texts = [
+        f"{key.asked_deg:g} deg at {key.at_s:.3f} s"
+        + (f" ({key.label})" if key.label else "")
+        + f" becomes {key.given_deg:.1f}"
+        for key in shown
+    ]
+    more = f", and {len(worst) - len(shown)} more" if len(worst) > len(shown) else ""
+    return (
+        f"not reached: joint {joint!r} misses {counted(worst, 'turn')}: {', '.join(texts)}{more}; "
+        "exact: true or a weight at a keyframe makes it get there"
+    )
 
 
 def _late_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
@@ -193,7 +247,8 @@ def _margin_lines(trajectory: Trajectory, uses: Sequence[LimitUse]) -> list[str]
     # Rounded down, so that the printed factor is possible.
     ratio = math.floor(100.0 * tightest.faster_ratio) / 100.0
     if value >= FULL_RATIO * allowed or ratio <= 1.0:
-        return [*lines, "the show runs as fast as it can; faster would slow more of it down"]
+        cost = "give up more angle" if trajectory.given_up else "slow more of it down"
+        return [*lines, f"the show runs as fast as it can; faster would {cost}"]
     pass_s = trajectory.middle.duration_s / ratio
     return [
         *lines,
@@ -313,6 +368,7 @@ def show_as_json(show: Show) -> dict[str, Any]:
         "tolerance_deg": program.tolerance_deg,
         "joints": joints,
         "stretched": [asdict(stretch) for stretch in program.stretched],
+        "given_up": [asdict(span) for span in program.given_up],
         "late_keyframes": []
         if trajectory is None
         else [

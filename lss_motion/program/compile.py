@@ -223,6 +223,7 @@ def _program(
         cues=tuple(cue for cue in all_cues(trajectory, end_s) if cue.at_s <= end_s),
         waits=tuple(point for point in all_waits(trajectory, end_s) if point.at_s <= end_s),
         stretched=trajectory.stretched,
+        given_up=trajectory.given_up,
         on_fault=trajectory.on_fault,
         line_use=lines_use(moves, robot),
         error_max_deg={

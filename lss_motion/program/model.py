@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Drive, Joint
     from lss_motion.robot.on_fault import Escalations
     from lss_motion.sequence.model import Cue
-    from lss_motion.trajectory.model import Mark, SlowSpan, WaitPoint
+    from lss_motion.trajectory.model import GivenUp, Mark, SlowSpan, WaitPoint
 
 T = TypeVar("T")
 
@@ -109,6 +109,7 @@ class Program:
     waits: tuple[WaitPoint, ...] = ()
     """Where the show clock stands still until a sensor passes its threshold."""
     stretched: tuple[SlowSpan, ...] = ()
+    given_up: tuple[GivenUp, ...] = ()
     line_use: Mapping[str, LineUse] = field(default_factory=dict)
     on_fault: Escalations = field(default_factory=dict)
     """The reactions to faults in which this show differs from its robot."""

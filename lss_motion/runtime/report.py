@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from lss_motion.player.joint_state import JointState
     from lss_motion.player.player import Player
     from lss_motion.program.model import Program
-    from lss_motion.trajectory.model import SlowSpan
+    from lss_motion.trajectory.model import GivenUp, SlowSpan
 
 SCHEMA_VERSION: Final = 1
 _NUMBERS: Final = re.compile(r"\[([-\d.,e\s]+)\]")
@@ -116,6 +116,7 @@ class Report:
     joints: Mapping[str, JointReport]
     """Empty when the run ended before the show started."""
     stretched: tuple[SlowSpan, ...]
+    given_up: tuple[GivenUp, ...]
     faults: tuple[Faulted, ...]
     warnings: tuple[str, ...]
 
@@ -176,6 +177,7 @@ def make_report(
             for name, track in (show.joint_states if show is not None else {}).items()
         },
         stretched=tuple(program.stretched),
+        given_up=tuple(program.given_up),
         faults=tuple(player.faults),
         warnings=tuple(warnings),
     )

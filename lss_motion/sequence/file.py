@@ -48,6 +48,15 @@ SpeedRatio = Annotated[float, Field(ge=SPEED_MIN_RATIO, le=SPEED_MAX_RATIO)]
 TimeS = Annotated[float, Field(ge=0.0, le=TIME_MAX_S)]
 Colour = Literal["off", "red", "green", "blue", "yellow", "cyan", "magenta", "white"]
 Ease = Literal["smooth", "spline", "linear", "hold"]
+Keep = Literal["angle", "time"]
+
+WEIGHT_MAX: Final = 1000.0
+"""Chosen: a weight of 100 misses a key of a fast jaw by less than a tenth of a degree."""
+
+KEEP: Final = (
+    "What a joint keeps where its servo cannot follow. angle: every angle, but later. time: every "
+    "instant, but less far, with the least squared deviation."
+)
 
 
 def _check_loop(loop: Any) -> int | Literal["forever"]:  # noqa: ANN401  whatever YAML holds
@@ -105,6 +114,18 @@ class KeyframeEntry(FileModel, title="keyframe"):
     anchor: bool = Field(
         default=False, description="This time must be met; planning fails if it cannot be."
     )
+    exact: bool = Field(
+        default=False,
+        description="Joints with keep: time meet this angle, too, and hold it; planning fails if "
+        "they cannot.",
+    )
+    weight: float = Field(
+        default=1.0,
+        ge=1.0,
+        le=WEIGHT_MAX,
+        description="How much more the angle of joints with keep: time counts here than between "
+        "keyframes.",
+    )
     ease: Ease | None = Field(
         default=None,
         description="How the joints travel to this keyframe. Default: interpolation of the file.",
@@ -141,6 +162,12 @@ class TrackEntry(FileModel, title="track"):
         default=None,
         description="Default of the keyframes: a motion that is late may shorten their hold_s. "
         "Default of a track: that of the file; of a file: false.",
+    )
+    keep: Keep | Annotated[dict[Name, Keep], Field(min_length=1)] | None = Field(
+        default=None,
+        description=f"{KEEP} For all joints, or by joints and groups. Default of a track: that of "
+        "the file; of a file: angle.",
+        examples=["time", {"jaw": "time"}],
     )
     keyframes: Annotated[list[KeyframeEntry], Field(min_length=1, max_length=KEYFRAMES_MAX)] = (
         Field(default=[], description="In order of time.")
@@ -215,6 +242,11 @@ class LayerEntry(FileModel, title="layer"):
     )
     speed_ratio: SpeedRatio = Field(default=1.0, description=SPEED_RATIO)
     mirror: bool = Field(default=False, description=MIRROR)
+    keep: Keep | None = Field(
+        default=None,
+        description=f"{KEEP} It counts for the sum of the layer and what lies below it. Default: "
+        "that of the layer's file.",
+    )
 
 
 class EventEntry(FileModel, title="event"):

@@ -16,12 +16,30 @@ from lss_motion.sequence.check import SAME_TIME_S, clashes, joint_problems, jump
 from lss_motion.sequence.model import TIME_MAX_S, Interpolation, Keyframe, Sequence, Timing
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Iterator, Mapping
+    from collections.abc import Collection, Container, Iterable, Iterator, Mapping
 
     from lss_motion.files.yaml_source import YamlSource
     from lss_motion.robot.model import Robot
-    from lss_motion.sequence.file import KeyframeEntry, TrackEntry
+    from lss_motion.sequence.file import Keep, KeyframeEntry, TrackEntry
     from lss_motion.sequence.model import Layer, Step
+
+
+def kept_joints(
+    keep: Keep | Mapping[str, Keep] | None,
+    keyed: Collection[str],
+    groups: Mapping[str, Collection[str]],
+    default: frozenset[str],
+) -> frozenset[str]:
+    """Return the joints of `keyed` that keep their time by a key `keep`; `default` without it."""
+    if keep is None:
+        return default
+    if isinstance(keep, str):
+        return frozenset(keyed) if keep == "time" else frozenset()
+    kept = default
+    for name, kind in keep.items():
+        joints = frozenset(groups.get(name, (name,))) & frozenset(keyed)
+        kept = kept | joints if kind == "time" else kept - joints
+    return kept
 
 
 def has_times(content: TrackEntry) -> bool:
@@ -155,6 +173,8 @@ class TrackLoader:
     is_looped_in_part: bool = False
     holds_may_shrink: bool = False
     """Default of `hold_may_shrink` where neither keyframe nor track gives it."""
+    keep: Keep | Mapping[str, Keep] | None = None
+    """Default of `keep` where the track does not give it: that of the file."""
     problems: list[Problem] = field(default_factory=list)
 
     def sequence(self, name: str) -> Sequence:
@@ -170,6 +190,7 @@ class TrackLoader:
         if self.robot is not None:
             self._check_joints(keyframes, self.robot)
         loop = None if content.loop == "forever" else content.loop
+        keeps_time = self._keeps_time(keyframes)
         is_whole = not self.problems and not self.left_out and self.robot is not None
         is_looped = loop != 1 and not self.is_looped_in_part
         if is_looped and is_whole and (reason := loop_problem(keyframes)):
@@ -182,7 +203,34 @@ class TrackLoader:
             timing=timing,
             fit_duration_s=content.duration_s,
             loop=loop,
+            keeps_time=keeps_time,
         )
+
+    def _keeps_time(self, keyframes: list[Keyframe]) -> frozenset[str]:
+        """Return the joints that keep their time, and note what contradicts that."""
+        keyed = frozenset(name for frame in keyframes for name in frame.deg)
+        own, default = self.content.keep, self.keep
+        known = [] if self.robot is None else [*self.robot.joints, *self.robot.groups]
+        for name in own if isinstance(own, dict) and self.robot is not None else ():
+            if name not in known:
+                reason = f"unknown joint or group {name!r}; {known_names(name, known)}"
+                self._note(("keep", name), f"keep: {reason}")
+        groups = {} if self.robot is None else self.robot.groups
+        default_kept = kept_joints(default, keyed, groups, frozenset())
+        kept = kept_joints(own, keyed, groups, default_kept)
+        if kept and timing_of(self.content) is Timing.FASTEST and own is not None:
+            self._note(("keep",), "keep: time keeps the author's times, but this file gives none")
+        for index, (entry, frame) in enumerate(zip(self.content.keyframes, keyframes, strict=True)):
+            for key in ("exact", "weight"):
+                is_given = key in entry.model_fields_set and frame.deg
+                if is_given and not kept & {*frame.deg}:
+                    self._note(
+                        ("keyframes", index, key),
+                        f"{key} is for joints that keep their time; write keep: time for one of "
+                        f"{', '.join(frame.deg)}, or remove it (anchor: true keeps the time of "
+                        "joints that keep the angle)",
+                    )
+        return kept
 
     def _unread(self) -> frozenset[int]:
         """Return the keyframes that could not be read; the loader has blanks in their place."""
@@ -201,6 +249,8 @@ class TrackLoader:
             hold_s=entry.hold_s,
             hold_may_shrink=next(may for may in given if may is not None),
             is_anchor=entry.anchor,
+            is_exact=entry.exact,
+            weight=entry.weight,
             ease=Interpolation(entry.ease or self.content.interpolation),
             label=entry.label or entry.pose or "",
             line=self.source.line((*self.place, "keyframes", index)),

@@ -200,7 +200,7 @@ class _Loader:
             return
         if not (has_frames or has_play or content.tracks):
             self._note((), "no keyframes: give 'keyframes', 'tracks' or 'play'")
-        for key in ("keyframes", "tracks", "timing", "duration_s", "hold_may_shrink"):
+        for key in ("keyframes", "tracks", "timing", "duration_s", "hold_may_shrink", "keep"):
             if has_play and getattr(content, key):
                 self._note((key,), f"{key} does not go with 'play'; put it into a file of the list")
         if content.layers and content.loop == "forever":
@@ -237,6 +237,7 @@ class _Loader:
                 self.robot,
                 self.part.is_offset,
                 holds_may_shrink=bool(self.content.hold_may_shrink),
+                keep=self.content.keep,
             )
             if not entry.keyframes:
                 self._note(place, f"track {name!r} has no keyframes")

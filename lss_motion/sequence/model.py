@@ -75,6 +75,10 @@ class Keyframe:
     hold_may_shrink: bool = False
     """A motion that is late may leave earlier than after `hold_s`; else it is kept in full."""
     is_anchor: bool = False
+    is_exact: bool = False
+    """Joints that keep their time (`Sequence.keeps_time`) reach this angle, too."""
+    weight: float = 1.0
+    """How much the angle counts here for joints that keep their time; 1: as elsewhere."""
     ease: Interpolation = Interpolation.SMOOTH
     """How the named joints travel *to* this keyframe; the default of the file is applied."""
     label: str = ""
@@ -177,6 +181,8 @@ class Sequence:
     loop_span_s: tuple[float, float] | None = None
     """From when to when the keyframes are looped; those before and after are played once. None: all
     of them are looped."""
+    keeps_time: frozenset[str] = frozenset()
+    """Joints that meet every instant, and give up angle where their servo cannot follow."""
     speed_ratio: float = 1.0
     """All times are divided by this; at most 1 where the timing is `fastest`."""
     tracks: tuple[Sequence, ...] = ()

@@ -44,6 +44,7 @@ def mirrored(sequence: Sequence, images: Images) -> Sequence:
         keyframes=tuple(
             replace(frame, deg=_exchanged(frame.deg, images)) for frame in sequence.keyframes
         ),
+        keeps_time=frozenset(images.get(name, (name, 1))[0] for name in sequence.keeps_time),
         tracks=tuple(mirrored(track, images) for track in sequence.tracks),
         play=tuple(
             replace(step, sequence=step.sequence and mirrored(step.sequence, images))
@@ -55,6 +56,24 @@ def mirrored(sequence: Sequence, images: Images) -> Sequence:
                 sequence=mirrored(layer.sequence, images),
                 joints=tuple(images.get(name, (name, 1))[0] for name in layer.joints),
             )
+            for layer in sequence.layers
+        ),
+    )
+
+
+def keeping(sequence: Sequence, *, is_time: bool) -> Sequence:
+    """Return the sequence with all joints of it and of its parts keeping time, or angle."""
+    keyed = frozenset(name for frame in sequence.keyframes for name in frame.deg)
+    return replace(
+        sequence,
+        keeps_time=keyed if is_time else frozenset(),
+        tracks=tuple(keeping(track, is_time=is_time) for track in sequence.tracks),
+        play=tuple(
+            replace(step, sequence=step.sequence and keeping(step.sequence, is_time=is_time))
+            for step in sequence.play
+        ),
+        layers=tuple(
+            replace(layer, sequence=keeping(layer.sequence, is_time=is_time))
             for layer in sequence.layers
         ),
     )
@@ -211,6 +230,8 @@ class PartLoader:
                 self._note((*place, "joints", number), reason)
             joints += self.robot.groups.get(name, (name,))
         keyed = keyed_joints(sequence)
+        if entry.keep is not None:
+            sequence = keeping(sequence, is_time=entry.keep == "time")
         if joints and not keyed & {*joints}:
             self._note((*place, "joints"), f"{entry.file} keys none of them")
         return Layer(
@@ -265,7 +286,11 @@ class PartLoader:
         shifted = [replace(frame, at_s=(frame.at_s or 0.0) + end_s) for frame in second.keyframes]
         for reason in jumps_between(last, [f for f in shifted if f.at_s == shifted[0].at_s]):
             self._note((*place, "join"), f"{reason}; or give move_s")
-        joined = replace(first, keyframes=(*first.keyframes, *shifted))
+        joined = replace(
+            first,
+            keyframes=(*first.keyframes, *shifted),
+            keeps_time=first.keeps_time | second.keeps_time,
+        )
         steps[-1] = replace(before, sequence=joined)
 
 

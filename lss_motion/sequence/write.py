@@ -85,6 +85,10 @@ def _track(sequence: Sequence) -> Iterator[str]:
     default = Counter(keyframe.ease for keyframe in sequence.keyframes).most_common(1)[0][0]
     if default is not Interpolation.SMOOTH:
         yield f"interpolation: {default}"
+    if sequence.keeps_time:
+        keyed = {name for keyframe in sequence.keyframes for name in keyframe.deg}
+        named = ", ".join(f"{_text(name)}: time" for name in sorted(sequence.keeps_time))
+        yield "keep: time" if keyed == sequence.keeps_time else f"keep: {{{named}}}"
     if sequence.loop != 1:
         yield f"loop: {'forever' if sequence.loop is None else sequence.loop}"
     if sequence.loop_span_s is not None:
@@ -106,6 +110,10 @@ def _keyframe(keyframe: Keyframe, default: Interpolation) -> Iterator[str]:
         yield "hold_may_shrink: true"
     if keyframe.is_anchor:
         yield "anchor: true"
+    if keyframe.is_exact:
+        yield "exact: true"
+    if keyframe.weight != 1.0:
+        yield f"weight: {_number(keyframe.weight)}"
     if keyframe.ease is not default:
         yield f"ease: {keyframe.ease}"
 

@@ -15,6 +15,9 @@
 | `path.py`       | cubics of all joints over the path position          | all that plan           |
 | `retime.py`     | paths of a sequence, and the clock that follows them | tracks, layers, planner |
 | `catch_up.py`   | faster while late, back at the author's pace in time | retime                  |
+| `keep_time.py`  | joints that keep their time, beside others           | planner                 |
+| `keep_joint.py` | one of them: windows, exact keys, what is given up   | keep_time               |
+| `closest_spline.py` | the closest motion within limits; Clarabel    | keep_joint              |
 | `solver.py`     | largest legal rates along a path; imports toppra     | retime, tracks          |
 | `verify.py`     | independent check against all limits                 | tracks, layers, planner |
 | `plan_cache.py` | plans on disk, found by content, not trusted         | planner, layers         |

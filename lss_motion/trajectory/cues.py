@@ -23,13 +23,14 @@ LATE_SLACK_S: Final = 1e-6
 def planned_cues(sequence: Sequence, trajectory: Trajectory) -> tuple[Cue, ...]:
     """Return the cues of `sequence` at planned times.
 
-    A cue between two keyframes is moved as they are, in proportion. Raises `InputError` for a cue
+    A cue between two keyframes is moved as they are, in proportion; beside joints that keep their
+    time it stays where the author put it. Raises `InputError` for a cue
     after the end of a pass.
     """
     pairs = sorted(
         (mark.authored_s, mark.planned_s)
         for mark in trajectory.marks
-        if mark.authored_s is not None
+        if mark.authored_s is not None and not _keeps_time(sequence)
     )
     authored_s = np.array([0.0, *(authored for authored, _ in pairs)])
     planned_s = np.array([0.0, *(planned for _, planned in pairs)])
@@ -47,6 +48,10 @@ def planned_cues(sequence: Sequence, trajectory: Trajectory) -> tuple[Cue, ...]:
             )
         found.append(replace(cue, at_s=at_s))
     return tuple(found)
+
+
+def _keeps_time(sequence: Sequence) -> bool:
+    return bool(sequence.keeps_time) or any(track.keeps_time for track in sequence.tracks)
 
 
 def all_cues(trajectory: Trajectory, end_s: float) -> tuple[Cue, ...]:

@@ -123,13 +123,13 @@ def build_path(
     coefficients = np.empty((len(starts_s), 4, len(pieces)))
     for column, (own_starts_s, cubics) in enumerate(pieces):
         chosen = np.searchsorted(own_starts_s, starts_s, side="right") - 1
-        coefficients[:, :, column] = _shifted(cubics[chosen], starts_s - own_starts_s[chosen])
+        coefficients[:, :, column] = shifted(cubics[chosen], starts_s - own_starts_s[chosen])
     return Path(
         knots_s=np.append(starts_s, max(length_s, float(starts_s[-1]))), coefficients=coefficients
     )
 
 
-def _shifted(cubics: FloatArray, by_s: FloatArray) -> FloatArray:
+def shifted(cubics: FloatArray, by_s: FloatArray) -> FloatArray:
     """Return the same cubics around an origin that lies `by_s` later."""
     constant, linear, square, cube = cubics.T
     return np.stack(

@@ -228,6 +228,11 @@ def spacing_of(sequence: Sequence, keys: Mapping[str, tuple[Key, ...]], robot: R
     return Spacing(reached_s=reached_s, left_s=reached_s, path_s=ends_s, authored_s=ends_s)
 
 
+def authored_spacing(sequence: Sequence) -> Spacing:
+    """Return the spacing at exactly the authored times, however little time a move has."""
+    return _timed(sequence, {})
+
+
 def _needs(
     keys: Mapping[str, tuple[Key, ...]], robot: Robot, *, is_authored: bool
 ) -> dict[int, list[tuple[int, float]]]:

@@ -57,6 +57,55 @@ class SlowSpan:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class MissedKey:
+    """A key at which a joint that keeps its time should turn or stay, and its angle there."""
+
+    at_s: float
+    label: str
+    asked_deg: float
+    given_deg: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GivenUp:
+    """A span in which a joint that keeps its time gives up angle. Times are planned times."""
+
+    from_s: float
+    to_s: float
+    joint: str
+    by_deg: float
+    """The largest difference between the angle that is asked for and the one that is given."""
+    at_s: float
+    """Where it is that large."""
+    rms_deg: float
+    missed: tuple[MissedKey, ...] = ()
+
+    def later(self, by_s: float) -> GivenUp:
+        """Return the span with its times moved by `by_s`."""
+        return replace(
+            self,
+            from_s=self.from_s + by_s,
+            to_s=self.to_s + by_s,
+            at_s=self.at_s + by_s,
+            missed=tuple(replace(key, at_s=key.at_s + by_s) for key in self.missed),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AskedSpan:
+    """The angles that the author asks for where a plan gives up angle, at equal steps."""
+
+    from_s: float
+    to_s: float
+    joint: str
+    deg: tuple[float, ...]
+
+    def later(self, by_s: float) -> AskedSpan:
+        """Return the span with its times moved by `by_s`."""
+        return replace(self, from_s=self.from_s + by_s, to_s=self.to_s + by_s)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Mark:
     """A keyframe in the plan: its authored time (None: not given) and when it is reached.
 
@@ -135,6 +184,10 @@ class Trajectory:
     """Number of passes; None: without end, and then `last` is never reached."""
     is_periodic: bool = False
     stretched: tuple[SlowSpan, ...] = ()
+    given_up: tuple[GivenUp, ...] = ()
+    """Where joints that keep their time give up angle; it covers the same passes as `stretched`."""
+    asked: tuple[AskedSpan, ...] = ()
+    """What the author asks for in these spans, for a picture."""
     marks: tuple[Mark, ...] = ()
     cues: tuple[Cue, ...] = ()
     waits: tuple[WaitPoint, ...] = ()

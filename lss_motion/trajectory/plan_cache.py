@@ -26,7 +26,10 @@ import numpy as np
 from lss_motion.errors import InputError
 from lss_motion.files.source import read_data
 from lss_motion.trajectory.model import (
+    AskedSpan,
+    GivenUp,
     Mark,
+    MissedKey,
     PathClock,
     PathMotion,
     SlowSpan,
@@ -39,11 +42,13 @@ from lss_motion.trajectory.recheck import is_within_limits
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from numpy.typing import NDArray
+
     from lss_motion.robot.model import Robot
 
-    Value = TypeVar("Value", Mark, SlowSpan)
+    Value = TypeVar("Value", Mark, SlowSpan, MissedKey, GivenUp, AskedSpan)
 
-PLANNER_VERSION: Final = 6
+PLANNER_VERSION: Final = 7
 """Part of the name of every entry. Raise it whenever the plan of an unchanged sequence changes."""
 
 DIRECTORY_VARIABLE: Final = "LSS_MOTION_CACHE_DIR"
@@ -70,6 +75,8 @@ _TYPES: Final[Mapping[str, tuple[type, ...]]] = {
     "float": (float, int),
     "float | None": (float, int, type(None)),
     "Literal['speed', 'acceleration']": (str,),
+    "tuple[MissedKey, ...]": (tuple,),
+    "tuple[float, ...]": (tuple,),
 }
 """What an entry may hold for the annotation of a field of `Mark` and `SlowSpan`."""
 
@@ -159,6 +166,7 @@ def _read(content: memoryview) -> Trajectory:
             )
             for number in dict.fromkeys(numbers)
         }
+        asked_deg = np.asarray(stored["asked_deg"], dtype=np.float64).ravel()
     first, middle, last = parts = [motions[number] for number in numbers]
     joints = tuple(str(joint) for joint in facts["joints"])
     if any(part.path.coefficients.shape[2] != len(joints) for part in parts):
@@ -174,8 +182,22 @@ def _read(content: memoryview) -> Trajectory:
         loop=facts["loop"],
         is_periodic=facts["is_periodic"],
         stretched=tuple(_made(SlowSpan, stretch) for stretch in facts["stretched"]),
+        given_up=tuple(_given_up(span) for span in facts["given_up"]),
+        asked=tuple(_asked(span, asked_deg) for span in facts["asked"]),
         marks=tuple(_made(Mark, mark) for mark in facts["marks"]),
     )
+
+
+def _given_up(stored: Mapping[str, Any]) -> GivenUp:
+    missed = tuple(_made(MissedKey, key) for key in stored["missed"])
+    return _made(GivenUp, {**stored, "missed": missed})
+
+
+def _asked(stored: Mapping[str, Any], deg: NDArray[np.float64]) -> AskedSpan:
+    first, end = stored["deg"]
+    if not 0 <= first < end <= len(deg) or not np.isfinite(deg[first:end]).all():
+        raise ValueError("asked")
+    return _made(AskedSpan, {**stored, "deg": tuple(deg[first:end].tolist())})
 
 
 def _arrays(
@@ -212,9 +234,17 @@ def _store(path: Path, name: str, trajectory: Trajectory) -> None:
         "loop": trajectory.loop,
         "is_periodic": trajectory.is_periodic,
         "stretched": [asdict(stretch) for stretch in trajectory.stretched],
+        "given_up": [asdict(span) for span in trajectory.given_up],
         "marks": [asdict(mark) for mark in trajectory.marks],
     }
+    ends = np.cumsum([0, *(len(span.deg) for span in trajectory.asked)]).tolist()
+    facts["asked"] = [
+        {"from_s": span.from_s, "to_s": span.to_s, "joint": span.joint, "deg": [first, end]}
+        for span, first, end in zip(trajectory.asked, ends, ends[1:], strict=False)
+    ]
+    asked_deg = [np.array(span.deg) for span in trajectory.asked]
     arrays = {"facts": np.frombuffer(json.dumps(facts).encode(), dtype=np.uint8)}
+    arrays["asked_deg"] = np.concatenate([np.zeros(0), *asked_deg])
     for number, motion in enumerate(motions):
         arrays |= {f"{number}.{key}": getattr(motion.path, key) for key in _PATH}
         arrays |= {f"{number}.{key}": getattr(motion.clock, key) for key in _CLOCK}

@@ -27,6 +27,12 @@ if TYPE_CHECKING:
 KEY_SLACK_DEG: Final = 1e-6
 """Rounding error of an angle at its key: far below the finest unit of a servo (0.01 deg)."""
 
+KEPT_SLACK_DEG: Final = 0.11
+"""What a joint that keeps its time may miss a key by without a report, and rounding."""
+
+SPAN_SLACK_S: Final = 0.02
+"""A reported span may begin or end so long after or before its deviation: two cells of a spline."""
+
 
 def plan(sequence: Sequence, robot: Robot) -> Trajectory:
     """Return the motion of `robot` that comes closest to `sequence` within all limits.
@@ -101,10 +107,44 @@ def _planned_track(track: Sequence, robot: Robot) -> Trajectory:
     if track.loop_span_s is not None:
         from lss_motion.trajectory.verify import verify
 
-        whole = _planned_track(replace(track, loop=1, loop_span_s=None), robot)
-        trajectory = with_looped_span(track, whole)
+        trajectory = with_looped_span(track, _planned_joints(replace(track, loop=1), robot))
         verify(trajectory, robot, has_parts=False)
         return trajectory
+    return _planned_joints(track, robot)
+
+
+def _planned_joints(track: Sequence, robot: Robot) -> Trajectory:
+    """Return the plan of joints that keep their time beside that of the others."""
+    keyed = {name for frame in track.keyframes for name in frame.deg}
+    if not (kept := keyed & track.keeps_time):
+        return _planned_angles(replace(track, keeps_time=frozenset(), loop_span_s=None), robot)
+    if kept == keyed:
+        return _time_kept(replace(track, keeps_time=frozenset(kept)), robot)
+    from lss_motion.trajectory.keep_time import beside, is_even, part_of
+    from lss_motion.trajectory.verify import verify
+
+    slow = _planned_joints(part_of(track, keyed - kept), robot)
+    may_flow = is_even(slow, track)
+    own = _time_kept(part_of(track, kept), robot, may_flow=may_flow)
+    trajectory = beside(slow, own, track, robot)
+    verify(trajectory, robot, has_parts=False)
+    return trajectory
+
+
+def _time_kept(track: Sequence, robot: Robot, *, may_flow: bool = True) -> Trajectory:
+    """Return the plan of keyframes whose joints all keep their time, made or from the cache."""
+    _check_length(track)
+
+    def make() -> Trajectory:
+        from lss_motion.trajectory.keep_time import time_kept
+
+        return time_kept(track, robot, may_flow=may_flow)
+
+    name = cache_name(track, robot, may_flow=may_flow)
+    return cached(name, make, lambda plan: _fits(plan, track, robot), robot)
+
+
+def _planned_angles(track: Sequence, robot: Robot) -> Trajectory:
     ratio = track.speed_ratio
     trajectory = _keyframes(replace(track, speed_ratio=1.0), robot)
     if track.timing is Timing.FASTEST and ratio < 1.0:
@@ -155,14 +195,26 @@ def _fits(trajectory: Trajectory, track: Sequence, robot: Robot) -> bool:
         return False
     angles_deg = trajectory.sample(np.array([mark.planned_s for mark in trajectory.marks]))
     column = {name: index for index, name in enumerate(trajectory.joints)}
+    slack_deg = KEPT_SLACK_DEG if track.keeps_time else KEY_SLACK_DEG
     return all(
-        abs(row[column[name]] - angle_deg) <= KEY_SLACK_DEG
-        for row, keyframe in zip(angles_deg.tolist(), keyframes, strict=True)
+        abs(row[column[name]] - angle_deg) <= slack_deg
+        or _gives_up(trajectory, name, mark.planned_s)
+        for row, keyframe, mark in zip(
+            angles_deg.tolist(), keyframes, trajectory.marks, strict=True
+        )
         for name, angle_deg in keyframe.deg.items()
     )
 
 
-def cache_name(sequence: Sequence, robot: Robot) -> str:
+def _gives_up(trajectory: Trajectory, name: str, at_s: float) -> bool:
+    """Return whether the plan reports that a joint gives up angle at that instant."""
+    return any(
+        span.joint == name and span.from_s - SPAN_SLACK_S <= at_s <= span.to_s + SPAN_SLACK_S
+        for span in trajectory.given_up
+    )
+
+
+def cache_name(sequence: Sequence, robot: Robot, *, may_flow: bool = True) -> str:
     """Return the name of an entry: a hash of keys, times and limits."""
     digest = hashlib.sha256(repr(PLANNER_VERSION).encode())
     digest.update(
@@ -172,6 +224,9 @@ def cache_name(sequence: Sequence, robot: Robot) -> str:
                 str(sequence.timing),
                 sequence.fit_duration_s,
                 sequence.loop,
+                sorted(sequence.keeps_time),
+                sequence.loop_span_s,
+                may_flow,
                 [
                     (
                         joint.name,
@@ -193,6 +248,8 @@ def cache_name(sequence: Sequence, robot: Robot) -> str:
                     frame.hold_s,
                     frame.hold_may_shrink,
                     frame.is_anchor,
+                    frame.is_exact,
+                    frame.weight,
                     str(frame.ease),
                     frame.label,
                     [(name, float(angle_deg)) for name, angle_deg in frame.deg.items()],

@@ -198,6 +198,8 @@ def _trajectory(show: Sequence, steps: _StepCollector, robot: Robot) -> Trajecto
             for start_s, part, _ in parts
             for stretch in part.stretched
         ),
+        given_up=tuple(span.later(start_s) for start_s, part, _ in parts for span in part.given_up),
+        asked=tuple(span.later(start_s) for start_s, part, _ in parts for span in part.asked),
         marks=tuple(
             mark.later(start_s)
             for start_s, part, _ in parts

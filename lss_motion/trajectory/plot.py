@@ -38,6 +38,9 @@ LABELS_MAX: Final = 24
 PLANNED, HORN, LIMIT, LATE, MARK = "#1f5fa8", "#e0701a", "#c0392b", "#f6c344", "#9aa5b1"
 """Colours: the plan, measured horn angles, limits, slowed spans, keyframes."""
 
+ASKED: Final = "#3f9b5b"
+"""Colour of the angles that the author asks for, where the plan gives up angle."""
+
 
 def plot(
     trajectory: Trajectory,
@@ -61,6 +64,7 @@ def plot(
         values = [curve[:, row] for curve in curves]
         own_horn = None if horn is None else (horn[0], horn[1][:, row])
         _row(axes[row], robot.joints[name], times_s, values, own_horn)
+        _asked(axes[row][0], trajectory, name)
     for axis in axes.flat:
         _spans(axis, trajectory)
     for axis, title in zip(
@@ -84,7 +88,7 @@ def plot(
     figure.legend(
         handles=_legend(trajectory, has_horn=horn is not None),
         loc="upper right",
-        ncols=5,
+        ncols=6,
         fontsize=8,
         frameon=False,
     )
@@ -130,6 +134,14 @@ def _row(
     axes[0].set_ylabel(joint.name, fontsize=9, fontweight="bold")
 
 
+def _asked(axis: Any, trajectory: Trajectory, joint: str) -> None:  # noqa: ANN401  as above
+    """Draw what the author asks for where the joint gives up angle."""
+    for span in trajectory.asked:
+        if span.joint == joint:
+            times_s = np.linspace(span.from_s, span.to_s, len(span.deg))
+            axis.plot(times_s, span.deg, color=ASKED, linewidth=0.9, linestyle=(0, (3, 1.5)))
+
+
 def _spans(axis: Any, trajectory: Trajectory) -> None:  # noqa: ANN401  matplotlib is untyped here
     for mark in trajectory.marks:
         axis.axvline(mark.planned_s, color=MARK, linewidth=1.1 if mark.is_anchor else 0.5)
@@ -157,7 +169,9 @@ def _headline(trajectory: Trajectory) -> str:
     length = "without end" if trajectory.loop is None else f"{trajectory.duration_s:.3f} s"
     lost_s = sum(stretch.by_s for stretch in trajectory.stretched)
     late = f", {lost_s:.3f} s slower than authored" if lost_s > 0.0 else ""
-    return f"{trajectory.name}: {length}{late}"
+    by_deg = max((span.by_deg for span in trajectory.given_up), default=0.0)
+    given_up = f", up to {by_deg:.1f} deg given up to keep the time" if by_deg > 0.0 else ""
+    return f"{trajectory.name}: {length}{late}{given_up}"
 
 
 def _legend(trajectory: Trajectory, *, has_horn: bool) -> list[Any]:
@@ -167,6 +181,8 @@ def _legend(trajectory: Trajectory, *, has_horn: bool) -> list[Any]:
     handles: list[Any] = [Line2D([], [], color=PLANNED, label="plan")]
     if has_horn:
         handles.append(Line2D([], [], color=HORN, label="horn"))
+    if trajectory.asked:
+        handles.append(Line2D([], [], color=ASKED, linestyle="--", label="asked"))
     handles.append(Line2D([], [], color=LIMIT, linestyle="--", label="limit"))
     handles.append(Line2D([], [], color=MARK, label="keyframe"))
     if trajectory.stretched:

@@ -21,7 +21,14 @@ from lss_motion.errors import InputError, PlanningError
 from lss_motion.splines import runs
 from lss_motion.trajectory.catch_up import Dues, made_up
 from lss_motion.trajectory.curves import JointKeys, build_path, joint_keys, seam_slope_deg_s
-from lss_motion.trajectory.keys import SAME_INSTANT_S, Spacing, is_timed, keys_by_joint, spacing_of
+from lss_motion.trajectory.keys import (
+    SAME_INSTANT_S,
+    Spacing,
+    authored_spacing,
+    is_timed,
+    keys_by_joint,
+    spacing_of,
+)
 from lss_motion.trajectory.model import PathClock, PathMotion, Trajectory, motions_of
 from lss_motion.trajectory.path import Path, concatenate, peaks
 from lss_motion.trajectory.solver import FEASIBLE_RATIO, RATE_FREE, RateTask, slow_outline, solve
@@ -105,12 +112,17 @@ class Layout:
         )
 
 
-def laid_out(sequence: Show, robot: Robot, *, may_flow: bool = True) -> Layout:
-    """Return the layout of a sequence; `may_flow` False lets every pass end at rest."""
+def laid_out(
+    sequence: Show, robot: Robot, *, may_flow: bool = True, keeps_time: bool = False
+) -> Layout:
+    """Return the layout of a sequence; `may_flow` False lets every pass end at rest.
+
+    `keeps_time`: path positions are the authored times, also where keys are too close together.
+    """
     checked = keys_by_joint(sequence, robot)
     if not checked:
         raise InputError("the sequence moves no joint", path=sequence.path)
-    spacing = spacing_of(sequence, checked, robot)
+    spacing = authored_spacing(sequence) if keeps_time else spacing_of(sequence, checked, robot)
     keys = {name: joint_keys(own, spacing) for name, own in checked.items()}
     length_s = spacing.length_s
     slopes: dict[str, float] = {}

@@ -70,10 +70,10 @@ def planned_track(sequence: Show, robot: Robot) -> Trajectory:
     """Return the plan of the keyframes of `sequence` alone; it has passed the verifier."""
     if sequence.timing is Timing.FIT and is_timed(sequence):
         return _fitted(sequence, robot)
-    return _verified(_planned(laid_out(sequence, robot)), sequence, robot)
+    return verified(_planned(laid_out(sequence, robot)), sequence, robot)
 
 
-def _verified(trajectory: Trajectory, sequence: Show, robot: Robot) -> Trajectory:
+def verified(trajectory: Trajectory, sequence: Show, robot: Robot) -> Trajectory:
     """Return the trajectory if it passes `verify`; else raise with the keyframe after the fault."""
     try:
         verify(trajectory, robot)
@@ -203,7 +203,7 @@ def _fitted(sequence: Show, robot: Robot) -> Trajectory:
             joint=worst.joint,
             time_s=worst.from_s,
         )
-    return _verified(trajectory, sequence, robot)
+    return verified(trajectory, sequence, robot)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -277,6 +277,9 @@ def _fitting(
 ) -> Trajectory:
     """Return an endless track with as many passes as fit into `length_s`."""
     ends_s = track.first.duration_s + track.last.duration_s
+    if track.first.parts:  # Its last pass is that of the number of passes it was planned for.
+        count = 2 + math.floor((length_s - ends_s) / track.middle.duration_s + 1e-9)
+        return plan(replace(source, loop=max(1, count)), robot)
     count = 2 + math.floor((length_s - ends_s) / track.middle.duration_s + 1e-9)
     if count >= 2 or not track.is_periodic:
         return replace(track, loop=max(1, count))
@@ -339,6 +342,10 @@ def _merged(
         stretched=tuple(
             sorted((s for track in tracks for s in track.stretched), key=lambda s: s.from_s)
         ),
+        given_up=tuple(
+            sorted((s for track in tracks for s in track.given_up), key=lambda s: s.from_s)
+        ),
+        asked=tuple(span for track in tracks for span in track.asked),
         marks=tuple(sorted((m for t in tracks for m in t.marks), key=lambda m: m.planned_s)),
     )
 

@@ -1,0 +1,312 @@
+"""Joints that keep their time: every instant is met, and angle is given up where they are too slow.
+
+The keyframes are followed at exactly the authored times. Where that breaks a limit, the motion of
+the joint is the closest one within the limits (`keep_joint`); joints do not depend on each other.
+`part_of` and `beside` plan a track in which other joints keep their angles and may be late.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.errors import InputError
+from lss_motion.sequence.model import Timing
+from lss_motion.splines import runs
+from lss_motion.trajectory import explain
+from lss_motion.trajectory.closest_spline import Bounds
+from lss_motion.trajectory.curves import shifted
+from lss_motion.trajectory.keep_joint import (
+    KNOT_MIN_S,
+    Asked,
+    Grid,
+    JointFollower,
+    KeyAsked,
+)
+from lss_motion.trajectory.keys import SAME_ANGLE_DEG, SAME_INSTANT_S, is_timed, named
+from lss_motion.trajectory.model import (
+    PathClock,
+    PathMotion,
+    Trajectory,
+    motions_of,
+    steady_clock,
+)
+from lss_motion.trajectory.path import Path, concatenate, peaks
+from lss_motion.trajectory.retime import Layout, laid_out, scaled
+from lss_motion.trajectory.tracks import ParallelPass, verified
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+    from numpy.typing import NDArray
+
+    from lss_motion.robot.model import Robot
+    from lss_motion.sequence.model import Sequence as Show
+    from lss_motion.trajectory.model import Pass
+
+    FloatArray = NDArray[np.float64]
+
+PULL_MAX_S: Final = 0.5
+"""A weighted key counts at most for so much time around it."""
+
+PASS_SLACK_S: Final = 1e-9
+"""Passes that differ by less are equally long: rounding."""
+
+
+def check_time_kept(sequence: Show) -> None:
+    """Raise `InputError` if joints should keep times that the file does not give."""
+    if is_timed(sequence):
+        return
+    raise InputError(
+        "keep: time needs the author's times; give the keyframes at_s or after_s and remove "
+        "timing: fastest, or remove keep: time",
+        path=sequence.path,
+    )
+
+
+def time_kept(sequence: Show, robot: Robot, *, may_flow: bool = True) -> Trajectory:
+    """Return the plan of keyframes whose joints all keep their time; it has passed the verifier.
+
+    `may_flow` False lets every pass of a loop end at rest. Raises `PlanningError` if an exact key
+    cannot be met.
+    """
+    check_time_kept(sequence)
+    if sequence.timing is Timing.FIT:
+        sequence = scaled(sequence, sequence.fit_duration_s or 0.0)
+    layout = laid_out(sequence, robot, may_flow=may_flow, keeps_time=True)
+    _check_jumps(layout)
+    reference = concatenate(layout.paths)
+    grid = Grid.of(layout)
+    limits = _exceeded(reference, layout, robot)
+    joints = []
+    for column, name in enumerate(layout.keys):
+        joint = robot.joints[name]
+        bounds = Bounds(
+            low_deg=joint.position_min_deg,
+            high_deg=joint.position_max_deg,
+            speed_deg_s=joint.speed_max_deg_s,
+            accel_deg_s2=joint.accel_max_deg_s2,
+        )
+        asked = Asked(path=reference, column=column)
+        keys = _joint_keys(layout, name)
+        source = "" if sequence.path is None else str(sequence.path)
+        follower = JointFollower(
+            name=name, bounds=bounds, asked=asked, grid=grid, keys=keys, source=source
+        )
+        joints.append(follower)
+        follower.follow(runs(limits[:, column]))
+    return verified(_assembled(layout, reference, joints), sequence, robot)
+
+
+def _check_jumps(layout: Layout) -> None:
+    """Raise `InputError` for two keys of a joint with different angles and no time between them."""
+    show = layout.sequence
+    last: dict[str, tuple[float, float]] = {}
+    for frame, at_s, left_s in zip(
+        show.keyframes,
+        layout.spacing.reached_s.tolist(),
+        layout.spacing.left_s.tolist(),
+        strict=True,
+    ):
+        for name, deg in frame.deg.items():
+            free_s, before_deg = last.get(name, (-math.inf, deg))
+            if at_s <= free_s + SAME_INSTANT_S and abs(deg - before_deg) > SAME_ANGLE_DEG:
+                raise InputError(
+                    f"keyframe {named(frame)}: joint {name!r} would have to go from "
+                    f"{before_deg:g} to {deg:g} deg in no time; come later",
+                    path=show.path,
+                    line=frame.line,
+                )
+            last[name] = (max(left_s, free_s), deg)
+
+
+def _exceeded(path: Path, layout: Layout, robot: Robot) -> NDArray[np.bool_]:
+    """Return which segments of which joints exceed a limit at the authored times."""
+    joints = [robot.joints[name] for name in layout.keys]
+    speed, accel = peaks(path)
+    low_deg, high_deg = _extremes(path)
+    return np.asarray(
+        (speed > np.array([joint.speed_max_deg_s for joint in joints]))
+        | (accel > np.array([joint.accel_max_deg_s2 for joint in joints]))
+        | (low_deg < np.array([joint.position_min_deg for joint in joints]) - SAME_ANGLE_DEG)
+        | (high_deg > np.array([joint.position_max_deg for joint in joints]) + SAME_ANGLE_DEG)
+    )
+
+
+def _extremes(path: Path) -> tuple[FloatArray, FloatArray]:
+    """Return the least and the largest angle of each segment and joint."""
+    start, linear, square, cube = np.moveaxis(path.coefficients, 1, 0)
+    length_s = path.segment_lengths_s[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        root = np.sqrt(square**2 - 3.0 * cube * linear)
+        turns_s = [(-square - root) / (3.0 * cube), (-square + root) / (3.0 * cube)]
+        turns_s.append(-linear / (2.0 * square))
+    found = [start, start + length_s * (linear + length_s * (square + length_s * cube))]
+    for turn_s in turns_s:
+        inside_s = np.where((turn_s > 0.0) & (turn_s < length_s), turn_s, 0.0)
+        found.append(start + inside_s * (linear + inside_s * (square + inside_s * cube)))
+    return np.minimum.reduce(found), np.maximum.reduce(found)
+
+
+def _joint_keys(layout: Layout, name: str) -> tuple[KeyAsked, ...]:
+    """Return the keys of a joint in all passes."""
+    frames = [
+        (index, frame) for index, frame in enumerate(layout.sequence.keyframes) if name in frame.deg
+    ]
+    reached_s, left_s = layout.spacing.reached_s, layout.spacing.left_s
+    angles = [frame.deg[name] for _, frame in frames]
+    found = []
+    for count in range(len(layout.paths)):
+        start_s = count * layout.spacing.length_s
+        for place, (index, frame) in enumerate(frames):
+            before, after = max(0, place - 1), min(len(frames) - 1, place + 1)
+            rise = (angles[place] - angles[before]) * (angles[after] - angles[place])
+            since_s = float(reached_s[index] - left_s[frames[before][0]]) if place else 0.0
+            until_s = float(reached_s[frames[after][0]] - left_s[index]) if after > place else 0.0
+            found.append(
+                KeyAsked(
+                    at_s=start_s + float(reached_s[index]),
+                    left_s=start_s + float(left_s[index]),
+                    deg=frame.deg[name],
+                    name=named(frame),
+                    label=frame.label,
+                    line=frame.line,
+                    is_exact=frame.is_exact,
+                    weight=frame.weight,
+                    around_s=min(0.5 * (max(since_s, 0.0) + max(until_s, 0.0)), PULL_MAX_S),
+                    is_turn=rise <= 0.0,
+                )
+            )
+    return tuple(found)
+
+
+def united(
+    pieces: Sequence[tuple[FloatArray, FloatArray]], knots_s: FloatArray, end_s: float
+) -> Path:
+    """Return the path of joints with own starts and cubics; `knots_s` are knots in any case."""
+    starts_s = np.unique(np.concatenate([knots_s, *(starts for starts, _ in pieces)]))
+    starts_s = starts_s[np.append(True, np.diff(starts_s) > KNOT_MIN_S)]
+    starts_s = starts_s[starts_s < end_s - KNOT_MIN_S]
+    coefficients = np.empty((len(starts_s), 4, len(pieces)))
+    for column, (own_starts_s, cubics) in enumerate(pieces):
+        chosen = np.searchsorted(own_starts_s, starts_s + KNOT_MIN_S, side="right") - 1
+        coefficients[:, :, column] = shifted(cubics[chosen], starts_s - own_starts_s[chosen])
+    return Path(knots_s=np.append(starts_s, end_s), coefficients=coefficients)
+
+
+def _assembled(layout: Layout, reference: Path, joints: Sequence[JointFollower]) -> Trajectory:
+    sequence, length_s = layout.sequence, layout.spacing.length_s
+    starts_s: FloatArray = length_s * np.arange(len(layout.paths) + 1, dtype=np.float64)
+    path = united([joint.pieces() for joint in joints], starts_s[:-1], float(reference.knots_s[-1]))
+    clock = steady_clock(length_s)
+    motions = []
+    for from_s, to_s in zip(starts_s[:-1].tolist(), starts_s[1:].tolist(), strict=True):
+        first = int(np.argmin(np.abs(path.knots_s - from_s)))
+        end = int(np.argmin(np.abs(path.knots_s - to_s)))
+        knots_s = path.knots_s[first : end + 1] - path.knots_s[first]
+        knots_s[-1] = length_s
+        part = Path(knots_s=knots_s, coefficients=path.coefficients[first:end])
+        motions.append(PathMotion(path=part, clock=clock))
+    given_up = [(joint, span) for joint in joints for span in joint.given_up()]
+    given_up.sort(key=lambda pair: pair[1].from_s)
+    return Trajectory(
+        name=sequence.name,
+        joints=tuple(layout.keys),
+        first=motions[0],
+        middle=motions[len(motions) // 2],
+        last=motions[-1],
+        loop=sequence.loop,
+        is_periodic=len(motions) > 1,
+        given_up=tuple(span for _, span in given_up),
+        asked=tuple(joint.asked_in(span) for joint, span in given_up),
+        marks=explain.marks(sequence.keyframes, layout.spacing, clock, is_timed=True),
+    )
+
+
+def part_of(track: Show, joints: Collection[str]) -> Show:
+    """Return the keyframes of a track with those joints only; all of its times are kept.
+
+    Keyframes of other joints stay in it without angles: no hold and no anchor of these joints.
+    """
+    frames = []
+    for frame in track.keyframes:
+        deg = {name: angle_deg for name, angle_deg in frame.deg.items() if name in joints}
+        own = frame if deg else replace(frame, is_anchor=False, hold_may_shrink=True)
+        frames.append(replace(own, deg=deg))
+    return replace(track, keyframes=tuple(frames), keeps_time=track.keeps_time & {*joints})
+
+
+def is_even(slow: Trajectory, track: Show) -> bool:
+    """Return whether every pass of `slow` is as long as the author's."""
+    ends_s = [(frame.at_s or 0.0) + frame.hold_s for frame in track.keyframes]
+    length_s = track.fit_duration_s or max(ends_s)
+    return all(abs(motion.duration_s - length_s) <= PASS_SLACK_S for motion in _passes(slow))
+
+
+def _passes(trajectory: Trajectory) -> tuple[Pass, Pass, Pass]:
+    return trajectory.first, trajectory.middle, trajectory.last
+
+
+def beside(slow: Trajectory, kept: Trajectory, track: Show, robot: Robot) -> Trajectory:
+    """Return the joints of a track that may be late beside those that keep their time.
+
+    A pass lasts until the late joints are through it; the others wait for them at its end.
+    """
+    joints = tuple(name for name in robot.joints if name in {*slow.joints, *kept.joints})
+    if slow.loop != 1:
+        kept = _waiting(kept, slow)
+    parts = (slow, kept)
+
+    def during(from_s: float, duration_s: float) -> ParallelPass:
+        return ParallelPass(joints=joints, parts=parts, from_s=from_s, duration_s=duration_s)
+
+    first = middle = last = during(0.0, max(part.first.duration_s for part in parts))
+    if any(part.first is not part.last or part.is_periodic for part in parts):
+        middle = during(slow.pass_start_s(1), slow.middle.duration_s)
+        last = middle
+        if slow.loop is not None:
+            last = during(slow.pass_start_s(slow.loop - 1), slow.last.duration_s)
+    marks = [
+        own if own_frame_joints.issubset(kept.joints) else late
+        for own, late, own_frame_joints in zip(
+            kept.marks, slow.marks, ({*frame.deg} for frame in track.keyframes), strict=True
+        )
+    ]
+    return Trajectory(
+        name=track.name,
+        joints=joints,
+        first=first,
+        middle=middle,
+        last=last,
+        loop=track.loop,
+        is_periodic=slow.is_periodic or kept.is_periodic,
+        stretched=slow.stretched,
+        given_up=kept.given_up,
+        asked=kept.asked,
+        marks=tuple(marks),
+    )
+
+
+def _waiting(kept: Trajectory, slow: Trajectory) -> Trajectory:
+    """Return the passes of `kept`, each with a rest at its end until that of `slow` is over."""
+
+    def longer(motion: PathMotion, until_s: float) -> PathMotion:
+        end_s = motion.duration_s
+        if until_s - end_s <= PASS_SLACK_S:
+            return motion
+        clock = PathClock(
+            times_s=np.array([0.0, end_s, until_s]),
+            path_s=np.array([0.0, end_s, end_s]),
+            rates=np.array([1.0, 0.0]),
+            rate_slopes=np.zeros(2),
+        )
+        return PathMotion(path=motion.path, clock=clock)
+
+    first, middle, last = (
+        longer(motion, other.duration_s)
+        for motion, other in zip(motions_of(kept), _passes(slow), strict=True)
+    )
+    return replace(kept, first=first, middle=middle, last=last)
