@@ -79,7 +79,7 @@ class Bench:
         times_ns = np.arange(0, self.connection.clock.now_ns(), TICK_NS)
         return self.bus.horn_deg(times_ns.tolist())[:, 0]
 
-    def received(self):
+    def lines(self):
         return [line.rstrip(b"\r") for _, line in self.bus.lines]
 
 
