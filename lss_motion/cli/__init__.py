@@ -10,6 +10,7 @@ Commands, called by `main`:
 calibrate       `calibrate`: find zero and direction of each joint by hand
 completion      `completion`: the script that lets a shell complete commands and options
 configure       `configure`: compare, write, back up and restore the settings of servos
+devices         `devices`: the sound devices of this computer
 doctor          `doctor`: check this computer
 examples        `example`: list the packaged examples, write one
 exchange        `import`, `export`: motion of other tools, and motion for them

@@ -31,10 +31,11 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """\
 Check this computer: Python, packages, permissions of the ports, USB latency, programs that occupy
-ports, clock and timer. Each finding has its remedy. It takes a second, opens no port and changes
-nothing.
+ports, clock and timer, sound. Each finding has its remedy. It takes a second, opens no port and
+changes nothing.
 
   lss-motion doctor
+  lss-motion doctor --tone             play a short tone as well
   lss-motion doctor my_robot.yaml      the servos of this robot as well
 
 With a robot it also sends queries to its servos: whether they are set up as the robot file has it,
@@ -52,6 +53,13 @@ def add_to(commands: Commands) -> None:
     )
     add_robot(doctor, is_required=False)
     doctor.add_argument("--port", metavar="URL", help=PORT_HELP)
+    doctor.add_argument(
+        "--tone",
+        nargs="?",
+        const="",
+        metavar="DEVICE",
+        help="play a short tone on the default sound device, or on this one, and print its latency",
+    )
     add_json(doctor)
 
 
@@ -63,7 +71,7 @@ def _doctor(arguments: argparse.Namespace) -> int:
         robot = robot_at(arguments.robot, arguments.port)
     elif arguments.port is not None:
         raise InputError("--port is the port of a ROBOT; give its file")
-    findings = examine()
+    findings = [*examine(), _sound(arguments.tone)]
     error = None
     if robot is not None:
         more, error = _examined(robot)
@@ -81,6 +89,25 @@ def _doctor(arguments: argparse.Namespace) -> int:
     if "packages" in bad or isinstance(error, InputError):
         return EXIT_INPUT
     return EXIT_UNREACHABLE
+
+
+def _sound(tone: str | None) -> Finding:
+    """Return what can be told of sound; play a tone if a device is named, "" for the default."""
+    from lss_motion.runtime.computer import Finding, Level
+    from lss_motion.sound.device import NoDeviceError, chosen_device, play_tone
+
+    try:
+        if tone is None:
+            device = chosen_device("")
+            latency_s, done = device.latency_s, "can play"
+        else:
+            device, latency_s = play_tone(tone)
+            done = "has played a tone; if you did not hear it, look at its volume"
+    except NoDeviceError as error:
+        fix = "lss-motion devices" if tone else ""
+        return Finding(subject="sound", level=Level.HINT, text=str(error), fix=fix)
+    text = f"{device.name} ({device.driver}) {done}; its driver states {1000 * latency_s:.0f} ms"
+    return Finding(subject="sound", level=Level.OK, text=text)
 
 
 def _examined(robot: Robot) -> tuple[list[Finding], LssMotionError | None]:

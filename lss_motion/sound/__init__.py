@@ -4,7 +4,12 @@ Nothing here knows a robot or a show; the packages above hand over times and fil
 extra every module can be imported; what needs it raises `InputError` with the command that
 installs it.
 
-| file       | what it does                                          | used by                    |
-|------------|-------------------------------------------------------|----------------------------|
-| `files.py` | WAV, FLAC, OGG and MP3 as samples, exact to the frame | `sequence`, `interchange`  |
+| file              | what it does                                         | used by              |
+|-------------------|------------------------------------------------------|----------------------|
+| `files.py`        | WAV, FLAC, OGG, MP3 as samples, exact to the frame   | all                  |
+| `sources.py`      | a file at the rate of a device, read ahead           | `mixer`, `process`   |
+| `mixer.py`        | what a device plays, block by block, with the show   | `device`, `process`  |
+| `device_clock.py` | when the frames of a device sound                    | `device`             |
+| `device.py`       | the devices of this computer, one open stream        | `process`, `cli`     |
+| `process.py`      | the process that plays the sounds of a show          | started by `runtime` |
 """

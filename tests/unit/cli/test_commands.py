@@ -233,3 +233,20 @@ def test_a_backup_takes_their_place(limitless_show, tmp_path, capsys):
     speeds = np.diff(rows[:, 1:], axis=0) / np.diff(rows[:, :1], axis=0)
     assert 59.0 < np.abs(speeds).max() < 60.5
     capsys.readouterr()
+
+
+def test_devices_are_listed_or_the_command_that_installs_them_is_named(capsys, monkeypatch):
+    code = main(["devices", "--json"])
+    output = capsys.readouterr()
+    assert (code == 0 and "devices" in json.loads(output.out)) or "install" in output.err
+    monkeypatch.setitem(sys.modules, "sounddevice", None)
+    assert main(["devices"]) == 2
+    assert "pip install 'lss-motion[sound]'" in capsys.readouterr().err
+
+
+def test_doctor_names_the_sound_device_or_what_is_missing(capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "sounddevice", None)
+    main(["doctor", "--json", "--tone"])
+    findings = json.loads(capsys.readouterr().out)["findings"]
+    sound = next(finding for finding in findings if finding["subject"] == "sound")
+    assert "pip install" in sound["text"]

@@ -1,0 +1,200 @@
+"""Sound devices of this computer, through PortAudio: which there are, and one open stream.
+
+`OpenStream` plays what a `Mixer` renders. PortAudio calls it in a thread of its own, some
+milliseconds before a block sounds, and states when it will sound.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import numpy as np
+
+from lss_motion.files.source import known_names
+from lss_motion.sound.device_clock import DeviceClock
+from lss_motion.sound.files import INSTALL, STEREO
+from lss_motion.units import NS_PER_S
+
+if TYPE_CHECKING:
+    from types import ModuleType, TracebackType
+
+    from lss_motion.sound.mixer import Mixer
+
+LATENCY_S: Final = 0.03
+"""Asked of the driver. Sounds are planned ahead, so that it makes none of them late; a shorter one
+would make dropouts where the computer is busy. Chosen."""
+LINUX_LIBRARY: Final = "on Linux also: sudo apt install libportaudio2"
+TONE_HZ: Final = 440.0
+TONE_S: Final = 0.6
+TONE_RATIO: Final = 0.2
+
+
+class NoDeviceError(Exception):
+    """No sound can be played; the text says why and what to do."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Device:
+    """A device that can play, as its driver states it."""
+
+    name: str
+    driver: str
+    channels: int
+    rate_hz: int
+    latency_s: float
+    is_default: bool
+
+
+def sounddevice_module() -> ModuleType:
+    """Return the library that plays; raises `NoDeviceError` without it."""
+    try:
+        import sounddevice
+    except ImportError as error:
+        raise NoDeviceError(f"playing sound on time needs a library: {INSTALL}") from error
+    except OSError as error:  # PortAudio itself is missing.
+        raise NoDeviceError(f"the library PortAudio is missing; {LINUX_LIBRARY}") from error
+    module: ModuleType = sounddevice
+    return module
+
+
+def devices() -> list[Device]:
+    """Return the devices that can play; raises `NoDeviceError` if the library is missing."""
+    library = sounddevice_module()
+    default = library.default.device[1]
+    drivers = library.query_hostapis()
+    return [
+        Device(
+            name=found["name"],
+            driver=drivers[found["hostapi"]]["name"],
+            channels=found["max_output_channels"],
+            rate_hz=round(found["default_samplerate"]),
+            latency_s=found["default_low_output_latency"],
+            is_default=index == default,
+        )
+        for index, found in enumerate(library.query_devices())
+        if found["max_output_channels"] > 0
+    ]
+
+
+def chosen_device(name: str) -> Device:
+    """Return the device of that name, or the default one; raises `NoDeviceError`."""
+    found = devices()
+    if not found:
+        raise NoDeviceError("this computer has no sound device; connect one, or start its server")
+    if not name:
+        return next((device for device in found if device.is_default), found[0])
+    fitting = [device for device in found if name.lower() in device.name.lower()]
+    exact = [device for device in fitting if device.name.lower() == name.lower()]
+    if not fitting:
+        text = known_names(name, [device.name for device in found])
+        raise NoDeviceError(f"sound device {name!r} is not there; {text}")
+    return (exact or fitting)[0]
+
+
+class OpenStream:
+    """A device that plays what `mixer` renders, from `open` until `close`. A context manager."""
+
+    def __init__(self, name: str = "") -> None:
+        """Open the device of that name, or the default one; raises `NoDeviceError`."""
+        library = sounddevice_module()
+        self.device = chosen_device(name)
+        self.lock = threading.Lock()
+        """Held while a block is rendered; hold it to change the mixer."""
+        self.mixer: Mixer | None = None
+        self.called_ns = time.monotonic_ns()
+        """When the device last asked for a block."""
+        self.dropouts = 0
+        self.latency_s = LATENCY_S
+        """As the driver states it, once it is open."""
+        self._frame = 0
+        try:
+            self._stream: Any = library.OutputStream(
+                device=self.device.name,
+                channels=min(STEREO, self.device.channels),
+                dtype="float32",
+                latency=LATENCY_S,
+                callback=self._render,
+            )
+            self.rate_hz = round(self._stream.samplerate)
+            self.clock = DeviceClock(self.rate_hz)
+            self._stream.start()
+        except (library.PortAudioError, ValueError) as error:
+            raise NoDeviceError(
+                f"sound device {self.device.name!r} cannot be opened: {_reason(error)}"
+            ) from error
+        self.latency_s = float(self._stream.latency)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the device still asks for blocks."""
+        return bool(self._stream.active)
+
+    def close(self) -> None:
+        with contextlib.suppress(Exception):  # A device that is gone raises whatever it likes.
+            self._stream.abort()
+            self._stream.close()
+
+    def _render(self, out: Any, count: int, times: Any, status: Any) -> None:  # noqa: ANN401
+        now_ns = time.monotonic_ns()
+        self.called_ns = now_ns
+        ahead_s = times.outputBufferDacTime - times.currentTime
+        if not 0.0 < ahead_s < 10.0:  # Some drivers state nothing.
+            ahead_s = self.latency_s
+        self.dropouts += bool(status.output_underflow)
+        self.clock.take(self._frame, now_ns + round(ahead_s * NS_PER_S))
+        mixer = self.mixer
+        if mixer is None:
+            out.fill(0.0)
+        else:
+            with self.lock:
+                block = mixer.render(
+                    self.clock.heard_ns(self._frame), self.clock.ns_per_frame, count
+                )
+            out[:] = block if out.shape[1] == STEREO else block.mean(axis=1, keepdims=True)
+        self._frame += count
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _reason(error: Exception) -> str:
+    return str(error.args[0] if error.args else error)
+
+
+def play_tone(name: str = "") -> tuple[Device, float]:
+    """Play a short tone; return the device and the latency that its driver states.
+
+    Raises `NoDeviceError`.
+    """
+    library = sounddevice_module()
+    device = chosen_device(name)
+    rate_hz = device.rate_hz
+    times_s = np.arange(round(TONE_S * rate_hz)) / rate_hz
+    fade = np.minimum(1.0, np.minimum(times_s, TONE_S - times_s) / 0.05)
+    tone = (TONE_RATIO * fade * np.sin(2.0 * np.pi * TONE_HZ * times_s)).astype(np.float32)
+    channels = min(STEREO, device.channels)
+    try:
+        with library.OutputStream(
+            device=device.name,
+            samplerate=rate_hz,
+            channels=channels,
+            dtype="float32",
+            latency=LATENCY_S,
+        ) as stream:
+            stream.write(np.repeat(tone[:, None], channels, axis=1))
+            latency_s = float(stream.latency)
+    except library.PortAudioError as error:
+        raise NoDeviceError(f"{device.name!r} cannot be opened: {_reason(error)}") from error
+    return device, latency_s

@@ -1,0 +1,290 @@
+"""What a device must play at each instant: the sounds of a show, in time with its clock.
+
+`Mixer.render` is told when the frames of a block will sound and returns them. It has no device,
+clock or thread, so that tests render an hour in seconds.
+
+A sound is placed exactly at its show time, when it begins and whenever it is unmuted. From there
+it plays at the rate of the device while the device leads (the show follows it), else at that of the
+show clock, resampled. It is muted while the rate of the show is further than `RATE_BAND` from 1,
+and placed again after that. Every change takes `FADE_S`, so that there are no clicks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.sound.files import STEREO
+from lss_motion.sound.sources import resampled
+from lss_motion.units import NS_PER_S
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from lss_motion.sound.sources import Source
+
+FADE_S: Final = 0.05
+RATE_BAND: Final = 0.05
+"""A rate this far from 1 still sounds right, resampled. Beyond it, sounds are muted."""
+MISPLACED_S: Final = 0.02
+"""A sound this far from its place is faded out and placed again. Chosen: what is less is
+corrected by the rate, and cannot be seen."""
+CLOSING_S: Final = 2.0
+"""A sound that does not lead makes up its error over this time,"""
+CLOSING_RATIO: Final = 0.005
+"""but with no more than this change of its rate, which cannot be heard."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClockLeg:
+    """The show clock from `start_ns` on: the rate changes evenly, then is steady.
+
+    `trim_ratio` is what the show clock adds to follow a leader: the device itself, or another.
+    """
+
+    start_ns: int
+    start_s: float
+    from_rate: float
+    to_rate: float
+    ramp_ns: int
+    trim_ratio: float = 0.0
+
+    def rate(self, at_ns: float) -> float:
+        """Return the rate without the trim."""
+        elapsed_ns = at_ns - self.start_ns
+        if elapsed_ns >= self.ramp_ns:
+            return self.to_rate
+        if elapsed_ns <= 0.0:
+            return self.from_rate
+        share = elapsed_ns / self.ramp_ns
+        return self.from_rate + share * (self.to_rate - self.from_rate)
+
+    def show_s(self, at_ns: float) -> float:
+        elapsed_s, ramp_s = (at_ns - self.start_ns) / NS_PER_S, self.ramp_ns / NS_PER_S
+        if elapsed_s <= 0.0:
+            return self.start_s + self.from_rate * elapsed_s
+        if elapsed_s < ramp_s:
+            change = 0.5 * (self.to_rate - self.from_rate) * elapsed_s * elapsed_s / ramp_s
+            return self.start_s + self.from_rate * elapsed_s + change
+        ramped_s = 0.5 * (self.from_rate + self.to_rate) * ramp_s
+        trimmed_rate = self.to_rate * (1.0 + self.trim_ratio)
+        return self.start_s + ramped_s + trimmed_rate * (elapsed_s - ramp_s)
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class Voice:
+    """One sound of the show: from `at_s` on, until its end or until `until_s`.
+
+    `speed_ratio`: seconds of the sound per second of the show. `duck_ratio`: what is left of the
+    beds while this sounds.
+    """
+
+    number: int
+    source: Source
+    at_s: float
+    gain_ratio: float = 1.0
+    is_bed: bool = False
+    is_looped: bool = False
+    duck_ratio: float = 1.0
+    speed_ratio: float = 1.0
+    until_s: float = float("inf")
+    frame: float | None = None
+    """Frame of the source that is next; None: it has no place."""
+    has_begun: bool = False
+    fade: float = 1.0
+    """Its own fade, after it was placed while others sounded."""
+    is_leaving: bool = False
+    """It is faded out, to be placed again."""
+
+    def is_over(self, show_s: float, rate_hz: int) -> bool:
+        """Return whether nothing of it sounds from `show_s` on."""
+        if show_s >= self.until_s:
+            return True
+        end_s = self.at_s + self.source.frames / (rate_hz * self.speed_ratio)
+        return not self.is_looped and show_s > end_s + MISPLACED_S
+
+
+class Mixer:
+    """Mixes the voices of one show for a device of `rate_hz`."""
+
+    def __init__(self, rate_hz: int) -> None:
+        self.rate_hz = rate_hz
+        self.voices: list[Voice] = []
+        self.legs: list[ClockLeg] = []
+        self.offset_s = 0.0
+        """Sounds sound this much later than the show clock says."""
+        self.leads = True
+        """Sounds play at the rate of the device; the show clock follows."""
+        self.is_muted = False
+        self.is_silent = True
+        """Whether the last block was silence: all fades have ended."""
+        self.begun: list[Voice] = []
+        """Voices that have begun and were not taken from here yet."""
+        self.lead: tuple[float, float, float] | None = None
+        """Of the bed in the last block: the instant in ns, the show time, the rate."""
+        self._gate = 0.0
+        self._duck = 1.0
+
+    def set_leg(self, leg: ClockLeg) -> None:
+        """Follow the show clock from now on."""
+        self.legs = [*self.legs[-1:], leg]
+
+    def set_offset(self, offset_s: float) -> None:
+        """Sound later by `offset_s`; what sounds is faded out and placed again."""
+        if offset_s != self.offset_s:
+            self.offset_s = offset_s
+            for voice in self.voices:
+                voice.is_leaving = voice.frame is not None
+
+    def render(self, heard_ns: float, ns_per_frame: float, count: int) -> NDArray[np.float32]:
+        """Return the next `count` frames, of which the first one sounds at `heard_ns`."""
+        block = np.zeros((count, STEREO), dtype=np.float32)
+        at_ns = heard_ns - self.offset_s * NS_PER_S
+        leg = self._leg_at(at_ns)
+        self.lead = None
+        if leg is None:
+            self.is_silent = True
+            return block
+        rate = leg.rate(at_ns)
+        is_open = not self.is_muted and abs(rate - 1.0) <= RATE_BAND
+        gates = self._fade(self._gate, is_open=is_open, count=count)
+        if self._gate == 0.0 and not is_open:
+            for voice in self.voices:
+                voice.frame, voice.is_leaving, voice.fade = None, False, 1.0
+            self.is_silent = True
+        else:
+            others_are_heard = self._gate > 0.0
+            self._mix(block, leg, at_ns, ns_per_frame, is_fading_in=others_are_heard)
+            block *= gates[:, None]
+            self.is_silent = False
+        self._gate = float(gates[-1])
+        show_s = leg.show_s(at_ns)
+        self._drop(show_s)
+        return np.clip(block, -1.0, 1.0, out=block)
+
+    def _leg_at(self, at_ns: float) -> ClockLeg | None:
+        """Return the newest leg that has begun; before the first one there is only silence."""
+        begun = [leg for leg in self.legs if leg.start_ns <= at_ns]
+        if begun:
+            return begun[-1]
+        # A show that is about to begin: its first block may hold the first frame.
+        return self.legs[-1] if self.legs else None
+
+    def _drop(self, show_s: float) -> None:
+        gone = [voice for voice in self.voices if voice.is_over(show_s, self.rate_hz)]
+        for voice in gone:
+            self.voices.remove(voice)
+            voice.source.close()
+
+    def _mix(
+        self,
+        block: NDArray[np.float32],
+        leg: ClockLeg,
+        at_ns: float,
+        ns_per_frame: float,
+        *,
+        is_fading_in: bool,
+    ) -> None:
+        count = len(block)
+        duck = 1.0
+        beds = np.zeros_like(block)
+        for voice in list(self.voices):
+            part = self._part(voice, leg, at_ns, ns_per_frame, count, is_fading_in=is_fading_in)
+            if part is None:
+                continue
+            target = beds if voice.is_bed else block
+            target += part
+            duck = min(duck, voice.duck_ratio)
+        step = count / (FADE_S * self.rate_hz)
+        ducked = min(max(duck, self._duck - step), self._duck + step)
+        beds *= np.linspace(self._duck, ducked, count, dtype=np.float32)[:, None]
+        self._duck = ducked
+        block += beds
+
+    def _part(
+        self,
+        voice: Voice,
+        leg: ClockLeg,
+        at_ns: float,
+        ns_per_frame: float,
+        count: int,
+        *,
+        is_fading_in: bool,
+    ) -> NDArray[np.float32] | None:
+        """Return the block of one voice; None if it does not sound in it."""
+        show_s, rate = leg.show_s(at_ns), leg.rate(at_ns)
+        place = (show_s - voice.at_s) * voice.speed_ratio * self.rate_hz
+        step, lead_in = voice.speed_ratio * rate, 0
+        if not self.leads:
+            step *= (1.0 + leg.trim_ratio) * ns_per_frame * self.rate_hz / NS_PER_S
+        if voice.frame is None:
+            voice.source.want(max(place, 0.0), wraps=voice.is_looped)
+            if place + step * count <= 0.0:
+                return None
+            lead_in = round(max(-place, 0.0) / step)
+            if lead_in >= count or not self._is_placed(voice, place, is_fading_in=is_fading_in):
+                return None
+        assert voice.frame is not None
+        off_s = (place + step * lead_in - voice.frame) / (self.rate_hz * voice.speed_ratio)
+        if abs(off_s) > MISPLACED_S:
+            voice.is_leaving = True
+        elif not self.leads:
+            step *= 1.0 + max(-CLOSING_RATIO, min(off_s / CLOSING_S, CLOSING_RATIO))
+        part = np.zeros((count, STEREO), dtype=np.float32)
+        part[lead_in:] = self._frames(voice, step, count - lead_in)
+        part *= self._gains(voice, show_s, rate, count)[:, None]
+        if voice.is_bed and not voice.is_leaving and self._gate == 1.0:
+            heard_s = voice.at_s + voice.frame / (voice.speed_ratio * self.rate_hz)
+            self.lead = (at_ns + lead_in * ns_per_frame, heard_s, rate)
+        voice.frame += step * (count - lead_in)
+        if not voice.has_begun:
+            voice.has_begun = True
+            self.begun.append(voice)
+        if voice.is_leaving and voice.fade == 0.0:
+            voice.frame, voice.is_leaving = None, False
+        return part
+
+    def _is_placed(self, voice: Voice, place: float, *, is_fading_in: bool) -> bool:
+        """Put a voice where it must be; False while that is not read yet."""
+        source = voice.source
+        wrapped = place % source.frames if voice.is_looped else max(place, 0.0)
+        if not source.is_ready(wrapped, round(0.1 * self.rate_hz)):
+            return False
+        is_middle = place > MISPLACED_S * self.rate_hz
+        # Whole frames are copied as they are; a frame is 20 us.
+        voice.frame = float(round(max(place, 0.0)))
+        voice.fade = 0.0 if is_middle and (is_fading_in or voice.fade == 0.0) else 1.0
+        return True
+
+    def _frames(self, voice: Voice, step: float, count: int) -> NDArray[np.float32]:
+        assert voice.frame is not None
+        voice.source.want(
+            voice.frame % voice.source.frames if voice.is_looped else voice.frame,
+            wraps=voice.is_looped,
+        )
+        frames_at = voice.source.looped_at if voice.is_looped else voice.source.frames_at
+        if step == 1.0 and voice.frame.is_integer():
+            return frames_at(int(voice.frame), count)
+        return resampled(frames_at, voice.frame, step, count)
+
+    def _gains(self, voice: Voice, show_s: float, rate: float, count: int) -> NDArray[np.float32]:
+        gains = np.full(count, voice.gain_ratio, dtype=np.float32)
+        if voice.is_leaving or voice.fade < 1.0:
+            fades = self._fade(voice.fade, is_open=not voice.is_leaving, count=count)
+            gains *= fades
+            voice.fade = float(fades[-1])
+        left_s = voice.until_s - show_s
+        if left_s < FADE_S + count * rate / self.rate_hz:
+            lefts_s = left_s - rate * np.arange(count, dtype=np.float32) / self.rate_hz
+            gains *= np.clip(lefts_s / FADE_S, 0.0, 1.0)
+        return gains
+
+    def _fade(self, fade: float, *, is_open: bool, count: int) -> NDArray[np.float32]:
+        """Return the course of a fade that goes on from `fade`, up if `is_open`, else down."""
+        if fade == float(is_open):
+            return np.full(count, fade, dtype=np.float32)
+        steps = np.arange(1, count + 1, dtype=np.float32) / np.float32(FADE_S * self.rate_hz)
+        fades: NDArray[np.float32] = np.clip(fade + (steps if is_open else -steps), 0.0, 1.0)
+        return fades.astype(np.float32)

@@ -1,0 +1,177 @@
+"""A sound server without hardware (JACK's dummy driver), and a recording of what it would play.
+
+    with sound_server() as environ:               jackd; None where it is not installed
+        with Recorder(environ) as recorder:       records the first channel of PortAudio
+            recorder.connect()                    once the player has opened its stream
+            ...
+        recorder.samples()                        instants in ns of the computer's clock, values
+
+The instant of a sample is that at which the dummy device would play it, by the clock of the sound
+server, which is that of the computer. It does not come from the player.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import ctypes.util
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+INSTALL = "sudo apt install libportaudio2 jackd2"
+RATE_HZ = 48000
+PERIOD_FRAMES = 1024
+FLOATS = b"32 bit float mono audio"
+IS_INPUT = 1
+PLAYBACK_LATENCY = 1
+
+
+def missing() -> str:
+    """Return why there is no sound server to test with; empty if there is one."""
+    if shutil.which("jackd") is None or ctypes.util.find_library("jack") is None:
+        return f"no sound server to record: {INSTALL}"
+    if ctypes.util.find_library("portaudio") is None:
+        return f"no PortAudio: {INSTALL}"
+    return ""
+
+
+@contextlib.contextmanager
+def sound_server() -> Iterator[dict[str, str]]:
+    """Run a sound server without hardware; yield the environment for its clients."""
+    name = f"lssmotion{os.getpid()}"
+    environ = {
+        "JACK_DEFAULT_SERVER": name,
+        "JACK_NO_START_SERVER": "1",
+        "JACK_NO_AUDIO_RESERVATION": "1",
+    }
+    driver = ["-n", name, "-d", "dummy", "-r", str(RATE_HZ), "-p", str(PERIOD_FRAMES)]
+    with tempfile.TemporaryFile() as output:
+        for how in (["-R", "-P", "10"], ["-r"]):
+            server = subprocess.Popen(
+                ["jackd", *how, *driver],
+                env={**os.environ, **environ},
+                stdout=output,
+                stderr=output,
+            )
+            if _is_up(server, environ):
+                break
+            server.terminate()
+            server.wait()
+        else:
+            output.seek(0)
+            raise OSError(f"jackd does not start: {output.read().decode()[-300:]}")
+        before = {key: os.environ.get(key) for key in environ}
+        os.environ.update(environ)
+        try:
+            yield environ
+        finally:
+            for key, value in before.items():
+                os.environ.pop(key, None)
+                if value is not None:
+                    os.environ[key] = value
+            server.terminate()
+            server.wait()
+
+
+def _is_up(server: subprocess.Popen[bytes], environ: dict[str, str]) -> bool:
+    end_s = time.monotonic() + 5.0
+    while time.monotonic() < end_s and server.poll() is None:
+        listed = subprocess.run(
+            ["jack_lsp"], env={**os.environ, **environ}, capture_output=True, check=False
+        )
+        if b"system:playback_1" in listed.stdout:
+            return True
+        time.sleep(0.05)
+    return False
+
+
+class _Range(ctypes.Structure):
+    _fields_ = (("least", ctypes.c_uint32), ("most", ctypes.c_uint32))
+
+
+_PROCESS = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_uint32, ctypes.c_void_p)
+
+
+class Recorder:
+    """Records one channel of a client of the sound server. A context manager."""
+
+    def __init__(self) -> None:
+        self.xruns = 0
+        self._blocks: list[tuple[int, bytes]] = []
+        self._jack = ctypes.CDLL(ctypes.util.find_library("jack"))
+        for name, kind in (
+            ("jack_client_open", ctypes.c_void_p),
+            ("jack_port_register", ctypes.c_void_p),
+            ("jack_port_name", ctypes.c_char_p),
+            ("jack_port_by_name", ctypes.c_void_p),
+            ("jack_port_get_buffer", ctypes.c_void_p),
+            ("jack_last_frame_time", ctypes.c_uint32),
+            ("jack_frames_to_time", ctypes.c_uint64),
+            ("jack_get_time", ctypes.c_uint64),
+        ):
+            getattr(self._jack, name).restype = kind
+        self._process = _PROCESS(self._take)
+        self._xrun = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)(self._count_xrun)
+
+    def __enter__(self) -> Recorder:
+        jack = self._jack
+        self._client = ctypes.c_void_p(jack.jack_client_open(b"recorder", 1, None))
+        assert self._client, "no sound server"
+        self._port = ctypes.c_void_p(
+            jack.jack_port_register(self._client, b"in", FLOATS, IS_INPUT, 0)
+        )
+        jack.jack_set_process_callback(self._client, self._process, None)
+        jack.jack_set_xrun_callback(self._client, self._xrun, None)
+        assert jack.jack_activate(self._client) == 0
+        latency = _Range()
+        speaker = ctypes.c_void_p(jack.jack_port_by_name(self._client, b"system:playback_1"))
+        jack.jack_port_get_latency_range(speaker, PLAYBACK_LATENCY, ctypes.byref(latency))
+        self._latency_frames = latency.most
+        # Its clock is that of the computer; measured, because it might be another.
+        self._origin_ns = time.monotonic_ns() - 1000 * jack.jack_get_time()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._jack.jack_client_close(self._client)
+
+    def connect(self, wait_s: float = 10.0, source: str = "PortAudio:out_0") -> None:
+        """Record this port, once it is there."""
+        end_s = time.monotonic() + wait_s
+        own = self._jack.jack_port_name(self._port)
+        while self._jack.jack_connect(self._client, source.encode(), own) != 0:
+            assert time.monotonic() < end_s, f"nothing plays as {source}"
+            time.sleep(0.02)
+
+    def is_connected(self) -> bool:
+        return bool(self._jack.jack_port_connected(self._port))
+
+    def samples(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the instant of each block's first frame in ns, and the blocks."""
+        at_us = [
+            self._jack.jack_frames_to_time(self._client, frame + self._latency_frames)
+            for frame, _ in self._blocks
+        ]
+        blocks = [np.frombuffer(data, dtype=np.float32) for _, data in self._blocks]
+        return self._origin_ns + 1000 * np.array(at_us, dtype=np.int64), np.array(blocks)
+
+    def forget(self) -> None:
+        self._blocks.clear()
+
+    def _take(self, count: int, _: object) -> int:
+        buffer = self._jack.jack_port_get_buffer(self._port, count)
+        frame = self._jack.jack_last_frame_time(self._client)
+        self._blocks.append((frame, ctypes.string_at(buffer, 4 * count)))
+        return 0
+
+    def _count_xrun(self, _: object) -> int:
+        self.xruns += 1
+        return 0
