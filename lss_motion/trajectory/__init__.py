@@ -18,6 +18,7 @@
 | `keep_time.py`  | joints that keep their time, beside others           | planner                 |
 | `keep_joint.py` | one of them: windows, exact keys, what is given up   | keep_time               |
 | `closest_spline.py` | the closest motion within limits; Clarabel    | keep_joint              |
+| `braking.py`    | back at the author's pace exactly where on time      | catch_up                |
 | `solver.py`     | largest legal rates along a path; imports toppra     | retime, tracks          |
 | `verify.py`     | independent check against all limits                 | tracks, layers, planner |
 | `plan_cache.py` | plans on disk, found by content, not trusted         | planner, layers         |

@@ -4,9 +4,9 @@ The rate is 1 where the motion is on time. From a span that is too slow on, it m
 `PACE_MAX`, and comes back to 1 where the motion is on time again. It is never early. Holds keep
 their length. Where an anchor would be late, the way to it becomes as fast as it needs.
 
-`_Sweep` goes along the path, from one slow window to the next. The instant at which the motion is
-on time must be met exactly. All limits are linear in the squared rates, so every mixture of two
-legal solutions is legal. One of the two is late there and the other early.
+`_Sweep` goes along the path, from one slow window to the next. Each is solved once, as fast as it
+can be. Where that would be early, `braking.braked` puts its end, on time at rate 1; only where that
+finds nothing (about one in fifty), the end is sought with more solutions.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.splines import runs
-from lss_motion.trajectory.solver import RATE_SLACK, Brakes, RateWindow, is_legal, solve
+from lss_motion.trajectory.braking import braked, mixed
+from lss_motion.trajectory.path import peaks
+from lss_motion.trajectory.solver import MARGIN_RATIO, RATE_SLACK, RateWindow, is_legal, solve
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -59,25 +61,22 @@ END_ERROR_S: Final = 0.002
 ROUNDS_MAX: Final = 6
 """Solutions to find one instant at which the motion is on time. Measured: 2 or 3 are needed."""
 
-FIRST_S: Final = 0.25
+FIRST_S: Final = 0.2
 """Added to the guess of how far it takes to be on time: the rate rises and falls gradually."""
 
 BRAKE_S: Final = 0.25
 """What is solved again begins this long before the motion is on time, and twice as long before
 where the rate must fall earlier."""
 
-BRAKE_CELLS: Final = 64
-"""Grid points that are tried as the end of braking."""
-
 HEAD_START_S: Final = 0.001
 """Where a motion would be early as soon as it may be fast, it must first be so late."""
+
+TIGHT_RATIO: Final = 0.01
+"""Segments authored so near a limit may use all of it, so that rate 1 is never too fast."""
 
 MARGIN_S: Final = 0.03
 MARGIN_CELLS: Final = 2
 """Around a slow part so much is solved with it: the grid on which it was found is coarse."""
-
-MIX_STEPS: Final = 60
-"""Steps to find a mixture. Measured: at most 12."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,10 +124,14 @@ def made_up(
     `windows` have the slow parts at rates up to 1. Those that contain a seam are kept as they are.
     At the positions `stops_s` no joint moves, so that the rate may jump.
     """
-    try:
-        return _Sweep(task, windows, stops_s, dues).run() if windows else []
-    except _RateJumpError:
-        return None
+    if not windows:
+        return []
+    for is_eased in (True, False):
+        try:
+            return _Sweep(task, windows, stops_s, dues, is_eased=is_eased).run()
+        except _RateJumpError:
+            continue
+    return None
 
 
 class _RateJumpError(Exception):
@@ -163,16 +166,30 @@ class _Place:
     found: tuple[RateWindow, ...]
 
 
+def _shares(task: RateTask) -> FloatArray:
+    """Return the share of the limits that each segment may use where the motion is not slow."""
+    speed, accel = peaks(task.path)
+    used = np.maximum(speed / task.speed_max_deg_s, accel / task.accel_max_deg_s2).max(axis=1)
+    return np.where(np.abs(used - 1.0) < TIGHT_RATIO, 1.0, MARGIN_RATIO)
+
+
 class _Sweep:
     """Goes along the path once. `found` has the windows so far, `late_s` the lateness after them.
 
-    `on_time` is the last place at which the motion was on time.
+    `on_time` is the last place at which the motion was on time. `is_eased`: limits are not used to
+    the last part in a thousand where the motion is not slow, so that hardly a cell needs repair.
     """
 
     def __init__(
-        self, task: RateTask, windows: Sequence[RateWindow], stops_s: FloatArray, dues: Dues
+        self,
+        task: RateTask,
+        windows: Sequence[RateWindow],
+        stops_s: FloatArray,
+        dues: Dues,
+        *,
+        is_eased: bool,
     ) -> None:
-        self.task = replace(task, knot_caps={})
+        self.task = replace(task, knot_caps={}, shares=_shares(task) if is_eased else None)
         self.dues = dues
         self.windows: list[RateWindow] = []
         self.is_fixed: list[bool] = []
@@ -322,28 +339,87 @@ class _Sweep:
             if whole.squares[0] < 1.0 - RATE_SLACK and from_s not in self.stops_s:
                 raise _RateJumpError
             lateness_s = self.dues.lateness(whole, late_s)
-            early = np.flatnonzero((lateness_s < -EARLY_S) & (whole.grid_s > fast_s))
-            if len(early) and window and late_s + lateness_s[: early[0]].max() <= LATE_MIN_S:
+            early = self._early(whole, lateness_s, fast_s)
+            if early and window and late_s + lateness_s[:early].max() <= LATE_MIN_S:
                 # It would be early before it is late: it must be slow for longer.
                 if fast_s >= window.to_s:
                     whole = self._solved(from_s, window.to_s, (math.inf, math.inf))
-                    lateness_s, early = self.dues.lateness(whole, late_s), early[:0]
+                    lateness_s = self.dues.lateness(whole, late_s)
                     break
                 fast_s = _late_from(window, self.dues, needed_s)
                 needed_s *= 4.0
                 continue
-            if len(early) or to_s >= edge_s or lateness_s[-1] <= LATE_MIN_S:
+            is_met = False
+            if early:
+                whole, is_met = self._settled(whole, late_s, (fast_s, edge_s))
+                lateness_s = self.dues.lateness(whole, late_s)
+            if is_met or to_s >= edge_s or lateness_s[-1] <= LATE_MIN_S:
                 break
             gain = max(1.0 - 1.0 / math.sqrt(float(whole.squares.max())), 0.1)
             wanted_s = to_s + max(float(lateness_s[-1]) / gain, 0.5 * (to_s - from_s))
-        if len(early):
-            met_s = float(whole.grid_s[early[0] - 1])
-            whole = self._on_time(whole, lateness_s, int(early[0]), (fast_s, edge_s))
-            whole = self._cut(whole, met_s)
-            lateness_s = self.dues.lateness(whole, late_s)
         self.found.append(whole)
         self.at_s = whole.to_s
         self.late_s = max(0.0, float(lateness_s[-1]))
+
+    @staticmethod
+    def _early(whole: RateWindow, lateness_s: FloatArray, fast_s: float) -> int:
+        """Return the first grid point at which the motion is early; 0: none."""
+        is_early = (lateness_s < -EARLY_S) & (whole.grid_s > fast_s)
+        return int(np.argmax(is_early))
+
+    def _settled(
+        self, whole: RateWindow, late_s: float, bounds_s: tuple[float, float]
+    ) -> tuple[RateWindow, bool]:
+        """Return the window nowhere early, and whether it ends where the motion is on time.
+
+        If it does not, the motion is on time only for an instant, before it has to be slow again.
+        """
+        fast_s = bounds_s[0]
+        before = 0
+        while True:
+            lateness_s = self.dues.lateness(whole, late_s)
+            early = self._early(whole, lateness_s, fast_s)
+            if not early:
+                return whole, False
+            found = None
+            if early > before:
+                found = braked(
+                    self.task,
+                    whole,
+                    early,
+                    lambda window: self.dues.lateness(window, late_s),
+                    lambda window: self.dues.least_s(window, late_s, fast_s),
+                )
+            if found is None or (found.to_s < whole.to_s and not self._is_freed(found.to_s)):
+                met_s = float(whole.grid_s[early - 1])
+                whole = self._on_time(whole, lateness_s, early, bounds_s)
+                return self._cut(whole, met_s), True
+            before, whole, is_whole = early, found, found.to_s == whole.to_s
+            if not is_whole or self.dues.lateness(whole, late_s)[-1] <= LATE_MIN_S:
+                return whole, True
+
+    def _is_freed(self, at_s: float) -> bool:
+        """Return whether the motion can go on at rate 1 from a position inside of a slow window.
+
+        What is slow behind it becomes a window of its own.
+        """
+        outline = self._window_at(at_s)
+        if outline is None or self._split(outline, at_s):
+            return True
+        rest_s = np.append(at_s, outline.grid_s[outline.grid_s > at_s])
+        return is_legal(self.task, RateWindow(rest_s, np.ones(len(rest_s))), 0)
+
+    def _split(self, outline: RateWindow, at_s: float) -> bool:
+        """Let a window begin at a position, if it is slow behind it; return whether it is."""
+        rest_s = np.append(at_s, outline.grid_s[outline.grid_s > at_s])
+        levels = np.append(1.0, np.interp(rest_s[1:], outline.grid_s, outline.squares))
+        if not (levels < 1.0).any():
+            return False
+        index = bisect_right(self.starts_s, at_s)
+        self.windows.insert(index, RateWindow(rest_s, levels))
+        self.starts_s.insert(index, at_s)
+        self.is_fixed.insert(index, False)
+        return True
 
     def _cut(self, whole: RateWindow, met_s: float) -> RateWindow:
         """Return the window up to where the rate is 1 again behind `met_s`, if it is slow later.
@@ -360,13 +436,7 @@ class _Sweep:
             return whole
         at_s = float(grid_s[at])
         if outline := self._window_at(at_s):
-            rest_s = np.append(at_s, outline.grid_s[outline.grid_s > at_s])
-            levels = np.append(1.0, np.interp(rest_s[1:], outline.grid_s, outline.squares))
-            if (levels < 1.0).any():
-                index = bisect_right(self.starts_s, at_s)
-                self.windows.insert(index, RateWindow(rest_s, levels))
-                self.starts_s.insert(index, at_s)
-                self.is_fixed.insert(index, False)
+            self._split(outline, at_s)
         return RateWindow(grid_s[: at + 1], squares[: at + 1])
 
     def _end(self, wanted_s: float, edge_s: float) -> float:
@@ -418,8 +488,6 @@ class _Sweep:
         `whole` goes on at the pace. It is early at its grid point `early` for the first time.
         """
         fast_s, edge_s = bounds_s
-        if quick := self._braked(whole, lateness_s, early, fast_s):
-            return quick
         least_s = -CATCH_UP_RATIO * float(lateness_s.max())
         head = self._head(whole, whole.grid_s[early - 1] - BRAKE_S)
         start_max = float(whole.squares[head])
@@ -450,7 +518,7 @@ class _Sweep:
             if not low_s < until_s < high_s:
                 until_s = 0.5 * (low_s + high_s)
         slower = self._solved(float(whole.grid_s[head]), faster.to_s, (fast_s, low_s), start_max)
-        tail = _mixed(
+        tail = mixed(
             slower, faster, lambda tail: self.dues.least_s(tail, float(lateness_s[head]), fast_s)
         )
         return RateWindow(
@@ -458,88 +526,6 @@ class _Sweep:
             np.concatenate([whole.squares[:head], tail.squares]),
         )
 
-    def _braked(
-        self, whole: RateWindow, lateness_s: FloatArray, early: int, fast_s: float
-    ) -> RateWindow | None:
-        """Return the same without another solution, if there are no slow parts near that instant.
-
-        The braking curves to two neighbouring grid points are mixed: with the one the motion is
-        late there, with the other early.
-        """
-        grid_s, end = whole.grid_s, len(whole.grid_s) - 1
-        low = self._head(whole, grid_s[early] - 4.0 * BRAKE_S)
-        high = min(end, early + BRAKE_CELLS)
-        brakes = Brakes(self.task, whole, low, high)
-
-        def late(at: int) -> tuple[float, RateWindow | None]:
-            squares = brakes.before(at)
-            if squares is None or self._window_at(grid_s[at]) is not None:
-                return math.nan, None
-            window = RateWindow(grid_s[: at + 1], squares)
-            return float(self.dues.lateness(window, float(lateness_s[0]))[-1]), window
-
-        at = max(early, 1)
-        late_s, slower = late(at)
-        if slower is None:
-            return None
-        # Braking costs about the same time everywhere near.
-        costs_s = late_s - float(lateness_s[at])
-        at = min(high, at + int(np.argmax(lateness_s[at:] + costs_s <= 0.0)))
-        late_s, found = late(at)
-        step = 1 if late_s > 0.0 else -1
-        before_s, before = late_s, found
-        for _ in range(BRAKE_CELLS):
-            before_s, before = late_s, found
-            at += step
-            if before is None or not max(1, early - 1) <= at <= high:
-                return None
-            late_s, found = late(at)
-            if found is not None and (late_s > 0.0) != (before_s > 0.0):
-                break
-        if before is None or found is None or (late_s > 0.0) == (before_s > 0.0):
-            return None
-        faster, slower = (found, before) if step > 0 else (before, found)
-        slower = RateWindow(
-            faster.grid_s,
-            np.append(slower.squares, np.ones(len(faster.grid_s) - len(slower.grid_s))),
-        )
-        first = int(np.argmax(slower.squares < whole.squares[: len(slower.squares)]))
-        start_s = float(lateness_s[0])
-        mixed = _mixed(slower, faster, lambda window: self.dues.least_s(window, start_s, fast_s))
-        is_good = is_legal(self.task, mixed, max(0, first - 1))
-        return mixed if is_good and self.dues.lateness(mixed, start_s)[-1] < LATE_MIN_S else None
-
     def _head(self, whole: RateWindow, at_s: float) -> int:
         """Return the grid point of `whole` at or before a position."""
         return max(0, int(np.searchsorted(whole.grid_s, at_s, side="right")) - 1)
-
-
-def _mixed(
-    slower: RateWindow, faster: RateWindow, least_s: Callable[[RateWindow], float]
-) -> RateWindow:
-    """Return the fastest mixture of two windows with the same ends that is nowhere early.
-
-    `least_s` returns the least lateness of a window.
-    """
-    grid_s = np.union1d(slower.grid_s, faster.grid_s)
-    from_squares = np.interp(grid_s, slower.grid_s, slower.squares)
-    growth = np.interp(grid_s, faster.grid_s, faster.squares) - from_squares
-
-    def mixture(share: float) -> RateWindow:
-        return RateWindow(grid_s, from_squares + share * growth)
-
-    low, high, at_low, at_high = 0.0, 1.0, least_s(slower), least_s(faster)
-    if at_high >= 0.0:
-        return mixture(1.0)
-    # Regula falsi with the Illinois rule: the value that stays twice in a row is halved.
-    side = 0
-    for _ in range(MIX_STEPS):
-        share = low + (high - low) * at_low / (at_low - at_high) if at_low > 0.0 else low
-        found = least_s(mixture(share))
-        if abs(found) < 1e-12 or share in (low, high):
-            return mixture(share)
-        if found > 0.0:
-            low, at_low, at_high, side = share, found, at_high * (0.5 if side > 0 else 1.0), 1
-        else:
-            high, at_high, at_low, side = share, found, at_low * (0.5 if side < 0 else 1.0), -1
-    return mixture(low)

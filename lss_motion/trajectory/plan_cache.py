@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
     Value = TypeVar("Value", Mark, SlowSpan, MissedKey, GivenUp, AskedSpan)
 
-PLANNER_VERSION: Final = 7
+PLANNER_VERSION: Final = 8
 """Part of the name of every entry. Raise it whenever the plan of an unchanged sequence changes."""
 
 DIRECTORY_VARIABLE: Final = "LSS_MOTION_CACHE_DIR"

@@ -50,9 +50,6 @@ how coarse they are. Measured: lateness of 1.03 times the least without, 1.017 w
 CELL_MIN_S: Final = 1e-4
 """Least length of a cell. Chosen: a tenth of the 1 ms unit of a timed move."""
 
-NO_ROW: Final = 1e-12
-"""A row with a smaller factor does not depend on the square."""
-
 POINT_S: Final = 1e-7
 """Grid points are not added nearer than this to another one: rounding."""
 
@@ -81,8 +78,9 @@ RATE_FREE: Final = 100.0
 rates are of the order of 1."""
 
 MARGIN_RATIO: Final = 1.0 - 1e-3
-"""Share of the limits that long paths use where no authored time counts, so that few cells need
-repair (measured: 2 of 38,000 instead of 2,300, for 0.05 % of the duration)."""
+"""Share of the limits that long paths use where no authored time counts, and motions that make up
+for lateness, so that few cells need repair (measured: 2 of 38,000 instead of 2,300, for 0.05 % of
+the duration)."""
 
 MARGIN_CELLS: Final = 1000
 """Paths with fewer cells use the whole limits, because they are repaired quickly. Chosen."""
@@ -119,7 +117,8 @@ class RateTask:
 
     `knot_caps` bounds the squared rate at single knots, by index. The rate is at most 1 outside of
     the positions `fast_s` and in the spans `calm_s`, (n, 2). If the spans `slow_s` are given, the
-    grid is finer there from the start.
+    grid is finer there from the start; elsewhere each segment uses its share of the limits, 1 if
+    `shares` is None.
     """
 
     path: Path
@@ -130,6 +129,7 @@ class RateTask:
     fast_s: tuple[float, float] = (-math.inf, math.inf)
     calm_s: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     slow_s: FloatArray | None = None
+    shares: FloatArray | None = None
     cells_min: int = CELLS_MIN
     """Least number of cells of a segment; smaller for paths with dense knots."""
 
@@ -228,45 +228,6 @@ def slow_outline(task: RateTask, from_s: float, to_s: float) -> RateWindow:
     return RateWindow(grid.points_s, _squares(task, grid, math.inf, math.inf))
 
 
-class Brakes:
-    """How late a window can begin to slow down and still be at rate 1 at one of its grid points.
-
-    In closed form, with the rows of the solver: for a given square at the end of a cell, each row
-    bounds the square at its start. Covers the cells from `low` to before `high`.
-    """
-
-    def __init__(self, task: RateTask, window: RateWindow, low: int, high: int) -> None:
-        points_s = window.grid_s[low : high + 1]
-        segments = task.path.segments_of(0.5 * (points_s[:-1] + points_s[1:]))
-        limits = task.accel_max_deg_s2 * FEASIBLE_RATIO
-        left, left_bend = task.path.slopes(points_s[:-1], segments)
-        right, right_bend = task.path.slopes(points_s[1:], segments)
-        doubled_s = 2.0 * np.diff(points_s)[:, None]
-        left, right = left / limits / doubled_s, right / limits / doubled_s
-        by_start = np.concatenate([left_bend / limits - left, -right], axis=1)
-        by_end = np.concatenate([left, right + right_bend / limits], axis=1)
-        is_bound = np.abs(by_start) > NO_ROW
-        inverse = np.divide(1.0, by_start, out=np.zeros_like(by_start), where=is_bound)
-        self.width = np.where(is_bound, np.abs(inverse), math.inf)
-        self.tilt = by_end * inverse
-        self.squares = window.squares
-        self.low = low
-
-    def before(self, at: int) -> FloatArray | None:
-        """Return the squares up to grid point `at`, 1 there; None if that cannot be reached."""
-        square = 1.0
-        falling = [square]
-        for point in range(at - 1, self.low - 1, -1):
-            width, middle = self.width[point - self.low], self.tilt[point - self.low] * square
-            square = float((width - middle).min())
-            if square < float((-width - middle).max()) or square < 1.0:
-                return None
-            if square >= self.squares[point]:
-                return np.concatenate([self.squares[: point + 1], falling[::-1]])
-            falling.append(square)
-        return None
-
-
 def is_legal(task: RateTask, window: RateWindow, first: int) -> bool:
     """Return whether the limits hold inside the cells of a window from grid point `first` on."""
     points_s = window.grid_s[first:]
@@ -288,12 +249,16 @@ def _grid(task: RateTask, from_s: float, to_s: float) -> _Grid:
     counts = np.maximum(np.ceil(counts * (np.diff(points_s) / lengths_s)), 1.0).astype(np.intp)
     grid = _Grid(points_s, np.arange(first, end), np.ones(end - first)).divided(counts)
     if task.slow_s is not None:
+        if task.shares is not None:
+            grid.shares[:] = task.shares[grid.segments]
         is_first = np.diff(grid.segments, prepend=-1) > 0
         is_fine = is_first | np.append(is_first[1:], True)
         if len(task.slow_s):
             middles_s = 0.5 * (grid.points_s[:-1] + grid.points_s[1:])
             span = np.searchsorted(task.slow_s[:, 0], middles_s) - 1
-            is_fine |= (span >= 0) & (middles_s < task.slow_s[span, 1])
+            is_slow = (span >= 0) & (middles_s < task.slow_s[span, 1])
+            grid.shares[is_slow] = 1.0
+            is_fine |= is_slow
         is_coarse = np.diff(grid.points_s) > CATCH_UP_CELL_S
         grid = grid.divided(np.where(is_fine, REFINEMENT, np.where(is_coarse, 2, 1)))
     inner_s = np.unique(np.append(task.calm_s, task.fast_s))
