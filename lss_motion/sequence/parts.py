@@ -319,6 +319,13 @@ def keyed_joints(sequence: Sequence) -> set[str]:
     return names.union(*map(keyed_joints, inner), *(layer.joints for layer in sequence.layers))
 
 
+def time_keepers(sequence: Sequence) -> set[str]:
+    """Return every joint that the sequence or a part of it moves and that keeps its time."""
+    inner = [*sequence.tracks, *(step.sequence for step in sequence.play if step.sequence)]
+    above = (time_keepers(layer.sequence) & {*layer.joints} for layer in sequence.layers)
+    return {*sequence.keeps_time}.union(*map(time_keepers, inner), *above)
+
+
 def _is_endless(sequence: Sequence) -> bool:
     return sequence.loop is None or (
         not sequence.keyframes and any(track.loop is None for track in sequence.tracks)

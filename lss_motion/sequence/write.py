@@ -88,7 +88,9 @@ def _track(sequence: Sequence) -> Iterator[str]:
     if sequence.keeps_time:
         keyed = {name for keyframe in sequence.keyframes for name in keyframe.deg}
         named = ", ".join(f"{_text(name)}: time" for name in sorted(sequence.keeps_time))
-        yield "keep: time" if keyed == sequence.keeps_time else f"keep: {{{named}}}"
+        # Tracks inherit what a file says of all joints, but not what it says of single ones.
+        is_whole = keyed == sequence.keeps_time and not sequence.tracks
+        yield "keep: time" if is_whole else f"keep: {{{named}}}"
     if sequence.loop != 1:
         yield f"loop: {'forever' if sequence.loop is None else sequence.loop}"
     if sequence.loop_span_s is not None:

@@ -96,7 +96,12 @@ def _worst_limit(
 
 
 def marks(
-    keyframes: Sequence[Keyframe], spacing: Spacing, clock: PathClock, *, is_timed: bool
+    keyframes: Sequence[Keyframe],
+    spacing: Spacing,
+    clock: PathClock,
+    *,
+    is_timed: bool,
+    kept: frozenset[str] = frozenset(),
 ) -> tuple[Mark, ...]:
     """Return the mark of each keyframe: its authored time and when the first pass reaches it."""
     planned_s = clock.times_of(spacing.reached_s).tolist()
@@ -110,6 +115,10 @@ def marks(
             hold_s=keyframe.hold_s,
             held_s=kept_s if is_timed else keyframe.hold_s,
             hold_may_shrink=keyframe.hold_may_shrink,
+            kept=tuple(name for name in keyframe.deg if name in kept),
+            is_kept=bool(keyframe.deg) and kept.issuperset(keyframe.deg),
+            is_exact=keyframe.is_exact,
+            weight=keyframe.weight,
         )
         for keyframe, at_s, kept_s in zip(keyframes, planned_s, held_s, strict=True)
     )

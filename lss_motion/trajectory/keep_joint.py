@@ -184,6 +184,10 @@ class JointFollower:
         """The windows in order; outside of them the motion is the one that is asked for."""
         return [self._windows[span] for span in self._spans]
 
+    @property
+    def end_s(self) -> float:
+        return float(self.asked.path.knots_s[-1])
+
     def follow(self, exceeded: Iterable[tuple[int, int]]) -> None:
         """Replace the motion around segments, (first, end), that exceed a limit."""
         knots_s, cell_s = self.asked.path.knots_s, self.grid.cell_s

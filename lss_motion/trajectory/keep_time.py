@@ -20,6 +20,7 @@ from lss_motion.trajectory import explain
 from lss_motion.trajectory.closest_spline import Bounds
 from lss_motion.trajectory.curves import shifted
 from lss_motion.trajectory.keep_joint import (
+    CELL_S,
     KNOT_MIN_S,
     Asked,
     Grid,
@@ -28,6 +29,8 @@ from lss_motion.trajectory.keep_joint import (
 )
 from lss_motion.trajectory.keys import SAME_ANGLE_DEG, SAME_INSTANT_S, is_timed, named
 from lss_motion.trajectory.model import (
+    AskedSpan,
+    GivenUp,
     PathClock,
     PathMotion,
     Trajectory,
@@ -37,20 +40,28 @@ from lss_motion.trajectory.model import (
 from lss_motion.trajectory.path import Path, concatenate, peaks
 from lss_motion.trajectory.retime import Layout, laid_out, scaled
 from lss_motion.trajectory.tracks import ParallelPass, verified
+from lss_motion.trajectory.verify import verify
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection, Iterable, Sequence
+    from pathlib import Path as FilePath
 
     from numpy.typing import NDArray
 
-    from lss_motion.robot.model import Robot
+    from lss_motion.robot.model import Joint, Robot
     from lss_motion.sequence.model import Sequence as Show
-    from lss_motion.trajectory.model import Pass
+    from lss_motion.trajectory.model import Mark, Pass
 
     FloatArray = NDArray[np.float64]
 
 PULL_MAX_S: Final = 0.5
 """A weighted key counts at most for so much time around it."""
+
+PULL_OF_SUM_S: Final = 0.2
+"""Time around a weighted key of a sum that it counts for. Chosen: a syllable."""
+
+TURN_DEG_S: Final = 1.0
+"""A sum that is slower at a key turns or stays there."""
 
 PASS_SLACK_S: Final = 1e-9
 """Passes that differ by less are equally long: rounding."""
@@ -78,11 +89,29 @@ def time_kept(sequence: Show, robot: Robot, *, may_flow: bool = True) -> Traject
         sequence = scaled(sequence, sequence.fit_duration_s or 0.0)
     layout = laid_out(sequence, robot, may_flow=may_flow, keeps_time=True)
     _check_jumps(layout)
-    reference = concatenate(layout.paths)
-    grid = Grid.of(layout)
-    limits = _exceeded(reference, layout, robot)
-    joints = []
-    for column, name in enumerate(layout.keys):
+    joints = _followed(
+        concatenate(layout.paths),
+        tuple(layout.keys),
+        robot,
+        Grid.of(layout),
+        [_joint_keys(layout, name) for name in layout.keys],
+        sequence.path,
+    )
+    return verified(_assembled(layout, joints), sequence, robot)
+
+
+def _followed(
+    path: Path,
+    names: Sequence[str],
+    robot: Robot,
+    grid: Grid,
+    keys: Sequence[tuple[KeyAsked, ...]],
+    source: FilePath | None,
+) -> list[JointFollower]:
+    """Return the joints of a path, a column each, following it at its own times."""
+    exceeded = _exceeded(path, [robot.joints[name] for name in names])
+    found = []
+    for column, (name, own_keys) in enumerate(zip(names, keys, strict=True)):
         joint = robot.joints[name]
         bounds = Bounds(
             low_deg=joint.position_min_deg,
@@ -90,15 +119,17 @@ def time_kept(sequence: Show, robot: Robot, *, may_flow: bool = True) -> Traject
             speed_deg_s=joint.speed_max_deg_s,
             accel_deg_s2=joint.accel_max_deg_s2,
         )
-        asked = Asked(path=reference, column=column)
-        keys = _joint_keys(layout, name)
-        source = "" if sequence.path is None else str(sequence.path)
         follower = JointFollower(
-            name=name, bounds=bounds, asked=asked, grid=grid, keys=keys, source=source
+            name=name,
+            bounds=bounds,
+            asked=Asked(path=path, column=column),
+            grid=grid,
+            keys=own_keys,
+            source="" if source is None else str(source),
         )
-        joints.append(follower)
-        follower.follow(runs(limits[:, column]))
-    return verified(_assembled(layout, reference, joints), sequence, robot)
+        follower.follow(runs(exceeded[:, column]))
+        found.append(follower)
+    return found
 
 
 def _check_jumps(layout: Layout) -> None:
@@ -123,9 +154,8 @@ def _check_jumps(layout: Layout) -> None:
             last[name] = (max(left_s, free_s), deg)
 
 
-def _exceeded(path: Path, layout: Layout, robot: Robot) -> NDArray[np.bool_]:
+def _exceeded(path: Path, joints: Sequence[Joint]) -> NDArray[np.bool_]:
     """Return which segments of which joints exceed a limit at the authored times."""
-    joints = [robot.joints[name] for name in layout.keys]
     speed, accel = peaks(path)
     low_deg, high_deg = _extremes(path)
     return np.asarray(
@@ -197,10 +227,11 @@ def united(
     return Path(knots_s=np.append(starts_s, end_s), coefficients=coefficients)
 
 
-def _assembled(layout: Layout, reference: Path, joints: Sequence[JointFollower]) -> Trajectory:
+def _assembled(layout: Layout, joints: Sequence[JointFollower]) -> Trajectory:
+    """Return the plan of all passes."""
     sequence, length_s = layout.sequence, layout.spacing.length_s
     starts_s: FloatArray = length_s * np.arange(len(layout.paths) + 1, dtype=np.float64)
-    path = united([joint.pieces() for joint in joints], starts_s[:-1], float(reference.knots_s[-1]))
+    path = united([joint.pieces() for joint in joints], starts_s[:-1], joints[0].end_s)
     clock = steady_clock(length_s)
     motions = []
     for from_s, to_s in zip(starts_s[:-1].tolist(), starts_s[1:].tolist(), strict=True):
@@ -210,8 +241,7 @@ def _assembled(layout: Layout, reference: Path, joints: Sequence[JointFollower])
         knots_s[-1] = length_s
         part = Path(knots_s=knots_s, coefficients=path.coefficients[first:end])
         motions.append(PathMotion(path=part, clock=clock))
-    given_up = [(joint, span) for joint in joints for span in joint.given_up()]
-    given_up.sort(key=lambda pair: pair[1].from_s)
+    given_up, asked = _given_up(joints)
     return Trajectory(
         name=sequence.name,
         joints=tuple(layout.keys),
@@ -220,9 +250,74 @@ def _assembled(layout: Layout, reference: Path, joints: Sequence[JointFollower])
         last=motions[-1],
         loop=sequence.loop,
         is_periodic=len(motions) > 1,
-        given_up=tuple(span for _, span in given_up),
-        asked=tuple(joint.asked_in(span) for joint, span in given_up),
-        marks=explain.marks(sequence.keyframes, layout.spacing, clock, is_timed=True),
+        given_up=given_up,
+        asked=asked,
+        marks=explain.marks(
+            sequence.keyframes, layout.spacing, clock, is_timed=True, kept=frozenset(layout.keys)
+        ),
+    )
+
+
+def _given_up(
+    joints: Sequence[JointFollower],
+) -> tuple[tuple[GivenUp, ...], tuple[AskedSpan, ...]]:
+    """Return what all joints give up, in order of time, and what is asked for there."""
+    found = [(joint, span) for joint in joints for span in joint.given_up()]
+    found.sort(key=lambda pair: pair[1].from_s)
+    asked = tuple(joint.asked_in(span) for joint, span in found)
+    return tuple(span for _, span in found), asked
+
+
+def sum_kept(
+    path: Path,
+    names: Sequence[str],
+    robot: Robot,
+    *,
+    marks: Sequence[Mark],
+    show: Show,
+) -> Trajectory:
+    """Return the plan of joints that keep their time along a path, such as a sum of layers.
+
+    `names` are the columns of the path, `marks` the keyframes along it: exact ones are met.
+    """
+    asked = [Asked(path=path, column=column) for column in range(len(names))]
+    keys = [
+        tuple(_marked_key(own, mark) for mark in marks if name in mark.kept)
+        for name, own in zip(names, asked, strict=True)
+    ]
+    cells = max(1, math.ceil(path.length_s / CELL_S - 1e-9))
+    grid = Grid(cell_s=path.length_s / cells, cells=cells, seams=(), is_looped=False, tied=None)
+    joints = _followed(path, names, robot, grid, keys, show.path)
+    united_path = united([joint.pieces() for joint in joints], np.zeros(1), joints[0].end_s)
+    motion = PathMotion(path=united_path, clock=steady_clock(path.length_s))
+    given_up, asked_spans = _given_up(joints)
+    trajectory = Trajectory(
+        name=show.name,
+        joints=tuple(names),
+        first=motion,
+        middle=motion,
+        last=motion,
+        given_up=given_up,
+        asked=asked_spans,
+    )
+    verify(trajectory, robot)
+    return trajectory
+
+
+def _marked_key(asked: Asked, mark: Mark) -> KeyAsked:
+    """Return the key of a joint at a keyframe of a sum; the sum gives its angle."""
+    at_s = mark.planned_s if mark.authored_s is None else mark.authored_s
+    return KeyAsked(
+        at_s=at_s,
+        left_s=at_s + mark.hold_s,
+        deg=float(asked.angles(np.array([at_s]))[0]),
+        name=repr(mark.label) if mark.label else f"at {at_s:g} s",
+        label=mark.label,
+        line=None,
+        is_exact=mark.is_exact,
+        weight=mark.weight,
+        around_s=PULL_OF_SUM_S,
+        is_turn=abs(asked.speed(at_s)) < TURN_DEG_S,
     )
 
 
@@ -250,10 +345,13 @@ def _passes(trajectory: Trajectory) -> tuple[Pass, Pass, Pass]:
     return trajectory.first, trajectory.middle, trajectory.last
 
 
-def beside(slow: Trajectory, kept: Trajectory, track: Show, robot: Robot) -> Trajectory:
-    """Return the joints of a track that may be late beside those that keep their time.
+def beside(
+    slow: Trajectory, kept: Trajectory, robot: Robot, are_kept: Iterable[bool]
+) -> Trajectory:
+    """Return the joints of a show that may be late beside those that keep their time.
 
-    A pass lasts until the late joints are through it; the others wait for them at its end.
+    A pass lasts until the late joints are through it; the others wait for them at its end. Both
+    have the same keyframes; `are_kept` has for each whether all of its joints keep their time.
     """
     joints = tuple(name for name in robot.joints if name in {*slow.joints, *kept.joints})
     if slow.loop != 1:
@@ -270,18 +368,16 @@ def beside(slow: Trajectory, kept: Trajectory, track: Show, robot: Robot) -> Tra
         if slow.loop is not None:
             last = during(slow.pass_start_s(slow.loop - 1), slow.last.duration_s)
     marks = [
-        own if own_frame_joints.issubset(kept.joints) else late
-        for own, late, own_frame_joints in zip(
-            kept.marks, slow.marks, ({*frame.deg} for frame in track.keyframes), strict=True
-        )
+        replace(own, is_kept=True) if is_kept else replace(late, kept=own.kept)
+        for own, late, is_kept in zip(kept.marks, slow.marks, are_kept, strict=True)
     ]
     return Trajectory(
-        name=track.name,
+        name=slow.name,
         joints=joints,
         first=first,
         middle=middle,
         last=last,
-        loop=track.loop,
+        loop=slow.loop,
         is_periodic=slow.is_periodic or kept.is_periodic,
         stretched=slow.stretched,
         given_up=kept.given_up,

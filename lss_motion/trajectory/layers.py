@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import InputError, PlanningError
+from lss_motion.sequence.parts import time_keepers
 from lss_motion.trajectory import explain
 from lss_motion.trajectory.catch_up import Dues
 from lss_motion.trajectory.cues import all_marks
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.model import Layer, Sequence
+    from lss_motion.trajectory.model import Mark
 
     FloatArray = NDArray[np.float64]
 
@@ -84,6 +86,61 @@ def layered(
     total = layered_sum(base, layers, robot)
     check_jumps(total, show)
     path = _as_cubics(total, robot, show)
+    if kept := time_keepers(show) & {*total.joints}:
+        return _with_kept(path, total, show, robot, kept)
+    return _slowed(path, total, show, robot)
+
+
+def _with_kept(
+    path: Path, total: LayeredSum, show: Sequence, robot: Robot, kept: set[str]
+) -> Trajectory:
+    """Return the sum: some joints keep their time and give up angle, the others are slowed."""
+    from lss_motion.trajectory.keep_time import beside, sum_kept
+
+    def part(names: set[str]) -> tuple[Path, tuple[str, ...]]:
+        columns = [column for column, name in enumerate(total.joints) if name in names]
+        own = Path(knots_s=path.knots_s, coefficients=path.coefficients[:, :, columns])
+        return own, tuple(total.joints[column] for column in columns)
+
+    own_path, names = part(kept)
+    in_passes = _marks(total, in_all_passes=True)
+    own = cached(
+        _kept_name(own_path, names, in_passes, show, robot),
+        lambda: sum_kept(own_path, names, robot, marks=in_passes, show=show),
+        lambda stored: stored.joints == names,
+        robot,
+    )
+    below = [(0.0, total.base), *((placed.from_s, placed.trajectory) for placed in total.layers)]
+    given_up = [span.later(from_s) for from_s, under in below for span in under.given_up]
+    own = replace(
+        own,
+        given_up=tuple(sorted((*own.given_up, *given_up), key=lambda span: span.from_s)),
+        asked=(*own.asked, *(s.later(from_s) for from_s, under in below for s in under.asked)),
+        marks=tuple(_marks(total)),
+    )
+    others = {*total.joints} - kept
+    if not others:
+        return own
+    slow_path, slow_names = part(others)
+    slow = _slowed(slow_path, replace(total, joints=slow_names), show, robot)
+    trajectory = beside(slow, own, robot, [mark.is_kept for mark in own.marks])
+    verify(trajectory, robot, has_parts=False)
+    return trajectory
+
+
+def _kept_name(
+    path: Path, names: tuple[str, ...], marks: list[Mark], show: Sequence, robot: Robot
+) -> str:
+    digest = hashlib.sha256()
+    for array in (path.knots_s, path.coefficients):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    joints = [replace(robot.joints[name], settings={}) for name in names]
+    digest.update(repr((PLANNER_VERSION, show.name, "kept", marks, joints)).encode())
+    return digest.hexdigest()
+
+
+def _slowed(path: Path, total: LayeredSum, show: Sequence, robot: Robot) -> Trajectory:
+    """Return the sum along its path, slowed only where it exceeds a limit."""
     limits = [robot.joints[name] for name in total.joints]
     task = RateTask(
         path=path,
@@ -212,13 +269,7 @@ def _retimed(task: RateTask, total: LayeredSum, show: Sequence, robot: Robot) ->
     def moved(times_s: list[float]) -> list[float]:
         return [float(at_s) for at_s in clock.times_of(np.array(times_s))]
 
-    marks = [*total.base.marks]
-    for placed in total.layers:
-        marks += [
-            mark.later(placed.from_s)
-            for mark in placed.trajectory.marks
-            if mark.planned_s + placed.from_s <= placed.to_s
-        ]
+    marks = _marks(total)
     ends_s = moved([mark.planned_s + mark.held_s for mark in marks])
     stretched = [*explain.slow_spans(task, total.joints, windows, clock, lambda path_s: path_s)]
     below = [(0.0, total.duration_s, total.base)]
@@ -251,6 +302,18 @@ def _retimed(task: RateTask, total: LayeredSum, show: Sequence, robot: Robot) ->
     return trajectory
 
 
+def _marks(total: LayeredSum, *, in_all_passes: bool = False) -> list[Mark]:
+    """Return the keyframes of the show and of its layers, in order, before the sum is slowed."""
+    sources = [(0.0, total.base, total.duration_s)]
+    sources += [(placed.from_s, placed.trajectory, placed.to_s) for placed in total.layers]
+    found = []
+    for from_s, trajectory, to_s in sources:
+        marks = all_marks(trajectory, to_s - from_s) if in_all_passes else trajectory.marks
+        later = [mark.later(from_s) for mark in marks]
+        found += [m for m in later if trajectory is total.base or m.planned_s <= to_s]
+    return sorted(found, key=lambda mark: mark.planned_s)
+
+
 def _held(total: LayeredSum) -> FloatArray:
     """Return from when to when a hold of the show or of a layer must be kept, (n, 2)."""
     spans = []
@@ -259,24 +322,23 @@ def _held(total: LayeredSum) -> FloatArray:
     for from_s, trajectory, to_s in sources:
         for mark in all_marks(trajectory, to_s - from_s):
             start_s = from_s + mark.planned_s
-            if mark.hold_s > 0.0 and not mark.hold_may_shrink and start_s < to_s:
+            must_hold = mark.hold_s > 0.0 and not (mark.hold_may_shrink or mark.is_kept)
+            if must_hold and start_s < to_s:
                 spans.append([start_s, min(start_s + mark.held_s, to_s)])
     return united(np.array(spans).reshape(-1, 2))
 
 
 def _anchors_s(total: LayeredSum) -> tuple[float, ...]:
     """Return when anchors of the show and of its layers are planned before they are added up."""
-    found = [mark.planned_s for mark in all_marks(total.base, total.duration_s) if mark.is_anchor]
-    for placed in total.layers:
-        marks = all_marks(placed.trajectory, placed.to_s - placed.from_s)
-        found += [placed.from_s + mark.planned_s for mark in marks if mark.is_anchor]
+    marks = _marks(total, in_all_passes=True)
+    found = [mark.planned_s for mark in marks if mark.is_anchor and not mark.is_kept]
     return tuple(sorted({at_s for at_s in found if at_s <= total.duration_s}))
 
 
 def _check_anchors(trajectory: Trajectory, show: Sequence) -> None:
     place = "" if show.path is None else f"{show.path}: "
     for mark in trajectory.marks:
-        if not mark.is_anchor or mark.authored_s is None:
+        if not mark.is_anchor or mark.authored_s is None or mark.is_kept:
             continue
         late_s = mark.planned_s - mark.authored_s
         if abs(late_s) > explain.ANCHOR_TOLERANCE_S:

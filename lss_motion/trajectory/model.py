@@ -119,6 +119,12 @@ class Mark:
     hold_s: float = 0.0
     held_s: float = 0.0
     hold_may_shrink: bool = False
+    kept: tuple[str, ...] = ()
+    """Joints of the keyframe that keep their time: they are there at `authored_s`."""
+    is_kept: bool = False
+    """All joints of the keyframe keep their time."""
+    is_exact: bool = False
+    weight: float = 1.0
 
     def later(self, by_s: float) -> Mark:
         """Return the mark with both times moved by `by_s`."""

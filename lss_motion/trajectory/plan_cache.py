@@ -77,6 +77,7 @@ _TYPES: Final[Mapping[str, tuple[type, ...]]] = {
     "Literal['speed', 'acceleration']": (str,),
     "tuple[MissedKey, ...]": (tuple,),
     "tuple[float, ...]": (tuple,),
+    "tuple[str, ...]": (tuple,),
 }
 """What an entry may hold for the annotation of a field of `Mark` and `SlowSpan`."""
 
@@ -184,8 +185,12 @@ def _read(content: memoryview) -> Trajectory:
         stretched=tuple(_made(SlowSpan, stretch) for stretch in facts["stretched"]),
         given_up=tuple(_given_up(span) for span in facts["given_up"]),
         asked=tuple(_asked(span, asked_deg) for span in facts["asked"]),
-        marks=tuple(_made(Mark, mark) for mark in facts["marks"]),
+        marks=tuple(_made(Mark, {**mark, "kept": _names(mark)}) for mark in facts["marks"]),
     )
+
+
+def _names(mark: Mapping[str, Any]) -> tuple[str, ...]:
+    return tuple(str(name) for name in mark["kept"])
 
 
 def _given_up(stored: Mapping[str, Any]) -> GivenUp:

@@ -67,6 +67,8 @@ def _planned(sequence: Sequence, robot: Robot) -> Trajectory:
 
         trajectory = layered(base, replace(sequence, events=()), robot, _planned)
         slower = trajectory.first.duration_s / max(base.first.duration_s, 1e-9)
+        if any(mark.kept for mark in trajectory.marks):
+            slower = 1.0
         cues = [replace(cue, at_s=slower * cue.at_s) for cue in base.cues]
         for layer in sequence.layers:
             own = planned_cues(replace(layer.sequence, path=sequence.path), trajectory)
@@ -126,7 +128,8 @@ def _planned_joints(track: Sequence, robot: Robot) -> Trajectory:
     slow = _planned_joints(part_of(track, keyed - kept), robot)
     may_flow = is_even(slow, track)
     own = _time_kept(part_of(track, kept), robot, may_flow=may_flow)
-    trajectory = beside(slow, own, track, robot)
+    are_kept = [bool(frame.deg) and kept.issuperset(frame.deg) for frame in track.keyframes]
+    trajectory = beside(slow, own, robot, are_kept)
     verify(trajectory, robot, has_parts=False)
     return trajectory
 

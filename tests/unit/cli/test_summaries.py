@@ -141,3 +141,33 @@ def test_the_pass_after_the_first_counts_too(robot):
     uses = {use.joint.name: use for use in limit_uses(plan(sequence, robot), robot)}
     assert uses["base"].accel_deg_s2 > 200.0
     assert uses["elbow"].speed_deg_s == 0.0
+
+
+def jaw(step_s: float = 0.1, **more) -> Sequence:
+    """Return a jaw that opens and closes 24 times; labels at its closures."""
+    frames = [Keyframe(at_s=0.0, deg={"base": 0.0})]
+    frames += [
+        Keyframe(at_s=1.0 + step_s * k, deg={"base": 25.0 * (k % 2)}, label=f"m{k}")
+        for k in range(1, 25)
+    ]
+    frames.append(Keyframe(at_s=6.0, deg={"base": 0.0, "elbow": 0.0}))
+    return Sequence(name="jaw", keyframes=tuple(frames), keeps_time=frozenset({"base"}), **more)
+
+
+def test_what_is_given_up_to_keep_the_time_is_told_with_the_turns_that_are_missed(robot):
+    lines = plan_lines(plan(jaw(), robot), robot)
+    assert "every keyframe is on time" in lines
+    (total,) = [
+        line for line in lines if line.startswith("angle given up to keep the time: 1 span")
+    ]
+    assert total.endswith("deg by 'base'")
+    (span,) = [line for line in lines if line.startswith("less far: ")]
+    assert "joint 'base' is up to 1" in span
+    (missed,) = [line for line in lines if line.startswith("not reached: ")]
+    assert "joint 'base' misses 24 turns: " in missed
+    assert ", and 21 more; exact: true or a weight" in missed
+    whole = plan_lines(plan(jaw(), robot), robot, is_whole=True)
+    (missed,) = [line for line in whole if line.startswith("not reached: ")]
+    for k in range(2, 24, 2):
+        assert f"0 deg at {1.0 + 0.1 * k:.3f} s (m{k}) becomes 1" in missed
+    assert lines[-1] == "the show runs as fast as it can; faster would give up more angle"

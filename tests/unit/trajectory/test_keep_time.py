@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import InputError, PlanningError
-from lss_motion.sequence.model import Cue, Step, Timing
+from lss_motion.sequence.model import Cue, Layer, Step, Timing
 from lss_motion.trajectory.planner import plan
 from tests.unit.trajectory.shows import at, show, trapezoid_s
 
@@ -282,3 +282,52 @@ def test_without_the_solver_a_feasible_show_is_planned(make_robot, frame, monkey
     monkeypatch.setitem(sys.modules, "clarabel", None)
     frames = [frame(0.0, base=0.0), frame(1.5, base=60.0)]
     assert plan(show(*frames, keeps_time=BASE), make_robot(1)).duration_s == 1.5
+
+
+def nodding(frame, top=10.0, **more):
+    """Return a show of the base and the elbow, over which a layer can talk."""
+    return show(
+        frame(0.0, base=0.0, elbow=0.0),
+        frame(1.0, base=top, elbow=40.0),
+        frame(2.0, base=0.0),
+        frame(3.5, base=top, elbow=0.0),
+        frame(4.5, base=0.0),
+        name="nod",
+        **more,
+    )
+
+
+@pytest.mark.parametrize("mode", ["override", "add"])
+def test_a_layer_keeps_its_time_while_the_others_are_slowed(make_robot, frame, mode):
+    robot = make_robot(accel=600.0)
+    layer = Layer(sequence=talk(frame, step_s=0.15), joints=("base",), mode=mode, from_s=0.0)
+    slow = show(frame(0.0, elbow=0.0), frame(0.4, elbow=90.0), frame(2.0, elbow=0.0), name="arm")
+    over = Layer(sequence=slow, joints=("elbow",), from_s=0.5, fade_s=0.2)
+    trajectory = plan(replace(nodding(frame), layers=(layer, over)), robot)
+    judged(trajectory, robot)
+    labelled = {mark.label: mark for mark in trajectory.marks if mark.label}
+    assert labelled["20"].planned_s == pytest.approx(4.0)
+    assert {span.joint for span in trajectory.given_up} == {"base"}
+    assert {span.joint for span in trajectory.stretched} == {"elbow"}
+    # The same again from the cache.
+    again = plan(replace(nodding(frame), layers=(layer, over)), robot)
+    times_s = np.linspace(0.0, trajectory.duration_s, 501)
+    assert np.array_equal(again.sample(times_s), trajectory.sample(times_s))
+
+
+def test_a_sum_that_is_too_fast_gives_up_angle_and_meets_exact_keys(make_robot, frame):
+    """Each of both is possible alone, their sum is not."""
+    robot = make_robot(1, accel=600.0)
+    shake = [frame(0.25 * k, base=[0.0, 8.0, 0.0, -8.0][k % 4]) for k in range(17)]
+    talk_frames = [frame(0.25 * k, label=f"t{k}", base=5.0 * (k % 2)) for k in range(17)]
+    talk_frames[8] = replace(talk_frames[8], is_exact=True)
+    base = show(*shake, keeps_time=BASE)
+    top = show(*talk_frames, keeps_time=BASE, name="talk")
+    assert plan(base, robot).given_up == ()
+    assert plan(top, robot).given_up == ()
+    layer = Layer(sequence=top, joints=("base",), mode="add")
+    trajectory = plan(replace(base, layers=(layer,)), robot)
+    judged(trajectory, robot)
+    assert trajectory.duration_s == pytest.approx(4.0)
+    assert trajectory.given_up[0].by_deg > 0.2
+    assert at(trajectory, "base", 2.0)[0] == pytest.approx(0.0, abs=1e-4)

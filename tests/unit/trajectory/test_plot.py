@@ -8,7 +8,7 @@ import pytest
 from lss_motion.errors import InputError
 from lss_motion.sequence.model import Sequence
 from lss_motion.trajectory.planner import plan
-from lss_motion.trajectory.plot import plot
+from lss_motion.trajectory.plot import ASKED, plot
 
 
 @pytest.fixture
@@ -41,6 +41,31 @@ def test_the_picture_names_joints_keyframes_and_slowed_spans(
     text = (tmp_path / "a.svg").read_text()
     for word in ("base", "elbow", "rest", "up", "stretched", "horn", "acceleration"):
         assert word in text
+
+
+def test_what_was_asked_is_drawn_beside_what_is_given(make_robot, frame, tmp_path, monkeypatch):
+    import matplotlib as mpl
+    from matplotlib.axes import Axes
+
+    drawn = []
+    usual = Axes.plot
+
+    def plotted(self, *given, **more):
+        drawn.append((given, more.get("color")))
+        return usual(self, *given, **more)
+
+    monkeypatch.setattr(Axes, "plot", plotted)
+    monkeypatch.setitem(mpl.rcParams, "svg.fonttype", "none")
+    frames = [frame(0.0, base=0.0), frame(0.1, base=50.0), frame(1.0, base=0.0)]
+    sequence = Sequence(name="s", keyframes=tuple(frames), keeps_time=frozenset({"base"}))
+    trajectory = plan(sequence, make_robot(1))
+    plot(trajectory, make_robot(1), tmp_path / "a.svg")
+    text = (tmp_path / "a.svg").read_text()
+    assert "asked" in text
+    assert "deg given up to keep the time" in text
+    ((times_s, asked_deg),) = [given for given, color in drawn if color == ASKED]
+    assert max(asked_deg) == pytest.approx(50.0, abs=0.5)
+    assert times_s[int(np.argmax(asked_deg))] == pytest.approx(0.1, abs=0.02)
 
 
 def test_an_unknown_suffix_is_refused_with_the_supported_ones(trajectory, make_robot, tmp_path):

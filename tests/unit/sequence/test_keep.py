@@ -1,0 +1,128 @@
+"""`keep: time` for files, tracks, layers and joints; `exact` and `weight` of keyframes."""
+
+from __future__ import annotations
+
+import pytest
+
+from lss_motion.errors import InputError
+from lss_motion.sequence.load import load_sequence
+from lss_motion.sequence.parts import time_keepers
+from lss_motion.sequence.write import write_sequence
+
+ROBOT = """\
+robot: face
+defaults: {model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 180, accel_max_deg_s2: 600}
+joints:
+  jaw: {id: 1}
+  lip: {id: 2}
+  neck: {id: 3}
+groups: {mouth: [jaw, lip]}
+mirror: {same: {lip: neck}}
+"""
+
+KEYS = """\
+keyframes:
+  - {at_s: 0, deg: {jaw: 0, neck: 0}}
+  - {at_s: 1, deg: {jaw: 20, neck: 5}}
+"""
+
+
+@pytest.fixture
+def load(tmp_path):
+    (tmp_path / "robot.yaml").write_text(ROBOT)
+
+    def load(text, name="show.yaml"):
+        path = tmp_path / name
+        path.write_text(f"sequence: s\nrobot: robot.yaml\n{text}")
+        return load_sequence(path)
+
+    return load
+
+
+@pytest.mark.parametrize(
+    ("keep", "joints"),
+    [
+        ("keep: time", {"jaw", "neck"}),
+        ("keep: angle", set()),
+        ("keep: {jaw: time}", {"jaw"}),
+        ("keep: {mouth: time}", {"jaw"}),
+        ("keep: {jaw: angle}", set()),
+    ],
+)
+def test_a_file_says_which_joints_keep_their_time(load, keep, joints):
+    assert load(f"{keep}\n{KEYS}").keeps_time == joints
+
+
+TRACKS = """\
+tracks:
+  talk:
+    keyframes: [{at_s: 0, deg: {jaw: 0, lip: 0}}, {at_s: 1, deg: {jaw: 9, lip: 9}}]
+  look:
+    keep: angle
+    keyframes: [{at_s: 0, deg: {neck: 0}}, {at_s: 1, deg: {neck: 9}}]
+"""
+
+
+@pytest.mark.parametrize(
+    ("keep", "talk"),
+    [("keep: time", {"jaw", "lip"}), ("keep: {lip: time}", {"lip"}), ("", set())],
+)
+def test_tracks_inherit_and_override(load, keep, talk):
+    sequence = load(f"{keep}\n{TRACKS}")
+    assert [track.keeps_time for track in sequence.tracks] == [talk, set()]
+    assert time_keepers(sequence) == talk
+
+
+def test_a_layer_can_keep_the_time_of_its_file_or_its_own(load, tmp_path):
+    load(f"keep: {{jaw: time}}\n{KEYS}", "talk.yaml")
+    top = "keyframes: [{at_s: 0, deg: {lip: 0}}, {at_s: 1, deg: {lip: 3}}]\nlayers:\n"
+    for keep, kept in (("", {"jaw"}), (", keep: time", {"jaw", "neck"}), (", keep: angle", set())):
+        sequence = load(f"{top}  - {{file: talk.yaml{keep}}}\n")
+        assert time_keepers(sequence) == kept
+    assert time_keepers(load(f"{top}  - {{file: talk.yaml, keep: time, joints: [neck]}}\n")) == {
+        "neck"
+    }
+
+
+def test_mirrored_joints_keep_their_time_on_the_other_side(load):
+    sequence = load(f"mirror: true\nkeep: {{neck: time}}\n{KEYS}")
+    assert sequence.keeps_time == {"lip"}
+
+
+ONE_TRACK = """\
+tracks:
+  talk:
+    keyframes: [{at_s: 0, deg: {lip: 0}}, {at_s: 1, deg: {lip: 9}}]
+"""
+
+
+@pytest.mark.parametrize("keep", ["keep: time", "keep: {neck: time}"])
+@pytest.mark.parametrize("tracks", ["", ONE_TRACK, f"{ONE_TRACK}    keep: angle\n"])
+def test_a_written_file_keeps_the_same(load, tmp_path, keep, tracks):
+    keys = KEYS.replace("neck: 5}", "neck: 5}, exact: true, weight: 2.5")
+    sequence = load(f"{keep}\n{keys}{tracks}")
+    write_sequence(sequence, tmp_path / "again.yaml")
+    assert load_sequence(tmp_path / "again.yaml") == sequence
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "reason"),
+    [
+        (f"keep: {{jow: time}}\n{KEYS}", 3, "did you mean 'jaw'"),
+        (f"keep: never\n{KEYS}", 3, "keep"),
+        (
+            "keep: time\ntiming: fastest\nkeyframes: [{deg: {jaw: 0}}, {deg: {jaw: 9}}]\n",
+            3,
+            "keeps the author's times, but this file gives none",
+        ),
+        (KEYS.replace("neck: 5}", "neck: 5}, exact: true"), 5, "exact is for joints that keep"),
+        (KEYS.replace("neck: 5}", "neck: 5}, weight: 3"), 5, "weight is for joints that keep"),
+        (KEYS.replace("neck: 5}", "neck: 5}, weight: 0.5"), 5, "weight"),
+        ("keep: time\nplay: [{pause_s: 1}]\n", 3, "keep does not go with 'play'"),
+    ],
+)
+def test_what_contradicts_is_named_with_its_line(load, text, line, reason):
+    with pytest.raises(InputError) as caught:
+        load(text)
+    assert reason in caught.value.reason
+    assert caught.value.line == line
