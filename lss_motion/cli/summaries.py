@@ -19,7 +19,14 @@ if TYPE_CHECKING:
     from lss_motion.interchange.reduce import KeyFit
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Joint, Robot
-    from lss_motion.trajectory.model import GivenUp, Mark, MissedKey, SlowSpan, Trajectory
+    from lss_motion.trajectory.model import (
+        GivenUp,
+        Mark,
+        MissedKey,
+        SlowSpan,
+        Smoothing,
+        Trajectory,
+    )
 
 
 SAMPLE_S: Final = 0.001
@@ -33,6 +40,9 @@ HOLD_SLACK_S: Final = 1e-5
 
 LATE_MIN_S: Final = 0.001
 """Keyframes that are late by less are on time: the finest that a command can express."""
+
+KEY_ERROR_DEG: Final = 0.005
+"""Keys of a smoothed motion that are this close are met: far below the unit of a servo."""
 
 WORST_COUNT: Final = 10
 """Slow spans and late keyframes that are listed. Chosen: both fit on a screen."""
@@ -82,6 +92,7 @@ def plan_lines(trajectory: Trajectory, robot: Robot, *, is_whole: bool = False) 
     ]
     lines += _given_up_lines(trajectory, is_whole=is_whole)
     lines += [f"shorter: {hold_text(mark)}" for mark in shortened_holds(trajectory)]
+    lines += _smooth_lines(trajectory, is_whole=is_whole)
     uses = limit_uses(trajectory, robot)
     width = max(len(name) for name in (*trajectory.joints, "joint"))
     lines.append(f"{'joint':{width}}  fastest deg/s (limit)   hardest deg/s² (limit)")
@@ -184,6 +195,45 @@ def _late_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
     return lines
 
 
+def smoothings(trajectory: Trajectory) -> list[Smoothing]:
+    """Return how joints are smoothed, those of the parts of a play list too, the worst first."""
+    found = list(trajectory.smoothing)
+    if not found:
+        parts = {id(part): part for part in trajectory.first.parts if part is not trajectory}
+        found = [own for part in parts.values() for own in smoothings(part)]
+    return sorted(found, key=lambda own: (-own.key_error_deg, -own.window_s))
+
+
+def _smooth_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
+    """Return what it costs that the acceleration does not jump: time, angle at and between keys."""
+    from lss_motion.files.source import counted
+
+    found = [own for own in smoothings(trajectory) if own.jerk_max_deg_s3 > 0.0]
+    if not found:
+        return []
+    joints = {own.joint for own in found}
+    by_s = max(own.by_s for own in found)
+    cost = f"{by_s:.3f} s longer than without" if by_s > LATE_MIN_S else "no longer than without"
+    shown = found if is_whole else found[:WORST_COUNT]
+    lines = [f"no jump of acceleration: {counted(joints, 'joint')}, {cost}"]
+    lines += [f"smooth: {smooth_text(own)}" for own in shown]
+    if rest := found[len(shown) :]:
+        lines.append(f"and {counted(rest, 'more joint')} smooth (check --all lists them)")
+    return lines
+
+
+def smooth_text(own: Smoothing) -> str:
+    """Return the text about one joint whose acceleration does not jump."""
+    text = f"joint {own.joint!r}, jerk at most {own.jerk_max_deg_s3:.0f} deg/s³"
+    if own.window_s > 0.0:
+        text += f", averaged over {own.window_s:.3f} s"
+    if own.key_error_deg > KEY_ERROR_DEG:
+        text += f", up to {own.key_error_deg:.2f} deg off a key"
+    if own.away_deg is not None:
+        text += f", between keys up to {own.away_deg:.1f} deg from the motion without"
+    return text
+
+
 def late_marks(trajectory: Trajectory) -> list[tuple[Mark, float]]:
     """Return the keyframes that are reached late and by how many seconds, the latest first."""
     from lss_motion.trajectory.model import LoopedSpan
@@ -259,11 +309,10 @@ def _margin_lines(trajectory: Trajectory, uses: Sequence[LimitUse]) -> list[str]
 
 def stretch_text(stretch: SlowSpan) -> str:
     """Return the text about one span that takes longer than the file sets."""
-    unit = "deg/s" if stretch.limit == "speed" else "deg/s²"
     return (
         f"{stretch.from_s:.3f} s to {stretch.to_s:.3f} s takes {stretch.by_s:.3f} s longer: joint "
-        f"{stretch.joint!r} would need {stretch.limit} {stretch.authored:.0f} {unit}, allowed "
-        f"{stretch.allowed:g} {unit}"
+        f"{stretch.joint!r} would need {stretch.limit} {stretch.authored:.0f} {stretch.unit}, "
+        f"allowed {stretch.allowed:g} {stretch.unit}"
     )
 
 
@@ -386,6 +435,7 @@ def show_as_json(show: Show) -> dict[str, Any]:
             }
             for mark in shortened_holds(trajectory)
         ],
+        "smoothing": [] if trajectory is None else [asdict(own) for own in smoothings(trajectory)],
         "buses": {name: asdict(use) for name, use in program.line_use.items()},
         "functions": [
             {"run": call.run, "files": [str(file) for file in call.files], "count": call.count}

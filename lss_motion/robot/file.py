@@ -39,6 +39,10 @@ SPEED_MIN_DEG_S: Final = 0.1
 FILTER_COUNT_MAX: Final = 20
 """The largest FPC that is known to be used (FACTS.md M10)."""
 
+JERK_MIN_DEG_S3: Final = 1.0
+JERK_MAX_DEG_S3: Final = 1e6
+"""More than 1e6 is 1000 deg/s² in a millisecond, a jump; less than 1 never moves."""
+
 ACCEL_MIN_DEG_S2: Final = 0.1
 """A hundredth of the smallest ramp of a servo; less is a typing error."""
 
@@ -244,6 +248,16 @@ class JointDefaults(FileModel, title="joint defaults"):
         description="Never speed up or brake harder; 10 to 1000 in steps of 10 (rounded down), "
         "which is all that the servo's own ramps (AA, AD) can express. servo: what those are set "
         "to.",
+    )
+    jerk_max_deg_s3: float | None = Field(
+        default=None,
+        ge=JERK_MIN_DEG_S3,
+        le=JERK_MAX_DEG_S3,
+        description="The acceleration of planned motion never changes faster than this, in degrees "
+        "per second cubed, for heads and cameras that must not shake; accel_max_deg_s2 divided by "
+        "0.1 s is a good start. Default: no limit, the acceleration may jump. Not for a robot that "
+        "is steered while it walks.",
+        examples=[6000],
     )
     direction: Annotated[int, AfterValidator(_check_direction)] | None = Field(
         default=None,

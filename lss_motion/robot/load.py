@@ -58,6 +58,7 @@ MODEL_LIMITS: Final[Mapping[str, Callable[[ServoModel], float]]] = {
 _PLAIN: Final = (
     "speed_max_deg_s",
     "accel_max_deg_s2",
+    "jerk_max_deg_s3",
     "direction",
     "zero_deg",
     "following_deg",

@@ -5,6 +5,7 @@ They are immutable. `robot.load` makes them from files.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Literal
 
@@ -124,6 +125,8 @@ class Joint:
     position_max_deg: float
     speed_max_deg_s: float
     accel_max_deg_s2: float
+    jerk_max_deg_s3: float = math.inf
+    """Largest change of the acceleration in a second; infinite: the acceleration may jump."""
     unread: frozenset[str] = frozenset()
     """Limits that are set in the servo and were not read yet. Until they are, they have the largest
     value of the model, and `plan` refuses the joint."""

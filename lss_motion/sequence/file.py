@@ -34,6 +34,9 @@ RUN_PATTERN: Final = r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$"
 LAYERS_MAX: Final = 32
 """Chosen: more than a viewer can tell apart."""
 
+SMOOTH_MAX_S: Final = 2.0
+"""Chosen: at 600 deg/s², a joint that takes so long to speed up is far beyond any speed limit."""
+
 SPEED_MIN_RATIO: Final = 0.01
 SPEED_MAX_RATIO: Final = 100.0
 """Chosen: a hundredfold either way; a ratio beyond that is a typing error."""
@@ -157,6 +160,15 @@ class TrackEntry(FileModel, title="track"):
         description="How joints travel between keyframes. smooth: never beyond the keys. "
         "spline: rounder, may swing beyond them. linear: straight lines with stops. "
         "hold: wait, then move as late as possible.",
+    )
+    smooth_s: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=SMOOTH_MAX_S,
+        description="The acceleration does not jump: each change of it takes at least so long. "
+        "0: it may jump. Not for joints that keep: time. Default of a track: that of the file; of "
+        "a file: 0. See also jerk_max_deg_s3 in the robot file.",
+        examples=[0.1],
     )
     hold_may_shrink: bool | None = Field(
         default=None,

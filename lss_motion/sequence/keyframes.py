@@ -171,6 +171,8 @@ class TrackLoader:
     is_offset: bool = False
     """The angles are added to others, so no range applies to them alone."""
     is_looped_in_part: bool = False
+    smooth_s: float = 0.0
+    """Default of `smooth_s` where the track does not give it."""
     holds_may_shrink: bool = False
     """Default of `hold_may_shrink` where neither keyframe nor track gives it."""
     keep: Keep | Mapping[str, Keep] | None = None
@@ -204,6 +206,7 @@ class TrackLoader:
             fit_duration_s=content.duration_s,
             loop=loop,
             keeps_time=keeps_time,
+            smooth_s=self.smooth_s if content.smooth_s is None else content.smooth_s,
         )
 
     def _keeps_time(self, keyframes: list[Keyframe]) -> frozenset[str]:
@@ -303,6 +306,7 @@ def at_speed(sequence: Sequence, ratio: float = 1.0) -> Sequence:
         else tuple(_frame(frame, ratio) for frame in sequence.keyframes),
         loop_span_s=None if span_s is None else (span_s[0] / ratio, span_s[1] / ratio),
         fit_duration_s=None if duration_s is None else duration_s / ratio,
+        smooth_s=sequence.smooth_s if is_fastest else sequence.smooth_s / ratio,
         tracks=tuple(at_speed(track, ratio) for track in sequence.tracks),
         play=tuple(_step(step, ratio) for step in sequence.play),
         layers=tuple(_layer(layer, ratio) for layer in sequence.layers),

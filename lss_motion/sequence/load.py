@@ -99,6 +99,12 @@ def _load(path: Path, robot: Robot | None, part: FileContext) -> Sequence:
     raise _as_one(source, problems, errors)
 
 
+TRACK_KEYS: Final = (
+    *("keyframes", "tracks", "timing", "duration_s", "hold_may_shrink", "keep", "smooth_s"),
+)
+"""Keys that say how keyframes are planned, which a play list does not hold."""
+
+
 def _finished(
     sequence: Sequence, content: SequenceFile, robot: Robot, part: FileContext
 ) -> Sequence:
@@ -200,7 +206,7 @@ class _Loader:
             return
         if not (has_frames or has_play or content.tracks):
             self._note((), "no keyframes: give 'keyframes', 'tracks' or 'play'")
-        for key in ("keyframes", "tracks", "timing", "duration_s", "hold_may_shrink", "keep"):
+        for key in TRACK_KEYS:
             if has_play and getattr(content, key):
                 self._note((key,), f"{key} does not go with 'play'; put it into a file of the list")
         if content.layers and content.loop == "forever":
@@ -236,6 +242,7 @@ class _Loader:
                 self.source,
                 self.robot,
                 self.part.is_offset,
+                smooth_s=self.content.smooth_s or 0.0,
                 holds_may_shrink=bool(self.content.hold_may_shrink),
                 keep=self.content.keep,
             )

@@ -185,6 +185,8 @@ class Sequence:
     """Joints that meet every instant, and give up angle where their servo cannot follow."""
     speed_ratio: float = 1.0
     """All times are divided by this; at most 1 where the timing is `fastest`."""
+    smooth_s: float = 0.0
+    """Every change of the acceleration takes at least so long; 0: it may jump."""
     tracks: tuple[Sequence, ...] = ()
     """Other joints at the same time, each with its own keyframes, timing and loop."""
     play: tuple[Step, ...] = ()

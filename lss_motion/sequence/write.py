@@ -75,10 +75,10 @@ def _body(sequence: Sequence) -> Iterator[str]:
         yield "tracks:"
     for track in sequence.tracks:
         yield f"  {_text(track.name)}:"
-        yield from (f"    {line}" for line in _track(track))
+        yield from (f"    {line}" for line in _track(track, sequence.smooth_s))
 
 
-def _track(sequence: Sequence) -> Iterator[str]:
+def _track(sequence: Sequence, default_smooth_s: float = 0.0) -> Iterator[str]:
     yield f"timing: {sequence.timing}"
     if sequence.fit_duration_s is not None:
         yield f"duration_s: {_number(sequence.fit_duration_s)}"
@@ -91,6 +91,8 @@ def _track(sequence: Sequence) -> Iterator[str]:
         # Tracks inherit what a file says of all joints, but not what it says of single ones.
         is_whole = keyed == sequence.keeps_time and not sequence.tracks
         yield "keep: time" if is_whole else f"keep: {{{named}}}"
+    if sequence.smooth_s != default_smooth_s:
+        yield f"smooth_s: {_number(sequence.smooth_s)}"
     if sequence.loop != 1:
         yield f"loop: {'forever' if sequence.loop is None else sequence.loop}"
     if sequence.loop_span_s is not None:

@@ -20,6 +20,7 @@
 | `closest_spline.py` | the closest motion within limits; Clarabel    | keep_joint              |
 | `braking.py`    | back at the author's pace exactly where on time      | catch_up                |
 | `solver.py`     | largest legal rates along a path; imports toppra     | retime, tracks          |
+| `smoothing.py`  | no jumps of the acceleration, where that is wanted   | planner, layers         |
 | `verify.py`     | independent check against all limits                 | tracks, layers, planner |
 | `plan_cache.py` | plans on disk, found by content, not trusted         | planner, layers         |
 | `recheck.py`    | closed-form check of a stored plan against limits    | plan_cache              |

@@ -6,14 +6,14 @@ Everything here is over the path position; time, speed limits and rates come lat
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from lss_motion.sequence.model import LINEAR_RAMP_RATIO, Interpolation
 from lss_motion.splines import clamped_slopes, monotone_slopes, runs
-from lss_motion.trajectory.keys import PATH_DECIMALS, least_move_s
+from lss_motion.trajectory.keys import PATH_DECIMALS, SAME_ANGLE_DEG, least_move_s, rests_at
 from lss_motion.trajectory.path import Path, hermite
 
 if TYPE_CHECKING:
@@ -28,6 +28,10 @@ if TYPE_CHECKING:
 
 ANGLE_DECIMALS: Final = 9
 """Angles are rounded to this, so that a difference by rounding alone is no move."""
+
+REST_SHARE_MAX: Final = 0.98
+"""A move gives at most this share of its length to the rests around it. `spacing_of` makes it long
+enough; keys that only rounding keeps apart have no more to give."""
 
 _FLOWING: Final = (Interpolation.SMOOTH, Interpolation.SPLINE)
 """Between two of these a joint passes its key in motion; `linear` and `hold` stop at keys."""
@@ -69,11 +73,11 @@ def joint_keys(own: tuple[Key, ...], spacing: Spacing) -> JointKeys:
         at_s, until_s = float(spacing.reached_s[key.index]), float(spacing.left_s[key.index])
         if kept and at_s <= left_s[-1]:
             left_s[-1] = max(left_s[-1], until_s)
-            is_held[-1] |= key.hold_s > 0.0
+            is_held[-1] |= key.is_held
         else:
             reached_s.append(at_s)
             left_s.append(until_s)
-            is_held.append(key.hold_s > 0.0)
+            is_held.append(key.is_held)
             kept.append(key)
     angles_deg = np.array([key.deg for key in kept], dtype=np.float64)
     return JointKeys(
@@ -82,6 +86,33 @@ def joint_keys(own: tuple[Key, ...], spacing: Spacing) -> JointKeys:
         np.asarray(np.round(angles_deg, ANGLE_DECIMALS), dtype=np.float64),
         np.array(is_held),
         tuple(key.ease for key in kept),
+    )
+
+
+def with_longer_rests(
+    keys: JointKeys, half_s: float, *, is_from_rest: bool = True, is_to_rest: bool = True
+) -> JointKeys:
+    """Return the keys, each rest of them reached `half_s` earlier and left so much later.
+
+    `is_from_rest` and `is_to_rest` False: the pass begins or ends in motion.
+    """
+    if half_s <= 0.0:
+        return keys
+    is_rest = rests_at(keys.deg, keys.is_held, keys.eases)
+    is_rest[0] &= is_from_rest
+    is_rest[-1] &= is_to_rest
+    is_move = np.abs(np.diff(keys.deg)) > SAME_ANGLE_DEG
+    rests = is_rest[:-1].astype(np.float64) + is_rest[1:]
+    most_s = REST_SHARE_MAX * keys.lengths_s / np.maximum(rests, 1.0)
+    most_s = np.where(is_move, np.minimum(half_s, most_s), 0.0)
+    reached_s, left_s = keys.reached_s.copy(), keys.left_s.copy()
+    left_s[:-1] += np.where(is_rest[:-1], most_s, 0.0)
+    reached_s[1:] -= np.where(is_rest[1:], most_s, 0.0)
+    return replace(
+        keys,
+        reached_s=np.asarray(np.round(reached_s, PATH_DECIMALS)),
+        left_s=np.asarray(np.round(left_s, PATH_DECIMALS)),
+        is_held=keys.is_held | is_rest,
     )
 
 

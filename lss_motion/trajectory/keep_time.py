@@ -383,6 +383,7 @@ def beside(
         given_up=kept.given_up,
         asked=kept.asked,
         marks=tuple(marks),
+        smoothing=slow.smoothing,
     )
 
 

@@ -8,14 +8,14 @@ apart as their moves need at least.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from lss_motion.errors import InputError
-from lss_motion.sequence.model import Timing
+from lss_motion.sequence.model import Interpolation, Timing
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.robot.model import Robot
-    from lss_motion.sequence.model import Interpolation, Keyframe, Sequence
+    from lss_motion.sequence.model import Keyframe, Sequence
 
     FloatArray = NDArray[np.float64]
 
@@ -44,6 +44,9 @@ PASSING_RATIO: Final = 0.5
 a motion are closer together than moves from rest to rest could be. Chosen: samples of a motion
 within the limits keep their times, and so do those of a motion up to twice as fast."""
 
+STOPPING: Final = (Interpolation.LINEAR, Interpolation.HOLD)
+"""Moves that begin and end at rest."""
+
 PATH_DECIMALS: Final = 9
 """Path positions are rounded to 1 ns, so that equal instants of different joints compare equal."""
 
@@ -56,6 +59,13 @@ class Key:
     deg: float
     hold_s: float
     ease: Interpolation
+    is_stop: bool = False
+    """The joint comes to rest here, although the author does not hold it."""
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the joint rests at the key, however short."""
+        return self.hold_s > 0.0 or self.is_stop
 
 
 def is_timed(sequence: Sequence) -> bool:
@@ -212,10 +222,57 @@ def least_move_s(move_deg: FloatArray, speed_deg_s: float, accel_deg_s2: float) 
     return np.where(is_triangle, triangle_s, trapezoid_s)
 
 
-def spacing_of(sequence: Sequence, keys: Mapping[str, tuple[Key, ...]], robot: Robot) -> Spacing:
+@dataclass(frozen=True, slots=True)
+class Margins:
+    """What a motion that is smoothed afterwards needs: longer rests, and keys that are shifted.
+
+    Smoothing spreads a motion by `half_s` of its joint into the rests around it, so the rest is
+    planned so much longer on each side. A key that is passed in motion would be missed by the
+    smoothed motion; `shifts_deg`, by joint and keyframe, is added to its angle. At `stops` the
+    joint comes to rest, because its keys are too close together for a shift.
+    """
+
+    half_s: Mapping[str, float] = field(default_factory=dict)
+    shifts_deg: Mapping[tuple[str, int], float] = field(default_factory=dict)
+    stops: frozenset[tuple[str, int]] = frozenset()
+
+    def applied(self, joint: str, own: tuple[Key, ...]) -> tuple[Key, ...]:
+        """Return the keys of a joint with their shifts and stops."""
+        return tuple(
+            replace(
+                key,
+                deg=key.deg + self.shifts_deg.get((joint, key.index), 0.0),
+                is_stop=(joint, key.index) in self.stops,
+            )
+            for key in own
+        )
+
+
+NO_MARGINS: Final = Margins()
+
+
+def rests_at(
+    deg: FloatArray, is_held: NDArray[np.bool_], eases: tuple[Interpolation, ...]
+) -> NDArray[np.bool_]:
+    """Return for each key of a joint whether the joint rests there or stops at a corner."""
+    is_rest = is_held.copy()
+    is_rest[[0, -1]] = True
+    is_still = np.abs(np.diff(deg)) <= SAME_ANGLE_DEG
+    is_still |= np.array([ease in STOPPING for ease in eases[1:]], dtype=np.bool_)
+    is_rest[1:] |= is_still
+    is_rest[:-1] |= is_still
+    return is_rest
+
+
+def spacing_of(
+    sequence: Sequence,
+    keys: Mapping[str, tuple[Key, ...]],
+    robot: Robot,
+    margins: Margins = NO_MARGINS,
+) -> Spacing:
     """Return the spacing of the keyframes: authored if the sequence is timed, else the least."""
     is_authored = is_timed(sequence)
-    needs = _needs(keys, robot, is_authored=is_authored)
+    needs = _needs(keys, robot, margins, is_authored=is_authored)
     if is_authored:
         return _timed(sequence, needs)
     reached_s = np.zeros(len(sequence.keyframes))
@@ -234,7 +291,7 @@ def authored_spacing(sequence: Sequence) -> Spacing:
 
 
 def _needs(
-    keys: Mapping[str, tuple[Key, ...]], robot: Robot, *, is_authored: bool
+    keys: Mapping[str, tuple[Key, ...]], robot: Robot, margins: Margins, *, is_authored: bool
 ) -> dict[int, list[tuple[int, float]]]:
     """Return for each keyframe pairs: an earlier keyframe, and the least path distance from it.
 
@@ -248,6 +305,14 @@ def _needs(
         if is_authored:
             passing_s = PASSING_RATIO * np.abs(moves_deg) / joint.speed_max_deg_s
             least_s = np.minimum(HOPELESS_RATIO * least_s, passing_s)
+        if half_s := margins.half_s.get(name, 0.0):
+            is_rest = rests_at(
+                np.array([key.deg for key in own]),
+                np.array([key.is_held for key in own]),
+                tuple(key.ease for key in own),
+            )
+            rests_s = np.where(is_rest, half_s, 0.0)
+            least_s = np.where(least_s > 0.0, least_s + rests_s[1:] + rests_s[:-1], least_s)
         for before, after, seconds in zip(own, own[1:], least_s.tolist(), strict=False):
             needs.setdefault(after.index, []).append((before.index, seconds))
     return needs

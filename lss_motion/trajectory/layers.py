@@ -23,6 +23,7 @@ from lss_motion.trajectory.model import PathMotion, Trajectory, motions_of
 from lss_motion.trajectory.path import Path, cubics
 from lss_motion.trajectory.plan_cache import PLANNER_VERSION, cached
 from lss_motion.trajectory.retime import authored_clock, timed_windows, united
+from lss_motion.trajectory.smoothing import even_clock, jerk_limits, limited, smooth_too
 from lss_motion.trajectory.solver import RateTask
 from lss_motion.trajectory.verify import verify
 from lss_motion.units import significant
@@ -34,7 +35,8 @@ if TYPE_CHECKING:
 
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.model import Layer, Sequence
-    from lss_motion.trajectory.model import Mark
+    from lss_motion.trajectory.model import Mark, SlowSpan
+    from lss_motion.trajectory.solver import RateWindow
 
     FloatArray = NDArray[np.float64]
 
@@ -52,6 +54,9 @@ KNOTS_MAX: Final = 400_000
 ACCEL_ERROR_RATIO: Final = 1e-4
 """The acceleration of the cubics differs from that of the sum by less than this share of the limit:
 a tenth of what the verifier allows."""
+
+SMOOTH_ERROR_RATIO: Final = 1e-5
+"""The same where the jerk is limited: errors of the acceleration are jumps of it."""
 
 CELLS_MIN: Final = 2
 """Grid cells of a polynomial, at least. Chosen: where it matters, polynomials are a few ms long."""
@@ -82,10 +87,11 @@ def layered(
             "still as well; put the layers into the parts that it plays",
             path=show.path,
         )
-    layers = tuple(_placed(layer, base, robot, plan) for layer in show.layers)
+    layers = tuple(_placed(layer, base, show, robot, plan) for layer in show.layers)
     total = layered_sum(base, layers, robot)
     check_jumps(total, show)
-    path = _as_cubics(total, robot, show)
+    is_smooth = bool(np.isfinite(jerk_limits(show, robot, total.joints)).any())
+    path = _as_cubics(total, robot, show, is_smooth=is_smooth)
     if kept := time_keepers(show) & {*total.joints}:
         return _with_kept(path, total, show, robot, kept)
     return _slowed(path, total, show, robot)
@@ -141,6 +147,7 @@ def _kept_name(
 
 def _slowed(path: Path, total: LayeredSum, show: Sequence, robot: Robot) -> Trajectory:
     """Return the sum along its path, slowed only where it exceeds a limit."""
+    jerk_max = jerk_limits(show, robot, total.joints)
     limits = [robot.joints[name] for name in total.joints]
     task = RateTask(
         path=path,
@@ -151,7 +158,7 @@ def _slowed(path: Path, total: LayeredSum, show: Sequence, robot: Robot) -> Traj
     )
     trajectory = cached(
         _cache_name(task, show, total, robot),
-        lambda: _retimed(task, total, show, robot),
+        lambda: _retimed(task, total, show, robot, jerk_max),
         lambda stored: _follows(stored, path, total.joints),
         robot,
     )
@@ -160,13 +167,20 @@ def _slowed(path: Path, total: LayeredSum, show: Sequence, robot: Robot) -> Traj
 
 
 def _placed(
-    layer: Layer, base: Trajectory, robot: Robot, plan: Callable[[Sequence, Robot], Trajectory]
+    layer: Layer,
+    base: Trajectory,
+    show: Sequence,
+    robot: Robot,
+    plan: Callable[[Sequence, Robot], Trajectory],
 ) -> PlacedLayer:
-    trajectory = plan(layer.sequence, _unbounded(robot) if layer.mode == "add" else robot)
+    sequence = smooth_too(layer.sequence, show.smooth_s)
+    trajectory = plan(sequence, _unbounded(robot) if layer.mode == "add" else robot)
     end_s = layer.from_s + trajectory.duration_s
     if trajectory.loop is None:
         end_s = max(base.duration_s, layer.from_s)
-    return PlacedLayer(layer, trajectory, layer.from_s, end_s if layer.to_s is None else layer.to_s)
+    to_s = end_s if layer.to_s is None else layer.to_s
+    is_smooth = bool(np.isfinite(jerk_limits(show, robot, tuple(robot.joints))).any())
+    return PlacedLayer(layer, trajectory, layer.from_s, to_s, is_smooth)
 
 
 def _unbounded(robot: Robot) -> Robot:
@@ -198,7 +212,7 @@ def _too_many(end_s: float, show: Sequence) -> InputError:
     )
 
 
-def _as_cubics(total: LayeredSum, robot: Robot, show: Sequence) -> Path:
+def _as_cubics(total: LayeredSum, robot: Robot, show: Sequence, *, is_smooth: bool) -> Path:
     """Return the sum as cubics, divided until their acceleration error is below the limit."""
     end_s = total.duration_s
     if _knots_count(total) > KNOTS_MAX:  # Before they are made: a loop can have a million passes.
@@ -215,7 +229,8 @@ def _as_cubics(total: LayeredSum, robot: Robot, show: Sequence) -> Path:
     # Of knots at one instant the last is kept, so that the last knot is exactly `end_s`.
     knots_s = knots_s[np.append(np.diff(knots_s) > SAME_INSTANT_S, True)]
     knots_s[0] = 0.0
-    allowed = ACCEL_ERROR_RATIO * np.array([robot.joints[n].accel_max_deg_s2 for n in total.joints])
+    share = SMOOTH_ERROR_RATIO if is_smooth else ACCEL_ERROR_RATIO
+    allowed = share * np.array([robot.joints[n].accel_max_deg_s2 for n in total.joints])
     while True:
         if len(knots_s) > KNOTS_MAX:
             raise _too_many(end_s, show)
@@ -255,15 +270,22 @@ def _cache_name(task: RateTask, show: Sequence, total: LayeredSum, robot: Robot)
     joints = [replace(joint, settings={}) for joint in robot.joints.values()]
     parts = [total.base, *(placed.trajectory for placed in total.layers)]
     found = [(part.marks, part.stretched) for part in parts]
-    digest.update(repr((PLANNER_VERSION, show.name, found, joints)).encode())
+    digest.update(repr((PLANNER_VERSION, show.name, show.smooth_s, found, joints)).encode())
     return digest.hexdigest()
 
 
-def _retimed(task: RateTask, total: LayeredSum, show: Sequence, robot: Robot) -> Trajectory:
+def _retimed(
+    task: RateTask, total: LayeredSum, show: Sequence, robot: Robot, jerk_max: FloatArray
+) -> Trajectory:
     """Return the sum at its own times, slowed where it exceeds a limit."""
-    dues = Dues(authored=lambda path_s: path_s, held=_held(total), anchors_s=_anchors_s(total))
-    windows = timed_windows(task, dues)
-    clock = authored_clock(task.path, windows, (), dues)
+    slowed: SlowSpan | None = None
+    windows: list[RateWindow] = []
+    if np.isfinite(jerk_max).any():
+        clock, slowed = even_clock(task, total.joints, jerk_max)
+    else:
+        dues = Dues(authored=lambda path_s: path_s, held=_held(total), anchors_s=_anchors_s(total))
+        windows = timed_windows(task, dues)
+        clock = authored_clock(task.path, windows, (), dues)
     motion = PathMotion(path=task.path, clock=clock)
 
     def moved(times_s: list[float]) -> list[float]:
@@ -272,6 +294,8 @@ def _retimed(task: RateTask, total: LayeredSum, show: Sequence, robot: Robot) ->
     marks = _marks(total)
     ends_s = moved([mark.planned_s + mark.held_s for mark in marks])
     stretched = [*explain.slow_spans(task, total.joints, windows, clock, lambda path_s: path_s)]
+    if slowed is not None:
+        stretched.append(slowed)
     below = [(0.0, total.duration_s, total.base)]
     below += [(placed.from_s, placed.to_s, placed.trajectory) for placed in total.layers]
     for start_s, end_s, part in below:
@@ -297,6 +321,7 @@ def _retimed(task: RateTask, total: LayeredSum, show: Sequence, robot: Robot) ->
                 key=lambda mark: mark.planned_s,
             )
         ),
+        smoothing=limited(total.joints, jerk_max),
     )
     verify(trajectory, robot)
     return trajectory
@@ -358,21 +383,31 @@ class PlacedLayer:
     trajectory: Trajectory
     from_s: float
     to_s: float
+    is_smooth: bool
+    """It fades without jumps of the acceleration."""
 
     def weights(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the weight of the layer at each instant, and the derivative of the weight."""
-        rise, rise_slope = _smooth_step(times_s - self.from_s, self.layer.fade_s)
-        fall, fall_slope = _smooth_step(self.to_s - times_s, self.layer.fade_s)
+        fade_s = self.layer.fade_s
+        rise, rise_slope = _step(times_s - self.from_s, fade_s, is_smooth=self.is_smooth)
+        fall, fall_slope = _step(self.to_s - times_s, fade_s, is_smooth=self.is_smooth)
         weight = self.layer.weight
         return weight * rise * fall, weight * (rise_slope * fall - rise * fall_slope)
 
 
-def _smooth_step(since_s: FloatArray, fade_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return a smooth step from 0 to 1 within `fade_s`, and its derivative."""
+def _step(since_s: FloatArray, fade_s: float, *, is_smooth: bool) -> tuple[FloatArray, FloatArray]:
+    """Return a step from 0 to 1 within `fade_s`, and its derivative.
+
+    `is_smooth`: its second derivative does not jump, for which it is steeper in the middle.
+    """
     if fade_s <= 0.0:
         return np.where(since_s >= 0.0, 1.0, 0.0), np.zeros_like(since_s)
     share = np.clip(since_s / fade_s, 0.0, 1.0)
-    return share * share * (3.0 - 2.0 * share), 6.0 * share * (1.0 - share) / fade_s
+    left = 1.0 - share
+    if is_smooth:
+        value = share**3 * (10.0 - share * (15.0 - 6.0 * share))
+        return value, 30.0 * (share * left) ** 2 / fade_s
+    return share * share * (3.0 - 2.0 * share), 6.0 * share * left / fade_s
 
 
 @dataclass(frozen=True, slots=True)

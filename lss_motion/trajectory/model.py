@@ -44,16 +44,17 @@ class SlowSpan:
     to_s: float
     by_s: float
     joint: str
-    limit: Literal["speed", "acceleration"]
+    limit: Literal["speed", "acceleration", "jerk"]
     authored: float
-    """The largest speed (deg/s) or acceleration (deg/s²) that the authored times need."""
+    """The largest speed (deg/s), acceleration (deg/s²) or jerk (deg/s³) that the authored times
+    need."""
     allowed: float
     """The limit of the joint, in the same unit."""
 
     @property
     def unit(self) -> str:
         """The unit of `authored` and `allowed`."""
-        return "deg/s" if self.limit == "speed" else "deg/s²"
+        return {"speed": "deg/s", "acceleration": "deg/s²", "jerk": "deg/s³"}[self.limit]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,6 +133,23 @@ class Mark:
         return replace(self, planned_s=self.planned_s + by_s, authored_s=authored_s)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Smoothing:
+    """How the acceleration of a joint is kept from jumping, and what that costs."""
+
+    joint: str
+    window_s: float
+    """Time over which the motion is averaged."""
+    jerk_max_deg_s3: float
+    """Limit of the jerk; 0: the joint has none, but moves with others that have one."""
+    by_s: float
+    """How much longer the first pass of the track takes than without."""
+    key_error_deg: float
+    """Largest error of a key that is passed in motion."""
+    away_deg: float | None
+    """Largest distance from the motion without smoothing; None if that takes another time."""
+
+
 class Pass(Protocol):
     """The motion of all joints from 0 s to `duration_s`; all times count from its start."""
 
@@ -196,6 +214,8 @@ class Trajectory:
     """What the author asks for in these spans, for a picture."""
     marks: tuple[Mark, ...] = ()
     cues: tuple[Cue, ...] = ()
+    smoothing: tuple[Smoothing, ...] = ()
+    """The joints whose acceleration does not jump; the verifier checks their jerk."""
     waits: tuple[WaitPoint, ...] = ()
     """Waits of the first pass. Like `cues`, at planned times."""
     on_fault: Escalations = field(default_factory=dict)

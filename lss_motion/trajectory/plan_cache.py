@@ -33,6 +33,7 @@ from lss_motion.trajectory.model import (
     PathClock,
     PathMotion,
     SlowSpan,
+    Smoothing,
     Trajectory,
     motions_of,
 )
@@ -46,9 +47,9 @@ if TYPE_CHECKING:
 
     from lss_motion.robot.model import Robot
 
-    Value = TypeVar("Value", Mark, SlowSpan, MissedKey, GivenUp, AskedSpan)
+    Value = TypeVar("Value", Mark, SlowSpan, MissedKey, GivenUp, AskedSpan, Smoothing)
 
-PLANNER_VERSION: Final = 8
+PLANNER_VERSION: Final = 9
 """Part of the name of every entry. Raise it whenever the plan of an unchanged sequence changes."""
 
 DIRECTORY_VARIABLE: Final = "LSS_MOTION_CACHE_DIR"
@@ -74,12 +75,12 @@ _TYPES: Final[Mapping[str, tuple[type, ...]]] = {
     "bool": (bool,),
     "float": (float, int),
     "float | None": (float, int, type(None)),
-    "Literal['speed', 'acceleration']": (str,),
+    "Literal['speed', 'acceleration', 'jerk']": (str,),
     "tuple[MissedKey, ...]": (tuple,),
     "tuple[float, ...]": (tuple,),
     "tuple[str, ...]": (tuple,),
 }
-"""What an entry may hold for the annotation of a field of `Mark` and `SlowSpan`."""
+"""What an entry may hold for the annotation of a field of `Mark`, `SlowSpan` and `Smoothing`."""
 
 
 class _MissError(Exception):
@@ -186,6 +187,7 @@ def _read(content: memoryview) -> Trajectory:
         given_up=tuple(_given_up(span) for span in facts["given_up"]),
         asked=tuple(_asked(span, asked_deg) for span in facts["asked"]),
         marks=tuple(_made(Mark, {**mark, "kept": _names(mark)}) for mark in facts["marks"]),
+        smoothing=tuple(_made(Smoothing, part) for part in facts["smoothing"]),
     )
 
 
@@ -241,6 +243,7 @@ def _store(path: Path, name: str, trajectory: Trajectory) -> None:
         "stretched": [asdict(stretch) for stretch in trajectory.stretched],
         "given_up": [asdict(span) for span in trajectory.given_up],
         "marks": [asdict(mark) for mark in trajectory.marks],
+        "smoothing": [asdict(part) for part in trajectory.smoothing],
     }
     ends = np.cumsum([0, *(len(span.deg) for span in trajectory.asked)]).tolist()
     facts["asked"] = [

@@ -137,6 +137,13 @@ def _planned_joints(track: Sequence, robot: Robot) -> Trajectory:
 def _time_kept(track: Sequence, robot: Robot, *, may_flow: bool = True) -> Trajectory:
     """Return the plan of keyframes whose joints all keep their time, made or from the cache."""
     _check_length(track)
+    for joint in (robot.joints[name] for name in sorted(track.keeps_time)):
+        if math.isfinite(joint.jerk_max_deg_s3):
+            raise InputError(
+                f"joint {joint.name!r} has jerk_max_deg_s3, which a joint that keeps its time "
+                "cannot keep as well: remove keep: time for it, or the limit",
+                path=track.path,
+            )
 
     def make() -> Trajectory:
         from lss_motion.trajectory.keep_time import time_kept
@@ -162,9 +169,9 @@ def _keyframes(track: Sequence, robot: Robot) -> Trajectory:
     _check_length(track)
 
     def make() -> Trajectory:
-        from lss_motion.trajectory.tracks import planned_track
+        from lss_motion.trajectory.smoothing import smooth_track
 
-        return planned_track(track, robot)
+        return smooth_track(track, robot)
 
     return cached(cache_name(track, robot), make, lambda plan: _fits(plan, track, robot), robot)
 
@@ -199,6 +206,7 @@ def _fits(trajectory: Trajectory, track: Sequence, robot: Robot) -> bool:
     angles_deg = trajectory.sample(np.array([mark.planned_s for mark in trajectory.marks]))
     column = {name: index for index, name in enumerate(trajectory.joints)}
     slack_deg = KEPT_SLACK_DEG if track.keeps_time else KEY_SLACK_DEG
+    slack_deg += max((own.key_error_deg for own in trajectory.smoothing), default=0.0)
     return all(
         abs(row[column[name]] - angle_deg) <= slack_deg
         or _gives_up(trajectory, name, mark.planned_s)
@@ -230,6 +238,7 @@ def cache_name(sequence: Sequence, robot: Robot, *, may_flow: bool = True) -> st
                 sorted(sequence.keeps_time),
                 sequence.loop_span_s,
                 may_flow,
+                sequence.smooth_s,
                 [
                     (
                         joint.name,
@@ -237,6 +246,7 @@ def cache_name(sequence: Sequence, robot: Robot, *, may_flow: bool = True) -> st
                         joint.position_max_deg,
                         joint.speed_max_deg_s,
                         joint.accel_max_deg_s2,
+                        joint.jerk_max_deg_s3,
                     )
                     for joint in robot.joints.values()
                 ],

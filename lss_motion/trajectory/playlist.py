@@ -109,7 +109,9 @@ class _StepCollector:
         self.waits.append(WaitPoint(at_s=self.now_s + WAIT_SETTLE_S, wait=wait))
         self.pause(WAIT_SETTLE_S + WAIT_LEAD_S)
 
-    def move_to(self, target_deg: Mapping[str, float], move_s: float | None) -> None:
+    def move_to(
+        self, target_deg: Mapping[str, float], move_s: float | None, smooth_s: float = 0.0
+    ) -> None:
         """Append the move to the angles, in `move_s` or at the approach speed; none if there."""
         ways = {
             name: (self.pose_deg[name], angle_deg)
@@ -125,7 +127,8 @@ class _StepCollector:
             Keyframe(deg={name: way[0] for name, way in ways.items()}, at_s=0.0),
             Keyframe(deg={name: way[1] for name, way in ways.items()}, at_s=move_s, label="move"),
         )
-        self.append(self.plan(Sequence(name="move", keyframes=frames), self.robot))
+        move = Sequence(name="move", keyframes=frames, smooth_s=smooth_s)
+        self.append(self.plan(move, self.robot))
 
 
 def planned_play_list(
@@ -147,7 +150,8 @@ def planned_play_list(
             steps.wait(step.wait)
         for _ in range(times):
             if part is not None:
-                steps.move_to(_start(part), step.move_s)
+                smooth_s = 0.0 if step.sequence is None else step.sequence.smooth_s
+                steps.move_to(_start(part), step.move_s, smooth_s)
                 steps.append(part)
     if show.loop != 1:
         steps.move_to(start_deg, None)

@@ -20,9 +20,17 @@ import numpy as np
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.splines import runs
 from lss_motion.trajectory.catch_up import Dues, made_up
-from lss_motion.trajectory.curves import JointKeys, build_path, joint_keys, seam_slope_deg_s
+from lss_motion.trajectory.curves import (
+    JointKeys,
+    build_path,
+    joint_keys,
+    seam_slope_deg_s,
+    with_longer_rests,
+)
 from lss_motion.trajectory.keys import (
+    NO_MARGINS,
     SAME_INSTANT_S,
+    Margins,
     Spacing,
     authored_spacing,
     is_timed,
@@ -68,6 +76,7 @@ class Layout:
     spacing: Spacing
     paths: tuple[Path, ...]
     is_timed: bool
+    margins: Margins = NO_MARGINS
 
     def authored(self, path_s: FloatArray) -> FloatArray:
         """Return the authored time of positions along all passes."""
@@ -89,6 +98,7 @@ class Layout:
         starts_s = spacing.length_s * np.arange(len(self.paths))
         keep = np.array([frame.hold_s > 0.0 and not frame.hold_may_shrink for frame in frames])
         own = np.stack([spacing.reached_s, spacing.left_s], axis=1)[keep]
+        own = np.concatenate([own, *self._longer_rests_s()])
         is_anchor = np.array([frame.is_anchor for frame in frames])
         anchors_s = (starts_s[:, None] + spacing.reached_s[is_anchor]).ravel()
         if is_anchor.any() and self.sequence.loop != 1:
@@ -100,6 +110,16 @@ class Layout:
             anchors_s=tuple(np.unique(anchors_s).tolist()),
             seams_s=tuple(concatenate(self.paths).knots_s[list(self.seams())].tolist()),
         )
+
+    def _longer_rests_s(self) -> list[FloatArray]:
+        """Return what each joint rests more than the author wants: that must not be shortened."""
+        found = []
+        for name, half_s in self.margins.half_s.items():
+            own = self.keys[name]
+            more = with_longer_rests(own, half_s)
+            found.append(np.stack([own.left_s, more.left_s], axis=1))
+            found.append(np.stack([more.reached_s, own.reached_s], axis=1))
+        return found
 
     def task(self, caps: Mapping[int, float]) -> RateTask:
         joints = [self.robot.joints[name] for name in self.keys]
@@ -113,7 +133,12 @@ class Layout:
 
 
 def laid_out(
-    sequence: Show, robot: Robot, *, may_flow: bool = True, keeps_time: bool = False
+    sequence: Show,
+    robot: Robot,
+    margins: Margins = NO_MARGINS,
+    *,
+    may_flow: bool = True,
+    keeps_time: bool = False,
 ) -> Layout:
     """Return the layout of a sequence; `may_flow` False lets every pass end at rest.
 
@@ -122,19 +147,43 @@ def laid_out(
     checked = keys_by_joint(sequence, robot)
     if not checked:
         raise InputError("the sequence moves no joint", path=sequence.path)
-    spacing = authored_spacing(sequence) if keeps_time else spacing_of(sequence, checked, robot)
+    if margins is not NO_MARGINS:
+        checked = {name: margins.applied(name, own) for name, own in checked.items()}
+    spacing = (
+        authored_spacing(sequence) if keeps_time else spacing_of(sequence, checked, robot, margins)
+    )
     keys = {name: joint_keys(own, spacing) for name, own in checked.items()}
     length_s = spacing.length_s
     slopes: dict[str, float] = {}
     if sequence.loop != 1 and may_flow:
         slopes = {name: seam_slope_deg_s(own, length_s) for name, own in keys.items()}
+
+    def path(*, is_first: bool, is_last: bool) -> Path:
+        rested = {
+            name: with_longer_rests(
+                own,
+                margins.half_s.get(name, 0.0),
+                is_from_rest=is_first or not slopes.get(name),
+                is_to_rest=is_last or not slopes.get(name),
+            )
+            for name, own in keys.items()
+        }
+        return build_path(
+            rested,
+            robot,
+            length_s,
+            start_slopes={} if is_first else slopes,
+            end_slopes={} if is_last else slopes,
+        )
+
     if not any(slopes.values()):
-        paths: tuple[Path, ...] = (build_path(keys, robot, length_s),)
+        paths: tuple[Path, ...] = (path(is_first=True, is_last=True),)
     else:
-        first = build_path(keys, robot, length_s, end_slopes=slopes)
-        middle = build_path(keys, robot, length_s, start_slopes=slopes, end_slopes=slopes)
-        last = build_path(keys, robot, length_s, start_slopes=slopes)
-        paths = (first, last) if sequence.loop == 2 else (first, middle, last)
+        first, last = path(is_first=True, is_last=False), path(is_first=False, is_last=True)
+        if sequence.loop == 2:
+            paths = (first, last)
+        else:
+            paths = (first, path(is_first=False, is_last=False), last)
     return Layout(
         sequence=sequence,
         robot=robot,
@@ -142,6 +191,7 @@ def laid_out(
         spacing=spacing,
         paths=paths,
         is_timed=is_timed(sequence),
+        margins=margins,
     )
 
 

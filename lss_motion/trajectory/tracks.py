@@ -70,7 +70,7 @@ def planned_track(sequence: Show, robot: Robot) -> Trajectory:
     """Return the plan of the keyframes of `sequence` alone; it has passed the verifier."""
     if sequence.timing is Timing.FIT and is_timed(sequence):
         return _fitted(sequence, robot)
-    return verified(_planned(laid_out(sequence, robot)), sequence, robot)
+    return verified(planned_layout(laid_out(sequence, robot)), sequence, robot)
 
 
 def verified(trajectory: Trajectory, sequence: Show, robot: Robot) -> Trajectory:
@@ -91,8 +91,11 @@ def verified(trajectory: Trajectory, sequence: Show, robot: Robot) -> Trajectory
     return trajectory
 
 
-def _planned(layout: Layout) -> Trajectory:
-    """Return the trajectory. If the seams of a loop find no common rate, passes end at rest."""
+def planned_layout(layout: Layout) -> Trajectory:
+    """Return the trajectory, which is not verified yet.
+
+    If the seams of a loop find no common rate, passes end at rest.
+    """
     caps: dict[int, float] = {}
     for _ in range(SEAM_ROUNDS_MAX):
         task = layout.task(caps)
@@ -101,7 +104,7 @@ def _planned(layout: Layout) -> Trajectory:
         if max(rates, default=1.0) - min(rates, default=1.0) <= SEAM_RATE_SLACK:
             return _assembled(layout, task, windows, clock)
         caps = dict.fromkeys(layout.seams(), min(rates) ** 2)
-    return _planned(laid_out(layout.sequence, layout.robot, may_flow=False))
+    return planned_layout(laid_out(layout.sequence, layout.robot, layout.margins, may_flow=False))
 
 
 def _seam_rates(layout: Layout, clock: PathClock) -> list[float]:
@@ -188,7 +191,7 @@ def _fitted(sequence: Show, robot: Robot) -> Trajectory:
     """Return the plan with the author's times scaled to the duration, which is met or refused."""
     wanted_s = sequence.fit_duration_s or 0.0
     layout = laid_out(scaled(sequence, wanted_s), robot)
-    trajectory = _planned(layout)
+    trajectory = planned_layout(layout)
     if any(
         abs(motion.duration_s - wanted_s) > FIT_TOLERANCE_S
         for motion in (trajectory.first, trajectory.middle, trajectory.last)
@@ -347,6 +350,7 @@ def _merged(
         ),
         asked=tuple(span for track in tracks for span in track.asked),
         marks=tuple(sorted((m for t in tracks for m in t.marks), key=lambda m: m.planned_s)),
+        smoothing=tuple(part for track in tracks for part in track.smoothing),
     )
 
 

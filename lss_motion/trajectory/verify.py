@@ -1,7 +1,7 @@
 """The independent check of a trajectory: angles are sampled and differenced.
 
 It shares no code with the planner. It reads angles only (`sample`, order 0), at 1 kHz and on both
-sides of every knot, and derives speed and acceleration itself.
+sides of every knot, and derives speed, acceleration and, where it is limited, jerk itself.
 """
 
 from __future__ import annotations
@@ -67,6 +67,10 @@ class Verification:
     accel_ratio: float
     accel_joint: str
     accel_at_s: float
+    jerk_ratio: float = 0.0
+    """0 where no joint has a jerk limit."""
+    jerk_joint: str = ""
+    jerk_at_s: float = 0.0
 
 
 @dataclass(slots=True)
@@ -104,11 +108,11 @@ def verify(
     """Return the largest shares of the limits that are used.
 
     Raises `PlanningError` with joint, time and limit if an angle is not a number or leaves its
-    range, or if speed or acceleration exceed their limit by more than 0.1 %. Passes that repeat are
-    sampled once, and so are their seams. Of a pass that is made of trajectories, these and the
-    seams between them are checked; `has_parts` False checks the seams only, for parts that have
-    been verified. `is_from_rest` False takes no samples before the start, for a motion that starts
-    with speed.
+    range, or if speed, acceleration or jerk exceed their limit by more than 0.1 %. Passes that
+    repeat are sampled once, and so are their seams. Of a pass that is made of trajectories, these
+    and the seams between them are checked; `has_parts` False checks the seams only, for parts that
+    have been verified. `is_from_rest` False takes no samples before the start, for a motion that
+    starts with speed.
     """
     checks = _Checks(trajectory, robot)
     for motion in {id(part): part for _, part, _ in _passes(checks.trajectory)}.values():
@@ -134,7 +138,12 @@ class _Checks:
         self.high_deg = np.array([joint.position_max_deg for joint in joints])
         self.speed_deg_s = np.array([joint.speed_max_deg_s for joint in joints])
         self.accel_deg_s2 = np.array([joint.accel_max_deg_s2 for joint in joints])
-        self.speed, self.accel = _Worst(), _Worst()
+        self.jerk_deg_s3 = np.full(len(joints), math.inf)
+        for part in trajectory.smoothing:
+            if part.jerk_max_deg_s3 > 0.0:
+                column = trajectory.joints.index(part.joint)
+                self.jerk_deg_s3[column] = part.jerk_max_deg_s3
+        self.speed, self.accel, self.jerk = _Worst(), _Worst(), _Worst()
         self.samples = 0
 
     def include(self, found: Verification) -> None:
@@ -144,6 +153,7 @@ class _Checks:
         for worst, ratio, joint, at_s in (
             (self.speed, found.speed_ratio, found.speed_joint, found.speed_at_s),
             (self.accel, found.accel_ratio, found.accel_joint, found.accel_at_s),
+            (self.jerk, found.jerk_ratio, found.jerk_joint, found.jerk_at_s),
         ):
             worst.keep(ratio, names.index(joint), at_s)
 
@@ -153,6 +163,13 @@ class _Checks:
         step_s = float(times_s[1] - times_s[0])
         bends = np.diff(moves, axis=0)
         noise_deg = self._noise_deg(times_s)
+        if np.isfinite(self.jerk_deg_s3).any():
+            self.jerk.update(
+                np.abs(np.diff(bends, axis=0)),
+                times_s,
+                8.0 * noise_deg,
+                self.jerk_deg_s3 * step_s**3,
+            )
         self._compare(
             np.abs(moves, out=moves), np.abs(bends, out=bends), times_s, step_s, noise_deg
         )
@@ -182,6 +199,7 @@ class _Checks:
         for worst, limits, what, unit in (
             (self.speed, self.speed_deg_s, "speed", "deg/s"),
             (self.accel, self.accel_deg_s2, "acceleration", "deg/s²"),
+            (self.jerk, self.jerk_deg_s3, "jerk", "deg/s³"),
         ):
             if worst.ratio > EXCESS_MAX_RATIO:
                 joint, limit = self.trajectory.joints[worst.column], float(limits[worst.column])
@@ -200,6 +218,9 @@ class _Checks:
             accel_ratio=self.accel.ratio,
             accel_joint=names[self.accel.column],
             accel_at_s=self.accel.at_s,
+            jerk_ratio=self.jerk.ratio,
+            jerk_joint=names[self.jerk.column],
+            jerk_at_s=self.jerk.at_s,
         )
 
     def _sampled(self, times_s: FloatArray) -> FloatArray:
