@@ -39,6 +39,7 @@ terminal        keys and signals during a run; `play`, `walk`, `identify`, `hand
 shows           from a file to a compiled program; `play`, `walk`, `replay`, `planning`, `exchange`
 summaries       plan, program and robot as text and JSON; `planning`, `play`, `exchange`, `record`
 consent         which Python functions a show may call; `play`, `summaries`
+careful         the careful run before a show, and what is learnt in it; `play`
 dialog          the question before a real robot moves, and a line an event; `play`, `walk`
 display         the live display, a process of its own; `play`, `walk`
 hands           a run with limp joints: keys and screen; `record`, `jog`, `calibrate`

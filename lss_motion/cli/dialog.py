@@ -37,6 +37,7 @@ YES_HELP: Final = "move a real robot without the question; it is checked all the
 YES_KEYS: Final = "yY"
 NO_KEYS: Final = "nNqQ\r\n\x1b\x03\x04"
 """Enter alone means no, as the question shows."""
+CAREFUL_KEYS: Final = "cC"
 LEFT_COLUMNS: Final = (0, 2, 4)
 """The columns of words in the table of servos; the others are numbers."""
 WAIT_TEXTS: Final = {
@@ -73,7 +74,8 @@ def simulated_text(name: str, robot: Robot, how: str = "") -> str:
 class Confirmation:
     """Controls that ask `go? [y/N]` once the robot has been checked, and then pass on to `inner`.
 
-    `note` receives the answer and its instant.
+    `note` receives the answer and its instant. With `offer`, a text, the key `c` is an answer, too:
+    nothing moves, and `is_careful` is set.
     """
 
     def __init__(
@@ -82,7 +84,11 @@ class Confirmation:
         inputs: Inputs,
         robot_name: str,
         note: Callable[[str, int], None] | None = None,
+        *,
+        offer: str = "",
     ) -> None:
+        self.is_careful = False
+        self._offer = offer
         self._inner = inner
         self._inputs = inputs
         self._robot_name = robot_name
@@ -100,11 +106,15 @@ class Confirmation:
             return
         if not self._is_asking:
             self._is_asking = True
+            _print(self._offer)
             _print(f"the robot {self._robot_name!r} will move: go? [y/N] ")
         signals_count, keys = self._inputs.take()
-        answer = next((key for key in keys if key in YES_KEYS + NO_KEYS), "")
-        if signals_count or not self._inputs.has_keys or (answer and answer in NO_KEYS):
-            _print("no: nothing was moved\n")
+        known = YES_KEYS + NO_KEYS + (CAREFUL_KEYS if self._offer else "")
+        answer = next((key for key in keys if key in known), "")
+        is_no = signals_count or not self._inputs.has_keys or (answer and answer in NO_KEYS)
+        if is_no or (answer and answer in CAREFUL_KEYS):
+            self.is_careful = not is_no
+            _print("no: nothing was moved\n" if is_no else "a careful run first\n")
             if self._note is not None:
                 self._note("stop", now_ns)
             driven.stop(now_ns)

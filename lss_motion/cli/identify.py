@@ -180,6 +180,7 @@ def _measured(
     connection: Connection, robot: Robot, joint: Joint, span_deg: float, terminal: Terminal
 ) -> Experiment:
     """Run the trials of one joint; raise the error that ended them."""
+    from lss_motion.cli.terminal import StopControls
     from lss_motion.maintenance.identify.experiment import Experiment
     from lss_motion.maintenance.identify.trials import make_window
     from lss_motion.player import handshake
@@ -196,7 +197,7 @@ def _measured(
         connection.ports,
         connection.clock,
         on_turn=progress.show,
-        controls=_StopControls(terminal),
+        controls=StopControls(terminal),
     )
     progress.clear()
     if experiment.error is not None and not experiment.is_stopped:
@@ -231,32 +232,6 @@ def _conclude(
     output = arguments.output or path
     write_response(path, joint.name, values, comments, output=output)
     print(f"{joint.name}: written to {output}", flush=True)
-
-
-class _StopControls:
-    """Keys and signals for a motion that can be stopped, but has one speed only."""
-
-    def __init__(self, terminal: Terminal) -> None:
-        self._terminal = terminal
-
-    def filenos(self) -> Sequence[int]:
-        return self._terminal.filenos()
-
-    def act(self, driven: Experiment, now_ns: int) -> None:
-        self._terminal.act(_Stoppable(driven), now_ns)
-
-
-class _Stoppable:
-    """An experiment as the terminal steers it."""
-
-    def __init__(self, experiment: Experiment) -> None:
-        self._experiment = experiment
-
-    def stop(self, now_ns: int) -> None:
-        self._experiment.stop(now_ns)
-
-    def set_rate(self, rate: float, now_ns: int) -> None:
-        """Do nothing: a measurement has one speed."""
 
 
 class _Progress:

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from lss_motion.cli.careful import CAREFUL_HELP, CAREFUL_RATE, Learning, careful_run
 from lss_motion.cli.commands import (
     NO_FEEDBACK_HELP,
     PORT_HELP,
@@ -58,7 +59,8 @@ Play a sequence (YAML), a gait (YAML) or a compiled program (.lss) on a robot.
   lss-play wave.yaml --dry-run               print the plan; nothing moves
 """
 EPILOG: Final = """\
-A real robot is checked first. You see what was found, and nothing moves before you agree.
+A real robot is checked first. You see what was found, and nothing moves before you agree. Where no
+show was played to its end with its robot file, the question offers a careful run, too (key c).
 
 Keys while it plays: space pauses, - slows down, + goes up to full speed, which is the speed of the
 plan; q or Ctrl-C stops, and the servos hold. A signal or a closed terminal stops in the same way.
@@ -155,6 +157,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--quiet", action="store_true", help=QUIET_HELP)
     parser.add_argument("--yes", action="store_true", help=YES_HELP)
+    parser.add_argument("--careful", action="store_true", help=CAREFUL_HELP)
     parser.add_argument("--allow-run", action="store_true", help=ALLOW_HELP)
 
 
@@ -162,8 +165,6 @@ def play(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
     from lss_motion import api
     from lss_motion.cli import shows
-    from lss_motion.cli.report import report_lines
-    from lss_motion.cli.terminal import Terminal
 
     _check_outputs(arguments)
     show = shows.prepare(
@@ -188,6 +189,41 @@ def play(arguments: argparse.Namespace) -> int:
         put("no: nothing was played", sys.stderr)
         return EXIT_INTERRUPTED
     is_asked = not arguments.virtual and must_ask(arguments, robot)
+    is_real = not api.is_simulated(robot)
+    learning = Learning(robot, show.program.start_deg, is_kept=is_real)
+    code = None
+    if not arguments.careful:
+        code = _play(arguments, show, robot, learning, is_asked=is_asked)
+    if code is None:
+        joints = show.program.start_deg
+        print_line = discard if arguments.quiet else put
+        faults = _faults(arguments, robot)
+        if code := careful_run(arguments, robot, joints, learning, print_line, faults=faults):
+            return code
+        rate = f"The show is played at {CAREFUL_RATE:.0%} of its speed; + raises it"
+        print_line(f"{rate}.")
+        code = _play(arguments, show, robot, learning, is_asked=is_asked, rate=CAREFUL_RATE)
+    assert code is not None, "it is offered once"
+    return code
+
+
+def _play(
+    arguments: argparse.Namespace,
+    show: Show,
+    robot: Robot,
+    learning: Learning,
+    *,
+    is_asked: bool,
+    rate: float | None = None,
+) -> int | None:
+    """Play; return the exit code, or None if a person wants a careful run first.
+
+    That is offered where no `rate` is given.
+    """
+    from lss_motion import api
+    from lss_motion.cli.report import report_lines
+    from lss_motion.cli.terminal import Terminal
+
     with contextlib.ExitStack() as stack:
         printer = Printer()
         stack.callback(printer.finish)
@@ -195,10 +231,17 @@ def play(arguments: argparse.Namespace) -> int:
         if api.is_simulated(robot):
             how = " in virtual time" if arguments.virtual else " in real time"
             print_line(simulated_text(show.program.name, robot, how))
-        terminal = stack.enter_context(Terminal())
+        terminal = stack.enter_context(Terminal(rate=rate or 1.0))
         problems: list[str] = []
-        result = _perform(arguments, show, robot, print_line, terminal, problems, is_asked=is_asked)
+        offer = "" if rate is not None or not is_asked else learning.offer
+        result, is_careful = _perform(
+            arguments, show, robot, print_line, terminal, problems, is_asked=is_asked, offer=offer
+        )
+        if is_careful:
+            return None
         problems += _write_results(arguments, result)
+        if result.report.outcome == "finished":
+            learning.note_completed()
         for text in problems:
             put(f"lss-play: {text}", sys.stderr)
         if result.error is not None:
@@ -244,8 +287,12 @@ def _perform(
     problems: list[str],
     *,
     is_asked: bool,
-) -> Result:
-    """Play; add to `problems` why the log is not complete, if it is not."""
+    offer: str,
+) -> tuple[Result, bool]:
+    """Play; return the result, and whether a person took the `offer` of a careful run.
+
+    Add to `problems` why the log is not complete, if it is not.
+    """
     from lss_motion.cli.display import Display
     from lss_motion.cli.terminal import LoggedControls
     from lss_motion.perform import Observer, perform
@@ -265,13 +312,14 @@ def _perform(
         note = print_line if display is None else display.note
         controls = terminal if log is None else LoggedControls(terminal, log)
         note_answer = None if log is None else log.requested
+        confirmation = Confirmation(controls, terminal, robot.name, note_answer, offer=offer)
         observer = Observer(
             on_event=lambda event: print_event(event, note),
             on_turn=None if display is None else display.show,
-            controls=Confirmation(controls, terminal, robot.name, note_answer),
+            controls=confirmation,
             make_tap=None if log is None else log.started,
         )
-        return perform(
+        result = perform(
             show.program,
             robot,
             is_virtual=arguments.virtual,
@@ -286,6 +334,7 @@ def _perform(
             must_ask=is_asked,
             may_run=True,
         )
+        return result, confirmation.is_careful
 
 
 def _played(arguments: argparse.Namespace) -> dict[str, Any]:

@@ -149,17 +149,21 @@ class Terminal(Inputs):
     """Turns keys and signals into orders for what is driven.
 
     The speed never exceeds that of the plan, which is within the limits at that speed only. With
-    `on_keys`, that function gets the keys instead.
+    `on_keys`, that function gets the keys instead. `rate` is set at the first call of `act`.
     """
 
-    def __init__(self, on_keys: Callable[[str], None] | None = None) -> None:
+    def __init__(self, on_keys: Callable[[str], None] | None = None, *, rate: float = 1.0) -> None:
         super().__init__()
         self._on_keys = on_keys
-        self._rate = 1.0
+        self._rate = rate
+        self._must_set = rate != 1.0
         self._is_paused = False
 
     def act(self, driven: Steerable, now_ns: int) -> None:
         """Apply the keys and signals since the last call."""
+        if self._must_set:
+            self._must_set = False
+            driven.set_rate(self._rate, now_ns)
         signals_count, keys = self.take()
         for _ in range(signals_count):
             driven.stop(now_ns)
@@ -183,6 +187,38 @@ class Terminal(Inputs):
                 driven.stop(now_ns)
             case _:
                 pass
+
+
+class Stoppable(Protocol):
+    """A motion that can be stopped, but has one speed only."""
+
+    def stop(self, now_ns: int) -> None: ...
+
+
+class StopControls:
+    """Keys and signals for a `Stoppable`."""
+
+    def __init__(self, terminal: Terminal) -> None:
+        self._terminal = terminal
+
+    def filenos(self) -> Sequence[int]:
+        return self._terminal.filenos()
+
+    def act(self, driven: Stoppable, now_ns: int) -> None:
+        self._terminal.act(_OneSpeed(driven), now_ns)
+
+
+class _OneSpeed:
+    """A `Stoppable` as the terminal steers it."""
+
+    def __init__(self, driven: Stoppable) -> None:
+        self._driven = driven
+
+    def stop(self, now_ns: int) -> None:
+        self._driven.stop(now_ns)
+
+    def set_rate(self, rate: float, now_ns: int) -> None:
+        """Do nothing: it has one speed."""
 
 
 class LoggedControls:

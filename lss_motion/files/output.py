@@ -36,6 +36,7 @@ class Kind(StrEnum):
     BLENDER = "Blender animation"
     ARDUINO = "Arduino sketch"
     MCAP = "MCAP recording"
+    LEARNT = "file of learnt values"
 
 
 HEAD_BYTES: Final = 256
@@ -54,6 +55,7 @@ _HEADS: Final = {
     Kind.BLENDER: rb'\{"description": ',
     Kind.ARDUINO: rb"// lss_motion sketch",
     Kind.MCAP: rb"\x89MCAP0\r\n",
+    Kind.LEARNT: rb"# lss_motion learnt ",
 }
 """How the files of each kind begin."""
 

@@ -16,5 +16,7 @@ the ports, and `cli` interacts with the person.
 | `take.py`           | recorded motion and poses as a sequence             | `cli.record`        |
 | `single_command.py` | what one typed command does, and its limits         | `cli.send`          |
 | `calibration.py`    | zero and direction of a joint                       | `cli.hands`         |
+| `careful_legs.py`   | small moves that test the units of a servo          | `careful`           |
+| `careful.py`        | the first, careful run of one joint                 | `cli.careful`       |
 | `identify/`         | measures how a servo responds                       | `cli.identify`      |
 """

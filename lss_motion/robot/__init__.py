@@ -9,5 +9,6 @@ file            what it is                                        called by
 `file`          the keys of a robot file, their units and bounds  `load`, `sequence.file`
 `load`          file → `Robot`; its JSON Schema                   `api`, `cli`, `sequence`, `gait`
 `write`         measured values → a robot file that exists        `cli`
+`learnt`        what was learnt about a robot, beside its file    `cli.careful`
 ==============  ================================================  ==================================
 """

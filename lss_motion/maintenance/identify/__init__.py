@@ -3,7 +3,8 @@
 | file            | what it is                                             | who calls it          |
 |-----------------|--------------------------------------------------------|-----------------------|
 | `trials.py`     | plan of the trials inside a window, and their readings | `cli`, `experiment`   |
-| `experiment.py` | the trials on a bus; holds however it ends             | `cli.identify`        |
+| `joint_run.py`  | moves of one joint on a bus; holds however they end    | `experiment`, careful |
+| `experiment.py` | the trials of one joint                                | `cli.identify`        |
 | `fit.py`        | response model of a servo, and its least squares       | `estimate`            |
 | `estimate.py`   | recording → servo parameters with uncertainties        | `cli.identify`        |
 | `summary.py`    | the result as text and as fields of the robot file     | `cli.identify`        |

@@ -12,8 +12,9 @@ from lss_motion.connection import Connection
 from lss_motion.errors import BusError, InputError, PlaybackError
 from lss_motion.maintenance.identify import summary
 from lss_motion.maintenance.identify.estimate import identify, read_rests
-from lss_motion.maintenance.identify.experiment import Experiment, State
+from lss_motion.maintenance.identify.experiment import Experiment
 from lss_motion.maintenance.identify.fit import HYPOTHESES, Hypothesis, Shape, horn_deg
+from lss_motion.maintenance.identify.joint_run import State
 from lss_motion.maintenance.identify.trials import (
     Kind,
     Recording,
@@ -235,7 +236,7 @@ def test_a_blocked_horn_is_not_pushed_any_longer():
 
 def test_a_horn_that_leaves_its_window_is_stopped():
     bench = Bench()
-    bench.experiment.recording.window = Window(9.0, 11.0)  # As if its load threw it out.
+    bench.experiment.window = Window(9.0, 11.0)  # As if its load threw it out.
     bench.experiment._plan = lambda: _plan_as_if(bench)
     experiment = bench.run()
     assert "was to stay within 9.0 to 11.0 deg" in str(experiment.error)

@@ -1,0 +1,315 @@
+"""The careful run of one joint: it moves a little, slowly, and is compared with what is expected.
+
+`CarefulRun` is a `JointRun`. It holds the joint where it is, then drives the legs of
+`careful_legs`. While the joint moves, every reading must be near the course of its leg, and where
+the servo reports its angle as a pulse, too (QP), both must agree: an angle in another unit turns
+the horn further than it says. After two readings in a row that deviate, the servo is halted (H,
+which has no unit). However it ends, the settings are given back and the joint holds.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from statistics import median
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.maintenance.careful_legs import (
+    MEANS,
+    UNIT_REMEDY,
+    WAY_DEG,
+    judgement,
+    make_legs,
+    measured,
+)
+from lss_motion.maintenance.identify.joint_run import JointRun, State
+from lss_motion.maintenance.identify.trials import Kind, PlannedMove, TrialPlan, Window
+from lss_motion.player import handshake
+from lss_motion.player.handshake import SettingsDialogue
+from lss_motion.player.transactions import Item
+from lss_motion.protocol.codec import FAMILY_TABLES, make_command
+from lss_motion.protocol.constants import PULSE_MAX_US, PULSE_MIN_US
+from lss_motion.protocol.framing import Command
+from lss_motion.units import s_from_ns
+
+if TYPE_CHECKING:
+    from lss_motion.maintenance.careful_legs import Leg, Measured
+    from lss_motion.maintenance.identify.joint_run import PolledReading
+    from lss_motion.player.handshake import Answers
+    from lss_motion.robot.model import Joint, Robot
+
+
+NEAR_DEG: Final = 2.0
+"""A reading may be so far from the course of its leg: more than load, backlash and scatter make,
+and few enough degrees that a joint which moves wrongly stops before it touches anything."""
+NEAR_RATIO: Final = 0.4
+"""The same for a short leg, as a share of its way."""
+NEAR_LEAST_DEG: Final = 1.0
+LATE_S: Final = 0.15
+"""Beyond its assumed lag a horn may be so much later than its course while it moves. Chosen: a
+heavy limb; what a show cannot correct is found after the leg."""
+DEVIATIONS: Final = 2
+"""So many readings in a row must deviate: one may be damaged."""
+HOLD_S: Final = 0.2
+"""The joint holds for so long before its first leg."""
+ROOM_DEG: Final = WAY_DEG + 1.0
+"""The joint stays within this of where it stood."""
+PULSE_MID_US: Final = 1500.0
+PULSE_HALF_US: Final = 1000.0
+"""The middle of a pulse, and half of the pulses of the angular range (FACTS.md C11)."""
+PULSE_TRIES: Final = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Careful:
+    """What a careful run has shown of one joint."""
+
+    way_deg: float
+    """By how many joint degrees it turned, out and back."""
+    lag_s: float
+    speed_ratio: float
+    """Its speed in units of the expected one, at the speed of a show."""
+    has_pulse: bool
+    """Whether the unit of its angles was compared with that of its pulses."""
+
+
+class CarefulRun(JointRun):
+    """Moves one joint of `robot`. `found` is set when all was as expected, else `error`.
+
+    `way_deg`: see `way_of`; not 0.
+    """
+
+    def __init__(
+        self, joint: Joint, robot: Robot, answers: Answers, *, standing_deg: float, way_deg: float
+    ) -> None:
+        """`answers` are those of a preflight; the joint stands at `standing_deg` (servo)."""
+        window = Window(standing_deg - ROOM_DEG, standing_deg + ROOM_DEG)
+        super().__init__(joint, robot, answers, window, standing_deg=standing_deg)
+        self.found: Careful | None = None
+        self._way_deg = way_deg
+        self._legs = deque(make_legs(joint, robot, standing_deg, way_deg))
+        self._count = len(self._legs)
+        self._leg: Leg | None = None
+        self._results: list[Measured] = []
+        self._deviations = self._other_pulses = 0
+        self._pulses_deg: deque[float] = deque(maxlen=DEVIATIONS + 1)
+        self._pulse_deg: float | None = None
+        """The angle by pulses at the rest before the leg."""
+        self._range_deg = handshake.reported(joint, answers, "QAR")
+        self._dialogue = self._settings(self._legs[0])
+
+    @property
+    def progress_ratio(self) -> float:
+        """The share of the legs that are over."""
+        return len(self._results) / self._count
+
+    # ---- settings
+
+    def _settings(self, leg: Leg) -> SettingsDialogue:
+        """Return the dialogue that sets what `leg` needs, and asks where the joint stands."""
+        joint, table = self.joint, FAMILY_TABLES[self.joint.model.family].by_keyword
+        known: list[Item] = []
+        unknown: list[Item] = []
+        for keyword, value in leg.settings.items():
+            if f"Q{keyword}" not in table:
+                continue
+            command = make_command(joint.model.family, joint.servo_id, keyword, value)
+            item = Item(bus=joint.bus, command=command, is_query=False)
+            is_known = handshake.reported(joint, self._answers, f"Q{keyword}") is not None
+            (known if is_known else unknown).append(item)
+        for keyword, wire in joint.settings.items():
+            command = Command(joint.servo_id, keyword, wire)
+            known.append(Item(bus=joint.bus, command=command, is_query=False))
+        then = handshake.position_queries([joint])
+        if self.state is State.PREPARE and "QP" in table and self._range_deg:
+            query = Command(joint.servo_id, "QP")
+            then.append(Item(bus=joint.bus, command=query, is_query=True, tries=PULSE_TRIES))
+        lines, trackers = {joint.bus: self._line}, {joint.bus: self._poller.tracker}
+        return SettingsDialogue(known, then, unknown, lines, trackers)
+
+    def _prepared(self, now_ns: int) -> None:
+        """Hold before the first leg; begin the others."""
+        dialogue, self._dialogue = self._dialogue, None
+        assert isinstance(dialogue, SettingsDialogue)
+        standing_deg = handshake.reported(self.joint, dialogue.answers, "QD")
+        if dialogue.wrong:
+            self.error = handshake.not_applied_error(
+                dialogue.wrong[0], dialogue.answers, [self.joint]
+            )
+        elif standing_deg is None:
+            self.error = self._fault("does not report where it stands; check its cable")
+        elif cause := self._elsewhere(standing_deg):
+            self.error = self._fault(cause)
+        if self.error is not None:
+            self._brake(now_ns)
+        elif self.state is State.PREPARE:
+            self._hold(dialogue.answers, now_ns)
+        else:
+            self._start(now_ns)
+
+    def _elsewhere(self, standing_deg: float) -> str:
+        """Return why no leg begins where the joint stands; '' if one does."""
+        if abs(standing_deg - self._rested_deg) <= NEAR_DEG:
+            return ""
+        here, there = map(self.joint.joint_deg, (standing_deg, self._rested_deg))
+        return (
+            f"stands at {here:.1f} deg, {there:.1f} deg were expected, although it was not sent "
+            f"there: something moved it, or its servo restarted or changed its gyre (G) or origin "
+            f"(O). Look at its supply, compare its settings (lss-motion configure), begin anew"
+        )
+
+    def _hold(self, answers: Answers, now_ns: int) -> None:
+        pulse_us = answers.get((self.joint.bus, self.joint.servo_id, "QP"))
+        self._poller.asks_pulse = (
+            isinstance(pulse_us, int) and PULSE_MIN_US < pulse_us < PULSE_MAX_US
+        )
+        self.state = State.HOLD
+        self._has_moved = True
+        self._line.send(self._hold_bytes(), now_ns)
+        self._begin(TrialPlan(Kind.STEP, (), HOLD_S), now_ns)
+
+    def _start(self, now_ns: int) -> None:
+        """Begin the next leg."""
+        leg = self._leg = self._legs.popleft()
+        self._deviations = 0
+        self._pulse_deg = median(self._pulses_deg) if self._pulses_deg else None
+        move = PlannedMove(0.0, leg.target_deg, leg.duration_ms)
+        lasts_s = leg.course.duration_s + self.joint.response.lag_s
+        self._begin(TrialPlan(Kind.STEP, (move,), lasts_s), now_ns)
+
+    # ---- readings
+
+    def _take(self, polled: PolledReading, now_ns: int) -> None:
+        if polled.pulse_us is not None:
+            self._compare_pulse(polled.pulse_us, now_ns)
+            return
+        super()._take(polled, now_ns)
+
+    def _watch(self, reading_deg: float, now_ns: int) -> None:
+        """Halt the joint after two consecutive readings that are far from its course."""
+        if self.state is State.BRAKE:
+            return
+        leg, sent = self._leg, self._trial.sent
+        if leg is None or not sent or self.state is not State.TRIALS:
+            cause = self._elsewhere(reading_deg)
+        else:
+            cause = self._off_course(leg, self._trial.times_s[-1] - sent[0].received_s, reading_deg)
+        self._deviations = self._deviations + 1 if cause else 0
+        if self._deviations >= DEVIATIONS:
+            self._fail(self._fault(cause), now_ns)
+
+    def _off_course(self, leg: Leg, since_s: float, reading_deg: float) -> str:
+        """Return how a reading deviates from the course of its leg; '' if it does not."""
+        turned_deg = leg.sign * (reading_deg - self._rested_deg)
+        way_deg = leg.course.way_deg
+        near_deg = max(min(NEAR_DEG, NEAR_RATIO * way_deg), NEAR_LEAST_DEG)
+        late_s = since_s - self.joint.response.lag_s - LATE_S
+        most_deg, least_deg = leg.course.at(since_s)[0], leg.course.at(late_s)[0]
+        if least_deg - near_deg <= turned_deg <= most_deg + near_deg:
+            return ""
+        at_deg = f"{self.joint.joint_deg(reading_deg):.1f} deg"
+        if turned_deg < -near_deg:
+            wanted_deg = self.joint.direction * leg.sign * way_deg
+            return (
+                f"turns the wrong way: it was to turn by {wanted_deg:+.1f} deg and is at {at_deg}, "
+                f"{-turned_deg:.1f} deg behind its start. Was it pushed, or has its servo changed "
+                f"its gyre (G)? Compare its settings (lss-motion configure), and see whether "
+                f"anything else drives this bus"
+            )
+        what = MEANS.get(leg.tests, "its speed")
+        pace = "fast" if turned_deg > most_deg else "slow"
+        where_deg = most_deg if turned_deg > most_deg else leg.course.at(since_s)[0]
+        return (
+            f"is too {pace}: {since_s:.2f} s after its command it has turned {turned_deg:.1f} deg, "
+            f"{where_deg:.1f} deg were expected, while {what} was to limit it. {UNIT_REMEDY}"
+        )
+
+    def _compare_pulse(self, pulse_us: float, now_ns: int) -> None:
+        """Halt the joint if its pulses show another way than its angles: they have another unit."""
+        if not PULSE_MIN_US < pulse_us < PULSE_MAX_US or not self._range_deg:
+            return
+        at_deg = (pulse_us - PULSE_MID_US) / PULSE_HALF_US * 0.5 * self._range_deg
+        self._pulses_deg.append(at_deg)
+        readings_deg = self._trial.readings_deg
+        if self.state is not State.TRIALS or not self._trial.sent or not readings_deg:
+            return
+        if self._pulse_deg is None:
+            return
+        by_pulse_deg, by_angle_deg = (
+            at_deg - self._pulse_deg,
+            readings_deg[-1] - self._rested_deg,
+        )
+        moving_deg = self._leg.course.peak_deg_s * LATE_S if self._leg is not None else 0.0
+        is_same = abs(by_pulse_deg - by_angle_deg) <= NEAR_LEAST_DEG + 0.5 * moving_deg
+        self._other_pulses = 0 if is_same else self._other_pulses + 1
+        if self._other_pulses < DEVIATIONS:
+            return
+        self._fail(
+            self._fault(
+                f"has turned {by_pulse_deg:+.1f} deg by its pulses (QP) and {by_angle_deg:+.1f} "
+                f"deg by {MEANS['D']}, which are to be the same. {UNIT_REMEDY}"
+            ),
+            now_ns,
+        )
+
+    # ---- after a leg
+
+    def _trial_over(self, now_ns: int) -> None:
+        if self.error is None and self.state is State.HOLD:
+            self._rested_deg = self._trial.rest_deg()
+            self.state = State.TRIALS
+            self._start(now_ns)
+        elif self.error is None:
+            self._judge()
+        if self.error is not None:
+            return
+        if self._leg is not None and self._trial.sent:
+            self._rested_deg = self._trial.rest_deg()
+            self._leg = None
+            if self._legs:
+                self._dialogue = self._settings(self._legs[0])
+            else:
+                self._conclude()
+                self._restore()
+
+    def _judge(self) -> None:
+        """Compare the leg that is over with its course."""
+        leg, trial = self._leg, self._trial
+        assert leg is not None
+        received_s = trial.sent[0].received_s
+        times_s = [time_s - received_s for time_s in trial.times_s]
+        turned_deg = [leg.sign * (deg - self._rested_deg) for deg in trial.readings_deg]
+        result = measured(leg, times_s, turned_deg)
+        self._results.append(result)
+        if cause := judgement(self.joint, leg, result):
+            self.error = self._fault(cause)
+
+    def _conclude(self) -> None:
+        last = self._results[-DEVIATIONS:]
+        self.found = Careful(
+            way_deg=self.joint.direction * self._way_deg,
+            lag_s=median(result.lag_s for result in last),
+            speed_ratio=median(result.speed_ratio for result in last),
+            has_pulse=self._poller.asks_pulse,
+        )
+
+    # ---- how it ends
+
+    def _stop_move(self, now_ns: int) -> tuple[Command, float]:
+        """Halt after a deviation, as angles may be wrong; else brake by the ramps of the leg."""
+        halt = Command(self.joint.servo_id, "H")
+        leg, sent = self._leg, self._trial.sent
+        if self.error is not None or leg is None or not sent:
+            return halt, 0.0
+        since_s = s_from_ns(self._line.arrival_ns(0, now_ns) - self._began_ns) - sent[0].received_s
+        turned_deg, speed_deg_s = leg.course.at(since_s)
+        if not speed_deg_s:
+            return halt, 0.0
+        decel = leg.course.decel_deg_s2
+        stop_deg = min(turned_deg + 0.5 * speed_deg_s**2 / decel, leg.course.way_deg)
+        wire = round((leg.start_deg + leg.sign * stop_deg) * self.joint.model.wire_per_deg)
+        return Command(self.joint.servo_id, "D", wire), speed_deg_s / decel
+
+    def _take_answers(self) -> None:
+        """Drop a dialogue: its answers are the settings of a leg, not those to give back."""
+        self._dialogue = None
