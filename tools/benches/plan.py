@@ -46,6 +46,12 @@ REPEATS = 3
 PLAIN_REPEATS = 2
 AUTHORED_TARGET = 40.0
 FASTEST_TARGET = 15.0
+KEEP_TARGET = 10.0
+KEEP_TIME = "keep: time"
+CROWDED_S = 60.0
+CROWDED_RATIO = 3.0
+"""How much faster a show is played that exceeds the limits nearly all the time."""
+CROWDED_TARGET_S = 15.0
 COLD_TARGET_S = 3.0
 CACHED_TARGET_S = 0.3
 MEMORY_TARGET_MB = 500.0
@@ -90,7 +96,26 @@ def measure_short() -> list[Row]:
 
 def _measured(growth_s: tuple[float, ...]) -> list[Row]:
     processes = _processes() if Path("/proc/self/status").exists() else []
-    return [*processes, *_speed(), *_quality(), *_growth(growth_s)]
+    return [*processes, *_speed(), *_crowded(), *_quality(), *_growth(growth_s)]
+
+
+def _crowded() -> list[Row]:
+    """Return how long a show takes that gives up angle nearly all the time, as a talking face."""
+    show, robot = bench_show(duration_s=CROWDED_RATIO * CROWDED_S)
+    fast = replace(show, keeps_time=frozenset(robot.joints), speed_ratio=CROWDED_RATIO)
+    own_s = _cold_s(fast, robot)
+    with empty_cache():
+        trajectory = plan(fast, robot)
+    lasting_s = sum(span.to_s - span.from_s for span in trajectory.given_up)
+    share = lasting_s / (trajectory.duration_s * JOINTS)
+    return [
+        Row(
+            what=f"{KEEP_TIME}: {CROWDED_S:g} s, {JOINTS} joints, {share:.0%} of it beyond a limit",
+            ours=f"{own_s:.2f} s",
+            target=f"<= {CROWDED_TARGET_S:g} s",
+            is_met=own_s <= CROWDED_TARGET_S,
+        )
+    ]
 
 
 @contextmanager
@@ -114,12 +139,14 @@ def _cold_s(show: Sequence, robot: Robot) -> float:
 
 def _speed() -> list[Row]:
     show, robot = bench_show()
-    targets = {"authored": AUTHORED_TARGET, "fastest": FASTEST_TARGET}
+    targets = {"authored": AUTHORED_TARGET, "fastest": FASTEST_TARGET, KEEP_TIME: KEEP_TARGET}
+    shows = {timing: replace(show, timing=Timing(timing)) for timing in ("authored", "fastest")}
+    shows[KEEP_TIME] = replace(show, keeps_time=frozenset(robot.joints))
     taken_s: dict[str, list[float]] = {timing: [] for timing in (*targets, "plain")}
     plain, note = _plain_call(show, robot)
     for turn in range(REPEATS):
         for timing in targets:
-            taken_s[timing].append(_cold_s(replace(show, timing=Timing(timing)), robot))
+            taken_s[timing].append(_cold_s(shows[timing], robot))
         if turn < PLAIN_REPEATS:
             taken_s["plain"].append(core_seconds(plain))
     plain_s = statistics.median(taken_s["plain"])
@@ -127,7 +154,7 @@ def _speed() -> list[Row]:
     for timing, target in targets.items():
         own_s = statistics.median(taken_s[timing])
         with empty_cache():
-            trajectory = plan(replace(show, timing=Timing(timing)), robot)
+            trajectory = plan(shows[timing], robot)
         judged_s = core_seconds(lambda made=trajectory: verify(made, robot))
         rows.append(
             Row(
