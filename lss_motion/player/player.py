@@ -119,8 +119,9 @@ class Player:
 
         `leaves_ns` is the instant at which the bytes will leave, shortly after the call.
         """
-        self._now_ns = leaves_ns
-        self._note_stall(leaves_ns)
+        before_ns, self._now_ns = self._now_ns, leaves_ns
+        if leaves_ns - before_ns >= GAP_NS:
+            self._note_stall(leaves_ns)
         while self._step(leaves_ns):
             pass
         return {name: data for name, line in self.lines.items() if (data := line.take())}

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from lss_motion.protocol.framing import Garbage, Reply, ReplyParser
 from lss_motion.units import line_time_ns
 
 if TYPE_CHECKING:
     from lss_motion.robot.model import Bus
+
+
+TABLE_BYTES: Final = 64
+"""Times of lines shorter than this are computed once: several are needed for each query."""
 
 
 class SerialLine:
@@ -22,8 +26,12 @@ class SerialLine:
         self.garbage = 0
         self._parser = ReplyParser(grouped=False)
         self._out = bytearray()
+        self._times_ns = [line_time_ns(size, bus.baud_bps) for size in range(TABLE_BYTES)]
 
     def time_ns(self, size_bytes: int) -> int:
+        """Return how long `size_bytes` occupy the line."""
+        if size_bytes < TABLE_BYTES:
+            return self._times_ns[size_bytes]
         return line_time_ns(size_bytes, self.bus.baud_bps)
 
     def arrival_ns(self, size_bytes: int, now_ns: int) -> int:

@@ -59,11 +59,14 @@ class SettingsWatch:
 
     def __init__(self, probes: Mapping[str, Sequence[Probe]]) -> None:
         self._probes = probes
+        self._keywords = {
+            name: tuple(probe.keyword for probe in own) for name, own in probes.items()
+        }
         self._doubts: dict[str, _Doubt] = {}
 
     def keywords(self, name: str) -> tuple[str, ...]:
         """Return the keywords of the probes of a joint."""
-        return tuple(probe.keyword for probe in self._probes.get(name, ()))
+        return self._keywords.get(name, ())
 
     def urgent(self, name: str) -> str | None:
         """Return the probe that must be queried at once; None: there is no doubt.
