@@ -3,22 +3,17 @@
 `perform` is what `api.play`, the commands, the tests and the benches call. It opens the ports,
 runs the player until it has ended, closes the ports and makes the report, also when the run
 fails on the way. `Observer` has the callbacks through which a caller watches and steers the run.
-`Truth` has the angles of the simulated horns, which no servo reported.
+`Result.truth` has the angles of the simulated horns (`truth`).
 """
 
 from __future__ import annotations
 
-import io
-import math
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Final
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from lss_motion.connection import connect, is_simulated
 from lss_motion.errors import BlockedPortError, BusError, InputError, LssMotionError
-from lss_motion.files.output import write_output
 from lss_motion.player.events import Warned
 from lss_motion.player.player import Player
 from lss_motion.runtime.clock import MonotonicClock, VirtualClock
@@ -27,13 +22,10 @@ from lss_motion.runtime.port import ReopeningPort
 from lss_motion.runtime.real_time import real_time
 from lss_motion.runtime.report import make_report, run_seconds
 from lss_motion.runtime.runner import run
-from lss_motion.units import NS_PER_MS
+from lss_motion.truth import TruthRecorder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
     from lss_motion.connection import Connection
     from lss_motion.player.events import Event
@@ -44,18 +36,7 @@ if TYPE_CHECKING:
     from lss_motion.sim.bus import SimBus
     from lss_motion.sim.faults import Fault
     from lss_motion.trajectory.model import Trajectory
-
-TRUTH_STEP_S: Final = 0.01
-"""The truth is written at 100 Hz of show time."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Truth:
-    """The angles of the simulated horns: joint degrees, (n, joints), at show times."""
-
-    times_s: NDArray[np.float64] = field(repr=False)
-    joints: tuple[str, ...]
-    horn_deg: NDArray[np.float64] = field(repr=False)
+    from lss_motion.truth import Truth
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,6 +96,7 @@ def perform(  # noqa: PLR0913  (the options of one run)
     options = {"must_ask": must_ask, "is_open": is_open, "is_forced": is_forced}
     player = Player(program, robot, has_feedback=has_feedback, start_s=start_s, **options)
     note = _Noting(observer.on_event)
+    recorder = TruthRecorder(player.robot, connection.simulated, trajectory) if simulated else None
     try:
         with (
             real_time(is_wanted=is_real_time) as refused,
@@ -128,45 +110,62 @@ def perform(  # noqa: PLR0913  (the options of one run)
                 _reopening(connection, player, tap),
                 clock,
                 on_event=on_event,
-                on_turn=observer.on_turn,
+                on_turn=_on_turn(observer.on_turn, recorder),
                 controls=observer.controls,
                 tap=tap,
             )
     except BusError as lost:
         error = lost
+    except BaseException:
+        if recorder is not None:
+            recorder.close()
+        raise
     finally:
         error = _close(connection, error)
     player.end_show(clock.now_ns())
     run_s = run_seconds(started_ns, clock.now_ns())
-    horns = connection.simulated if simulated else None
-    return _result(player, horns, trajectory, run_s=run_s, error=error, warnings=note.warnings)
+    horns = connection.simulated if simulated else {}
+    return _result(player, horns, recorder, run_s=run_s, error=error, warnings=note.warnings)
+
+
+def _on_turn(
+    on_turn: Callable[[Player, int], None] | None, recorder: TruthRecorder | None
+) -> Callable[[Player, int], None]:
+    record = None if recorder is None else recorder.turn
+    calls = [call for call in (on_turn, record) if call is not None]
+
+    def turn(player: Player, now_ns: int) -> None:
+        for call in calls:
+            call(player, now_ns)
+
+    return turn
 
 
 def _result(
     player: Player,
-    simulated: Mapping[str, SimBus] | None,
-    trajectory: Trajectory | None,
+    simulated: Mapping[str, SimBus],
+    recorder: TruthRecorder | None,
     *,
     run_s: float,
     error: LssMotionError | None,
     warnings: list[str],
 ) -> Result:
-    """Return the result of a run that has ended; `simulated` is None on a real robot."""
-    truth = None if simulated is None else _truth(player, player.robot, simulated)
+    """Return the result of a run that has ended; `recorder` is None on a real robot."""
+    truth = None if recorder is None else recorder.finish(player)
     report = make_report(
         player,
         run_s=run_s,
-        is_simulated=simulated is not None,
+        is_simulated=recorder is not None,
         outcome=_outcome(player, error),
         warnings=warnings,
-        horn_error_deg=_horn_error_deg(truth, trajectory),
+        horn_error_deg=None if recorder is None else recorder.errors_deg(),
     )
     return Result(
         report=report,
         player=player,
         truth=truth,
         error=player.error or error,
-        simulated=simulated or {},
+        simulated=simulated,
     )
 
 
@@ -272,55 +271,3 @@ def _clock(
     from lss_motion.sim.clocks import SleepyClock
 
     return SleepyClock(faults, seed=seed)
-
-
-def _truth(player: Player, robot: Robot, buses: Mapping[str, SimBus]) -> Truth | None:
-    """Return the horn angles of the show's joints at every 10 ms of played show time."""
-    from lss_motion.sim.bus import servos_of
-
-    if player.show is None or player.show_ended_ns is None:
-        return None
-    knots = list(player.show.clock.knots(player.show_ended_ns, 10 * NS_PER_MS))
-    instants = np.array([instant for instant, _ in knots], dtype=np.int64)
-    shown_s = np.array([show_s for _, show_s in knots])
-    first = math.ceil(max(float(shown_s[0]), 0.0) / TRUTH_STEP_S - 1e-6)
-    last = math.floor(min(float(shown_s[-1]), player.program.duration_s) / TRUTH_STEP_S + 1e-6)
-    times_s = TRUTH_STEP_S * np.arange(first, last + 1, dtype=np.float64)
-    shown_s += 1e-9 * np.arange(len(shown_s))  # Keeps the order where the show stood still.
-    at_ns = np.interp(times_s, shown_s, (instants - instants[0]).astype(np.float64))
-    times_ns = instants[0] + at_ns.astype(np.int64)
-    names = tuple(player.program.start_deg)
-    horn = np.empty((len(times_s), len(names)))
-    for bus_name, bus in buses.items():
-        on_bus = servos_of(robot, bus_name)
-        servo_deg = bus.horn_deg(times_ns)
-        for column, name in enumerate(names):
-            if robot.joints[name].bus == bus_name:
-                joint = robot.joints[name]
-                angles = servo_deg[:, on_bus.index(name)]
-                horn[:, column] = joint.direction * (angles - joint.zero_deg)
-    return Truth(times_s=times_s, joints=names, horn_deg=horn)
-
-
-def _horn_error_deg(
-    truth: Truth | None, trajectory: Trajectory | None
-) -> dict[str, tuple[float, float]] | None:
-    if truth is None or trajectory is None or not len(truth.times_s):
-        return None
-    planned_deg = trajectory.sample(truth.times_s)
-    errors = {}
-    for column, name in enumerate(trajectory.joints):
-        if name in truth.joints:
-            error = truth.horn_deg[:, truth.joints.index(name)] - planned_deg[:, column]
-            errors[name] = (float(np.sqrt(np.mean(error**2))), float(np.abs(error).max()))
-    return errors
-
-
-def write_truth(truth: Truth, path: Path) -> None:
-    """Write `t_s,<joint>…` at 100 Hz of show time, joint degrees."""
-    header = ",".join(["t_s", *truth.joints])
-    table = np.column_stack([truth.times_s, truth.horn_deg])
-    formats = ["%.2f"] + ["%.3f"] * len(truth.joints)
-    text = io.StringIO()
-    np.savetxt(text, table, fmt=formats, delimiter=",", header=header, comments="")
-    write_output(path, text.getvalue())

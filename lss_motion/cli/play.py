@@ -361,8 +361,8 @@ def _faults(arguments: argparse.Namespace, robot: Robot) -> Sequence[Fault]:
 
 def _write_results(arguments: argparse.Namespace, result: Result) -> list[str]:
     """Write report and truth; return what could not be written, since the show was played."""
-    from lss_motion.perform import write_truth
     from lss_motion.runtime.report import write_report
+    from lss_motion.truth import write_truth
 
     problems = []
     if arguments.report is not None:

@@ -29,6 +29,7 @@ from lss_motion.player.faults import FaultHandler, Verdict
 from lss_motion.player.handshake import SettingsDialogue
 from lss_motion.player.preflight import Preflight
 from lss_motion.player.session import Session
+from lss_motion.player.show_clock import TRIM_MAX_RATIO
 from lss_motion.program.verify import driven
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
 
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 
     from lss_motion.player.events import Event, Faulted
     from lss_motion.player.handshake import Answers
+    from lss_motion.player.show_clock import Leg
     from lss_motion.player.streamer import Streamer
     from lss_motion.player.transactions import Dialogue
     from lss_motion.program.model import Program
@@ -225,6 +227,17 @@ class Player:
         """
         self._rate = 0.0 if rate < RATE_LEAST else min(rate, 1.0)
         self._apply_rate(now_ns)
+
+    def follow(
+        self, leader: Leg, now_ns: int, trim_max_ratio: float = TRIM_MAX_RATIO
+    ) -> float | None:
+        """Trim the show clock so that it meets `leader`; return how far off it is, in seconds.
+
+        None, and nothing happens, while no show plays at a steady rate.
+        """
+        if self.show is None or self.phase is not Phase.SHOW:
+            return None
+        return self.show.clock.follow(leader, now_ns, trim_max_ratio)
 
     def extend(self, extension: Extension, now_ns: int) -> bool:
         """Go on with `extension` from its splice on; False if it is too late or no show plays.

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, cast
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import read_text
+from lss_motion.player.show_clock import Leg
 from lss_motion.runtime.log import FIRST_LINE
 from lss_motion.runtime.runner import SAFE
 from lss_motion.units import NS_PER_S
@@ -176,11 +177,15 @@ def _apply_request(player: Player, entry: Entry) -> None:
             player.go()
         case "rate":
             player.set_rate(float(value), entry.at_ns)
+        case "follow":
+            show_s, rate, trim_max_ratio = map(float, value.split())
+            player.follow(Leg(entry.at_ns, show_s, rate), entry.at_ns, trim_max_ratio)
         case "stop":
             player.stop(entry.at_ns)
         case "abort":
             player.abort(entry.at_ns)
         case _:
             raise InputError(
-                f"{entry.text!r} is not a request (go, rate, stop or abort)", line=entry.line
+                f"{entry.text!r} is not a request (go, rate, follow, stop or abort)",
+                line=entry.line,
             )

@@ -45,7 +45,13 @@ class HornHistory:
         asked_ns = np.asarray(list(times_ns), dtype=np.int64)
         start_ns = self._times_ns[0] if self._count else 0
         asked_s = (asked_ns - start_ns).astype(np.float64)
-        known_s = (self._times_ns[: self._count] - start_ns).astype(np.float64)
-        known_deg = self._angles_deg[: self._count]
+        rows = slice(0, self._count)
+        if len(asked_ns):  # Of an hour, only the rows around these instants are converted.
+            within = self._times_ns[: self._count]
+            first = int(np.searchsorted(within, asked_ns.min(), side="right")) - 1
+            last = int(np.searchsorted(within, asked_ns.max(), side="left"))
+            rows = slice(max(first, 0), max(min(last + 1, self._count), 1))
+        known_s = (self._times_ns[rows] - start_ns).astype(np.float64)
+        known_deg = self._angles_deg[rows]
         columns = [np.interp(asked_s, known_s, column) for column in known_deg.T]
         return np.stack(columns, axis=1)

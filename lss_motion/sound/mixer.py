@@ -23,6 +23,7 @@ from lss_motion.units import NS_PER_S
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from lss_motion.clock_leg import ClockLeg
     from lss_motion.sound.sources import Source
 
 FADE_S: Final = 0.05
@@ -35,42 +36,6 @@ CLOSING_S: Final = 2.0
 """A sound that does not lead makes up its error over this time,"""
 CLOSING_RATIO: Final = 0.005
 """but with no more than this change of its rate, which cannot be heard."""
-
-
-@dataclass(frozen=True, slots=True)
-class ClockLeg:
-    """The show clock from `start_ns` on: the rate changes evenly, then is steady.
-
-    `trim_ratio` is what the show clock adds to follow a leader: the device itself, or another.
-    """
-
-    start_ns: int
-    start_s: float
-    from_rate: float
-    to_rate: float
-    ramp_ns: int
-    trim_ratio: float = 0.0
-
-    def rate(self, at_ns: float) -> float:
-        """Return the rate without the trim."""
-        elapsed_ns = at_ns - self.start_ns
-        if elapsed_ns >= self.ramp_ns:
-            return self.to_rate
-        if elapsed_ns <= 0.0:
-            return self.from_rate
-        share = elapsed_ns / self.ramp_ns
-        return self.from_rate + share * (self.to_rate - self.from_rate)
-
-    def show_s(self, at_ns: float) -> float:
-        elapsed_s, ramp_s = (at_ns - self.start_ns) / NS_PER_S, self.ramp_ns / NS_PER_S
-        if elapsed_s <= 0.0:
-            return self.start_s + self.from_rate * elapsed_s
-        if elapsed_s < ramp_s:
-            change = 0.5 * (self.to_rate - self.from_rate) * elapsed_s * elapsed_s / ramp_s
-            return self.start_s + self.from_rate * elapsed_s + change
-        ramped_s = 0.5 * (self.from_rate + self.to_rate) * ramp_s
-        trimmed_rate = self.to_rate * (1.0 + self.trim_ratio)
-        return self.start_s + ramped_s + trimmed_rate * (elapsed_s - ramp_s)
 
 
 @dataclass(slots=True, kw_only=True, eq=False)

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+import random
+
 import numpy as np
 import pytest
 
-from lss_motion.player.show_clock import ShowClock
+from lss_motion.player.show_clock import Leg, ShowClock
 
 S = 1_000_000_000
 START_NS = 7 * S
@@ -107,7 +109,7 @@ def test_a_clock_that_stands_stands_from_now_on():
 def test_knots_are_every_change_of_the_rate_and_steps_in_its_ramps():
     clock = ramped()
     clock.ramp_to(0.0, START_NS + 4 * S, 0.0)
-    knots = list(clock.knots(START_NS + 5 * S, 200_000_000))
+    knots = list(clock.knots(0, START_NS + 5 * S, 200_000_000))
     assert [(at_ns - START_NS) / S for at_ns, _ in knots] == [
         *(0.0, 2.0),
         *(2.0, 2.2, 2.4, 2.5, 4.0),
@@ -120,10 +122,64 @@ def test_between_knots_show_time_is_nearly_a_straight_line():
     clock = ramped()
     clock.ramp_to(0.2, START_NS + 2_300_000_000, 0.7)  # before the other ramp is through
     until_ns = START_NS + 2_900_000_000  # and this one is not either
-    at_ns, show_s = zip(*clock.knots(until_ns, 10_000_000), strict=True)
+    at_ns, show_s = zip(*clock.knots(0, until_ns, 10_000_000), strict=True)
     assert at_ns[0] == START_NS
     assert at_ns[-1] == until_ns
     assert list(at_ns) == sorted(at_ns)
     assert at_ns[-1] > at_ns[-2], "once is enough"
     for now_ns in range(START_NS, until_ns, 1_234_567):
         assert np.interp(now_ns, at_ns, show_s) == pytest.approx(clock.show_s(now_ns), abs=1e-4)
+
+
+def led(clock, seconds, *, ppm, noise_s=0.0, period_s=0.5, offset_s=0.0, start_s=0.0):
+    """Follow a leader that is `ppm` fast; return the largest error after the first minute, in s."""
+    rng, worst_s = random.Random(3), 0.0
+    for turn in range(1, round(seconds / period_s)):
+        now_ns = START_NS + round((start_s + turn * period_s) * S)
+        elapsed_s = start_s + turn * period_s
+        true_s = 10.0 + offset_s + elapsed_s * (1.0 + ppm * 1e-6)
+        stated_s = true_s + rng.gauss(0.0, noise_s)
+        clock.follow(Leg(now_ns, stated_s, 1.0 + ppm * 1e-6), now_ns)
+        if elapsed_s > 60.0:
+            worst_s = max(worst_s, abs(clock.show_s(now_ns) - true_s))
+    return worst_s
+
+
+@pytest.mark.parametrize("ppm", [200.0, -200.0])
+def test_an_hour_behind_a_leader_costs_no_memory_and_stays_within_2_ms(ppm):
+    clock = ShowClock(START_NS, 10.0, 1.0)
+    assert led(clock, 3600.0, ppm=ppm, noise_s=0.0005) < 0.0005
+    assert clock.show_s(START_NS + 3600 * S) == pytest.approx(
+        10.0 + 3600 * (1 + ppm * 1e-6), abs=1e-3
+    )
+    assert len(list(clock.knots(0, START_NS + 3600 * S, S))) < 200
+    now_ns = START_NS + 3600 * S
+    assert clock.show_s(now_ns - 10 * S) == pytest.approx(clock.show_s(now_ns) - 10.0, abs=0.01)
+
+
+def test_a_follower_is_trimmed_by_300_ppm_at_most_and_never_jumps():
+    clock = ShowClock(START_NS, 10.0, 1.0)
+    before_s = 10.0
+    for turn in range(1, 400):
+        now_ns = START_NS + turn * S // 10
+        off_s = clock.follow(Leg(now_ns, 10.5 + turn / 10.0, 1.0), now_ns)
+        assert off_s == pytest.approx(0.5, abs=0.02)
+        show_s = clock.show_s(now_ns)
+        assert 0.0 < show_s - before_s < 0.1 * (1.0 + 301e-6)
+        before_s = show_s
+    assert clock.instant_ns(before_s) == pytest.approx(now_ns, abs=10)
+    assert clock.rate(now_ns) == clock.target_rate == 1.0, "a trim is no rate"
+
+
+def test_a_clock_that_stands_or_ramps_is_not_trimmed_and_keeps_its_trim_over_a_pause():
+    clock = ShowClock(START_NS, 10.0, 1.0)
+    clock.follow(Leg(START_NS + S, 11.0, 1.0002), START_NS + S)
+    assert clock.trim_ratio == pytest.approx(200e-6, rel=0.1)
+    clock.ramp_to(0.0, START_NS + 2 * S, 0.4)
+    assert clock.follow(Leg(START_NS + 2 * S, 12.0, 1.0), START_NS + 2 * S + 1) is None
+    assert clock.follow(Leg(START_NS + 3 * S, 12.0, 1.0), START_NS + 3 * S) is None
+    clock.ramp_to(1.0, START_NS + 4 * S, 0.4)
+    at_ns = START_NS + 5 * S
+    gained_s = clock.show_s(at_ns + 100 * S) - clock.show_s(at_ns) - 100.0
+    assert gained_s == pytest.approx(0.02, rel=0.1)
+    assert clock.instant_ns(clock.show_s(at_ns + S)) == pytest.approx(at_ns + S, abs=10)

@@ -5,7 +5,8 @@ import time
 import numpy as np
 import pytest
 
-from lss_motion.sound.mixer import ClockLeg, Mixer, Voice
+from lss_motion.clock_leg import ClockLeg
+from lss_motion.sound.mixer import Mixer, Voice
 from lss_motion.sound.sources import Source
 
 soundfile = pytest.importorskip(

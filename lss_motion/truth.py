@@ -1,0 +1,168 @@
+"""What the simulated horns really did, sampled while the show plays.
+
+The show clock forgets its past, so `TruthRecorder` takes the samples as they come, a few seconds
+behind the show, and writes them to a file that the system removes. So an hour takes no memory.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import tempfile
+from dataclasses import dataclass, field
+from typing import IO, TYPE_CHECKING, Final
+
+import numpy as np
+
+from lss_motion.files.output import write_output
+from lss_motion.units import NS_PER_MS, NS_PER_S
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from lss_motion.player.player import Player
+    from lss_motion.robot.model import Robot
+    from lss_motion.sim.bus import SimBus
+    from lss_motion.trajectory.model import Trajectory
+
+TRUTH_STEP_S: Final = 0.01
+"""The truth is sampled at 100 Hz of show time."""
+PORTION_NS: Final = 2 * NS_PER_S
+BEHIND_NS: Final = 5 * NS_PER_S
+"""Samples are taken so long after their instant. A stall or a wait changes the show clock of a past
+instant, but none that is longer ago."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """The angles of the simulated horns: joint degrees, (n, joints), at show times."""
+
+    times_s: NDArray[np.float64] = field(repr=False)
+    joints: tuple[str, ...]
+    horn_deg: NDArray[np.float64] = field(repr=False)
+
+
+class TruthRecorder:
+    """Samples the horns of a show; compares them with `trajectory`, if there is one."""
+
+    def __init__(
+        self, robot: Robot, buses: Mapping[str, SimBus], trajectory: Trajectory | None
+    ) -> None:
+        self._robot = robot
+        self._buses = buses
+        self._trajectory = trajectory
+        self._joints: tuple[str, ...] = ()
+        self._rows: IO[bytes] | None = None
+        self._count = 0
+        self._next: int | None = None
+        """Number of the next sample, from show time 0."""
+        self._since_ns = self._last_ns = 0
+        self._squares: NDArray[np.float64] | None = None
+        self._largest: NDArray[np.float64] | None = None
+
+    def turn(self, player: Player, now_ns: int) -> None:
+        """Take the samples of a while ago, if there are enough of them."""
+        if player.show is None or now_ns < self._last_ns + PORTION_NS:
+            return
+        self._last_ns = now_ns
+        self._sample(player, now_ns - BEHIND_NS)
+
+    def finish(self, player: Player) -> Truth | None:
+        """Take the remaining samples and return all; None if there was no show."""
+        if player.show is None or player.show_ended_ns is None:
+            return None
+        self._sample(player, player.show_ended_ns)
+        width = 1 + len(self._joints)
+        rows: NDArray[np.float64] = np.empty((0, width))
+        if self._rows is not None:
+            self._rows.flush()
+            rows = np.memmap(self._rows, np.float64, "r", shape=(self._count, width))
+        self.close()
+        return Truth(times_s=rows[:, 0], joints=self._joints, horn_deg=rows[:, 1:])
+
+    def close(self) -> None:
+        """Close the file; what `finish` returned stays."""
+        if self._rows is not None:
+            self._rows.close()
+
+    def errors_deg(self) -> dict[str, tuple[float, float]] | None:
+        """Return RMS and largest distance from the plan by joint; None if there is no plan."""
+        if self._squares is None or self._largest is None or self._trajectory is None:
+            return None
+        planned = [name for name in self._trajectory.joints if name in self._joints]
+        rms = np.sqrt(self._squares / self._count)
+        return {
+            name: (float(rms[column]), float(self._largest[column]))
+            for column, name in enumerate(planned)
+        }
+
+    def _sample(self, player: Player, until_ns: int) -> None:
+        assert player.show is not None
+        self._joints = tuple(player.program.start_deg)
+        knots = list(player.show.clock.knots(self._since_ns, until_ns, 10 * NS_PER_MS))
+        if not knots:
+            return
+        instants = np.array([instant for instant, _ in knots], dtype=np.int64)
+        shown_s = np.array([show_s for _, show_s in knots])
+        self._since_ns = until_ns
+        if self._next is None:
+            self._next = math.ceil(max(float(shown_s[0]), 0.0) / TRUTH_STEP_S - 1e-6)
+        last_s = min(float(shown_s[-1]), player.program.duration_s)
+        last = math.floor(last_s / TRUTH_STEP_S + 1e-6)
+        if last < self._next:
+            return
+        times_s = TRUTH_STEP_S * np.arange(self._next, last + 1, dtype=np.float64)
+        self._next = last + 1
+        shown_s += 1e-9 * np.arange(len(shown_s))  # Keeps the order where the show stood still.
+        at_ns = np.interp(times_s, shown_s, (instants - instants[0]).astype(np.float64))
+        self._append(times_s, self._horn_deg(instants[0] + at_ns.astype(np.int64)))
+
+    def _horn_deg(self, times_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        from lss_motion.sim.bus import servos_of
+
+        horn = np.empty((len(times_ns), len(self._joints)))
+        for bus_name, bus in self._buses.items():
+            on_bus = servos_of(self._robot, bus_name)
+            servo_deg = bus.horn_deg(times_ns)
+            for column, name in enumerate(self._joints):
+                joint = self._robot.joints[name]
+                if joint.bus == bus_name:
+                    angles = servo_deg[:, on_bus.index(name)]
+                    horn[:, column] = joint.direction * (angles - joint.zero_deg)
+        return horn
+
+    def _append(self, times_s: NDArray[np.float64], horn: NDArray[np.float64]) -> None:
+        if self._rows is None:
+            self._rows = tempfile.TemporaryFile()  # noqa: SIM115  (closed by `close`)
+        self._rows.write(np.column_stack([times_s, horn]).tobytes())
+        self._count += len(times_s)
+        if self._trajectory is None:
+            return
+        planned_deg = self._trajectory.sample(times_s)
+        columns = [
+            (self._joints.index(name), column)
+            for column, name in enumerate(self._trajectory.joints)
+            if name in self._joints
+        ]
+        error = np.stack([horn[:, own] - planned_deg[:, column] for own, column in columns], axis=1)
+        squares, largest = (error**2).sum(axis=0), np.abs(error).max(axis=0)
+        if self._squares is None or self._largest is None:
+            self._squares, self._largest = squares, largest
+        else:
+            self._squares, self._largest = (
+                self._squares + squares,
+                np.maximum(self._largest, largest),
+            )
+
+
+def write_truth(truth: Truth, path: Path) -> None:
+    """Write `t_s,<joint>…` at 100 Hz of show time, joint degrees."""
+    header = ",".join(["t_s", *truth.joints])
+    table = np.column_stack([truth.times_s, truth.horn_deg])
+    formats = ["%.2f"] + ["%.3f"] * len(truth.joints)
+    text = io.StringIO()
+    np.savetxt(text, table, fmt=formats, delimiter=",", header=header, comments="")
+    write_output(path, text.getvalue())
