@@ -56,6 +56,9 @@ class DisturbanceEstimator:
     rejected: int = 0
     square_sum_deg2: float = 0.0
     error_deg: float = 0.0
+    """Distance of the plan from the last reading."""
+    model_error_deg: float = 0.0
+    """Distance of the response model from the last reading."""
     error_max_deg: float = 0.0
     offset_max_deg: float = 0.0
     measured_deg: float | None = None
@@ -86,6 +89,7 @@ class DisturbanceEstimator:
         self.measured_deg, self.read_s = measured_deg, read_s
         self.readings += 1
         self.error_deg = planned_deg - measured_deg
+        self.model_error_deg = expected_deg - measured_deg
         self.square_sum_deg2 += self.error_deg * self.error_deg
         self.error_max_deg = max(self.error_max_deg, abs(self.error_deg))
         if not learns:

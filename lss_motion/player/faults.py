@@ -232,7 +232,9 @@ class FaultHandler:
         self._session.put_back(gone)
         # A power failure of one servo may have hit others that have not been noticed yet.
         gone |= health.unresponsive() | streamer.scheduler.watch.doubted
-        self._wait_for([joint for joint in self._session.driven if joint.name in gone], now_ns)
+        missing = [joint for joint in self._session.driven if joint.name in gone]
+        self._wait_for(missing, now_ns)
+        streamer.scheduler.doubt_all({joint.bus for joint in missing})
         return Verdict.RECOVER
 
     def arrive(self, restarted: list[Joint], silent: list[Joint], now_ns: int) -> Verdict:

@@ -123,8 +123,13 @@ class HealthMonitor:
         self._before: dict[tuple[str, str], float] = {}
 
     def position(self, state: JointState, arrival_ns: int) -> None:
-        """Judge the last accepted reading; the servo received the query at `arrival_ns`."""
+        """Judge the last accepted reading; the servo received the query at `arrival_ns`.
+
+        A joint that is on its way back to its plan, as its moves require after a delay of this
+        program, is not astray.
+        """
         joint, error_deg = state.joint, abs(state.disturbance.error_deg)
+        error_deg = min(error_deg, abs(state.disturbance.model_error_deg))
         trouble = (joint.name, Cause.ASTRAY)
         if error_deg <= joint.following_deg:
             self._astray_since_ns.pop(joint.name, None)

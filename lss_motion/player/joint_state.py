@@ -142,6 +142,9 @@ class JointState:
     """Number of moves that were not sent since the servo was in doubt."""
     _has_missed: bool = False
     """Whether a move was held back since the doubt began."""
+    _spare_deg: float = 0.0
+    """What the last jump of a stepped joint left of what it was allowed; less than 0: it was
+    rounded up."""
 
     # ---- where the servo is
 
@@ -345,12 +348,23 @@ class JointState:
             return self.setpoints.allowed(arrival_s)
         if self.joint.drive == "timed":
             return self.limits.position_min_deg, self.limits.position_max_deg
-        last_ns = self.last_arrival_ns
-        passed_s = PULSE_S if last_ns is None else arrival_s - s_from_ns(last_ns)
-        reach_deg = self.limits.speed_max_deg_s * min(passed_s, 2.0 * PULSE_S)
-        reach_deg += self.joint.unit_deg
         position_deg, _ = self.profile.at(arrival_s)
+        reach_deg = max(self._jump_deg(arrival_ns), 0.0)
         return position_deg - reach_deg, position_deg + reach_deg
+
+    def _jump_deg(self, arrival_ns: int) -> float:
+        """Return how far a stepped joint may jump at `arrival_ns`.
+
+        It has what its speed allows since its last jump, and what that one left: in all no more
+        than two pulses and one unit. Whole degrees round a jump up or down; the next one makes up
+        for it, so that many jumps are no faster than the limit.
+        """
+        speed_deg_s, unit_deg = self.limits.speed_max_deg_s, self.joint.unit_deg
+        if self.last_arrival_ns is None:
+            return speed_deg_s * PULSE_S + unit_deg
+        passed_s = s_from_ns(arrival_ns - self.last_arrival_ns)
+        most_deg = speed_deg_s * 2.0 * PULSE_S + unit_deg
+        return min(self._spare_deg + speed_deg_s * passed_s, most_deg)
 
     def duration_for(self, target_wire: int, arrival_ns: int, left_s: float) -> int:
         """Return T in ms: `left_s`, but never so short that the joint exceeds its speed limit."""
@@ -368,6 +382,9 @@ class JointState:
             self.lost_moves.commanded(self.profile.copy(), arrival_s, target_deg, duration_s)
         if self.setpoints is not None:
             self.setpoints.commanded(arrival_s, target_deg)
+        if self.joint.drive == "stepped":
+            way_deg = abs(target_deg - self.profile.at(arrival_s)[0])
+            self._spare_deg = self._jump_deg(arrival_ns) - way_deg
         self.profile.retarget(arrival_s, target_deg, duration_s)
         self.profile.forget_before(arrival_s - HISTORY_S)
         self.last_arrival_ns = arrival_ns
@@ -421,13 +438,13 @@ class JointState:
             expected_deg=expected_deg,
             planned_deg=planned_deg,
             speed_deg_s=speed_deg_s,
-            learns=not self.lost_moves.is_doubtful,
+            learns=not (self.lost_moves.is_doubtful or self.in_doubt),
         )
         if not is_accepted:
             return None
         if other is not None:
             self.profile = other
-        elif before_s is not None and not self.lost_moves.is_doubtful:
+        elif before_s is not None and not (self.lost_moves.is_doubtful or self.in_doubt):
             self.lag.take(profile_deg - measured_deg, speed_deg_s, read_s - before_s)
             if self.setpoints is None or abs(speed_deg_s) < REST_DEG_S:
                 self.early_s = self.lag.extra_s

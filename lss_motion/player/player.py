@@ -225,6 +225,7 @@ class Player:
 
         Outside of the show the rate is kept for when the show goes on.
         """
+        self._note_stall(now_ns)  # First: the new rate would hide the move that was due.
         self._rate = 0.0 if rate < RATE_LEAST else min(rate, 1.0)
         self._apply_rate(now_ns)
 
@@ -490,8 +491,8 @@ class Player:
                 return
             case Verdict.CONTINUE:
                 pass
-        learns = self.show is None and session.has_feedback
-        if learns:
+        learns = session.has_feedback
+        if learns:  # Also before it goes on: what went wrong may have been taken for a load.
             session.learn_droops(now_ns)
         joint, off_deg = session.furthest(session.pose_deg(self.show, now_ns))
         is_uncorrected = learns and self._approaches == 1

@@ -21,7 +21,7 @@ from lss_motion.protocol.framing import Command, Reply, encode
 from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from lss_motion.player.cues import Waiting
     from lss_motion.player.joint_state import JointState
@@ -191,6 +191,7 @@ class PollScheduler:
             return False
         turn.left -= 1
         turn.state.note_visit(now_ns)
+        self.watch.note_query(turn.state.joint.name, keyword, now_ns)
         self._health_wait[bus] += 1
         if keyword == "QD":
             turn.places += 1
@@ -270,6 +271,7 @@ class PollScheduler:
     ) -> None:
         answer = read_reply(state.joint.model.family, reply)
         if answer is None or not isinstance(answer.value, int | float):
+            self._note_no_target(state, reply, query.arrival_ns)
             return
         match reply.keyword:
             case "QD":
@@ -287,6 +289,20 @@ class PollScheduler:
                 state.note_current(answer.value)
             case _:
                 pass
+
+    def _note_no_target(self, state: JointState, reply: Reply, arrival_ns: int) -> None:
+        """Note an LSS without a target although it was sent a move: it may have restarted."""
+        is_lss = state.joint.model.family is Family.LSS  # A PRO answers with the last target.
+        if is_lss and reply.keyword == TARGET_KEYWORD and reply.value is None:
+            sent_ns = state.last_arrival_ns
+            if sent_ns is not None and sent_ns < arrival_ns:
+                self.watch.note_sign(state, arrival_ns, count=HOLD_SIGNS)
+
+    def doubt_all(self, buses: Collection[str]) -> None:
+        """Examine all servos of some buses: what made one restart may have hit the others."""
+        for bus in buses:
+            for state in self._by_bus[bus]:
+                self.watch.note_sign(state, self._trackers[bus].last_sent_ns(state.joint.servo_id))
 
     def _note_lost_move(self, state: JointState) -> None:
         """Send the rest of a lost move; where it may be in another turn, only after a reading."""
@@ -320,8 +336,8 @@ class PollScheduler:
 
     def _release(self, state: JointState) -> None:
         """Send a servo the moves that were held back, if it is in doubt no more."""
-        is_doubted = state.joint.name in self.watch.doubted
-        if state.in_doubt and not is_doubted and state.release():
+        may_move = self.watch.allows_moves(state.joint.name)
+        if state.in_doubt and may_move and state.release():
             self.to_resend[state.joint.name] = state
 
     def wakeups_ns(self, now_ns: int) -> list[int]:
@@ -379,7 +395,11 @@ class PollScheduler:
             return urgent
         if tracker.is_overdue(servo_id, "QD"):
             return self._fresh(bus, state)
-        if state.needs_target(now_ns) and not tracker.is_overdue(servo_id, TARGET_KEYWORD):
+        if (probe := self.watch.read_back(state.joint.name, now_ns)) is not None:
+            return probe
+        if state.needs_target(now_ns) and not (
+            tracker.is_overdue(servo_id, TARGET_KEYWORD) or tracker.awaits(servo_id, TARGET_KEYWORD)
+        ):
             return TARGET_KEYWORD
         is_alone = turn.left == 1 and turn.places == 0
         period_ns = HEALTH_NS // 2 if self.watch.keywords(state.joint.name) else HEALTH_NS

@@ -175,6 +175,14 @@ class QueryTracker:
         """Return whether a query to `servo_id` is in flight."""
         return servo_id in self._flights
 
+    def awaits(self, servo_id: int, keyword: str) -> bool:
+        """Return whether a query for `keyword` is in flight, or its answer is not accepted yet."""
+        flight = self._flights.get(servo_id)
+        if flight is None:
+            return False
+        queries = [*flight.waiting, *(query for query, _ in flight.held)]
+        return any(query.command.keyword == keyword for query in queries)
+
     @property
     def give_up_ns(self) -> int | None:
         """When `expire` must be called at the latest; None: no query is in flight."""

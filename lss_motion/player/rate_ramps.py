@@ -32,6 +32,9 @@ RAMP_LEAST_S: Final = 0.3
 RAMP_ACCEL_RATIO: Final = 0.4
 """A change of rate takes no more than this share of any joint's acceleration. Chosen: a course at
 its own limit leaves none to spare, and is then left by 1 or 2 deg during a ramp."""
+CLOSING_RATIO: Final = 0.5
+"""Share of the acceleration with which a joint that is off its course may close in on it. Chosen:
+the course needs the rest."""
 RAMP_LOOK_S: Final = (0.0, 0.1, 0.2, 0.3, 0.4)
 """How far ahead the speeds of the course count for a ramp that begins now."""
 
@@ -115,8 +118,8 @@ def spot_moves(
         is_stepped = state.joint.drive == "stepped"
         arrival_ns = lines[state.joint.bus].arrival_ns(0, now_ns)
         # A jump is right in the middle of the time for which it holds.
-        ahead_ns = arrival_ns + (period_ns // 2 if is_stepped else period_ns)
-        ahead_ns += ns_from_s(state.lead_s)
+        here_ns = arrival_ns + ns_from_s(state.lead_s)
+        ahead_ns = here_ns + (period_ns // 2 if is_stepped else period_ns)
         aim_deg = planned_deg(state, ahead_ns)
         position_deg, speed_deg_s = state.place(arrival_ns)
         way_deg = aim_deg + state.disturbance.offset_deg - position_deg
@@ -126,10 +129,26 @@ def spot_moves(
         if is_stepped:
             yield SpotMove(state, aim_deg, 0.0)
             continue
+        if ends_ns is not None and ahead_ns >= ends_ns:
+            travel_deg_s = min(abs(way_deg) / s_from_ns(period_ns), state.limits.speed_max_deg_s)
+            yield SpotMove(state, aim_deg, abs(way_deg) / max(travel_deg_s, 1.0))
+            continue
+        course_deg = aim_deg - planned_deg(state, here_ns)
+        way_deg = course_deg + _closing_deg(state, way_deg - course_deg, period_ns)
         travel_deg_s = min(abs(way_deg) / s_from_ns(period_ns), state.limits.speed_max_deg_s)
-        if ends_ns is None or ahead_ns < ends_ns:
-            beyond_deg = travel_deg_s * LATEST_ARRIVAL_S
-            beyond_deg += 0.5 * travel_deg_s * travel_deg_s / state.limits.ramp_deg_s2
-            aim_deg += math.copysign(beyond_deg, way_deg)
-            way_deg += math.copysign(beyond_deg, way_deg)
+        beyond_deg = travel_deg_s * LATEST_ARRIVAL_S
+        beyond_deg += 0.5 * travel_deg_s * travel_deg_s / state.limits.ramp_deg_s2
+        way_deg += math.copysign(beyond_deg, way_deg)
+        aim_deg = position_deg + way_deg - state.disturbance.offset_deg
         yield SpotMove(state, aim_deg, abs(way_deg) / max(travel_deg_s, 1.0))
+
+
+def _closing_deg(state: JointState, off_deg: float, period_ns: int) -> float:
+    """Return how much of its distance to the course a timed joint covers in one period.
+
+    All of it if it is small. A joint that is further off comes so fast that it can still brake:
+    else it would pass its course, and pass it again on its way back.
+    """
+    brake_deg_s2 = CLOSING_RATIO * state.limits.ramp_deg_s2
+    most_deg = math.sqrt(2.0 * brake_deg_s2 * abs(off_deg)) * s_from_ns(period_ns)
+    return math.copysign(min(abs(off_deg), most_deg), off_deg)

@@ -16,6 +16,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from lss_motion.units import NS_PER_S
+
 if TYPE_CHECKING:
     from collections.abc import KeysView, Mapping, Sequence
 
@@ -28,6 +30,10 @@ answer, that is one query in a thousand; a servo that does not answer at all is 
 50 ms, since each query is given up after 10 to 15 ms."""
 PROOFS: Final = 2
 """Wrong answers in a row that prove a restart."""
+READ_BACK_NS: Final = 3 * NS_PER_S // 10
+"""A probe of a servo is queried at least this often when it is its turn, however slow its line is:
+a restart that nothing else shows is found by it. Chosen: on an idle line the health queries do that
+every 0.25 s; three servos at 9600 bps need a tenth of the line for it."""
 
 
 class Probe(NamedTuple):
@@ -63,6 +69,10 @@ class SettingsWatch:
             name: tuple(probe.keyword for probe in own) for name, own in probes.items()
         }
         self._doubts: dict[str, _Doubt] = {}
+        self._restarted: set[str] = set()
+        """Joints whose servo was proved to have restarted."""
+        self._read_backs: dict[str, tuple[int, int]] = {}
+        """By joint, the instant of its last probe, and the number of probes so far."""
 
     def keywords(self, name: str) -> tuple[str, ...]:
         """Return the keywords of the probes of a joint."""
@@ -83,10 +93,28 @@ class SettingsWatch:
         """The joints whose settings are in doubt."""
         return self._doubts.keys()
 
+    def allows_moves(self, name: str) -> bool:
+        """Return whether the settings of a joint are not in doubt, and not known to be lost."""
+        return name not in self._doubts and name not in self._restarted
+
+    def read_back(self, name: str, now_ns: int) -> str | None:
+        """Return the probe that must be queried since the last one was too long ago."""
+        words = self.keywords(name)
+        last_ns, count = self._read_backs.get(name, (0, 0))
+        if not words or name in self._restarted or now_ns - last_ns < READ_BACK_NS:
+            return None
+        return words[count % len(words)]
+
+    def note_query(self, name: str, keyword: str, now_ns: int) -> None:
+        """Note a query that was sent to the servo of a joint."""
+        if keyword in self.keywords(name):
+            _, count = self._read_backs.get(name, (0, 0))
+            self._read_backs[name] = now_ns, count + 1
+
     def note_sign(self, state: JointState, now_ns: int, *, count: int = 1) -> None:
         """Note a sign of a restart that counts `count` times; several at one instant are one."""
         name = state.joint.name
-        if not self._probes.get(name):
+        if not self._probes.get(name) or name in self._restarted:
             return
         doubt = self._doubts.setdefault(name, _Doubt())
         if doubt.last_ns != now_ns:
@@ -102,6 +130,8 @@ class SettingsWatch:
         """
         name = state.joint.name
         probe = next(probe for probe in self._probes[name] if probe.keyword == keyword)
+        if name in self._restarted:
+            return None  # That is reported; its settings are sent by the recovery.
         if value == probe.value:
             self._doubts.pop(name, None)
             return None
@@ -115,6 +145,8 @@ class SettingsWatch:
         state.hold_back()
         if doubt.proofs < PROOFS:
             return None
+        del self._doubts[name]
+        self._restarted.add(name)
         return (
             f"has lost its settings: servo {state.joint.servo_id} answers {value} to {keyword}, it "
             f"was set to {probe.value}. It has restarted. Look at its power supply"

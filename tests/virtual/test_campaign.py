@@ -57,6 +57,11 @@ FOUND_MIXED = (
     162, 405,  # Replies lost or late: moves were held back, once without an end.
     270,  # A servo that read 1,500 deg was led back through four turns.
     307,  # Without feedback, with stored limits above those of the joint.
+    1146,  # Queries for targets filled a slow line: a restart was not noticed for two seconds.
+    1285,  # All servos restarted; the first that was noticed took the queries of the others.
+    1305,  # A key that was pressed during a stall hid that moves were due.
+    1598,  # The independent judge gave a host no time after a long restart.
+    1216, 1517, 1750,  # It took an unknown top speed for none, and an RC servo for one with O.
     355,  # What a step of the filter adds was counted as an acceleration.
 )  # fmt: skip
 """Seeds with all kinds of faults, for both judges."""

@@ -101,9 +101,10 @@ def unheard_ns(played):
 
 def test_a_move_that_a_servo_did_not_receive_is_sent_again_at_once(rms_deg):
     """A row or two of questions later, unless the question about it was lost as well."""
-    shows = [rms_deg(faults=[LOST], seed=seed, baud_bps=115200)[1] for seed in (5, 6, 7)]
+    lost = replace(LOST, ratio=0.03)
+    shows = [rms_deg(faults=[lost], seed=seed, baud_bps=115200)[1] for seed in (5, 6, 7)]
     late_ns = [ns for played in shows for ns in unheard_ns(played)]
-    assert len(late_ns) >= 10
+    assert len(late_ns) >= 12
     assert np.median(late_ns) < 0.04e9
 
 

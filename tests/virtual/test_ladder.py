@@ -63,6 +63,7 @@ def test_a_servo_that_restarts_gets_its_settings_back_before_it_is_driven_on(sta
     speed, accel = played.speeds(back_ns, played.bus.lines[-1][0])
     assert np.abs(speed[:, 1]).max() <= 1.05 * 180.0
     assert np.abs(accel[:, 1]).max() <= 1.1 * 600.0
+    # All rest for the last 0.15 s; just before, the third one brakes from its fastest move.
     ends = played.horn_error_deg(from_s=played.result.truth.times_s[-1] - 0.2)
     assert np.abs(ends).max() < 0.5, "it ends where the plan ends"
 

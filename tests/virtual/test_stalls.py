@@ -82,17 +82,10 @@ def test_after_a_stall_a_servo_gets_one_move_and_the_show_goes_on(
     assert played.report.outcome == "finished"
     assert_speeds_hold(played)
     (end_deg,) = played.bus.horn_deg([played.bus.lines[-1][0]])
-    assert np.abs(end_deg).max() < 1.5, "it ends where the plan ends"
+    assert np.abs(end_deg).max() < 1.0, "it ends where the plan ends"
     is_stall = late_s > 0.25 and at_s > 0.5
-    stalls = [step for step in steps(played) if step[1] is Cause.STALLED]
-    assert stalls == [("", Cause.STALLED, FaultStep.RESUME)] * is_stall
-    behind = {(cause, step) for _, cause, step in steps(played)} - {
-        (Cause.STALLED, FaultStep.RESUME)
-    }
-    assert behind <= {(Cause.ASTRAY, FaultStep.SLOW)}, "a horn that a short gap left behind"
-    assert moves_at_once(played, at_s, late_s) <= 1 + bool(
-        behind
-    )  # A joint that is slowed is led on.
+    assert steps(played) == [("", Cause.STALLED, FaultStep.RESUME)] * is_stall
+    assert moves_at_once(played, at_s, late_s) <= 1
 
 
 def test_thirty_seconds_of_stall_send_no_queue_of_moves(stage, kit):

@@ -27,9 +27,11 @@ RESTS_WITHIN_DEG: Final = 4.0
 while it moves, and at its end a joint must have arrived (3 deg), besides noise."""
 TELLING_S: Final = 1.5
 """A fault that begins later than this before the end of the run need not have been noticed."""
+READ_BACK_S: Final = 0.5
 NOTICE_S: Final = 1.5
-"""A servo that restarted has the ramps that it has stored; the host cannot know of it at once. Its
-speed is judged all the same: a move may bring its own."""
+"""Times after a restarted servo answers again, and after its restart; the later one counts. It has
+the ramps that it has stored; the host cannot know of it at once. Its speed is judged all the same:
+a move may bring its own."""
 
 WORD_KINDS: Final = {
     FaultKind.CORRUPT_COMMAND,

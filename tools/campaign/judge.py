@@ -18,6 +18,7 @@ from campaign.allowances import (
     MISSED_KINDS,
     NOTICE_S,
     RANGE_EXCESS_DEG,
+    READ_BACK_S,
     RESTS_WITHIN_DEG,
     SPEED_EXCESS,
     STEP_NS,
@@ -319,9 +320,9 @@ class _Judge:
             # Without power a motor stops at once.
             at = instant_ns // STEP_NS
             accel[max(0, at - 2 * WINDOW) : at + WINDOW] = 0.0
-        for instant_ns in self._restarts_ns(joint):
-            at = instant_ns // STEP_NS
-            accel[at : at + ns_from_s(NOTICE_S) // STEP_NS] = 0.0
+        for fault in self._restarts(joint):
+            noticed_s = max(fault.at_s + NOTICE_S, fault.at_s + fault.deaf_s + READ_BACK_S)
+            accel[ns_from_s(fault.at_s) // STEP_NS : ns_from_s(noticed_s) // STEP_NS] = 0.0
         lag_ns = ns_from_s(LAGS * joint.response.lag_s)
         for from_ns, until_ns in lawless_ns(joint.servo_id, self.faults, writes, received):
             first, last = from_ns // STEP_NS - 2 * WINDOW, (until_ns + lag_ns) // STEP_NS
@@ -347,13 +348,13 @@ class _Judge:
     def _powerless_ns(self, joint: Joint, received: Sequence[tuple[int, bytes]]) -> list[int]:
         """Return when a servo restarted, or received that it is to be limp (`on_fault`, `end`)."""
         limp = (b"#%dL\r" % joint.servo_id, b"#254L\r")
-        return self._restarts_ns(joint) + [
+        return [ns_from_s(fault.at_s) for fault in self._restarts(joint)] + [
             received_ns for received_ns, line in received if line in limp
         ]
 
-    def _restarts_ns(self, joint: Joint) -> list[int]:
+    def _restarts(self, joint: Joint) -> list[Fault]:
         return [
-            ns_from_s(fault.at_s)
+            fault
             for fault in self.faults
             if fault.kind is FaultKind.RESET and _shares(joint, fault)
         ]

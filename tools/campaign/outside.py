@@ -12,9 +12,11 @@ from campaign.allowances import BODY_KINDS, STEP_NS
 from judge.recording import recording_of
 from judge.verdict import objections
 
+from lss_motion.protocol.codec import FAMILY_TABLES
+from lss_motion.protocol.constants import Family
 from lss_motion.sim.bus import servos_of, set_up_settings
 from lss_motion.sim.faults import FaultKind
-from lss_motion.units import NS_PER_S, s_from_ns
+from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -99,11 +101,17 @@ def _servos(
                 "id": joint.servo_id,
                 "stored": _stored(joint),
                 "changes": [
-                    [s_from_ns(at_ns), {k: v for k, v in settings.items() if k in KEPT}]
+                    [s_from_ns(at_ns), _known(joint, settings)]
                     for at_ns, settings in bus.stored_ns[index]
                 ],
                 "received": _rows(bus.received[index]),
                 "restarts": [s_from_ns(at_ns) for at_ns in bus.restarts_ns[index]],
+                "back": [
+                    [s_from_ns(at_ns), f.at_s + f.deaf_s]
+                    for at_ns in bus.restarts_ns[index]
+                    for f in own
+                    if f.kind is FaultKind.RESET and ns_from_s(f.at_s) == at_ns
+                ],
                 "step_s": s_from_ns(STEP_NS),
                 "horn_deg": (gyre * seen_deg[:, index] + origin_deg).tolist(),
                 "excuse": ", ".join(body),
@@ -113,8 +121,21 @@ def _servos(
 
 
 def _stored(joint: Joint) -> dict[str, int]:
-    """Return what a servo has stored at power-up, in wire units."""
-    return {name: wire for name, wire in set_up_settings(joint).items() if name in KEPT}
+    """Return what a servo has stored at power-up, in wire units.
+
+    No document says what the factory SD of an LSS-PRO is; the servo reports it.
+    """
+    table = FAMILY_TABLES[joint.model.family]
+    own = set_up_settings(joint)
+    if joint.model.family is Family.LSS_PRO:
+        own = {"SD": table.row("SD").wire(joint.model.speed_max_deg_s), **own}
+    return _known(joint, own)
+
+
+def _known(joint: Joint, settings: Mapping[str, int]) -> dict[str, int]:
+    """Return the settings that the judge follows, as far as the servo of a joint has them."""
+    words = FAMILY_TABLES[joint.model.family].by_keyword
+    return {name: wire for name, wire in settings.items() if name in KEPT and f"Q{name}" in words}
 
 
 def _rows(lines: Sequence[tuple[int, bytes]]) -> list[tuple[float, str]]:

@@ -4,9 +4,9 @@ Margins: 0.5 deg beyond the range (load, noise of the encoder); 5 % and 2 deg/s 
 20 ms; 10 % above the acceleration between two such spans. In EM0 a horn is stepped from target to
 target: half a degree within one step of the filter is added there (0.5 deg in 20 ms squared, 1250
 deg/s2), and 20 % instead of 10 %, since the phase of the filter is not known. A motor without power
-stops at once, and a servo that restarted a moment ago has the ramps that it stores
-(`rules.NOTICE_S`), so neither is judged by its acceleration. RC servos of a 2IO jump; only their
-range is judged.
+stops at once, and a servo that restarted a moment ago has the ramps that it stores (until
+`ServoRecord.noticed_s`), so neither is judged by its acceleration. RC servos of a 2IO jump; only
+their range is judged.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from judge.recording import IO2
-from judge.rules import NOTICE_S, Objection
+from judge.rules import Objection
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -59,7 +59,7 @@ def about_horn(joint: JointRow, servo: ServoRecord, received: Told) -> Iterator[
     fine = _judged(times_s, servo, received, is_streamed=is_streamed)
     fine &= is_own
     speed[~fine[span:]] = 0.0
-    gentle = fine & _is_powered(times_s, received)
+    gentle = fine & _is_powered(times_s, servo, received)
     accel[~(gentle[2 * span :] & gentle[: -2 * span])] = 0.0
     accel_deg_s2 = joint.accel_deg_s2 * ACCEL_RATIO
     if is_streamed:
@@ -105,14 +105,16 @@ def _judged(
     return fine
 
 
-def _is_powered(times_s: NDArray[np.float64], received: Told) -> NDArray[np.bool_]:
+def _is_powered(
+    times_s: NDArray[np.float64], servo: ServoRecord, received: Told
+) -> NDArray[np.bool_]:
     """Return at which instants the ramps of a horn are those that the host set."""
     powered = np.ones(len(times_s), dtype=bool)
     restarts = [move.restarted_s for move in received.moves if move.restarted_s is not None]
     for cut_s in received.powerless_s:
         powered &= (times_s < cut_s - STOP_S) | (times_s > cut_s + STOP_S)
     for at_s in {*restarts}:
-        powered &= (times_s < at_s - STOP_S) | (times_s > at_s + NOTICE_S)
+        powered &= (times_s < at_s - STOP_S) | (times_s > servo.noticed_s(at_s))
     return powered
 
 

@@ -8,6 +8,12 @@ from typing import TYPE_CHECKING, Any, Final
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+NOTICE_S: Final = 1.5
+"""After a restart a servo is deaf for 1.25 s, and libraries wait 1.5 to 3 s for it."""
+READ_BACK_S: Final = 0.5
+"""A host that polls twice a second notices within this time that a servo that answers again has
+restarted."""
+
 LSS, PRO, IO2 = "LSS", "LSS-PRO", "LSS-2IO"
 
 TOP_SPEED_DEG_S: Final = {"LSS-HS1": 600.0, "LSS-ST1": 360.0, "LSS-HT1": 360.0}
@@ -91,6 +97,7 @@ class ServoRecord:
     `changes`    settings that it got at an instant from something else than this host, which it
                  keeps: (instant, wire numbers by keyword)
     `restarts`   instants at which it lost its session (power dip, reset)
+    `back`       for some of them, when it answered again: (restart, answer)
     `horn_deg`   shaft angles from the factory zero, `step_s` apart from `horn_from_s` on
     `excuse`     why its horn is not judged, such as "stuck"; empty: it is judged
     """
@@ -101,10 +108,16 @@ class ServoRecord:
     received: Sequence[Line] = ()
     changes: Sequence[tuple[float, Mapping[str, int]]] = ()
     restarts: Sequence[float] = ()
+    back: Sequence[tuple[float, float]] = ()
     horn_from_s: float = 0.0
     step_s: float = 0.005
     horn_deg: Sequence[float] = ()
     excuse: str = ""
+
+    def noticed_s(self, restart_s: float) -> float:
+        """Return when a host must have noticed a restart."""
+        backs_s = [back_s for at_s, back_s in self.back if at_s == restart_s]
+        return max(restart_s + NOTICE_S, max(backs_s, default=restart_s) + READ_BACK_S)
 
     def shaft_deg(self, at_s: float) -> float | None:
         """Return the shaft angle at an instant; None without a record of the horn."""
@@ -154,6 +167,7 @@ def recording_of(robot: Mapping[str, Any], record: Mapping[str, Any]) -> Recordi
             received=_lines(one["received"]),
             changes=[(float(at_s), settings) for at_s, settings in one.get("changes", ())],
             restarts=[float(at_s) for at_s in one.get("restarts", ())],
+            back=[(float(a), float(b)) for a, b in one.get("back", ())],
             horn_from_s=float(one.get("horn_from_s", 0.0)),
             step_s=float(one.get("step_s", 0.005)),
             horn_deg=one.get("horn_deg", ()),

@@ -9,7 +9,7 @@ Margins, all of them:
 | speed of a bare `D` in EM0 | over 60 ms of the filter, 10 % and 10 deg/s above the limit: the phase of its 20 ms is not known |
 | speed of a 2IO | over 200 ms, 10 %, two whole degrees, and 20 ms of waiting for its turn on the line |
 | ramps (AA, AD) | 1 % above the limit |
-| settings lost in a restart | a host cannot know of a restart at once: what it writes within `NOTICE_S` may go with factory ramps, but not above the limit of speed |
+| settings lost in a restart | a host cannot know of a restart at once: what it writes until `ServoRecord.noticed_s` may go with factory ramps, but not above the limit of speed |
 | flood | 12 moves for a servo in 100 ms; half a second of bytes ahead of the line |
 """  # noqa: E501  (a table)
 
@@ -32,9 +32,6 @@ if TYPE_CHECKING:
 SPEED_RATIO: Final = 1.02
 RAMP_RATIO: Final = 1.01
 BACK_DEG: Final = 1.0
-NOTICE_S: Final = 1.5
-"""After a restart a servo is deaf for 1.25 s, and libraries wait 1.5 to 3 s for it; a host that
-polls twice a second notices a shorter one within this time."""
 LAG_S: Final = 0.03
 """The profile from which a servo starts leads its horn by so much at most (not documented)."""
 NOISE_DEG: Final = 0.5
@@ -233,7 +230,7 @@ def _settings_text(joint: JointRow, servo: ServoRecord, move: Move) -> str:
     """Judge whether a servo that is driven has its limits."""
     if not move.has_profile:
         return ""
-    if move.restarted_s is not None and move.written_s < move.restarted_s + NOTICE_S:
+    if move.restarted_s is not None and move.written_s < servo.noticed_s(move.restarted_s):
         return ""
     if _way_deg(servo, move) == 0.0:
         return ""  # It stays where it is.
@@ -262,8 +259,14 @@ def _filtered(joint: JointRow, servo: ServoRecord, received: Told) -> Iterator[O
     shaft_deg = servo.shaft_deg(at_s)
     past = deque([first.shaft_deg if shaft_deg is None else shaft_deg], maxlen=FILTER_STEPS + 1)
     allowed_deg_s = joint.speed_deg_s * FILTER_RATIO + FILTER_SPARE_DEG_S
+    restarted_s = first.restarted_s
     for move, after in zip(streamed, [*streamed[1:], None], strict=True):
         end_s = move.at_s + 1.0 if after is None else after.at_s
+        if move.restarted_s != restarted_s:  # Its filter begins where the horn is now.
+            restarted_s, shaft_deg = move.restarted_s, servo.shaft_deg(move.at_s)
+            past.clear()
+            past.append(move.shaft_deg if shaft_deg is None else shaft_deg)
+            at_s = move.at_s
         while at_s < end_s:
             assert past[-1] is not None
             assert move.shaft_deg is not None

@@ -20,8 +20,7 @@ from lss_motion.sim.physics import Physics
 ROBOT = """
 robot: odd
 defaults:
-  {model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 180, accel_max_deg_s2: 600,
-    following_deg: 40}
+  {model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 180, accel_max_deg_s2: 600}
 joints:
   # the one that lags
   pan: {id: 1}  # mine

@@ -112,10 +112,21 @@ def test_a_joint_is_astray_after_a_twentieth_of_a_second_and_back_at_half_the_to
         (50, 6.0, False, True), (90, 6.0, False, True), (110, 7.5, True, False),
         (120, 4.0, True, False), (130, 2.4, False, False),
     ]:  # fmt: skip
-        state.disturbance.error_deg = error_deg
+        state.disturbance.error_deg = state.disturbance.model_error_deg = error_deg
         health.position(state, at_ms * S // 1000)
         assert (("j0", Cause.ASTRAY) in health.active_faults) is is_astray, at_ms
         assert health.unconfirmed == ({"j0": "QD"} if is_asked_again else {}), at_ms
+
+
+def test_a_joint_that_is_where_its_moves_took_it_is_not_astray(state):
+    """This program was late; its moves lead the joint back."""
+    health = HealthMonitor()
+    state.disturbance.error_deg = 20.0
+    for model_error_deg in (0.5, -4.9):
+        state.disturbance.model_error_deg = model_error_deg
+        for at_ms in (0, 100, 200):
+            health.position(state, at_ms * S // 1000)
+    assert (health.active_faults, health.unconfirmed) == ({}, {})
 
 
 def test_a_servo_is_silent_after_its_time_and_so_many_questions(state):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 from itertools import groupby, pairwise
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from lss_motion.player.polling import (
 )
 from lss_motion.player.query_tracker import STARVED_NS, STRAY_NS, QueryTracker
 from lss_motion.player.serial_line import SerialLine
+from lss_motion.player.settings_watch import READ_BACK_NS, Probe
 from lss_motion.player.show_clock import ShowClock
 from lss_motion.protocol.framing import Command, CommandParser, Reply, encode
 from lss_motion.robot.model import Bus, Sensor
@@ -39,6 +41,7 @@ WAITS_NS = (300_000, 1_100_000)
 """Latencies of the servos, in turn."""
 KNOWN_NS = 200 * MS
 """By then it is known how the servos answer."""
+NO_PROBES = MappingProxyType({})
 HEALTHY = {"Q": 6, "QT": 300, "QV": 12000, "QC": 200, "QA": 100}
 
 
@@ -50,14 +53,16 @@ def planned_deg(state, at_ns):
 class Desk:
     """A scheduler and the servos that answer it, in virtual time."""
 
-    def __init__(self, *joint_states, baud_bps=115200, waiting=None, waits_ns=WAITS_NS):
+    def __init__(
+        self, *joint_states, baud_bps=115200, waiting=None, waits_ns=WAITS_NS, probes=NO_PROBES
+    ):
         self._waits_ns = waits_ns
         self.joint_states = {state.joint.name: state for state in joint_states}
         self.line = SerialLine(Bus(name="main", port="sim://", baud_bps=baud_bps, firmware=370))
         self.tracker = QueryTracker(self.line)
         self.waiting = waiting or Waiting([], {}, 0.0)
         lines, trackers = {"main": self.line}, {"main": self.tracker}
-        self.scheduler = PollScheduler(self.joint_states, trackers, lines, self.waiting)
+        self.scheduler = PollScheduler(self.joint_states, trackers, lines, self.waiting, probes)
         self.asked = []
         """`(handed over ns, arrival ns, servo id, keyword)`."""
         self.values = {}
@@ -92,7 +97,7 @@ class Desk:
         value = self.values.get(key, HEALTHY.get(command.keyword, self._angle(command)))
         if value is None:
             return
-        reply = Reply(command.servo_id, command.keyword, value)
+        reply = Reply(command.servo_id, command.keyword, None if value == "" else value)
         begins_ns = max(self._free_ns + self._waits_ns[len(self.asked) % 2], self._reply_ns)
         self._reply_ns = begins_ns + self.line.time_ns(len(encode(reply)))
         self._coming.append((self._reply_ns, reply))
@@ -317,6 +322,64 @@ def test_a_servo_is_soon_polled_for_its_target_and_a_lost_move_is_found(kit):
     assert max(at_ns for at_ns, _ in asked) < KNOWN_NS + 60 * MS
     assert desk.scheduler.to_resend == {"j1": second}
     assert second.profile.at(5.0)[0] == 0.0
+
+
+@pytest.mark.parametrize("baud_bps", [9600, 115200])
+def test_the_target_of_a_move_is_queried_once(kit, baud_bps):
+    """A second query, before the first is answered, would tell nothing more."""
+    state = kit.state(kit.joint())
+    desk = Desk(state, *joints(kit, 3)[1:], baud_bps=baud_bps).run(0, S)
+    state.note_sent(S, 300, 900)
+    desk.run(S, 2 * S)
+    assert [word for *_, one, word in desk.asked if one == 1].count("QDT") == 1
+
+
+def watched(kit, **fields):
+    """Return a desk with two servos that have other settings after a restart, of three."""
+    probes = {name: [Probe("QAA", 60, 100), Probe("QSD", 1800, 3600)] for name in ("j0", "j1")}
+    desk = Desk(*joints(kit, 3), probes=probes, **fields)
+    for servo_id in (1, 2):
+        desk.values |= {(servo_id, "QAA"): 60, (servo_id, "QSD"): 1800}
+    return desk
+
+
+def test_settings_are_read_back_on_a_slow_line_that_targets_and_readings_fill(kit):
+    desk = watched(kit, baud_bps=9600)
+    for at_ns in range(0, 3 * S, S // 10):
+        for state in desk.joint_states.values():
+            state.note_sent(at_ns, 10 + at_ns // S * 10 + at_ns // 100_000_000 % 2 * 5, 200)
+        desk.run(at_ns, at_ns + S // 10)
+    for servo_id in (1, 2):
+        own = [at_ns for at_ns, _, one, word in desk.asked
+               if one == servo_id and word in ("QAA", "QSD") and at_ns > KNOWN_NS]  # fmt: skip
+        assert max(np.diff(own)) < 1.5 * READ_BACK_NS
+    assert not any(one == 3 and word == "QAA" for *_, one, word in desk.asked)
+
+
+def test_one_restart_lets_the_others_on_its_bus_be_examined_at_once(kit):
+    desk = watched(kit).run(0, S // 2)
+    desk.scheduler.doubt_all(["main"])
+    assert desk.scheduler.watch.doubted == {"j0", "j1"}
+    assert all(state.takes_moves for state in desk.joint_states.values())
+    count = len(desk.asked)
+    desk.run(S // 2, S // 2 + 30 * MS)
+    asked = [(one, word) for *_, one, word in desk.asked[count:]]
+    assert {one for one, word in asked if word in ("QAA", "QSD")} == {1, 2}
+    assert not desk.scheduler.watch.doubted
+
+
+def test_an_lss_that_was_sent_a_move_and_reports_no_target_is_held_back(kit):
+    state = kit.state(kit.joint())
+    desk = Desk(state, probes={"j0": [Probe("QAA", 60, 100)]})
+    desk.values |= {(1, "QAA"): 60}
+    desk.run(0, S // 2)
+    state.note_sent(S // 2, 300, 900)
+    desk.values |= {(1, "QDT"): "", (1, "QAA"): None}
+    desk.run(S // 2, S // 2 + 20 * MS)
+    assert not state.takes_moves
+    desk.values |= {(1, "QAA"): 60}
+    desk.run(S // 2 + 20 * MS, S)
+    assert state.takes_moves, "its settings are right"
 
 
 def test_readings_that_tell_of_a_missed_move_are_passed_on(kit):

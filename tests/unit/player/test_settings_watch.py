@@ -2,8 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.player.settings_watch import HOLD_SIGNS, Probe, SettingsWatch
+from lss_motion.player.settings_watch import HOLD_SIGNS, READ_BACK_NS, Probe, SettingsWatch
 
+S = 1_000_000_000
 PROBES = (Probe("QAA", 60, 100), Probe("QSD", 1800, 3600))
 
 
@@ -40,6 +41,27 @@ def test_the_answer_before_the_show_twice_is_a_restart(watch, state):
     assert not state.takes_moves
     text = watch.take(state, "QSD", 3600)
     assert "servo 1 answers 3600 to QSD, it was set to 1800" in text
+
+
+def test_a_restart_that_is_proved_takes_no_more_queries_from_the_others(watch, state):
+    for _ in range(2):
+        watch.take(state, "QSD", 3600)
+    watch.note_sign(state, 5)
+    assert watch.take(state, "QSD", 1800) is None, "the recovery reads its settings anew"
+    assert (watch.urgent("j0"), watch.read_back("j0", 10 * S)) == (None, None)
+    assert not watch.doubted
+    assert not watch.allows_moves("j0")
+
+
+def test_settings_are_read_back_in_turn_when_no_other_query_did(watch):
+    for now_s, word in ((1.0, "QAA"), (1.31, "QSD"), (1.62, "QAA")):
+        now_ns = round(now_s * S)
+        assert watch.read_back("j0", now_ns) == word
+        watch.note_query("j0", "QD", now_ns)
+        assert watch.read_back("j0", now_ns) == word
+        watch.note_query("j0", word, now_ns)
+        assert watch.read_back("j0", now_ns + READ_BACK_NS - 1) is None
+    assert watch.read_back("other", 9 * S) is None
 
 
 def test_a_damaged_answer_is_none(watch, state):
