@@ -17,7 +17,8 @@ from lss_motion.cli.commands import (
     number_from,
     robot_at,
 )
-from lss_motion.errors import EXIT_FINISHED, BusError, InputError
+from lss_motion.cli.messages import put
+from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, BusError, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
 from lss_motion.runtime.signals import exit_code
 from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
@@ -149,7 +150,7 @@ def _run(
         run(watch, connection.ports, connection.clock, on_turn=on_turn)
     except KeyboardInterrupt as interrupt:
         return exit_code(interrupt)
-    return EXIT_FINISHED
+    return EXIT_FINISHED if recorder is None or recorder.problem is None else EXIT_INPUT
 
 
 def _targets(connection: Connection, robot: Robot | None) -> list[Target]:
@@ -280,14 +281,30 @@ class Screen:
 
 
 class Recorder:
-    """Writes readings as CSV, one row per servo and round."""
+    """Writes readings as CSV, one row per servo and round.
+
+    A table that cannot be written to its end has a `problem`; the monitor goes on without it.
+    """
 
     def __init__(self, file: TextIO) -> None:
+        self.problem: str | None = None
         self._file = file
         self._writer = csv.writer(file, lineterminator="\n")
         self._writer.writerow(CSV_HEAD)
 
     def write(self, readings: Iterable[ServoState], started_ns: int) -> None:
+        if self.problem is not None:
+            return
+        try:
+            self._write(readings, started_ns)
+        except OSError as error:
+            reason = error.strerror or str(error)
+            self.problem = f"{self._file.name}: the table is not complete: {reason}"
+            put(f"warning: {self.problem}", sys.stderr)
+            with contextlib.suppress(OSError):
+                self._file.close()
+
+    def _write(self, readings: Iterable[ServoState], started_ns: int) -> None:
         for reading in readings:
             values = (
                 reading.position_deg,

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from lss_motion.cli.commands import Commands
+    from lss_motion.connection import Connection
     from lss_motion.maintenance.discovery import ServoCondition
     from lss_motion.robot.model import Bus, Robot
 
@@ -38,7 +39,8 @@ Find ports, baud rates and servos. Sends queries only; moves and changes nothing
   lss-motion scan /dev/ttyUSB0 -o my_robot.yaml    write a robot file to begin with
   lss-motion scan --robot my_robot.yaml            compare the servos with this robot
 
-Exit code 4: no servo replies, two servos share an id, or a servo of the robot is missing.
+Exit code 4: no servo replies, two servos share an id, or a servo of the robot is missing or has
+another model, gyre, origin or range.
 """
 
 
@@ -94,7 +96,8 @@ def _scanned(arguments: argparse.Namespace, found: list[dict[str, Any]]) -> int:
             print(SIMULATED_NOTE)
         for bus in buses.values():
             looks = survey(connection, bus, arguments.baud)
-            problems, notes = _print_findings(bus, robot, looks)
+            frames = [] if robot is None else _frame_problems(connection, bus, robot, looks)
+            problems, notes = _print_findings(bus, robot, looks, frames)
             found.append(_as_json(bus, looks, problems, notes))
             is_good = is_good and not problems
             if arguments.output is not None:
@@ -149,10 +152,33 @@ def _as_json(
     }
 
 
+def _frame_problems(
+    connection: Connection, bus: Bus, robot: Robot, looks: Sequence[ServoCondition]
+) -> list[str]:
+    """Compare gyre, origin and range of the servos that can be driven with the robot file."""
+    from lss_motion.player.checks import frame_problems, frame_queries
+
+    found = {
+        look.servo_id: look.identity.model
+        for look in looks
+        if look.baud_bps == bus.baud_bps and not look.identity.is_shared
+    }
+    joints = [
+        joint
+        for joint in robot.joints.values()
+        if joint.bus == bus.name and found.get(joint.servo_id, "").startswith(joint.model.name)
+    ]
+    connection.set_baud(bus.name, bus.baud_bps)
+    return frame_problems(joints, connection.ask(frame_queries(joints)), robot)
+
+
 def _print_findings(
-    bus: Bus, robot: Robot | None, looks: Sequence[ServoCondition]
+    bus: Bus, robot: Robot | None, looks: Sequence[ServoCondition], frames: Sequence[str]
 ) -> tuple[list[str], list[str]]:
-    """Print the servos of a bus; return the problems and the notes about them."""
+    """Print the servos of a bus; return the problems and the notes about them.
+
+    `frames` are the problems with gyres, origins and ranges.
+    """
     from lss_motion.maintenance import findings
 
     names = {}
@@ -161,7 +187,7 @@ def _print_findings(
     problems = list(findings.unreachable(bus, looks))
     notes = list(findings.warnings(looks, f"--port {bus.port}"))
     if robot is not None:
-        problems += findings.differences(robot, bus, looks)
+        problems += [*findings.differences(robot, bus, looks), *frames]
         notes += findings.unnamed(robot, bus, looks)
     if not looks:
         problems = [findings.NO_ANSWER]

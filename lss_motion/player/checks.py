@@ -242,6 +242,15 @@ FRAME_TEXTS: Final = {
 }
 
 
+def frame_problems(joints: Iterable[Joint], answers: Answers, robot: Robot) -> list[str]:
+    """Return where the gyre, the origin or the range of a servo is not that of the robot file.
+
+    `answers` are those to `frame_queries`.
+    """
+    refused = (one for joint in joints for one in _frame_refusals(joint, answers, {}, robot))
+    return [refusal.error.reason for refusal in refused if isinstance(refusal.error, InputError)]
+
+
 def _frame_refusals(
     joint: Joint, answers: Answers, stored: Answers, robot: Robot
 ) -> Iterator[Refusal]:

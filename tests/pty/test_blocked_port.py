@@ -19,6 +19,7 @@ from lss_motion.errors import EXIT_INTERRUPTED, EXIT_UNREACHABLE
 from lss_motion.runtime.port import SerialPort
 from lss_motion.sim.faults import Fault, FaultKind
 
+GAIT = Path(__file__).resolve().parents[2] / "sequences" / "quadruped_trot.yaml"
 pytestmark = pytest.mark.realtime
 
 ROBOT = """
@@ -98,6 +99,7 @@ def start(*words):
         "record -o taken.csv --robot robot.yaml",
         "calibrate robot.yaml",
         "identify --robot robot.yaml --yes pan",
+        f"walk {GAIT} --port port --yes",
     ],
 )
 def test_a_port_that_takes_no_bytes_ends_every_command_with_its_reason(blocked_port, words):

@@ -12,6 +12,7 @@ import pytest
 from lss_motion.player.events import PhaseEntered
 from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.robot.servo_models import SERVO_MODELS
+from lss_motion.sequence.model import Keyframe, Sequence
 from lss_motion.sim.faults import Fault, FaultKind
 
 S = 1_000_000_000
@@ -114,6 +115,17 @@ def test_a_stall_ends_the_show_where_the_robot_file_requires_it(stage, kit):
     assert phases[-3:] == ["stopping", "restoring", "done"]
 
 
+def test_a_key_pressed_in_a_stall_does_not_hide_it(stage, kit):
+    """The key is taken when the program runs again: before the moves that were due."""
+    sequence = kit.sequence(2, 6.0, swing_deg=40.0, step_s=(0.5, 0.8))
+    woken = (lambda player, now_ns: player.phase == "playing" and now_ns > 4.5 * S, kit.rate(0.5))
+    played = stage.play(kit.robot(2), sequence, faults=[held_up(3.0, 5.0)], wishes=[woken])
+    assert len(played.acted_ns) == 1
+    assert played.acted_ns[0] < 8.5 * S
+    assert steps(played) == [("", Cause.STALLED, FaultStep.RESUME)]
+    assert played.report.outcome == "finished"
+
+
 def test_a_stall_while_nothing_is_due_is_a_warning(stage, kit):
     rest = kit.sequence(1, 3.0).keyframes[-1]
     sequence = replace(
@@ -123,6 +135,32 @@ def test_a_stall_while_nothing_is_due_is_a_warning(stage, kit):
     assert played.report.outcome == "finished"
     assert not played.report.faults
     assert ["No move was due meanwhile" in text for text in played.report.warnings] == [True]
+
+
+def test_a_stall_that_begins_at_rest_and_ends_in_motion_is_one(stage, kit):
+    swing = [(0.0, 0.0), (1.0, 40.0), (3.0, 40.0), (4.0, -20.0), (4.6, 20.0), (5.2, 0.0)]
+    frames = tuple(Keyframe(deg={"j0": deg}, at_s=at_s) for at_s, deg in swing)
+    played = stage.play(
+        kit.robot(1), Sequence(name="rests", keyframes=frames), faults=[held_up(2.6, 2.5)]
+    )
+    assert played.report.outcome == "finished"
+    assert steps(played) == [("", Cause.STALLED, FaultStep.RESUME)]
+    assert_speeds_hold(played)
+    (end_deg,) = played.bus.horn_deg([played.bus.lines[-1][0]])
+    assert np.abs(end_deg).max() < 1.0
+
+
+def test_a_stall_over_the_seam_of_a_loop_that_never_rests_goes_on_in_its_pass(stage, kit):
+    swing = [(0.0, 0.0), (0.75, 30.0), (1.5, 0.0), (2.25, -30.0), (3.0, 0.0)]
+    frames = tuple(Keyframe(deg={"j0": deg}, at_s=at_s) for at_s, deg in swing)
+    sequence = Sequence(name="swing", keyframes=frames, loop=3)
+    played = stage.play(kit.robot(1), sequence, faults=[held_up(3.1, 2.0)])
+    assert played.report.outcome == "finished"
+    assert steps(played) == [("", Cause.STALLED, FaultStep.RESUME)]
+    assert_speeds_hold(played)
+    horn_deg = played.bus.horn_deg(np.arange(5 * S, played.bus.lines[-1][0], 5_000_000))[:, 0]
+    assert sum((horn_deg[:-1] <= 20.0) & (horn_deg[1:] > 20.0)) == 2, "two passes are left"
+    assert abs(horn_deg[-1]) < 1.0
 
 
 @pytest.mark.parametrize("drive", ["streamed", "stepped"])

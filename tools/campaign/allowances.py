@@ -32,6 +32,11 @@ NOTICE_S: Final = 1.5
 """Times after a restarted servo answers again, and after its restart; the later one counts. It has
 the ramps that it has stored; the host cannot know of it at once. Its speed is judged all the same:
 a move may bring its own."""
+UNNOTICED_RATIO: Final = 1.5
+UNNOTICED_S: Final = 1.0
+"""A restart of some 20 ms that no query meets is found by the next read-back (0.3 s, on a full line
+0.5 s). Until then the servo has its stored limits, and moves that were computed for a servo in full
+motion: a joint that stands still goes faster. The last one ends half a second later."""
 
 WORD_KINDS: Final = {
     FaultKind.CORRUPT_COMMAND,

@@ -23,6 +23,8 @@ from campaign.allowances import (
     SPEED_EXCESS,
     STEP_NS,
     TELLING_S,
+    UNNOTICED_RATIO,
+    UNNOTICED_S,
     WINDOW,
     WORD_KINDS,
     is_moved_otherwise,
@@ -322,7 +324,10 @@ class _Judge:
             accel[max(0, at - 2 * WINDOW) : at + WINDOW] = 0.0
         for fault in self._restarts(joint):
             noticed_s = max(fault.at_s + NOTICE_S, fault.at_s + fault.deaf_s + READ_BACK_S)
-            accel[ns_from_s(fault.at_s) // STEP_NS : ns_from_s(noticed_s) // STEP_NS] = 0.0
+            at = ns_from_s(fault.at_s) // STEP_NS
+            accel[at : ns_from_s(noticed_s) // STEP_NS] = 0.0
+            slow_s = fault.at_s + fault.deaf_s + UNNOTICED_S
+            speed[at : ns_from_s(slow_s) // STEP_NS] /= UNNOTICED_RATIO
         lag_ns = ns_from_s(LAGS * joint.response.lag_s)
         for from_ns, until_ns in lawless_ns(joint.servo_id, self.faults, writes, received):
             first, last = from_ns // STEP_NS - 2 * WINDOW, (until_ns + lag_ns) // STEP_NS

@@ -5,8 +5,9 @@ Margins: 0.5 deg beyond the range (load, noise of the encoder); 5 % and 2 deg/s 
 target: half a degree within one step of the filter is added there (0.5 deg in 20 ms squared, 1250
 deg/s2), and 20 % instead of 10 %, since the phase of the filter is not known. A motor without power
 stops at once, and a servo that restarted a moment ago has the ramps that it stores (until
-`ServoRecord.noticed_s`), so neither is judged by its acceleration. RC servos of a 2IO jump; only
-their range is judged.
+`ServoRecord.noticed_s`), so neither is judged by its acceleration. For the same reason it may be
+half as fast again as its limit for a moment (`recording.UNNOTICED_RATIO`). RC servos of a 2IO jump;
+only their range is judged.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from judge.recording import IO2
+from judge.recording import IO2, READ_BACK_S, UNNOTICED_RATIO
 from judge.rules import Objection
 
 if TYPE_CHECKING:
@@ -36,6 +37,8 @@ FILTER_STEP_DEG_S2: Final = 0.5 / 0.02**2
 STOP_S: Final = 0.06
 """A horn that loses its power, or is commanded to halt, is still within this time."""
 GAP_S: Final = 0.5
+LAST_MOVE_S: Final = 0.5
+"""The last move that was written before a restart showed ends within this time."""
 RESTS_DEG_S: Final = 2.0
 
 
@@ -59,6 +62,7 @@ def about_horn(joint: JointRow, servo: ServoRecord, received: Told) -> Iterator[
     fine = _judged(times_s, servo, received, is_streamed=is_streamed)
     fine &= is_own
     speed[~fine[span:]] = 0.0
+    speed[_is_unnoticed(times_s, servo)[span:]] /= UNNOTICED_RATIO
     gentle = fine & _is_powered(times_s, servo, received)
     accel[~(gentle[2 * span :] & gentle[: -2 * span])] = 0.0
     accel_deg_s2 = joint.accel_deg_s2 * ACCEL_RATIO
@@ -103,6 +107,15 @@ def _judged(
     for from_s, until_s in spans if is_streamed else []:
         fine &= (times_s < from_s - SPAN_S) | (times_s > until_s + GAP_S)
     return fine
+
+
+def _is_unnoticed(times_s: NDArray[np.float64], servo: ServoRecord) -> NDArray[np.bool_]:
+    """Return at which instants a horn may be on a move that was written before a restart showed."""
+    back, unnoticed = dict(servo.back), np.zeros(len(times_s), dtype=bool)
+    for at_s in servo.restarts:
+        until_s = back.get(at_s, at_s) + READ_BACK_S + LAST_MOVE_S
+        unnoticed |= (times_s >= at_s) & (times_s < until_s)
+    return unnoticed
 
 
 def _is_powered(

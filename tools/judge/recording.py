@@ -13,6 +13,9 @@ NOTICE_S: Final = 1.5
 READ_BACK_S: Final = 0.5
 """A host that polls twice a second notices within this time that a servo that answers again has
 restarted."""
+UNNOTICED_RATIO: Final = 1.5
+"""So much faster than its limit may a move be that a host wrote for a servo in full motion, while
+it cannot know that the servo restarted and stands still."""
 
 LSS, PRO, IO2 = "LSS", "LSS-PRO", "LSS-2IO"
 
@@ -118,6 +121,14 @@ class ServoRecord:
         """Return when a host must have noticed a restart."""
         backs_s = [back_s for at_s, back_s in self.back if at_s == restart_s]
         return max(restart_s + NOTICE_S, max(backs_s, default=restart_s) + READ_BACK_S)
+
+    def is_unnoticed(self, at_s: float) -> bool:
+        """Return whether a host may not know of a restart yet: the servo just answers again."""
+        backs = dict(self.back)
+        return any(
+            restart_s <= at_s < backs.get(restart_s, restart_s) + READ_BACK_S
+            for restart_s in self.restarts
+        )
 
     def shaft_deg(self, at_s: float) -> float | None:
         """Return the shaft angle at an instant; None without a record of the horn."""

@@ -9,7 +9,7 @@ Margins, all of them:
 | speed of a bare `D` in EM0 | over 60 ms of the filter, 10 % and 10 deg/s above the limit: the phase of its 20 ms is not known |
 | speed of a 2IO | over 200 ms, 10 %, two whole degrees, and 20 ms of waiting for its turn on the line |
 | ramps (AA, AD) | 1 % above the limit |
-| settings lost in a restart | a host cannot know of a restart at once: what it writes until `ServoRecord.noticed_s` may go with factory ramps, but not above the limit of speed |
+| settings lost in a restart | a host cannot know of a restart at once: what it writes until `ServoRecord.noticed_s` may go with factory ramps; above the limit of speed only within `ServoRecord.is_unnoticed`, and by `UNNOTICED_RATIO` at most |
 | flood | 12 moves for a servo in 100 ms; half a second of bytes ahead of the line |
 """  # noqa: E501  (a table)
 
@@ -20,7 +20,7 @@ from collections import deque
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
-from judge.recording import IO2, Line
+from judge.recording import IO2, UNNOTICED_RATIO, Line
 from judge.servo import BOARD_CHARS, BROADCAST, MOVES, WHEELS, Session, sections_of
 
 if TYPE_CHECKING:
@@ -211,6 +211,8 @@ def _speed_text(joint: JointRow, servo: ServoRecord, move: Move) -> str:
             return "in EM0 neither T nor SD counts: it jumps at full speed"
         return ""
     allowed_deg_s = joint.speed_deg_s * SPEED_RATIO
+    if servo.is_unnoticed(move.written_s):
+        allowed_deg_s *= UNNOTICED_RATIO
     if move.cap_deg_s <= allowed_deg_s:
         return ""
     way_deg = _way_deg(servo, move)
