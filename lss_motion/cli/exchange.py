@@ -143,6 +143,13 @@ def _add_import(commands: Commands) -> None:
         action="store_true",
         help="limit angles beyond the range of a joint to the range, and list them",
     )
+    imported.add_argument(
+        "--keep",
+        choices=("angle", "time"),
+        default="angle",
+        help="what joints keep where their servo is too slow: every angle, but later (default), or "
+        "every instant, but less far",
+    )
     target = imported.add_mutually_exclusive_group(required=True)
     target.add_argument("-o", "--output", type=Path, metavar="S.yaml", help="the sequence to write")
     target.add_argument(
@@ -183,6 +190,7 @@ def _import(arguments: argparse.Namespace) -> int:
     from lss_motion.interchange.importing import imported, read_motion
     from lss_motion.interchange.mapping import load_map, map_template
     from lss_motion.sequence.model import Interpolation
+    from lss_motion.sequence.parts import keeping
     from lss_motion.sequence.write import write_sequence
     from lss_motion.trajectory.planner import plan
 
@@ -209,10 +217,11 @@ def _import(arguments: argparse.Namespace) -> int:
         is_clipped=arguments.clip,
     )
     fit = [] if made.fit is None else [fit_text(made.fit)]
-    write_sequence(made.sequence, arguments.output, comments=[*made.comments, *fit])
-    print(f"{arguments.output}: {len(made.sequence.keyframes)} keyframes from {arguments.file}")
+    sequence = keeping(made.sequence, is_time=True) if arguments.keep == "time" else made.sequence
+    write_sequence(sequence, arguments.output, comments=[*made.comments, *fit])
+    print(f"{arguments.output}: {len(sequence.keyframes)} keyframes from {arguments.file}")
     print("\n".join([*made.comments, *fit]))
-    print("\n".join(plan_lines(plan(made.sequence, robot), robot)))
+    print("\n".join(plan_lines(plan(sequence, robot), robot)))
     return EXIT_FINISHED
 
 

@@ -10,6 +10,7 @@ from motion_table import map_for, robot_for
 
 from lss_motion.cli import shows
 from lss_motion.cli.exchange import sampled
+from lss_motion.cli.main import main
 from lss_motion.errors import InputError
 from lss_motion.interchange import (
     ForeignMotion,
@@ -23,7 +24,7 @@ from lss_motion.interchange import (
 )
 from lss_motion.perform import perform
 from lss_motion.program.compile import compile_program
-from lss_motion.program.text import to_text
+from lss_motion.program.text import load_program, to_text
 from lss_motion.robot.load import load_robot
 from lss_motion.sequence.load import load_sequence
 from lss_motion.trajectory.planner import plan
@@ -153,17 +154,56 @@ ARRIVALS = [(1, 300, 2.0), (2, 450, 4.0), (1, -300, 4.5), (1, 0, 5.8), (2, 0, 5.
 """Servo, target in tenths, and instant at which each command of the script ends, in seconds."""
 
 
-def test_the_commands_of_a_paced_script_come_out_with_their_targets_and_times(tmp_path) -> None:
-    """Not with their T: the plan ramps at each end, and the compiler follows the plan."""
-    robot_path = tmp_path / "robot.yaml"
-    robot_path.write_text(
+TOO_FAST = """\
+#1D300T100
+wait 100 ms
+#1D0T100
+wait 400 ms
+"""
+"""30 degrees there and back in 0.2 s, of which 600 deg/s² allow 1.5."""
+
+
+@pytest.fixture
+def two(tmp_path):
+    """Return the file of a robot with the servos of `SCRIPT`."""
+    path = tmp_path / "robot.yaml"
+    path.write_text(
         "robot: two\ndefaults: {model: LSS-ST1, range_deg: [-170, 170], speed_max_deg_s: 180, "
         "accel_max_deg_s2: 600}\njoints: {pan: {id: 1}, tilt: {id: 2}}\n",
         encoding="utf-8",
     )
+    return path
+
+
+def test_with_keep_time_all_commands_that_are_possible_keep_their_times(two, tmp_path) -> None:
+    """The text goes through the command line, out again, and its commands are found in it."""
+    first, *rest = SCRIPT.partition("#1D300T1000\n")
+    script, back = tmp_path / "script.txt", tmp_path / "back.lss"
+    script.write_text(first + TOO_FAST + "".join(rest), encoding="utf-8")
+    made = tmp_path / "made.yaml"
+    given = ["import", str(script), "--robot", str(two), "-o", str(made), "--keep", "time"]
+    assert main(given) == 0
+    assert "keep: time" in made.read_text(encoding="utf-8")
+    assert main(["export", str(made), "-o", str(back)]) == 0
+    program, _ = load_program(back, load_robot)
+    assert program.duration_s == pytest.approx(6.5)
+    ends = [
+        (move.servo_id, move.target_wire, 1e-6 * move.due_us + 1e-3 * (move.duration_ms or 0))
+        for move in program.moves
+    ]
+    for servo_id, target_wire, at_s in ARRIVALS:
+        late_s = [s - at_s - 0.5 for i, wire, s in ends if (i, wire) == (servo_id, target_wire)]
+        assert late_s, (servo_id, target_wire)
+        assert min(map(abs, late_s)) < 0.1
+
+
+def test_the_commands_of_a_paced_script_come_out_with_their_targets_and_times(
+    two, tmp_path
+) -> None:
+    """Not with their T: the plan ramps at each end, and the compiler follows the plan."""
     path = tmp_path / "script.txt"
     path.write_text(SCRIPT, encoding="utf-8")
-    robot = load_robot(robot_path)
+    robot = load_robot(two)
     trajectory = plan(import_motion(path, robot), robot)
     assert not trajectory.stretched
     assert trajectory.duration_s == pytest.approx(6.0)
