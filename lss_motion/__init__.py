@@ -16,6 +16,13 @@ True
 >>> report.outcome, report.timing.missed
 ('finished', 0)
 
+`start` plays in a process of its own and returns at once, with a handle that steers the show:
+
+>>> with lss.start(program, robot, port="sim://", is_virtual=True) as show:
+...     report = show.wait()                    # or show.pause(), show.rate(0.5), show.stop()
+>>> report.outcome
+'finished'
+
 Every error is a `LssMotionError`; `lss_motion.errors` draws the tree. Angles are degrees of the
 joint, times are seconds, unless a name says otherwise.
 """
@@ -38,6 +45,7 @@ from lss_motion.errors import (
 if TYPE_CHECKING:
     from lss_motion.api import compile, load_robot, load_sequence, plan, play  # noqa: A004
     from lss_motion.program.model import Program
+    from lss_motion.remote.handle import Handle, start
     from lss_motion.robot.model import Robot
     from lss_motion.runtime.report import Report
     from lss_motion.sequence.model import Keyframe, Sequence
@@ -47,6 +55,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "BusError",
+    "Handle",
     "InputError",
     "Keyframe",
     "LineLoadError",
@@ -64,9 +73,11 @@ __all__ = [
     "load_sequence",
     "plan",
     "play",
+    "start",
 ]
 
 _HOME = {
+    "Handle": "lss_motion.remote.handle",
     "Keyframe": "lss_motion.sequence.model",
     "Program": "lss_motion.program.model",
     "Report": "lss_motion.runtime.report",
@@ -78,6 +89,7 @@ _HOME = {
     "load_sequence": "lss_motion.api",
     "plan": "lss_motion.api",
     "play": "lss_motion.api",
+    "start": "lss_motion.remote.handle",
 }
 
 

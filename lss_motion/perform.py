@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from lss_motion.connection import connect, is_simulated
 from lss_motion.errors import BlockedPortError, BusError, InputError, LssMotionError
+from lss_motion.files.source import known_names
 from lss_motion.player.events import Warned
 from lss_motion.player.player import Player
 from lss_motion.runtime.clock import MonotonicClock, VirtualClock
@@ -88,6 +89,7 @@ def perform(  # noqa: PLR0913  (the options of one run)
     need `may_run`. `is_forced`: see `Player`. With `is_real_time`, priority and locked memory are
     requested. Raises `InputError` or `BusError` only before the first byte.
     """
+    _check_joints(program, robot)
     _check_functions(program, is_allowed=may_run or is_virtual)
     simulated = _checked(program, robot, faults, has_feedback=has_feedback, is_virtual=is_virtual)
     clock = _clock(faults, is_virtual=is_virtual, seed=seed)
@@ -249,6 +251,16 @@ def _checked(
     if not is_virtual and any(fault.kind is FaultKind.OVERSLEEP for fault in faults):
         raise InputError(f"{FaultKind.OVERSLEEP} needs --virtual: in real time this host is real")
     return simulated
+
+
+def _check_joints(program: Program, robot: Robot) -> None:
+    """Refuse a program that was compiled for another robot."""
+    for name in program.start_deg:
+        if name not in robot.joints:
+            raise InputError(
+                f"program {program.name!r} moves joint {name!r}, which robot {robot.name!r} does "
+                f"not have: {known_names(name, robot.joints)}; compile it for this robot"
+            )
 
 
 def _check_functions(program: Program, *, is_allowed: bool) -> None:

@@ -111,13 +111,14 @@ def add_to(commands: Commands) -> None:
     add_all(compiled)
     add_force(compiled)
     schema = add_command(
-        commands, "schema", _schema, "print the JSON Schema of a robot, sequence or gait file"
+        commands, "schema", _schema, "print the JSON Schema of our files or messages"
     )
     schema.add_argument(
         "kind",
         nargs="?",
-        choices=("robot", "sequence", "gait"),
-        help="only the schema of this kind of file (default: all three)",
+        choices=("robot", "sequence", "gait", "remote"),
+        help="only the schema of this kind of file, or of the messages that steer a running show "
+        "(default: all)",
     )
     gait = add_command(
         commands, "gait", _gait, "describe how a gait walks; write keyframes or a picture"
@@ -216,10 +217,16 @@ def _compile(arguments: argparse.Namespace) -> int:
 
 def _schema(arguments: argparse.Namespace) -> int:
     from lss_motion.gait.load import gait_schema
+    from lss_motion.remote.messages import schema as remote_schema
     from lss_motion.robot.load import robot_schema
     from lss_motion.sequence.load import sequence_schema
 
-    schemas = {"robot": robot_schema, "sequence": sequence_schema, "gait": gait_schema}
+    schemas = {
+        "robot": robot_schema,
+        "sequence": sequence_schema,
+        "gait": gait_schema,
+        "remote": remote_schema,
+    }
     if arguments.kind is not None:
         shown = schemas[arguments.kind]()
     else:

@@ -152,6 +152,11 @@ class JointState:
         """Return position and speed of the profile at `arrival_ns`, after all that was sent."""
         return self.profile.at(s_from_ns(arrival_ns))
 
+    def predicted_deg(self, now_ns: int) -> float:
+        """Return where the horn should be: the profile, late by its lag, less its load."""
+        position_deg, _ = self.profile.at(s_from_ns(now_ns) - self.lead_s - self.lag.extra_s)
+        return position_deg - self.disturbance.estimate_deg
+
     def is_at_rest(self, now_ns: int) -> bool:
         """Return whether the servo should have come to rest; true after the longest T in any case.
 

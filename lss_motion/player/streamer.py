@@ -410,7 +410,7 @@ class Streamer:
                 state.resume()
 
     def pose_deg(self, now_ns: int) -> dict[str, float]:
-        """Return the joint angles at which every joint stands after a ramp to rate 0."""
+        """Return the joint angles of the plan: after a ramp to rate 0, every joint stands there."""
         joint_states = self.joint_states.items()
         return {name: t.joint.joint_deg(self._planned_deg(t, now_ns)) for name, t in joint_states}
 

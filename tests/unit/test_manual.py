@@ -25,6 +25,19 @@ def test_the_example_of_the_manual_runs(monkeypatch):
     assert result.failed == 0
 
 
+def blocks(path):
+    return re.findall(r"```python\n(.*?)```", path.read_text(encoding="utf-8"), re.DOTALL)
+
+
+@pytest.mark.parametrize("block", blocks(PAGES[1]), ids=lambda text: text.split("(")[0][-20:])
+def test_every_python_example_of_the_guides_runs(block, monkeypatch, capsys):
+    monkeypatch.chdir(ROOT)
+    values: dict[str, object] = {}
+    exec(compile(block, "sequences/README.md", "exec"), values)
+    said = capsys.readouterr().out.splitlines()
+    assert said[-1] == "stopped"
+
+
 def test_the_reference_is_what_the_code_says():
     assert PATH.read_text(encoding="utf-8") == reference(), "run tools/make_reference.py"
 

@@ -1,0 +1,81 @@
+"""What the process plays, and how that ended: the values that both ends exchange once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from lss_motion.errors import LssMotionError
+from lss_motion.remote.messages import Ended, MarkInfo, Started, duration_of, plan_hash
+from lss_motion.remote.steering import LossRule
+
+if TYPE_CHECKING:
+    from lss_motion.program.model import Program
+    from lss_motion.remote.steering import Steering
+    from lss_motion.robot.model import Robot
+    from lss_motion.runtime.report import Report
+    from lss_motion.trajectory.model import Trajectory
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """What is played, and how: the arguments of `perform`, and the rule for a lost operator."""
+
+    program: Program
+    robot: Robot
+    trajectory: Trajectory | None = None
+    rule: LossRule = field(default_factory=LossRule)
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a job ended: with a report, unless it could not begin."""
+
+    report: Report | None
+    error: LssMotionError | None
+
+
+def started(job: Job) -> Started:
+    """Return the first event of a job."""
+    from lss_motion.connection import is_simulated
+
+    program = job.program
+    return Started(
+        name=program.name,
+        robot=job.robot.name,
+        is_simulated=is_simulated(job.robot),
+        duration_s=duration_of(program),
+        plan=plan_hash(program).hex(),
+        joints=tuple(program.start_deg),
+        marks=tuple(
+            MarkInfo(label=mark.label, at_s=mark.planned_s) for mark in program.marks if mark.label
+        ),
+    )
+
+
+def play(job: Job, steering: Steering) -> Outcome:
+    """Play `job` with this operator; send the first and the last event."""
+    from lss_motion.perform import Observer, perform
+
+    observer = Observer(on_event=steering.on_event, on_turn=steering.on_turn, controls=steering)
+    try:
+        steering.start(started(job))
+        result = perform(
+            job.program,
+            job.robot,
+            trajectory=job.trajectory,
+            observer=observer,
+            **job.options,
+        )
+        outcome = Outcome(result.report, result.error)
+    except LssMotionError as error:
+        outcome = Outcome(None, error)
+    steering.end(
+        Ended(
+            outcome="fault" if outcome.report is None else outcome.report.outcome,
+            error=None if outcome.error is None else str(outcome.error),
+            report=None if outcome.report is None else outcome.report.to_dict(),
+        )
+    )
+    return outcome

@@ -1,0 +1,349 @@
+"""The player's end: applies what clients ask for, and sends what happens.
+
+`Steering` is the controls and the observer of one run (`perform.Observer`). It never waits, and a
+client that floods it, or does not read, changes no move: a turn reads a bounded number of bytes,
+the rate is changed at most every `RATE_EVERY_NS`, and nothing is sent shortly before a move is due.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Literal
+
+from lss_motion.errors import InputError
+from lss_motion.player import events
+from lss_motion.player.events import Phase
+from lss_motion.protocol.constants import Led
+from lss_motion.remote import messages as m
+from lss_motion.remote.link import TURN_MAX_BYTES, BrokenLinkError, Kind
+from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US, ns_from_s
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from lss_motion.player.joint_state import JointState
+    from lss_motion.player.player import Player
+    from lss_motion.remote.link import Link
+
+OnLost = Literal["stop", "hold", "go_on"]
+"""What the player does when its operator is lost."""
+
+TELEMETRY_NS: Final = 25 * NS_PER_MS
+HEALTH_NS: Final = NS_PER_S // 4
+ROOM_NS: Final = 3 * NS_PER_MS
+"""Nothing is sent to the client within this time before a move is due (as `cli.display`)."""
+RATE_EVERY_NS: Final = 100 * NS_PER_MS
+"""The newest wish for a rate is applied this long after the one before. A ramp takes three times
+as long; more changes a second would only fill the line with moves."""
+
+
+@dataclass(frozen=True, slots=True)
+class LossRule:
+    """When the operator counts as lost, and what is done then.
+
+    `silent_s`: without a message for so long; None: only when the link is closed.
+    """
+
+    on_lost: OnLost = "stop"
+    silent_s: float | None = None
+
+
+class Steering:
+    """One client that steers one run. Its methods are the callbacks of `perform.Observer`."""
+
+    def __init__(
+        self,
+        link: Link,
+        rule: LossRule | None = None,
+        *,
+        is_orphan: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Serve the client at the other end of `link`.
+
+        `is_orphan` returns whether the client's process has ended. The link does not show that
+        where another process holds a copy of its end.
+        """
+        self._link = link
+        self._rule = rule or LossRule()
+        self._is_orphan = is_orphan
+        self._heard_ns: int | None = None
+        self._is_lost = self._is_cut = self._is_flooded = False
+        self._has_stopped = False
+        self._signals = 0
+        self._rate, self._is_paused = 1.0, False
+        self._applied = (1.0, False)
+        self._rated_ns = -RATE_EVERY_NS
+        self._telemetry_ns = self._health_ns = 0
+        self._plan = b""
+        self._use: dict[str, tuple[int, int, int]] = {}
+        self._lost_count = 0
+
+    # ---- controls
+
+    def filenos(self) -> Sequence[int]:
+        """Return what ends a wait; nothing while the client floods, or is gone."""
+        return [] if self._is_cut or self._is_flooded else [self._link.fileno()]
+
+    def note_signal(self) -> None:
+        """Note a signal to end; the first one brakes, the second one ends at once."""
+        self._signals += 1
+
+    def act(self, player: Player, now_ns: int) -> None:
+        """Apply what has arrived since the last call, stops first."""
+        if self._signals:
+            self._obey_signals(player, now_ns)
+        operations = self._read(now_ns)
+        for operation in sorted(operations, key=_urgency):
+            try:
+                self._apply(operation, player, now_ns)
+            except InputError as refused:
+                self._send(m.Refused(id=operation.id, text=str(refused)))
+            else:
+                if not isinstance(operation, m.Beat):
+                    self._send(m.Accepted(id=operation.id, op=operation.op))
+        self._apply_rate(player, now_ns)
+        self._watch(player, now_ns)
+
+    def _obey_signals(self, player: Player, now_ns: int) -> None:
+        count, self._signals = self._signals, 0
+        if not self._has_stopped:
+            self._stop(player, now_ns)
+            count -= 1
+        if count:
+            player.abort(now_ns)
+
+    def _read(self, now_ns: int) -> list[m.AnyOperation]:
+        """Return the operations that have arrived; refuse what is none."""
+        self._is_flooded = False
+        if self._is_cut:
+            return []
+        try:
+            arrived = self._link.receive(TURN_MAX_BYTES)
+        except BrokenLinkError:
+            self._is_cut = True
+            return []
+        operations: list[m.AnyOperation] = []
+        size = 0
+        for kind, content in arrived:
+            size += len(content)
+            if kind is not Kind.OPERATION:
+                continue
+            try:
+                operations.append(m.parse_operation(content))
+            except InputError as refused:
+                self._send(m.Refused(id=0, text=str(refused)))
+        if arrived:
+            self._heard_ns = now_ns
+            self._is_flooded = size > TURN_MAX_BYTES // 2
+        return operations
+
+    def _apply(self, operation: m.AnyOperation, player: Player, now_ns: int) -> None:
+        match operation:
+            case m.Estop():
+                self._has_stopped = True
+                player.abort(now_ns)
+            case m.Stop():
+                self._stop(player, now_ns)
+            case m.Beat():
+                pass
+            case _ if self._has_stopped or player.is_finished:
+                raise InputError("the show has been stopped; start it again")
+            case m.Go():
+                if player.phase is not Phase.READY:
+                    raise InputError("go is for a robot that was checked and waits: not now")
+                player.go()
+            case m.Pause():
+                self._is_paused = True
+            case m.Resume():
+                self._is_paused = False
+            case m.Rate():
+                self._rate = operation.ratio
+
+    def _stop(self, player: Player, now_ns: int) -> None:
+        """Brake and end; the second call changes nothing, as both ways of a stop may arrive."""
+        if not self._has_stopped:
+            self._has_stopped = True
+            player.stop(now_ns)
+
+    def _apply_rate(self, player: Player, now_ns: int) -> None:
+        """Set the newest rate that was asked for, unless the last change was just now."""
+        wish = (self._rate, self._is_paused)
+        if wish == self._applied or now_ns < self._rated_ns + RATE_EVERY_NS:
+            return
+        if self._has_stopped or player.is_finished:
+            return
+        self._applied, self._rated_ns = wish, now_ns
+        player.set_rate(0.0 if self._is_paused else self._rate, now_ns)
+        self._send(m.RateChanged(ratio=self._rate, is_paused=self._is_paused))
+
+    # ---- a lost operator
+
+    def _watch(self, player: Player, now_ns: int) -> None:
+        """Do what the rule says when the operator is gone, and when it is back."""
+        silent_s = self._rule.silent_s
+        self._heard_ns = now_ns if self._heard_ns is None else self._heard_ns
+        is_silent = silent_s is not None and now_ns - self._heard_ns > ns_from_s(silent_s)
+        if not (is_silent or self._is_cut):
+            self._is_lost = False
+            return
+        if self._has_stopped or player.is_finished:
+            return
+        # Without a link the show can never be stopped, started or resumed by a client.
+        is_stuck = self._is_cut and (
+            player.program.is_endless
+            or player.phase is Phase.READY
+            or self._is_paused
+            or self._rule.on_lost == "hold"
+        )
+        if self._rule.on_lost == "stop" or is_stuck:
+            self._stop(player, now_ns)
+        elif self._rule.on_lost == "hold" and not self._is_lost:
+            self._is_paused = True
+        self._is_lost = True
+
+    # ---- observer
+
+    def on_event(self, event: events.Event) -> None:
+        """Send what happened."""
+        if (message := message_of(event)) is not None:
+            self._send(message)
+
+    def on_turn(self, player: Player, now_ns: int) -> None:
+        """Send telemetry and health if they are due, and no move is."""
+        if self._is_cut:
+            return
+        if now_ns < min(self._telemetry_ns, self._health_ns) and not self._link.is_full:
+            return
+        is_overdue = now_ns > self._telemetry_ns + TELEMETRY_NS
+        if player.is_due_within(ROOM_NS, now_ns) and not is_overdue:
+            return
+        self._link.flush()
+        if now_ns >= self._telemetry_ns:
+            self._telemetry_ns = now_ns + TELEMETRY_NS
+            self._is_cut = self._is_orphan()
+            if player.show is not None and not self._link.is_full:
+                self._offer_telemetry(player, now_ns)
+        if now_ns >= self._health_ns:
+            self._health_ns = now_ns + HEALTH_NS
+            if not self._link.is_full:
+                content = self._health(player, now_ns).model_dump_json().encode()
+                self._link.offer(Kind.EVENT, content)
+
+    def start(self, message: m.Started) -> None:
+        """Send the first event, and keep the name of the plan for the telemetry."""
+        self._plan = bytes.fromhex(message.plan)
+        self._send(message)
+
+    def end(self, message: m.Ended) -> None:
+        """Send the last event."""
+        self._send(message)
+
+    def _send(self, message: m.Message) -> None:
+        if self._lost_count and not self._link.is_full:
+            lost = m.Lost(count=self._lost_count)
+            self._lost_count = 0
+            self._link.send(Kind.EVENT, lost.model_dump_json().encode())
+        if not self._link.send(Kind.EVENT, message.model_dump_json().encode()):
+            self._lost_count += 1
+
+    def _offer_telemetry(self, player: Player, now_ns: int) -> None:
+        show = player.show
+        assert show is not None
+        planned = show.pose_deg(now_ns)
+        angles = [
+            (planned[name], *_seen_deg(state, now_ns)) for name, state in show.joint_states.items()
+        ]
+        rate, show_s = show.clock.rate(now_ns), show.show_s(now_ns)
+        self._link.offer(Kind.TELEMETRY, m.Telemetry(self._plan, show_s, rate, angles).to_bytes())
+
+    def _health(self, player: Player, now_ns: int) -> m.Health:
+        show = player.show
+        states = {} if show is None else show.joint_states
+        return m.Health(
+            phase=player.phase.value,
+            show_s=None if show is None else show.show_s(now_ns),
+            rate=1.0 if show is None else show.clock.rate(now_ns),
+            is_paused=player.is_paused,
+            late_us=0 if show is None else max(show.statistics.latest_ns, default=0) // NS_PER_US,
+            missed=0 if show is None else show.statistics.missed,
+            joints={name: _joint_health(state) for name, state in states.items()},
+            buses=self._bus_use(player, now_ns),
+        )
+
+    def _bus_use(self, player: Player, now_ns: int) -> dict[str, m.BusHealth]:
+        """Return the use of each line since the last call."""
+        found = {}
+        for name, line in player.lines.items():
+            replies = player.trackers[name].reply_count
+            then_ns, then_bytes, then_replies = self._use.get(name, (now_ns, 0, 0))
+            self._use[name] = (now_ns, line.sent_bytes, replies)
+            if now_ns > then_ns:
+                use_ratio = line.time_ns(line.sent_bytes - then_bytes) / (now_ns - then_ns)
+                replies_hz = (replies - then_replies) * NS_PER_S / (now_ns - then_ns)
+                found[name] = m.BusHealth(
+                    use_ratio=round(use_ratio, 3), replies_hz=round(replies_hz, 1)
+                )
+        return found
+
+
+def _urgency(operation: m.AnyOperation) -> int:
+    """Return the place of an operation among those that arrived together."""
+    return 0 if isinstance(operation, m.Estop) else 1 if isinstance(operation, m.Stop) else 2
+
+
+def _seen_deg(state: JointState, now_ns: int) -> tuple[float, float]:
+    """Return the predicted and the last measured angle of a joint."""
+    measured_deg = state.disturbance.measured_deg
+    read_deg = math.nan if measured_deg is None else state.joint.joint_deg(measured_deg)
+    return state.joint.joint_deg(state.predicted_deg(now_ns)), read_deg
+
+
+def _joint_health(state: JointState) -> m.JointHealth:
+    disturbance, sense = state.disturbance, state.joint.direction
+    is_read = disturbance.measured_deg is not None
+    return m.JointHealth(
+        status=None if state.status is None else state.status.value,
+        temperature_c=state.temperature_max_c,
+        voltage_v=state.voltage_min_v,
+        current_a=state.current_max_a,
+        error_deg=round(sense * disturbance.error_deg, 3) if is_read else None,
+        correction_deg=round(sense * disturbance.offset_deg, 3),
+        allowed_deg=state.joint.following_deg,
+    )
+
+
+def message_of(event: events.Event) -> m.Message | None:
+    """Return the message of an event of the player; None: it is not for clients."""
+    match event:
+        case events.PhaseEntered():
+            return m.PhaseChanged(phase=event.phase.value)
+        case events.Warned():
+            return m.Warned(text=event.text)
+        case events.MarkPassed():
+            return m.MarkPassed(label=event.label, at_s=event.show_s) if event.label else None
+        case events.CueReached():
+            return _cue_message(event)
+        case events.Waited():
+            return m.Waited(text=event.text, state=event.state)
+        case events.Faulted():
+            return m.Faulted(
+                joint=event.joint,
+                cause=event.cause,
+                kind=event.kind.value,
+                step=event.step.value,
+            )
+        case events.Checked():
+            return m.Checked(servos=len(event.servos), notes=event.notes)
+
+
+def _cue_message(event: events.CueReached) -> m.CueReached:
+    cue, at_s = event.cue, event.show_s
+    if cue.sound:
+        return m.CueReached(kind="sound", text=cue.sound, at_s=at_s)
+    if cue.run:
+        return m.CueReached(kind="run", text=cue.run, at_s=at_s)
+    if cue.led:
+        colours = ", ".join(f"{joint} {Led(code).name.lower()}" for joint, code in cue.led)
+        return m.CueReached(kind="led", text=colours, at_s=at_s)
+    return m.CueReached(kind="say", text=cue.say, at_s=at_s)

@@ -1,0 +1,123 @@
+"""A show that plays in a process of its own, on servos behind a pseudo-terminal."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import lss_motion as lss
+
+pytestmark = pytest.mark.realtime
+
+ROBOT = """\
+robot: arm
+buses: {main: {port: ./port, baud_bps: 115200, firmware: 370}}
+joints:
+  a: {id: 1, model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 180, accel_max_deg_s2: 600}
+"""
+SHOW = """\
+sequence: swing
+robot: arm.yaml
+loop: forever
+keyframes:
+  - {at_s: 0, deg: {a: 0}}
+  - {at_s: 1, deg: {a: 30}}
+  - {at_s: 2, deg: {a: 0}}
+"""
+PLAYER = """\
+import sys, time
+import lss_motion as lss
+robot = lss.load_robot("arm.yaml")
+program = lss.compile(lss.plan(lss.load_sequence("swing.yaml"), robot), robot)
+handle = lss.start(program, robot)
+for event in handle.events():
+    if event.event == "phase" and event.phase == "playing":
+        print(handle._process.pid, flush=True)
+        time.sleep(60)
+"""
+WAIT_S = 20.0
+
+
+@pytest.fixture
+def show(tmp_path):
+    Path(tmp_path, "arm.yaml").write_text(ROBOT)
+    Path(tmp_path, "swing.yaml").write_text(SHOW)
+
+    def load():
+        robot = lss.load_robot("arm.yaml")
+        return lss.compile(lss.plan(lss.load_sequence("swing.yaml"), robot), robot), robot
+
+    return load
+
+
+def until(is_met):
+    """Wait until a condition holds; the time only bounds a failure."""
+    end_s = time.monotonic() + WAIT_S
+    while not is_met():
+        assert time.monotonic() < end_s
+        time.sleep(0.02)
+
+
+def is_running(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return Path(f"/proc/{pid}/stat").read_text().split(")")[1].split()[0] != "Z"
+
+
+def wait_for(handle, phase):
+    for event in handle.events(WAIT_S):
+        if event.event == "phase" and event.phase == phase:
+            return
+    raise AssertionError(f"never {phase}")
+
+
+def fail_in_the_show(handle):
+    until(handle.readings)
+    assert handle.readings()["a"].planned_deg == pytest.approx(0.0, abs=30.1)
+    raise ZeroDivisionError
+
+
+def test_an_exception_in_the_block_stops_the_show(on_terminal, servo, show):
+    with on_terminal(servo(1)) as bus:
+        handle = lss.start(*show())
+        with pytest.raises(ZeroDivisionError), handle:
+            fail_in_the_show(handle)
+        assert handle.wait().outcome == "stopped"
+        assert not handle.is_playing
+        assert bus.lines[-1][1] == b"#254H\r"
+
+
+def test_a_killed_client_leaves_a_safe_robot(on_terminal, servo, show):
+    with on_terminal(servo(1)) as bus:
+        client = subprocess.Popen([sys.executable, "-c", PLAYER], stdout=subprocess.PIPE)
+        pid = int(client.stdout.readline())
+        client.kill()
+        client.wait()
+        client.stdout.close()
+        until(lambda: not is_running(pid))
+        assert bus.lines[-1][1] == b"#254H\r"
+        assert any(b"EM1" in line for _, line in bus.lines[-10:]), "settings are given back"
+
+
+def test_a_killed_player_is_an_error_not_a_hang(on_terminal, servo, show):
+    with on_terminal(servo(1)):
+        handle = lss.start(*show())
+        wait_for(handle, "playing")
+        handle._process.kill()
+        with pytest.raises(lss.BusError, match="without a report"):
+            handle.wait(WAIT_S)
+        handle.stop()
+        handle.close()
+
+
+def test_a_robot_that_is_not_there_is_raised_by_wait(tmp_path, monkeypatch, show):
+    monkeypatch.chdir(tmp_path)
+    with lss.start(*show()) as handle, pytest.raises(lss.BusError, match="port"):
+        handle.wait(WAIT_S)

@@ -1,0 +1,64 @@
+"""Messages: what is accepted, what is refused, and that the schema says the same."""
+
+from __future__ import annotations
+
+import math
+
+import jsonschema
+import pytest
+
+from lss_motion.errors import InputError
+from lss_motion.remote import messages as m
+
+OPERATIONS = [
+    m.Go(id=1),
+    m.Pause(id=2),
+    m.Resume(),
+    m.Rate(ratio=0.5),
+    m.Stop(id=7),
+    m.Estop(),
+    m.Beat(),
+]
+REFUSED = [
+    "",
+    "[]",
+    "{}",
+    '{"op": "fly"}',
+    '{"op": "rate"}',
+    '{"op": "rate", "ratio": 0}',
+    '{"op": "rate", "ratio": 1.5}',
+    '{"op": "rate", "ratio": "1"}',
+    '{"op": "rate", "ratio": NaN}',
+    '{"op": "stop", "now": true}',
+    '{"op": "stop", "id": -1}',
+    '{"op": "stop", "id": 1' + " " * m.OPERATION_MAX_BYTES + "}",
+    b"\xff\xfe",
+]
+
+
+@pytest.mark.parametrize("operation", OPERATIONS, ids=lambda o: o.op)
+def test_an_operation_comes_back_from_its_json_and_fits_the_schema(operation):
+    assert m.parse_operation(operation.model_dump_json()) == operation
+    jsonschema.validate(operation.model_dump(), m.schema())
+
+
+@pytest.mark.parametrize("text", REFUSED)
+def test_what_is_no_operation_is_refused_with_a_reason(text):
+    with pytest.raises(InputError, match="operation"):
+        m.parse_operation(text)
+
+
+def test_the_schema_requires_what_tells_messages_apart():
+    for message in ({"id": 1}, {"op": "fly"}, {"op": "rate", "ratio": 2}):
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate(message, m.schema())
+
+
+def test_telemetry_comes_back_from_its_bytes():
+    sent = m.Telemetry(b"12345678", 61.25, 0.5, [(1.5, 2.5, math.nan), (-90.0, 0.25, -89.5)])
+    read = m.Telemetry.from_bytes(sent.to_bytes())
+    assert (read.plan, read.show_s, read.rate) == (b"12345678", 61.25, 0.5)
+    assert read.angles_deg[1] == (-90.0, 0.25, -89.5)
+    assert math.isnan(read.angles_deg[0][2])
+    with pytest.raises(InputError, match="version 9"):
+        m.Telemetry.from_bytes(b"\x09" + sent.to_bytes()[1:])
