@@ -15,6 +15,8 @@ another target the servo is polled for its target (QDT, FACTS.md C2: "the target
 after an action"). An answer with the target before means that the move was lost. Besides, for each
 of the last moves the profile without it is kept until a reported target or the readings decide:
 they tell the profiles apart once these diverge.
+
+`Trace` keeps readings for a picture.
 """
 
 from __future__ import annotations
@@ -50,6 +52,8 @@ class DisturbanceEstimator:
     speed_max_deg_s: float
     standing_deg: float | None = None
     """Horn angle before the first reading, if it is known."""
+    step_max_deg: float = math.inf
+    """One reading changes the correction by no more than this."""
     estimate_deg: float = 0.0
     offset_deg: float = 0.0
     readings: int = 0
@@ -97,7 +101,7 @@ class DisturbanceEstimator:
         gain = GAIN_MAX if is_first else min(GAIN_MAX, elapsed_s / ESTIMATE_S)
         gain /= 1.0 + abs(speed_deg_s) / GAIN_HALF_SPEED_DEG_S
         self.estimate_deg += gain * (expected_deg - measured_deg - self.estimate_deg)
-        self._correct(OFFSET_RATE_DEG_S * elapsed_s)
+        self._correct(min(OFFSET_RATE_DEG_S * elapsed_s, self.step_max_deg))
         return True
 
     def rest(self, estimate_deg: float) -> None:
@@ -358,3 +362,29 @@ class LostMoveDetector:
             return None
         self.alternatives = []
         return likely.profile
+
+
+POINTS_MAX: Final = 1000
+"""Chosen: one point for every pixel of a wide picture."""
+
+
+@dataclass(slots=True)
+class Trace:
+    """Accepted readings, as `(seconds, planned angle, measured angle)` of the joint.
+
+    Every `stride`-th is kept. When there are too many, every other one is dropped, so the points
+    always cover the whole show evenly, and their number does not grow with it.
+    """
+
+    points: list[tuple[float, float, float]] = field(default_factory=list)
+    stride: int = 1
+    _count: int = 0
+
+    def add(self, at_s: float, planned_deg: float, measured_deg: float) -> None:
+        """Add the next reading; `at_s` counts from the start of the show, pauses included."""
+        if self._count % self.stride == 0:
+            self.points.append((at_s, planned_deg, measured_deg))
+        self._count += 1
+        if len(self.points) > POINTS_MAX:
+            del self.points[1::2]
+            self.stride *= 2

@@ -1,8 +1,8 @@
 """State of one joint while a program is played, and the counters of a run.
 
 `JointState` holds what was sent to one servo, the response model after it, and what the readings
-say. Only its methods change it. `Setpoints` models the filter of a servo in EM0, `Trace` keeps
-readings for a picture, and `Statistics` counts the lateness of moves for the report.
+say. Only its methods change it. `Setpoints` models the filter of a servo in EM0, and `Statistics`
+counts the lateness of moves for the report.
 
 Law: every target that leaves for a servo passes `JointState.send`, which keeps the limits.
 """
@@ -15,7 +15,12 @@ from dataclasses import dataclass, field, replace
 from itertools import accumulate
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from lss_motion.player.estimators import DisturbanceEstimator, LagEstimator, LostMoveDetector
+from lss_motion.player.estimators import (
+    DisturbanceEstimator,
+    LagEstimator,
+    LostMoveDetector,
+    Trace,
+)
 from lss_motion.program.drives import profile_lead_s
 from lss_motion.program.model import received_us
 from lss_motion.program.quantize import LATEST_ARRIVAL_S, nearest_wire
@@ -39,32 +44,6 @@ if TYPE_CHECKING:
     from lss_motion.program.verify import ServoProfile
     from lss_motion.protocol.constants import Status
     from lss_motion.robot.model import Joint, Robot
-
-
-POINTS_MAX: Final = 1000
-"""Chosen: one point for every pixel of a wide picture."""
-
-
-@dataclass(slots=True)
-class Trace:
-    """Accepted readings, as `(seconds, planned angle, measured angle)` of the joint.
-
-    Every `stride`-th is kept. When there are too many, every other one is dropped, so the points
-    always cover the whole show evenly, and their number does not grow with it.
-    """
-
-    points: list[tuple[float, float, float]] = field(default_factory=list)
-    stride: int = 1
-    _count: int = 0
-
-    def add(self, at_s: float, planned_deg: float, measured_deg: float) -> None:
-        """Add the next reading; `at_s` counts from the start of the show, pauses included."""
-        if self._count % self.stride == 0:
-            self.points.append((at_s, planned_deg, measured_deg))
-        self._count += 1
-        if len(self.points) > POINTS_MAX:
-            del self.points[1::2]
-            self.stride *= 2
 
 
 REST_DEG_S = 1.0
@@ -360,9 +339,8 @@ class JointState:
     def _jump_deg(self, arrival_ns: int) -> float:
         """Return how far a stepped joint may jump at `arrival_ns`.
 
-        It has what its speed allows since its last jump, and what that one left: in all no more
-        than two pulses and one unit. Whole degrees round a jump up or down; the next one makes up
-        for it, so that many jumps are no faster than the limit.
+        It has what its speed allows since its last jump, and what that one left: no more than two
+        pulses and one unit. So what whole degrees round up is made up for by the next jump.
         """
         speed_deg_s, unit_deg = self.limits.speed_max_deg_s, self.joint.unit_deg
         if self.last_arrival_ns is None:
@@ -494,7 +472,11 @@ def make_joint_states(
             profile=make_profile(joint, servo_deg, origin_s=origin_s),
             setpoints=make_setpoints(joint, servo_deg, limits),
             disturbance=DisturbanceEstimator(
-                speed_max_deg_s=joint.speed_max_deg_s, standing_deg=servo_deg
+                speed_max_deg_s=joint.speed_max_deg_s,
+                standing_deg=servo_deg,
+                step_max_deg=CORRECTION_RATIO * joint.filter_count * _step_gain_deg(limits)
+                if joint.drive == "streamed"
+                else math.inf,
             ),
             limits=limits,
             lead_s=profile_lead_s(joint),
@@ -506,6 +488,9 @@ def make_joint_states(
     return joint_states
 
 
+CORRECTION_RATIO: Final = 0.25
+"""Share of the acceleration of a joint in EM0 that one reading may use; the plan needs most of it.
+Chosen: a wrong reading that was believed took a joint beyond its limit."""
 STEP_OFFSETS: Final = 16
 """Step instants that are modelled, evenly spread over one period: 1.25 ms apart, about the time
 that one command takes on an ordinary line."""

@@ -115,6 +115,24 @@ def test_a_stall_ends_the_show_where_the_robot_file_requires_it(stage, kit):
     assert phases[-3:] == ["stopping", "restoring", "done"]
 
 
+def test_a_joint_far_off_its_plan_comes_back_and_does_not_swing_while_the_show_is_slowed(
+    stage, kit
+):
+    """It came at full speed, could not brake, and swung by 23 deg past its plan."""
+    sequence = kit.sequence(2, 1.6, swing_deg=40.0, step_s=(0.3, 0.5), loop=3)
+    slowed = (lambda player, now_ns: player.phase == "playing" and now_ns > 4.95 * S, kit.rate(0.5))
+    played = stage.play(
+        kit.robot(2, baud_bps=38400), sequence, faults=[held_up(4.6, 0.2)], wishes=[slowed],
+        start_deg={"j0": 20.0, "j1": -10.0},
+    )  # fmt: skip
+    assert played.report.outcome == "finished"
+    assert steps(played) == []
+    assert np.abs(played.horn_error_deg()).max() > 15.0, "it was far off"
+    error_deg = played.horn_error_deg(from_s=3.55)
+    assert error_deg[:, 1].max() < 8.0, "it hardly passes its plan"
+    assert np.abs(played.horn_error_deg(from_s=4.0)).max() < 2.5
+
+
 def test_a_key_pressed_in_a_stall_does_not_hide_it(stage, kit):
     """The key is taken when the program runs again: before the moves that were due."""
     sequence = kit.sequence(2, 6.0, swing_deg=40.0, step_s=(0.5, 0.8))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
@@ -322,6 +323,10 @@ class _Judge:
             # Without power a motor stops at once.
             at = instant_ns // STEP_NS
             accel[max(0, at - 2 * WINDOW) : at + WINDOW] = 0.0
+        if joint.drive == "streamed" and FaultKind.OVERSLEEP in self.kinds:
+            for at in self._starved(joint, received):
+                brakes = accel[at] * speed[: len(accel)][at] < 0.0
+                accel[at] = np.where(brakes, 0.0, accel[at])
         for fault in self._restarts(joint):
             noticed_s = max(fault.at_s + NOTICE_S, fault.at_s + fault.deaf_s + READ_BACK_S)
             at = ns_from_s(fault.at_s) // STEP_NS
@@ -349,6 +354,24 @@ class _Judge:
                     f"at {worst * s_from_ns(STEP_NS):.2f} s, allowed is {limit:.0f}"
                 )
         return broken + self._rest(joint, float(angles[-1]))
+
+    def _starved(self, joint: Joint, received: Sequence[tuple[int, bytes]]) -> list[slice]:
+        """Return when a filter had no new target in time: then it brakes by itself.
+
+        A host that wakes late can do nothing about that.
+        """
+        period_ns = ns_from_s(joint.response.filter_s)
+        lag_ns = ns_from_s(LAGS * joint.response.lag_s)
+        word = b"#%dD" % joint.servo_id
+        instants_ns = [at_ns for at_ns, line in received if line.startswith(word)]
+        return [
+            slice(
+                max(0, (from_ns + period_ns) // STEP_NS - 2 * WINDOW),
+                (to_ns + lag_ns) // STEP_NS,
+            )
+            for from_ns, to_ns in pairwise(instants_ns)
+            if to_ns - from_ns > 1.5 * period_ns
+        ]
 
     def _powerless_ns(self, joint: Joint, received: Sequence[tuple[int, bytes]]) -> list[int]:
         """Return when a servo restarted, or received that it is to be limp (`on_fault`, `end`)."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 from judge.recording import IO2, PRO, TOP_SPEED_DEG_S
@@ -62,8 +63,13 @@ class Section:
         return self.keyword.startswith("Q")
 
 
-def sections_of(line: str) -> Iterator[Section]:
-    """Yield the commands of a line; a `#` begins another. What cannot be read is left out."""
+@lru_cache(maxsize=1 << 14)
+def sections_of(line: str) -> tuple[Section, ...]:
+    """Return the commands of a line; a `#` begins another. What cannot be read is left out."""
+    return tuple(_sections(line))
+
+
+def _sections(line: str) -> Iterator[Section]:
     for part in line.rstrip("\r").split("#")[1:]:
         found = SECTION.match("#" + part)
         if found is not None:

@@ -18,16 +18,14 @@ import pytest
 from hypothesis import event, example, given
 from hypothesis import strategies as st
 
-from lss_motion.player.estimators import DEAD_S
+from lss_motion.player.estimators import DEAD_S, POINTS_MAX, Trace
 from lss_motion.player.joint_state import (
     CLOSING_RATIO,
     MISSED_NS,
-    POINTS_MAX,
     REST_DEG_S,
     STEP_OFFSETS,
     Setpoints,
     Statistics,
-    Trace,
     closing_deg,
 )
 from lss_motion.player.serial_line import SerialLine
@@ -344,6 +342,18 @@ def test_a_streamed_joint_is_led_by_what_was_learnt_only_from_its_next_rest_on(k
     assert state.early_s == 0.0
     read(state, 9.0, horn_deg(state, 9.0))
     assert state.early_s == state.lag.extra_s
+
+
+def test_one_reading_uses_no_more_than_a_quarter_of_the_acceleration_in_em0(kit):
+    joint = kit.joint("j0", 2, drive="streamed", accel_max_deg_s2=1000.0)
+    state = kit.state(joint)
+    state.take_position(0.0, 1.0, 0.0)
+    state.take_position(40.0, 1.6, 0.0)  # After 0.6 s a horn can be there.
+    assert -state.disturbance.offset_deg == pytest.approx(
+        0.25 * joint.filter_count * 1000 * 0.02**2
+    )
+    state.take_position(40.0, 1.7, 0.0)
+    assert -1.0 < state.disturbance.offset_deg < -0.7, "it goes on if it is true"
 
 
 def test_an_angle_that_no_servo_could_reach_is_not_believed(state):
