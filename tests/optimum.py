@@ -2,7 +2,8 @@
 
 The curves, the limits and both passes over the grid are written here again, from their definitions.
 The least lateness is that of a motion which is at rate 1 while it is on time, and as fast as
-limits, holds and pace allow while it is late.
+limits, holds and pace allow while it is late. It brakes in time to be at rate 1 where it is on time
+again: a bound without brakes is less than any motion can do.
 """
 
 from __future__ import annotations
@@ -25,6 +26,11 @@ CELL_S = 0.002
 TRIALS = 32
 ROUNDS = 4
 STILL = 1e-5
+EARLY_S = 1e-9
+GOALS = 256
+"""Grid points among which the one is sought at which the motion is on time."""
+SNAP_S = 0.001
+"""Less lateness there is none: half a cell."""
 
 
 @dataclass(frozen=True)
@@ -121,42 +127,121 @@ class Grid:
         for cell in range(len(self.step_s) - 1, -1, -1):
             if cell + 1 < len(starts) and not self.is_stop[cell + 1]:
                 ends[cell] = min(ends[cell], starts[cell + 1])
-            low, high = 0.0, float(starts[cell])
-            for _ in range(ROUNDS):
-                trial = np.linspace(low, high, TRIALS)
-                least, most = self.ends_from(cell, trial)
-                good = (least <= ends[cell]) & (most >= np.maximum(least, 0.0))
-                best = int(np.flatnonzero(good)[-1]) if good.any() else 0
-                if best == TRIALS - 1:
-                    low = high
-                    break
-                low, high = float(trial[best]), float(trial[best + 1])
-            starts[cell] = low
+            starts[cell] = self._start_before(cell, float(starts[cell]), float(ends[cell]))
         return starts, ends
 
-    def least_late(self, pace: float) -> np.ndarray:
-        """Return the least lateness at every grid point: fast while late, rate 1 while on time.
+    def _start_before(self, cell: int, high: float, end: float) -> float:
+        """Return the largest square at the start of a cell, up to `high`, that can reach `end`."""
+        low = 0.0
+        for _ in range(ROUNDS):
+            trial = np.linspace(low, high, TRIALS)
+            least, most = self.ends_from(cell, trial)
+            good = (least <= end) & (most >= np.maximum(least, 0.0))
+            best = int(np.flatnonzero(good)[-1]) if good.any() else 0
+            if best == TRIALS - 1:
+                return high
+            low, high = float(trial[best]), float(trial[best + 1])
+        return low
 
-        It need not brake before it is on time, so that no motion is less late.
+    def least_late(self, pace: float) -> np.ndarray:
+        """Return the lateness at every grid point: rate 1 while on time, else as fast as possible.
+
+        Where it is on time again it must be able to go on at rate 1, so that it brakes before.
         """
-        starts, ends = self.largest(pace)
-        late = np.zeros(len(self.at_s))
-        square = 1.0
-        for cell, step_s in enumerate(self.step_s):
-            free = math.inf if late[cell] > 0.0 else 1.0
-            begin = min(starts[cell], free if self.is_stop[cell] else square)
-            most = min(max(float(self.ends_from(cell, np.array([begin]))[1][0]), 0.0), ends[cell])
-            spent_s = 2.0 * step_s / (math.sqrt(begin) + math.sqrt(most)) if begin + most else 0.0
-            if self.is_rest[cell]:
-                spent_s = step_s if self.is_held[cell] else 0.0
-            late[cell + 1] = max(0.0, late[cell] + spent_s - step_s)
-            square = most if late[cell + 1] > 0.0 else min(most, 1.0)
+        calm, quick = self.largest(1.0), self.largest(pace)
+        late, squares = np.zeros(len(self.at_s)), np.ones(len(self.at_s))
+        cell = 0
+        while cell < len(self.step_s):
+            is_late = late[cell] > 0.0
+            starts, ends = quick if is_late else calm
+            self._go(cell, float(starts[cell]), float(ends[cell]), (late, squares))
+            if late[cell + 1] >= -EARLY_S or not is_late:
+                late[cell + 1] = max(0.0, late[cell + 1])
+                cell += 1
+            else:
+                cell = self._catch_up(cell, calm, quick, (late, squares))
         return late
 
+    def _go(
+        self, cell: int, start: float, end: float, motion: tuple[np.ndarray, np.ndarray]
+    ) -> None:
+        """Fill lateness and square behind a cell, with these bounds at its ends."""
+        late, squares = motion
+        begin = min(start, math.inf if self.is_stop[cell] else squares[cell])
+        most = min(max(float(self.ends_from(cell, np.array([begin]))[1][0]), 0.0), end)
+        step_s = self.step_s[cell]
+        spent_s = 2.0 * step_s / (math.sqrt(begin) + math.sqrt(most)) if begin + most else 0.0
+        if self.is_rest[cell]:
+            spent_s = step_s if self.is_held[cell] else max(0.0, step_s - late[cell])
+        late[cell + 1], squares[cell + 1] = late[cell] + spent_s - step_s, most
 
-def least_lateness(show: Sequence, robot: Robot, pace: float) -> Mapping[float, float]:
+    def _catch_up(
+        self,
+        cell: int,
+        calm: tuple[np.ndarray, np.ndarray],
+        quick: tuple[np.ndarray, np.ndarray],
+        motion: tuple[np.ndarray, np.ndarray],
+    ) -> int:
+        """Brake to the last grid point at which the motion is not early, and return it.
+
+        Without brakes it is early behind `cell`.
+        """
+        low, high = cell, min(len(self.step_s) - 1, cell + GOALS)
+        found = self._braked(low, cell, calm, quick, motion)
+        while high - low > 1:
+            middle = (low + high) // 2
+            trial = self._braked(middle, cell, calm, quick, motion)
+            if trial is None:
+                high = middle
+            else:
+                low, found = middle, trial
+        assert found is not None
+        late, squares = motion
+        late[:], squares[:] = found
+        if late[low] < SNAP_S:
+            late[low] = 0.0
+        elif low == cell:  # Slow from here on: as without brakes, on time for an instant.
+            starts, ends = quick
+            self._go(cell, float(starts[cell]), float(ends[cell]), motion)
+            late[cell + 1] = max(0.0, late[cell + 1])
+            return cell + 1
+        return low
+
+    def _braked(
+        self,
+        goal: int,
+        known: int,
+        calm: tuple[np.ndarray, np.ndarray],
+        quick: tuple[np.ndarray, np.ndarray],
+        motion: tuple[np.ndarray, np.ndarray],
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return the motion with brakes before a grid point; None if it is early.
+
+        The motion without brakes is known up to the grid point `known`.
+        """
+        late, squares = (values.copy() for values in motion)
+        end, cell = math.inf if self.is_stop[goal] else float(calm[0][goal]), goal
+        bounds = []
+        is_met = False
+        while cell > 0 and not is_met:
+            cell -= 1
+            end = min(end, float(quick[1][cell]))
+            start = self._start_before(cell, float(quick[0][cell]), end)
+            bounds.append((cell, start, end))
+            is_met = cell <= known and bool(self.is_stop[cell] or start >= squares[cell])
+            end = math.inf if self.is_stop[cell] else start
+        for at, start, bound in reversed(bounds):
+            self._go(at, start, bound, (late, squares))
+            if late[at + 1] < -EARLY_S:
+                return None
+        return late, squares
+
+
+def least_lateness(
+    show: Sequence, robot: Robot, pace: float, grid: Grid | None = None
+) -> Mapping[float, float]:
     """Return the least lateness at the time of each keyframe."""
-    grid = Grid(show, robot)
+    grid = grid or Grid(show, robot)
     late = grid.least_late(pace)
     return {
         float(frame.at_s): float(late[np.argmin(np.abs(grid.at_s - frame.at_s))])

@@ -43,6 +43,10 @@ REFINEMENT: Final = 4
 """Cells in which the motion is slower than authored are divided by this, so that the delay, not
 only the duration, is within 2 % of the least (measured: 9 % without)."""
 
+KNOT_PARTS: Final = (8, 4, 2)
+"""Slow cells that are nearest to a knot, second and third, are divided further into so many. There
+the rates change most. Measured: lateness of up to 1.2 times the least without, 1.01 with it."""
+
 CATCH_UP_CELL_S: Final = 0.016
 """Longer cells are halved where lateness is made up, because no other grid follows that could show
 how coarse they are. Measured: lateness of 1.03 times the least without, 1.017 with it."""
@@ -252,21 +256,35 @@ def _grid(task: RateTask, from_s: float, to_s: float) -> _Grid:
         if task.shares is not None:
             grid.shares[:] = task.shares[grid.segments]
         is_first = np.diff(grid.segments, prepend=-1) > 0
-        is_fine = is_first | np.append(is_first[1:], True)
+        is_near_knot = is_first | np.append(is_first[1:], True)
+        is_slow = np.zeros_like(is_near_knot)
         if len(task.slow_s):
             middles_s = 0.5 * (grid.points_s[:-1] + grid.points_s[1:])
             span = np.searchsorted(task.slow_s[:, 0], middles_s) - 1
             is_slow = (span >= 0) & (middles_s < task.slow_s[span, 1])
             grid.shares[is_slow] = 1.0
-            is_fine |= is_slow
         is_coarse = np.diff(grid.points_s) > CATCH_UP_CELL_S
-        grid = grid.divided(np.where(is_fine, REFINEMENT, np.where(is_coarse, 2, 1)))
+        counts = np.where(is_near_knot | is_slow, REFINEMENT, np.where(is_coarse, 2, 1))
+        grid = _graded(grid.divided(counts), np.repeat(is_slow, counts))
     inner_s = np.unique(np.append(task.calm_s, task.fast_s))
     inner_s = inner_s[(inner_s > from_s) & (inner_s < to_s)]
     if len(inner_s):
         nearest_s = grid.points_s[np.abs(grid.points_s - inner_s[:, None]).argmin(axis=1)]
         grid = grid.with_points(inner_s[np.abs(nearest_s - inner_s) > POINT_S])
     return grid
+
+
+def _graded(grid: _Grid, is_slow: NDArray[np.bool_]) -> _Grid:
+    """Return the grid with the slow cells nearest to knots divided further, the nearer the more."""
+    counts = np.ones(len(is_slow), dtype=np.intp)
+    is_first = np.diff(grid.segments, prepend=-1) > 0
+    is_last = np.append(is_first[1:], True)
+    for distance, parts in enumerate(KNOT_PARTS):
+        first = np.flatnonzero(is_first) + distance
+        last = np.flatnonzero(is_last) - distance
+        near = np.concatenate([first[first < len(counts)], last[last >= 0]])
+        counts[near] = np.maximum(counts[near], parts)
+    return grid.divided(np.where(is_slow, counts, 1))
 
 
 def _squares(task: RateTask, grid: _Grid, start_max: float, end_max: float) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -13,16 +14,21 @@ from lss_motion.trajectory.planner import plan
 from tests.joints import joint
 from tests.optimum import least_lateness
 
+if TYPE_CHECKING:
+    from lss_motion.trajectory.model import Trajectory
+
 SHOWS = 24
 RATIO = 1.02
-SUM_S = 0.002
-"""Sums that differ by less are equal: two cells of the fine grid."""
-EXCEPTIONS_RATIO = 0.1
-"""Share of the shows in which the sum may be larger: the reference need not brake before it is on
-time, which where the rate has to rise first is less than any motion can do."""
-WORST_S = 0.03
-"""By how much it may be larger there."""
+SUM_S = 0.001
+"""Sums that differ by less are equal: half a cell of the fine grid."""
 PACE = 2.0
+PACE_ANCHOR = 50.0
+MET_S = 0.002
+HARD = (15, 20, 27, 68, 71)
+"""Braking counts most in the first three, the grid near a key in the others."""
+TIGHT = (20, 35, 36, 49, 62, 63, 68, 73)
+"""With moves so short a key is late at the usual pace, but an anchor is met."""
+EASE = 0.03
 
 
 @pytest.fixture(autouse=True)
@@ -30,8 +36,11 @@ def _own_cache(tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("LSS_MOTION_CACHE_DIR", str(tmp_path / "plans"))
 
 
-def any_show(seed: int) -> tuple[Sequence, Robot]:
-    """Return keyframes of one to three joints; a third of the moves are up to 12 times too fast."""
+def any_show(seed: int, ease: float = 1.0) -> tuple[Sequence, Robot]:
+    """Return keyframes of one to three joints; a third of the moves are up to 12 times too fast.
+
+    The others are at most `ease` times as far as they may be.
+    """
     random = np.random.default_rng(seed)
     speed, accel = float(random.uniform(90.0, 360.0)), float(random.uniform(300.0, 1500.0))
     limits = {"speed_max_deg_s": speed, "accel_max_deg_s2": accel}
@@ -49,7 +58,7 @@ def any_show(seed: int) -> tuple[Sequence, Robot]:
         for name in (chosen := [n for n in names if random.random() < 0.7] or [names[0]]):
             gap_s = at_s - free_s[name]
             most_deg = min(0.12 * accel * gap_s**2, 0.5 * speed * gap_s)
-            most_deg *= float(random.uniform(2.0, 12.0)) if random.random() < 0.3 else 1.0
+            most_deg *= float(random.uniform(2.0, 12.0)) if random.random() < 0.3 else ease
             move_deg = float(np.clip(random.normal(0.0, 60.0), -most_deg, most_deg))
             at_deg[name] = round(float(np.clip(at_deg[name] + move_deg, -160.0, 160.0)), 1)
             free_s[name] = at_s + hold_s
@@ -58,30 +67,38 @@ def any_show(seed: int) -> tuple[Sequence, Robot]:
     return Sequence(name=f"any {seed}", keyframes=tuple(frames)), robot
 
 
-def test_lateness_is_the_least_holds_are_kept_and_nothing_is_early() -> None:
-    beyond_s = []
-    for seed in range(SHOWS):
+def late_of(trajectory: Trajectory) -> list[float]:
+    """Return the lateness at each key."""
+    return [mark.planned_s - (mark.authored_s or 0.0) for mark in trajectory.marks]
+
+
+@pytest.mark.parametrize("first", range(0, SHOWS, 6))
+def test_lateness_is_the_least_holds_are_kept_and_nothing_is_early(first: int) -> None:
+    hard = HARD if first == 0 else ()
+    for seed in (*range(first, first + 6), *hard):
         show, robot = any_show(seed)
         trajectory = plan(show, robot)
-        late_s = [mark.planned_s - (mark.authored_s or 0.0) for mark in trajectory.marks]
-        least_s = least_lateness(show, robot, PACE)
+        late_s = late_of(trajectory)
         assert min(late_s) > -1e-5, seed
         assert all(mark.held_s >= mark.hold_s - 1e-6 for mark in trajectory.marks), seed
-        allowed_s = RATIO * sum(least_s[frame.at_s or 0.0] for frame in show.keyframes) + SUM_S
-        beyond_s.append(max(0.0, sum(late_s) - allowed_s))
-    assert sum(late > 0.0 for late in beyond_s) <= EXCEPTIONS_RATIO * SHOWS, beyond_s
-    assert max(beyond_s) < WORST_S, beyond_s
+        if sum(late_s) > SUM_S:
+            least_s = least_lateness(show, robot, PACE)
+            allowed_s = RATIO * sum(least_s[frame.at_s or 0.0] for frame in show.keyframes) + SUM_S
+            assert sum(late_s) <= allowed_s, seed
 
 
-def test_anchors_that_the_pace_can_meet_are_met() -> None:
+def test_every_anchor_that_a_fine_grid_can_meet_is_met() -> None:
+    """Keys that are late at the usual pace, but not at that of anchors, become anchors."""
     met = 0
-    for seed in range(SHOWS):
-        show, robot = any_show(seed)
-        trajectory = plan(show, robot)
-        late_s = [mark.planned_s - (mark.authored_s or 0.0) for mark in trajectory.marks]
-        if max(late_s) < 0.01:
+    for seed in (*range(4), *TIGHT):
+        show, robot = any_show(seed, EASE)
+        late_s = late_of(plan(show, robot))
+        if max(late_s) < MET_S:
             continue
-        on_time = [index for index in range(len(late_s)) if late_s[index] < 1e-6]
+        least_s = least_lateness(show, robot, PACE_ANCHOR)
+        on_time = [
+            index for index, frame in enumerate(show.keyframes) if least_s[frame.at_s or 0.0] == 0.0
+        ]
         frames = [
             replace(frame, is_anchor=index in on_time) for index, frame in enumerate(show.keyframes)
         ]
@@ -89,5 +106,5 @@ def test_anchors_that_the_pace_can_meet_are_met() -> None:
         for index in on_time:
             mark = again.marks[index]
             assert mark.planned_s == pytest.approx(mark.authored_s, abs=1e-3), seed
-            met += index > 0
-    assert met > SHOWS
+            met += late_s[index] > MET_S
+    assert met >= len(TIGHT)
