@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-REACH_S: Final = 1.0
+REACH_S: Final = 0.6
 """Braking begins at most this long before it ends. Measured: from rate 2 it takes up to 0.4 s."""
 
 CELLS_MAX: Final = 64
@@ -110,15 +110,19 @@ def braked(
     whole: RateWindow,
     early: int,
     lateness: Callable[[RateWindow], FloatArray],
-    least_s: Callable[[RateWindow], float],
+    after_s: float,
 ) -> RateWindow | None:
     """Return `whole` with brakes, so that it is not early at grid point `early`, the first such.
 
     The window ends where the motion is on time, at rate 1. If it has to be slow before that could
     be, it is as long as `whole`, and on time for an instant before that slow part. None: there is
-    no such motion in closed form. `lateness` returns that of a window at its grid points and
-    `least_s` the least of it.
+    no such motion in closed form. `lateness` returns that of a window on the first grid points of
+    `whole`; it counts behind the position `after_s`.
     """
+
+    def least_s(window: RateWindow) -> float:
+        return float(lateness(window)[window.grid_s > after_s].min(initial=math.inf))
+
     grid_s, end = whole.grid_s, len(whole.grid_s) - 1
     high = min(end, early + CELLS_MAX)
     slow = early - 1 + int(np.argmax(whole.squares[early - 1 : high + 1] < 1.0 - RATE_SLACK))

@@ -381,15 +381,8 @@ class _Sweep:
             early = self._early(whole, lateness_s, fast_s)
             if not early:
                 return whole, False
-            found = None
-            if early > before:
-                found = braked(
-                    self.task,
-                    whole,
-                    early,
-                    lambda window: self.dues.lateness(window, late_s),
-                    lambda window: self.dues.least_s(window, late_s, fast_s),
-                )
+            lateness = self._lateness_along(whole, late_s)
+            found = braked(self.task, whole, early, lateness, fast_s) if early > before else None
             if found is None or (found.to_s < whole.to_s and not self._is_freed(found.to_s)):
                 met_s = float(whole.grid_s[early - 1])
                 whole = self._on_time(whole, lateness_s, early, bounds_s)
@@ -397,6 +390,19 @@ class _Sweep:
             before, whole, is_whole = early, found, found.to_s == whole.to_s
             if not is_whole or self.dues.lateness(whole, late_s)[-1] <= LATE_MIN_S:
                 return whole, True
+
+    def _lateness_along(
+        self, whole: RateWindow, late_s: float
+    ) -> Callable[[RateWindow], FloatArray]:
+        """Return a function for the lateness of windows on the first grid points of `whole`."""
+        authored_s = self.dues.authored(whole.grid_s)
+        due_s = authored_s - authored_s[0] - late_s
+
+        def lateness(window: RateWindow) -> FloatArray:
+            passed_s = np.concatenate([[0.0], np.cumsum(window.spent_s)])
+            return np.asarray(passed_s - due_s[: len(passed_s)])
+
+        return lateness
 
     def _is_freed(self, at_s: float) -> bool:
         """Return whether the motion can go on at rate 1 from a position inside of a slow window.

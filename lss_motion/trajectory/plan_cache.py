@@ -15,6 +15,7 @@ import json
 import math
 import os
 import tempfile
+import tokenize
 import zipfile
 from contextlib import suppress
 from dataclasses import asdict, fields
@@ -138,7 +139,8 @@ def _loaded(path: Path, name: str, fits: Callable[[Trajectory], bool], robot: Ro
     except (
         # What json, zipfile and numpy raise for bytes that are not theirs.
         *(ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError),
-        *(RecursionError, TypeError, ValueError, NotImplementedError, zipfile.BadZipFile),
+        *(RecursionError, SyntaxError, TypeError, ValueError, NotImplementedError),
+        *(tokenize.TokenError, zipfile.BadZipFile),
     ) as error:
         raise _MissError from error
     if not is_right:

@@ -264,7 +264,7 @@ def _grid(task: RateTask, from_s: float, to_s: float) -> _Grid:
             is_slow = (span >= 0) & (middles_s < task.slow_s[span, 1])
             grid.shares[is_slow] = 1.0
         is_coarse = np.diff(grid.points_s) > CATCH_UP_CELL_S
-        counts = np.where(is_near_knot | is_slow, REFINEMENT, np.where(is_coarse, 2, 1))
+        counts = np.where(is_slow, REFINEMENT, np.where(is_coarse | is_near_knot, 2, 1))
         grid = _graded(grid.divided(counts), np.repeat(is_slow, counts))
     inner_s = np.unique(np.append(task.calm_s, task.fast_s))
     inner_s = inner_s[(inner_s > from_s) & (inner_s < to_s)]
