@@ -8,6 +8,7 @@ fails on the way. `Observer` has the callbacks through which a caller watches an
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
@@ -23,10 +24,11 @@ from lss_motion.runtime.port import ReopeningPort
 from lss_motion.runtime.real_time import real_time
 from lss_motion.runtime.report import make_report, run_seconds
 from lss_motion.runtime.runner import run
+from lss_motion.runtime.sound_choice import SoundChoice
 from lss_motion.truth import TruthRecorder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from lss_motion.connection import Connection
     from lss_motion.player.events import Event
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Robot
     from lss_motion.runtime.report import Report
     from lss_motion.runtime.runner import Controls, Tap
+    from lss_motion.runtime.sound_choice import SoundReport
+    from lss_motion.runtime.sounds import SoundDesk
     from lss_motion.sim.bus import SimBus
     from lss_motion.sim.faults import Fault
     from lss_motion.trajectory.model import Trajectory
@@ -80,6 +84,7 @@ def perform(  # noqa: PLR0913  (the options of one run)
     must_ask: bool = False,
     may_run: bool = False,
     is_forced: bool = False,
+    sound: SoundChoice | None = None,
 ) -> Result:
     """Play `program` on `robot` and return the result, also when the run failed on the way.
 
@@ -87,7 +92,8 @@ def perform(  # noqa: PLR0913  (the options of one run)
     to simulated buses and, in virtual time, to the host. While `is_open`, `observer.controls` may
     extend the show. With `must_ask` no joint moves before they call `go`. Functions of the show
     need `may_run`. `is_forced`: see `Player`. With `is_real_time`, priority and locked memory are
-    requested. Raises `InputError` or `BusError` only before the first byte.
+    requested. `sound` chooses the device of the sounds.
+    Raises `InputError` or `BusError` only before the first byte.
     """
     _check_joints(program, robot)
     _check_functions(program, is_allowed=may_run or is_virtual)
@@ -97,22 +103,25 @@ def perform(  # noqa: PLR0913  (the options of one run)
     started_ns, error, observer = clock.now_ns(), None, observer or Observer()
     options = {"must_ask": must_ask, "is_open": is_open, "is_forced": is_forced}
     player = Player(program, robot, has_feedback=has_feedback, start_s=start_s, **options)
-    note = _Noting(observer.on_event)
+    note, desk = _Noting(observer.on_event), None
     recorder = TruthRecorder(player.robot, connection.simulated, trajectory) if simulated else None
     try:
         with (
             real_time(is_wanted=is_real_time) as refused,
-            performing(program.cues, note, is_virtual=is_virtual) as on_event,
+            _effects(player, note, sound or SoundChoice(), is_virtual=is_virtual) as effects,
         ):
+            on_event, desk = effects
             for text in refused:
                 on_event(Warned(text))
             tap = None if observer.make_tap is None else observer.make_tap(started_ns)
+            if desk is not None and tap is not None:
+                desk.note_to(tap.requested)
             run(
                 player,
                 _reopening(connection, player, tap),
                 clock,
                 on_event=on_event,
-                on_turn=_on_turn(observer.on_turn, recorder),
+                on_turn=_on_turn(observer, recorder, desk),
                 controls=observer.controls,
                 tap=tap,
             )
@@ -126,15 +135,20 @@ def perform(  # noqa: PLR0913  (the options of one run)
         error = _close(connection, error)
     player.end_show(clock.now_ns())
     run_s = run_seconds(started_ns, clock.now_ns())
-    horns = connection.simulated if simulated else {}
-    return _result(player, horns, recorder, run_s=run_s, error=error, warnings=note.warnings)
+    report = None if desk is None else desk.report
+    return _result(player, connection, recorder, run_s, error, warnings=note.warnings, sound=report)
 
 
 def _on_turn(
-    on_turn: Callable[[Player, int], None] | None, recorder: TruthRecorder | None
+    observer: Observer, recorder: TruthRecorder | None, desk: SoundDesk | None
 ) -> Callable[[Player, int], None]:
-    record = None if recorder is None else recorder.turn
-    calls = [call for call in (on_turn, record) if call is not None]
+    """Return a function that calls all that watch the run on each turn."""
+    given = (
+        observer.on_turn,
+        None if recorder is None else recorder.turn,
+        None if desk is None else desk.turn,
+    )
+    calls = [call for call in given if call is not None]
 
     def turn(player: Player, now_ns: int) -> None:
         for call in calls:
@@ -143,14 +157,37 @@ def _on_turn(
     return turn
 
 
+@contextlib.contextmanager
+def _effects(
+    player: Player, note: _Noting, choice: SoundChoice, *, is_virtual: bool
+) -> Iterator[tuple[Callable[[Event], None], SoundDesk | None]]:
+    """Yield the event handler that starts functions, and what plays the sounds of the show.
+
+    The latter is None if the show has none, or in virtual time.
+    """
+    program, desk = player.program, None
+    with contextlib.ExitStack() as stack:
+        if not is_virtual and not choice.is_off and any(cue.sound for cue in program.cues):
+            from lss_motion.runtime.sounds import SoundDesk
+
+            desk = SoundDesk(
+                program, choice, offset_s=player.robot.sound_offset_s, start_s=player.start_s
+            )
+            stack.callback(desk.close)
+        has_stream = choice.is_off or (desk is not None and desk.is_open)
+        performed = performing(program.cues, note, is_virtual=is_virtual, has_stream=has_stream)
+        yield stack.enter_context(performed), desk
+
+
 def _result(
     player: Player,
-    simulated: Mapping[str, SimBus],
+    connection: Connection,
     recorder: TruthRecorder | None,
-    *,
     run_s: float,
     error: LssMotionError | None,
+    *,
     warnings: list[str],
+    sound: SoundReport | None,
 ) -> Result:
     """Return the result of a run that has ended; `recorder` is None on a real robot."""
     truth = None if recorder is None else recorder.finish(player)
@@ -160,6 +197,7 @@ def _result(
         is_simulated=recorder is not None,
         outcome=_outcome(player, error),
         warnings=warnings,
+        sound=sound,
         horn_error_deg=None if recorder is None else recorder.errors_deg(),
     )
     return Result(
@@ -167,7 +205,7 @@ def _result(
         player=player,
         truth=truth,
         error=player.error or error,
-        simulated=simulated,
+        simulated={} if recorder is None else connection.simulated,
     )
 
 

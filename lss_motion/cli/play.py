@@ -63,9 +63,9 @@ A real robot is checked first. You see what was found, and nothing moves before 
 show was played to its end with its robot file, the question offers a careful run, too (key c).
 
 Keys while it plays: space pauses, - slows down, + goes up to full speed, which is the speed of the
-plan; q or Ctrl-C stops, and the servos hold. A signal or a closed terminal stops in the same way.
-A second Ctrl-C stops at once; the servos then keep the settings of the show until they are
-switched off.
+plan; , and . make the sounds earlier and later; q or Ctrl-C stops, and the servos hold. A signal or
+a closed terminal stops in the same way. A second Ctrl-C stops at once; the servos then keep the
+settings of the show until they are switched off.
 
 Exit codes: 0 played to the end; 2 a file or an argument is wrong, or the show was played and a log,
 report or truth could not be written; 3 no plan is possible, or the bus is too slow for it; 4 port
@@ -155,6 +155,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="request real-time priority and locked memory, to be on time beside other programs",
     )
+    parser.add_argument(
+        "--sound-device",
+        default="",
+        metavar="NAME",
+        help="play the sounds on this device; `lss-motion devices` lists them",
+    )
+    parser.add_argument("--no-sound", action="store_true", help="play the show without its sounds")
     parser.add_argument("--quiet", action="store_true", help=QUIET_HELP)
     parser.add_argument("--yes", action="store_true", help=YES_HELP)
     parser.add_argument("--careful", action="store_true", help=CAREFUL_HELP)
@@ -223,6 +230,7 @@ def _play(
     from lss_motion import api
     from lss_motion.cli.report import report_lines
     from lss_motion.cli.terminal import Terminal
+    from lss_motion.runtime.sound_choice import SoundChoice
 
     with contextlib.ExitStack() as stack:
         printer = Printer()
@@ -231,7 +239,8 @@ def _play(
         if api.is_simulated(robot):
             how = " in virtual time" if arguments.virtual else " in real time"
             print_line(simulated_text(show.program.name, robot, how))
-        terminal = stack.enter_context(Terminal(rate=rate or 1.0))
+        sound = SoundChoice(device=arguments.sound_device, is_off=arguments.no_sound)
+        terminal = stack.enter_context(Terminal(rate=rate or 1.0, sound=sound))
         problems: list[str] = []
         offer = "" if rate is not None or not is_asked else learning.offer
         result, is_careful = _perform(
@@ -242,8 +251,11 @@ def _play(
         problems += _write_results(arguments, result)
         if result.report.outcome == "finished":
             learning.note_completed()
-        for text in problems:
+        for text in [*problems, *_unplayed(result)]:
             put(f"lss-play: {text}", sys.stderr)
+        if sound.shift_s:
+            offset_s = robot.sound_offset_s + sound.shift_s
+            print_line(f"to keep the sounds there: sound_offset_s: {offset_s:g} in the robot file")
         if result.error is not None:
             raise _explained(result.error, result)
         for line in report_lines(result.report.to_dict()):
@@ -333,6 +345,7 @@ def _perform(
             is_real_time=arguments.real_time,
             must_ask=is_asked,
             may_run=True,
+            sound=terminal.sound,
         )
         return result, confirmation.is_careful
 
@@ -370,6 +383,14 @@ def _write_results(arguments: argparse.Namespace, result: Result) -> list[str]:
     if arguments.truth is not None and result.truth is not None:
         problems += failures(write_truth, result.truth, arguments.truth)
     return problems
+
+
+def _unplayed(result: Result) -> list[str]:
+    """Return which sounds were not played, although the show was."""
+    sound = result.report.sound
+    if sound is None or not sound.not_played:
+        return []
+    return [f"not played: {', '.join(sound.not_played)}"]
 
 
 def _explained(error: LssMotionError, result: Result) -> LssMotionError:

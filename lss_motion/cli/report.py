@@ -132,6 +132,17 @@ def _numbers(part: Any, name: str = "") -> Iterator[tuple[str, float]]:  # noqa:
         yield name, float(part)
 
 
+def _sound_lines(sound: dict[str, Any] | None) -> list[str]:
+    if not sound or not sound["device"]:
+        return []
+    line = f"sound on {sound['device']}: {sound['begun']} begun, {sound['dropouts']} dropouts"
+    if sound["leads"]:
+        line += f"; the show followed it within {1000.0 * sound['off_max_s']:.1f} ms"
+    if sound["device_ppm"] is not None:
+        line += f" ({sound['device_ppm']:+.0f} ppm)"
+    return [line]
+
+
 def report_lines(report: dict[str, Any]) -> list[str]:
     """Return the lines that are printed at the end of a show."""
     timing = report["timing"]
@@ -167,6 +178,7 @@ def report_lines(report: dict[str, Any]) -> list[str]:
             if "horn_error_rms_deg" in joint:
                 line += f"  {joint['horn_error_rms_deg']:13.2f} {joint['horn_error_max_deg']:5.2f}"
             lines.append(line)
+    lines += _sound_lines(report.get("sound"))
     for fault in report.get("faults", []):
         named = f"joint {fault['joint']!r} " if fault["joint"] else ""
         lines.append(f"fault: {named}{fault['cause']} ({fault['step']})")

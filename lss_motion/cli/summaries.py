@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.cli.consent import call_lines, calls_of
+from lss_motion.errors import InputError
+from lss_motion.runtime.sound_choice import RATE_BAND
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -358,7 +361,7 @@ def program_lines(show: Show, *, is_whole: bool = False) -> list[str]:
                 f"worst second each joint can be read {use.reading_rate_hz:.1f} times "
                 f"(at least {least_hz:g})"
             )
-    lines += [*drive_lines(program), *call_lines(program.cues)]
+    lines += [*drive_lines(program), *call_lines(program.cues), *sound_lines(program)]
     errors_deg = {n: e for n, e in program.error_max_deg.items() if n not in _stepped(program)}
     if errors_deg:
         name = max(errors_deg, key=lambda joint: errors_deg[joint])
@@ -499,3 +502,41 @@ def fit_text(fit: KeyFit) -> str:
         f"{fit.keyframes_count:,} keyframes: at most {fit.error_max_deg:.2f} deg off (joint "
         f"{fit.joint} at {fit.at_s:.2f} s), {fit.error_rms_deg:.2f} deg RMS."
     )
+
+
+SOUND_SLACK_S: Final = 0.05
+
+
+def sound_lines(program: Program) -> list[str]:
+    """Return a line for every sound of a show: its length, and what does not fit."""
+    from lss_motion.sound.files import INSTALL, has_soundfile, sound_info
+
+    cues = {(cue.sound, cue.style): cue for cue in reversed(program.cues) if cue.sound}
+    lines = []
+    for cue in reversed(cues.values()):
+        style, path = cue.style, Path(cue.sound)
+        line = f"sound {path.name}, " + ("with the show" if style.is_bed else f"at {cue.at_s:g} s")
+        try:
+            info = sound_info(path) if has_soundfile() else None
+        except InputError as error:
+            lines.append(f"warning: sound {path.name} {error.reason}")
+            continue
+        if info is None:
+            lines.append(f"{line} (not examined: {INSTALL})")
+            continue
+        length_s = info.duration_s / style.speed_ratio
+        line += f": {length_s:.2f} s, {info.rate_hz} Hz, {info.channels} channels"
+        if info.channels > 2:
+            line += ", mixed to 2"
+        if abs(style.speed_ratio - 1.0) > RATE_BAND:
+            line += f"; not played: at {style.speed_ratio:g} of its speed it would not sound right"
+        elif style.is_looped:
+            line += ", repeated"
+        elif style.lasts_s is not None and length_s < style.lasts_s - SOUND_SLACK_S:
+            line += f"; the last {style.lasts_s - length_s:.2f} s of the show are without it"
+        elif style.lasts_s is not None and length_s > style.lasts_s + SOUND_SLACK_S:
+            line += f"; its last {length_s - style.lasts_s:.2f} s are cut"
+        elif style.lasts_s is None and cue.at_s + length_s > program.duration_s + SOUND_SLACK_S:
+            line += f"; its last {cue.at_s + length_s - program.duration_s:.2f} s are cut"
+        lines.append(line)
+    return lines

@@ -15,12 +15,14 @@ import sys
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 
 from lss_motion.runtime.signals import ENDING
+from lss_motion.runtime.sound_choice import OFFSET_STEP_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from types import FrameType, TracebackType
 
     from lss_motion.runtime.log import ByteLog
+    from lss_motion.runtime.sound_choice import SoundChoice
 
 
 KEYS_HELP: Final = "space pause, - slower, + up to full speed, q stop"
@@ -149,11 +151,19 @@ class Terminal(Inputs):
     """Turns keys and signals into orders for what is driven.
 
     The speed never exceeds that of the plan, which is within the limits at that speed only. With
-    `on_keys`, that function gets the keys instead. `rate` is set at the first call of `act`.
+    `on_keys`, that function gets the keys instead. `rate` is set at the first call of `act`. The
+    keys , and . shift the sounds of `sound`.
     """
 
-    def __init__(self, on_keys: Callable[[str], None] | None = None, *, rate: float = 1.0) -> None:
+    def __init__(
+        self,
+        on_keys: Callable[[str], None] | None = None,
+        *,
+        rate: float = 1.0,
+        sound: SoundChoice | None = None,
+    ) -> None:
         super().__init__()
+        self.sound = sound
         self._on_keys = on_keys
         self._rate = rate
         self._must_set = rate != 1.0
@@ -183,6 +193,8 @@ class Terminal(Inputs):
                 self._rate = round(min(max(self._rate + step, RATE_MIN), 1.0), 3)
                 if not self._is_paused:
                     driven.set_rate(self._rate, now_ns)
+            case "," | "." if self.sound is not None:
+                self.sound.shift(OFFSET_STEP_S if key == "." else -OFFSET_STEP_S)
             case "q" | "Q":
                 driven.stop(now_ns)
             case _:

@@ -326,6 +326,15 @@ class FaultHandler:
         is_limp = any(joint.name == name for joint in self._session.limp)
         return cause in ABSENT and not is_limp
 
+    def lose_sound(self, text: str) -> Verdict:
+        """Judge a sound that cannot be played: a warning, or the end of the show."""
+        steps = self._session.robot.escalation(Cause.SOUND, None, self._session.program.on_fault)
+        if steps[0] is FaultStep.WARN:
+            self._events.append(Warned(text))
+            return Verdict.CONTINUE
+        self._events.append(self.escalation.note("", Cause.SOUND, text, steps[0]))
+        return Verdict.END
+
     def stall(self, text: str, now_ns: int) -> Verdict:
         """Note that this program was held up while a move was due.
 

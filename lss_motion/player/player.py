@@ -81,6 +81,8 @@ class Player:
         servos store higher limits than their joints have.
         """
         self.program = program
+        self.start_s = start_s
+        """Show time from which the show is played; None: from its beginning."""
         self.robot = robot = driven(robot, program)
         self.phase = Phase.CONNECT
         self.outcome: Outcome | None = None
@@ -287,6 +289,13 @@ class Player:
         """Note that the show, if there was one, is over; the first call counts."""
         if self.show is not None and self.show_ended_ns is None:
             self.show_ended_ns = now_ns
+
+    def lose_sound(self, text: str, now_ns: int) -> None:
+        """Note that a sound cannot be played; end the show if `on_fault` requires it."""
+        is_over = self._faults.lose_sound(text) is Verdict.END
+        if is_over and self.phase not in (Phase.STOP, Phase.RESTORE, Phase.DONE):
+            self._end("fault", now_ns)
+        self._report_faults()
 
     # ---- calls of the owner of the ports
 

@@ -30,6 +30,7 @@ import json
 import math
 import os
 import re
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -40,7 +41,7 @@ from lss_motion.program.model import TIMED, Driving, Move, Program, Repeat
 from lss_motion.protocol.constants import Led
 from lss_motion.robot.on_fault import escalations_from, escalations_text
 from lss_motion.robot.servo_models import drive_problem
-from lss_motion.sequence.model import Cue, Wait
+from lss_motion.sequence.model import Cue, SoundStyle, Wait
 from lss_motion.trajectory.model import Mark, WaitPoint
 from lss_motion.units import s_from_us, us_from_s
 
@@ -75,6 +76,11 @@ def cue_line(cue: Cue) -> str:
         "folder": cue.folder,
         "sound": cue.sound,
         "lead_s": cue.lead_s,
+        "style": {
+            item.name: value
+            for item in fields(SoundStyle)
+            if (value := getattr(cue.style, item.name)) != item.default
+        },
     }
     kept = {key: value for key, value in content.items() if value}
     return f"{us_from_s(cue.at_s)} {json.dumps(kept)}"
@@ -91,6 +97,7 @@ def read_cue(text: str, joints: Collection[str]) -> Cue:
     if not isinstance(content, dict):
         raise ValueError("a cue is a whole number of us and a JSON object")  # noqa: TRY004
     led, lead_s = content.pop("led", {}), content.pop("lead_s", 0.0)
+    style = _style(content.pop("style", {}))
     if not isinstance(led, dict) or not all(code in set(Led) for code in led.values()):
         raise ValueError(f"led is joints with colours from {min(Led)} to {max(Led)}")
     if unknown := sorted(led.keys() - set(joints)):
@@ -101,7 +108,20 @@ def read_cue(text: str, joints: Collection[str]) -> Cue:
         isinstance(value, str) for value in content.values()
     ):
         raise ValueError("a cue has led, say, run with folder, or sound with lead_s")
-    return Cue(at_s=at_s, led=tuple(led.items()), lead_s=float(lead_s), **content)
+    return Cue(at_s=at_s, led=tuple(led.items()), lead_s=float(lead_s), style=style, **content)
+
+
+def _style(values: object) -> SoundStyle:
+    """Return how a sound is played; raises `ValueError` for anything else."""
+    known = {item.name: type(item.default) for item in fields(SoundStyle)}
+    known["lasts_s"] = float
+    if not isinstance(values, dict) or not values.keys() <= known.keys():
+        raise ValueError(f"style is an object with {', '.join(known)}")
+    for name, value in values.items():
+        is_flag = known[name] is bool
+        if isinstance(value, bool) is not is_flag or not isinstance(value, bool | int | float):
+            raise ValueError(f"style: {name} is {'true or false' if is_flag else 'a number'}")
+    return SoundStyle(**values)
 
 
 def wait_line(point: WaitPoint) -> str:

@@ -113,6 +113,11 @@ class OnFaultEntry(JointOnFaultEntry, title="on_fault"):
         description="This program was held up for more than 0.25 s while a move was due: process "
         "stopped, computer asleep or too slow. [resume, hold]",
     )
+    sound: Escalation = Field(
+        default=None,
+        description="A sound of the show cannot be played, or its device is gone: warn, or hold "
+        "(also before anything moves). [warn]",
+    )
 
 
 def escalations(entry: JointOnFaultEntry) -> Escalations:
@@ -419,6 +424,11 @@ class RobotFile(FileModel, title="robot file"):
         default=30.0,
         ge=SPEED_MIN_DEG_S,
         description="Speed of the move from where the robot is to where the show starts.",
+    )
+    sound_offset_s: Annotated[float, Field(ge=-1.0, le=1.0)] = Field(
+        default=0.0,
+        description="Sounds sound so much later than the show (below 0: earlier). The lag of the "
+        "servos is allowed for without it. The keys , and . of lss-play find the value.",
     )
     end: Literal["hold", "limp"] = Field(
         default="hold",

@@ -191,6 +191,7 @@ class _Loader:
             mirror=mirror_images(content.mirror),
             sensors=sensors,
             approach_speed_deg_s=content.approach_speed_deg_s,
+            sound_offset_s=content.sound_offset_s,
             end=content.end,
             on_fault=_escalations(content.on_fault),
             patience_s=content.patience_s,

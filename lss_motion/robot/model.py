@@ -240,6 +240,8 @@ class Robot:
     """For each joint its mirror image and the sign of the angle there."""
     sensors: Mapping[str, Sensor] = field(default_factory=dict)
     approach_speed_deg_s: float = 30.0
+    sound_offset_s: float = 0.0
+    """Sounds sound this much later than the show."""
     end: Literal["hold", "limp"] = "hold"
     read_limits: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Limits by joint and name that were read from the servos, as the file requires (`servo`)."""

@@ -34,6 +34,8 @@ class Cause(StrEnum):
     LOST_PORT = "lost_port"
     STALLED = "stalled"
     """This program was held up: no cause of a joint."""
+    SOUND = "sound"
+    """A sound of the show cannot be played: no cause of a joint."""
 
 
 class FaultStep(StrEnum):
@@ -75,6 +77,7 @@ DEFAULTS: Final[Escalations] = MappingProxyType(
         Cause.LOST_TURN: (FaultStep.HOLD,),
         Cause.LOST_PORT: (FaultStep.RESUME, FaultStep.HOLD),
         Cause.STALLED: (FaultStep.RESUME, FaultStep.HOLD),
+        Cause.SOUND: (FaultStep.WARN,),
     }
 )
 
@@ -89,6 +92,10 @@ ONLY: Final[Mapping[Cause, tuple[frozenset[FaultStep], str]]] = MappingProxyType
             frozenset({FaultStep.RESUME, FaultStep.HOLD}),
             "after a stall the robot is not where the show is, so there is no {}; use resume or "
             "hold",
+        ),
+        Cause.SOUND: (
+            frozenset({FaultStep.WARN, FaultStep.HOLD}),
+            "a sound that cannot be played does not come back, so there is no {}; use warn or hold",
         ),
         Cause.LOST_TURN: (
             ENDING,

@@ -7,6 +7,8 @@
 | `port.py`      | serial ports: list, open, reopen                | `connection`, `api`, `cli` |
 | `real_time.py` | priority, memory and timers of the system       | `runner`, `api`, `sim.pty` |
 | `performer.py` | functions and sounds of a show: the pipes       | `api`                      |
+| `sounds.py`    | sounds of a show on an open stream: the pipes   | `perform`                  |
+| `sound_choice.py` | device and offset; what came of the sounds   | `perform`, `cli`           |
 | `performer_process.py` | the process that calls and plays them   | `performer`                |
 | `log_mcap.py`  | a log as MCAP, for other programs               | `cli`                      |
 | `log.py`       | the log of every byte, written by a process     | `cli`                      |

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError
 from lss_motion.player.events import CueReached, Warned
-from lss_motion.runtime.performer_process import CLOSE_S, LOOK_S, SOUND_PLAYERS, sound_player
+from lss_motion.runtime.performer_process import CLOSE_S, LOOK_S
 from lss_motion.sequence.functions import function_problem
 
 if TYPE_CHECKING:
@@ -62,9 +62,6 @@ class Performer:
         self._loading = ""
         self._rest = b""
         self._is_ready, self._answer = False, ""
-        if any(cue.sound for cue in cues) and sound_player() is None:
-            names = ", ".join(words[0] for words in SOUND_PLAYERS)
-            self.warnings.append(f"no sounds: none of {names} is installed")
         self._child = subprocess.Popen(  # noqa: S603  our own program
             # -P: no module of the current folder is imported in place of an installed one.
             [sys.executable, "-P", "-m", "lss_motion.runtime.performer_process", str(os.getpid())],
@@ -214,13 +211,20 @@ def _named(cue: Cue) -> str:
 
 @contextlib.contextmanager
 def performing(
-    cues: Collection[Cue], tell: Callable[[Event], None], *, is_virtual: bool
+    cues: Collection[Cue],
+    tell: Callable[[Event], None],
+    *,
+    is_virtual: bool,
+    has_stream: bool = False,
 ) -> Iterator[Callable[[Event], None]]:
     """Yield an event handler that starts functions and sounds, then calls `tell`.
 
-    In virtual time none is started: an hour of sounds would play at once. Raises `InputError` for
-    a function that does not exist.
+    In virtual time none is started: an hour of sounds would play at once. With `has_stream` the
+    sounds are played elsewhere (`runtime.sounds`). Raises `InputError` for a function that does
+    not exist.
     """
+    if has_stream:
+        cues = [cue for cue in cues if cue.run]
     if is_virtual:
         check_functions(cues)
     if is_virtual or not any(cue.run or cue.sound for cue in cues):
@@ -233,7 +237,7 @@ def performing(
             tell(Warned(text))
 
     def perform_and_tell(event: Event) -> None:
-        if isinstance(event, CueReached):
+        if isinstance(event, CueReached) and not (has_stream and event.cue.sound):
             performer.perform(event.cue)
         tell(event)
         warn()

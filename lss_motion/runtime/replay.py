@@ -180,12 +180,14 @@ def _apply_request(player: Player, entry: Entry) -> None:
         case "follow":
             show_s, rate, trim_max_ratio = map(float, value.split())
             player.follow(Leg(entry.at_ns, show_s, rate), entry.at_ns, trim_max_ratio)
+        case "sound":
+            player.lose_sound(json.loads(value), entry.at_ns)
         case "stop":
             player.stop(entry.at_ns)
         case "abort":
             player.abort(entry.at_ns)
         case _:
             raise InputError(
-                f"{entry.text!r} is not a request (go, rate, follow, stop or abort)",
+                f"{entry.text!r} is not a request (go, rate, follow, sound, stop or abort)",
                 line=entry.line,
             )

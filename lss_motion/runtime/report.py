@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from lss_motion.player.joint_state import JointState
     from lss_motion.player.player import Player
     from lss_motion.program.model import Program
+    from lss_motion.runtime.sound_choice import SoundReport
     from lss_motion.trajectory.model import GivenUp, SlowSpan
 
 SCHEMA_VERSION: Final = 1
@@ -119,6 +120,8 @@ class Report:
     given_up: tuple[GivenUp, ...]
     faults: tuple[Faulted, ...]
     warnings: tuple[str, ...]
+    sound: SoundReport | None = None
+    """None: the show has no sounds, or was played in virtual time."""
 
     def __repr__(self) -> str:
         """Return one line: names, outcome and counts."""
@@ -149,6 +152,7 @@ def make_report(
     is_simulated: bool,
     outcome: str,
     warnings: Sequence[str] = (),
+    sound: SoundReport | None = None,
     horn_error_deg: Mapping[str, tuple[float, float]] | None = None,
 ) -> Report:
     """Return the report of a run that took `run_s` in all, from the first query on.
@@ -180,6 +184,7 @@ def make_report(
         given_up=tuple(program.given_up),
         faults=tuple(player.faults),
         warnings=tuple(warnings),
+        sound=sound,
     )
 
 

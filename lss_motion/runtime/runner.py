@@ -87,6 +87,9 @@ class Tap(Protocol):
 
     def happened(self, event: Event, now_ns: int) -> None: ...
 
+    def requested(self, text: str, now_ns: int) -> None:
+        """Note an order from outside that decides: `follow` a leader, or a lost `sound`."""
+
     def noted(self, bus: str, text: str, now_ns: int) -> None:
         """Note what decides besides bytes: a port `lost REASON` or `found`; `safe` at the end."""
 

@@ -261,6 +261,11 @@ class LayerEntry(FileModel, title="layer"):
     )
 
 
+GAIN_LEAST_DB: Final = 60.0
+GainDb = Annotated[float, Field(ge=-GAIN_LEAST_DB, le=20.0)]
+GAIN: Final = "How much louder than in the file; -6 is half."
+
+
 class EventEntry(FileModel, title="event"):
     """An event that is not motion, at a time of the show: one of led, say, run and sound."""
 
@@ -279,11 +284,34 @@ class EventEntry(FileModel, title="event"):
         examples=["effects:fog"],
     )
     sound: FileName | None = Field(
-        default=None, description="A sound file, relative to this file, played by the system."
+        default=None,
+        description="A sound file, relative to this file: WAV, FLAC, OGG or MP3. It sounds at at_s "
+        "(with pip install 'lss-motion[sound]'; else a player of the system plays it, later).",
     )
     lead_s: Annotated[float, Field(ge=0.0, le=LEAD_MAX_S)] = Field(
         default=0.0,
-        description="The sound is started so much earlier, because its player needs time to start.",
+        description="A player of the system is started so much earlier, because it needs time to "
+        "start. With the extra [sound] it has no effect.",
+    )
+    gain_db: GainDb = Field(default=0.0, description=GAIN)
+    loop: bool = Field(
+        default=False, description="The sound is repeated until the end of the show, or of a pass."
+    )
+    duck_db: Annotated[float, Field(ge=0.0, le=GAIN_LEAST_DB)] = Field(
+        default=0.0, description="The sound of the show is so much softer while this one sounds."
+    )
+
+
+class SoundEntry(FileModel, title="sound"):
+    """The sound of the show: it begins with it, and the show follows its clock."""
+
+    file: FileName = Field(
+        description="A sound file, relative to this file: WAV, FLAC, OGG or MP3.",
+        examples=["music.ogg"],
+    )
+    gain_db: GainDb = Field(default=0.0, description=GAIN)
+    loop: bool = Field(
+        default=False, description="It is repeated where it is shorter than the show."
     )
 
 
@@ -325,6 +353,12 @@ class SequenceFile(TrackEntry, title="sequence file"):
     events: Annotated[list[EventEntry], Field(min_length=1, max_length=EVENTS_MAX)] = Field(
         default=[],
         description="Not motion: colours, texts, functions, sounds. A loop repeats them.",
+    )
+    sound: FileName | SoundEntry | None = Field(
+        default=None,
+        description="A sound that begins with the show and ends with it at the latest, as music; "
+        "in every pass of a loop. Pauses and --from reach it. Its clock leads the show.",
+        examples=["music.ogg"],
     )
     on_fault: OnFaultEntry = Field(
         default_factory=OnFaultEntry,

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from lss_motion.files.yaml_source import YamlSource
     from lss_motion.robot.model import Robot
     from lss_motion.sequence.file import Keep, KeyframeEntry, TrackEntry
-    from lss_motion.sequence.model import Layer, Step
+    from lss_motion.sequence.model import Cue, Layer, Step
 
 
 def kept_joints(
@@ -310,8 +310,13 @@ def at_speed(sequence: Sequence, ratio: float = 1.0) -> Sequence:
         tracks=tuple(at_speed(track, ratio) for track in sequence.tracks),
         play=tuple(_step(step, ratio) for step in sequence.play),
         layers=tuple(_layer(layer, ratio) for layer in sequence.layers),
-        events=tuple(replace(cue, at_s=cue.at_s / ratio) for cue in sequence.events),
+        events=tuple(_cue(cue, ratio) for cue in sequence.events),
     )
+
+
+def _cue(cue: Cue, ratio: float) -> Cue:
+    style = replace(cue.style, speed_ratio=cue.style.speed_ratio * ratio)
+    return replace(cue, at_s=cue.at_s / ratio, style=style if cue.sound else cue.style)
 
 
 def _frame(frame: Keyframe, ratio: float) -> Keyframe:

@@ -18,7 +18,7 @@ from lss_motion.robot.load import load_named_robot
 from lss_motion.sequence.check import check_sequence
 from lss_motion.sequence.functions import function_problem
 from lss_motion.sequence.keyframes import TrackLoader, at_speed, timing_of
-from lss_motion.sequence.model import EXPANDED_MAX, Cue, Sequence, Timing
+from lss_motion.sequence.model import EXPANDED_MAX, Cue, Sequence, SoundStyle, Timing
 from lss_motion.sequence.parts import (
     FileContext,
     PartLoader,
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from lss_motion.files.yaml_source import YamlSource
     from lss_motion.robot.model import Robot
-    from lss_motion.sequence.file import EventEntry, SequenceFile
+    from lss_motion.sequence.file import EventEntry, SequenceFile, SoundEntry
 
 
 def load_sequence(
@@ -182,7 +182,10 @@ class _Loader:
             tracks=self._tracks(),
             play=parts.steps(),
             layers=parts.layers(),
-            events=tuple(cues(content.events, self.left_out, self.source, self.robot, self._note)),
+            events=(
+                *bed(content.sound, self.left_out, self.source, self._note),
+                *cues(content.events, self.left_out, self.source, self.robot, self._note),
+            ),
             on_fault=escalations(content.on_fault),
         )
         self.problems += parts.problems
@@ -225,7 +228,8 @@ class _Loader:
         from_s, to_s = content.loop_span_s
         if to_s <= from_s:
             self._note(place, f"the loop would end at {to_s:g} s, not after {from_s:g} s")
-        if content.play or content.tracks or content.events or not content.keyframes:
+        has_others = bool(content.play or content.tracks or content.events or content.sound)
+        if has_others or not content.keyframes:
             self._note(place, "only keyframes without tracks and events can be looped in part")
         if timing_of(content) is not Timing.AUTHORED:
             self._note(place, "a loop of a part needs timing: authored")
@@ -277,6 +281,26 @@ class _Loader:
             owners |= own
 
 
+def bed(
+    entry: str | SoundEntry | None,
+    left_out: frozenset[Location],
+    source: YamlSource,
+    note: Callable[[Location, str], None],
+) -> Iterator[Cue]:
+    """Yield the sound of the show as a cue at its beginning, if there is one."""
+    place: Location = ("sound",)
+    if entry is None or any(location[:1] == place for location in left_out):
+        return
+    name, style = entry, SoundStyle(is_bed=True)
+    if not isinstance(entry, str):
+        name = entry.file
+        style = SoundStyle(gain_db=entry.gain_db, is_looped=entry.loop, is_bed=True)
+    path = source.path.absolute().parent / str(name)
+    if not path.is_file():
+        note(place, f"sound file {str(name)!r} not found; looked for {path}")
+    yield Cue(at_s=0.0, sound=str(path), style=style, line=source.line(place))
+
+
 KINDS: Final = ("led", "say", "run", "sound")
 
 
@@ -299,8 +323,9 @@ def cues(
                 place, f"an event is one of {', '.join(KINDS)}, not {' and '.join(given) or 'none'}"
             )
             continue
-        if entry.lead_s and entry.sound is None:
-            note((*place, "lead_s"), "lead_s belongs to a sound")
+        for key in ("lead_s", "gain_db", "loop", "duck_db"):
+            if getattr(entry, key) and entry.sound is None:
+                note((*place, key), f"{key} belongs to a sound")
         if entry.sound is not None and not (folder / entry.sound).is_file():
             path = folder / entry.sound
             note((*place, "sound"), f"sound file {entry.sound!r} not found; looked for {path}")
@@ -318,6 +343,7 @@ def cues(
             run=entry.run or "",
             sound="" if entry.sound is None else str(folder / entry.sound),
             lead_s=entry.lead_s,
+            style=SoundStyle(gain_db=entry.gain_db, is_looped=entry.loop, duck_db=entry.duck_db),
             folder=str(folder) if entry.run else "",
             line=source.line(place),
         )

@@ -86,6 +86,22 @@ class Keyframe:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SoundStyle:
+    """How a sound is played. The defaults: once, as it is, to its end."""
+
+    gain_db: float = 0.0
+    is_looped: bool = False
+    is_bed: bool = False
+    """It is the sound of the show itself: the show clock follows it."""
+    duck_db: float = 0.0
+    """The bed is so much softer while this sounds."""
+    speed_ratio: float = 1.0
+    """Seconds of the sound per second of the show."""
+    lasts_s: float | None = None
+    """It is cut this long after its start, in show time; None: only where it ends."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Cue:
     """An event that is not motion, at `at_s` of the show: one of `led`, `say`, `run`, `sound`.
 
@@ -101,7 +117,9 @@ class Cue:
     sound: str = ""
     """Path of a sound file."""
     lead_s: float = 0.0
-    """A sound is started this long before `at_s`, because its player needs time to start."""
+    """A player of sounds that is spawned is started this long before `at_s`. On an open stream, a
+    sound needs no lead."""
+    style: SoundStyle = SoundStyle()
     folder: str = ""
     """Folder of the sequence file; set for `run` only."""
     line: int | None = field(default=None, compare=False)

@@ -46,7 +46,7 @@ def planned_cues(sequence: Sequence, trajectory: Trajectory) -> tuple[Cue, ...]:
                 path=sequence.path,
                 line=cue.line,
             )
-        found.append(replace(cue, at_s=at_s))
+        found.append(_cut(replace(cue, at_s=at_s), end_s))
     return tuple(found)
 
 
@@ -54,10 +54,23 @@ def _keeps_time(sequence: Sequence) -> bool:
     return bool(sequence.keeps_time) or any(track.keeps_time for track in sequence.tracks)
 
 
+def _cut(cue: Cue, end_s: float) -> Cue:
+    """Return a cue whose sound, if it is a bed or looped, ends with its pass."""
+    if not cue.sound or not (cue.style.is_bed or cue.style.is_looped):
+        return cue
+    return replace(cue, style=replace(cue.style, lasts_s=end_s - cue.at_s))
+
+
+def _scaled(cue: Cue, ratio: float) -> Cue:
+    if cue.style.lasts_s is None or ratio == 1.0:
+        return cue
+    return replace(cue, style=replace(cue.style, lasts_s=ratio * cue.style.lasts_s))
+
+
 def all_cues(trajectory: Trajectory, end_s: float) -> tuple[Cue, ...]:
     """Return the cues of all passes that begin before `end_s`, in the order of their starts."""
     found = [
-        replace(cue, at_s=start_s + ratio * cue.at_s)
+        _scaled(replace(cue, at_s=start_s + ratio * cue.at_s), ratio)
         for start_s, ratio in _passes(trajectory, end_s)
         for cue in trajectory.cues
     ]

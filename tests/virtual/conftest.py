@@ -144,6 +144,9 @@ class Sent:
     def happened(self, event, now_ns):
         pass
 
+    def requested(self, text, now_ns):
+        pass
+
     def noted(self, bus, text, now_ns):
         pass
 

@@ -156,11 +156,12 @@ class Recorder:
 
     def samples(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the instant of each block's first frame in ns, and the blocks."""
+        recorded = list(self._blocks)
         at_us = [
             self._jack.jack_frames_to_time(self._client, frame + self._latency_frames)
-            for frame, _ in self._blocks
+            for frame, _ in recorded
         ]
-        blocks = [np.frombuffer(data, dtype=np.float32) for _, data in self._blocks]
+        blocks = [np.frombuffer(data, dtype=np.float32) for _, data in recorded]
         return self._origin_ns + 1000 * np.array(at_us, dtype=np.int64), np.array(blocks)
 
     def forget(self) -> None:

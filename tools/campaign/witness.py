@@ -76,6 +76,8 @@ class Witness:
     def turned(self, now_ns: int) -> None:
         """Say nothing: `act` counts."""
 
+    def requested(self, text: str, now_ns: int) -> None: ...
+
     def noted(self, bus: str, text: str, now_ns: int) -> None:
         """Note nothing: the bytes are enough."""
 

@@ -170,14 +170,6 @@ def test_a_sound_that_is_longer_than_the_show_is_stopped_and_named(folder, monke
     assert in_group(pid) == []
 
 
-def test_without_a_sound_player_there_is_a_warning_only(monkeypatch, tmp_path):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with Performer([Cue(at_s=0.0, sound="bell.wav")]) as performer:
-        [text] = performer.take_warnings()
-        assert text.startswith("no sounds: none of pw-play")
-        performer.perform(Cue(at_s=0.0, sound="bell.wav"))
-
-
 def test_a_function_that_never_returns_delays_no_command(folder, monkeypatch):
     """Lines that do not fit into the pipe are lost; the process is ended after the show."""
     monkeypatch.setattr("lss_motion.runtime.performer.CLOSE_S", 0.1)

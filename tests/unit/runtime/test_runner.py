@@ -115,6 +115,9 @@ class Tap:
     def happened(self, event, now_ns):
         pass
 
+    def requested(self, text, now_ns):
+        pass
+
     def noted(self, bus, text, now_ns):
         pass
 
