@@ -44,6 +44,7 @@ from lss_motion.errors import (
 
 if TYPE_CHECKING:
     from lss_motion.api import compile, load_robot, load_sequence, plan, play  # noqa: A004
+    from lss_motion.live import Live, connect
     from lss_motion.program.model import Program
     from lss_motion.remote.handle import Handle, start
     from lss_motion.robot.model import Robot
@@ -59,6 +60,7 @@ __all__ = [
     "InputError",
     "Keyframe",
     "LineLoadError",
+    "Live",
     "LssMotionError",
     "PlanningError",
     "PlaybackError",
@@ -69,6 +71,7 @@ __all__ = [
     "Sequence",
     "Trajectory",
     "compile",
+    "connect",
     "load_robot",
     "load_sequence",
     "plan",
@@ -79,12 +82,14 @@ __all__ = [
 _HOME = {
     "Handle": "lss_motion.remote.handle",
     "Keyframe": "lss_motion.sequence.model",
+    "Live": "lss_motion.live",
     "Program": "lss_motion.program.model",
     "Report": "lss_motion.runtime.report",
     "Robot": "lss_motion.robot.model",
     "Sequence": "lss_motion.sequence.model",
     "Trajectory": "lss_motion.trajectory.model",
     "compile": "lss_motion.api",
+    "connect": "lss_motion.live",
     "load_robot": "lss_motion.api",
     "load_sequence": "lss_motion.api",
     "plan": "lss_motion.api",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lss_motion.connection import ask_limits, is_simulated, with_port
@@ -12,7 +13,7 @@ from lss_motion.sequence import load as sequences
 from lss_motion.trajectory.planner import plan
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Mapping
 
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Robot
@@ -31,8 +32,10 @@ __all__ = [
 ]
 
 
-def load_sequence(path: Path | str, robot: Robot | None = None) -> Sequence:
+def load_sequence(path: Path | str | Mapping[str, object], robot: Robot | None = None) -> Sequence:
     """Return the sequence of a sequence or gait file, checked against its robot.
+
+    In place of a sequence file, a dict with the same keys and values may be given.
 
     The robot is `robot`, or else the one that the file names. Raises `InputError` with file, line,
     value and remedy; its `more` holds all further problems, those of other files included.
@@ -40,7 +43,7 @@ def load_sequence(path: Path | str, robot: Robot | None = None) -> Sequence:
     from lss_motion.gait.load import is_gait_file, load_gait
     from lss_motion.gait.to_sequence import gait_as_sequence, sequence_of
 
-    if is_gait_file(path):
+    if isinstance(path, Path | str) and is_gait_file(path):
         gait = load_gait(path, robot)
         assert gait.robot_path is not None, "without a robot it would not have been loaded"
         return sequence_of(gait, robot or load_robot(gait.robot_path))

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import re
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError
@@ -11,7 +14,6 @@ from lss_motion.files.source import read_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
 
 
 Location = tuple[str | int, ...]
@@ -59,6 +61,8 @@ class YamlSource:
     value: dict[str, object]
     problems: tuple[Problem, ...]
     _lines: _Lines
+    has_lines: bool = True
+    """False for what was no file: its problems name places instead."""
 
     def line(self, location: Location) -> int:
         """Return the line, from 1, of `location`, or of the nearest existing place above it."""
@@ -77,15 +81,21 @@ class YamlSource:
         for problem in problems:
             first_of_each.setdefault(problem.location, problem)
         placed = sorted(
-            ((self.line(problem.location), problem.reason) for problem in first_of_each.values()),
+            ((self.line(problem.location), problem) for problem in first_of_each.values()),
             key=lambda found: found[0],
         )
-        errors = [InputError(reason, path=self.path, line=line) for line, reason in placed]
+        errors = [self._error(problem, line) for line, problem in placed]
         if len(errors) > PROBLEMS_MAX:
             rest = InputError(f"and {len(errors) - PROBLEMS_MAX} more problems", path=self.path)
             errors = [*errors[:PROBLEMS_MAX], rest]
         top = errors[0]
-        return InputError(top.reason, path=self.path, line=top.line, more=errors[1:])
+        return InputError(top.reason, path=top.path, line=top.line, more=errors[1:])
+
+    def _error(self, problem: Problem, line: int) -> InputError:
+        if self.has_lines:
+            return InputError(problem.reason, path=self.path, line=line)
+        place = place_text(problem.location)
+        return InputError(f"{place}: {problem.reason}" if place else problem.reason)
 
 
 def read_yaml(path: Path) -> YamlSource:
@@ -94,9 +104,54 @@ def read_yaml(path: Path) -> YamlSource:
     Scalars follow YAML 1.2 (`yes` and `1:30` are text, `1e3` and `010` are numbers). Anchors and
     aliases work; tags, merge keys, several documents and keys that are no text do not.
     """
+    return _parsed(read_text(path), path)
+
+
+VALUE_PATH: Final = Path("dict")
+"""Stands for the file of what was given as values; files that it names are relative to the current
+folder."""
+
+
+def source_of(value: Mapping[str, object]) -> YamlSource:
+    """Return what `read_yaml` would return for a file with these values.
+
+    Raises `InputError` for a value that no file could hold. There are no lines, so problems name
+    the place of a value, such as `keyframes.2.deg.elbow`.
+    """
+    text = json.dumps(_plain(value, ()), indent=0)  # JSON is YAML, with every text quoted.
+    return replace(_parsed(text, VALUE_PATH), has_lines=False)
+
+
+def _plain(value: object, place: Location) -> object:
+    """Return `value` made of what JSON has; numbers of numpy become those of Python."""
+    match value:
+        case Mapping():
+            for key in value:
+                if not isinstance(key, str):
+                    raise InputError(f"{place_text((*place, repr(key)))}: a key must be a text")
+            return {key: _plain(one, (*place, key)) for key, one in value.items()}
+        case list() | tuple():
+            return [_plain(one, (*place, index)) for index, one in enumerate(value)]
+        case Path():
+            return str(value)
+        case None | bool() | int() | float() | str():
+            return value
+    if callable(item := getattr(value, "item", None)):
+        return _plain(item(), place)
+    raise InputError(
+        f"{place_text(place)}: {type(value).__name__!r} is no type of a file; numbers, texts, "
+        f"lists and dicts are"
+    )
+
+
+def place_text(location: Location) -> str:
+    """Return the place of a value, as a text."""
+    return ".".join(map(str, location))
+
+
+def _parsed(text: str, path: Path) -> YamlSource:
     import yaml
 
-    text = read_text(path)
     loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
     builder = _Builder(path, yaml.parse(text, Loader=loader))
     try:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from lss_motion.errors import ProtocolError
 from lss_motion.files.source import known_names
-from lss_motion.files.yaml_source import Location, Problem, read_yaml
+from lss_motion.files.yaml_source import Location, Problem, read_yaml, source_of
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.framing import DISABLED
 from lss_motion.robot.model import SERVO, Bus, Joint, Response, Robot, Sensor
@@ -73,8 +73,8 @@ _PLAIN: Final = (
 )
 
 
-def load_robot(path: Path | str) -> Robot:
-    """Return the robot of a robot file.
+def load_robot(path: Path | str | Mapping[str, object]) -> Robot:
+    """Return the robot of a robot file, or of the same keys and values as a dict.
 
     Joints keep the order of the file. Raises `InputError` with file, line, value and remedy;
     its `more` holds all further problems of the file.
@@ -82,11 +82,13 @@ def load_robot(path: Path | str) -> Robot:
     from lss_motion.files.validation import validate
     from lss_motion.robot.file import RobotFile
 
-    source = read_yaml(Path(path))
+    source = read_yaml(Path(path)) if isinstance(path, Path | str) else source_of(path)
     content, problems, left_out = validate(RobotFile, source)
     if content is not None:
         loader = _Loader(content, left_out, source.line)
         robot = loader.robot(source.path)
+        if not source.has_lines:
+            robot = replace(robot, path=None)
         problems += loader.problems
         if not problems:
             return robot

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
-from lss_motion.files.yaml_source import Location, Problem, read_yaml
+from lss_motion.files.yaml_source import Location, Problem, read_yaml, source_of
 from lss_motion.protocol.constants import Led
 from lss_motion.robot.load import load_named_robot
 from lss_motion.sequence.check import check_sequence
@@ -28,7 +28,7 @@ from lss_motion.sequence.parts import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from lss_motion.files.yaml_source import YamlSource
     from lss_motion.robot.model import Robot
@@ -36,12 +36,12 @@ if TYPE_CHECKING:
 
 
 def load_sequence(
-    path: Path | str,
+    path: Path | str | Mapping[str, object],
     robot: Robot | None = None,
     *,
     read_other: Callable[[Path, Robot], Sequence | None] | None = None,
 ) -> Sequence:
-    """Return the sequence of a sequence file, checked against its robot.
+    """Return the sequence of a file, or of the same keys as a dict, checked against its robot.
 
     The robot is `robot`, or else the one that the file names; it gives the poses, the ranges and
     the mirror images. `robot_path` of the result is the file of that robot. Raises `InputError`
@@ -49,7 +49,10 @@ def load_sequence(
     robot file and of the sequence files that this one plays. `read_other` reads files of another
     kind, such as gaits; it returns None for a sequence file.
     """
-    return _load(Path(path), robot, FileContext(read_other=read_other))
+    part = FileContext(read_other=read_other)
+    if isinstance(path, Path | str):
+        return _load(Path(path), robot, part)
+    return replace(_loaded(source_of(path), robot, part), path=None)
 
 
 def sequence_schema() -> dict[str, Any]:
@@ -61,6 +64,11 @@ def sequence_schema() -> dict[str, Any]:
 
 
 def _load(path: Path, robot: Robot | None, part: FileContext) -> Sequence:
+    other = part.other(path, robot)
+    return _loaded(read_yaml(path), robot, part) if other is None else other
+
+
+def _loaded(source: YamlSource, robot: Robot | None, part: FileContext) -> Sequence:
     from lss_motion.files.validation import validate
     from lss_motion.sequence.file import (
         EventEntry,
@@ -70,12 +78,9 @@ def _load(path: Path, robot: Robot | None, part: FileContext) -> Sequence:
         StepEntry,
     )
 
-    if (other := part.other(path, robot)) is not None:
-        return other
-    source = read_yaml(path)
     if "joints" in source.value and "sequence" not in source.value:
         reason = "this is a robot file, which cannot be played; name a sequence that has `robot:`"
-        raise InputError(reason, path=path, line=source.line(("joints",)))
+        raise InputError(reason, path=source.path, line=source.line(("joints",)))
     blanks = {
         "keyframes": KeyframeEntry(),
         "play": StepEntry(pause_s=0.0),
@@ -89,7 +94,7 @@ def _load(path: Path, robot: Robot | None, part: FileContext) -> Sequence:
     except InputError as error:
         errors.append(error)
     if content is not None:
-        loader = _Loader(content, left_out, source, robot, part.inside(path))
+        loader = _Loader(content, left_out, source, robot, part.inside(source.path))
         sequence = loader.sequence()
         problems += loader.problems
         errors += loader.errors

@@ -1,0 +1,96 @@
+"""A robot without a show: judged at the horns and at the bytes that its servos received."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import lss_motion as lss
+from tests.timed_moves import is_move
+from tests.virtual.conftest import make_robot
+
+S = 1_000_000_000
+
+
+@pytest.fixture
+def robot():
+    return make_robot(2, end="limp", baud_bps=115200)
+
+
+def horns(live):
+    (bus,) = live._connection.simulated.values()
+    times_ns = np.arange(0, live._connection.clock.now_ns(), 5_000_000)
+    return bus, times_ns, bus.horn_deg(times_ns)
+
+
+def test_a_move_takes_its_time_and_ends_at_its_place(robot):
+    with lss.connect(robot, is_virtual=True) as live:
+        assert live.move_to({"j0": 40.0}, 2.0) == pytest.approx(2.0)
+        assert live.read() == pytest.approx({"j0": 40.0, "j1": 0.0}, abs=0.5)
+        bus, times_ns, horn_deg = horns(live)
+        moved = times_ns[np.abs(horn_deg[:, 0]) > 0.5][0]
+        there = times_ns[horn_deg[:, 0] > 39.5][0]
+        assert (there - moved) / S == pytest.approx(1.75, abs=0.25)
+        assert np.abs(horn_deg[:, 1]).max() < 0.5, "the other joint holds"
+        assert b"#254L\r" not in [line for _, line in bus.lines]
+    assert bus.lines[-1][1] == b"#254L\r", "the end of the robot file comes at the end"
+
+
+def test_limits_hold_whatever_is_asked(robot):
+    limits = robot.joints["j0"]
+    with lss.connect(robot, is_virtual=True) as live:
+        assert live.move_to({"j0": 60.0}, 0.01) > 0.5
+        _, _, horn_deg = horns(live)
+        speed = np.abs(np.diff(horn_deg, axis=0)).max() / 0.005
+        assert speed < 1.05 * limits.speed_max_deg_s
+        for wrong in ({"j0": 1000.0}, {"nobody": 1.0}, {}):
+            with pytest.raises(lss.InputError):
+                live.move_to(wrong)
+        with pytest.raises(lss.InputError):
+            live.move_to({"j0": 0.0}, 0.0)
+
+
+def test_limp_joints_stay_limp_until_they_are_moved(robot):
+    with lss.connect(robot, is_virtual=True) as live:
+        live.limp("j0")
+        live.move_to({"j1": 10.0}, 1.0)
+        bus = horns(live)[0]
+        live.read()
+        orders = [line for _, line in bus.lines if line in (b"#1L\r", b"#254H\r")]
+        assert orders[-1] == b"#1L\r", "the hold after a move is taken back"
+        assert not any(is_move(line) and line.startswith(b"#1D") for _, line in bus.lines)
+        live.move_to({"j0": 10.0}, 1.0)
+        assert live.read()["j0"] == pytest.approx(10.0, abs=0.5)
+        orders = [line for _, line in bus.lines if line in (b"#1L\r", b"#254H\r")]
+        assert orders[-1] == b"#254H\r"
+        with pytest.raises(lss.InputError, match="unknown joint 'j7'"):
+            live.limp("j7")
+
+
+def test_an_exception_in_the_block_leaves_a_robot_that_holds(robot):
+    live = lss.connect(robot, is_virtual=True)
+    with pytest.raises(ZeroDivisionError), live:
+        raise ZeroDivisionError
+    bus = next(iter(live._connection.simulated.values()))
+    assert bus.lines[-1][1] == b"#254H\r"
+    with pytest.raises(lss.InputError, match="closed"):
+        live.read()
+    live.close()
+
+
+def test_an_interrupted_move_ends_safely(robot, monkeypatch):
+    live = lss.connect(robot, is_virtual=True)
+    real, turns = live._connection.clock.wait_until, []
+
+    def interrupt(instant_ns, filenos=()):
+        turns.append(instant_ns)
+        if len(turns) == 300:
+            raise KeyboardInterrupt
+        real(instant_ns, filenos)
+
+    monkeypatch.setattr(live._connection.clock, "wait_until", interrupt)
+    with pytest.raises(KeyboardInterrupt), live:
+        live.move_to({"j0": 60.0}, 20.0)
+    bus = next(iter(live._connection.simulated.values()))
+    assert any(is_move(line) for _, line in bus.lines)
+    assert bus.lines[-1][1] == b"#254H\r"
