@@ -13,7 +13,7 @@ import contextlib
 import dataclasses
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from lss_motion.errors import BlockedPortError, BusError, InputError
+from lss_motion.errors import BlockedPortError, BusError, InputError, LostPortError
 from lss_motion.maintenance.discovery import Pause
 from lss_motion.maintenance.limits import questions, robot_from_answers
 from lss_motion.player.checks import check_answers
@@ -39,6 +39,12 @@ if TYPE_CHECKING:
     from lss_motion.sim.hand import Hand
 
 SIMULATED: Final = "sim://"
+
+PORT_BACK_S: Final = 15.0
+"""Longest wait for the port of an LSS-PRO that restarts; the maker's example waits 10 s
+(FACTS.md P12)."""
+PORT_TRY_S: Final = 0.5
+"""Time between two attempts to open it."""
 
 
 def with_port(robot: Robot, port: str | None) -> Robot:
@@ -176,6 +182,34 @@ class Connection:
         """Let time pass; what arrives meanwhile is dropped."""
         self.run(Pause(self.clock.now_ns() + ns_from_s(seconds)))
 
+    def restart(self, items: Iterable[Item], wait_s: float) -> None:
+        """Send commands that restart servos, and let `wait_s` pass; what arrives is dropped.
+
+        A port that an LSS-PRO drops when it restarts (FACTS.md P12) is opened again. Raises
+        `BusError` if it stays away.
+        """
+        try:
+            self.ask(items)
+            self.wait(wait_s)
+        except LostPortError:
+            until_ns = self.clock.now_ns() + ns_from_s(PORT_BACK_S)
+            for name in [name for name, port in self.ports.items() if _is_lost(port)]:
+                with contextlib.suppress(BusError):
+                    self.ports.pop(name).close()
+                while not self._is_back(name):
+                    if self.clock.now_ns() > until_ns:
+                        raise
+                    self.wait(PORT_TRY_S)
+            self.wait(wait_s)
+
+    def _is_back(self, bus_name: str) -> bool:
+        """Open a lost port again if it is there; return whether it was."""
+        try:
+            self.reopen(bus_name)
+        except BusError:
+            return False
+        return True
+
     def set_baud(self, bus_name: str, baud_bps: int) -> None:
         """Change the rate of one bus; raises `BusError` if the port does not accept it."""
         self.ports.pop(bus_name).close()
@@ -222,3 +256,11 @@ class Connection:
         with contextlib.ExitStack() as stack:
             for port in self.ports.values():
                 stack.callback(port.close)
+
+
+def _is_lost(port: Port) -> bool:
+    try:
+        port.read()
+    except LostPortError:
+        return True
+    return False

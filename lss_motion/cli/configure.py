@@ -211,6 +211,8 @@ def _targets(
     connection: Connection, robot: Robot | None, arguments: argparse.Namespace
 ) -> list[Target]:
     """Return the chosen servos; each of them has replied."""
+    from dataclasses import replace
+
     from lss_motion.cli.servo_settings import targets_at
     from lss_motion.cli.survey import roll_call
     from lss_motion.robot.servo_models import model_mismatch_text
@@ -239,7 +241,7 @@ def _targets(
                 path=robot.path,
                 line=joint.lines.get("model"),
             )
-    return [found[name] for name in joints]
+    return [replace(found[name], units=joint.model.units) for name, joint in joints.items()]
 
 
 def _wanted(
@@ -254,7 +256,7 @@ def _wanted(
         stored: dict[str, float | None] = dict(given)
         if robot is not None and not given:
             stored = dict(robot.joints[target.name].stored)
-        values = {name: stored_wire(target.family, name, value) for name, value in stored.items()}
+        values = {name: stored_wire(target.language, name, value) for name, value in stored.items()}
         if robot is not None and arguments.limits:
             values |= _limits(robot.joints[target.name], values)
         if arguments.session:

@@ -166,7 +166,8 @@ def _targets(connection: Connection, robot: Robot | None) -> list[Target]:
                 servo_id=joint.servo_id,
                 model=joint.model.name,
                 family=joint.model.family,
-                firmware=robot.buses[joint.bus].firmware,
+                firmware=None,
+                units=joint.model.units,
             )
             for joint in robot.joints.values()
         ]
@@ -185,7 +186,7 @@ def _targets(connection: Connection, robot: Robot | None) -> list[Target]:
             servo_id=present.servo_id,
             model=present.model,
             family=present.family,
-            firmware=370,
+            firmware=None,
         )
         for present in found
         if not present.model.endswith("-LED")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.cli.commands import PORT_HELP, add_command, robot_at
 from lss_motion.cli.messages import put
@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from lss_motion.cli.commands import Commands
     from lss_motion.connection import Connection
     from lss_motion.maintenance.single_command import Standing, Verdict
-    from lss_motion.protocol.codec import Decoded
-    from lss_motion.protocol.constants import Family
+    from lss_motion.protocol.codec import Decoded, Language
     from lss_motion.protocol.framing import Command
     from lss_motion.robot.model import Joint, Robot
 
@@ -30,6 +29,8 @@ Send one command to one servo and print its reply. Values have the units of the 
   lss-motion send --port /dev/ttyUSB0 --id 5 D 90 T 500    moves to 90 deg in 500 ms
   lss-motion send --port /dev/ttyUSB0 --id 5 --raw D900T500    the same, as on the wire
   lss-motion send --robot my_robot.yaml --id 5 QV          port and family from the robot file
+
+Without a robot file the servo is asked for its model and its firmware first (QMS, QF).
 
 A query without a reply ends with exit code 4. Servos never reply to an action.
 
@@ -63,12 +64,12 @@ def add_to(commands: Commands) -> None:
         "--firmware",
         type=int,
         metavar="N",
-        help="firmware of the servo, such as 370 (default: the newest known)",
+        help="firmware of the servo, such as 370 (default: what the servo replies)",
     )
     send.add_argument(
         "--family",
         choices=("LSS", "LSS-PRO", "LSS-2IO"),
-        help="family of the servo (default: that of the robot file, or LSS)",
+        help="family of the servo (default: that of the robot file, or what the servo replies)",
     )
     send.add_argument(
         "--id", type=int, required=True, metavar="N", dest="servo_id", help="id of the servo"
@@ -89,23 +90,20 @@ def _send(arguments: argparse.Namespace) -> int:
     from lss_motion.connection import SIMULATED, connect
     from lss_motion.maintenance.single_command import judge
     from lss_motion.player.transactions import Item
-    from lss_motion.protocol.constants import Family
     from lss_motion.robot.model import Bus
 
     robot, joint = _robot(arguments), None
     bus = Bus(name="main", port=arguments.port or "", baud_bps=arguments.baud, firmware=0)
-    family = Family(arguments.family or Family.LSS)
     if robot is not None:
         joint = next((j for j in robot.joints.values() if j.servo_id == arguments.servo_id), None)
         bus = next(iter(robot.buses.values())) if joint is None else robot.buses[joint.bus]
-        if joint is not None and arguments.family is None:
-            family = joint.model.family
-    command = _command(arguments, family)
-    is_query = command.keyword.startswith("Q")
     with connect({bus.name: bus}, robot=robot) as connection:
+        servo = _servo(connection, bus.name, arguments, joint)
+        command = _command(arguments, servo)
+        is_query = command.keyword.startswith("Q")
         if not is_query:
             standing = None if joint is None else _standing(connection, joint, command)
-            verdict = judge(command, family, joint, standing)
+            verdict = judge(command, servo.language, joint, standing)
             if not _is_agreed(arguments, verdict, is_simulated=bus.port.startswith(SIMULATED)):
                 put("no: nothing was sent", sys.stderr)
                 return EXIT_INTERRUPTED
@@ -120,8 +118,52 @@ def _send(arguments: argparse.Namespace) -> int:
             f"{bus.baud_bps} bps",
             url=bus.port,
         )
-    print(_reply_text(family, command, answers[address]))
+    print(_reply_text(servo, command, answers[address]))
     return EXIT_FINISHED
+
+
+class _Servo(NamedTuple):
+    """The language of the servo, and what it answers to QF; None: unknown."""
+
+    language: Language
+    firmware: int | None
+
+
+def _servo(
+    connection: Connection, bus: str, arguments: argparse.Namespace, joint: Joint | None
+) -> _Servo:
+    """Return what the options, the robot file and the servo itself state about it.
+
+    The servo is asked for what the options leave open. A command that stops it (H, L) or that all
+    servos receive is sent without such questions.
+    """
+    from lss_motion.maintenance.discovery import family_of
+    from lss_motion.maintenance.single_command import HARMLESS
+    from lss_motion.player.transactions import Item
+    from lss_motion.protocol.codec import Language
+    from lss_motion.protocol.constants import BROADCAST_ID, Family
+    from lss_motion.protocol.framing import Command
+
+    servo_id, firmware = arguments.servo_id, arguments.firmware
+    family = None if arguments.family is None else Family(arguments.family)
+    if joint is not None and family in (None, joint.model.family):
+        language = joint.model.language
+    else:
+        language = Language(family or Family.LSS)
+    is_known = family is not None or joint is not None
+    keyword = arguments.words[0].upper().rstrip("-0123456789")
+    if servo_id == BROADCAST_ID or keyword in HARMLESS:
+        return _Servo(language, firmware)
+    keywords = ([] if is_known else ["QMS"]) + (["QF"] if firmware is None else [])
+    answers = connection.ask(
+        Item(bus=bus, command=Command(servo_id, keyword), is_query=True, tries=2)
+        for keyword in keywords
+        if keyword != "QF" or language.family is not Family.IO2
+    )
+    model, version = (answers.get((bus, servo_id, keyword)) for keyword in ("QMS", "QF"))
+    if model is not None:
+        language = Language(family_of(str(model)))
+    return _Servo(language, firmware or (version if isinstance(version, int) else None))
 
 
 def _standing(connection: Connection, joint: Joint, command: Command) -> Standing | None:
@@ -187,7 +229,7 @@ def _robot(arguments: argparse.Namespace) -> Robot | None:
     return robot_at(arguments.robot, arguments.port)
 
 
-def _command(arguments: argparse.Namespace, family: Family) -> Command:
+def _command(arguments: argparse.Namespace, servo: _Servo) -> Command:
     """Return the command of the words: raw, or with values in physical units."""
     from lss_motion.protocol.codec import make_command
     from lss_motion.protocol.framing import Command, CommandParser
@@ -204,12 +246,12 @@ def _command(arguments: argparse.Namespace, family: Family) -> Command:
         raise InputError("a keyword is followed by a value, then by pairs of modifier and value")
     modifiers = dict(zip([word.upper() for word in words[2::2]], numbers[1:], strict=True))
     return make_command(
-        family,
+        servo.language,
         arguments.servo_id,
         words[0],
         numbers[0] if numbers else None,
         modifiers,
-        firmware=arguments.firmware,
+        firmware=servo.firmware,
     )
 
 
@@ -220,20 +262,20 @@ def _number(word: str) -> float:
         raise InputError(f"{word!r} is not a number") from None
 
 
-def _reply_text(family: Family, command: Command, value: int | str | None) -> str:
+def _reply_text(servo: _Servo, command: Command, value: int | str | None) -> str:
     from lss_motion.protocol.codec import read_reply
     from lss_motion.protocol.framing import Reply, encode
 
     reply = Reply(command.servo_id, command.keyword, value)
     line = encode(reply)[:-1].decode("ascii")
     suffix = command.value if isinstance(command.value, int) else None
-    statement = read_reply(family, reply, suffix=suffix)
+    statement = read_reply(servo.language, reply, suffix=suffix)
     if statement is None:
         return line
-    return f"{line}   {_meaning(family, command, statement)}".rstrip()
+    return f"{line}   {_meaning(servo, command, statement)}".rstrip()
 
 
-def _meaning(family: Family, command: Command, statement: Decoded) -> str:
+def _meaning(servo: _Servo, command: Command, statement: Decoded) -> str:
     """Return the value with its unit; a code as its name."""
     from lss_motion.protocol.constants import Led, SafeModeCause, status_from
 
@@ -245,7 +287,8 @@ def _meaning(family: Family, command: Command, statement: Decoded) -> str:
                 case "Q", 1:
                     return SafeModeCause(statement.value).name.lower().replace("_", " ")
                 case "Q", _:
-                    return status_from(statement.value, family, 0).value
+                    family = servo.language.family
+                    return status_from(statement.value, family, servo.firmware).value
                 case "QLED", _:
                     return Led(statement.value).name.lower()
                 case _:

@@ -56,7 +56,7 @@ def targets_at(connection: Connection, bus: str, names: Mapping[int, str]) -> li
                 servo_id=servo_id,
                 model=present.model,
                 family=present.family,
-                firmware=firmware if isinstance(firmware, int) else 0,
+                firmware=firmware if isinstance(firmware, int) else None,
             )
         )
     return targets
@@ -195,12 +195,12 @@ def differing(
 
 def reset(connection: Connection, targets: Sequence[Target]) -> None:
     """Restart servos and wait until they receive commands again. They go limp."""
-    connection.ask(
+    items = [
         Item(bus=target.bus, command=Command(target.servo_id, "RESET"), is_query=False)
         for target in targets
         if target.family is not Family.IO2
-    )
-    connection.wait(RESET_WAIT_S)
+    ]
+    connection.restart(items, RESET_WAIT_S)
 
 
 def change_id(connection: Connection, bus: str, old_id: int, new_id: int) -> ServoIdentity:
@@ -220,8 +220,8 @@ def change_id(connection: Connection, bus: str, old_id: int, new_id: int) -> Ser
         connection.ask([Item(bus=bus, command=command, is_query=False)])
         connection.wait(SETTLE_S)
         if present.family is not Family.IO2:
-            connection.ask([Item(bus=bus, command=Command(old_id, "RESET"), is_query=False)])
-            connection.wait(RESET_WAIT_S)
+            reset_item = Item(bus=bus, command=Command(old_id, "RESET"), is_query=False)
+            connection.restart([reset_item], RESET_WAIT_S)
         found = query_each(connection, bus, {new_id: "", old_id: ""})
         if [p.servo_id for p in found] == [new_id] and found[0].model == present.model:
             return found[0]

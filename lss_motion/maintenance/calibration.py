@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
 
 from lss_motion.player.checks import expected_frame
-from lss_motion.protocol.codec import FAMILY_TABLES, storable
+from lss_motion.protocol.codec import language_table, storable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -50,7 +50,7 @@ def stated_frame(joint: Joint, wires: Mapping[str, int]) -> dict[str, float]:
 
     `wires` are gyre (G) and origin (O) of the servo, in wire units.
     """
-    rows, expected = storable(joint.model.family), expected_frame(joint)
+    rows, expected = storable(joint.model.language), expected_frame(joint)
     return {
         name: rows[name].physical(wire)
         for name, wire in wires.items()
@@ -63,6 +63,6 @@ def moved_origin(joint: Joint, *, origin_wire: int, gyre: int, zero_deg: float) 
 
     A servo reports `gyre * (raw - origin)`; the offset is kept within half a turn.
     """
-    row = FAMILY_TABLES[joint.model.family].row("O")
+    row = language_table(joint.model.language).row("O")
     turn, moved = row.wire(360.0), origin_wire + gyre * row.wire(zero_deg)
     return (moved + turn // 2) % turn - turn // 2

@@ -27,7 +27,7 @@ from lss_motion.maintenance.identify.trials import Kind, PlannedMove, TrialPlan,
 from lss_motion.player import handshake
 from lss_motion.player.handshake import SettingsDialogue
 from lss_motion.player.transactions import Item
-from lss_motion.protocol.codec import FAMILY_TABLES, make_command
+from lss_motion.protocol.codec import language_table, make_command
 from lss_motion.protocol.constants import PULSE_MAX_US, PULSE_MIN_US
 from lss_motion.protocol.framing import Command
 from lss_motion.units import s_from_ns
@@ -107,13 +107,13 @@ class CarefulRun(JointRun):
 
     def _settings(self, leg: Leg) -> SettingsDialogue:
         """Return the dialogue that sets what `leg` needs, and asks where the joint stands."""
-        joint, table = self.joint, FAMILY_TABLES[self.joint.model.family].by_keyword
+        joint, table = self.joint, language_table(self.joint.model.language).by_keyword
         known: list[Item] = []
         unknown: list[Item] = []
         for keyword, value in leg.settings.items():
             if f"Q{keyword}" not in table:
                 continue
-            command = make_command(joint.model.family, joint.servo_id, keyword, value)
+            command = make_command(joint.model.language, joint.servo_id, keyword, value)
             item = Item(bus=joint.bus, command=command, is_query=False)
             is_known = handshake.reported(joint, self._answers, f"Q{keyword}") is not None
             (known if is_known else unknown).append(item)

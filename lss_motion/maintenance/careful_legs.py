@@ -19,7 +19,7 @@ from lss_motion.player.estimators import LAG_MAX_S
 from lss_motion.program.model import ramp_setting_deg_s2
 from lss_motion.program.reference import DURATION_MAX_MS
 from lss_motion.program.response import Piece, travel_speed
-from lss_motion.protocol.codec import FAMILY_TABLES
+from lss_motion.protocol.codec import language_table
 from lss_motion.robot.servo_models import RAMP_STEP_DEG_S2
 from lss_motion.units import MS_PER_S, s_from_ms
 
@@ -176,7 +176,7 @@ def make_legs(joint: Joint, robot: Robot, standing_deg: float, way_deg: float) -
 
 def _settable(joint: Joint, speed_deg_s: float) -> float:
     """Return the speed nearest below that SD can express, at least its smallest."""
-    row = FAMILY_TABLES[joint.model.family].row("SD")
+    row = language_table(joint.model.language).row("SD")
     return max(math.floor(row.wire_per_unit * speed_deg_s), 1) / float(row.wire_per_unit)
 
 

@@ -257,9 +257,7 @@ def read_condition(
         position_deg=number("QD"),
         voltage_v=number("QV"),
         temperature_c=number("QT"),
-        status=status_from(status, identity.family, version or 0)
-        if isinstance(status, int)
-        else None,
+        status=status_from(status, identity.family, version) if isinstance(status, int) else None,
     )
 
 

@@ -80,6 +80,8 @@ class Poller:
         """When the next query may be sent, if that is known."""
         self._orders: dict[str, deque[Command]] = {bus: deque() for bus in lines}
         self._reported: set[str] = set()
+        self.firmware: dict[str, int | None] = {}
+        """What the servos of the joints answered to QF; the codes of a status depend on it."""
 
     def order(self, joint: Joint, command: Command) -> None:
         """Send a command before the next query; a move takes the place of one that waits."""
@@ -112,7 +114,7 @@ class Poller:
             if asked.command.keyword == "Q":
                 self._notice_status(joint, answer)
                 continue
-            statement = read_reply(joint.model.family, answer)
+            statement = read_reply(joint.model.language, answer)
             if statement is not None and isinstance(statement.value, int | float):
                 self.note(joint, asked.arrival_ns, float(statement.value))
 
@@ -166,8 +168,7 @@ class Poller:
     def _notice_status(self, joint: Joint, reply: Reply) -> None:
         if not isinstance(reply.value, int):
             return
-        firmware = self._robot.buses[joint.bus].firmware
-        state = status_from(reply.value, joint.model.family, firmware)
+        state = status_from(reply.value, joint.model.family, self.firmware.get(joint.name))
         if state in (Status.SAFE_MODE, Status.ERROR):
             cause = Cause.ERROR if state is Status.ERROR else Cause.SAFE_MODE
             self._report(joint, f"reports {state.value}", cause)
@@ -312,7 +313,7 @@ class HandsOn:
         for joint in self._ready([name]):
             target_deg = min(max(joint_deg, joint.position_min_deg), joint.position_max_deg)
             command = make_command(
-                joint.model.family,
+                joint.model.language,
                 joint.servo_id,
                 "D",
                 joint.servo_deg(target_deg),
@@ -364,6 +365,9 @@ class HandsOn:
             self.error = error
             self._restore()
             return
+        self._poller.firmware = {
+            joint.name: checks.reported_firmware(joint, self._answers) for joint in self.joints
+        }
         self._has_set = True
         self._enter(Phase.PREPARE)
         orders = handshake.session_orders(self.joints, self._answers)

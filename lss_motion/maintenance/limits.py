@@ -109,7 +109,7 @@ def _physical(
     """Return the known limits by joint and name, in horn degrees."""
     limits: dict[str, dict[str, float]] = {}
     for joint in robot.unread:
-        rows = storable(joint.model.family)
+        rows = storable(joint.model.language)
         for key in joint.unread:
             wires = [wire_of(joint, name) for name in SETTINGS[key]]
             values = [

@@ -21,7 +21,7 @@ from lss_motion.maintenance.discovery import (
 from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.transactions import Dialogue, Item
-from lss_motion.protocol.codec import FAMILY_TABLES, read_reply
+from lss_motion.protocol.codec import language_table, read_reply
 from lss_motion.protocol.constants import Family, Status, status_from
 from lss_motion.protocol.framing import Command, Reply
 from lss_motion.protocol.table import Device
@@ -78,7 +78,7 @@ class ServoState:
 
     def take(self, keyword: str, value: int | str | None) -> None:
         """Take an answer; an unreadable one changes nothing."""
-        statement = read_reply(self.target.family, Reply(self.target.servo_id, keyword, value))
+        statement = read_reply(self.target.language, Reply(self.target.servo_id, keyword, value))
         if statement is None or not isinstance(statement.value, int | float):
             return
         match keyword:
@@ -228,7 +228,7 @@ def _keywords(servo: ServoState, round_: int) -> tuple[str, ...]:
         return ("QA",) if target.device is Device.ANALOG else ("QD",)
     if servo.misses or not servo.at_ns:
         return ("QD",)
-    known = FAMILY_TABLES[target.family].by_keyword
+    known = language_table(target.language).by_keyword
     slow = [word for word in SLOW if word in known]
     return (*QUICK, slow[round_ % len(slow)])
 

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.transactions import Item
-from lss_motion.protocol.codec import storable
+from lss_motion.protocol.codec import Language, storable
 from lss_motion.protocol.constants import Family, Led
 from lss_motion.protocol.framing import DISABLED, Command
+from lss_motion.protocol.lss_pro import UNITS, Units
 from lss_motion.protocol.table import Device, ReplyShape, Suffix
 
 if TYPE_CHECKING:
@@ -42,7 +43,14 @@ class Target:
     servo_id: int
     model: str
     family: Family
-    firmware: int
+    firmware: int | None
+    """What it answers to QF; None: it did not answer."""
+    units: Units = UNITS
+
+    @property
+    def language(self) -> Language:
+        """What the tables of `protocol.codec` are found with."""
+        return Language(self.family, self.units)
 
     @property
     def device(self) -> Device | None:
@@ -57,9 +65,9 @@ class Target:
         """Return the settings that can be read and written: stored, or those of the session."""
         return {
             name: row
-            for name, row in storable(self.family).items()
+            for name, row in storable(self.language).items()
             if row.queries
-            and row.firmware <= self.firmware
+            and row.firmware <= (self.firmware or 0)
             and (not row.devices or self.device in row.devices)
             and (not is_session or row.actions)
         }
@@ -108,7 +116,7 @@ def changes(target: Target, had: Values, wanted: Mapping[str, int | None]) -> li
     A setting that cannot be read back, such as RC mode, is always written. Of the two first
     positions, which overwrite each other, the wanted one is written last.
     """
-    rows = storable(target.family)
+    rows = storable(target.language)
     needed = [
         Change(target=target, row=rows[name], had=had.get(name), wanted=wanted[name])
         for name in rows

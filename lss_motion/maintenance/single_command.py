@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.protocol.codec import FAMILY_TABLES, read_command
+from lss_motion.protocol.codec import FAMILY_TABLES, language_table, read_command
 from lss_motion.protocol.constants import BROADCAST_ID, Family
 from lss_motion.protocol.framing import encode
 from lss_motion.protocol.table import Form, Unit
@@ -20,7 +20,7 @@ from lss_motion.units import s_from_ms
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from lss_motion.protocol.codec import Decoded
+    from lss_motion.protocol.codec import Decoded, Language
     from lss_motion.protocol.framing import Command
     from lss_motion.robot.model import Joint
 
@@ -73,12 +73,12 @@ ROUNDED_UNITS: Final = 0.5
 
 def judge(
     command: Command,
-    family: Family,
+    language: Family | Language,
     joint: Joint | None = None,
     standing: Standing | None = None,
 ) -> Verdict:
     """Return what `command` does and needs; `joint` is the one of the robot file with that id."""
-    meant = None if _repeats(command) else read_command(family, command)
+    meant = None if _repeats(command) else read_command(language, command)
     text = _text(command, meant)
     if meant is not None and meant.form is Form.QUERY:
         return Verdict(command=command, text=text, consent=Consent.NONE)
@@ -90,6 +90,7 @@ def judge(
         return Verdict(command=command, text=text, consent=Consent.FORCE, notes=(note,))
     if meant is None:
         consent = Consent.QUESTION if joint is None else Consent.FORCE
+        family = language_table(language).family
         note = f"no document of {family} describes this command, so its effect is not known"
         return Verdict(command=command, text=text, consent=consent, notes=(note,))
     if keyword in TO_ANGLE | TO_PULSE | ENDLESS:
@@ -120,8 +121,7 @@ def _lasts(meant: Decoded, keyword: str) -> str:
 
 def _move(command: Command, joint: Joint, standing: Standing) -> Verdict:
     """Return the verdict on a move of a joint of the robot file."""
-    family = joint.model.family
-    text = _text(command, read_command(family, command))
+    text = _text(command, read_command(joint.model.language, command))
     if command.keyword in TO_PULSE | ENDLESS:
         reason = (
             f"{command.keyword} turns joint {joint.name!r} without an end"
@@ -142,7 +142,7 @@ def _move(command: Command, joint: Joint, standing: Standing) -> Verdict:
             f"{joint.position_min_deg:g} to {joint.position_max_deg:g} deg"
         )
         return Verdict(command=command, text=text, consent=Consent.FORCE, notes=(reason,))
-    is_limited = family is not Family.IO2 and standing.has_profile and not joint.unread
+    is_limited = joint.model.family is not Family.IO2 and standing.has_profile and not joint.unread
     if not is_limited or standing.servo_deg is None:
         note = (
             f"the speed of joint {joint.name!r} cannot be limited: it moves as fast as its "
@@ -168,7 +168,7 @@ def _within_speed(command: Command, joint: Joint, way_deg: float) -> Verdict:
     if joint.response.t_law == "exact":  # Its T includes the ramps.
         least_s += limit_deg_s / joint.accel_max_deg_s2
     least_ms = max(1, math.ceil(least_s / MS))
-    most = math.floor(FAMILY_TABLES[joint.model.family].modifiers["SD"].wire(limit_deg_s))
+    most = math.floor(language_table(joint.model.language).modifiers["SD"].wire(limit_deg_s))
     given = dict(command.modifiers)
     kept = dict(given)
     if "T" in given or "SD" not in given:
@@ -183,7 +183,7 @@ def _within_speed(command: Command, joint: Joint, way_deg: float) -> Verdict:
             f"joint {joint.name!r} keeps {limit_deg_s:g} deg/s: the command had {was}, it is sent "
             f"as {encode(changed)[:-1].decode('ascii')}",
         )
-    text = _text(changed, read_command(joint.model.family, changed))
+    text = _text(changed, read_command(joint.model.language, changed))
     return Verdict(command=changed, text=text, consent=Consent.NONE, notes=notes)
 
 

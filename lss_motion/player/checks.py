@@ -25,7 +25,7 @@ from lss_motion.player.handshake import (
 from lss_motion.player.health import STATUS_CAUSES, STATUS_TEXTS, hot_text, low_voltage_text
 from lss_motion.player.transactions import Item
 from lss_motion.program.model import ramp_setting_deg_s2
-from lss_motion.protocol.codec import FAMILY_TABLES, storable, stored_wire
+from lss_motion.protocol.codec import language_table, storable, stored_wire
 from lss_motion.protocol.constants import Family, Status, status_from
 from lss_motion.protocol.framing import Command
 from lss_motion.protocol.table import Suffix
@@ -92,7 +92,7 @@ def queries(joints: Iterable[Joint], led_joints: Container[str] = ()) -> list[It
         query(joint, keyword)
         for joint in joints
         for keyword in _asked_of(joint)
-        if keyword in FAMILY_TABLES[joint.model.family].by_keyword
+        if keyword in language_table(joint.model.language).by_keyword
     ]
     return known + frame_queries(joints) + settings_queries(joints, led_joints)
 
@@ -127,7 +127,7 @@ def stored_queries(joints: Iterable[Joint]) -> list[Item]:
     return [
         Item(bus=joint.bus, command=Command(joint.servo_id, f"Q{name}", 1), is_query=True)
         for joint in joints
-        for name, row in storable(joint.model.family).items()
+        for name, row in storable(joint.model.language).items()
         if name in (*FRAME, *STORED_LIMITS) and Suffix.CONFIGURED in (row.suffixes or {}).values()
     ]
 
@@ -221,7 +221,7 @@ def expected_frame(joint: Joint) -> dict[str, int]:
     """
     if joint.model.family is Family.IO2:
         return {}
-    rows = storable(joint.model.family)
+    rows = storable(joint.model.language)
     return {
         name: wire
         for name in FRAME
@@ -231,8 +231,8 @@ def expected_frame(joint: Joint) -> dict[str, int]:
 
 def _expected(joint: Joint, name: str) -> int | None:
     if name in joint.stored:
-        return stored_wire(joint.model.family, name, joint.stored[name])
-    return storable(joint.model.family)[name].default
+        return stored_wire(joint.model.language, name, joint.stored[name])
+    return storable(joint.model.language)[name].default
 
 
 FRAME_TEXTS: Final = {
@@ -255,7 +255,7 @@ def _frame_refusals(
     joint: Joint, answers: Answers, stored: Answers, robot: Robot
 ) -> Iterator[Refusal]:
     """Yield one refusal for the present frame of a servo, and one for its stored frame."""
-    rows, wanted = storable(joint.model.family), expected_frame(joint)
+    rows, wanted = storable(joint.model.language), expected_frame(joint)
     for source, is_stored in ((answers, False), (stored, True)):
         had = {
             name: value
@@ -288,7 +288,7 @@ def _frame_refusals(
 
 def _frame_remedy(joint: Joint, had: Mapping[str, int], stored: Answers, robot: Robot) -> str:
     """Return how to mend a frame: in the servo, or in the robot file."""
-    rows, path = storable(joint.model.family), robot.path or "ROBOT"
+    rows, path = storable(joint.model.language), robot.path or "ROBOT"
     address = (joint.bus, joint.servo_id)
     if all(stored.get((*address, f"Q{name}")) == _expected(joint, name) for name in had):
         return (
@@ -306,14 +306,14 @@ def _frame_remedy(joint: Joint, had: Mapping[str, int], stored: Answers, robot: 
 def _value(joint: Joint, name: str) -> str:
     wire = _expected(joint, name)
     assert wire is not None, "frames have numbers"
-    return f"{storable(joint.model.family)[name].physical(wire):g}"
+    return f"{storable(joint.model.language)[name].physical(wire):g}"
 
 
 def _condition_refusals(
     joint: Joint, answers: Answers, robot: Robot, show: Escalations
 ) -> Iterator[Refusal]:
     """Yield what is wrong with a servo: as a warning if `on_fault` has no other step for it."""
-    status = status_of(joint, answers, robot)
+    status = status_of(joint, answers)
     if status in (Status.SAFE_MODE, Status.ERROR):
         error = PlaybackError(
             f"joint {joint.name!r}: servo {joint.servo_id} reports {status.value}; find the "
@@ -330,16 +330,16 @@ def _condition_refusals(
             joint=joint.name,
         )
         yield Refusal(joint, ("Q",), error)
-    for cause, keyword, text in _conditions(joint, answers, robot):
+    for cause, keyword, text in _conditions(joint, answers):
         is_warning = not set(robot.escalation(cause, joint, show)) - {FaultStep.WARN}
         ending = "" if is_warning else f". Nothing moves, as `on_fault` has it for {cause}"
         error = PlaybackError(f"joint {joint.name!r} {text}{ending}", joint=joint.name)
         yield Refusal(joint, (keyword,), error, is_warning=is_warning)
 
 
-def _conditions(joint: Joint, answers: Answers, robot: Robot) -> Iterator[tuple[Cause, str, str]]:
+def _conditions(joint: Joint, answers: Answers) -> Iterator[tuple[Cause, str, str]]:
     """Yield cause, query and text of every fault that the answers of a servo show."""
-    status = status_of(joint, answers, robot)
+    status = status_of(joint, answers)
     if status in (Status.STUCK, Status.BLOCKED):
         cause = STATUS_CAUSES[status]
         yield cause, "Q", STATUS_TEXTS[cause]
@@ -390,10 +390,9 @@ def stored_limits(joint: Joint) -> dict[str, int]:
     They are wire values by the name of the setting. A servo that is driven by ramps must also
     restart with them (EM1). An RC servo on a 2IO has no limits.
     """
-    family = joint.model.family
-    if family is Family.IO2:
+    if joint.model.family is Family.IO2:
         return {}
-    rows, ramp = storable(family), float(ramp_setting_deg_s2(joint))
+    rows, ramp = storable(joint.model.language), ramp_setting_deg_s2(joint)
     limits = {"SD": joint.speed_max_deg_s, "AA": ramp, "AD": ramp}
     wires = {name: rows[name].wire(value) for name, value in limits.items() if name in rows}
     return wires | ({"EM": 1} if joint.drive == "timed" and "EM" in rows else {})
@@ -405,7 +404,7 @@ def stored_excesses(joints: Iterable[Joint], stored: Answers) -> list[str]:
 
 
 def _stored_excess(joint: Joint, stored: Answers) -> str:
-    rows, parts = storable(joint.model.family), []
+    rows, parts = storable(joint.model.language), []
     for name, allowed in stored_limits(joint).items():
         value = stored.get((joint.bus, joint.servo_id, f"Q{name}"))
         row = rows[name]
@@ -493,7 +492,7 @@ def check(
     more, notes = check_stored_limits(
         joints, asked.stored, robot, has_feedback=has_feedback, is_forced=is_forced
     )
-    rows = found(joints, answers, robot, start_deg)
+    rows = found(joints, answers, start_deg)
     return [*map(Warned, [*warnings, *more]), Checked(tuple(rows), tuple(notes))]
 
 
@@ -528,13 +527,14 @@ def check_answers(
 
 def _warnings(joint: Joint, answers: Answers, robot: Robot) -> Iterator[str]:
     """Yield what a person should know of a servo that may be driven."""
-    bus, firmware = robot.buses[joint.bus], answers.get((joint.bus, joint.servo_id, "QF"))
-    if isinstance(firmware, int) and firmware != bus.firmware:
+    firmware = reported_firmware(joint, answers)
+    assumed = robot.buses[joint.bus].firmware_of(joint.model.family)
+    if firmware is not None and firmware != assumed:
         yield (
             f"joint {joint.name!r}: servo {joint.servo_id} has firmware {firmware}, the robot "
-            f"file says {bus.firmware}"
+            f"file says {assumed}"
         )
-    status = status_of(joint, answers, robot)
+    status = status_of(joint, answers)
     if status is Status.OUTSIDE_LIMITS:
         yield (
             f"joint {joint.name!r}: servo {joint.servo_id} is outside of its own limits (CLN, "
@@ -603,17 +603,21 @@ def _sensors(program: Program, robot: Robot) -> list[Sensor]:
     return [robot.sensors[name] for name in {p.wait.sensor: None for p in program.waits}]
 
 
-def status_of(joint: Joint, answers: Answers, robot: Robot) -> Status | None:
+def reported_firmware(joint: Joint, answers: Answers) -> int | None:
+    """Return the firmware that a servo reported; None: it did not."""
+    firmware = answers.get((joint.bus, joint.servo_id, "QF"))
+    return firmware if isinstance(firmware, int) else None
+
+
+def status_of(joint: Joint, answers: Answers) -> Status | None:
     """Return the status that a servo reported; None: it did not.
 
-    The numbers depend on its firmware: on what it reported, not on what the robot file has.
+    The numbers depend on its firmware: on what it reported, never on what the robot file has.
     """
     code = answers.get((joint.bus, joint.servo_id, "Q"))
     if not isinstance(code, int):
         return None
-    own = answers.get((joint.bus, joint.servo_id, "QF"))
-    firmware = own if isinstance(own, int) else robot.buses[joint.bus].firmware
-    return status_from(code, joint.model.family, firmware)
+    return status_from(code, joint.model.family, reported_firmware(joint, answers))
 
 
 def check_latency(buses: Mapping[str, Bus], trackers: Mapping[str, QueryTracker]) -> list[str]:
@@ -633,9 +637,7 @@ def check_latency(buses: Mapping[str, Bus], trackers: Mapping[str, QueryTracker]
     return warnings
 
 
-def found(
-    joints: Iterable[Joint], answers: Answers, robot: Robot, start_deg: Mapping[str, float]
-) -> list[Found]:
+def found(joints: Iterable[Joint], answers: Answers, start_deg: Mapping[str, float]) -> list[Found]:
     """Return what is known of every servo, for people to check before anything moves."""
     rows = []
     for joint in joints:
@@ -643,7 +645,7 @@ def found(
         firmware = answers.get((joint.bus, joint.servo_id, "QF"))
         values = {key: reported(joint, answers, key) for key in ("QD", "QV", "QT", "QSD", "QAA")}
         assert values["QD"] is not None, "checked before"
-        status = status_of(joint, answers, robot)
+        status = status_of(joint, answers)
         rows.append(
             Found(
                 joint=joint.name,

@@ -19,7 +19,7 @@ from lss_motion.errors import BusError, PlaybackError
 from lss_motion.player.cues import LED_KEYWORD
 from lss_motion.player.transactions import Dialogue, Item
 from lss_motion.program.model import ramp_setting_deg_s2
-from lss_motion.protocol.codec import FAMILY_TABLES, make_command, read_reply
+from lss_motion.protocol.codec import language_table, make_command, read_reply
 from lss_motion.protocol.constants import BROADCAST_ID
 from lss_motion.protocol.framing import Command, Reply, encode
 
@@ -154,7 +154,7 @@ def reported(joint: Joint, answers: Answers, keyword: str) -> float | None:
     value = answers.get((joint.bus, joint.servo_id, keyword))
     if not isinstance(value, int):
         return None
-    answer = read_reply(joint.model.family, Reply(joint.servo_id, keyword, value))
+    answer = read_reply(joint.model.language, Reply(joint.servo_id, keyword, value))
     return (
         float(answer.value)
         if answer is not None and isinstance(answer.value, int | float)
@@ -190,9 +190,9 @@ def unconfirmed_orders(joints: Iterable[Joint], answers: Answers) -> list[Item]:
 
 
 def _session_orders(joint: Joint, answers: Answers, *, is_known: bool) -> list[Item]:
-    known = FAMILY_TABLES[joint.model.family].by_keyword
+    known = language_table(joint.model.language).by_keyword
     return [
-        _order(joint, make_command(joint.model.family, joint.servo_id, keyword, value))
+        _order(joint, make_command(joint.model.language, joint.servo_id, keyword, value))
         for keyword, value in _session_of(joint).items()
         if f"Q{keyword}" in known
         and is_known is (reported(joint, answers, f"Q{keyword}") is not None)
@@ -206,7 +206,7 @@ def session_commands(joints: Iterable[Joint]) -> list[Command]:
         for joint in joints
         for command in (
             *(
-                make_command(joint.model.family, joint.servo_id, keyword, value)
+                make_command(joint.model.language, joint.servo_id, keyword, value)
                 for keyword, value in _session_of(joint).items()
             ),
             *(Command(joint.servo_id, keyword, value) for keyword, value in joint.settings.items()),
@@ -234,7 +234,7 @@ def _session_of(joint: Joint) -> dict[str, float]:
     if joint.drive == "streamed":
         count = float(joint.filter_count)
         return {"FPC": count, "IPE": 1.0, "SD": joint.speed_max_deg_s, "EM": 0.0}
-    ramp = float(ramp_setting_deg_s2(joint))
+    ramp = ramp_setting_deg_s2(joint)
     return {"EM": 1.0, "AA": ramp, "AD": ramp, "SD": joint.speed_max_deg_s}
 
 

@@ -171,8 +171,8 @@ class HealthMonitor:
         self._lost_settings.add(state.joint.name)
         self.active_faults[state.joint.name, Cause.RESTARTED] = text
 
-    def status(self, state: JointState, code: int, firmware: int) -> None:
-        state.note_status(code, firmware)
+    def status(self, state: JointState, code: int) -> None:
+        state.note_status(code)
         present = None if state.status is None else STATUS_CAUSES.get(state.status)
         for cause, text in STATUS_TEXTS.items():
             self._judge(state, cause, "Q", text, is_bad=cause is present)

@@ -95,6 +95,8 @@ class JointState:
     """Instant at which the servo received its last move."""
     resent: int = 0
     """Number of moves that were sent again because the servo had lost them."""
+    firmware: int | None = None
+    """What the servo answered to QF before the show; None: nothing. Its status depends on it."""
     status: Status | None = None
     temperature_max_c: float | None = None
     voltage_min_v: float | None = None
@@ -433,9 +435,9 @@ class JointState:
                 self.early_s = self.lag.extra_s
         return other is not None
 
-    def note_status(self, code: int, firmware: int) -> None:
+    def note_status(self, code: int) -> None:
         """Note the status that the servo reported; firmware versions number them differently."""
-        self.status = status_from(code, self.joint.model.family, firmware)
+        self.status = status_from(code, self.joint.model.family, self.firmware)
 
     def note_temperature(self, temperature_c: float) -> None:
         """Keep the highest temperature."""

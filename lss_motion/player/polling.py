@@ -269,7 +269,7 @@ class PollScheduler:
         reply: Reply,
         plan_deg: Callable[[JointState, int], float],
     ) -> None:
-        answer = read_reply(state.joint.model.family, reply)
+        answer = read_reply(state.joint.model.language, reply)
         if answer is None or not isinstance(answer.value, int | float):
             self._note_no_target(state, reply, query.arrival_ns)
             return
@@ -280,7 +280,7 @@ class PollScheduler:
                 if state.take_target(answer.value, s_from_ns(query.arrival_ns)):
                     self._note_lost_move(state)
             case "Q":
-                self._take_status(bus, state, int(answer.value), query.arrival_ns)
+                self._take_status(state, int(answer.value), query.arrival_ns)
             case "QT":
                 self.health.temperature(state, answer.value)
             case "QV":
@@ -313,8 +313,8 @@ class PollScheduler:
         state.hold_back(has_missed=True)
         self.health.unconfirmed[name] = "QD"
 
-    def _take_status(self, bus: str, state: JointState, code: int, arrival_ns: int) -> None:
-        self.health.status(state, code, self._lines[bus].bus.firmware)
+    def _take_status(self, state: JointState, code: int, arrival_ns: int) -> None:
+        self.health.status(state, code)
         if state.status is Status.LIMP:
             self.watch.note_sign(state, arrival_ns, count=HOLD_SIGNS)
 

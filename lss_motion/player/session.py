@@ -316,6 +316,7 @@ class Session:
     def _take_over(self, streamer: Streamer) -> None:
         """Give the joints of `streamer` the estimates of the streamer before it."""
         for name, state in streamer.joint_states.items():
+            state.firmware = checks.reported_firmware(state.joint, self.original)
             if name in self._states:
                 state.take_over(self._states[name])
             self._states[name] = state

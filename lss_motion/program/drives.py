@@ -183,14 +183,15 @@ def _with(robot: Robot, drives: Mapping[str, Drive]) -> Robot:
 
 def _needs_filter(joint: Joint) -> bool:
     """Return whether only the filter of a servo can follow the acceleration of the joint."""
-    facts = FAMILIES[joint.model.family]
-    return "streamed" in facts.drives and joint.accel_max_deg_s2 > facts.accel_max_deg_s2
+    model = joint.model
+    can_stream = "streamed" in FAMILIES[model.family].drives
+    return can_stream and joint.accel_max_deg_s2 > model.accel_max_deg_s2
 
 
 def _only(joint: Joint, robot: Robot) -> str:
     """Return why a joint has only one drive; empty if it has a choice."""
     if _needs_filter(joint):
-        most = FAMILIES[joint.model.family].accel_max_deg_s2
+        most = joint.model.accel_max_deg_s2
         return f"{joint.accel_max_deg_s2:g} deg/s² is more than its ramps can express, {most:g}"
     if "streamed" not in FAMILIES[joint.model.family].drives:
         return f"a {joint.model.name} supports no other drive"

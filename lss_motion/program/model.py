@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
 from lss_motion.files.source import counted, duration_text
 from lss_motion.protocol.framing import encode_move
-from lss_motion.robot.servo_models import RAMP_STEP_DEG_S2, RAMP_STEPS_MAX, ramp_steps
+from lss_motion.robot.servo_models import ramp_of_steps, ramp_steps, ramp_steps_max
 from lss_motion.units import NS_PER_US, line_time_ns, s_from_us
 
 if TYPE_CHECKING:
@@ -228,13 +228,14 @@ def _instant(due: tuple[float, T]) -> float:
     return due[0]
 
 
-def ramp_setting_deg_s2(joint: Joint) -> int:
+def ramp_setting_deg_s2(joint: Joint) -> float:
     """Return the AA and AD of a timed joint's servo: its limit, as far as the setting reaches.
 
     With its ramps at the joint's own limit the servo never exceeds it, whatever it receives.
     """
-    steps = ramp_steps(joint.accel_max_deg_s2, joint.response.ramp_ratio)
-    return min(max(steps, 1), RAMP_STEPS_MAX) * RAMP_STEP_DEG_S2
+    model = joint.model
+    steps = ramp_steps(model, joint.accel_max_deg_s2, joint.response.ramp_ratio)
+    return ramp_of_steps(model, min(max(steps, 1), ramp_steps_max(model)))
 
 
 def ramp_deg_s2(joint: Joint) -> float:

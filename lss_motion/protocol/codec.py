@@ -13,14 +13,14 @@ import math
 from dataclasses import dataclass, field
 from functools import cache
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, assert_never
+from typing import TYPE_CHECKING, Final, NamedTuple, assert_never
 
 from lss_motion.errors import ProtocolError
 from lss_motion.protocol.constants import BROADCAST_ID, BUTTON_ID, GROUP_FIRMWARE, Family
 from lss_motion.protocol.framing import DISABLED, Command, Reply
 from lss_motion.protocol.io2 import IO2_TABLE
 from lss_motion.protocol.lss import LSS_TABLE
-from lss_motion.protocol.lss_pro import PRO_TABLE
+from lss_motion.protocol.lss_pro import PRO_TABLE, UNITS, Units, pro_table
 from lss_motion.protocol.table import Form, ReplyShape, Suffix, Unit, Value, unknown_text
 
 if TYPE_CHECKING:
@@ -34,7 +34,25 @@ FAMILY_TABLES: Final[Mapping[Family, FamilyTable]] = {
     Family.LSS_PRO: PRO_TABLE,
     Family.IO2: IO2_TABLE,
 }
-"""The table of each family."""
+"""The table of each family, an LSS-PRO with the units that a robot file need not state."""
+
+
+class Language(NamedTuple):
+    """The language of one servo: its family, and for an LSS-PRO the units on its wire.
+
+    The functions here take a `Family` as well: it stands for the usual units.
+    """
+
+    family: Family
+    units: Units = UNITS
+
+
+def language_table(language: Family | Language) -> FamilyTable:
+    """Return the table of a language."""
+    if isinstance(language, Language) and language.family is Family.LSS_PRO:
+        return pro_table(language.units)
+    return FAMILY_TABLES[language.family if isinstance(language, Language) else language]
+
 
 _SENSOR_SUFFIXES: Final = (Suffix.GP2Y0A41SK0F, Suffix.GP2Y0A21YK0F, Suffix.GP2Y0A02YK0F)
 
@@ -59,7 +77,7 @@ class Decoded:
 
 
 def make_command(
-    family: Family,
+    language: Family | Language,
     servo_id: int,
     keyword: str,
     value: float | None = None,
@@ -72,7 +90,7 @@ def make_command(
     For a query, `value` is the suffix. Codes must be whole numbers. Raises `ProtocolError`, with
     the allowed values, if the family or its `firmware` (newest if None) has no such command.
     """
-    table = FAMILY_TABLES[family]
+    table = language_table(language)
     keyword = keyword.upper()
     form, row = table.find(keyword)
     known = table.firmware if firmware is None else firmware
@@ -84,13 +102,13 @@ def make_command(
     return Command(servo_id, keyword, checked(keyword, row, value, known), wire_modifiers)
 
 
-def read_command(family: Family, command: Command) -> Decoded | None:
+def read_command(language: Family | Language, command: Command) -> Decoded | None:
     """Return the command in physical units, or None if the family has no such command.
 
     The range is not checked: `Row.kept` returns the effect of a value outside it. A family without
     modifiers (2IO) ignores them (FACTS.md B5); for the others an unknown modifier gives None.
     """
-    table = FAMILY_TABLES[family]
+    table = language_table(language)
     found = table.by_keyword.get(command.keyword)
     modifiers = command.modifiers if table.modifiers else ()
     if found is None or any(name not in table.modifiers for name, _ in modifiers):
@@ -112,15 +130,19 @@ def read_command(family: Family, command: Command) -> Decoded | None:
 
 
 def make_reply(
-    family: Family, servo_id: int | None, keyword: str, value: float | str | None = None
+    language: Family | Language,
+    servo_id: int | None,
+    keyword: str,
+    value: float | str | None = None,
 ) -> Reply:
     """Return the reply with `value`; None gives no value, or `DIS` for a first position.
 
     Raises `ProtocolError` if the value does not match the shape of the row's reply.
     """
-    form, row = FAMILY_TABLES[family].find(keyword)
+    table = language_table(language)
+    form, row = table.find(keyword)
     if form is not Form.QUERY:
-        raise ProtocolError(f"{keyword} is no query of {family}, so it has no reply")
+        raise ProtocolError(f"{keyword} is no query of {table.family}, so it has no reply")
     if value is None and row.reply_shape is ReplyShape.DISABLED:
         return Reply(servo_id, keyword, DISABLED)
     wire = row.wire(value) if isinstance(value, int | float) else value
@@ -129,13 +151,15 @@ def make_reply(
     return Reply(servo_id, keyword, wire)
 
 
-def read_reply(family: Family, reply: Reply, *, suffix: int | None = None) -> Decoded | None:
+def read_reply(
+    language: Family | Language, reply: Reply, *, suffix: int | None = None
+) -> Decoded | None:
     """Return the reply in physical units, or None if it is no reply of the family.
 
     `suffix` is the suffix of the query. The reply does not repeat it, but the unit can depend on it
     (the reply to `QA1` is in mm). In a reply to `QID` the servo id is the value, not the address.
     """
-    found = FAMILY_TABLES[family].by_keyword.get(reply.keyword)
+    found = language_table(language).by_keyword.get(reply.keyword)
     if found is None or found[0] is not Form.QUERY:
         return None
     form, row = found
@@ -251,7 +275,7 @@ _FIRST: Final = ("G", "AR")
 
 
 @cache
-def storable(family: Family) -> Mapping[str, Row]:
+def storable(language: Family | Language) -> Mapping[str, Row]:
     """Return the rows that can be configured, by name, in the order in which to write them.
 
     The id is left out because it addresses the servo. A row that mirrors another one in a second
@@ -259,27 +283,28 @@ def storable(family: Family) -> Mapping[str, Row]:
     """
     rows = [
         row
-        for row in FAMILY_TABLES[family].rows
+        for row in language_table(language).rows
         if row.configs and row.mirrors is None and row.name != "ID"
     ]
     rows.sort(key=lambda row: row.name not in _FIRST)
     return MappingProxyType({row.name: row for row in rows})
 
 
-def stored_wire(family: Family, name: str, value: float | None) -> int | None:
+def stored_wire(language: Family | Language, name: str, value: float | None) -> int | None:
     """Return the wire value of a stored setting; None, only for a first position: disabled.
 
     Raises `ProtocolError`, with the allowed values, if the family does not store this setting or
     does not allow this value.
     """
-    rows = storable(family)
+    rows = storable(language)
     if name not in rows:
-        raise ProtocolError(unknown_text(name, rows, f"setting that {family} stores"))
+        kind = f"setting that {language_table(language).family} stores"
+        raise ProtocolError(unknown_text(name, rows, kind))
     row = rows[name]
     if value is None:
         if row.reply_shape is not ReplyShape.DISABLED:
             raise ProtocolError(f"{name} has no DIS: {row.allowed()}")
         return None
-    wire = make_command(family, 0, row.configs[0], value).value
+    wire = make_command(language, 0, row.configs[0], value).value
     assert isinstance(wire, int)
     return wire

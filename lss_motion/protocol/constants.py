@@ -141,18 +141,21 @@ PRO_STATUS_CODES: Final = (
 )
 """States by number in newer LSS-PRO firmware (FACTS.md P5, maker's driver of December 2024)."""
 
-PRO_STATUS_FIRMWARE: Final = 781
-"""First LSS-PRO firmware with the newer numbers. Assumed (FACTS.md P5)."""
+PRO_STATUS_FIRMWARE: Final = 780
+"""First LSS-PRO firmware with the newer numbers (FACTS.md P5: about 780)."""
 
 
-def status_codes(family: Family, firmware: int) -> tuple[Status, ...]:
-    """Return the states in the order of their numbers."""
-    if family is Family.LSS_PRO and firmware >= PRO_STATUS_FIRMWARE:
-        return PRO_STATUS_CODES
-    return STATUS_CODES
+def status_codes(family: Family, firmware: int | None) -> tuple[Status, ...]:
+    """Return the states in the order of their numbers.
+
+    `firmware` is what the servo itself answers to QF. None, where it did not answer, is the newest:
+    an LSS-PRO that holds is then shown as in error, which is safer than the reverse.
+    """
+    is_newer = firmware is None or firmware >= PRO_STATUS_FIRMWARE
+    return PRO_STATUS_CODES if family is Family.LSS_PRO and is_newer else STATUS_CODES
 
 
-def status_from(code: int, family: Family, firmware: int) -> Status:
-    """Return the state of number `code`; unknown numbers are `UNKNOWN`."""
+def status_from(code: int, family: Family, firmware: int | None) -> Status:
+    """Return the state of number `code` (`status_codes`); unknown numbers are `UNKNOWN`."""
     codes = status_codes(family, firmware)
     return codes[code] if 0 <= code < len(codes) else Status.UNKNOWN

@@ -13,6 +13,13 @@ from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo, With
 
 from lss_motion.files.source import known_names
 from lss_motion.files.validation import FileModel, Name, Text, check_text
+from lss_motion.protocol.lss_pro import (
+    ACCEL_DEG_S2,
+    OFFSET_DEG,
+    POSITION_DEG,
+    SPEED_DEG_S,
+    WHEEL_DEG_S,
+)
 from lss_motion.robot.model import (
     GOAL_TIME_S,
     PATIENCE_S,
@@ -189,7 +196,12 @@ class BusEntry(FileModel, title="bus"):
         description="What the servos are set to. 750000 and 921600 need firmware 369 or later.",
         json_schema_extra={"enum": list(BAUD_FIRMWARE_MIN)},
     )
-    firmware: int = Field(default=370, ge=1, le=999, description="Firmware of the servos (QF).")
+    firmware: int | None = Field(
+        default=None,
+        ge=1,
+        le=999,
+        description="Firmware of the servos (QF). Default 370, and 780 for LSS-PRO servos.",
+    )
     reading_rate_min_hz: float = Field(
         default=READING_RATE_MIN_HZ,
         ge=0.0,
@@ -251,8 +263,8 @@ class JointDefaults(FileModel, title="joint defaults"):
     accel_max_deg_s2: AccelLimit = Field(
         default=None,
         description="Never speed up or brake harder; 10 to 1000 in steps of 10 (rounded down), "
-        "which is all that the servo's own ramps (AA, AD) can express. servo: what those are set "
-        "to.",
+        "which is all that the ramps (AA, AD) of an LSS can express; an LSS-PRO has steps of 0.01. "
+        "servo: what those are set to.",
     )
     jerk_max_deg_s3: float | None = Field(
         default=None,
@@ -373,6 +385,54 @@ class SensorEntry(FileModel, title="sensor"):
     )
 
 
+WIRE_UNITS: Final = (10.0, 1.0, 0.1, 0.01, 0.001)
+
+
+def _check_wire_unit(unit: float) -> float:
+    if unit not in WIRE_UNITS:
+        raise ValueError(f"must be one of {', '.join(f'{u:g}' for u in WIRE_UNITS)}")
+    return unit
+
+
+WireUnit = Annotated[float, AfterValidator(_check_wire_unit)]
+_WIRE_UNITS: Final[dict[str, Any]] = {"enum": list(WIRE_UNITS)}
+
+
+class UnitsEntry(FileModel, title="units"):
+    """What one unit on the wire is for the LSS-PRO servos of this robot.
+
+    The maker's page contradicts itself and the maker's code; the defaults are those of the code.
+    """
+
+    position_deg: WireUnit = Field(
+        default=POSITION_DEG,
+        le=1.0,
+        description="D, MD, QD, QDT. Default 0.01.",
+        json_schema_extra=_WIRE_UNITS,
+    )
+    offset_deg: WireUnit = Field(
+        default=OFFSET_DEG,
+        le=1.0,
+        description="O, AR and FD. Default 0.1.",
+        json_schema_extra=_WIRE_UNITS,
+    )
+    speed_deg_s: WireUnit = Field(
+        default=SPEED_DEG_S,
+        description="SD and QCS, in degrees per second. Default 0.01; the page has 0.1.",
+        json_schema_extra=_WIRE_UNITS,
+    )
+    wheel_deg_s: WireUnit = Field(
+        default=WHEEL_DEG_S,
+        description="WD and QWD, in degrees per second. Default 1.",
+        json_schema_extra=_WIRE_UNITS,
+    )
+    accel_deg_s2: WireUnit = Field(
+        default=ACCEL_DEG_S2,
+        description="AA and AD, in degrees per second squared. Default 0.01; the page has 10.",
+        json_schema_extra=_WIRE_UNITS,
+    )
+
+
 class MirrorEntry(FileModel, title="mirror"):
     """Pairs of joints that are mirror images; a joint on the midline is its own image."""
 
@@ -395,6 +455,11 @@ class RobotFile(FileModel, title="robot file"):
     buses: Annotated[dict[Name, BusEntry], Field(min_length=1)] = Field(
         default_factory=lambda: {"main": BusEntry()},
         description="Serial lines by name. Left out: one simulated bus called main.",
+    )
+    units: UnitsEntry = Field(
+        default_factory=UnitsEntry,
+        description="What one unit on the wire is for LSS-PRO servos, if it is not the usual.",
+        examples=[{"speed_deg_s": 0.1, "accel_deg_s2": 10}],
     )
     defaults: JointDefaults = Field(
         default_factory=JointDefaults, description="Fields that all joints share."

@@ -15,15 +15,18 @@ from lss_motion.files.source import known_names
 from lss_motion.files.yaml_source import Location, Problem, read_yaml, source_of
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.framing import DISABLED
+from lss_motion.protocol.lss import LSS_FIRMWARE
+from lss_motion.protocol.lss_pro import PRO_FIRMWARE, Units
 from lss_motion.robot.model import SERVO, Bus, Joint, Response, Robot, Sensor
 from lss_motion.robot.servo_models import (
     BAUD_FIRMWARE_MIN,
     FAMILIES,
-    RAMP_STEP_DEG_S2,
-    RAMP_STEPS_MAX,
     SERVO_MODELS,
     board_problems,
+    ramp_of_steps,
     ramp_steps,
+    ramp_steps_max,
+    with_units,
 )
 
 if TYPE_CHECKING:
@@ -51,7 +54,7 @@ _NEEDED: Final = ("model", "range_deg", "speed_max_deg_s", "accel_max_deg_s2")
 
 MODEL_LIMITS: Final[Mapping[str, Callable[[ServoModel], float]]] = {
     "speed_max_deg_s": lambda model: model.speed_max_deg_s,
-    "accel_max_deg_s2": lambda model: FAMILIES[model.family].accel_max_deg_s2,
+    "accel_max_deg_s2": lambda model: model.accel_max_deg_s2,
 }
 """The largest value that a model allows, by the name of the limit."""
 
@@ -158,6 +161,10 @@ class _Loader:
     line: Callable[[Location], int]
     problems: list[Problem] = field(default_factory=list)
 
+    @property
+    def _units(self) -> Units:
+        return Units(**self.content.units.model_dump())
+
     def robot(self, path: Path) -> Robot:
         """Return the robot; it can be used only if there are no `problems`."""
         content = self.content
@@ -166,7 +173,8 @@ class _Loader:
                 name=name,
                 port=b.port,
                 baud_bps=b.baud_bps,
-                firmware=b.firmware,
+                firmware=LSS_FIRMWARE if b.firmware is None else b.firmware,
+                pro_firmware=PRO_FIRMWARE if b.firmware is None else b.firmware,
                 reading_rate_min_hz=b.reading_rate_min_hz,
             )
             for name, b in content.buses.items()
@@ -175,6 +183,7 @@ class _Loader:
         built = {name: self._joint(name, entry) for name, entry in content.joints.items()}
         joints = {name: joint for name, joint in built.items() if joint is not None}
         self._check_ids(joints)
+        self._check_units(joints)
         for location, reason in board_problems(buses, joints):
             if self._is_checked(*location[:2]):
                 self._note(location, reason)
@@ -240,7 +249,7 @@ class _Loader:
         bus = self._bus(name, merged)
         if bus is None or any(key not in fields for key in _NEEDED):
             return None
-        model = SERVO_MODELS[fields["model"]]
+        model = with_units(SERVO_MODELS[fields["model"]], self._units)
         fields.setdefault("drive", FAMILIES[model.family].drives[0])
         unread = frozenset(key for key in MODEL_LIMITS if fields[key] == SERVO)
         fields |= {key: MODEL_LIMITS[key](model) for key in unread}
@@ -295,6 +304,16 @@ class _Loader:
                     f"{joint.bus!r}; every servo of a bus needs its own id",
                 )
 
+    def _check_units(self, joints: Mapping[str, Joint]) -> None:
+        """Refuse units that no servo has: the owner expects them to change something."""
+        families = {joint.model.family for joint in joints.values()}
+        if joints and self.content.units.model_fields_set and Family.LSS_PRO not in families:
+            reason = (
+                "units are those of LSS-PRO servos, and no joint is one (model LSS-P-…); those of "
+                "the other servos are fixed. Remove `units`"
+            )
+            self._note(("units",), reason)
+
     def _named(self) -> list[str]:
         """Return the names of all joints, including those that could not be read."""
         return [
@@ -321,13 +340,13 @@ def _escalations(entry: JointOnFaultEntry) -> Escalations:
 
 def _within_ramps(joint: Joint) -> Joint:
     """Return the joint with the largest acceleration that the ramps of its servo can express."""
-    facts, ratio = FAMILIES[joint.model.family], joint.response.ramp_ratio
-    if facts.accel_step_deg_s2 == 0.0:
+    model, ratio = joint.model, joint.response.ramp_ratio
+    if model.accel_step_deg_s2 == 0.0:
         return joint
-    steps = ramp_steps(joint.accel_max_deg_s2, ratio)
-    if joint.accel_max_deg_s2 <= facts.accel_max_deg_s2:
-        steps = min(steps, RAMP_STEPS_MAX)
-    return replace(joint, accel_max_deg_s2=RAMP_STEP_DEG_S2 * ratio * steps)
+    steps = ramp_steps(model, joint.accel_max_deg_s2, ratio)
+    if joint.accel_max_deg_s2 <= model.accel_max_deg_s2:
+        steps = min(steps, ramp_steps_max(model))
+    return replace(joint, accel_max_deg_s2=ramp_of_steps(model, steps) * ratio)
 
 
 def joint_field_problems(
@@ -348,18 +367,18 @@ def joint_field_problems(
             f"joint {joint.name!r}: {joint.speed_max_deg_s:g} deg/s is faster than an "
             f"{model.name} can turn without load, {model.speed_max_deg_s:g} deg/s",
         )
-    if joint.drive == "timed" and joint.accel_max_deg_s2 > facts.accel_max_deg_s2:
+    if joint.drive == "timed" and joint.accel_max_deg_s2 > model.accel_max_deg_s2:
         yield (
             place("accel_max_deg_s2"),
             f"joint {joint.name!r}: {joint.accel_max_deg_s2:g} deg/s² is more than the ramps of "
-            f"the servo (AA, AD) can express, {facts.accel_max_deg_s2:g} deg/s²; a joint with "
+            f"the servo (AA, AD) can express, {model.accel_max_deg_s2:g} deg/s²; a joint with "
             f"`drive: streamed` needs none",
         )
-    if joint.drive in ("timed", "auto") and joint.accel_max_deg_s2 < facts.accel_step_deg_s2:
+    if joint.drive in ("timed", "auto") and joint.accel_max_deg_s2 < model.accel_step_deg_s2:
         yield (
             place("accel_max_deg_s2"),
             f"joint {joint.name!r}: {joint.accel_max_deg_s2:g} deg/s² is less than the ramps of "
-            f"the servo (AA, AD) can express, {facts.accel_step_deg_s2:g} deg/s²",
+            f"the servo (AA, AD) can express, {model.accel_step_deg_s2:g} deg/s²",
         )
     for keyword, value in joint.settings.items():
         where = place(f"settings.{keyword}")
@@ -397,7 +416,7 @@ def _stored_problems(
 
     for keyword, stored in joint.stored.items():
         try:
-            stored_wire(joint.model.family, keyword, stored)
+            stored_wire(joint.model.language, keyword, stored)
         except ProtocolError as error:
             yield place(f"stored.{keyword}"), f"joint {joint.name!r}: {error}"
 

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import counted
-from lss_motion.protocol.constants import Family  # noqa: TC001 (importable from here)
+from lss_motion.protocol.codec import Language
+from lss_motion.protocol.constants import Family
+from lss_motion.protocol.lss_pro import PRO_FIRMWARE, UNITS, Units
 from lss_motion.robot.on_fault import DEFAULTS
 
 if TYPE_CHECKING:
@@ -91,6 +93,17 @@ class ServoModel:
     """Position units on the wire per degree: 10 (LSS, 2IO, tenths), 100 (LSS-PRO, hundredths)."""
     wire_step: int = 1
     """A target is a multiple of so many wire units: 10 for a 2IO, which has whole degrees only."""
+    accel_step_deg_s2: float = 10.0
+    """The unit of AA and AD; 0 for a servo without ramps."""
+    accel_max_deg_s2: float = 1000.0
+    """The largest acceleration that AA and AD can express."""
+    units: Units = UNITS
+    """The units on the wire of an LSS-PRO."""
+
+    @property
+    def language(self) -> Language:
+        """What the tables of `protocol.codec` are found with."""
+        return Language(self.family, self.units)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,11 +116,17 @@ class Bus:
     firmware: int
     reading_rate_min_hz: float = READING_RATE_MIN_HZ
     """Each joint of a show must be polled at least so often between its commands."""
+    pro_firmware: int = PRO_FIRMWARE
+    """Firmware of the LSS-PRO servos on it: the same where the robot file states one."""
 
     @property
     def is_simulated(self) -> bool:
         """Whether its servos are simulated in this process."""
         return self.port.startswith("sim://")
+
+    def firmware_of(self, family: Family) -> int:
+        """Return the firmware that its servos of a family are taken to have."""
+        return self.pro_firmware if family is Family.LSS_PRO else self.firmware
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

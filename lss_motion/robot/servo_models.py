@@ -7,18 +7,20 @@ robot against them, and against the limits of an LSS-2IO for the bus that it is 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.framing import encode_move
 from lss_motion.protocol.io2 import BAUD_MAX_BPS, SECTION_MAX_CHARS
+from lss_motion.protocol.lss_pro import ACCEL_MAX_DEG_S2, UNITS, per_unit
 from lss_motion.robot.model import ServoModel
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from lss_motion.protocol.lss_pro import Units
     from lss_motion.robot.model import Bus, Drive, Joint
 
 
@@ -38,22 +40,25 @@ class FamilyFacts:
     """Facts that hold for all models of a family.
 
     `drives` are the drives that it allows, the default first.
-    `accel_max_deg_s2` is the largest acceleration that the ramps AA and AD can express.
     `settings` are the session settings that a robot file may set, with their smallest and largest
     value. EM, FPC, AA, AD and SD are not among them: the player sets those as the plan needs them.
     """
 
     wire_per_deg: int
     drives: tuple[Drive, ...]
-    accel_step_deg_s2: float
-    accel_max_deg_s2: float
     settings: Mapping[str, tuple[int, int]]
 
 
-RAMP_STEP_DEG_S2: Final = 10
-"""The unit of AA and AD (FACTS.md M20)."""
-RAMP_STEPS_MAX: Final = 100
-"""The largest AA and AD, and the default (FACTS.md M20)."""
+RAMP_STEP_DEG_S2: Final = 10.0
+"""The unit of AA and AD of an LSS (FACTS.md M20)."""
+RAMP_MAX_DEG_S2: Final = 1000.0
+"""The largest AA and AD of an LSS, and the default (FACTS.md M20)."""
+_RAMPS: Final = {
+    Family.LSS: (RAMP_STEP_DEG_S2, RAMP_MAX_DEG_S2),
+    Family.LSS_PRO: (UNITS.accel_deg_s2, ACCEL_MAX_DEG_S2),
+    Family.IO2: (0.0, math.inf),  # no ramps: it moves at full speed
+}
+"""The unit and the largest value of AA and AD, by family."""
 
 _STIFFNESS: Final = (-10, 10)
 """AS and AH: -4..4 is sensible, -10..10 is accepted (FACTS.md M24, M25)."""
@@ -66,22 +71,16 @@ FAMILIES: Final[Mapping[Family, FamilyFacts]] = MappingProxyType(
         Family.LSS: FamilyFacts(
             drives=("timed", "streamed"),
             wire_per_deg=10,  # 1/10 deg (FACTS.md C1)
-            accel_step_deg_s2=RAMP_STEP_DEG_S2,
-            accel_max_deg_s2=RAMP_STEPS_MAX * RAMP_STEP_DEG_S2,
             settings=MappingProxyType({"AS": _STIFFNESS, "AH": _STIFFNESS, "LED": _LED}),
         ),
         Family.LSS_PRO: FamilyFacts(
             drives=("timed",),  # EM and FPC are not in its tables: FACTS.md P10
-            wire_per_deg=100,  # 1/100 deg (FACTS.md P1)
-            accel_step_deg_s2=RAMP_STEP_DEG_S2,
-            accel_max_deg_s2=RAMP_STEPS_MAX * RAMP_STEP_DEG_S2,
+            wire_per_deg=round(1 / UNITS.position_deg),  # 1/100 deg (FACTS.md P1)
             settings=MappingProxyType({"LED": _LED}),  # its tables have no AS and AH
         ),
         Family.IO2: FamilyFacts(
             drives=("stepped",),
             wire_per_deg=10,  # tenths (FACTS.md B6)
-            accel_step_deg_s2=0.0,  # no ramps: it moves at full speed
-            accel_max_deg_s2=math.inf,
             settings=MappingProxyType({}),
         ),
     }
@@ -89,12 +88,27 @@ FAMILIES: Final[Mapping[Family, FamilyFacts]] = MappingProxyType(
 
 
 def _model(name: str, family: Family, speed_max_deg_s: float) -> ServoModel:
+    accel_step_deg_s2, accel_max_deg_s2 = _RAMPS[family]
     return ServoModel(
         name=name,
         family=family,
         speed_max_deg_s=speed_max_deg_s,
         wire_per_deg=FAMILIES[family].wire_per_deg,
         wire_step=IO2_WIRE_STEP if family is Family.IO2 else 1,
+        accel_step_deg_s2=accel_step_deg_s2,
+        accel_max_deg_s2=accel_max_deg_s2,
+    )
+
+
+def with_units(model: ServoModel, units: Units) -> ServoModel:
+    """Return the model of an LSS-PRO with other units on the wire; any other model as it is."""
+    if model.family is not Family.LSS_PRO:
+        return model
+    return replace(
+        model,
+        wire_per_deg=round(per_unit(units.position_deg)),
+        accel_step_deg_s2=units.accel_deg_s2,
+        units=units,
     )
 
 
@@ -138,13 +152,29 @@ def model_mismatch_text(joint: Joint, reported: str) -> str:
     )
 
 
-def ramp_steps(accel_deg_s2: float, ramp_ratio: float) -> int:
+def ramp_steps(model: ServoModel, accel_deg_s2: float, ramp_ratio: float) -> int:
     """Return the AA and AD whose ramps are nearest below `accel_deg_s2`.
 
     Real ramps are `ramp_ratio` times the setting. Rounded up, every ramp would break the limit. The
     result is not bounded to the range of AA and AD.
     """
-    return math.floor(round(accel_deg_s2 / (RAMP_STEP_DEG_S2 * ramp_ratio), 6))
+    return math.floor(round(accel_deg_s2 / (_ramp_step(model) * ramp_ratio), 6))
+
+
+def ramp_steps_max(model: ServoModel) -> int:
+    """Return the largest AA and AD."""
+    has_ramps = math.isfinite(model.accel_max_deg_s2)
+    return round((model.accel_max_deg_s2 if has_ramps else RAMP_MAX_DEG_S2) / _ramp_step(model))
+
+
+def ramp_of_steps(model: ServoModel, steps: int) -> float:
+    """Return the acceleration, in deg/s², of an AA or AD."""
+    return round(steps * _ramp_step(model), 6)
+
+
+def _ramp_step(model: ServoModel) -> float:
+    """Return the unit of AA and AD; for a servo without ramps, that of an LSS."""
+    return model.accel_step_deg_s2 or RAMP_STEP_DEG_S2
 
 
 FILTER_FIRMWARE_MIN: Final = 368

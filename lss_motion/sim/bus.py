@@ -23,6 +23,7 @@ from lss_motion.sim.motors import Motors
 from lss_motion.sim.physics import TICK_NS, Physics, ServoSpec
 from lss_motion.sim.servo import ORDERED_FIRMWARE, Servo
 from lss_motion.sim.wire import Adapter, Answer, Answering, HostLine, ServoLine
+from lss_motion.units import ns_from_s
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -103,13 +104,16 @@ class SimBus:
                 spec,
                 index,
                 self.motors,
-                firmware=firmware,
+                firmware=firmware if spec.firmware is None else spec.firmware,
                 baud_bps=baud_bps,
                 random=randoms[index],
             )
             for index, spec in enumerate(servos)
             if spec.model.family is not Family.IO2
         ]
+        is_pro = (one for one in self._servos if one.family is Family.LSS_PRO)
+        self._usb_servo = next(is_pro, None)
+        """The LSS-PRO at the end of the USB cable: the first one. The others are behind it."""
         outputs = [
             (index, spec) for index, spec in enumerate(servos) if spec.model.family is Family.IO2
         ]
@@ -177,7 +181,10 @@ class SimBus:
         return self._host_line.backlog_ns(self._drift.bus_ns(now_ns))
 
     def outages_ns(self) -> list[tuple[int, int]]:
-        """Return when the port is unplugged and back again; after the first instant."""
+        """Return when the port is unplugged and back again; after the first instant.
+
+        A restart of the LSS-PRO at the end of the USB cable adds an outage.
+        """
         return [(self._drift.host_ns(a), self._drift.host_ns(b)) for a, b in self._outages_ns]
 
     def blocks_ns(self) -> list[tuple[int, int]]:
@@ -216,6 +223,11 @@ class SimBus:
         self._adapter.start(now_ns, self._outages_ns)
         self._host_line.start(self._faults.spans_ns(FaultKind.CLOGGED), self._outages_ns)
 
+    def _drop_port(self, now_ns: int) -> None:
+        """Take the port away while the servo restarts that is its USB device (FACTS.md P12)."""
+        self._outages_ns.append((now_ns, now_ns + ns_from_s(self.motors.physics.usb_back_s)))
+        self._host_line.lines.clear()
+
     def _next_line_ns(self) -> int:
         """Return when the next line reaches the servos, from this host or another."""
         lines, other_ns = self._host_line.lines, self._second_master.next_ns()
@@ -250,6 +262,8 @@ class SimBus:
                 reply = servo.obey(command, received_ns)
                 if reply is not None:
                     answers.append(Answer(servo, servo.servo_id, command, reply))
+                if servo is self._usb_servo and not servo.is_listening(received_ns):
+                    self._drop_port(received_ns)
         is_group = self._is_ordered and len(commands) > 1
         if is_group and all(command.servo_id != BROADCAST_ID for command in commands):
             self._answering.send_in_turn(received_ns, answers)
@@ -369,7 +383,7 @@ def _twins(servos: Sequence[ServoSpec], faults: Sequence[Fault]) -> list[ServoSp
 
 
 def _origin_deg(spec: ServoSpec) -> float:
-    rows = storable(spec.model.family)
+    rows = storable(spec.model.language)
     return rows["O"].physical(spec.eeprom.get("O", 0)) if "O" in rows else 0.0
 
 
@@ -380,7 +394,7 @@ def set_up_settings(joint: Joint) -> dict[str, int]:
     first position are left out, because the simulated robot stands on its line when it begins.
     """
     stored = {
-        name: stored_wire(joint.model.family, name, value)
+        name: stored_wire(joint.model.language, name, value)
         for name, value in joint.stored.items()
         if name not in ELSEWHERE
     }
@@ -415,6 +429,7 @@ def bus_from_robot(  # noqa: PLR0913  (the parameters of one bus)
             model=joint.model,
             droop_deg=(droop_deg or {}).get(joint.name, 0.0),
             eeprom=set_up_settings(joint),
+            firmware=bus.firmware_of(joint.model.family),
         )
         raw = _raw_joint(joint, spec)
         stands_deg = raw.servo_deg(asked_deg.get(joint.name, rest_deg))

@@ -11,13 +11,14 @@ from lss_motion.errors import ProtocolError
 from lss_motion.files.source import known_names
 from lss_motion.files.validation import FileModel, validate
 from lss_motion.files.yaml_source import Problem, read_yaml
-from lss_motion.protocol.codec import FAMILY_TABLES, stored_wire
+from lss_motion.protocol.codec import language_table, stored_wire
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.io2 import PIN_IDS
 from lss_motion.sim.boards import RAW_MAX, SENSORS
 from lss_motion.sim.faults import ABOUT_LINE, INSTANT, STEADY, Fault, FaultKind
 
 if TYPE_CHECKING:
+    from lss_motion.protocol.codec import Language
     from lss_motion.robot.model import Robot
 
 NEEDED: dict[FaultKind, tuple[str, ...]] = {
@@ -223,18 +224,18 @@ def _setting_problems(index: int, entry: FaultEntry, robot: Robot | None) -> lis
     problems = []
     for name, value in (entry.settings or {}).items():
         try:
-            _wire(name, value, _family(entry, robot))
+            _wire(name, value, _language(entry, robot))
         except ProtocolError as error:
             problems.append(Problem(("faults", index, "settings", name), str(error)))
     return problems
 
 
-def _family(entry: FaultEntry, robot: Robot | None) -> Family:
-    """Return the family of the servo of a row; LSS if that is not known."""
+def _language(entry: FaultEntry, robot: Robot | None) -> Family | Language:
+    """Return the language of the servo of a row; LSS if that is not known."""
     joints = () if robot is None else robot.joints.values()
     return next(
         (
-            joint.model.family
+            joint.model.language
             for joint in joints
             if entry.servo in (None, joint.servo_id) and entry.bus in (None, joint.bus)
         ),
@@ -242,14 +243,14 @@ def _family(entry: FaultEntry, robot: Robot | None) -> Family:
     )
 
 
-def _wire(name: str, value: float, family: Family) -> int:
+def _wire(name: str, value: float, language: Family | Language) -> int:
     """Return the wire value of a setting; raise `ProtocolError` as `stored_wire` does."""
     if name == "ID":
-        row = FAMILY_TABLES[family].row("CID")
+        row = language_table(language).row("CID")
         if not row.allows(round(value)):
             raise ProtocolError(f"ID {value:g}: {row.allowed()}")
         return round(value)
-    wire = stored_wire(family, name, value)
+    wire = stored_wire(language, name, value)
     assert wire is not None, "a number was given"
     return wire
 
@@ -260,8 +261,8 @@ def _fault(entry: FaultEntry, robot: Robot | None) -> Fault:
     if "servo" in values:
         values["servo_id"] = values.pop("servo")
     if entry.settings is not None:
-        family = _family(entry, robot)
-        values["settings"] = {n: _wire(n, value, family) for n, value in entry.settings.items()}
+        language = _language(entry, robot)
+        values["settings"] = {n: _wire(n, value, language) for n, value in entry.settings.items()}
     sensor = values.pop("sensor", None)
     if sensor is not None:
         values["raw"] = SENSOR_NAMES[sensor].raw(values.pop("distance_mm"))

@@ -49,8 +49,9 @@ class Physics:
     `ramp_ratio`            real ramps are this many times the values of AA and AD. Their step of
                             10 deg/s² has weak sources (FACTS.md M20).
     `retarget`, `t_law`     FACTS.md A10, A11: what a `D…T…` in mid-move starts from, what T times.
-    `noise_deg`             half width of the uniform noise of a position reading (FACTS.md E7:
-                            one tenth).
+    `noise_deg`             half width of the uniform noise of a position reading of an LSS
+                            (FACTS.md E7: one tenth).
+    `pro_noise_ratio`       noise of an LSS-PRO over that (FACTS.md P15: a few hundredths).
     `supply_v`              battery without load: 12 V is nominal (FACTS.md E4).
     `supply_ohm`            resistance of battery and wiring. Assumed.
     `supply_min_v` … `supply_max_v`  the range of the datasheets, 6 to 12.6 V (FACTS.md E4); safe
@@ -70,6 +71,8 @@ class Physics:
     `blocked_s`, `safe_s`   how long stuck until blocked (9), until safe mode (10). Assumed.
     `hand_give_ratio`       share of the way to the hand that a powered horn yields, at the default
                             holding stiffness. Assumed.
+    `usb_back_s`            how long the port is gone while the LSS-PRO behind it restarts. Assumed;
+                            the maker's example waits 10 s (FACTS.md P12).
     `corrupt_reply_ratio`   share of replies that the firmware itself damages; None: that of the
                             bus's firmware, `corrupt_reply_ratio_of`.
     """
@@ -81,6 +84,7 @@ class Physics:
     retarget: Literal["keep_speed", "from_rest"] = "keep_speed"
     t_law: Literal["cruise", "exact"] = "cruise"
     noise_deg: float = 0.1
+    pro_noise_ratio: float = 0.2
     supply_v: float = 12.0
     supply_ohm: float = 0.05
     supply_min_v: float = 6.0
@@ -98,6 +102,7 @@ class Physics:
     blocked_s: float = 0.5
     safe_s: float = 2.0
     hand_give_ratio: float = 0.05
+    usb_back_s: float = 4.0
     corrupt_reply_ratio: float | None = None
     turnaround: Turnaround | None = None
     """None: that of the bus's firmware, `turnaround_of`."""
@@ -121,7 +126,7 @@ class ServoSpec:
     `eeprom`      configured values that differ from the factory's, by keyword (`{"G": -1}`)
     `answers`     replies to queries that are not simulated, by row name and in wire units:
                   `{"N": "12345678", "IX": 30}`
-    `baud_bps`    None: that of the bus
+    `baud_bps`, `firmware`  None: that of the bus
     `hand`        the motion of a hand that moves the horn; None: no hand
 
     With a model of the 2IO family it is one RC servo of a board (`boards`), which uses only G of
@@ -137,6 +142,7 @@ class ServoSpec:
     eeprom: Mapping[str, int] = field(default_factory=dict)
     answers: Mapping[str, int | str] = field(default_factory=dict)
     baud_bps: int | None = None
+    firmware: int | None = None
     hand: Led | None = None
 
 

@@ -26,8 +26,7 @@ class SimPort:
         self._clock = clock
         self._opened_ns = clock.now_ns()
         bus.advance(self._opened_ns)
-        self._outages_ns = bus.outages_ns()
-        if any(from_ns <= self._opened_ns < until_ns for from_ns, until_ns in self._outages_ns):
+        if any(from_ns <= self._opened_ns < until_ns for from_ns, until_ns in bus.outages_ns()):
             raise BusError(f"cannot open port {self.url}: it is unplugged", url=self.url)
         self._blocks_ns = bus.blocks_ns()
         self._outbox = Outbox(self.url, bus.baud_bps, self._take, lambda: 0)
@@ -81,7 +80,7 @@ class SimPort:
 
     def _is_plugged(self) -> bool:
         now_ns = self._clock.now_ns()
-        return not any(self._opened_ns < from_ns <= now_ns for from_ns, _ in self._outages_ns)
+        return not any(self._opened_ns < from_ns <= now_ns for from_ns, _ in self.bus.outages_ns())
 
     def _plugged_ns(self) -> int:
         """Return the instant; raise `BusError` if the port was unplugged since it was opened."""

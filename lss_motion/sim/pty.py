@@ -131,7 +131,6 @@ class Port:
             if name[:1] == "B" and name[1:].isdigit()
         }
         bus.advance(time.monotonic_ns())
-        self._outages_ns = bus.outages_ns()
         self._blocks_ns = bus.blocks_ns()
         self._is_blocked = False
 
@@ -163,7 +162,7 @@ class Port:
 
     def plug(self, now_ns: int) -> None:
         """Close, open, block and free the port as the faults of the bus require."""
-        is_out = any(from_ns <= now_ns < until_ns for from_ns, until_ns in self._outages_ns)
+        is_out = any(from_ns <= now_ns < until_ns for from_ns, until_ns in self.bus.outages_ns())
         if is_out and self.is_plugged:
             self.close()
             self._announce(f"{self._name}: unplugged")
@@ -187,7 +186,7 @@ class Port:
     def wakeup_ns(self, now_ns: int) -> int:
         """Return the next instant with something to do if the host sends nothing."""
         poll_ns = RESTING_POLL_NS if self.bus.is_resting else MOVING_POLL_NS
-        spans_ns = [*self._outages_ns, *self._blocks_ns]
+        spans_ns = [*self.bus.outages_ns(), *self._blocks_ns]
         turns_ns = [turn_ns for span_ns in spans_ns for turn_ns in span_ns]
         wakeup_ns = min([now_ns + poll_ns, *(turn for turn in turns_ns if turn > now_ns)])
         arrival_ns = self.bus.next_arrival_ns()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.protocol.codec import FAMILY_TABLES
+from lss_motion.protocol.codec import language_table
 from lss_motion.protocol.constants import (
     BROADCAST_ID,
     DEG_S_PER_RPM,
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from lss_motion.sim.profile import Order
 
 
-SAME_SCALE: Final = {"MD": "D", "DT": "D", "VT": "SD"}
+SAME_SCALE: Final = {"MD": "D", "DT": "D", "VT": "SD", "CS": "SD"}
 """Rows in the units of another one."""
 
 
@@ -176,6 +176,9 @@ class Readings:
         self._random = random
         self._serial_number = f"{random.randrange(10**7, 10**8)}"
         self._last_target = 0
+        is_pro = self._table.family is Family.LSS_PRO
+        physics = motors.physics
+        self._noise_deg = physics.noise_deg * (physics.pro_noise_ratio if is_pro else 1.0)
         self._measured: dict[str, Callable[[int], int | str | None]] = {
             "D": lambda now_ns: self._wire("D", self.position_deg(now_ns)),
             "DT": self._target,
@@ -183,6 +186,7 @@ class Readings:
             "WD": lambda now_ns: self._wire("WD", self._speed_deg_s(now_ns)),
             "WR": lambda now_ns: round(self._speed_deg_s(now_ns) / DEG_S_PER_RPM),
             "S": lambda now_ns: round(self._speed_deg_s(now_ns) * self.pulse_us_per_deg()),
+            "CS": lambda now_ns: self._wire("CS", self._speed_deg_s(now_ns)),
             "VT": lambda _: self._wire("VT", motors.travel_deg_s(index)),
             "Q": self._status,
             "V": lambda _: self._wire("V", motors.power.supply_v()),
@@ -204,9 +208,9 @@ class Readings:
             case Suffix.FULL_VERSION:
                 return f"{self._firmware}.0.0"
             case Suffix.INSTANTANEOUS:
-                return _speed_in(row, abs(self._speed_deg_s(now_ns)))
+                return self._speed_in(row, self._speed_deg_s(now_ns))
             case Suffix.TARGET:
-                return _speed_in(row, self._motors.travel_deg_s(self._index))
+                return self._speed_in(row, self._motors.travel_deg_s(self._index))
             case Suffix.CONFIGURED:
                 return self._settings.read(row, is_configured=True)
             case _ if row.name in self._answers:
@@ -221,7 +225,7 @@ class Readings:
     def position_deg(self, now_ns: int) -> float:
         """Return the angle that the encoder shows, as the host sees angles."""
         raw_deg = self._motors.horn_deg(self._index, now_ns)
-        scatter_deg = self._random.uniform(-1.0, 1.0) * self._motors.physics.noise_deg
+        scatter_deg = self._random.uniform(-1.0, 1.0) * self._noise_deg
         return self._motors.seen_deg(self._index, raw_deg) + scatter_deg
 
     def pulse_us_per_deg(self) -> float:
@@ -270,10 +274,11 @@ class Readings:
     def _wire(self, name: str, physical: float) -> int:
         return self._settings.wire(name, physical)
 
-
-def _speed_in(row: Row, speed_deg_s: float) -> int:
-    """Return a speed in the unit of `row`, which is SD's or, mirroring it, SR's."""
-    return row.wire(speed_deg_s if row.mirrors is None else speed_deg_s / DEG_S_PER_RPM)
+    def _speed_in(self, row: Row, speed_deg_s: float) -> int:
+        """Return a speed in the unit of `row`, which is SD's or, mirroring it, SR's."""
+        if row.mirrors is not None:
+            return row.wire(speed_deg_s / DEG_S_PER_RPM)
+        return self._wire(row.name, speed_deg_s)
 
 
 DUTY_MAX = 1023
@@ -450,7 +455,7 @@ class Servo:
         baud_bps: int,
         random: Random,
     ) -> None:
-        table = FAMILY_TABLES[spec.model.family]
+        table = language_table(spec.model.language)
         self.index = index
         self.servo_id = spec.servo_id
         self.baud_bps = spec.baud_bps or baud_bps
@@ -472,6 +477,10 @@ class Servo:
         self._is_rc = False
         self._armed: str | None = None
         self._apply_session(0)
+
+    @property
+    def family(self) -> Family:
+        return self._table.family
 
     def is_listening(self, now_ns: int) -> bool:
         return now_ns >= self._deaf_until_ns and not self._is_rc

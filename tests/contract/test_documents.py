@@ -19,9 +19,11 @@ from lss_motion.sim.physics import Physics, ServoSpec
 from tests.protocol_table import DOCUMENT_ROW_COUNT, EXAMPLES, ROWS
 
 NAMES = {Family.LSS: "LSS-HS1", Family.LSS_PRO: "LSS-P-S1", Family.IO2: "LSS-2IO"}
-FIRMWARES = {Family.LSS: 370, Family.LSS_PRO: 780, Family.IO2: 370}
+FIRMWARES = {Family.LSS: 370, Family.LSS_PRO: 779, Family.IO2: 370}
+"""The page of the LSS-PRO prints the status codes of the firmware before 780 (FACTS.md P5)."""
 WIRE_PER_DEG = {Family.LSS: 10, Family.LSS_PRO: 100, Family.IO2: 10}
 STUCK = (Fault(kind=FaultKind.STUCK),)
+QUIET = {"noise_deg": 0.0, "corrupt_reply_ratio": 0.0, "usb_back_s": 1.0}
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class Host:
             [ServoSpec(servo_id=servo_id, model=model, **state.spec)],
             baud_bps=115200,
             firmware=state.firmware or FIRMWARES[family],
-            physics=Physics(**({"noise_deg": 0.0, "corrupt_reply_ratio": 0.0} | state.physics)),
+            physics=Physics(**(QUIET | state.physics)),
             faults=state.faults,
         )
         self.now_ns = 0

@@ -26,14 +26,15 @@ BOARD_CHARS: Final = 15
 """A 2IO board has a buffer of 16 bytes for a section, without a check of bounds; the last is NUL.
 Every section on its bus goes through it."""
 RPM_DEG_S: Final = 6.0
-RAMP_STEP_DEG_S2: Final = 10.0
-"""AA and AD count in steps of 10 deg/s². The maker's code for the PRO takes hundredths of a degree
-a second squared instead; steps of 10 are the faster reading."""
-FACTORY_RAMP: Final = 100
+RAMP_STEP_DEG_S2: Final = {PRO: 0.01}
+"""AA and AD of a PRO count in hundredths of a degree a second squared, as in the maker's code,
+those of others in steps of 10 deg/s²."""
+OTHER_RAMP_STEP_DEG_S2: Final = 10.0
+FACTORY_RAMP_DEG_S2: Final = 1000.0
 FACTORY_FILTER: Final = 5
-SPEED_TENTHS: Final = 0.1
-"""SD in tenths of a degree a second. For the PRO the documents also have hundredths; tenths are
-the faster reading."""
+SPEED_STEP_DEG_S: Final = {PRO: 0.01}
+"""SD of a PRO in hundredths of a degree a second (the maker's code), of others in tenths."""
+OTHER_SPEED_STEP_DEG_S: Final = 0.1
 PULSE_MID_US, PULSE_HALF_US = 1500.0, 1000.0
 FACTORY_RANGE: Final = 1800
 
@@ -107,12 +108,15 @@ class Session:
     def __init__(self, joint: JointRow, stored: Mapping[str, int]) -> None:
         self.joint = joint
         self._degree = 0.01 if joint.family == PRO else 0.1
+        self._speed_deg_s = SPEED_STEP_DEG_S.get(joint.family, OTHER_SPEED_STEP_DEG_S)
+        self._ramp_deg_s2 = RAMP_STEP_DEG_S2.get(joint.family, OTHER_RAMP_STEP_DEG_S2)
+        factory_ramp = round(FACTORY_RAMP_DEG_S2 / self._ramp_deg_s2)
         top_deg_s = TOP_SPEED_DEG_S.get(joint.model, math.inf)
         self._top_deg_s = top_deg_s
         self._factory = {
-            "SD": round(top_deg_s / SPEED_TENTHS) if math.isfinite(top_deg_s) else 10**6,
-            "AA": FACTORY_RAMP,
-            "AD": FACTORY_RAMP,
+            "SD": round(top_deg_s / self._speed_deg_s) if math.isfinite(top_deg_s) else 10**6,
+            "AA": factory_ramp,
+            "AD": factory_ramp,
             "EM": 1,
             "FPC": FACTORY_FILTER,
             "G": 1,
@@ -164,7 +168,7 @@ class Session:
         is_config = word.startswith("C") and word[1:] in SESSION | {"SR"}
         name = word[1:] if is_config else word
         if name == "SR":
-            name, value = "SD", round(value * RPM_DEG_S / SPEED_TENTHS)
+            name, value = "SD", round(value * RPM_DEG_S / self._speed_deg_s)
         if name not in SESSION:
             return
         if name == "SD":
@@ -196,9 +200,9 @@ class Session:
 
     def _move(self, section: Section, at_s: float, shaft_deg: float | None) -> Move:
         joint, speeds = self.joint, section.modifiers
-        cap_deg_s = min(max(abs(self.session["SD"]), 1) * SPEED_TENTHS, self._top_deg_s)
+        cap_deg_s = min(max(abs(self.session["SD"]), 1) * self._speed_deg_s, self._top_deg_s)
         if "SD" in speeds:
-            cap_deg_s = min(cap_deg_s, speeds["SD"] * SPEED_TENTHS)
+            cap_deg_s = min(cap_deg_s, speeds["SD"] * self._speed_deg_s)
         ramps = max(abs(self.session["AA"]), abs(self.session["AD"]), 1)
         is_right = self._gyre == joint.gyre and (
             abs(self.session["O"] * 0.1 - joint.origin_deg) < self._degree
@@ -209,7 +213,7 @@ class Session:
             shaft_deg=shaft_deg,
             duration_s=speeds["T"] / 1000.0 if speeds.get("T") else None,
             cap_deg_s=cap_deg_s,
-            accel_deg_s2=ramps * RAMP_STEP_DEG_S2,
+            accel_deg_s2=ramps * self._ramp_deg_s2,
             has_profile=self.session["EM"] != 0,
             filter_count=max(self.session["FPC"], 1),
             restarted_s=self.restarted_s,

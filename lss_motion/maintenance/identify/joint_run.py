@@ -22,6 +22,7 @@ from lss_motion.maintenance.identify.trials import (
     TrialPlan,
 )
 from lss_motion.player import handshake
+from lss_motion.player.checks import reported_firmware
 from lss_motion.player.health import status_fault
 from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.serial_line import SerialLine
@@ -91,7 +92,7 @@ class JointRun:
         self.window = window
         self._answers: Answers = dict(answers)
         self._line = SerialLine(robot.buses[joint.bus])
-        self._poller = PositionPoller(joint, self._line)
+        self._poller = PositionPoller(joint, self._line, reported_firmware(joint, answers))
         self._standing_deg = self._target_deg = self._rested_deg = standing_deg
         self._profile = Profile(
             standing_deg,
@@ -348,8 +349,9 @@ class PositionPoller:
     `asks_pulse` every second query is for the angle as a pulse.
     """
 
-    def __init__(self, joint: Joint, line: SerialLine) -> None:
+    def __init__(self, joint: Joint, line: SerialLine, firmware: int | None) -> None:
         self.tracker = QueryTracker(line)
+        self._firmware = firmware
         self.asks_pulse = False
         self._joint = joint
         self._line = line
@@ -395,15 +397,14 @@ class PositionPoller:
         self._silent_count = 0
         wait_ns = now_ns - asked.arrival_ns - self._line.time_ns(len(encode(reply)))
         turnaround_s = max(0.0, s_from_ns(wait_ns))
-        statement = read_reply(self._joint.model.family, reply)
+        statement = read_reply(self._joint.model.language, reply)
         if statement is None or not isinstance(statement.value, int | float):
             return PolledReading(asked.arrival_ns, turnaround_s)
         if reply.keyword == "QD":
             return PolledReading(asked.arrival_ns, turnaround_s, reading_deg=float(statement.value))
         if reply.keyword == "QP":
             return PolledReading(asked.arrival_ns, turnaround_s, pulse_us=float(statement.value))
-        firmware = self._line.bus.firmware
-        status = status_from(int(statement.value), self._joint.model.family, firmware)
+        status = status_from(int(statement.value), self._joint.model.family, self._firmware)
         before, self._status = self._status, status
         is_passing = status is Status.STUCK and before is not Status.STUCK
         fault = None if is_passing else status_fault(status)

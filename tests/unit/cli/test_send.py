@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import threading
 from contextlib import contextmanager
+from dataclasses import replace
 
 import pytest
 
@@ -12,6 +13,7 @@ from lss_motion.cli.main import main
 from lss_motion.errors import EXIT_FINISHED, EXIT_INPUT, EXIT_INTERRUPTED, EXIT_UNREACHABLE
 from lss_motion.protocol.constants import Family
 from lss_motion.robot.model import ServoModel
+from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sim.bus import SimBus
 from lss_motion.sim.faults import Fault, FaultKind
 from lss_motion.sim.physics import Physics, ServoSpec
@@ -44,6 +46,10 @@ def send(capsys):
         return code, out.rstrip("\n"), errors
 
     return run
+
+
+FIRST_ASKED = (b"QMS\r", b"QF\r")
+"""What a servo is asked before anything else, if no robot file states it."""
 
 
 @contextmanager
@@ -101,6 +107,20 @@ def test_the_family_comes_from_the_joint(send, robot):
     assert "'QFPC' is no LSS-PRO keyword" in errors
 
 
+def test_without_a_robot_file_the_servo_states_its_family_and_firmware(send, tmp_path):
+    """5 is holding for an LSS-PRO of firmware 780, 6 for an older one."""
+    pro = ServoSpec(servo_id=6, model=SERVO_MODELS["LSS-P-S1"], start_deg=12.34, firmware=780)
+    old = replace(pro, servo_id=7, firmware=700)
+    lss = ServoSpec(servo_id=5, model=MODELS["LSS"], firmware=367)
+    with served(tmp_path / "port", pro, old, lss):
+        to = ("--port", tmp_path / "port", "--id")
+        assert send(*to, 6, "QD")[1] == "*6QD1234   12.34 deg"
+        for servo_id, code in ((6, 5), (7, 6)):
+            send(*to, servo_id, "H")
+            assert send(*to, servo_id, "Q")[1] == f"*{servo_id}Q{code}   holding"
+        assert "QFPC needs firmware 368 or newer, not 367" in send(*to, 5, "QFPC")[2]
+
+
 def test_values_are_in_units_and_reach_the_servo_in_its_own(send, tmp_path):
     link = tmp_path / "port"
     with served(link, ServoSpec(servo_id=5, model=MODELS["LSS"])) as bus:
@@ -112,7 +132,7 @@ def test_values_are_in_units_and_reach_the_servo_in_its_own(send, tmp_path):
             "#5LED3: servo 5, LED colour 3\n",
         )
         code, out, _ = send("--port", link, "--id", 5, "QLED")
-        received = [line for _, line in bus.lines]
+        received = [line for _, line in bus.lines if line[2:] not in FIRST_ASKED]
     assert received == [b"#5D450T300\r", b"#5SD900\r", b"#5LED3\r", b"#5QLED\r"]
     assert (code, out) == (EXIT_FINISHED, "*5QLED3   blue")
 
@@ -188,7 +208,7 @@ def test_negative_values_are_values(send, tmp_path):
     with served(link, ServoSpec(servo_id=5, model=MODELS["LSS"])) as bus:
         assert send("--port", link, "--id", 5, "--yes", "D", "-12.3")[0] == EXIT_FINISHED
         send("--port", link, "--id", 5, "QG")
-        assert bus.lines[0][1] == b"#5D-123\r"
+        assert moves(bus) == [b"#5D-123\r"]
 
 
 ASKED = [
@@ -246,7 +266,7 @@ def test_what_moves_or_changes_a_real_servo_is_shown_and_asked(
         code, out, errors = send(*to, *words)
         assert (code, out) == (EXIT_INTERRUPTED, "")
         assert "send it? [y/N] no: nothing was sent" in errors
-        assert bus.lines == []
+        assert moves(bus) == []
         at_keyboard("y\n")
         assert send(*to, *words)[0] == EXIT_FINISHED
         send(*to, "QID")

@@ -217,7 +217,8 @@ def test_every_setting_of_all_three_families_survives_the_factory_values(
     assert configure(connection, "--port", "P", "--backup", "b.yaml")[0] == EXIT_FINISHED
     for servo_id in (5, 6, 7):
         order(connection, servo_id, "DEFAULT")
-        order(connection, servo_id, "CONFIRM")
+        confirm = Item(bus="main", command=Command(servo_id, "CONFIRM"), is_query=False)
+        connection.restart([confirm], 1.6)
     order(connection, 207, "DEFAULT")
     connection.wait(1.6)
     changed = stored_by(connection, [5, 6, 7, PIN_IDS["D9"], 207, 203])

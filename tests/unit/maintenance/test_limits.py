@@ -63,7 +63,7 @@ def limits(robot):
 
 
 def test_limits_are_the_servo_settings_and_the_smaller_ramp(asked):
-    known = asked((5, "SD", 1200), (5, "AA", 40), (5, "AD", 30), (6, "SD", 450), (7, "SD", 10))
+    known = asked((5, "SD", 1200), (5, "AA", 40), (5, "AD", 30), (6, "SD", 4500), (7, "SD", 10))
     assert limits(known) == {"arm": (120.0, 150.0), "hand": (45.0, 200.0), "eye": (60.0, 300.0)}
     assert not known.unread
     assert known.read_limits == {
@@ -116,7 +116,7 @@ def test_a_backup_serves_in_place_of_the_servos(robot, tmp_path):
     arm = ServoBackup(
         bus="main", servo_id=5, model="LSS-ST1", settings={"SD": 900, "AA": 50, "AD": 60}
     )
-    hand = ServoBackup(bus="main", servo_id=6, model="LSS-P-S1", settings={"SD": 300})
+    hand = ServoBackup(bus="main", servo_id=6, model="LSS-P-S1", settings={"SD": 3000})
     known = robot_from_backup(robot, [arm, hand], path)
     assert limits(known) == {"arm": (90.0, 250.0), "hand": (30.0, 200.0), "eye": (60.0, 300.0)}
     with pytest.raises(InputError, match=r"holds no SD of servo 6.*'hand'.*make a new backup"):

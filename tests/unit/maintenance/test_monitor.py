@@ -215,8 +215,9 @@ def test_a_sparkline_goes_from_the_lowest_to_the_highest():
     assert sparkline([]) == ""
 
 
+@pytest.mark.parametrize("firmware", [779, 780])
 def test_a_status_is_interpreted_by_the_firmware_of_the_servo(
-    connected, spec, tmp_path, monkeypatch, capsys
+    connected, spec, tmp_path, monkeypatch, capsys, firmware
 ):
     """An LSS-PRO with newer firmware reports 5 for holding, with older firmware 6."""
     robot = tmp_path / "robot.yaml"
@@ -225,7 +226,7 @@ robot: one
 joints:
   arm: {id: 2, model: LSS-P-S1, range_deg: [0, 9], speed_max_deg_s: 9, accel_max_deg_s2: 90}
 """)
-    connection = connected(spec(2, "LSS-P-S1"), firmware=781)
+    connection = connected(spec(2, "LSS-P-S1"), firmware=firmware)
     connection.ask([Item(bus="main", command=Command(2, "H"), is_query=False)])
     monkeypatch.setattr(connections, "connect", lambda *_, **__: connection)
     assert main(["monitor", str(robot), "--for", "1"]) == 0

@@ -90,8 +90,7 @@ def test_a_joint_outside_of_its_range_is_named_with_angle_and_range(kit, wire, i
 def test_a_limp_servo_is_reported_before_it_moves(kit):
     one = kit.joint()
     said = [
-        checks.found([one], answers(Q=code), kit.robot(one), {"j0": 0.0})[0].status
-        for code in (1, 6, "silent")
+        checks.found([one], answers(Q=code), {"j0": 0.0})[0].status for code in (1, 6, "silent")
     ]
     assert said == ["limp", "holding", None]
 
@@ -179,9 +178,9 @@ def test_the_status_of_a_servo_is_read_by_its_own_firmware(kit):
     """Code 5 of an LSS-PRO is `decelerating` in old firmware, and `holding` in a new one."""
     pro = kit.joint(model=SERVO_MODELS["LSS-P-S1"])
     said = answers(QMS="LSS-P-S1", QF=800, Q=5)
-    assert checks.status_of(pro, said, kit.robot(pro)) is Status.HOLDING
+    assert checks.status_of(pro, said) is Status.HOLDING
     said = answers(QMS="LSS-P-S1", QF=700, Q=5)
-    assert checks.status_of(pro, said, kit.robot(pro)) is Status.DECELERATING
+    assert checks.status_of(pro, said) is Status.DECELERATING
 
 
 def test_stored_settings_are_read_with_the_suffix_of_the_documents(kit):

@@ -34,10 +34,10 @@ def causes(health):
 
 def test_a_bad_status_is_polled_again_and_accepted_when_it_is_repeated(state):
     health = HealthMonitor()
-    health.status(state, BLOCKED, 370)
+    health.status(state, BLOCKED)
     assert health.active_faults == {}
     assert health.unconfirmed == {"j0": "Q"}
-    health.status(state, BLOCKED, 370)
+    health.status(state, BLOCKED)
     assert causes(health) == {Cause.BLOCKED}
     assert health.unconfirmed == {}
     assert "Find what is in its way" in health.active_faults["j0", Cause.BLOCKED]
@@ -46,17 +46,18 @@ def test_a_bad_status_is_polled_again_and_accepted_when_it_is_repeated(state):
 def test_a_bad_status_between_good_ones_is_nothing(state):
     health = HealthMonitor()
     for code in (HOLDING, BLOCKED, HOLDING, LIMP, HOLDING, BLOCKED, LIMP, HOLDING):
-        health.status(state, code, 370)
+        health.status(state, code)
         assert health.active_faults == {}
     assert health.unconfirmed == {}
 
 
 @pytest.mark.parametrize("status", STATUS_CAUSES)
 def test_the_text_of_a_fault_follows_the_joint_name_and_names_a_remedy(kit, status):
-    health, firmware = HealthMonitor(), 780 if status in STATUS_CODES else PRO_STATUS_FIRMWARE
+    health, firmware = HealthMonitor(), 779 if status in STATUS_CODES else PRO_STATUS_FIRMWARE
     state = kit.state(kit.joint(model=SERVO_MODELS["LSS-P-S1"]))
+    state.firmware = firmware
     for _ in range(2):
-        health.status(state, status_codes(Family.LSS_PRO, firmware).index(status), firmware)
+        health.status(state, status_codes(Family.LSS_PRO, firmware).index(status))
     ((place, text),) = health.active_faults.items()
     assert place == ("j0", STATUS_CAUSES[status])
     assert re.match(r"(is|reports) .+[:.] .*(Find|Lighten|Look)", text)
@@ -65,8 +66,8 @@ def test_the_text_of_a_fault_follows_the_joint_name_and_names_a_remedy(kit, stat
 
 def test_a_limp_servo_has_restarted(state):
     health = HealthMonitor()
-    health.status(state, LIMP, 370)
-    health.status(state, LIMP, 370)
+    health.status(state, LIMP)
+    health.status(state, LIMP)
     assert causes(health) == {Cause.RESTARTED}
 
 

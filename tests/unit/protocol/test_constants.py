@@ -8,7 +8,7 @@ from lss_motion.protocol.constants import Blink, Family, Led, SafeModeCause, Sta
 
 
 def test_the_documented_status_codes_are_0_to_10() -> None:
-    for family, firmware in ((Family.LSS, 370), (Family.LSS_PRO, 780)):
+    for family, firmware in ((Family.LSS, 370), (Family.LSS_PRO, 779)):
         assert status_from(1, family, firmware) is Status.LIMP
         assert status_from(4, family, firmware) is Status.TRAVELING
         assert status_from(6, family, firmware) is Status.HOLDING
@@ -16,7 +16,7 @@ def test_the_documented_status_codes_are_0_to_10() -> None:
 
 
 def test_newer_lss_pro_firmware_has_other_status_numbers() -> None:
-    newer = [status_from(code, Family.LSS_PRO, 781) for code in range(7)]
+    newer = [status_from(code, Family.LSS_PRO, 780) for code in range(7)]
     assert newer == [
         Status.UNKNOWN,
         Status.LIMP,

@@ -7,6 +7,9 @@ from pathlib import Path
 import pytest
 
 from lss_motion.errors import InputError
+from lss_motion.player.handshake import session_commands
+from lss_motion.protocol.constants import Family
+from lss_motion.protocol.framing import encode
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.model import Bus, Response, Robot
 from lss_motion.robot.on_fault import DEFAULTS, Cause, FaultStep
@@ -40,7 +43,8 @@ def test_the_desk_arm_reads_as_it_is_written() -> None:
     robot = load_robot(ROOT / "sequences/robots/desk_arm.yaml")
     assert robot.name == "desk_arm"
     assert list(robot.joints) == ["base", "shoulder", "elbow", "wrist", "gripper"]
-    assert robot.buses == {"main": Bus(name="main", port="sim://", baud_bps=115200, firmware=370)}
+    bus = Bus(name="main", port="sim://", baud_bps=115200, firmware=370, pro_firmware=370)
+    assert robot.buses == {"main": bus}
     shoulder = robot.joints["shoulder"]
     assert (shoulder.servo_id, shoulder.bus, shoulder.direction) == (2, "main", -1)
     assert shoulder.model.name == "LSS-HT1"
@@ -65,10 +69,46 @@ def test_a_robot_file_needs_only_joints(robot_path: Path) -> None:
     assert robot.buses["main"].port == "sim://"
     assert robot.joints["a"].bus == "main"
     assert robot.joints["a"].model.wire_per_deg == 100
-    assert robot.joints["a"].accel_max_deg_s2 == 10.0, "AA counts in tens"
+    assert robot.joints["a"].accel_max_deg_s2 == 17.0, "AA of an LSS-PRO counts in hundredths"
+    assert [robot.buses["main"].firmware_of(family) for family in Family] == [370, 780, 370]
     assert robot.joints["a"].following_deg == 10.0
     assert robot.joints["a"].response == Response()
     assert robot.approach_speed_deg_s == 30.0
+
+
+PRO_JOINT = (
+    "joints:\n  a: {id: 1, model: LSS-P-M1, range_deg: [-90, 90], speed_max_deg_s: 90, "
+    "accel_max_deg_s2: 57}\n"
+)
+
+
+def test_the_units_of_a_robot_file_reach_the_bytes_of_its_servos(robot_path: Path) -> None:
+    usual = load(robot_path, "robot: one\n" + PRO_JOINT).joints["a"]
+    own = load(
+        robot_path, "robot: one\nunits: {speed_deg_s: 0.1, accel_deg_s2: 10}\n" + PRO_JOINT
+    ).joints["a"]
+    assert [encode(command) for command in session_commands([usual])] == [
+        b"#1EM1\r", b"#1AA5700\r", b"#1AD5700\r", b"#1SD9000\r",
+    ]  # fmt: skip
+    assert [encode(command) for command in session_commands([own])] == [
+        b"#1EM1\r", b"#1AA5\r", b"#1AD5\r", b"#1SD900\r",
+    ]  # fmt: skip
+    assert own.accel_max_deg_s2 == 50.0
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("units: {speed_deg_s: 0.1}\n" + START + "  a: {id: 1}\n", "no joint is one (model LSS-P-"),
+        ("units: {speed_deg_s: 0.2}\nrobot: one\n" + PRO_JOINT, "must be one of 10, 1, 0.1, 0.01"),
+        ("units: {position_deg: 10}\nrobot: one\n" + PRO_JOINT, "must be 1 or less"),
+        ("units: {sped_deg_s: 0.1}\nrobot: one\n" + PRO_JOINT, "speed_deg_s"),
+    ],
+)
+def test_units_that_no_servo_has_are_refused(robot_path: Path, text: str, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        load(robot_path, text)
+    assert said in str(caught.value)
 
 
 def test_a_joint_wins_over_defaults_key_by_key(robot_path: Path) -> None:

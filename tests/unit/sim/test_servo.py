@@ -4,8 +4,10 @@ import pytest
 
 from lss_motion.protocol.codec import FAMILY_TABLES
 from lss_motion.protocol.constants import Family
+from lss_motion.protocol.lss_pro import Units
 from lss_motion.protocol.table import ReplyShape
 from lss_motion.robot.model import ServoModel
+from lss_motion.robot.servo_models import SERVO_MODELS, with_units
 from lss_motion.sim.physics import Physics
 
 SETTINGS = [
@@ -15,7 +17,7 @@ SETTINGS = [
 ]  # fmt: skip
 
 
-PRO = ServoModel(name="LSS-P-S1", family=Family.LSS_PRO, speed_max_deg_s=180.0, wire_per_deg=100)
+PRO = SERVO_MODELS["LSS-P-S1"]
 
 
 @pytest.mark.parametrize(("name", "configured", "session"), SETTINGS)
@@ -294,10 +296,69 @@ def test_a_pro_without_a_target_answers_the_last_one(pro_host):
 def test_a_newer_pro_has_fewer_states(make_host, make_servo, pro_host):
     assert pro_host.ask("#5Q") == "*5Q1|"
     pro_host.say("#5H")
-    assert pro_host.ask("#5Q") == "*5Q6|"
-    newer = make_host(make_servo(model=PRO), firmware=781)
-    newer.say("#5H")
-    assert newer.ask("#5Q") == "*5Q5|"
+    assert pro_host.ask("#5Q") == "*5Q5|"
+    older = make_host(make_servo(model=PRO), firmware=779)
+    older.say("#5H")
+    assert older.ask("#5Q") == "*5Q6|"
+
+
+def test_a_pro_measures_its_speed_in_hundredths(pro_host):
+    pro_host.say("#5WD30")
+    pro_host.wait_s(1.0)
+    assert [pro_host.ask(f"#5{word}") for word in ("QCS", "QWD", "QSD2")] == [
+        "*5QCS3000|",
+        "*5QWD30|",
+        "*5QSD3000|",
+    ]
+    pro_host.say("#5WD-30")
+    pro_host.wait_s(1.0)
+    assert pro_host.ask("#5QCS") == "*5QCS-3000|"
+
+
+def test_a_pro_blinks_as_it_is_configured(pro_host):
+    assert pro_host.ask("#5QLB") == "*5QLB0|"
+    pro_host.say("#5CLB12")
+    assert pro_host.ask("#5QLB") == "*5QLB12|"
+
+
+@pytest.mark.parametrize(
+    ("units", "speed_wire", "ramp_wire"),
+    [(Units(), 9000, 5000), (Units(speed_deg_s=0.1, accel_deg_s2=10.0), 900, 5)],
+)
+def test_a_pro_keeps_the_speed_and_ramps_in_the_units_of_its_robot(
+    make_host, make_servo, units, speed_wire, ramp_wire
+):
+    """90 deg in 90/90 s and 90/50 s of ramps, whatever the units are."""
+    host = make_host(make_servo(model=with_units(SERVO_MODELS["LSS-P-S1"], units)), firmware=780)
+    for line in (f"#5SD{speed_wire}", f"#5AA{ramp_wire}", f"#5AD{ramp_wire}", "#5H", "#5D36000"):
+        host.say(line)
+    host.wait_s(1.8)
+    assert host.horn_deg() == pytest.approx(0.5 * 50 * 1.8**2, abs=2.5)
+    host.wait_s(0.3)
+    assert float(host.bus.motors.horn_deg_s(0, host.now_ns)) == pytest.approx(90.0, abs=0.1)
+
+
+def test_the_readings_of_a_pro_scatter_by_hundredths(make_host, make_servo):
+    def scatter(model, **line):
+        host = make_host(make_servo(model=model), physics=Physics(), **line)
+        values = [int(host.ask("#5QD")[4:-1]) / model.wire_per_deg for _ in range(40)]
+        return max(values) - min(values)
+
+    assert 0.01 <= scatter(PRO, firmware=780) <= 0.04
+    assert scatter(SERVO_MODELS["LSS-ST1"]) == pytest.approx(0.2, abs=0.11)
+
+
+@pytest.mark.parametrize("line", ["#5RESET", "#254RESET"])
+def test_a_reset_of_the_pro_on_the_cable_drops_the_port(make_host, make_servo, line):
+    host = make_host(make_servo(5, model=PRO), make_servo(6, model=PRO), firmware=780)
+    host.say("#6RESET")
+    assert host.bus.outages_ns() == []
+    host.wait_s(2.0)
+    host.say(line)
+    host.wait_s(1.5)
+    assert host.ask("#6QD") == ""
+    host.wait_s(host.bus.motors.physics.usb_back_s)
+    assert host.ask("#5Q") == "*5Q1|"
 
 
 @pytest.mark.parametrize("family", [Family.LSS, Family.LSS_PRO])
