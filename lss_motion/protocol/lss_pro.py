@@ -164,6 +164,38 @@ def _motion(units: Units) -> tuple[Row, ...]:
     )
 
 
+UNITLESS_SETTINGS: Final = (
+    Row(
+        name="SM",
+        meaning="step mode: full, half or quarter steps",
+        source="PRO Step Mode (SM)",
+        actions=("SM",),
+        queries=("QSM",),
+        configs=("CSM",),
+        suffixes=_LSS("G").suffixes,
+        choices={1: 0, 2: 0, 4: 0},
+        default=2,
+        note="QM in the table is a misprint of QSM, and #8SM2 in the text one of #8CSM2.",
+    ),
+    replace(
+        _LSS("EM"),
+        source="PRO Motion Setup, FACTS P10",
+        note="The page names EM1 but does not list EM; the maker's library sends EM.",
+    ),
+    replace(
+        _LSS("QLB"),
+        source="FACTS P13",
+        note="The page does not list it; the maker's library sends QLB and CLB.",
+    ),
+    replace(
+        _LSS("LED"),
+        source="PRO RGB LED",
+        default=0,
+        note="The page gives no default; 0 is assumed.",
+    ),
+)
+
+
 def _settings(units: Units) -> tuple[Row, ...]:
     offset, speed = per_unit(units.offset_deg), per_unit(units.speed_deg_s)
     accel = per_unit(units.accel_deg_s2)
@@ -210,34 +242,6 @@ def _settings(units: Units) -> tuple[Row, ...]:
             _LSS("SR"),
             source="PRO Maximum Speed in RPM (SR)",
             note="SR and SD overwrite each other.",
-        ),
-        Row(
-            name="SM",
-            meaning="step mode: full, half or quarter steps",
-            source="PRO Step Mode (SM)",
-            actions=("SM",),
-            queries=("QSM",),
-            configs=("CSM",),
-            suffixes=_LSS("G").suffixes,
-            choices={1: 0, 2: 0, 4: 0},
-            default=2,
-            note="QM in the table is a misprint of QSM, and #8SM2 in the text one of #8CSM2.",
-        ),
-        replace(
-            _LSS("EM"),
-            source="PRO Motion Setup, FACTS P10",
-            note="The page names EM1 but does not list EM; the maker's library sends EM.",
-        ),
-        replace(
-            _LSS("QLB"),
-            source="FACTS P13",
-            note="The page does not list it; the maker's library sends QLB and CLB.",
-        ),
-        replace(
-            _LSS("LED"),
-            source="PRO RGB LED",
-            default=0,
-            note="The page gives no default; 0 is assumed.",
         ),
     )
 
@@ -331,7 +335,14 @@ TELEMETRY: Final = (
 @cache
 def pro_table(units: Units) -> FamilyTable:
     """Return the table of an LSS-PRO with these units on the wire."""
-    rows = (*SETUP, *_motion(units), *_settings(units), *_modifiers(units), *TELEMETRY)
+    rows = (
+        *SETUP,
+        *_motion(units),
+        *_settings(units),
+        *UNITLESS_SETTINGS,
+        *_modifiers(units),
+        *TELEMETRY,
+    )
     return make_table(Family.LSS_PRO, rows, firmware=PRO_FIRMWARE, answers_broadcast=True)
 
 
