@@ -89,9 +89,9 @@ GOOD = {
             "bus": "main",
             "id": 2,
             "received": [
-                [0.14, "#2AA40\r"],
-                [0.15, "#2AD40\r"],
-                [0.16, "#2SD1000\r"],
+                [0.14, "#2AA40000\r"],
+                [0.15, "#2AD40000\r"],
+                [0.16, "#2SD10000\r"],
                 [2.0, "#2D3000T1000\r"],
                 [5.0, "#2H\r"],
             ],
@@ -182,8 +182,8 @@ def test_the_judge_imports_nothing_of_the_project():
         (1, "#1SD1000\r", None, "settings"),
         (1, "#1AA40\r", "#1AA41\r", "settings"),
         (1, "#1AD40\r", None, "settings"),
-        (2, "#2SD1000\r", "#2SD10000\r", "settings"),  # Ten times too fast in one reading.
-        (2, "#2AA40\r", None, "settings"),
+        (2, "#2SD10000\r", "#2SD100000\r", "settings"),  # Ten times too fast in one reading.
+        (2, "#2AA40000\r", None, "settings"),
         (1, "#1EM1\r", "#1EM0\r", "speed"),  # T does not count in EM0: it jumps.
         (3, "#3EM0\r", None, "settings"),  # A bare D in EM1 with the factory's ramps.
         (3, "#3D384\r", "#3D590\r", "speed"),
