@@ -180,7 +180,7 @@ def _standing(connection: Connection, joint: Joint, command: Command) -> Standin
             bus=joint.bus,
             command=Command(joint.servo_id, keyword),
             is_query=True,
-            agree_within=joint.model.wire_per_deg if keyword == "QD" else 0,
+            agree_within=round(joint.model.wire_per_deg) if keyword == "QD" else 0,
         )
         for keyword in standing_queries(joint)
     ]

@@ -2,8 +2,8 @@
 
 The roll call finds the baud rates in use, the ids that answer, and the ids that several servos
 share. No query here moves or changes anything. The roll call sends `QMS`, which all three families
-answer. A broadcast only shows that there are servos, because all answer at once, and a 2IO does not
-answer it (FACTS.md B13).
+answer. A broadcast only shows that there are servos, because all answer at once; the only one that
+a 2IO answers is QMS (FACTS.md B13).
 
 `Listening` and `Pause` are for the run loop: the one sends bytes and keeps every byte that comes
 back, for a bus of which nothing is known yet; the other lets time pass.
@@ -28,7 +28,6 @@ from lss_motion.protocol.constants import (
     status_from,
 )
 from lss_motion.protocol.framing import Command, Reply, ReplyParser, encode
-from lss_motion.protocol.io2 import PIN_IDS
 from lss_motion.units import NS_PER_MS, line_time_ns
 
 if TYPE_CHECKING:
@@ -96,7 +95,7 @@ def family_of(model: str) -> Family:
 def presence_steps(baud_bps: int) -> list[Step]:
     """Return queries that every servo at this rate answers, each twice for damaged answers."""
     listen_ns = REPLY_TIMEOUT_NS + HELD_BACK_NS + line_time_ns(2 * REPLY_MAX_BYTES, baud_bps)
-    lines = [Command(BROADCAST_ID, "QID"), Command(PIN_IDS["MASTER"], "QMS")]
+    lines = [Command(BROADCAST_ID, "QID"), Command(BROADCAST_ID, "QMS")]
     return [
         Step(b"\r", 0),  # Ends any noise in the servos' buffers.
         *(Step(encode(line), listen_ns) for _ in range(2) for line in lines),

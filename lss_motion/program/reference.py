@@ -92,7 +92,7 @@ class ServoLimits:
     position_max_deg: float
     speed_max_deg_s: float
     ramp_deg_s2: float
-    wire_per_deg: int
+    wire_per_deg: float
     tolerance_deg: float
     response: Response
     wire_step: int = 1

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, assert_never
 from lss_motion.errors import ProtocolError
 from lss_motion.protocol.constants import BROADCAST_ID, BUTTON_ID, GROUP_FIRMWARE, Family
 from lss_motion.protocol.framing import DISABLED, Command, Reply
-from lss_motion.protocol.io2 import IO2_TABLE
+from lss_motion.protocol.io2 import IO2_TABLE, rc_table
 from lss_motion.protocol.lss import LSS_TABLE
 from lss_motion.protocol.lss_pro import PRO_TABLE, UNITS, Units, pro_table
 from lss_motion.protocol.table import Form, ReplyShape, Suffix, Unit, Value, unknown_text
@@ -49,9 +49,15 @@ class Language(NamedTuple):
 
 def language_table(language: Family | Language) -> FamilyTable:
     """Return the table of a language."""
-    if isinstance(language, Language) and language.family is Family.LSS_PRO:
-        return pro_table(language.units)
-    return FAMILY_TABLES[language.family if isinstance(language, Language) else language]
+    if not isinstance(language, Language):
+        return FAMILY_TABLES[language]
+    match language.family:
+        case Family.LSS_PRO:
+            return pro_table(language.units)
+        case Family.IO2:
+            return rc_table(language.units.rc_pulse_us)
+        case _:
+            return FAMILY_TABLES[language.family]
 
 
 _SENSOR_SUFFIXES: Final = (Suffix.GP2Y0A41SK0F, Suffix.GP2Y0A21YK0F, Suffix.GP2Y0A02YK0F)
@@ -257,6 +263,8 @@ def _is_readable(answer: ReplyShape, value: int | str | None) -> bool:
     match answer:
         case ReplyShape.INTEGER:
             return isinstance(value, int)
+        case ReplyShape.CHANNELS:
+            return isinstance(value, int) or (isinstance(value, str) and value.startswith(","))
         case ReplyShape.DISABLED:
             return value == DISABLED or isinstance(value, int)
         case ReplyShape.OPTIONAL:

@@ -193,6 +193,7 @@ _COMMAND_TEXT: Final = re.compile(rb"#([0-9]+)%b([!-~]+)\r?" % TEXT_COMMAND.enco
 _REPLY_SECTION: Final = re.compile(rb"\*([0-9]*)([ -~]+)\r?")
 _REPLY_TEXT: Final = re.compile(rb"(%b)([ -~]*)" % "|".join(TEXT_REPLIES).encode())
 _REPLY_DISABLED: Final = re.compile(rb"(Q[A-Z]+)(%b)" % DISABLED.encode())
+_REPLY_CHANNELS: Final = re.compile(rb"(QA)((?:,[0-9]+)+)")
 _REPLY_PART: Final = re.compile(rb"([A-Z]+)(-?[0-9]+(?:\.[0-9]+)*)?")
 
 
@@ -231,6 +232,7 @@ def _replies(piece: bytes) -> list[Reply]:
         match = (
             _REPLY_TEXT.match(body, position)
             or _REPLY_DISABLED.match(body, position)
+            or _REPLY_CHANNELS.match(body, position)
             or _REPLY_PART.match(body, position)
         )
         if match is None:
@@ -246,7 +248,7 @@ def _replies(piece: bytes) -> list[Reply]:
 def _reply_value(keyword: str, value: bytes | None) -> int | str | None:
     if not value:
         return None
-    is_text = keyword in TEXT_REPLIES or value == DISABLED.encode() or b"." in value
+    is_text = keyword in TEXT_REPLIES or value == DISABLED.encode() or set(value) & set(b".,")
     return value.decode() if is_text else int(value)
 
 

@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
+from functools import cache
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.protocol.constants import BAUD_RATES_BPS, Family
 from lss_motion.protocol.lss import LSS_TABLE
-from lss_motion.protocol.table import Device, Outside, Row, Suffix, make_table
+from lss_motion.protocol.table import (
+    Device,
+    Outside,
+    ReplyShape,
+    Row,
+    Suffix,
+    make_table,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from lss_motion.protocol.table import FamilyTable
 
 SECTION_MAX_CHARS: Final = 15
 """Longest `#…` without its CR that may be sent, to any id, on a bus with a 2IO. Every byte on the
@@ -30,6 +41,27 @@ PIN_IDS: Final[Mapping[str, int]] = {
 }
 """FACTS.md B1. The master replies `LSS-2IO-LED` to `QMS`, the other pins `LSS-2IO-<pin>` (B2)."""
 
+OUTPUT_MIN_US: Final = 544
+OUTPUT_MAX_US: Final = 2400
+"""Pulses of the outputs for D-900 and D900, and the ends of P (FACTS.md B7)."""
+
+PPM_MODE: Final = 4
+"""The mode of an analog pin with a receiver of remote control (FACTS.md B18)."""
+
+
+def rc_wire_per_deg(rc_pulse_us: tuple[int, int]) -> float:
+    """Return the wire units of D in one degree of an RC servo: 10 if it has the outputs' range."""
+    low_us, high_us = rc_pulse_us
+    return 10.0 * (high_us - low_us) / (OUTPUT_MAX_US - OUTPUT_MIN_US)
+
+
+def rc_zero_deg(rc_pulse_us: tuple[int, int]) -> float:
+    """Return where D0 is in degrees of an RC servo: its 0 is the middle of its own pulses."""
+    low_us, high_us = rc_pulse_us
+    middle_us = (OUTPUT_MIN_US + OUTPUT_MAX_US) / 2.0
+    return (middle_us - (low_us + high_us) / 2.0) * 180.0 / (high_us - low_us)
+
+
 _LSS: Final = LSS_TABLE.row
 
 ROWS: Final = (
@@ -45,7 +77,7 @@ ROWS: Final = (
         source="2IO 2",
         modifiers=(),
         devices=(Device.SERVO,),
-        note="QP returns the last commanded value.",
+        note="QP returns the last commanded value. The outputs end at 544 and 2400 us (FACTS B7).",
     ),
     replace(
         _LSS("D"),
@@ -73,13 +105,11 @@ ROWS: Final = (
         _LSS("G"),
         source="2IO 5, FACTS B9",
         suffixes=None,
-        devices=(Device.SERVO, Device.ANALOG),
-        note="With G = -1 an analog pin returns 1024 minus its value.",
+        note="With G = -1 D is mirrored, P is not, and an analog pin returns 1024 minus its value.",
     ),
     replace(
         _LSS("QID"),
-        source="2IO 6",
-        queries=(),
+        source="2IO 6, FACTS B13",
         default=None,
         needs_reset=False,
         sets_session=True,
@@ -96,7 +126,11 @@ ROWS: Final = (
         devices=(Device.MASTER,),
         note="A new rate acts at once.",
     ),
-    replace(_LSS("QMS"), source="2IO 8"),
+    replace(
+        _LSS("QMS"),
+        source="2IO 8, FACTS B13",
+        note="The only query to a broadcast that the board answers, once for each device.",
+    ),
     replace(_LSS("RESET"), source="2IO 9", actions=("RESET",), devices=(Device.MASTER,)),
     replace(
         _LSS("DEFAULT"),
@@ -109,16 +143,31 @@ ROWS: Final = (
         name="A",
         meaning="value of an analog pin, raw or as the distance of a sensor",
         source="2IO 11, FACTS B15",
+        actions=("A",),
         queries=("QA",),
+        configs=("CA",),
+        minimum=0,
+        maximum=255,
         suffixes={
             1: Suffix.GP2Y0A41SK0F,
             2: Suffix.GP2Y0A21YK0F,
             3: Suffix.GP2Y0A02YK0F,
         },
+        reply_shape=ReplyShape.CHANNELS,
         devices=(Device.ANALOG,),
-        note="The reply does not repeat the suffix: *203QA50 is 50 mm of sensor 1. The board clamps"
-        " the distance to 30 to 310, 90 to 810 and 190 to 1510 mm (sensors 1 to 3, FACTS B15).",
+        note="A sets the level of the pin (FACTS B18). CA4 selects the PPM mode, in which QA"
+        " returns the pulses of a receiver, *203QA,1500,1500. The reply does not repeat the suffix:"
+        " *203QA50 is 50 mm of sensor 1. The board clamps the distance to 30 to 310, 90 to 810 and"
+        " 190 to 1510 mm (sensors 1 to 3, FACTS B15).",
     ),
 )
 
 IO2_TABLE: Final = make_table(Family.IO2, ROWS, firmware=0, answers_broadcast=False)
+
+
+@cache
+def rc_table(rc_pulse_us: tuple[int, int]) -> FamilyTable:
+    """Return the table with D in degrees of an RC servo that has this range of pulses."""
+    scale = Fraction(rc_wire_per_deg(rc_pulse_us))
+    rows = [replace(row, wire_per_unit=scale) if row.name == "D" else row for row in ROWS]
+    return make_table(Family.IO2, rows, firmware=0, answers_broadcast=False)

@@ -15,6 +15,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.protocol.constants import Family
+from lss_motion.protocol.io2 import OUTPUT_MAX_US, OUTPUT_MIN_US
 from lss_motion.protocol.lss import LSS_TABLE
 from lss_motion.protocol.table import TENTHS, Outside, ReplyShape, Row, Unit, make_table
 
@@ -44,7 +45,7 @@ ACCEL_MAX_DEG_S2: Final = 1000.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Units:
-    """What one unit on the wire is for an LSS-PRO.
+    """What one unit on the wire is for an LSS-PRO, and the range of an RC servo on an LSS-2IO.
 
     A wrong unit makes a servo move at a multiple of its speed. The first slow move of a new robot
     shows it, and the robot file then states the right unit.
@@ -55,6 +56,8 @@ class Units:
     speed_deg_s: float = SPEED_DEG_S
     wheel_deg_s: float = WHEEL_DEG_S
     accel_deg_s2: float = ACCEL_DEG_S2
+    rc_pulse_us: tuple[int, int] = (OUTPUT_MIN_US, OUTPUT_MAX_US)
+    """Of an RC servo on an LSS-2IO: its pulses at -90 and +90 degrees."""
 
 
 UNITS: Final = Units()

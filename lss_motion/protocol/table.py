@@ -85,6 +85,7 @@ class ReplyShape(StrEnum):
     OPTIONAL = "integer or nothing"
     DISABLED = "integer or DIS"
     VERSION = "integer or dotted numbers"
+    CHANNELS = "integer or pulses with commas"
     TEXT = "text"
 
 

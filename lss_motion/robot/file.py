@@ -180,6 +180,7 @@ AccelLimit = Annotated[
     PlainValidator(_check_limit(ACCEL_MIN_DEG_S2)),
     WithJsonSchema(_limit_schema(ACCEL_MIN_DEG_S2)),
 ]
+PulseUs = Annotated[int, Field(ge=100, le=5000)]
 AngleDeg = Annotated[float, Field(ge=-ANGLE_MAX_DEG, le=ANGLE_MAX_DEG)]
 
 
@@ -284,6 +285,12 @@ class JointDefaults(FileModel, title="joint defaults"):
     )
     zero_deg: AngleDeg | None = Field(
         default=None, description="Servo angle where the joint angle is 0. Default 0."
+    )
+    pulse_us: Annotated[list[PulseUs], Field(min_length=2, max_length=2)] | None = Field(
+        default=None,
+        description="RC servo on an LSS-2IO: its pulses at -90 and +90 degrees, as its data sheet "
+        "has them; many have [500, 2500]. Default [544, 2400], the range of the board.",
+        examples=[[500, 2500]],
     )
     turns: Literal["by_hand", "powered"] | None = Field(
         default=None,

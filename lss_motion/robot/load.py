@@ -15,6 +15,7 @@ from lss_motion.files.source import known_names
 from lss_motion.files.yaml_source import Location, Problem, read_yaml, source_of
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.framing import DISABLED
+from lss_motion.protocol.io2 import rc_zero_deg
 from lss_motion.protocol.lss import LSS_FIRMWARE
 from lss_motion.protocol.lss_pro import PRO_FIRMWARE, Units
 from lss_motion.robot.model import SERVO, Bus, Joint, Response, Robot, Sensor
@@ -163,7 +164,7 @@ class _Loader:
 
     @property
     def _units(self) -> Units:
-        return Units(**self.content.units.model_dump())
+        return Units(**self.content.units.model_dump(exclude_none=True))
 
     def robot(self, path: Path) -> Robot:
         """Return the robot; it can be used only if there are no `problems`."""
@@ -249,7 +250,15 @@ class _Loader:
         bus = self._bus(name, merged)
         if bus is None or any(key not in fields for key in _NEEDED):
             return None
-        model = with_units(SERVO_MODELS[fields["model"]], self._units)
+        model = SERVO_MODELS[fields["model"]]
+        units = self._units
+        if pulse_us := fields.get("pulse_us"):
+            self._check_pulses(name, model, pulse_us, merged)
+            if pulse_us[0] < pulse_us[1]:
+                units = replace(units, rc_pulse_us=(pulse_us[0], pulse_us[1]))
+        model = with_units(model, units)
+        if model.family is Family.IO2:
+            fields["zero_deg"] = fields.get("zero_deg", 0.0) - rc_zero_deg(units.rc_pulse_us)
         fields.setdefault("drive", FAMILIES[model.family].drives[0])
         unread = frozenset(key for key in MODEL_LIMITS if fields[key] == SERVO)
         fields |= {key: MODEL_LIMITS[key](model) for key in unread}
@@ -274,6 +283,20 @@ class _Loader:
         for location, reason in joint_field_problems(joint, merged.place):
             self._note(location, reason)
         return _within_ramps(joint) if joint.drive in ("timed", "auto") else joint
+
+    def _check_pulses(
+        self, name: str, model: ServoModel, pulse_us: Sequence[int], merged: _Merged
+    ) -> None:
+        place = merged.place("pulse_us")
+        if model.family is not Family.IO2 and place[0] == "joints":
+            reason = f"joint {name!r}: pulse_us is for an RC servo on an LSS-2IO; remove it"
+            self._note(place, reason)
+        if pulse_us[0] >= pulse_us[1]:
+            reason = (
+                f"joint {name!r}: pulse_us must rise, but goes from {pulse_us[0]} to "
+                f"{pulse_us[1]}; `direction: -1` turns a servo round"
+            )
+            self._note(place, reason)
 
     def _bus(self, name: str, merged: _Merged) -> str | None:
         buses = self.content.buses

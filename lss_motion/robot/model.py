@@ -89,8 +89,9 @@ class ServoModel:
     family: Family
     speed_max_deg_s: float
     """No-load top speed; a joint's configured limit must not exceed it."""
-    wire_per_deg: int
-    """Position units on the wire per degree: 10 (LSS, 2IO, tenths), 100 (LSS-PRO, hundredths)."""
+    wire_per_deg: float
+    """Position units on the wire per degree: 10 (LSS, tenths), 100 (LSS-PRO, hundredths), 10 or a
+    fraction (2IO, by the range of the RC servo's pulses)."""
     wire_step: int = 1
     """A target is a multiple of so many wire units: 10 for a 2IO, which has whole degrees only."""
     accel_step_deg_s2: float = 10.0

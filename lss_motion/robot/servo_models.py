@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.framing import encode_move
-from lss_motion.protocol.io2 import BAUD_MAX_BPS, SECTION_MAX_CHARS
+from lss_motion.protocol.io2 import BAUD_MAX_BPS, SECTION_MAX_CHARS, rc_wire_per_deg, rc_zero_deg
 from lss_motion.protocol.lss_pro import ACCEL_MAX_DEG_S2, UNITS, per_unit
 from lss_motion.robot.model import ServoModel
 
@@ -101,7 +101,9 @@ def _model(name: str, family: Family, speed_max_deg_s: float) -> ServoModel:
 
 
 def with_units(model: ServoModel, units: Units) -> ServoModel:
-    """Return the model of an LSS-PRO with other units on the wire; any other model as it is."""
+    """Return the model with other units on the wire; one of another family as it is."""
+    if model.family is Family.IO2:
+        return replace(model, wire_per_deg=rc_wire_per_deg(units.rc_pulse_us), units=units)
     if model.family is not Family.LSS_PRO:
         return model
     return replace(
@@ -241,11 +243,15 @@ def board_problems(
 
 def _rc_range_problems(joint: Joint) -> Iterator[tuple[tuple[str, str, str], str]]:
     ends = (joint.servo_deg(joint.position_min_deg), joint.servo_deg(joint.position_max_deg))
-    if max(map(abs, ends)) > RC_RANGE_DEG:
+    pulse_us = joint.model.units.rc_pulse_us
+    zero_deg, most_deg = rc_zero_deg(pulse_us), RC_RANGE_DEG * 10.0 / joint.model.wire_per_deg
+    if max(map(abs, ends)) > most_deg:
+        least, most = zero_deg - most_deg, zero_deg + most_deg
+        reach = f"±{RC_RANGE_DEG:g}" if zero_deg == 0.0 else f"{least:.1f} to {most:.1f}"
         yield (
             ("joints", joint.name, "range_deg"),
-            f"joint {joint.name!r}: its servo would go to {max(ends, key=abs):g} deg; an LSS-2IO "
-            f"turns its servos by ±{RC_RANGE_DEG:g}",
+            f"joint {joint.name!r}: its servo would go to {max(ends, key=abs) + zero_deg:g} deg; "
+            f"an LSS-2IO turns its servos by {reach}",
         )
 
 

@@ -1,4 +1,7 @@
-"""LSS-2IO boards in their 2RC mode: RC servos, analog inputs and a LED behind a 16-byte buffer."""
+"""LSS-2IO boards in their 2RC mode: RC servos, analog pins and a LED behind a 16-byte buffer.
+
+A board behaves as its factory sketch does (FACTS.md B), also where that differs from the page.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,16 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from lss_motion.protocol.constants import BROADCAST_ID, PULSE_MAX_US, PULSE_MIN_US
+from lss_motion.protocol.constants import BROADCAST_ID
 from lss_motion.protocol.framing import Command, Reply
-from lss_motion.protocol.io2 import IO2_TABLE, PIN_IDS, SECTION_MAX_CHARS
+from lss_motion.protocol.io2 import (
+    IO2_TABLE,
+    OUTPUT_MAX_US,
+    OUTPUT_MIN_US,
+    PIN_IDS,
+    PPM_MODE,
+    SECTION_MAX_CHARS,
+)
 from lss_motion.protocol.table import Device, Form, Suffix
 from lss_motion.sim.profile import Chase, Limp
 from lss_motion.units import NS_PER_MS
@@ -34,8 +44,23 @@ RAW_MAX: Final = 1023
 """Ten bits of the converter (FACTS.md B9: a gyre of -1 answers 1024 minus the value)."""
 
 DEG_MAX: Final = 180
-PULSE_SPAN_US: Final = PULSE_MAX_US - PULSE_MIN_US
-"""The board computes in 0 to 180 whole degrees and 500 to 2500 us (FACTS.md B6, B7)."""
+OUTPUT_SPAN_US: Final = OUTPUT_MAX_US - OUTPUT_MIN_US
+"""The board computes in 0 to 180 whole degrees and 544 to 2400 us (FACTS.md B6, B7)."""
+
+START_US: Final = 1500
+"""The pulse of an output before the first command; QD then answers 20 (FACTS.md B8)."""
+
+CHANNELS: Final = 8
+"""Channels of the receiver at a pin in PPM mode, all in the middle. Assumed."""
+CHANNEL_US: Final = 1500
+
+HIGH_MIN: Final = 128
+"""An analog pin has no PWM: from here on its output is high (FACTS.md B18)."""
+
+OUTPUT_MID_US: Final = (OUTPUT_MIN_US + OUTPUT_MAX_US) / 2
+
+VALUE_MISSING: Final[Mapping[str, int]] = MappingProxyType({"D": 0, "P": 0, "LED": 0, "A": 0})
+"""What the board takes for a value that is missing (FACTS.md B5)."""
 
 _SECTION: Final = re.compile(rb"#([0-9]+)([A-Za-z]+)(-?[0-9]+)?")
 """The part of a section that the board reads; it ignores what follows (FACTS.md B5)."""
@@ -50,9 +75,13 @@ class Sensor(NamedTuple):
     max_mm: int
 
     def distance_mm(self, raw: int) -> int:
-        """Return the reply of the board. At or below the offset no object is near (assumed)."""
+        """Return the reply of the board.
+
+        At or below the offset, as without a signal, it computes a negative distance, and -1 where
+        it divides by 0; both are clamped to the nearest distance (FACTS.md B16).
+        """
         if raw <= self.offset:
-            return self.max_mm
+            return self.min_mm
         return min(max(self.scale // (raw - self.offset), self.min_mm), self.max_mm)
 
     def raw(self, distance_mm: float) -> int:
@@ -70,12 +99,19 @@ SENSORS: Final[Mapping[Suffix, Sensor]] = MappingProxyType(
 )
 """From the published sketch (FACTS.md B15)."""
 
+SENSOR_FAR: Final[Mapping[str, int]] = MappingProxyType(
+    {suffix.name: sensor.raw(sensor.max_mm) for suffix, sensor in SENSORS.items()}
+)
+"""The value of the converter with nothing in front of a sensor, by its model."""
+
 
 @dataclass(slots=True)
 class Pin:
     """A pin of a board, with an id of its own. `index` is that of its RC servo, if it has one.
 
-    `written_deg` and `pulse_us` are the last command to the servo, 0 to 180 and 500 to 2500.
+    `pulse_us` is the last command to the servo. `rc_pulse_us` are the pulses at which that servo
+    stands at -90 and +90 degrees. `raw` is the value of an analog pin; None: nothing is connected.
+    `is_high` is its level as an output; None: it is an input.
     """
 
     name: str
@@ -84,26 +120,30 @@ class Pin:
     index: int | None = None
     gyre: int = 1
     config_gyre: int = 1
-    written_deg: int = DEG_MAX // 2
-    pulse_us: int = (PULSE_MIN_US + PULSE_MAX_US) // 2
-    raw: int = 0
+    pulse_us: int = START_US
+    rc_pulse_us: tuple[int, int] = (OUTPUT_MIN_US, OUTPUT_MAX_US)
+    raw: int | None = None
+    is_high: bool | None = None
+    mode: int = 0
+    config_mode: int = 0
 
     def attach(self, index: int, spec: ServoSpec) -> None:
         """Put the RC servo `spec` on the pin, which takes its id and its gyre."""
         self.index = index
         self.servo_id = spec.servo_id
         self.gyre = self.config_gyre = spec.eeprom.get("G", 1)
+        self.rc_pulse_us = spec.model.units.rc_pulse_us
 
 
 def make_boards(
     outputs: Sequence[tuple[int, ServoSpec]],
-    inputs: Sequence[int],
+    inputs: Mapping[int, int],
     motors: Motors,
     *,
     baud_bps: int,
     random: Random,
 ) -> list[Board]:
-    """Return the boards that `outputs` (motor index, RC servo) and `inputs` (ids) need.
+    """Return the boards that `outputs` (motor index, RC servo) and `inputs` (id, value) need.
 
     A board has three of each.
 
@@ -129,8 +169,8 @@ def make_boards(
     return boards
 
 
-def _attach_inputs(boards: Sequence[Board], inputs: Sequence[int]) -> None:
-    """Give analog pins the requested ids; a pin that already has one of them keeps it."""
+def _attach_inputs(boards: Sequence[Board], inputs: Mapping[int, int]) -> None:
+    """Give analog pins the requested ids and their values; a pin with such an id keeps it."""
     pins = [pin for board in boards for pin in board.pins if pin.device is Device.ANALOG]
     ids = list(dict.fromkeys(inputs))
     kept = []
@@ -140,6 +180,9 @@ def _attach_inputs(boards: Sequence[Board], inputs: Sequence[int]) -> None:
             kept.append(pin)
     for servo_id, pin in zip(ids, [pin for pin in pins if pin not in kept], strict=False):
         pin.servo_id = servo_id
+        kept.append(pin)
+    for pin in kept:
+        pin.raw = inputs[pin.servo_id]
 
 
 class Board:
@@ -199,12 +242,15 @@ class Board:
         form, row = found
         if row.devices and pin.device not in row.devices:
             return None
-        if is_broadcast and row.name == "ID":  # Assumed: otherwise all pins would get one id.
+        if is_broadcast and form is Form.CONFIG:
             return None
         value = command.value if isinstance(command.value, int) else None
         if form is Form.QUERY:
-            answer = None if is_broadcast else self._value(pin, row, value)
+            is_answered = not is_broadcast or row.name == "MS"
+            answer = self._value(pin, row, value) if is_answered else None
             return None if answer is None else Reply(pin.servo_id, command.keyword, answer)
+        if value is None and row.name in VALUE_MISSING:
+            value = VALUE_MISSING[row.name]
         match row.name:
             case "RESET":
                 self.reset(now_ns)
@@ -223,15 +269,14 @@ class Board:
         self._deaf_until_ns = now_ns + RESET_NS
         self._led = self._config_led
         for pin in self.pins:
-            self._turn(pin, pin.config_gyre)
-            pin.written_deg, pin.pulse_us = DEG_MAX // 2, (PULSE_MIN_US + PULSE_MAX_US) // 2
+            pin.gyre, pin.mode = pin.config_gyre, pin.config_mode
+            pin.pulse_us, pin.is_high = START_US, None
             self._release(pin, now_ns)
 
     def store(self, pins: Sequence[Pin], settings: Mapping[str, int]) -> None:
         """Take wire values of some pins at once, also for every later start; they have G and ID."""
         for pin in pins:
-            pin.config_gyre = settings.get("G", pin.config_gyre)
-            self._turn(pin, pin.config_gyre)
+            pin.gyre = pin.config_gyre = settings.get("G", pin.config_gyre)
             pin.servo_id = settings.get("ID", pin.servo_id)
 
     def _restore_factory(self, now_ns: int) -> None:
@@ -240,23 +285,19 @@ class Board:
         self._config_led = 0
         for pin in self.pins:
             pin.servo_id = PIN_IDS[pin.name]
-            pin.config_gyre = 1
+            pin.config_gyre, pin.config_mode = 1, 0
         self.reset(now_ns)
 
     def _set(self, pin: Pin, name: str, value: int, now_ns: int, *, is_config: bool) -> None:
         match name:
-            case "D":
-                turned = (value + 900) * DEG_MAX // 1800 - DEG_MAX // 2
-                pin.written_deg = DEG_MAX // 2 + pin.gyre * turned
-                pin.pulse_us = PULSE_MIN_US + pin.written_deg * PULSE_SPAN_US // DEG_MAX
-                self._jump(pin, pin.written_deg - DEG_MAX / 2, now_ns)
-            case "P":
-                pin.pulse_us = value if pin.gyre == 1 else PULSE_MIN_US + PULSE_MAX_US - value
-                pulse_us = pin.pulse_us - PULSE_MIN_US
-                pin.written_deg = pulse_us * DEG_MAX // PULSE_SPAN_US
-                self._jump(pin, pulse_us * DEG_MAX / PULSE_SPAN_US - DEG_MAX / 2, now_ns)
+            case "D" | "P":
+                self._aim(pin, name, value, now_ns)
+            case "A" if is_config:
+                pin.mode = pin.config_mode = value
+            case "A":
+                pin.is_high = value > 0 if pin.name == "A4" else value >= HIGH_MIN
             case "G":
-                self._turn(pin, value)
+                pin.gyre = value
                 if is_config:
                     pin.config_gyre = value
             case "LED":
@@ -265,41 +306,54 @@ class Board:
                     self._config_led = value
             case "ID":
                 pin.servo_id = value
-            case "B":
-                self.baud_bps = value
             case _:
-                raise AssertionError(f"{name} is in the table and nowhere else")
+                self.baud_bps = value
+
+    def _aim(self, pin: Pin, name: str, value: int, now_ns: int) -> None:
+        """Send an output's pulse for D or P; the gyre mirrors D only (FACTS.md B9)."""
+        if name == "D":
+            written_deg = min(max((pin.gyre * value + 900) * DEG_MAX // 1800, 0), DEG_MAX)
+            value = OUTPUT_MIN_US + written_deg * OUTPUT_SPAN_US // DEG_MAX
+        self._jump(pin, min(max(value, OUTPUT_MIN_US), OUTPUT_MAX_US), now_ns)
 
     def _value(self, pin: Pin, row: Row, suffix: int | None) -> int | str | None:
         """Return the value of the reply to a query; None: no reply."""
         match row.name:
             case "D":  # With a gyre of -1 the sketch forgets the middle: nonsense (FACTS.md B9).
-                return 10 * pin.gyre * pin.written_deg - 900
-            case "P":
-                return pin.pulse_us if pin.gyre == 1 else PULSE_MIN_US + PULSE_MAX_US - pin.pulse_us
-            case "G":
-                return pin.gyre
-            case "LED":
-                return self._led
-            case "B":
-                return self.baud_bps
+                read_deg = (pin.pulse_us + 1 - OUTPUT_MIN_US) * DEG_MAX // OUTPUT_SPAN_US
+                return 10 * pin.gyre * read_deg - 900
             case "MS":
                 return f"LSS-2IO-{'LED' if pin.device is Device.MASTER else pin.name}"
             case "A":
-                raw = pin.raw if pin.gyre == 1 else RAW_MAX + 1 - pin.raw
-                meaning = None if suffix is None else (row.suffixes or {}).get(suffix)
-                return raw if meaning is None else SENSORS[meaning].distance_mm(raw)
+                return self._analog(pin, row, suffix)
             case _:
-                return None
+                known = {"P": pin.pulse_us, "ID": pin.servo_id, "G": pin.gyre}
+                return (known | {"LED": self._led, "B": self.baud_bps}).get(row.name)
 
-    def _turn(self, pin: Pin, gyre: int) -> None:
-        pin.gyre = gyre
-        if pin.index is not None:
-            self._motors.gyre[pin.index] = gyre
+    def _analog(self, pin: Pin, row: Row, suffix: int | None) -> int | str:
+        """Return the value of an analog pin: raw, as a distance, or the pulses of a receiver."""
+        if pin.mode == PPM_MODE:
+            return "".join([f",{CHANNEL_US}"] * CHANNELS)
+        read = self._read(pin)
+        raw = read if pin.gyre == 1 else RAW_MAX + 1 - read
+        meaning = None if suffix is None else (row.suffixes or {}).get(suffix)
+        return raw if meaning is None else SENSORS[meaning].distance_mm(raw)
 
-    def _jump(self, pin: Pin, raw_deg: float, now_ns: int) -> None:
-        """Send the pulse: an RC servo moves there as fast as it can."""
+    def _read(self, pin: Pin) -> int:
+        """Return the value of the converter; with nothing connected it is random (FACTS.md B17)."""
+        if pin.is_high is not None:
+            return RAW_MAX if pin.is_high else 0
+        return self.random.randint(0, RAW_MAX) if pin.raw is None else pin.raw
+
+    def _jump(self, pin: Pin, pulse_us: int, now_ns: int) -> None:
+        """Send the pulse: an RC servo moves there as fast as it can.
+
+        Its angle counts from the middle of the outputs, where D is 0.
+        """
+        pin.pulse_us = pulse_us
         if pin.index is not None:
+            low_us, high_us = pin.rc_pulse_us
+            raw_deg = (pulse_us - OUTPUT_MID_US) * DEG_MAX / (high_us - low_us)
             chase = Chase(raw_deg, filter_count=1, is_repeated=False)
             self._motors.order(pin.index, now_ns, chase)
 

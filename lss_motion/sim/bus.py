@@ -15,7 +15,7 @@ import numpy as np
 from lss_motion.protocol.codec import storable, stored_wire
 from lss_motion.protocol.constants import BROADCAST_ID, Family
 from lss_motion.protocol.framing import Command, CommandParser
-from lss_motion.sim.boards import RAW_MAX, make_boards
+from lss_motion.sim.boards import RAW_MAX, SENSOR_FAR, make_boards
 from lss_motion.sim.clocks import Drift
 from lss_motion.sim.faults import FOREVER_NS, FaultKind, Faults, SecondMaster
 from lss_motion.sim.horn_history import HornHistory
@@ -51,7 +51,8 @@ class SimBus:
 
     Instants are the host's, and do not go back. The result does not depend on how often a method
     is called. With `usb_latency_ns` an adapter delivers the replies in packets.
-    `inputs` are the ids of analog pins of LSS-2IO boards.
+    `inputs` are the ids of analog pins of LSS-2IO boards to which something is connected, with
+    their values.
     """
 
     def __init__(
@@ -64,7 +65,7 @@ class SimBus:
         physics: Physics | None = None,
         faults: Sequence[Fault] = (),
         usb_latency_ns: int = 0,
-        inputs: Sequence[int] = (),
+        inputs: Mapping[int, int] | None = None,
     ) -> None:
         physics = physics or Physics()
         own_count = len(servos)
@@ -118,7 +119,7 @@ class SimBus:
             (index, spec) for index, spec in enumerate(servos) if spec.model.family is Family.IO2
         ]
         self._boards = make_boards(
-            outputs, inputs, self.motors, baud_bps=baud_bps, random=Random(f"{seed}/boards")
+            outputs, inputs or {}, self.motors, baud_bps=baud_bps, random=Random(f"{seed}/boards")
         )
 
     def record(self) -> None:
@@ -443,7 +444,11 @@ def bus_from_robot(  # noqa: PLR0913  (the parameters of one bus)
         physics=physics,
         faults=[fault for fault in faults if fault.bus in (None, bus_name)],
         usb_latency_ns=usb_latency_ns,
-        inputs=[one.servo_id for one in robot.sensors.values() if one.bus == bus_name],
+        inputs={
+            sensor.servo_id: SENSOR_FAR.get(sensor.kind, 0)
+            for sensor in robot.sensors.values()
+            if sensor.bus == bus_name
+        },
     )
 
 

@@ -347,6 +347,16 @@ def check_baud(host: Host, family: Family, line: str) -> None:
     assert host.query("#207QB") == b""
 
 
+def check_level(host: Host, family: Family, line: str) -> None:
+    host.send(line + "200")
+    assert host.query("#203QA") == b"*203QA1023\r"
+
+
+def check_receiver(host: Host, family: Family, line: str) -> None:
+    host.send(line + "4")
+    assert host.query("#203QA").startswith(b"*203QA,1500,")
+
+
 def goes(value: str, wanted_deg):
     def check(host: Host, family: Family, line: str) -> None:
         wanted = wanted_deg(family) if callable(wanted_deg) else wanted_deg
@@ -370,7 +380,9 @@ EFFECTS = {
     "H": check_halt,
     "D": goes("900", lambda family: 9.0 if pro(family) else 90.0),
     "MD": goes("100", lambda family: 1.0 if pro(family) else 10.0),
-    "P": goes("2000", 45.0),
+    "P": goes("2000", lambda family: 51.2 if family is Family.IO2 else 45.0),
+    "A": check_level,
+    "CA": check_receiver,
     "M": goes("500", 45.0),
     "WD": turns("20", lambda family: 20.0 if pro(family) else 2.0),
     "WR": turns("3", 18.0),
@@ -422,7 +434,7 @@ def test_every_action_and_configuration_has_its_effect(family, keyword):
     host = host_for(family)
     line = f"#{address_of(family, row)}{keyword}"
     is_checked_by_effect = not row.queries or keyword in ("D", "P", "WD", "WR", "RDM")
-    if family is Family.IO2 and keyword in ("CID", "CB"):
+    if family is Family.IO2 and keyword in ("CID", "CB", "A", "CA"):
         is_checked_by_effect = True
     if is_checked_by_effect:
         EFFECTS[keyword](host, family, line)

@@ -8,6 +8,7 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.player.handshake import session_commands
+from lss_motion.protocol.codec import make_command
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.framing import encode
 from lss_motion.robot.load import load_robot
@@ -108,6 +109,42 @@ def test_the_units_of_a_robot_file_reach_the_bytes_of_its_servos(robot_path: Pat
 def test_units_that_no_servo_has_are_refused(robot_path: Path, text: str, said: str) -> None:
     with pytest.raises(InputError) as caught:
         load(robot_path, text)
+    assert said in str(caught.value)
+
+
+RC = START + (
+    "  a: {id: 209, model: LSS-2IO, range_deg: [-83, 80], speed_max_deg_s: 300, zero_deg: 0.5,"
+    " pulse_us: [500, 2500]}\n"
+)
+
+
+def test_an_rc_servo_with_its_own_pulses_gets_degrees_of_its_own(robot_path: Path) -> None:
+    """1500 us is its middle; 45 deg are 2000 us, and D is 0 at 1472 us, 90 deg at 2400 us."""
+    joint = load(robot_path, RC).joints["a"]
+    for angle_deg, wire in ((-0.5, 30), (44.5, 510), (-79.5, -820)):
+        command = make_command(joint.model.language, 209, "D", joint.servo_deg(angle_deg))
+        assert command.value == wire
+        assert round(joint.servo_deg(angle_deg) * joint.model.wire_per_deg / 10) * 10 == wire
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            "[-83, 80]",
+            "[-83, 85]",
+            "to 85.5 deg; an LSS-2IO turns its servos by -86.0 to 81.0",
+        ),
+        ("[500, 2500]", "[2500, 500]", "pulse_us must rise"),
+        ("[500, 2500]", "[500]", "pulse_us"),
+        ("LSS-2IO", "LSS-ST1", "pulse_us is for an RC servo on an LSS-2IO"),
+    ],
+)
+def test_pulses_that_do_not_fit_are_refused(
+    robot_path: Path, old: str, new: str, said: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        load(robot_path, RC.replace(old, new))
     assert said in str(caught.value)
 
 
