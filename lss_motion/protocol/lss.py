@@ -540,7 +540,7 @@ LATER_FIRMWARE: Final = (
         queries=("QVT",),
         unit=Unit.DEG_S,
         wire_per_unit=TENTHS,
-        firmware=370,
+        firmware=369,
         note="The unit is assumed to be that of QSD3.",
     ),
     Row(
@@ -559,7 +559,7 @@ LATER_FIRMWARE: Final = (
         queries=("QMD",),
         minimum=-1023,
         maximum=1023,
-        firmware=370,
+        firmware=369,
     ),
     Row(
         name="CSL",
@@ -570,7 +570,7 @@ LATER_FIRMWARE: Final = (
         minimum=100,
         maximum=500,
         default=500,
-        firmware=370,
+        firmware=369,
         note="No source names the unit or the default; 500 is assumed.",
     ),
     Row(
@@ -585,7 +585,7 @@ LATER_FIRMWARE: Final = (
         wire_per_unit=TENTHS,
         minimum=0,
         default=30,
-        firmware=370,
+        firmware=369,
         note="Tenths of a degree are assumed.",
     ),
     Row(
@@ -596,7 +596,7 @@ LATER_FIRMWARE: Final = (
         configs=("CLE",),
         choices={0: 0, 1: 0},
         default=0,
-        firmware=370,
+        firmware=369,
         note="The default is assumed.",
     ),
     Row(
@@ -608,7 +608,7 @@ LATER_FIRMWARE: Final = (
         unit=Unit.DEG,
         wire_per_unit=TENTHS,
         default=1200,
-        firmware=370,
+        firmware=369,
     ),
     Row(
         name="LN",
@@ -619,7 +619,7 @@ LATER_FIRMWARE: Final = (
         unit=Unit.DEG,
         wire_per_unit=TENTHS,
         default=-1200,
-        firmware=370,
+        firmware=369,
     ),
     Row(
         name="SLOTCOUNT",
@@ -668,9 +668,58 @@ LATER_FIRMWARE: Final = (
     ),
 )
 
+PRIVATE: Final = (
+    *(
+        Row(
+            name=name,
+            meaning=f"{meaning} (private)",
+            source="FACTS C21",
+            actions=actions,
+            queries=queries,
+            configs=configs,
+            minimum=0,
+            maximum=maximum,
+            default=default,
+            firmware=369,
+            note="The maker's tests use it; meaning, range and default are assumed.",
+        )
+        for name, meaning, actions, queries, configs, maximum, default in (
+            ("Y", "control mode", ("Y",), ("QY",), (), 255, 0),
+            ("CR", "acknowledgement of commands, on (1) or off (0)", ("ECR",), ("QCR",), (), 1, 0),
+            ("TQM", "largest torque", ("TQM",), ("QTQM",), (), 1023, 1023),
+            ("IS", "colours of the LED at start", (), ("QIS",), ("CIS",), 1023, 0),
+            ("RIS", "colours of the LED at start in RC mode", (), ("QRIS",), ("CRIS",), 1023, 0),
+            ("GM", "gain", ("CGM",), (), (), 1023, 0),
+        )
+    ),
+    Row(
+        name="PO",
+        meaning="origin of positions (private)",
+        source="FACTS C21",
+        actions=("PO",),
+        queries=("QPO",),
+        configs=("CPO",),
+        suffixes=SESSION_OR_CONFIG,
+        unit=Unit.DEG,
+        wire_per_unit=TENTHS,
+        default=0,
+        firmware=369,
+        note="The maker's tests read it; that it is in tenths and has no effect is assumed.",
+    ),
+    Row(
+        name="MC",
+        meaning="code of the model (private)",
+        source="FACTS C21",
+        queries=("QM",),
+        firmware=369,
+        note="The maker's tests read it. The codes are not published.",
+    ),
+)
+"""Commands that the maker's tests use and no page describes."""
+
 LSS_TABLE: Final = make_table(
     Family.LSS,
-    (*MOTION, *MODIFIERS, *SETTINGS, *TELEMETRY, *MAINTENANCE, *LATER_FIRMWARE),
+    (*MOTION, *MODIFIERS, *SETTINGS, *TELEMETRY, *MAINTENANCE, *LATER_FIRMWARE, *PRIVATE),
     firmware=LSS_FIRMWARE,
     answers_broadcast=True,
 )

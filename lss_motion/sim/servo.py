@@ -154,6 +154,10 @@ STATUS_OF = {
 }
 
 
+MODEL_CODES: Final = {"LSS-ST1": 1, "LSS-HS1": 2, "LSS-HT1": 3}
+"""Answers to QM. Assumed: the maker does not publish its codes."""
+
+
 class Readings:
     """The answers of servo `index`. Positions scatter as its encoder does."""
 
@@ -195,6 +199,7 @@ class Readings:
             "TM": lambda now_ns: self._wire("TM", motors.temperature_c(index, now_ns)),
             "C": lambda _: self._wire("C", motors.current_ma(index) / 1000.0),
             "MS": lambda _: spec.model.name,
+            "MC": lambda _: MODEL_CODES.get(spec.model.name, 0),
             "N": lambda _: self._serial_number,
             "F": lambda _: self._firmware,
             "FR": lambda _: self._firmware,
@@ -488,16 +493,27 @@ class Servo:
     def obey(self, command: Command, now_ns: int) -> Reply | None:
         """Execute one command received at `now_ns`; return the reply to a query.
 
-        The servo ignores commands that it does not have.
+        The servo ignores commands that it does not have. After ECR1 it acknowledges the others by
+        repeating them; the shape is assumed (FACTS.md C21).
         """
         armed, self._armed = self._armed, None
         found = self._table.by_keyword.get(command.keyword)
         if found is None or found[1].firmware > self._firmware:
             return None
         form, row = found
+        if form is Form.QUERY:
+            return self._answer(command, row, now_ns)
+        is_acknowledged = self.settings.number("CR") != 0 and command.servo_id != BROADCAST_ID
+        self._execute(command, form, row, armed, now_ns)
+        if not is_acknowledged or not self.is_listening(now_ns):
+            return None
+        return Reply(self.servo_id, command.keyword, command.value)
+
+    def _execute(
+        self, command: Command, form: Form, row: Row, armed: str | None, now_ns: int
+    ) -> None:
+        """Execute an action or a configuration."""
         match form, row.name:
-            case Form.QUERY, _:
-                return self._answer(command, row, now_ns)
             case Form.ACTION, "RESET":
                 self.reset(now_ns)
             case Form.ACTION, ("DEFAULT" | "UPDATE"):
@@ -508,7 +524,6 @@ class Servo:
                 pass
             case _:
                 self._set(command, row, now_ns, is_config=form is Form.CONFIG)
-        return None
 
     def reset(self, now_ns: int, deaf_s: float = RESET_S) -> None:
         """Restart: deaf for `deaf_s`, limp, session values forgotten; then the first position."""
