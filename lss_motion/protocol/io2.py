@@ -145,7 +145,6 @@ ROWS: Final = (
         source="2IO 11, FACTS B15",
         actions=("A",),
         queries=("QA",),
-        configs=("CA",),
         minimum=0,
         maximum=255,
         suffixes={
@@ -155,10 +154,20 @@ ROWS: Final = (
         },
         reply_shape=ReplyShape.CHANNELS,
         devices=(Device.ANALOG,),
-        note="A sets the level of the pin (FACTS B18). CA4 selects the PPM mode, in which QA"
-        " returns the pulses of a receiver, *203QA,1500,1500. The reply does not repeat the suffix:"
+        note="A sets the level of the pin (FACTS B18). The reply does not repeat the suffix:"
         " *203QA50 is 50 mm of sensor 1. The board clamps the distance to 30 to 310, 90 to 810 and"
         " 190 to 1510 mm (sensors 1 to 3, FACTS B15).",
+    ),
+    Row(
+        name="AM",
+        meaning="mode of an analog pin: 4 for the receiver of a remote control (PPM)",
+        source="FACTS B18",
+        configs=("CA",),
+        minimum=0,
+        maximum=PPM_MODE,
+        default=0,
+        devices=(Device.ANALOG,),
+        note="In PPM mode QA returns the pulses of the receiver, *203QA,1500,1500.",
     ),
 )
 

@@ -292,7 +292,7 @@ class Board:
         match name:
             case "D" | "P":
                 self._aim(pin, name, value, now_ns)
-            case "A" if is_config:
+            case "AM":
                 pin.mode = pin.config_mode = value
             case "A":
                 pin.is_high = value > 0 if pin.name == "A4" else value >= HIGH_MIN

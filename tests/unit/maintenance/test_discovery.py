@@ -92,7 +92,7 @@ def test_a_board_is_found_with_all_its_pins(connected, spec, servo_id):
     assert len(looks) == 7
     assert {"LSS-2IO-LED", "LSS-2IO-A3", "LSS-2IO-D9"} <= {look.identity.model for look in looks}
     servo = next(look for look in looks if look.servo_id == servo_id)
-    assert (servo.identity.model, servo.position_deg) == ("LSS-2IO-D9", 0.0)
+    assert (servo.identity.model, servo.position_deg) == ("LSS-2IO-D9", 2.0)
 
 
 def test_the_condition_of_all_three_families_is_read(connected, spec):

@@ -73,7 +73,7 @@ def test_every_value_of_every_servo_is_read(watched, spec):
     assert servo.temperature_c == pytest.approx(25.0, abs=1.0)
     assert servo.current_a == pytest.approx(0.07, abs=0.01)
     assert (pro.position_deg, pro.status) == (-3.25, Status.LIMP)
-    assert (pin.position_deg, sensor.raw) == (0.0, 426.0)
+    assert (pin.position_deg, sensor.raw) == (2.0, 426.0)
 
 
 def test_an_lss_pro_answers_every_query(watched, spec):

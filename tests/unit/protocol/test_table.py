@@ -123,9 +123,9 @@ def test_each_part_of_a_2io_accepts_its_own_commands() -> None:
         return {row.name for row in IO2_TABLE.rows if not row.devices or device in row.devices}
 
     common = {"ID", "MS"}
-    assert accepted(Device.MASTER) == common | {"LED", "B", "RESET", "DEFAULT"}
+    assert accepted(Device.MASTER) == common | {"LED", "B", "G", "RESET", "DEFAULT"}
     assert accepted(Device.SERVO) == common | {"L", "P", "D", "G"}
-    assert accepted(Device.ANALOG) == common | {"A", "G"}
+    assert accepted(Device.ANALOG) == common | {"A", "AM", "G"}
 
 
 def test_the_ids_and_limits_of_a_2io_match_its_sketch() -> None:
