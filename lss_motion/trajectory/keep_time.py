@@ -63,6 +63,9 @@ PULL_OF_SUM_S: Final = 0.2
 TURN_DEG_S: Final = 1.0
 """A sum that is slower at a key turns or stays there."""
 
+LAST_OF_ENDLESS: Final = 3
+"""Passes after which a show without end would end, so that it has a first, middle and last."""
+
 PASS_SLACK_S: Final = 1e-9
 """Passes that differ by less are equally long: rounding."""
 
@@ -358,15 +361,18 @@ def beside(
         kept = _waiting(kept, slow)
     parts = (slow, kept)
 
-    def during(from_s: float, duration_s: float) -> ParallelPass:
+    def during(
+        from_s: float, duration_s: float, parts: tuple[Trajectory, Trajectory] = parts
+    ) -> ParallelPass:
         return ParallelPass(joints=joints, parts=parts, from_s=from_s, duration_s=duration_s)
 
     first = middle = last = during(0.0, max(part.first.duration_s for part in parts))
     if any(part.first is not part.last or part.is_periodic for part in parts):
         middle = during(slow.pass_start_s(1), slow.middle.duration_s)
-        last = middle
-        if slow.loop is not None:
-            last = during(slow.pass_start_s(slow.loop - 1), slow.last.duration_s)
+        # The last pass of a show without end is the one that would end it.
+        count = slow.loop or LAST_OF_ENDLESS
+        ending = replace(slow, loop=count), replace(kept, loop=count)
+        last = during(ending[0].pass_start_s(count - 1), slow.last.duration_s, ending)
     marks = [
         replace(own, is_kept=True) if is_kept else replace(late, kept=own.kept)
         for own, late, is_kept in zip(kept.marks, slow.marks, are_kept, strict=True)

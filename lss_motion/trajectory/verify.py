@@ -299,7 +299,9 @@ def _sampled_spans(trajectory: Trajectory) -> Iterator[tuple[float, float]]:
         if is_new:
             for seam_s in motion.seams_s.tolist():
                 yield start_s + seam_s, start_s + seam_s
-    yield trajectory.duration_s, trajectory.duration_s
+    if not (trajectory.is_periodic and trajectory.last is trajectory.middle):
+        # Else it has no end: tracks that flow from pass to pass for ever.
+        yield trajectory.duration_s, trajectory.duration_s
 
 
 def _one_sided_steps(trajectory: Trajectory) -> Iterator[tuple[FloatArray, FloatArray]]:

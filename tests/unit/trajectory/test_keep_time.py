@@ -331,3 +331,18 @@ def test_a_sum_that_is_too_fast_gives_up_angle_and_meets_exact_keys(make_robot, 
     assert trajectory.duration_s == pytest.approx(4.0)
     assert trajectory.given_up[0].by_deg > 0.2
     assert at(trajectory, "base", 2.0)[0] == pytest.approx(0.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("loop", [2, 4, None])
+def test_joints_that_are_late_in_every_pass_of_a_loop_that_flows(make_robot, frame, loop):
+    """The late joint passes the seams in motion, at other times than the author's."""
+    robot = make_robot(2, accel=400.0)
+    frames = [
+        frame(0.2 * k, base=[0.0, 20.0, 0.0, -20.0][k % 4], elbow=[0.0, 30.0, 0.0, -30.0][k % 4])
+        for k in range(9)
+    ]
+    trajectory = plan(show(*frames, loop=loop, keeps_time=BASE), robot)
+    assert trajectory.first.duration_s > 1.7
+    deg = judged(trajectory, robot, None if loop else trajectory.pass_start_s(5))
+    seam = round(1000.0 * trajectory.pass_start_s(1)) + 3
+    assert abs(deg[seam + 5, 1] - deg[seam - 5, 1]) > 0.1, "the elbow does not stop at the seam"

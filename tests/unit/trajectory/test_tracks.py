@@ -423,3 +423,16 @@ def test_a_track_holds_nothing_but_keyframes(make_robot, frame, part):
     track = replace(blink(frame), **{part: inner[part]})
     with pytest.raises(InputError, match="nothing else"):
         plan(Sequence(name="both", tracks=(track,)), make_robot())
+
+
+def test_tracks_that_flow_for_ever_need_not_end_at_rest(make_robot, frame):
+    def flowing(name: str) -> Sequence:
+        frames = [frame(0.5 * k, **{name: [0.0, 20.0, 0.0, -20.0][k % 4]}) for k in range(5)]
+        return show(*frames, name=name, loop=None)
+
+    trajectory = plan(
+        Sequence(name="both", tracks=(flowing("base"), flowing("elbow"))), make_robot()
+    )
+    assert trajectory.loop is None
+    speeds = trajectory.sample(np.array([2.0, 4.0, 6.0]), 1)
+    assert (speeds > 10.0).all(), "they pass every seam in motion"
