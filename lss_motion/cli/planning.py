@@ -145,7 +145,13 @@ def _inputs(arguments: argparse.Namespace) -> list[Path | None]:
 
 def _check(arguments: argparse.Namespace) -> int:
     from lss_motion.cli import shows
-    from lss_motion.cli.summaries import program_lines, robot_as_json, robot_lines, show_as_json
+    from lss_motion.cli.summaries import (
+        advice_lines,
+        program_lines,
+        robot_as_json,
+        robot_lines,
+        show_as_json,
+    )
     from lss_motion.gait.load import is_gait_file
     from lss_motion.gait.pacing import gait_lines, paced
     from lss_motion.gait.to_sequence import sequence_from
@@ -169,7 +175,8 @@ def _check(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json(show_as_json(show))
     else:
-        print("\n".join([*lines, *program_lines(show, is_whole=arguments.all)]))
+        lines += program_lines(show, is_whole=arguments.all)
+        print("\n".join([*lines, *advice_lines(show, is_whole=arguments.all)]))
     return EXIT_FINISHED
 
 

@@ -36,11 +36,12 @@ feedback, nine patterns with two seeds each: feet slip at most 0.32 mm of the 0.
 
 @dataclass(frozen=True, kw_only=True)
 class Show:
-    """A program ready to play. `trajectory` is None if it was compiled before."""
+    """A program ready to play. `trajectory` and `sequence` are None if it was compiled before."""
 
     robot: Robot
     program: Program
     trajectory: Trajectory | None = None
+    sequence: Sequence | None = None
 
 
 def is_program(path: Path) -> bool:
@@ -138,7 +139,7 @@ def compiled(
     trajectory = planned(sequence, robot, speed_ratio=speed_ratio, loop=loop)
     tolerance_deg = GAIT_TOLERANCE_DEG if walks(sequence) else TOLERANCE_DEG
     program = compile_program(trajectory, robot, tolerance_deg=tolerance_deg)
-    return Show(robot=robot, program=program, trajectory=trajectory)
+    return Show(robot=robot, program=program, trajectory=trajectory, sequence=sequence)
 
 
 def walks(sequence: Sequence) -> bool:

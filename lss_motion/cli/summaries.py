@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from lss_motion.interchange.reduce import KeyFit
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Joint, Robot
+    from lss_motion.trajectory.eases import EaseAdvice
     from lss_motion.trajectory.model import (
         GivenUp,
         Mark,
@@ -377,6 +378,34 @@ def _stepped(program: Program) -> set[str]:
     return {name for name, driving in program.drives.items() if driving.drive == "stepped"}
 
 
+def advice_of(show: Show) -> tuple[EaseAdvice, ...]:
+    """Return where another ease would make the show less late; it plans again to find that."""
+    if show.sequence is None:
+        return ()
+    from lss_motion.trajectory.eases import ease_advice
+
+    return ease_advice(show.sequence, show.robot)
+
+
+def advice_lines(show: Show, *, is_whole: bool) -> list[str]:
+    """Return the lines of `advice_of`; `is_whole`: with all keyframes, not only the first ten."""
+    from lss_motion.files.source import counted
+    from lss_motion.trajectory.keys import named
+
+    lines = []
+    for advice in advice_of(show):
+        frames = advice.keyframes
+        shown = frames if is_whole else frames[:WORST_COUNT]
+        names = ", ".join(map(named, shown))
+        rest = f" and {len(frames) - len(shown)} more (--all)" if len(frames) > len(shown) else ""
+        lines.append(
+            f"spline costs time in {advice.name!r}: its keyframes are {advice.late_s:.3f} s late "
+            f"in all; with ease: smooth at {counted(frames, 'keyframe')} ({names}{rest}) it would "
+            f"be {advice.would_be_s:.3f} s"
+        )
+    return lines
+
+
 def drive_lines(program: Program) -> list[str]:
     """Return a line for every joint with another drive than the usual one: drive and reason."""
     lines = []
@@ -439,6 +468,15 @@ def show_as_json(show: Show) -> dict[str, Any]:
             for mark in shortened_holds(trajectory)
         ],
         "smoothing": [] if trajectory is None else [asdict(own) for own in smoothings(trajectory)],
+        "ease_advice": [
+            {
+                "name": advice.name,
+                "smooth_at_s": [frame.at_s for frame in advice.keyframes],
+                "late_s": advice.late_s,
+                "would_be_s": advice.would_be_s,
+            }
+            for advice in advice_of(show)
+        ],
         "buses": {name: asdict(use) for name, use in program.line_use.items()},
         "functions": [
             {"run": call.run, "files": [str(file) for file in call.files], "count": call.count}

@@ -77,6 +77,32 @@ def test_check_lists_all_slow_spans_and_late_keyframes_where_asked(capsys, tmp_p
     assert "--all lists what --dry-run prints" in capsys.readouterr().err
 
 
+def test_check_says_where_spline_costs_time_and_following_that_gains_it(capsys, tmp_path):
+    keys = ((0.3, 15), (0.5, 25), (0.6, 48), (0.7, 31), (1.2, 13), (1.5, 11), (3.0, 11))
+    path = tmp_path / "fast.yaml"
+
+    def write(smooth):
+        rows = ["- {at_s: 0, deg: {base: 0}}"]
+        for at_s, angle in keys:
+            ease = ", ease: smooth" if at_s in smooth else ""
+            rows.append(f"- {{at_s: {at_s}, deg: {{base: {angle}}}{ease}}}")
+        head = f"sequence: fast\nrobot: {Path(ROBOT).absolute()}\ninterpolation: spline\n"
+        path.write_text(head + "keyframes:\n" + "\n".join(rows) + "\n", encoding="utf-8")
+
+    write(())
+    (advice,) = shown(capsys, "check", str(path), "--json")["ease_advice"]
+    assert advice["would_be_s"] < 0.6 * advice["late_s"]
+    assert main(["check", str(path)]) == 0
+    line = capsys.readouterr().out.splitlines()[-1]
+    assert line.startswith(f"spline costs time in 'fast': its keyframes are {advice['late_s']:.3f}")
+    assert f"(at {advice['smooth_at_s'][0]:g} s, " in line
+    write(advice["smooth_at_s"])
+    found = shown(capsys, "check", str(path), "--json")
+    late_s = sum(mark["late_s"] for mark in found["late_keyframes"])
+    assert late_s == pytest.approx(advice["would_be_s"], abs=0.005)
+    assert found["ease_advice"] == []
+
+
 def test_a_robot_file_is_checked_alone(capsys, tmp_path):
     assert main(["check", ROBOT]) == 0
     assert "desk_arm: 5 joints" in capsys.readouterr().out
