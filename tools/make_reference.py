@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from lss_motion.cli import main, play
 from lss_motion.gait.load import gait_schema
+from lss_motion.robot.learnt import learnt_schema
 from lss_motion.robot.load import robot_schema
 from lss_motion.sequence.load import sequence_schema
 
@@ -44,6 +45,7 @@ def reference() -> str:
         ("robot", robot_schema()),
         ("sequence", sequence_schema()),
         ("gait", gait_schema()),
+        ("learnt", learnt_schema()),
     ]:
         parts.append(f"## The {kind} file\n")
         parts += file_sections(kind, schema, told)

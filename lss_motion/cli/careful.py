@@ -38,6 +38,11 @@ CAREFUL_HELP: Final = (
     "first move one joint at a time, slowly and a little, and compare direction, speed and lag "
     "with what is expected; then play at half speed, which + raises"
 )
+PASSED: Final = (
+    f"All joints moved as expected. If one turned to another side than listed, answer n, and\n"
+    f"correct its `direction` (lss-motion calibrate). The show plays at {CAREFUL_RATE:.0%} of its "
+    f"speed; + raises it."
+)
 OFFER: Final = (
     "No show has been played to its end with this robot file on a real port. Press c for a\n"
     "careful run first: one joint at a time, a few degrees, slowly.\n"
@@ -60,7 +65,11 @@ class Learning:
         try:
             self._learnt = load_learnt(robot)
         except InputError as error:
-            put(f"warning: what was learnt about this robot cannot be used: {error}", sys.stderr)
+            put(
+                f"warning: what was learnt about this robot cannot be used: {error}\n"
+                f"Mend or remove this file; otherwise the next completed show replaces it",
+                sys.stderr,
+            )
 
     @property
     def offer(self) -> str:
@@ -130,14 +139,15 @@ def careful_run(
     from lss_motion.connection import connect, is_simulated
     from lss_motion.runtime.clock import MonotonicClock, VirtualClock
 
-    tested, untested = _split(robot, joints)
-    for line in untested:
-        print_line(line)
+    is_asked = not (arguments.yes or is_simulated(robot))
+    if is_asked:  # A person can only agree to moves that are listed.
+        print_line = put
+    tested = _tested(robot, joints, print_line)
     clock = VirtualClock() if arguments.virtual else MonotonicClock()
     options: dict[str, Any] = {"robot": robot, "clock": clock, "seed": arguments.seed}
     with connect(robot.buses, **options, faults=faults) as connection:
         moving = _announce(connection, robot, tested, print_line)
-        if moving and not (arguments.yes or is_simulated(robot) or _is_agreed()):
+        if moving and is_asked and not _is_agreed():
             put("no: nothing was moved", sys.stderr)
             return EXIT_INTERRUPTED
         with Terminal() as terminal:
@@ -150,22 +160,20 @@ def careful_run(
                 if run.error is not None:
                     raise run.error
                 print_line(_result_line(run, joint))
+    print_line(PASSED)
     return EXIT_FINISHED
 
 
-def _split(robot: Robot, names: Iterable[str]) -> tuple[list[Joint], list[str]]:
-    """Return the joints that can be measured, with the timed drive, and a line for each other."""
-    joints, lines = [], []
-    for name in names:
-        joint = robot.joints[name]
+def _tested(robot: Robot, names: Iterable[str], print_line: Callable[[str], None]) -> list[Joint]:
+    """Return the joints that can be measured; print a line for each other."""
+    joints = [robot.joints[name] for name in names]
+    for joint in joints:
         if joint.drive == "stepped":
-            lines.append(
-                f"{name}: not tested, an RC servo on an LSS-2IO reports neither its angle nor its "
+            print_line(
+                f"{joint.name}: not tested, an RC servo on an LSS-2IO reports neither angle nor "
                 f"speed. Watch it when the show begins"
             )
-        else:
-            joints.append(replace(joint, drive="timed"))
-    return joints, lines
+    return [joint for joint in joints if joint.drive != "stepped"]
 
 
 def _announce(
@@ -243,17 +251,35 @@ def _run_joint(
             f"and begin anew",
             joint=joint.name,
         )
-    careful = CarefulRun(joint, robot, answers, standing_deg=stood_deg, way_deg=way_deg)
+    timed = _timed(joint, answers)
+    careful = CarefulRun(timed, robot, answers, standing_deg=stood_deg, way_deg=way_deg)
     run(careful, connection.ports, connection.clock, controls=StopControls(terminal))
     return careful
+
+
+def _timed(joint: Joint, answers: Answers) -> Joint:
+    """Return the joint as a careful run moves it: by its ramps, also where a show streams it.
+
+    The limit of a streamed joint may be above the ramps that its servo is set to.
+    """
+    if joint.drive == "timed":
+        return joint
+    from lss_motion.player import handshake
+
+    own = [handshake.reported(joint, answers, keyword) for keyword in ("QAA", "QAD")]
+    ramps = [joint.response.ramp_ratio * ramp for ramp in own if ramp]
+    return replace(joint, drive="timed", accel_max_deg_s2=min([joint.accel_max_deg_s2, *ramps]))
 
 
 def _result_line(run: CarefulRun, joint: Joint) -> str:
     found = run.found
     assert found is not None, "it ended without an error"
-    pulse = "" if found.has_pulse else "; its servo reports no pulses, so see that it is as far"
+    pulse = "" if found.has_witness else "; see that it was as far, its servo has no second measure"
+    lag = "too slow to tell its lag"
+    if found.lag_s is not None:
+        assumed_ms = MS_PER_S * joint.response.lag_s
+        lag = f"{MS_PER_S * found.lag_s:.0f} ms late ({assumed_ms:.0f} assumed)"
     return (
-        f"  {joint.name}: turned {found.way_deg:+.1f} deg and back as expected, "
-        f"{MS_PER_S * found.lag_s:.0f} ms late ({MS_PER_S * joint.response.lag_s:.0f} assumed), "
+        f"  {joint.name}: turned {found.way_deg:+.1f} deg and back as expected, {lag}, "
         f"{found.speed_ratio:.2f} of the speed{pulse}"
     )

@@ -116,7 +116,7 @@ def add_to(commands: Commands) -> None:
     schema.add_argument(
         "kind",
         nargs="?",
-        choices=("robot", "sequence", "gait", "remote"),
+        choices=("robot", "sequence", "gait", "learnt", "remote"),
         help="only the schema of this kind of file, or of the messages that steer a running show "
         "(default: all)",
     )
@@ -225,6 +225,7 @@ def _compile(arguments: argparse.Namespace) -> int:
 def _schema(arguments: argparse.Namespace) -> int:
     from lss_motion.gait.load import gait_schema
     from lss_motion.remote.messages import schema as remote_schema
+    from lss_motion.robot.learnt import learnt_schema
     from lss_motion.robot.load import robot_schema
     from lss_motion.sequence.load import sequence_schema
 
@@ -232,6 +233,7 @@ def _schema(arguments: argparse.Namespace) -> int:
         "robot": robot_schema,
         "sequence": sequence_schema,
         "gait": gait_schema,
+        "learnt": learnt_schema,
         "remote": remote_schema,
     }
     if arguments.kind is not None:

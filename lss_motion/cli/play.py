@@ -207,8 +207,6 @@ def play(arguments: argparse.Namespace) -> int:
         faults = _faults(arguments, robot)
         if code := careful_run(arguments, robot, joints, learning, print_line, faults=faults):
             return code
-        rate = f"The show is played at {CAREFUL_RATE:.0%} of its speed; + raises it"
-        print_line(f"{rate}.")
         code = _play(arguments, show, robot, learning, is_asked=is_asked, rate=CAREFUL_RATE)
     assert code is not None, "it is offered once"
     return code

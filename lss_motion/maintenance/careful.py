@@ -1,10 +1,11 @@
 """The careful run of one joint: it moves a little, slowly, and is compared with what is expected.
 
 `CarefulRun` is a `JointRun`. It holds the joint where it is, then drives the legs of
-`careful_legs`. While the joint moves, every reading must be near the course of its leg, and where
-the servo reports its angle as a pulse, too (QP), both must agree: an angle in another unit turns
-the horn further than it says. After two readings in a row that deviate, the servo is halted (H,
-which has no unit). However it ends, the settings are given back and the joint holds.
+`careful_legs`. While the joint moves, every reading must be near the course of its leg. A servo
+whose angles, speeds and ramps all have another unit reports the way that is expected and turns
+another; so its angle as a pulse (QP), or for an LSS-PRO its speed (QWD), is compared as well. After
+two readings in a row that deviate, the servo is halted (H, which has no unit). However it ends, the
+settings are given back and the joint holds.
 """
 
 from __future__ import annotations
@@ -19,12 +20,14 @@ from lss_motion.maintenance.careful_legs import (
     UNIT_REMEDY,
     WAY_DEG,
     judgement,
+    lag_scatter_s,
     make_legs,
     measured,
 )
 from lss_motion.maintenance.identify.joint_run import JointRun, State
 from lss_motion.maintenance.identify.trials import Kind, PlannedMove, TrialPlan, Window
 from lss_motion.player import handshake
+from lss_motion.player.estimators import LAG_MAX_S
 from lss_motion.player.handshake import SettingsDialogue
 from lss_motion.player.transactions import Item
 from lss_motion.protocol.codec import language_table, make_command
@@ -50,6 +53,11 @@ LATE_S: Final = 0.15
 heavy limb; what a show cannot correct is found after the leg."""
 DEVIATIONS: Final = 2
 """So many readings in a row must deviate: one may be damaged."""
+SAG_DEG: Final = 8.0
+"""A load may pull a joint so far when it begins to hold. Chosen: a joint that sags more is held by
+nothing; H, which holds it, has no unit that could be wrong."""
+UNMOVED_DEG: Final = 0.5
+"""A joint that has turned less did not receive its command: it is sent once more."""
 HOLD_S: Final = 0.2
 """The joint holds for so long before its first leg."""
 ROOM_DEG: Final = WAY_DEG + 1.0
@@ -57,7 +65,11 @@ ROOM_DEG: Final = WAY_DEG + 1.0
 PULSE_MID_US: Final = 1500.0
 PULSE_HALF_US: Final = 1000.0
 """The middle of a pulse, and half of the pulses of the angular range (FACTS.md C11)."""
-PULSE_TRIES: Final = 2
+WITNESS_TRIES: Final = 2
+FAST_RATIO: Final = 2.0
+FAST_DEG_S: Final = 3.0
+"""A speed (QWD, whole degrees a second) is too high above so many times that of the leg, and this
+much more for its rounding and the ramps of a load."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,11 +78,12 @@ class Careful:
 
     way_deg: float
     """By how many joint degrees it turned, out and back."""
-    lag_s: float
+    lag_s: float | None
+    """None: it is too slow to tell."""
     speed_ratio: float
     """Its speed in units of the expected one, at the speed of a show."""
-    has_pulse: bool
-    """Whether the unit of its angles was compared with that of its pulses."""
+    has_witness: bool
+    """Whether the unit of its angles was compared with that of its pulses, or of its speed."""
 
 
 class CarefulRun(JointRun):
@@ -91,11 +104,18 @@ class CarefulRun(JointRun):
         self._count = len(self._legs)
         self._leg: Leg | None = None
         self._results: list[Measured] = []
-        self._deviations = self._other_pulses = 0
+        self._deviations = self._contradictions = 0
+        self._may_resend = True
+        self._has_witnessed = False
+        """Whether the pulses or the speed of a leg showed a motion."""
         self._pulses_deg: deque[float] = deque(maxlen=DEVIATIONS + 1)
         self._pulse_deg: float | None = None
         """The angle by pulses at the rest before the leg."""
         self._range_deg = handshake.reported(joint, answers, "QAR")
+        known = language_table(joint.model.language).by_keyword
+        pulse = "QP" if "QP" in known and self._range_deg else ""
+        self._witness = pulse or ("QWD" if "QWD" in known else "")
+        """The query whose answer has another unit than angles, to compare them."""
         self._dialogue = self._settings(self._legs[0])
 
     @property
@@ -121,9 +141,9 @@ class CarefulRun(JointRun):
             command = Command(joint.servo_id, keyword, wire)
             known.append(Item(bus=joint.bus, command=command, is_query=False))
         then = handshake.position_queries([joint])
-        if self.state is State.PREPARE and "QP" in table and self._range_deg:
-            query = Command(joint.servo_id, "QP")
-            then.append(Item(bus=joint.bus, command=query, is_query=True, tries=PULSE_TRIES))
+        if self.state is State.PREPARE and self._witness:
+            query = Command(joint.servo_id, self._witness)
+            then.append(Item(bus=joint.bus, command=query, is_query=True, tries=WITNESS_TRIES))
         lines, trackers = {joint.bus: self._line}, {joint.bus: self._poller.tracker}
         return SettingsDialogue(known, then, unknown, lines, trackers)
 
@@ -138,7 +158,7 @@ class CarefulRun(JointRun):
             )
         elif standing_deg is None:
             self.error = self._fault("does not report where it stands; check its cable")
-        elif cause := self._elsewhere(standing_deg):
+        elif cause := self._elsewhere(standing_deg, NEAR_DEG):
             self.error = self._fault(cause)
         if self.error is not None:
             self._brake(now_ns)
@@ -147,9 +167,9 @@ class CarefulRun(JointRun):
         else:
             self._start(now_ns)
 
-    def _elsewhere(self, standing_deg: float) -> str:
+    def _elsewhere(self, standing_deg: float, near_deg: float) -> str:
         """Return why no leg begins where the joint stands; '' if one does."""
-        if abs(standing_deg - self._rested_deg) <= NEAR_DEG:
+        if abs(standing_deg - self._rested_deg) <= near_deg:
             return ""
         here, there = map(self.joint.joint_deg, (standing_deg, self._rested_deg))
         return (
@@ -159,10 +179,11 @@ class CarefulRun(JointRun):
         )
 
     def _hold(self, answers: Answers, now_ns: int) -> None:
-        pulse_us = answers.get((self.joint.bus, self.joint.servo_id, "QP"))
-        self._poller.asks_pulse = (
-            isinstance(pulse_us, int) and PULSE_MIN_US < pulse_us < PULSE_MAX_US
-        )
+        value = answers.get((self.joint.bus, self.joint.servo_id, self._witness))
+        is_used = isinstance(value, int)
+        if is_used and self._witness == "QP":  # At an end of the range it tells nothing.
+            is_used = PULSE_MIN_US < int(value or 0) < PULSE_MAX_US
+        self._poller.also = self._witness if is_used else ""
         self.state = State.HOLD
         self._has_moved = True
         self._line.send(self._hold_bytes(), now_ns)
@@ -170,9 +191,15 @@ class CarefulRun(JointRun):
 
     def _start(self, now_ns: int) -> None:
         """Begin the next leg."""
-        leg = self._leg = self._legs.popleft()
-        self._deviations = 0
+        self._leg = self._legs.popleft()
         self._pulse_deg = median(self._pulses_deg) if self._pulses_deg else None
+        self._may_resend = True
+        self._move(self._leg, now_ns)
+
+    def _move(self, leg: Leg, now_ns: int) -> None:
+        """Send the command of a leg."""
+        self._has_witnessed = False
+        self._deviations = self._contradictions = 0
         move = PlannedMove(0.0, leg.target_deg, leg.duration_ms)
         lasts_s = leg.course.duration_s + self.joint.response.lag_s
         self._begin(TrialPlan(Kind.STEP, (move,), lasts_s), now_ns)
@@ -180,10 +207,28 @@ class CarefulRun(JointRun):
     # ---- readings
 
     def _take(self, polled: PolledReading, now_ns: int) -> None:
-        if polled.pulse_us is not None:
-            self._compare_pulse(polled.pulse_us, now_ns)
+        if polled.also is None:
+            super()._take(polled, now_ns)
+        elif self._poller.also == "QP":
+            self._compare_pulse(polled.also, now_ns)
+        else:
+            self._compare_speed(polled.also, now_ns)
+
+    def _compare_speed(self, speed_deg_s: float, now_ns: int) -> None:
+        """Halt the joint if it is much faster than its leg: its angles have another unit."""
+        if self._leg is None or self.state is not State.TRIALS:
             return
-        super()._take(polled, now_ns)
+        expected_deg_s = self._leg.course.peak_deg_s
+        self._has_witnessed |= bool(speed_deg_s)
+        is_slow = abs(speed_deg_s) <= FAST_RATIO * expected_deg_s + FAST_DEG_S
+        self._contradictions = 0 if is_slow else self._contradictions + 1
+        if self._contradictions >= DEVIATIONS:
+            what = MEANS.get(self._leg.tests, "its speed")
+            cause = (
+                f"turns at {abs(speed_deg_s):.0f} deg/s by its speed (QWD), {expected_deg_s:.3g} "
+                f"deg/s were expected, in the move that tests {what}. {UNIT_REMEDY}"
+            )
+            self._fail(self._fault(cause), now_ns)
 
     def _watch(self, reading_deg: float, now_ns: int) -> None:
         """Halt the joint after two consecutive readings that are far from its course."""
@@ -191,12 +236,23 @@ class CarefulRun(JointRun):
             return
         leg, sent = self._leg, self._trial.sent
         if leg is None or not sent or self.state is not State.TRIALS:
-            cause = self._elsewhere(reading_deg)
+            cause = self._elsewhere(reading_deg, SAG_DEG)
         else:
             cause = self._off_course(leg, self._trial.times_s[-1] - sent[0].received_s, reading_deg)
         self._deviations = self._deviations + 1 if cause else 0
-        if self._deviations >= DEVIATIONS:
+        if self._deviations < DEVIATIONS:
+            return
+        if leg is not None and self._may_resend and self._has_not_moved():
+            self._may_resend = False
+            self._move(leg, now_ns)
+        else:
             self._fail(self._fault(cause), now_ns)
+
+    def _has_not_moved(self) -> bool:
+        """Return whether no answer in a leg shows a motion: the line may have lost the command."""
+        turned_deg = [abs(deg - self._rested_deg) for deg in self._trial.readings_deg]
+        is_still = bool(self._trial.sent) and max(turned_deg) < UNMOVED_DEG
+        return is_still and not self._has_witnessed
 
     def _off_course(self, leg: Leg, since_s: float, reading_deg: float) -> str:
         """Return how a reading deviates from the course of its leg; '' if it does not."""
@@ -221,7 +277,7 @@ class CarefulRun(JointRun):
         where_deg = most_deg if turned_deg > most_deg else leg.course.at(since_s)[0]
         return (
             f"is too {pace}: {since_s:.2f} s after its command it has turned {turned_deg:.1f} deg, "
-            f"{where_deg:.1f} deg were expected, while {what} was to limit it. {UNIT_REMEDY}"
+            f"{where_deg:.1f} deg were expected, in the move that tests {what}. {UNIT_REMEDY}"
         )
 
     def _compare_pulse(self, pulse_us: float, now_ns: int) -> None:
@@ -239,10 +295,11 @@ class CarefulRun(JointRun):
             at_deg - self._pulse_deg,
             readings_deg[-1] - self._rested_deg,
         )
+        self._has_witnessed |= abs(by_pulse_deg) > UNMOVED_DEG
         moving_deg = self._leg.course.peak_deg_s * LATE_S if self._leg is not None else 0.0
         is_same = abs(by_pulse_deg - by_angle_deg) <= NEAR_LEAST_DEG + 0.5 * moving_deg
-        self._other_pulses = 0 if is_same else self._other_pulses + 1
-        if self._other_pulses < DEVIATIONS:
+        self._contradictions = 0 if is_same else self._contradictions + 1
+        if self._contradictions < DEVIATIONS:
             return
         self._fail(
             self._fault(
@@ -265,12 +322,12 @@ class CarefulRun(JointRun):
             return
         if self._leg is not None and self._trial.sent:
             self._rested_deg = self._trial.rest_deg()
-            self._leg = None
             if self._legs:
                 self._dialogue = self._settings(self._legs[0])
             else:
                 self._conclude()
                 self._restore()
+            self._leg = None
 
     def _judge(self) -> None:
         """Compare the leg that is over with its course."""
@@ -286,11 +343,12 @@ class CarefulRun(JointRun):
 
     def _conclude(self) -> None:
         last = self._results[-DEVIATIONS:]
+        is_fast = self._leg is not None and lag_scatter_s(self._leg) < LAG_MAX_S
         self.found = Careful(
             way_deg=self.joint.direction * self._way_deg,
-            lag_s=median(result.lag_s for result in last),
+            lag_s=median(result.lag_s for result in last) if is_fast else None,
             speed_ratio=median(result.speed_ratio for result in last),
-            has_pulse=self._poller.asks_pulse,
+            has_witness=bool(self._poller.also),
         )
 
     # ---- how it ends

@@ -93,8 +93,10 @@ class LearntJoint(FileModel):
 class Learnt(FileModel):
     """What was learnt about the joints of one robot."""
 
-    robot: Name
-    joints: dict[Name, LearntJoint] = Field(default_factory=dict)
+    robot: Name = Field(description="name of the robot")
+    joints: dict[Name, LearntJoint] = Field(
+        default_factory=dict, description="what was learnt, by the name of the joint"
+    )
 
     def of(self, joint: Joint) -> LearntJoint:
         """Return what was learnt about a joint with its present settings."""
@@ -135,6 +137,7 @@ def settings_hash(joint: Joint) -> str:
         joint.servo_id,
         joint.bus,
         joint.model.name,
+        str(joint.model.units),
         joint.position_min_deg,
         joint.position_max_deg,
         joint.speed_max_deg_s,

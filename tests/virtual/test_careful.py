@@ -92,7 +92,7 @@ def test_a_right_servo_passes_within_a_fifth_of_its_speed_and_a_few_degrees(tmp_
     assert careful.error is None
     assert careful.found.way_deg == 5.0 * np.sign(careful.found.way_deg)
     assert careful.found.lag_s == pytest.approx(0.022, abs=0.01)
-    assert careful.found.has_pulse
+    assert careful.found.has_witness
     assert bench.speeds_deg_s().max() <= 1.01 * TOP_DEG_S
     turned_deg = bench.horn_deg() - bench.standing_deg
     assert 4.5 < np.ptp(turned_deg) < FEW_DEG
@@ -122,6 +122,40 @@ def test_a_unit_that_is_wrong_is_found_within_a_few_degrees(tmp_path, setting, r
     assert bench.speeds_deg_s().max() <= 1.01 * TOP_DEG_S
     assert bench.lines()[-1] == b"#3H"
     assert np.ptp(bench.horn_deg()[-10:]) < 0.01
+
+
+PRO = (
+    "model: LSS-P-S1, range_deg: [-60, 90], speed_max_deg_s: 90, accel_max_deg_s2: 300, "
+    "following_deg: 10"
+)
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [
+        (),
+        *(
+            (wrong(setting, ratio),)
+            for setting in ("D", "SD", "AA")
+            for ratio in (1000.0, 10.0, 0.1)
+        ),
+        tuple(wrong(setting, 10.0) for setting in ("D", "SD", "AA", "AD")),
+    ],
+)
+def test_the_units_of_an_lss_pro_are_found_by_its_angles_and_its_speed(tmp_path, faults):
+    bench = Bench(tmp_path, *faults, joint=PRO)
+    careful = bench.run()
+    assert bool(careful.error) is bool(faults)
+    assert bool(careful.found) is not bool(faults)
+    assert np.abs(bench.horn_deg() - bench.standing_deg).max() < FEW_DEG
+    assert bench.speeds_deg_s().max() <= (46.0 if len(faults) > 1 else 18.1)
+
+
+@pytest.mark.parametrize("kind", ["lost_command", "lost_reply", "corrupt_reply", "double_reply"])
+def test_a_line_with_faults_is_no_wrong_servo(tmp_path, kind):
+    bench = Bench(tmp_path, Fault(kind=FaultKind(kind), ratio=0.03))
+    careful = bench.run()
+    assert careful.error is None, str(careful.error)
 
 
 def test_units_that_are_all_wrong_are_found_by_the_pulses(tmp_path):

@@ -332,27 +332,27 @@ class JointRun:
 
 @dataclass(frozen=True, slots=True)
 class PolledReading:
-    """The content of an answer: an angle, a pulse, a fault of the servo, or nothing."""
+    """The content of an answer: an angle, the value of `also`, a fault of the servo, or nothing."""
 
     asked_ns: int
     """When the servo received the query completely."""
     turnaround_s: float
     reading_deg: float | None = None
     fault: str | None = None
-    pulse_us: float | None = None
+    also: float | None = None
 
 
 class PositionPoller:
     """Queries to the servo of one joint, one at a time.
 
     STUCK must come twice to be a fault: a horn that turns back stands still for a moment. With
-    `asks_pulse` every second query is for the angle as a pulse.
+    `also`, a keyword, every second query is that one.
     """
 
     def __init__(self, joint: Joint, line: SerialLine, firmware: int | None) -> None:
         self.tracker = QueryTracker(line)
         self._firmware = firmware
-        self.asks_pulse = False
+        self.also = ""
         self._joint = joint
         self._line = line
         self._next_ns = 0
@@ -374,8 +374,8 @@ class PositionPoller:
         if now_ns < self._next_ns:
             return
         is_status = self._count % STATUS_EVERY == STATUS_EVERY - 1
-        is_pulse = self.asks_pulse and self._count % 2 == 1
-        question = Command(servo_id, "Q" if is_status else "QP" if is_pulse else "QD")
+        plain = self.also if self.also and self._count % 2 else "QD"
+        question = Command(servo_id, "Q" if is_status else plain)
         ends_ns = self._line.arrival_ns(len(encode(question)), now_ns)
         if quiet_until_ns is not None and ends_ns > quiet_until_ns:
             self._next_ns = quiet_until_ns
@@ -402,8 +402,8 @@ class PositionPoller:
             return PolledReading(asked.arrival_ns, turnaround_s)
         if reply.keyword == "QD":
             return PolledReading(asked.arrival_ns, turnaround_s, reading_deg=float(statement.value))
-        if reply.keyword == "QP":
-            return PolledReading(asked.arrival_ns, turnaround_s, pulse_us=float(statement.value))
+        if reply.keyword == self.also:
+            return PolledReading(asked.arrival_ns, turnaround_s, also=float(statement.value))
         status = status_from(int(statement.value), self._joint.model.family, self._firmware)
         before, self._status = self._status, status
         is_passing = status is Status.STUCK and before is not Status.STUCK
