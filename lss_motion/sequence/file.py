@@ -166,8 +166,8 @@ class TrackEntry(FileModel, title="track"):
         ge=0.0,
         le=SMOOTH_MAX_S,
         description="The acceleration does not jump: each change of it takes at least so long. "
-        "0: it may jump. Not for joints that keep: time. Default of a track: that of the file; of "
-        "a file: 0. See also jerk_max_deg_s3 in the robot file.",
+        "0: it may jump. Default of a track: that of the file; of a file: 0. See also "
+        "jerk_max_deg_s3 in the robot file.",
         examples=[0.1],
     )
     hold_may_shrink: bool | None = Field(

@@ -1,16 +1,17 @@
 """The motion of one joint that is closest to a wanted one, within its limits: a convex problem.
 
-The motion is a uniform cubic B-spline over cells of equal length. Its speed and acceleration are
-bounded by the first and second differences of its coefficients, and its angle by the coefficients
-themselves, so the limits hold at every instant and not only at samples. Minimised is the squared
-deviation over time, and a little of the squared acceleration, without which the acceleration would
-switch between both limits ever faster behind each place where a limit binds.
+The motion is a uniform cubic B-spline over cells of equal length. Its speed, acceleration and jerk
+are bounded by the first, second and third differences of its coefficients, and its angle by the
+coefficients themselves, so the limits hold at every instant and not only at samples. Minimised is
+the squared deviation over time, and a little of the squared acceleration, without which the
+acceleration would switch between both limits ever faster behind each place where a limit binds.
 
 Clarabel solves it. It is imported here only, and only when a problem is to be solved.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -89,11 +90,12 @@ class Bounds:
     high_deg: float
     speed_deg_s: float
     accel_deg_s2: float
+    jerk_deg_s3: float = math.inf
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tie:
-    """An angle (`order` 0) or a speed (`order` 1) that the motion must have at an instant.
+    """An angle, speed or acceleration (`order` 0, 1, 2) that the motion must have at an instant.
 
     With `same_as_s` the motion must have there what it has at that other instant, and `value` is
     not used. `slack_deg` is how far it may be off.
@@ -185,6 +187,10 @@ class _Rows:
             "high": (0, -np.inf, high_deg),
         }
         self.given = {"bend"}
+        if math.isfinite(bounds.jerk_deg_s3):
+            sway = bounds.jerk_deg_s3 * wanted.cell_s**3
+            self.kinds["sway"] = (3, -sway, sway)
+            self.given.add("sway")
         if wanted.speed_peak_deg_s > NEAR_SPEED_RATIO * bounds.speed_deg_s:
             self.given.add("step")
         if wanted.deg.min() - reach_deg < bounds.low_deg:
@@ -246,16 +252,21 @@ class _Rows:
         place = (at_s - wanted.from_s) / wanted.cell_s
         cell = min(max(int(place), 0), wanted.cells - 1)
         share = np.array(min(max(place - cell, 0.0), 1.0))
-        if order == 0:
-            return cell, basis(share)
-        return cell, basis_slope(share) / wanted.cell_s
+        match order:
+            case 0:
+                return cell, basis(share)
+            case 1:
+                return cell, basis_slope(share) / wanted.cell_s
+            case _:
+                bend = np.array([1.0 - share, 3.0 * share - 2.0, 1.0 - 3.0 * share, share])
+                return cell, bend / wanted.cell_s**2
 
 
 def _differences(count: int, order: int) -> Any:  # noqa: ANN401  scipy is untyped here
     """Return the matrix of the differences of that order of `count` numbers."""
     from scipy import sparse
 
-    stencil = ((1.0,), (-1.0, 1.0), (1.0, -2.0, 1.0))[order]
+    stencil = ((1.0,), (-1.0, 1.0), (1.0, -2.0, 1.0), (-1.0, 3.0, -3.0, 1.0))[order]
     return sparse.diags_array(
         stencil, offsets=range(order + 1), shape=(count - order, count), format="csr"
     )

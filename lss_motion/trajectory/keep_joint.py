@@ -188,6 +188,10 @@ class JointFollower:
     def end_s(self) -> float:
         return float(self.asked.path.knots_s[-1])
 
+    @property
+    def _is_smooth(self) -> bool:
+        return math.isfinite(self.bounds.jerk_deg_s3)
+
     def follow(self, exceeded: Iterable[tuple[int, int]]) -> None:
         """Replace the motion around segments, (first, end), that exceed a limit."""
         knots_s, cell_s = self.asked.path.knots_s, self.grid.cell_s
@@ -199,6 +203,8 @@ class JointFollower:
             )
             for first, end in exceeded
         ]
+        if self._is_smooth and len(self.keys) > 1:
+            spans = [(0, self.grid.cells)]  # What is asked for jumps at every key.
         self._spans = self._joined(spans)
         while pending := [span for span in self._spans if span not in self._windows]:
             grown = [self._solve(span) for span in pending]
@@ -278,10 +284,14 @@ class JointFollower:
             angle_deg = float(self.asked.angles(np.array([at_s]))[0])
             yield Tie(at_s=at_s, value=angle_deg)
             yield Tie(at_s=at_s, value=self.asked.speed(at_s), order=1)
+            if self._is_smooth:
+                yield Tie(at_s=at_s, order=2)
         tied = self.grid.tied
         if tied is not None and from_s <= tied[0] and tied[1] <= to_s:
             yield Tie(at_s=tied[1], same_as_s=tied[0])
             yield Tie(at_s=tied[1], same_as_s=tied[0], order=1)
+            if self._is_smooth:
+                yield Tie(at_s=tied[1], same_as_s=tied[0], order=2)
 
     def _exact_ties(self, keys: Sequence[KeyAsked], from_s: float, to_s: float) -> Iterator[Tie]:
         """Yield the ties of exact keys; a hold is a band around its angle."""

@@ -39,18 +39,18 @@ from lss_motion.trajectory.model import (
 )
 from lss_motion.trajectory.path import Path, concatenate, peaks
 from lss_motion.trajectory.retime import Layout, laid_out, scaled
+from lss_motion.trajectory.smoothing import JERK_SLACK, jerk_limits, limited
 from lss_motion.trajectory.tracks import ParallelPass, verified
 from lss_motion.trajectory.verify import verify
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
-    from pathlib import Path as FilePath
 
     from numpy.typing import NDArray
 
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.sequence.model import Sequence as Show
-    from lss_motion.trajectory.model import Mark, Pass
+    from lss_motion.trajectory.model import Mark, Pass, Smoothing
 
     FloatArray = NDArray[np.float64]
 
@@ -92,27 +92,31 @@ def time_kept(sequence: Show, robot: Robot, *, may_flow: bool = True) -> Traject
         sequence = scaled(sequence, sequence.fit_duration_s or 0.0)
     layout = laid_out(sequence, robot, may_flow=may_flow, keeps_time=True)
     _check_jumps(layout)
+    names = tuple(layout.keys)
+    keys = [_joint_keys(layout, name) for name in names]
     joints = _followed(
-        concatenate(layout.paths),
-        tuple(layout.keys),
-        robot,
-        Grid.of(layout),
-        [_joint_keys(layout, name) for name in layout.keys],
-        sequence.path,
+        concatenate(layout.paths), names, robot, Grid.of(layout), keys, show=sequence
     )
-    return verified(_assembled(layout, joints), sequence, robot)
+    trajectory = replace(_assembled(layout, joints), smoothing=_smoothing(sequence, names, robot))
+    return verified(trajectory, sequence, robot)
+
+
+def _smoothing(show: Show, names: tuple[str, ...], robot: Robot) -> tuple[Smoothing, ...]:
+    return limited(names, jerk_limits(show, robot, names))
 
 
 def _followed(
     path: Path,
-    names: Sequence[str],
+    names: tuple[str, ...],
     robot: Robot,
     grid: Grid,
     keys: Sequence[tuple[KeyAsked, ...]],
-    source: FilePath | None,
+    *,
+    show: Show,
 ) -> list[JointFollower]:
     """Return the joints of a path, a column each, following it at its own times."""
     exceeded = _exceeded(path, [robot.joints[name] for name in names])
+    jerk_max = (JERK_SLACK * jerk_limits(show, robot, names)).tolist()
     found = []
     for column, (name, own_keys) in enumerate(zip(names, keys, strict=True)):
         joint = robot.joints[name]
@@ -121,6 +125,7 @@ def _followed(
             high_deg=joint.position_max_deg,
             speed_deg_s=joint.speed_max_deg_s,
             accel_deg_s2=joint.accel_max_deg_s2,
+            jerk_deg_s3=jerk_max[column],
         )
         follower = JointFollower(
             name=name,
@@ -128,7 +133,7 @@ def _followed(
             asked=Asked(path=path, column=column),
             grid=grid,
             keys=own_keys,
-            source="" if source is None else str(source),
+            source="" if show.path is None else str(show.path),
         )
         follower.follow(runs(exceeded[:, column]))
         found.append(follower)
@@ -273,7 +278,7 @@ def _given_up(
 
 def sum_kept(
     path: Path,
-    names: Sequence[str],
+    names: tuple[str, ...],
     robot: Robot,
     *,
     marks: Sequence[Mark],
@@ -290,18 +295,19 @@ def sum_kept(
     ]
     cells = max(1, math.ceil(path.length_s / CELL_S - 1e-9))
     grid = Grid(cell_s=path.length_s / cells, cells=cells, seams=(), is_looped=False, tied=None)
-    joints = _followed(path, names, robot, grid, keys, show.path)
+    joints = _followed(path, names, robot, grid, keys, show=show)
     united_path = united([joint.pieces() for joint in joints], np.zeros(1), joints[0].end_s)
     motion = PathMotion(path=united_path, clock=steady_clock(path.length_s))
     given_up, asked_spans = _given_up(joints)
     trajectory = Trajectory(
         name=show.name,
-        joints=tuple(names),
+        joints=names,
         first=motion,
         middle=motion,
         last=motion,
         given_up=given_up,
         asked=asked_spans,
+        smoothing=_smoothing(show, names, robot),
     )
     verify(trajectory, robot)
     return trajectory
@@ -389,7 +395,7 @@ def beside(
         given_up=kept.given_up,
         asked=kept.asked,
         marks=tuple(marks),
-        smoothing=slow.smoothing,
+        smoothing=(*slow.smoothing, *kept.smoothing),
     )
 
 

@@ -141,7 +141,7 @@ def _kept_name(
     for array in (path.knots_s, path.coefficients):
         digest.update(np.ascontiguousarray(array).tobytes())
     joints = [replace(robot.joints[name], settings={}) for name in names]
-    digest.update(repr((PLANNER_VERSION, show.name, "kept", marks, joints)).encode())
+    digest.update(repr((PLANNER_VERSION, show.name, "kept", show.smooth_s, marks, joints)).encode())
     return digest.hexdigest()
 
 

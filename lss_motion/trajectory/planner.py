@@ -137,13 +137,6 @@ def _planned_joints(track: Sequence, robot: Robot) -> Trajectory:
 def _time_kept(track: Sequence, robot: Robot, *, may_flow: bool = True) -> Trajectory:
     """Return the plan of keyframes whose joints all keep their time, made or from the cache."""
     _check_length(track)
-    for joint in (robot.joints[name] for name in sorted(track.keeps_time)):
-        if math.isfinite(joint.jerk_max_deg_s3):
-            raise InputError(
-                f"joint {joint.name!r} has jerk_max_deg_s3, which a joint that keeps its time "
-                "cannot keep as well: remove keep: time for it, or the limit",
-                path=track.path,
-            )
 
     def make() -> Trajectory:
         from lss_motion.trajectory.keep_time import time_kept

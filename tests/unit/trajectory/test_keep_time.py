@@ -346,3 +346,26 @@ def test_joints_that_are_late_in_every_pass_of_a_loop_that_flows(make_robot, fra
     deg = judged(trajectory, robot, None if loop else trajectory.pass_start_s(5))
     seam = round(1000.0 * trajectory.pass_start_s(1)) + 3
     assert abs(deg[seam + 5, 1] - deg[seam - 5, 1]) > 0.1, "the elbow does not stop at the seam"
+
+
+@pytest.mark.parametrize("loop", [1, 3, None])
+@pytest.mark.parametrize("by", ["smooth_s", "jerk_max_deg_s3"])
+def test_a_jerk_limit_costs_angle_and_no_time(make_robot, frame, loop, by):
+    robot = make_robot(1, speed=360.0, accel=1000.0)
+    jerk = 20_000.0
+    frames = [frame(0.15 * k, base=[0.0, 20.0, 0.0, -20.0][k % 4]) for k in range(13)]
+    sequence = show(*frames, loop=loop, keeps_time=BASE)
+    if by == "smooth_s":
+        sequence = replace(sequence, smooth_s=2.0 * 1000.0 / jerk)
+    else:
+        joint = replace(robot.joints["base"], jerk_max_deg_s3=jerk)
+        robot = replace(robot, joints={"base": joint})
+    trajectory = plan(sequence, robot)
+    assert trajectory.middle.duration_s == pytest.approx(1.8)
+    deg = judged(trajectory, robot, None if loop else 7.2)[:, 0]
+    assert np.abs(np.diff(deg, 3)).max() <= jerk * 1e-9 * 1.001
+    assert trajectory.given_up[0].by_deg > 1.0
+    rough = plan(replace(sequence, smooth_s=0.0), make_robot(1, speed=360.0, accel=1000.0))
+    assert rough.given_up[0].rms_deg < trajectory.given_up[0].rms_deg
+    if loop != 1:
+        assert trajectory.is_periodic

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lss_motion.cli.summaries import plan_lines
-from lss_motion.errors import InputError, PlanningError
+from lss_motion.errors import PlanningError
 from lss_motion.sequence.model import Layer, Sequence, Step, Timing
 from lss_motion.trajectory.planner import plan
 from lss_motion.trajectory.verify import verify
@@ -209,12 +209,6 @@ def test_the_verifier_refuses_a_jump(nod, make_robot):
     rough = replace(plan(nod, robot), smoothing=limits)
     with pytest.raises(PlanningError, match=r"would reach jerk \d+"):
         verify(rough, robot)
-
-
-def test_a_joint_that_keeps_its_time_has_no_jerk_limit(nod, make_robot):
-    robot = with_jerk(make_robot(), base=JERK)
-    with pytest.raises(InputError, match="'base' has jerk_max_deg_s3"):
-        plan(replace(nod, keeps_time=frozenset({"base"})), robot)
 
 
 def test_check_tells_what_it_costs(nod, make_robot):
