@@ -69,6 +69,9 @@ ASKED_STEP_S: Final = 0.02
 
 ASKED_DECIMALS: Final = 3
 
+SAME_CELL: Final = 1e-6
+"""Share of a cell by which instants differ by rounding only."""
+
 KNOT_MIN_S: Final = 1e-10
 """Knots of different joints that are closer together differ by rounding only."""
 
@@ -224,7 +227,8 @@ class JointFollower:
             return found
         # What is equal at two instants is solved as one, with all that lies between.
         from_s, to_s = self.grid.tied
-        low, high = int(from_s / self.grid.cell_s), math.ceil(to_s / self.grid.cell_s)
+        low = int(from_s / self.grid.cell_s + SAME_CELL)
+        high = min(math.ceil(to_s / self.grid.cell_s - SAME_CELL), self.grid.cells)
         touching = [span for span in found if any(span[0] <= p <= span[1] for p in (low, high))]
         inside = (low, high) in found or any(s[0] <= low and high <= s[1] for s in found)
         if not touching or inside:
@@ -287,7 +291,8 @@ class JointFollower:
             if self._is_smooth:
                 yield Tie(at_s=at_s, order=2)
         tied = self.grid.tied
-        if tied is not None and from_s <= tied[0] and tied[1] <= to_s:
+        slack_s = SAME_CELL * self.grid.cell_s
+        if tied is not None and from_s <= tied[0] + slack_s and tied[1] <= to_s + slack_s:
             yield Tie(at_s=tied[1], same_as_s=tied[0])
             yield Tie(at_s=tied[1], same_as_s=tied[0], order=1)
             if self._is_smooth:

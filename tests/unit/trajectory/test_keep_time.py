@@ -265,6 +265,17 @@ def test_a_looped_part_of_a_talk_is_closed(make_robot, frame):
     judged(trajectory, robot)
 
 
+@pytest.mark.parametrize("end_s", [0.7, 2.1, 5.2, 5.3])
+def test_a_looped_part_may_end_with_the_show(make_robot, frame, end_s):
+    robot = make_robot(1, accel=300.0)
+    frames = [frame(end_s * k / 7.0, base=[0.0, 30.0][k % 2]) for k in range(7)]
+    frames.append(frame(end_s, base=0.0))
+    sequence = show(*frames, loop=3, loop_span_s=(0.0, end_s), smooth_s=0.05, keeps_time=BASE)
+    trajectory = plan(sequence, robot)
+    assert trajectory.middle.duration_s == pytest.approx(end_s)
+    judged(trajectory, robot)
+
+
 def test_a_stored_plan_is_the_same_and_an_old_one_is_not_used(make_robot, frame, monkeypatch):
     robot, sequence = make_robot(), both(frame)
     fresh = plan(sequence, robot)
