@@ -193,7 +193,7 @@ def _leg(
 ) -> Leg:
     """Return a leg whose T makes the joint travel at `travel_deg_s`, if nothing else slows it."""
     start_deg, target_deg = ends_deg
-    way_deg, ratio = abs(target_deg - start_deg), joint.response.ramp_ratio
+    way_deg, ratio = abs(target_deg - start_deg), joint.ramp_ratio
     duration_s = way_deg / travel_deg_s
     if joint.response.t_law == "exact":  # Its T includes the ramps.
         duration_s += travel_deg_s / (ratio * min(settings["AA"], settings["AD"]))

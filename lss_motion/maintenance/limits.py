@@ -120,6 +120,6 @@ def _physical(
             if len(values) < len(wires):
                 continue
             # The ramps are `ramp_ratio` times the values of AA and AD.
-            ratio = 1.0 if key == "speed_max_deg_s" else joint.response.ramp_ratio
+            ratio = 1.0 if key == "speed_max_deg_s" else joint.ramp_ratio
             limits.setdefault(joint.name, {})[key] = ratio * min(values)
     return limits

@@ -234,13 +234,13 @@ def ramp_setting_deg_s2(joint: Joint) -> float:
     With its ramps at the joint's own limit the servo never exceeds it, whatever it receives.
     """
     model = joint.model
-    steps = ramp_steps(model, joint.accel_max_deg_s2, joint.response.ramp_ratio)
+    steps = ramp_steps(model, joint.accel_max_deg_s2, joint.ramp_ratio)
     return ramp_of_steps(model, min(max(steps, 1), ramp_steps_max(model)))
 
 
 def ramp_deg_s2(joint: Joint) -> float:
     """Return the ramp that the servo of a timed joint drives with its setting."""
-    return ramp_setting_deg_s2(joint) * joint.response.ramp_ratio
+    return ramp_setting_deg_s2(joint) * joint.ramp_ratio
 
 
 def target_deg(joint: Joint, target_wire: int) -> float:

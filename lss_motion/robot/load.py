@@ -363,7 +363,7 @@ def _escalations(entry: JointOnFaultEntry) -> Escalations:
 
 def _within_ramps(joint: Joint) -> Joint:
     """Return the joint with the largest acceleration that the ramps of its servo can express."""
-    model, ratio = joint.model, joint.response.ramp_ratio
+    model, ratio = joint.model, joint.ramp_ratio
     if model.accel_step_deg_s2 == 0.0:
         return joint
     steps = ramp_steps(model, joint.accel_max_deg_s2, ratio)

@@ -52,6 +52,9 @@ degrees to the RC servo of a 2IO."""
 Turns = Literal["by_hand", "powered"]
 """How the turn of a servo is known after power-up, where its range is more than one turn: a person
 brings it within half a turn of its zero, or it keeps its power, and so its count of turns."""
+RAMP_PER_STIFFNESS_RATIO: Final = 1.1
+"""One step of AS makes the ramps so many times those of AA and AD. A stiffer servo reaches its
+travel speed sooner and brakes harder (FACTS.md M24); the amount is assumed."""
 HALF_TURN_DEG: Final = 180.0
 """After power-up a servo reports an angle within half a turn of its zero (FACTS.md R5). Turns are
 360 deg apart, so a horn that seems to be further away than this is in another one."""
@@ -182,6 +185,13 @@ class Joint:
     def unit_deg(self) -> float:
         """The smallest difference between two targets."""
         return self.model.wire_step / self.model.wire_per_deg
+
+    @property
+    def ramp_ratio(self) -> float:
+        """The ramps of its servo are this many times AA and AD, with the AS that is in force."""
+        stored = self.stored.get("AS") or 0.0
+        stiffness = self.settings.get("AS", stored) if self.model.family is Family.LSS else 0.0
+        return float(self.response.ramp_ratio * RAMP_PER_STIFFNESS_RATIO**stiffness)
 
     @property
     def goal_deg(self) -> float:

@@ -6,7 +6,8 @@
 | `port` | `sim://`: a bus as a port of the runner | `connection` |
 | `pty` | buses behind pseudo-terminals, in real time | `lss-motion sim`, tests, benches |
 | `wire` | the two serial lines byte by byte, the USB adapter, the order of replies | `bus` |
-| `servo` | the firmware of one servo: moves, readings, settings | `bus` |
+| `servo` | the firmware of one servo: commands, moves, RC mode, LED | `bus` |
+| `readings` | the settings of a servo and its answers | `servo` |
 | `boards` | LSS-2IO boards with their pins | `bus` |
 | `motors` | all motors of a bus: orders, current, temperature, safe mode | `bus`, `servo` |
 | `horns` | how horns follow their profiles, with load and play | `motors` |
@@ -19,7 +20,7 @@
 
 Not modelled: the acceleration sensors of LSS-PRO (they answer 0), the inertia of a load (it only
 pulls by its weight), noise on the lines other than that of `faults`, the colours that the LED
-shows by itself, RC pulses and their 20 ms, EEPROM wear, sketches of the LSS-2IO other than 2RC.
+shows at start, the 20 ms between RC pulses, EEPROM wear, sketches of the LSS-2IO other than 2RC.
 An LSS-2IO whose line buffer is overrun loses that section and may move any of its servos: what a
 real one does then depends on its build. A servo never reports an unknown state (status 0). A
 number without a published source is marked as assumed in `physics` and `boards`.

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.sim.faults import Fault, Turn
     from lss_motion.sim.hand import Hand
+    from lss_motion.sim.servo import Lamp
 
 
 TWIN_DEG: Final = 20.0
@@ -204,6 +205,20 @@ class SimBus:
         own_deg = raw_deg[:, : len(self._set_up_gyre)]
         return np.asarray(self._set_up_gyre * (own_deg - self._set_up_origin_deg))
 
+    def set_pulse(self, servo_id: int, pulse_us: int | None, now_ns: int) -> None:
+        """Send RC pulses of that width to a servo from now on; None: they end.
+
+        Only a servo in RC mode (CRC1, CRC2) obeys them.
+        """
+        self.advance(now_ns)
+        for servo in self._meant(servo_id):
+            servo.take_pulse(pulse_us, self._drift.bus_ns(now_ns))
+
+    def lamp(self, servo_id: int, now_ns: int) -> Lamp:
+        """Return what the LED of the first servo with that id shows."""
+        self.advance(now_ns)
+        return self._meant(servo_id)[0].lamp(self._drift.bus_ns(now_ns))
+
     def set_input(self, servo_id: int, raw: int, now_ns: int) -> None:
         """Set the value of the analog inputs with an id to `raw` (0 to 1023) from now on.
 
@@ -223,6 +238,8 @@ class SimBus:
         self._blocks_ns = self._faults.spans_ns(FaultKind.BLOCKED_PORT)
         self._adapter.start(now_ns, self._outages_ns)
         self._host_line.start(self._faults.spans_ns(FaultKind.CLOGGED), self._outages_ns)
+        for servo in self._servos:
+            servo.power_up(self._drift.bus_ns(now_ns))
 
     def _drop_port(self, now_ns: int) -> None:
         """Take the port away while the servo restarts that is its USB device (FACTS.md P12)."""
@@ -246,6 +263,8 @@ class SimBus:
     def _receive(self, received_ns: int, sent: bytes) -> None:
         self._turn_until(received_ns)
         self.motors.advance(received_ns)
+        for servo in self._servos:
+            servo.note_line(received_ns)
         for line in self._faults.received(sent, received_ns):
             if self.lines is not None:
                 self.lines.append((self._drift.host_ns(received_ns), line))

@@ -176,6 +176,11 @@ class Motors:
         entry = (self.loop_ns(index, received_ns), self._order_count, index, order)
         heapq.heappush(self._orders, entry)
 
+    def cancel(self, index: int, now_ns: int) -> None:
+        """Drop the orders of servo `index` that begin after `now_ns`."""
+        self._orders = [entry for entry in self._orders if entry[2] != index or entry[0] <= now_ns]
+        heapq.heapify(self._orders)
+
     def loop_ns(self, index: int, received_ns: int) -> int:
         """Return when servo `index` starts a command that it received at `received_ns`."""
         return self._drives.loop_ns(index, received_ns)

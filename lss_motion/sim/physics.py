@@ -45,6 +45,8 @@ class Physics:
     `lag_s`                 first-order lag of the horn behind the servo's own profile. Assumed.
     `lag_per_stiffness_ratio`  one step of AS divides the lag by this. Assumed; the documents say
                             only that a stiffer servo keeps closer to the position asked for.
+    `ramp_per_stiffness_ratio`  one step of AS makes the ramps so many times AA and AD. FACTS.md
+                            M24; the amount is assumed.
     `droop_per_stiffness_ratio`  one step of AH divides the droop under load by this. Assumed.
     `ramp_ratio`            real ramps are this many times the values of AA and AD. Their step of
                             10 deg/s² has weak sources (FACTS.md M20).
@@ -71,6 +73,12 @@ class Physics:
     `blocked_s`, `safe_s`   how long stuck until blocked (9), until safe mode (10). Assumed.
     `hand_give_ratio`       share of the way to the hand that a powered horn yields, at the default
                             holding stiffness. Assumed.
+    `torque_per_step_mode_ratio`  each halving of an LSS-PRO's steps (SM) leaves so much of its
+                            torque, and half of its top speed. Assumed; FACTS.md P8 says only that
+                            both change.
+    `rc_limp_s`             in RC mode a servo goes limp so long after its last pulse, or after its
+                            first position (FACTS.md R14).
+    `rc_escape_s`           RC mode ends after so long a high level, as on a silent line (R14).
     `usb_back_s`            how long the port is gone while the LSS-PRO behind it restarts. Assumed;
                             the maker's example waits 10 s (FACTS.md P12).
     `corrupt_reply_ratio`   share of replies that the firmware itself damages; None: that of the
@@ -79,6 +87,7 @@ class Physics:
 
     lag_s: float = 0.02
     lag_per_stiffness_ratio: float = 1.1
+    ramp_per_stiffness_ratio: float = 1.1
     droop_per_stiffness_ratio: float = 1.1
     ramp_ratio: float = 1.0
     retarget: Literal["keep_speed", "from_rest"] = "keep_speed"
@@ -102,6 +111,9 @@ class Physics:
     blocked_s: float = 0.5
     safe_s: float = 2.0
     hand_give_ratio: float = 0.05
+    torque_per_step_mode_ratio: float = 0.8
+    rc_limp_s: float = 2.0
+    rc_escape_s: float = 30.0
     usb_back_s: float = 4.0
     corrupt_reply_ratio: float | None = None
     turnaround: Turnaround | None = None

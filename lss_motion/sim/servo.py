@@ -1,13 +1,13 @@
 """The firmware of one smart servo: it executes commands and replies to queries.
 
-`Servo` is what the bus calls. `Settings` holds EEPROM and session values by the rows of the
-family's table. `Readings` computes the replies to queries, in wire units. `Moves` turns motion
-commands into orders to the motor.
+`Servo` is what the bus calls. `Moves` turns motion commands into orders to the motor, `RcInput`
+pulses in RC mode.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+import math
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.protocol.codec import language_table
 from lss_motion.protocol.constants import (
@@ -16,274 +16,26 @@ from lss_motion.protocol.constants import (
     PULSE_MAX_US,
     PULSE_MIN_US,
     RESET_S,
+    Blink,
     Family,
-    Status,
-    status_codes,
+    Led,
 )
 from lss_motion.protocol.framing import DISABLED, Reply
-from lss_motion.protocol.table import Form, ReplyShape, Suffix
+from lss_motion.protocol.table import Form, ReplyShape
 from lss_motion.sim.profile import Chase, Halt, Limp, Motion, ProfileMove, Ramps, Wheel
+from lss_motion.sim.readings import PULSE_HALF_US, PULSE_MID_US, Readings, Settings
 from lss_motion.units import ns_from_s, s_from_ms
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
     from random import Random
 
     from lss_motion.protocol.framing import Command
-    from lss_motion.protocol.table import FamilyTable, Row
+    from lss_motion.protocol.table import Row
     from lss_motion.robot.model import ServoModel
     from lss_motion.sim.motors import Motors
     from lss_motion.sim.physics import ServoSpec
     from lss_motion.sim.profile import Order
-
-
-SAME_SCALE: Final = {"MD": "D", "DT": "D", "VT": "SD", "CS": "SD"}
-"""Rows in the units of another one."""
-
-
-class Settings:
-    """Wire values by row name. A setting in another unit writes the row that it mirrors."""
-
-    def __init__(
-        self,
-        table: FamilyTable,
-        firmware: int,
-        factory: Mapping[str, int],
-        eeprom: Mapping[str, int],
-    ) -> None:
-        self.table = table
-        self._rows = {row.name: row for row in table.rows if not row.is_modifier}
-        self._firmware = firmware
-        self._factory: dict[str, int | None] = {
-            row.name: factory.get(row.name, row.default)
-            for row in table.rows
-            if (row.actions or row.configs) and row.mirrors is None
-        }
-        self.eeprom = {**self._factory, **eeprom}
-        self.session = dict(self.eeprom)
-        self.scale_ratios: dict[str, float] = {}
-        """Faults (`wrong_scale`): one unit on the wire is so many times that of the documents."""
-
-    def restart(self) -> None:
-        self.session = dict(self.eeprom)
-
-    def restore_factory(self) -> None:
-        """Reset every configuration but the id.
-
-        Assumed: no document states whether the id is kept. Servos without ids all have the same.
-        """
-        self.eeprom = {**self._factory, "ID": self.eeprom.get("ID")}
-
-    def row(self, name: str) -> Row:
-        return self._rows[name]
-
-    def factory(self, name: str) -> int:
-        return self._factory.get(name) or 0
-
-    def number(self, name: str) -> int:
-        """Return a session value as it is on the wire; 0 where there is none."""
-        return self.session.get(name) or 0
-
-    def physical(self, name: str) -> float:
-        """Return a session value in the physical unit of its row."""
-        return self.degrees(name, self.number(name))
-
-    def degrees(self, name: str, value: int) -> float:
-        """Return a wire value in the physical unit of a row."""
-        return self.row(name).physical(value) * self.scale_ratio(name)
-
-    def wire(self, name: str, physical: float) -> int:
-        """Return a physical value in the units that the row has on the wire."""
-        return self.row(name).wire(physical / self.scale_ratio(name))
-
-    def scale_ratio(self, name: str) -> float:
-        """Return how many times the unit of the documents a unit of this servo is.
-
-        The row T is the temperature; the modifier of that name has its scale in `Moves`.
-        """
-        return self.scale_ratios.get(SAME_SCALE.get(name, name), 1.0) if name != "T" else 1.0
-
-    def write(self, row: Row, value: int | None, *, is_config: bool) -> bool:
-        """Store a value as the servo would; return whether it was taken."""
-        if value is not None:
-            kept = row.kept(value)
-            too_new = row.choices is not None and row.choices.get(value, 0) > self._firmware
-            if kept is None or too_new:
-                return False
-            value = kept
-        if row.mirrors is not None:
-            row, value = self.row(row.mirrors), self._mirrored(row, value)
-        if row.name == "SD" and value is not None:
-            value = min(value, self._factory["SD"] or value)
-        if is_config:
-            self.eeprom[row.name] = value
-        self.session[row.name] = value
-        return True
-
-    def read(self, row: Row, *, is_configured: bool) -> int | None:
-        """Return what a query of this row answers."""
-        values = self.eeprom if is_configured or not row.sets_session else self.session
-        if row.mirrors is None:
-            return values.get(row.name)
-        stored = self.row(row.mirrors)
-        wire = values.get(stored.name)
-        return None if wire is None else round(stored.physical(wire) / DEG_S_PER_RPM)
-
-    def _mirrored(self, row: Row, value: int | None) -> int | None:
-        assert row.mirrors is not None
-        if value is None:
-            return None
-        return self.row(row.mirrors).wire(row.physical(value) * DEG_S_PER_RPM)
-
-
-PULSE_MID_US = 1500
-PULSE_HALF_US = 1000
-"""1500 µs is the middle and ±1000 µs the ends of the angular range (FACTS.md C11)."""
-
-STATUS_OF = {
-    Motion.LIMP: Status.LIMP,
-    Motion.FREE_MOVING: Status.FREE_MOVING,
-    Motion.ACCELERATING: Status.ACCELERATING,
-    Motion.TRAVELING: Status.TRAVELING,
-    Motion.DECELERATING: Status.DECELERATING,
-    Motion.HOLDING: Status.HOLDING,
-    Motion.OUTSIDE_LIMITS: Status.OUTSIDE_LIMITS,
-    Motion.STUCK: Status.STUCK,
-    Motion.BLOCKED: Status.BLOCKED,
-    Motion.SAFE_MODE: Status.SAFE_MODE,
-}
-
-
-MODEL_CODES: Final = {"LSS-ST1": 1, "LSS-HS1": 2, "LSS-HT1": 3}
-"""Answers to QM. Assumed: the maker does not publish its codes."""
-
-
-class Readings:
-    """The answers of servo `index`. Positions scatter as its encoder does."""
-
-    def __init__(
-        self,
-        index: int,
-        motors: Motors,
-        settings: Settings,
-        *,
-        spec: ServoSpec,
-        firmware: int,
-        random: Random,
-    ) -> None:
-        self._index = index
-        self._motors = motors
-        self._settings = settings
-        self._table: FamilyTable = settings.table
-        self._answers = spec.answers
-        self._firmware = firmware
-        self._random = random
-        self._serial_number = f"{random.randrange(10**7, 10**8)}"
-        self._last_target = 0
-        is_pro = self._table.family is Family.LSS_PRO
-        physics = motors.physics
-        self._noise_deg = physics.noise_deg * (physics.pro_noise_ratio if is_pro else 1.0)
-        self._measured: dict[str, Callable[[int], int | str | None]] = {
-            "D": lambda now_ns: self._wire("D", self.position_deg(now_ns)),
-            "DT": self._target,
-            "P": self._pulse_us,
-            "WD": lambda now_ns: self._wire("WD", self._speed_deg_s(now_ns)),
-            "WR": lambda now_ns: round(self._speed_deg_s(now_ns) / DEG_S_PER_RPM),
-            "S": lambda now_ns: round(self._speed_deg_s(now_ns) * self.pulse_us_per_deg()),
-            "CS": lambda now_ns: self._wire("CS", self._speed_deg_s(now_ns)),
-            "VT": lambda _: self._wire("VT", motors.travel_deg_s(index)),
-            "Q": self._status,
-            "V": lambda _: self._wire("V", motors.power.supply_v()),
-            "T": lambda now_ns: self._wire("T", motors.temperature_c(index, now_ns)),
-            "TP": lambda now_ns: self._wire("TP", motors.temperature_c(index, now_ns)),
-            "TM": lambda now_ns: self._wire("TM", motors.temperature_c(index, now_ns)),
-            "C": lambda _: self._wire("C", motors.current_ma(index) / 1000.0),
-            "MS": lambda _: spec.model.name,
-            "MC": lambda _: MODEL_CODES.get(spec.model.name, 0),
-            "N": lambda _: self._serial_number,
-            "F": lambda _: self._firmware,
-            "FR": lambda _: self._firmware,
-        }
-
-    def value(self, row: Row, suffix: Suffix | None, now_ns: int) -> int | str | None:
-        """Return what a query of `row` answers at `now_ns`; None: nothing after the keyword."""
-        match suffix:
-            case Suffix.CAUSE:
-                return int(self._motors.safe_cause[self._index])
-            case Suffix.FULL_VERSION:
-                return f"{self._firmware}.0.0"
-            case Suffix.INSTANTANEOUS:
-                return self._speed_in(row, self._speed_deg_s(now_ns))
-            case Suffix.TARGET:
-                return self._speed_in(row, self._motors.travel_deg_s(self._index))
-            case Suffix.CONFIGURED:
-                return self._settings.read(row, is_configured=True)
-            case _ if row.name in self._answers:
-                return self._answers[row.name]
-            case _:
-                measure = self._measured.get(row.name)
-                if measure is not None:
-                    return measure(now_ns)
-                value = self._settings.read(row, is_configured=False)
-                return 0 if value is None and row.reply_shape is ReplyShape.INTEGER else value
-
-    def position_deg(self, now_ns: int) -> float:
-        """Return the angle that the encoder shows, as the host sees angles."""
-        raw_deg = self._motors.horn_deg(self._index, now_ns)
-        scatter_deg = self._random.uniform(-1.0, 1.0) * self._noise_deg
-        return self._motors.seen_deg(self._index, raw_deg) + scatter_deg
-
-    def pulse_us_per_deg(self) -> float:
-        range_deg = self._settings.physical("AR") or self._table.row("QAR").physical(1)
-        return PULSE_HALF_US / (range_deg / 2.0)
-
-    def _pulse_us(self, now_ns: int) -> int:
-        """Return the position as a pulse; a negative end point where it is outside (FACTS C11)."""
-        pulse_us = PULSE_MID_US + self.position_deg(now_ns) * self.pulse_us_per_deg()
-        if pulse_us < PULSE_MIN_US:
-            return -PULSE_MIN_US
-        return -PULSE_MAX_US if pulse_us > PULSE_MAX_US else round(pulse_us)
-
-    def _target(self, now_ns: int) -> int | None:
-        """Return the target; without one nothing, or what it last was where a number is due."""
-        target_deg = self._motors.target_deg(self._index, now_ns)
-        if target_deg is not None:
-            self._last_target = self._wire("D", self._motors.seen_deg(self._index, target_deg))
-        elif self._table.row("QDT").reply_shape is ReplyShape.OPTIONAL:
-            return None
-        return self._last_target
-
-    def _status(self, now_ns: int) -> int:
-        motion = self._motors.motion(self._index, now_ns)
-        if motion in {Motion.LIMP, Motion.HOLDING} and self._is_outside(now_ns):
-            motion = Motion.OUTSIDE_LIMITS
-        status = STATUS_OF[motion]
-        codes = status_codes(self._table.family, self._firmware)
-        return codes.index(status if status in codes else Status.ERROR)
-
-    def _is_outside(self, now_ns: int) -> bool:
-        """Return whether the horn rests outside its software limits.
-
-        Assumed: status 7 ("outside limits", FACTS.md S3) means the software limits.
-        """
-        settings = self._settings
-        if not settings.number("LE"):
-            return False
-        seen_deg = self._motors.seen_deg(self._index, self._motors.horn_deg(self._index, now_ns))
-        return not settings.physical("LN") <= seen_deg <= settings.physical("LP")
-
-    def _speed_deg_s(self, now_ns: int) -> float:
-        gyre = float(self._motors.gyre[self._index])
-        return gyre * self._motors.horn_deg_s(self._index, now_ns)
-
-    def _wire(self, name: str, physical: float) -> int:
-        return self._settings.wire(name, physical)
-
-    def _speed_in(self, row: Row, speed_deg_s: float) -> int:
-        """Return a speed in the unit of `row`, which is SD's or, mirroring it, SR's."""
-        if row.mirrors is not None:
-            return row.wire(speed_deg_s / DEG_S_PER_RPM)
-        return self._wire(row.name, speed_deg_s)
 
 
 DUTY_MAX = 1023
@@ -342,6 +94,12 @@ class Moves:
         """Go to the first position, from `now_ns` on."""
         raw_deg = self._motors.raw_deg(self._index, seen_deg)
         self._order(now_ns, ProfileMove(raw_deg, self._session_ramps()), {})
+
+    def wheel_at(self, speed_ratio: float, now_ns: int) -> None:
+        """Turn without end at that share of the largest speed, from `now_ns` on."""
+        ramps = self._session_ramps()
+        raw_deg_s = float(self._motors.gyre[self._index]) * speed_ratio * ramps.speed_deg_s
+        self._order(now_ns, Wheel(raw_deg_s, ramps), {})
 
     def forget_ramps(self) -> None:
         """Read AA, AD and SD anew before the next move."""
@@ -412,7 +170,9 @@ class Moves:
     def _session_ramps(self) -> Ramps:
         """Return the ramps of AA, AD and SD. A value of 0 acts as the smallest step (assumed)."""
         if self._ramps is None:
-            ratio = self._motors.physics.ramp_ratio
+            physics = self._motors.physics
+            stiffness = self._settings.number("AS")
+            ratio = physics.ramp_ratio * physics.ramp_per_stiffness_ratio**stiffness
             self._ramps = Ramps(
                 speed_deg_s=min(self._at_least_one("SD"), self._model.speed_max_deg_s),
                 accel_deg_s2=ratio * self._at_least_one("AA"),
@@ -437,6 +197,91 @@ class Moves:
             and (row := table.modifiers[name]).firmware <= self._firmware
             and row.allows(value)
         }
+
+
+class Lamp(NamedTuple):
+    """What the LED of a servo shows."""
+
+    colour: Led
+    is_blinking: bool
+
+
+BLINK_OF: Final = {
+    Motion.LIMP: Blink.LIMP,
+    Motion.HOLDING: Blink.HOLDING,
+    Motion.ACCELERATING: Blink.ACCELERATING,
+    Motion.DECELERATING: Blink.DECELERATING,
+    Motion.FREE_MOVING: Blink.FREE,
+    Motion.TRAVELING: Blink.TRAVELING,
+}
+"""The states in which CLB lets the LED blink (FACTS.md C9)."""
+
+RC_WHEEL: Final = 2
+"""CRC2: a pulse is a speed, 1500 us is rest, and the ends of the range are the top speed. Assumed;
+the page of the RC modes is not among our sources."""
+RC_ESCAPE_FIRMWARE: Final = 362
+"""First firmware that leaves RC mode after 30 s of a high level (FACTS.md V1)."""
+
+
+class RcInput:
+    """RC mode of servo `index`: pulses in place of the bus (FACTS.md R14)."""
+
+    def __init__(
+        self, index: int, motors: Motors, settings: Settings, readings: Readings, firmware: int
+    ) -> None:
+        self.is_on = settings.number("CRC") != 0
+        self._index = index
+        self._motors = motors
+        self._settings = settings
+        self._readings = readings
+        self._can_escape = firmware >= RC_ESCAPE_FIRMWARE
+        self._low_ns = 0
+
+    def start(self, now_ns: int) -> None:
+        self.is_on = self._settings.number("CRC") != 0
+        self._low_ns = now_ns
+
+    def is_deaf(self, now_ns: int) -> bool:
+        """Return whether the bus is ignored. A line that is high for 30 s ends RC mode."""
+        high_ns = ns_from_s(self._motors.physics.rc_escape_s)
+        if self.is_on and self._can_escape and now_ns - self._low_ns >= high_ns:
+            self.is_on = False
+            self._settings.eeprom["CRC"] = self._settings.session["CRC"] = 0
+        return self.is_on
+
+    def note_line(self, now_ns: int) -> None:
+        """Note a low level: a byte or a pulse."""
+        if not self.is_deaf(now_ns) or not self._can_escape:
+            return
+        self._low_ns = now_ns
+
+    def go_to_first(self, moves: Moves, now_ns: int) -> None:
+        """Go to the first position and hold it for up to 2 s; without one stay limp."""
+        first_us = self._settings.session.get("FP")
+        if first_us is not None:
+            self._aim(first_us, moves, now_ns)
+            self._limp_later(now_ns)
+
+    def take_pulse(self, pulse_us: int | None, moves: Moves, now_ns: int) -> None:
+        self.note_line(now_ns)
+        if not self.is_on:
+            return
+        self._motors.cancel(self._index, now_ns)
+        if pulse_us is None:
+            self._limp_later(now_ns)
+        else:
+            self._aim(pulse_us, moves, now_ns)
+
+    def _aim(self, pulse_us: int, moves: Moves, now_ns: int) -> None:
+        away_us = min(max(pulse_us, PULSE_MIN_US), PULSE_MAX_US) - PULSE_MID_US
+        if self._settings.number("CRC") == RC_WHEEL:
+            moves.wheel_at(away_us / PULSE_HALF_US, now_ns)
+        else:
+            moves.start_at(away_us / self._readings.pulse_us_per_deg(), now_ns)
+
+    def _limp_later(self, now_ns: int) -> None:
+        limp_ns = now_ns + ns_from_s(self._motors.physics.rc_limp_s)
+        self._motors.order(self._index, limp_ns, Limp())
 
 
 ORDERED_FIRMWARE = 370
@@ -479,16 +324,44 @@ class Servo:
             index, motors, self.settings, self._readings, model=spec.model, firmware=firmware
         )
         self._deaf_until_ns = 0
-        self._is_rc = False
+        self._rc = RcInput(index, motors, self.settings, self._readings, firmware)
         self._armed: str | None = None
         self._apply_session(0)
+
+    def power_up(self, now_ns: int) -> None:
+        """Start with the stored values: RC mode, and a first position (FACTS.md R6, R14)."""
+        self._rc.start(now_ns)
+        if self._rc.is_on:
+            self._rc.go_to_first(self._moves, now_ns)
+        elif self.settings.session.get("FD") is not None:
+            self._moves.start_at(self.settings.physical("FD"), now_ns)
+
+    def take_pulse(self, pulse_us: int | None, now_ns: int) -> None:
+        """Take RC pulses of that width from now on; None: they end. Only RC mode obeys them."""
+        if self._rc.is_on:
+            self._rc.take_pulse(pulse_us, self._moves, now_ns)
+
+    def note_line(self, now_ns: int) -> None:
+        """Note that bytes are on the line, so that it is not constantly high."""
+        self._rc.note_line(now_ns)
+
+    def lamp(self, now_ns: int) -> Lamp:
+        """Return what its LED shows (FACTS.md C9, S4)."""
+        motion = self._motors.motion(self.index, now_ns)
+        if motion is Motion.SAFE_MODE:
+            return Lamp(Led.RED, is_blinking=True)
+        blink = BLINK_OF.get(motion, Blink(0))
+        return Lamp(
+            Led(self.settings.number("LED")),
+            is_blinking=bool(self.settings.number("LB") & blink),
+        )
 
     @property
     def family(self) -> Family:
         return self._table.family
 
     def is_listening(self, now_ns: int) -> bool:
-        return now_ns >= self._deaf_until_ns and not self._is_rc
+        return now_ns >= self._deaf_until_ns and not self._rc.is_deaf(now_ns)
 
     def obey(self, command: Command, now_ns: int) -> Reply | None:
         """Execute one command received at `now_ns`; return the reply to a query.
@@ -531,11 +404,9 @@ class Servo:
         self.settings.restart()
         self.servo_id = self.settings.number("ID")
         self.baud_bps = self.settings.number("B") or self.baud_bps
-        self._is_rc = self.settings.number("CRC") != 0
         self._motors.reset(self.index, now_ns)
         self._apply_session(now_ns)
-        if self.settings.session.get("FD") is not None and not self._is_rc:
-            self._moves.start_at(self.settings.physical("FD"), self._deaf_until_ns)
+        self.power_up(self._deaf_until_ns)
 
     def store(self, settings: Mapping[str, int], now_ns: int) -> None:
         """Take wire values by row name at once, for the session and for every later start."""
@@ -596,9 +467,13 @@ class Servo:
             case "G" | "O":
                 self._apply_frame()
             case "AS" | "AH":
+                self._moves.forget_ramps()
                 self._apply_stiffness(now_ns)
             case "MMD":
                 self._apply_duty()
+            case "SM":
+                self._apply_duty()
+                self._apply_stiffness(now_ns)
             case "FD" | "FP":  # CFP and CFD overwrite each other (FACTS.md C16).
                 self.settings.eeprom["FP" if row.name == "FD" else "FD"] = None
             case _:
@@ -616,9 +491,18 @@ class Servo:
             self.index,
             now_ns,
             lag_ratio=physics.lag_per_stiffness_ratio**-stiffer,
-            holding_ratio=physics.droop_per_stiffness_ratio**-firmer,
+            holding_ratio=physics.droop_per_stiffness_ratio**-firmer / self._torque_ratio(),
         )
+
+    def _torque_ratio(self) -> float:
+        """Return the share of the torque that the step mode leaves (SM; FACTS.md P8)."""
+        halvings = math.log2((self.settings.number("SM") or 1) / (self.settings.factory("SM") or 1))
+        return float(self._motors.physics.torque_per_step_mode_ratio**halvings)
 
     def _apply_duty(self) -> None:
         duty = self.settings.session.get("MMD")
-        self._motors.power.duty_ratio[self.index] = 1.0 if duty is None else duty / DUTY_MAX
+        ratio = 1.0 if duty is None else duty / DUTY_MAX
+        steps = self.settings.number("SM")
+        if steps:
+            ratio *= self.settings.factory("SM") / steps
+        self._motors.power.duty_ratio[self.index] = ratio

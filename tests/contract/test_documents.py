@@ -308,6 +308,9 @@ def check_default(host: Host, family: Family, line: str) -> None:
     host.wait_s(1.4)
     default = FAMILY_TABLES[family].row("QLED").default
     expected = b"QLED%d\r" % default
+    if family is not Family.IO2:
+        assert host.query(f"{address}QLED") == b""
+        address = "#0"  # All values are reset, and the id is one of them.
     assert host.query(f"{address}QLED").endswith(expected)
 
 
@@ -326,7 +329,8 @@ def check_confirm(host: Host, family: Family, line: str) -> None:
     host.send("#5DEFAULT")
     host.send(line)
     host.wait_s(1.4)
-    assert host.query("#5QLED") != b"*5QLED3\r"
+    assert host.query("#5QLED") == b""
+    assert host.query("#0QLED") not in (b"", b"*0QLED3\r")
 
 
 def check_rc(host: Host, family: Family, line: str) -> None:

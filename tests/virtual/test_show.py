@@ -89,7 +89,7 @@ def test_the_session_is_set_before_the_first_move_and_restored_after_the_last(st
     lines = played.lines()
     first = next(i for i, line in enumerate(lines) if line in played.moves())
     for servo_id in (1, 2, 3):
-        wanted = [b"#%dEM1\r", b"#%dAA60\r", b"#%dAD60\r", b"#%dSD1800\r", b"#%dAS-2\r"]
+        wanted = [b"#%dEM1\r", b"#%dAA72\r", b"#%dAD72\r", b"#%dSD1800\r", b"#%dAS-2\r"]
         assert {line % servo_id for line in wanted} <= set(lines[:first])
         assert b"#%dAS0\r" % servo_id in lines[-20:]
     assert lines[-1] == HOLD

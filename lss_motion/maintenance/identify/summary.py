@@ -33,7 +33,7 @@ def response_values(found: Identified, joint: Joint) -> dict[str, float | str]:
     values: dict[str, float | str] = {
         "lag_s": round(max(0.0, found.delay_s.value - 0.5 * loop_s), 4)
     }
-    ratio = ramp_ratio(found)
+    ratio = ramp_ratio(found, joint.ramp_ratio / joint.response.ramp_ratio)
     if ratio != 1.0 or joint.response.ramp_ratio != 1.0:
         values["ramp_ratio"] = ratio
     if found.loop_s is not None:
@@ -45,16 +45,18 @@ def response_values(found: Identified, joint: Joint) -> dict[str, float | str]:
     return values
 
 
-def ramp_ratio(found: Identified) -> float:
+def ramp_ratio(found: Identified, stiffness_ratio: float = 1.0) -> float:
     """Return the ratio of the ramps to AA and AD: 1 unless they clearly differ.
 
-    The response model has one ramp for both: the slower one, so that no plan exceeds it.
+    The response model has one ramp for both: the slower one, so that no plan exceeds it. What AS
+    makes of the ramps (`stiffness_ratio`) is no part of the ratio.
     """
-    ramp = min(found.accel_deg_s2, found.decel_deg_s2)
-    away_deg_s2 = abs(ramp.value - found.ramp_deg_s2)
-    if away_deg_s2 <= max(RAMP_DIFFERENCE_RATIO * found.ramp_deg_s2, SIGMAS * ramp.error):
+    ramp, set_deg_s2 = min(found.accel_deg_s2, found.decel_deg_s2), found.ramp_deg_s2
+    set_deg_s2 *= stiffness_ratio
+    away_deg_s2 = abs(ramp.value - set_deg_s2)
+    if away_deg_s2 <= max(RAMP_DIFFERENCE_RATIO * set_deg_s2, SIGMAS * ramp.error):
         return 1.0
-    return round(ramp.value / found.ramp_deg_s2, 3)
+    return round(ramp.value / set_deg_s2, 3)
 
 
 def summary_lines(found: Identified) -> list[str]:
@@ -118,7 +120,7 @@ def difference_lines(found: Identified, joint: Joint) -> list[str]:
 def _limits(found: Identified, joint: Joint) -> list[str]:
     """Return where the servo cannot do what the robot file demands."""
     lines = []
-    expected_deg_s2 = joint.response.ramp_ratio * found.ramp_deg_s2
+    expected_deg_s2 = joint.ramp_ratio * found.ramp_deg_s2
     for name, ramp in (("up (AA)", found.accel_deg_s2), ("down (AD)", found.decel_deg_s2)):
         away_deg_s2 = abs(ramp.value - expected_deg_s2)
         if away_deg_s2 > max(RAMP_DIFFERENCE_RATIO * expected_deg_s2, SIGMAS * ramp.error):

@@ -215,15 +215,15 @@ def test_every_setting_of_all_three_families_survives_the_factory_values(
     ids = [5, 6, 7, 40, 207, 203]
     before = stored_by(connection, ids)
     assert configure(connection, "--port", "P", "--backup", "b.yaml")[0] == EXIT_FINISHED
-    for servo_id in (5, 6, 7):
-        order(connection, servo_id, "DEFAULT")
-        confirm = Item(bus="main", command=Command(servo_id, "CONFIRM"), is_query=False)
-        connection.restart([confirm], 1.6)
+    order(connection, 5, "DEFAULT")
+    order(connection, 5, "CONFIRM")
+    for servo_id, keyword, value in ((6, "CFP", None), (7, "CG", 1), (7, "CO", 0), (7, "CSM", 2)):
+        order(connection, servo_id, keyword, value)
     order(connection, 207, "DEFAULT")
     connection.wait(1.6)
-    changed = stored_by(connection, [5, 6, 7, PIN_IDS["D9"], 207, 203])
+    changed = stored_by(connection, [0, 6, 7, PIN_IDS["D9"], 207, 203])
     assert changed != before
-    assert changed["servo 5"]["O"] == 0
+    assert changed["servo 0"]["O"] == 0
     code, out, errors = configure(connection, "--port", "P", "--restore", "b.yaml", "--yes")
     assert (code, errors) == (EXIT_FINISHED, "")
     assert "LSS-2IO-D9: id 209 → 40" in out

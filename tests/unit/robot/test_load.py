@@ -8,6 +8,7 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.player.handshake import session_commands
+from lss_motion.program.model import ramp_deg_s2, ramp_setting_deg_s2
 from lss_motion.protocol.codec import make_command
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.framing import encode
@@ -75,6 +76,17 @@ def test_a_robot_file_needs_only_joints(robot_path: Path) -> None:
     assert robot.joints["a"].following_deg == 10.0
     assert robot.joints["a"].response == Response()
     assert robot.approach_speed_deg_s == 30.0
+
+
+def test_a_stiffness_changes_the_ramps_that_a_joint_can_have(robot_path: Path) -> None:
+    """The horn must not exceed the limit of the joint, whatever AS makes of AA and AD."""
+    for stiffness, setting, ramp in ((0, 600, 600.0), (4, 400, 585.6), (-4, 870, 594.2)):
+        text = START + f"  a: {{id: 1, settings: {{AS: {stiffness}}}}}\n"
+        joint = load(robot_path, text).joints["a"]
+        assert ramp_setting_deg_s2(joint) == setting
+        assert ramp_deg_s2(joint) == pytest.approx(ramp, abs=0.1)
+        assert joint.accel_max_deg_s2 == pytest.approx(ramp, abs=0.1)
+        assert joint.accel_max_deg_s2 <= 600.0
 
 
 PRO_JOINT = (

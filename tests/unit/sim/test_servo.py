@@ -1,3 +1,4 @@
+import math
 import re
 
 import pytest
@@ -141,16 +142,17 @@ def test_default_needs_confirm_at_once(host):
     assert host.ask("#5QLED1") == "*5QLED3|"
     host.say("#5DEFAULT")
     host.say("#5CONFIRM")
-    assert host.ask("#5QG") == ""
+    assert host.ask("#0QG") == ""
     host.wait_s(1.3)
-    assert host.ask("#5QLED1") == "*5QLED7|"
+    assert host.ask("#5QG") == "", "all values are reset, and the id is one of them"
+    assert host.ask("#0QLED1") == "*0QLED7|"
 
 
 def test_rc_mode_is_deaf_after_reset(host):
     host.say("#5CRC1")
     assert host.ask("#5QG") == "*5QG1|"
     host.say("#5RESET")
-    host.wait_s(60.0)
+    host.wait_s(25.0)
     assert host.ask("#5QG") == ""
 
 
@@ -346,6 +348,17 @@ def test_the_readings_of_a_pro_scatter_by_hundredths(make_host, make_servo):
 
     assert 0.01 <= scatter(PRO, firmware=780) <= 0.04
     assert scatter(SERVO_MODELS["LSS-ST1"]) == pytest.approx(0.2, abs=0.11)
+
+
+def test_smaller_steps_leave_less_torque(make_host, make_servo):
+    """A load of 5 deg at half steps pulls further at quarter steps, and less at full ones."""
+    for mode, droop_deg in ((2, 5.0), (4, 5.0 / 0.8), (1, 5.0 * 0.8)):
+        host = make_host(make_servo(model=PRO, droop_deg=5.0), firmware=780)
+        host.say(f"#5SM{mode}")
+        host.say("#5H")
+        host.wait_s(2.0)
+        level = math.cos(math.radians(host.horn_deg()))
+        assert host.horn_deg() == pytest.approx(-droop_deg * level, abs=0.05)
 
 
 @pytest.mark.parametrize("line", ["#5RESET", "#254RESET"])
