@@ -1,4 +1,4 @@
-"""Slopes of piecewise cubics at their knots, and runs of set flags. Numbers in, numbers out.
+"""Slopes of piecewise cubics, lines near a curve, runs of set flags. Numbers in, numbers out.
 
 `lengths_s` are the lengths of the n pieces between n + 1 knots, `secants` the mean slope of each
 piece: (n,), or (n, k) for k curves over the same knots.
@@ -98,3 +98,21 @@ def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Return (first, end) of every run of set flags; `end` is the first index after it."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     return list(zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def polyline(times_s: FloatArray, values: FloatArray, tolerance: float) -> NDArray[np.intp]:
+    """Return samples, first and last included, between which lines stay within the tolerance.
+
+    The worst sample of each line that is too far off is added until there is none.
+    """
+    kept = np.array([0, len(times_s) - 1], dtype=np.intp)
+    while True:
+        off = np.abs(np.interp(times_s, times_s[kept], values[kept]) - values)
+        worst = np.maximum.reduceat(off, kept[:-1])
+        spans = np.repeat(np.arange(len(kept) - 1), np.diff(kept))
+        is_worst = (off[: kept[-1]] == worst[spans]) & (worst > tolerance)[spans]
+        found = np.flatnonzero(is_worst)
+        if not len(found):
+            return kept
+        _, first = np.unique(spans[found], return_index=True)
+        kept = np.union1d(kept, found[first])

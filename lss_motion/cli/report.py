@@ -193,6 +193,17 @@ ROW_HEIGHT_IN: Final = 1.5
 ROW_HEIGHT_MIN_IN: Final = 0.95
 """Rows are lower if there are many joints."""
 
+LONG_S: Final = 60.0
+WIDE_IN: Final = 26.0
+"""A longer show has a wider picture."""
+
+TIMELINE_ROW_IN: Final = 0.3
+ANGLE_SHARE: Final = 0.6
+"""Width of the timeline as a share of that of the picture."""
+
+BOX: Final = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
+"""Behind a text that stands on a curve."""
+
 PLANNED, MEASURED, ERROR, BAR = "#1f5fa8", "#e0701a", "#c0392b", "#9aa5b1"
 """Colours of the plan, the readings, the error between both, and of counts."""
 
@@ -203,22 +214,52 @@ def plot_report(report: dict[str, Any], path: Path) -> None:
     Raises `InputError` for a suffix that cannot be drawn, a file that cannot be written, and a
     report in which no joint was read.
     """
-    from lss_motion.picture import new_figure, save
+    from lss_motion.picture import Instant, Timeline, new_figure, save
 
     joints = {name: joint for name, joint in report["joints"].items() if joint["trace"]["at_s"]}
     if not joints:
         raise InputError("no joint was read in this run, so there is nothing to draw")
+    happened = report.get("timeline", [])
+    timeline = Timeline(
+        **{
+            f"{kind}s": tuple(Instant(h["at_s"], h["text"]) for h in happened if h["kind"] == kind)
+            for kind in ("keyframe", "anchor", "event")
+        },
+        holds_s=tuple((h["at_s"], h["at_s"] + h["hold_s"]) for h in happened if h["hold_s"] > 0.0),
+    )
     row_in = max(ROW_HEIGHT_MIN_IN, min(ROW_HEIGHT_IN, 16.0 / len(joints)))
-    figure = new_figure(path, WIDTH_IN, 3.6 + row_in * len(joints))
-    halves = figure.subfigures(2, 1, squeeze=False, height_ratios=[row_in * len(joints) + 0.8, 2.8])
+    width_in = WIDE_IN if report["played_s"] > LONG_S else WIDTH_IN
+    top_in = TIMELINE_ROW_IN * timeline.rows + 0.2
+    above_in = row_in * len(joints) + top_in + 0.8
+    figure = new_figure(path, width_in, above_in + 2.8)
+    halves = figure.subfigures(2, 1, squeeze=False, height_ratios=[above_in, 2.8])
     above, below = halves[:, 0]
-    axes = above.subplots(len(joints), 2, sharex=True, squeeze=False, width_ratios=[2.0, 1.0])
-    for row, (name, joint) in zip(axes, joints.items(), strict=True):
+    axes = above.subplots(
+        len(joints) + 1,
+        2,
+        sharex=True,
+        squeeze=False,
+        width_ratios=[2.0, 1.0],
+        height_ratios=[top_in, *([row_in] * len(joints))],
+    )
+    _show_limits(axes[0][0], joints)
+    for axis in axes[0]:
+        axis.axis("off")
+    if timeline.rows:
+        axes[0][0].axis("on")
+        timeline.draw(axes[0][0], ANGLE_SHARE * width_in)
+    for row, (name, joint) in zip(axes[1:], joints.items(), strict=True):
         _joint(row, name, joint)
-    axes[0][0].set_title("angle, deg: planned and measured", fontsize=10, loc="left")
-    axes[0][1].set_title("measured - planned, deg", fontsize=10, loc="left")
+        for axis in row:
+            timeline.draw_lines(axis)
+    axes[1][0].set_title("angle, deg: plan (line) and readings (dots)", fontsize=10, loc="left")
+    axes[1][1].set_title("reading - plan, deg", fontsize=10, loc="left")
     for axis in axes[-1]:
         axis.set_xlabel("s since the start of the show", fontsize=8)
+    if timeline.rows:
+        above.legend(
+            handles=timeline.handles(), loc="upper right", ncols=4, fontsize=8, frameon=False
+        )
     late, lines = below.subplots(1, 2, width_ratios=[2.0, 1.0])
     _lateness(late, report["timing"])
     _lines(lines, report["buses"])
@@ -233,23 +274,44 @@ def plot_report(report: dict[str, Any], path: Path) -> None:
     save(figure, path)
 
 
+def _show_limits(axis: Any, joints: dict[str, Any]) -> None:  # noqa: ANN401  (axes)
+    """Set the times that are drawn: those of all readings."""
+    first_s = min(joint["trace"]["at_s"][0] for joint in joints.values())
+    last_s = max(joint["trace"]["at_s"][-1] for joint in joints.values())
+    room_s = 0.01 * max(last_s - first_s, 0.1)
+    axis.set_xlim(first_s - room_s, last_s + room_s)
+
+
 def _joint(row: Any, name: str, joint: dict[str, Any]) -> None:  # noqa: ANN401  (axes)
+    """Draw the plan as a line and readings as dots, and beside it their difference.
+
+    A report of an earlier version has no plan: then the line joins what was planned at readings.
+    """
+    import numpy as np
+
+    from lss_motion.picture import draw_curve
+
     angle, error = row
-    trace = joint["trace"]
+    trace, plan = joint["trace"], joint.get("plan", {"at_s": [], "deg": []})
     off_deg = [
         measured - planned
         for planned, measured in zip(trace["planned_deg"], trace["measured_deg"], strict=True)
     ]
-    angle.plot(trace["at_s"], trace["planned_deg"], color=PLANNED, linewidth=1.2)
-    angle.plot(trace["at_s"], trace["measured_deg"], ".", color=MEASURED, markersize=2.0)
+    angle.plot(trace["at_s"], trace["measured_deg"], ".", color=MEASURED, markersize=2.4)
+    line = plan if plan["at_s"] else {"at_s": trace["at_s"], "deg": trace["planned_deg"]}
+    angle.plot(line["at_s"], line["deg"], color=PLANNED, linewidth=0.9)
     angle.set_ylabel(name, fontsize=8)
     error.axhline(0.0, color=BAR, linewidth=0.6)
-    error.plot(trace["at_s"], off_deg, color=ERROR, linewidth=0.7)
+    draw_curve(error, np.array(trace["at_s"]), np.array(off_deg), ERROR)
     text = f"RMS {joint['error_rms_deg']:.2f}, max {joint['error_max_deg']:.2f}"
-    error.text(0.99, 0.95, text, transform=error.transAxes, fontsize=7, ha="right", va="top")
+    error.text(
+        0.99, 0.95, text, transform=error.transAxes, fontsize=7, ha="right", va="top", bbox=BOX
+    )
     for axis in row:
         axis.tick_params(labelsize=7)
         axis.grid(visible=True, linewidth=0.3)
+        for side in ("top", "right"):
+            axis.spines[side].set_visible(False)
 
 
 def _lateness(axis: Any, timing: dict[str, Any]) -> None:  # noqa: ANN401  (axes)

@@ -21,6 +21,9 @@ KEPT_NS: Final = 20 * NS_PER_S
 """Legs that ended longer ago are forgotten. Chosen: longer than any answer, stall or wait that is
 judged by a past show time."""
 
+PAST_MAX: Final = 4000
+"""Ends of forgotten legs that are kept for the report. Chosen: more than a picture has pixels."""
+
 
 class Leg(NamedTuple):
     """Where a leader is: at `show_s` at the run instant `instant_ns`, with this rate."""
@@ -42,6 +45,8 @@ class ShowClock:
     def __init__(self, start_ns: int, start_s: float, rate: float) -> None:
         self.trim_ratio = 0.0
         """By how much the clock is faster than its rate, to follow a leader."""
+        self._past: list[tuple[int, float]] = []
+        """Ends of forgotten legs, for reports."""
         self._legs: list[ClockLeg] = []
         self._begin(start_ns, start_s, rate, rate)
 
@@ -124,13 +129,27 @@ class ShowClock:
             if end_ns > ramp_end_ns:
                 yield end_ns, leg.show_s(end_ns)
 
+    def course(self, until_ns: int, step_ns: int) -> Iterator[tuple[int, float]]:
+        """Yield `(instant, show time)` as `knots`, from the start of the show on.
+
+        What is longer ago than legs are kept is coarser: its ramps are straight, and after
+        thousands of changes every other one is left out.
+        """
+        yield from self._past
+        yield from self.knots(self._legs[0].start_ns, until_ns, step_ns)
+
     def _begin(
         self, start_ns: int, start_s: float, from_rate: float, to_rate: float, ramp_ns: int = 0
     ) -> None:
         leg = ClockLeg(start_ns, start_s, from_rate, to_rate, ramp_ns, self.trim_ratio)
         self._legs.append(leg)
         while len(self._legs) > 1 and self._legs[1].start_ns < start_ns - KEPT_NS:
-            del self._legs[0]
+            past = self._legs.pop(0)
+            self._past.append((past.start_ns, past.start_s))
+            if past.ramp_ns:
+                self._past.append((past.ramp_end_ns, past.show_s(past.ramp_end_ns)))
+            if len(self._past) > PAST_MAX:
+                del self._past[1::2]
         self.target_rate = to_rate
         self.ramp_end_ns = leg.ramp_end_ns
         """When the rate is, or was, steady again."""

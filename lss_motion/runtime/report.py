@@ -7,20 +7,26 @@ order; a change of a name or of a meaning needs another `SCHEMA_VERSION`.
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import re
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+import numpy as np
 
 from lss_motion.files.output import write_output
 from lss_motion.files.source import counted
 from lss_motion.player.joint_state import Statistics
+from lss_motion.splines import polyline
 from lss_motion.units import LINE_BITS_PER_BYTE, s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
     from lss_motion.player.events import Faulted
     from lss_motion.player.joint_state import JointState
@@ -29,7 +35,21 @@ if TYPE_CHECKING:
     from lss_motion.runtime.sound_choice import SoundReport
     from lss_motion.trajectory.model import GivenUp, SlowSpan
 
+    Item = TypeVar("Item")
+    FloatArray = NDArray[np.float64]
+
 SCHEMA_VERSION: Final = 1
+PLAN_TOLERANCE_DEG: Final = 0.1
+"""The plan in a report is a line so close to it: the unit of most servos."""
+
+PLAN_STEP_S: Final = 0.01
+PLAN_STEP_NS: Final = 10_000_000
+PLAN_SAMPLES_MAX: Final = 200_000
+"""Samples of the plan before it is a line; half an hour at full resolution."""
+
+HAPPENED_MAX: Final = 10_000
+"""Keyframes and events of a report, each: as many as a file may have."""
+
 _NUMBERS: Final = re.compile(r"\[([-\d.,e\s]+)\]")
 
 
@@ -73,6 +93,28 @@ class TraceReport:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PlanReport:
+    """The plan of a joint: straight between these, within `PLAN_TOLERANCE_DEG`; as `TraceReport`.
+
+    Pauses and other speeds are in it: it is where the joint should have been in this run.
+    """
+
+    at_s: tuple[float, ...] = ()
+    deg: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class HappenedReport:
+    """A keyframe or an event that the run came to, in seconds since its start."""
+
+    kind: str
+    """`keyframe`, `anchor` or `event`."""
+    at_s: float
+    hold_s: float
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class JointReport:
     """How one joint followed the plan, as measured by its servo."""
 
@@ -90,6 +132,7 @@ class JointReport:
     voltage_min_v: float | None
     current_max_a: float | None
     trace: TraceReport
+    plan: PlanReport = PlanReport()
     horn_error_rms_deg: float | None = None
     """Distance of the simulated horn from the plan. None, and not in the JSON, where unknown."""
     horn_error_max_deg: float | None = None
@@ -116,6 +159,8 @@ class Report:
     buses: Mapping[str, BusReport]
     joints: Mapping[str, JointReport]
     """Empty when the run ended before the show started."""
+    timeline: tuple[HappenedReport, ...]
+    """Keyframes, holds, anchors and events, in order of time."""
     stretched: tuple[SlowSpan, ...]
     given_up: tuple[GivenUp, ...]
     faults: tuple[Faulted, ...]
@@ -162,6 +207,7 @@ def make_report(
     """
     program, show = player.program, player.show
     statistics = show.statistics if show is not None else Statistics()
+    played = _Played.of(player)
     errors_deg = horn_error_deg or {}
     return Report(
         sequence=program.name,
@@ -177,9 +223,10 @@ def make_report(
         ),
         buses={name: _bus(player, name, run_s) for name in player.lines},
         joints={
-            name: _joint(track, program, errors_deg.get(name))
+            name: _joint(track, program, errors_deg.get(name), played)
             for name, track in (show.joint_states if show is not None else {}).items()
         },
+        timeline=() if played is None else tuple(played.timeline(program)),
         stretched=tuple(program.stretched),
         given_up=tuple(program.given_up),
         faults=tuple(player.faults),
@@ -213,7 +260,10 @@ def _bus(player: Player, name: str, run_s: float) -> BusReport:
 
 
 def _joint(
-    track: JointState, program: Program, horn_error_deg: tuple[float, float] | None
+    track: JointState,
+    program: Program,
+    horn_error_deg: tuple[float, float] | None,
+    played: _Played | None,
 ) -> JointReport:
     following = track.disturbance
     predicted_deg = program.error_max_deg.get(track.joint.name)
@@ -230,9 +280,71 @@ def _joint(
         voltage_min_v=track.voltage_min_v,
         current_max_a=track.current_max_a,
         trace=_trace(track),
+        plan=PlanReport() if played is None else played.plan(track, program),
         horn_error_rms_deg=None if rms_deg is None else round(rms_deg, 3),
         horn_error_max_deg=None if max_deg is None else round(max_deg, 3),
     )
+
+
+class _Played:
+    """The show time over the time of a run: `run_s` counts from the start of the show."""
+
+    def __init__(self, run_s: FloatArray, show_s: FloatArray) -> None:
+        self._run_s, self._show_s = run_s, show_s
+
+    @classmethod
+    def of(cls, player: Player) -> _Played | None:
+        """Return it for a run that came to its show, else None."""
+        if player.show is None or player.show_ended_ns is None:
+            return None
+        knots = list(player.show.clock.course(player.show_ended_ns, PLAN_STEP_NS))
+        origin_s = next((state.origin_s for state in player.show.joint_states.values()), 0.0)
+        run_s = np.array([s_from_ns(instant_ns) for instant_ns, _ in knots]) - origin_s
+        show_s = np.array([show_s for _, show_s in knots])
+        return cls(run_s, show_s) if len(run_s) and run_s[-1] > run_s[0] else None
+
+    def plan(self, track: JointState, program: Program) -> PlanReport:
+        """Return where the horn of a joint should have been; later than its moves by the lead."""
+        first_s, last_s = float(self._run_s[0]), float(self._run_s[-1])
+        count = min(PLAN_SAMPLES_MAX, math.ceil((last_s - first_s) / PLAN_STEP_S) + 2)
+        run_s = np.linspace(first_s, last_s, count)
+        show_s = np.interp(run_s, self._run_s, self._show_s) - track.lead_s
+        if program.repeat is not None:
+            show_s = np.array([program.within(at_s) for at_s in show_s.tolist()])
+        is_known = show_s >= track.plan.table[0][0]  # A walk forgets what is over.
+        run_s, show_s = run_s[is_known | (show_s < 0.0)], show_s[is_known | (show_s < 0.0)]
+        if len(run_s) < 2:
+            return PlanReport()
+        servo_deg = track.plan.sample(show_s)
+        deg = track.joint.direction * (servo_deg - track.joint.zero_deg)
+        kept = polyline(run_s, deg, PLAN_TOLERANCE_DEG)
+        return PlanReport(
+            at_s=tuple(np.round(run_s[kept], 3).tolist()),
+            deg=tuple(np.round(deg[kept], 3).tolist()),
+        )
+
+    def timeline(self, program: Program) -> Iterator[HappenedReport]:
+        """Yield the keyframes and events of every pass until the end of the run."""
+        last_s = float(self._show_s[-1])
+
+        def until_end(items: Iterator[tuple[float, Item]]) -> Iterator[tuple[float, Item]]:
+            return itertools.takewhile(
+                lambda pair: pair[0] <= last_s, itertools.islice(items, HAPPENED_MAX)
+            )
+
+        found = [
+            (at_s, "anchor" if mark.is_anchor else "keyframe", mark.held_s, mark.label)
+            for at_s, mark in until_end(program.unrolled_marks())
+        ]
+        found += [
+            (at_s + cue.lead_s, "event", 0.0, cue.text)
+            for at_s, cue in until_end(program.unrolled_cues())
+        ]
+        for show_s, kind, hold_s, text in sorted(found, key=lambda one: one[0]):
+            run_s = float(np.interp(show_s, self._show_s, self._run_s))
+            yield HappenedReport(
+                kind=kind, at_s=round(run_s, 3), hold_s=round(hold_s, 3), text=text
+            )
 
 
 def _trace(track: JointState) -> TraceReport:

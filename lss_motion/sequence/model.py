@@ -125,6 +125,13 @@ class Cue:
     line: int | None = field(default=None, compare=False)
 
     @property
+    def text(self) -> str:
+        """What it does, in a few words."""
+        if self.led:
+            return ", ".join(name for name, _ in self.led)
+        return self.say or self.run or self.sound.replace("\\", "/").rsplit("/", maxsplit=1)[-1]
+
+    @property
     def start_s(self) -> float:
         """When it must be started."""
         return self.at_s - self.lead_s

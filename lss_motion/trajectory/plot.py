@@ -1,4 +1,7 @@
-"""A picture of a trajectory: angle, speed and acceleration of every joint, with their limits."""
+"""A picture of a trajectory: angle, speed and acceleration of every joint, with their limits.
+
+Above them stands what happens in the show: keyframes, holds, anchors and events.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from lss_motion.picture import new_figure, save
+from lss_motion.picture import (
+    Instant,
+    Timeline,
+    draw_curve,
+    new_figure,
+    save,
+    with_room,
+)
+from lss_motion.trajectory.cues import all_cues, all_marks
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -18,8 +29,11 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-SAMPLES_MAX: Final = 20_000
-"""Samples of each curve. Chosen: several for every pixel of a wide picture."""
+SAMPLES_MAX: Final = 120_000
+"""Samples of each curve. Chosen: 5 ms apart in a show of ten minutes, so that no peak is missed."""
+
+LONG_S: Final = 60.0
+"""A longer show has a wider picture, most of it for the angles."""
 
 PASSES_SHOWN: Final = 3
 """Passes that are shown of a loop without end."""
@@ -28,15 +42,19 @@ ROW_HEIGHT_IN: Final = 1.5
 """Height of a joint's row; many joints get lower rows, down to `ROW_HEIGHT_MIN_IN`."""
 
 ROW_HEIGHT_MIN_IN: Final = 0.95
-WIDTH_IN: Final = 15.0
+WIDTH_IN: Final = 16.0
+WIDE_IN: Final = 26.0
+TIMELINE_ROW_IN: Final = 0.3
+ANGLE_SHARE: Final = 0.9
+"""Of the width of a column, what the labels of its axes leave."""
 ANNOTATED_MIN_S: Final = 0.01
 """A span that is slowed by less is shaded but not annotated."""
 
-LABELS_MAX: Final = 24
-"""More keyframe labels than this would overlap; then only the lines are drawn."""
+SPAN_SHARE_MIN: Final = 0.001
+"""Least width of a shaded span: a pixel or two."""
 
-PLANNED, HORN, LIMIT, LATE, MARK = "#1f5fa8", "#e0701a", "#c0392b", "#f6c344", "#9aa5b1"
-"""Colours: the plan, measured horn angles, limits, slowed spans, keyframes."""
+PLANNED, HORN, LIMIT, LATE = "#1f5fa8", "#e0701a", "#c0392b", "#f6c344"
+"""Colours: the plan, measured horn angles, limits, slowed spans."""
 
 ASKED: Final = "#3f9b5b"
 """Colour of the angles that the author asks for, where the plan gives up angle."""
@@ -56,43 +74,63 @@ def plot(
     Raises `InputError` for a suffix that cannot be drawn or a file that cannot be written.
     """
     count = len(trajectory.joints)
+    end_s = _shown_s(trajectory)
+    timeline = timeline_of(trajectory, end_s)
     row_in = max(ROW_HEIGHT_MIN_IN, min(ROW_HEIGHT_IN, 16.0 / count))
-    figure = new_figure(path, WIDTH_IN, 1.3 + row_in * max(count, 2))
-    axes = figure.subplots(count, 3, sharex=True, squeeze=False)
-    times_s, curves = _curves(trajectory)
+    top_in = TIMELINE_ROW_IN * timeline.rows + 0.2
+    width_in, share = (WIDE_IN, 2.4) if end_s > LONG_S else (WIDTH_IN, 1.6)
+    angle_in = ANGLE_SHARE * width_in * share / (share + 2.0)
+    figure = new_figure(path, width_in, 1.2 + top_in + row_in * max(count, 2))
+    axes = figure.subplots(
+        count + 1,
+        3,
+        sharex=True,
+        squeeze=False,
+        height_ratios=[top_in, *([row_in] * count)],
+        width_ratios=[share, 1.0, 1.0],
+    )
+    axes[0][0].set_xlim(-0.01 * end_s, 1.01 * end_s)
+    for axis in axes[0]:
+        axis.axis("off")
+    if timeline.rows:
+        axes[0][0].axis("on")
+        timeline.draw(axes[0][0], angle_in)
+    times_s, curves = _curves(trajectory, end_s)
     for row, name in enumerate(trajectory.joints):
         values = [curve[:, row] for curve in curves]
         own_horn = None if horn is None else (horn[0], horn[1][:, row])
-        _row(axes[row], robot.joints[name], times_s, values, own_horn)
-        _asked(axes[row][0], trajectory, name)
-    for axis in axes.flat:
-        _spans(axis, trajectory)
+        _row(axes[row + 1], robot.joints[name], times_s, values, own_horn)
+        _asked(axes[row + 1][0], trajectory, name)
+        for axis in axes[row + 1]:
+            timeline.draw_lines(axis)
+            _spans(axis, trajectory, end_s)
+        _notes(axes[row + 1][0], trajectory, name, (end_s / angle_in, end_s))
     for axis, title in zip(
-        axes[0], ("angle, deg", "speed, deg/s", "acceleration, deg/s²"), strict=True
+        axes[1], ("angle, deg", "speed, deg/s", "acceleration, deg/s²"), strict=True
     ):
-        axis.set_title(title, fontsize=10, loc="left", pad=22 if _labels(trajectory) else 6)
+        axis.set_title(title, fontsize=10, loc="left")
     for axis in axes[-1]:
         axis.set_xlabel("s", fontsize=8)
-    for mark in _labels(trajectory):
-        axes[0][0].annotate(
-            mark[1],
-            (mark[0], 1.0),
-            xycoords=("data", "axes fraction"),
-            rotation=35,
-            fontsize=7,
-            color="#4a5560",
-            xytext=(0, 2),
-            textcoords="offset points",
-        )
     figure.suptitle(_headline(trajectory), fontsize=11, x=0.01, ha="left")
     figure.legend(
-        handles=_legend(trajectory, has_horn=horn is not None),
+        handles=_legend(trajectory, timeline, has_horn=horn is not None),
         loc="upper right",
-        ncols=6,
+        ncols=9,
         fontsize=8,
         frameon=False,
     )
     save(figure, path)
+
+
+def timeline_of(trajectory: Trajectory, end_s: float) -> Timeline:
+    """Return keyframes, anchors, holds and events of every pass until `end_s`."""
+    marks = all_marks(trajectory, end_s)
+    return Timeline(
+        keyframes=tuple(Instant(m.planned_s, m.label) for m in marks if not m.is_anchor),
+        anchors=tuple(Instant(m.planned_s, m.label) for m in marks if m.is_anchor),
+        holds_s=tuple((m.planned_s, m.planned_s + m.held_s) for m in marks if m.held_s > 0.0),
+        events=tuple(Instant(cue.at_s, cue.text) for cue in all_cues(trajectory, end_s)),
+    )
 
 
 def _shown_s(trajectory: Trajectory) -> float:
@@ -101,10 +139,10 @@ def _shown_s(trajectory: Trajectory) -> float:
     return trajectory.duration_s
 
 
-def _curves(trajectory: Trajectory) -> tuple[FloatArray, list[FloatArray]]:
+def _curves(trajectory: Trajectory, end_s: float) -> tuple[FloatArray, list[FloatArray]]:
     """Return instants, and angle, speed and acceleration there."""
-    end_s = _shown_s(trajectory)
-    times_s = np.linspace(0.0, end_s, int(min(SAMPLES_MAX, max(2, end_s * 500.0))))
+    count = int(min(SAMPLES_MAX, max(2, end_s * 500.0)))
+    times_s = np.linspace(0.0, end_s, count)
     return times_s, [trajectory.sample(times_s, order) for order in (0, 1, 2)]
 
 
@@ -118,10 +156,10 @@ def _row(
     speed, accel = joint.speed_max_deg_s, joint.accel_max_deg_s2
     bounds = ((joint.position_min_deg, joint.position_max_deg), (-speed, speed), (-accel, accel))
     for axis, value, (low, high) in zip(axes, values, bounds, strict=True):
-        axis.plot(times_s, value, color=PLANNED, linewidth=1.2)
+        draw_curve(axis, times_s, value, PLANNED)
         axis.grid(visible=True, color="#e6e9ec", linewidth=0.6)
         axis.tick_params(labelsize=7)
-        axis.margins(x=0.01, y=0.12)
+        axis.margins(y=0.12)
         for side in ("top", "right"):
             axis.spines[side].set_visible(False)
         for limit in (low, high):
@@ -130,7 +168,7 @@ def _row(
             if axis is not axes[0] or shown[0] <= limit <= shown[1]:
                 axis.axhline(limit, color=LIMIT, linewidth=0.8, linestyle=(0, (5, 3)))
     if horn is not None:
-        axes[0].plot(*horn, color=HORN, linewidth=1.0, alpha=0.9)
+        draw_curve(axes[0], *horn, HORN)
     axes[0].set_ylabel(joint.name, fontsize=9, fontweight="bold")
 
 
@@ -142,27 +180,39 @@ def _asked(axis: Any, trajectory: Trajectory, joint: str) -> None:  # noqa: ANN4
             axis.plot(times_s, span.deg, color=ASKED, linewidth=0.9, linestyle=(0, (3, 1.5)))
 
 
-def _spans(axis: Any, trajectory: Trajectory) -> None:  # noqa: ANN401  matplotlib is untyped here
-    for mark in trajectory.marks:
-        axis.axvline(mark.planned_s, color=MARK, linewidth=1.1 if mark.is_anchor else 0.5)
-    for stretch in trajectory.stretched:
-        axis.axvspan(stretch.from_s, stretch.to_s, color=LATE, alpha=0.3, linewidth=0)
-        is_own = axis.get_ylabel() == stretch.joint
-        if is_own and stretch.by_s >= ANNOTATED_MIN_S:
-            axis.annotate(
-                f"+{stretch.by_s:.2f} s: {stretch.limit}",
-                (stretch.from_s, 0.03),
-                xycoords=("data", "axes fraction"),
-                fontsize=7,
-                color="#8a5a00",
-                xytext=(2, 0),
-                textcoords="offset points",
-            )
+def _spans(axis: Any, trajectory: Trajectory, end_s: float) -> None:  # noqa: ANN401  as above
+    """Shade the spans that are slowed; in a long show they are drawn wide enough to be seen."""
+    axis.broken_barh(
+        [
+            (span.from_s, max(span.to_s - span.from_s, SPAN_SHARE_MIN * end_s))
+            for span in trajectory.stretched
+        ],
+        (0.0, 1.0),
+        transform=axis.get_xaxis_transform(),
+        color=LATE,
+        alpha=0.3,
+        linewidth=0,
+        zorder=0.4,
+    )
 
 
-def _labels(trajectory: Trajectory) -> list[tuple[float, str]]:
-    found = [(mark.planned_s, mark.label) for mark in trajectory.marks if mark.label]
-    return found if len(found) <= LABELS_MAX else []
+def _notes(axis: Any, trajectory: Trajectory, joint: str, room_s: tuple[float, float]) -> None:  # noqa: ANN401
+    """Say by how much spans are slowed because of the joint, as far as there is room."""
+    notes = [
+        Instant(span.from_s, f"+{span.by_s:.2f} s: {span.limit}")
+        for span in trajectory.stretched
+        if span.joint == joint and span.by_s >= ANNOTATED_MIN_S
+    ]
+    for note in with_room(notes, *room_s):
+        axis.annotate(
+            note.text,
+            (note.at_s, 0.03),
+            xycoords=("data", "axes fraction"),
+            fontsize=7,
+            color="#8a5a00",
+            xytext=(2, 0),
+            textcoords="offset points",
+        )
 
 
 def _headline(trajectory: Trajectory) -> str:
@@ -174,7 +224,7 @@ def _headline(trajectory: Trajectory) -> str:
     return f"{trajectory.name}: {length}{late}{given_up}"
 
 
-def _legend(trajectory: Trajectory, *, has_horn: bool) -> list[Any]:
+def _legend(trajectory: Trajectory, timeline: Timeline, *, has_horn: bool) -> list[Any]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -184,7 +234,7 @@ def _legend(trajectory: Trajectory, *, has_horn: bool) -> list[Any]:
     if trajectory.asked:
         handles.append(Line2D([], [], color=ASKED, linestyle="--", label="asked"))
     handles.append(Line2D([], [], color=LIMIT, linestyle="--", label="limit"))
-    handles.append(Line2D([], [], color=MARK, label="keyframe"))
+    handles += timeline.handles()
     if trajectory.stretched:
         handles.append(Patch(color=LATE, alpha=0.3, label="stretched"))
     return handles

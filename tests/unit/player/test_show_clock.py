@@ -183,3 +183,19 @@ def test_a_clock_that_stands_or_ramps_is_not_trimmed_and_keeps_its_trim_over_a_p
     gained_s = clock.show_s(at_ns + 100 * S) - clock.show_s(at_ns) - 100.0
     assert gained_s == pytest.approx(0.02, rel=0.1)
     assert clock.instant_ns(clock.show_s(at_ns + S)) == pytest.approx(at_ns + S, abs=10)
+
+
+def test_the_whole_course_of_a_show_is_known_although_legs_are_forgotten():
+    clock = ShowClock(START_NS, 0.0, 1.0)
+    wanted = []
+    for minute in range(1, 60):
+        now_ns = START_NS + 60 * minute * S
+        wanted.append((now_ns, clock.show_s(now_ns)))
+        clock.ramp_to(1.0 if minute % 2 else 0.5, now_ns, 0.5)
+    until_ns = START_NS + 3600 * S
+    at_ns, show_s = zip(*clock.course(until_ns, 10_000_000), strict=True)
+    assert at_ns[0] == START_NS
+    assert at_ns[-1] == until_ns
+    assert (np.diff(at_ns) >= 0).all()
+    for instant_ns, known_s in wanted:
+        assert np.interp(instant_ns, at_ns, show_s) == pytest.approx(known_s, abs=1e-6)

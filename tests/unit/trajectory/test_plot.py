@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.sequence.model import Sequence
+from lss_motion.picture import envelope
+from lss_motion.sequence.model import Cue, Sequence
 from lss_motion.trajectory.planner import plan
 from lss_motion.trajectory.plot import ASKED, plot
 
@@ -76,3 +77,46 @@ def test_an_unknown_suffix_is_refused_with_the_supported_ones(trajectory, make_r
 def test_a_folder_that_does_not_exist_is_an_input_error(trajectory, make_robot, tmp_path):
     with pytest.raises(InputError, match="cannot be written"):
         plot(trajectory, make_robot(), tmp_path / "no" / "plan.png")
+
+
+def test_a_long_show_is_drawn_from_few_shapes_and_names_what_happens(
+    make_robot, frame, tmp_path, monkeypatch
+):
+    import matplotlib as mpl
+    from matplotlib.axes import Axes
+
+    shapes = []
+    for kind in ("plot", "vlines", "fill_between", "broken_barh", "axvspan", "text"):
+        usual = getattr(Axes, kind)
+
+        def counted(self, *given, _usual=usual, _kind=kind, **more):
+            shapes.append(_kind)
+            return _usual(self, *given, **more)
+
+        monkeypatch.setattr(Axes, kind, counted)
+    monkeypatch.setitem(mpl.rcParams, "svg.fonttype", "none")
+    frames = [frame(0.5 * k, base=5.0 * (k % 2), label=f"beat {k}") for k in range(1200)]
+    frames[800] = frame(400.0, base=0.0, hold_s=0.2, anchor=True, label="the finale")
+    cues = (Cue(at_s=30.0, say="hello there"), Cue(at_s=599.0, sound="a/drum.wav"))
+    show = Sequence(name="s", keyframes=tuple(frames), events=cues)
+    plot(plan(show, make_robot(1)), make_robot(1), tmp_path / "a.svg")
+    text = (tmp_path / "a.svg").read_text()
+    for word in ("keyframes (1199)", "anchors (1)", "events (2)", "the finale", "hello there"):
+        assert word in text
+    assert 10 < text.count("beat ") < 120  # Texts only where there is room.
+    assert shapes.count("vlines") <= 9
+    assert shapes.count("fill_between") == 3
+    assert len(shapes) < 200
+
+
+def test_the_envelope_of_a_curve_holds_its_extremes():
+    times_s = np.linspace(0.0, 600.0, 120_000)
+    values = np.sin(times_s)
+    values[70_001] = 9.0
+    at_s, low, high = envelope(times_s, values, 1000)
+    assert len(at_s) == 1000
+    assert high.max() == 9.0
+    assert at_s[int(high.argmax())] == pytest.approx(times_s[70_001], abs=0.6)
+    assert low.min() == pytest.approx(-1.0, abs=1e-3)
+    assert (low[1:] <= high[:-1]).all()
+    assert (high[1:] >= low[:-1]).all()
