@@ -114,8 +114,8 @@ def perform(  # noqa: PLR0913  (the options of one run)
             for text in refused:
                 on_event(Warned(text))
             tap = None if observer.make_tap is None else observer.make_tap(started_ns)
-            if desk is not None and tap is not None:
-                desk.note_to(tap.requested)
+            if desk is not None:
+                desk.note_to(on_event, None if tap is None else tap.requested)
             run(
                 player,
                 _reopening(connection, player, tap),

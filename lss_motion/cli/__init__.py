@@ -43,6 +43,7 @@ careful         the careful run before a show, and what is learnt in it; `play`
 dialog          the question before a real robot moves, and a line an event; `play`, `walk`
 display         the live display, a process of its own; `play`, `walk`
 hands           a run with limp joints: keys and screen; `record`, `jog`, `calibrate`
+sounds          the offset of sounds that is kept, sounds that were silent; `play`
 survey          finds the servos of a bus; `scan`, `monitor`, `configure`
 servo_settings  reads and writes settings over an open connection; `configure`
 ==============  =================================================================================

@@ -16,6 +16,7 @@ from lss_motion.player.events import (
     CueReached,
     Faulted,
     MarkPassed,
+    Noted,
     Phase,
     PhaseEntered,
     Waited,
@@ -143,6 +144,8 @@ def print_event(event: Event, print_line: Callable[[str], None]) -> None:
             print_line(f"{show_s:7.2f} s {_cue_text(cue)}")
         case Waited(text, state):
             print_line(WAIT_TEXTS[state].format(text))
+        case Noted(text):
+            print_line(f"        {text}")
         case Warned(text):
             print_line(f"warning: {text}")
         case Faulted(step=step):

@@ -27,6 +27,7 @@ from lss_motion.cli.commands import (
 from lss_motion.cli.consent import ALLOW_HELP, may_call
 from lss_motion.cli.dialog import YES_HELP, Confirmation, must_ask, print_event, simulated_text
 from lss_motion.cli.messages import Printer, discard, ended_by, failures, guarded, put
+from lss_motion.cli.sounds import offset_lines, unplayed_lines, with_kept_offset
 from lss_motion.errors import (
     EXIT_FINISHED,
     EXIT_INPUT,
@@ -63,9 +64,9 @@ A real robot is checked first. You see what was found, and nothing moves before 
 show was played to its end with its robot file, the question offers a careful run, too (key c).
 
 Keys while it plays: space pauses, - slows down, + goes up to full speed, which is the speed of the
-plan; , and . make the sounds earlier and later; q or Ctrl-C stops, and the servos hold. A signal or
-a closed terminal stops in the same way. A second Ctrl-C stops at once; the servos then keep the
-settings of the show until they are switched off.
+plan; , and . make the sounds earlier and later, and k keeps that for this robot; q or Ctrl-C stops,
+and the servos hold. A signal or a closed terminal stops in the same way. A second Ctrl-C stops at
+once; the servos then keep the settings of the show until they are switched off.
 
 Exit codes: 0 played to the end; 2 a file or an argument is wrong, or the show was played and a log,
 report or truth could not be written; 3 no plan is possible, or the bus is too slow for it; 4 port
@@ -242,18 +243,24 @@ def _play(
         problems: list[str] = []
         offer = "" if rate is not None or not is_asked else learning.offer
         result, is_careful = _perform(
-            arguments, show, robot, print_line, terminal, problems, is_asked=is_asked, offer=offer
+            arguments,
+            show,
+            with_kept_offset(robot),
+            print_line,
+            terminal,
+            problems,
+            is_asked=is_asked,
+            offer=offer,
         )
         if is_careful:
             return None
         problems += _write_results(arguments, result)
         if result.report.outcome == "finished":
             learning.note_completed()
-        for text in [*problems, *_unplayed(result)]:
+        for text in [*problems, *unplayed_lines(result.report.sound)]:
             put(f"lss-play: {text}", sys.stderr)
-        if sound.shift_s:
-            offset_s = robot.sound_offset_s + sound.shift_s
-            print_line(f"to keep the sounds there: sound_offset_s: {offset_s:g} in the robot file")
+        for line in offset_lines(robot, sound):
+            print_line(line)
         if result.error is not None:
             raise _explained(result.error, result)
         for line in report_lines(result.report.to_dict()):
@@ -381,14 +388,6 @@ def _write_results(arguments: argparse.Namespace, result: Result) -> list[str]:
     if arguments.truth is not None and result.truth is not None:
         problems += failures(write_truth, result.truth, arguments.truth)
     return problems
-
-
-def _unplayed(result: Result) -> list[str]:
-    """Return which sounds were not played, although the show was."""
-    sound = result.report.sound
-    if sound is None or not sound.not_played:
-        return []
-    return [f"not played: {', '.join(sound.not_played)}"]
 
 
 def _explained(error: LssMotionError, result: Result) -> LssMotionError:

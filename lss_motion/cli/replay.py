@@ -199,7 +199,7 @@ def _made(node: ast.expr) -> Any:  # noqa: ANN401  (an event, or a part of one)
 def _kinds() -> dict[str, Callable[..., Any]]:
     """Return the types that a log may hold, by name."""
     from lss_motion.robot.on_fault import Cause, FaultStep
-    from lss_motion.sequence.model import Cue
+    from lss_motion.sequence.model import Cue, SoundStyle
 
     kinds: tuple[type, ...] = (
         events.Checked,
@@ -207,6 +207,7 @@ def _kinds() -> dict[str, Callable[..., Any]]:
         events.Faulted,
         events.Found,
         events.MarkPassed,
+        events.Noted,
         events.PhaseEntered,
         events.Waited,
         events.Warned,
@@ -214,5 +215,6 @@ def _kinds() -> dict[str, Callable[..., Any]]:
         Cause,
         Cue,
         FaultStep,
+        SoundStyle,
     )
     return {kind.__name__: kind for kind in kinds}

@@ -195,6 +195,8 @@ class Terminal(Inputs):
                     driven.set_rate(self._rate, now_ns)
             case "," | "." if self.sound is not None:
                 self.sound.shift(OFFSET_STEP_S if key == "." else -OFFSET_STEP_S)
+            case "k" | "K" if self.sound is not None:
+                self.sound.is_kept = True
             case "q" | "Q":
                 driven.stop(now_ns)
             case _:

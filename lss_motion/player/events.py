@@ -45,6 +45,13 @@ class Warned:
 
 
 @dataclass(frozen=True, slots=True)
+class Noted:
+    """Something that a person has asked for, as it is now."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class MarkPassed:
     """The show has reached a keyframe."""
 
@@ -110,4 +117,4 @@ class Checked:
     """What a person may want to mend."""
 
 
-Event = PhaseEntered | Warned | MarkPassed | CueReached | Waited | Faulted | Checked
+Event = PhaseEntered | Warned | Noted | MarkPassed | CueReached | Waited | Faulted | Checked

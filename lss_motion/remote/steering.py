@@ -324,6 +324,8 @@ def message_of(event: events.Event) -> m.Message | None:
             return m.MarkPassed(label=event.label, at_s=event.show_s) if event.label else None
         case events.CueReached():
             return _cue_message(event)
+        case events.Noted():
+            return None
         case events.Waited():
             return m.Waited(text=event.text, state=event.state)
         case events.Faulted():

@@ -42,6 +42,7 @@ ABOUT: Final = """\
 #                  its entry no longer counts
 #   careful_run    day of the last careful run, with the direction and the scale (the units) of the
 #                  servo as expected, its lag in seconds, and its speed in units of the expected one
+#   sound_offset_s sounds sound so much later than the show (keys , . and k of lss-play)
 #   completed_run  day on which a show with this joint was played to its end for the first time
 """
 
@@ -94,6 +95,12 @@ class Learnt(FileModel):
     """What was learnt about the joints of one robot."""
 
     robot: Name = Field(description="name of the robot")
+    sound_offset_s: float | None = Field(
+        default=None,
+        ge=-2.0,
+        le=2.0,
+        description="sounds sound so much later than the show, found by ear (keys , . and k)",
+    )
     joints: dict[Name, LearntJoint] = Field(
         default_factory=dict, description="what was learnt, by the name of the joint"
     )
@@ -173,8 +180,10 @@ def learnt_text(learnt: Learnt, robot_name: str) -> str:
         FIRST_LINE,
         ABOUT.format(name=robot_name),
         f"robot: {_scalar(learnt.robot)}",
-        "joints:",
     ]
+    if learnt.sound_offset_s is not None:
+        lines.append(f"sound_offset_s: {_scalar(learnt.sound_offset_s)}")
+    lines.append("joints:")
     for name, joint in learnt.joints.items():
         lines.append(f"  {_scalar(name)}:")
         values = joint.model_dump(exclude_none=True)

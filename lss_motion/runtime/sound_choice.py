@@ -21,7 +21,12 @@ class SoundChoice:
     device: str = ""
     """Name of a device, or a part of it; empty: the default one."""
     is_off: bool = False
+    leads: bool = True
+    """The show follows the device. False: another clock leads the show, and the sounds follow it,
+    resampled."""
     shift_s: float = 0.0
+    is_kept: bool = False
+    """The offset shall be kept for the next shows of this robot."""
 
     def shift(self, by_s: float) -> None:
         """Make all sounds later by `by_s`."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import select
 import subprocess
@@ -21,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError
+from lss_motion.player.events import Noted
 from lss_motion.player.show_clock import TRIM_MAX_RATIO, Leg
 from lss_motion.runtime.performer_process import SOUND_PLAYERS, sound_player
 from lss_motion.runtime.sound_choice import RATE_BAND, SoundReport
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lss_motion.clock_leg import ClockLeg
+    from lss_motion.player.events import Event
     from lss_motion.player.player import Player
     from lss_motion.program.model import Program
     from lss_motion.runtime.sound_choice import SoundChoice
@@ -40,6 +43,7 @@ OPEN_S: Final = 10.0
 """The longest time that a device may take to open. A Bluetooth speaker needs 3 s."""
 AHEAD_S: Final = 3.0
 """A sound is handed over so long before its time, so that its file can be opened and read."""
+NEVER_S: Final = 1e12
 ALIVE_NS: Final = NS_PER_S // 5
 COMMAND: Final = (sys.executable, "-P", "-m", "lss_motion.sound.process")
 """-P: no module of the current folder is imported in place of an installed one."""
@@ -61,6 +65,7 @@ class SoundDesk:
         """Texts about sounds that cannot be played, not yet taken by `take_troubles`."""
         self._choice = choice
         self._note_request: Callable[[str, int], None] = _forget
+        self._tell: Callable[[Event], None] = _ignore
         self._program = program
         self._robot_offset_s = self._sent_offset_s = offset_s
         self._cues = program.unrolled_cues()
@@ -89,9 +94,12 @@ class SoundDesk:
     def is_open(self) -> bool:
         return self._child is not None
 
-    def note_to(self, note_request: Callable[[str, int], None]) -> None:
-        """Write what decides about the show to a log, too."""
-        self._note_request = note_request
+    def note_to(
+        self, tell: Callable[[Event], None], note_request: Callable[[str, int], None] | None
+    ) -> None:
+        """Tell a person what has changed; write what decides about the show to a log, too."""
+        self._tell = tell
+        self._note_request = note_request or _forget
 
     def turn(self, player: Player, now_ns: int) -> None:
         """Tell the process what has changed; let the show follow what is heard."""
@@ -114,6 +122,7 @@ class SoundDesk:
         if offset_s != self._sent_offset_s:
             self._sent_offset_s = self.report.offset_s = round(offset_s, 4)
             self._send(offset_s=offset_s)
+            self._tell(Noted(f"sounds {1000.0 * offset_s:+.0f} ms"))
         if now_ns - self._alive_ns >= ALIVE_NS:
             self._alive_ns = now_ns
             self._send(alive=1)
@@ -206,62 +215,66 @@ class SoundDesk:
             child.stdin.close()
             child.stdout.close()
             self._child = None
-        elif self._sent_offset_s:
+            return
+        if self._sent_offset_s:
             self._send(offset_s=self._sent_offset_s)
+        if not self._choice.leads:
+            self._send(leads=False)
 
     # ---- during the show
 
     def _feed(self, show_s: float) -> None:
         """Hand over the sounds that are due soon; those that were over before it are skipped."""
         while self._next is not None and self._next[0] <= show_s + AHEAD_S:
-            at_s, cue = self._next
+            start_s, cue = self._next
+            if not self._hand_over(start_s + cue.lead_s, cue, show_s):
+                return  # The pipe is full: on the next turn.
             self._advance()
-            length_s = self._lengths_s.get(cue.sound)
-            if length_s is None:
-                continue
-            style = cue.style
-            lasts_s = float("inf") if style.is_looped else length_s
-            if style.lasts_s is not None:
-                lasts_s = min(lasts_s, style.lasts_s)
-            lasts_s = min(lasts_s, self._program.duration_s - at_s)
-            if at_s + lasts_s <= max(show_s, self._start_s):
-                continue
-            self._number += 1
-            self._names[self._number] = cue.sound
-            self._send(
-                sound={
-                    "number": self._number,
-                    "path": cue.sound,
-                    "at_s": at_s,
-                    "gain_ratio": 10.0 ** (style.gain_db / 20.0),
-                    "is_bed": style.is_bed,
-                    "is_looped": style.is_looped,
-                    "duck_ratio": 10.0 ** (-style.duck_db / 20.0),
-                    "speed_ratio": style.speed_ratio,
-                    "until_s": min(at_s + lasts_s, 1e12)
-                    if style.lasts_s is not None or at_s + length_s > self._program.duration_s
-                    else 1e12,
-                }
-            )
+
+    def _hand_over(self, at_s: float, cue: Cue, show_s: float) -> bool:
+        """Send a sound, unless it is over or cannot be played; False if the pipe is full."""
+        length_s, style = self._lengths_s.get(cue.sound), cue.style
+        if length_s is None:
+            return True
+        end_s = math.inf if style.is_looped else at_s + length_s
+        if style.lasts_s is not None:
+            end_s = min(end_s, at_s + style.lasts_s)
+        if min(end_s, self._program.duration_s) <= max(show_s, self._start_s):
+            return True
+        is_cut = style.lasts_s is not None or end_s > self._program.duration_s
+        self._number += 1
+        self._names[self._number] = cue.sound
+        return self._send(
+            sound={
+                "number": self._number,
+                "path": cue.sound,
+                "at_s": at_s,
+                "gain_ratio": 10.0 ** (style.gain_db / 20.0),
+                "is_bed": style.is_bed,
+                "is_looped": style.is_looped,
+                "duck_ratio": 10.0 ** (-style.duck_db / 20.0),
+                "speed_ratio": style.speed_ratio,
+                "until_s": min(end_s, self._program.duration_s, NEVER_S) if is_cut else NEVER_S,
+            }
+        )
 
     def _advance(self) -> None:
-        """Go to the next sound of the show, at the time at which it must sound."""
-        for start_s, cue in self._cues:
-            if cue.sound:
-                self._next = (start_s + cue.lead_s, cue)
-                return
-        self._next = None
+        """Go to the next sound of the show."""
+        self._next = next(((start_s, cue) for start_s, cue in self._cues if cue.sound), None)
 
-    def _send(self, **command: object) -> None:
+    def _send(self, **command: object) -> bool:
+        """Send a command; False if the pipe is full."""
         if self._child is None:
-            return
+            return True
         try:
             # A pipe takes up to 4096 bytes as a whole or not at all.
             os.write(self._pipe_fd, json.dumps(command).encode() + b"\n")
         except BlockingIOError:
             self._leg = None  # Told again on the next turn.
+            return False
         except BrokenPipeError:
             self._lose("the process that plays sounds has ended")
+        return True
 
     def _lose(self, reason: str) -> None:
         if not self.problem:
@@ -320,6 +333,10 @@ class SoundDesk:
         self._followed_s = leader.show_s if self._followed_s is None else self._followed_s
         if leader.show_s >= self._followed_s + 10.0:
             self.report.off_max_s = round(max(self.report.off_max_s, abs(off_s)), 6)
+
+
+def _ignore(_event: Event) -> None:
+    """No person watches."""
 
 
 def _forget(_text: str, _now_ns: int) -> None:

@@ -17,8 +17,9 @@ from lss_motion.units import NS_PER_S
 WINDOW_S: Final = 60.0
 POINT_S: Final = 0.25
 """One point is kept for each span of this length: the median of its blocks."""
-SLOPE_LEAST_S: Final = 10.0
-"""Over a shorter time the slope is nominal: the jitter would be taken for a drift."""
+DAMPING_S2: Final = 20.0
+"""At first the jitter must not be taken for a drift: the slope is damped, by a third after 5 s and
+by 6 % after 10 s. Chosen for a jitter of 0.45 ms and a drift of 100 ppm."""
 SLOPE_MAX_RATIO: Final = 300e-6
 """No crystal is further off."""
 WRONG_LEAST_S: Final = 3.0
@@ -115,8 +116,6 @@ class DeviceClock:
         points = np.array(self._points)
         times_s, lates_s = points[:, 0], points[:, 1]
         self._middle_s, self._offset_s = float(times_s.mean()), float(lates_s.mean())
-        if times_s[-1] - times_s[0] < SLOPE_LEAST_S:
-            return
         away_s = times_s - self._middle_s
-        slope = float((away_s * lates_s).sum() / (away_s * away_s).sum())
+        slope = float((away_s * lates_s).sum() / ((away_s * away_s).sum() + DAMPING_S2))
         self._slope = max(-SLOPE_MAX_RATIO, min(slope, SLOPE_MAX_RATIO))

@@ -56,22 +56,24 @@ def show(tmp_path):
 
 
 class Steering:
-    """Connects the recorder, notes the show clock, and pauses at 0.9 s for half a second."""
+    """Connects the recorder, notes the show clock, and pauses at 1.05 s, between two clicks."""
 
     def __init__(self, recorder):
         self.recorder, self.knots, self.paused_ns, self.is_done = recorder, [], None, False
+        self.is_connected = False
 
     def filenos(self):
         return []
 
     def act(self, player, now_ns):
-        if not self.recorder.is_connected():
+        if not self.is_connected:
+            self.is_connected = True
             self.recorder.connect(10.0)
         if player.show is None:
             return
         show_s = player.show.show_s(now_ns)
         self.knots.append((now_ns, show_s))
-        if self.paused_ns is None and show_s > 0.9:
+        if self.paused_ns is None and show_s > 1.05:
             self.paused_ns = now_ns
             player.set_rate(0.0, now_ns)
         elif self.paused_ns and not self.is_done and now_ns > self.paused_ns + 900_000_000:

@@ -1,13 +1,14 @@
 """A sound server without hardware (JACK's dummy driver), and a recording of what it would play.
 
-    with sound_server() as environ:               jackd; None where it is not installed
-        with Recorder(environ) as recorder:       records the first channel of PortAudio
+    with sound_server():                          jackd
+        with Recorder() as recorder:              records the first channel of PortAudio
             recorder.connect()                    once the player has opened its stream
             ...
-        recorder.samples()                        instants in ns of the computer's clock, values
+            recorder.samples()                    instants in ns of the computer's clock, values
 
 The instant of a sample is that at which the dummy device would play it, by the clock of the sound
-server, which is that of the computer. It does not come from the player.
+server, which is that of the computer. It does not come from the player. The recording runs in a
+process of its own, since a device waits for all that record it.
 """
 
 from __future__ import annotations
@@ -16,11 +17,13 @@ import contextlib
 import ctypes
 import ctypes.util
 import os
+import pickle
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -94,20 +97,60 @@ def _is_up(server: subprocess.Popen[bytes], environ: dict[str, str]) -> bool:
     return False
 
 
-class _Range(ctypes.Structure):
-    _fields_ = (("least", ctypes.c_uint32), ("most", ctypes.c_uint32))
-
-
-_PROCESS = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_uint32, ctypes.c_void_p)
-
-
 class Recorder:
     """Records one channel of a client of the sound server. A context manager."""
 
     def __init__(self) -> None:
         self.xruns = 0
-        self._blocks: list[tuple[int, bytes]] = []
-        self._jack = ctypes.CDLL(ctypes.util.find_library("jack"))
+        """Dropouts of the device, as of the last `samples`."""
+
+    def __enter__(self) -> Recorder:
+        self._child = subprocess.Popen(
+            [sys.executable, __file__], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        assert self._ask("ready") is True, "no sound server"
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._child.communicate()
+
+    def connect(self, wait_s: float = 10.0, source: str = "PortAudio:out_0") -> None:
+        """Record this port, once it is there."""
+        end_s = time.monotonic() + wait_s
+        while not self._ask(f"connect {source}"):
+            assert time.monotonic() < end_s, f"nothing plays as {source}"
+            time.sleep(0.02)
+
+    def samples(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the instant of each block's first frame in ns, and the blocks."""
+        self.xruns, at_ns, blocks = self._ask("samples")
+        return np.array(at_ns, dtype=np.int64), np.array(
+            [np.frombuffer(block, dtype=np.float32) for block in blocks]
+        )
+
+    def _ask(self, question: str) -> Any:  # noqa: ANN401  (three kinds of answers)
+        assert self._child.stdin is not None
+        assert self._child.stdout is not None
+        self._child.stdin.write(question.encode() + b"\n")
+        self._child.stdin.flush()
+        return pickle.load(self._child.stdout)  # noqa: S301  (our own process)
+
+
+class _Range(ctypes.Structure):
+    _fields_ = (("least", ctypes.c_uint32), ("most", ctypes.c_uint32))
+
+
+_PROCESS = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_uint32, ctypes.c_void_p)
+_XRUN = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
+
+
+class _Client:
+    """The client of the sound server, in the process of the recording."""
+
+    def __init__(self) -> None:
+        self.blocks: list[tuple[int, bytes]] = []
+        self.xruns = 0
+        self._jack = jack = ctypes.CDLL(ctypes.util.find_library("jack"))
         for name, kind in (
             ("jack_client_open", ctypes.c_void_p),
             ("jack_port_register", ctypes.c_void_p),
@@ -118,61 +161,58 @@ class Recorder:
             ("jack_frames_to_time", ctypes.c_uint64),
             ("jack_get_time", ctypes.c_uint64),
         ):
-            getattr(self._jack, name).restype = kind
-        self._process = _PROCESS(self._take)
-        self._xrun = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)(self._count_xrun)
-
-    def __enter__(self) -> Recorder:
-        jack = self._jack
+            getattr(jack, name).restype = kind
+        self._process, self._xrun = _PROCESS(self._take), _XRUN(self._count_xrun)
         self._client = ctypes.c_void_p(jack.jack_client_open(b"recorder", 1, None))
-        assert self._client, "no sound server"
-        self._port = ctypes.c_void_p(
-            jack.jack_port_register(self._client, b"in", FLOATS, IS_INPUT, 0)
-        )
+        if not self._client:
+            return
+        port = jack.jack_port_register(self._client, b"in", FLOATS, IS_INPUT, 0)
+        self._port = ctypes.c_void_p(port)
         jack.jack_set_process_callback(self._client, self._process, None)
         jack.jack_set_xrun_callback(self._client, self._xrun, None)
-        assert jack.jack_activate(self._client) == 0
         latency = _Range()
         speaker = ctypes.c_void_p(jack.jack_port_by_name(self._client, b"system:playback_1"))
         jack.jack_port_get_latency_range(speaker, PLAYBACK_LATENCY, ctypes.byref(latency))
         self._latency_frames = latency.most
         # Its clock is that of the computer; measured, because it might be another.
         self._origin_ns = time.monotonic_ns() - 1000 * jack.jack_get_time()
-        return self
+        jack.jack_activate(self._client)
 
-    def __exit__(self, *_: object) -> None:
-        self._jack.jack_client_close(self._client)
-
-    def connect(self, wait_s: float = 10.0, source: str = "PortAudio:out_0") -> None:
-        """Record this port, once it is there."""
-        end_s = time.monotonic() + wait_s
-        own = self._jack.jack_port_name(self._port)
-        while self._jack.jack_connect(self._client, source.encode(), own) != 0:
-            assert time.monotonic() < end_s, f"nothing plays as {source}"
-            time.sleep(0.02)
-
-    def is_connected(self) -> bool:
-        return bool(self._jack.jack_port_connected(self._port))
-
-    def samples(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the instant of each block's first frame in ns, and the blocks."""
-        recorded = list(self._blocks)
-        at_us = [
-            self._jack.jack_frames_to_time(self._client, frame + self._latency_frames)
+    def answer(self, question: str) -> Any:  # noqa: ANN401
+        word, _, source = question.partition(" ")
+        if word == "ready":
+            return bool(self._client)
+        if word == "connect":
+            own = self._jack.jack_port_name(self._port)
+            return self._jack.jack_connect(self._client, source.encode(), own) == 0
+        recorded = list(self.blocks)
+        to_us = self._jack.jack_frames_to_time
+        at_ns = [
+            self._origin_ns + 1000 * to_us(self._client, frame + self._latency_frames)
             for frame, _ in recorded
         ]
-        blocks = [np.frombuffer(data, dtype=np.float32) for _, data in recorded]
-        return self._origin_ns + 1000 * np.array(at_us, dtype=np.int64), np.array(blocks)
-
-    def forget(self) -> None:
-        self._blocks.clear()
+        return self.xruns, at_ns, [data for _, data in recorded]
 
     def _take(self, count: int, _: object) -> int:
         buffer = self._jack.jack_port_get_buffer(self._port, count)
         frame = self._jack.jack_last_frame_time(self._client)
-        self._blocks.append((frame, ctypes.string_at(buffer, 4 * count)))
+        self.blocks.append((frame, ctypes.string_at(buffer, 4 * count)))
         return 0
 
     def _count_xrun(self, _: object) -> int:
         self.xruns += 1
         return 0
+
+
+def main() -> None:
+    """Answer the questions of a `Recorder` until standard input ends."""
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))
+    client, answers = _Client(), sys.stdout.buffer
+    for line in sys.stdin:
+        answers.write(pickle.dumps(client.answer(line.strip())))
+        answers.flush()
+
+
+if __name__ == "__main__":
+    main()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import sys
 import wave
@@ -9,7 +10,12 @@ from pathlib import Path
 
 import pytest
 
+import lss_motion as lss
 from lss_motion.cli.play import main as play
+from lss_motion.cli.terminal import Inputs
+from lss_motion.perform import perform
+from lss_motion.runtime.sound_choice import SoundChoice
+from lss_motion.sequence.model import Cue
 
 ROBOT = Path(__file__).parents[3] / "sequences" / "robots" / "desk_arm.yaml"
 SHOW = """\
@@ -23,16 +29,28 @@ keyframes:
 """
 
 
+def silence(path):
+    with wave.open(str(path), "wb") as file:
+        file.setnchannels(1)
+        file.setsampwidth(2)
+        file.setframerate(8000)
+        file.writeframes(bytes(8000))
+
+
+def nod(folder):
+    """Return a short program and its robot, beside a file `music.wav`."""
+    silence(folder / "music.wav")
+    (folder / "s.yaml").write_text(SHOW.format(robot=ROBOT, step="warn"))
+    robot = lss.load_robot(ROBOT)
+    return lss.compile(lss.plan(lss.load_sequence(folder / "s.yaml"), robot), robot), robot
+
+
 @pytest.fixture
 def show(tmp_path, monkeypatch):
     """Return a function that plays a show and returns its code, and its report."""
     monkeypatch.setenv("PATH", str(tmp_path))  # no player of the system
     monkeypatch.setenv("JACK_DEFAULT_SERVER", "none")
-    with wave.open(str(tmp_path / "music.wav"), "wb") as file:
-        file.setnchannels(1)
-        file.setsampwidth(2)
-        file.setframerate(8000)
-        file.writeframes(bytes(8000))
+    silence(tmp_path / "music.wav")
 
     def played(*options, step="warn"):
         (tmp_path / "s.yaml").write_text(SHOW.format(robot=ROBOT, step=step))
@@ -169,3 +187,40 @@ def test_the_show_follows_what_is_heard_and_a_replay_of_its_log_sends_the_same(
     from lss_motion.cli.main import main
 
     assert main(["replay", str(log)]) == 0, capsys.readouterr()
+
+
+def test_a_leader_besides_the_device_is_named_and_each_sound_is_handed_over_once(
+    tmp_path, scripted
+):
+    received = scripted()
+    cues = tuple(
+        Cue(at_s=0.1 * n, sound=str(tmp_path / "music.wav"), lead_s=0.05) for n in range(1, 5)
+    )
+    program, robot = nod(tmp_path)
+    program = dataclasses.replace(program, cues=(*cues, Cue(at_s=0.2, say="hello")))
+    result = perform(program, robot, sound=SoundChoice(leads=False))
+    commands = [json.loads(line) for line in received.read_text().splitlines()]
+    assert {"leads": False} in commands
+    starts = [command["sound"]["at_s"] for command in commands if "sound" in command]
+    assert starts == pytest.approx([0.1, 0.2, 0.3, 0.4])
+    assert result.report.sound.not_played == []
+
+
+def test_an_offset_that_a_person_found_by_ear_is_kept_and_used_in_the_next_show(
+    show, scripted, tmp_path, capsys, monkeypatch
+):
+    robot = tmp_path / "arm.yaml"
+    robot.write_text(ROBOT.read_text())
+    received = scripted()
+    keys = iter([".", ".", ",", ".", "k"])
+    monkeypatch.setattr(Inputs, "take", lambda self: (0, next(keys, "")))
+    code, report = show("--robot", str(robot))
+    assert (code, report["sound"]["offset_s"]) == (0, 0.02)
+    assert '{"offset_s": 0.02}' in received.read_text()
+    assert "the sounds stay at 0.02 s: kept in arm.learnt.yaml" in capsys.readouterr().out
+    assert "sound_offset_s: 0.02\n" in (tmp_path / "arm.learnt.yaml").read_text()
+    _, report = show("--robot", str(robot))
+    assert report["sound"]["offset_s"] == 0.02
+    robot.write_text(f"sound_offset_s: -0.1\n{ROBOT.read_text()}")
+    _, report = show("--robot", str(robot))
+    assert report["sound"]["offset_s"] == -0.1, "the author's value stays his"

@@ -1,14 +1,12 @@
 """What a device would play, judged by its frames."""
 
-import random
 import time
 
 import numpy as np
 import pytest
 
+from benches.sound import hour_off_s
 from lss_motion.clock_leg import ClockLeg
-from lss_motion.player.show_clock import Leg, ShowClock
-from lss_motion.sound.device_clock import DeviceClock
 from lss_motion.sound.mixer import Mixer, Voice
 from lss_motion.sound.sources import Source
 
@@ -204,48 +202,5 @@ def test_what_is_muted_by_order_is_silent_within_the_fade(tmp_path):
     assert not played[round(1.1 * RATE_HZ) :].any()
 
 
-class Endless:
-    """A source without a file: each frame is its own number, which wraps at a million."""
-
-    frames = 1 << 60
-    missing_frames = 0
-    problem = ""
-
-    def want(self, frame, *, wraps=False):
-        pass
-
-    def is_ready(self, frame, span_frames):
-        return True
-
-    def close(self):
-        pass
-
-    def frames_at(self, first, count):
-        numbers = (np.arange(first, first + count) % 1_000_000) / 1_000_000
-        return np.repeat(numbers[:, None], 2, axis=1)
-
-
 def test_a_device_that_is_off_and_its_show_are_within_2_ms_for_an_hour():
-    """The whole loop: the jitter of the driver, the fit, what is heard, the trim, the sound."""
-    rng, block, ppm = random.Random(5), 8192, 200.0
-    mixer, device = Mixer(RATE_HZ), DeviceClock(RATE_HZ)
-    mixer.voices.append(Voice(number=1, source=Endless(), at_s=0.0, is_bed=True))
-    show = ShowClock(START_NS, 0.0, 1.0)
-    worst_s = frame = 0
-    while frame < 3600 * RATE_HZ:
-        heard_ns = START_NS - 500_000_000 + frame * NS_PER_FRAME / (1.0 + ppm * 1e-6)
-        device.take(frame, round(heard_ns + rng.gauss(0.0, 500_000)))
-        mixer.set_leg(show.leg)
-        played = mixer.render(device.heard_ns(frame), device.ns_per_frame, block)[:, 0]
-        now_ns = round(heard_ns) - 30_000_000
-        if mixer.lead is not None:
-            at_ns, show_s, rate = mixer.lead
-            show.follow(Leg(round(at_ns), show_s, rate * device.rate_ratio), now_ns)
-        if heard_ns > START_NS + 1e9:
-            sounding_s = played[0] * 1_000_000 / RATE_HZ
-            off_s = sounding_s - show.show_s(round(heard_ns)) % (1_000_000 / RATE_HZ)
-            if abs(off_s) < 60.0:  # Not while one has wrapped and the other has not.
-                worst_s = max(worst_s, abs(off_s))
-        frame += block
-    assert worst_s < 0.002
-    assert show.trim_ratio * 1e6 == pytest.approx(ppm, abs=20.0)
+    assert hour_off_s(200.0) < 0.002
