@@ -348,7 +348,9 @@ class SequenceFile(TrackEntry, title="sequence file"):
         description="Instead of keyframes: other sequences and pauses, one after the other.",
     )
     layers: Annotated[list[LayerEntry], Field(min_length=1, max_length=LAYERS_MAX)] = Field(
-        default=[], description="Other sequences on top, the later ones above the earlier."
+        default=[],
+        description="Other sequences on top, the later ones above the earlier. On a show that "
+        "loops forever, a layer that ends is played once; an endless one goes on with it.",
     )
     events: Annotated[list[EventEntry], Field(min_length=1, max_length=EVENTS_MAX)] = Field(
         default=[],

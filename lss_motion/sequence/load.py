@@ -217,11 +217,6 @@ class _Loader:
         for key in TRACK_KEYS:
             if has_play and getattr(content, key):
                 self._note((key,), f"{key} does not go with 'play'; put it into a file of the list")
-        if content.layers and content.loop == "forever":
-            self._note(
-                ("layers",),
-                "layers need a show that ends; give loop a count, or layer the file that is looped",
-            )
         if content.loop != 1 and not has_frames and not has_play:
             self._note(("loop",), "there is nothing to loop; give each track its own loop")
 

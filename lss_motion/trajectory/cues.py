@@ -71,8 +71,9 @@ def all_cues(trajectory: Trajectory, end_s: float) -> tuple[Cue, ...]:
     """Return the cues of all passes that begin before `end_s`, in the order of their starts."""
     found = [
         _scaled(replace(cue, at_s=start_s + ratio * cue.at_s), ratio)
-        for start_s, ratio in _passes(trajectory, end_s)
+        for start_s, ratio, from_s in _passes(trajectory, end_s)
         for cue in trajectory.cues
+        if cue.at_s >= from_s
     ]
     return tuple(sorted(found, key=lambda cue: cue.start_s))
 
@@ -89,8 +90,9 @@ def all_marks(trajectory: Trajectory, end_s: float) -> tuple[Mark, ...]:
             held_s=ratio * mark.held_s,
             authored_s=None if mark.authored_s is None else start_s + mark.authored_s,
         )
-        for start_s, ratio in _passes(trajectory, end_s)
+        for start_s, ratio, from_s in _passes(trajectory, end_s)
         for mark in trajectory.marks
+        if mark.planned_s >= from_s
     )
 
 
@@ -98,26 +100,31 @@ def all_waits(trajectory: Trajectory, end_s: float) -> tuple[WaitPoint, ...]:
     """Return the waits of all passes that begin before `end_s`, in order of time."""
     return tuple(
         replace(point, at_s=start_s + ratio * point.at_s)
-        for start_s, ratio in _passes(trajectory, end_s)
+        for start_s, ratio, from_s in _passes(trajectory, end_s)
         for point in trajectory.waits
+        if point.at_s >= from_s
     )
 
 
-def _passes(trajectory: Trajectory, end_s: float) -> Iterator[tuple[float, float]]:
-    """Yield the start of every pass, and its duration as a ratio of that of the first.
+def _passes(trajectory: Trajectory, end_s: float) -> Iterator[tuple[float, float, float]]:
+    """Yield for every pass what is added to times, their scale, and the least time that is in it.
 
     A pass that starts in motion is shorter than the first; its marks and cues are scaled with it.
+    Those of a looped span are in show time already; only where it never ends, they are repeated.
     """
     if not trajectory.marks and not trajectory.cues and not trajectory.waits:
         return
     first_s = trajectory.first.duration_s
-    yield 0.0, 1.0
-    if isinstance(trajectory.middle, LoopedSpan):
-        return  # Marks, cues and waits of a looped span are in show time already.
+    yield 0.0, 1.0, 0.0
     index = 1
+    if isinstance(span := trajectory.middle, LoopedSpan):
+        while trajectory.loop is None and trajectory.pass_start_s(index) < end_s:
+            yield index * span.duration_s, 1.0, span.from_s + LATE_SLACK_S
+            index += 1
+        return
     while first_s > 0.0 and (trajectory.loop is None or index < trajectory.loop):
         start_s = trajectory.pass_start_s(index)
         if start_s >= end_s:
             return
-        yield start_s, trajectory.motion_of(index).duration_s / first_s
+        yield start_s, trajectory.motion_of(index).duration_s / first_s, 0.0
         index += 1

@@ -17,14 +17,15 @@ from lss_motion.errors import InputError, PlanningError
 from lss_motion.sequence.parts import time_keepers
 from lss_motion.trajectory import explain
 from lss_motion.trajectory.catch_up import Dues
-from lss_motion.trajectory.cues import all_marks
+from lss_motion.trajectory.cues import all_cues, all_marks
 from lss_motion.trajectory.keys import SAME_INSTANT_S
-from lss_motion.trajectory.model import PathMotion, Trajectory, motions_of
+from lss_motion.trajectory.model import PathMotion, Trajectory, motions_of, with_span
 from lss_motion.trajectory.path import Path, cubics
 from lss_motion.trajectory.plan_cache import PLANNER_VERSION, cached
 from lss_motion.trajectory.retime import authored_clock, timed_windows, united
 from lss_motion.trajectory.smoothing import even_clock, jerk_limits, limited, smooth_too
 from lss_motion.trajectory.solver import RateTask
+from lss_motion.trajectory.tracks import PERIOD_MAX_S, common_period_s
 from lss_motion.trajectory.verify import verify
 from lss_motion.units import significant
 
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.robot.model import Robot
-    from lss_motion.sequence.model import Layer, Sequence
+    from lss_motion.sequence.model import Cue, Layer, Sequence
     from lss_motion.trajectory.model import Mark, SlowSpan
     from lss_motion.trajectory.solver import RateWindow
 
@@ -76,11 +77,10 @@ def layered(
 ) -> Trajectory:
     """Return `base` with the layers of `show` on top, slowed only where the sum exceeds a limit.
 
-    Raises `InputError` where a layer would make a joint jump, `PlanningError` for a missed anchor
-    or a sum that leaves a joint's range.
+    A show that never ends repeats what follows the layers that end. Raises
+    `InputError` where a layer would make a joint jump, `PlanningError` for a missed anchor or a sum
+    that leaves a joint's range.
     """
-    if base.loop is None:
-        raise InputError("layers need a show that ends", path=show.path)
     if base.waits:
         raise InputError(
             "a show with layers cannot wait for a sensor, since the layers would have to stand "
@@ -88,13 +88,106 @@ def layered(
             path=show.path,
         )
     layers = tuple(_placed(layer, base, show, robot, plan) for layer in show.layers)
-    total = layered_sum(base, layers, robot)
+    if base.loop is None:
+        return _forever(base, layers, show, robot)
+    return _summed(layered_sum(base, layers, robot), show, robot)
+
+
+def _summed(total: LayeredSum, show: Sequence, robot: Robot) -> Trajectory:
+    """Return the sum within all limits."""
     check_jumps(total, show)
     is_smooth = bool(np.isfinite(jerk_limits(show, robot, total.joints)).any())
     path = _as_cubics(total, robot, show, is_smooth=is_smooth)
     if kept := time_keepers(show) & {*total.joints}:
         return _with_kept(path, total, show, robot, kept)
     return _slowed(path, total, show, robot)
+
+
+def _forever(
+    base: Trajectory, layers: tuple[PlacedLayer, ...], show: Sequence, robot: Robot
+) -> Trajectory:
+    """Return an endless show with its layers: a show that ends, of which a span is looped.
+
+    The span is the common period of all that never ends. It begins with a pass of the show, when
+    the other layers are over.
+    """
+    lasting = [placed for placed in layers if math.isinf(placed.to_s)]
+    loops = [base, *(placed.trajectory for placed in lasting)]
+    for loop in loops:
+        if np.abs(loop.last.sample(np.array([loop.last.duration_s]), 1)).max() > JUMP_DEG_S:
+            raise InputError(
+                f"layers on a show that never ends: the tracks of {loop.name!r} never rest "
+                "together; loop one sequence of keyframes forever, and put the tracks into layers",
+                path=show.path,
+            )
+    period_s = common_period_s(loops, "the show and its layers")
+    over_s = [
+        placed.from_s + placed.trajectory.first.duration_s + placed.layer.fade_s
+        if math.isinf(placed.to_s)
+        else placed.to_s
+        for placed in layers
+    ]
+    first_s, pass_s = base.first.duration_s, base.middle.duration_s
+    from_s = first_s + pass_s * math.ceil(max(0.0, max(over_s) - first_s) / pass_s)
+    to_s = from_s + period_s
+    if from_s > max(first_s, PERIOD_MAX_S):
+        raise InputError(
+            f"the layers end {from_s:,.0f} s after the start of a show that never ends; "
+            f"at most {PERIOD_MAX_S:g} s can be planned before it repeats",
+            path=show.path,
+        )
+    ends_s = to_s + pass_s + max(placed.layer.fade_s for placed in layers)
+    finite = _until(base, ends_s)
+    parts = [replace(p, trajectory=_until(p.trajectory, ends_s - p.from_s)) for p in lasting]
+    ends_s = max([finite.duration_s, *(p.from_s + p.trajectory.duration_s for p in parts)])
+    lasts = iter([replace(part, to_s=ends_s) for part in parts])
+    placed = tuple(next(lasts) if math.isinf(p.to_s) else p for p in layers)
+    total = layered_sum(finite, placed, robot)
+    whole = _summed(total, show, robot)
+    whole = replace(
+        whole,
+        marks=_moved(_marks(total, in_all_passes=True), whole),
+        cues=_cues(base, layers, whole, to_s),
+    )
+    span_s = _show_times(whole, [from_s, to_s])
+    return with_span(show, whole, (span_s[0], span_s[1]), None)
+
+
+def _cues(
+    base: Trajectory, layers: tuple[PlacedLayer, ...], whole: Trajectory, end_s: float
+) -> tuple[Cue, ...]:
+    """Return the cues of the show and of its layers up to `end_s`, at their times in the plan."""
+    found = [*all_cues(base, end_s)]
+    for placed in layers:
+        until_s = min(placed.to_s, end_s) - placed.from_s
+        own = all_cues(placed.trajectory, until_s) if until_s > 0.0 else ()
+        found += [replace(cue, at_s=placed.from_s + cue.at_s) for cue in own if cue.at_s <= until_s]
+    found = [cue for cue in found if cue.at_s <= end_s]
+    times_s = _show_times(whole, [cue.at_s for cue in found])
+    return tuple(replace(cue, at_s=at_s) for cue, at_s in zip(found, times_s, strict=True))
+
+
+def _until(trajectory: Trajectory, end_s: float) -> Trajectory:
+    """Return an endless trajectory with so many passes that it ends after `end_s`."""
+    passes = math.ceil((end_s - trajectory.first.duration_s) / trajectory.middle.duration_s)
+    return replace(trajectory, loop=max(2, 2 + passes))
+
+
+def _show_times(layered: Trajectory, times_s: list[float]) -> list[float]:
+    """Return when instants of the sum, which has no limits, are reached in the plan."""
+    if not isinstance(layered.first, PathMotion):
+        return times_s  # Joints that keep their time are beside others, which are late by nothing.
+    return [float(at_s) for at_s in layered.first.clock.times_of(np.array(times_s))]
+
+
+def _moved(marks: list[Mark], whole: Trajectory) -> tuple[Mark, ...]:
+    """Return marks of the sum at their times in the plan."""
+    at_s = _show_times(whole, [mark.planned_s for mark in marks])
+    ends_s = _show_times(whole, [mark.planned_s + mark.held_s for mark in marks])
+    return tuple(
+        replace(mark, planned_s=start_s, held_s=end_s - start_s)
+        for mark, start_s, end_s in zip(marks, at_s, ends_s, strict=True)
+    )
 
 
 def _with_kept(

@@ -459,21 +459,32 @@ def with_looped_span(sequence: Sequence, whole: Trajectory) -> Trajectory:
     if not from_s < to_s:
         reason = f"the part that is looped lies after the end, at {whole.duration_s:.3f} s"
         raise InputError(reason, path=sequence.path)
+    return with_span(sequence, whole, (from_s, to_s), sequence.loop)
+
+
+def with_span(
+    sequence: Sequence, whole: Trajectory, span_s: tuple[float, float], loop: int | None
+) -> Trajectory:
+    """Return `whole`, a single pass, with the span from `span_s[0]` to `span_s[1]` looped.
+
+    Raises `InputError` if angle or speed of a joint differ between both ends of the span.
+    """
+    from_s, to_s = span_s
     _check_seam(sequence, whole, from_s, to_s)
-    if sequence.loop == 1:
+    if loop == 1:
         return whole
-    skipped_s = 0.0 if sequence.loop is None else (sequence.loop - 1) * (to_s - from_s)
+    skipped_s = 0.0 if loop is None else (loop - 1) * (to_s - from_s)
     return replace(
         whole,
         first=LoopedSpan(whole=whole, from_s=0.0, to_s=to_s),
         middle=LoopedSpan(whole=whole, from_s=from_s, to_s=to_s),
         last=LoopedSpan(whole=whole, from_s=from_s, to_s=whole.duration_s),
-        loop=sequence.loop,
+        loop=loop,
         is_periodic=True,
         marks=tuple(
             replace(mark, planned_s=mark.planned_s + (skipped_s if mark.planned_s > to_s else 0.0))
             for mark in whole.marks
-            if mark.planned_s <= to_s or sequence.loop is not None
+            if mark.planned_s <= to_s or loop is not None
         ),
     )
 

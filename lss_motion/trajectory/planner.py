@@ -64,7 +64,14 @@ def _planned(sequence: Sequence, robot: Robot) -> Trajectory:
     trajectory = base = _planned_base(bare, robot)
     if sequence.layers:
         from lss_motion.trajectory.layers import layered
+        from lss_motion.trajectory.verify import verify
 
+        if base.loop is None:
+            cues = [*base.cues, *planned_cues(sequence, base)]
+            base = replace(base, cues=tuple(cues))
+            trajectory = layered(base, replace(sequence, events=()), robot, _planned)
+            verify(trajectory, robot, has_parts=False)
+            return trajectory
         trajectory = layered(base, replace(sequence, events=()), robot, _planned)
         slower = trajectory.first.duration_s / max(base.first.duration_s, 1e-9)
         if any(mark.kept for mark in trajectory.marks):

@@ -295,14 +295,14 @@ def _endless(show: Show, tracks: Sequence[Trajectory], robot: Robot) -> Trajecto
         track.first.duration_s if track.loop is None else track.duration_s for track in tracks
     )
     joints, parts = _joints(tracks, robot), tuple(tracks)
-    period_s = _common_period_s(looped)
+    period_s = common_period_s(looped)
     first = ParallelPass(joints=joints, parts=parts, from_s=0.0, duration_s=begun_s)
     cycle = ParallelPass(joints=joints, parts=parts, from_s=begun_s, duration_s=period_s)
     return _merged(show, tracks, first, cycle, loop=None)
 
 
-def _common_period_s(looped: Sequence[Trajectory]) -> float:
-    """Return the least common period of all loops."""
+def common_period_s(looped: Sequence[Trajectory], what: str = "the tracks") -> float:
+    """Return the least common period of all loops; `what` names them in the error."""
     periods_s = [track.middle.duration_s for track in looped]
     if max(periods_s) - min(periods_s) <= PERIOD_SLACK_S:
         return periods_s[0]
@@ -316,7 +316,7 @@ def _common_period_s(looped: Sequence[Trajectory]) -> float:
         return common_s
     passes = ", ".join(f"{t.name!r} {s:.6g} s" for t, s in zip(looped, periods_s, strict=True))
     raise PlanningError(
-        f"the tracks loop forever, but their passes ({passes}) do not meet again within "
+        f"{what} loop forever, but their passes ({passes}) do not meet again within "
         f"{PERIOD_MAX_S:g} s; make one pass a multiple of the other, or give loops a count"
     )
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from lss_motion.errors import InputError, PlanningError
-from lss_motion.sequence.model import Layer, Sequence, Step
+from lss_motion.program.compile import compile_program
+from lss_motion.sequence.model import Cue, Layer, Sequence, Step
+from lss_motion.trajectory.cues import all_cues
 from lss_motion.trajectory.planner import plan
 from lss_motion.trajectory.verify import verify
 from tests.unit.trajectory.shows import at, blink, show
@@ -158,6 +161,76 @@ def test_an_endless_layer_lasts_as_long_as_the_show(make_robot, frame):
     assert trajectory.duration_s == pytest.approx(8.0)
     assert at(trajectory, "elbow", 0.5, 6.5) == pytest.approx([9.0, 9.0], abs=1e-3)
     assert at(trajectory, "elbow", 8.0) == pytest.approx(0.0, abs=1e-9)
+
+
+def endless_sway(frame, **more):
+    return show(
+        frame(0.0, base=0.0), frame(1.0, base=30.0), frame(3.0, base=-30.0), frame(4.0, base=0.0),
+        name="sway", loop=None, **more,
+    )  # fmt: skip
+
+
+def test_a_layer_that_ends_is_played_once_on_a_show_that_never_ends(make_robot, frame):
+    nod = show(frame(0.0, elbow=0.0), frame(1.0, elbow=20.0), frame(2.0, elbow=0.0), name="nod")
+    nod = replace(nod, events=(Cue(at_s=1.0, say="nod"),))
+    top = layer_of(nod, "elbow", from_s=5.0)
+    robot = make_robot()
+    events = (Cue(at_s=3.0, say="sway"),)
+    trajectory = plan(endless_sway(frame, layers=(top,), events=events), robot)
+    verify(trajectory, robot, has_parts=False)
+    assert math.isinf(trajectory.duration_s)
+    plain = plan(endless_sway(frame), robot)
+    times_s = np.linspace(0.0, 100.0, 1001)
+    assert at(trajectory, "base", *times_s) == pytest.approx(at(plain, "base", *times_s), abs=1e-4)
+    assert at(trajectory, "elbow", 6.0) == pytest.approx(20.0, abs=1e-4)
+    assert at(trajectory, "elbow", *times_s[80:]) == pytest.approx(0.0, abs=1e-9)
+    said = [(cue.say, round(cue.at_s, 3)) for cue in all_cues(trajectory, 30.0)]
+    assert said[:6] == [
+        ("sway", 3.0), ("nod", 6.0), ("sway", 7.0), ("sway", 11.0), ("sway", 15.0), ("sway", 19.0)
+    ]  # fmt: skip
+    program = compile_program(trajectory, robot)
+    assert program.is_endless
+
+
+def test_an_endless_layer_repeats_with_an_endless_show(make_robot, frame):
+    fast = show(
+        frame(0.0, base=0.0), frame(0.75, base=8.0), frame(1.5, base=0.0), name="b", loop=None
+    )
+    top = layer_of(fast, "base", mode="add", from_s=0.5, fade_s=1.0)
+    robot = make_robot()
+    trajectory = plan(endless_sway(frame, layers=(top,)), robot)
+    verify(trajectory, robot, has_parts=False)
+    assert trajectory.middle.duration_s == pytest.approx(12.0)
+    plain, added = plan(endless_sway(frame), robot), plan(fast, robot)
+    times_s = np.linspace(20.0, 200.0, 1801)
+    wanted = np.array(at(plain, "base", *times_s)) + np.array(at(added, "base", *(times_s - 0.5)))
+    assert at(trajectory, "base", *times_s) == pytest.approx(wanted, abs=1e-3)
+
+
+def test_limits_hold_where_layers_make_an_endless_show_too_fast(make_robot, frame):
+    hard = show(frame(0.0, base=0.0), frame(0.25, base=40.0), frame(1.5, base=0.0), name="hard")
+    top = layer_of(hard, "base", mode="add", from_s=1.0)
+    robot = make_robot()
+    trajectory = plan(endless_sway(frame, layers=(top,)), robot)
+    verify(trajectory, robot, has_parts=False)
+    assert trajectory.stretched
+    assert trajectory.middle.duration_s == pytest.approx(4.0, abs=1e-3)
+
+
+def test_an_endless_show_and_a_layer_that_never_meet_are_refused(make_robot, frame):
+    odd = show(frame(0.0, elbow=0.0), frame(math.pi, elbow=0.0, hold_s=0.1), loop=None, name="odd")
+    with pytest.raises(PlanningError, match="the show and its layers loop forever, but"):
+        plan(endless_sway(frame, layers=(layer_of(odd, "elbow"),)), make_robot())
+
+
+def test_layers_on_endless_tracks_that_never_rest_are_refused(make_robot, frame):
+    turn = show(
+        frame(0.0, base=0.0), frame(1.0, base=30.0), frame(3.0, base=-30.0), frame(4.0, base=0.0),
+        loop=None, name="turn",
+    )  # fmt: skip
+    both = Sequence(name="both", tracks=(turn,), layers=(layer_of(blink(frame), "elbow"),))
+    with pytest.raises(InputError, match="tracks of 'both' never rest together"):
+        plan(both, make_robot())
 
 
 def test_layers_can_be_on_top_of_tracks_and_play_lists(make_robot, frame):

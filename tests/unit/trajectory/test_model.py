@@ -59,8 +59,10 @@ def test_the_times_of_the_keyframes_are_those_of_the_show(frame, make_robot):
     assert [(m.label, round(m.planned_s, 6)) for m in found if m.label] == [
         ("0", 0.0), ("2.5", 2.5), ("5", 8.0)
     ]  # fmt: skip
-    endless = all_marks(plan(turning(frame, loop=None), make_robot()), 100.0)
-    assert [m.label for m in endless if m.label] == ["0", "2.5"]
+    endless = all_marks(plan(turning(frame, loop=None), make_robot()), 5.0)
+    assert [(m.label, round(m.planned_s, 6)) for m in endless if m.label] == [
+        ("0", 0.0), ("2.5", 2.5), ("2.5", 3.5), ("2.5", 4.5)
+    ]  # fmt: skip
 
 
 def test_the_speed_ratio_holds_for_the_part(frame, make_robot):
