@@ -90,6 +90,17 @@ def encode_group(items: Sequence[Command] | Sequence[Reply]) -> bytes:
     return b"".join(_joined(list(run)) for _, run in groupby(items, _section_key)) + b"\r"
 
 
+def encode_joined(replies: Sequence[Reply]) -> bytes:
+    """Return the line in which a servo replies to a group, `*15QD960T400` (FACTS.md W18)."""
+    first, *others = replies
+    values = ("" if reply.value is None else reply.value for reply in others)
+    tail = "".join(
+        f"{reply.keyword.removeprefix('Q')}{value}"
+        for reply, value in zip(others, values, strict=True)
+    )
+    return encode(first).removesuffix(b"\r") + tail.encode("ascii") + b"\r"
+
+
 class _SectionParser:
     """The part that both parsers share: the incomplete last section, and the uncommon sections."""
 

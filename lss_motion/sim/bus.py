@@ -285,8 +285,11 @@ class SimBus:
                 if servo is self._usb_servo and not servo.is_listening(received_ns):
                     self._drop_port(received_ns)
         is_group = self._is_ordered and len(commands) > 1
-        if is_group and all(command.servo_id != BROADCAST_ID for command in commands):
+        is_to_all = [command.servo_id == BROADCAST_ID for command in commands]
+        if is_group and not any(is_to_all):
             self._answering.send_in_turn(received_ns, answers)
+        elif is_group and all(is_to_all):
+            self._answering.send_in_slots(received_ns, answers)
         else:
             self._answering.send_each(received_ns, answers)
 

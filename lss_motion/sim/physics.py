@@ -34,8 +34,11 @@ class Turnaround:
     """Between two servos of a group: 0.5 ms each, less its bytes (FACTS.md W15)."""
     broadcast_ns: int = 200_000
     """Before slot 0 of an ordered broadcast: 200 µs + id times slot (FACTS.md W16)."""
-    slot_ns: int = 1_000_000
-    """Width of a SLOT. Assumed; only the slot of QID is given in its command."""
+    slot_gap_ns: int = 150_000
+    slot_reply_bytes: int = 12
+    """Width of a SLOT: a gap, and the line time of so many bytes for each query. Assumed; it
+    depends on line rate and reply length (FACTS.md W19), and only the slot of QID is given in its
+    command."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

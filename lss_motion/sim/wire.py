@@ -10,11 +10,12 @@ from __future__ import annotations
 import heapq
 from collections import deque
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 from random import Random
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from lss_motion.protocol.constants import BROADCAST_ID
-from lss_motion.protocol.framing import Command, Reply, encode
+from lss_motion.protocol.framing import TEXT_REPLIES, Command, Reply, encode, encode_joined
 from lss_motion.sim.faults import damaged
 from lss_motion.sim.physics import CORRUPT_SERIAL_RATIO, corrupt_reply_ratio_of, turnaround_of
 from lss_motion.sim.servo import ORDERED_FIRMWARE, Servo
@@ -122,6 +123,10 @@ class ServoLine:
             heapq.heappush(self._coming, (begin_ns, self._count, end_ns, value))
         heapq.heappush(self._ends_ns, end_ns)
         return end_ns
+
+    def time_ns(self, size_bytes: int) -> int:
+        """Return how long so many bytes occupy the line."""
+        return line_time_ns(size_bytes, self._baud_bps)
 
     def set_rate(self, baud_bps: int) -> None:
         """Send replies that begin from now on at another rate."""
@@ -272,20 +277,49 @@ class Answering:
     def send_each(self, received_ns: int, answers: Sequence[Answer]) -> None:
         """Send every reply after its own turnaround; replies that overlap damage each other."""
         for answer in answers:
-            self._send(answer, self._start_ns(answer, received_ns))
+            self._send([answer], self._start_ns(answer, received_ns, 1))
 
     def send_in_turn(self, received_ns: int, answers: Sequence[Answer]) -> None:
         """Send the replies to a group line one after another, in its order (FACTS.md W17)."""
         start_ns = received_ns + self._turnaround.group_ns
-        previous: Talker | None = None
-        for answer in answers:
-            if previous is not None and answer.talker is not previous:
+        runs = [list(run) for _, run in groupby(answers, lambda answer: answer.talker)]
+        for number, run in enumerate(runs):
+            if number:
                 start_ns += self._turnaround.group_gap_ns
-            previous = answer.talker
-            start_ns = self._send(answer, start_ns)
+            start_ns = self._send_run(run, start_ns, is_last=run is runs[-1])
 
-    def _start_ns(self, answer: Answer, received_ns: int) -> int:
-        """Return when the reply to one query begins."""
+    def send_in_slots(self, received_ns: int, answers: Sequence[Answer]) -> None:
+        """Send the replies to several queries to all servos, each servo's together."""
+        runs: dict[Talker, list[Answer]] = {}
+        for answer in answers:
+            runs.setdefault(answer.talker, []).append(answer)
+        for talker, run in runs.items():
+            is_last = isinstance(talker, Servo) and (
+                talker.settings.number("SLOT") + 1 >= talker.settings.number("SLOTCOUNT")
+            )
+            start_ns = self._start_ns(run[0], received_ns, len(run))
+            self._send_run(run, start_ns, is_last=is_last)
+
+    def _send_run(self, run: Sequence[Answer], start_ns: int, *, is_last: bool) -> int:
+        """Send the replies of one servo in one line, or as a part of one line for all (PROTOCOL).
+
+        Text could not be told from the keyword that follows, so it ends its line.
+        """
+        is_one_line = isinstance(run[0].talker, Servo) and bool(
+            run[0].talker.settings.number("PROTOCOL")
+        )
+        section: list[Answer] = []
+        for answer in run:
+            section.append(answer)
+            if answer.reply.keyword in TEXT_REPLIES:
+                start_ns = self._send(section, start_ns)
+                section = []
+        if section:
+            start_ns = self._send(section, start_ns, has_end=is_last or not is_one_line)
+        return start_ns
+
+    def _start_ns(self, answer: Answer, received_ns: int, count: int) -> int:
+        """Return when the replies to `count` queries of one line begin."""
         turnaround, command, servo = self._turnaround, answer.command, answer.talker
         is_slotted = self._is_ordered and command.servo_id == BROADCAST_ID
         if is_slotted and isinstance(servo, Servo):
@@ -293,20 +327,28 @@ class Answering:
                 slot_ns = command.value * 1000 * servo.servo_id
                 return received_ns + turnaround.broadcast_ns + slot_ns
             if servo.settings.number("SLOTCOUNT"):
-                slot_ns = turnaround.slot_ns * servo.settings.number("SLOT")
+                slot_ns = turnaround.slot_gap_ns
+                slot_ns += self._line.time_ns(count * turnaround.slot_reply_bytes)
+                slot_ns *= servo.settings.number("SLOT")
                 return received_ns + turnaround.broadcast_ns + slot_ns
         wait_ns = servo.random.randint(turnaround.single_min_ns, turnaround.single_max_ns)
         return received_ns + wait_ns
 
-    def _send(self, answer: Answer, start_ns: int) -> int:
-        """Send one reply after the last one of its sender; return when it ends."""
-        talker, servo_id, _, reply = answer
+    def _send(self, answers: Sequence[Answer], start_ns: int, *, has_end: bool = True) -> int:
+        """Send replies of one sender together, after its last ones; return when they end."""
+        talker, servo_id, _, _ = answers[0]
         sender = self._faults.sender(servo_id, start_ns)
-        if sender != servo_id and reply.servo_id == servo_id:
-            reply = replace(reply, servo_id=sender)
-        data = encode(reply)
+        replies = [
+            replace(answer.reply, servo_id=sender)
+            if sender != servo_id and answer.reply.servo_id == servo_id
+            else answer.reply
+            for answer in answers
+        ]
+        data = encode_joined(replies) if len(replies) > 1 else encode(replies[0])
+        if not has_end:
+            data = data.removesuffix(b"\r")
         if self._race_ratio and isinstance(talker, Servo):
-            ratio = self._race_ratio * (CORRUPT_SERIAL_RATIO if reply.keyword == "QN" else 1.0)
+            ratio = self._race_ratio * (CORRUPT_SERIAL_RATIO if replies[0].keyword == "QN" else 1.0)
             if self._race.random() < ratio:
                 data = damaged(data, self._race)
         for piece, begin_ns in self._faults.sent(servo_id, data, start_ns):

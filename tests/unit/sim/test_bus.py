@@ -1,5 +1,8 @@
+import re
+
 import pytest
 
+from lss_motion.protocol.framing import ReplyParser
 from lss_motion.sim.physics import Physics, Turnaround
 
 SLOW = Turnaround(single_min_ns=1_500_000, single_max_ns=1_500_000)
@@ -63,7 +66,41 @@ def test_a_broadcast_action_reaches_all_and_a_broadcast_query_is_answered_by_all
 def test_a_group_of_queries_is_answered_in_turn_by_370(make_host, make_servo):
     servos = [make_servo(number) for number in (0, 5, 10)]
     host = make_host(*servos)
-    assert host.ask("#0QG0QLED0#5QG#10QG") == "*0QG1|*0QLED7|*5QG1|*10QG1|"
+    assert host.ask("#0QG0QLED0#5QG#10QG") == "*0QG1LED7|*5QG1|*10QG1|"
+
+
+@pytest.mark.parametrize(
+    ("protocol", "said"),
+    [(0, "*15QG1T250|*5QG1T250|"), (1, "*15QG1T250*5QG1T250|")],
+)
+def test_the_replies_to_a_group_have_one_end_each_or_one_for_all(
+    make_host, make_servo, protocol, said
+):
+    """Both shapes are in the parser tests of the maker's library for 370."""
+    host = make_host(make_servo(15), make_servo(5))
+    host.say(f"#254PROTOCOL{protocol}")
+    answer = host.ask("#15QG0QT0#5QG0QT0")
+    assert answer == said
+    replies = ReplyParser().feed(answer.replace("|", "\r").encode())
+    assert [(reply.servo_id, reply.keyword, reply.value) for reply in replies] == [
+        (15, "QG", 1), (15, "QT", 250), (5, "QG", 1), (5, "QT", 250)
+    ]  # fmt: skip
+
+
+def test_text_ends_its_line_in_a_group(make_host, make_servo):
+    host = make_host(make_servo(1), make_servo(2))
+    assert host.ask("#1QMS0QG0#2QG") == "*1QMSLSS-ST1|*1QG1|*2QG1|"
+
+
+@pytest.mark.parametrize("baud_bps", [115200, 500000, 921600])
+@pytest.mark.parametrize("protocol", [0, 1])
+def test_two_replies_fit_into_one_slot_at_every_rate(make_host, make_servo, baud_bps, protocol):
+    host = make_host(*(make_servo(number) for number in (3, 9, 12)), baud_bps=baud_bps)
+    for line in ("#254SLOTCOUNT3", "#3SLOT1", "#9SLOT0", "#12SLOT2", f"#254PROTOCOL{protocol}"):
+        host.say(line)
+    end = "" if protocol else "|"
+    texts = [re.escape(f"*{number}QV") + r"1\d{4}T250" for number in (9, 3, 12)]
+    assert re.fullmatch(re.escape(end).join(texts) + re.escape("|"), host.ask("#254QV0QT0"))
 
 
 def test_the_servos_of_a_group_leave_a_gap(make_host, make_servo):
