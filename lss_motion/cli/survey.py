@@ -12,6 +12,7 @@ import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections import Counter
     from collections.abc import Iterable, Mapping
 
     from lss_motion.connection import Connection
@@ -47,8 +48,13 @@ def survey(connection: Connection, bus: Bus, baud_bps: int | None) -> list[Servo
     return looks
 
 
-def roll_call(connection: Connection, bus_name: str) -> list[ServoIdentity]:
-    """Return the servos that reply on a bus at its present rate."""
+def roll_call(
+    connection: Connection, bus_name: str, unasked: Counter[int] | None = None
+) -> list[ServoIdentity]:
+    """Return the servos that reply on a bus at its present rate.
+
+    `unasked` gets the count of the replies, by id, that no query here can have caused.
+    """
     from lss_motion.maintenance import discovery
     from lss_motion.maintenance.discovery import Listening
     from lss_motion.protocol.constants import ID_MAX
@@ -61,6 +67,8 @@ def roll_call(connection: Connection, bus_name: str) -> list[ServoIdentity]:
         received = connection.run(
             Listening(bus_name, discovery.roll_call_steps(baud_bps, left))
         ).received
+        if unasked is not None:
+            unasked += discovery.unasked(received, is_silent=False)
         answered, again = discovery.read_roll_call(baud_bps, left, received)
         models |= answered
         doubtful |= again
@@ -103,11 +111,15 @@ def query_each(
 
 def _look(connection: Connection, bus_name: str, baud_bps: int) -> list[ServoCondition]:
     from lss_motion.maintenance import discovery
+    from lss_motion.maintenance.discovery import Listening
 
-    found = roll_call(connection, bus_name)
+    silent = connection.run(Listening(bus_name, discovery.silent_steps())).received
+    unasked = discovery.unasked(silent, is_silent=True)
+    found = roll_call(connection, bus_name, unasked)
     items = [item for p in found if not p.is_shared for item in discovery.questions(bus_name, p)]
     answers = connection.ask(items)
     looks = [discovery.read_condition(bus_name, baud_bps, present, answers) for present in found]
+    looks = [dataclasses.replace(seen, unasked=unasked[seen.servo_id]) for seen in looks]
     causes = connection.ask(discovery.cause_questions(looks))
     return [
         dataclasses.replace(seen, cause=discovery.read_cause(seen, causes))

@@ -54,7 +54,11 @@ ASKED_AGAIN: Final = 4
 """How often an id is queried alone, and how often when an answer was damaged. Firmware up to 368
 damages some answers by itself (FACTS.md W21), so one bad answer proves nothing."""
 
-_CLEAN: Final = re.compile(rb"\*([0-9]+)(QMS|QN)([!-)+-~]+)\r")
+UNASKED_NS: Final = 400 * NS_PER_MS
+"""How long the bus is observed without a query: another program polls several times a second."""
+
+_CLEAN: Final = re.compile(rb"\*([0-9]+)(QMS|QN|Q[A-Z]*)([!-)+-~]*)\r")
+_ASKED_HERE: Final = ("QMS", "QN")
 
 HOT_C: Final = 65.0
 """A warning is due from here on; at 85 °C a servo goes limp (FACTS.md S7). Chosen: time to act."""
@@ -185,12 +189,30 @@ def _question(servo_id: int, keyword: str, listen_ns: int, baud_bps: int) -> Ste
 
 
 def _values(servo_id: int, data: bytes) -> list[tuple[str, str]]:
-    """Return keyword and text of every clean answer of one id in `data`."""
+    """Return keyword and text of every clean answer of one id in `data` to a query sent here."""
     return [
         (match[2].decode(), match[3].decode())
         for match in _CLEAN.finditer(data)
-        if int(match[1]) == servo_id
+        if int(match[1]) == servo_id and match[2].decode() in _ASKED_HERE and match[3]
     ]
+
+
+def silent_steps() -> list[Step]:
+    """Return a wait in which nothing is asked."""
+    return [Step(b"", UNASKED_NS)]
+
+
+def unasked(received: Iterable[bytes], *, is_silent: bool) -> Counter[int]:
+    """Return how many whole replies came from each id that no query here can have caused.
+
+    With `is_silent` nothing was asked. The commands of another computer cannot be seen: only the
+    servos receive them.
+    """
+    return Counter(
+        int(match[1])
+        for match in _CLEAN.finditer(b"".join(received))
+        if is_silent or match[2].decode() not in (*_ASKED_HERE, "QID")
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -206,6 +228,8 @@ class ServoCondition:
     temperature_c: float | None = None
     status: Status | None = None
     cause: SafeModeCause | None = None
+    unasked: int = 0
+    """How many of its replies no query of this program can have caused."""
 
     @property
     def servo_id(self) -> int:

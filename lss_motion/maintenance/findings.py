@@ -106,6 +106,8 @@ def differences(robot: Robot, bus: Bus, servos: Sequence[ServoCondition]) -> Ite
 def warnings(servos: Sequence[ServoCondition], where: str) -> Iterator[str]:
     """Yield the servos that answer but have a problem. `where` names the port in a command."""
     for servo in servos:
+        if servo.unasked:
+            yield unasked_text(f"servo {servo.servo_id}", servo.unasked)
         if servo.status is Status.SAFE_MODE:
             cause = "" if servo.cause is None else servo.cause.name.lower().replace("_", " ")
             remedy = "find the cause" if servo.cause is None else REMEDIES[servo.cause]
@@ -123,6 +125,16 @@ def warnings(servos: Sequence[ServoCondition], where: str) -> Iterator[str]:
                 f"servo {servo.servo_id} has {servo.voltage_v:.1f} V; {SUPPLY_MIN_V:g} to "
                 f"{SUPPLY_MAX_V:g} V are allowed. Check battery and supply"
             )
+
+
+def unasked_text(who: str, count: int) -> str:
+    """Return the text for a servo whose replies this program did not ask for."""
+    replies = "a reply" if count == 1 else f"{count} replies"
+    return (
+        f"{who} sent {replies} that this program did not ask for: another program or computer asks "
+        f"on this bus, or the servo sends by itself. Two hosts disturb each other: stop the other "
+        f"one, or take that servo off the bus"
+    )
 
 
 def unnamed(robot: Robot, bus: Bus, servos: Sequence[ServoCondition]) -> Iterator[str]:

@@ -7,7 +7,7 @@ alarm reports a servo that is hot, overloaded, badly supplied, stuck or silent.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
@@ -18,6 +18,7 @@ from lss_motion.maintenance.discovery import (
     SUPPLY_MAX_V,
     SUPPLY_MIN_V,
 )
+from lss_motion.maintenance.findings import unasked_text
 from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.transactions import Dialogue, Item
@@ -42,6 +43,9 @@ HISTORY: Final = 40
 """The positions of a sparkline."""
 MISSES_MAX: Final = 3
 """Rounds without any answer after which a servo is silent."""
+UNASKED_ROUNDS: Final = 50
+UNASKED_MAX: Final = 2
+"""More replies than queries in so many rounds: another host asks, or the servo sends by itself."""
 SUSPENDED_NS: Final = 2 * NS_PER_S
 """How long a silent servo is not polled, so that it does not delay the others all the time; the
 maker's library takes 15 s (FACTS.md H6)."""
@@ -62,6 +66,9 @@ class ServoState:
     raw: float | None = None
     """The value of an analog pin of a 2IO."""
     misses: int = 0
+    unasked: int = 0
+    """How many more replies than queries there were in the last rounds."""
+    surplus: deque[int] = field(default_factory=lambda: deque(maxlen=UNASKED_ROUNDS))
     positions_deg: deque[float] = field(default_factory=lambda: deque(maxlen=HISTORY))
 
     @property
@@ -111,6 +118,8 @@ class _BusRounds:
     dialogue: Dialogue
     rounds: int = 0
     began_ns: int = 0
+    replies: Counter[int] = field(default_factory=Counter)
+    """The replies of this round by servo id."""
     suspended: dict[int, int] = field(default_factory=dict)
     """Servo id → end of the time in which it is not polled."""
 
@@ -118,6 +127,7 @@ class _BusRounds:
         """Begin the next round."""
         self.rounds += 1
         self.began_ns = now_ns
+        self.replies.clear()
         items = [
             Item(bus=self.name, command=Command(servo_id, keyword), is_query=True, tries=1)
             for servo in self.servos
@@ -143,6 +153,9 @@ class _BusRounds:
                 if asked_id == servo_id
             }
             servo.take_round(answered, now_ns)
+            asked = len(_keywords(servo, self.rounds)) if answered else 0
+            servo.surplus.append(self.replies[servo_id] - max(asked, len(answered)))
+            servo.unasked = max(sum(servo.surplus), 0)
             if servo.is_silent:
                 self.suspended[servo_id] = now_ns + SUSPENDED_NS
             if answered:
@@ -201,6 +214,8 @@ class Watch:
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:
         if (rounds := self._buses.get(bus)) is not None:
             for reply in rounds.line.receive(data):
+                if reply.servo_id is not None:
+                    rounds.replies[reply.servo_id] += 1
                 rounds.dialogue.receive(bus, reply, now_ns)
 
     def next_wakeup_ns(self) -> int | None:
@@ -248,6 +263,8 @@ class Thresholds:
         found = []
         if servo.is_silent:
             return [("silent", f"{name} does not answer")]
+        if servo.unasked > UNASKED_MAX:
+            found.append(("unasked", unasked_text(name, servo.unasked)))
         if servo.status in BAD_STATUS and servo.status is not None:
             found.append(("status", f"{name}: {servo.status.value}"))
         if servo.temperature_c is not None and servo.temperature_c >= self.temperature_max_c:

@@ -107,6 +107,25 @@ def test_the_condition_of_all_three_families_is_read(connected, spec):
     assert looks[209].status is None
 
 
+@pytest.mark.parametrize(("line", "every_s"), [("#5QD", 0.05), ("#5QMS", 0.1), ("#5QV", 0.37)])
+def test_another_host_is_noticed_by_the_replies_that_it_causes(connected, spec, line, every_s):
+    master = Fault(kind=FaultKind.SECOND_MASTER, text=line, every_s=every_s)
+    connection = connected(spec(5), spec(6), faults=[master])
+    looks = {look.servo_id: look for look in survey(connection, connection.buses["main"], 115200)}
+    assert looks[5].unasked > 0
+    assert looks[6].unasked == 0
+    assert not looks[5].identity.is_shared
+    (text,) = findings.warnings(list(looks.values()), "--port P")
+    assert "servo 5 sent" in text
+    assert "another program or computer asks on this bus, or the servo sends by itself" in text
+
+
+def test_a_quiet_bus_has_no_reply_that_nothing_asked_for(connected, spec):
+    connection = connected(spec(5), spec(6), spec(209, "LSS-2IO"), usb_latency_ns=16_000_000)
+    looks = survey(connection, connection.buses["main"], 115200)
+    assert [look.unasked for look in looks] == [0] * len(looks)
+
+
 def test_an_empty_bus_is_reported_as_such(connected):
     connection = connected()
     assert survey(connection, connection.buses["main"], None) == []

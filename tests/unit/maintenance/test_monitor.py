@@ -215,6 +215,28 @@ def test_a_sparkline_goes_from_the_lowest_to_the_highest():
     assert sparkline([]) == ""
 
 
+@pytest.mark.parametrize("latency_ms", [0, 16])
+@pytest.mark.parametrize("line", ["#1QD", "#1QFPC"])
+def test_another_host_is_an_alarm_and_a_late_reply_is_not(connected, spec, line, latency_ms):
+    def texts(faults):
+        targets = [target(1), target(2)]
+        options = {"faults": faults, "usb_latency_ns": latency_ms * 1_000_000}
+        connection = connected(spec(1), spec(2), **options)
+        watch = Watch(targets, connection.buses)
+        until_ns = connection.clock.now_ns() + 2_000_000_000
+
+        def on_turn(watch, now_ns):
+            if now_ns >= until_ns:
+                watch.stop()
+
+        run(watch, connection.ports, connection.clock, on_turn=on_turn)
+        return Alarms(Thresholds()).update(watch.readings)
+
+    assert texts([]) == []
+    (text,) = texts([Fault(kind=FaultKind.SECOND_MASTER, text=line, every_s=0.03)])
+    assert "another program or computer asks on this bus" in text
+
+
 @pytest.mark.parametrize("firmware", [779, 780])
 def test_a_status_is_interpreted_by_the_firmware_of_the_servo(
     connected, spec, tmp_path, monkeypatch, capsys, firmware
