@@ -202,14 +202,19 @@ def test_two_commands_in_one_line_without_a_return_between_them(tmp_path):
 KEPT = {
     "O": (-24, 100), "AR": (1200, 3600), "SD": (900, 1800), "SR": (12, 30), "LED": (3, 5),
     "G": (-1, 1), "AS": (-4, 2), "AH": (3, -2), "AA": (30, 60), "AD": (40, 70), "EM": (0, 1),
-    "FPC": (3, 10), "HD": (20, 40), "ABR": (1, 0),
+    "FPC": (3, 10), "HD": (20, 40), "ABR": (1, 0), "PO": (-50, 50),
 }  # fmt: skip
 """Settings with a session and a configured value: two values of each."""
 
-ONLY_KEPT = {"CFD": 300, "CFP": 1600, "CLB": 12, "CLE": 1, "CLP": 900, "CLN": -900, "CB": 57600}
+ONLY_KEPT = {
+    "CFD": 300, "CFP": 1600, "CLB": 12, "CLE": 1, "CLP": 900, "CLN": -900, "CB": 57600,
+    "CIS": 3, "CRIS": 5,
+}  # fmt: skip
 """Settings that are configured only, and what they are set to."""
 
-ONLY_SESSION = {"MMD": 600, "IPE": 0, "SCSL": 300, "SLOTCOUNT": 4, "SLOT": 2, "PROTOCOL": 1}
+ONLY_SESSION = {
+    "MMD": 600, "IPE": 0, "SCSL": 300, "SLOTCOUNT": 4, "SLOT": 2, "PROTOCOL": 1, "Y": 1, "TQM": 500
+}  # fmt: skip
 """Settings that a session forgets."""
 
 
@@ -218,7 +223,14 @@ def test_every_setting_of_the_session_and_of_the_memory_is_read_back(tmp_path):
     table = LSS_TABLE.rows
     settings = {row.name for row in table if (row.actions or row.configs) and row.queries}
     tried = {*KEPT, *(key[1:] for key in ONLY_KEPT), *ONLY_SESSION} | {"CSL", "ID"}
-    moving = {"P", "D", "WD", "WR", "MD_RAW"}
+    moving = {
+        "P",
+        "D",
+        "WD",
+        "WR",
+        "MD_RAW",
+        "CR",
+    }
     assert settings - moving == tried - {"SCSL"}
     link = tmp_path / "lss"
     with served(make_robot(), link), opened(link) as port:
