@@ -44,6 +44,8 @@ OPEN_S: Final = 10.0
 AHEAD_S: Final = 3.0
 """A sound is handed over so long before its time, so that its file can be opened and read."""
 NEVER_S: Final = 1e12
+BACK_S: Final = 0.02
+"""A stall or a wait takes the show clock back by a little."""
 ALIVE_NS: Final = NS_PER_S // 5
 COMMAND: Final = (sys.executable, "-P", "-m", "lss_motion.sound.process")
 """-P: no module of the current folder is imported in place of an installed one."""
@@ -74,7 +76,7 @@ class SoundDesk:
         self._names: dict[int, str] = {}
         self._leg: ClockLeg | None = None
         self._alive_ns = 0
-        self._start_s = start_s or 0.0
+        self._start_s = self._shown_s = start_s or 0.0
         self._followed_s: float | None = None
         self._rest = b""
         self._child: subprocess.Popen[bytes] | None = None
@@ -117,7 +119,11 @@ class SoundDesk:
                 self._leg = leg = show.clock.leg
                 values = (leg.start_ns, leg.start_s, leg.from_rate, leg.to_rate, leg.ramp_ns)
                 self._send(leg=[*values, leg.trim_ratio])
-            self._feed(show.show_s(now_ns))
+            show_s = show.show_s(now_ns)
+            if show_s < self._shown_s - BACK_S:
+                self._go_back(show_s)
+            self._shown_s = show_s
+            self._feed(show_s)
         offset_s = self._robot_offset_s + self._choice.shift_s
         if offset_s != self._sent_offset_s:
             self._sent_offset_s = self.report.offset_s = round(offset_s, 4)
@@ -222,6 +228,13 @@ class SoundDesk:
             self._send(leads=False)
 
     # ---- during the show
+
+    def _go_back(self, show_s: float) -> None:
+        """Hand over again what sounds from `show_s` on: the show was sent back there."""
+        self._send(clear=1)
+        self._cues = self._program.unrolled_cues()
+        self._start_s = show_s
+        self._advance()
 
     def _feed(self, show_s: float) -> None:
         """Hand over the sounds that are due soon; those that were over before it are skipped."""

@@ -62,10 +62,12 @@ class Voice:
     """Its own fade, after it was placed while others sounded."""
     is_leaving: bool = False
     """It is faded out, to be placed again."""
+    is_dismissed: bool = False
+    """It is not placed again."""
 
     def is_over(self, show_s: float, rate_hz: int) -> bool:
         """Return whether nothing of it sounds from `show_s` on."""
-        if show_s >= self.until_s:
+        if show_s >= self.until_s or (self.is_dismissed and self.frame is None):
             return True
         end_s = self.at_s + self.source.frames / (rate_hz * self.speed_ratio)
         return not self.is_looped and show_s > end_s + MISPLACED_S
@@ -102,6 +104,11 @@ class Mixer:
             self.offset_s = offset_s
             for voice in self.voices:
                 voice.is_leaving = voice.frame is not None
+
+    def clear(self) -> None:
+        """Fade out all voices and forget them."""
+        for voice in self.voices:
+            voice.is_dismissed = voice.is_leaving = True
 
     def render(self, heard_ns: float, ns_per_frame: float, count: int) -> NDArray[np.float32]:
         """Return the next `count` frames, of which the first one sounds at `heard_ns`."""
@@ -185,11 +192,9 @@ class Mixer:
         if not self.leads:
             step *= (1.0 + leg.trim_ratio) * ns_per_frame * self.rate_hz / NS_PER_S
         if voice.frame is None:
-            voice.source.want(max(place, 0.0), wraps=voice.is_looped)
-            if place + step * count <= 0.0:
-                return None
-            lead_in = round(max(-place, 0.0) / step)
-            if lead_in >= count or not self._is_placed(voice, place, is_fading_in=is_fading_in):
+            lead_in = round(-place / step) if place < 0.0 < step else 0
+            is_due = lead_in < count and place + step * count > 0.0
+            if not self._is_placed(voice, place, is_due=is_due, is_fading_in=is_fading_in):
                 return None
         assert voice.frame is not None
         off_s = (place + step * lead_in - voice.frame) / (self.rate_hz * voice.speed_ratio)
@@ -211,11 +216,14 @@ class Mixer:
             voice.frame, voice.is_leaving = None, False
         return part
 
-    def _is_placed(self, voice: Voice, place: float, *, is_fading_in: bool) -> bool:
-        """Put a voice where it must be; False while that is not read yet."""
+    def _is_placed(self, voice: Voice, place: float, *, is_due: bool, is_fading_in: bool) -> bool:
+        """Put a voice that is due where it must be; False while that is not read yet."""
+        if voice.is_dismissed:
+            return False
         source = voice.source
+        source.want(max(place, 0.0), wraps=voice.is_looped)
         wrapped = place % source.frames if voice.is_looped else max(place, 0.0)
-        if not source.is_ready(wrapped, round(0.1 * self.rate_hz)):
+        if not is_due or not source.is_ready(wrapped, round(0.1 * self.rate_hz)):
             return False
         is_middle = place > MISPLACED_S * self.rate_hz
         # Whole frames are copied as they are; a frame is 20 us.

@@ -5,6 +5,7 @@ It reads one JSON object a line from standard input:
     {"leg": [start_ns, start_s, from_rate, to_rate, ramp_ns, trim_ratio]}   the show clock
     {"sound": {"number": 3, "path": "…", "at_s": 2.0, …}}   see `Sounding._schedule`
     {"offset_s": 0.02}                                      all sounds later by so much
+    {"clear": 1}                                            forget all sounds
     {"leads": false}                                        another clock leads the show
     {"alive": 1}                                            the show still runs
     {"end": 1}                                              fade out, and end
@@ -100,6 +101,9 @@ class Sounding:
             case {"offset_s": offset_s}:
                 with self._stream.lock:
                     self._mixer.set_offset(offset_s)
+            case {"clear": _}:
+                with self._stream.lock:
+                    self._mixer.clear()
             case {"leads": leads}:
                 self._mixer.leads = leads
             case {"end": _}:

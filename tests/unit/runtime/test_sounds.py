@@ -7,6 +7,7 @@ import json
 import sys
 import wave
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -14,7 +15,9 @@ import lss_motion as lss
 from lss_motion.cli.play import main as play
 from lss_motion.cli.terminal import Inputs
 from lss_motion.perform import perform
+from lss_motion.player.show_clock import ShowClock
 from lss_motion.runtime.sound_choice import SoundChoice
+from lss_motion.runtime.sounds import SoundDesk
 from lss_motion.sequence.model import Cue
 
 ROBOT = Path(__file__).parents[3] / "sequences" / "robots" / "desk_arm.yaml"
@@ -224,3 +227,20 @@ def test_an_offset_that_a_person_found_by_ear_is_kept_and_used_in_the_next_show(
     robot.write_text(f"sound_offset_s: -0.1\n{ROBOT.read_text()}")
     _, report = show("--robot", str(robot))
     assert report["sound"]["offset_s"] == -0.1, "the author's value stays his"
+
+
+def test_a_show_that_is_sent_back_hands_its_sounds_over_again(tmp_path, scripted):
+    received = scripted()
+    program, _ = nod(tmp_path)
+    desk = SoundDesk(program, SoundChoice(), offset_s=0.0, start_s=None)
+    clock = ShowClock(0, 0.0, 1.0)
+    show = SimpleNamespace(clock=clock, show_s=clock.show_s)
+    player = SimpleNamespace(show=show, show_ended_ns=None)
+    for now_ns in (0, 100_000_000, 250_000_000):
+        desk.turn(player, now_ns)
+    show.clock = ShowClock(250_000_000, 0.0, 1.0)
+    show.show_s = show.clock.show_s
+    desk.turn(player, 260_000_000)
+    desk.close()
+    kinds = [next(iter(json.loads(line))) for line in received.read_text().splitlines()]
+    assert [kind for kind in kinds if kind in ("sound", "clear")] == ["sound", "clear", "sound"]

@@ -204,3 +204,31 @@ def test_what_is_muted_by_order_is_silent_within_the_fade(tmp_path):
 
 def test_a_device_that_is_off_and_its_show_are_within_2_ms_for_an_hour():
     assert hour_off_s(200.0) < 0.002
+
+
+def test_a_show_that_is_sent_back_forgets_its_voices_without_a_click(tmp_path):
+    path = wave_file(tmp_path, ramp(9.0))
+    desk = Desk(voice(path))
+    desk.leg(0.0)
+    desk.play(3.0)
+    desk.mixer.clear()
+    desk.mixer.voices.append(voice(path, at_s=0.5))
+    desk.leg(3.0, start_s=1.0)
+    played = desk.play(4.0)
+    assert len(desk.mixer.voices) == 1
+    assert 10.0 * desk.at(3.9) == pytest.approx(1.4, abs=1e-3)
+    assert np.abs(np.diff(played[100:])).max() < 2.0 * 0.3 / (0.05 * RATE_HZ)
+
+
+def test_a_sound_that_comes_while_the_show_stops_waits_for_it(tmp_path):
+    desk = Desk()
+    desk.leg(0.0)
+    desk.play(1.0)
+    desk.leg(1.0, 0.0, 0.0)
+    desk.mixer.voices.append(voice(wave_file(tmp_path, np.full(8000, 0.5)), at_s=0.9))
+    played = desk.play(2.0)
+    desk.leg(2.0, 1.0, 1.0)
+    later = desk.play(2.5)
+    assert np.abs(np.diff(played)).max() < 1.1 * 0.5 / (0.05 * RATE_HZ)
+    assert not played[round(1.1 * RATE_HZ) :].any()
+    assert later[-1] == pytest.approx(0.5)
