@@ -53,13 +53,17 @@ class Bench:
         self.connection.close()
         return self.careful
 
+    @property
+    def bus(self):
+        return self.connection.simulated["main"]
+
     def lines(self):
-        return [line.rstrip(b"\r") for _, line in self.connection.simulated["main"].lines]
+        return [line.rstrip(b"\r") for _, line in self.bus.lines]
 
     def horn_deg(self):
         """Return the servo angle of the horn at every control tick."""
         times_ns = range(self.began_ns, self.connection.clock.now_ns(), TICK_NS)
-        return self.connection.simulated["main"].horn_deg(list(times_ns))[:, 0]
+        return self.bus.horn_deg(list(times_ns))[:, 0]
 
     def speeds_deg_s(self):
         return np.abs(np.diff(self.horn_deg())) / (1e-9 * TICK_NS)
@@ -75,8 +79,10 @@ class StopAt:
         return []
 
     def act(self, careful, now_ns):
-        is_there = len(careful._results) == self.leg and careful._trial.sent
+        is_moving = careful._leg is not None and careful._trial.sent
+        is_there = is_moving and len(careful._results) == self.leg
         if self.count and is_there and len(careful._trial.readings_deg) >= self.readings:
+            self.stopped_ns = now_ns
             for _ in range(self.count):
                 careful.stop(now_ns)
             self.count = 0
@@ -151,11 +157,25 @@ def test_the_units_of_an_lss_pro_are_found_by_its_angles_and_its_speed(tmp_path,
     assert bench.speeds_deg_s().max() <= (46.0 if len(faults) > 1 else 18.1)
 
 
-@pytest.mark.parametrize("kind", ["lost_command", "lost_reply", "corrupt_reply", "double_reply"])
+@pytest.mark.parametrize("kind", ["lost_reply", "corrupt_reply", "double_reply"])
 def test_a_line_with_faults_is_no_wrong_servo(tmp_path, kind):
     bench = Bench(tmp_path, Fault(kind=FaultKind(kind), ratio=0.03))
     careful = bench.run()
     assert careful.error is None, str(careful.error)
+
+
+def test_a_move_that_the_line_lost_is_sent_once_more(tmp_path):
+    bench = Bench(tmp_path)
+    bench.run()
+    first_ns = next(at_ns for at_ns, line in bench.bus.lines if line.startswith(b"#3D"))
+    lost = Fault(
+        kind=FaultKind.LOST_COMMAND, at_s=1e-9 * first_ns - 0.005, until_s=1e-9 * first_ns + 0.001
+    )
+    bench = Bench(tmp_path, lost)
+    careful = bench.run()
+    assert careful.error is None, str(careful.error)
+    moves = [line for line in bench.lines() if line.startswith(b"#3D")]
+    assert len(moves) == 6  # The lost one reached no servo.
 
 
 def test_units_that_are_all_wrong_are_found_by_the_pulses(tmp_path):
@@ -178,7 +198,8 @@ def test_a_gyre_that_changes_stops_the_joint_within_a_few_degrees(tmp_path, at_s
 @pytest.mark.parametrize("leg", range(6))
 def test_ctrl_c_brakes_by_the_ramps_restores_and_holds(tmp_path, leg):
     bench = Bench(tmp_path)
-    careful = bench.run(StopAt(leg, 6))
+    stop_at = StopAt(leg, 6)
+    careful = bench.run(stop_at)
     assert careful.is_stopped
     assert careful.error is None
     assert careful.state is State.DONE
@@ -187,6 +208,11 @@ def test_ctrl_c_brakes_by_the_ramps_restores_and_holds(tmp_path, leg):
     accel = np.diff(bench.horn_deg(), n=2) / (1e-9 * TICK_NS) ** 2
     assert np.abs(accel).max() <= 1.02 * bench.joint.accel_max_deg_s2
     assert np.ptp(bench.horn_deg()[-10:]) < 0.01
+    after = (stop_at.stopped_ns - bench.began_ns) // TICK_NS
+    turned_deg = careful._leg.sign * bench.horn_deg()[after:]
+    assert turned_deg[-1] > turned_deg.max() - 0.1  # It did not turn back.
+    braking_deg = 0.5 * bench.speeds_deg_s()[after - 8 :].max() ** 2 / careful._leg.settings["AD"]
+    assert np.ptp(turned_deg) < braking_deg + 1.0
 
 
 def test_a_second_ctrl_c_ends_at_once_and_safely(tmp_path):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from lss_motion.cli.careful import CAREFUL_RATE
+from lss_motion.cli.main import main as lss_motion
 from lss_motion.cli.play import main
 
 ROBOT = """
@@ -65,6 +66,8 @@ def test_every_joint_passes_and_the_show_after_it_has_half_the_speed(play, tmp_p
         assert f"  {name}: turned " in out
     assert f"plays at {CAREFUL_RATE:.0%} of its speed" in out
     assert not list(tmp_path.glob("*.learnt.yaml")), "simulated servos teach nothing"
+    assert "rate 0.5" in log.read_text()
+    assert lss_motion(["replay", "--again", str(log)]) == 0
 
 
 @pytest.mark.parametrize(
