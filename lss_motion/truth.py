@@ -7,6 +7,7 @@ behind the show, and writes them to a file that the system removes. So an hour t
 from __future__ import annotations
 
 import io
+import itertools
 import math
 import tempfile
 from dataclasses import dataclass, field
@@ -103,14 +104,24 @@ class TruthRecorder:
         assert player.show is not None
         self._joints = tuple(player.program.start_deg)
         knots = list(player.show.clock.knots(self._since_ns, until_ns, 10 * NS_PER_MS))
+        self._since_ns = until_ns
+        start = 0
+        for index, (before, after) in enumerate(itertools.pairwise(knots), start=1):
+            if after[0] == before[0] and after[1] != before[1]:  # The show was sent elsewhere.
+                self._sample_between(knots[start:index], player.program.duration_s)
+                # At this instant the robot is not there yet.
+                start, self._next = index, math.floor(after[1] / TRUTH_STEP_S + 1e-6) + 1
+        self._sample_between(knots[start:], player.program.duration_s)
+
+    def _sample_between(self, knots: list[tuple[int, float]], duration_s: float) -> None:
+        """Take the samples of a part of the run in which show time did not jump."""
         if not knots:
             return
         instants = np.array([instant for instant, _ in knots], dtype=np.int64)
         shown_s = np.array([show_s for _, show_s in knots])
-        self._since_ns = until_ns
         if self._next is None:
             self._next = math.ceil(max(float(shown_s[0]), 0.0) / TRUTH_STEP_S - 1e-6)
-        last_s = min(float(shown_s[-1]), player.program.duration_s)
+        last_s = min(float(shown_s[-1]), duration_s)
         last = math.floor(last_s / TRUTH_STEP_S + 1e-6)
         if last < self._next:
             return

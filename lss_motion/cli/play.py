@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -119,10 +120,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--from",
-        type=number_from(0.0, 1e6, "seconds"),
+        type=_place,
         dest="start_s",
-        metavar="S",
-        help="start S seconds into the show",
+        metavar="S|LABEL",
+        help="start S seconds into the show, or at the first keyframe with this label",
     )
     parser.add_argument("--no-feedback", action="store_true", help=NO_FEEDBACK_HELP)
     parser.add_argument("--force", action="store_true", help=UNLIMITED_HELP)
@@ -289,10 +290,11 @@ def _check(arguments: argparse.Namespace, show: Show, *, is_simulated: bool) -> 
         raise InputError("--faults needs the simulated bus")
     if arguments.virtual and show.program.is_endless:
         raise InputError("--virtual never ends with a loop forever; give --loop N")
-    if arguments.start_s is not None and arguments.start_s >= show.program.duration_s:
-        raise InputError(
-            f"--from {arguments.start_s:g}: the show ends at {show.program.duration_s:.3f} s"
-        )
+    if arguments.start_s is not None:
+        try:
+            arguments.start_s = show.program.instant_of(arguments.start_s)
+        except InputError as error:
+            raise InputError(f"--from: {error}") from None
 
 
 def _perform(
@@ -420,6 +422,15 @@ def _exit_code(result: Result, terminal: Terminal) -> int:
             return EXIT_NOT_FOLLOWED
         case _:
             return EXIT_FINISHED
+
+
+def _place(text: str) -> float | str:
+    """Return a show time, or else a label."""
+    try:
+        seconds = float(text)
+    except ValueError:
+        return text
+    return number_from(0.0, 1e6, "seconds")(text) if math.isfinite(seconds) else text
 
 
 def _loop(text: str) -> int | str:

@@ -46,6 +46,7 @@ class Agenda:
     """Marks and cues of one program, in every pass. Sends LED orders between moves."""
 
     def __init__(self, program: Program, robot: Robot) -> None:
+        self._program = program
         self._robot = robot
         self._marks = program.unrolled_marks()
         self._cues = program.unrolled_cues()
@@ -56,9 +57,13 @@ class Agenda:
         """Joints whose LED colour this show changes."""
 
     def begin_at(self, show_s: float | None) -> None:
-        """Skip what is before `show_s`, where the show starts; None is its beginning."""
+        """Go on from `show_s`, also back in time, without what is before; None: the beginning."""
         if show_s is None:
             return
+        self._marks = self._program.unrolled_marks(show_s)
+        self._cues = self._program.unrolled_cues(show_s)
+        self._mark, self._cue = next(self._marks, None), next(self._cues, None)
+        self._lights.clear()
         while self._mark is not None and self._mark[0] < show_s:
             self._mark = next(self._marks, None)
         while self._cue is not None and self._cue[0] < show_s:
@@ -134,16 +139,20 @@ class Waiting:
         from_s: float,
     ) -> None:
         """Take the waits with their show times; those before `from_s` are skipped."""
-        self._points = dropwhile(lambda due: due[0] < from_s, points)
         self._sensors = sensors
-        self._next: tuple[float, Wait] | None = None
-        self._go_on()
-        self._since_ns: int | None = None
         self._polled_ns: int | None = None
         self._met = 0
         self._notices: list[Waited] = []
         self.rate_after = 1.0
         """Rate at which the show goes on after the present wait."""
+        self.begin_at(points, from_s)
+
+    def begin_at(self, points: Iterable[tuple[float, WaitPoint]], from_s: float) -> None:
+        """Go on from `from_s` with these waits, also back in time; a present wait is over."""
+        self._points = dropwhile(lambda due: due[0] < from_s, points)
+        self._next: tuple[float, Wait] | None = None
+        self._since_ns: int | None = None
+        self._go_on()
 
     @property
     def next_s(self) -> float:

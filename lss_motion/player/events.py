@@ -23,6 +23,8 @@ class Phase(StrEnum):
     PREPARE = "preparing"
     APPROACH = "approaching"
     SHOW = "playing"
+    SEEK = "seeking"
+    """Braking, to go on from another place of the show."""
     RECOVER = "recovering"
     """Something is missing; the robot stands until it is back."""
     STOP = "stopping"

@@ -184,6 +184,10 @@ class JointState:
         """Note that `move` of the program is under way, whether it is sent or not."""
         self.active = move
 
+    def leave_move(self) -> None:
+        """Note that no move is under way: the show stands, and goes on from another place."""
+        self.active = self.deferred = self.guide_ns = None
+
     def extend_plan(self, later: PiecewiseProfile, keep_from_s: float) -> None:
         """Continue the plan with `later`; what was before `keep_from_s` is dropped."""
         self.plan = self.plan.followed_by(later, keep_from_s)

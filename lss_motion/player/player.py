@@ -7,9 +7,10 @@
 
 The phases (`events.Phase`): connect (check the servos), ready (wait for a person), prepare (session
 settings), approach (move to the start), show, and in any case restore (the settings) and done (the
-safe state is the last that is sent). From approach and show a fault, or a stall of this program,
-may lead to recover, and from there through prepare and approach back to the show; or to stop, which
-brakes.
+safe state is the last that is sent). A person may send the show elsewhere: from approach or show
+to seek, which brakes, and to the approach of another place. From these three, a fault or a stall of
+this program may lead to recover, and from there through prepare and approach back to the show; or
+to stop, which brakes.
 
 In every phase the player has one activity: a dialogue (`transactions`, `handshake`) or a streamer
 (`streamer`), or it waits. `session` holds what the phases share, `faults` decides about faults, and
@@ -22,7 +23,7 @@ from collections import deque
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final, Literal
 
-from lss_motion.errors import LostPortError, LssMotionError
+from lss_motion.errors import InputError, LostPortError, LssMotionError
 from lss_motion.player import handshake
 from lss_motion.player.events import Phase, PhaseEntered, Warned
 from lss_motion.player.faults import FaultHandler, Verdict
@@ -58,7 +59,7 @@ COUNT_IN_NS: Final = 200 * NS_PER_MS
 (13 ms of processor time for 18 joints, measured), and no move may be due meanwhile."""
 RATE_LEAST: Final = 0.01
 """A lower rate is a pause: a minute of show would take more than an hour."""
-DRIVING: Final = (Phase.APPROACH, Phase.SHOW)
+DRIVING: Final = (Phase.APPROACH, Phase.SHOW, Phase.SEEK)
 
 
 class Player:
@@ -113,6 +114,8 @@ class Player:
         self._now_ns = 0
         self._ended_ns: int | None = None
         """When the show had ended but for its goal tolerances."""
+        self._seek_s: float | None = None
+        """Show time from which the show goes on once the robot stands."""
         self._goal_ns: int | None = None
         """When the time of a joint to come within its goal tolerance is over."""
 
@@ -242,6 +245,26 @@ class Player:
             return None
         return self.show.clock.follow(leader, now_ns, trim_max_ratio)
 
+    def seek(self, place: float | str, now_ns: int) -> None:
+        """Go on from a show time or a label: brake, move there at the approach speed, rejoin.
+
+        A paused show stands there until it is resumed. Raises `InputError` for a place that is not
+        in the show, and where the run cannot seek: a walk, or a run that recovers or ends.
+        """
+        show_s = self.program.instant_of(place)
+        if self._was_open:
+            raise InputError("a walk has no times to go to")
+        if self.phase in (Phase.RECOVER, Phase.STOP, Phase.RESTORE, Phase.DONE):
+            raise InputError(f"the show cannot go to another place now, it is {self.phase.value}")
+        self._note_stall(now_ns)
+        self._seek_s = show_s
+        if self._streamer is not None and self.phase in (Phase.APPROACH, Phase.SHOW):
+            self._brake(now_ns)
+            self._enter(Phase.SEEK)
+        elif self.phase is Phase.APPROACH:
+            self._dialogue = None
+            self._enter(Phase.SEEK)
+
     def extend(self, extension: Extension, now_ns: int) -> bool:
         """Go on with `extension` from its splice on; False if it is too late or no show plays.
 
@@ -335,7 +358,7 @@ class Player:
             self._after_dialogue(now_ns)
             return True
         self._advance_streamer(now_ns)
-        if self.phase in DRIVING and self._judge_faults(now_ns):
+        if self.phase in DRIVING and self._streamer is not None and self._judge_faults(now_ns):
             return True
         if not self._has_streamed(now_ns):
             return False
@@ -366,7 +389,7 @@ class Player:
 
     def _has_streamed(self, now_ns: int) -> bool:
         """Return whether the streamer has finished its part of this phase."""
-        if self.phase in (Phase.STOP, Phase.RECOVER):
+        if self.phase in (Phase.STOP, Phase.RECOVER, Phase.SEEK):
             is_standing = self._streamer is None or self._streamer.is_standing(now_ns)
             return is_standing and not (self.phase is Phase.RECOVER and self._faults.lost_ports)
         assert self._streamer is not None
@@ -398,6 +421,10 @@ class Player:
         if self.phase is Phase.RECOVER:
             self._streamer = None
             self._dialogue = self._session.dialogue(self._faults.recovery_queries())
+        elif self.phase is Phase.SEEK:
+            self._approaches = 0
+            self._session.note_standing(now_ns)
+            self._approach(now_ns)
         elif self.phase is not Phase.APPROACH:
             self.outcome = self.outcome or "finished"
             self._restore()
@@ -479,6 +506,9 @@ class Player:
     def _approach(self, now_ns: int) -> None:
         self._approaches += 1
         self._has_moved = True
+        if self._seek_s is not None:
+            self._session.seek(self.show, self._seek_s, now_ns)
+            self._seek_s = self._ended_ns = self._goal_ns = None
         if self.phase is not Phase.APPROACH:
             self._enter(Phase.APPROACH)
         pose_deg = self._session.pose_deg(self.show, now_ns)
@@ -528,7 +558,7 @@ class Player:
 
     def _apply_rate(self, now_ns: int) -> None:
         """Set the show clock to the rate of the person, as far as the faults allow it."""
-        if self._streamer is None or self.phase not in DRIVING:
+        if self._streamer is None or self.phase not in (Phase.APPROACH, Phase.SHOW):
             return
         rate = self._faults.escalation.rate_max
         if self.phase is Phase.SHOW:

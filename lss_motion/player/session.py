@@ -274,6 +274,18 @@ class Session:
             show.keep_open()
         return show
 
+    def note_standing(self, now_ns: int) -> None:
+        """Keep where the last moves have sent the servos, which have braked since."""
+        self.standing_deg |= self._commanded_deg(now_ns)
+
+    def seek(self, show: Streamer | None, show_s: float, now_ns: int) -> None:
+        """Let the show, which stands or has not begun, go on from `show_s`."""
+        self.agenda.begin_at(show_s)
+        if show is None:
+            self.start_s = show_s
+            return
+        show.jump_to(show_s, now_ns)
+
     def resume(self, show: Streamer, now_ns: int) -> None:
         """Go on with `show` from where the approach sent the servos, with its estimates."""
         show.resume(self._commanded_deg(now_ns), self.left_out)

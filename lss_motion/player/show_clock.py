@@ -98,6 +98,10 @@ class ShowClock:
         start_ns = now_ns if reached_ns is None else min(max(reached_ns, self.ramp_end_ns), now_ns)
         self._begin(start_ns, show_s, 0.0, 0.0)
 
+    def jump_to(self, show_s: float, now_ns: int) -> None:
+        """Stand at `show_s` from now on, wherever the show was; for a show that stands."""
+        self._begin(now_ns, show_s, 0.0, 0.0)
+
     def halt(self, since_ns: int) -> None:
         """Stand since `since_ns`, a past instant, where the show was then."""
         start_ns = max(since_ns, self._legs[-1].start_ns)

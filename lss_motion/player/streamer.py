@@ -321,11 +321,11 @@ class Streamer:
         self._periods = ramp_periods(self.joint_states.values(), lines)
         self.clock = ShowClock(start_ns, begin_s, 1.0)
         self.statistics = Statistics()
-        self._moves = DueMoves(program.unrolled(), self._early_us)
+        self._moves = DueMoves(program.unrolled(begin_s), self._early_us)
         self._tick_ns: int | None = None
         self._has_moved = False
         """Whether moves left in this call of `advance`."""
-        self.waiting = Waiting(program.unrolled_waits(), robot.sensors, begin_s)
+        self.waiting = Waiting(program.unrolled_waits(begin_s), robot.sensors, begin_s)
         scheduler = PollScheduler(self.joint_states, trackers, lines, self.waiting, probes)
         self.scheduler = scheduler if has_feedback else None
         if start_s is not None:
@@ -408,6 +408,16 @@ class Streamer:
                 state.suspend()
             else:
                 state.resume()
+
+    def jump_to(self, show_s: float, now_ns: int) -> None:
+        """Stand at `show_s`. For a show that stands; an approach and `resume` must follow."""
+        self.clock.jump_to(show_s, now_ns)
+        self._tick_ns = None
+        for state in self.joint_states.values():
+            state.leave_move()
+        self._moves = DueMoves(self._program.unrolled(show_s), self._early_us)
+        self.waiting.begin_at(self._program.unrolled_waits(show_s), show_s)
+        self._skip_due(now_ns)
 
     def pose_deg(self, now_ns: int) -> dict[str, float]:
         """Return the joint angles of the plan: after a ramp to rate 0, every joint stands there."""

@@ -13,10 +13,11 @@ from functools import cached_property
 from itertools import count
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
-from lss_motion.files.source import counted, duration_text
+from lss_motion.errors import InputError
+from lss_motion.files.source import counted, duration_text, known_names
 from lss_motion.protocol.framing import encode_move
 from lss_motion.robot.servo_models import ramp_of_steps, ramp_steps, ramp_steps_max
-from lss_motion.units import NS_PER_US, line_time_ns, s_from_us
+from lss_motion.units import NS_PER_US, line_time_ns, s_from_us, us_from_s
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -155,8 +156,28 @@ class Program:
         start_s = s_from_us(self.repeat.from_us)
         return start_s + math.fmod(show_s - start_s, s_from_us(self.repeat.period_us))
 
-    def unrolled(self) -> Iterator[tuple[int, Move]]:
-        """Yield `(due_us, move)` in order of time, without end if the show has none."""
+    def instant_of(self, place: float | str) -> float:
+        """Return the show time of a place: a time within the show, or the label of a keyframe.
+
+        A label stands for its first keyframe. Raises `InputError` for a place that does not exist.
+        """
+        if isinstance(place, str):
+            named = {mark.label: mark.planned_s for mark in reversed(self.marks) if mark.label}
+            if place not in named:
+                known = known_names(place, reversed(named))
+                raise InputError(f"no keyframe has the label {place!r}; {known}")
+            return named[place]
+        if not 0.0 <= place < self.duration_s:
+            raise InputError(
+                f"{place:g} s is not in the show, which ends at {self.duration_s:.3f} s"
+            )
+        return place
+
+    def unrolled(self, from_s: float = 0.0) -> Iterator[tuple[int, Move]]:
+        """Yield `(due_us, move)` in order of time, without end if the show has none.
+
+        Passes of the repeated part that have ended before `from_s` may be left out.
+        """
         if self.repeat is None:
             yield from ((move.due_us, move) for move in self.moves)
             return
@@ -164,16 +185,22 @@ class Program:
         end = bisect_left(self.moves, self.repeat.to_us, key=lambda move: move.due_us)
         yield from ((move.due_us, move) for move in self.moves[:end])
         again = self.moves[first:end]
-        for shift_us in self._shifts_us() if again else ():
+        for shift_us in self._shifts_us(from_s) if again else ():
             yield from ((move.due_us + shift_us, move) for move in again)
         added_us = self.repeat.added_us
         yield from ((move.due_us + added_us, move) for move in self.moves[end:])
 
-    def _shifts_us(self) -> Iterator[int]:
-        """Yield how much later the part is played each time but the first."""
+    def _shifts_us(self, from_s: float = 0.0) -> Iterator[int]:
+        """Yield how much later the part is played each time but the first.
+
+        Of the times that have ended before `from_s`, all but the last two are left out: what began
+        in them is under way.
+        """
         assert self.repeat is not None
         times = self.repeat.times
-        counts = count(1) if times is None else range(1, times)
+        ended = (us_from_s(from_s) - self.repeat.to_us) // self.repeat.period_us
+        first = max(1, ended - 1)
+        counts = count(first) if times is None else range(min(first, times), times)
         return (number * self.repeat.period_us for number in counts)
 
     def repeated(self, times: int) -> Program:
@@ -184,19 +211,22 @@ class Program:
         moves = tuple(move._replace(due_us=due_us) for due_us, move in fewer.unrolled())
         return replace(fewer, moves=moves, repeat=None)
 
-    def unrolled_marks(self) -> Iterator[tuple[float, Mark]]:
-        """Yield `(show time, mark)` in order, without end if the show has none."""
-        return self._unrolled([(mark.planned_s, mark.planned_s, mark) for mark in self.marks])
+    def unrolled_marks(self, from_s: float = 0.0) -> Iterator[tuple[float, Mark]]:
+        """Yield `(show time, mark)` in order, without end if the show has none; as `unrolled`."""
+        marks = [(mark.planned_s, mark.planned_s, mark) for mark in self.marks]
+        return self._unrolled(marks, from_s)
 
-    def unrolled_cues(self) -> Iterator[tuple[float, Cue]]:
+    def unrolled_cues(self, from_s: float = 0.0) -> Iterator[tuple[float, Cue]]:
         """Yield `(show time at which it starts, cue)` in order, as `unrolled_marks`."""
-        return self._unrolled([(cue.start_s, cue.at_s, cue) for cue in self.cues])
+        return self._unrolled([(cue.start_s, cue.at_s, cue) for cue in self.cues], from_s)
 
-    def unrolled_waits(self) -> Iterator[tuple[float, WaitPoint]]:
+    def unrolled_waits(self, from_s: float = 0.0) -> Iterator[tuple[float, WaitPoint]]:
         """Yield `(show time, wait)` in order, as `unrolled_marks`."""
-        return self._unrolled([(point.at_s, point.at_s, point) for point in self.waits])
+        return self._unrolled([(point.at_s, point.at_s, point) for point in self.waits], from_s)
 
-    def _unrolled(self, items: list[tuple[float, float, T]]) -> Iterator[tuple[float, T]]:
+    def _unrolled(
+        self, items: list[tuple[float, float, T]], from_s: float
+    ) -> Iterator[tuple[float, T]]:
         """Yield items in order of their starts, given `(start, instant, item)` in show time.
 
         An item whose lead begins before the pass of its instant starts in the pass before.
@@ -204,18 +234,18 @@ class Program:
         if self.repeat is None:
             yield from sorted(((start_s, item) for start_s, _, item in items), key=_instant)
             return
-        from_s, to_s = s_from_us(self.repeat.from_us), s_from_us(self.repeat.to_us)
+        begin_s, to_s = s_from_us(self.repeat.from_us), s_from_us(self.repeat.to_us)
         again = [
-            (start_s if start_s >= from_s else start_s + to_s - from_s, item)
+            (start_s if start_s >= begin_s else start_s + to_s - begin_s, item)
             for start_s, at_s, item in items
-            if from_s <= at_s < to_s
+            if begin_s <= at_s < to_s
         ]
-        early = {id(item) for start_s, at_s, item in items if start_s < from_s <= at_s}
+        early = {id(item) for start_s, at_s, item in items if start_s < begin_s <= at_s}
         first = [(start_s, item) for start_s, at_s, item in items if at_s < to_s]
         first += [(start_s, item) for start_s, item in again if id(item) in early]
         yield from sorted(first, key=_instant)
         again.sort(key=_instant)
-        for shift_us in self._shifts_us() if again else ():
+        for shift_us in self._shifts_us(from_s) if again else ():
             shift_s = s_from_us(shift_us)
             yield from ((start_s + shift_s, item) for start_s, item in again)
         # One that starts before the end of the part has been started by its last time.

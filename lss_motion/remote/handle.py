@@ -169,6 +169,13 @@ class Handle:
             )
         self._send(m.Rate, ratio=float(ratio))
 
+    def seek(self, to: float | str) -> None:
+        """Brake, move to where the show is at `to`, a show time or a label, and go on from there.
+
+        A place that is not in the show is an event `refused`, and changes nothing.
+        """
+        self._send(m.Seek, to=to if isinstance(to, str) else float(to))
+
     def stop(self) -> None:
         """Brake within the limits, hold, and give the servos back their settings."""
         self._send(m.Stop)

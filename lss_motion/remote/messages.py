@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 OPERATION_MAX_BYTES: Final = 4096
 """A longer operation is refused before it is parsed. Ours have less than 200."""
+LABEL_MAX_CHARS: Final = 64
 RATE_LEAST: Final = 0.05
 """The lowest rate that can be asked for; `pause` is lower."""
 
@@ -65,6 +66,19 @@ class Rate(Operation):
     ratio: Annotated[float, Field(ge=RATE_LEAST, le=1.0)]
 
 
+class Seek(Operation):
+    """Brake, move to where the show is at `to` (a show time or a label), and go on from there.
+
+    A paused show stands there until it is resumed.
+    """
+
+    op: Literal["seek"] = "seek"
+    to: (
+        Annotated[float, Field(ge=0.0)]
+        | Annotated[str, Field(min_length=1, max_length=LABEL_MAX_CHARS)]
+    )
+
+
 class Stop(Operation):
     """Brake within the limits, hold, give the settings back and end. Twice is the same as once."""
 
@@ -84,7 +98,7 @@ class Beat(Operation):
 
 
 AnyOperation = Annotated[
-    Go | Pause | Resume | Rate | Stop | Estop | Beat, Field(discriminator="op")
+    Go | Pause | Resume | Rate | Seek | Stop | Estop | Beat, Field(discriminator="op")
 ]
 
 

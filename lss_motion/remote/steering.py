@@ -149,6 +149,12 @@ class Steering:
                 pass
             case _ if self._has_stopped or player.is_finished:
                 raise InputError("the show has been stopped; start it again")
+            case _:
+                self._steer(operation, player, now_ns)
+
+    def _steer(self, operation: m.AnyOperation, player: Player, now_ns: int) -> None:
+        """Apply an operation that ends nothing."""
+        match operation:
             case m.Go():
                 if player.phase is not Phase.READY:
                     raise InputError("go is for a robot that was checked and waits: not now")
@@ -159,6 +165,10 @@ class Steering:
                 self._is_paused = False
             case m.Rate():
                 self._rate = operation.ratio
+            case m.Seek():
+                player.seek(operation.to, now_ns)
+            case _:
+                pass
 
     def _stop(self, player: Player, now_ns: int) -> None:
         """Brake and end; the second call changes nothing, as both ways of a stop may arrive."""

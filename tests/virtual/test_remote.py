@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import socket
 
 import numpy as np
@@ -260,6 +261,20 @@ def test_a_silent_client_is_lost_and_may_come_back(show):
     client.script = [(beat, None)]
     run(show, client)
     assert client.outcome.report.outcome == "finished"
+
+
+def test_a_client_sends_the_show_elsewhere(show):
+    client = Client(
+        script=[
+            (at(1.2), lambda c: (c.send(m.Seek(id=1, to="start")), c.send(m.Seek(id=2, to=9.0)))),
+        ]
+    )
+    run(show, client)
+    assert client.outcome.report.outcome == "finished"
+    assert [e.id for e in client.of(m.Accepted)] == [1]
+    assert "ends at 4.000 s" in client.of(m.Refused)[0].text
+    times_s = [t.show_s for t in client.telemetry]
+    assert sum(b < a - 0.5 for a, b in itertools.pairwise(times_s)) == 1
 
 
 def test_nothing_moves_before_go(show):

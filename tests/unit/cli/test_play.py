@@ -209,6 +209,7 @@ def test_an_anchor_that_cannot_be_met_ends_with_exit_code_3(folder, capsys):
 def test_options_that_cannot_be_are_refused_before_anything_moves(folder, capsys):
     nod = str(folder / "nod.yaml")
     assert main([nod, "--virtual", "--from", "5"]) == 2
+    assert main([nod, "--virtual", "--from", "nowhere"]) == 2
     assert main([nod, "--virtual", "--loop", "forever"]) == 2
     assert main([nod, "--port", "/dev/null/x", "--virtual"]) == 2
     assert main([nod, "--port", "/dev/null/x", "--truth", "t.csv"]) == 2
