@@ -229,6 +229,10 @@ class JointState:
         """Send `target_deg` again at `resend_ns`; a timed joint then travels at `travel_deg_s`."""
         self.deferred = DeferredTarget(resend_ns, target_deg, travel_deg_s)
 
+    def end_guiding(self) -> None:
+        """Send a streamed joint the program's moves again."""
+        self.guide_ns = None
+
     def guide_at(self, guide_ns: int) -> None:
         """Send a streamed joint its next guiding target at `guide_ns`."""
         self.guide_ns = guide_ns
@@ -335,7 +339,7 @@ class JointState:
         """Return the least and largest target that the limits allow at `arrival_ns`."""
         arrival_s = s_from_ns(arrival_ns)
         if self.setpoints is not None:
-            return self.setpoints.allowed(arrival_s)
+            return self.setpoints.allowed(arrival_s, is_guided=self.guide_ns is not None)
         if self.joint.drive == "timed":
             return self.limits.position_min_deg, self.limits.position_max_deg
         position_deg, _ = self.profile.at(arrival_s)
@@ -504,6 +508,9 @@ ROOM_RATIO: Final = 1.0
 """A fitted course oscillates within its tolerance. So a step may differ from the last one by this
 many tolerances more than the acceleration limit allows. Of 52 streamed joints of random shows, the
 worst needs 0.94."""
+GUIDE_ROOM_DEG: Final = 0.2
+"""The same for a target that guides, which is computed at run time, also where a full line made the
+tolerance larger."""
 CLOSING_RATIO: Final = 0.5
 """Share of the acceleration that closing in on the plan may use; the plan needs the rest."""
 CLOSING_GAIN: Final = 0.5
@@ -554,13 +561,16 @@ class Setpoints:
         self._lag_ratio = -math.expm1(-self._period_s / response.lag_s) if response.lag_s else 1.0
         self._offsets = [_StepOffset(0, position_deg) for _ in range(STEP_OFFSETS)]
 
-    def allowed(self, arrival_s: float) -> tuple[float, float]:
+    def allowed(self, arrival_s: float, *, is_guided: bool = False) -> tuple[float, float]:
         """Return the least and largest target that keep the limits if it arrives at `arrival_s`.
 
+        The room for a fitted course is that of its tolerance; a target that guides needs less.
         Where no target keeps them for all possible instants, both are the middle of the gap.
         """
         self._advance(arrival_s)
-        spans = [self._span(offset) for offset in self._offsets]
+        room_deg = ROOM_RATIO * self._limits.tolerance_deg
+        room_deg = min(room_deg, GUIDE_ROOM_DEG) if is_guided else room_deg
+        spans = [self._span(offset, room_deg) for offset in self._offsets]
         low_deg, high_deg = max(low for low, _ in spans), min(high for _, high in spans)
         if low_deg > high_deg:
             low_deg = high_deg = 0.5 * (low_deg + high_deg)
@@ -576,10 +586,10 @@ class Setpoints:
             until = math.ceil(arrival_s / self._period_s - index / STEP_OFFSETS)
             offset.step_until(until, self._target_deg, self._count, self._lag_ratio)
 
-    def _span(self, offset: _StepOffset) -> tuple[float, float]:
+    def _span(self, offset: _StepOffset, room_deg: float) -> tuple[float, float]:
         """Return the targets between which the next step keeps speed, acceleration, and range."""
         limits, value_deg, last_deg = self._limits, offset.value_deg, offset.last_deg
-        more_deg = _step_gain_deg(limits) + ROOM_RATIO * limits.tolerance_deg
+        more_deg = _step_gain_deg(limits) + room_deg
         most_deg = limits.speed_max_deg_s * self._period_s
         down_deg = self._brakable_deg(value_deg - limits.position_min_deg, most_deg, more_deg)
         up_deg = self._brakable_deg(limits.position_max_deg - value_deg, most_deg, more_deg)

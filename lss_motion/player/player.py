@@ -394,6 +394,7 @@ class Player:
             return is_standing and not (self.phase is Phase.RECOVER and self._faults.lost_ports)
         assert self._streamer is not None
         if not self._streamer.is_finished(now_ns):
+            self._goal_ns = None  # A fault at the end may have set the joints in motion again.
             return False
         return self.phase is not Phase.SHOW or self._has_reached_goal(self._streamer, now_ns)
 

@@ -478,4 +478,7 @@ class PollScheduler:
             since_ns = self._trackers[bus].last_reply_ns(state.joint.servo_id)
             self.health.unanswered(state, now_ns, now_ns if since_ns is None else since_ns)
             if since_ns is None or since_ns <= expired.arrival_ns:  # No later query was answered.
+                was_held = state.in_doubt
                 self.watch.note_sign(state, now_ns)
+                if state.in_doubt and not was_held:  # Its power may be that of the others.
+                    self.doubt_all([bus])

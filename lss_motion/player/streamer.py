@@ -255,6 +255,7 @@ def guide(
     off_deg = from_deg - profile.value(step - 1)
     is_near = abs(off_deg) <= ON_PROGRAM_RATIO * limits.tolerance_deg
     if is_even and is_near and state.active is not None:
+        state.end_guiding()
         state.send_active(line, 0.0, now_ns)
         return
     target_deg = to_deg

@@ -61,6 +61,10 @@ FOUND_MIXED = (
     1285,  # All servos restarted; the first that was noticed took the queries of the others.
     1305,  # A key that was pressed during a stall hid that moves were due.
     1598,  # The independent judge gave a host no time after a long restart.
+    2893,  # A show that was slowed at its end hung while a joint had time left for its goal.
+    2931,  # All servos fell silent; queries to the first left none for the others.
+    2661,  # A guiding target used the tolerance of a full line: four times the acceleration.
+    6117,  # Lines of a joint in EM0 waited at a blocked port for 50 ms.
     2093,  # A late host left the filter of a joint in EM0 without a target: it brakes by itself.
     575, 1554,  # A short restart that no query met: a few moves for a servo in full motion.
     1216, 1517, 1750,  # It took an unknown top speed for none, and an RC servo for one with O.

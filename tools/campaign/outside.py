@@ -37,11 +37,12 @@ def objections_to(
 ) -> list[str]:
     """Return what the independent judge objects to in a run."""
     record = record_of(robot, faults, witness, result)
-    return [str(one) for one in objections(recording_of(robot_of(robot), record))]
+    own = robot_of(robot, result.player.program.tolerance_deg)
+    return [str(one) for one in objections(recording_of(own, record))]
 
 
-def robot_of(robot: Robot) -> dict[str, Any]:
-    """Return a robot as its file holds it, as far as the judge reads it."""
+def robot_of(robot: Robot, tolerance_deg: float) -> dict[str, Any]:
+    """Return a robot as its file holds it, as the judge reads it, with the fit's tolerance."""
     return {
         "buses": {name: {"baud_bps": bus.baud_bps} for name, bus in robot.buses.items()},
         "joints": {
@@ -54,6 +55,7 @@ def robot_of(robot: Robot) -> dict[str, Any]:
                 "accel_max_deg_s2": joint.accel_max_deg_s2,
                 "direction": joint.direction,
                 "zero_deg": joint.zero_deg,
+                "tolerance_deg": tolerance_deg,
                 "stored": {name: joint.stored[name] for name in ("G", "O") if name in joint.stored},
             }
             for joint in robot.joints.values()

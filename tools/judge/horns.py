@@ -2,9 +2,9 @@
 
 Margins: 0.5 deg beyond the range (load, noise of the encoder); 5 % and 2 deg/s above the speed over
 20 ms; 10 % above the acceleration between two such spans. In EM0 a horn is stepped from target to
-target: half a degree within one step of the filter is added there (0.5 deg in 20 ms squared, 1250
-deg/s2), and 20 % instead of 10 %, since the phase of the filter is not known. A motor without power
-stops at once, and a servo that restarted a moment ago has the ramps that it stores (until
+target: `filter_step_deg` within one step of the filter is added there (0.5 deg in 20 ms squared are
+1250 deg/s2), and 20 % instead of 10 %, since the phase of the filter is not known. A motor without
+power stops at once, and a servo that restarted a moment ago has the ramps that it stores (until
 `ServoRecord.noticed_s`), so neither is judged by its acceleration. For the same reason it may be
 half as fast again as its limit for a moment (`recording.UNNOTICED_RATIO`). RC servos of a 2IO jump;
 only their range is judged.
@@ -33,7 +33,6 @@ SPEED_SPARE_DEG_S: Final = 2.0
 ACCEL_RATIO: Final = 1.1
 FILTER_ACCEL_RATIO: Final = 1.2
 SPAN_S: Final = 0.02
-FILTER_STEP_DEG_S2: Final = 0.5 / 0.02**2
 STOP_S: Final = 0.06
 """A horn that loses its power, or is commanded to halt, is still within this time."""
 GAP_S: Final = 0.5
@@ -67,7 +66,8 @@ def about_horn(joint: JointRow, servo: ServoRecord, received: Told) -> Iterator[
     accel[~(gentle[2 * span :] & gentle[: -2 * span])] = 0.0
     accel_deg_s2 = joint.accel_deg_s2 * ACCEL_RATIO
     if is_streamed:
-        accel_deg_s2 = (joint.accel_deg_s2 + FILTER_STEP_DEG_S2) * FILTER_ACCEL_RATIO
+        step_deg_s2 = joint.filter_step_deg / SPAN_S**2
+        accel_deg_s2 = (joint.accel_deg_s2 + step_deg_s2) * FILTER_ACCEL_RATIO
     for rule, values, limit, unit in (
         ("horn speed", speed, joint.speed_deg_s * SPEED_RATIO + SPEED_SPARE_DEG_S, "deg/s"),
         ("horn acceleration", accel, accel_deg_s2, "deg/s2"),

@@ -39,6 +39,9 @@ class JointRow:
     zero_deg: float = 0.0
     gyre: int = 1
     origin_deg: float = 0.0
+    filter_step_deg: float = 0.5
+    """In EM0 a horn is stepped from target to target: so much within one step of the filter, or the
+    tolerance that the host states where its line is too full."""
 
     @property
     def family(self) -> str:
@@ -79,6 +82,7 @@ def joints_of(robot: Mapping[str, Any]) -> list[JointRow]:
                 zero_deg=float(entry.get("zero_deg") or 0.0),
                 gyre=int(stored.get("G", 1)),
                 origin_deg=float(stored.get("O", 0.0)),
+                filter_step_deg=max(float(entry.get("tolerance_deg", 0.0)), 0.5),
             )
         )
     return rows

@@ -119,6 +119,7 @@ def told(joint: JointRow, servo: ServoRecord, bus: BusRecord) -> Told:
         session.restart(at_s)
     powerless += [] if halted_s is None else [halted_s]
     gaps += [(at_s, at_s) for at_s, section in sent if not section.is_query]
+    gaps += bus.gone  # Lines that waited there arrive together.
     return Told(session, moves, foreign_s, gaps, powerless)
 
 

@@ -368,6 +368,19 @@ def test_one_restart_lets_the_others_on_its_bus_be_examined_at_once(kit):
     assert not desk.scheduler.watch.doubted
 
 
+def test_when_all_servos_fall_silent_all_are_held_back(kit):
+    """Queries to the first that was noticed left none for the others, which got moves on."""
+    probes = {f"j{i}": [Probe("QAA", 60, 100)] for i in range(6)}
+    desk = Desk(*joints(kit, 6), probes=probes)
+    desk.values |= {(servo_id, "QAA"): 60 for servo_id in range(1, 7)}
+    desk.run(0, S // 2)
+    assert all(state.takes_moves for state in desk.joint_states.values())
+    desk._coming.clear()
+    desk._answer = lambda _: None
+    desk.run(S // 2, S // 2 + 350 * MS)
+    assert not any(state.takes_moves for state in desk.joint_states.values())
+
+
 def test_an_lss_that_was_sent_a_move_and_reports_no_target_is_held_back(kit):
     state = kit.state(kit.joint())
     desk = Desk(state, probes={"j0": [Probe("QAA", 60, 100)]})
