@@ -502,8 +502,8 @@ CORRECTION_RATIO: Final = 0.25
 """Share of the acceleration of a joint in EM0 that one reading may use; the plan needs most of it.
 Chosen: a wrong reading that was believed took a joint beyond its limit."""
 STEP_OFFSETS: Final = 32
-"""Step instants that are modelled, evenly spread over one period: 0.6 ms apart. Targets on a full
-line arrive with such jitter; between instants 1.25 ms apart a joint went 6 % too fast (measured)."""
+"""Step instants that are modelled, evenly spread over one period: 0.6 ms apart. Targets on full
+lines have such jitter; between instants 1.25 ms apart a joint went 6 % too fast (measured)."""
 ROOM_RATIO: Final = 1.0
 """A fitted course oscillates within its tolerance. So a step may differ from the last one by this
 many tolerances more than the acceleration limit allows. Of 52 streamed joints of random shows, the

@@ -107,6 +107,9 @@ class Player:
         self._dialogue: Dialogue | SettingsDialogue | Preflight | None = self._session.preflight()
         self._streamer: Streamer | None = None
         self._approaches = 0
+        self._prepared_from_ns = 0
+        self._is_repeated = False
+        """Whether the settings are set for the second time, since the first time took long."""
         self._has_set = False
         """Whether orders may have changed settings of the servos."""
         self._has_moved = False
@@ -475,8 +478,9 @@ class Player:
         else:
             self._prepare()
 
-    def _prepare(self) -> None:
+    def _prepare(self, *, is_repeated: bool = False) -> None:
         self._has_set = True
+        self._prepared_from_ns, self._is_repeated = self._now_ns, is_repeated
         self._approaches = 0
         self._enter(Phase.PREPARE)
         self._dialogue = self._session.settings_dialogue()
@@ -485,7 +489,10 @@ class Player:
         if self._has_lost_turns(settings.answers, now_ns):
             return
         silent = self._session.note_positions(settings.answers)
-        if not settings.wrong and not silent:
+        is_stale = now_ns - self._prepared_from_ns > STALE_NS and not self._is_repeated
+        if not settings.wrong and not silent and is_stale:
+            self._prepare(is_repeated=True)  # The first may have restarted while others were set.
+        elif not settings.wrong and not silent:
             self._approach(now_ns)
         elif not self._faults.is_over(now_ns):
             self._faults.repeat_recovery(silent, settings.wrong)
@@ -618,6 +625,9 @@ class Player:
         self._enter(Phase.DONE)
 
 
+STALE_NS: Final = NS_PER_S
+"""After so long settings are set and read again before anything moves. Chosen: longer than it takes
+with servos that all answer; a servo that restarts is silent for longer."""
 GAP_NS: Final = NS_PER_S // 4
 """A shorter delay is no stall. Chosen: four times the delay at which a move counts as missed
 (`quantize.LATEST_ARRIVAL_S`), and longer than any wait on a busy host that was measured."""
