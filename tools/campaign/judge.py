@@ -37,6 +37,7 @@ from campaign.shows import NAMES, RESUME_S, SLOW_BPS, Show, show, with_stored_li
 from campaign.stale import lawless_ns
 from campaign.witness import Act, HangError, Witness, random_acts
 
+from lss_motion.errors import BusError
 from lss_motion.perform import Observer, Result, perform
 from lss_motion.player.estimators import OFFSET_MAX_DEG
 from lss_motion.sim.bus import servos_of
@@ -134,6 +135,8 @@ def judged_with(
         )
     except HangError as error:
         return Judged("hung", (f"it hangs: {error}",), faults)
+    except BusError:  # Something let the port go before the player could open it.
+        return Judged("unreachable", (), faults)
     except Exception as error:  # noqa: BLE001  (a crash of any kind is what is looked for)
         return Judged("crashed", (f"it crashed: {error!r}",), faults)
     for bus in result.simulated.values():
@@ -226,7 +229,7 @@ class _Judge:
         is_garbled = bool(self.kinds & (WORD_KINDS | {FaultKind.LOST_COMMAND}))
         broken = []
         for bus, data in self.witness.sent_data.items():
-            if not MOVE.search(bytes(data)) or is_gone:
+            if not MOVE.search(bytes(data)) or is_gone or self._is_let_go(bus):
                 continue
             if not safe.search(bytes(data)):
                 broken.append(f"the last bytes on bus {bus} are {bytes(data[-20:])!r}")
@@ -239,6 +242,12 @@ class _Judge:
             if not is_garbled and not safe.search(lines):
                 broken.append(f"the last that bus {bus} received is {lines[-20:]!r}")
         return broken
+
+    def _is_let_go(self, bus: str) -> bool:
+        """Return whether another host restarts an LSS-PRO, which takes its port with it."""
+        return self.result.report.outcome == "lost" and any(
+            fault.text.endswith("RESET") and fault.bus in (None, bus) for fault in self.faults
+        )
 
     def _offsets(self) -> list[str]:
         """Judge what damaged answers did to the moves of a show that played through.
