@@ -114,6 +114,7 @@ class SimBus:
             if spec.model.family is not Family.IO2
         ]
         is_pro = (one for one in self._servos if one.family is Family.LSS_PRO)
+        self._rc_servos: list[Servo] = []
         self._usb_servo = next(is_pro, None)
         """The LSS-PRO at the end of the USB cable: the first one. The others are behind it."""
         outputs = [
@@ -187,7 +188,8 @@ class SimBus:
 
         A restart of the LSS-PRO at the end of the USB cable adds an outage.
         """
-        return [(self._drift.host_ns(a), self._drift.host_ns(b)) for a, b in self._outages_ns]
+        outages_ns = self._outages_ns  # Read at each access to a port: usually there are none.
+        return [(self._drift.host_ns(a), self._drift.host_ns(b)) for a, b in outages_ns]
 
     def blocks_ns(self) -> list[tuple[int, int]]:
         """Return when the port takes no bytes of the host; after the first instant."""
@@ -240,6 +242,10 @@ class SimBus:
         self._host_line.start(self._faults.spans_ns(FaultKind.CLOGGED), self._outages_ns)
         for servo in self._servos:
             servo.power_up(self._drift.bus_ns(now_ns))
+        self._find_rc_servos()
+
+    def _find_rc_servos(self) -> None:
+        self._rc_servos = [servo for servo in self._servos if servo.is_in_rc_mode]
 
     def _drop_port(self, now_ns: int) -> None:
         """Take the port away while the servo restarts that is its USB device (FACTS.md P12)."""
@@ -263,7 +269,7 @@ class SimBus:
     def _receive(self, received_ns: int, sent: bytes) -> None:
         self._turn_until(received_ns)
         self.motors.advance(received_ns)
-        for servo in self._servos:
+        for servo in self._rc_servos:
             servo.note_line(received_ns)
         for line in self._faults.received(sent, received_ns):
             if self.lines is not None:
@@ -282,8 +288,10 @@ class SimBus:
                 reply = servo.obey(command, received_ns)
                 if reply is not None:
                     answers.append(Answer(servo, servo.servo_id, command, reply))
-                if servo is self._usb_servo and not servo.is_listening(received_ns):
-                    self._drop_port(received_ns)
+                if not servo.is_listening(received_ns):  # It restarts.
+                    self._find_rc_servos()
+                    if servo is self._usb_servo:
+                        self._drop_port(received_ns)
         is_group = self._is_ordered and len(commands) > 1
         is_to_all = [command.servo_id == BROADCAST_ID for command in commands]
         if is_group and not any(is_to_all):
@@ -367,6 +375,7 @@ class SimBus:
                 self.restarts_ns[index].append(at_ns)
                 if servo is not None:
                     servo.reset(turn.due_ns, fault.deaf_s)
+                    self._find_rc_servos()
             case FaultKind.STORED:
                 self.stored_ns[index].append((at_ns, fault.settings))
                 if servo is not None:

@@ -243,8 +243,10 @@ class RcInput:
 
     def is_deaf(self, now_ns: int) -> bool:
         """Return whether the bus is ignored. A line that is high for 30 s ends RC mode."""
+        if not self.is_on:
+            return False
         high_ns = ns_from_s(self._motors.physics.rc_escape_s)
-        if self.is_on and self._can_escape and now_ns - self._low_ns >= high_ns:
+        if self._can_escape and now_ns - self._low_ns >= high_ns:
             self.is_on = False
             self._settings.eeprom["CRC"] = self._settings.session["CRC"] = 0
         return self.is_on
@@ -340,6 +342,10 @@ class Servo:
         """Take RC pulses of that width from now on; None: they end. Only RC mode obeys them."""
         if self._rc.is_on:
             self._rc.take_pulse(pulse_us, self._moves, now_ns)
+
+    @property
+    def is_in_rc_mode(self) -> bool:
+        return self._rc.is_on
 
     def note_line(self, now_ns: int) -> None:
         """Note that bytes are on the line, so that it is not constantly high."""

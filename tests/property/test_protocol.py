@@ -79,6 +79,7 @@ def replies(draw: st.DrawFn) -> tuple[Family, Reply]:
         ReplyShape.OPTIONAL: st.none() | WIRE,
         ReplyShape.DISABLED: st.just("DIS") | WIRE,
         ReplyShape.VERSION: WIRE | st.just("368.29.14"),
+        ReplyShape.CHANNELS: WIRE | st.just(",1500,988"),
         ReplyShape.TEXT: TEXT,
     }
     return family, Reply(draw(st.none() | IDS), keyword, draw(values[row.reply_shape]))
