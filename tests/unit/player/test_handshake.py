@@ -23,7 +23,7 @@ def sent(items):
 def test_the_session_gets_the_joints_own_limits(kit):
     one = kit.joint(accel_max_deg_s2=455.0, speed_max_deg_s=123.4, settings={"AS": -2})
     orders = handshake.session_orders([one], answers())
-    assert sent(orders) == [b"#1EM1\r", b"#1AA45\r", b"#1AD45\r", b"#1SD1234\r", b"#1AS-2\r"]
+    assert sent(orders) == [b"#1EM1\r", b"#1AA55\r", b"#1AD55\r", b"#1SD1234\r", b"#1AS-2\r"]
 
 
 def test_what_was_read_is_given_back_to_the_letter(kit):
