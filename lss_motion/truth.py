@@ -1,7 +1,8 @@
 """What the simulated horns really did, sampled while the show plays.
 
 The show clock forgets its past, so `TruthRecorder` takes the samples as they come, a few seconds
-behind the show, and writes them to a file that the system removes. So an hour takes no memory.
+behind the show, and writes them to a file that the system removes. So an hour takes no memory. If
+there is no room for that file, they stay in memory.
 """
 
 from __future__ import annotations
@@ -56,7 +57,9 @@ class TruthRecorder:
         self._buses = buses
         self._trajectory = trajectory
         self._joints: tuple[str, ...] = ()
-        self._rows: IO[bytes] | None = None
+        self._file: IO[bytes] | None = None
+        self._rest: list[NDArray[np.float64]] | None = None
+        """All rows, if the file took no more."""
         self._count = 0
         self._next: int | None = None
         """Number of the next sample, from show time 0."""
@@ -78,16 +81,17 @@ class TruthRecorder:
         self._sample(player, player.show_ended_ns)
         width = 1 + len(self._joints)
         rows: NDArray[np.float64] = np.empty((0, width))
-        if self._rows is not None:
-            self._rows.flush()
-            rows = np.memmap(self._rows, np.float64, "r", shape=(self._count, width))
+        if self._rest is not None:
+            rows = np.concatenate(self._rest)
+        elif self._file is not None:
+            rows = np.memmap(self._file, np.float64, "r", shape=(self._count, width))
         self.close()
         return Truth(times_s=rows[:, 0], joints=self._joints, horn_deg=rows[:, 1:])
 
     def close(self) -> None:
         """Close the file; what `finish` returned stays."""
-        if self._rows is not None:
-            self._rows.close()
+        if self._file is not None:
+            self._file.close()
 
     def errors_deg(self) -> dict[str, tuple[float, float]] | None:
         """Return RMS and largest distance from the plan by joint; None if there is no plan."""
@@ -146,9 +150,7 @@ class TruthRecorder:
         return horn
 
     def _append(self, times_s: NDArray[np.float64], horn: NDArray[np.float64]) -> None:
-        if self._rows is None:
-            self._rows = tempfile.TemporaryFile()  # noqa: SIM115  (closed by `close`)
-        self._rows.write(np.column_stack([times_s, horn]).tobytes())
+        self._keep(np.column_stack([times_s, horn]))
         self._count += len(times_s)
         if self._trajectory is None:
             return
@@ -167,6 +169,25 @@ class TruthRecorder:
                 self._squares + squares,
                 np.maximum(self._largest, largest),
             )
+
+    def _keep(self, rows: NDArray[np.float64]) -> None:
+        """Write rows to the file; a disk that is full ends no show."""
+        if self._rest is not None:
+            self._rest.append(rows)
+            return
+        data = rows.tobytes()
+        try:
+            if self._file is None:
+                self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  (see `close`)
+            is_written = self._file.write(data) == len(data)
+        except OSError:
+            is_written = False
+        if not is_written:
+            kept = np.empty((0, rows.shape[1]))
+            if self._count and self._file is not None:
+                shape = (self._count, rows.shape[1])
+                kept = np.array(np.memmap(self._file, np.float64, "r", shape=shape))
+            self._rest = [kept, rows]
 
 
 def write_truth(truth: Truth, path: Path) -> None:
