@@ -63,6 +63,7 @@ FOUND_MIXED = (
     1598,  # The independent judge gave a host no time after a long restart.
     2893,  # A show that was slowed at its end hung while a joint had time left for its goal.
     6251,  # A servo restarted after it had its settings, while the player waited for another.
+    3370,  # Another host restarted an LSS-PRO, which took its port along.
     2849,  # Jitter of a full line fell between two modelled instants of a filter's steps.
     2931,  # All servos fell silent; queries to the first left none for the others.
     2661,  # A guiding target used the tolerance of a full line: four times the acceleration.

@@ -244,10 +244,9 @@ class _Judge:
         return broken
 
     def _is_let_go(self, bus: str) -> bool:
-        """Return whether another host restarts an LSS-PRO, which takes its port with it."""
-        return self.result.report.outcome == "lost" and any(
-            fault.text.endswith("RESET") and fault.bus in (None, bus) for fault in self.faults
-        )
+        """Return whether a port was gone at the end: an LSS-PRO that restarts takes it along."""
+        outages_ns = self.result.simulated[bus].outages_ns()
+        return any(until_ns > self.witness.end_ns - NS_PER_S for _, until_ns in outages_ns)
 
     def _offsets(self) -> list[str]:
         """Judge what damaged answers did to the moves of a show that played through.
