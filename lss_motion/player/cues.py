@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from itertools import dropwhile
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final, Literal, Protocol
 
 from lss_motion.player.events import CueReached, MarkPassed, Waited
 from lss_motion.protocol.framing import Command, encode
@@ -151,6 +151,7 @@ class Waiting:
         """Go on from `from_s` with these waits, also back in time; a present wait is over."""
         self._points = dropwhile(lambda due: due[0] < from_s, points)
         self._next: tuple[float, Wait] | None = None
+        self._back_s = 0.0
         self._since_ns: int | None = None
         self._go_on()
 
@@ -164,6 +165,16 @@ class Waiting:
         return self._since_ns is not None
 
     @property
+    def back_s(self) -> float:
+        """How far the show goes back for the idle motion of this wait; 0: it stands instead."""
+        return self._back_s
+
+    @property
+    def is_standing(self) -> bool:
+        """Whether the show waits without idle motion."""
+        return self.is_waiting and self._back_s == 0.0
+
+    @property
     def text(self) -> str:
         """Condition of the present or next wait, for people."""
         assert self._next is not None
@@ -171,17 +182,25 @@ class Waiting:
         unit = self._sensors[wait.sensor].unit
         return f"{wait.sensor} {wait.side} {wait.threshold:g}{' mm' if unit == 'mm' else ''}"
 
-    def advance(self, clock: ShowClock, now_ns: int) -> WaitState | None:
-        """Stop the show clock at a wait, and let it go on when the wait is over."""
+    def advance(self, clock: ShowClock, now_ns: int) -> WaitState | Literal["again"] | None:
+        """Stop the show clock at a wait, and let it go on when the wait is over.
+
+        With idle motion the clock does not stop; it goes back where the idle motion ends.
+        """
         state: WaitState | None
+        back_s = self._back_s
         if self.is_waiting:
             text, state = self.text, self._ended(now_ns)
-            if state is not None:
+            if state is None and back_s and clock.show_s(now_ns) >= self.next_s:
+                clock.go_back(back_s, now_ns)
+                return "again"
+            if state is not None and not back_s:
                 clock.ramp_to(self.rate_after, now_ns, 0.0)
-        elif self._next is not None and clock.show_s(now_ns) >= self.next_s:
+        elif self._next is not None and clock.show_s(now_ns) >= self.next_s - back_s:
             text, state = self.text, "begun"
             self.rate_after = clock.target_rate
-            clock.stand_at(self.next_s, now_ns)
+            if not back_s:
+                clock.stand_at(self.next_s, now_ns)
             self._since_ns, self._polled_ns, self._met = now_ns, None, 0
         else:
             return None
@@ -238,6 +257,7 @@ class Waiting:
         self._since_ns = None
         due = next(self._points, None)
         self._next = None if due is None else (due[0], due[1].wait)
+        self._back_s = 0.0 if due is None else due[1].back_s
 
     def _end_ns(self) -> int | None:
         assert self._next is not None

@@ -102,6 +102,12 @@ class ShowClock:
         """Stand at `show_s` from now on, wherever the show was; for a show that stands."""
         self._begin(now_ns, show_s, 0.0, 0.0)
 
+    def go_back(self, by_s: float, now_ns: int) -> None:
+        """Go on from an earlier show time, at which every joint rests as it does now."""
+        left_ns = max(0, self.ramp_end_ns - now_ns)
+        show_s = self.show_s(now_ns) - by_s
+        self._begin(now_ns, show_s, self.rate(now_ns), self.target_rate, left_ns)
+
     def halt(self, since_ns: int) -> None:
         """Stand since `since_ns`, a past instant, where the show was then."""
         start_ns = max(since_ns, self._legs[-1].start_ns)

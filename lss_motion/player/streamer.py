@@ -21,7 +21,7 @@ from __future__ import annotations
 import heapq
 import math
 from dataclasses import replace
-from itertools import chain, takewhile
+from itertools import chain, dropwhile, takewhile
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -338,7 +338,7 @@ class Streamer:
     @property
     def rate_wanted(self) -> float:
         """The last rate given to `set_rate`."""
-        return self.waiting.rate_after if self.waiting.is_waiting else self.clock.target_rate
+        return self.waiting.rate_after if self.waiting.is_standing else self.clock.target_rate
 
     def is_finished(self, now_ns: int) -> bool:
         """Return whether the show is over and every servo at rest; false during a pause."""
@@ -392,7 +392,7 @@ class Streamer:
 
     def set_rate(self, rate: float, now_ns: int) -> None:
         """Ramp the show clock to `rate` (0 to 1), as gently as the joints' limits require."""
-        if self.waiting.is_waiting:
+        if self.waiting.is_standing:
             self.waiting.rate_after = rate
             return
         change = abs(rate - self.clock.rate(now_ns))
@@ -467,6 +467,8 @@ class Streamer:
             elif not math.isinf(self._program.duration_s):
                 end_ns = self.clock.instant_ns(self._program.duration_s + SETTLE_S)
                 wakeups_ns += [] if end_ns is None else [end_ns]
+            if self.waiting.back_s and not self.waiting.is_waiting:
+                wakeups_ns.append(self._instant_ns(self.waiting.next_s - self.waiting.back_s))
         else:
             wakeups_ns.append(self.clock.ramp_end_ns + ns_from_s(SETTLE_S))
         if self.scheduler is not None:
@@ -496,8 +498,15 @@ class Streamer:
 
     def _wait(self, now_ns: int) -> None:
         """Stop the show where it waits for a sensor; go on when the wait is over."""
+        back_s = self.waiting.back_s
         state = self.waiting.advance(self.clock, now_ns)
-        if state == "begun" and self._tick_ns is not None:
+        if back_s:
+            if state == "again":  # Its moves leave once more.
+                from_s = self.waiting.next_s - back_s
+                written = self._program.unrolled(from_s)
+                again = dropwhile(lambda due: due[0] < us_from_s(from_s), written)
+                self._moves = DueMoves(again, self._early_us)
+        elif state == "begun" and self._tick_ns is not None:
             self._tick_ns = None
             self._follow_course(now_ns, RAMP_TICK_NS, 0)
         elif state in ("met", "timeout") and 0.0 < self.clock.target_rate < 1.0:
@@ -523,7 +532,7 @@ class Streamer:
 
         What was due meanwhile is due again when the rate is raised.
         """
-        if not self.waiting.is_waiting:
+        if not self.waiting.is_standing:
             self.clock.halt(since_ns)
         self._tick_ns = None
         for state in self.joint_states.values():

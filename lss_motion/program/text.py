@@ -52,7 +52,9 @@ if TYPE_CHECKING:
     from lss_motion.robot.on_fault import Escalations
 
 _NUMBER = r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?)"
-_WAIT: Final = re.compile(rf"(\d+) (\S+) (below|above) {_NUMBER}(?: timeout {_NUMBER})?")
+_WAIT: Final = re.compile(
+    rf"(\d+) (\S+) (below|above) {_NUMBER}(?: timeout {_NUMBER})?(?: idle (\d+))?"
+)
 FIRST_LINE: Final = "# lss_motion program 1"
 FOREVER: Final = "forever"
 TIMES_MAX: Final = 1_000_000
@@ -125,11 +127,15 @@ def _style(values: object) -> SoundStyle:
 
 
 def wait_line(point: WaitPoint) -> str:
-    """Return `1750000 eye below 300 timeout 60`: instant, condition and longest wait."""
+    """Return `1750000 eye below 300 timeout 60 idle 2300000`.
+
+    Instant, condition, longest wait, and how far the show goes back for its idle motion.
+    """
     wait = point.wait
     timeout = "" if wait.timeout_s is None else f" timeout {wait.timeout_s:.9g}"
     at_us = us_from_s(point.at_s)
-    return f"{at_us} {wait.sensor} {wait.side} {wait.threshold:.9g}{timeout}"
+    idle = "" if point.back_s == 0.0 else f" idle {us_from_s(point.back_s)}"
+    return f"{at_us} {wait.sensor} {wait.side} {wait.threshold:.9g}{timeout}{idle}"
 
 
 def read_wait(text: str, sensors: Container[str]) -> WaitPoint:
@@ -137,7 +143,8 @@ def read_wait(text: str, sensors: Container[str]) -> WaitPoint:
     match = _WAIT.fullmatch(text)
     if match is None:
         raise ValueError(
-            f"{text!r} is not of the form `<us> <sensor> below|above <value> [timeout <s>]`"
+            f"{text!r} is not of the form `<us> <sensor> below|above <value> [timeout <s>] "
+            "[idle <us>]`"
         )
     if match[2] not in sensors:
         raise ValueError(f"the robot has no sensor {match[2]!r}")
@@ -147,7 +154,8 @@ def read_wait(text: str, sensors: Container[str]) -> WaitPoint:
         threshold=float(match[4]),
         timeout_s=None if match[5] is None else float(match[5]),
     )
-    return WaitPoint(at_s=s_from_us(int(match[1])), wait=wait)
+    back_s = 0.0 if match[6] is None else s_from_us(int(match[6]))
+    return WaitPoint(at_s=s_from_us(int(match[1])), wait=wait, back_s=back_s)
 
 
 def to_text(program: Program, *, folder: Path | None = None) -> str:

@@ -228,6 +228,12 @@ class StepEntry(FileModel, title="step"):
         default=None,
         description="Continue after so long in any case. Default: no timeout.",
     )
+    idle: FileName | None = Field(
+        default=None,
+        description="With wait_for: a sequence file that is played again and again while it waits. "
+        "When the wait is over, it is played to its end, and the show goes on from there.",
+        examples=["breathe.yaml"],
+    )
 
 
 class LayerEntry(FileModel, title="layer"):

@@ -155,7 +155,7 @@ class Wait:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """One entry of a play list: a sequence, a pause or a wait (then `sequence` is None).
+    """One entry of a play list: a sequence, a pause or a wait (then `sequence` is the idle motion).
 
     `move_s` is how long the move to its first keyframe takes, where the robot stands elsewhere;
     None: the move has the approach speed of the robot.

@@ -176,12 +176,18 @@ class PartLoader:
             return None
         if entry.wait_for is None and "timeout_s" in given:
             self._note((*place, "timeout_s"), "timeout_s belongs to a wait_for")
+        if entry.wait_for is None and "idle" in given:
+            self._note((*place, "idle"), "idle belongs to a wait_for")
         if entry.file is None:
-            if extra := sorted(given - {"pause_s", "wait_for", "timeout_s"}):
+            if extra := sorted(given - {"pause_s", "wait_for", "timeout_s", "idle"}):
                 self._note((*place, extra[0]), f"{extra[0]} belongs to a file")
             if entry.wait_for is None:
                 return Step(pause_s=entry.pause_s or 0.0)
-            return self._wait(entry.wait_for, entry.timeout_s, place)
+            step = self._wait(entry.wait_for, entry.timeout_s, place)
+            if step is None or entry.idle is None:
+                return step
+            idle = self._idle(entry, entry.idle, place)
+            return None if idle is None else replace(step, sequence=idle)
         sequence = self._file(entry.file, entry, place, is_offset=self.part.is_offset)
         if sequence is None:
             return None
@@ -191,6 +197,22 @@ class PartLoader:
                 f"{entry.file} loops forever, so that nothing could follow; give its loop a count",
             )
         return Step(sequence=sequence, times=entry.times, move_s=entry.move_s)
+
+    def _idle(self, entry: StepEntry, name: str, place: Location) -> Sequence | None:
+        """Return the idle motion of a wait."""
+        sequence = self._file(name, entry, place, is_offset=self.part.is_offset, key="idle")
+        if sequence is None:
+            return None
+        reason = ""
+        if _is_endless(sequence):
+            reason = "loops forever; give its loop a count: it is repeated while the show waits"
+        elif _has_events(sequence):
+            reason = "has events, which cannot be repeated while the show waits; leave them out"
+        elif _waits(sequence):
+            reason = "waits itself; leave that out"
+        if reason:
+            self._note((*place, "idle"), f"{name} {reason}")
+        return sequence
 
     def _wait(self, entry: WaitEntry, timeout_s: float | None, place: Location) -> Step | None:
         if self.robot is None:
@@ -246,14 +268,20 @@ class PartLoader:
         )
 
     def _file(
-        self, name: str, entry: StepEntry | LayerEntry, place: Location, *, is_offset: bool
+        self,
+        name: str,
+        entry: StepEntry | LayerEntry,
+        place: Location,
+        *,
+        is_offset: bool,
+        key: str = "file",
     ) -> Sequence | None:
         path = self.source.path.parent / name
         if path.resolve() in self.part.files:
-            self._note((*place, "file"), f"{name} would play itself without end")
+            self._note((*place, key), f"{name} would play itself without end")
             return None
         if not path.exists():
-            self._note((*place, "file"), f"sequence file {name!r} not found; looked for {path}")
+            self._note((*place, key), f"sequence file {name!r} not found; looked for {path}")
             return None
         if self.robot is None:
             return None
@@ -330,6 +358,17 @@ def _is_endless(sequence: Sequence) -> bool:
     return sequence.loop is None or (
         not sequence.keyframes and any(track.loop is None for track in sequence.tracks)
     )
+
+
+def _has_events(sequence: Sequence) -> bool:
+    parts = [*sequence.tracks, *(layer.sequence for layer in sequence.layers)]
+    parts += [step.sequence for step in sequence.play if step.sequence is not None]
+    return bool(sequence.events) or any(map(_has_events, parts))
+
+
+def _waits(sequence: Sequence) -> bool:
+    inner = [step.sequence for step in sequence.play if step.sequence is not None]
+    return any(step.wait is not None for step in sequence.play) or any(map(_waits, inner))
 
 
 def _is_plain(step: Step) -> bool:

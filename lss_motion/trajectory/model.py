@@ -181,10 +181,15 @@ class Pass(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WaitPoint:
-    """An instant at which every joint rests and the show waits before it goes on."""
+    """An instant at which every joint rests and the show waits before it goes on.
+
+    With idle motion (`back_s` above 0) the show does not stand: it waits from `back_s` before that
+    instant on, where every joint rests at the same angle, and goes back there until it is over.
+    """
 
     at_s: float
     wait: Wait
+    back_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -109,6 +109,16 @@ class _StepCollector:
         self.waits.append(WaitPoint(at_s=self.now_s + WAIT_SETTLE_S, wait=wait))
         self.pause(WAIT_SETTLE_S + WAIT_LEAD_S)
 
+    def idle(self, wait: Wait, part: Trajectory, smooth_s: float) -> None:
+        """Append a wait during which `part` is played again and again, from where it begins."""
+        begins_s = self.now_s + WAIT_SETTLE_S
+        self.pause(WAIT_SETTLE_S + WAIT_LEAD_S)
+        self.append(part)
+        self.move_to(_start(part), None, smooth_s)
+        at_s = self.now_s + WAIT_SETTLE_S
+        self.waits.append(WaitPoint(at_s=at_s, wait=wait, back_s=at_s - begins_s))
+        self.pause(WAIT_SETTLE_S + WAIT_LEAD_S)
+
     def move_to(
         self, target_deg: Mapping[str, float], move_s: float | None, smooth_s: float = 0.0
     ) -> None:
@@ -146,6 +156,11 @@ def planned_play_list(
     steps = _StepCollector(robot, plan, dict(start_deg), [], [])
     for step, part, times in planned:
         steps.pause(step.pause_s)
+        if step.wait is not None and part is not None:
+            smooth_s = 0.0 if step.sequence is None else step.sequence.smooth_s
+            steps.move_to(_start(part), step.move_s, smooth_s)
+            steps.idle(step.wait, part, smooth_s)
+            continue
         if step.wait is not None:
             steps.wait(step.wait)
         for _ in range(times):

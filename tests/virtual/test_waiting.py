@@ -82,6 +82,58 @@ def test_the_robot_stands_until_something_comes_near_and_then_goes_on(stage, kit
     assert abs(end_deg) < 1.0
 
 
+def sway():
+    frames = [
+        Keyframe(deg={"j0": 40.0}, at_s=0.0),
+        Keyframe(deg={"j0": 50.0}, at_s=0.8),
+        Keyframe(deg={"j0": 40.0}, at_s=1.6),
+    ]
+    return Sequence(name="sway", keyframes=tuple(frames))
+
+
+@pytest.mark.parametrize("loop", [1, 2])
+def test_idle_motion_is_played_while_it_waits_and_left_at_its_end(stage, kit, loop):
+    steps = (
+        Step(sequence=part(0.0, 40.0)),
+        Step(wait=NEAR, sequence=sway()),
+        Step(sequence=part(40.0, 0.0)),
+    )
+    idle = Sequence(name="show", play=steps, loop=loop)
+    faults = [sees(250, 0.1), sees(60, 11.0)]
+    played = stage.play(robot(kit), idle, faults=faults)
+    assert played.report.outcome == "finished"
+    assert played.report.timing.missed == 0
+    assert states(played) == ["begun", "met"] * loop
+    from_s = waited_s(played)[0]
+    times_s = np.arange(from_s - 0.1, 16.0, 0.002)
+    horn_deg, other_deg = played.bus.horn_deg((times_s * 1e9).astype(np.int64)).T
+    is_up = horn_deg > 45.0
+    ups = int(np.count_nonzero(np.diff(is_up.astype(int)) == 1))
+    assert 3 <= ups <= 5, "it swings again and again"
+    first_s = times_s[np.argmax(is_up)]
+    waiting = (times_s > first_s) & (times_s < 11.0)
+    assert horn_deg[waiting].min() > 39.0
+    assert horn_deg[waiting].max() < 51.0
+    assert np.ptp(other_deg[waiting]) < STILL_DEG
+    left_s = times_s[(times_s > 11.0) & (other_deg > -38.0)][0]
+    assert 11.0 < left_s < 11.0 + 3.0, "it is left when its pass is over"
+    speed_deg_s = np.abs(np.gradient(horn_deg, times_s))
+    limit = robot(kit).joints["j0"].speed_max_deg_s
+    assert speed_deg_s.max() < 1.05 * limit + 5.0
+    end_deg = played.bus.horn_deg(np.array([played.bus.lines[-1][0]]))[0, 0]
+    assert abs(end_deg) < 1.0
+
+
+def test_a_program_with_idle_motion_is_read_as_it_was_written(kit):
+    steps = (Step(sequence=part(0.0, 40.0)), Step(wait=NEAR, sequence=sway()))
+    own = robot(kit)
+    program = api.compile(api.plan(Sequence(name="show", play=steps), own), own)
+    assert program.waits[0].back_s > 1.6
+    again = from_text(to_text(program), own)
+    assert again.waits[0].back_s == pytest.approx(program.waits[0].back_s)
+    assert replace(again.waits[0], back_s=0.0) == replace(program.waits[0], back_s=0.0)
+
+
 def test_it_goes_on_by_itself_after_the_timeout(stage, kit):
     played = stage.play(robot(kit), show(replace(NEAR, timeout_s=2.0)))
     assert played.report.outcome == "finished"

@@ -153,6 +153,7 @@ def test_an_added_layer_can_have_angles_beyond_the_range(load, refused, folder):
         ("play: [{file: show.yaml}]", "show.yaml would play itself without end"),
         ("play: [{file: endless.yaml}]", "endless.yaml loops forever"),
         ("play: [{pause_s: 1}, {file: nod.yaml, join: through}]", "through needs keyframes"),
+        ("play: [{file: nod.yaml, idle: nod.yaml}]", "idle belongs to a wait_for"),
         ("play: [{file: nod.yaml}, {file: nod.yaml, join: through}]", "20 to 0 deg in no time"),
         ("play: [{wait_for: {sensor: nose, below_mm: 300}}]", "has no sensor 'nose'"),
         ("play: [{wait_for: {sensor: eye}}]", "needs one of 'below_mm' and 'above_mm'"),
