@@ -300,7 +300,7 @@ def _margin_lines(trajectory: Trajectory, uses: Sequence[LimitUse]) -> list[str]
     ]
     # Rounded down, so that the printed factor is possible.
     ratio = math.floor(100.0 * tightest.faster_ratio) / 100.0
-    if value >= FULL_RATIO * allowed or ratio <= 1.0:
+    if value >= FULL_RATIO * allowed or ratio <= 1.0 or trajectory.given_up:
         cost = "give up more angle" if trajectory.given_up else "slow more of it down"
         return [*lines, f"the show runs as fast as it can; faster would {cost}"]
     pass_s = trajectory.middle.duration_s / ratio

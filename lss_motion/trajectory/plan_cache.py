@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
     Value = TypeVar("Value", Mark, SlowSpan, MissedKey, GivenUp, AskedSpan, Smoothing)
 
-PLANNER_VERSION: Final = 9
+PLANNER_VERSION: Final = 10
 """Part of the name of every entry. Raise it whenever the plan of an unchanged sequence changes."""
 
 DIRECTORY_VARIABLE: Final = "LSS_MOTION_CACHE_DIR"

@@ -55,3 +55,19 @@ def test_the_horn_of_a_jaw_is_in_time_within_its_limits(stage, kit):
     for at_s in EXACT_S:
         closed = (truth.times_s > at_s) & (truth.times_s < at_s + 0.05)
         assert np.abs(jaw[closed]).max() < 0.6
+
+
+def test_horns_follow_a_motion_that_is_at_its_limit_all_the_time(stage, kit):
+    """With no reserve of acceleration the servo falls behind, turn by turn."""
+    frames = [Keyframe(at_s=0.0, deg={"j0": 0.0, "j1": 0.0})]
+    frames += [
+        Keyframe(
+            at_s=round(0.5 + k / 3.0, 4), deg={"j0": 25.0 * (k % 2), "j1": 80.0 * (k % 2) - 40.0}
+        )
+        for k in range(1, 31)
+    ]
+    frames.append(Keyframe(at_s=12.0, deg={"j0": 0.0, "j1": 0.0}))
+    sequence = Sequence(name="nod", keyframes=tuple(frames), keeps_time=frozenset({"j0", "j1"}))
+    played = stage.play(kit.robot(2, baud_bps=115200), sequence)
+    assert played.report.outcome == "finished"
+    assert np.sqrt(np.mean(played.horn_error_deg() ** 2, axis=0)).max() < 0.6

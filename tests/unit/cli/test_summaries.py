@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 
 import pytest
 
-from lss_motion.cli.summaries import limit_uses, plan_lines, stretch_text
+from lss_motion.cli.shows import Show
+from lss_motion.cli.summaries import limit_uses, plan_lines, show_as_json, stretch_text
+from lss_motion.program.compile import compile_program
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.sequence.model import Keyframe, Layer, Sequence, Timing
 from lss_motion.trajectory.planner import plan
@@ -171,3 +174,15 @@ def test_what_is_given_up_to_keep_the_time_is_told_with_the_turns_that_are_misse
     for k in range(2, 24, 2):
         assert f"0 deg at {1.0 + 0.1 * k:.3f} s (m{k}) becomes 1" in missed
     assert lines[-1] == "the show runs as fast as it can; faster would give up more angle"
+
+
+def test_json_has_what_is_given_up_and_the_program_keeps_it(robot):
+    trajectory = plan(jaw(), robot)
+    program = compile_program(trajectory, robot)
+    content = show_as_json(Show(robot=robot, program=program, trajectory=trajectory))
+    (span,) = content["given_up"]
+    assert span["joint"] == "base"
+    assert span["by_deg"] == pytest.approx(trajectory.given_up[0].by_deg)
+    assert len(span["missed"]) == 24
+    assert span["missed"][0]["label"] == "m1"
+    json.dumps(content)

@@ -329,7 +329,7 @@ def test_a_layer_keeps_its_time_while_the_others_are_slowed(make_robot, frame, m
 def test_a_sum_that_is_too_fast_gives_up_angle_and_meets_exact_keys(make_robot, frame):
     """Each of both is possible alone, their sum is not."""
     robot = make_robot(1, accel=600.0)
-    shake = [frame(0.25 * k, base=[0.0, 8.0, 0.0, -8.0][k % 4]) for k in range(17)]
+    shake = [frame(0.25 * k, base=[0.0, 6.0, 0.0, -6.0][k % 4]) for k in range(17)]
     talk_frames = [frame(0.25 * k, label=f"t{k}", base=5.0 * (k % 2)) for k in range(17)]
     talk_frames[8] = replace(talk_frames[8], is_exact=True)
     base = show(*shake, keeps_time=BASE)
