@@ -33,6 +33,9 @@ TELEMETRY_NS: Final = 25 * NS_PER_MS
 HEALTH_NS: Final = NS_PER_S // 4
 ROOM_NS: Final = 3 * NS_PER_MS
 """Nothing is sent to the client within this time before a move is due (as `cli.display`)."""
+OVERDUE_NS: Final = NS_PER_S // 4
+"""Telemetry that is later than this is sent in any case. Of 18 joints it takes a millisecond or two
+on a busy computer (measured), so it must not be often."""
 RATE_EVERY_NS: Final = 100 * NS_PER_MS
 """The newest wish for a rate is applied this long after the one before. A ramp takes three times
 as long; more changes a second would only fill the line with moves."""
@@ -225,7 +228,7 @@ class Steering:
             return
         if now_ns < min(self._telemetry_ns, self._health_ns) and not self._link.is_full:
             return
-        is_overdue = now_ns > self._telemetry_ns + TELEMETRY_NS
+        is_overdue = now_ns > self._telemetry_ns + OVERDUE_NS
         if player.is_due_within(ROOM_NS, now_ns) and not is_overdue:
             return
         self._link.flush()
