@@ -100,10 +100,12 @@ class SettingsWatch:
     def read_back(self, name: str, now_ns: int) -> str | None:
         """Return the probe that must be queried since the last one was too long ago."""
         words = self.keywords(name)
-        last_ns, count = self._read_backs.get(name, (0, 0))
-        if not words or name in self._restarted or now_ns - last_ns < READ_BACK_NS:
+        if not words or name in self._restarted:
             return None
-        return words[count % len(words)]
+        if name not in self._read_backs:
+            return words[0]
+        last_ns, count = self._read_backs[name]
+        return None if now_ns - last_ns < READ_BACK_NS else words[count % len(words)]
 
     def note_query(self, name: str, keyword: str, now_ns: int) -> None:
         """Note a query that was sent to the servo of a joint."""

@@ -21,6 +21,8 @@ from lss_motion.sim.physics import Physics, ServoSpec
 CRISP = Physics(lag_s=1e-4, noise_deg=0.0)
 """A horn that is where its servo's profile is."""
 SPEED_DEG_S, PERIOD_S, BAUD_BPS = 60.0, 0.02, 500_000
+PULSE_DEG = 180.0 / (2400 - 544)
+"""An RC servo turns by whole microseconds: its board maps degrees to them and cuts the rest off."""
 START_S = 0.05
 
 
@@ -166,4 +168,4 @@ def test_an_rc_servo_jumps_to_the_whole_degrees_that_it_was_told(seed):
     reference = PiecewiseProfile(model.pieces())
     for next_s, _ in said[1:]:
         (horn_deg,) = bus.horn_deg([round((next_s - 0.006) * 1e9)])[:, 0]
-        assert horn_deg == pytest.approx(reference.at(next_s - 0.006)[0], abs=0.05)
+        assert horn_deg == pytest.approx(reference.at(next_s - 0.006)[0], abs=PULSE_DEG)

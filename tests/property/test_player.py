@@ -66,7 +66,7 @@ def test_the_rate_ramps_evenly(from_rate, to_rate, over_s, share):
 @given(ramps)
 def test_between_knots_show_time_may_be_interpolated(changes):
     clock, end_ns = clock_of(changes)
-    knots = list(clock.knots(end_ns, 10 * MS))
+    knots = list(clock.knots(5 * MS, end_ns, 10 * MS))
     assert [instant for instant, _ in knots] == sorted(instant for instant, _ in knots)
     assert knots[0][0] == 5 * MS
     assert knots[-1][0] == end_ns
