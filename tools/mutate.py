@@ -51,7 +51,7 @@ TARGETS = {
     "trajectory/verify": ("tests/unit/trajectory/test_verify.py",),
     "program/verify": ("tests/unit/program/test_verify.py",),
     "program/line": ("tests/unit/program/test_line.py",),
-    "program/table": ("tests/unit/program/test_table.py",),
+    "program/move_table": ("tests/unit/program/test_move_table.py",),
     "player/estimators": ("tests/unit/player/test_estimators.py",),
     "player/faults": ("tests/unit/player/test_faults.py",),
     "player/health": ("tests/unit/player/test_health.py",),

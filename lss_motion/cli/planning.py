@@ -224,7 +224,7 @@ def _compile(arguments: argparse.Namespace) -> int:
 
 def _schema(arguments: argparse.Namespace) -> int:
     from lss_motion.gait.load import gait_schema
-    from lss_motion.remote.messages import schema as remote_schema
+    from lss_motion.remote.schema import schema as remote_schema
     from lss_motion.robot.learnt import learnt_schema
     from lss_motion.robot.load import robot_schema
     from lss_motion.sequence.load import sequence_schema

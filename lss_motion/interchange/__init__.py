@@ -18,7 +18,7 @@ One reader per module:
 | `bitbots`     | keyframe JSON of the Bit-Bots humanoids                                |
 | `blender`     | JSON of the Blender add-on for servo animation                         |
 | `bottango`    | `AnimationCommands.json` of Bottango                                   |
-| `commands`    | command text of the SSC-32 and of LSS servos; logs and `.lss` programs |
+| `command_text` | command text of the SSC-32 and of LSS servos; logs and `.lss` programs |
 | `csv`         | wide and long CSV tables                                               |
 | `d6a`         | action groups of Hiwonder robots (SQLite)                              |
 | `hulks`       | motion JSON of the HULKs humanoids                                     |

@@ -18,7 +18,7 @@ from lss_motion.files.source import RECORDING_MAX_BYTES, known_names, read_data
 from lss_motion.interchange.bitbots import BitBotsReader
 from lss_motion.interchange.blender import BlenderReader
 from lss_motion.interchange.bottango import BottangoReader
-from lss_motion.interchange.commands import CommandReader
+from lss_motion.interchange.command_text import CommandReader
 from lss_motion.interchange.csv import CsvReader
 from lss_motion.interchange.d6a import D6aReader
 from lss_motion.interchange.hulks import HulksReader

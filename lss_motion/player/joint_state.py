@@ -24,7 +24,7 @@ from lss_motion.player.estimators import (
 from lss_motion.program.drives import profile_lead_s
 from lss_motion.program.model import received_us
 from lss_motion.program.quantize import LATEST_ARRIVAL_S, nearest_wire
-from lss_motion.program.reference import DURATION_MAX_MS, servo_limits
+from lss_motion.program.reference_grid import DURATION_MAX_MS, servo_limits
 from lss_motion.program.response import Profile
 from lss_motion.program.stepped import PULSE_S
 from lss_motion.program.streamed import SETTLED_DEG, FilterProfile
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from lss_motion.player.serial_line import SerialLine
     from lss_motion.player.show_clock import ShowClock
     from lss_motion.program.model import Move, Program
-    from lss_motion.program.reference import ServoLimits
+    from lss_motion.program.reference_grid import ServoLimits
     from lss_motion.program.response import PiecewiseProfile
     from lss_motion.program.verify import ServoProfile
     from lss_motion.protocol.constants import Status

@@ -16,8 +16,9 @@
   streamed   model and fit of bare `D` through the filter of EM0     drives, verify, player
   stepped    model and fit of whole degrees for RC servos            drives, verify, player
   response   the model of a servo in EM1, for one and for many       all of the above, player
-  reference  what profiles should do, on a grid; limits of servos    all of the above, player
-  table      the moves of a program in arrays                        schedule, verify, compile
+  reference_grid
+             what profiles should do, on a grid; limits of servos    all of the above, player
+  move_table the moves of a program in arrays                        schedule, verify, compile
   verify     motion of the compiled bytes against every limit        compile, splice, cli, player
   model      the program as a value                                  all packages above this one
   text       the program as a file                                   cli

@@ -19,7 +19,8 @@ from lss_motion.files.source import counted
 from lss_motion.program.drives import choices, profile_lead_s
 from lss_motion.program.line import LineUse, line_use, reading_rate_hz
 from lss_motion.program.model import TIMED, Driving, Program, Repeat
-from lss_motion.program.reference import GRID_S, Reference
+from lss_motion.program.move_table import columns_of, moves_of
+from lss_motion.program.reference_grid import GRID_S, Reference
 from lss_motion.program.schedule import (
     RELAXED_RATIOS,
     Schedule,
@@ -28,7 +29,6 @@ from lss_motion.program.schedule import (
     closed_pass,
     overload_error,
 )
-from lss_motion.program.table import columns_of, moves_of
 from lss_motion.program.verify import verify_program
 from lss_motion.trajectory.cues import all_cues, all_marks, all_waits
 from lss_motion.trajectory.model import JOINT_SECONDS_MAX, LoopedSpan

@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
-from lss_motion.program.reference import GRID_S
+from lss_motion.program.reference_grid import GRID_S
 
 if TYPE_CHECKING:
-    from lss_motion.program.reference import Points, References
+    from lss_motion.program.reference_grid import Points, References
     from lss_motion.program.response import FloatArray, IntArray, SingleArray, States
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from lss_motion.program.fit import TimedFit
 from lss_motion.program.moves import fitted_profiles
 from lss_motion.program.quantize import LATEST_ARRIVAL_S, nearest_wire
-from lss_motion.program.reference import DURATION_MAX_MS, GRID_S, servo_limits
+from lss_motion.program.reference_grid import DURATION_MAX_MS, GRID_S, servo_limits
 from lss_motion.program.stepped import PULSE_S, StepFitter
 from lss_motion.program.streamed import StreamFitter
 from lss_motion.program.verify import filter_profile
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from lss_motion.program.moves import Setpoint
-    from lss_motion.program.reference import Reference
+    from lss_motion.program.reference_grid import Reference
     from lss_motion.program.response import PiecewiseProfile
     from lss_motion.robot.model import Drive, Joint, Robot
 

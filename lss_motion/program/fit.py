@@ -25,7 +25,7 @@ from lss_motion.program.moves import (
     no_moves,
 )
 from lss_motion.program.quantize import quantized
-from lss_motion.program.reference import GRID_S, SEGMENT_MAX_S, LimitArrays, References
+from lss_motion.program.reference_grid import GRID_S, SEGMENT_MAX_S, LimitArrays, References
 from lss_motion.program.response import States, concatenated_states, trapezoids
 from lss_motion.program.search import (
     FOLLOW_RATIO,
@@ -42,7 +42,7 @@ from lss_motion.units import US_PER_S
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Sequence
 
-    from lss_motion.program.reference import Reference, ServoLimits
+    from lss_motion.program.reference_grid import Reference, ServoLimits
     from lss_motion.program.response import BoolArray, FloatArray, IntArray
 
     Grant = Callable[[IntArray, IntArray, IntArray], IntArray]

@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from lss_motion.program.quantize import nearest_wire
-from lss_motion.program.reference import LimitArrays
+from lss_motion.program.reference_grid import LimitArrays
 from lss_motion.program.response import PiecewiseProfile, States, Trapezoids, speeds_for, trapezoids
 from lss_motion.units import MS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from lss_motion.program.reference import Reference, ServoLimits
+    from lss_motion.program.reference_grid import Reference, ServoLimits
     from lss_motion.program.response import FloatArray, Index, IntArray, Profile
 
 JOINED_DEG: Final = 1e-6

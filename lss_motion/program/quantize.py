@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.program.cones import ramped
-from lss_motion.program.reference import DURATION_MAX_MS
+from lss_motion.program.reference_grid import DURATION_MAX_MS
 from lss_motion.program.response import States, durations_for, speeds_for
 from lss_motion.units import MS_PER_S
 
 if TYPE_CHECKING:
-    from lss_motion.program.reference import LimitArrays, ServoLimits
+    from lss_motion.program.reference_grid import LimitArrays, ServoLimits
     from lss_motion.program.response import FloatArray
 
 LATEST_ARRIVAL_S: Final = 0.06

@@ -20,7 +20,7 @@ from lss_motion.program.fit import RIVALRY_S, TURN_S, TimedFit
 from lss_motion.program.line import LineSchedule, sent_us
 from lss_motion.program.model import Move
 from lss_motion.program.moves import FittedJoint, fitted_profiles
-from lss_motion.program.reference import servo_limits
+from lss_motion.program.reference_grid import servo_limits
 from lss_motion.protocol.constants import BAUD_RATES_BPS
 from lss_motion.units import s_from_us, us_from_s
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from lss_motion.program.fit import Grant
     from lss_motion.program.model import Repeat
     from lss_motion.program.moves import InitialMotion
-    from lss_motion.program.reference import Reference
+    from lss_motion.program.reference_grid import Reference
     from lss_motion.program.response import IntArray
     from lss_motion.robot.model import Joint, Robot
 

@@ -26,13 +26,13 @@ from lss_motion.program.cones import (
     reach_steps,
 )
 from lss_motion.program.quantize import SPEED_LEAST_DEG_S, durations_ms
-from lss_motion.program.reference import AHEAD_MAX_STEPS, AUTHORITY_STEPS, GRID_S, Points
+from lss_motion.program.reference_grid import AHEAD_MAX_STEPS, AUTHORITY_STEPS, GRID_S, Points
 from lss_motion.program.response import States, exact_speeds, speeds_for, trapezoids
 from lss_motion.units import MS_PER_S
 
 if TYPE_CHECKING:
     from lss_motion.program.cones import Cones
-    from lss_motion.program.reference import LimitArrays, References
+    from lss_motion.program.reference_grid import LimitArrays, References
     from lss_motion.program.response import BoolArray, FloatArray, IntArray, SingleArray
 
 SEGMENT_MIN_S: Final = 0.01

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.program.quantize import nearest_wire
-from lss_motion.program.reference import GRID_S, STILL_ROUNDING_DEG
+from lss_motion.program.reference_grid import GRID_S, STILL_ROUNDING_DEG
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator, Sequence
 
     from lss_motion.program.moves import InitialMotion
-    from lss_motion.program.reference import Reference, ServoLimits
+    from lss_motion.program.reference_grid import Reference, ServoLimits
     from lss_motion.program.response import FloatArray, IntArray
 
 STRETCH_S: Final = 6.0

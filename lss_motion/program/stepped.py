@@ -14,13 +14,13 @@ import numpy as np
 
 from lss_motion.program.moves import Setpoint
 from lss_motion.program.quantize import nearest_wire
-from lss_motion.program.reference import GRID_S, STILL_ROUNDING_DEG
+from lss_motion.program.reference_grid import GRID_S, STILL_ROUNDING_DEG
 from lss_motion.program.response import Piece, PiecewiseProfile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from lss_motion.program.reference import Reference, ServoLimits
+    from lss_motion.program.reference_grid import Reference, ServoLimits
 
 PULSE_S: Final = 0.02
 """An RC servo receives its target 50 times a second (general knowledge of RC pulses; no document of

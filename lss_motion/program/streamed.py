@@ -31,13 +31,13 @@ import numpy as np
 from lss_motion.program.cones import CONE_RATIO
 from lss_motion.program.moves import Setpoint
 from lss_motion.program.quantize import nearest_wire
-from lss_motion.program.reference import GRID_S, STILL_DEG, STILL_ROUNDING_DEG
+from lss_motion.program.reference_grid import GRID_S, STILL_DEG, STILL_ROUNDING_DEG
 from lss_motion.program.response import Piece, PiecewiseProfile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from lss_motion.program.reference import Reference, ServoLimits
+    from lss_motion.program.reference_grid import Reference, ServoLimits
     from lss_motion.robot.model import Response
 
 SETTLED_DEG: Final = 0.05

@@ -16,12 +16,12 @@ import numpy as np
 
 from lss_motion.errors import PlanningError
 from lss_motion.program.model import TIMED, ramp_deg_s2
+from lss_motion.program.move_table import columns_of
 from lss_motion.program.moves import profiles_from_rest, replayed
-from lss_motion.program.reference import LimitArrays, servo_limits
+from lss_motion.program.reference_grid import LimitArrays, servo_limits
 from lss_motion.program.response import PiecewiseProfile, Profile
 from lss_motion.program.stepped import PULSE_S, StepProfile
 from lss_motion.program.streamed import FilterProfile
-from lss_motion.program.table import columns_of
 from lss_motion.units import US_PER_S
 
 if TYPE_CHECKING:

@@ -5,12 +5,12 @@ socketpair. Nothing that a client does delays a move: the player reads what has 
 what the socket takes, and waits for neither. Telemetry that finds a full socket is dropped; events
 are kept, up to a bound.
 
-| file          | what it is                                               | who calls it         |
-|---------------|----------------------------------------------------------|----------------------|
-| `messages.py` | operations, events and telemetry: the one schema         | all below, `cli`     |
-| `link.py`     | messages over a stream socket, without waiting           | `steering`, `handle` |
-| `steering.py` | the player's end: applies operations, sends what happens | `process`            |
-| `job.py`      | what is played, and how it ended                         | `process`, `handle`  |
-| `process.py`  | the process that plays                                   | `handle`             |
-| `handle.py`   | `start` and `Handle`: the client's end, for Python       | `lss_motion`         |
+| file         | what it is                                               | who calls it           |
+|--------------|----------------------------------------------------------|------------------------|
+| `schema`     | operations, events and telemetry: the one schema         | all below, `cli`       |
+| `link`       | messages over a stream socket, without waiting           | `player_end`, `handle` |
+| `player_end` | the player's end: applies operations, sends what happens | `process`              |
+| `job`        | what is played, and how it ended                         | `process`, `handle`    |
+| `process`    | the process that plays                                   | `handle`               |
+| `handle`     | `start` and `Handle`: the client's end, for Python       | `lss_motion`           |
 """

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Final, Self
 
 from lss_motion.connection import with_port
 from lss_motion.errors import BusError, InputError
-from lss_motion.remote import messages as m
+from lss_motion.remote import schema as m
 from lss_motion.remote.job import Job
 from lss_motion.remote.link import BrokenLinkError, Kind, Link
 

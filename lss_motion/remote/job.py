@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from lss_motion.errors import LssMotionError
-from lss_motion.remote.messages import Ended, MarkInfo, Started, duration_of, plan_hash
-from lss_motion.remote.steering import LossRule
+from lss_motion.remote.player_end import LossRule
+from lss_motion.remote.schema import Ended, MarkInfo, Started, duration_of, plan_hash
 
 if TYPE_CHECKING:
     from lss_motion.program.model import Program
-    from lss_motion.remote.steering import Steering
+    from lss_motion.remote.player_end import Steering
     from lss_motion.robot.model import Robot
     from lss_motion.runtime.report import Report
     from lss_motion.trajectory.model import Trajectory

@@ -16,7 +16,7 @@ from typing import Final
 
 from lss_motion.remote.job import play
 from lss_motion.remote.link import Kind, Link
-from lss_motion.remote.steering import Steering
+from lss_motion.remote.player_end import Steering
 
 SEND_S: Final = 5.0
 """The result is dropped if the client does not take it for so long."""

@@ -17,7 +17,7 @@ from lss_motion.program.drives import profile_lead_s
 from lss_motion.program.fit import TimedFit
 from lss_motion.program.line import LineSchedule, line_use
 from lss_motion.program.moves import fitted_profiles, profiles_from_rest, replayed
-from lss_motion.program.reference import GRID_S, LimitArrays, Reference, ServoLimits
+from lss_motion.program.reference_grid import GRID_S, LimitArrays, Reference, ServoLimits
 from lss_motion.program.response import (
     Piece,
     PiecewiseProfile,

@@ -11,9 +11,9 @@ from lss_motion.program.compile import PREROLL_S, compile_program
 from lss_motion.program.drives import late_max_s
 from lss_motion.program.line import LineSchedule, line_use
 from lss_motion.program.model import received_us
-from lss_motion.program.reference import GRID_S, Reference
+from lss_motion.program.move_table import moves_of, sizes_bytes
+from lss_motion.program.reference_grid import GRID_S, Reference
 from lss_motion.program.schedule import Schedule, slot_us
-from lss_motion.program.table import moves_of, sizes_bytes
 from lss_motion.protocol.framing import encode_move
 from lss_motion.robot.model import Bus, Joint, Robot
 from lss_motion.robot.servo_models import SERVO_MODELS

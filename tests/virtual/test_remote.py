@@ -11,10 +11,10 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.perform import Observer, perform
-from lss_motion.remote import messages as m
+from lss_motion.remote import schema as m
 from lss_motion.remote.job import Job, play
 from lss_motion.remote.link import BrokenLinkError, Kind, Link
-from lss_motion.remote.steering import LossRule, Steering
+from lss_motion.remote.player_end import LossRule, Steering
 from tests.timed_moves import is_move
 from tests.virtual.conftest import make_robot, make_sequence
 

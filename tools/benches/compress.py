@@ -15,7 +15,7 @@ from benches.shows import lively_show, robot_of
 from benches.table import Row
 from lss_motion import api
 from lss_motion.program.fit import TimedFit
-from lss_motion.program.reference import GRID_S, Reference, servo_limits
+from lss_motion.program.reference_grid import GRID_S, Reference, servo_limits
 
 if TYPE_CHECKING:
     from lss_motion.program.moves import FittedMoves

@@ -1,11 +1,11 @@
 """Measures how a servo responds: small moves, readings, and the model that fits them.
 
-| file            | what it is                                             | who calls it          |
-|-----------------|--------------------------------------------------------|-----------------------|
-| `trials.py`     | plan of the trials inside a window, and their readings | `cli`, `experiment`   |
-| `joint_run.py`  | moves of one joint on a bus; holds however they end    | `experiment`, careful |
-| `experiment.py` | the trials of one joint                                | `cli.identify`        |
-| `fit.py`        | response model of a servo, and its least squares       | `estimate`            |
-| `estimate.py`   | recording → servo parameters with uncertainties        | `cli.identify`        |
-| `summary.py`    | the result as text and as fields of the robot file     | `cli.identify`        |
+| file           | what it is                                             | who calls it          |
+|----------------|--------------------------------------------------------|-----------------------|
+| `trials`       | plan of the trials inside a window, and their readings | `cli`, `experiment`   |
+| `joint_run`    | moves of one joint on a bus; holds however they end    | `experiment`, careful |
+| `experiment`   | the trials of one joint                                | `cli.identify`        |
+| `response_fit` | response model of a servo, and its least squares       | `estimate`            |
+| `estimate`     | recording → servo parameters with uncertainties        | `cli.identify`        |
+| `summary`      | the result as text and as fields of the robot file     | `cli.identify`        |
 """

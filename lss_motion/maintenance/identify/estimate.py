@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from lss_motion.errors import PlaybackError
-from lss_motion.maintenance.identify.fit import (
+from lss_motion.maintenance.identify.response_fit import (
     HYPOTHESES,
     Measured,
     ModelFit,
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from lss_motion.maintenance.identify.fit import Hypothesis
+    from lss_motion.maintenance.identify.response_fit import Hypothesis
     from lss_motion.maintenance.identify.trials import Recording, Trial
     from lss_motion.robot.model import Joint
 

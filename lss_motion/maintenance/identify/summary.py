@@ -8,7 +8,7 @@ from lss_motion.units import MS_PER_S
 
 if TYPE_CHECKING:
     from lss_motion.maintenance.identify.estimate import Identified
-    from lss_motion.maintenance.identify.fit import Measured
+    from lss_motion.maintenance.identify.response_fit import Measured
     from lss_motion.robot.model import Joint
 
 

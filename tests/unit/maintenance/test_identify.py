@@ -13,8 +13,8 @@ from lss_motion.errors import BusError, InputError, PlaybackError
 from lss_motion.maintenance.identify import summary
 from lss_motion.maintenance.identify.estimate import identify, read_rests
 from lss_motion.maintenance.identify.experiment import Experiment
-from lss_motion.maintenance.identify.fit import HYPOTHESES, Hypothesis, Shape, horn_deg
 from lss_motion.maintenance.identify.joint_run import State
+from lss_motion.maintenance.identify.response_fit import HYPOTHESES, Hypothesis, Shape, horn_deg
 from lss_motion.maintenance.identify.trials import (
     Kind,
     Recording,

@@ -30,7 +30,7 @@ from lss_motion.player.joint_state import (
 )
 from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.show_clock import ShowClock
-from lss_motion.program.reference import servo_limits
+from lss_motion.program.reference_grid import servo_limits
 from lss_motion.robot.model import Bus
 from lss_motion.robot.servo_models import SERVO_MODELS
 from tests.filters import FILTER_S, felt, staircase

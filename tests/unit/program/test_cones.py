@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lss_motion.program.cones import Starts, open_cones
-from lss_motion.program.reference import GRID_S, Reference, References, servo_limits
+from lss_motion.program.reference_grid import GRID_S, Reference, References, servo_limits
 from lss_motion.program.response import States
 from tests.joints import joint
 

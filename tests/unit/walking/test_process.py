@@ -12,7 +12,7 @@ from lss_motion.errors import PlanningError
 from lss_motion.gait.model import BodyPose
 from lss_motion.gait.steering import slowed_to_limits
 from lss_motion.gait.stepping import STILL, Twist
-from lss_motion.program.table import MoveTable
+from lss_motion.program.move_table import MoveTable
 from lss_motion.walking.planner import PlanRequest, WalkPlanner
 from lss_motion.walking.process import PlannerProcess, packed, unpacked
 

@@ -15,7 +15,7 @@ from lss_motion.errors import InputError
 from lss_motion.player import events
 from lss_motion.player.events import Phase
 from lss_motion.protocol.constants import Led
-from lss_motion.remote import messages as m
+from lss_motion.remote import schema as m
 from lss_motion.remote.link import TURN_MAX_BYTES, BrokenLinkError, Kind
 from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US, ns_from_s
 

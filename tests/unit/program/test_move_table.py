@@ -7,7 +7,7 @@ from random import Random
 import pytest
 
 from lss_motion.program.model import Move, Program
-from lss_motion.program.table import MADE_AT_ONCE, MoveTable, columns_of, table_of
+from lss_motion.program.move_table import MADE_AT_ONCE, MoveTable, columns_of, table_of
 
 
 def moves(count: int) -> list[Move]:

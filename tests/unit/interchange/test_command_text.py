@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lss_motion.interchange.commands import CommandReader
+from lss_motion.interchange.command_text import CommandReader
 from lss_motion.interchange.reader import Unit
 from lss_motion.sequence.model import Interpolation
 

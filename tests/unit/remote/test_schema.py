@@ -8,7 +8,7 @@ import jsonschema
 import pytest
 
 from lss_motion.errors import InputError
-from lss_motion.remote import messages as m
+from lss_motion.remote import schema as m
 
 OPERATIONS = [
     m.Go(id=1),
