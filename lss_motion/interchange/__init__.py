@@ -2,14 +2,15 @@
 
 `import_motion(path, robot)` recognises the format by the content of the file. `exported` writes.
 
-| module      | contents                                                   | callers             |
-|-------------|------------------------------------------------------------|---------------------|
-| `importing` | `import_motion` and its steps; the list of readers         | cli, api            |
-| `reader`    | `Reader`, and the motion that it returns                   | the readers         |
-| `fields`    | checked values from JSON and text, with their place        | the readers         |
-| `mapping`   | joints of the file → joints of the robot; map files        | `importing`, cli    |
-| `reduce`    | a recording → few keys within a tolerance                  | `importing`         |
-| `export`    | samples of a plan → CSV, ROS, Blender                      | cli                 |
+| module        | contents                                                   | callers             |
+|---------------|------------------------------------------------------------|---------------------|
+| `importing`   | `import_motion` and its steps; the list of readers         | cli, api            |
+| `reader`      | `Reader`, and the motion that it returns                   | the readers         |
+| `fields`      | checked values from JSON and text, with their place        | the readers         |
+| `mapping`     | joints of the file → joints of the robot; map files        | `importing`, cli    |
+| `reduce`      | a recording → few keys within a tolerance                  | `importing`         |
+| `fitted_keys` | fewer keys of a spline by fitted angles                    | `reduce`            |
+| `export`      | samples of a plan → CSV, ROS, Blender                      | cli                 |
 
 One reader per module:
 

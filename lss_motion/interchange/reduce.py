@@ -7,7 +7,8 @@ The planner is in a layer above this package; a test compares the two.
 The keys of a joint (`rough_keys`, `refined_keys`) start with the ends and the rests. Keys are added
 until the curve fits, then keys that are not needed are removed, then the others are moved so that
 more of them can be removed. Then the joints share times (`shared_keys`): a keyframe that holds many
-joints is easier to read and to edit than many keyframes that hold one.
+joints is easier to read and to edit than many keyframes that hold one. At last, keys of a spline
+are removed where fitted angles of the keys around them replace them (`fitted_keys`).
 
 A spline exactly through the samples oscillates where the acceleration jumps, so a motion at its
 limits would be slowed down when it is planned again. Keys of a spline are therefore the values of
@@ -24,6 +25,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import InputError
+from lss_motion.interchange.fitted_keys import fitted_keys
 from lss_motion.interchange.reader import DIGITS, Unit
 from lss_motion.sequence.model import KEYFRAMES_MAX, LINEAR_RAMP_RATIO, Interpolation
 from lss_motion.splines import clamped_slopes, monotone_slopes
@@ -121,6 +123,9 @@ def reduced(
     channels: list[Channel] = []
     refined = [refined_keys(curve, found) for curve, found in zip(curves, rough, strict=True)]
     shared = shared_keys(curves, refined)
+    if ease is Interpolation.SPLINE:
+        pairs = [_fitted(curve, keys) for curve, keys in zip(curves, shared, strict=True)]
+        curves, shared = [curve for curve, _ in pairs], [keys for _, keys in pairs]
     for channel, curve, keys in zip(motion.channels, curves, shared, strict=True):
         own_lines = None if channel.lines is None else channel.lines[keys]
         values = _rounded(curve, keys)
@@ -407,6 +412,10 @@ class Curve:
             return np.ones(len(self.times_s), dtype=np.bool_)
         return np.concatenate([[True], np.diff(np.round(self.times_s / self.step_s)) > 0.0])
 
+    def with_values(self, key_values: FloatArray) -> Curve:
+        """Return the same recording with other angles of keys."""
+        return replace(self, key_values=key_values)
+
     def fits(self, keys: IntArray) -> bool:
         """Return whether the error of the keys is within the tolerance."""
         return float(self.error_deg(keys).max()) <= self.tolerance_deg
@@ -482,6 +491,13 @@ def shared_keys(curves: SequenceOf[Curve], keys: SequenceOf[IntArray]) -> list[I
         result[index] = own
         taken_s = np.union1d(taken_s, curve.times_s[own])
     return result
+
+
+def _fitted(curve: Curve, keys: IntArray) -> tuple[Curve, IntArray]:
+    """Return the curve with fitted values and fewer keys, else both unchanged."""
+    margin_deg = min(ROUNDING_DEG, 0.01 * curve.tolerance_deg)
+    found, kept = fitted_keys(curve, keys, margin_deg)
+    return found, (keys if found is curve else _pruned(found, kept, FAR_APART))
 
 
 def _moved_to(curve: Curve, keys: IntArray, there: IntArray) -> IntArray:
@@ -654,14 +670,19 @@ def bspline_values(times_s: FloatArray, values: FloatArray, shift_max_deg: float
 
 
 def peaks_of_samples(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the absolute speed and acceleration of the recording around each sample."""
+    """Return the absolute speed and acceleration of the recording around each sample.
+
+    A spline is at rest at both ends. The even acceleration from there to the first sample, and from
+    the last but one to rest, counts as well: it is large if a recording begins or ends in motion.
+    """
     if len(values) < 3:
         return np.full(len(values), np.inf), np.full(len(values), np.inf)
     steps_s = np.diff(times_s)
     speeds = np.diff(values) / steps_s
     accels = np.abs(2.0 * np.diff(speeds) / (steps_s[1:] + steps_s[:-1]))
     speeds = np.abs(speeds)
+    starts, ends = 2.0 * speeds[:1] / steps_s[:1], 2.0 * speeds[-1:] / steps_s[-1:]
     return (
         np.maximum(np.append(speeds, 0.0), np.append(0.0, speeds)),
-        np.concatenate([accels[:1], accels, accels[-1:]]),
+        np.concatenate([np.maximum(accels[:1], starts), accels, np.maximum(accels[-1:], ends)]),
     )
