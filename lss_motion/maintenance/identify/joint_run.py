@@ -7,6 +7,7 @@ decided by its subclasses: `experiment.Experiment`, `maintenance.careful.Careful
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import deque
 from dataclasses import dataclass
 from enum import Enum
@@ -74,7 +75,7 @@ class State(Enum):
     DONE = "done"
 
 
-class JointRun:
+class JointRun(ABC):
     """Moves one joint. `error` is set if that failed, `is_stopped` if a person ended it.
 
     A subclass sets `_dialogue` to the first settings, begins trials when they are made
@@ -111,13 +112,13 @@ class JointRun:
 
     # ---- what a subclass decides
 
+    @abstractmethod
     def _prepared(self, now_ns: int) -> None:
         """Go on after settings."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _trial_over(self, now_ns: int) -> None:
         """Judge a trial that is over, and begin the next one, or `_restore`."""
-        raise NotImplementedError
 
     def _take(self, polled: PolledReading, now_ns: int) -> None:
         """Use an answer of the servo."""
