@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from local_planner import LocalPlanner
 
-from lss_motion.cli import shows
+from lss_motion import shows
 from lss_motion.gait.kinematics import forward
 from lss_motion.gait.model import BodyPose
 from lss_motion.gait.patterns import PATTERNS

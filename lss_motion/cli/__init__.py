@@ -36,9 +36,7 @@ commands        declares commands and shared arguments, checks them, loads the r
 start           the entry points: signals are handled before anything heavy is imported
 messages        prints errors and lines; turns exceptions into exit codes; `main`, `play`, others
 terminal        keys and signals during a run; `play`, `walk`, `identify`, `hands`
-shows           from a file to a compiled program; `play`, `walk`, `replay`, `planning`, `exchange`
-summaries       plan, program and robot as text and JSON; `planning`, `play`, `exchange`, `record`
-consent         which Python functions a show may call; `play`, `summaries`
+consent         which Python functions a show may call; `play`
 careful         the careful run before a show, and what is learnt in it; `play`
 dialog          the question before a real robot moves, and a line an event; `play`, `walk`
 display         the live display, a process of its own; `play`, `walk`

@@ -214,22 +214,13 @@ def reader(arguments: argparse.Namespace, *, may_query: bool) -> Callable[[Path]
 
     def read(path: Path) -> Robot:
         from lss_motion.robot.load import load_robot
+        from lss_motion.shows import with_backup
 
-        return _complete(load_robot(path), arguments, may_query=may_query)
+        robot = load_robot(path)
+        if robot.unread and arguments.robot_cache is None and may_query:
+            from lss_motion.connection import ask_limits
+
+            return ask_limits(robot, port=arguments.port)
+        return with_backup(robot, arguments.robot_cache)
 
     return read
-
-
-def _complete(robot: Robot, arguments: argparse.Namespace, *, may_query: bool) -> Robot:
-    if not robot.unread:
-        return robot
-    if arguments.robot_cache is not None:
-        from lss_motion.maintenance.backup import read_backup
-        from lss_motion.maintenance.limits import robot_from_backup
-
-        return robot_from_backup(robot, read_backup(arguments.robot_cache), arguments.robot_cache)
-    if not may_query:
-        return robot
-    from lss_motion.connection import ask_limits
-
-    return ask_limits(robot, port=arguments.port)

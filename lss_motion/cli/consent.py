@@ -12,8 +12,6 @@ import hashlib
 import json
 import os
 import sys
-from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -21,10 +19,12 @@ from lss_motion.cli.messages import put
 from lss_motion.errors import InputError
 from lss_motion.files.output import write_output
 from lss_motion.files.source import counted, read_data
+from lss_motion.sequence.functions import calls_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
+    from lss_motion.sequence.functions import Call
     from lss_motion.sequence.model import Cue
 
 ALLOW_HELP: Final = "call the Python functions of the show without the question"
@@ -36,38 +36,6 @@ FILE_NAME: Final = "allowed_functions.json"
 
 KEPT_MAX: Final = 1000
 """Answers that are kept, the newest. Chosen: years of shows."""
-
-
-@dataclass(frozen=True, slots=True)
-class Call:
-    """A function of a show, the files that are run for it, and how often it is called."""
-
-    run: str
-    files: tuple[Path, ...]
-    count: int
-
-    @property
-    def text(self) -> str:
-        """Function, files and count, for people."""
-        where = ", ".join(map(str, self.files)) or "built into Python"
-        times = "once" if self.count == 1 else f"{self.count} times"
-        return f"{self.run} {times} ({where})"
-
-
-def calls_of(cues: Iterable[Cue]) -> list[Call]:
-    """Return the functions that are called; a loop that repeats them counts once."""
-    from lss_motion.sequence.functions import function_files
-
-    counts = Counter((cue.run, cue.folder) for cue in cues if cue.run)
-    return [
-        Call(run, tuple(function_files(run, folder)), count)
-        for (run, folder), count in counts.items()
-    ]
-
-
-def call_lines(cues: Iterable[Cue]) -> list[str]:
-    """Return a line for each function that a show calls."""
-    return [f"runs Python: {call.text}" for call in calls_of(cues)]
 
 
 def may_call(path: Path, cues: Sequence[Cue], *, is_allowed: bool) -> bool:

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lss_motion.cli.commands import Commands
-    from lss_motion.cli.shows import Show
     from lss_motion.interchange.export import Samples
     from lss_motion.robot.model import Robot
+    from lss_motion.shows import Show
     from lss_motion.trajectory.model import Trajectory
 
 
@@ -186,12 +186,12 @@ def _add_export(commands: Commands) -> None:
 
 
 def _import(arguments: argparse.Namespace) -> int:
-    from lss_motion.cli.summaries import fit_text, plan_lines
     from lss_motion.interchange.importing import imported, read_motion
     from lss_motion.interchange.mapping import load_map, map_template
     from lss_motion.sequence.model import Interpolation
     from lss_motion.sequence.parts import keeping
     from lss_motion.sequence.write import write_sequence
+    from lss_motion.summaries import fit_text, plan_lines
     from lss_motion.trajectory.planner import plan
 
     require_outputs(
@@ -226,7 +226,7 @@ def _import(arguments: argparse.Namespace) -> int:
 
 
 def _export(arguments: argparse.Namespace) -> int:
-    from lss_motion.cli import shows
+    from lss_motion import shows
     from lss_motion.interchange.export import exported
     from lss_motion.program.arduino import header_name
     from lss_motion.program.text import to_text
@@ -272,7 +272,7 @@ def _write_mcap(
     log: Path, robot_path: Path | None, output: Path, read_robot: Callable[[Path], Robot]
 ) -> None:
     """Write a log as MCAP; the log names the robot if `robot_path` does not."""
-    from lss_motion.cli import shows
+    from lss_motion import shows
     from lss_motion.program.text import load_program
     from lss_motion.runtime.log_mcap import mcap_of_log
     from lss_motion.runtime.replay import read_log
@@ -315,8 +315,8 @@ def sampled(trajectory: Trajectory, rate_hz: float) -> Samples:
     """
     import numpy as np
 
-    from lss_motion.cli.shows import shown_s
     from lss_motion.interchange.export import Samples
+    from lss_motion.shows import shown_s
 
     times_s = np.arange(int(np.ceil(shown_s(trajectory) * rate_hz - 1e-9)) + 1) / rate_hz
     return Samples(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -60,9 +59,6 @@ program starts without planning.
 
   lss-motion compile wave.yaml -o wave.lss
 """
-
-ROBOT_KEYS: Final = re.compile(r"^(buses|joints)\s*:", re.MULTILINE)
-"""Top-level keys of a robot file that no other file has."""
 
 
 def add_to(commands: Commands) -> None:
@@ -144,19 +140,19 @@ def _inputs(arguments: argparse.Namespace) -> list[Path | None]:
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    from lss_motion.cli import shows
-    from lss_motion.cli.summaries import (
+    from lss_motion import shows
+    from lss_motion.gait.load import is_gait_file
+    from lss_motion.gait.pacing import gait_lines, paced
+    from lss_motion.gait.to_sequence import sequence_from
+    from lss_motion.summaries import (
         advice_lines,
         program_lines,
         robot_as_json,
         robot_lines,
         show_as_json,
     )
-    from lss_motion.gait.load import is_gait_file
-    from lss_motion.gait.pacing import gait_lines, paced
-    from lss_motion.gait.to_sequence import sequence_from
 
-    if is_robot_file(arguments.file):
+    if shows.is_robot_file(arguments.file):
         robot = reader(arguments, may_query=False)(arguments.file)
         robot.require_turns(robot.joints.values())
         if arguments.json:
@@ -181,8 +177,8 @@ def _check(arguments: argparse.Namespace) -> int:
 
 
 def _plan(arguments: argparse.Namespace) -> int:
-    from lss_motion.cli import shows
-    from lss_motion.cli.summaries import plan_lines
+    from lss_motion import shows
+    from lss_motion.summaries import plan_lines
 
     outputs = [Output(arguments.csv, Kind.TABLE), Output(arguments.plot, Kind.PICTURE)]
     given = _inputs(arguments)
@@ -204,9 +200,9 @@ def _plan(arguments: argparse.Namespace) -> int:
 
 
 def _compile(arguments: argparse.Namespace) -> int:
-    from lss_motion.cli import shows
-    from lss_motion.cli.summaries import program_lines
+    from lss_motion import shows
     from lss_motion.program.text import to_text
+    from lss_motion.summaries import program_lines
 
     if arguments.output is not None:
         shows.require_program_suffix(arguments.output)
@@ -245,7 +241,7 @@ def _schema(arguments: argparse.Namespace) -> int:
 
 
 def _gait(arguments: argparse.Namespace) -> int:
-    from lss_motion.cli import shows
+    from lss_motion import shows
     from lss_motion.gait.pacing import gait_lines, paced
     from lss_motion.gait.to_sequence import sequence_from
     from lss_motion.sequence.write import write_sequence
@@ -270,11 +266,6 @@ def _gait(arguments: argparse.Namespace) -> int:
     return EXIT_FINISHED
 
 
-def is_robot_file(path: Path) -> bool:
-    """Return whether a file describes a robot; raise `InputError` if it cannot be read."""
-    return path.suffix.lower() in (".yaml", ".yml") and bool(ROBOT_KEYS.search(read_text(path)))
-
-
 def plan_table(trajectory: Trajectory, rate_hz: float) -> str:
     """Return the plan as CSV, one row every `1 / rate_hz` and one at the end.
 
@@ -282,7 +273,7 @@ def plan_table(trajectory: Trajectory, rate_hz: float) -> str:
     """
     import numpy as np
 
-    from lss_motion.cli.shows import shown_s
+    from lss_motion.shows import shown_s
 
     end_s = shown_s(trajectory)
     times_s = np.arange(int(end_s * rate_hz + 1e-9) + 1) / rate_hz

@@ -44,11 +44,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from lss_motion.cli.commands import Commands
-    from lss_motion.cli.shows import Show
     from lss_motion.cli.terminal import Terminal
     from lss_motion.errors import LssMotionError
     from lss_motion.perform import Result
     from lss_motion.robot.model import Robot
+    from lss_motion.shows import Show
     from lss_motion.sim.faults import Fault
 
 
@@ -172,8 +172,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def play(arguments: argparse.Namespace) -> int:
     """Run the command; return its exit code."""
-    from lss_motion import api
-    from lss_motion.cli import shows
+    from lss_motion import api, shows
 
     _check_outputs(arguments)
     show = shows.prepare(
@@ -186,7 +185,7 @@ def play(arguments: argparse.Namespace) -> int:
     robot = api.with_port(show.robot, arguments.port)
     _check(arguments, show, is_simulated=api.is_simulated(robot))
     if arguments.dry_run:
-        from lss_motion.cli.summaries import program_lines
+        from lss_motion.summaries import program_lines
 
         for line in [] if arguments.quiet else program_lines(show, is_whole=arguments.all):
             print(line)

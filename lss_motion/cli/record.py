@@ -129,9 +129,9 @@ def _check(arguments: argparse.Namespace, *, simulated: bool) -> None:
 
 
 def _write(arguments: argparse.Namespace, take: Take, robot: Robot) -> None:
-    from lss_motion.cli.summaries import fit_text, plan_lines
     from lss_motion.maintenance.take import sequence_of
     from lss_motion.sequence.write import write_sequence
+    from lss_motion.summaries import fit_text, plan_lines
     from lss_motion.trajectory.planner import plan
 
     if not take.parts:

@@ -73,7 +73,7 @@ def _replay(arguments: argparse.Namespace) -> int:
 
 
 def _again(path: Path, played: dict[str, Any], entries: list[Entry]) -> int:
-    from lss_motion.cli import shows
+    from lss_motion import shows
     from lss_motion.connection import with_port
     from lss_motion.maintenance.limits import with_limits
     from lss_motion.player.player import Player

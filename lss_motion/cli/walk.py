@@ -105,8 +105,7 @@ def add_to(commands: Commands) -> None:
 
 
 def _walk(arguments: argparse.Namespace) -> int:
-    from lss_motion import api
-    from lss_motion.cli import shows
+    from lss_motion import api, shows
     from lss_motion.cli.report import report_lines
     from lss_motion.cli.terminal import Terminal
     from lss_motion.connection import with_port
@@ -248,9 +247,9 @@ def _perform(
     import sys
 
     from lss_motion.cli.display import Display
-    from lss_motion.cli.shows import GAIT_TOLERANCE_DEG
     from lss_motion.gait.model import BodyPose
     from lss_motion.perform import Observer, perform
+    from lss_motion.shows import GAIT_TOLERANCE_DEG
     from lss_motion.walking.inputs import Gamepad
     from lss_motion.walking.pilot import Pilot
     from lss_motion.walking.planner import WalkPlanner

@@ -9,6 +9,8 @@ from __future__ import annotations
 import ast
 import contextlib
 import importlib
+from collections import Counter
+from dataclasses import dataclass
 from importlib.machinery import PathFinder
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,11 +20,43 @@ from lss_motion.errors import InputError
 from lss_motion.files.source import known_names, read_data
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from importlib.machinery import ModuleSpec
+
+    from lss_motion.sequence.model import Cue
 
 DYNAMIC: Final = frozenset({"__getattr__", "exec", "globals", "setattr", "vars"})
 """A module that uses one of these, or a star import, can have names that its source lacks."""
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """A function of a show, the files that are run for it, and how often it is called."""
+
+    run: str
+    files: tuple[Path, ...]
+    count: int
+
+    @property
+    def text(self) -> str:
+        """Function, files and count, for people."""
+        where = ", ".join(map(str, self.files)) or "built into Python"
+        times = "once" if self.count == 1 else f"{self.count} times"
+        return f"{self.run} {times} ({where})"
+
+
+def calls_of(cues: Iterable[Cue]) -> list[Call]:
+    """Return the functions that are called; a loop that repeats them counts once."""
+    counts = Counter((cue.run, cue.folder) for cue in cues if cue.run)
+    return [
+        Call(run, tuple(function_files(run, folder)), count)
+        for (run, folder), count in counts.items()
+    ]
+
+
+def call_lines(cues: Iterable[Cue]) -> list[str]:
+    """Return a line for each function that a show calls."""
+    return [f"runs Python: {call.text}" for call in calls_of(cues)]
 
 
 def function_problem(run: str, folder: str) -> str:

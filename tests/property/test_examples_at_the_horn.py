@@ -8,8 +8,7 @@ from random import Random
 import numpy as np
 import pytest
 
-from lss_motion import api
-from lss_motion.cli import shows
+from lss_motion import api, shows
 from lss_motion.perform import Observer, perform
 from lss_motion.sim.bus import servos_of
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lss_motion.cli import shows
+from lss_motion import shows
 from lss_motion.sim.bus import bus_from_robot
 from lss_motion.sim.pty import serve_buses
 from tests.timed_moves import is_move

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lss_motion.cli import shows
+from lss_motion import shows
 from lss_motion.gait.kinematics import forward
 from lss_motion.gait.load import load_gait
 from lss_motion.gait.pacing import joints_of, paced

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from motion_table import map_for, robot_for
 
-from lss_motion.cli import shows
+from lss_motion import shows
 from lss_motion.cli.exchange import sampled
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError

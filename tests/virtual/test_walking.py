@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from local_planner import LocalPlanner
 
-from lss_motion.cli import shows
+from lss_motion import shows
 from lss_motion.gait.kinematics import forward
 from lss_motion.gait.model import BodyPose
 from lss_motion.gait.steering import slowed_to_limits

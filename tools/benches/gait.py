@@ -15,7 +15,6 @@ import numpy as np
 
 from benches.table import Row
 from lss_motion import api
-from lss_motion.cli.shows import GAIT_TOLERANCE_DEG
 from lss_motion.errors import InputError
 from lss_motion.gait.kinematics import forward
 from lss_motion.gait.load import load_gait
@@ -25,6 +24,7 @@ from lss_motion.gait.patterns import PATTERNS
 from lss_motion.gait.to_sequence import sequence_from
 from lss_motion.perform import perform
 from lss_motion.robot.load import load_robot
+from lss_motion.shows import GAIT_TOLERANCE_DEG
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from lss_motion.cli import shows
+from lss_motion import shows
 from lss_motion.cli.display import KEYS_HELP, Display, FrameHistory, frame_of, is_trouble, rendered
 from lss_motion.perform import Observer, perform
 from lss_motion.player.events import Phase

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lss_motion import api
-from lss_motion.cli import shows
+from lss_motion import api, shows
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError
 from lss_motion.gait.load import load_gait

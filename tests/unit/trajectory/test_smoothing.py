@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lss_motion.cli.summaries import plan_lines
 from lss_motion.errors import PlanningError
 from lss_motion.sequence.model import Layer, Sequence, Step, Timing
+from lss_motion.summaries import plan_lines
 from lss_motion.trajectory.planner import plan
 from lss_motion.trajectory.verify import verify
 from tests.unit.trajectory.shows import at, show

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from lss_motion.cli import shows
+from lss_motion import shows
 from lss_motion.errors import PlanningError
 from lss_motion.gait.model import BodyPose
 from lss_motion.gait.steering import slowed_to_limits

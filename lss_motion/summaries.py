@@ -11,17 +11,17 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.cli.consent import call_lines, calls_of
 from lss_motion.errors import InputError
 from lss_motion.runtime.sound_choice import RATE_BAND
+from lss_motion.sequence.functions import call_lines, calls_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from lss_motion.cli.shows import Show
     from lss_motion.interchange.reduce import KeyFit
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Joint, Robot
+    from lss_motion.shows import Show
     from lss_motion.trajectory.eases import EaseAdvice
     from lss_motion.trajectory.model import (
         GivenUp,

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import pytest
 
-from lss_motion.cli.shows import Show
-from lss_motion.cli.summaries import limit_uses, plan_lines, show_as_json, stretch_text
 from lss_motion.program.compile import compile_program
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.sequence.model import Keyframe, Layer, Sequence, Timing
+from lss_motion.shows import Show
+from lss_motion.summaries import limit_uses, plan_lines, show_as_json, stretch_text
 from lss_motion.trajectory.planner import plan
 from tests.joints import joint
 

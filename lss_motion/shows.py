@@ -6,10 +6,12 @@ A file is a sequence, a gait or a program that was compiled before.
 from __future__ import annotations
 
 import dataclasses
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.errors import InputError
+from lss_motion.files.source import read_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -24,6 +26,9 @@ if TYPE_CHECKING:
     ReadRobot = Callable[[Path], Robot]
 
 PROGRAM_SUFFIX = ".lss"
+
+ROBOT_KEYS: Final = re.compile(r"^(buses|joints)\s*:", re.MULTILINE)
+"""Top-level keys of a robot file that no other file has."""
 
 TABLE_VALUES_MAX: Final = 20_000_000
 """Angles of one table. Chosen: three hours of 18 joints at 100 Hz, 160 MB of text."""
@@ -47,6 +52,11 @@ class Show:
 def is_program(path: Path) -> bool:
     """Return whether the file on the command line is a compiled program, by its suffix."""
     return path.suffix.lower() == PROGRAM_SUFFIX
+
+
+def is_robot_file(path: Path) -> bool:
+    """Return whether a file describes a robot; raise `InputError` if it cannot be read."""
+    return path.suffix.lower() in (".yaml", ".yml") and bool(ROBOT_KEYS.search(read_text(path)))
 
 
 def require_program_suffix(path: Path) -> None:
@@ -91,6 +101,16 @@ def files_of(sequence: Sequence) -> Iterator[Path]:
     parts = [step.sequence for step in sequence.play if step.sequence is not None]
     for part in (*sequence.tracks, *parts, *(layer.sequence for layer in sequence.layers)):
         yield from files_of(part)
+
+
+def with_backup(robot: Robot, backup: Path | None) -> Robot:
+    """Return the robot with the limits that its file leaves to the servos, from this backup."""
+    if backup is None or not robot.unread:
+        return robot
+    from lss_motion.maintenance.backup import read_backup
+    from lss_motion.maintenance.limits import robot_from_backup
+
+    return robot_from_backup(robot, read_backup(backup), backup)
 
 
 def load_gait(
