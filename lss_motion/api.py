@@ -40,10 +40,12 @@ def load_sequence(path: Path | str | Mapping[str, object], robot: Robot | None =
     The robot is `robot`, or else the one that the file names. Raises `InputError` with file, line,
     value and remedy; its `more` holds all further problems, those of other files included.
     """
-    from lss_motion.gait.load import is_gait_file, load_gait
-    from lss_motion.gait.to_sequence import gait_as_sequence, sequence_of
+    from lss_motion.gait import gait_as_sequence, is_gait_file
 
     if isinstance(path, Path | str) and is_gait_file(path):
+        from lss_motion.gait.load import load_gait
+        from lss_motion.gait.to_sequence import sequence_of
+
         gait = load_gait(path, robot)
         assert gait.robot_path is not None, "without a robot it would not have been loaded"
         return sequence_of(gait, robot or load_robot(gait.robot_path))

@@ -72,8 +72,7 @@ def load(
 
     A gait file gives the sequence that its robot walks. `read_robot` reads robot files.
     """
-    from lss_motion.gait.load import is_gait_file
-    from lss_motion.gait.to_sequence import gait_as_sequence, sequence_of
+    from lss_motion.gait import gait_as_sequence, is_gait_file
     from lss_motion.robot.load import load_robot
     from lss_motion.sequence.load import load_sequence
 
@@ -81,6 +80,8 @@ def load(
     if is_program(path):
         raise InputError("is a compiled program; this needs a sequence file", path=path)
     if is_gait_file(path):
+        from lss_motion.gait.to_sequence import sequence_of
+
         gait, walker = load_gait(path, robot_path, read_robot)
         return sequence_of(gait, walker), walker
     robot = None if robot_path is None else read_robot(robot_path)
@@ -164,7 +165,7 @@ def compiled(
 
 def walks(sequence: Sequence) -> bool:
     """Return whether a sequence or a part of it is a gait."""
-    from lss_motion.gait.load import is_gait_file
+    from lss_motion.gait import is_gait_file
 
     if sequence.path is not None and is_gait_file(sequence.path):
         return True

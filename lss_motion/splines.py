@@ -9,14 +9,25 @@ the last bits, and plans must stay the same to the bit. Its import also takes lo
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    Number = TypeVar("Number", bound=np.number)
+
     FloatArray = NDArray[np.float64]
+
+
+def distinct(values: NDArray[Number]) -> NDArray[Number]:
+    """Return the different ones of `values`, which have any shape, in ascending order.
+
+    `np.unique` without options imports `numpy.ma`, which takes a tenth of the start of a command.
+    """
+    ordered = np.sort(values, axis=None)
+    return ordered[np.append(True, ordered[1:] != ordered[:-1])] if ordered.size else ordered
 
 
 def monotone_slopes(lengths_s: FloatArray, secants: FloatArray) -> FloatArray:

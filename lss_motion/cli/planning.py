@@ -141,9 +141,7 @@ def _inputs(arguments: argparse.Namespace) -> list[Path | None]:
 
 def _check(arguments: argparse.Namespace) -> int:
     from lss_motion import shows
-    from lss_motion.gait.load import is_gait_file
-    from lss_motion.gait.pacing import gait_lines, paced
-    from lss_motion.gait.to_sequence import sequence_from
+    from lss_motion.gait import is_gait_file
     from lss_motion.summaries import (
         advice_lines,
         program_lines,
@@ -164,6 +162,9 @@ def _check(arguments: argparse.Namespace) -> int:
     if shows.is_program(arguments.file) or not is_gait_file(arguments.file):
         show = shows.prepare(*_files(arguments))
     else:
+        from lss_motion.gait.pacing import gait_lines, paced
+        from lss_motion.gait.to_sequence import sequence_from
+
         gait, robot = shows.load_gait(*_files(arguments))
         passages = paced(gait, robot)
         show = shows.compiled(sequence_from(gait, passages), robot)

@@ -20,15 +20,37 @@ file           what it is                                           called by
 No module reads a clock. Of the servos, only the limits of the robot file are used.
 """
 
-from lss_motion.gait.load import gait_schema, is_gait_file, load_gait
-from lss_motion.gait.pacing import paced
-from lss_motion.gait.to_sequence import sequence_from, sequence_of
+from __future__ import annotations
 
-__all__ = [
-    "gait_schema",
-    "is_gait_file",
-    "load_gait",
-    "paced",
-    "sequence_from",
-    "sequence_of",
-]
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.files.source import read_text
+
+if TYPE_CHECKING:
+    from lss_motion.robot.model import Robot
+    from lss_motion.sequence.model import Sequence
+
+_GAIT_KEY: Final = re.compile(r"""^(gait|"gait"|'gait')\s*:""", re.MULTILINE)
+
+
+def is_gait_file(path: Path | str) -> bool:
+    """Return whether a file has the key `gait` at its top; raises `InputError` if unreadable.
+
+    It stands here since every show is asked: the modules of gaits are then imported for gaits only.
+    """
+    return _GAIT_KEY.search(read_text(Path(path))) is not None
+
+
+def gait_as_sequence(path: Path, robot: Robot) -> Sequence | None:
+    """Return the keyframes of the gait file at `path`; None if it is not a gait file.
+
+    Raises what `load_gait` and `paced` raise.
+    """
+    if not is_gait_file(path):
+        return None
+    from lss_motion.gait.load import load_gait
+    from lss_motion.gait.to_sequence import sequence_of
+
+    return sequence_of(load_gait(path, robot), robot)

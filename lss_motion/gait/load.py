@@ -7,12 +7,11 @@ are checked by `paced`.
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from lss_motion.files.source import known_names, read_text
+from lss_motion.files.source import known_names
 from lss_motion.files.yaml_source import Location, Problem, read_yaml
 from lss_motion.gait.kinematics import neutral_mm
 from lss_motion.gait.model import (
@@ -44,8 +43,6 @@ TWO_LEGS: Final = (
     "legs are supported"
 )
 
-_GAIT_KEY: Final = re.compile(r"""^(gait|"gait"|'gait')\s*:""", re.MULTILINE)
-
 UNLOOPED_CYCLES_MAX: Final = 30
 """A longer walk has a middle that is looped. Chosen: half a minute is planned in one piece."""
 
@@ -53,11 +50,6 @@ ROUNDING: Final = 1e-9
 """Relative error of counts that would be whole without rounding."""
 
 ACTIONS: Final = ("stand", "sit", "pose", "walk", "turn")
-
-
-def is_gait_file(path: Path | str) -> bool:
-    """Return whether a file has the key `gait` at its top; raises `InputError` if unreadable."""
-    return _GAIT_KEY.search(read_text(Path(path))) is not None
 
 
 def load_gait(path: Path | str, robot: Robot | None = None) -> Gait:

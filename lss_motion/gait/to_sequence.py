@@ -5,15 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.errors import InputError
-from lss_motion.gait.load import is_gait_file, load_gait
 from lss_motion.gait.model import LEAD_IN_CYCLES, Walk
 from lss_motion.gait.pacing import action_at, joints_of, paced
 from lss_motion.gait.passage import Walking
 from lss_motion.sequence.model import KEYFRAMES_MAX, Interpolation, Keyframe, Sequence, Timing
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from lss_motion.gait.model import Gait
     from lss_motion.gait.pacing import Paced
     from lss_motion.robot.model import Robot
@@ -36,14 +33,6 @@ def sequence_of(gait: Gait, robot: Robot) -> Sequence:
     Only the joints of the legs are keyed. The sequence starts and ends at rest.
     """
     return sequence_from(gait, paced(gait, robot))
-
-
-def gait_as_sequence(path: Path, robot: Robot) -> Sequence | None:
-    """Return the keyframes of the gait file at `path`; None if it is not a gait file.
-
-    Raises what `load_gait` and `paced` raise.
-    """
-    return sequence_of(load_gait(path, robot), robot) if is_gait_file(path) else None
 
 
 def sequence_from(gait: Gait, passages: tuple[Paced, ...]) -> Sequence:

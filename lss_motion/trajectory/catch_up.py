@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from lss_motion.splines import runs
+from lss_motion.splines import distinct, runs
 from lss_motion.trajectory.braking import braked, mixed
 from lss_motion.trajectory.path import peaks
 from lss_motion.trajectory.solver import MARGIN_RATIO, RATE_SLACK, RateWindow, is_legal, solve
@@ -205,7 +205,7 @@ class _Sweep:
         self.end_s = float(task.path.knots_s[-1])
         self.edges_s = sorted({*self.stops_s, *fixed_s, *free_s, self.end_s})
         rest_ends = (stops_s, dues.held.ravel(), dues.anchors_s, [self.end_s])
-        self.rest_edges_s = np.unique(np.concatenate([*map(np.asarray, rest_ends)])).tolist()
+        self.rest_edges_s = distinct(np.concatenate([*map(np.asarray, rest_ends)])).tolist()
         self.is_rest = task.path.rests
         self.anchors_s = sorted(dues.anchors_s)
         self.pace = PACE_MAX

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.sequence.model import LINEAR_RAMP_RATIO, Interpolation
-from lss_motion.splines import clamped_slopes, monotone_slopes, runs
+from lss_motion.splines import clamped_slopes, distinct, monotone_slopes, runs
 from lss_motion.trajectory.keys import PATH_DECIMALS, SAME_ANGLE_DEG, least_move_s, rests_at
 from lss_motion.trajectory.path import Path, hermite
 
@@ -150,7 +150,7 @@ def build_path(
         )
         for name, own in keys.items()
     ]
-    starts_s = np.unique(np.concatenate([starts for starts, _ in pieces]))
+    starts_s = distinct(np.concatenate([starts for starts, _ in pieces]))
     coefficients = np.empty((len(starts_s), 4, len(pieces)))
     for column, (own_starts_s, cubics) in enumerate(pieces):
         chosen = np.searchsorted(own_starts_s, starts_s, side="right") - 1

@@ -15,7 +15,7 @@ import numpy as np
 
 from lss_motion.errors import InputError
 from lss_motion.sequence.model import Timing
-from lss_motion.splines import runs
+from lss_motion.splines import distinct, runs
 from lss_motion.trajectory import explain
 from lss_motion.trajectory.closest_spline import Bounds
 from lss_motion.trajectory.curves import shifted
@@ -225,7 +225,7 @@ def united(
     pieces: Sequence[tuple[FloatArray, FloatArray]], knots_s: FloatArray, end_s: float
 ) -> Path:
     """Return the path of joints with own starts and cubics; `knots_s` are knots in any case."""
-    starts_s = np.unique(np.concatenate([knots_s, *(starts for starts, _ in pieces)]))
+    starts_s = distinct(np.concatenate([knots_s, *(starts for starts, _ in pieces)]))
     starts_s = starts_s[np.append(True, np.diff(starts_s) > KNOT_MIN_S)]
     starts_s = starts_s[starts_s < end_s - KNOT_MIN_S]
     coefficients = np.empty((len(starts_s), 4, len(pieces)))

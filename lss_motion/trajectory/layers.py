@@ -15,6 +15,7 @@ import numpy as np
 
 from lss_motion.errors import InputError, PlanningError
 from lss_motion.sequence.parts import time_keepers
+from lss_motion.splines import distinct
 from lss_motion.trajectory import explain
 from lss_motion.trajectory.catch_up import Dues
 from lss_motion.trajectory.cues import all_cues, all_marks
@@ -318,7 +319,7 @@ def _as_cubics(total: LayeredSum, robot: Robot, show: Sequence, *, is_smooth: bo
             inner_s[(inner_s > placed.from_s) & (inner_s < placed.to_s)],
             np.array([placed.from_s, placed.from_s + fade_s, placed.to_s - fade_s, placed.to_s]),
         ]
-    knots_s = np.unique(np.clip(np.concatenate(knots), 0.0, end_s))
+    knots_s = distinct(np.clip(np.concatenate(knots), 0.0, end_s))
     # Of knots at one instant the last is kept, so that the last knot is exactly `end_s`.
     knots_s = knots_s[np.append(np.diff(knots_s) > SAME_INSTANT_S, True)]
     knots_s[0] = 0.0

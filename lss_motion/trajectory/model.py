@@ -14,6 +14,7 @@ import numpy as np
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import counted, duration_text
+from lss_motion.splines import distinct
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -268,7 +269,7 @@ class Trajectory:
         """
         times_s = np.asarray(times_s, dtype=np.float64)
         passes = self._passes_of(times_s)
-        found = np.unique(passes).tolist()
+        found = distinct(passes).tolist()
         if len(found) == 1:  # The usual case; selecting rows would double the time.
             values = self._sample_pass(found[0], times_s, order)
         else:
@@ -318,7 +319,7 @@ class PathMotion:
     def knots_s(self) -> FloatArray:
         """The instants between which every joint follows one polynomial, ends included."""
         inner_s = self.clock.times_of(self.path.knots_s - self.path.knots_s[0])
-        return np.unique(np.concatenate([self.clock.times_s, inner_s]))
+        return distinct(np.concatenate([self.clock.times_s, inner_s]))
 
     def sample(self, times_s: FloatArray, order: int = 0) -> FloatArray:
         """Return deg, deg/s or deg/s² for order 0, 1, 2, (n, joints).

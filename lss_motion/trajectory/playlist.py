@@ -10,6 +10,7 @@ import numpy as np
 from lss_motion.errors import InputError
 from lss_motion.sequence.check import loop_problem
 from lss_motion.sequence.model import Keyframe, Sequence
+from lss_motion.splines import distinct
 from lss_motion.trajectory.cues import all_cues, all_marks, all_waits
 from lss_motion.trajectory.model import Trajectory, WaitPoint
 
@@ -62,7 +63,7 @@ class PlayListPass:
             start_s + part.knots_until(part.duration_s)
             for start_s, part in zip(self.starts_s.tolist(), self.parts, strict=True)
         ]
-        return np.unique(np.concatenate([[0.0], *found, [self.duration_s]]))
+        return distinct(np.concatenate([[0.0], *found, [self.duration_s]]))
 
     def sample(self, times_s: FloatArray, order: int = 0) -> FloatArray:
         times_s = np.asarray(times_s, dtype=np.float64)
@@ -71,7 +72,7 @@ class PlayListPass:
         values = (
             self.poses_deg[chosen] if order == 0 else np.zeros((len(times_s), len(self.joints)))
         )
-        for index in np.unique(chosen).tolist():
+        for index in distinct(chosen).tolist():
             part, rows = self.parts[index], np.flatnonzero(chosen == index)
             columns = np.array([self.joints.index(name) for name in part.joints], dtype=np.intp)
             local_s = inside_s[rows] - self.starts_s[index]

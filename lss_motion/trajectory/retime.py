@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.errors import InputError, PlanningError
-from lss_motion.splines import runs
+from lss_motion.splines import distinct, runs
 from lss_motion.trajectory.catch_up import Dues, made_up
 from lss_motion.trajectory.curves import (
     JointKeys,
@@ -107,7 +107,7 @@ class Layout:
         return Dues(
             authored=self.authored,
             held=united((starts_s[:, None, None] + own).reshape(-1, 2)),
-            anchors_s=tuple(np.unique(anchors_s).tolist()),
+            anchors_s=tuple(distinct(anchors_s).tolist()),
             seams_s=tuple(concatenate(self.paths).knots_s[list(self.seams())].tolist()),
         )
 
@@ -267,7 +267,7 @@ def _spans(is_active: NDArray[np.bool_], is_stop: NDArray[np.bool_]) -> list[tup
     is_cut = is_stop[1:-1] & is_active[1:] & is_active[:-1]
     cuts = 1 + np.flatnonzero(is_cut)
     found = runs(is_active)
-    bounds = np.unique(np.concatenate([np.array(found, dtype=np.intp).ravel(), cuts])).tolist()
+    bounds = distinct(np.concatenate([np.array(found, dtype=np.intp).ravel(), cuts])).tolist()
     return [(low, high) for low, high in itertools.pairwise(bounds) if is_active[low]]
 
 
@@ -344,7 +344,7 @@ def authored_clock(
     """
     is_rest = path.rests
     changes = 1 + np.flatnonzero(np.diff(is_rest))
-    knots = np.unique(
+    knots = distinct(
         np.concatenate([[0], changes, np.asarray(seams, dtype=np.intp), [len(is_rest)]])
     )
     edges_s = path.knots_s[knots]
@@ -380,7 +380,7 @@ def _rest(pieces: _Pieces, rest: tuple[float, float], dues: Dues, pass_start_s: 
     cuts_s = np.array(rest)
     if pieces.now_s - (float(dues.authored(cuts_s[:1])[0]) + pass_start_s) > SAME_INSTANT_S:
         inner_s = dues.held[(dues.held > rest[0]) & (dues.held < rest[1])]
-        cuts_s = np.unique(np.concatenate([cuts_s, inner_s]))
+        cuts_s = distinct(np.concatenate([cuts_s, inner_s]))
     due_s = (dues.authored(cuts_s) + pass_start_s).tolist()
     for part, (from_s, to_s) in enumerate(itertools.pairwise(cuts_s.tolist())):
         spent_s = to_s - from_s

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from lss_motion.errors import PlanningError
-from lss_motion.splines import runs
+from lss_motion.splines import distinct, runs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -266,7 +266,7 @@ def _grid(task: RateTask, from_s: float, to_s: float) -> _Grid:
         is_coarse = np.diff(grid.points_s) > CATCH_UP_CELL_S
         counts = np.where(is_slow, REFINEMENT, np.where(is_coarse | is_near_knot, 2, 1))
         grid = _graded(grid.divided(counts), np.repeat(is_slow, counts))
-    inner_s = np.unique(np.append(task.calm_s, task.fast_s))
+    inner_s = distinct(np.append(task.calm_s, task.fast_s))
     inner_s = inner_s[(inner_s > from_s) & (inner_s < to_s)]
     if len(inner_s):
         nearest_s = grid.points_s[np.abs(grid.points_s - inner_s[:, None]).argmin(axis=1)]

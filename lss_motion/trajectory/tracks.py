@@ -15,6 +15,7 @@ import numpy as np
 
 from lss_motion.errors import PlanningError
 from lss_motion.sequence.model import Timing
+from lss_motion.splines import distinct
 from lss_motion.trajectory import explain
 from lss_motion.trajectory.keys import is_timed, named
 from lss_motion.trajectory.model import PathMotion, Trajectory, steady_clock
@@ -227,7 +228,7 @@ class ParallelPass:
         end_s = self.from_s + self.duration_s
         knots_s = np.concatenate([track.knots_until(end_s) for track in self.parts]) - self.from_s
         inside_s = knots_s[(knots_s > 0.0) & (knots_s < self.duration_s)]
-        return np.unique(np.concatenate([[0.0], inside_s, [self.duration_s]]))
+        return distinct(np.concatenate([[0.0], inside_s, [self.duration_s]]))
 
     def sample(self, times_s: FloatArray, order: int = 0) -> FloatArray:
         times_s = np.asarray(times_s, dtype=np.float64)

@@ -1,9 +1,16 @@
-"""What the programs import for `--help`: an answer at once needs no numbers and no port."""
+"""What the programs import: an answer at once needs no numbers and no port, a check no gaits."""
 
+import argparse
+import importlib
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+
+from lss_motion.cli.main import GROUPS
+
+EXAMPLES = Path(__file__).parents[3] / "sequences"
 
 HEAVY = ("numpy", "scipy", "toppra", "pydantic", "yaml", "serial", "rich", "matplotlib")
 
@@ -21,3 +28,37 @@ def test_help_imports_no_heavy_library(program) -> None:
     )
     assert "usage:" in done.stdout
     assert done.stdout.splitlines()[-1].strip() == "loaded:"
+
+
+def test_check_imports_its_own_command_and_no_gait() -> None:
+    code = (
+        "import sys\n"
+        "from lss_motion.cli.start import main\n"
+        "main()\n"
+        "print('loaded:', *sorted(sys.modules))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, "check", str(EXAMPLES / "wave.yaml")],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "every keyframe is on time" in done.stdout
+    loaded = set(done.stdout.splitlines()[-1].split())
+    assert {"lss_motion.cli.planning", "lss_motion.trajectory.planner"} <= loaded
+    others = {f"lss_motion.cli.{group}" for group in GROUPS} - {"lss_motion.cli.planning"}
+    needless = {"numpy.ma", "scipy", "serial", "rich", "lss_motion.gait.load"}
+    assert not loaded & (others | needless)
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_the_table_of_commands_says_what_each_module_adds(group) -> None:
+    added: list[str] = []
+
+    class Commands:
+        def add_parser(self, name, **options):
+            added.append(name)
+            return argparse.ArgumentParser()
+
+    importlib.import_module(f"lss_motion.cli.{group}").add_to(Commands())
+    assert tuple(added) == GROUPS[group]
