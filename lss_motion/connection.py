@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from lss_motion.runtime.clock import Clock
     from lss_motion.runtime.port import Port
     from lss_motion.sim.bus import SimBus
+    from lss_motion.sim.deviation import Deviation
     from lss_motion.sim.faults import Fault
     from lss_motion.sim.hand import Hand
 
@@ -88,12 +89,13 @@ def connect(
     seed: int = 0,
     faults: Sequence[Fault] = (),
     hand: Hand | None = None,
+    deviation: Deviation | None = None,
 ) -> Connection:
     """Open the port of every bus; all or none.
 
-    On `sim://` buses `robot` gives the servos, `seed` and `faults` the disturbances, and `hand` the
-    hand that moves limp joints. Raises `BusError` for a port that cannot be opened, `InputError`
-    for `sim://` without a robot.
+    On `sim://` buses `robot` gives the servos, `seed` and `faults` the disturbances, `hand` the
+    hand that moves limp joints, and `deviation` how the servos differ from what is assumed. Raises
+    `BusError` for a port that cannot be opened, `InputError` for `sim://` without a robot.
     """
     connection = Connection(buses, clock or MonotonicClock())
     try:
@@ -101,7 +103,9 @@ def connect(
             if not bus.is_simulated:
                 connection.ports[bus.name] = SerialPort(bus.port, bus.baud_bps)
                 continue
-            connection.simulate(bus, robot, seed=seed, faults=faults, hand=hand)
+            connection.simulate(
+                bus, robot, seed=seed, faults=faults, hand=hand, deviation=deviation
+            )
     except BaseException:
         connection.close()
         raise
@@ -238,6 +242,7 @@ class Connection:
         seed: int,
         faults: Sequence[Fault],
         hand: Hand | None = None,
+        deviation: Deviation | None = None,
     ) -> None:
         """Open a simulated bus with the servos of `robot`."""
         if robot is None:
@@ -245,7 +250,12 @@ class Connection:
         from lss_motion.sim.bus import bus_from_robot
         from lss_motion.sim.port import SimPort
 
-        options: dict[str, Any] = {"faults": faults} if faults else {}
+        options: dict[str, Any] = {}
+        if deviation is not None:
+            faults = [*faults, *deviation.faults(robot)]
+            options = deviation.bus_options(robot)
+        if faults:
+            options["faults"] = faults
         sim_bus = bus_from_robot(robot, bus.name, seed=seed, hand=hand, **options)
         sim_bus.record()
         self.simulated[bus.name] = sim_bus

@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lss_motion.connection import connect, is_simulated
 from lss_motion.errors import BlockedPortError, BusError, InputError, LssMotionError
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from lss_motion.runtime.sound_choice import SoundReport
     from lss_motion.runtime.sounds import SoundDesk
     from lss_motion.sim.bus import SimBus
+    from lss_motion.sim.deviation import Deviation
     from lss_motion.sim.faults import Fault
     from lss_motion.trajectory.model import Trajectory
     from lss_motion.truth import Truth
@@ -85,21 +86,22 @@ def perform(  # noqa: PLR0913  (the options of one run)
     may_run: bool = False,
     is_forced: bool = False,
     sound: SoundChoice | None = None,
+    deviation: Deviation | None = None,
 ) -> Result:
     """Play `program` on `robot` and return the result, also when the run failed on the way.
 
     With `trajectory`, the report has the distance of the simulated horns from it. `faults` apply
-    to simulated buses and, in virtual time, to the host. While `is_open`, `observer.controls` may
-    extend the show. With `must_ask` no joint moves before they call `go`. Functions of the show
-    need `may_run`. `is_forced`: see `Player`. With `is_real_time`, priority and locked memory are
-    requested. `sound` chooses the device of the sounds.
+    to simulated buses and, in virtual time, to the host; `deviation` to simulated servos. While
+    `is_open`, `observer.controls` may extend the show. With `must_ask` no joint moves before they
+    call `go`. Functions of the show need `may_run`. `is_forced`: see `Player`. `is_real_time`
+    requests priority and locked memory. `sound` chooses the device of the sounds.
     Raises `InputError` or `BusError` only before the first byte.
     """
-    _check_joints(program, robot)
-    _check_functions(program, is_allowed=may_run or is_virtual)
-    simulated = _checked(program, robot, faults, has_feedback=has_feedback, is_virtual=is_virtual)
+    _check_needs(program, may_run=may_run or is_virtual, has_feedback=has_feedback)
+    worse: dict[str, Any] = {"faults": faults, "deviation": deviation}
+    simulated = _checked(program, robot, is_virtual=is_virtual, **worse)
     clock = _clock(faults, is_virtual=is_virtual, seed=seed)
-    connection = connect(robot.buses, robot=robot, clock=clock, seed=seed, faults=faults)
+    connection = connect(robot.buses, robot=robot, clock=clock, seed=seed, **worse)
     started_ns, error, observer = clock.now_ns(), None, observer or Observer()
     options = {"must_ask": must_ask, "is_open": is_open, "is_forced": is_forced}
     player = Player(program, robot, has_feedback=has_feedback, start_s=start_s, **options)
@@ -266,20 +268,21 @@ def _reopening(connection: Connection, player: Player, tap: Tap | None) -> dict[
 def _checked(
     program: Program,
     robot: Robot,
-    faults: Sequence[Fault],
     *,
-    has_feedback: bool,
     is_virtual: bool,
+    faults: Sequence[Fault],
+    deviation: Deviation | None,
 ) -> bool:
     """Return whether the robot is simulated.
 
-    Refuses waits without feedback, and virtual time and faults on a real bus.
+    Refuses a program for another robot, and virtual time, faults and deviations on a real bus.
     """
+    _check_joints(program, robot)
     simulated = is_simulated(robot)
-    if program.waits and not has_feedback:
-        raise InputError("the show waits for a sensor, which must be asked: not with --no-feedback")
     if is_virtual and not simulated:
         raise InputError("--virtual needs the simulated bus: use it with --port sim://")
+    if deviation is not None and not simulated:
+        raise InputError("--sim needs the simulated bus: use it with --port sim://")
     if not faults:
         return simulated
     from lss_motion.sim.faults import FaultKind
@@ -301,10 +304,12 @@ def _check_joints(program: Program, robot: Robot) -> None:
             )
 
 
-def _check_functions(program: Program, *, is_allowed: bool) -> None:
-    """Refuse a show that would call Python functions without consent."""
+def _check_needs(program: Program, *, may_run: bool, has_feedback: bool) -> None:
+    """Refuse waits without feedback, and a show that would call functions without consent."""
+    if program.waits and not has_feedback:
+        raise InputError("the show waits for a sensor, which must be asked: not with --no-feedback")
     functions = ", ".join(dict.fromkeys(cue.run for cue in program.cues if cue.run))
-    if functions and not is_allowed:
+    if functions and not may_run:
         raise InputError(
             f"the show would call Python functions ({functions}); read them, then play it with "
             f"allow_run=True"

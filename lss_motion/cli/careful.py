@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from lss_motion.player.handshake import Answers
     from lss_motion.robot.learnt import Learnt
     from lss_motion.robot.model import Joint, Robot
+    from lss_motion.sim.deviation import Deviation
     from lss_motion.sim.faults import Fault
 
 
@@ -129,6 +130,7 @@ def careful_run(
     print_line: Callable[[str], None],
     *,
     faults: Sequence[Fault] = (),
+    deviation: Deviation | None = None,
 ) -> int:
     """Move one joint after the other; return 0 if all of them did what was expected.
 
@@ -145,7 +147,7 @@ def careful_run(
     tested = _tested(robot, joints, print_line)
     clock = VirtualClock() if arguments.virtual else MonotonicClock()
     options: dict[str, Any] = {"robot": robot, "clock": clock, "seed": arguments.seed}
-    with connect(robot.buses, **options, faults=faults) as connection:
+    with connect(robot.buses, **options, faults=faults, deviation=deviation) as connection:
         moving = _announce(connection, robot, tested, print_line)
         if moving and is_asked and not _is_agreed():
             put("no: nothing was moved", sys.stderr)

@@ -48,6 +48,10 @@ UNLIMITED_HELP: Final = (
 QUIET_HELP: Final = "print errors only, no display"
 REPORT_HELP: Final = "write the report to this JSON file"
 PLOT_HELP: Final = "draw it into this picture; the suffix sets the format"
+SIM_HELP: Final = (
+    "simulated bus only: servos that differ from what is assumed, such as lag=+30ms,droop=3deg; or "
+    "a file; `lss-motion sim --help` lists the keys"
+)
 VIRTUAL_HELP: Final = "simulate in virtual time: fast, and the same on every run"
 SIMULATED_NOTE: Final = "The servos are simulated: these values tell nothing about a real robot."
 

@@ -16,6 +16,7 @@ from lss_motion.cli.commands import (
     QUIET_HELP,
     REPORT_HELP,
     SEED_HELP,
+    SIM_HELP,
     UNLIMITED_HELP,
     VIRTUAL_HELP,
     add_all,
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     from lss_motion.perform import Result
     from lss_motion.robot.model import Robot
     from lss_motion.shows import Show
+    from lss_motion.sim.deviation import Deviation
     from lss_motion.sim.faults import Fault
 
 
@@ -139,6 +141,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="simulated bus only: faults to simulate; `lss-motion sim --help` describes the file",
     )
+    parser.add_argument("--sim", metavar="K=V,...|FILE", help=SIM_HELP)
     parser.add_argument("--report", type=Path, metavar="FILE", help=REPORT_HELP)
     parser.add_argument(
         "--truth",
@@ -205,8 +208,9 @@ def play(arguments: argparse.Namespace) -> int:
     if code is None:
         joints = show.program.start_deg
         print_line = discard if arguments.quiet else put
-        faults = _faults(arguments, robot)
-        if code := careful_run(arguments, robot, joints, learning, print_line, faults=faults):
+        faults, deviation = _faults(arguments, robot), _deviation(arguments, robot)
+        given = (arguments, robot, joints, learning, print_line)
+        if code := careful_run(*given, faults=faults, deviation=deviation):
             return code
         code = _play(arguments, show, robot, learning, is_asked=is_asked, rate=CAREFUL_RATE)
     assert code is not None, "it is offered once"
@@ -287,6 +291,10 @@ def _check(arguments: argparse.Namespace, show: Show, *, is_simulated: bool) -> 
         raise InputError("--truth needs the simulated bus: a real horn angle is not known exactly")
     if arguments.faults is not None and not is_simulated:
         raise InputError("--faults needs the simulated bus")
+    if arguments.sim is not None:
+        if not is_simulated:
+            raise InputError("--sim needs the simulated bus: use it with --port sim://")
+        _deviation(arguments, show.robot)
     if arguments.virtual and show.program.is_endless:
         raise InputError("--virtual never ends with a loop forever; give --loop N")
     if arguments.start_s is not None:
@@ -348,6 +356,7 @@ def _perform(
             trajectory=show.trajectory,
             observer=observer,
             faults=_faults(arguments, robot),
+            deviation=_deviation(arguments, robot),
             is_real_time=arguments.real_time,
             must_ask=is_asked,
             may_run=True,
@@ -376,6 +385,14 @@ def _faults(arguments: argparse.Namespace, robot: Robot) -> Sequence[Fault]:
     from lss_motion.sim.faults_file import load_faults
 
     return load_faults(arguments.faults, robot)
+
+
+def _deviation(arguments: argparse.Namespace, robot: Robot) -> Deviation | None:
+    if arguments.sim is None:
+        return None
+    from lss_motion.sim.deviation import read_deviation
+
+    return read_deviation(arguments.sim, robot)
 
 
 def _write_results(arguments: argparse.Namespace, result: Result) -> list[str]:

@@ -39,7 +39,7 @@ def add_to(commands: Commands) -> None:
     sim = add_command(
         commands, "sim", _sim, "simulate a robot behind a pseudo-terminal", DESCRIPTION
     )
-    sim.epilog = _faults_text()
+    sim.epilog = f"{_faults_text()}\n{_deviation_text()}"
     add_robot(sim, is_required=True)
     sim.add_argument(
         "--link", type=Path, metavar="PATH", help="make a symbolic link with this path to the port"
@@ -78,6 +78,23 @@ Without at_s a fault begins at power-up, without until_s it lasts for ever, with
 applies to all of them, without ratio it happens every time. Kinds:
 
 {kinds}
+"""
+
+
+def _deviation_text() -> str:
+    """Return the description of `lss-play --sim`."""
+    from lss_motion.sim.deviation import OWN, words_text
+
+    return f"""\
+`lss-play --sim` and `lss-motion check --robust --sim` take servos that differ from what is assumed:
+
+  lss-play show.yaml --virtual --sim lag=+30ms,droop=3deg
+  lss-play show.yaml --virtual --sim worse.yaml
+
+The file has the same keys, as `lag: +30ms`; under `joints:` single joints may have their own
+{", ".join(OWN[:-1])} and {OWN[-1]}. Keys:
+
+{words_text()}
 """
 
 

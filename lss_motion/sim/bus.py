@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.sim.faults import Fault, Turn
-    from lss_motion.sim.hand import Hand
+    from lss_motion.sim.hand import Hand, Push
     from lss_motion.sim.servo import Lamp
 
 
@@ -444,12 +444,15 @@ def bus_from_robot(  # noqa: PLR0913  (the parameters of one bus)
     usb_latency_ns: int = 0,
     hand: Hand | None = None,
     droop_deg: Mapping[str, float] | None = None,
+    backlash_deg: Mapping[str, float] | None = None,
+    pushes: Mapping[str, Push] | None = None,
 ) -> SimBus:
     """Return one bus of `robot`, its servos in the order of `servos_of`.
 
     `start_deg` gives joint angles at power-up by joint name. A joint left out stands at 0, or at
     the end of its range that is nearest to 0. Faults of other buses are left out. `hand` moves the
-    joints that it names. `droop_deg` is the effect of the load on them (`ServoSpec`).
+    joints that it names. `droop_deg` is the effect of the load on them, `backlash_deg` their play
+    (`ServoSpec`), `pushes` what displaces them for a while.
     """
     bus = robot.buses[bus_name]
     asked_deg = start_deg or {}
@@ -460,6 +463,8 @@ def bus_from_robot(  # noqa: PLR0913  (the parameters of one bus)
             servo_id=joint.servo_id,
             model=joint.model,
             droop_deg=(droop_deg or {}).get(joint.name, 0.0),
+            backlash_deg=(backlash_deg or {}).get(joint.name, 0.0),
+            push=(pushes or {}).get(joint.name),
             eeprom=set_up_settings(joint),
             firmware=bus.firmware_of(joint.model.family),
         )

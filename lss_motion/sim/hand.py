@@ -51,6 +51,15 @@ class Led:
         return time_s > float(self.times_s[-1])
 
 
+@dataclass(frozen=True, slots=True)
+class Push:
+    """A push that displaces a powered horn by `deg` (servo angle), in seconds from power-up."""
+
+    from_s: float
+    until_s: float
+    deg: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Hand:
     """Joint angles (degrees) at increasing times, in seconds from power-up; straight between.

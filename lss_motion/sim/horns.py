@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from enum import Enum
-from typing import TYPE_CHECKING, Literal, assert_never
+from typing import TYPE_CHECKING, assert_never
 
 import numpy as np
 
@@ -255,7 +255,7 @@ class Drives:
             case Chase():
                 self._chase(index, now_ns, position_deg, order)
             case ProfileMove():
-                ramps = _timed(position_deg, speed_deg_s, order, self._physics.t_law)
+                ramps = _timed(position_deg, speed_deg_s, order, self._physics)
                 phases = plan_move(position_deg, speed_deg_s, order.target_deg, ramps)
                 self.travel_deg_s[index] = ramps.speed_deg_s
                 self._follow(index, now_ns, order.target_deg, phases)
@@ -341,18 +341,27 @@ class Drives:
         return self._target_deg[index]
 
 
-def _timed(
-    position_deg: float, speed_deg_s: float, move: ProfileMove, t_law: Literal["cruise", "exact"]
-) -> Ramps:
+def _timed(position_deg: float, speed_deg_s: float, move: ProfileMove, physics: Physics) -> Ramps:
     """Return the ramps of a move with the travel speed that its T requires."""
     away_deg = move.target_deg - position_deg
-    if move.duration_s is None or away_deg == 0.0:
+    duration_s = None if move.duration_s is None else _obeyed_s(move.duration_s, physics)
+    if duration_s is None or away_deg == 0.0:
         return move.ramps
     towards_deg_s = math.copysign(1.0, away_deg) * speed_deg_s
     travel_deg_s = travel_speed_deg_s(
-        abs(away_deg), move.duration_s, towards_deg_s, move.ramps, t_law
+        abs(away_deg), duration_s, towards_deg_s, move.ramps, physics.t_law
     )
     return move.ramps._replace(speed_deg_s=travel_deg_s)
+
+
+def _obeyed_s(duration_s: float, physics: Physics) -> float | None:
+    """Return what a servo makes of a T; None: it ignores it."""
+    if duration_s < physics.t_ignored_s:
+        return None
+    duration_s = max(duration_s, physics.t_least_s)
+    if physics.t_step_s > 0.0:
+        duration_s = physics.t_step_s * max(1, round(duration_s / physics.t_step_s))
+    return duration_s
 
 
 def _filtered(position_deg: float, chase: Chase) -> float:

@@ -18,7 +18,7 @@ from lss_motion.sim.hand import HAND_DEG_S
 from lss_motion.sim.horns import Drives, Horns, Mode
 from lss_motion.sim.physics import TICK_NS
 from lss_motion.sim.profile import Halt, Limp, Motion, Order, SafeCause
-from lss_motion.units import s_from_ns
+from lss_motion.units import ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -148,13 +148,14 @@ class Motors:
         self._is_quiet = True
         self._start_ns = 0
         self._led = {index: spec.hand for index, spec in enumerate(specs) if spec.hand is not None}
+        self._pushes = {i: spec.push for i, spec in enumerate(specs) if spec.push is not None}
 
     # -- time and orders ------------------------------------------------------------------------
 
     def start(self, now_ns: int) -> None:
         """Switch the power on at `now_ns`, the first instant."""
         self._tick_ns = self._start_ns = now_ns
-        self._is_quiet = not self._led
+        self._is_quiet = not (self._led or self._pushes)
         self.horns.start(now_ns)
         self._drives.start(now_ns)
         self._record(now_ns)
@@ -173,7 +174,8 @@ class Motors:
     def order(self, index: int, received_ns: int, order: Order) -> None:
         """Give servo `index` an order; it starts at its first control loop from `received_ns`."""
         self._order_count += 1
-        entry = (self.loop_ns(index, received_ns), self._order_count, index, order)
+        acts_ns = received_ns + ns_from_s(self.physics.dead_s)
+        entry = (self.loop_ns(index, acts_ns), self._order_count, index, order)
         heapq.heappush(self._orders, entry)
 
     def cancel(self, index: int, now_ns: int) -> None:
@@ -307,12 +309,15 @@ class Motors:
         self.horns.step(now_ns, self.power.top_deg_s)
         for index in list(self._led):
             self._lead(index, now_ns)
+        for index in list(self._pushes):
+            self._push(index, now_ns)
         self._feel(now_ns)
         self._record(now_ns)
         is_moving = any(
             phase.speed_deg_s != 0.0 or phase.duration_s != math.inf for phase in self.horns.phases
         )
-        is_still = not is_moving and not self._led and self.horns.is_settled()
+        is_touched = self._led or self._pushes
+        is_still = not is_moving and not is_touched and self.horns.is_settled()
         self._is_quiet = is_still and self.power.is_steady()
 
     def _lead(self, index: int, now_ns: int) -> None:
@@ -332,6 +337,14 @@ class Motors:
         else:
             give = min(self.physics.hand_give_ratio * float(horns.holding_ratio[index]), 1.0)
             horns.pull_deg[index] = give * (hand_deg - horns.profile_deg(index, now_ns))
+
+    def _push(self, index: int, now_ns: int) -> None:
+        """Displace a horn until the next point of the grid, or let it go for good."""
+        push, time_s = self._pushes[index], s_from_ns(now_ns + TICK_NS - self._start_ns)
+        is_pushed = push.from_s <= time_s <= push.until_s
+        self.horns.pull_deg[index] = self.gyre[index] * push.deg if is_pushed else 0.0
+        if time_s > push.until_s + 2.0 * s_from_ns(TICK_NS):  # The horn has been let go.
+            del self._pushes[index]
 
     def _feel(self, now_ns: int) -> None:
         """Let currents and heat act on the servos."""

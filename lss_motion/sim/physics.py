@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lss_motion.robot.model import ServoModel
-    from lss_motion.sim.hand import Led
+    from lss_motion.sim.hand import Led, Push
 
 TICK_NS = 5_000_000
 """One control loop of a servo: 5 ms (FACTS.md M7)."""
@@ -54,6 +54,10 @@ class Physics:
     `ramp_ratio`            real ramps are this many times the values of AA and AD. Their step of
                             10 deg/s² has weak sources (FACTS.md M20).
     `retarget`, `t_law`     FACTS.md A10, A11: what a `D…T…` in mid-move starts from, what T times.
+    `dead_s`                a command takes effect so much later. Assumed: at the next control loop.
+    `t_ignored_s`, `t_least_s`, `t_step_s`  a shorter T is ignored, or is taken as this one; T is
+                            rounded to multiples of the step. Assumed: nothing of this; no document
+                            gives a smallest T.
     `noise_deg`             half width of the uniform noise of a position reading of an LSS
                             (FACTS.md E7: one tenth).
     `pro_noise_ratio`       noise of an LSS-PRO over that (FACTS.md P15: a few hundredths).
@@ -95,6 +99,10 @@ class Physics:
     ramp_ratio: float = 1.0
     retarget: Literal["keep_speed", "from_rest"] = "keep_speed"
     t_law: Literal["cruise", "exact"] = "cruise"
+    dead_s: float = 0.0
+    t_ignored_s: float = 0.0
+    t_least_s: float = 0.0
+    t_step_s: float = 0.0
     noise_deg: float = 0.1
     pro_noise_ratio: float = 0.2
     supply_v: float = 12.0
@@ -143,6 +151,7 @@ class ServoSpec:
                   `{"N": "12345678", "IX": 30}`
     `baud_bps`, `firmware`  None: that of the bus
     `hand`        the motion of a hand that moves the horn; None: no hand
+    `push`        a push that displaces the horn for a while; None: there is none
 
     With a model of the 2IO family it is one RC servo of a board (`boards`), which uses only G of
     `eeprom`, and no `answers`.
@@ -159,6 +168,7 @@ class ServoSpec:
     baud_bps: int | None = None
     firmware: int | None = None
     hand: Led | None = None
+    push: Push | None = None
 
 
 FAST_REPLY_FIRMWARE = 369
