@@ -486,8 +486,12 @@ def show_as_json(show: Show) -> dict[str, Any]:
 
 
 def robot_lines(robot: Robot) -> list[str]:
-    """Return the buses of a robot and the limits of each joint; `servo`: read from the servo."""
+    """Return the buses of a robot and the limits of each joint; `servo`: read from the servo.
+
+    Raises `InputError` if the URDF file of its figure is wrong.
+    """
     from lss_motion.files.source import counted
+    from lss_motion.gait.figure import figure_of
 
     counts = [counted(robot.joints, "joint"), counted(robot.poses, "pose")]
     lines = [f"{robot.name}: {', '.join(counts)}, {counted(robot.buses, 'bus', 'buses')}"]
@@ -507,11 +511,20 @@ def robot_lines(robot: Robot) -> list[str]:
             f"{joint.name:{width}}  {joint.servo_id:3d}  {joint.model.name:13}  {reach:15}  "
             f"{speed:>5}  {accel:>7}"
         )
+    if (figure := figure_of(robot)) is not None:
+        lines.append(f"figure: {counted(figure.links, 'link')}")
+        lines += [f"  {note}" for note in figure.notes]
     return lines
 
 
 def robot_as_json(robot: Robot) -> dict[str, Any]:
-    """Return the result of `check --json` for a robot file; null: the servo has the limit."""
+    """Return the result of `check --json` for a robot file; null: the servo has the limit.
+
+    Raises `InputError` as `robot_lines` does.
+    """
+    from lss_motion.gait.figure import figure_of
+
+    figure = figure_of(robot)
     return {
         "kind": "robot",
         "name": robot.name,
@@ -530,6 +543,9 @@ def robot_as_json(robot: Robot) -> dict[str, Any]:
             for joint in robot.joints.values()
         },
         "poses": list(robot.poses),
+        "figure": None
+        if figure is None
+        else {"links": len(figure.links), "notes": list(figure.notes)},
     }
 
 

@@ -14,6 +14,7 @@ file           what it is                                           called by
 `pacing`       passages → joint angles within the servo limits      `to_sequence`, `cli`, `walking`
 `to_sequence`  joint angles → keyframes                             `api`, `cli`
 `steering`     plans of a walk whose velocity changes on the way    `walking.planner`, `cli.walk`
+`figure`       legs → `Figure`; the figure of any robot          `cli`, `studio`
 `plot`         picture of a gait                                    `cli.walk`
 =============  ===================================================  ===============================
 

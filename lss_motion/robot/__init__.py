@@ -6,6 +6,8 @@ file            what it is                                        called by
 `model`         the values: `Robot`, `Joint`, `Bus`, `Response`   every package above
 `servo_models`  the servo models and families, drives that fit    `load`, `program`, `player`, `sim`
 `on_fault`      faults of joints, and the steps taken on them     `model`, `program`, `player`
+`figure`        links that turn with joints, for pictures         `load`, `urdf`, `gait.figure`
+`urdf`          a URDF file → `Figure`                            `gait.figure`
 `file`          the keys of a robot file, their units and bounds  `load`, `sequence.file`
 `load`          file → `Robot`; its JSON Schema                   `api`, `cli`, `sequence`, `gait`
 `write`         measured values → a robot file that exists        `cli`

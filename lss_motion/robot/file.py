@@ -20,6 +20,7 @@ from lss_motion.protocol.lss_pro import (
     SPEED_DEG_S,
     WHEEL_DEG_S,
 )
+from lss_motion.robot.figure import DIRECTIONS
 from lss_motion.robot.model import (
     GOAL_TIME_S,
     PATIENCE_S,
@@ -455,6 +456,108 @@ class MirrorEntry(FileModel, title="mirror"):
     )
 
 
+AXES_COUNT: Final = 3
+DIRECTION_MAX: Final = 1e6
+"""Chosen: far more than the length of a direction that is meant in mm."""
+
+
+def _check_direction_of(value: object) -> object:
+    if isinstance(value, str) and value in DIRECTIONS:
+        return value
+    if (
+        isinstance(value, list)
+        and len(value) == AXES_COUNT
+        and all(type(part) in (int, float) and abs(part) <= DIRECTION_MAX for part in value)
+    ):
+        if math.hypot(*value) * DIRECTION_MAX >= 1.0:
+            return value
+        raise ValueError("is no direction; one part must not be 0")
+    words = ", ".join(DIRECTIONS)
+    raise ValueError(f"must be one of {words}, or a direction such as [1, 0, 0.5]")
+
+
+Direction = Annotated[
+    str | list[float] | None,
+    PlainValidator(_check_direction_of),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"enum": list(DIRECTIONS)},
+                {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3},
+            ]
+        }
+    ),
+]
+FIGURE_MAX_MM: Final = 100_000.0
+"""Chosen: a hundred metres; more is a typing error or another unit."""
+FIGURE_LINKS_MAX: Final = 500
+"""Chosen: ten times the links of the largest figure that is known to be driven by such servos."""
+FigureMm = Annotated[float, Field(ge=-FIGURE_MAX_MM, le=FIGURE_MAX_MM)]
+
+
+class FigureLinkEntry(FileModel, title="link of a figure"):
+    """One part of the picture of the robot: a bar that a joint turns about its beginning.
+
+    Directions are x forward, y left and z up, those of the robot with all joints at rest_deg.
+    """
+
+    parent: Name | None = Field(
+        default=None,
+        description="The link at whose end this one begins. Left out: it stands on the ground.",
+    )
+    joint: Name | None = Field(
+        default=None,
+        description="The joint that turns it. Several links may have the same one. Left out: it "
+        "is fixed to its parent.",
+    )
+    axis: Direction = Field(
+        default=None,
+        description="The joint turns it about this direction, counter-clockwise for larger angles "
+        "if the direction points at you.",
+        examples=["y"],
+    )
+    rest_deg: AngleDeg = Field(
+        default=0.0, description="The angle of the joint at which the link points along."
+    )
+    along: Direction = Field(default="x", description="Where it points from its beginning.")
+    length_mm: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=FIGURE_MAX_MM,
+        description="How long it is. 0: nothing is drawn, such as between two joints in one place.",
+    )
+    offset_mm: Annotated[list[FigureMm], Field(min_length=3, max_length=3)] = Field(
+        default=[0.0, 0.0, 0.0],
+        description="Where it begins, from the end of its parent: x, y, z.",
+    )
+    width_mm: float | None = Field(
+        default=None,
+        gt=0.0,
+        le=FIGURE_MAX_MM,
+        description="How thick it is drawn. Default: a thirtieth of the whole figure.",
+    )
+    foot: bool = Field(
+        default=False,
+        description="The robot stands on the end of this link: the ground is drawn below the "
+        "lowest foot.",
+    )
+
+
+class UrdfEntry(FileModel, title="urdf"):
+    """A URDF file as the picture of the robot. Its meshes are drawn if they are STL files."""
+
+    file: PortUrl = Field(
+        description="The file; its path is relative to the robot file and stays below its folder, "
+        "as those of its meshes."
+    )
+    joints: dict[Name, Text] = Field(
+        default={},
+        description="The joint of the URDF file for each joint of this file. Left out: joints of "
+        "the same name.",
+        examples=[{"shoulder": "shoulder_pan_joint"}],
+    )
+
+
 class RobotFile(FileModel, title="robot file"):
     """A robot: its buses, its joints with their limits, and named poses."""
 
@@ -491,6 +594,22 @@ class RobotFile(FileModel, title="robot file"):
     mirror: MirrorEntry = Field(
         default_factory=MirrorEntry,
         description="Left and right, for sequences with mirror: true.",
+    )
+    figure: Annotated[dict[Name, FigureLinkEntry], Field(max_length=FIGURE_LINKS_MAX)] = Field(
+        default={},
+        description="What the robot looks like, for the pictures of the studio: links by name. No "
+        "motion depends on it. A gait has a figure by its legs.",
+        examples=[
+            {
+                "post": {"along": "z", "length_mm": 80},
+                "boom": {"parent": "post", "joint": "shoulder", "axis": "y", "length_mm": 150},
+            }
+        ],
+    )
+    urdf: UrdfEntry | None = Field(
+        default=None,
+        description="A URDF file in place of figure.",
+        examples=[{"file": "arm.urdf"}],
     )
     approach_speed_deg_s: float = Field(
         default=30.0,

@@ -7,7 +7,8 @@ is left out of later checks, so that one mistake is reported once.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from lss_motion.errors import ProtocolError
@@ -18,7 +19,8 @@ from lss_motion.protocol.framing import DISABLED
 from lss_motion.protocol.io2 import rc_zero_deg
 from lss_motion.protocol.lss import LSS_FIRMWARE
 from lss_motion.protocol.lss_pro import PRO_FIRMWARE, Units
-from lss_motion.robot.model import SERVO, Bus, Joint, Response, Robot, Sensor
+from lss_motion.robot.figure import ORIGIN, Figure, FigureLink, unit_vector
+from lss_motion.robot.model import SERVO, Bus, Joint, Response, Robot, Sensor, UrdfSource
 from lss_motion.robot.servo_models import (
     BAUD_FIRMWARE_MIN,
     FAMILIES,
@@ -34,7 +36,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
     from lss_motion.files.yaml_source import YamlSource
+    from lss_motion.robot.figure import Vector
     from lss_motion.robot.file import (
+        FigureLinkEntry,
         JointDefaults,
         JointEntry,
         JointOnFaultEntry,
@@ -193,6 +197,10 @@ class _Loader:
         self.problems += problems if self._is_checked("buses") else []
         self.problems += group_problems(content.groups, self._named())
         self.problems += mirror_problems(content.mirror, self._named())
+        figure = None
+        if self._is_checked("figure") and not any(place[0] == "figure" for place in self.left_out):
+            figure, problems = figure_from(content.figure, self._named())
+            self.problems += problems
         return Robot(
             name=content.robot,
             path=path,
@@ -208,6 +216,31 @@ class _Loader:
             on_fault=_escalations(content.on_fault),
             patience_s=content.patience_s,
             resume_s=content.resume_s,
+            figure=figure,
+            urdf=self._urdf(path),
+        )
+
+    def _urdf(self, path: Path) -> UrdfSource | None:
+        entry = self.content.urdf
+        if entry is None:
+            return None
+        if self.content.figure:
+            self._note(("urdf",), "'urdf' and 'figure' exclude each other; keep one")
+        file = PurePosixPath(entry.file.replace("\\", "/"))
+        if file.is_absolute() or ".." in file.parts or ":" in entry.file:
+            reason = f"urdf file {entry.file!r} must be a path below the folder of the robot file"
+            self._note(("urdf", "file"), reason)
+        named = self._named()
+        for joint in entry.joints:
+            if joint not in named:
+                reason = f"urdf: unknown joint {joint!r}; {known_names(joint, named)}"
+                self._note(("urdf", "joints", joint), reason)
+        lines = {name: self.line(("urdf", "joints", name)) for name in entry.joints}
+        return UrdfSource(
+            path=path.parent / file,
+            robot_path=path,
+            joints=entry.joints,
+            lines={**lines, "": self.line(("urdf", "file"))},
         )
 
     def _note(self, location: Location, reason: str) -> None:
@@ -516,3 +549,72 @@ def mirror_problems(entry: MirrorEntry, joints: Collection[str]) -> Iterator[Pro
                 elif name in seen:
                     yield Problem(place, f"joint {name!r} has a mirror image already; keep one")
             seen |= {left, right}
+
+
+def figure_from(
+    entries: Mapping[str, FigureLinkEntry], joints: Collection[str]
+) -> tuple[Figure | None, list[Problem]]:
+    """Return the figure of the links of a robot file, or their problems."""
+    problems = list(figure_problems(entries, joints))
+    if problems or not entries:
+        return None, problems
+    parents = {name: {entry.parent} - {None} for name, entry in entries.items()}
+    order = [name for name in TopologicalSorter(parents).static_order() if name is not None]
+    links: list[FigureLink] = []
+    ends: list[Vector] = []
+    feet = []
+    for name in order:
+        entry = entries[name]
+        parent = -1 if entry.parent is None else order.index(entry.parent)
+        start = ends[parent] if parent >= 0 else ORIGIN
+        x, y, z = unit_vector(entry.along or "x")
+        end = (entry.length_mm * x, entry.length_mm * y, entry.length_mm * z)
+        ends.append(end)
+        if entry.foot:
+            feet.append((len(links), end))
+        links.append(
+            FigureLink(
+                name=name,
+                parent=parent,
+                joint=entry.joint,
+                rest_deg=entry.rest_deg,
+                axis=unit_vector(entry.axis or "z"),
+                origin_mm=(
+                    start[0] + entry.offset_mm[0],
+                    start[1] + entry.offset_mm[1],
+                    start[2] + entry.offset_mm[2],
+                ),
+                lines_mm=((ORIGIN, end),) if entry.length_mm > 0.0 else (),
+                width_mm=entry.width_mm,
+            )
+        )
+    return Figure(source="figure", links=tuple(links), feet=tuple(feet)), []
+
+
+def figure_problems(
+    entries: Mapping[str, FigureLinkEntry], joints: Collection[str]
+) -> Iterator[Problem]:
+    for name, entry in entries.items():
+        place = ("figure", name)
+        if entry.parent is not None and entry.parent not in entries:
+            reason = f"link {name!r}: unknown parent {entry.parent!r}"
+            yield Problem((*place, "parent"), f"{reason}; {known_names(entry.parent, entries)}")
+        if entry.joint is not None and entry.joint not in joints:
+            known = known_names(entry.joint, joints)
+            yield Problem(
+                (*place, "joint"), f"link {name!r}: unknown joint {entry.joint!r}; {known}"
+            )
+        if entry.joint is not None and entry.axis is None:
+            reason = f"link {name!r} has a joint and no 'axis', about which that turns it: y, …"
+            yield Problem((*place, "axis"), reason)
+        if entry.joint is None and (given := {"axis", "rest_deg"} & entry.model_fields_set):
+            key = min(given)
+            reason = f"link {name!r} has no 'joint', so {key!r} has no meaning; remove it"
+            yield Problem((*place, key), reason)
+    parents = {name: {entry.parent} for name, entry in entries.items() if entry.parent}
+    try:
+        TopologicalSorter(parents).prepare()
+    except CycleError as error:
+        cycle = error.args[1][::-1]
+        reason = f"links are parents of each other: {' → '.join(cycle)}; one must stand alone"
+        yield Problem(("figure", cycle[0], "parent"), reason)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
+    from lss_motion.robot.figure import Figure
     from lss_motion.robot.on_fault import Cause, Escalations, FaultStep
 
 FOLLOWING_DEG: Final = 10.0
@@ -256,6 +257,19 @@ class Sensor:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class UrdfSource:
+    """The URDF file of a robot, as its robot file names it; it is read where it is drawn."""
+
+    path: Path
+    robot_path: Path
+    """The robot file; nothing outside of its folder is read."""
+    joints: Mapping[str, str]
+    """The joint of the URDF file for each joint of the robot, where the names differ."""
+    lines: Mapping[str, int] = field(default_factory=dict, compare=False, repr=False)
+    """The line of each of `joints` in the robot file, and of `file` (an empty name)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Robot:
     """Buses and joints by name, in the order of the file, and the named poses."""
 
@@ -280,6 +294,10 @@ class Robot:
     """How long a fault may last on one step of its escalation before the next is taken."""
     resume_s: float = RESUME_S
     """Longest wait for a lost port or a silent servo."""
+    figure: Figure | None = None
+    """What it looks like, for pictures; no motion depends on it."""
+    urdf: UrdfSource | None = None
+    """A URDF file in place of `figure`: `robot.urdf` reads it."""
 
     def __repr__(self) -> str:
         """Return one line: name and counts."""

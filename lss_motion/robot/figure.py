@@ -1,0 +1,194 @@
+"""The figure of a robot: links that turn with joints, for pictures. No motion depends on it.
+
+Frames are those of ROS (REP 103): x forward, y left, z up, in mm. A `Figure` comes from `figure` of
+a robot file (`robot.load`), from its `urdf` (`robot.urdf`) or from the legs of a gait
+(`gait.figure`). A browser draws it with the same rule that `Figure.placed` has:
+
+    link in the world = link of its parent · origin_mm · rotation · turn about axis
+    turn = ratio · (joint angle - rest_deg)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    FloatArray = NDArray[np.float64]
+
+Vector = tuple[float, float, float]
+Rotation = tuple[Vector, Vector, Vector]
+"""Rows of a rotation matrix."""
+
+ORIGIN: Final[Vector] = (0.0, 0.0, 0.0)
+UPRIGHT: Final[Rotation] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+SLENDERNESS_RATIO: Final = 30.0
+"""Chosen: a link without a width is drawn this many times thinner than the figure is long."""
+
+DIRECTIONS: Final[Mapping[str, Vector]] = {
+    "x": (1.0, 0.0, 0.0),
+    "-x": (-1.0, 0.0, 0.0),
+    "y": (0.0, 1.0, 0.0),
+    "-y": (0.0, -1.0, 0.0),
+    "z": (0.0, 0.0, 1.0),
+    "-z": (0.0, 0.0, -1.0),
+}
+"""x forward, y left, z up."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shape:
+    """A solid in the frame of a link, as in URDF.
+
+    `size_mm`: of a box x, y, z; of a cylinder radius and length (along z); of a sphere its radius.
+    A mesh is a file, `path` relative to the folder of the robot file, and `size_mm` is one unit of
+    it along x, y and z.
+    """
+
+    kind: Literal["box", "cylinder", "sphere", "mesh"]
+    size_mm: tuple[float, ...]
+    origin_mm: Vector = ORIGIN
+    rotation: Rotation = UPRIGHT
+    path: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FigureLink:
+    """One rigid part. `parent` is the index of an earlier link; -1: the ground.
+
+    `joint` is the joint of the robot that turns it about `axis` (a unit vector of its own frame);
+    None: it is fixed. `lines_mm` are drawn in its own frame.
+    """
+
+    name: str
+    parent: int = -1
+    joint: str | None = None
+    ratio: float = 1.0
+    rest_deg: float = 0.0
+    axis: Vector = (0.0, 0.0, 1.0)
+    origin_mm: Vector = ORIGIN
+    rotation: Rotation = UPRIGHT
+    lines_mm: tuple[tuple[Vector, ...], ...] = ()
+    width_mm: float | None = None
+    shapes: tuple[Shape, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figure:
+    """Links, parents first. The robot stands on `feet`: links, and points of their frames."""
+
+    source: Literal["figure", "legs", "urdf"]
+    links: tuple[FigureLink, ...]
+    feet: tuple[tuple[int, Vector], ...] = ()
+    notes: tuple[str, ...] = ()
+    """What of its file cannot be drawn, and why."""
+
+    def placed(self, joint_deg: Mapping[str, float]) -> list[tuple[FloatArray, FloatArray]]:
+        """Return rotation (3, 3) and origin (3,) mm of each link; a missing angle counts as rest.
+
+        Points of a link are `rotation @ point + origin` in the world.
+        """
+        import numpy as np
+
+        placed: list[tuple[FloatArray, FloatArray]] = []
+        for link in self.links:
+            rotation, origin = np.eye(3), np.zeros(3)
+            if link.parent >= 0:
+                rotation, origin = placed[link.parent]
+            origin = rotation @ np.array(link.origin_mm) + origin
+            rotation = rotation @ np.array(link.rotation)
+            if link.joint is not None:
+                deg = joint_deg.get(link.joint, link.rest_deg)
+                turn_rad = math.radians(link.ratio * (deg - link.rest_deg))
+                rotation = rotation @ np.array(turned(link.axis, turn_rad))
+            placed.append((rotation, origin))
+        return placed
+
+    def points_mm(self, joint_deg: Mapping[str, float]) -> dict[str, FloatArray]:
+        """Return the points of the lines of each link in the world, (n, 3), by its name."""
+        import numpy as np
+
+        return {
+            link.name: np.array([p for line in link.lines_mm for p in line]) @ rotation.T + origin
+            for link, (rotation, origin) in zip(self.links, self.placed(joint_deg), strict=True)
+            if link.lines_mm
+        }
+
+    @property
+    def reach_mm(self) -> float:
+        """No point of a line is further than this from the root, whatever the joints do."""
+        start_mm: list[float] = []
+        reach = 0.0
+        for link in self.links:
+            parent = start_mm[link.parent] if link.parent >= 0 else 0.0
+            start_mm.append(parent + math.hypot(*link.origin_mm))
+            ends = [math.hypot(*point) for line in link.lines_mm for point in line]
+            reach = max(reach, start_mm[-1] + max(ends, default=0.0))
+        return reach
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figure as a browser gets it."""
+        reach = self.reach_mm
+        return {
+            "source": self.source,
+            "links": [
+                {
+                    "name": link.name,
+                    "parent": link.parent,
+                    "joint": link.joint,
+                    "ratio": link.ratio,
+                    "rest_deg": link.rest_deg,
+                    "axis": list(link.axis),
+                    "origin_mm": list(link.origin_mm),
+                    "rotation": _flat(link.rotation),
+                    "lines_mm": [[list(point) for point in line] for line in link.lines_mm],
+                    "width_mm": link.width_mm or reach / SLENDERNESS_RATIO,
+                    "shapes": [
+                        {
+                            "kind": shape.kind,
+                            "size_mm": list(shape.size_mm),
+                            "origin_mm": list(shape.origin_mm),
+                            "rotation": _flat(shape.rotation),
+                            "path": shape.path,
+                        }
+                        for shape in link.shapes
+                    ],
+                }
+                for link in self.links
+            ],
+            "feet": [[link, list(point)] for link, point in self.feet],
+            "reach_mm": reach,
+            "notes": list(self.notes),
+        }
+
+
+def _flat(rotation: Rotation) -> list[float]:
+    return [value for row in rotation for value in row]
+
+
+def turned(axis: Vector, angle_rad: float) -> Rotation:
+    """Return the rotation about a unit vector, counter-clockwise seen against it (Rodrigues)."""
+    x, y, z = axis
+    cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
+    rest = 1.0 - cosine
+    return (
+        (cosine + rest * x * x, rest * x * y - sine * z, rest * x * z + sine * y),
+        (rest * x * y + sine * z, cosine + rest * y * y, rest * y * z - sine * x),
+        (rest * x * z - sine * y, rest * y * z + sine * x, cosine + rest * z * z),
+    )
+
+
+def unit_vector(direction: str | Sequence[float]) -> Vector:
+    """Return the unit vector of a name in `DIRECTIONS`, or of a vector that is not zero."""
+    if isinstance(direction, str):
+        return DIRECTIONS[direction]
+    x, y, z = direction
+    length = math.hypot(x, y, z)
+    return (x / length, y / length, z / length)
