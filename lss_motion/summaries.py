@@ -24,10 +24,8 @@ if TYPE_CHECKING:
     from lss_motion.shows import Show
     from lss_motion.trajectory.eases import EaseAdvice
     from lss_motion.trajectory.model import (
-        GivenUp,
         Mark,
         MissedKey,
-        SlowSpan,
         Smoothing,
         Trajectory,
     )
@@ -125,7 +123,7 @@ def _slow_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
         f"({by_s[joint]:.3f} s)"
     )
     shown = spans if is_whole else spans[:WORST_COUNT]
-    lines = [total, *(f"slower: {stretch_text(span)}" for span in shown)]
+    lines = [total, *(f"slower: {span.text}" for span in shown)]
     if rest := spans[len(shown) :]:
         lines.append(f"and {counted(rest, 'more span')} slowed less (check --all lists them)")
     return lines
@@ -144,7 +142,7 @@ def _given_up_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
         f"most {spans[0].by_deg:.1f} deg by {spans[0].joint!r}"
     ]
     shown = spans if is_whole else spans[:WORST_COUNT]
-    lines += [f"less far: {given_up_text(span)}" for span in shown]
+    lines += [f"less far: {span.text}" for span in shown]
     if rest := spans[len(shown) :]:
         lines.append(f"and {counted(rest, 'more span')} less far off (check --all lists them)")
     for name in trajectory.joints:
@@ -152,14 +150,6 @@ def _given_up_lines(trajectory: Trajectory, *, is_whole: bool) -> list[str]:
         if missed:
             lines.append(_missed_text(name, missed, is_whole=is_whole))
     return lines
-
-
-def given_up_text(span: GivenUp) -> str:
-    """Return the text about one span in which a joint keeps its time and gives up angle."""
-    return (
-        f"{span.from_s:.3f} s to {span.to_s:.3f} s joint {span.joint!r} is up to "
-        f"{span.by_deg:.1f} deg off (at {span.at_s:.3f} s), {span.rms_deg:.1f} deg RMS"
-    )
 
 
 def _missed_text(joint: str, missed: Sequence[MissedKey], *, is_whole: bool) -> str:
@@ -309,15 +299,6 @@ def _margin_lines(trajectory: Trajectory, uses: Sequence[LimitUse]) -> list[str]
         f"the show could run {ratio:.2f} times as fast, a pass in {pass_s:.3f} s, before anything "
         f"must be slowed (--speed {ratio:.2f})",
     ]
-
-
-def stretch_text(stretch: SlowSpan) -> str:
-    """Return the text about one span that takes longer than the file sets."""
-    return (
-        f"{stretch.from_s:.3f} s to {stretch.to_s:.3f} s takes {stretch.by_s:.3f} s longer: joint "
-        f"{stretch.joint!r} would need {stretch.limit} {stretch.authored:.0f} {stretch.unit}, "
-        f"allowed {stretch.allowed:g} {stretch.unit}"
-    )
 
 
 def shortened_holds(trajectory: Trajectory) -> list[Mark]:

@@ -57,6 +57,15 @@ class SlowSpan:
         """The unit of `authored` and `allowed`."""
         return {"speed": "deg/s", "acceleration": "deg/s²", "jerk": "deg/s³"}[self.limit]
 
+    @property
+    def text(self) -> str:
+        """How much longer the span takes than the file sets, and why."""
+        return (
+            f"{self.from_s:.3f} s to {self.to_s:.3f} s takes {self.by_s:.3f} s longer: joint "
+            f"{self.joint!r} would need {self.limit} {self.authored:.0f} {self.unit}, "
+            f"allowed {self.allowed:g} {self.unit}"
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissedKey:
@@ -81,6 +90,14 @@ class GivenUp:
     """Where it is that large."""
     rms_deg: float
     missed: tuple[MissedKey, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """By how much the joint is off, and when."""
+        return (
+            f"{self.from_s:.3f} s to {self.to_s:.3f} s joint {self.joint!r} is up to "
+            f"{self.by_deg:.1f} deg off (at {self.at_s:.3f} s), {self.rms_deg:.1f} deg RMS"
+        )
 
     def later(self, by_s: float) -> GivenUp:
         """Return the span with its times moved by `by_s`."""

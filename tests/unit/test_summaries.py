@@ -12,7 +12,7 @@ from lss_motion.program.compile import compile_program
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.sequence.model import Keyframe, Layer, Sequence, Timing
 from lss_motion.shows import Show
-from lss_motion.summaries import limit_uses, plan_lines, show_as_json, stretch_text
+from lss_motion.summaries import limit_uses, plan_lines, show_as_json
 from lss_motion.trajectory.planner import plan
 from tests.joints import joint
 
@@ -80,7 +80,7 @@ def test_totals_come_first_then_the_worst_ten(robot):
         f"{len(spans)} spans slowed, {total_s:.3f} s in all, most by 'base' ({total_s:.3f} s)"
     )
     slower = [line for line in lines if line.startswith("slower: ")]
-    assert slower == [f"slower: {stretch_text(span)}" for span in spans[:10]]
+    assert slower == [f"slower: {span.text}" for span in spans[:10]]
     assert f"and {len(spans) - 10} more spans slowed less (check --all lists them)" in lines
     whole = plan_lines(trajectory, robot, is_whole=True)
     assert sum(line.startswith("slower: ") for line in whole) == len(spans)
