@@ -30,7 +30,6 @@ PACKAGES: Final = {
     "@preact/signals": ("2.11.4", "MIT"),
     "@preact/signals-core": ("1.14.5", "MIT"),
     "three": ("0.187.0", "MIT"),
-    "urdf-loader": ("0.13.1", "Apache-2.0"),
 }
 
 BUNDLES: Final = {
@@ -53,19 +52,10 @@ BUNDLES: Final = {
             " PlaneGeometry Quaternion Raycaster Scene Sphere SphereGeometry Sprite"
             " SpriteMaterial TorusGeometry Vector2 Vector3 WebGLRenderer"
         ),
-        "three/examples/jsm/controls/OrbitControls.js": "OrbitControls",
-    },
-    "urdf": {
-        "urdf-loader": "default:URDFLoader",
-        "three/examples/jsm/loaders/ColladaLoader.js": "ColladaLoader",
-        "three/examples/jsm/loaders/OBJLoader.js": "OBJLoader",
         "three/examples/jsm/loaders/STLLoader.js": "STLLoader",
     },
 }
-"""File, then module, then the names that it exports (`default:NAME` names the default)."""
-
-SPLIT: Final = ("three", "urdf")
-"""Bundles with one common part, `three-core.js`, so that a page never has two copies of it."""
+"""File, then module, then the names that it exports."""
 
 MANIFEST: Final = "vendor.json"
 LICENSES: Final = "LICENSES.txt"
@@ -110,16 +100,15 @@ def build(work: Path, folder: Path) -> None:
     _run(work, "npm", "install", "--silent", "--no-audit", "--no-fund", "--save-exact", *names)
     for name, modules in BUNDLES.items():
         lines = [
-            f"export {{ {_exported(exports)} }} from '{module}';"
+            f"export {{ {', '.join(exports.split())} }} from '{module}';"
             for module, exports in modules.items()
         ]
         (work / f"{name}.entry.js").write_text("\n".join(lines), encoding="utf-8")
     for path in folder.glob("*"):
         path.unlink()
     folder.mkdir(parents=True, exist_ok=True)
-    alone = [name for name in BUNDLES if name not in SPLIT]
-    for names_of_build in [*([name] for name in alone), list(SPLIT)]:
-        _bundle(work, folder, names_of_build)
+    for name in BUNDLES:
+        _bundle(work, folder, name)
     for name, modules in BUNDLES.items():
         (folder / f"{name}.d.ts").write_text(_types(modules), encoding="utf-8")
     (folder / LICENSES).write_text(_licenses(work / "node_modules"), encoding="utf-8")
@@ -132,9 +121,9 @@ def build(work: Path, folder: Path) -> None:
     (folder / MANIFEST).write_text(text, encoding="utf-8")
 
 
-def _bundle(work: Path, folder: Path, names: list[str]) -> None:
-    used = sorted({_package(module) for name in names for module in BUNDLES[name]})
-    parts = ", ".join(f"{name} {PACKAGES[name][0]} ({PACKAGES[name][1]})" for name in used)
+def _bundle(work: Path, folder: Path, name: str) -> None:
+    used = sorted({_package(module) for module in BUNDLES[name]})
+    parts = ", ".join(f"{own} {PACKAGES[own][0]} ({PACKAGES[own][1]})" for own in used)
     _run(
         work,
         str(work / "node_modules" / ".bin" / "esbuild"),
@@ -145,21 +134,17 @@ def _bundle(work: Path, folder: Path, names: list[str]) -> None:
         "--legal-comments=none",  # They stand in LICENSES.txt.
         f"--banner:js=/* {parts}; see {LICENSES} */",
         "--log-level=warning",
-        *(("--splitting", "--chunk-names=three-core") if len(names) > 1 else ()),
         f"--outdir={folder}",
-        *(f"{name}={name}.entry.js" for name in names),
-    )
-
-
-def _exported(exports: str) -> str:
-    return ", ".join(
-        name.replace("default:", "default as ") if ":" in name else name for name in exports.split()
+        f"{name}={name}.entry.js",
     )
 
 
 def _types(modules: dict[str, str]) -> str:
     """Return declarations that lead the type checker to those of the packages."""
-    lines = [f"export {{ {_exported(exports)} }} from '{mod}';" for mod, exports in modules.items()]
+    lines = [
+        f"export {{ {', '.join(exports.split())} }} from '{mod}';"
+        for mod, exports in modules.items()
+    ]
     return "\n".join(["// Written by tools/vendor.py, for tsc only.", *lines, ""])
 
 

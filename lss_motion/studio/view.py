@@ -1,7 +1,7 @@
 """The view of a plan: everything that the pages show of a planned show, as JSON.
 
-`view_of` is a function of sequence, plan, program and robot alone, so a view belongs to its plan
-for ever and can be kept by its hash. Times are those of the written program: show time, except that
+`view_of` is a function of the show alone, so a view belongs to its plan for ever and can be kept by
+its hash. Times are those of the written program: show time, except that
 a part that is played again and again is in it once (`repeat`). Numbers that are many are base64 of
 little-endian arrays (`view_curves.packed`).
 """
@@ -20,7 +20,6 @@ import numpy as np
 from lss_motion.errors import InputError
 from lss_motion.program.drives import profile_lead_s
 from lss_motion.program.verify import driven, profiles
-from lss_motion.remote.schema import plan_hash
 from lss_motion.studio.view_curves import (
     ACCEL_RATIO,
     SPEED_RATIO,
@@ -45,6 +44,7 @@ if TYPE_CHECKING:
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.sequence.model import Cue, Keyframe, Sequence
+    from lss_motion.shows import Show
     from lss_motion.trajectory.model import Mark, Pass, Trajectory
 
     FloatArray = NDArray[np.float64]
@@ -79,17 +79,15 @@ class Peaks:
     pairs: NDArray[np.int8]
 
 
-def view_of(
-    sequence: Sequence,
-    trajectory: Trajectory,
-    program: Program,
-    robot: Robot,
-    peaks_of: PeaksOf | None = None,
-) -> dict[str, Any]:
-    """Return the view, ready for JSON. `peaks_of` reads a sound; without it, there is no waveform.
+def view_of(show: Show, plan: str, peaks_of: PeaksOf | None = None) -> dict[str, Any]:
+    """Return the view of a show that was planned from its file, ready for JSON.
 
-    A sound that cannot be read has an `error` instead of its peaks.
+    `plan` is the hash of its program. `peaks_of` reads a sound in place of `sound_peaks`; a sound
+    that cannot be read has an `error` instead of its peaks.
     """
+    sequence, trajectory, program, robot = show.sequence, show.trajectory, show.program, show.robot
+    assert sequence is not None, "a program that was compiled before has no keys"
+    assert trajectory is not None, "the same"
     window = Window(program)
     lanes = lanes_of(sequence, trajectory, window)
     horn = _horn_curves(program, robot, window)
@@ -97,7 +95,7 @@ def view_of(
     authored = _authored_curves(trajectory, window)
     return {
         "version": VIEW_VERSION,
-        "plan": plan_hash(program).hex(),
+        "plan": plan,
         "name": program.name,
         "robot": program.robot,
         "duration_s": None if program.is_endless else program.duration_s,
@@ -125,7 +123,7 @@ def view_of(
         **_departures(trajectory, window),
         "error": {name: _largest_error(motion[name], horn[name]) for name in trajectory.joints},
         "line": _line_use(program, robot, window),
-        "waveforms": _waveforms(trajectory, window, peaks_of),
+        "waveforms": _waveforms(trajectory, window, peaks_of or sound_peaks),
     }
 
 
@@ -573,14 +571,12 @@ def _line_use(program: Program, robot: Robot, window: Window) -> dict[str, Any]:
     }
 
 
-def _waveforms(
-    trajectory: Trajectory, window: Window, peaks_of: PeaksOf | None
-) -> list[dict[str, Any]]:
+def _waveforms(trajectory: Trajectory, window: Window, peaks_of: PeaksOf) -> list[dict[str, Any]]:
     """Return the peaks of each sound where it sounds: seconds of the show, not of the file."""
     found = []
     for cue in all_cues(trajectory, window.show_end_s):
         at_s = window.written(cue.at_s)
-        if not cue.sound or at_s is None or peaks_of is None:
+        if not cue.sound or at_s is None:
             continue
         entry: dict[str, Any] = {"text": cue.text, "from_s": at_s, "is_bed": cue.style.is_bed}
         try:

@@ -14,7 +14,8 @@ import pytest
 import lss_motion as lss
 from lss_motion.program.drives import profile_lead_s
 from lss_motion.program.verify import driven, profiles
-from lss_motion.studio.view import Window, sound_peaks, view_bytes, view_of
+from lss_motion.shows import Show
+from lss_motion.studio.view import Window, view_bytes, view_of
 from lss_motion.studio.view_curves import Curve
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "sequences"
@@ -28,14 +29,16 @@ def planned(source):
     return sequence, trajectory, lss.compile(trajectory, robot), robot
 
 
+def viewed(values):
+    sequence, trajectory, program, robot = values
+    show = Show(robot=robot, program=program, trajectory=trajectory, sequence=sequence)
+    return json.loads(view_bytes(view_of(show, "0123456789abcdef")))
+
+
 @pytest.fixture(scope="module", params=SHOWS)
 def show(request):
     values = planned(EXAMPLES / f"{request.param}.yaml")
-    return *values, read(view_bytes(view_of(*values)))
-
-
-def read(data):
-    return json.loads(data)
+    return *values, viewed(values)
 
 
 def unpacked(text, kind):
@@ -87,8 +90,8 @@ def test_every_key_is_in_a_lane_and_the_plan_is_there_at_its_time(show):
 
 
 def test_the_lanes_hold_as_many_keys_as_the_file_in_each_pass():
-    _, _, _, _ = values = planned(EXAMPLES / "wave.yaml")
-    view = view_of(*values)
+    values = planned(EXAMPLES / "wave.yaml")
+    view = viewed(values)
     (lane,) = view["lanes"]
     assert len(lane["keys"]) == 3 * len(values[0].keyframes)
     assert [key["at_s"] for key in lane["keys"] if key["is_anchor"]] == [6.5, 13.0, 19.5]
@@ -101,7 +104,7 @@ def test_the_lanes_hold_as_many_keys_as_the_file_in_each_pass():
 
 def test_the_lanes_of_a_play_list_stand_where_its_parts_are_played():
     values = planned(EXAMPLES / "playlist.yaml")
-    view = view_of(*values)
+    view = viewed(values)
     kinds = {(lane["kind"], lane["name"]) for lane in view["lanes"]}
     assert {("layer", "nod"), ("track", "greet")} <= kinds
     nod = next(lane for lane in view["lanes"] if lane["kind"] == "layer")
@@ -137,7 +140,7 @@ def fast(tmp_path, **more):
 
 def test_a_stretched_span_names_joint_and_limit_and_the_authored_angle_stays(tmp_path):
     values = planned(fast(tmp_path))
-    view = view_of(*values)
+    view = viewed(values)
     (span,) = view["stretched"]
     assert span["joint"] == "base"
     assert span["text"] == values[1].stretched[0].text
@@ -150,7 +153,7 @@ def test_a_stretched_span_names_joint_and_limit_and_the_authored_angle_stays(tmp
 
 def test_given_up_angle_has_its_text_and_what_was_asked(tmp_path):
     values = planned(fast(tmp_path, keep="time"))
-    view = view_of(*values)
+    view = viewed(values)
     assert view["stretched"] == []
     assert [span["text"] for span in view["given_up"]] == [s.text for s in values[1].given_up]
     asked = unpacked(view["asked"][0]["deg"], "<f4")
@@ -165,7 +168,7 @@ def test_a_repeated_part_is_in_the_view_once(tmp_path, loop, times):
     content = {"sequence": "loop", "robot": robot, "keyframes": keyframes, "loop": loop}
     path.write_text(json.dumps(content), encoding="utf-8")
     values = planned(path)
-    view = view_of(*values)
+    view = viewed(values)
     assert view["repeat"]["times"] == times
     assert (view["duration_s"] is None) == (loop == "forever")
     keys = view["lanes"][0]["keys"]
@@ -190,7 +193,7 @@ def test_a_sound_has_its_peaks_where_it_sounds_and_a_missing_one_says_why(tmp_pa
         silence, tone = np.zeros(8000), 16000.0 * np.sin(np.arange(8000) * 0.3)
         file.writeframes(np.concatenate([silence, tone]).astype("<i2").tobytes())
     values = planned(fast(tmp_path, events=[{"at_s": 0.5, "sound": "beat.wav"}]))
-    view = view_of(*values, sound_peaks)
+    view = viewed(values)
     (form,) = view["waveforms"]
     assert form["to_s"] - form["from_s"] == pytest.approx(2.0)
     peaks = unpacked(form["peaks"], "i1").reshape(-1, 2)
@@ -199,6 +202,6 @@ def test_a_sound_has_its_peaks_where_it_sounds_and_a_missing_one_says_why(tmp_pa
     assert np.abs(peaks[: half - 1]).max() == 0
     assert peaks[half + 1 :].max() == pytest.approx(127 * 16000 / 32768, abs=3)
     sound.unlink()
-    (form,) = view_of(*values, sound_peaks)["waveforms"]
+    (form,) = viewed(values)["waveforms"]
     assert "beat.wav" in form["error"]
     assert math.isfinite(form["to_s"])

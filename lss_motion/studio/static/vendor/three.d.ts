@@ -1,3 +1,3 @@
 // Written by tools/vendor.py, for tsc only.
 export { AmbientLight, ArrowHelper, AxesHelper, Box3, BoxGeometry, BufferAttribute, BufferGeometry, CanvasTexture, CapsuleGeometry, CircleGeometry, Color, ConeGeometry, CylinderGeometry, DirectionalLight, DoubleSide, EdgesGeometry, Euler, Float32BufferAttribute, GridHelper, Group, HemisphereLight, Line, LineBasicMaterial, LineDashedMaterial, LineLoop, LineSegments, LoadingManager, MathUtils, Matrix4, Mesh, MeshBasicMaterial, MeshLambertMaterial, MeshStandardMaterial, Object3D, PerspectiveCamera, Plane, PlaneGeometry, Quaternion, Raycaster, Scene, Sphere, SphereGeometry, Sprite, SpriteMaterial, TorusGeometry, Vector2, Vector3, WebGLRenderer } from 'three';
-export { OrbitControls } from 'three/examples/jsm/controls/OrbitControls.js';
+export { STLLoader } from 'three/examples/jsm/loaders/STLLoader.js';
