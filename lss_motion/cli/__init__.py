@@ -26,6 +26,7 @@ report          `report`: the report of a show as text and picture; also called 
 scan            `scan`: find ports, baud rates and servos
 send            `send`: one command to one servo
 simulate        `sim`: a simulated robot behind a pseudo-terminal
+studio          `studio`: see and run a show in a browser
 walk            `walk`: a gait that is steered while it runs
 ==============  =================================================================================
 

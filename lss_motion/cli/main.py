@@ -20,6 +20,7 @@ GROUPS: Final[Mapping[str, tuple[str, ...]]] = {
     "examples": ("example",),
     "planning": ("check", "plan", "compile", "schema", "gait"),
     "play": ("play",),
+    "studio": ("studio",),
     "simulate": ("sim",),
     "doctor": ("doctor",),
     "devices": ("devices",),

@@ -12,16 +12,12 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 import pickle
 import queue
 import socket
-import subprocess
 import sys
-import tempfile
 import threading
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self
 
 from lss_motion.connection import with_port
@@ -29,6 +25,8 @@ from lss_motion.errors import BusError, InputError
 from lss_motion.remote import schema as m
 from lss_motion.remote.job import Job
 from lss_motion.remote.link import BrokenLinkError, Kind, Link
+from lss_motion.remote.player_end import LossRule
+from lss_motion.remote.process import packed, start_process
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -76,11 +74,13 @@ def start(  # noqa: PLR0913  (the options of one run)
     is_real_time: bool = False,
     is_virtual: bool = False,
     seed: int = 0,
+    rule: LossRule | None = None,
 ) -> Handle:
     """Play `program` on `robot` in a process of its own; return at once.
 
     The options are those of `lss.play`. `start_s` begins in the middle of the show. With `must_ask`
-    nothing moves before `go`. Nothing that this process does delays a command to the servos.
+    nothing moves before `go`. Nothing that this process does delays a command to the servos. `rule`
+    says what becomes of the show when this process ends or falls silent; by default it stops.
 
     Raises `InputError` where the system has no socket pairs that a new process can inherit
     (Windows): use `lss.play` there. What is wrong with the robot is raised by `wait`.
@@ -90,6 +90,7 @@ def start(  # noqa: PLR0913  (the options of one run)
     job = Job(
         program=program,
         robot=with_port(robot, port),
+        rule=rule or LossRule(),
         options={
             "has_feedback": has_feedback,
             "start_s": start_s,
@@ -102,25 +103,6 @@ def start(  # noqa: PLR0913  (the options of one run)
         },
     )
     return Handle(job)
-
-
-def start_process(job: Job) -> tuple[subprocess.Popen[bytes], socket.socket]:
-    """Start the process that plays `job`; return it and this end of its link."""
-    own, other = socket.socketpair()
-    top = str(Path(__file__).resolve().parents[2])
-    paths = [top, *filter(None, [os.environ.get("PYTHONPATH")])]
-    with other, tempfile.TemporaryFile() as job_file:
-        pickle.dump(job, job_file)
-        job_file.seek(0)
-        process = subprocess.Popen(  # noqa: S603  (our own program)
-            # -P: no module of the current folder is imported in place of an installed one.
-            [sys.executable, "-P", "-m", "lss_motion.remote.process", str(other.fileno())],
-            pass_fds=[other.fileno()],
-            stdin=job_file,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
-            start_new_session=True,  # Ctrl-C reaches this process only.
-        )
-    return process, own
 
 
 class Handle:
@@ -140,7 +122,7 @@ class Handle:
         self._next_id = 1
         self.phase = "connecting"
         """The phase of the player, by the names of `player.events.Phase`."""
-        self._process, self._socket = start_process(job)
+        self._process, self._socket = start_process(packed(job))
         self._link = Link(self._socket)
         # A handle that is forgotten goes on playing; the end of this process ends the show.
         self._listener = threading.Thread(target=self._listen, name="lss-handle", daemon=True)
@@ -161,7 +143,7 @@ class Handle:
         self._send(m.Resume)
 
     def rate(self, ratio: float) -> None:
-        """Play at this share of the speed of the plan, from `messages.RATE_LEAST` to 1."""
+        """Play at this share of the speed of the plan, from `schema.RATE_LEAST` to 1."""
         if not m.RATE_LEAST <= ratio <= 1.0:
             raise InputError(
                 f"rate {ratio:g}: from {m.RATE_LEAST:g} to 1, the speed of the plan, which is "
@@ -228,7 +210,7 @@ class Handle:
         return found
 
     def events(self, timeout_s: float | None = None) -> Iterator[m.AnyEvent]:
-        """Yield what happens, as values of `remote.messages`, until the show has ended.
+        """Yield what happens, as values of `remote.schema`, until the show has ended.
 
         Ends earlier when nothing has happened for `timeout_s`.
         """

@@ -56,6 +56,10 @@ class Link:
     def fileno(self) -> int:
         return self._socket.fileno()
 
+    def set_blocking(self, *, is_blocking: bool, timeout_s: float | None = None) -> None:
+        """Let `send` and `receive` wait, at most for `timeout_s`, or not."""
+        self._socket.settimeout(timeout_s if is_blocking else 0.0)
+
     @property
     def is_full(self) -> bool:
         """Whether bytes are kept that the socket did not take."""

@@ -60,14 +60,17 @@ class Steering:
         link: Link,
         rule: LossRule | None = None,
         *,
+        stops: Link | None = None,
         is_orphan: Callable[[], bool] = lambda: False,
     ) -> None:
         """Serve the client at the other end of `link`.
 
-        `is_orphan` returns whether the client's process has ended. The link does not show that
-        where another process holds a copy of its end.
+        `stops` is a second link, on which only stops count: its other end is a process that does
+        nothing else. `is_orphan` returns whether the client's process has ended. The link does not
+        show that where another process holds a copy of its end.
         """
         self._link = link
+        self._stops = stops
         self._rule = rule or LossRule()
         self._is_orphan = is_orphan
         self._heard_ns: int | None = None
@@ -85,8 +88,9 @@ class Steering:
     # ---- controls
 
     def filenos(self) -> Sequence[int]:
-        """Return what ends a wait; nothing while the client floods, or is gone."""
-        return [] if self._is_cut or self._is_flooded else [self._link.fileno()]
+        """Return what ends a wait; no link that is flooded or closed."""
+        links = [] if self._is_cut or self._is_flooded else [self._link]
+        return [link.fileno() for link in (*links, self._stops) if link is not None]
 
     def note_signal(self) -> None:
         """Note a signal to end; the first one brakes, the second one ends at once."""
@@ -96,7 +100,7 @@ class Steering:
         """Apply what has arrived since the last call, stops first."""
         if self._signals:
             self._obey_signals(player, now_ns)
-        operations = self._read(now_ns)
+        operations = self._read_stops() + self._read(now_ns)
         for operation in sorted(operations, key=_urgency):
             try:
                 self._apply(operation, player, now_ns)
@@ -141,6 +145,18 @@ class Steering:
             self._is_flooded = size > TURN_MAX_BYTES // 2
         return operations
 
+    def _read_stops(self) -> list[m.AnyOperation]:
+        """Return the stops that arrived on the link for them."""
+        if self._stops is None:
+            return []
+        try:
+            arrived = self._stops.receive(TURN_MAX_BYTES)
+        except BrokenLinkError:
+            self._stops = None
+            return []
+        found = [m.parse_operation(content) for kind, content in arrived if kind is Kind.OPERATION]
+        return [operation for operation in found if isinstance(operation, m.Stop | m.Estop)]
+
     def _apply(self, operation: m.AnyOperation, player: Player, now_ns: int) -> None:
         match operation:
             case m.Estop():
@@ -152,10 +168,12 @@ class Steering:
                 pass
             case _ if self._has_stopped or player.is_finished:
                 raise InputError("the show has been stopped; start it again")
-            case _:
+            case m.Go() | m.Pause() | m.Resume() | m.Rate() | m.Seek():
                 self._steer(operation, player, now_ns)
+            case _:
+                raise InputError(f"{operation.op} is no operation on a running show")
 
-    def _steer(self, operation: m.AnyOperation, player: Player, now_ns: int) -> None:
+    def _steer(self, operation: m.ShowOperation, player: Player, now_ns: int) -> None:
         """Apply an operation that ends nothing."""
         match operation:
             case m.Go():
@@ -170,8 +188,6 @@ class Steering:
                 self._rate = operation.ratio
             case m.Seek():
                 player.seek(operation.to, now_ns)
-            case _:
-                pass
 
     def _stop(self, player: Player, now_ns: int) -> None:
         """Brake and end; the second call changes nothing, as both ways of a stop may arrive."""

@@ -1,8 +1,9 @@
-"""The process that plays: `python -m lss_motion.remote.process FD`, started by `handle.start`.
+"""The process that plays: `python -m lss_motion.remote.process FD [STOP_FD]`.
 
-It reads one job from standard input, plays it, and sends the result to the socket `FD`. When the
-other end is closed it stops and makes the robot safe, whatever the reason: the socket of a killed
-process is closed by the system.
+It reads one job from standard input, and how it is played, plays it, and sends the result to the
+socket `FD`. When the other end is closed it does what the rule of the job says, by default it stops
+and makes the robot safe: the socket of a killed process is closed by the system. Stops may also
+come from the socket `STOP_FD`.
 """
 
 from __future__ import annotations
@@ -11,33 +12,86 @@ import os
 import pickle
 import signal
 import socket
+import subprocess
 import sys
-from typing import Final
+import tempfile
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.remote.job import play
 from lss_motion.remote.link import Kind, Link
 from lss_motion.remote.player_end import Steering
 
+if TYPE_CHECKING:
+    from lss_motion.remote.job import Job
+
 SEND_S: Final = 5.0
 """The result is dropped if the client does not take it for so long."""
 
 
+def packed(job: Job) -> bytes:
+    """Return a job as bytes for `start_process`, for who starts it without looking inside."""
+    return pickle.dumps(job)
+
+
+def start_process(
+    job: bytes, stop_end: socket.socket | None = None, **changes: object
+) -> tuple[subprocess.Popen[bytes], socket.socket]:
+    """Start the process that plays a `packed` job; return it and this end of its link.
+
+    `changes` replace fields of the job, its `options` one by one. Stops may also be sent to the
+    other end of `stop_end`, which stays open here.
+    """
+    own, other = socket.socketpair()
+    top = str(Path(__file__).resolve().parents[2])
+    paths = [top, *filter(None, [os.environ.get("PYTHONPATH")])]
+    filenos = [end.fileno() for end in (other, stop_end) if end is not None]
+    with ExitStack() as stack:
+        stack.enter_context(other)
+        job_file = stack.enter_context(tempfile.TemporaryFile())
+        job_file.write(job)
+        pickle.dump(changes, job_file)
+        job_file.seek(0)
+        process = subprocess.Popen(  # noqa: S603  (our own program)
+            # -P: no module of the current folder is imported in place of an installed one.
+            [sys.executable, "-P", "-m", "lss_motion.remote.process", *map(str, filenos)],
+            pass_fds=filenos,
+            stdin=job_file,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+            start_new_session=True,  # Ctrl-C reaches this process only.
+        )
+    return process, own
+
+
 def main() -> int:
     """Play the job on standard input, steered through the socket; return an exit code."""
-    end, parent = socket.socket(fileno=int(sys.argv[1])), os.getppid()
-    link = Link(end)
-    job = pickle.load(sys.stdin.buffer)  # noqa: S301  (from the process that started this one)
-    end.setblocking(False)  # noqa: FBT003
-    steering = Steering(link, job.rule, is_orphan=lambda: os.getppid() != parent)
+    parent = os.getppid()
+    links = [Link(socket.socket(fileno=int(number))) for number in sys.argv[1:]]
+    link, stops = links[0], links[1] if len(links) > 1 else None
+    job = _job()
+    for one in links:
+        one.set_blocking(is_blocking=False)
+    steering = Steering(link, job.rule, stops=stops, is_orphan=lambda: os.getppid() != parent)
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, lambda _number, _frame: steering.note_signal())
     outcome = play(job, steering)
-    end.settimeout(SEND_S)
+    link.set_blocking(is_blocking=True, timeout_s=SEND_S)
     link.send(Kind.OBJECT, pickle.dumps(outcome))
     while link.is_full and not link.is_closed:
         link.flush()
     link.close()
     return 0
+
+
+def _job() -> Job:
+    """Return the job on standard input, with the changes that follow it there."""
+    # It comes from the process that started this one.
+    job: Job = pickle.load(sys.stdin.buffer)  # noqa: S301
+    changes: dict[str, Any] = pickle.load(sys.stdin.buffer)  # noqa: S301
+    options = {**job.options, **changes.pop("options", {})}
+    return replace(job, options=options, **changes)
 
 
 if __name__ == "__main__":

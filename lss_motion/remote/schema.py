@@ -25,8 +25,14 @@ if TYPE_CHECKING:
 OPERATION_MAX_BYTES: Final = 4096
 """A longer operation is refused before it is parsed. Ours have less than 200."""
 LABEL_MAX_CHARS: Final = 64
+PATH_MAX_CHARS: Final = 1000
+JOINTS_MAX: Final = 100
 RATE_LEAST: Final = 0.05
 """The lowest rate that can be asked for; `pause` is lower."""
+
+
+Name = Annotated[str, Field(min_length=1, max_length=LABEL_MAX_CHARS)]
+RoleName = Literal["view", "operate", "edit"]
 
 
 class Message(BaseModel):
@@ -97,8 +103,130 @@ class Beat(Operation):
     op: Literal["beat"] = "beat"
 
 
+class Play(Operation):
+    """Start the show that the server has planned, from `from_s` on.
+
+    With `plan`, only that plan: it may have changed since the client saw it.
+    """
+
+    op: Literal["play"] = "play"
+    from_s: Annotated[float, Field(ge=0.0)] | None = None
+    plan: Annotated[str, Field(pattern="^[0-9a-f]{16}$")] | None = None
+
+
+class Rearm(Operation):
+    """Allow motion again after a stop. A stop is kept until then, whoever asks to play."""
+
+    op: Literal["rearm"] = "rearm"
+
+
+class Lease(Operation):
+    """Take the right to operate, also from another client, or give it back."""
+
+    op: Literal["lease"] = "lease"
+    want: Literal["take", "release"]
+
+
+class Load(Operation):
+    """Open another file of the folder of the show."""
+
+    op: Literal["load"] = "load"
+    path: Annotated[str, Field(min_length=1, max_length=PATH_MAX_CHARS)]
+
+
+class Pair(Operation):
+    """Make a code with which one more client gets this role."""
+
+    op: Literal["pair"] = "pair"
+    role: RoleName
+
+
+class Connect(Operation):
+    """Open the ports of the robot without a show, and check every servo; nothing moves."""
+
+    op: Literal["connect"] = "connect"
+
+
+class Disconnect(Operation):
+    """End what `connect` began: hold, give the settings back, close the ports."""
+
+    op: Literal["disconnect"] = "disconnect"
+
+
+class Jog(Operation):
+    """Turn a joint at this share of its jogging speed; repeat it every 100 ms, or it stops.
+
+    0 stops it at once. The joint stays within its limits.
+    """
+
+    op: Literal["jog"] = "jog"
+    joint: Name
+    speed_ratio: Annotated[float, Field(ge=-1.0, le=1.0)]
+
+
+class PoseGo(Operation):
+    """Move to a pose of the robot file, in `duration_s` or longer where a limit requires it."""
+
+    op: Literal["pose.go"] = "pose.go"
+    pose: Name
+    duration_s: Annotated[float, Field(gt=0.0, le=60.0)] | None = None
+
+
+class PoseSave(Operation):
+    """Write where the joints are into the robot file: a new pose, or one that it has."""
+
+    op: Literal["pose.save"] = "pose.save"
+    pose: Annotated[str, Field(pattern="^[A-Za-z][A-Za-z0-9_-]*$", max_length=LABEL_MAX_CHARS)]
+    is_new: bool
+
+
+class Limp(Operation):
+    """Take the power from these joints, or from all: they fall."""
+
+    op: Literal["limp"] = "limp"
+    joints: Annotated[tuple[Name, ...], Field(max_length=JOINTS_MAX, strict=False)] = ()
+
+
+class Hold(Operation):
+    """Hold these joints, or all, where they are."""
+
+    op: Literal["hold"] = "hold"
+    joints: Annotated[tuple[Name, ...], Field(max_length=JOINTS_MAX, strict=False)] = ()
+
+
+class Scan(Operation):
+    """Find the servos of each bus of the robot; nothing moves."""
+
+    op: Literal["scan"] = "scan"
+
+
+ShowOperation = Go | Pause | Resume | Rate | Seek
+"""What steers a running show."""
+RobotOperation = Jog | PoseGo | Limp | Hold
+"""What moves a robot without a show."""
 AnyOperation = Annotated[
-    Go | Pause | Resume | Rate | Seek | Stop | Estop | Beat, Field(discriminator="op")
+    Go
+    | Pause
+    | Resume
+    | Rate
+    | Seek
+    | Stop
+    | Estop
+    | Beat
+    | Play
+    | Rearm
+    | Lease
+    | Load
+    | Pair
+    | Connect
+    | Disconnect
+    | Jog
+    | PoseGo
+    | PoseSave
+    | Limp
+    | Hold
+    | Scan,
+    Field(discriminator="op"),
 ]
 
 
@@ -258,6 +386,130 @@ class Ended(Message):
     report: dict[str, Any] | None
 
 
+class Welcome(Message):
+    """The first event of a server: what this client may do, and where a stop goes besides."""
+
+    event: Literal["welcome"] = "welcome"
+    client: int
+    role: RoleName
+    stop_origin: str
+    version: str
+    file: str
+    kind: Literal["sequence", "gait", "playlist", "robot"]
+    title: str
+    is_network_readable: bool
+    """Whether others on the network can read along: the server listens there without TLS."""
+
+
+class LeaseChanged(Message):
+    """Which client operates. The others may look, and stop."""
+
+    event: Literal["lease"] = "lease"
+    holder: int | None
+    holder_name: str | None
+    is_mine: bool
+
+
+class Problem(Message):
+    """What is wrong in a file, and where."""
+
+    path: str
+    line: int | None
+    text: str
+
+
+class DocumentChanged(Message):
+    """State of the file: its revision, what is wrong in it, and the last plan that is good."""
+
+    event: Literal["document"] = "document"
+    revision: int
+    file: str
+    kind: Literal["sequence", "gait", "playlist", "robot"]
+    title: str
+    is_planning: bool
+    errors: tuple[Problem, ...]
+    notes: tuple[str, ...]
+    plan: str | None
+    is_current: bool
+    """Whether `plan` is that of this revision."""
+    summary: tuple[str, ...]
+    robot: int
+    """Changes when `robot.json` does."""
+
+
+class LiveJoint(Message):
+    """A joint of a robot that plays no show: where it is, and whether it is limp."""
+
+    deg: float | None
+    is_limp: bool
+
+
+class RobotChanged(Message):
+    """State of the robot without a show."""
+
+    event: Literal["robot"] = "robot"
+    state: Literal["off", "connecting", "live", "playing"]
+    port: str
+    is_simulated: bool
+    joints: dict[str, LiveJoint]
+    text: str
+
+
+class PlayerChanged(Message):
+    """State of the process that plays. `is_latched`: stopped, until `rearm`."""
+
+    event: Literal["player"] = "player"
+    state: Literal["idle", "starting", "ready", "playing", "paused", "stopping", "ended", "gone"]
+    is_latched: bool
+    plan: str | None
+    show_s: float | None
+    text: str
+
+
+class Links(Message):
+    """How many clients the server has."""
+
+    event: Literal["links"] = "links"
+    clients: int
+
+
+class Heartbeat(Message):
+    """Once a second; a client that gets none has lost its server."""
+
+    event: Literal["heartbeat"] = "heartbeat"
+    server_s: float
+
+
+class Pairing(Message):
+    """The answer to `pair`: a code of six digits, for one client, for so long."""
+
+    event: Literal["pairing"] = "pairing"
+    code: str
+    role: RoleName
+    valid_s: float
+    urls: tuple[str, ...]
+
+
+class FoundServo(Message):
+    """A servo that `scan` found, and what the robot file calls it."""
+
+    bus: str
+    id: int
+    model: str
+    joint: str | None
+    text: str
+
+
+class Scanned(Message):
+    """The answer to `scan`."""
+
+    event: Literal["scan"] = "scan"
+    servos: tuple[FoundServo, ...]
+    missing: tuple[str, ...]
+    """Joints of the robot file whose servo did not answer."""
+    error: str | None
+
+
 AnyEvent = Annotated[
     Started
     | PhaseChanged
@@ -272,7 +524,16 @@ AnyEvent = Annotated[
     | Refused
     | Lost
     | Health
-    | Ended,
+    | Ended
+    | Welcome
+    | LeaseChanged
+    | DocumentChanged
+    | RobotChanged
+    | PlayerChanged
+    | Links
+    | Heartbeat
+    | Pairing
+    | Scanned,
     Field(discriminator="event"),
 ]
 

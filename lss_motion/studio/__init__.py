@@ -1,8 +1,27 @@
 """Seeing and running a show in a browser.
 
-| file          | what it is                                              | who calls it      |
-|---------------|---------------------------------------------------------|-------------------|
-| `view`        | a planned show as JSON, for the timeline of the pages   | the planner       |
-| `view_curves` | angles over time as few cubics, in the tolerance of eyes | `view`            |
-| `static`      | the pages: plain ES modules, no build step              | the browser       |
+The server shows a file, plans it again when it changes on disk, and starts and steers the process
+that plays it. Four processes: server, planner, player, and one that only stops; none waits for
+another, so a server or planner that hangs, stands still or is killed blocks no stop.
+
+| file          | what it is                                                 | who calls it       |
+| ------------- | ---------------------------------------------------------- | ------------------ |
+| `server`      | opens the sockets, serves until a signal ends it           | `cli`              |
+| `studio`      | one running studio: what it is made of                     | `server`, `app`    |
+| `app`         | routes and their guard                                     | `server`           |
+| `access`      | who may what, as a pure decision; pairing codes            | `app`, `stop`      |
+| `hub`         | the clients, which one operates, the order of operations   | `studio`, `app`    |
+| `client`      | what waits for one client, and how much it may send        | `hub`, `app`       |
+| `desk`        | carries operations out                                     | `hub`              |
+| `document`    | the open file: revision, errors, the last good plan        | `desk`, `studio`   |
+| `planning`    | the server's end of the planner: the latest request wins   | `studio`           |
+| `planner`     | the process that plans: file → plan, view, job             | `planning`         |
+| `robot_view`  | a robot as JSON, for the pages                             | `planner`          |
+| `view`        | a planned show as JSON, for the timeline of the pages      | `planner`          |
+| `view_curves` | angles over time as few cubics, within what an eye sees    | `view`             |
+| `playing`     | the server's end of the process that plays                 | `desk`             |
+| `stopping`    | the server's end of the process that only stops            | `studio`           |
+| `stop`        | the process that only stops                                | `stopping`         |
+| `web`         | listening sockets, and uvicorn as both servers use it      | `server`, `stop`   |
+| `static`      | the pages: plain ES modules, no build step                 | the browser        |
 """

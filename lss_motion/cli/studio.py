@@ -1,0 +1,146 @@
+"""The command `studio`: see and run a show in a browser."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.cli.commands import PORT_HELP, add_command, add_json, add_robot_options, print_json
+from lss_motion.cli.consent import ALLOW_HELP
+from lss_motion.cli.messages import put
+from lss_motion.errors import EXIT_FINISHED, InputError
+
+if TYPE_CHECKING:
+    import argparse
+
+    from lss_motion.cli.commands import Commands
+    from lss_motion.studio.studio import Studio
+
+DESCRIPTION: Final = """\
+See and run a show in a browser: its plan, the moving figure, the state of every servo.
+
+  lss-motion studio wave.yaml                              at this computer
+  lss-motion studio wave.yaml --port /dev/ttyUSB0          on this port
+  lss-motion studio wave.yaml --listen 192.168.1.20        for a tablet, too
+
+Open the address that is printed; it holds the key to the robot, so keep it to yourself. Other
+devices pair with a code that the page shows. Everyone who may look may stop, one client operates.
+A file that changes on disk is planned again. Ctrl-C stops the show and ends.
+"""
+INSTALL: Final = 'the studio needs three packages: pip install "lss-motion[studio]"'
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command of this module."""
+    studio = add_command(
+        commands, "studio", _studio, "see and run a show in a browser", DESCRIPTION
+    )
+    studio.add_argument(
+        "file", type=Path, metavar="FILE", help="a sequence, a gait, a play list or a robot (.yaml)"
+    )
+    studio.add_argument("--port", metavar="URL", help=PORT_HELP)
+    add_robot_options(studio)
+    studio.add_argument(
+        "--listen",
+        default="",
+        metavar="ADDRESS[:PORT]",
+        help="serve this address of the computer, too; :PORT alone sets the port (default: any)",
+    )
+    studio.add_argument(
+        "--tls-certificate", type=Path, metavar="F.pem", help="serve that address with TLS"
+    )
+    studio.add_argument("--tls-key", type=Path, metavar="F.pem", help="the key of the certificate")
+    studio.add_argument(
+        "--on-operator-lost",
+        choices=("stop", "hold", "go_on"),
+        default="go_on",
+        help="what a show does when its operator, or the server, is gone (default go_on)",
+    )
+    studio.add_argument("--no-browser", action="store_true", help="print the address only")
+    studio.add_argument("--allow-run", action="store_true", help=ALLOW_HELP)
+    add_json(studio)
+
+
+def _studio(arguments: argparse.Namespace) -> int:
+    try:
+        from lss_motion.studio.server import serve
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.startswith("lss_motion"):
+            raise
+        raise InputError(INSTALL) from None
+    from lss_motion.files.source import read_data
+    from lss_motion.studio.desk import DeskOptions
+    from lss_motion.studio.studio import StudioOptions
+
+    read_data(arguments.file)  # What cannot be read is said here, not in the browser.
+    host, port = _address(arguments.listen)
+    if (arguments.tls_certificate is None) != (arguments.tls_key is None):
+        raise InputError("--tls-certificate and --tls-key belong together")
+    for path in (arguments.tls_certificate, arguments.tls_key):
+        if path is not None:
+            read_data(path)
+    options = StudioOptions(
+        path=arguments.file,
+        robot_path=arguments.robot,
+        backup=arguments.robot_cache,
+        port=arguments.port,
+        listen_host=host,
+        listen_port=port,
+        certificate=_text(arguments.tls_certificate),
+        key=_text(arguments.tls_key),
+        desk=DeskOptions(on_lost=arguments.on_operator_lost, may_run=arguments.allow_run),
+    )
+    serve(
+        options,
+        lambda studio: _tell(studio, is_json=arguments.json),
+        opens=not (arguments.no_browser or arguments.json) and has_desktop(),
+    )
+    return EXIT_FINISHED
+
+
+def _tell(studio: Studio, *, is_json: bool) -> None:
+    if is_json:
+        print_json(
+            {
+                "url": studio.url,
+                "token": studio.door.token,
+                "stop": studio.stop_addresses[0].origin,
+                "addresses": [address.origin for address in studio.addresses],
+            }
+        )
+        sys.stdout.flush()
+        return
+    put(f"studio: {studio.url}")
+    for address in studio.addresses[1:]:
+        put(f"studio: {address.origin}/  (pair with a code that the page shows)")
+    if studio.is_network_readable:
+        put(
+            "warning: without TLS others on this network can read along and take over; give "
+            "--tls-certificate and --tls-key",
+            sys.stderr,
+        )
+    put("Ctrl-C stops the show and ends")
+    sys.stdout.flush()
+
+
+def _text(path: Path | None) -> str | None:
+    return None if path is None else str(path)
+
+
+def _address(text: str) -> tuple[str | None, int]:
+    """Return host and port of `--listen`."""
+    host, colon, port = text.rpartition(":") if text.count(":") == 1 else (text, "", "")
+    if host in ("0.0.0.0", "::", "*"):  # noqa: S104  (refused)
+        raise InputError(f"--listen {host}: give the one address that the tablet reaches")
+    if colon and not (port.isascii() and port.isdigit() and int(port) < 65536):
+        raise InputError(f"--listen {text}: the port is a number below 65536")
+    return host or None, int(port) if colon else 0
+
+
+def has_desktop() -> bool:
+    """Return whether there is a screen to open a browser on."""
+    if sys.platform == "darwin":
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -1,0 +1,239 @@
+"""Routes of the server: no decisions here, only calls.
+
+`make_app` returns an ASGI application; tests drive it without a port.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import mimetypes
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from starlette.applications import Starlette
+from starlette.requests import HTTPConnection
+from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocketDisconnect
+
+from lss_motion.errors import InputError
+from lss_motion.studio.access import Denied, Purpose, Role, asked_of, decide, make_cookie
+from lss_motion.studio.client import Allowance, Client
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+    from starlette.websockets import WebSocket
+
+    from lss_motion.studio.studio import Studio
+
+STATIC: Final = Path(__file__).parent / "static"
+BODY_MAX_BYTES: Final = 4096
+"""The largest body of a request: a token has 43 characters."""
+FILE_MAX_BYTES: Final = 64_000_000
+"""The largest file of a figure."""
+FILE_TYPES: Final = {
+    ".urdf": "application/xml",
+    ".stl": "model/stl",
+    ".dae": "model/vnd.collada+xml",
+    ".obj": "model/obj",
+    ".mtl": "text/plain",
+}
+"""What a figure is made of; no other file of the folder is given to anyone."""
+CLOSE_DENIED: Final = 4001
+CLOSE_OVERRUN: Final = 4002
+CLOSE_FULL: Final = 4003
+"""Codes of a closed websocket: not allowed; too slow, come again; too many clients."""
+
+# The types of files come from the system, and some systems know none for modules.
+mimetypes.add_type("text/javascript", ".js")
+mimetypes.add_type("text/javascript", ".mjs")
+
+
+def make_app(studio: Studio) -> Starlette:
+    """Return the application of one studio."""
+    routes = [
+        Route("/", _page),
+        Mount("/static", StaticFiles(directory=STATIC)),
+        Route("/session", _session, methods=["POST"]),
+        Route("/robot.json", _robot),
+        Route("/view/{plan}.json", _view),
+        Route("/files/{path:path}", _file),
+        Route("/stop", _stop, methods=["POST"]),
+        Route("/estop", _stop, methods=["POST"]),
+        WebSocketRoute("/ws", _socket),
+    ]
+    app = Starlette(routes=routes, exception_handlers={InputError: _refused})
+    app.state.studio = studio
+    app.add_middleware(Guard, studio=studio)
+    return app
+
+
+PURPOSES: Final = {
+    "/session": Purpose.SESSION,
+    "/ws": Purpose.SOCKET,
+    "/stop": Purpose.STOP,
+    "/estop": Purpose.STOP,
+}
+
+
+class Guard:
+    """Decides about each request before anything else sees it, and adds the headers of safety."""
+
+    def __init__(self, app: ASGIApp, studio: Studio) -> None:
+        self._app, self._studio = app, studio
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass an allowed request on, with its role in `scope["role"]`."""
+        path = scope["path"]
+        is_page = path == "/" or path.startswith("/static/")
+        purpose = Purpose.PAGE if is_page else PURPOSES.get(path, Purpose.DATA)
+        door = self._studio.door
+        found = decide(asked_of(purpose, HTTPConnection(scope).headers, door), door)
+        scope["role"] = found
+
+        async def send_guarded(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] = [*message["headers"], *self._studio.safety_headers(scope)]
+            await send(message)
+
+        if isinstance(found, Denied):
+            await _deny(found, scope, receive, send_guarded)
+        else:
+            await self._app(scope, receive, send_guarded)
+
+
+async def _deny(denied: Denied, scope: Scope, receive: Receive, send: Send) -> None:
+    if scope["type"] == "websocket":
+        await receive()
+        await send({"type": "websocket.close", "code": CLOSE_DENIED, "reason": denied.text})
+        return
+    await JSONResponse({"error": denied.text}, denied.status)(scope, receive, send)
+
+
+async def _refused(request: HTTPConnection, error: Exception) -> Response:  # noqa: ARG001
+    return JSONResponse({"error": str(error)}, 404)
+
+
+def _studio(connection: HTTPConnection) -> Studio:
+    studio: Studio = connection.app.state.studio
+    return studio
+
+
+async def _page(request: Request) -> Response:  # noqa: ARG001
+    return FileResponse(STATIC / "index.html", headers={"cache-control": "no-cache"})
+
+
+async def _session(request: Request) -> Response:
+    """Give a cookie for the token, or for a code of six digits."""
+    studio = _studio(request)
+    given = await _json_body(request)
+    found = studio.admit(given)
+    if isinstance(found, Denied):
+        return JSONResponse({"error": found.text}, found.status)
+    response = Response(status_code=204)
+    response.set_cookie(
+        studio.door.cookie_name,
+        make_cookie(found, studio.door.token),
+        httponly=True,
+        samesite="strict",
+        secure=request.url.scheme == "https",
+    )
+    return response
+
+
+async def _json_body(request: Request) -> dict[str, Any]:
+    """Return the JSON object of a body; an empty one for whatever else it is."""
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > BODY_MAX_BYTES:
+            return {}
+    try:
+        value = json.loads(body)
+    except (ValueError, RecursionError):
+        return {}
+    return value if isinstance(value, dict) else {}
+
+
+async def _stop(request: Request) -> Response:
+    _studio(request).desk.stop(is_emergency=request.url.path == "/estop")
+    return Response(status_code=204)
+
+
+async def _robot(request: Request) -> Response:
+    document = _studio(request).document
+    reply = document.newest if document.newest.robot else document.good
+    if reply is None or not reply.robot:
+        return JSONResponse({"error": "the robot is not known yet"}, 404)
+    return Response(reply.robot, media_type="application/json")
+
+
+async def _view(request: Request) -> Response:
+    view = _studio(request).document.view(request.path_params["plan"])
+    if view is None:
+        return JSONResponse({"error": "this plan is not kept any more"}, 404)
+    headers = {"cache-control": "private, max-age=86400, immutable"}
+    return Response(view, media_type="application/json", headers=headers)
+
+
+async def _file(request: Request) -> Response:
+    """Return a file of a figure, from below the folder of the show."""
+    path = _studio(request).document.inside(request.path_params["path"])
+    kind = FILE_TYPES.get(path.suffix.lower())
+    if kind is None or not path.is_file() or path.stat().st_size > FILE_MAX_BYTES:
+        return JSONResponse({"error": "no file of a figure"}, 404)
+    return FileResponse(path, media_type=kind)
+
+
+async def _socket(websocket: WebSocket) -> None:
+    """Serve one client until it goes, or is too slow."""
+    studio = _studio(websocket)
+    await websocket.accept()
+    role: Role = websocket.scope["role"]
+    name, place = studio.name_of(websocket, role), studio.place_of(websocket.headers["host"])
+    client = studio.hub.join(role, name, studio.now_s(), place)
+    if client is None:
+        await websocket.close(CLOSE_FULL, "too many clients")
+        return
+    tasks = [
+        asyncio.create_task(task)
+        for task in (_read(websocket, client, studio), _write(websocket, client))
+    ]
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        studio.hub.leave(client, studio.now_s())
+    if client.is_overrun:
+        with contextlib.suppress(RuntimeError, WebSocketDisconnect):
+            await websocket.close(CLOSE_OVERRUN, "too slow; come again")
+
+
+async def _read(websocket: WebSocket, client: Client, studio: Studio) -> None:
+    """Obey what a client sends; one that sends too much is read more slowly."""
+    allowance = Allowance(studio.now_s())
+    with contextlib.suppress(WebSocketDisconnect):
+        while True:
+            message = await websocket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            text = message.get("text")
+            studio.hub.receive(client, text if text is not None else b"", studio.now_s())
+            if wait_s := allowance.take(studio.now_s()):
+                await asyncio.sleep(wait_s)
+
+
+async def _write(websocket: WebSocket, client: Client) -> None:
+    """Send what waits for a client."""
+    with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+        while (content := await client.next()) is not None:
+            if isinstance(content, bytes):
+                await websocket.send_bytes(content)
+            else:
+                await websocket.send_text(content)

@@ -1,0 +1,224 @@
+"""The planner process: `python -m lss_motion.studio.planner FD`, started by `planning`.
+
+It loads, plans and compiles the file of each request, and returns what the server shows and
+starts: bytes, so that the server never needs what planning imports. Of requests that wait only the
+newest is carried out.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+import pickle
+import socket
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+from lss_motion.errors import InputError, LssMotionError
+from lss_motion.remote.link import BrokenLinkError, Kind, Link
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from lss_motion.gait.model import Gait
+    from lss_motion.robot.model import Robot
+    from lss_motion.shows import Show
+
+FileKind = Literal["sequence", "gait", "playlist", "robot"]
+PROBLEMS_MAX: Final = 100
+"""More errors of one file are not sent."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """What is to be planned."""
+
+    number: int
+    path: Path
+    robot_path: Path | None = None
+    backup: Path | None = None
+    """The backup with the limits that the robot file leaves to the servos."""
+    port: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reply:
+    """What became of a request; without a plan where `problems` say why, or it is a robot file."""
+
+    number: int
+    kind: FileKind = "sequence"
+    title: str = ""
+    problems: tuple[tuple[str, int | None, str], ...] = ()
+    """Path, line and text of each error."""
+    notes: tuple[str, ...] = ()
+    summary: tuple[str, ...] = ()
+    plan: str | None = None
+    view: bytes = b""
+    job: bytes = b""
+    """The packed job of the show."""
+    functions: tuple[str, ...] = ()
+    """The Python functions that the show calls."""
+    robot: bytes = b""
+    """The view of the robot, JSON; empty where it could not be read."""
+    robot_pickle: bytes = b""
+    port: str = ""
+    is_simulated: bool = False
+    files: tuple[Path, ...] = ()
+    """All files that the result depends on."""
+
+
+def reply_to(request: Request) -> Reply:
+    """Return the plan of a request, or what is wrong; raises nothing about the files."""
+    from lss_motion.shows import is_program, is_robot_file
+
+    found: dict[str, Any] = {"files": _first_files(request)}
+    try:
+        if is_program(request.path):
+            raise InputError(
+                "is a compiled program; open the sequence it was made of", path=request.path
+            )
+        if is_robot_file(request.path):
+            found |= {"kind": "robot", "title": request.path.stem}
+            robot = _robot(request.path, request)
+            found["files"] = tuple(sorted({*found["files"], *_files_of_robot(robot)}))
+            found |= _of_robot(robot)
+        else:
+            found |= _of_show(request, found)
+    except LssMotionError as error:
+        found["problems"] = tuple(_problems(error, request.path))
+    except RecursionError:
+        found["problems"] = ((str(request.path), None, "is nested too deeply"),)
+    except MemoryError:
+        found["problems"] = ((str(request.path), None, "needs more memory than there is"),)
+    named = {Path(path) for path, _, _ in found.get("problems", ())}
+    found["files"] = tuple(sorted({*found["files"], *named}))
+    return Reply(number=request.number, **found)
+
+
+def _first_files(request: Request) -> tuple[Path, ...]:
+    """Return the files that are known before anything was read."""
+    return tuple(p for p in (request.path, request.robot_path, request.backup) if p is not None)
+
+
+def _robot(path: Path, request: Request) -> Robot:
+    from lss_motion.connection import with_port
+    from lss_motion.robot.load import load_robot
+    from lss_motion.shows import with_backup
+
+    return with_port(with_backup(load_robot(path), request.backup), request.port)
+
+
+def _files_of_robot(robot: Robot) -> list[Path]:
+    return [
+        path
+        for path in (robot.path, None if robot.urdf is None else robot.urdf.path)
+        if path is not None
+    ]
+
+
+def _of_robot(robot: Robot, gait: Gait | None = None) -> dict[str, Any]:
+    from lss_motion.connection import is_simulated
+    from lss_motion.studio.robot_view import robot_view
+
+    return {
+        "robot": _json(robot_view(robot, gait)),
+        "robot_pickle": pickle.dumps(robot),
+        "port": ", ".join(bus.port for bus in robot.buses.values()),
+        "is_simulated": is_simulated(robot),
+        "title": robot.name,
+    }
+
+
+def _of_show(request: Request, found: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields of a show; those that are known so far go to `found` on the way."""
+    from lss_motion.gait import is_gait_file
+    from lss_motion.remote.job import Job
+    from lss_motion.remote.process import packed
+    from lss_motion.remote.schema import plan_hash
+    from lss_motion.sequence.functions import calls_of
+    from lss_motion.shows import compiled, files_of, load, load_gait
+    from lss_motion.studio.view import view_of
+    from lss_motion.summaries import program_lines
+
+    is_gait = is_gait_file(request.path)
+    found |= {"kind": "gait" if is_gait else "sequence", "title": request.path.stem}
+
+    def read(path: Path) -> Robot:
+        return _robot(path, request)
+
+    sequence, robot = load(request.path, request.robot_path, read)
+    gait = load_gait(request.path, robot.path, read)[0] if is_gait else None
+    files = {*found["files"], *files_of(sequence), *_files_of_robot(robot)}
+    found |= {**_of_robot(robot, gait), "files": tuple(sorted(files)), "title": sequence.name}
+    if sequence.play:
+        found["kind"] = "playlist"
+    show = compiled(sequence, robot)
+    plan = plan_hash(show.program).hex()
+    sounds = {Path(cue.sound) for cue in show.program.cues if cue.sound}
+    job = Job(program=show.program, robot=robot, trajectory=show.trajectory)
+    return {
+        "files": tuple(sorted(files | sounds)),
+        "plan": plan,
+        "view": _json(view_of(show, plan)),
+        "job": packed(job),
+        "summary": tuple(program_lines(show)),
+        "notes": tuple(_notes(show)),
+        "functions": tuple(call.run for call in calls_of(show.program.cues)),
+    }
+
+
+def _notes(show: Show) -> Iterator[str]:
+    """Yield what a person should know before the show is played."""
+    from lss_motion.sequence.functions import call_lines
+
+    yield from call_lines(show.program.cues)
+    if show.program.is_endless:
+        yield "the show has no end: it plays until it is stopped"
+
+
+def _problems(error: LssMotionError, path: Path) -> Iterator[tuple[str, int | None, str]]:
+    """Yield the place and the text of an error, and of those that came with it."""
+    if not isinstance(error, InputError):
+        yield str(path), None, str(error)
+        return
+    for one in (error, *error.more)[:PROBLEMS_MAX]:
+        yield str(one.path or path), one.line, one.reason
+
+
+def _json(value: dict[str, object]) -> bytes:
+    return json.dumps(_finite(value), ensure_ascii=False, separators=(",", ":")).encode()
+
+
+def _finite(value: Any) -> Any:  # noqa: ANN401  JSON
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def main() -> int:
+    """Answer requests until the other end closes; return an exit code."""
+    link = Link(socket.socket(fileno=int(sys.argv[1])))
+    try:
+        while True:
+            requests = link.receive()
+            # Everything that has arrived by now: only the newest counts.
+            link.set_blocking(is_blocking=False)
+            requests += link.receive()
+            link.set_blocking(is_blocking=True)
+            if requests:
+                request = pickle.loads(requests[-1][1])  # noqa: S301  (from our own server)
+                link.send(Kind.OBJECT, pickle.dumps(reply_to(request)))
+            while link.is_full and not link.is_closed:
+                link.flush()
+    except (BrokenLinkError, KeyboardInterrupt):
+        return 0
+
+
+if __name__ == "__main__":
+    # Not `main` of this module: what is pickled would then be of the module `__main__`.
+    sys.exit(importlib.import_module("lss_motion.studio.planner").main())

@@ -1,0 +1,211 @@
+"""The process that only stops: `python -m lss_motion.studio.stop CONTROL_FD LISTEN_FD...`.
+
+It has its own ports, knows the token, and has a link of its own to each player. So a stop arrives
+where the server hangs, stands still or was killed. It lives until the server and the last player
+have ended. A stop is kept until the server sends `rearm`: a player that starts meanwhile is stopped
+at once.
+
+The server sends lines of JSON: `{"player": true}` with the end of a new link, `{"latch": "stop"}`,
+`{"rearm": true}`; it gets `{"latch": "stop" | "estop"}`. The settings are the first line.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import signal
+import socket
+import sys
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+from lss_motion.remote.link import BrokenLinkError, Kind, Link
+from lss_motion.remote.schema import Estop, Stop
+from lss_motion.studio.access import Denied, Door, Purpose, asked_of, decide
+
+if TYPE_CHECKING:
+    from collections.abc import Awaitable, Callable
+
+StopKind = Literal["stop", "estop"]
+LINE_MAX_BYTES: Final = 65536
+ENDS_MAX: Final = 8
+"""Links that may arrive with one read; the server sends them one by one."""
+
+
+@dataclass(frozen=True, slots=True)
+class StopSettings:
+    """What the process needs to know of the server."""
+
+    hosts: list[str]
+    origins: list[str]
+    token: str
+    cookie_name: str
+    certificate: str | None = None
+    key: str | None = None
+
+    @property
+    def door(self) -> Door:
+        """What requests are compared with."""
+        return Door(frozenset(self.hosts), frozenset(self.origins), self.token, self.cookie_name)
+
+
+class Stopper:
+    """The players' links, and the stop that is kept until it is armed again."""
+
+    def __init__(self, control: socket.socket, on_end: Callable[[], None]) -> None:
+        self.latch: StopKind | None = None
+        self.settings: StopSettings | None = None
+        self.has_settings = asyncio.Event()
+        self._control: socket.socket | None = control
+        self._inbox = b""
+        self._ends: list[int] = []
+        self._links: list[Link] = []
+        self._on_end = on_end
+        asyncio.get_running_loop().add_reader(control.fileno(), self._read)
+
+    def stop(self, kind: StopKind) -> None:
+        """Stop every player, and those that start before `rearm`; tell the server."""
+        if self.latch != "estop":
+            self.latch = kind
+        for link in self._links:
+            _send(link, kind)
+        if self._control is not None:
+            with contextlib.suppress(OSError):  # A server that does not read, or is gone.
+                self._control.send(json.dumps({"latch": kind}).encode() + b"\n")
+
+    def _read(self) -> None:
+        """Take what the server sent; it may have ended."""
+        assert self._control is not None
+        try:
+            data, ends, _, _ = socket.recv_fds(self._control, LINE_MAX_BYTES, ENDS_MAX)
+        except BlockingIOError:
+            return
+        except OSError:
+            data, ends = b"", []
+        self._ends += ends
+        self._inbox += data
+        if not data or len(self._inbox) > LINE_MAX_BYTES:
+            asyncio.get_running_loop().remove_reader(self._control.fileno())
+            self._control.close()
+            self._control = None
+            self._end_if_alone()
+            return
+        *lines, self._inbox = self._inbox.split(b"\n")
+        for line in lines:
+            self._obey(json.loads(line))
+
+    def _obey(self, order: dict[str, Any]) -> None:
+        if self.settings is None:
+            self.settings = StopSettings(**order)
+            self.has_settings.set()
+        elif "player" in order and self._ends:
+            self._take(socket.socket(fileno=self._ends.pop(0)))
+        elif "latch" in order:
+            self.latch = order["latch"]
+        elif "rearm" in order:
+            self.latch = None
+
+    def _take(self, end: socket.socket) -> None:
+        end.setblocking(False)  # noqa: FBT003
+        link = Link(end)
+        self._links.append(link)
+        asyncio.get_running_loop().add_reader(link.fileno(), self._watch, link)
+        if self.latch is not None:
+            _send(link, self.latch)
+
+    def _watch(self, link: Link) -> None:
+        """Drop the link of a player that has ended."""
+        try:
+            link.receive()
+        except BrokenLinkError:
+            asyncio.get_running_loop().remove_reader(link.fileno())
+            link.close()
+            self._links.remove(link)
+            self._end_if_alone()
+
+    def _end_if_alone(self) -> None:
+        if self._control is None and not self._links:
+            self._on_end()
+
+
+def _send(link: Link, kind: StopKind) -> None:
+    operation = Estop() if kind == "estop" else Stop()
+    link.send(Kind.OPERATION, operation.model_dump_json().encode())
+
+
+class StopPages:
+    """The two addresses of the process, as an ASGI application: no body is read."""
+
+    def __init__(self, stopper: Stopper, door: Door) -> None:
+        self._stopper, self._door = stopper, door
+
+    async def __call__(
+        self,
+        scope: dict[str, Any],
+        receive: Callable[[], Awaitable[dict[str, Any]]],  # noqa: ARG002  (ASGI)
+        send: Callable[[dict[str, Any]], Awaitable[None]],
+    ) -> None:
+        """Answer one request."""
+        if scope["type"] != "http":
+            return
+        status, text = self._answer(scope)
+        headers = [(b"content-type", b"text/plain; charset=utf-8"), (b"cache-control", b"no-store")]
+        await send({"type": "http.response.start", "status": status, "headers": headers})
+        await send({"type": "http.response.body", "body": text.encode()})
+
+    def _answer(self, scope: dict[str, Any]) -> tuple[int, str]:
+        headers = {
+            name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]
+        }
+        if scope["path"] not in ("/stop", "/estop"):
+            return 404, "only /stop and /estop are here"
+        if scope["method"] != "POST":
+            return 405, "a stop is a POST"
+        found = decide(asked_of(Purpose.STOP, headers, self._door), self._door)
+        if isinstance(found, Denied):
+            return found.status, found.text
+        self._stopper.stop("estop" if scope["path"] == "/estop" else "stop")
+        return 204, ""
+
+
+async def serve(control: socket.socket, listening: list[socket.socket]) -> None:
+    """Serve until the server and the last player have ended."""
+    from lss_motion.studio.web import LOOPBACK, Server, make_server
+
+    servers: list[Server] = []
+
+    def end() -> None:
+        for server in servers:
+            server.should_exit = True
+
+    stopper = Stopper(control, end)
+    await stopper.has_settings.wait()
+    settings = stopper.settings
+    assert settings is not None
+    for own in listening:
+        is_plain = own.getsockname()[0] == LOOPBACK
+        server = make_server(
+            StopPages(stopper, settings.door),
+            certificate=None if is_plain else settings.certificate,
+            key=None if is_plain else settings.key,
+            has_sockets=False,
+        )
+        servers.append(server)
+    await asyncio.gather(
+        *(server.serve([own]) for server, own in zip(servers, listening, strict=True))
+    )
+
+
+def main() -> int:
+    """Serve the file numbers of the arguments; return an exit code."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)  # The server ends it, and it outlives the server.
+    control, *listening = (socket.socket(fileno=int(number)) for number in sys.argv[1:])
+    control.setblocking(False)  # noqa: FBT003
+    asyncio.run(serve(control, listening))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,127 @@
+"""Listening sockets, and uvicorn as both of our servers use it."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import socket
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import uvicorn
+
+from lss_motion.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+LOOPBACK: Final = "127.0.0.1"
+FRAME_MAX_BYTES: Final = 8192
+"""The largest message of a client; ours have less than 200 bytes."""
+FRAMES_MAX: Final = 16
+"""Messages of a client that wait; then its connection is not read."""
+CLOSE_S: Final = 2
+"""An answer that is not finished at the end is given up after this time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """Where a server listens, and what its clients call it."""
+
+    host: str
+    port: int
+    is_tls: bool
+
+    @property
+    def name(self) -> str:
+        """What stands in `Host`."""
+        default = 443 if self.is_tls else 80
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return host if self.port == default else f"{host}:{self.port}"
+
+    @property
+    def origin(self) -> str:
+        """What stands in `Origin`."""
+        return f"{'https' if self.is_tls else 'http'}://{self.name}"
+
+    @property
+    def socket_origin(self) -> str:
+        """The origin of its websocket."""
+        return f"{'wss' if self.is_tls else 'ws'}://{self.name}"
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Return a socket that listens; raises `InputError` that says what to do."""
+    try:
+        family, _, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    except (OSError, UnicodeError):
+        raise InputError(f"--listen {host}: no such address; {_own_addresses()}") from None
+    own = socket.socket(family, socket.SOCK_STREAM)
+    own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        own.bind(place)
+        own.listen(128)
+    except OSError as error:
+        own.close()
+        raise InputError(f"--listen {host}:{port}: {_remedy(error)}") from None
+    own.setblocking(False)  # noqa: FBT003
+    return own
+
+
+def _remedy(error: OSError) -> str:
+    match error.errno:
+        case errno.EADDRINUSE:
+            return "another program listens there; give another port, or none"
+        case errno.EACCES | errno.EPERM:
+            return "ports below 1024 belong to the system; give one above"
+        case errno.EADDRNOTAVAIL:
+            return f"is no address of this computer; {_own_addresses()}"
+        case _:
+            return error.strerror or str(error)
+
+
+def _own_addresses() -> str:
+    found = {LOOPBACK}
+    with contextlib.suppress(OSError):
+        found |= {str(one[4][0]) for one in socket.getaddrinfo(socket.gethostname(), None)}
+    with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect(("192.0.2.1", 9))  # Sends nothing: it only chooses a route.
+        found.add(str(probe.getsockname()[0]))
+    return f"this computer has {', '.join(sorted(found))}"
+
+
+class Server(uvicorn.Server):
+    """A server that leaves signals to its program."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Change no signal handler."""
+        yield
+
+
+def make_server(
+    app: Any,  # noqa: ANN401  (an ASGI application)
+    *,
+    certificate: str | None = None,
+    key: str | None = None,
+    has_sockets: bool = True,
+) -> Server:
+    """Return a server for one listening socket, with TLS if there is a certificate."""
+    return Server(
+        uvicorn.Config(
+            app,
+            ssl_certfile=certificate,
+            ssl_keyfile=key,
+            http="h11",
+            ws="websockets-sansio" if has_sockets else "none",
+            ws_max_size=FRAME_MAX_BYTES,
+            ws_max_queue=FRAMES_MAX,
+            ws_per_message_deflate=False,
+            lifespan="off",
+            log_config=None,
+            access_log=False,
+            proxy_headers=False,
+            server_header=False,
+            timeout_graceful_shutdown=CLOSE_S,
+        )
+    )
