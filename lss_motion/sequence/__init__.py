@@ -7,6 +7,7 @@ file         what it is                                             called by
 `file`       the keys of a sequence file, their units and bounds    `load`, `gait.file`
 `load`       file → `Sequence`, with its robot; its JSON Schema     `api`, `cli`
 `keyframes`  the keyframes of one track; a sequence at a speed      `load`, `parts`, `trajectory`
+`beats`      `at_beat` of a keyframe → the time of that beat         `load`
 `functions`  Python functions of a show, looked up and not run      `load`, `runtime`, `cli`
 `parts`      steps of a play list, layers; a mirrored sequence      `load`
 `check`      what robot and sequence must agree on; what loops      `load`, `cli`, `interchange`

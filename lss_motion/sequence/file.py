@@ -52,6 +52,7 @@ TimeS = Annotated[float, Field(ge=0.0, le=TIME_MAX_S)]
 Colour = Literal["off", "red", "green", "blue", "yellow", "cyan", "magenta", "white"]
 Ease = Literal["smooth", "spline", "linear", "hold"]
 Keep = Literal["angle", "time"]
+BeatTimes = Annotated[list[TimeS], Field(min_length=2, max_length=EVENTS_MAX)]
 
 WEIGHT_MAX: Final = 1000.0
 """Chosen: a weight of 100 misses a key of a fast jaw by less than a tenth of a degree."""
@@ -98,6 +99,11 @@ class KeyframeEntry(FileModel, title="keyframe"):
     after_s: TimeS | None = Field(
         default=None,
         description="Seconds from the end of the keyframe before, hold_s included.",
+    )
+    at_beat: Annotated[float, Field(ge=1.0, le=EVENTS_MAX)] | None = Field(
+        default=None,
+        description="Number of a beat of the file, from 1 on, in place of a time; 12.5 is half "
+        "way between two beats.",
     )
     pose: Name | None = Field(default=None, description="Name of a pose of the robot file.")
     deg: dict[Name, AngleDeg] | None = Field(
@@ -321,6 +327,15 @@ class SoundEntry(FileModel, title="sound"):
     )
 
 
+class BeatsEntry(FileModel, title="beats"):
+    """The beats of the music, for at_beat of keyframes."""
+
+    at_s: BeatTimes = Field(description="The instant of each beat, in order.")
+    anchor: bool = Field(
+        default=False, description="Keyframes with at_beat are anchors, unless they say otherwise."
+    )
+
+
 class SequenceFile(TrackEntry, title="sequence file"):
     """A show for one robot: keyframes, tracks beside them, or a play list; layers on top."""
 
@@ -367,6 +382,12 @@ class SequenceFile(TrackEntry, title="sequence file"):
         description="A sound that begins with the show and ends with it at the latest, as music; "
         "in every pass of a loop. Pauses and --from reach it. Its clock leads the show.",
         examples=["music.ogg"],
+    )
+    beats: BeatTimes | BeatsEntry | None = Field(
+        default=None,
+        description="The beats of the music in seconds, for at_beat of keyframes, also in tracks. "
+        "`lss-motion beats` proposes them.",
+        examples=[[0.48, 0.98, 1.48]],
     )
     on_fault: OnFaultEntry = Field(
         default_factory=OnFaultEntry,

@@ -311,6 +311,7 @@ def at_speed(sequence: Sequence, ratio: float = 1.0) -> Sequence:
         play=tuple(_step(step, ratio) for step in sequence.play),
         layers=tuple(_layer(layer, ratio) for layer in sequence.layers),
         events=tuple(_cue(cue, ratio) for cue in sequence.events),
+        beats_s=tuple(beat_s / ratio for beat_s in sequence.beats_s),
     )
 
 

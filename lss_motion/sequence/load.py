@@ -15,6 +15,7 @@ from lss_motion.files.source import known_names
 from lss_motion.files.yaml_source import Location, Problem, read_yaml, source_of
 from lss_motion.protocol.constants import Led
 from lss_motion.robot.load import load_named_robot
+from lss_motion.sequence.beats import beats_of, on_beats
 from lss_motion.sequence.check import check_sequence
 from lss_motion.sequence.functions import function_problem
 from lss_motion.sequence.keyframes import TrackLoader, at_speed, timing_of
@@ -89,11 +90,15 @@ def _loaded(source: YamlSource, robot: Robot | None, part: FileContext) -> Seque
     }
     content, problems, left_out = validate(SequenceFile, source, blanks=blanks)
     errors: list[InputError] = []
+    found: list[Problem] = []
     try:
         robot = robot or _named_robot(source, left_out)
     except InputError as error:
         errors.append(error)
     if content is not None:
+        content, found = on_beats(content)
+        problems += found
+    if content is not None and not found:
         loader = _Loader(content, left_out, source, robot, part.inside(source.path))
         sequence = loader.sequence()
         problems += loader.problems
@@ -191,6 +196,7 @@ class _Loader:
                 *bed(content.sound, self.left_out, self.source, self._note),
                 *cues(content.events, self.left_out, self.source, self.robot, self._note),
             ),
+            beats_s=beats_of(content),
             on_fault=escalations(content.on_fault),
         )
         self.problems += parts.problems

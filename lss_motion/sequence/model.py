@@ -220,6 +220,8 @@ class Sequence:
     """On top of the others, in this order. Their times count from the start of the show."""
     events: tuple[Cue, ...] = ()
     """Events that are not motion. They are repeated with every pass of a loop."""
+    beats_s: tuple[float, ...] = ()
+    """The beats of the music. The times of keyframes are given as such already; for pictures."""
     on_fault: Escalations = field(default_factory=dict)
     """Escalations of this show, in place of those of its robot. Those of the sequences that it
     plays have no effect."""

@@ -19,7 +19,7 @@ from lss_motion.sequence.model import Interpolation
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from lss_motion.sequence.model import Keyframe, Sequence
+    from lss_motion.sequence.model import Cue, Keyframe, Sequence
 
 SCHEMAS: Final = (
     Path("schema", "sequence.schema.json"),
@@ -41,12 +41,17 @@ def write_sequence(sequence: Sequence, path: Path | str, *, comments: Iterable[s
 def sequence_text(sequence: Sequence, folder: Path, *, comments: Iterable[str] = ()) -> str:
     """Return a sequence file for `folder` that loads as `sequence` again.
 
-    Poses are written as angles. `comments` come first, one a line. Raises `InputError` for a play
-    list or layers: the file would have to name their files, and the sequence does not hold those.
+    Poses are written as angles, beats as times. `comments` come first, one a line. Raises
+    `InputError` for a play list or layers: the file would have to name their files, and the sequence
+    does not hold those; and for events besides the sound of the show.
     """
     if sequence.play or sequence.layers:
         raise InputError("play lists and layers cannot be written", path=sequence.path)
-    return "\n".join([*_head(sequence, folder, comments), *_body(sequence), ""])
+    beds = [cue for cue in sequence.events if cue.style.is_bed]
+    if len(beds) < len(sequence.events) or len(beds) > 1:
+        raise InputError("events cannot be written", path=sequence.path)
+    sound = [_bed(cue, folder) for cue in beds]
+    return "\n".join([*_head(sequence, folder, comments), *sound, *_body(sequence), ""])
 
 
 def _head(sequence: Sequence, folder: Path, comments: Iterable[str]) -> Iterator[str]:
@@ -62,7 +67,16 @@ def _head(sequence: Sequence, folder: Path, comments: Iterable[str]) -> Iterator
         yield f"robot: {_text(_relative(sequence.robot_path, folder))}"
 
 
+def _bed(cue: Cue, folder: Path) -> str:
+    file = _text(_relative(Path(cue.sound), folder))
+    gain = f", gain_db: {_number(cue.style.gain_db)}" if cue.style.gain_db else ""
+    loop = ", loop: true" if cue.style.is_looped else ""
+    return f"sound: {{file: {file}{gain}{loop}}}" if gain or loop else f"sound: {file}"
+
+
 def _body(sequence: Sequence) -> Iterator[str]:
+    if sequence.beats_s:
+        yield f"beats: [{', '.join(map(_number, sequence.beats_s))}]"
     if sequence.speed_ratio != 1.0:
         yield f"speed_ratio: {_number(sequence.speed_ratio)}"
     if sequence.on_fault:

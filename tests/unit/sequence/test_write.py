@@ -10,7 +10,14 @@ import pytest
 from lss_motion.errors import InputError
 from lss_motion.robot.on_fault import Cause, FaultStep
 from lss_motion.sequence.load import load_sequence
-from lss_motion.sequence.model import Interpolation, Keyframe, Sequence, Step
+from lss_motion.sequence.model import (
+    Cue,
+    Interpolation,
+    Keyframe,
+    Sequence,
+    SoundStyle,
+    Step,
+)
 from lss_motion.sequence.write import sequence_text, write_sequence
 
 if TYPE_CHECKING:
@@ -103,3 +110,20 @@ def test_escalations_are_written(folder: Path, sequence: Sequence) -> None:
     ladders = {Cause.ASTRAY: (FaultStep.WARN, FaultStep.HOLD), Cause.SILENT: (FaultStep.RESUME,)}
     write_sequence(replace(sequence, on_fault=ladders), folder / "s.yaml")
     assert load_sequence(folder / "s.yaml").on_fault == ladders
+
+
+def test_the_sound_of_the_show_and_its_beats_are_written(folder: Path, sequence: Sequence) -> None:
+    (folder / "voice 1.wav").write_bytes(b"")
+    bed = Cue(
+        at_s=0.0,
+        sound=str(folder / "voice 1.wav"),
+        style=SoundStyle(is_bed=True, gain_db=-6.0, is_looped=True),
+    )
+    with_sound = replace(sequence, events=(bed,), beats_s=(0.5, 1.25))
+    write_sequence(with_sound, folder / "s.yaml")
+    text = (folder / "s.yaml").read_text(encoding="utf-8")
+    assert 'sound: {file: "voice 1.wav", gain_db: -6, loop: true}\n' in text
+    assert load_sequence(folder / "s.yaml") == with_sound
+    other = replace(sequence, events=(Cue(at_s=0.0, say="hello"),))
+    with pytest.raises(InputError, match="events cannot be written"):
+        sequence_text(other, folder)
