@@ -14,6 +14,7 @@ from lss_motion.cli.commands import (
     number_from,
     reader,
 )
+from lss_motion.cli.voices import SOUND_TEXT, add_sound_options, import_sound, require_options
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
 
@@ -75,7 +76,8 @@ Formats: {FORMATS_IN}.
 The format is recognised by the content. A dense recording is reduced to the fewest keys that stay
 within the tolerance. A map file gives, for each joint of the motion, the joint of this robot and
 the meaning of its values; --make-map writes one to begin with.
-"""
+
+{SOUND_TEXT}"""
 
 EXPORT_TEXT: Final = """\
 Write the motion of a sequence, or a log of lss-play, for other tools.
@@ -146,10 +148,10 @@ def _add_import(commands: Commands) -> None:
     imported.add_argument(
         "--keep",
         choices=("angle", "time"),
-        default="angle",
         help="what joints keep where their servo is too slow: every angle, but later (default), or "
-        "every instant, but less far",
+        "every instant, but less far (default for a sound)",
     )
+    add_sound_options(imported)
     target = imported.add_mutually_exclusive_group(required=True)
     target.add_argument("-o", "--output", type=Path, metavar="S.yaml", help="the sequence to write")
     target.add_argument(
@@ -191,6 +193,7 @@ def _import(arguments: argparse.Namespace) -> int:
     from lss_motion.sequence.model import Interpolation
     from lss_motion.sequence.parts import keeping
     from lss_motion.sequence.write import write_sequence
+    from lss_motion.sound.files import is_sound
     from lss_motion.summaries import fit_text, plan_lines
     from lss_motion.trajectory.planner import plan
 
@@ -199,7 +202,14 @@ def _import(arguments: argparse.Namespace) -> int:
         sources=[arguments.file, arguments.robot, arguments.robot_cache, arguments.map],
         is_forced=arguments.force,
     )
+    require_options(arguments)
     robot = reader(arguments, may_query=False)(arguments.robot)
+    if arguments.joint is not None:
+        return import_sound(arguments, robot)
+    if is_sound(arguments.file):
+        raise InputError(
+            "is a sound; name the joint that follows it, such as --joint jaw", path=arguments.file
+        )
     motion = read_motion(
         arguments.file, format_name=arguments.format_name, motion_name=arguments.motion
     )

@@ -8,6 +8,7 @@
 | `reader`      | `Reader`, and the motion that it returns                   | the readers         |
 | `fields`      | checked values from JSON and text, with their place        | the readers         |
 | `mapping`     | joints of the file → joints of the robot; map files        | `importing`, cli    |
+| `voice`       | a sound → the motion of a jaw, a nod, a sway               | cli                 |
 | `reduce`      | a recording → few keys within a tolerance                  | `importing`         |
 | `fitted_keys` | fewer keys of a spline by fitted angles                    | `reduce`            |
 | `export`      | samples of a plan → CSV, ROS, Blender                      | cli                 |

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final, TypeVar
 
 from lss_motion.files.yaml_source import Location, Problem
@@ -39,7 +40,7 @@ def on_beats(content: SequenceFile) -> tuple[SequenceFile, list[Problem]]:
     """Return the file with a time in place of every `at_beat`, and what is wrong with them."""
     beats_s, problems = beats_of(content), list[Problem]()
     place: Location = ("beats",) if isinstance(content.beats, list) else ("beats", "at_s")
-    for index, (before_s, beat_s) in enumerate(zip(beats_s, beats_s[1:], strict=False), start=1):
+    for index, (before_s, beat_s) in enumerate(pairwise(beats_s), start=1):
         if beat_s <= before_s:
             reason = f"beats must be in order, but {beat_s:g} s comes after {before_s:g} s"
             problems.append(Problem((*place, index), reason))

@@ -42,8 +42,8 @@ def sequence_text(sequence: Sequence, folder: Path, *, comments: Iterable[str] =
     """Return a sequence file for `folder` that loads as `sequence` again.
 
     Poses are written as angles, beats as times. `comments` come first, one a line. Raises
-    `InputError` for a play list or layers: the file would have to name their files, and the sequence
-    does not hold those; and for events besides the sound of the show.
+    `InputError` for a play list or layers: the file would have to name their files, and the
+    sequence does not hold those; and for events besides the sound of the show.
     """
     if sequence.play or sequence.layers:
         raise InputError("play lists and layers cannot be written", path=sequence.path)

@@ -1,4 +1,4 @@
-"""Sound: reading files, and playing them on a clock that can be read. Extra `[sound]`.
+"""Sound: reading and analysing files, playing them on a clock that can be read. Extra `[sound]`.
 
 Nothing here knows a robot or a show; the packages above hand over times and files. Without the
 extra every module can be imported; what needs it raises `InputError` with the command that
@@ -9,6 +9,8 @@ installs it.
 | `files.py`        | WAV, FLAC, OGG, MP3 as samples, exact to the frame   | all                  |
 | `sources.py`      | a file at the rate of a device, read ahead           | `mixer`, `process`   |
 | `mixer.py`        | what a device plays, block by block, with the show   | `device`, `process`  |
+| `spectra.py`      | short-time spectra of a file, piece by piece         | `envelope`           |
+| `envelope.py`     | loudness over time; syllables, swells, sides         | `interchange`        |
 | `device_clock.py` | when the frames of a device sound                    | `device`             |
 | `device.py`       | the devices of this computer, one open stream        | `process`, `cli`     |
 | `process.py`      | the process that plays the sounds of a show          | started by `runtime` |

@@ -70,6 +70,19 @@ def has_soundfile() -> bool:
     return True
 
 
+def is_sound(path: Path) -> bool:
+    """Return whether a file begins as sound files do; without the extra, too."""
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(12)
+    except OSError:
+        return False  # Whoever reads it reports that.
+    riff = head[:4] in (b"RIFF", b"RF64") and head[8:12] == b"WAVE"
+    aiff = head[:4] == b"FORM" and head[8:11] == b"AIF"
+    mpeg = head[:1] == b"\xff" and head[1:2] in (b"\xfb", b"\xfa", b"\xf3", b"\xf2")
+    return riff or aiff or mpeg or head.startswith((b"fLaC", b"OggS", b"ID3"))
+
+
 def sound_info(path: Path) -> SoundInfo:
     """Return what the head of a file states; raises `InputError` if it is no sound, or empty."""
     with SoundReader(path) as reader:
