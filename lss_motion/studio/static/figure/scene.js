@@ -1,0 +1,258 @@
+// @ts-check
+/** A figure in 3D, by three.js. Loaded only where there is WebGL; `figure.js` falls back to 2D. */
+
+import {
+  BoxGeometry,
+  CapsuleGeometry,
+  Color,
+  CylinderGeometry,
+  DirectionalLight,
+  Float32BufferAttribute,
+  BufferGeometry,
+  GridHelper,
+  Group,
+  HemisphereLight,
+  LineBasicMaterial,
+  LineSegments,
+  Matrix4,
+  Mesh,
+  MeshLambertMaterial,
+  OrbitControls,
+  PerspectiveCamera,
+  Quaternion,
+  Scene,
+  SphereGeometry,
+  Vector3,
+  WebGLRenderer,
+} from "../vendor/three.js";
+import { STRIDE, boxOf, groundOf, isThick, placeLinks } from "./kinematics.js";
+import { VIEWS, axesOf, centreOf, halvesOf } from "./camera.js";
+
+/** @typedef {import("./kinematics.js").Figure} Figure */
+/** @typedef {import("./kinematics.js").Link} Link */
+/** @typedef {import("./kinematics.js").Shape} Shape */
+/** @typedef {import("./kinematics.js").Box} Box */
+/** @typedef {import("./stick.js").Poses} Poses */
+/** @typedef {import("./stick.js").Palette} Palette */
+
+const FIELD_OF_VIEW_DEG = 32;
+/** How many times the size of the figure the picture has. */
+const MARGIN_RATIO = 1.05;
+/** Share of the depth of its box by which the figure may come nearer than its middle. */
+const NEARNESS_RATIO = 0.6;
+const GHOST_OPACITY = 0.45;
+const GROUND_LINES = 10;
+const UP = new Vector3(0, 0, 1);
+
+/** A figure that can be turned, moved and made larger by mouse and touch. */
+export class SceneFigure {
+  kind = /** @type {const} */ ("webgl");
+  /** @type {Box | null} */
+  #box = null;
+  #view = "Perspective";
+  #isMovedByHand = false;
+
+  /**
+   * Throws where there is no WebGL.
+   * @param {HTMLCanvasElement} canvas @param {Figure} figure @param {() => void} changed
+   * @param {(path: string) => string} meshUrl
+   */
+  constructor(canvas, figure, changed, meshUrl) {
+    this.canvas = canvas;
+    this.figure = figure;
+    this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true });
+    this.scene = new Scene();
+    this.camera = new PerspectiveCamera(FIELD_OF_VIEW_DEG, 1, figure.reach_mm / 50, 60 * figure.reach_mm);
+    this.camera.up.copy(UP);
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.addEventListener("start", () => {
+      this.#isMovedByHand = true;
+    });
+    this.controls.addEventListener("change", changed);
+    this.materials = {
+      solid: new MeshLambertMaterial(),
+      edge: new MeshLambertMaterial(),
+      ghost: new MeshLambertMaterial({ transparent: true, opacity: GHOST_OPACITY, depthWrite: false }),
+      reading: new LineBasicMaterial({ depthTest: false }),
+      ground: new LineBasicMaterial({ transparent: true, opacity: 0.6 }),
+    };
+    const { solid, edge, ghost, reading, ground } = this.materials;
+    this.parts = {
+      predicted: figure.links.map((link) => solidLink(link, solid, edge)),
+      authored: figure.links.map((link) => solidLink(link, ghost, ghost)),
+      read: figure.links.map((link) => lineLink(link, reading)),
+    };
+    this.robot = new Group();
+    for (const groups of Object.values(this.parts)) this.robot.add(...groups);
+    this.grid = new GridHelper(2 * figure.reach_mm, GROUND_LINES);
+    this.grid.material = ground;
+    this.grid.rotation.x = Math.PI / 2;
+    this.sun = new DirectionalLight(0xffffff, 2.2);
+    this.scene.add(this.robot, this.grid, new HemisphereLight(0xffffff, 0x777788, 1.6), this.sun);
+    loadMeshes(this, meshUrl, changed);
+  }
+
+  /** @param {string} name one of `VIEWS` */
+  setView(name) {
+    this.#view = name;
+    this.#isMovedByHand = false;
+  }
+
+  /** @param {Poses} poses @param {Palette} palette @param {import("./camera.js").Size} size @param {number} ratio device pixels per CSS pixel */
+  draw(poses, palette, size, ratio) {
+    for (const role of /** @type {const} */ (["solid", "edge", "ghost", "reading", "ground"])) {
+      this.materials[role].color = new Color(palette[role]);
+    }
+    const placed = placeLinks(this.figure, poses.predicted);
+    this.robot.position.z = -groundOf(this.figure, placed);
+    apply(this.parts.predicted, placed);
+    for (const role of /** @type {const} */ (["authored", "read"])) {
+      const pose = poses[role];
+      for (const group of this.parts[role]) group.visible = pose !== null;
+      if (pose !== null) apply(this.parts[role], placeLinks(this.figure, pose));
+    }
+    this.renderer.setPixelRatio(ratio);
+    this.renderer.setSize(size.width_px, size.height_px, false);
+    this.camera.aspect = size.width_px / Math.max(1, size.height_px);
+    this.#aim(boxOf(this.figure, [poses.predicted, poses.authored], this.#box));
+    this.camera.updateProjectionMatrix();
+    this.sun.position.copy(this.camera.position).addScaledVector(UP, this.figure.reach_mm);
+    this.renderer.render(this.scene, this.camera);
+  }
+
+  dispose() {
+    this.controls.dispose();
+    this.renderer.dispose();
+    this.scene.traverse((/** @type {any} */ part) => part.geometry?.dispose());
+    for (const material of Object.values(this.materials)) material.dispose();
+  }
+
+  /** Keep the whole figure in the picture, until a hand has moved it. @param {Box | null} box */
+  #aim(box) {
+    this.#box = box;
+    if (box === null || this.#isMovedByHand) return;
+    const axes = axesOf(VIEWS[this.#view]);
+    const [half_width, half_height, half_depth] = halvesOf(box, axes);
+    const slope = Math.tan((FIELD_OF_VIEW_DEG * Math.PI) / 360);
+    const across_mm = Math.max(half_height, half_width / this.camera.aspect);
+    const away_mm = (MARGIN_RATIO * across_mm) / slope + NEARNESS_RATIO * half_depth;
+    const [x, y, z] = centreOf(box);
+    const [dx, dy, dz] = axes.toward;
+    this.camera.position.set(x + dx * away_mm, y + dy * away_mm, z + dz * away_mm);
+    this.controls.target.set(x, y, z);
+    this.camera.lookAt(this.controls.target);
+  }
+}
+
+/** @param {Group[]} groups @param {Float64Array} placed */
+function apply(groups, placed) {
+  groups.forEach((group, index) => {
+    const at = index * STRIDE;
+    const [a, b, c, x, d, e, f, y, g, h, i, z] = placed.subarray(at, at + STRIDE);
+    group.matrix.set(a, b, c, x, d, e, f, y, g, h, i, z, 0, 0, 0, 1);
+    group.matrixWorldNeedsUpdate = true;
+  });
+}
+
+/** @param {Link} link @param {MeshLambertMaterial} material @param {MeshLambertMaterial} knuckle */
+function solidLink(link, material, knuckle) {
+  const group = new Group();
+  group.name = link.name;
+  group.matrixAutoUpdate = false;
+  const radius_mm = link.width_mm / 2;
+  for (const line of link.lines_mm) {
+    for (let i = 1; i < line.length; i += 1) group.add(bar(line[i - 1], line[i], radius_mm, material));
+  }
+  for (const shape of link.shapes) {
+    const solid = solidShape(shape, material);
+    if (solid !== null) group.add(solid);
+  }
+  const line = link.lines_mm[0];
+  const isBare = line !== undefined && link.shapes.length === 0;
+  if (link.joint !== null && isBare && !isThick(link.width_mm, line[0], line[1])) {
+    group.add(new Mesh(new SphereGeometry(1.15 * radius_mm, 16, 12), knuckle));
+  }
+  return group;
+}
+
+/** @param {Link} link @param {LineBasicMaterial} material */
+function lineLink(link, material) {
+  const group = new Group();
+  group.matrixAutoUpdate = false;
+  const points = link.lines_mm.flatMap((line) =>
+    line.slice(1).flatMap((point, i) => [...line[i], ...point]),
+  );
+  if (points.length > 0) {
+    const geometry = new BufferGeometry();
+    geometry.setAttribute("position", new Float32BufferAttribute(points, 3));
+    const lines = new LineSegments(geometry, material);
+    lines.renderOrder = 1;
+    group.add(lines);
+  }
+  return group;
+}
+
+/** @param {number[]} from @param {number[]} to @param {number} radius_mm @param {MeshLambertMaterial} material */
+function bar(from, to, radius_mm, material) {
+  const [start, end] = [new Vector3(...from), new Vector3(...to)];
+  const along = end.clone().sub(start);
+  const length_mm = along.length();
+  const geometry = isThick(2 * radius_mm, from, to)
+    ? new CylinderGeometry(radius_mm, radius_mm, length_mm, 32)
+    : new CapsuleGeometry(radius_mm, length_mm, 6, 14);
+  const mesh = new Mesh(geometry, material);
+  mesh.position.copy(start).addScaledVector(along, 0.5);
+  mesh.quaternion.copy(
+    new Quaternion().setFromUnitVectors(new Vector3(0, 1, 0), along.normalize()),
+  );
+  return mesh;
+}
+
+/** Return a solid of a URDF file; null for a mesh, which is loaded. @param {Shape} shape @param {MeshLambertMaterial} material */
+function solidShape(shape, material) {
+  const [a, b, c] = shape.size_mm;
+  const group = framed(shape);
+  if (shape.kind === "box") group.add(new Mesh(new BoxGeometry(a, b, c), material));
+  if (shape.kind === "sphere") group.add(new Mesh(new SphereGeometry(a, 24, 16), material));
+  if (shape.kind === "cylinder") {
+    const cylinder = new Mesh(new CylinderGeometry(a, a, b, 24), material);
+    cylinder.rotation.x = Math.PI / 2; // Those of three.js stand along y, those of URDF along z.
+    group.add(cylinder);
+  }
+  return shape.kind === "mesh" ? null : group;
+}
+
+/** @param {Shape} shape */
+function framed(shape) {
+  const group = new Group();
+  const [a, b, c, d, e, f, g, h, i] = shape.rotation;
+  const [x, y, z] = shape.origin_mm;
+  group.applyMatrix4(new Matrix4().set(a, b, c, x, d, e, f, y, g, h, i, z, 0, 0, 0, 1));
+  return group;
+}
+
+/**
+ * Load the meshes of a URDF file and add them as they come; one that cannot be read is left out.
+ * @param {SceneFigure} scene @param {(path: string) => string} meshUrl @param {() => void} changed
+ */
+async function loadMeshes(scene, meshUrl, changed) {
+  const wanted = scene.figure.links.flatMap((link, index) =>
+    link.shapes.filter((shape) => shape.kind === "mesh").map((shape) => ({ index, shape })),
+  );
+  if (wanted.length === 0) return;
+  const { STLLoader } = await import("../vendor/urdf.js");
+  await Promise.all(
+    wanted.map(async ({ index, shape }) => {
+      const answer = await fetch(meshUrl(shape.path ?? ""));
+      if (!answer.ok) return;
+      const geometry = new STLLoader().parse(await answer.arrayBuffer());
+      const groups = [scene.parts.predicted[index], scene.parts.authored[index]];
+      for (const [i, material] of [scene.materials.solid, scene.materials.ghost].entries()) {
+        const mesh = new Mesh(geometry, material);
+        mesh.scale.set(shape.size_mm[0], shape.size_mm[1], shape.size_mm[2]);
+        groups[i].add(framed(shape).add(mesh));
+      }
+    }),
+  );
+  changed();
+}

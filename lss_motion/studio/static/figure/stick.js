@@ -1,0 +1,216 @@
+// @ts-check
+/** A figure on a 2D canvas. It works in every browser. `drawStick` is pure but for its context. */
+
+import { boxOf, groundOf, isThick, placeLinks, pointAt } from "./kinematics.js";
+import { VIEWS, dragged, projected, projectionOf, zoomed } from "./camera.js";
+
+/** @typedef {import("./kinematics.js").Figure} Figure */
+/** @typedef {import("./kinematics.js").Pose} Pose */
+/** @typedef {import("./kinematics.js").Box} Box */
+/** @typedef {import("./camera.js").Projection} Projection */
+/** @typedef {{predicted: Pose, authored: Pose | null, read: Pose | null}} Poses */
+/** @typedef {{solid: string, edge: string, ghost: string, reading: string, ground: string}} Palette */
+
+/** Lines of the ground on each side of its middle. */
+const GROUND_LINES = 5;
+const GHOST_DASH_PX = [5, 4];
+const GHOST_WIDTH_PX = 1.5;
+const READING_WIDTH_PX = 1.5;
+const READING_DOT_PX = 2.5;
+const WIDTH_LEAST_PX = 2;
+
+/**
+ * Draw the figure in its poses: predicted solid, authored as a dashed ghost, read as a thin line.
+ * @param {CanvasRenderingContext2D} ctx @param {Figure} figure @param {Poses} poses
+ * @param {Projection} to @param {Palette} palette
+ */
+export function drawStick(ctx, figure, poses, to, palette) {
+  ctx.clearRect(0, 0, to.size.width_px, to.size.height_px);
+  ctx.lineCap = "round";
+  ctx.lineJoin = "round";
+  const placed = placeLinks(figure, poses.predicted);
+  const ground_mm = groundOf(figure, placed);
+  drawGround(ctx, figure.reach_mm, to, palette);
+  if (poses.authored !== null) {
+    ctx.strokeStyle = palette.ghost;
+    ctx.lineWidth = GHOST_WIDTH_PX;
+    ctx.setLineDash(GHOST_DASH_PX);
+    strokeLines(ctx, figure, placeLinks(figure, poses.authored), ground_mm, to);
+    ctx.setLineDash([]);
+  }
+  drawSolid(ctx, figure, placed, ground_mm, to, palette);
+  if (poses.read !== null) {
+    ctx.strokeStyle = palette.reading;
+    ctx.fillStyle = palette.reading;
+    ctx.lineWidth = READING_WIDTH_PX;
+    strokeLines(ctx, figure, placeLinks(figure, poses.read), ground_mm, to, READING_DOT_PX);
+  }
+}
+
+/**
+ * Return the lines of all links in pixels, each with its width and how near it is, farthest first.
+ * @param {Figure} figure @param {Float64Array} placed @param {number} ground_mm @param {Projection} to
+ */
+export function segmentsOf(figure, placed, ground_mm, to) {
+  /** @type {{from: number[], to: number[], width_px: number, isThick: boolean, near: number, link: number}[]} */
+  const segments = [];
+  figure.links.forEach((link, index) => {
+    for (const line of link.lines_mm) {
+      const points = line.map((point) => onScreen(placed, index, point, ground_mm, to));
+      for (let i = 1; i < points.length; i += 1) {
+        segments.push({
+          from: points[i - 1],
+          to: points[i],
+          width_px: Math.max(WIDTH_LEAST_PX, link.width_mm * to.px_per_mm),
+          isThick: isThick(link.width_mm, line[i - 1], line[i]),
+          near: (points[i - 1][2] + points[i][2]) / 2,
+          link: index,
+        });
+      }
+    }
+  });
+  return segments.sort((one, two) => one.near - two.near);
+}
+
+/** @param {Float64Array} placed @param {number} link @param {number[]} point @param {number} ground_mm @param {Projection} to */
+function onScreen(placed, link, point, ground_mm, to) {
+  const at = pointAt(placed, link, point);
+  at[2] -= ground_mm;
+  return projected(to, at);
+}
+
+/** @param {CanvasRenderingContext2D} ctx @param {Figure} figure @param {Float64Array} placed @param {number} ground_mm @param {Projection} to @param {Palette} palette */
+function drawSolid(ctx, figure, placed, ground_mm, to, palette) {
+  for (const segment of segmentsOf(figure, placed, ground_mm, to)) {
+    ctx.lineCap = segment.isThick ? "butt" : "round";
+    // An edge around each bar, so that bars in front of each other can be told apart.
+    for (const [style, grow_px] of /** @type {[string, number][]} */ ([
+      [palette.edge, 2],
+      [palette.solid, 0],
+    ])) {
+      ctx.strokeStyle = style;
+      ctx.lineWidth = segment.width_px + grow_px;
+      ctx.beginPath();
+      ctx.moveTo(segment.from[0], segment.from[1]);
+      ctx.lineTo(segment.to[0], segment.to[1]);
+      ctx.stroke();
+    }
+  }
+  ctx.lineCap = "round";
+  ctx.fillStyle = palette.edge;
+  figure.links.forEach((link, index) => {
+    const line = link.lines_mm[0];
+    if (link.joint === null || line === undefined) return;
+    if (isThick(link.width_mm, line[0], line[1])) return;
+    const [x_px, y_px] = onScreen(placed, index, [0, 0, 0], ground_mm, to);
+    ctx.beginPath();
+    ctx.arc(x_px, y_px, Math.max(1.5, 0.22 * link.width_mm * to.px_per_mm), 0, 2 * Math.PI);
+    ctx.fill();
+  });
+}
+
+/** @param {CanvasRenderingContext2D} ctx @param {Figure} figure @param {Float64Array} placed @param {number} ground_mm @param {Projection} to */
+function strokeLines(ctx, figure, placed, ground_mm, to, dot_px = 0) {
+  ctx.beginPath();
+  const segments = segmentsOf(figure, placed, ground_mm, to);
+  for (const segment of segments) {
+    ctx.moveTo(segment.from[0], segment.from[1]);
+    ctx.lineTo(segment.to[0], segment.to[1]);
+  }
+  ctx.stroke();
+  if (dot_px === 0) return;
+  ctx.beginPath();
+  for (const { to: end } of segments) {
+    ctx.moveTo(end[0] + dot_px, end[1]);
+    ctx.arc(end[0], end[1], dot_px, 0, 2 * Math.PI);
+  }
+  ctx.fill();
+}
+
+/** @param {CanvasRenderingContext2D} ctx @param {number} reach_mm @param {Projection} to @param {Palette} palette */
+function drawGround(ctx, reach_mm, to, palette) {
+  ctx.strokeStyle = palette.ground;
+  ctx.lineWidth = 1;
+  ctx.beginPath();
+  for (let line = -GROUND_LINES; line <= GROUND_LINES; line += 1) {
+    const across_mm = (line / GROUND_LINES) * reach_mm;
+    for (const [from, end] of [
+      [[across_mm, -reach_mm, 0], [across_mm, reach_mm, 0]],
+      [[-reach_mm, across_mm, 0], [reach_mm, across_mm, 0]],
+    ]) {
+      const [x_px, y_px] = projected(to, from);
+      const [end_x_px, end_y_px] = projected(to, end);
+      ctx.moveTo(x_px, y_px);
+      ctx.lineTo(end_x_px, end_y_px);
+    }
+  }
+  ctx.stroke();
+}
+
+/** A figure on a canvas that can be turned by dragging and made larger by the wheel. */
+export class StickFigure {
+  kind = /** @type {const} */ ("2d");
+  /** @type {Box | null} */
+  #box = null;
+  #direction = VIEWS.Perspective;
+  #zoom = 1;
+  #listening = new AbortController();
+
+  /** @param {HTMLCanvasElement} canvas @param {Figure} figure @param {() => void} changed */
+  constructor(canvas, figure, changed) {
+    this.canvas = canvas;
+    this.figure = figure;
+    this.#listen(changed);
+  }
+
+  /** @param {string} name one of `VIEWS` */
+  setView(name) {
+    this.#direction = VIEWS[name];
+    this.#zoom = 1;
+  }
+
+  /** @param {Poses} poses @param {Palette} palette @param {import("./camera.js").Size} size @param {number} ratio device pixels per CSS pixel */
+  draw(poses, palette, size, ratio) {
+    const ctx = this.canvas.getContext("2d");
+    if (ctx === null) return;
+    const [width, height] = [Math.round(size.width_px * ratio), Math.round(size.height_px * ratio)];
+    if (this.canvas.width !== width || this.canvas.height !== height) {
+      this.canvas.width = width;
+      this.canvas.height = height;
+    }
+    ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
+    this.#box = boxOf(this.figure, [poses.predicted, poses.authored], this.#box);
+    if (this.#box === null) return;
+    const to = projectionOf(this.#box, this.#direction, this.#zoom, size);
+    drawStick(ctx, this.figure, poses, to, palette);
+  }
+
+  dispose() {
+    this.#listening.abort();
+  }
+
+  /** @param {() => void} changed */
+  #listen(changed) {
+    const { canvas } = this;
+    const signal = this.#listening.signal;
+    canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId), { signal });
+    canvas.addEventListener(
+      "pointermove",
+      (event) => {
+        if (!canvas.hasPointerCapture(event.pointerId)) return;
+        this.#direction = dragged(this.#direction, event.movementX, event.movementY);
+        changed();
+      },
+      { signal },
+    );
+    canvas.addEventListener(
+      "wheel",
+      (event) => {
+        event.preventDefault();
+        this.#zoom = zoomed(this.#zoom, event.deltaY);
+        changed();
+      },
+      { signal, passive: false },
+    );
+  }
+}
