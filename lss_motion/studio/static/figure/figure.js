@@ -77,6 +77,12 @@ class FigureOnPage {
     this.#ask();
   }
 
+  /** Show these angles now; for a caller that is in a frame. @param {Poses} poses */
+  show(poses) {
+    this.#poses = poses;
+    this.#draw();
+  }
+
   /** Read the colours again. */
   setTheme() {
     this.#palette = null;
@@ -137,7 +143,7 @@ class FigureOnPage {
       button.type = "button";
       button.textContent = name;
       button.addEventListener("click", () => {
-        this.#drawing?.setView(name);
+        this.#drawing?.orbit.setView(name);
         this.#ask();
       });
       bar.append(button);

@@ -17,16 +17,17 @@ import {
   Matrix4,
   Mesh,
   MeshLambertMaterial,
-  OrbitControls,
   PerspectiveCamera,
   Quaternion,
   Scene,
   SphereGeometry,
+  STLLoader,
   Vector3,
   WebGLRenderer,
 } from "../vendor/three.js";
 import { STRIDE, boxOf, groundOf, isThick, placeLinks } from "./kinematics.js";
-import { VIEWS, axesOf, centreOf, halvesOf } from "./camera.js";
+import { axesOf, centreOf, halvesOf } from "./camera.js";
+import { Orbit } from "./orbit.js";
 
 /** @typedef {import("./kinematics.js").Figure} Figure */
 /** @typedef {import("./kinematics.js").Link} Link */
@@ -44,13 +45,11 @@ const GHOST_OPACITY = 0.45;
 const GROUND_LINES = 10;
 const UP = new Vector3(0, 0, 1);
 
-/** A figure that can be turned, moved and made larger by mouse and touch. */
+/** A figure in 3D on a canvas. */
 export class SceneFigure {
   kind = /** @type {const} */ ("webgl");
   /** @type {Box | null} */
   #box = null;
-  #view = "Perspective";
-  #isMovedByHand = false;
 
   /**
    * Throws where there is no WebGL.
@@ -64,11 +63,7 @@ export class SceneFigure {
     this.scene = new Scene();
     this.camera = new PerspectiveCamera(FIELD_OF_VIEW_DEG, 1, figure.reach_mm / 50, 60 * figure.reach_mm);
     this.camera.up.copy(UP);
-    this.controls = new OrbitControls(this.camera, canvas);
-    this.controls.addEventListener("start", () => {
-      this.#isMovedByHand = true;
-    });
-    this.controls.addEventListener("change", changed);
+    this.orbit = new Orbit(canvas, changed);
     this.materials = {
       solid: new MeshLambertMaterial(),
       edge: new MeshLambertMaterial(),
@@ -90,12 +85,6 @@ export class SceneFigure {
     this.sun = new DirectionalLight(0xffffff, 2.2);
     this.scene.add(this.robot, this.grid, new HemisphereLight(0xffffff, 0x777788, 1.6), this.sun);
     loadMeshes(this, meshUrl, changed);
-  }
-
-  /** @param {string} name one of `VIEWS` */
-  setView(name) {
-    this.#view = name;
-    this.#isMovedByHand = false;
   }
 
   /** @param {Poses} poses @param {Palette} palette @param {import("./camera.js").Size} size @param {number} ratio device pixels per CSS pixel */
@@ -121,26 +110,25 @@ export class SceneFigure {
   }
 
   dispose() {
-    this.controls.dispose();
+    this.orbit.dispose();
     this.renderer.dispose();
     this.scene.traverse((/** @type {any} */ part) => part.geometry?.dispose());
     for (const material of Object.values(this.materials)) material.dispose();
   }
 
-  /** Keep the whole figure in the picture, until a hand has moved it. @param {Box | null} box */
+  /** Keep the whole figure in the picture. @param {Box | null} box */
   #aim(box) {
     this.#box = box;
-    if (box === null || this.#isMovedByHand) return;
-    const axes = axesOf(VIEWS[this.#view]);
+    if (box === null) return;
+    const axes = axesOf(this.orbit.direction);
     const [half_width, half_height, half_depth] = halvesOf(box, axes);
     const slope = Math.tan((FIELD_OF_VIEW_DEG * Math.PI) / 360);
     const across_mm = Math.max(half_height, half_width / this.camera.aspect);
-    const away_mm = (MARGIN_RATIO * across_mm) / slope + NEARNESS_RATIO * half_depth;
+    const away_mm = (MARGIN_RATIO * across_mm) / (slope * this.orbit.zoom) + NEARNESS_RATIO * half_depth;
     const [x, y, z] = centreOf(box);
     const [dx, dy, dz] = axes.toward;
     this.camera.position.set(x + dx * away_mm, y + dy * away_mm, z + dz * away_mm);
-    this.controls.target.set(x, y, z);
-    this.camera.lookAt(this.controls.target);
+    this.camera.lookAt(x, y, z);
   }
 }
 
@@ -240,7 +228,6 @@ async function loadMeshes(scene, meshUrl, changed) {
     link.shapes.filter((shape) => shape.kind === "mesh").map((shape) => ({ index, shape })),
   );
   if (wanted.length === 0) return;
-  const { STLLoader } = await import("../vendor/urdf.js");
   await Promise.all(
     wanted.map(async ({ index, shape }) => {
       const answer = await fetch(meshUrl(shape.path ?? ""));

@@ -2,7 +2,8 @@
 /** A figure on a 2D canvas. It works in every browser. `drawStick` is pure but for its context. */
 
 import { boxOf, groundOf, isThick, placeLinks, pointAt } from "./kinematics.js";
-import { VIEWS, dragged, projected, projectionOf, zoomed } from "./camera.js";
+import { projected, projectionOf } from "./camera.js";
+import { Orbit } from "./orbit.js";
 
 /** @typedef {import("./kinematics.js").Figure} Figure */
 /** @typedef {import("./kinematics.js").Pose} Pose */
@@ -147,70 +148,35 @@ function drawGround(ctx, reach_mm, to, palette) {
   ctx.stroke();
 }
 
-/** A figure on a canvas that can be turned by dragging and made larger by the wheel. */
+/** A figure on a 2D canvas. */
 export class StickFigure {
   kind = /** @type {const} */ ("2d");
   /** @type {Box | null} */
   #box = null;
-  #direction = VIEWS.Perspective;
-  #zoom = 1;
-  #listening = new AbortController();
 
   /** @param {HTMLCanvasElement} canvas @param {Figure} figure @param {() => void} changed */
   constructor(canvas, figure, changed) {
     this.canvas = canvas;
     this.figure = figure;
-    this.#listen(changed);
-  }
-
-  /** @param {string} name one of `VIEWS` */
-  setView(name) {
-    this.#direction = VIEWS[name];
-    this.#zoom = 1;
+    this.orbit = new Orbit(canvas, changed);
   }
 
   /** @param {Poses} poses @param {Palette} palette @param {import("./camera.js").Size} size @param {number} ratio device pixels per CSS pixel */
   draw(poses, palette, size, ratio) {
     const ctx = this.canvas.getContext("2d");
-    if (ctx === null) return;
+    this.#box = boxOf(this.figure, [poses.predicted, poses.authored], this.#box);
+    if (ctx === null || this.#box === null) return;
     const [width, height] = [Math.round(size.width_px * ratio), Math.round(size.height_px * ratio)];
     if (this.canvas.width !== width || this.canvas.height !== height) {
       this.canvas.width = width;
       this.canvas.height = height;
     }
     ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
-    this.#box = boxOf(this.figure, [poses.predicted, poses.authored], this.#box);
-    if (this.#box === null) return;
-    const to = projectionOf(this.#box, this.#direction, this.#zoom, size);
+    const to = projectionOf(this.#box, this.orbit.direction, this.orbit.zoom, size);
     drawStick(ctx, this.figure, poses, to, palette);
   }
 
   dispose() {
-    this.#listening.abort();
-  }
-
-  /** @param {() => void} changed */
-  #listen(changed) {
-    const { canvas } = this;
-    const signal = this.#listening.signal;
-    canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId), { signal });
-    canvas.addEventListener(
-      "pointermove",
-      (event) => {
-        if (!canvas.hasPointerCapture(event.pointerId)) return;
-        this.#direction = dragged(this.#direction, event.movementX, event.movementY);
-        changed();
-      },
-      { signal },
-    );
-    canvas.addEventListener(
-      "wheel",
-      (event) => {
-        event.preventDefault();
-        this.#zoom = zoomed(this.#zoom, event.deltaY);
-        changed();
-      },
-      { signal, passive: false },
-    );
+    this.orbit.dispose();
   }
 }

@@ -28,6 +28,11 @@ export class JogHold {
     this.changed = changed;
   }
 
+  /** -1, 0 or 1: which way the held joint turns. */
+  get sign() {
+    return Math.sign(this.#held?.speed_ratio ?? 0);
+  }
+
   /** The joint that is held; null: none. */
   get joint() {
     return this.#held?.joint ?? null;

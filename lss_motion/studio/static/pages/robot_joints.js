@@ -4,8 +4,8 @@
 import { html, useMemo } from "../vendor/preact.js";
 import { holdHandlers } from "./robot_jog.js";
 
-/** @typedef {import("./robot.js").JointView} JointView */
-/** @typedef {import("./robot.js").JointHealth} JointHealth */
+/** @typedef {import("./robot_view.js").JointView} JointView */
+/** @typedef {import("./robot_view.js").JointHealth} JointHealth */
 /** @typedef {import("./robot_jog.js").JogHold} JogHold */
 
 /** A joint nearer to the end of its range than this share of it is marked. */

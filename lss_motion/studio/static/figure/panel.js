@@ -1,0 +1,101 @@
+// @ts-check
+/** The figure of a show: the plan at the cursor, and the robot while it plays. */
+
+import { html, useEffect, useRef } from "../vendor/preact.js";
+import { angleAt, withinView } from "../curves.js";
+import { nextFrame, onFrame } from "../frames.js";
+import { createFigure } from "./figure.js";
+
+/** @typedef {import("../store.js").Store} Store */
+/** @typedef {import("../state.js").View} View */
+/** @typedef {import("../state.js").Telemetry} Telemetry */
+/** @typedef {import("./stick.js").Poses} Poses */
+/** @typedef {import("./kinematics.js").Pose} Pose */
+
+const PLAYING = new Set(["playing", "paused", "stopping"]);
+
+/**
+ * Return the poses of a show at an instant of its view: predicted, and authored as the ghost.
+ * @param {View} view @param {number} at_s @returns {Poses}
+ */
+export function posesAt(view, at_s) {
+  /** @type {Pose} */
+  const predicted = {};
+  /** @type {Pose} */
+  const authored = {};
+  for (const { name } of view.joints) {
+    const curves = view.curves[name];
+    if (curves === undefined) continue;
+    predicted[name] = angleAt(curves.predicted, at_s);
+    authored[name] = angleAt(curves.authored ?? curves.plan, at_s);
+  }
+  return { predicted, authored, read: null };
+}
+
+/**
+ * Return the poses of a running show: as it is predicted, and as the servos report it.
+ * @param {View} view @param {Telemetry} telemetry @returns {Poses}
+ */
+export function posesOf(view, telemetry) {
+  const poses = posesAt(view, withinView(view, Math.max(0, telemetry.show_s)));
+  /** @type {Pose} */
+  const read = {};
+  let isRead = false;
+  view.joints.forEach(({ name }, index) => {
+    const predicted_deg = telemetry.predicted_deg[index] ?? NaN;
+    if (Number.isFinite(predicted_deg)) poses.predicted[name] = predicted_deg;
+    // A joint that was not read yet stands where it is predicted.
+    const read_deg = telemetry.read_deg[index] ?? NaN;
+    read[name] = Number.isFinite(read_deg) ? read_deg : (poses.predicted[name] ?? null);
+    isRead ||= Number.isFinite(read_deg);
+  });
+  return { ...poses, read: isRead ? read : null };
+}
+
+/**
+ * What is drawn now: it changes exactly when the picture does.
+ * @param {Store} store @returns {[View | null, Telemetry | number, string]}
+ */
+function drawnState(store) {
+  const state = store.state.peek();
+  const telemetry = store.telemetry.peek();
+  const isPlaying = PLAYING.has(state.player.state) && telemetry?.plan === state.view?.plan;
+  return [state.view, isPlaying && telemetry !== null ? telemetry : state.cursor_s, state.theme];
+}
+
+/** @param {{ store: Store }} props */
+export function FigurePanel({ store }) {
+  const place = useRef(/** @type {HTMLDivElement | null} */ (null));
+  const robot = /** @type {import("../pages/robot_view.js").RobotJson | null} */ (
+    store.state.value.robot
+  );
+  const figure = robot?.figure ?? null;
+  useEffect(() => {
+    if (place.current === null || figure === null) return undefined;
+    const label = "figure: predicted horn solid, authored pose as a ghost, readings thin";
+    const shown = createFigure(place.current, figure, { schedule: nextFrame, label });
+    /** @type {unknown[]} */
+    let drawn = [];
+    const end = onFrame(() => {
+      const [view, at, theme] = drawnState(store);
+      if (view === null || (view === drawn[0] && at === drawn[1] && theme === drawn[2])) return;
+      if (theme !== drawn[2]) shown.setTheme();
+      drawn = [view, at, theme];
+      shown.show(typeof at === "number" ? posesAt(view, at) : posesOf(view, at));
+    });
+    return () => {
+      end();
+      shown.dispose();
+    };
+  }, [figure]);
+  if (figure === null) {
+    const text = robot === null ? "" : "The robot file has no figure: see the guide, “What it looks like”.";
+    return html`<p class="quiet">${text}</p>`;
+  }
+  return html`<div ref=${place} class="figure-panel"></div>
+    <ul class="figure-legend" aria-label="legend of the figure">
+      <li class="is-solid">predicted</li>
+      <li class="is-ghost">authored</li>
+      <li class="is-reading">read</li>
+    </ul>`;
+}

@@ -1,0 +1,67 @@
+// @ts-check
+/** The robot page: takes what `RobotView` shows from the store. */
+
+import { html, useEffect, useState } from "../vendor/preact.js";
+import { nextFrame } from "../frames.js";
+import { RobotView } from "./robot_view.js";
+
+/** @typedef {import("../store.js").Store} Store */
+/** @typedef {import("../link.js").ServerLink} ServerLink */
+/** @typedef {import("./robot_view.js").RobotJson} RobotJson */
+/** @typedef {import("./robot_view.js").LiveRobot} LiveRobot */
+
+/** How often the angles of a playing robot are shown as numbers. */
+const READING_MS = 250;
+
+/** @type {LiveRobot} */
+const OFF = { state: "off", port: "", is_simulated: false, joints: {}, text: "" };
+
+/** @param {{ store: Store, link: ServerLink }} props */
+export function RobotPage({ store, link }) {
+  const state = store.state.value;
+  const robot = /** @type {RobotJson | null} */ (state.robot);
+  const live = /** @type {LiveRobot} */ (state.robot_state ?? OFF);
+  const played = usePlayedAngles(store, live.state === "playing");
+  if (robot === null) {
+    return html`<p class="quiet">The robot file could not be read yet; its errors stand above.</p>`;
+  }
+  return html`<${RobotView}
+    robot=${robot}
+    live=${live.state === "playing" ? { ...live, joints: played } : live}
+    health=${state.health?.joints ?? {}}
+    isMine=${state.lease.is_mine}
+    isLatched=${state.player.is_latched}
+    isLost=${state.link.status !== "open"}
+    scanned=${state.scanned}
+    maintenance=${state.maintenance ?? null}
+    send=${(/** @type {string} */ op, /** @type {Record<string, unknown>} */ fields) => link.send(op, fields)}
+    schedule=${nextFrame}
+    theme=${state.theme}
+  />`;
+}
+
+/**
+ * Return the angles that were read last while a show plays, a few times a second.
+ * @param {Store} store @param {boolean} isPlaying
+ */
+function usePlayedAngles(store, isPlaying) {
+  const [angles, setAngles] = useState(/** @type {LiveRobot["joints"]} */ ({}));
+  useEffect(() => {
+    if (!isPlaying) return undefined;
+    const timer = window.setInterval(() => {
+      const telemetry = store.telemetry.peek();
+      const names = store.state.peek().started?.joints ?? [];
+      if (telemetry === null) return;
+      setAngles(
+        Object.fromEntries(
+          names.map((name, index) => {
+            const deg = telemetry.read_deg[index] ?? NaN;
+            return [name, { deg: Number.isFinite(deg) ? deg : null, is_limp: false }];
+          }),
+        ),
+      );
+    }, READING_MS);
+    return () => window.clearInterval(timer);
+  }, [store, isPlaying]);
+  return angles;
+}

@@ -1,0 +1,236 @@
+// @ts-check
+/** The robot page, as a function of plain values; `robot.js` takes them from the store. */
+
+import { html, useEffect, useMemo, useRef, useState } from "../vendor/preact.js";
+import { createFigure } from "../figure/figure.js";
+import { JogHold } from "./robot_jog.js";
+import { JointTable } from "./robot_joints.js";
+import { Maintenance } from "./robot_maintenance.js";
+import { PoseList } from "./robot_poses.js";
+
+/**
+ * @typedef {object} JointView
+ * @property {string} name
+ * @property {number} id
+ * @property {string} bus
+ * @property {string} model
+ * @property {number[]} range_deg
+ * @property {number | null} speed_max_deg_s
+ * @property {number | null} accel_max_deg_s2
+ * @property {number} [temperature_max_c]
+ * @property {number} [voltage_min_v]
+ */
+/** @typedef {{status: string | null, temperature_c: number | null, voltage_v: number | null, current_a: number | null}} JointHealth */
+/**
+ * @typedef {object} RobotJson
+ * @property {string} name
+ * @property {string | null} file
+ * @property {JointView[]} joints
+ * @property {Record<string, Record<string, number>>} poses
+ * @property {import("../figure/kinematics.js").Figure | null} figure
+ */
+/**
+ * @typedef {object} LiveRobot
+ * @property {"off" | "connecting" | "live" | "playing"} state
+ * @property {string} port
+ * @property {boolean} is_simulated
+ * @property {Record<string, {deg: number | null, is_limp: boolean}>} joints
+ * @property {string} text
+ */
+/** @typedef {{bus: string, id: number, model: string, joint: string | null, text: string}} FoundServo */
+/** @typedef {{servos: FoundServo[], missing: string[], error: string | null}} Scanned */
+
+/** Share of the jogging speed by word. */
+const SPEEDS = { slow: 0.2, medium: 0.5, fast: 1 };
+
+const STATES = {
+  off: "not connected",
+  connecting: "connecting …",
+  live: "connected",
+  playing: "playing a show",
+};
+
+/**
+ * Return why nothing can be moved now; an empty text if it can.
+ * @param {LiveRobot} live @param {boolean} isMine @param {boolean} isLatched @param {boolean} isLost
+ */
+export function whyStill(live, isMine, isLatched, isLost) {
+  if (isLost) return "the connection to the studio is lost";
+  if (!isMine) return "another client operates, or none: take control first";
+  if (live.state === "playing") return "a show plays: stop it first";
+  if (live.state !== "live") return "connect to the robot first";
+  if (isLatched) return "it was stopped: arm it again first";
+  return "";
+}
+
+/**
+ * @param {object} props
+ * @param {RobotJson} props.robot
+ * @param {LiveRobot} props.live
+ * @param {Record<string, JointHealth>} props.health
+ * @param {boolean} props.isMine
+ * @param {boolean} props.isLatched
+ * @param {boolean} props.isLost
+ * @param {Scanned | null} props.scanned
+ * @param {any} props.maintenance
+ * @param {(op: string, fields: object) => Promise<unknown>} props.send
+ * @param {(draw: () => void) => void} props.schedule
+ * @param {unknown} props.theme
+ */
+export function RobotView({ robot, live, health, isMine, isLatched, isLost, scanned, maintenance, send, schedule, theme }) {
+  const [problem, setProblem] = useState("");
+  const [held, setHeld] = useState(/** @type {string | null} */ (null));
+  const [speed, setSpeed] = useState(/** @type {keyof typeof SPEEDS} */ ("medium"));
+  const { dialog, ask } = useQuestion();
+  const why = whyStill(live, isMine, isLatched, isLost);
+  const mayMove = why === "";
+  /** @param {string} op @param {object} fields */
+  const act = async (op, fields) => {
+    setProblem("");
+    try {
+      await send(op, fields);
+    } catch (error) {
+      setProblem(error instanceof Error ? error.message : String(error));
+    }
+  };
+  const hold = useMemo(
+    () =>
+      new JogHold((joint, speed_ratio) => {
+        send("jog", { joint, speed_ratio }).catch((error) => {
+          hold.stop();
+          setProblem(error.message);
+        });
+      }, setHeld),
+    [],
+  );
+  useEffect(() => hold.watch(), [hold]);
+  useEffect(() => {
+    if (!mayMove) hold.stop();
+  }, [hold, mayMove]);
+  const isOn = live.state === "live";
+  const mayConnect = isMine && !isLost && (live.state === "off" || live.state === "live");
+  return html`<div class="robot-page">
+    <header class="robot-head">
+      <h1>${robot.name}</h1>
+      <p role="status">
+        <b>${STATES[live.state]}</b>${live.is_simulated ? " · simulated" : ""} · ${live.port}${live.text ? ` · ${live.text}` : ""}
+      </p>
+      <div class="robot-row">
+        <button type="button" disabled=${!mayConnect} onClick=${() => act(isOn ? "disconnect" : "connect", {})}>
+          ${isOn ? "Disconnect" : "Connect"}
+        </button>
+        <button type="button" disabled=${!mayMove} title=${why} onClick=${() => act("hold", { joints: [] })}>Hold all</button>
+        <button type="button" class="robot-power" disabled=${!mayMove} title=${why} onClick=${() => limpAll(ask, act)}>Limp all …</button>
+        <button type="button" disabled=${!isMine || isLost || live.state === "playing"} onClick=${() => act("scan", {})}>Scan</button>
+        <div role="group" aria-label="jog speed" class="robot-switch">
+          ${Object.keys(SPEEDS).map(
+            (word) =>
+              html`<button type="button" aria-pressed=${speed === word} onClick=${() => setSpeed(/** @type {any} */ (word))}>${word}</button>`,
+          )}
+        </div>
+      </div>
+      <p class="robot-why" role="status">${problem ? html`<span class="robot-trouble">⚠ ${problem}</span>` : why ? `Nothing can be moved: ${why}.` : "Hold + or − to turn a joint; let go to stop it."}</p>
+    </header>
+    <div class="robot-side">
+      <${FigureBox} robot=${robot} live=${live} schedule=${schedule} theme=${theme} />
+      <${PoseList} poses=${robot.poses} mayMove=${mayMove} why=${why} act=${act} ask=${ask} />
+    </div>
+    <div class="robot-main">
+      <${JointTable}
+        joints=${robot.joints}
+        live=${live.joints}
+        health=${health}
+        speed_ratio=${SPEEDS[speed]}
+        ...${{ mayMove, why, held, hold, act }}
+      />
+      ${scanned === null ? null : html`<${ScanResult} scanned=${scanned} />`}
+      <${Maintenance}
+        joints=${robot.joints.map((joint) => joint.name)}
+        file=${robot.file ?? "robot.yaml"}
+        event=${maintenance}
+        ...${{ mayMove, why, act }}
+      />
+    </div>
+    ${dialog}
+  </div>`;
+}
+
+/** @param {(question: {title: string, text: string, answer: string}) => Promise<boolean>} ask @param {(op: string, fields: object) => Promise<void>} act */
+async function limpAll(ask, act) {
+  const text = "All joints lose their power and the robot falls. Hold it.";
+  if (await ask({ title: "Limp all?", text, answer: "Limp all" })) await act("limp", { joints: [] });
+}
+
+/** A question with two answers; Escape and Cancel are no. */
+function useQuestion() {
+  const [question, setQuestion] = useState(
+    /** @type {{title: string, text: string, answer: string, done: (is_yes: boolean) => void} | null} */ (null),
+  );
+  const element = useRef(/** @type {HTMLDialogElement | null} */ (null));
+  useEffect(() => {
+    if (question !== null && element.current?.open === false) element.current.showModal();
+  }, [question]);
+  /** @param {boolean} is_yes */
+  const close = (is_yes) => {
+    question?.done(is_yes);
+    setQuestion(null);
+  };
+  /** @param {{title: string, text: string, answer: string}} asked @returns {Promise<boolean>} */
+  const ask = (asked) => new Promise((done) => setQuestion({ ...asked, done }));
+  const dialog =
+    question === null
+      ? null
+      : html`<dialog ref=${element} class="robot-question" aria-labelledby="robot-question-title" onClose=${() => close(false)}>
+          <h2 id="robot-question-title">${question.title}</h2>
+          <p>${question.text}</p>
+          <div class="robot-row">
+            <button type="button" autofocus onClick=${() => close(false)}>Cancel</button>
+            <button type="button" class="robot-yes" onClick=${() => close(true)}>${question.answer}</button>
+          </div>
+        </dialog>`;
+  return { dialog, ask };
+}
+
+/** @param {{robot: RobotJson, live: LiveRobot, schedule: (draw: () => void) => void, theme: unknown}} props */
+function FigureBox({ robot, live, schedule, theme }) {
+  const place = useRef(/** @type {HTMLDivElement | null} */ (null));
+  const shown = useRef(/** @type {ReturnType<typeof createFigure> | null} */ (null));
+  const known = Object.fromEntries(Object.entries(live.joints).map(([name, joint]) => [name, joint.deg]));
+  useEffect(() => {
+    if (place.current === null || robot.figure === null) return undefined;
+    const label = `figure of ${robot.name}, as it stands`;
+    const figure = createFigure(place.current, robot.figure, { schedule, label });
+    shown.current = figure;
+    return () => figure.dispose();
+  }, [robot.figure]);
+  useEffect(() => shown.current?.setPose({ predicted: known }), [robot.figure, JSON.stringify(known)]);
+  useEffect(() => shown.current?.setTheme(), [theme]);
+  if (robot.figure === null) {
+    return html`<p class="robot-quiet">The robot file has no <code>figure</code>: see the guide, “What it looks like”.</p>`;
+  }
+  const notes = robot.figure.notes.map((note) => html`<li>${note}</li>`);
+  return html`<div ref=${place} class="robot-figure"></div>
+    ${notes.length > 0 ? html`<ul class="robot-quiet">${notes}</ul>` : null}`;
+}
+
+/** @param {{scanned: Scanned}} props */
+function ScanResult({ scanned }) {
+  return html`<section class="robot-scan" aria-labelledby="robot-scan-title">
+    <h2 id="robot-scan-title">Scan</h2>
+    ${scanned.error === null ? null : html`<p class="robot-trouble">⚠ ${scanned.error}</p>`}
+    <p role="status">
+      ${scanned.servos.length} servos found${scanned.missing.length > 0 ? html`; <b class="robot-trouble">no answer from ${scanned.missing.join(", ")}</b>` : ", none is missing"}.
+    </p>
+    <table>
+      <thead>
+        <tr><th scope="col">Bus</th><th scope="col">Id</th><th scope="col">Model</th><th scope="col">Joint</th><th scope="col"></th></tr>
+      </thead>
+      <tbody>
+        ${scanned.servos.map(
+          (servo) =>
+            html`<tr><td>${servo.bus}</td><td>${servo.id}</td><td>${servo.model}</td><td>${servo.joint ?? "not in the robot file"}</td><td>${servo.text}</td></tr>`,
+        )}
+      </tbody>
+    </table>
+  </section>`;
+}
