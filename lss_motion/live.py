@@ -82,7 +82,8 @@ class Live:
         standing_deg = handshake.standing_deg(joints, answers)
         if silent := [joint for joint in joints if joint.name not in standing_deg]:
             raise handshake.silent_error(silent, joints, self.robot)
-        return {joint.name: joint.joint_deg(standing_deg[joint.name]) for joint in joints}
+        # + 0.0: no -0.0 is shown.
+        return {joint.name: joint.joint_deg(standing_deg[joint.name]) + 0.0 for joint in joints}
 
     def move_to(self, deg: Mapping[str, float], duration_s: float | None = None) -> float:
         """Move these joints to these angles and wait until they are there; return how long it took.
@@ -174,6 +175,10 @@ class Live:
 
     def _named(self, names: tuple[str, ...]) -> list[Joint]:
         for name in names:
+            if not isinstance(name, str):
+                raise InputError(
+                    f"{name!r} is no name; give the names one by one: 'elbow', 'wrist'"
+                )
             if name not in self.robot.joints:
                 raise InputError(f"unknown joint {name!r}; {known_names(name, self.robot.joints)}")
         return [self.robot.joints[name] for name in names or self.robot.joints]

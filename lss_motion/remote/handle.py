@@ -120,6 +120,7 @@ class Handle:
         self._started: m.Started | None = None
         self._outcome: Outcome | None = None
         self._next_id = 1
+        self._program = job.program
         self.phase = "connecting"
         """The phase of the player, by the names of `player.events.Phase`."""
         self._process, self._socket = start_process(packed(job))
@@ -154,8 +155,9 @@ class Handle:
     def seek(self, to: float | str) -> None:
         """Brake, move to where the show is at `to`, a show time or a label, and go on from there.
 
-        A place that is not in the show is an event `refused`, and changes nothing.
+        Raises `InputError` for a place that is not in the show.
         """
+        self._program.instant_of(to)
         self._send(m.Seek, to=to if isinstance(to, str) else float(to))
 
     def stop(self) -> None:

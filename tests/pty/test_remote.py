@@ -119,5 +119,8 @@ def test_a_killed_player_is_an_error_not_a_hang(on_terminal, servo, show):
 
 def test_a_robot_that_is_not_there_is_raised_by_wait(tmp_path, monkeypatch, show):
     monkeypatch.chdir(tmp_path)
-    with lss.start(*show()) as handle, pytest.raises(lss.BusError, match="port"):
-        handle.wait(WAIT_S)
+    with lss.start(*show()) as handle:
+        with pytest.raises(lss.InputError, match="no keyframe has the label 'wve'"):
+            handle.seek("wve")
+        with pytest.raises(lss.BusError, match="port"):
+            handle.wait(WAIT_S)

@@ -94,3 +94,14 @@ def test_an_interrupted_move_ends_safely(robot, monkeypatch):
     bus = next(iter(live._connection.simulated.values()))
     assert any(is_move(line) for _, line in bus.lines)
     assert bus.lines[-1][1] == b"#254H\r"
+
+
+def test_what_is_no_robot_or_no_name_is_refused_in_words(robot):
+    with pytest.raises(lss.InputError, match="a robot is needed here, not a str"):
+        lss.connect("desk_arm.yaml")
+    with pytest.raises(lss.InputError, match="a robot is needed here, not a dict"):
+        lss.start(robot, {})
+    with lss.connect(robot, is_virtual=True) as live:
+        with pytest.raises(lss.InputError, match="names one by one"):
+            live.limp(["j0", "j1"])
+        assert "-0.0" not in str(live.read())
