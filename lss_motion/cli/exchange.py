@@ -149,7 +149,8 @@ def _add_import(commands: Commands) -> None:
         "--keep",
         choices=("angle", "time"),
         help="what joints keep where their servo is too slow: every angle, but later (default), or "
-        "every instant, but less far (default for a sound)",
+        "every instant, but less far (default for a sound); commands of a script then stay as they "
+        "are",
     )
     add_sound_options(imported)
     target = imported.add_mutually_exclusive_group(required=True)
@@ -191,7 +192,6 @@ def _import(arguments: argparse.Namespace) -> int:
     from lss_motion.interchange.importing import imported, read_motion
     from lss_motion.interchange.mapping import load_map, map_template
     from lss_motion.sequence.model import Interpolation
-    from lss_motion.sequence.parts import keeping
     from lss_motion.sequence.write import write_sequence
     from lss_motion.sound.files import is_sound
     from lss_motion.summaries import fit_text, plan_lines
@@ -225,13 +225,13 @@ def _import(arguments: argparse.Namespace) -> int:
         ease=Interpolation(arguments.interpolation),
         is_unwrapped=arguments.unwrap,
         is_clipped=arguments.clip,
+        keeps_time=arguments.keep == "time",
     )
     fit = [] if made.fit is None else [fit_text(made.fit)]
-    sequence = keeping(made.sequence, is_time=True) if arguments.keep == "time" else made.sequence
-    write_sequence(sequence, arguments.output, comments=[*made.comments, *fit])
-    print(f"{arguments.output}: {len(sequence.keyframes)} keyframes from {arguments.file}")
+    write_sequence(made.sequence, arguments.output, comments=[*made.comments, *fit])
+    print(f"{arguments.output}: {len(made.sequence.keyframes)} keyframes from {arguments.file}")
     print("\n".join([*made.comments, *fit]))
-    print("\n".join(plan_lines(plan(sequence, robot), robot)))
+    print("\n".join(plan_lines(plan(made.sequence, robot), robot)))
     return EXIT_FINISHED
 
 

@@ -65,6 +65,11 @@ _COMMENT: Final = re.compile(r"//.*|#(?!\d).*|^\s*[;%].*", re.ASCII)
 _LOG_LINE: Final = re.compile(r"\d{1,9}\.\d{9} \S{1,64} ([><.=!~?#])(?: .*)?", re.ASCII)
 """A line of a log. Only those of bytes that were sent (`>`) or received (`<`) hold commands."""
 
+CONSTANT_SPEED: Final = (
+    "Each servo is assumed to move at constant speed for the time of its command."
+)
+"""Comment on the ease `linear` of a script."""
+
 LISTED_MAX: Final = 10
 """Chosen: more lines without a meaning are counted only."""
 
@@ -230,11 +235,12 @@ class _CommandText:
             ease=Interpolation.SPLINE if is_recording or self.is_stream else Interpolation.LINEAR,
             comments=(
                 f"Imported from {path.name} ({title}, {order}).",
-                "Each servo is assumed to move at constant speed for the time of its command.",
+                CONSTANT_SPEED,
                 *(f"`{wait}` is read as {unit}." for wait, unit in self.assumed.items()),
                 *summarised(found),
             ),
             is_recording=is_recording,
+            is_script=not is_recording and not self.is_stream,
         )
 
     def _last_pause(self, channels: list[Channel]) -> dict[float, Note]:

@@ -7,7 +7,9 @@ reduces a recording to keys; `sequence_for` checks the result against the robot.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -18,7 +20,7 @@ from lss_motion.files.source import RECORDING_MAX_BYTES, known_names, read_data
 from lss_motion.interchange.bitbots import BitBotsReader
 from lss_motion.interchange.blender import BlenderReader
 from lss_motion.interchange.bottango import BottangoReader
-from lss_motion.interchange.command_text import CommandReader
+from lss_motion.interchange.command_text import CONSTANT_SPEED, CommandReader
 from lss_motion.interchange.csv import CsvReader
 from lss_motion.interchange.d6a import D6aReader
 from lss_motion.interchange.hulks import HulksReader
@@ -29,14 +31,16 @@ from lss_motion.interchange.opencat import OpenCatReader
 from lss_motion.interchange.poses import PosesReader
 from lss_motion.interchange.pypose import PyPoseReader
 from lss_motion.interchange.pypot import PypotReader
-from lss_motion.interchange.reader import DIGITS, ForeignMotion, RefusedMotion
+from lss_motion.interchange.reader import DIGITS, ForeignMotion, Note, RefusedMotion
 from lss_motion.interchange.reduce import TOLERANCE_DEG, Limits, every_sample, interpolated, reduced
 from lss_motion.interchange.robotis import RobotisPagesReader, RobotisTextReader
 from lss_motion.interchange.ros import RosReader
 from lss_motion.interchange.ssc32_table import Ssc32TableReader
 from lss_motion.interchange.webots import WebotsReader
+from lss_motion.robot.profile import Profile, ramp_deg_s2
 from lss_motion.sequence.check import joint_problems, jumps
 from lss_motion.sequence.model import KEYFRAMES_MAX, TIME_MAX_S, Interpolation, Sequence
+from lss_motion.sequence.parts import keeping
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -45,7 +49,7 @@ if TYPE_CHECKING:
     from lss_motion.interchange.mapping import MotionMap
     from lss_motion.interchange.reader import Channel, Reader
     from lss_motion.interchange.reduce import KeyFit
-    from lss_motion.robot.model import Robot
+    from lss_motion.robot.model import Joint, Robot
     from lss_motion.sequence.model import Keyframe
 
 
@@ -202,6 +206,7 @@ def imported(
     ease: Interpolation = Interpolation.SPLINE,
     is_unwrapped: bool = False,
     is_clipped: bool = False,
+    keeps_time: bool = False,
 ) -> Imported:
     """Return `motion` for `robot`. A recording is reduced to keys; tolerance 0 keeps all samples.
 
@@ -211,6 +216,9 @@ def imported(
     acceleration of the recording itself. A smooth curve needs two to three times as much, so it is
     slowed down more often, but it never goes beyond a key (measured on example shows and on random
     motion).
+
+    `keeps_time`: its joints keep every instant. The commands of a script are then left to the
+    servos (ease `command`), so that the program holds the same ones where they are possible.
     """
     fit: KeyFit | None = None
     own = mapped(motion, robot, motion_map, is_unwrapped=is_unwrapped)
@@ -225,7 +233,47 @@ def imported(
             own, fit = reduced(recorded, tolerance_deg, Interpolation.SMOOTH)
             note = f"A spline would swing joint {joint} out of its range: smooth instead."
             own = replace(own, comments=(*own.comments, note))
-    return Imported(sequence=sequence_for(own, robot), comments=own.comments, fit=fit)
+    if keeps_time and own.is_script:
+        own = _left_to_servos(own, robot)
+    sequence = sequence_for(own, robot)
+    if keeps_time:
+        sequence = keeping(sequence, is_time=True)
+    return Imported(sequence=sequence, comments=own.comments, fit=fit)
+
+
+def _left_to_servos(script: ForeignMotion, robot: Robot) -> ForeignMotion:
+    """Return a script with the ease `command`; it lasts until the last servos are at rest."""
+    ends_s = [0.0]
+    for channel in script.channels:
+        joint = robot.joints.get(channel.name)
+        if joint is not None and len(channel.times_s) > 1 and joint.drive == "timed":
+            ends_s.append(_rests_s(channel, joint))
+    last_s = max(float(channel.times_s[-1]) for channel in script.channels)
+    note = script.notes.get(last_s, Note())
+    hold_s = max(note.hold_s, math.ceil((max(ends_s) - last_s) * 1e3) / 1e3)
+    comments = [comment for comment in script.comments if comment != CONSTANT_SPEED]
+    comments.append("Each servo carries its commands out by itself (ease: command).")
+    return replace(
+        script,
+        ease=Interpolation.COMMAND,
+        notes={**script.notes, last_s: replace(note, hold_s=hold_s)},
+        comments=tuple(comments),
+    )
+
+
+def _rests_s(channel: Channel, joint: Joint) -> float:
+    """Return when the servo of a script that it carries out comes to rest."""
+    servo = Profile(
+        float(channel.values[0]),
+        ramp_deg_s2=ramp_deg_s2(joint),
+        speed_max_deg_s=joint.speed_max_deg_s,
+        response=joint.response,
+    )
+    poses = zip(channel.times_s.tolist(), channel.values.tolist(), strict=True)
+    for (from_s, from_deg), (to_s, to_deg) in pairwise(poses):
+        if to_deg != from_deg:
+            servo.retarget(from_s, to_deg, to_s - from_s)
+    return max(piece.start_s for piece in servo.pieces())
 
 
 def clipped(motion: ForeignMotion, robot: Robot) -> ForeignMotion:

@@ -128,6 +128,8 @@ class ForeignMotion:
     ease: Interpolation = Interpolation.SMOOTH
     comments: tuple[str, ...] = ()
     is_recording: bool = False
+    is_script: bool = False
+    """The poses are the ends of commands for servos, each sent at the pose before."""
 
     @property
     def keyframes(self) -> tuple[Keyframe, ...]:

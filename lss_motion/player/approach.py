@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from lss_motion.program.compile import TOLERANCE_DEG, driving_of, glide_moves, lines_use
-from lss_motion.program.model import Move, Program, ramp_deg_s2
+from lss_motion.program.model import Move, Program
 from lss_motion.program.reference_grid import DURATION_MAX_MS, GRID_S, Reference
-from lss_motion.program.response import Piece, PiecewiseProfile, trapezoid
+from lss_motion.program.response import PiecewiseProfile
 from lss_motion.program.verify import profiles
+from lss_motion.robot.profile import Piece, ramp_deg_s2, trapezoid
 from lss_motion.units import MS_PER_S, NS_PER_US, line_time_ns, s_from_ms, s_from_us, us_from_s
 
 if TYPE_CHECKING:

@@ -24,13 +24,13 @@ from lss_motion.player.handshake import (
 )
 from lss_motion.player.health import STATUS_CAUSES, STATUS_TEXTS, hot_text, low_voltage_text
 from lss_motion.player.transactions import Item
-from lss_motion.program.model import ramp_setting_deg_s2
 from lss_motion.protocol.codec import language_table, storable, stored_wire
 from lss_motion.protocol.constants import Family, Status, status_from
 from lss_motion.protocol.framing import Command
 from lss_motion.protocol.table import Suffix
 from lss_motion.robot.model import HALF_TURN_DEG
 from lss_motion.robot.on_fault import Cause, FaultStep
+from lss_motion.robot.profile import ramp_setting_deg_s2
 from lss_motion.robot.servo_models import FILTER_FIRMWARE_MIN, model_mismatch_text
 from lss_motion.units import NS_PER_MS
 

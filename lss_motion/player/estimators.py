@@ -26,7 +26,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from lss_motion.program.response import Profile
+    from lss_motion.robot.profile import Profile
 
 
 JUMP_MARGIN_DEG: Final = 5.0

@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.errors import BusError, PlaybackError
 from lss_motion.player.cues import LED_KEYWORD
 from lss_motion.player.transactions import Dialogue, Item
-from lss_motion.program.model import ramp_setting_deg_s2
 from lss_motion.protocol.codec import language_table, make_command, read_reply
 from lss_motion.protocol.constants import BROADCAST_ID
 from lss_motion.protocol.framing import Command, Reply, encode
+from lss_motion.robot.profile import ramp_setting_deg_s2
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Mapping, Sequence

@@ -8,6 +8,7 @@
   schedule   all joints fitted on the lines that they share          compile, splice
   line       slots on one serial line, and their check               schedule, compile
   fit        timed moves of all joints, segment by segment           schedule, drives
+  given      segments whose commands the author gives              fit
   segments   cuts references at the stops of a servo                 fit
   search     the next timed move: travel speed and length            fit
   cones      travel speeds that keep a profile near its reference    search, fit

@@ -20,7 +20,7 @@ from lss_motion.program.drives import choices, profile_lead_s
 from lss_motion.program.line import LineUse, line_use, reading_rate_hz
 from lss_motion.program.model import TIMED, Driving, Program, Repeat
 from lss_motion.program.move_table import columns_of, moves_of
-from lss_motion.program.reference_grid import GRID_S, Reference
+from lss_motion.program.reference_grid import GRID_S, GivenCommand, Reference
 from lss_motion.program.schedule import (
     RELAXED_RATIOS,
     Schedule,
@@ -32,7 +32,7 @@ from lss_motion.program.schedule import (
 from lss_motion.program.verify import verify_program
 from lss_motion.trajectory.cues import all_cues, all_marks, all_waits
 from lss_motion.trajectory.model import JOINT_SECONDS_MAX, LoopedSpan
-from lss_motion.units import s_from_us, us_from_s
+from lss_motion.units import MS_PER_S, s_from_us, us_from_s
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from lss_motion.program.drives import Choice
     from lss_motion.program.model import Move
     from lss_motion.program.moves import FittedJoint
-    from lss_motion.robot.model import Robot
+    from lss_motion.robot.model import Joint, Robot
     from lss_motion.trajectory.model import Trajectory
 
 TOLERANCE_DEG: Final = 0.2
@@ -176,8 +176,26 @@ def _references(trajectory: Trajectory, robot: Robot) -> dict[str, Reference]:
             joint = robot.joints[name]
             if profile_lead_s(joint) == lead_s:
                 servo_deg = joint.zero_deg + joint.direction * own_deg
-                references[name] = Reference(start_s=-PREROLL_S, position_deg=servo_deg)
+                references[name] = Reference(
+                    start_s=-PREROLL_S,
+                    position_deg=servo_deg,
+                    given=_given(trajectory, joint, lead_s),
+                )
     return references
+
+
+def _given(trajectory: Trajectory, joint: Joint, lead_s: float) -> tuple[GivenCommand, ...]:
+    """Return the commands of the author for a joint, received by the lead earlier."""
+    per_deg = joint.model.wire_per_deg
+    return tuple(
+        GivenCommand(
+            received_s=move.at_s - lead_s,
+            target_wire=round(joint.servo_deg(move.deg) * per_deg),
+            duration_ms=round(MS_PER_S * move.duration_s),
+        )
+        for move in trajectory.commands
+        if move.joint == joint.name and joint.drive == "timed"
+    )
 
 
 def glide_moves(

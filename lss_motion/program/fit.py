@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from lss_motion.program.cones import CONE_RATIO, Starts, reach_steps
+from lss_motion.program.given import given_moves
 from lss_motion.program.moves import (
     FittedMoves,
     InitialMotion,
@@ -355,12 +356,13 @@ class TimedFit:
     def moves(self, new_line: Callable[[], Grant]) -> FittedMoves:
         """Return the moves, by joint and time. `new_line` returns a free line for every run.
 
-        A stop that a servo cannot reach in time is no stop in the next run. The other segments keep
-        the slots that they have.
+        Segments that fit with the commands that are given for them are not searched. A stop that a
+        servo cannot reach in time is no stop in the next run. The other segments keep the slots
+        that they have.
         """
         refused: set[tuple[int, int]] = set()
-        known: list[Segment] = []
-        made, of_segment = no_moves(), np.zeros(0, dtype=np.intp)
+        references, limits, _ = zip(*self._each, strict=True)
+        known, made, of_segment = given_moves(references, limits, self._segments(refused), new_line)
         while True:
             segments = self._segments(refused)
             before, now = set(known), set(segments)

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 from lss_motion.errors import InputError
 from lss_motion.files.source import counted, duration_text, known_names
 from lss_motion.protocol.framing import encode_move
-from lss_motion.robot.servo_models import ramp_of_steps, ramp_steps, ramp_steps_max
 from lss_motion.units import NS_PER_US, line_time_ns, s_from_us, us_from_s
 
 if TYPE_CHECKING:
@@ -256,21 +255,6 @@ class Program:
 
 def _instant(due: tuple[float, T]) -> float:
     return due[0]
-
-
-def ramp_setting_deg_s2(joint: Joint) -> float:
-    """Return the AA and AD of a timed joint's servo: its limit, as far as the setting reaches.
-
-    With its ramps at the joint's own limit the servo never exceeds it, whatever it receives.
-    """
-    model = joint.model
-    steps = ramp_steps(model, joint.accel_max_deg_s2, joint.ramp_ratio)
-    return ramp_of_steps(model, min(max(steps, 1), ramp_steps_max(model)))
-
-
-def ramp_deg_s2(joint: Joint) -> float:
-    """Return the ramp that the servo of a timed joint drives with its setting."""
-    return ramp_setting_deg_s2(joint) * joint.ramp_ratio
 
 
 def target_deg(joint: Joint, target_wire: int) -> float:

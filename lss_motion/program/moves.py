@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from lss_motion.program.reference_grid import Reference, ServoLimits
-    from lss_motion.program.response import FloatArray, Index, IntArray, Profile
+    from lss_motion.program.response import FloatArray, Index, IntArray
+    from lss_motion.robot.profile import Profile
 
 JOINED_DEG: Final = 1e-6
 """A move starts where its predecessor has brought the profile, up to rounding errors."""

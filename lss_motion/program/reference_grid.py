@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from lss_motion.program.model import ramp_deg_s2
+from lss_motion.robot.profile import ramp_deg_s2
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,12 +47,24 @@ AHEAD_MAX_STEPS: Final = round(SEGMENT_MAX_S / GRID_S)
 """The number of grid steps that a search looks ahead at most."""
 
 
+class GivenCommand(NamedTuple):
+    """A command that the servo should receive at `received_s`."""
+
+    received_s: float
+    target_wire: int
+    duration_ms: int
+
+
 @dataclass(frozen=True, kw_only=True)
 class Reference:
-    """What the profile of one servo should do: positions every `GRID_S` from `start_s` on."""
+    """What the profile of one servo should do: positions every `GRID_S` from `start_s` on.
+
+    `given` are commands of the author in order, with which the profile does it.
+    """
 
     start_s: float
     position_deg: FloatArray
+    given: tuple[GivenCommand, ...] = ()
 
     @property
     def end_s(self) -> float:

@@ -105,6 +105,8 @@ def segments_of(
 def _stops(reference: Reference, limits: ServoLimits) -> list[Stop]:
     """Return the standstills of a reference, and turning points where standstills are far apart."""
     rests = reference.rests()
+    if reference.given:
+        return rests  # Between them the moves are known already.
     stretch = round(STRETCH_S / GRID_S)
     edges = [0, *(index for rest in rests for index in rest), len(reference.position_deg) - 1]
     if max(b - a for a, b in zip(edges[::2], edges[1::2], strict=True)) < 2 * stretch:

@@ -32,7 +32,8 @@ from lss_motion.program.cones import CONE_RATIO
 from lss_motion.program.moves import Setpoint
 from lss_motion.program.quantize import nearest_wire
 from lss_motion.program.reference_grid import GRID_S, STILL_DEG, STILL_ROUNDING_DEG
-from lss_motion.program.response import Piece, PiecewiseProfile
+from lss_motion.program.response import PiecewiseProfile
+from lss_motion.robot.profile import Piece
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

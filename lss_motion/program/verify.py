@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING, Final, Protocol
 import numpy as np
 
 from lss_motion.errors import PlanningError
-from lss_motion.program.model import TIMED, ramp_deg_s2
+from lss_motion.program.model import TIMED
 from lss_motion.program.move_table import columns_of
 from lss_motion.program.moves import profiles_from_rest, replayed
 from lss_motion.program.reference_grid import LimitArrays, servo_limits
-from lss_motion.program.response import PiecewiseProfile, Profile
+from lss_motion.program.response import PiecewiseProfile
 from lss_motion.program.stepped import PULSE_S, StepProfile
 from lss_motion.program.streamed import FilterProfile
+from lss_motion.robot.profile import Profile, ramp_deg_s2
 from lss_motion.units import US_PER_S
 
 if TYPE_CHECKING:
@@ -30,8 +31,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.program.model import Program
-    from lss_motion.program.response import FloatArray, Piece
+    from lss_motion.program.response import FloatArray
     from lss_motion.robot.model import Joint, Robot
+    from lss_motion.robot.profile import Piece
 
 SPREAD_RATIO: Final = 0.6180339887498949
 """The golden ratio: multiples of it spread any number of servos evenly over one filter period."""

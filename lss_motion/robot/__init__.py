@@ -5,6 +5,7 @@ file            what it is                                        called by
 ==============  ================================================  ==================================
 `model`         the values: `Robot`, `Joint`, `Bus`, `Response`   every package above
 `servo_models`  the servo models and families, drives that fit    `load`, `program`, `player`, `sim`
+`profile`       how a servo moves on one command, its ramps        `trajectory`, `program`, `player`
 `on_fault`      faults of joints, and the steps taken on them     `model`, `program`, `player`
 `figure`        links that turn with joints, for pictures         `load`, `urdf`, `gait.figure`
 `urdf`          a URDF file → `Figure`                            `gait.figure`

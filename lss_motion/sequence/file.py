@@ -50,7 +50,7 @@ FileName = Annotated[str, Field(min_length=1)]
 SpeedRatio = Annotated[float, Field(ge=SPEED_MIN_RATIO, le=SPEED_MAX_RATIO)]
 TimeS = Annotated[float, Field(ge=0.0, le=TIME_MAX_S)]
 Colour = Literal["off", "red", "green", "blue", "yellow", "cyan", "magenta", "white"]
-Ease = Literal["smooth", "spline", "linear", "hold"]
+Ease = Literal["smooth", "spline", "linear", "hold", "command"]
 Keep = Literal["angle", "time"]
 BeatTimes = Annotated[list[TimeS], Field(min_length=2, max_length=EVENTS_MAX)]
 
@@ -165,7 +165,8 @@ class TrackEntry(FileModel, title="track"):
         default="smooth",
         description="How joints travel between keyframes. smooth: never beyond the keys. "
         "spline: rounder, may swing beyond them. linear: straight lines with stops. "
-        "hold: wait, then move as late as possible.",
+        "hold: wait, then move as late as possible. command: as the servo moves by itself on one "
+        "command with the time between the keys as its T; needs keep: time.",
     )
     smooth_s: float | None = Field(
         default=None,

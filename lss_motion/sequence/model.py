@@ -54,6 +54,9 @@ class Interpolation(StrEnum):
     """Straight in joint space; stops at corners."""
     HOLD = "hold"
     """Stays, then moves as late as the limits allow to arrive at the key in time."""
+    COMMAND = "command"
+    """As the servo moves by itself on one command whose T is the time to the key; only for joints
+    that keep their time. It comes to rest by its ramps later."""
 
 
 LINEAR_RAMP_RATIO: Final = 0.25

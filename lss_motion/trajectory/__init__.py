@@ -12,6 +12,7 @@
 | `cues.py`       | marks, cues and waits in every pass of a loop        | program, playlist       |
 | `keys.py`       | the keys of each joint, checked, with path positions | retime, curves, tracks  |
 | `curves.py`     | the cubics between keys, for each interpolation      | retime                  |
+| `commands.py`   | the ease `command`: what servos do by themselves     | curves, keep_time       |
 | `path.py`       | cubics of all joints over the path position          | all that plan           |
 | `retime.py`     | paths of a sequence, and the clock that follows them | tracks, layers, planner |
 | `catch_up.py`   | faster while late, back at the author's pace in time | retime                  |

@@ -1,7 +1,7 @@
-"""The curve of a joint between its keys: smooth, spline, linear and hold, as piecewise cubics.
+"""The curve of a joint between its keys, for each ease, as piecewise cubics.
 
 Everything here is over the path position; time, speed limits and rates come later (`retime`). Only
-`hold` uses the joint's limits: its move starts as late as they allow.
+`hold` uses the joint's limits: its move starts as late as they allow; and `command` its ramps.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 
 from lss_motion.sequence.model import LINEAR_RAMP_RATIO, Interpolation
 from lss_motion.splines import clamped_slopes, distinct, monotone_slopes, runs
+from lss_motion.trajectory.commands import carried_out
 from lss_motion.trajectory.keys import PATH_DECIMALS, SAME_ANGLE_DEG, least_move_s, rests_at
 from lss_motion.trajectory.path import Path, hermite
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lss_motion.robot.model import Joint, Robot
+    from lss_motion.trajectory.commands import CarriedOut
     from lss_motion.trajectory.keys import Key, Spacing
 
     FloatArray = NDArray[np.float64]
@@ -180,9 +182,12 @@ def _pieces(
     """Return starts and cubics of one joint's pieces, in order, from 0 to `length_s`."""
     slopes = _slopes(keys, start_slope, end_slope)
     is_flowing = keys.are(*_FLOWING)
+    commands = commands_of(keys, joint, length_s)
+    is_linear = keys.are(Interpolation.LINEAR, Interpolation.COMMAND)
+    is_linear[commands.covered] = False
     moving = [
         _flowing(keys, slopes, np.flatnonzero(is_flowing)),
-        _linear(keys, np.flatnonzero(keys.are(Interpolation.LINEAR))),
+        _linear(keys, np.flatnonzero(is_linear)),
         _late(keys, joint, np.flatnonzero(keys.are(Interpolation.HOLD))),
     ]
     still = np.zeros((len(keys.deg) + 1, 4))
@@ -193,11 +198,21 @@ def _pieces(
     starts_s = np.concatenate([still_starts_s, *(starts for starts, _, _ in moving)])
     ends_s = np.concatenate([still_ends_s, *(ends for _, ends, _ in moving)])
     cubics = np.concatenate([still, *(cubics for _, _, cubics in moving)])
+    starts_s = commands.after(starts_s)  # A rest begins when the servo has come to rest.
+    starts_s = np.concatenate([starts_s, commands.starts_s])
+    ends_s = np.concatenate([ends_s, commands.ends_s])
+    cubics = np.concatenate([cubics, commands.cubics])
     is_kept = ends_s > starts_s
     if not is_kept.any():
         return still_starts_s[:1], still[:1]
     order = np.argsort(starts_s[is_kept], kind="stable")
     return starts_s[is_kept][order], cubics[is_kept][order]
+
+
+def commands_of(keys: JointKeys, joint: Joint, end_s: float) -> CarriedOut:
+    """Return what the servo of the joint makes of the moves with the ease `command`."""
+    is_command = keys.are(Interpolation.COMMAND)
+    return carried_out(keys.reached_s, keys.left_s, keys.deg, is_command, joint, end_s)
 
 
 def _slopes(keys: JointKeys, start_slope: float, end_slope: float) -> FloatArray:

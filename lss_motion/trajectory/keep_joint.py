@@ -61,6 +61,10 @@ EDGE_S: Final = 0.06
 EDGE_DEG: Final = 0.005
 """A window is wide enough if the deviation near its ends is below this."""
 
+STILL_S: Final = 0.04
+"""A joint rests so long before a command of the author, where that leaves time: the compiler takes
+20 ms for a standstill."""
+
 GIVEN_UP_MIN_DEG: Final = 0.1
 """Smaller deviations are not reported: the unit of an LSS."""
 
@@ -182,10 +186,16 @@ class JointFollower:
         grid: Grid,
         keys: Sequence[KeyAsked],
         source: str,
+        own_s: Sequence[tuple[float, float]] = (),
     ) -> None:
+        """Take what is asked for; in the spans `own_s` it is given where the rest allows it."""
         self.name, self.bounds, self.asked, self.grid, self.keys = name, bounds, asked, grid, keys
         self._source = source
         self._reserved = replace(bounds, accel_deg_s2=ACCEL_SHARE * bounds.accel_deg_s2)
+        cell_s = grid.cell_s
+        self._walls = [
+            (int((from_s - STILL_S) / cell_s), math.ceil(to_s / cell_s)) for from_s, to_s in own_s
+        ]
         self._windows: dict[tuple[int, int], Window] = {}
         self._spans: list[tuple[int, int]] = []
 
@@ -213,6 +223,8 @@ class JointFollower:
             )
             for first, end in exceeded
         ]
+        cores = [(first + margin, end - margin) for first, end in spans]
+        spans = [self._grown(core, span) for core, span in zip(cores, spans, strict=True)]
         if self._is_smooth and len(self.keys) > 1:
             spans = [(0, self.grid.cells)]  # What is asked for jumps at every key.
         self._spans = self._joined(spans)
@@ -220,6 +232,24 @@ class JointFollower:
             grown = [self._solve(span) for span in pending]
             done = [span for span in self._spans if span in self._windows]
             self._spans = self._joined([*done, *grown])
+
+    def _grown(self, span: tuple[int, int], to: tuple[int, int]) -> tuple[int, int]:
+        """Return the span, grown to `to` but not into the spans that are given as asked for."""
+        first, end = span
+        # A wall may reach into the span where the author leaves no time between them.
+        below = [min(wall[1], first) for wall in self._walls if wall[0] < first]
+        above = [max(wall[0], end) for wall in self._walls if wall[1] > end]
+        return max([to[0], *below]), min([to[1], *above])
+
+    def is_changed(self, from_s: float, to_s: float) -> bool:
+        """Return whether angle is given up between two instants."""
+        cell_s = self.grid.cell_s
+        for window in self.windows:
+            first = max(0, math.floor(from_s / cell_s) - window.first)
+            end = max(0, math.ceil(to_s / cell_s) - window.first)
+            if np.abs(window.deviation_deg[first:end]).max(initial=0.0) > GIVEN_UP_MIN_DEG:
+                return True
+        return False
 
     def _joined(self, spans: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
         """Return the spans in order, within the motion, with those that touch made one."""
@@ -250,15 +280,20 @@ class JointFollower:
         wanted = self._wanted(span)
         found = closest(wanted, self._reserved)
         grow = max(self.grid.cells_of(WIDEN_S), math.ceil(WIDEN_RATIO * (end - first)))
+        grown = first - grow, end + grow
         if found is None and not is_whole:
-            return first - grow, end + grow
+            self._walls = [
+                wall for wall in self._walls if not (wall[0] <= end and first <= wall[1])
+            ]
+            return self._grown(span, grown)
         if found is None:
             found = self._elastic(wanted)
         window = self._window(span, wanted, found)
         edge = min(self.grid.cells_of(EDGE_S), end - first)
         sizes = np.abs(window.deviation_deg)
-        low = first - grow if first > 0 and sizes[:edge].max() > EDGE_DEG else first
-        high = end + grow if end < self.grid.cells and sizes[-edge:].max() > EDGE_DEG else end
+        grown = self._grown(span, grown)
+        low = grown[0] if first > 0 and sizes[:edge].max() > EDGE_DEG else first
+        high = grown[1] if end < self.grid.cells and sizes[-edge:].max() > EDGE_DEG else end
         if (low, high) == span:
             self._windows[span] = window
         return low, high
@@ -429,6 +464,29 @@ class JointFollower:
                     rms_deg=float(np.sqrt(np.mean(own_deg**2))),
                     missed=tuple(self._missed(from_s, to_s, times_s, deviation_deg)),
                 )
+
+    def left_out(
+        self, span_s: tuple[float, float], line_deg: tuple[float, float], stop_deg: float
+    ) -> GivenUp:
+        """Return what a command of `span_s` gives up that is replaced before its angle is reached.
+
+        It is asked for at constant speed from the first angle of `line_deg` to the second; the
+        joint could stop at `stop_deg` when it is replaced.
+        """
+        from_s, to_s = span_s
+        times_s = np.linspace(from_s, to_s, max(2, round((to_s - from_s) / ASKED_STEP_S)))
+        off_deg = self.asked.angles(times_s) - np.interp(times_s, span_s, line_deg)
+        label = next((key.label for key in self.keys if key.at_s == to_s), "")
+        missed = MissedKey(at_s=to_s, label=label, asked_deg=line_deg[1], given_deg=stop_deg)
+        return GivenUp(
+            from_s=from_s,
+            to_s=to_s,
+            joint=self.name,
+            by_deg=abs(stop_deg - line_deg[1]),
+            at_s=to_s,
+            rms_deg=float(np.sqrt(np.mean(off_deg**2))),
+            missed=(missed,),
+        )
 
     def asked_in(self, span: GivenUp) -> AskedSpan:
         """Return what is asked for in a span."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -18,9 +19,10 @@ from lss_motion.sequence.model import Timing
 from lss_motion.splines import distinct, runs
 from lss_motion.trajectory import explain
 from lss_motion.trajectory.closest_spline import Bounds
-from lss_motion.trajectory.curves import shifted
+from lss_motion.trajectory.curves import commands_of, shifted
 from lss_motion.trajectory.keep_joint import (
     CELL_S,
+    GIVEN_UP_MIN_DEG,
     KNOT_MIN_S,
     Asked,
     Grid,
@@ -30,6 +32,7 @@ from lss_motion.trajectory.keep_joint import (
 from lss_motion.trajectory.keys import SAME_ANGLE_DEG, SAME_INSTANT_S, is_timed, named
 from lss_motion.trajectory.model import (
     AskedSpan,
+    CommandedMove,
     GivenUp,
     PathClock,
     PathMotion,
@@ -44,7 +47,7 @@ from lss_motion.trajectory.tracks import ParallelPass, verified
 from lss_motion.trajectory.verify import verify
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -53,6 +56,9 @@ if TYPE_CHECKING:
     from lss_motion.trajectory.model import Mark, Pass, Smoothing
 
     FloatArray = NDArray[np.float64]
+
+ROUNDING_RATIO: Final = 1e-9
+"""A motion this little beyond a limit is at it."""
 
 PULL_MAX_S: Final = 0.5
 """A weighted key counts at most for so much time around it."""
@@ -94,9 +100,12 @@ def time_kept(sequence: Show, robot: Robot, *, may_flow: bool = True) -> Traject
     _check_jumps(layout)
     names = tuple(layout.keys)
     keys = [_joint_keys(layout, name) for name in names]
-    joints = _followed(
-        concatenate(layout.paths), names, robot, Grid.of(layout), keys, show=sequence
-    )
+    own_s = {}
+    if sequence.loop == 1:
+        length_s = layout.spacing.length_s
+        own_s = {n: commands_of(layout.keys[n], robot.joints[n], length_s).spans_s for n in names}
+    path, grid = concatenate(layout.paths), Grid.of(layout)
+    joints = _followed(path, names, robot, grid, keys, show=sequence, own_s=own_s)
     trajectory = replace(_assembled(layout, joints), smoothing=_smoothing(sequence, names, robot))
     return verified(trajectory, sequence, robot)
 
@@ -113,6 +122,7 @@ def _followed(
     keys: Sequence[tuple[KeyAsked, ...]],
     *,
     show: Show,
+    own_s: Mapping[str, Sequence[tuple[float, float]]] = MappingProxyType({}),
 ) -> list[JointFollower]:
     """Return the joints of a path, a column each, following it at its own times."""
     exceeded = _exceeded(path, [robot.joints[name] for name in names])
@@ -134,6 +144,7 @@ def _followed(
             grid=grid,
             keys=own_keys,
             source="" if show.path is None else str(show.path),
+            own_s=own_s.get(name, ()),
         )
         follower.follow(runs(exceeded[:, column]))
         found.append(follower)
@@ -166,9 +177,10 @@ def _exceeded(path: Path, joints: Sequence[Joint]) -> NDArray[np.bool_]:
     """Return which segments of which joints exceed a limit at the authored times."""
     speed, accel = peaks(path)
     low_deg, high_deg = _extremes(path)
+    most = 1.0 + ROUNDING_RATIO
     return np.asarray(
-        (speed > np.array([joint.speed_max_deg_s for joint in joints]))
-        | (accel > np.array([joint.accel_max_deg_s2 for joint in joints]))
+        (speed > most * np.array([joint.speed_max_deg_s for joint in joints]))
+        | (accel > most * np.array([joint.accel_max_deg_s2 for joint in joints]))
         | (low_deg < np.array([joint.position_min_deg for joint in joints]) - SAME_ANGLE_DEG)
         | (high_deg > np.array([joint.position_max_deg for joint in joints]) + SAME_ANGLE_DEG)
     )
@@ -250,6 +262,8 @@ def _assembled(layout: Layout, joints: Sequence[JointFollower]) -> Trajectory:
         part = Path(knots_s=knots_s, coefficients=path.coefficients[first:end])
         motions.append(PathMotion(path=part, clock=clock))
     given_up, asked = _given_up(joints)
+    commands, left_out = _commands(layout, joints)
+    given_up = tuple(sorted((*given_up, *left_out), key=lambda span: span.from_s))
     return Trajectory(
         name=sequence.name,
         joints=tuple(layout.keys),
@@ -260,10 +274,36 @@ def _assembled(layout: Layout, joints: Sequence[JointFollower]) -> Trajectory:
         is_periodic=len(motions) > 1,
         given_up=given_up,
         asked=asked,
+        commands=commands if sequence.loop == 1 else (),
         marks=explain.marks(
             sequence.keyframes, layout.spacing, clock, is_timed=True, kept=frozenset(layout.keys)
         ),
     )
+
+
+def _commands(
+    layout: Layout, joints: Sequence[JointFollower]
+) -> tuple[tuple[CommandedMove, ...], list[GivenUp]]:
+    """Return the commands that the servos carry out, and the angles that these do not reach."""
+    found, left_out = [], []
+    for joint in joints:
+        keys = layout.keys[joint.name]
+        servo = layout.robot.joints[joint.name]
+        done = commands_of(keys, servo, layout.spacing.length_s)
+        for move, off_deg in zip(done.moves.tolist(), done.off_deg.tolist(), strict=True):
+            from_s, to_s = float(keys.left_s[move]), float(keys.reached_s[move + 1])
+            if joint.is_changed(from_s, to_s):
+                continue
+            asked_deg = float(keys.deg[move + 1])
+            found.append(
+                CommandedMove(
+                    at_s=from_s, joint=joint.name, deg=asked_deg, duration_s=to_s - from_s
+                )
+            )
+            if abs(off_deg) > GIVEN_UP_MIN_DEG:
+                line_deg = float(keys.deg[move]), asked_deg
+                left_out.append(joint.left_out((from_s, to_s), line_deg, asked_deg - off_deg))
+    return tuple(sorted(found, key=lambda move: move.at_s)), left_out
 
 
 def _given_up(
@@ -394,6 +434,7 @@ def beside(
         stretched=slow.stretched,
         given_up=kept.given_up,
         asked=kept.asked,
+        commands=kept.commands,
         marks=tuple(marks),
         smoothing=(*slow.smoothing, *kept.smoothing),
     )

@@ -44,7 +44,7 @@ PASSING_RATIO: Final = 0.5
 a motion are closer together than moves from rest to rest could be. Chosen: samples of a motion
 within the limits keep their times, and so do those of a motion up to twice as fast."""
 
-STOPPING: Final = (Interpolation.LINEAR, Interpolation.HOLD)
+STOPPING: Final = (Interpolation.LINEAR, Interpolation.HOLD, Interpolation.COMMAND)
 """Moves that begin and end at rest."""
 
 PATH_DECIMALS: Final = 9
@@ -101,6 +101,18 @@ def keys_by_joint(sequence: Sequence, robot: Robot) -> dict[str, tuple[Key, ...]
             for joint, own in keys.items()
             if abs(own[-1].deg - own[0].deg) > SAME_ANGLE_DEG
         ]
+    problems += [
+        InputError(
+            f"joint {joint!r} moves with the ease command, which only joints that keep their time "
+            "can do: write keep: time, or choose another ease",
+            line=sequence.keyframes[key.index].line,
+            path=sequence.path,
+        )
+        for joint, own in keys.items()
+        if joint not in sequence.keeps_time
+        for key in own[1:]
+        if key.ease is Interpolation.COMMAND
+    ][:1]
     if problems:
         first, *more = problems
         raise InputError(first.reason, path=first.path, line=first.line, more=more)

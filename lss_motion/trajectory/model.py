@@ -125,6 +125,20 @@ class AskedSpan:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CommandedMove:
+    """A move that the plan leaves to the servo: one command with this target and T."""
+
+    at_s: float
+    joint: str
+    deg: float
+    duration_s: float
+
+    def later(self, by_s: float) -> CommandedMove:
+        """Return the move with its time moved by `by_s`."""
+        return replace(self, at_s=self.at_s + by_s)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Mark:
     """A keyframe in the plan: its authored time (None: not given) and when it is reached.
 
@@ -235,6 +249,8 @@ class Trajectory:
     """Where joints that keep their time give up angle; it covers the same passes as `stretched`."""
     asked: tuple[AskedSpan, ...] = ()
     """What the author asks for in these spans, for a picture."""
+    commands: tuple[CommandedMove, ...] = ()
+    """Moves whose commands the author gives (`ease: command`), of a show that is played once."""
     marks: tuple[Mark, ...] = ()
     cues: tuple[Cue, ...] = ()
     smoothing: tuple[Smoothing, ...] = ()

@@ -28,6 +28,7 @@ from lss_motion.errors import InputError
 from lss_motion.files.source import read_data
 from lss_motion.trajectory.model import (
     AskedSpan,
+    CommandedMove,
     GivenUp,
     Mark,
     MissedKey,
@@ -48,9 +49,11 @@ if TYPE_CHECKING:
 
     from lss_motion.robot.model import Robot
 
-    Value = TypeVar("Value", Mark, SlowSpan, MissedKey, GivenUp, AskedSpan, Smoothing)
+    Value = TypeVar(
+        "Value", Mark, SlowSpan, MissedKey, GivenUp, AskedSpan, CommandedMove, Smoothing
+    )
 
-PLANNER_VERSION: Final = 10
+PLANNER_VERSION: Final = 11
 """Part of the name of every entry. Raise it whenever the plan of an unchanged sequence changes."""
 
 DIRECTORY_VARIABLE: Final = "LSS_MOTION_CACHE_DIR"
@@ -188,6 +191,7 @@ def _read(content: memoryview) -> Trajectory:
         stretched=tuple(_made(SlowSpan, stretch) for stretch in facts["stretched"]),
         given_up=tuple(_given_up(span) for span in facts["given_up"]),
         asked=tuple(_asked(span, asked_deg) for span in facts["asked"]),
+        commands=tuple(_made(CommandedMove, move) for move in facts["commands"]),
         marks=tuple(_made(Mark, {**mark, "kept": _names(mark)}) for mark in facts["marks"]),
         smoothing=tuple(_made(Smoothing, part) for part in facts["smoothing"]),
     )
@@ -244,6 +248,7 @@ def _store(path: Path, name: str, trajectory: Trajectory) -> None:
         "is_periodic": trajectory.is_periodic,
         "stretched": [asdict(stretch) for stretch in trajectory.stretched],
         "given_up": [asdict(span) for span in trajectory.given_up],
+        "commands": [asdict(move) for move in trajectory.commands],
         "marks": [asdict(mark) for mark in trajectory.marks],
         "smoothing": [asdict(part) for part in trajectory.smoothing],
     }

@@ -220,6 +220,7 @@ def _trajectory(show: Sequence, steps: _StepCollector, robot: Robot) -> Trajecto
         ),
         given_up=tuple(span.later(start_s) for start_s, part, _ in parts for span in part.given_up),
         asked=tuple(span.later(start_s) for start_s, part, _ in parts for span in part.asked),
+        commands=tuple(move.later(start_s) for start_s, part, _ in parts for move in part.commands),
         marks=tuple(
             mark.later(start_s)
             for start_s, part, _ in parts

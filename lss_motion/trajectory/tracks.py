@@ -350,6 +350,7 @@ def _merged(
             sorted((s for track in tracks for s in track.given_up), key=lambda s: s.from_s)
         ),
         asked=tuple(span for track in tracks for span in track.asked),
+        commands=tuple(move for track in tracks for move in track.commands),
         marks=tuple(sorted((m for t in tracks for m in t.marks), key=lambda m: m.planned_s)),
         smoothing=tuple(part for track in tracks for part in track.smoothing),
     )

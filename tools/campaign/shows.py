@@ -8,8 +8,8 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion import api
-from lss_motion.program.model import ramp_setting_deg_s2
 from lss_motion.robot.model import Bus, Joint, Robot
+from lss_motion.robot.profile import ramp_setting_deg_s2
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sequence.model import Keyframe, Sequence
 

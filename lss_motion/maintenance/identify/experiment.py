@@ -20,7 +20,7 @@ from lss_motion.maintenance.identify.trials import (
     make_trials,
 )
 from lss_motion.player import handshake
-from lss_motion.program.model import ramp_setting_deg_s2
+from lss_motion.robot.profile import ramp_setting_deg_s2
 from lss_motion.units import ns_from_s, s_from_ms
 
 if TYPE_CHECKING:

@@ -28,11 +28,10 @@ from lss_motion.player.health import status_fault
 from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.transactions import Dialogue
-from lss_motion.program.model import ramp_deg_s2
-from lss_motion.program.response import Profile
 from lss_motion.protocol.codec import read_reply
 from lss_motion.protocol.constants import Status, status_from
 from lss_motion.protocol.framing import Command, encode, encode_move
+from lss_motion.robot.profile import Profile, ramp_deg_s2
 from lss_motion.units import NS_PER_MS, ns_from_s, s_from_ms, s_from_ns
 
 if TYPE_CHECKING:

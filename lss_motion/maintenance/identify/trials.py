@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from lss_motion.errors import InputError
-from lss_motion.program.model import ramp_deg_s2
+from lss_motion.robot.profile import ramp_deg_s2
 from lss_motion.units import MS_PER_S, s_from_ms
 
 if TYPE_CHECKING:

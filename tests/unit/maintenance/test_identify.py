@@ -25,8 +25,8 @@ from lss_motion.maintenance.identify.trials import (
     make_window,
 )
 from lss_motion.player import checks, handshake
-from lss_motion.program.response import Profile
 from lss_motion.robot.model import Bus, Response, Robot
+from lss_motion.robot.profile import Profile
 from lss_motion.runtime.clock import VirtualClock
 from lss_motion.runtime.runner import run
 from lss_motion.sim.bus import SimBus

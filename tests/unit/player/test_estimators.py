@@ -29,8 +29,8 @@ from lss_motion.player.estimators import (
     LagEstimator,
     LostMoveDetector,
 )
-from lss_motion.program.response import Profile
 from lss_motion.robot.model import Response
+from lss_motion.robot.profile import Profile
 
 # ---- following
 

@@ -7,13 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from lss_motion.program.response import (
-    Piece,
-    PiecewiseProfile,
-    Profile,
-    trapezoid,
-)
+from lss_motion.program.response import PiecewiseProfile
 from lss_motion.robot.model import Response
+from lss_motion.robot.profile import Piece, Profile, trapezoid
 
 REST = Piece(0.0, 0.0, 0.0, 0.0)
 RAMP_DEG_S2 = 500.0

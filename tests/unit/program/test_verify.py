@@ -6,8 +6,9 @@ import pytest
 from lss_motion.errors import PlanningError
 from lss_motion.program.compile import compile_program
 from lss_motion.program.model import Move, Program
-from lss_motion.program.response import Piece, PiecewiseProfile
+from lss_motion.program.response import PiecewiseProfile
 from lss_motion.program.verify import profiles, verify_profiles, verify_program
+from lss_motion.robot.profile import Piece
 from lss_motion.robot.servo_models import SERVO_MODELS
 
 

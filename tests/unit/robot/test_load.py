@@ -8,13 +8,13 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.player.handshake import session_commands
-from lss_motion.program.model import ramp_deg_s2, ramp_setting_deg_s2
 from lss_motion.protocol.codec import make_command
 from lss_motion.protocol.constants import Family
 from lss_motion.protocol.framing import encode
 from lss_motion.robot.load import load_robot
 from lss_motion.robot.model import Bus, Response, Robot
 from lss_motion.robot.on_fault import DEFAULTS, Cause, FaultStep
+from lss_motion.robot.profile import ramp_deg_s2, ramp_setting_deg_s2
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -347,7 +347,7 @@ def test_groups_and_mirror_images_of_unknown_joints_are_refused(robot_path: Path
 def test_ramps_are_set_so_that_the_joint_keeps_its_limit_at_any_ramp_ratio(
     tmp_path, asked, ramp_ratio, accel_deg_s2, setting
 ):
-    from lss_motion.program.model import ramp_deg_s2, ramp_setting_deg_s2
+    from lss_motion.robot.profile import ramp_deg_s2, ramp_setting_deg_s2
 
     path = tmp_path / "robot.yaml"
     path.write_text(
