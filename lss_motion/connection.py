@@ -26,14 +26,16 @@ from lss_motion.runtime.signals import raising
 from lss_motion.units import ns_from_s
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from types import TracebackType
 
+    from lss_motion.player.events import Event
     from lss_motion.player.handshake import Answers
     from lss_motion.player.transactions import Item
     from lss_motion.robot.model import Bus, Joint, Robot
     from lss_motion.runtime.clock import Clock
     from lss_motion.runtime.port import Port
+    from lss_motion.runtime.runner import Controls
     from lss_motion.sim.bus import SimBus
     from lss_motion.sim.deviation import Deviation
     from lss_motion.sim.faults import Fault
@@ -180,9 +182,16 @@ class Connection:
         warnings = check_answers(joints, preflight.answers, robot, stored=preflight.stored)
         return preflight.answers, warnings
 
-    def run(self, driven: D) -> D:
+    def run(
+        self,
+        driven: D,
+        *,
+        on_event: Callable[[Event], None] | None = None,
+        on_turn: Callable[[D, int], None] | None = None,
+        controls: Controls[D] | None = None,
+    ) -> D:
         """Run the loop on `driven` until it is finished; return it."""
-        run(driven, self.ports, self.clock)
+        run(driven, self.ports, self.clock, on_event=on_event, on_turn=on_turn, controls=controls)
         return driven
 
     def wait(self, seconds: float) -> None:

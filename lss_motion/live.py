@@ -32,10 +32,13 @@ from lss_motion.sequence.check import check_sequence
 from lss_motion.sequence.model import Keyframe, Sequence, Timing
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
     from types import TracebackType
 
+    from lss_motion.maintenance.hands_on import HandsOn
+    from lss_motion.player.events import Event
     from lss_motion.robot.model import Joint, Robot
+    from lss_motion.runtime.runner import Controls
 
 
 def connect(
@@ -85,13 +88,19 @@ class Live:
         # + 0.0: no -0.0 is shown.
         return {joint.name: joint.joint_deg(standing_deg[joint.name]) + 0.0 for joint in joints}
 
-    def move_to(self, deg: Mapping[str, float], duration_s: float | None = None) -> float:
+    def move_to(
+        self,
+        deg: Mapping[str, float],
+        duration_s: float | None = None,
+        *,
+        controls: Controls[Player] | None = None,
+    ) -> float:
         """Move these joints to these angles and wait until they are there; return how long it took.
 
         That is `duration_s`, or longer where a limit requires it; without `duration_s` as short as
         the limits allow. Joints that are limp are held again if they are moved, and the others stay
-        as they are. Raises `InputError` for an unknown joint or an angle out of its range, and
-        `PlaybackError` if a joint does not follow.
+        as they are. `controls` may stop it on the way. Raises `InputError` for an unknown joint or
+        an angle out of its range, and `PlaybackError` if a joint does not follow.
         """
         if not deg:
             raise InputError("move_to needs at least one joint and its angle")
@@ -114,7 +123,7 @@ class Live:
         program = compile(trajectory, self.robot)
         # It holds between moves; what the robot file wants at the end comes at the end.
         player = Player(program, replace(self.robot, end="hold"))
-        self._guarded(player)
+        self._guarded(player, controls)
         for name in targets:
             self._limp.pop(name, None)
         self._send_limp(self._limp.values())
@@ -137,6 +146,10 @@ class Live:
         for joint in joints:
             self._limp.pop(joint.name, None)
         self._ask([_order(joint, "H") for joint in joints])
+
+    def hold_at_end(self) -> None:
+        """Let the last bytes hold all joints, whatever `end` of the robot file says."""
+        self._is_failed = True
 
     def close(self) -> None:
         """Give the robot its safe end (`end` of its file) and close the ports; once is enough."""
@@ -192,10 +205,31 @@ class Live:
             raise InputError("this robot was closed; connect again")
         return self._connection.ask(items)
 
-    def _guarded(self, player: Player) -> None:
+    def by_hand(
+        self,
+        hands_on: HandsOn,
+        *,
+        controls: Controls[HandsOn],
+        on_event: Callable[[Event], None] | None = None,
+    ) -> None:
+        """Let `controls` move, hold and release joints of this robot until they stop `hands_on`.
+
+        At its end all joints hold, those that were limp as well.
+        """
+        try:
+            self._connection.run(hands_on, controls=controls, on_event=on_event)
+        except BaseException:
+            self._is_failed = True
+            raise
+        finally:
+            self._limp.clear()
+        if hands_on.error is not None:
+            raise hands_on.error
+
+    def _guarded(self, player: Player, controls: Controls[Player] | None) -> None:
         """Play; whatever interrupts it ends without limp joints other than those there were."""
         try:
-            self._connection.run(player)
+            self._connection.run(player, controls=controls)
         except BaseException:
             self._is_failed = True
             raise

@@ -44,7 +44,6 @@ display         the live display, a process of its own; `play`, `walk`
 hands           a run with limp joints: keys and screen; `record`, `jog`, `calibrate`
 sounds          the offset of sounds that is kept, sounds that were silent; `play`
 voices          a sound as motion: the options and texts of `import`; `exchange`
-survey          finds the servos of a bus; `scan`, `monitor`, `configure`
 servo_settings  reads and writes settings over an open connection; `configure`
 ==============  =================================================================================
 """

@@ -214,8 +214,8 @@ def _targets(
     from dataclasses import replace
 
     from lss_motion.cli.servo_settings import targets_at
-    from lss_motion.cli.survey import roll_call
     from lss_motion.robot.servo_models import model_mismatch_text
+    from lss_motion.survey import roll_call
 
     if robot is None:
         ids = arguments.ids or [present.servo_id for present in roll_call(connection, "main")]
@@ -383,7 +383,7 @@ def _change_id(connection: Connection, arguments: argparse.Namespace) -> int:
 def _change_baud(connection: Connection, robot: Robot | None, arguments: argparse.Namespace) -> int:
     """Give all servos of a bus another baud rate; only some of them with `--force`."""
     from lss_motion.cli import servo_settings
-    from lss_motion.cli.survey import roll_call
+    from lss_motion.survey import roll_call
 
     if len(connection.buses) > 1:
         raise InputError("--new-baud changes one bus: give --port and --baud instead of ROBOT")
@@ -439,8 +439,8 @@ def _back_up(
 ) -> int:
     """Write all stored settings to a file."""
     from lss_motion.cli import servo_settings
-    from lss_motion.cli.survey import query_each
     from lss_motion.maintenance.backup import ServoBackup, backup_text
+    from lss_motion.survey import query_each
 
     output = Output(path, Kind.YAML)
     require_outputs([output], sources=[robot_path], is_forced=is_forced)
@@ -510,8 +510,8 @@ def _restore(connection: Connection, arguments: argparse.Namespace) -> int:
 def _find(connection: Connection, kept: ServoBackup, arguments: argparse.Namespace) -> int:
     """Return the present id of the servo of a backup: its own, or that of the factory."""
     from lss_motion.cli import servo_settings
-    from lss_motion.cli.survey import query_each
     from lss_motion.protocol.io2 import PIN_IDS
+    from lss_motion.survey import query_each
 
     pin = kept.model.removeprefix("LSS-2IO-").replace("LED", "MASTER")
     factory_id = PIN_IDS.get(pin, FACTORY_ID)

@@ -155,8 +155,8 @@ def _run(
 
 def _targets(connection: Connection, robot: Robot | None) -> list[Target]:
     """Return all joints of the robot, or without one the servos that reply."""
-    from lss_motion.cli.survey import roll_call
     from lss_motion.maintenance.settings import Target
+    from lss_motion.survey import roll_call
 
     if robot is not None:
         return [

@@ -17,9 +17,9 @@ from lss_motion.cli.commands import (
     require_baud,
     robot_at,
 )
-from lss_motion.cli.survey import survey
 from lss_motion.errors import EXIT_FINISHED, EXIT_UNREACHABLE, BusError, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
+from lss_motion.survey import survey
 
 if TYPE_CHECKING:
     import argparse
@@ -95,7 +95,7 @@ def _scanned(arguments: argparse.Namespace, found: list[dict[str, Any]]) -> int:
         if connection.simulated:
             print(SIMULATED_NOTE)
         for bus in buses.values():
-            looks = survey(connection, bus, arguments.baud)
+            looks = survey(connection, bus, arguments.baud, _progress)
             frames = [] if robot is None else _frame_problems(connection, bus, robot, looks)
             problems, notes = _print_findings(bus, robot, looks, frames)
             found.append(_as_json(bus, looks, problems, notes))
@@ -103,6 +103,12 @@ def _scanned(arguments: argparse.Namespace, found: list[dict[str, Any]]) -> int:
             if arguments.output is not None:
                 _write_starter(arguments.output, bus, looks)
     return EXIT_FINISHED if is_good else EXIT_UNREACHABLE
+
+
+def _progress(text: str) -> None:
+    """Show the present step on a terminal, in place of the one before."""
+    if sys.stderr.isatty():
+        print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)
 
 
 def _bus(port: str | None) -> Bus:

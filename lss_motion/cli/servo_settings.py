@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.cli.survey import query_each
 from lss_motion.errors import BusError, InputError
 from lss_motion.maintenance import settings
 from lss_motion.maintenance.settings import Target
@@ -17,6 +16,7 @@ from lss_motion.player.transactions import Item
 from lss_motion.protocol.codec import make_command
 from lss_motion.protocol.constants import RESET_S, Family
 from lss_motion.protocol.framing import Command
+from lss_motion.survey import query_each
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -5,12 +5,15 @@ socketpair. Nothing that a client does delays a move: the player reads what has 
 what the socket takes, and waits for neither. Telemetry that finds a full socket is dropped; events
 are kept, up to a bound.
 
-| file         | what it is                                               | who calls it           |
-|--------------|----------------------------------------------------------|------------------------|
-| `schema`     | operations, events and telemetry: the one schema         | all below, `cli`       |
-| `link`       | messages over a stream socket, without waiting           | `player_end`, `handle` |
-| `player_end` | the player's end: applies operations, sends what happens | `process`              |
-| `job`        | what is played, and how it ended                         | `process`, `handle`    |
-| `process`    | the process that plays                                   | `handle`               |
-| `handle`     | `start` and `Handle`: the client's end, for Python       | `lss_motion`           |
+| file           | what it is                                               | used by |
+|----------------|----------------------------------------------------------|--------------------|
+| `schema`       | operations, events and telemetry: the one schema         | all below, `cli` |
+| `link`         | messages over a stream socket, without waiting           | both ends |
+| `operator_end` | the client, as a process that moves servos knows it      | `job`, `live_end` |
+| `player_end`   | a show: applies operations, sends what happens           | `job` |
+| `live_end`     | a robot without a show: jog, poses, limp, hold           | `studio` |
+| `job`          | what is played, and how it ended                         | `process`, `handle` |
+| `scan_job`     | finds the servos of a robot                              | `studio` |
+| `process`      | the process that does a job, and how it is started       | `handle`, `studio` |
+| `handle`       | `start` and `Handle`: the client's end, for Python       | `lss_motion` |
 """

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from lss_motion.errors import LssMotionError
-from lss_motion.remote.player_end import LossRule
+from lss_motion.remote.player_end import LossRule, Steering
 from lss_motion.remote.schema import Ended, MarkInfo, Started, duration_of, plan_hash
 
 if TYPE_CHECKING:
     from lss_motion.program.model import Program
-    from lss_motion.remote.player_end import Steering
+    from lss_motion.remote.operator_end import Operator
     from lss_motion.robot.model import Robot
     from lss_motion.runtime.report import Report
     from lss_motion.trajectory.model import Trajectory
@@ -26,6 +26,10 @@ class Job:
     trajectory: Trajectory | None = None
     rule: LossRule = field(default_factory=LossRule)
     options: dict[str, Any] = field(default_factory=dict)
+
+    def run(self, operator: Operator) -> Outcome:
+        """Play it with this client as its operator."""
+        return play(self, Steering(operator, self.rule))
 
 
 @dataclass(frozen=True, slots=True)

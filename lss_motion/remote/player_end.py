@@ -1,8 +1,8 @@
 """The player's end: applies what clients ask for, and sends what happens.
 
 `Steering` is the controls and the observer of one run (`perform.Observer`). It never waits, and a
-client that floods it, or does not read, changes no move: a turn reads a bounded number of bytes,
-the rate is changed at most every `RATE_EVERY_NS`, and nothing is sent shortly before a move is due.
+client that floods it, or does not read, changes no move (`operator_end`): the rate is changed at
+most every `RATE_EVERY_NS`, and nothing is sent shortly before a move is due.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from lss_motion.player import events
 from lss_motion.player.events import Phase
 from lss_motion.protocol.constants import Led
 from lss_motion.remote import schema as m
-from lss_motion.remote.link import TURN_MAX_BYTES, BrokenLinkError, Kind
-from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US, ns_from_s
+from lss_motion.remote.link import Kind
+from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from lss_motion.player.joint_state import JointState
     from lss_motion.player.player import Player
-    from lss_motion.remote.link import Link
+    from lss_motion.remote.operator_end import Operator
 
 OnLost = Literal["stop", "hold", "go_on"]
 """What the player does when its operator is lost."""
@@ -55,107 +55,44 @@ class LossRule:
 class Steering:
     """One client that steers one run. Its methods are the callbacks of `perform.Observer`."""
 
-    def __init__(
-        self,
-        link: Link,
-        rule: LossRule | None = None,
-        *,
-        stops: Link | None = None,
-        is_orphan: Callable[[], bool] = lambda: False,
-    ) -> None:
-        """Serve the client at the other end of `link`.
-
-        `stops` is a second link, on which only stops count: its other end is a process that does
-        nothing else. `is_orphan` returns whether the client's process has ended. The link does not
-        show that where another process holds a copy of its end.
-        """
-        self._link = link
-        self._stops = stops
+    def __init__(self, operator: Operator, rule: LossRule | None = None) -> None:
+        self.operator = operator
         self._rule = rule or LossRule()
-        self._is_orphan = is_orphan
-        self._heard_ns: int | None = None
-        self._is_lost = self._is_cut = self._is_flooded = False
-        self._has_stopped = False
-        self._signals = 0
+        self._is_lost = self._has_stopped = False
         self._rate, self._is_paused = 1.0, False
         self._applied = (1.0, False)
         self._rated_ns = -RATE_EVERY_NS
         self._telemetry_ns = self._health_ns = 0
         self._plan = b""
         self._use: dict[str, tuple[int, int, int]] = {}
-        self._lost_count = 0
 
     # ---- controls
 
     def filenos(self) -> Sequence[int]:
-        """Return what ends a wait; no link that is flooded or closed."""
-        links = [] if self._is_cut or self._is_flooded else [self._link]
-        return [link.fileno() for link in (*links, self._stops) if link is not None]
-
-    def note_signal(self) -> None:
-        """Note a signal to end; the first one brakes, the second one ends at once."""
-        self._signals += 1
+        """Return what ends a wait."""
+        return self.operator.filenos()
 
     def act(self, player: Player, now_ns: int) -> None:
         """Apply what has arrived since the last call, stops first."""
-        if self._signals:
-            self._obey_signals(player, now_ns)
-        operations = self._read_stops() + self._read(now_ns)
-        for operation in sorted(operations, key=_urgency):
+        if signals := self.operator.take_signals():
+            self._obey_signals(player, now_ns, signals)
+        for operation in self.operator.take(now_ns):
             try:
                 self._apply(operation, player, now_ns)
             except InputError as refused:
-                self._send(m.Refused(id=operation.id, text=str(refused)))
+                self.operator.refuse(operation, str(refused))
             else:
-                if not isinstance(operation, m.Beat):
-                    self._send(m.Accepted(id=operation.id, op=operation.op))
+                self.operator.accept(operation)
         self._apply_rate(player, now_ns)
         self._watch(player, now_ns)
 
-    def _obey_signals(self, player: Player, now_ns: int) -> None:
-        count, self._signals = self._signals, 0
+    def _obey_signals(self, player: Player, now_ns: int, count: int) -> None:
+        """Brake at the first signal, end at the second one."""
         if not self._has_stopped:
             self._stop(player, now_ns)
             count -= 1
         if count:
             player.abort(now_ns)
-
-    def _read(self, now_ns: int) -> list[m.AnyOperation]:
-        """Return the operations that have arrived; refuse what is none."""
-        self._is_flooded = False
-        if self._is_cut:
-            return []
-        try:
-            arrived = self._link.receive(TURN_MAX_BYTES)
-        except BrokenLinkError:
-            self._is_cut = True
-            return []
-        operations: list[m.AnyOperation] = []
-        size = 0
-        for kind, content in arrived:
-            size += len(content)
-            if kind is not Kind.OPERATION:
-                continue
-            try:
-                operations.append(m.parse_operation(content))
-            except InputError as refused:
-                self._send(m.Refused(id=0, text=str(refused)))
-        if arrived:
-            self._heard_ns = now_ns
-            self._is_flooded = size > TURN_MAX_BYTES // 2
-        return operations
-
-    def _read_stops(self) -> list[m.AnyOperation]:
-        """Return the stops that arrived on the link for them."""
-        if self._stops is None:
-            return []
-        try:
-            arrived = self._stops.receive(TURN_MAX_BYTES)
-        except BrokenLinkError:
-            self._stops = None
-            return []
-        found = [m.parse_operation(content) for kind, content in arrived if kind is Kind.OPERATION]
-        return [operation for operation in found if isinstance(operation, m.Stop | m.Estop)]
 
     def _apply(self, operation: m.AnyOperation, player: Player, now_ns: int) -> None:
         match operation:
@@ -204,22 +141,19 @@ class Steering:
             return
         self._applied, self._rated_ns = wish, now_ns
         player.set_rate(0.0 if self._is_paused else self._rate, now_ns)
-        self._send(m.RateChanged(ratio=self._rate, is_paused=self._is_paused))
+        self.operator.send(m.RateChanged(ratio=self._rate, is_paused=self._is_paused))
 
     # ---- a lost operator
 
     def _watch(self, player: Player, now_ns: int) -> None:
         """Do what the rule says when the operator is gone, and when it is back."""
-        silent_s = self._rule.silent_s
-        self._heard_ns = now_ns if self._heard_ns is None else self._heard_ns
-        is_silent = silent_s is not None and now_ns - self._heard_ns > ns_from_s(silent_s)
-        if not (is_silent or self._is_cut):
+        if not self.operator.is_lost(now_ns, self._rule.silent_s):
             self._is_lost = False
             return
         if self._has_stopped or player.is_finished:
             return
         # Without a link the show can never be stopped, started or resumed by a client.
-        is_stuck = self._is_cut and (
+        is_stuck = self.operator.is_cut and (
             player.program.is_endless
             or player.phase is Phase.READY
             or self._is_paused
@@ -236,45 +170,37 @@ class Steering:
     def on_event(self, event: events.Event) -> None:
         """Send what happened."""
         if (message := message_of(event)) is not None:
-            self._send(message)
+            self.operator.send(message)
 
     def on_turn(self, player: Player, now_ns: int) -> None:
         """Send telemetry and health if they are due, and no move is."""
-        if self._is_cut:
+        operator = self.operator
+        if operator.is_cut:
             return
-        if now_ns < min(self._telemetry_ns, self._health_ns) and not self._link.is_full:
+        if now_ns < min(self._telemetry_ns, self._health_ns) and not operator.link.is_full:
             return
         is_overdue = now_ns > self._telemetry_ns + OVERDUE_NS
         if player.is_due_within(ROOM_NS, now_ns) and not is_overdue:
             return
-        self._link.flush()
+        operator.link.flush()
         if now_ns >= self._telemetry_ns:
             self._telemetry_ns = now_ns + TELEMETRY_NS
-            self._is_cut = self._is_orphan()
-            if player.show is not None and not self._link.is_full:
+            operator.look_for_client()
+            if player.show is not None and not operator.link.is_full:
                 self._offer_telemetry(player, now_ns)
         if now_ns >= self._health_ns:
             self._health_ns = now_ns + HEALTH_NS
-            if not self._link.is_full:
-                content = self._health(player, now_ns).model_dump_json().encode()
-                self._link.offer(Kind.EVENT, content)
+            if not operator.link.is_full:
+                operator.offer(self._health(player, now_ns))
 
     def start(self, message: m.Started) -> None:
         """Send the first event, and keep the name of the plan for the telemetry."""
         self._plan = bytes.fromhex(message.plan)
-        self._send(message)
+        self.operator.send(message)
 
     def end(self, message: m.Ended) -> None:
         """Send the last event."""
-        self._send(message)
-
-    def _send(self, message: m.Message) -> None:
-        if self._lost_count and not self._link.is_full:
-            lost = m.Lost(count=self._lost_count)
-            self._lost_count = 0
-            self._link.send(Kind.EVENT, lost.model_dump_json().encode())
-        if not self._link.send(Kind.EVENT, message.model_dump_json().encode()):
-            self._lost_count += 1
+        self.operator.send(message)
 
     def _offer_telemetry(self, player: Player, now_ns: int) -> None:
         show = player.show
@@ -284,7 +210,9 @@ class Steering:
             (planned[name], *_seen_deg(state, now_ns)) for name, state in show.joint_states.items()
         ]
         rate, show_s = show.clock.rate(now_ns), show.show_s(now_ns)
-        self._link.offer(Kind.TELEMETRY, m.Telemetry(self._plan, show_s, rate, angles).to_bytes())
+        self.operator.link.offer(
+            Kind.TELEMETRY, m.Telemetry(self._plan, show_s, rate, angles).to_bytes()
+        )
 
     def _health(self, player: Player, now_ns: int) -> m.Health:
         show = player.show
@@ -314,11 +242,6 @@ class Steering:
                     use_ratio=round(use_ratio, 3), replies_hz=round(replies_hz, 1)
                 )
         return found
-
-
-def _urgency(operation: m.AnyOperation) -> int:
-    """Return the place of an operation among those that arrived together."""
-    return 0 if isinstance(operation, m.Estop) else 1 if isinstance(operation, m.Stop) else 2
 
 
 def _seen_deg(state: JointState, now_ns: int) -> tuple[float, float]:

@@ -18,20 +18,25 @@ import tempfile
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, Protocol
 
-from lss_motion.remote.job import play
+from lss_motion.remote.job import Job
 from lss_motion.remote.link import Kind, Link
-from lss_motion.remote.player_end import Steering
+from lss_motion.remote.operator_end import Operator
 
-if TYPE_CHECKING:
-    from lss_motion.remote.job import Job
+
+class Task(Protocol):
+    """What this process can do for a client: play a show, or move a robot without one."""
+
+    def run(self, operator: Operator) -> object:
+        """Do it, and send the last event; return the result for a client that takes it."""
+
 
 SEND_S: Final = 5.0
 """The result is dropped if the client does not take it for so long."""
 
 
-def packed(job: Job) -> bytes:
+def packed(job: Task) -> bytes:
     """Return a job as bytes for `start_process`, for who starts it without looking inside."""
     return pickle.dumps(job)
 
@@ -73,10 +78,10 @@ def main() -> int:
     job = _job()
     for one in links:
         one.set_blocking(is_blocking=False)
-    steering = Steering(link, job.rule, stops=stops, is_orphan=lambda: os.getppid() != parent)
+    operator = Operator(link, stops=stops, is_orphan=lambda: os.getppid() != parent)
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, lambda _number, _frame: steering.note_signal())
-    outcome = play(job, steering)
+        signal.signal(number, lambda _number, _frame: operator.note_signal())
+    outcome = job.run(operator)
     link.set_blocking(is_blocking=True, timeout_s=SEND_S)
     link.send(Kind.OBJECT, pickle.dumps(outcome))
     while link.is_full and not link.is_closed:
@@ -85,11 +90,13 @@ def main() -> int:
     return 0
 
 
-def _job() -> Job:
+def _job() -> Task:
     """Return the job on standard input, with the changes that follow it there."""
     # It comes from the process that started this one.
-    job: Job = pickle.load(sys.stdin.buffer)  # noqa: S301
+    job: Task = pickle.load(sys.stdin.buffer)  # noqa: S301
     changes: dict[str, Any] = pickle.load(sys.stdin.buffer)  # noqa: S301
+    if not isinstance(job, Job):
+        return job
     options = {**job.options, **changes.pop("options", {})}
     return replace(job, options=options, **changes)
 

@@ -497,17 +497,20 @@ class FoundServo(Message):
     id: int
     model: str
     joint: str | None
-    text: str
+    firmware: int | None
+    voltage_v: float | None
+    temperature_c: float | None
+    status: str | None
+    is_shared: bool
+    """Whether several servos answer to this id."""
 
 
 class Scanned(Message):
-    """The answer to `scan`."""
+    """What `scan` found, and what a person should mend."""
 
     event: Literal["scan"] = "scan"
     servos: tuple[FoundServo, ...]
-    missing: tuple[str, ...]
-    """Joints of the robot file whose servo did not answer."""
-    error: str | None
+    problems: tuple[str, ...]
 
 
 AnyEvent = Annotated[

@@ -1,15 +1,17 @@
-"""Carries out what clients ask: the show, the file, and the stop that is kept.
+"""Carries out what clients ask: the show, the robot without one, the file, the stop that is kept.
 
-One process at a time owns the ports of the robot: it plays a show, or moves the robot without one.
+One process at a time owns the ports of the robot (`playing.PlayerProcess`): it plays a show, lets
+the operator move the robot, or finds its servos.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
-from lss_motion.errors import InputError
+from lss_motion.errors import InputError, LssMotionError
 from lss_motion.remote import schema as m
+from lss_motion.studio.planner import file_digest
 from lss_motion.studio.playing import PlayerProcess
 
 if TYPE_CHECKING:
@@ -27,6 +29,14 @@ REPLAYED: Final = ("started", "checked", "rate", "ended")
 WARNINGS_MAX: Final = 50
 """Warnings and faults of the running show that a client gets which comes later."""
 TROUBLE: Final = ("warned", "fault")
+ROBOT: Final = "robot"
+"""Only the newest state of the robot counts, so it is offered, not sent."""
+Task = Literal["show", "live", "scan"]
+BUSY: Final[dict[Task, str]] = {
+    "show": "a show plays; stop it first",
+    "live": "the robot is connected; disconnect it first",
+    "scan": "the servos are being searched; wait a moment",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,23 +57,30 @@ class Desk:
         self._hub, self._stops, self._options = hub, stops, options
         stops.on_latch = self.note_latch
         self._player: PlayerProcess | None = None
-        self._on_free: Callable[[], None] | None = None
+        self._task: Task = "show"
+        """What the process does, if there is one."""
+        self._on_free: list[Callable[[], None]] = []
         self._state = m.PlayerChanged(
             state="idle", is_latched=False, plan=None, show_s=None, text=""
         )
+        self._robot = m.RobotChanged(
+            state="off", port="", is_simulated=False, joints={}, text=""
+        ).model_dump_json()
         self._kept: dict[str, str] = {}
         self._trouble: list[str] = []
 
     # ---- called by the hub
 
-    def state(self) -> Iterable[m.Message]:
-        """Return the state of everything, for a client that has come."""
+    def state(self) -> Iterable[str]:
+        """Return the events with the state of everything, for a client that has come."""
         assert self.document is not None
-        return (self.document.message(), self._state, self._robot_message())
-
-    def replay(self) -> Iterable[str]:
-        """Return what has happened in the running show, for a client that has come."""
-        return (*self._kept.values(), *self._trouble)
+        messages = (self.document.message(), self._state)
+        return (
+            *(message.model_dump_json() for message in messages),
+            self._robot,
+            *self._kept.values(),
+            *self._trouble,
+        )
 
     def stop(self, *, is_emergency: bool) -> None:
         """Stop whatever moves, and stay stopped until `rearm`."""
@@ -77,7 +94,9 @@ class Desk:
         """Note a stop that another way has carried out."""
         word = "emergency stop" if kind == "estop" else "stop"
         text = f"{word}: nothing moves before it is armed again"
-        state = "stopping" if self._player is not None else self._state.state
+        self._on_free.clear()  # What was to begin next does not.
+        is_show = self._player is not None and self._task == "show"
+        state = "stopping" if is_show else self._state.state
         self._change(state=state, is_latched=True, text=text)
 
     def obey(self, operation: m.AnyOperation, key: int) -> bool:
@@ -85,9 +104,15 @@ class Desk:
         assert self.document is not None
         match operation:
             case m.Play():
-                self._play(operation)
+                return self._play(operation, key)
             case m.Go() | m.Pause() | m.Resume() | m.Rate() | m.Seek():
-                return self._forward(operation, key)
+                return self._forward(operation, key, "show", "no show plays now")
+            case m.Jog() | m.PoseGo() | m.Limp() | m.Hold() | m.PoseSave() | m.Disconnect():
+                if isinstance(operation, m.PoseSave):
+                    self._require_same_robot_file()
+                return self._forward(operation, key, "live", "the robot is off; connect it first")
+            case m.Connect() | m.Scan():
+                self._connect("live" if isinstance(operation, m.Connect) else "scan")
             case m.Rearm():
                 self._rearm()
             case m.Load():
@@ -100,12 +125,15 @@ class Desk:
         return True
 
     def operator_lost(self) -> None:
-        """Do what the rule says about an operator that is gone."""
-        if self._player is None or self._options.on_lost == "go_on":
+        """Do what the rule says about an operator that is gone; a robot without a show holds."""
+        if self._player is None or self._task == "scan":
             return
-        warned = m.Warned(text=f"the operator is gone: the show does {self._options.on_lost!r}")
-        self._hub.broadcast(warned)
-        self._player.send(m.Stop() if self._options.on_lost == "stop" else m.Pause())
+        if self._task == "live":
+            self._player.send(m.Stop())
+        elif self._options.on_lost != "go_on":
+            done = "stops" if self._options.on_lost == "stop" else "pauses"
+            self._hub.broadcast(m.Warned(text=f"the operator is gone: the show {done}"))
+            self._player.send(m.Stop() if self._options.on_lost == "stop" else m.Pause())
 
     # ---- called by the server
 
@@ -115,22 +143,42 @@ class Desk:
         return self._player
 
     def document_changed(self) -> None:
-        """Tell the clients the state of the file."""
+        """Tell the clients the state of the file, and of its robot while that is off."""
         assert self.document is not None
         self._hub.broadcast(self.document.message())
+        if self._player is None:
+            self._tell_robot("off")
 
     def close(self, on_free: Callable[[], None]) -> None:
         """Stop what moves; call back when the ports are free."""
         if self._player is None:
             on_free()
             return
-        self._on_free = on_free
+        self._on_free = [on_free]
         self._player.send(m.Stop())
 
     # ---- the show
 
-    def _play(self, operation: m.Play) -> None:
+    def _play(self, operation: m.Play, key: int) -> bool:
+        """Start the show; where the robot is connected, when that has ended."""
         self._require_armed()
+        if self._player is None or self._task != "live":
+            self._start_show(operation)
+            return True
+        self._player.send(m.Disconnect())
+
+        def start() -> None:
+            try:
+                self._start_show(operation)
+            except LssMotionError as refused:
+                self._hub.answer(key, str(refused))
+            else:
+                self._hub.answer(key)
+
+        self._on_free = [start]
+        return False
+
+    def _start_show(self, operation: m.Play) -> None:
         self._require_free()
         reply = self._plan()
         if operation.plan is not None and operation.plan != reply.plan:
@@ -142,21 +190,14 @@ class Desk:
                 f"with --allow-run"
             )
         self._kept, self._trouble = {}, []
-        self._player = PlayerProcess(
-            reply.job,
-            self._stops,
-            on_event=self._take,
-            on_telemetry=self._hub.offer_telemetry,
-            on_end=self._note_end,
-            on_lost=self._options.on_lost,
-            options={
-                "start_s": operation.from_s,
-                "must_ask": not reply.is_simulated,
-                "may_run": self._options.may_run,
-            },
-        )
+        options = {
+            "start_s": operation.from_s,
+            "must_ask": not reply.is_simulated,
+            "may_run": self._options.may_run,
+        }
+        self._start(reply.job, "show", self._take_of_show, options)
         self._change(state="starting", plan=reply.plan, text="")
-        self._hub.broadcast(self._robot_message())
+        self._tell_robot("playing")
 
     def _plan(self) -> Reply:
         """Return the last good plan; raises `InputError` that says why there is none."""
@@ -171,17 +212,60 @@ class Desk:
             raise InputError("this is a robot file, which has no show; open a sequence or a gait")
         raise InputError("the show is being planned; wait a moment")
 
-    def _forward(self, operation: m.ShowOperation, key: int) -> bool:
-        if self._player is None:
-            raise InputError("no show plays now")
-        self._player.send(operation.model_copy(update={"id": key}))
-        return False
-
     def _rearm(self) -> None:
         if self._player is not None:
             raise InputError("the robot is being stopped; wait until it has ended")
         self._stops.rearm()
         self._change(is_latched=False, text="")
+
+    # ---- the robot without a show
+
+    def _connect(self, task: Task) -> None:
+        assert self.document is not None
+        self._require_armed()
+        self._require_free()
+        reply = self.document.newest if self.document.newest.robot else self.document.good
+        if reply is None or not reply.live_job:
+            raise InputError("the robot file is not read yet, or has an error; mend it first")
+        self._trouble = []
+        job = reply.live_job if task == "live" else reply.scan_job
+        self._start(job, task, self._take_of_robot, {})
+        self._tell_robot("connecting")
+
+    def _require_same_robot_file(self) -> None:
+        """Refuse to write a robot file that has changed on disk since it was read."""
+        assert self.document is not None
+        reply = self.document.newest
+        path = reply.robot_path
+        if path is not None and file_digest(path) != reply.robot_digest:
+            raise InputError("has just changed on disk; look at it, then save again", path=path)
+
+    # ---- the process
+
+    def _start(
+        self,
+        job: bytes,
+        task: Task,
+        take: Callable[[dict[str, Any], str], None],
+        options: dict[str, Any],
+    ) -> None:
+        self._task = task
+        self._player = PlayerProcess(
+            job,
+            self._stops,
+            on_event=take,
+            on_telemetry=self._hub.offer_telemetry,
+            on_end=self._note_end,
+            on_lost=self._options.on_lost,
+            options=options,
+        )
+
+    def _forward(self, operation: m.AnyOperation, key: int, task: Task, why: str) -> bool:
+        """Send an operation to the process, which answers it."""
+        if self._player is None or self._task != task:
+            raise InputError(why)
+        self._player.send(operation.model_copy(update={"id": key}))
+        return False
 
     def _require_armed(self) -> None:
         if self._state.is_latched:
@@ -189,27 +273,19 @@ class Desk:
 
     def _require_free(self) -> None:
         if self._player is not None:
-            raise InputError("a show plays; stop it first")
+            raise InputError(BUSY[self._task])
 
-    # ---- what the player sends
-
-    def _take(self, event: dict[str, Any], text: str) -> None:
+    def _take_of_show(self, event: dict[str, Any], text: str) -> None:
+        """Pass an event of a show on, and keep the state of the player in step with it."""
         kind = event["event"]
         if kind == "health":
             self._hub.offer("health", text)
             return
-        if kind in ("accepted", "refused"):  # 0: a stop of ours, which is answered already.
-            self._hub.answer(event["id"], event.get("text"))
+        if self._is_answer(event):
             return
         if kind in REPLAYED:
             self._kept[kind] = text
-        if kind in TROUBLE and len(self._trouble) < WARNINGS_MAX:
-            self._trouble.append(text)
-        self._hub.broadcast_text(text)
-        self._follow(kind, event)
-
-    def _follow(self, kind: str, event: dict[str, Any]) -> None:
-        """Keep the state of the player in step with its events."""
+        self._pass_on(kind, text)
         match kind:
             case "phase" if event["phase"] == "ready":
                 self._change(state="ready")
@@ -224,14 +300,41 @@ class Desk:
             case "ended":
                 self._change(state="ended", text=event["error"] or event["outcome"])
 
+    def _take_of_robot(self, event: dict[str, Any], text: str) -> None:
+        """Pass an event of a robot without a show on."""
+        if event["event"] == "robot":
+            self._robot = text
+            self._hub.offer(ROBOT, text)
+        elif event["event"] == "ended":
+            self._tell_robot("off", event["error"] or "")
+        elif not self._is_answer(event):
+            self._pass_on(event["event"], text)
+
+    def _is_answer(self, event: dict[str, Any]) -> bool:
+        """Pass the answer to an operation on to its client; return whether it was one."""
+        is_answer = event["event"] in ("accepted", "refused")
+        if is_answer:  # Its id is 0 for a stop of ours, which is answered already.
+            self._hub.answer(event["id"], event.get("text"))
+        return is_answer
+
+    def _pass_on(self, kind: str, text: str) -> None:
+        if kind in TROUBLE and len(self._trouble) < WARNINGS_MAX:
+            self._trouble.append(text)
+        self._hub.broadcast_text(text)
+
     def _note_end(self, player: PlayerProcess) -> None:
         assert player is self._player
         self._player = None
-        for key in self._hub.unanswered():
-            self._hub.answer(key, "the show has ended")
-        self._hub.broadcast(self._robot_message())
-        if self._on_free is not None:
-            self._on_free()
+        waiting, self._on_free = self._on_free, []
+        if self._task == "show":
+            self._tell_robot("off")
+        if not waiting:
+            for key in self._hub.unanswered():
+                self._hub.answer(key, "it has ended before this was carried out")
+        for call in waiting:
+            call()
+
+    # ---- state
 
     def _change(self, **fields: object) -> None:
         changed = self._state.model_copy(update=fields)
@@ -239,13 +342,14 @@ class Desk:
             self._state = changed
             self._hub.broadcast(changed)
 
-    def _robot_message(self) -> m.RobotChanged:
+    def _tell_robot(self, state: Literal["off", "connecting", "playing"], text: str = "") -> None:
         assert self.document is not None
-        reply = self.document.good or self.document.newest
-        return m.RobotChanged(
-            state="off" if self._player is None else "playing",
-            port=reply.port,
-            is_simulated=reply.is_simulated,
+        reply = self.document.newest if self.document.newest.robot else self.document.good
+        self._robot = m.RobotChanged(
+            state=state,
+            port="" if reply is None else reply.port,
+            is_simulated=reply is not None and reply.is_simulated,
             joints={},
-            text="",
-        )
+            text=text,
+        ).model_dump_json()
+        self._hub.offer(ROBOT, self._robot)

@@ -43,11 +43,8 @@ class Desk(Protocol):
         with the reason for what is refused.
         """
 
-    def state(self) -> Iterable[m.Message]:
-        """Return the events that tell a new client the state of everything."""
-
-    def replay(self) -> Iterable[str]:
-        """Return the events of the running show that a new client has missed."""
+    def state(self) -> Iterable[str]:
+        """Return the events that tell a new client the state of everything, as JSON."""
 
     def operator_lost(self) -> None:
         """Do what the rule says about an operator that is gone."""
@@ -83,9 +80,7 @@ class Hub:
         client.send(self._make_welcome(client).model_dump_json())
         client.send(self._lease_for(client).model_dump_json())
         if self.desk is not None:
-            for message in self.desk.state():
-                client.send(message.model_dump_json())
-            for text in self.desk.replay():
+            for text in self.desk.state():
                 client.send(text)
         self.broadcast(self._links())
         return client

@@ -7,6 +7,7 @@ newest is carried out.
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import json
 import math
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from lss_motion.errors import InputError, LssMotionError
+from lss_motion.files.source import read_data
 from lss_motion.remote.link import BrokenLinkError, Kind, Link
 
 if TYPE_CHECKING:
@@ -63,7 +65,12 @@ class Reply:
     """The Python functions that the show calls."""
     robot: bytes = b""
     """The view of the robot, JSON; empty where it could not be read."""
-    robot_pickle: bytes = b""
+    live_job: bytes = b""
+    """The packed job of the robot without a show."""
+    scan_job: bytes = b""
+    robot_path: Path | None = None
+    robot_digest: str = ""
+    """Of the content of the robot file, when it was loaded."""
     port: str = ""
     is_simulated: bool = False
     files: tuple[Path, ...] = ()
@@ -103,6 +110,14 @@ def _first_files(request: Request) -> tuple[Path, ...]:
     return tuple(p for p in (request.path, request.robot_path, request.backup) if p is not None)
 
 
+def file_digest(path: Path) -> str:
+    """Return a hash of the content of a file; empty if it cannot be read."""
+    try:
+        return hashlib.sha256(read_data(path)).hexdigest()
+    except InputError:
+        return ""
+
+
 def _robot(path: Path, request: Request) -> Robot:
     from lss_motion.connection import with_port
     from lss_motion.robot.load import load_robot
@@ -121,11 +136,17 @@ def _files_of_robot(robot: Robot) -> list[Path]:
 
 def _of_robot(robot: Robot, gait: Gait | None = None) -> dict[str, Any]:
     from lss_motion.connection import is_simulated
+    from lss_motion.remote.live_end import LiveJob
+    from lss_motion.remote.process import packed
+    from lss_motion.remote.scan_job import ScanJob
     from lss_motion.studio.robot_view import robot_view
 
     return {
+        "robot_path": robot.path,
+        "robot_digest": "" if robot.path is None else file_digest(robot.path),
         "robot": _json(robot_view(robot, gait)),
-        "robot_pickle": pickle.dumps(robot),
+        "live_job": packed(LiveJob(robot=robot)),
+        "scan_job": packed(ScanJob(robot=robot)),
         "port": ", ".join(bus.port for bus in robot.buses.values()),
         "is_simulated": is_simulated(robot),
         "title": robot.name,

@@ -14,6 +14,7 @@ from lss_motion.perform import Observer, perform
 from lss_motion.remote import schema as m
 from lss_motion.remote.job import Job, play
 from lss_motion.remote.link import BrokenLinkError, Kind, Link
+from lss_motion.remote.operator_end import Operator
 from lss_motion.remote.player_end import LossRule, Steering
 from tests.timed_moves import is_move
 from tests.virtual.conftest import make_robot, make_sequence
@@ -29,7 +30,7 @@ class Client:
         for one in (self.end, other):
             one.setblocking(False)
         self.link, self.reads = Link(self.end), True
-        self.steering = Steering(Link(other), rule)
+        self.steering = Steering(Operator(Link(other)), rule)
         self.script = list(script)
         self.events, self.telemetry, self.outcome = [], [], None
         act = self.steering.act
@@ -43,7 +44,7 @@ class Client:
 
     def close(self):
         self.link.close()
-        self.steering._link.close()
+        self.steering.operator.link.close()
 
     def send(self, operation):
         self.link.send(Kind.OPERATION, operation.model_dump_json().encode())

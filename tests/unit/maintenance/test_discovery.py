@@ -6,13 +6,13 @@ import dataclasses
 
 import pytest
 
-from lss_motion.cli.survey import roll_call, survey
 from lss_motion.maintenance import findings
 from lss_motion.maintenance.discovery import is_doubtful, judge_answers, read_roll_call
 from lss_motion.maintenance.findings import starter_file
 from lss_motion.protocol.constants import SafeModeCause, Status
 from lss_motion.robot.load import load_robot
 from lss_motion.sim.faults import Fault, FaultKind
+from lss_motion.survey import roll_call, survey
 
 
 def ids(found):

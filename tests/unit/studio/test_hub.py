@@ -32,9 +32,6 @@ class FakeDesk:
     def state(self):
         return ()
 
-    def replay(self):
-        return ()
-
     def operator_lost(self):
         self.lost += 1
 

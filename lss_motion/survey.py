@@ -8,29 +8,34 @@ of two servos with the same id are noticed.
 from __future__ import annotations
 
 import dataclasses
-import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections import Counter
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from lss_motion.connection import Connection
     from lss_motion.maintenance.discovery import ServoCondition, ServoIdentity
     from lss_motion.robot.model import Bus
 
 
-def survey(connection: Connection, bus: Bus, baud_bps: int | None) -> list[ServoCondition]:
+def survey(
+    connection: Connection,
+    bus: Bus,
+    baud_bps: int | None,
+    progress: Callable[[str], None],
+) -> list[ServoCondition]:
     """Return the servos of a bus, at `baud_bps` or at every rate with a reply.
 
-    Leaves the port at the rate with the most replies.
+    `progress` is called with the text of each step. Leaves the port at the rate with the most
+    replies.
     """
     from lss_motion.maintenance.discovery import RATES_BPS, Listening, presence_steps
 
     rates_bps = list(dict.fromkeys((bus.baud_bps, *RATES_BPS))) if baud_bps is None else [baud_bps]
     used_bps = []
     for rate_bps in rates_bps:
-        _progress(f"{bus.port}: {rate_bps} bps")
+        progress(f"{bus.port}: {rate_bps} bps")
         connection.set_baud(bus.name, rate_bps)
         if any(connection.run(Listening(bus.name, presence_steps(rate_bps))).received):
             used_bps.append(rate_bps)
@@ -38,13 +43,13 @@ def survey(connection: Connection, bus: Bus, baud_bps: int | None) -> list[Servo
     for rate_bps in (
         used_bps or rates_bps[:1]
     ):  # A lone 2IO with other ids replies to its own ids only.
-        _progress(f"{bus.port}: {rate_bps} bps, all ids")
+        progress(f"{bus.port}: {rate_bps} bps, all ids")
         connection.set_baud(bus.name, rate_bps)
         looks += _look(connection, bus.name, rate_bps)
     counts = [look.baud_bps for look in looks]
     if counts:
         connection.set_baud(bus.name, max(counts, key=counts.count))
-    _progress("")
+    progress("")
     return looks
 
 
@@ -127,9 +132,3 @@ def _look(connection: Connection, bus_name: str, baud_bps: int) -> list[ServoCon
         else seen
         for seen in looks
     ]
-
-
-def _progress(text: str) -> None:
-    """Show the present step on a terminal, in place of the one before."""
-    if sys.stderr.isatty():
-        print(f"\r\x1b[K{text}", end="", file=sys.stderr, flush=True)

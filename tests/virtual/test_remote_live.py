@@ -1,0 +1,220 @@
+"""A robot without a show that a client moves: judged by horns, bytes and what it is told."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import socket
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lss_motion as lss
+from lss_motion.remote import schema as m
+from lss_motion.remote.link import BrokenLinkError, Kind, Link
+from lss_motion.remote.live_end import LiveSession
+from lss_motion.remote.operator_end import Operator
+from tests.timed_moves import is_move
+
+S = 1_000_000_000
+SPEED_DEG_S = 40.0
+
+
+class Client:
+    """Sends at instants of virtual time; its link is read on each turn."""
+
+    def __init__(self, script):
+        self.end, other = socket.socketpair()
+        for one in (self.end, other):
+            one.setblocking(False)
+        self.link, self.events = Link(self.end), []
+        self.operator = Operator(Link(other))
+        self.script, self.began_ns = sorted(script, key=lambda step: step[0]), None
+        take = self.operator.take
+
+        def act(now_ns):
+            self.read()
+            if self.began_ns is None and any(
+                e.event == "robot" and e.state == "live" for e in self.events
+            ):
+                self.began_ns = now_ns
+            while (
+                self.script
+                and self.began_ns is not None
+                and now_ns - self.began_ns >= self.script[0][0] * S
+            ):
+                step = self.script.pop(0)[1]
+                step(self) if callable(step) else self.send(step)
+            return take(now_ns)
+
+        self.operator.take = act
+
+    def send(self, operation):
+        self.link.send(Kind.OPERATION, operation.model_dump_json().encode())
+
+    def read(self):
+        with contextlib.suppress(BrokenLinkError, OSError):
+            while got := self.link.receive():
+                self.events += [m.parse_event(content) for _, content in got]
+
+    def of(self, kind):
+        return [event for event in self.events if isinstance(event, kind)]
+
+    def close(self):
+        self.read()
+        self.link.close()
+        self.operator.link.close()
+
+
+@pytest.fixture
+def robot(tmp_path):
+    path = Path(tmp_path, "arm.yaml")
+    path.write_text(
+        "robot: arm\n"
+        "buses: {main: {port: 'sim://', baud_bps: 115200, firmware: 370}}\n"
+        f"approach_speed_deg_s: {SPEED_DEG_S:g}\n"
+        "joints:\n"
+        "  a: {id: 1, model: LSS-ST1, range_deg: [-30, 30], speed_max_deg_s: 180,"
+        " accel_max_deg_s2: 600}\n"
+        "  b: {id: 2, model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 180,"
+        " accel_max_deg_s2: 600}\n"
+        "poses:\n"
+        "  up: {a: 20}  # as high as it goes\n"
+    )
+    return lss.load_robot(path)
+
+
+def run(robot, *script):
+    """Return client, bus, times from the first state on, and the horns then."""
+    client = Client(script)
+    with lss.connect(robot, is_virtual=True) as live:
+        LiveSession(live, client.operator).run()
+        (bus,) = live._connection.simulated.values()
+        clock = live._connection.clock
+    client.close()
+    times_ns = np.arange(client.began_ns, clock.now_ns(), 5_000_000)
+    return client, bus, (times_ns - client.began_ns) / S, bus.horn_deg(times_ns)
+
+
+def jogs(joint, ratio, from_s, to_s, every_s=0.1):
+    times_s = np.arange(from_s, to_s, every_s)
+    return [(at_s, m.Jog(joint=joint, speed_ratio=ratio)) for at_s in times_s]
+
+
+def test_a_joint_turns_while_the_client_says_so_and_stops_when_it_is_silent(robot):
+    _, bus, times_s, horn_deg = run(robot, *jogs("b", 0.5, 0.1, 1.1), (2.0, m.Stop()))
+    b = horn_deg[:, 1]
+    speed = np.gradient(b, times_s)
+    steady = (times_s > 0.5) & (times_s < 1.0)
+    assert speed[steady].mean() == pytest.approx(0.5 * SPEED_DEG_S, rel=0.1)
+    # Without steps: the speed never falls back between two targets.
+    assert speed[steady].min() > 0.3 * SPEED_DEG_S
+    assert np.abs(speed).max() < 0.75 * SPEED_DEG_S
+    rest_s = times_s[np.abs(b - b[-1]) > 0.5][-1]
+    assert rest_s < 1.0 + 0.25 + 0.05 + 0.2, "250 ms, a step, and the way to brake"
+    assert np.abs(horn_deg[:, 0]).max() < 0.5
+    assert bus.lines[-1][1] == b"#254H\r"
+
+
+def test_a_zero_stops_it_at_once_and_targets_lie_close_ahead(robot):
+    _, bus, times_s, horn_deg = run(
+        robot,
+        *jogs("b", 1.0, 0.1, 0.9),
+        (0.9, m.Jog(joint="b", speed_ratio=0.0)),
+        (2.0, m.Stop()),
+    )
+    b = horn_deg[:, 1]
+    assert b[-1] == pytest.approx(SPEED_DEG_S * 0.8, rel=0.15)
+    assert times_s[np.abs(b - b[-1]) > 0.5][-1] < 1.1
+    # If this process were killed, the servo would stop by itself near where it is.
+    for at_ns, line in bus.lines:
+        if is_move(line) and line.startswith(b"#2D"):
+            target_deg = int(line[3 : line.index(b"T")]) / 10
+            ahead_deg = target_deg - bus.horn_deg(np.array([at_ns]))[0, 1]
+            assert ahead_deg < SPEED_DEG_S * 0.4
+
+
+def test_a_joint_stays_in_its_range_and_the_limits_hold(robot):
+    _, _, times_s, horn_deg = run(
+        robot, *jogs("a", 1.0, 0.1, 2.5), *jogs("b", -1.0, 0.1, 2.5), (3.5, m.Stop())
+    )
+    assert horn_deg[:, 0].max() == pytest.approx(30.0, abs=0.5)
+    speed = np.abs(np.gradient(horn_deg, times_s, axis=0))
+    assert speed.max() < 1.3 * SPEED_DEG_S
+    assert horn_deg[-1, 1] == pytest.approx(-SPEED_DEG_S * 2.6, rel=0.15)
+
+
+def test_a_pose_is_planned_and_limp_joints_stay_limp(robot):
+    client, bus, _, horn_deg = run(
+        robot,
+        (0.1, m.Limp(id=1, joints=("b",))),
+        (0.5, m.PoseGo(id=2, pose="up", duration_s=2.0)),
+        (0.6, m.PoseGo(id=3, pose="up")),
+        (4.5, m.PoseGo(id=4, pose="nowhere")),
+        (5.0, m.Jog(id=5, joint="c", speed_ratio=1.0)),
+        (6.0, m.Disconnect(id=6)),
+    )
+    assert [event.id for event in client.of(m.Accepted)] == [1, 2, 6]
+    texts = {event.id: event.text for event in client.of(m.Refused)}
+    assert "moves to a pose" in texts[3] or "being asked" in texts[3]
+    assert "unknown pose 'nowhere'" in texts[4]
+    assert "unknown joint 'c'" in texts[5]
+    assert horn_deg[-1, 0] == pytest.approx(20.0, abs=0.5)
+    last = client.of(m.RobotChanged)[-1]
+    assert last.joints["b"].is_limp
+    assert last.joints["a"].deg == pytest.approx(20.0, abs=0.5)
+    orders = [line for _, line in bus.lines if line in (b"#2L\r", b"#254H\r")]
+    assert orders[-3:] == [b"#2L\r", b"#254H\r", b"#254H\r"]
+
+
+@pytest.mark.parametrize(
+    ("end", "order", "last"),
+    [
+        ("limp", m.Disconnect(), b"#254L\r"),
+        ("limp", m.Stop(), b"#254H\r"),
+        ("hold", m.Disconnect(), b"#254H\r"),
+    ],
+)
+def test_the_end_of_the_robot_file_comes_where_nothing_was_stopped(robot, end, order, last):
+    robot = dataclasses.replace(robot, end=end)
+    _, bus, _, _ = run(robot, *jogs("a", 1.0, 0.1, 0.5), (0.5, order))
+    assert bus.lines[-1][1] == last
+
+
+@pytest.mark.parametrize("in_pose", [False, True])
+@pytest.mark.parametrize("how", ["estop", "gone"])
+def test_an_emergency_and_a_client_that_is_gone_leave_a_robot_that_holds(robot, in_pose, how):
+    leave = m.Estop() if how == "estop" else lambda client: client.end.close()
+    begin = [(0.1, m.PoseGo(pose="up", duration_s=5.0))] if in_pose else jogs("b", 1.0, 0.1, 9.0)
+    client, bus, times_s, _ = run(robot, *begin, (2.0, leave))
+    assert times_s[-1] < 4.0
+    assert bus.lines[-1][1] == b"#254H\r"
+    moves = [at_ns for at_ns, line in bus.lines if is_move(line)]
+    assert (moves[-1] - client.began_ns) / S < 2.5
+
+
+def test_a_pose_is_saved_into_the_robot_file_and_known_at_once(robot):
+    before = robot.path.read_text()
+    client, _, _, horn_deg = run(
+        robot,
+        *jogs("b", 1.0, 0.1, 0.5),
+        (0.3, m.PoseSave(id=1, pose="mine", is_new=True)),
+        (1.5, m.PoseSave(id=2, pose="mine", is_new=True)),
+        (1.6, m.PoseSave(id=3, pose="mine", is_new=True)),
+        (1.7, m.PoseSave(id=4, pose="up", is_new=False)),
+        (1.8, m.PoseSave(id=5, pose="none", is_new=False)),
+        (1.9, m.PoseGo(id=6, pose="mine")),
+        (4.0, m.Stop(id=7)),
+    )
+    accepted = [event.id for event in client.of(m.Accepted) if event.id and event.op != "jog"]
+    assert accepted == [2, 4, 6, 7]
+    texts = {event.id: event.text for event in client.of(m.Refused)}
+    assert "let it stop" in texts[1]
+    assert "exists" in texts[3]
+    assert "unknown pose 'none'" in texts[5]
+    poses = lss.load_robot(robot.path).poses
+    assert poses["mine"] == pytest.approx({"a": 0.0, "b": horn_deg[-1, 1]}, abs=0.5)
+    assert poses["up"] == pytest.approx({"a": 0.0}, abs=0.3), "only the joints that it has"
+    assert robot.path.read_text().startswith(before.split("  up:")[0])
+    assert "# as high as it goes" in robot.path.read_text()
