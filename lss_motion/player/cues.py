@@ -60,10 +60,14 @@ class Agenda:
         """Go on from `show_s`, also back in time, without what is before; None: the beginning."""
         if show_s is None:
             return
+        self._lights.clear()
+        self.go_back(show_s)
+
+    def go_back(self, show_s: float) -> None:
+        """Report again what is at `show_s` or later; LED orders that are to be sent are kept."""
         self._marks = self._program.unrolled_marks(show_s)
         self._cues = self._program.unrolled_cues(show_s)
         self._mark, self._cue = next(self._marks, None), next(self._cues, None)
-        self._lights.clear()
         while self._mark is not None and self._mark[0] < show_s:
             self._mark = next(self._marks, None)
         while self._cue is not None and self._cue[0] < show_s:

@@ -374,6 +374,8 @@ class Player:
         if self.phase is Phase.SHOW:
             self._events += self._session.agenda.advance(self._streamer, self.lines, now_ns)
         self._streamer.advance(now_ns)
+        if (back_at_s := self._streamer.take_way_back()) is not None:
+            self._session.agenda.go_back(back_at_s)
         self._events += self._streamer.waiting.take_notices()
 
     def _judge_faults(self, now_ns: int) -> bool:

@@ -324,6 +324,7 @@ class Streamer:
         self.statistics = Statistics()
         self._moves = DueMoves(program.unrolled(begin_s), self._early_us)
         self._tick_ns: int | None = None
+        self._back_at_s: float | None = None
         self._has_moved = False
         """Whether moves left in this call of `advance`."""
         self.waiting = Waiting(program.unrolled_waits(begin_s), robot.sensors, begin_s)
@@ -506,12 +507,18 @@ class Streamer:
                 written = self._program.unrolled(from_s)
                 again = dropwhile(lambda due: due[0] < us_from_s(from_s), written)
                 self._moves = DueMoves(again, self._early_us)
+                self._back_at_s = from_s
         elif state == "begun" and self._tick_ns is not None:
             self._tick_ns = None
             self._follow_course(now_ns, RAMP_TICK_NS, 0)
         elif state in ("met", "timeout") and 0.0 < self.clock.target_rate < 1.0:
             self._tick_ns = now_ns
             self._advance_ramp(now_ns)
+
+    def take_way_back(self) -> float | None:
+        """Return to where the show has gone back since the last call, for idle motion."""
+        back_at_s, self._back_at_s = self._back_at_s, None
+        return back_at_s
 
     def quiet_ns(self, now_ns: int) -> int | None:
         """Return until when no move is due; None: no move is planned."""

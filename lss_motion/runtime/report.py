@@ -50,6 +50,9 @@ PLAN_SAMPLES_MAX: Final = 200_000
 HAPPENED_MAX: Final = 10_000
 """Keyframes and events of a report, each: as many as a file may have."""
 
+JUMP_S: Final = 0.001
+"""A show that comes so much further in no time was sent there."""
+
 _NUMBERS: Final = re.compile(r"\[([-\d.,e\s]+)\]")
 
 
@@ -324,8 +327,11 @@ class _Played:
         )
 
     def timeline(self, program: Program) -> Iterator[HappenedReport]:
-        """Yield the keyframes and events of every pass until the end of the run."""
-        last_s = float(self._show_s[-1])
+        """Yield the keyframes and events in the order of the run, each as often as it was passed.
+
+        A show that is sent back, or goes back for idle motion, passes some again.
+        """
+        last_s = float(self._show_s.max())
 
         def until_end(items: Iterator[tuple[float, Item]]) -> Iterator[tuple[float, Item]]:
             return itertools.takewhile(
@@ -340,11 +346,26 @@ class _Played:
             (at_s + cue.lead_s, "event", 0.0, cue.text)
             for at_s, cue in until_end(program.unrolled_cues())
         ]
-        for show_s, kind, hold_s, text in sorted(found, key=lambda one: one[0]):
-            run_s = float(np.interp(show_s, self._show_s, self._run_s))
-            yield HappenedReport(
-                kind=kind, at_s=round(run_s, 3), hold_s=round(hold_s, 3), text=text
+        found.sort(key=lambda one: one[0])
+        made = (
+            HappenedReport(
+                kind=kind,
+                at_s=round(float(np.interp(at_s, show_s, run_s)), 3),
+                hold_s=round(hold_s, 3),
+                text=text,
             )
+            for show_s, run_s in self._ways()
+            for at_s, kind, hold_s, text in found
+            if show_s[0] <= at_s <= show_s[-1]
+        )
+        yield from itertools.islice(made, HAPPENED_MAX)
+
+    def _ways(self) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """Yield the parts of the run in which the show goes forward, without jumps."""
+        forward_s, took_s = np.diff(self._show_s), np.diff(self._run_s)
+        cuts = 1 + np.flatnonzero((forward_s < 0.0) | ((took_s <= 0.0) & (forward_s > JUMP_S)))
+        for first, end in itertools.pairwise([0, *cuts.tolist(), len(self._show_s)]):
+            yield self._show_s[first:end], self._run_s[first:end]
 
 
 def _trace(track: JointState) -> TraceReport:

@@ -10,11 +10,12 @@ import pytest
 
 from lss_motion import api
 from lss_motion.errors import BusError, InputError
-from lss_motion.player.events import Waited
+from lss_motion.player.events import CueReached, Waited
 from lss_motion.program.text import from_text, to_text
 from lss_motion.protocol.table import Suffix
 from lss_motion.robot.model import Sensor
-from lss_motion.sequence.model import Keyframe, Sequence, Step, Wait
+from lss_motion.robot.on_fault import Cause
+from lss_motion.sequence.model import Cue, Keyframe, Sequence, Step, Wait
 from lss_motion.sim.boards import SENSORS
 from lss_motion.sim.faults import Fault, FaultKind
 
@@ -122,6 +123,73 @@ def test_idle_motion_is_played_while_it_waits_and_left_at_its_end(stage, kit, lo
     assert speed_deg_s.max() < 1.05 * limit + 5.0
     end_deg = played.bus.horn_deg(np.array([played.bus.lines[-1][0]]))[0, 0]
     assert abs(end_deg) < 1.0
+
+
+def is_after(at_s):
+    return lambda player, now_ns: player.phase == "playing" and now_ns > at_s * 1e9
+
+
+def swaying(**fields):
+    """Return the show whose idle motion says something at each swing."""
+    idle = replace(sway(), events=(Cue(at_s=0.8, say="hm"),))
+    steps = (
+        Step(sequence=part(0.0, 40.0)),
+        Step(wait=NEAR, sequence=idle),
+        Step(sequence=part(40.0, 0.0)),
+    )
+    return Sequence(name="show", play=steps, **fields)
+
+
+def test_idle_motion_outlives_pauses_a_slow_show_a_stall_and_a_restart(stage, kit):
+    wishes = [
+        (is_after(4.0), kit.rate(0.0)),
+        (is_after(5.0), kit.rate(1.0)),
+        (is_after(6.2), kit.rate(0.5)),
+        (is_after(9.0), kit.rate(1.0)),
+    ]
+    faults = [
+        sees(250, 0.1),
+        Fault(kind=FaultKind.OVERSLEEP, at_s=11.0, until_s=11.02, late_s=0.7),
+        Fault(kind=FaultKind.RESET, servo_id=1, at_s=14.3, deaf_s=0.6),
+        sees(60, 20.0),
+    ]
+    played = stage.play(robot(kit), swaying(), wishes=wishes, faults=faults)
+    assert played.report.outcome == "finished"
+    assert [fault.kind for fault in played.report.faults] == [Cause.STALLED, Cause.RESTARTED]
+    assert states(played) == ["begun", "met"]
+    from_s, to_s = waited_s(played)
+    assert to_s == pytest.approx(20.0, abs=0.15)
+    times_s = np.arange(from_s + 0.1, played.bus.lines[-1][0] / 1e9, 0.002)
+    horn_deg, other_deg = played.bus.horn_deg((times_s * 1e9).astype(np.int64)).T
+    waiting = times_s < to_s
+    is_deaf = (times_s > 14.3) & (times_s < 17.0)
+    assert horn_deg[waiting].min() > 39.0
+    assert horn_deg[waiting].max() < 51.0
+    assert np.ptp(other_deg[waiting]) < STILL_DEG
+    assert np.abs(np.gradient(horn_deg, times_s))[~is_deaf].max() < 65.0
+    assert abs(horn_deg[-1]) < 1.0
+    # What is said at the end of each swing is said as often as the horn swings, and reported so.
+    ups_s = times_s[1:][np.diff((horn_deg > 48.5).astype(int)) == 1]
+    said = [event for event in played.events if isinstance(event, CueReached)]
+    assert len(ups_s) >= 5
+    assert len(said) == len(ups_s)
+    reported_s = [one.at_s for one in played.report.timeline if one.text == "hm"]
+    assert len(reported_s) == len(said)
+    assert (np.diff(reported_s) > 1.0).all()
+
+
+def test_a_person_may_stop_idle_motion(stage, kit):
+    wishes = [(is_after(6.3), kit.stop)]
+    played = stage.play(robot(kit), swaying(), wishes=wishes, faults=[sees(250, 0.1)])
+    assert played.report.outcome == "stopped"
+    assert played.lines()[-1] == b"#254H\r"
+    stopped_s = played.acted_ns[0] / 1e9
+    end_s = played.bus.lines[-1][0] / 1e9
+    assert end_s - stopped_s < 1.0
+    times_s = np.arange(stopped_s, end_s, 0.002)
+    horn_deg = played.bus.horn_deg((times_s * 1e9).astype(np.int64))[:, 0]
+    assert np.abs(np.diff(horn_deg)).max() / 0.002 < 65.0
+    assert np.ptp(horn_deg[-25:]) < STILL_DEG
 
 
 def test_a_program_with_idle_motion_is_read_as_it_was_written(kit):
