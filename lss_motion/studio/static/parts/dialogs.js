@@ -1,0 +1,56 @@
+// @ts-check
+/** Questions and help, as modal dialogs; STOP works above them, by key and by the buttons. */
+
+import { html, useEffect, useRef } from "../vendor/preact.js";
+import { KEYMAP, STOP_KEYS } from "../keymap.js";
+
+/** @typedef {{ state: import("../state.js").State, actions: import("../actions.js").Actions }} Props */
+
+/** @param {Props} props */
+export function Dialogs({ state, actions }) {
+  const { dialog } = state;
+  if (dialog === null) return null;
+  const close = () => actions.set({ dialog: null });
+  if (dialog.kind === "help") return html`<${Box} title="Keys" close=${close}><${Help} /></${Box}>`;
+  if (dialog.kind === "pairing" && state.pairing !== null) {
+    return html`<${Box} title="Pair another device" close=${close}><${Pairing} pairing=${state.pairing} /></${Box}>`;
+  }
+  return html`<${Box} title=${dialog.title ?? "Sure?"} close=${close} yes=${dialog.yes ?? "Yes"} run=${dialog.run}>
+    <p>${dialog.text}</p></${Box}>`;
+}
+
+/**
+ * It is not modal for the browser: what is modal makes the rest inert, and STOP with it.
+ * @param {{ title: string, close: () => void, yes?: string, run?: () => void, children?: unknown }} props
+ */
+function Box({ title, close, yes, run, children }) {
+  const box = useRef(/** @type {HTMLDialogElement | null} */ (null));
+  useEffect(() => {
+    const before = document.activeElement;
+    box.current?.querySelector("button")?.focus();
+    return () => { if (before instanceof HTMLElement) before.focus(); };
+  }, []);
+  return html`<div class="veil"><dialog open ref=${box} aria-labelledby="dialog-title">
+    <h2 id="dialog-title">${title}</h2>
+    ${children}
+    <div class="dialog-buttons">
+      <button type="button" onClick=${close}>${run ? "No" : "Close"}</button>
+      ${run ? html`<button type="button" class="primary" onClick=${() => { close(); run(); }}>${yes}</button>` : null}
+    </div></dialog></div>`;
+}
+
+function Help() {
+  return html`<table class="keys"><tbody>
+    ${[...STOP_KEYS, ...KEYMAP].map((one) => html`<tr key=${one.action}>
+      <th scope="row">${one.keys.map((key) => html`<kbd>${key.replace("Arrow", "")}</kbd> `)}</th>
+      <td>${one.text}${one.pages ? html` <span class="muted">(${one.pages.join(", ")})</span>` : null}</td></tr>`)}
+  </tbody></table>
+  <p class="muted">Timeline: wheel scrolls, Ctrl and wheel zooms, Shift and wheel pans; drag to pan, drag the ruler for the cursor.</p>`;
+}
+
+/** @param {{ pairing: NonNullable<import("../state.js").State["pairing"]> }} props */
+function Pairing({ pairing }) {
+  return html`<p class="code" aria-label="Code">${pairing.code}</p>
+    <p>Open one of these addresses there and type the code. It is valid once, for ${Math.round(pairing.valid_s / 60)} minutes.</p>
+    <ul>${pairing.urls.map((url) => html`<li><code>${url}</code></li>`)}</ul>`;
+}

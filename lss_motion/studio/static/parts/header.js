@@ -1,0 +1,64 @@
+// @ts-check
+/** The head of every page: what is open, the pages, who operates, and what is wrong with the link. */
+
+import { html } from "../vendor/preact.js";
+
+/** @typedef {{ state: import("../state.js").State, actions: import("../actions.js").Actions }} Props */
+
+const PAGES = /** @type {const} */ ([["show", "Show"], ["timeline", "Timeline"], ["robot", "Robot"]]);
+
+/** @param {Props} props */
+export function Header({ state, actions }) {
+  const own = state.document;
+  return html`<header class="head">
+    <div class="head-title">
+      <strong>${own?.title ?? state.welcome?.title ?? "studio"}</strong>
+      <span class="muted">${own?.file ?? ""}</span>
+      ${own?.is_planning ? html`<span class="chip chip-busy" role="status">planning…</span>` : null}
+      ${own && own.errors.length > 0 ? html`<span class="chip chip-bad">▲ ${own.errors.length === 1 ? "1 error" : `${own.errors.length} errors`} in the file</span>` : null}
+      ${own && !own.is_current && !own.is_planning && own.plan ? html`<span class="chip chip-warn">◆ the last good plan is shown</span>` : null}
+      ${state.robot_state?.is_simulated ? html`<span class="chip">simulated robot</span>` : null}
+    </div>
+    <nav role="tablist" aria-label="Pages">
+      ${PAGES.map(([page, name]) => html`<button role="tab" type="button" class="tab" aria-selected=${state.page === page}
+        onClick=${() => actions.set({ page })}>${name}</button>`)}
+    </nav>
+    <div class="head-end">
+      <${Operator} state=${state} actions=${actions} />
+      <button type="button" class="plain" onClick=${() => actions.run("theme")}
+        aria-label=${state.theme === "dark" ? "Light theme" : "Dark theme"}>${state.theme === "dark" ? "☀" : "☾"}</button>
+      <button type="button" class="plain" onClick=${() => actions.run("help")} aria-label="Keys">?</button>
+    </div>
+  </header>`;
+}
+
+/** Who operates. @param {Props} props */
+function Operator({ state, actions }) {
+  const { lease, welcome, clients } = state;
+  if (welcome === null) return null;
+  const watching = clients > 1 ? ` · ${clients} clients` : "";
+  if (lease.is_mine) {
+    return html`<span class="operator"><span class="chip chip-good">● you operate${watching}</span>
+      ${welcome.role === "edit" ? html`<button type="button" class="plain" onClick=${() => actions.link.ask("pair", { role: "operate" })}>Pair a tablet</button>` : null}
+      <button type="button" class="plain" onClick=${() => actions.link.ask("lease", { want: "release" })}>Release</button></span>`;
+  }
+  const who = lease.holder === null ? "no operator" : `${lease.holder_name} operates`;
+  return html`<span class="operator"><span class="chip">○ ${who}${watching}</span>
+    ${welcome.role === "view" ? html`<span class="muted">you may look, and stop</span>`
+      : html`<button type="button" class="plain" onClick=${() => actions.withLease(() => actions.link.ask("lease", { want: "take" }))}>Operate</button>`}</span>`;
+}
+
+/** What stands above everything else: the link, the stop that is kept, errors of the file. @param {Props} props */
+export function Banners({ state, actions }) {
+  const { link, player, document: own, welcome, refusal } = state;
+  return html`<div class="banners">
+    ${link.status === "lost" ? html`<p class="banner banner-bad" role="alert">⚠ No link: ${link.text}. What you see is old. The show goes on as it was started. STOP is still sent, by a way of its own.</p>` : null}
+    ${player.is_latched ? html`<p class="banner banner-stop" role="alert"><strong>Stopped.</strong> ${player.text || "Nothing moves before it is armed again."}
+      <button type="button" onClick=${() => actions.askRearm()}>Arm again…</button></p>` : null}
+    ${player.state === "gone" ? html`<p class="banner banner-bad" role="alert">⚠ The player is gone: ${player.text}</p>` : null}
+    ${refusal ? html`<p class="banner banner-warn" role="alert" key=${refusal.number}>✕ ${refusal.text}
+      <button type="button" onClick=${() => actions.set({ refusal: null })}>Close</button></p>` : null}
+    ${own?.errors.map((error) => html`<p class="banner banner-warn" role="status"><strong>${error.path}${error.line === null ? "" : `:${error.line}`}</strong> ${error.text}</p>`)}
+    ${welcome?.is_network_readable ? html`<p class="banner banner-note">This link has no TLS: others on the network can read along.</p>` : null}
+  </div>`;
+}

@@ -1,0 +1,57 @@
+// @ts-check
+/** GO, play, pause, rate and the way through the show, at the foot of every page. */
+
+import { html } from "../vendor/preact.js";
+import { withinView } from "../curves.js";
+import { timeText } from "../timeline/window.js";
+
+/** @typedef {{ state: import("../state.js").State, actions: import("../actions.js").Actions, store: import("../store.js").Store }} Props */
+
+const RATES = [0.25, 0.5, 0.75, 1];
+
+/** @param {Props} props */
+export function Transport({ state, actions }) {
+  const { player, rate, view, page } = state;
+  const isReady = player.state === "ready";
+  const isRunning = actions.isRunning;
+  const canPause = player.state === "playing" || player.state === "paused";
+  const hasPlan = state.document?.plan != null;
+  return html`<footer class="foot">
+    <button type="button" class=${`go ${isReady ? "go-ready" : ""}`} data-go disabled=${isRunning && !isReady || !hasPlan}
+      onClick=${() => actions.go()}>${isReady ? "GO" : isRunning ? "GO" : "START"}<span class="key-hint">Enter</span></button>
+    ${isRunning
+      ? html`<button type="button" class="big" disabled=${!canPause} onClick=${() => actions.toggle()}>
+          ${rate.is_paused ? "▶ Resume" : "❚❚ Pause"}<span class="key-hint">Space</span></button>`
+      : html`<button type="button" class="big" disabled=${!hasPlan} onClick=${() => actions.play(page === "timeline")}>
+          ${page === "timeline" ? "▶ Play from cursor" : "▶ Play"}<span class="key-hint">Space</span></button>`}
+    <label class="rate">Rate
+      <select value=${String(nearestRate(rate.ratio))} disabled=${!canPause}
+        onChange=${(/** @type {Event} */ event) => actions.rate(Number(/** @type {HTMLSelectElement} */ (event.currentTarget).value))}>
+        ${RATES.map((ratio) => html`<option value=${String(ratio)}>${Math.round(100 * ratio)} %</option>`)}
+      </select></label>
+    ${view === null ? null : html`<${Way} state=${state} actions=${actions} />`}
+  </footer>`;
+}
+
+/** @param {number} ratio */
+function nearestRate(ratio) {
+  return RATES.reduce((best, one) => (Math.abs(one - ratio) < Math.abs(best - ratio) ? one : best));
+}
+
+/** The way through the show as a slider: seek while it plays, the cursor otherwise.
+ * @param {{ state: import("../state.js").State, actions: import("../actions.js").Actions }} props */
+function Way({ state, actions }) {
+  const { view, health, player } = state;
+  if (view === null) return null;
+  const canSeek = player.state === "playing" || player.state === "paused";
+  const at_s = canSeek && health?.show_s != null ? withinView(view, Math.max(health.show_s, 0)) : state.cursor_s;
+  return html`<label class="way"><span class="way-name">${canSeek ? "Seek" : "Cursor"}</span>
+    <input type="range" min="0" max=${view.view_s} step="0.01" value=${at_s}
+      aria-valuetext=${`${timeText(at_s, 0.1)} of ${timeText(view.view_s, 0.1)}`}
+      onChange=${(/** @type {Event} */ event) => {
+        const to_s = Number(/** @type {HTMLInputElement} */ (event.currentTarget).value);
+        if (canSeek) actions.seek(to_s);
+        else actions.moveTo(to_s);
+      }} />
+    <span class="way-end">${view.is_endless ? "∞" : timeText(view.view_s, 0.1)}</span></label>`;
+}

@@ -1,0 +1,144 @@
+// @ts-check
+/** The state of the pages as a pure function: `reduce(state, action)`. */
+
+/** @typedef {import("./state.js").State} State */
+/** @typedef {import("./state.js").Action} Action */
+/** @typedef {import("./state.js").Trouble} Trouble */
+
+const TROUBLE_MAX = 100;
+
+/** What the player does about a fault, in words. @type {Record<string, string>} */
+export const STEP_WORDS = {
+  warn: "the show goes on",
+  slow: "the show is slowed until it has caught up",
+  resume: "the robot stands until it answers again, then goes on",
+  hold: "the show is ended, the servos hold",
+  limp: "this joint is limp, the show is ended",
+};
+
+/** @returns {State} */
+export function firstState() {
+  return {
+    link: { status: "connecting", text: "" },
+    welcome: null,
+    clients: 0,
+    lease: { holder: null, holder_name: null, is_mine: false },
+    document: null,
+    player: { state: "idle", is_latched: false, plan: null, show_s: null, text: "" },
+    robot_state: null,
+    robot: null,
+    view: null,
+    phase: "",
+    started: null,
+    ended: null,
+    rate: { ratio: 1, is_paused: false },
+    health: null,
+    trouble: [],
+    last_mark: null,
+    waiting: null,
+    scanned: null,
+    maintenance: null,
+    pairing: null,
+    page: "show",
+    theme: "dark",
+    cursor_s: 0,
+    order: 0,
+    follow: true,
+    selection: null,
+    row: 0,
+    dialog: null,
+    refusal: null,
+  };
+}
+
+/** Return the state after an action. @param {State} state @param {Action} action @returns {State} */
+export function reduce(state, action) {
+  if (action.type === "event") return afterEvent(state, /** @type {any} */ (action)["event"]);
+  if (action.type === "set") return { ...state, .../** @type {Partial<State>} */ (action["fields"]) };
+  if (action.type === "refused") {
+    const number = (state.refusal?.number ?? 0) + 1;
+    return { ...state, refusal: { number, text: String(action["text"]) } };
+  }
+  if (action.type === "cursor") {
+    const end_s = state.view?.view_s ?? 0;
+    const at_s = Number(action["at_s"]);
+    return { ...state, cursor_s: Math.min(Math.max(at_s, 0), end_s) };
+  }
+  if (action.type === "view") return afterView(state, /** @type {any} */ (action)["view"]);
+  throw new Error(`no action ${action.type}`);
+}
+
+/** @param {State} state @param {import("./state.js").View} view @returns {State} */
+function afterView(state, view) {
+  const isOther = state.view === null || state.view.name !== view.name;
+  const cursor_s = isOther ? 0 : Math.min(state.cursor_s, view.view_s);
+  return { ...state, view, cursor_s, selection: null, row: isOther ? 0 : state.row };
+}
+
+/**
+ * Return the state after an event of the server. @param {State} state @param {any} event
+ * @returns {State}
+ */
+function afterEvent(state, event) {
+  switch (event.event) {
+    case "welcome":
+      return { ...state, welcome: event, link: { status: "open", text: "" } };
+    case "lease":
+      return { ...state, lease: event };
+    case "document":
+      return { ...state, document: event };
+    case "robot":
+      return { ...state, robot_state: event };
+    case "player":
+      return { ...state, player: event, phase: event.state === "idle" ? "" : state.phase };
+    case "links":
+      return { ...state, clients: event.clients };
+    case "scan":
+    case "scanned":
+      return { ...state, scanned: event };
+    case "maintenance":
+      return { ...state, maintenance: event };
+    case "pairing":
+      return { ...state, pairing: event, dialog: { kind: "pairing" } };
+    case "started":
+      return {
+        ...state, started: event, ended: null, trouble: [], health: null, last_mark: null,
+        waiting: null, phase: "", rate: { ratio: 1, is_paused: false },
+      };
+    case "phase":
+      return { ...state, phase: event.phase };
+    case "rate":
+      return { ...state, rate: { ratio: event.ratio, is_paused: event.is_paused } };
+    case "mark":
+      return { ...state, last_mark: { label: event.label, at_s: event.at_s } };
+    case "waited":
+      return { ...state, waiting: event.state === "begun" ? event.text : null };
+    case "health":
+      return { ...state, health: event, phase: event.phase };
+    case "ended":
+      return { ...state, ended: { outcome: event.outcome, error: event.error }, phase: "", waiting: null };
+    default:
+      return { ...state, trouble: withTrouble(state, event) };
+  }
+}
+
+/** Return the list of troubles with that of an event. @param {State} state @param {any} event */
+function withTrouble(state, event) {
+  const at_s = state.health?.show_s ?? null;
+  const number = (state.trouble[0]?.number ?? 0) + 1;
+  /** @type {Trouble[]} */
+  let added = [];
+  if (event.event === "fault") {
+    const who = event.joint === "" ? "" : `${event.joint} `;
+    added = [{ number, kind: "fault", at_s, text: `${who}${event.cause}`, done: STEP_WORDS[event.step] ?? event.step }];
+  } else if (event.event === "warned") {
+    added = [{ number, kind: "warning", at_s, text: event.text, done: "" }];
+  } else if (event.event === "checked") {
+    added = event.notes.map((/** @type {string} */ text, /** @type {number} */ index) => (
+      { number: number + index, kind: "note", at_s: null, text, done: "" }));
+    added.reverse();
+  } else if (event.event === "lost") {
+    added = [{ number, kind: "warning", at_s, text: `${event.count} messages found no room`, done: "" }];
+  }
+  return added.length === 0 ? state.trouble : [...added, ...state.trouble].slice(0, TROUBLE_MAX);
+}

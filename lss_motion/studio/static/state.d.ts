@@ -1,0 +1,106 @@
+// The state of the pages, and the messages of the server as far as the pages use them. Their source is
+// `lss-motion schema remote`. For tsc only.
+import type { Curve } from "./curves.js";
+
+export type Span = { from_s: number; to_s: number; joint: string; text: string };
+export type Key = {
+  at_s: number; authored_s: number | null; hold_s: number; is_anchor: boolean; label: string;
+  ease: string; line: number | null; deg: Record<string, number>;
+};
+export type Lane = {
+  name: string; kind: "track" | "layer" | "part"; joints: string[]; keys: Key[];
+  times_s: Float64Array;
+};
+export type JointView = {
+  name: string; id: number; bus: string; servo: string; range_deg: [number, number];
+  speed_max_deg_s: number; accel_max_deg_s2: number; drive: string; temperature_max_c: number;
+  voltage_min_v: number; following_deg: number;
+};
+export type JointCurves = { plan: Curve; predicted: Curve; authored: Curve | null };
+export type JointKey = { at_s: number; deg: number; hold_s: number; is_anchor: boolean; lane: number; key: number };
+export type LineView = {
+  step_s: number; use_ratio: Float32Array; baud_bps: number; commands: number; mean_ratio: number;
+  worst_100_ms_ratio: number; reading_rate_hz: number | null; reading_rate_min_hz: number;
+};
+export type Waveform = {
+  text: string; from_s: number; to_s: number; is_bed: boolean; is_looped?: boolean;
+  rate_hz?: number; peaks?: Int8Array; error?: string;
+};
+export type ShowEvent = { at_s: number; kind: string; text: string; line: number | null; lasts_s: number | null };
+export type Mark = { label: string; at_s: number; is_anchor: boolean };
+export type View = {
+  plan: string; name: string; robot: string; duration_s: number | null; view_s: number;
+  is_endless: boolean; repeat: null | { from_s: number; to_s: number; times: number | null };
+  tolerance_deg: number; joints: JointView[]; lanes: Lane[];
+  parts: { name: string; from_s: number; to_s: number }[];
+  events: ShowEvent[]; marks: Mark[]; curves: Record<string, JointCurves>;
+  keys: Record<string, JointKey[]>;
+  stretched: (Span & { by_s: number; limit: string })[];
+  given_up: (Span & { at_s: number; deg: number })[];
+  asked: { from_s: number; to_s: number; joint: string; deg: Float32Array }[];
+  error: Record<string, { max_deg: number; at_s: number }>;
+  line: Record<string, LineView>;
+  waveforms: Waveform[];
+};
+
+export type JointHealth = {
+  status: string | null; temperature_c: number | null; voltage_v: number | null;
+  current_a: number | null; error_deg: number | null; correction_deg: number; allowed_deg: number;
+};
+export type Health = {
+  phase: string; show_s: number | null; rate: number; is_paused: boolean; late_us: number;
+  missed: number; joints: Record<string, JointHealth>;
+  buses: Record<string, { use_ratio: number; replies_hz: number }>;
+};
+export type Telemetry = {
+  plan: string; show_s: number; rate: number;
+  planned_deg: Float32Array; predicted_deg: Float32Array; read_deg: Float32Array;
+};
+export type Trouble = { number: number; kind: "fault" | "warning" | "note"; at_s: number | null; text: string; done: string };
+export type Document = {
+  revision: number; file: string; kind: string; title: string; is_planning: boolean;
+  errors: { path: string; line: number | null; text: string }[]; notes: string[];
+  plan: string | null; is_current: boolean; summary: string[]; robot: number;
+};
+export type Player = { state: string; is_latched: boolean; plan: string | null; show_s: number | null; text: string };
+export type Page = "show" | "timeline" | "robot";
+export type Selection =
+  | { kind: "key"; lane: number; key: number; joint: string | null }
+  | { kind: "span"; list: "stretched" | "given_up"; index: number }
+  | { kind: "joint"; joint: string }
+  | null;
+export type State = {
+  link: { status: "connecting" | "open" | "lost" | "denied"; text: string };
+  welcome: null | {
+    client: number; role: "view" | "operate" | "edit"; stop_origin: string; version: string;
+    file: string; title: string; is_network_readable: boolean;
+  };
+  clients: number;
+  lease: { holder: number | null; holder_name: string | null; is_mine: boolean };
+  document: Document | null;
+  player: Player;
+  robot_state: { state: string; port: string; is_simulated: boolean; joints: Record<string, { deg: number | null; is_limp: boolean }>; text: string } | null;
+  robot: Record<string, unknown> | null;
+  view: View | null;
+  phase: string;
+  started: null | { name: string; robot: string; is_simulated: boolean; duration_s: number | null; plan: string; joints: string[]; marks: Mark[] };
+  ended: null | { outcome: string; error: string | null };
+  rate: { ratio: number; is_paused: boolean };
+  health: Health | null;
+  trouble: Trouble[];
+  last_mark: null | { label: string; at_s: number };
+  waiting: string | null;
+  scanned: any;
+  maintenance: any;
+  pairing: null | { code: string; role: string; valid_s: number; urls: string[] };
+  page: Page;
+  theme: "dark" | "light";
+  cursor_s: number;
+  order: 0 | 1 | 2;
+  follow: boolean;
+  selection: Selection;
+  row: number;
+  dialog: null | { kind: string; title?: string; text?: string; yes?: string; run?: () => void };
+  refusal: null | { number: number; text: string };
+};
+export type Action = { type: string; [key: string]: unknown };

@@ -1,0 +1,113 @@
+// @ts-check
+/**
+ * STOP and E-STOP. This module loads first and imports nothing, so that both work whatever else
+ * fails. A stop goes out on pointer-down, with no question: as a POST to the server and, at the same
+ * time, to the process that only stops, and by the websocket. It is repeated until the server says
+ * that it is kept.
+ */
+
+const REPEAT_MS = 400;
+const REPEATS_MAX = 15;
+
+/** @typedef {"stop" | "estop"} StopKind */
+
+/** @type {{ origins: string[], send: ((kind: StopKind) => void) | null }} */
+const ways = { origins: [""], send: null };
+
+/** What is being sent and not yet confirmed. @type {{ kind: StopKind, left: number } | null} */
+let pending = null;
+let timer = 0;
+
+/** Add the origin of the process that only stops. @param {string} origin */
+export function setStopOrigin(origin) {
+  ways.origins = ["", origin];
+}
+
+/** Set how a stop goes by the websocket. @param {(kind: StopKind) => void} send */
+export function setStopSender(send) {
+  ways.send = send;
+}
+
+/** The server keeps the stop: it need not be repeated. @param {boolean} isLatched */
+export function confirmStop(isLatched) {
+  document.body.dataset["latched"] = String(isLatched);
+  if (isLatched) finish();
+}
+
+/** Send a stop by every way at once. @param {StopKind} kind */
+export function sendStop(kind) {
+  // An emergency stop is never taken back to a stop.
+  if (pending === null || pending.kind === "stop") pending = { kind, left: REPEATS_MAX };
+  document.body.dataset["stopping"] = pending.kind;
+  once(pending.kind);
+  clearInterval(timer);
+  timer = setInterval(() => {
+    if (pending === null || pending.left <= 0) {
+      if (pending !== null) showTrouble("The stop is not confirmed. Cut the power of the robot.");
+      finish();
+      return;
+    }
+    pending.left -= 1;
+    once(pending.kind);
+  }, REPEAT_MS);
+}
+
+/** @param {StopKind} kind */
+function once(kind) {
+  for (const origin of ways.origins) {
+    fetch(`${origin}/${kind}`, {
+      method: "POST",
+      mode: origin === "" ? "same-origin" : "no-cors",
+      credentials: "include",
+      keepalive: true,
+    }).catch(() => {}); // The other ways may have arrived; the repetition goes on until one has.
+  }
+  try {
+    ways.send?.(kind);
+  } catch {
+    // The websocket is closed.
+  }
+}
+
+function finish() {
+  clearInterval(timer);
+  pending = null;
+  delete document.body.dataset["stopping"];
+}
+
+/** Show what went wrong in a banner. @param {string} text */
+export function showTrouble(text) {
+  const banner = document.getElementById("trouble");
+  if (banner === null) return;
+  banner.textContent = text;
+  banner.hidden = text === "";
+}
+
+for (const kind of /** @type {const} */ (["stop", "estop"])) {
+  const button = document.getElementById(kind);
+  button?.addEventListener("pointerdown", (event) => {
+    if (event.button !== 0) return;
+    sendStop(kind);
+  });
+  // Enter and space on the focused button, and assistive technology, have no pointer.
+  button?.addEventListener("click", (event) => {
+    if (event.detail === 0) sendStop(kind);
+  });
+}
+
+window.addEventListener(
+  "keydown",
+  (event) => {
+    if (event.key !== "Escape" || event.repeat) return;
+    event.stopImmediatePropagation();
+    sendStop(event.shiftKey ? "estop" : "stop");
+  },
+  { capture: true },
+);
+
+window.addEventListener("error", (event) => {
+  showTrouble(`The page has an error, but STOP works: ${event.message}. Load the page again.`);
+});
+window.addEventListener("unhandledrejection", (event) => {
+  showTrouble(`The page has an error, but STOP works: ${String(event.reason)}. Load the page again.`);
+});
