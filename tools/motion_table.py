@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 from lss_motion.errors import LssMotionError
 from lss_motion.interchange import (
     ForeignMotion,
+    LabelTrack,
     Unit,
     imported,
     load_map,
@@ -65,8 +66,10 @@ def rows(path: Path) -> Iterator[list[str]]:
             yield [path.name, motion.name, *verdict(motion, Path(folder))]
 
 
-def verdict(motion: ForeignMotion | RefusedMotion, folder: Path) -> list[str]:
+def verdict(motion: ForeignMotion | LabelTrack | RefusedMotion, folder: Path) -> list[str]:
     """Return joints, keys, authored and planned seconds, and what came of the motion."""
+    if isinstance(motion, LabelTrack):
+        return ["", str(len(motion.spans)), "", "", "labels: poses of a robot make them motion"]
     if not isinstance(motion, ForeignMotion):
         return ["", "", "", "", f"refused: {motion.error.reason}"]
     joints = str(len(motion.channels))

@@ -14,7 +14,16 @@ from lss_motion.cli.commands import (
     number_from,
     reader,
 )
-from lss_motion.cli.voices import SOUND_TEXT, add_sound_options, import_sound, require_options
+from lss_motion.cli.voices import (
+    LABEL_TEXT,
+    SOUND_TEXT,
+    add_label_options,
+    add_sound_options,
+    import_labels,
+    import_sound,
+    require_no_labels,
+    require_options,
+)
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
 
@@ -30,6 +39,7 @@ if TYPE_CHECKING:
 
 
 FORMATS_IN: Final = (
+    "rhubarb, papagayo, praat, xlights, audacity, "
     "bitbots, hulks, pypot, blender, bottango, webots, mtn, maestro, ssc32-csv, pypose, ros, csv, "
     "commands, d6a, lerobot, opencat, poses, robotis-bin"
 )
@@ -77,7 +87,8 @@ The format is recognised by the content. A dense recording is reduced to the few
 within the tolerance. A map file gives, for each joint of the motion, the joint of this robot and
 the meaning of its values; --make-map writes one to begin with.
 
-{SOUND_TEXT}"""
+{SOUND_TEXT}
+{LABEL_TEXT}"""
 
 EXPORT_TEXT: Final = """\
 Write the motion of a sequence, or a log of lss-play, for other tools.
@@ -153,6 +164,7 @@ def _add_import(commands: Commands) -> None:
         "are",
     )
     add_sound_options(imported)
+    add_label_options(imported)
     target = imported.add_mutually_exclusive_group(required=True)
     target.add_argument("-o", "--output", type=Path, metavar="S.yaml", help="the sequence to write")
     target.add_argument(
@@ -191,6 +203,7 @@ def _add_export(commands: Commands) -> None:
 def _import(arguments: argparse.Namespace) -> int:
     from lss_motion.interchange.importing import imported, read_motion
     from lss_motion.interchange.mapping import load_map, map_template
+    from lss_motion.interchange.reader import LabelTrack
     from lss_motion.sequence.model import Interpolation
     from lss_motion.sequence.write import write_sequence
     from lss_motion.sound.files import is_sound
@@ -213,6 +226,9 @@ def _import(arguments: argparse.Namespace) -> int:
     motion = read_motion(
         arguments.file, format_name=arguments.format_name, motion_name=arguments.motion
     )
+    if isinstance(motion, LabelTrack):
+        return import_labels(arguments, motion, robot)
+    require_no_labels(arguments)
     if arguments.make_map is not None:
         write_output(arguments.make_map, map_template(motion, robot))
         print(f"{arguments.make_map}: {len(motion.channels)} joints; edit it, then use --map")

@@ -1,4 +1,4 @@
-"""The part of `import` that turns a sound into motion: its options, and what it prints."""
+"""The parts of `import` for sounds and labels: their options, and what is printed."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from lss_motion.files.source import counted
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from lss_motion.interchange.reader import LabelTrack
     from lss_motion.interchange.voice import Shortfall, Voiced, VoiceStyle
     from lss_motion.robot.model import Robot
     from lss_motion.sound.spectra import Channel, Part
@@ -30,13 +31,27 @@ its loudness, for a nod, and --follow stereo moves between its left and its righ
     --open-deg 12 -o nod.yaml
 """
 
+LABEL_TEXT: Final = """\
+Lip-sync files (rhubarb, papagayo) become poses of a mouth, the visemes of the robot file; so do
+labels of other tools that are mouth shapes or phonemes, in ARPABET or IPA. Other labels become
+keyframes with the pose of that name, or that of --pose.
+
+  lss-motion import voice.json --robot my_robot.yaml -o mouth.yaml
+  lss-motion import labels.txt --robot my_robot.yaml --pose home --anchors -o skeleton.yaml
+"""
+
+LABEL_OPTIONS: Final = ("labels", "pose", "anchors", "fps")
+
 OPTIONS: Final = (
     "follow", "channel", "span", "closed_deg", "open_deg", "band_hz", "threshold_db", "gain_db",
-    "attack_s", "release_s", "opening_min", "speed_max_deg_s", "full", "no_sound",
+    "attack_s", "release_s", "opening_min", "speed_max_deg_s", "full",
 )  # fmt: skip
 """What is only for sounds."""
 
-NOT_FOR_SOUND: Final = ("format_name", "motion", "map", "make_map", "unwrap", "clip")
+NOT_FOR_SOUND: Final = (
+    "format_name", "motion", "map", "make_map", "unwrap", "clip", *LABEL_OPTIONS,
+)  # fmt: skip
+NOT_FOR_LABELS: Final = ("map", "make_map", "unwrap", "clip")
 
 
 def add_sound_options(parser: argparse.ArgumentParser) -> None:
@@ -133,17 +148,47 @@ def _add_motion_options(group: argparse._ArgumentGroup) -> None:
     )
 
 
+def add_label_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of labels to `import`."""
+    group = parser.add_argument_group("labels and mouth shapes")
+    group.add_argument(
+        "--labels",
+        choices=("mouth", "keyframes"),
+        help="what they become (default: a mouth if the robot has visemes for them)",
+    )
+    group.add_argument("--pose", metavar="NAME", help="the pose of labels that are no pose")
+    group.add_argument(
+        "--anchors",
+        action="store_const",
+        const=True,
+        help="keyframes of labels are anchors: their times must be met",
+    )
+    group.add_argument(
+        "--fps",
+        type=number_from(1.0, 1000.0),
+        metavar="N",
+        help="frames per second of switch data, which does not give it (default 24)",
+    )
+
+
+def _typed(arguments: argparse.Namespace, names: tuple[str, ...]) -> str:
+    """Return the options of `names` that were given, as they are typed."""
+    given = [name for name in names if getattr(arguments, name) not in (None, False)]
+    return ", ".join(f"--{name.replace('_', '-').replace('format-name', 'from')}" for name in given)
+
+
+def require_no_labels(arguments: argparse.Namespace) -> None:
+    """Raise `InputError` for options of labels, where the file holds none."""
+    if names := _typed(arguments, (*LABEL_OPTIONS, "no_sound")):
+        raise InputError(f"{names}: only for labels, and this is a motion", path=arguments.file)
+
+
 def require_options(arguments: argparse.Namespace) -> None:
     """Raise `InputError` for options that do not go together."""
-
-    def typed(names: tuple[str, ...]) -> list[str]:
-        given = [name for name in names if getattr(arguments, name) not in (None, False)]
-        return [f"--{name.replace('_', '-').replace('format-name', 'from')}" for name in given]
-
-    if arguments.joint is None and (names := typed(OPTIONS)):
-        raise InputError(f"{', '.join(names)}: only for a sound; add --joint, which follows it")
-    if arguments.joint is not None and (names := typed(NOT_FOR_SOUND)):
-        raise InputError(f"{', '.join(names)}: not for a sound; leave it out, or leave out --joint")
+    if arguments.joint is None and (names := _typed(arguments, OPTIONS)):
+        raise InputError(f"{names}: only for a sound; add --joint, which follows it")
+    if arguments.joint is not None and (names := _typed(arguments, NOT_FOR_SOUND)):
+        raise InputError(f"{names}: not for a sound; leave it out, or leave out --joint")
 
 
 def import_sound(arguments: argparse.Namespace, robot: Robot) -> int:
@@ -164,6 +209,34 @@ def import_sound(arguments: argparse.Namespace, robot: Robot) -> int:
     if style.follow == "syllables":
         found = shortfall(voiced, lambda times_s: trajectory.sample(times_s)[:, 0])
         comments += _shortfall_lines(found, voiced)
+    write_sequence(sequence, arguments.output, comments=comments)
+    print(f"{arguments.output}: {counted(sequence.keyframes, 'keyframe')} from {arguments.file}")
+    print("\n".join(comments))
+    print("\n".join(plan_lines(trajectory, robot)))
+    return EXIT_FINISHED
+
+
+def import_labels(arguments: argparse.Namespace, track: LabelTrack, robot: Robot) -> int:
+    """Write the sequence of a track of labels; print what was made of it."""
+    from lss_motion.interchange.labels import LabelStyle, LabelUse, label_sequence
+    from lss_motion.sequence.parts import keeping
+    from lss_motion.sequence.write import write_sequence
+    from lss_motion.summaries import plan_lines
+    from lss_motion.trajectory.planner import plan
+
+    if names := _typed(arguments, NOT_FOR_LABELS):
+        raise InputError(f"{names}: not for labels; leave it out", path=arguments.file)
+    style = LabelStyle(
+        use=None if arguments.labels is None else LabelUse(arguments.labels),
+        pose=arguments.pose,
+        is_anchored=bool(arguments.anchors),
+        fps=arguments.fps,
+        is_sounding=not arguments.no_sound,
+    )
+    sequence, comments = label_sequence(track, robot, style)
+    if arguments.keep is not None:
+        sequence = keeping(sequence, is_time=arguments.keep == "time")
+    trajectory = plan(sequence, robot)
     write_sequence(sequence, arguments.output, comments=comments)
     print(f"{arguments.output}: {counted(sequence.keyframes, 'keyframe')} from {arguments.file}")
     print("\n".join(comments))

@@ -7,6 +7,9 @@
 | `importing`   | `import_motion` and its steps; the list of readers         | cli, api            |
 | `reader`      | `Reader`, and the motion that it returns                   | the readers         |
 | `fields`      | checked values from JSON and text, with their place        | the readers         |
+| `labels`      | labels and mouth shapes → keyframes                        | `importing`         |
+| `mouth_shapes` | names of mouth shapes and phonemes                        | `labels`            |
+| `label_track` | the checked track of a reader of labels                    | the readers         |
 | `mapping`     | joints of the file → joints of the robot; map files        | `importing`, cli    |
 | `voice`       | a sound → the motion of a jaw, a nod, a sway               | cli                 |
 | `reduce`      | a recording → few keys within a tolerance                  | `importing`         |
@@ -17,6 +20,7 @@ One reader per module:
 
 | module        | format                                                                 |
 |---------------|------------------------------------------------------------------------|
+| `audacity`    | label tracks of Audacity                                               |
 | `bitbots`     | keyframe JSON of the Bit-Bots humanoids                                |
 | `blender`     | JSON of the Blender add-on for servo animation                         |
 | `bottango`    | `AnimationCommands.json` of Bottango                                   |
@@ -27,13 +31,17 @@ One reader per module:
 | `lerobot`     | LeRobot datasets (parquet; needs pyarrow)                              |
 | `maestro`     | settings XML of the Pololu Maestro                                     |
 | `opencat`     | C arrays of OpenCat skills (Petoi)                                     |
+| `papagayo`    | lip-sync projects of Papagayo, switch data of Moho                     |
 | `poses`       | plain lists of poses in JSON or CSV                                    |
+| `praat`       | TextGrids of Praat, long and short                                     |
 | `pypose`      | PyPose projects (`.ppr`)                                               |
 | `pypot`       | recorded moves of pypot (Poppy robots)                                 |
+| `rhubarb`     | mouth cues of Rhubarb Lip Sync: JSON, XML, TSV                         |
 | `robotis`     | Robotis motion files: `.mtn` text and binary pages                     |
 | `ros`         | ROS trajectories, `play_motion` collections and goals in YAML          |
 | `ssc32_table` | step tables of the SSC-32 visual sequencer                             |
 | `webots`      | Webots `.motion` text                                                  |
+| `xlights`     | timing tracks of xLights                                               |
 """
 
 from lss_motion.interchange.export import EXPORT_NAMES, Samples, exported
@@ -47,10 +55,12 @@ from lss_motion.interchange.importing import (
     read_motions,
     sequence_for,
 )
+from lss_motion.interchange.labels import LabelStyle, LabelUse
 from lss_motion.interchange.mapping import MotionMap, load_map, map_template, mapped
 from lss_motion.interchange.reader import (
     Channel,
     ForeignMotion,
+    LabelTrack,
     Reader,
     RefusedMotion,
     Unit,
@@ -65,6 +75,9 @@ __all__ = [
     "ForeignMotion",
     "Imported",
     "KeyFit",
+    "LabelStyle",
+    "LabelTrack",
+    "LabelUse",
     "MotionMap",
     "Reader",
     "RefusedMotion",

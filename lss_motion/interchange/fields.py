@@ -12,13 +12,14 @@ import re
 from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NoReturn
+from xml.parsers import expat
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import text_of
 from lss_motion.interchange.reader import VALUES_MAX
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 
@@ -181,3 +182,36 @@ class TextLines:
     def refuse(self, line: int | None, reason: str) -> NoReturn:
         """Raise `InputError` with `reason`."""
         raise InputError(reason, path=self.path, line=line)
+
+
+def parse_xml(
+    lines: TextLines,
+    start: Callable[[int, str, dict[str, str]], None],
+    end: Callable[[str], None],
+    text: Callable[[str], None],
+) -> None:
+    """Call `start` with line, tag and attributes, `text` and `end` for all elements of a file.
+
+    Raises `InputError` for what is no XML, and for a document type: its entities could expand
+    without end.
+    """
+    parser = expat.ParserCreate()
+
+    def started(tag: str, attributes: dict[str, str]) -> None:
+        start(parser.CurrentLineNumber, tag, attributes)
+
+    def refused(*_: object) -> None:
+        lines.refuse(
+            parser.CurrentLineNumber, "declares a document type, which is not allowed here"
+        )
+
+    parser.buffer_text = True
+    parser.StartElementHandler = started
+    parser.EndElementHandler = end
+    parser.CharacterDataHandler = text
+    parser.StartDoctypeDeclHandler = refused
+    try:
+        parser.Parse(lines.text.encode(), True)  # noqa: FBT003  expat's own order
+    except expat.ExpatError as error:
+        reason = expat.ErrorString(error.code)
+        raise InputError(f"not XML: {reason}", path=lines.path, line=error.lineno) from error

@@ -17,6 +17,7 @@ import numpy as np
 
 from lss_motion.errors import InputError
 from lss_motion.files.source import RECORDING_MAX_BYTES, known_names, read_data
+from lss_motion.interchange.audacity import AudacityReader
 from lss_motion.interchange.bitbots import BitBotsReader
 from lss_motion.interchange.blender import BlenderReader
 from lss_motion.interchange.bottango import BottangoReader
@@ -24,19 +25,24 @@ from lss_motion.interchange.command_text import CONSTANT_SPEED, CommandReader
 from lss_motion.interchange.csv import CsvReader
 from lss_motion.interchange.d6a import D6aReader
 from lss_motion.interchange.hulks import HulksReader
+from lss_motion.interchange.labels import LabelStyle, label_sequence
 from lss_motion.interchange.lerobot import LeRobotReader
 from lss_motion.interchange.maestro import MaestroReader
 from lss_motion.interchange.mapping import UNWRAP_OFFER, mapped
 from lss_motion.interchange.opencat import OpenCatReader
+from lss_motion.interchange.papagayo import PapagayoReader
 from lss_motion.interchange.poses import PosesReader
+from lss_motion.interchange.praat import PraatReader
 from lss_motion.interchange.pypose import PyPoseReader
 from lss_motion.interchange.pypot import PypotReader
-from lss_motion.interchange.reader import DIGITS, ForeignMotion, Note, RefusedMotion
+from lss_motion.interchange.reader import DIGITS, ForeignMotion, LabelTrack, Note, RefusedMotion
 from lss_motion.interchange.reduce import TOLERANCE_DEG, Limits, every_sample, interpolated, reduced
+from lss_motion.interchange.rhubarb import RhubarbReader
 from lss_motion.interchange.robotis import RobotisPagesReader, RobotisTextReader
 from lss_motion.interchange.ros import RosReader
 from lss_motion.interchange.ssc32_table import Ssc32TableReader
 from lss_motion.interchange.webots import WebotsReader
+from lss_motion.interchange.xlights import XLightsReader
 from lss_motion.robot.profile import Profile, ramp_deg_s2
 from lss_motion.sequence.check import joint_problems, jumps
 from lss_motion.sequence.model import KEYFRAMES_MAX, TIME_MAX_S, Interpolation, Sequence
@@ -54,6 +60,11 @@ if TYPE_CHECKING:
 
 
 READERS: Final[tuple[Reader, ...]] = (
+    RhubarbReader(),
+    PapagayoReader(),
+    PraatReader(),
+    XLightsReader(),
+    AudacityReader(),
     BitBotsReader(),
     HulksReader(),
     PypotReader(),
@@ -81,8 +92,8 @@ FORMAT_NAMES: Final = tuple(reader.name for reader in READERS)
 
 def read_motion(
     path: Path | str, *, format_name: str | None = None, motion_name: str | None = None
-) -> ForeignMotion:
-    """Return one motion of a file of another tool, not yet for a robot.
+) -> ForeignMotion | LabelTrack:
+    """Return one motion, or track of labels, of a file of another tool, not yet for a robot.
 
     `motion_name` is required if the file has several motions.
     """
@@ -107,8 +118,8 @@ def read_motion(
 
 def read_motions(
     path: Path | str, *, format_name: str | None = None
-) -> tuple[ForeignMotion | RefusedMotion, ...]:
-    """Return all motions of a file of another tool, each with a unique name."""
+) -> tuple[ForeignMotion | LabelTrack | RefusedMotion, ...]:
+    """Return all motions, or tracks of labels, of a file of another tool, with unique names."""
     path = Path(path)
     if format_name is not None and format_name not in FORMAT_NAMES:
         known = known_names(format_name, FORMAT_NAMES)
@@ -125,8 +136,8 @@ def read_motions(
 
 
 def _distinct(
-    motions: SequenceOf[ForeignMotion | RefusedMotion],
-) -> Iterator[ForeignMotion | RefusedMotion]:
+    motions: SequenceOf[ForeignMotion | LabelTrack | RefusedMotion],
+) -> Iterator[ForeignMotion | LabelTrack | RefusedMotion]:
     """Yield the motions with unique names (a repeated name gets a number), and times from 0 on."""
     taken: set[str] = set()
     for motion in motions:
@@ -198,7 +209,7 @@ def import_motion(
 
 
 def imported(
-    motion: ForeignMotion,
+    motion: ForeignMotion | LabelTrack,
     robot: Robot,
     *,
     motion_map: MotionMap | None = None,
@@ -210,6 +221,8 @@ def imported(
 ) -> Imported:
     """Return `motion` for `robot`. A recording is reduced to keys; tolerance 0 keeps all samples.
 
+    The options are for motions; of labels, `labels.label_sequence` has others.
+
     Where a recording keeps the limits of the robot, the spline through its keys keeps them too.
 
     `ease` is the interpolation between the keys of a recording. A spline needs about the
@@ -220,6 +233,9 @@ def imported(
     `keeps_time`: its joints keep every instant. The commands of a script are then left to the
     servos (ease `command`), so that the program holds the same ones where they are possible.
     """
+    if isinstance(motion, LabelTrack):
+        sequence, comments = label_sequence(motion, robot, LabelStyle())
+        return Imported(sequence=sequence, comments=comments)
     fit: KeyFit | None = None
     own = mapped(motion, robot, motion_map, is_unwrapped=is_unwrapped)
     if is_clipped:

@@ -9,10 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Final
-from xml.parsers import expat
 
-from lss_motion.errors import InputError
-from lss_motion.interchange.fields import TextLines
+from lss_motion.interchange.fields import TextLines, parse_xml
 from lss_motion.interchange.reader import Pose, Unit, motion_of_poses, read_or_refused, summarised
 from lss_motion.units import s_from_ms
 
@@ -94,26 +92,7 @@ class MaestroReader:
 
 def _parsed(lines: TextLines) -> _Content:
     content = _Content()
-    parser = expat.ParserCreate()
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        content.start(lines, parser.CurrentLineNumber, tag, attributes)
-
-    def refused(*_: object) -> None:
-        lines.refuse(
-            parser.CurrentLineNumber, "declares a document type, which is not allowed in settings"
-        )
-
-    parser.buffer_text = True
-    parser.StartElementHandler = start
-    parser.EndElementHandler = content.end
-    parser.CharacterDataHandler = content.add_text
-    parser.StartDoctypeDeclHandler = refused
-    try:
-        parser.Parse(lines.text.encode(), True)  # noqa: FBT003  expat's own order
-    except expat.ExpatError as error:
-        reason = expat.ErrorString(error.code)
-        raise InputError(f"not XML: {reason}", path=lines.path, line=error.lineno) from error
+    parse_xml(lines, partial(content.start, lines), content.end, content.add_text)
     return content
 
 

@@ -11,7 +11,7 @@ import re
 from collections import defaultdict
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 import numpy as np
 
@@ -166,6 +166,43 @@ class RefusedMotion:
     error: InputError
 
 
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A label from `from_s` to `to_s`; both are equal at an instant."""
+
+    from_s: float
+    to_s: float
+    text: str
+    line: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LabelTrack:
+    """Labels of a sound as in their file: words, sounds of speech, shapes of a mouth.
+
+    One span or more, in order of their beginnings, none before 0. They become motion by poses of a
+    robot, see `labels`.
+    """
+
+    path: Path
+    name: str
+    spans: tuple[Span, ...]
+    comments: tuple[str, ...] = ()
+    is_mouth: bool = False
+    """The format holds nothing but shapes of a mouth."""
+    sound: str = ""
+    """Name of the sound file, where the file of the labels has it."""
+    assumed_fps: float | None = None
+    """The file counts frames and does not give their rate: this one was assumed."""
+
+    def __post_init__(self) -> None:
+        starts_s = [span.from_s for span in self.spans]
+        assert starts_s, self.name
+        assert starts_s == sorted(starts_s), self.name
+        assert starts_s[0] >= 0.0, self.name
+        assert all(span.from_s <= span.to_s < math.inf for span in self.spans), self.name
+
+
 class Reader(Protocol):
     """A reader of one format. It never executes content of a file."""
 
@@ -178,8 +215,10 @@ class Reader(Protocol):
         """Return whether the content looks like this format."""
         ...
 
-    def motions(self, path: Path, data: bytes) -> tuple[ForeignMotion | RefusedMotion, ...]:
-        """Return the motions in `data`, one or more, in the file's order.
+    def motions(
+        self, path: Path, data: bytes
+    ) -> tuple[ForeignMotion | LabelTrack | RefusedMotion, ...]:
+        """Return the motions, or tracks of labels, in `data`, one or more, in the file's order.
 
         Raises `InputError` and nothing else. `path` is used only in its text; `lerobot` looks for
         the description of the dataset in the folders above it.
@@ -199,7 +238,10 @@ def motion_name(path: Path, name: str = "") -> str:
     return motion_label(name) or motion_label(path.stem) or "motion"
 
 
-def read_or_refused(name: str, read: Callable[[], ForeignMotion]) -> ForeignMotion | RefusedMotion:
+Found = TypeVar("Found", ForeignMotion, LabelTrack)
+
+
+def read_or_refused(name: str, read: Callable[[], Found]) -> Found | RefusedMotion:
     """Return the result of `read`, or its `InputError` as the refusal of this motion."""
     try:
         return read()

@@ -581,6 +581,12 @@ class RobotFile(FileModel, title="robot file"):
         default={},
         description="Joint angles in degrees by name; a pose need not name all joints.",
     )
+    visemes: dict[Name, Annotated[dict[Name, AngleDeg], Field(min_length=1)]] = Field(
+        default={},
+        description="Mouth shapes by name, as joint angles in degrees, for lip-sync files: those "
+        "of Preston Blair (AI, E, etc, FV, L, MBP, O, rest, U, WQ) or of Rhubarb (A to H, X).",
+        examples=[{"rest": {"jaw": 0}, "AI": {"jaw": 25}, "MBP": {"jaw": 0}}],
+    )
     groups: dict[Name, Annotated[list[Name], Field(min_length=1)]] = Field(
         default={},
         description="Joints by the name of a group, for tracks and layers.",

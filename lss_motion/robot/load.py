@@ -207,6 +207,7 @@ class _Loader:
             buses=buses,
             joints=joints,
             poses=content.poses,
+            visemes=content.visemes,
             groups=grouped(content.groups, joints),
             mirror=mirror_images(content.mirror),
             sensors=sensors,
@@ -379,13 +380,16 @@ class _Loader:
 
     def _check_poses(self, joints: Mapping[str, Joint]) -> None:
         named = self._named()
-        for pose, angles in self.content.poses.items():
-            for name, angle_deg in angles.items():
-                if name not in named:
-                    reason = f"pose {pose!r}: unknown joint {name!r}; {known_names(name, named)}"
-                    self._note(("poses", pose, name), reason)
-                elif name in joints and (reason := joints[name].range_problem(angle_deg)):
-                    self._note(("poses", pose, name), f"pose {pose!r}: {reason}")
+        both = ("poses", "pose", self.content.poses), ("visemes", "viseme", self.content.visemes)
+        for key, word, poses in both:
+            for pose, angles in poses.items():
+                for name, angle_deg in angles.items():
+                    place = (key, pose, name)
+                    if name not in named:
+                        known = known_names(name, named)
+                        self._note(place, f"{word} {pose!r}: unknown joint {name!r}; {known}")
+                    elif name in joints and (reason := joints[name].range_problem(angle_deg)):
+                        self._note(place, f"{word} {pose!r}: {reason}")
 
 
 def _escalations(entry: JointOnFaultEntry) -> Escalations:

@@ -278,6 +278,8 @@ class Robot:
     buses: Mapping[str, Bus]
     joints: Mapping[str, Joint]
     poses: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    visemes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Mouth shapes by name, for lip-sync files."""
     groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Joints by the name of their group, such as `head` or `left_arm`."""
     mirror: Mapping[str, tuple[str, Literal[1, -1]]] = field(default_factory=dict)

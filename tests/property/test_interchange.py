@@ -20,6 +20,7 @@ from lss_motion.interchange import (
     READERS,
     Channel,
     ForeignMotion,
+    LabelTrack,
     Reader,
     RefusedMotion,
     Samples,
@@ -96,6 +97,47 @@ SEEDS = {
 }
 """A small whole file of each format; what hypothesis damages."""
 
+PRAAT = """\
+File type = "ooTextFile"
+Object class = "TextGrid"
+
+xmin = 0
+xmax = 1
+tiers? <exists>
+size = 2
+item []:
+ item [1]:
+  class = "IntervalTier"
+  name = "p"
+  xmin = 0
+  xmax = 1
+  intervals: size = 1
+  intervals [1]:
+   xmin = 0
+   xmax = 1
+   text = "AA1"
+ item [2]:
+  class = "TextTier"
+  name = "q"
+  xmin = 0
+  xmax = 1
+  points: size = 1
+  points [1]:
+   number = 0.5
+   mark = "a ""b"" c"
+"""
+PAPAGAYO = "lipsync version 1\nv.wav\n24\n48\n1\nA\nHi\n1\nHi\n2\n9\n1\nHi 2 9 2\n2 etc\n4 AI\n"
+SEEDS |= {
+    "rhubarb": b'{"metadata":{"soundFile":"v.wav","duration":1},"mouthCues":[{"start":0.0,'
+    b'"end":0.2,"value":"X"},{"start":0.2,"end":0.5,"value":"D"}]}',
+    "papagayo": PAPAGAYO.encode(),
+    "praat": PRAAT.encode(),
+    "xlights": b'<timing name="V"><EffectLayer><Effect label="AI" starttime="100" endtime="200"/>'
+    b'</EffectLayer><EffectLayer><Effect label="b" starttime="1" endtime="2"/></EffectLayer>'
+    b"</timing>",
+    "audacity": b"0.5\t0.5\thome\n\\\t6928.4\t6928.4\n1.0\t2.5\tb c\n",
+}
+
 if find_spec("pyarrow"):
     SEEDS["lerobot"] = parquet_file()
 
@@ -121,11 +163,11 @@ def damaged(draw: st.DrawFn, seed: bytes) -> bytes:
 def fuzz_one(reader: Reader, data: bytes) -> bool:
     """Read `data` and return whether it holds a motion that can be read.
 
-    A reader may only return motions with channels, return refusals with a reason, or raise
-    `InputError`. Any other exception fails. `tools/fuzz_readers.py` calls this function as well.
+    A reader may only return motions with channels, tracks with labels, and refusals with a reason,
+    or raise `InputError`. Any other exception fails. `tools/fuzz_readers.py` calls this, too.
     """
     reader.recognises(data)
-    motions: tuple[ForeignMotion | RefusedMotion, ...]
+    motions: tuple[ForeignMotion | LabelTrack | RefusedMotion, ...]
     try:
         motions = reader.motions(Path("fuzz.bin"), data)
     except InputError as error:
@@ -134,6 +176,8 @@ def fuzz_one(reader: Reader, data: bytes) -> bool:
     for motion in motions:
         if isinstance(motion, RefusedMotion):
             assert motion.error.reason, "a refusal without a reason"
+        elif isinstance(motion, LabelTrack):
+            assert motion.spans, "a track without a label, which checks its own times when made"
         else:
             # `Channel` checks its own values when it is made.
             assert motion.channels, "a motion without a joint"
