@@ -18,6 +18,7 @@ from lss_motion.errors import BlockedPortError, BusError, InputError, LssMotionE
 from lss_motion.files.source import known_names
 from lss_motion.player.events import Warned
 from lss_motion.player.player import Player
+from lss_motion.player.query_choice import BY_NEED
 from lss_motion.runtime.clock import MonotonicClock, VirtualClock
 from lss_motion.runtime.performer import performing
 from lss_motion.runtime.port import ReopeningPort
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
     from lss_motion.connection import Connection
     from lss_motion.player.events import Event
+    from lss_motion.player.query_choice import Pace
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Robot
     from lss_motion.runtime.report import Report
@@ -85,16 +87,16 @@ def perform(  # noqa: PLR0913  (the options of one run)
     must_ask: bool = False,
     may_run: bool = False,
     is_forced: bool = False,
+    pace: Pace | None = BY_NEED,
     sound: SoundChoice | None = None,
     deviation: Deviation | None = None,
 ) -> Result:
     """Play `program` on `robot` and return the result, also when the run failed on the way.
 
-    With `trajectory`, the report has the distance of the simulated horns from it. `faults` apply
-    to simulated buses and, in virtual time, to the host; `deviation` to simulated servos. While
-    `is_open`, `observer.controls` may extend the show. With `must_ask` no joint moves before they
-    call `go`. Functions of the show need `may_run`. `is_forced`: see `Player`. `is_real_time`
-    requests priority and locked memory. `sound` chooses the device of the sounds.
+    With `trajectory`, the report has the distance of the simulated horns from it. `faults` apply to
+    simulated buses and, in virtual time, to the host; `deviation` to simulated servos. While
+    `is_open`, `observer.controls` may extend the show, which with `must_ask` moves no joint before
+    they call `go`. Functions need `may_run`; `is_real_time`: `real_time`. Others: see `Player`.
     Raises `InputError` or `BusError` only before the first byte.
     """
     _check_needs(program, may_run=may_run or is_virtual, has_feedback=has_feedback)
@@ -103,8 +105,8 @@ def perform(  # noqa: PLR0913  (the options of one run)
     clock = _clock(faults, is_virtual=is_virtual, seed=seed)
     connection = connect(robot.buses, robot=robot, clock=clock, seed=seed, **worse)
     started_ns, error, observer = clock.now_ns(), None, observer or Observer()
-    options = {"must_ask": must_ask, "is_open": is_open, "is_forced": is_forced}
-    player = Player(program, robot, has_feedback=has_feedback, start_s=start_s, **options)
+    options = {"is_open": is_open, "is_forced": is_forced, "has_feedback": has_feedback}
+    player = Player(program, robot, start_s=start_s, must_ask=must_ask, pace=pace, **options)
     note, desk = _Noting(observer.on_event), None
     recorder = TruthRecorder(player.robot, connection.simulated, trajectory) if simulated else None
     try:

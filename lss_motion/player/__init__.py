@@ -25,7 +25,8 @@ calls with the same arguments give the same bytes, so a log can be replayed (`ru
     rate_ramps      moves while the rate of the show is not 1           streamer
     joint_state     one joint: sent moves, model, readings; statistics  streamer, polling, report
     estimators      load, lag and lost moves of one joint               joint_state
-    polling         which servo is polled for what, and when            streamer
+    polling         queries in the gaps between moves, and their use    streamer
+    query_choice    which servo is polled next, and for what            polling
     query_tracker   queries in flight on one bus                        polling, transactions
     serial_line     one line: when it is free, what came in             all that send
     settings_watch  servos that may have lost their settings        polling

@@ -295,10 +295,11 @@ class LostMoveDetector:
         """Take over whether the servo reports its targets as they were sent."""
         self.mismatches = earlier.mismatches
 
-    def needs_target(self, now_s: float) -> bool:
-        """Return whether the servo must be polled for its target."""
+    @property
+    def target_due_s(self) -> float:
+        """Instant from which the servo must be polled for its target; infinite: it need not be."""
         last = self.last
-        return last is not None and last.queries_left > 0 and now_s >= self._reported_s(last)
+        return self._reported_s(last) if last is not None and last.queries_left > 0 else math.inf
 
     def count_target_query(self) -> None:
         """Note that the servo is polled for its target now."""

@@ -101,8 +101,6 @@ class JointState:
     temperature_max_c: float | None = None
     voltage_min_v: float | None = None
     current_max_a: float | None = None
-    visited_ns: int | None = None
-    """Instant of the last query to the servo in its turn."""
     health_ns: int | None = None
     """Instant of the last health query."""
     health_count: int = 0
@@ -384,18 +382,15 @@ class JointState:
 
     # ---- queries and answers
 
-    def note_visit(self, now_ns: int) -> None:
-        """Note a query to the servo in its turn."""
-        self.visited_ns = now_ns
-
     def note_health_query(self, now_ns: int) -> None:
         """Note a query about the servo's health."""
         self.health_ns = now_ns
         self.health_count += 1
 
-    def needs_target(self, now_ns: int) -> bool:
-        """Return whether the servo must be polled for its target."""
-        return self.lost_moves is not None and self.lost_moves.needs_target(s_from_ns(now_ns))
+    @property
+    def target_due_s(self) -> float:
+        """Instant from which the servo must be polled for its target, or infinite."""
+        return math.inf if self.lost_moves is None else self.lost_moves.target_due_s
 
     def note_target_query(self) -> None:
         """Note that the servo is polled for its target."""

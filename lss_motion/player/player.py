@@ -29,6 +29,7 @@ from lss_motion.player.events import Phase, PhaseEntered, Warned
 from lss_motion.player.faults import FaultHandler, Verdict
 from lss_motion.player.handshake import SettingsDialogue
 from lss_motion.player.preflight import Preflight
+from lss_motion.player.query_choice import BY_NEED
 from lss_motion.player.session import Session
 from lss_motion.player.show_clock import TRIM_MAX_RATIO
 from lss_motion.program.verify import driven
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 
     from lss_motion.player.events import Event, Faulted
     from lss_motion.player.handshake import Answers
+    from lss_motion.player.query_choice import Pace
     from lss_motion.player.show_clock import Leg
     from lss_motion.player.streamer import Streamer
     from lss_motion.player.transactions import Dialogue
@@ -50,7 +52,8 @@ if TYPE_CHECKING:
 
 
 IDLE_NS: Final = 20 * NS_PER_MS
-"""The player is called at least this often, since a person may press a key while nothing is due."""
+"""The player is called at least this often, since a person may press a key, and telemetry may be
+due, while nothing of the show is."""
 APPROACHES_MAX: Final = 3
 """Chosen: a move that the line lost is sent again, but a joint that cannot reach its start is not
 pushed for ever."""
@@ -75,11 +78,13 @@ class Player:
         must_ask: bool = False,
         is_open: bool = False,
         is_forced: bool = False,
+        pace: Pace | None = BY_NEED,
     ) -> None:
         """Play `program`; while `is_open` the show does not end there but waits for extensions.
 
         With `must_ask`, nothing moves before `go`. `is_forced`: play without feedback also where
-        servos store higher limits than their joints have.
+        servos store higher limits than their joints have. `pace`: how often angles are queried;
+        None: as often as the lines allow.
         """
         self.program = program
         self.start_s = start_s
@@ -92,9 +97,8 @@ class Player:
         self.show: Streamer | None = None
         """The show itself, once it has begun."""
         self.show_ended_ns: int | None = None
-        self._session = Session(
-            program, robot, has_feedback=has_feedback, start_s=start_s, is_forced=is_forced
-        )
+        options = {"has_feedback": has_feedback, "is_forced": is_forced}
+        self._session = Session(program, robot, start_s=start_s, pace=pace, **options)
         self.lines = self._session.lines
         self.trackers = self._session.trackers
         self._faults = FaultHandler(self._session)
@@ -149,7 +153,8 @@ class Player:
         wakeup_ns = None
         if self.phase is not Phase.DONE:
             due_ns = min((w for w in self._wakeups_ns() if w is not None), default=None)
-            wakeup_ns = self._now_ns + IDLE_NS if due_ns is None else max(due_ns, self._now_ns)
+            idle_ns = self._now_ns + IDLE_NS
+            wakeup_ns = idle_ns if due_ns is None else min(max(due_ns, self._now_ns), idle_ns)
         self._stalls.expect(wakeup_ns)
         return wakeup_ns
 

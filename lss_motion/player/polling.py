@@ -1,21 +1,28 @@
 """Polls the servos in the gaps between the moves, and passes their answers on.
 
-`PollScheduler` chooses the next query on each bus: position, target, or health. Positions and
-targets go to the joint's own `JointState`, health to the `HealthMonitor`, sensors to `Waiting`.
+Which query is next on each bus is the choice of `query_choice`; `PollScheduler` sends it when the
+line allows. Positions and targets go to the joint's own `JointState`, health to the
+`HealthMonitor`, sensors to `Waiting`.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
 from functools import lru_cache
-from itertools import chain, cycle
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.health import HealthMonitor
+from lss_motion.player.query_choice import (
+    BY_NEED,
+    LONGEST_NS,
+    TARGET_KEYWORD,
+    ByNeed,
+    FullLine,
+    Pace,
+    Polled,
+)
 from lss_motion.player.settings_watch import HOLD_SIGNS, SettingsWatch
-from lss_motion.protocol.codec import FAMILY_TABLES, read_reply
+from lss_motion.protocol.codec import read_reply
 from lss_motion.protocol.constants import Family, Status
 from lss_motion.protocol.framing import Command, Reply, encode
 from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
@@ -30,29 +37,6 @@ if TYPE_CHECKING:
     from lss_motion.player.settings_watch import Probe
 
 
-TARGET_KEYWORD: Final = "QDT"
-"""The answer shows whether a servo received its last move."""
-HEALTH_KEYWORDS: Final = ("Q", "QT", "Q", "QV", "Q", "QC")
-"""Status, temperature, voltage, current: a fault is found within half a second. A servo gets no
-query that its family does not support, such as an LSS-PRO for its voltage."""
-
-
-@lru_cache(maxsize=len(Family))
-def health_words(family: Family) -> tuple[str, ...]:
-    """Return the health queries that a family supports, in turn."""
-    known = FAMILY_TABLES[family].by_keyword
-    return tuple(word for word in HEALTH_KEYWORDS if word in known)
-
-
-@lru_cache(maxsize=1024)
-def health_round(family: Family, probes: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the health queries to one servo in turn: every other one is a probe, if it has any."""
-    words = health_words(family)
-    if not probes:
-        return words
-    return tuple(chain.from_iterable(zip(cycle(probes), words, strict=False)))
-
-
 @lru_cache(maxsize=1024)
 def query_of(servo_id: int, keyword: str) -> tuple[Command, int]:
     """Return a query and its size in bytes; cached, since the same few are sent all the time."""
@@ -60,29 +44,9 @@ def query_of(servo_id: int, keyword: str) -> tuple[Command, int]:
     return question, len(encode(question))
 
 
-HEALTH_NS: Final = NS_PER_S // 4
-"""Period of the health queries to a servo, one keyword after the other."""
-HEALTH_LEAST: Final = 8
-"""Where the line is slow, at most one query in this many is about health."""
 BACKLOG_BYTES: Final = 12
 """Queries that have not left yet are never more than this, `#12D-450T50`: an unexpected command,
 such as a stop, waits no longer than for one other command."""
-FILL_RATIO: Final = 0.95
-"""A servo gets so many queries in a row that answers fill this share of their line: between two
-servos there is a gap, since the start of the next answer is not known exactly."""
-VISIT_NS: Final = NS_PER_S // 4
-"""All servos of a bus are polled at least this often. A servo that must report its target is as
-urgent as one at rest that was not polled for this long."""
-DOUBT_NS: Final = 3600 * NS_PER_S
-"""A servo whose answer must be confirmed comes before all others."""
-LONGEST_NS: Final = NS_PER_S // 2
-"""A servo that was not polled for this long comes next, however fast others move: a restart takes
-more than a second, and must be noticed before the servo is back."""
-SPEED_WEIGHT_S_PER_DEG: Final = 0.05
-ERROR_WEIGHT_PER_DEG: Final = 2.0
-"""A joint is read sooner the faster it moves and the further it is off (FACTS.md A25). Chosen: at
-20 deg/s, or at half a degree of error, twice as often as a joint at rest in its place."""
-
 
 LATE_NS: Final = NS_PER_MS
 """A host that wakes later than this has other work. A wait on an idle host ends 0.2 ms late."""
@@ -91,16 +55,6 @@ REST_MAX_NS: Final = NS_PER_S // 20
 """After a late wake-up no query is sent for `REST_RATIO` times the delay, up to this: a process
 that leaves its processor alone is woken sooner when a move is due. Chosen; the maximum lets all
 joints still be read."""
-
-
-@dataclass(slots=True)
-class _Turn:
-    """One servo, and the number of queries that it still gets before the next servo."""
-
-    state: JointState
-    left: int
-    places: int = 0
-    """Number of position queries in this turn."""
 
 
 class PollScheduler:
@@ -113,7 +67,10 @@ class PollScheduler:
         lines: Mapping[str, SerialLine],
         waiting: Waiting,
         probes: Mapping[str, Sequence[Probe]] = MappingProxyType({}),
+        pace: Pace | None = BY_NEED,
     ) -> None:
+        """`pace`: how often angles are queried; None: as often as the lines allow."""
+        self._pace = pace
         self._waiting = waiting
         self._probes = probes
         self.watch = SettingsWatch(probes)
@@ -128,9 +85,11 @@ class PollScheduler:
             if state.joint.drive != "stepped":  # It answers with its last command only.
                 self._by_bus[state.joint.bus].append(state)
         self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in joint_states.values()}
-        self._turns: dict[str, _Turn | None] = dict.fromkeys(lines)
+        polled = Polled(self._by_bus, trackers, lines, self.watch, self.health)
+        self._choice = FullLine(polled) if pace is None else ByNeed(polled, pace)
         self._next_ns: dict[str, int | None] = dict.fromkeys(lines)
-        self._health_wait: dict[str, int] = dict.fromkeys(lines, 0)
+        self._is_idle: dict[str, bool] = dict.fromkeys(lines, False)
+        """Whether no servo could be polled, or none had to be, at the last attempt."""
         self._wakeup_ns: int | None = None
         self._rest_until_ns = 0
 
@@ -138,16 +97,19 @@ class PollScheduler:
         """Return a scheduler without faults; the count of rejected readings goes on."""
         joint_states = {state.joint.name: state for state in self._by_address.values()}
         scheduler = PollScheduler(
-            joint_states, self._trackers, self._lines, self._waiting, self._probes
+            joint_states, self._trackers, self._lines, self._waiting, self._probes, self._pace
         )
         scheduler.rejected = self.rejected
         return scheduler
 
     def is_starved(self, now_ns: int) -> bool:
-        """Return whether on some bus with servos no query was sent for too long."""
-        return any(
-            self._trackers[bus].is_starved(now_ns) for bus, own in self._by_bus.items() if own
-        )
+        """Return whether on some bus with servos a query was due, but not sent for too long."""
+        return any(self._is_starved(bus, now_ns) for bus, own in self._by_bus.items() if own)
+
+    def _is_starved(self, bus: str, now_ns: int) -> bool:
+        next_ns = self._next_ns[bus]
+        is_due = next_ns is None or next_ns <= now_ns
+        return is_due and self._trackers[bus].is_starved(now_ns)
 
     def poll(self, now_ns: int, quiet_until_ns: int | None) -> None:
         """Send queries on every bus while its line is free by `quiet_until_ns`; None: for ever."""
@@ -155,7 +117,7 @@ class PollScheduler:
         for bus, tracker in self._trackers.items():
             for expired in tracker.expire(now_ns):
                 self._note_timeout(bus, expired, now_ns)
-            if tracker.is_starved(now_ns):
+            if self._is_starved(bus, now_ns):
                 self._poll_overdue(bus, now_ns)
             if now_ns < self._rest_until_ns:
                 self._next_ns[bus] = self._rest_until_ns
@@ -179,27 +141,19 @@ class PollScheduler:
             if self._send_if_allowed(bus, question, len(encode(question)), now_ns, quiet_until_ns):
                 self._waiting.note_query_sent(now_ns)
             return False
-        turn = self._turn(bus, now_ns)
-        if turn is None:
+        found = self._choice.next_query(bus, now_ns)
+        self._is_idle[bus] = found is None
+        if found is None:
+            self._next_ns[bus] = self._choice.next_ns(bus)
             return False
-        keyword = self._keyword(bus, turn, now_ns)
-        question, size_bytes = query_of(turn.state.joint.servo_id, keyword)
-        is_urgent = keyword == self.watch.urgent(turn.state.joint.name)
+        state, keyword = found
+        question, size_bytes = query_of(state.joint.servo_id, keyword)
+        is_urgent = keyword == self.watch.urgent(state.joint.name)
         if not self._send_if_allowed(
             bus, question, size_bytes, now_ns, quiet_until_ns, is_urgent=is_urgent
         ):
             return False
-        turn.left -= 1
-        turn.state.note_visit(now_ns)
-        self.watch.note_query(turn.state.joint.name, keyword, now_ns)
-        self._health_wait[bus] += 1
-        if keyword == "QD":
-            turn.places += 1
-        elif keyword == TARGET_KEYWORD:
-            turn.state.note_target_query()
-        else:
-            self._health_wait[bus] = 0
-            turn.state.note_health_query(now_ns)
+        self._choice.note_sent(bus, state, keyword, now_ns)
         return True
 
     def _send_if_allowed(
@@ -240,7 +194,9 @@ class PollScheduler:
             if urgent is None and not is_due:
                 continue
             servo_id = state.joint.servo_id
-            question, size_bytes = query_of(servo_id, urgent or self._fresh(bus, state))
+            if tracker.is_waiting(servo_id):  # An equal query would keep its flight open for ever.
+                continue
+            question, size_bytes = query_of(servo_id, urgent or self._choice.fresh(bus, state))
             is_urgent = urgent is not None
             earliest_ns = tracker.earliest_ns(servo_id, size_bytes, is_urgent=is_urgent)
             if earliest_ns is not None and earliest_ns <= now_ns:
@@ -348,104 +304,11 @@ class PollScheduler:
                 wakeups_ns.append(give_up_ns)
             if (next_ns := self._next_ns[bus]) is not None:
                 wakeups_ns.append(next_ns)
-            if self._turns[bus] is None:
+            if self._is_idle[bus]:
                 quiet = (tracker.quiet_until_ns(t.joint.servo_id) for t in self._by_bus[bus])
                 wakeups_ns += [instant_ns for instant_ns in quiet if instant_ns > now_ns]
         self._wakeup_ns = min((w for w in wakeups_ns if w > now_ns), default=None)
         return wakeups_ns
-
-    def _turn(self, bus: str, now_ns: int) -> _Turn | None:
-        """Return the servo in turn and its number of queries; None: no servo can be polled."""
-        turn, tracker = self._turns[bus], self._trackers[bus]
-        if turn is not None and turn.left > 0:
-            servo_id = turn.state.joint.servo_id
-            if tracker.quiet_until_ns(servo_id) <= now_ns and not self.watch.doubted:
-                return turn
-        # A row is not cut short for a servo that must report its target: that would cost a tenth
-        # of the answers (measured), and that servo waits for a row or two at most.
-        state = self._most_urgent(bus, now_ns)
-        self._turns[bus] = None if state is None else _Turn(state, self._depth(bus, state))
-        return self._turns[bus]
-
-    def _depth(self, bus: str, state: JointState) -> int:
-        """Return the length of a row of queries, such that the gap before it is small beside it."""
-        tracker, servo_id = self._trackers[bus], state.joint.servo_id
-        latency = tracker.latency(servo_id)
-        if not latency.is_known or tracker.is_overdue(servo_id, "QD"):
-            return 1
-        if state.joint.name in self.watch.doubted:
-            return 1
-        line = self._lines[bus]
-        reply_ns = line.time_ns(tracker.reply_bytes(servo_id, "QD"))
-        gap_ns = latency.spread_ns // 2 + line.time_ns(1)
-        wanted = math.ceil(FILL_RATIO / (1.0 - FILL_RATIO) * gap_ns / reply_ns)
-        most = VISIT_NS // (reply_ns * len(self._by_bus[bus]))
-        return max(1, min(wanted, most, tracker.depth(servo_id)))
-
-    def _keyword(self, bus: str, turn: _Turn, now_ns: int) -> str:
-        """Return the keyword of the next query: position, target, or health.
-
-        A row of queries ends with one about health, since equal queries need a different one at
-        their end. A servo with an overdue answer gets a query for which this answer cannot be
-        taken.
-        """
-        tracker, state = self._trackers[bus], turn.state
-        servo_id = state.joint.servo_id
-        if (urgent := self.watch.urgent(state.joint.name)) is not None:
-            return urgent
-        if tracker.is_overdue(servo_id, "QD"):
-            return self._fresh(bus, state)
-        if (probe := self.watch.read_back(state.joint.name, now_ns)) is not None:
-            return probe
-        if state.needs_target(now_ns) and not (
-            tracker.is_overdue(servo_id, TARGET_KEYWORD) or tracker.awaits(servo_id, TARGET_KEYWORD)
-        ):
-            return TARGET_KEYWORD
-        is_alone = turn.left == 1 and turn.places == 0
-        period_ns = HEALTH_NS // 2 if self.watch.keywords(state.joint.name) else HEALTH_NS
-        is_due = state.health_ns is None or now_ns - state.health_ns >= period_ns
-        is_due = is_due and self._health_wait[bus] >= HEALTH_LEAST - 1
-        doubt = self.health.unconfirmed.get(state.joint.name)
-        words = self._health_round(state)
-        if turn.left > 1 or (is_alone and doubt is None and not is_due):
-            return "QD"
-        return doubt or words[state.health_count % len(words)]
-
-    def _fresh(self, bus: str, state: JointState) -> str:
-        """Return a keyword for whose answer no overdue answer of the servo can be taken."""
-        tracker, servo_id = self._trackers[bus], state.joint.servo_id
-        words = ("QD", *self._health_round(state))
-        return next((word for word in words if not tracker.is_overdue(servo_id, word)), "QD")
-
-    def _health_round(self, state: JointState) -> tuple[str, ...]:
-        return health_round(state.joint.model.family, self.watch.keywords(state.joint.name))
-
-    def _most_urgent(self, bus: str, now_ns: int) -> JointState | None:
-        """Return the joint with the oldest reading, weighted by its speed and error."""
-        best, best_merit = None, (-1, -1.0)
-        doubted = self.watch.doubted
-        now_s = s_from_ns(now_ns)
-        tracker = self._trackers[bus]
-        for state in self._by_bus[bus]:
-            servo_id = state.joint.servo_id
-            if tracker.is_waiting(servo_id):
-                continue
-            is_urgent = state.joint.name in doubted
-            if tracker.quiet_until_ns(servo_id) > now_ns and not is_urgent:
-                continue
-            if state.visited_ns is None:
-                return state
-            _, speed_deg_s = state.profile.at(now_s)
-            weight = 1.0 + SPEED_WEIGHT_S_PER_DEG * abs(speed_deg_s)
-            weight += ERROR_WEIGHT_PER_DEG * abs(state.disturbance.error_deg)
-            age_ns = now_ns - state.visited_ns
-            overdue_ns = age_ns if age_ns > LONGEST_NS else 0
-            if is_urgent or state.joint.name in self.health.unconfirmed:
-                overdue_ns = DOUBT_NS + age_ns
-            merit = overdue_ns, age_ns * weight + VISIT_NS * state.needs_target(now_ns)
-            if merit > best_merit:
-                best, best_merit = state, merit
-        return best
 
     def _take_position(
         self,

@@ -16,6 +16,7 @@ from lss_motion.player.cues import Agenda
 from lss_motion.player.handshake import SettingsDialogue
 from lss_motion.player.health import is_turned
 from lss_motion.player.preflight import Preflight
+from lss_motion.player.query_choice import BY_NEED
 from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.settings_watch import Probe
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from lss_motion.player.events import Event
     from lss_motion.player.handshake import Answers
     from lss_motion.player.joint_state import JointState
+    from lss_motion.player.query_choice import Pace
     from lss_motion.player.transactions import Item
     from lss_motion.program.model import Program
     from lss_motion.robot.model import Joint, Robot
@@ -55,6 +57,7 @@ class Session:
         has_feedback: bool,
         start_s: float | None,
         is_forced: bool = False,
+        pace: Pace | None = BY_NEED,
     ) -> None:
         self.program = program
         self.robot = robot
@@ -64,6 +67,7 @@ class Session:
         self.agenda = Agenda(program, robot)
         self.agenda.begin_at(start_s)
         self.has_feedback = has_feedback
+        self._pace = pace
         self.is_forced = is_forced
         """Whether a person accepts what a show without feedback gives up."""
         self.start_s = start_s
@@ -308,6 +312,7 @@ class Session:
             start_ns=now_ns,
             start_s=start_s,
             probes=self._probes(),
+            pace=self._pace,
         )
         streamer.leave_out(self.left_out)
         self._take_over(streamer)

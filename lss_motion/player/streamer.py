@@ -37,6 +37,7 @@ from lss_motion.player.joint_state import (
     make_joint_states,
 )
 from lss_motion.player.polling import PollScheduler
+from lss_motion.player.query_choice import BY_NEED
 from lss_motion.player.rate_ramps import RAMP_TICK_NS, ramp_periods, ramp_s, spot_moves
 from lss_motion.player.show_clock import ShowClock
 from lss_motion.program.streamed import FilterProfile
@@ -54,6 +55,7 @@ from lss_motion.units import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
+    from lss_motion.player.query_choice import Pace
     from lss_motion.player.query_tracker import QueryTracker
     from lss_motion.player.serial_line import SerialLine
     from lss_motion.player.settings_watch import Probe
@@ -302,6 +304,7 @@ class Streamer:
         start_ns: int,
         start_s: float | None = None,
         probes: Mapping[str, Sequence[Probe]] = MappingProxyType({}),
+        pace: Pace | None = BY_NEED,
     ) -> None:
         """Start `program` at `start_ns`. `standing_deg`: servo angles where the servos stand.
 
@@ -328,7 +331,7 @@ class Streamer:
         self._has_moved = False
         """Whether moves left in this call of `advance`."""
         self.waiting = Waiting(program.unrolled_waits(begin_s), robot.sensors, begin_s)
-        scheduler = PollScheduler(self.joint_states, trackers, lines, self.waiting, probes)
+        scheduler = PollScheduler(self.joint_states, trackers, lines, self.waiting, probes, pace)
         self.scheduler = scheduler if has_feedback else None
         if start_s is not None:
             self._begin_at(start_ns)

@@ -45,18 +45,21 @@ def test_the_moves_of_a_show_arrive_on_time_and_the_horns_make_them(stage, kit):
     assert np.sqrt(np.mean(played.horn_error_deg() ** 2)) < 0.25
     assert np.abs(played.horn_error_deg()).max() < 0.8
     assert played.report.timing.commands > 30
-    assert played.report.buses["bus0"].replies > 1000
+    assert played.report.buses["bus0"].replies > 400
     assert played.report.buses["bus0"].garbage == 0
 
 
 @pytest.mark.parametrize("act", ["nothing", "stop", "pause"])
 def test_a_show_is_counted_in_and_may_be_stopped_meanwhile(stage, kit, act):
-    """Making it ready takes a real host time; nothing may be due then."""
+    """Making it ready takes a real host time; nothing may be due then.
+
+    Without noise: a stop corrects what a reading is off.
+    """
     begun_ns = []
 
     def in_count_in(player, now_ns):
         if player.phase == "playing" and not begun_ns:
-            begun_ns.append(now_ns)
+            begun_ns.append(player.show.clock.instant_ns(0.0) - COUNT_IN_NS)
         return bool(begun_ns) and now_ns > begun_ns[0] + COUNT_IN_NS // 2
 
     robot = kit.robot(baud_bps=FAST_BPS)
@@ -65,7 +68,7 @@ def test_a_show_is_counted_in_and_may_be_stopped_meanwhile(stage, kit, act):
         "stop": [(in_count_in, kit.stop)],
         "pause": [(in_count_in, kit.rate(0.0)), (stands, kit.rate(1.0))],
     }[act]
-    played = stage.play(robot, wishes=wishes)
+    played = stage.play(robot, wishes=wishes, physics=Physics(noise_deg=0.0))
     moved = [at_ns for at_ns, line in played.bus.lines if is_move(line)]
     show = [at_ns for at_ns in moved if at_ns > begun_ns[0]]
     assert_ended_safely(played, robot)

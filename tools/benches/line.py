@@ -101,7 +101,7 @@ def _program(robot: Robot, duration_s: float) -> Program:
 def _in_virtual_time(baud_bps: int) -> list[Row]:
     robot, count = robot_of(SERVOS, baud_bps=baud_bps), _Count()
     observer = Observer(on_event=count.note, make_tap=lambda _: count)
-    result = perform(_program(robot, SHOW_S), robot, is_virtual=True, observer=observer)
+    result = perform(_program(robot, SHOW_S), robot, is_virtual=True, observer=observer, pace=None)
     got_hz = count.replies / count.lasted_s
     limit_hz = count.limit_hz(baud_bps, count.lasted_s)
     late_us = result.report.timing.late_max_us
@@ -136,7 +136,7 @@ def _against_blocking(baud_bps: int) -> Row:
         for _ in range(ROUNDS):
             count = _Count()
             observer = Observer(on_event=count.note, make_tap=lambda _, count=count: count)
-            perform(program, real, observer=observer)
+            perform(program, real, observer=observer, pace=None)
             ours.append(count.replies / count.lasted_s)
             theirs.append(_blocking_hz(program, real))
     ours_hz, theirs_hz = sorted(ours)[ROUNDS // 2], sorted(theirs)[ROUNDS // 2]

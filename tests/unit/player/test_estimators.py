@@ -461,9 +461,9 @@ def test_a_servo_that_names_the_target_before_has_missed_the_last_move(commanded
 @pytest.mark.parametrize("off_deg", [-UNIT_DEG, 0.0, UNIT_DEG])
 def test_a_servo_that_reports_its_target_has_received_the_last_move(commanded, off_deg):
     lost_moves, _ = commanded
-    assert lost_moves.needs_target(0.72)
+    assert lost_moves.target_due_s <= 0.72
     assert lost_moves.target_reported(0.72, 40.0 + off_deg) is None
-    assert not lost_moves.needs_target(0.73)
+    assert lost_moves.target_due_s > 0.73
     # Without one of the moves before the last it would have the same target.
     assert len(lost_moves.alternatives) == 2
     assert all(other.profile.target_deg == 40.0 for other in lost_moves.alternatives)
@@ -471,7 +471,7 @@ def test_a_servo_that_reports_its_target_has_received_the_last_move(commanded, o
 
 def test_before_a_servo_starts_a_move_its_reported_target_is_ignored(commanded):
     lost_moves, _ = commanded
-    assert not lost_moves.needs_target(0.701)
+    assert lost_moves.target_due_s > 0.701
     assert lost_moves.target_reported(0.701, -20.0) is None
     assert len(lost_moves.alternatives) == 3
 
@@ -489,16 +489,16 @@ def test_a_target_that_was_never_sent_must_be_reported_twice(commanded):
 def test_a_servo_that_does_not_answer_is_left_to_the_readings(commanded):
     lost_moves, _ = commanded
     for _ in range(QUERIES_MAX):
-        assert lost_moves.needs_target(0.72)
+        assert lost_moves.target_due_s <= 0.72
         lost_moves.count_target_query()
-    assert not lost_moves.needs_target(0.72)
+    assert lost_moves.target_due_s > 0.72
 
 
 def test_a_servo_that_always_reports_other_targets_is_not_polled_for_ever():
     lost_moves, said = LostMoveDetector(UNIT_DEG, LOOP_S), profile_of()
     for number in range(MISMATCHES_MAX + 1):
         lost_moves.commanded(said.copy(), 0.1 * number, 10.0 + number, 0.2)
-        assert lost_moves.needs_target(0.1 * number + 0.02) is (number < MISMATCHES_MAX)
+        assert (lost_moves.target_due_s <= 0.1 * number + 0.02) is (number < MISMATCHES_MAX)
         lost_moves.target_reported(0.1 * number + 0.02, -50.0)
 
 
@@ -506,7 +506,7 @@ def test_a_servo_that_reported_its_target_in_between_is_polled_on():
     lost_moves = LostMoveDetector(UNIT_DEG, LOOP_S)
     for number in range(2 * MISMATCHES_MAX):
         lost_moves.commanded(standing(0.0), 0.1 * number, 10.0 + number, 0.2)
-        assert lost_moves.needs_target(0.1 * number + 0.02)
+        assert lost_moves.target_due_s <= 0.1 * number + 0.02
         is_named = number == MISMATCHES_MAX - 1
         lost_moves.target_reported(0.1 * number + 0.02, 10.0 + number if is_named else -50.0)
 
@@ -514,12 +514,12 @@ def test_a_servo_that_reported_its_target_in_between_is_polled_on():
 def test_a_target_two_units_off_is_another_one(commanded):
     lost_moves, said = commanded
     assert lost_moves.target_reported(0.72, 40.0 + 2.0 * UNIT_DEG) is None
-    assert lost_moves.needs_target(0.73)
+    assert lost_moves.target_due_s <= 0.73
     lost_moves.commanded(said.copy(), 0.9, 40.0 - 2.0 * UNIT_DEG, 0.3)
-    assert lost_moves.needs_target(1.0)
+    assert lost_moves.target_due_s <= 1.0
 
 
 def test_a_move_to_the_same_target_needs_no_query(commanded):
     lost_moves, said = commanded
     lost_moves.commanded(said.copy(), 0.9, 40.0, 0.3)
-    assert not lost_moves.needs_target(1.0)
+    assert lost_moves.target_due_s > 1.0

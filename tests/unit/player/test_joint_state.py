@@ -374,10 +374,10 @@ def test_a_horn_that_stays_where_it_was_has_missed_its_move(state, droop_deg):
 
 
 def test_a_servo_that_reports_its_old_target_has_lost_its_move(state):
-    assert not state.needs_target(5 * MS)
-    assert state.needs_target(10 * MS)
+    assert state.target_due_s > 0.001 * 5
+    assert state.target_due_s <= 0.001 * 10
     assert state.take_target(40.0, 0.02) is False
-    assert not state.needs_target(30 * MS)
+    assert state.target_due_s > 0.001 * 30
     state.note_sent(500 * MS, 600, 500)
     assert state.take_target(40.0, 0.52) is True
     assert state.profile.at(5.0) == (40.0, 0.0)
@@ -386,7 +386,7 @@ def test_a_servo_that_reports_its_old_target_has_lost_its_move(state):
 def test_without_feedback_no_servo_is_polled_for_its_target(kit):
     state = kit.state(kit.joint(), has_feedback=False)
     state.note_sent(0, 400, 1000)
-    assert not state.needs_target(10 * MS)
+    assert state.target_due_s > 0.001 * 10
 
 
 # ---- setpoints

@@ -14,16 +14,18 @@ from lss_motion.player.cues import POLL_PERIOD_NS, Waiting
 from lss_motion.player.health import SILENT_QUERIES
 from lss_motion.player.polling import (
     BACKLOG_BYTES,
+    LATE_NS,
+    REST_MAX_NS,
+    REST_RATIO,
+    PollScheduler,
+)
+from lss_motion.player.query_choice import (
     FILL_RATIO,
     HEALTH_KEYWORDS,
     HEALTH_LEAST,
     HEALTH_NS,
-    LATE_NS,
     LONGEST_NS,
-    REST_MAX_NS,
-    REST_RATIO,
     VISIT_NS,
-    PollScheduler,
 )
 from lss_motion.player.query_tracker import STARVED_NS, STRAY_NS, QueryTracker
 from lss_motion.player.serial_line import SerialLine
@@ -54,7 +56,13 @@ class Desk:
     """A scheduler and the servos that answer it, in virtual time."""
 
     def __init__(
-        self, *joint_states, baud_bps=115200, waiting=None, waits_ns=WAITS_NS, probes=NO_PROBES
+        self,
+        *joint_states,
+        baud_bps=115200,
+        waiting=None,
+        waits_ns=WAITS_NS,
+        probes=NO_PROBES,
+        pace=None,
     ):
         self._waits_ns = waits_ns
         self.joint_states = {state.joint.name: state for state in joint_states}
@@ -62,7 +70,9 @@ class Desk:
         self.tracker = QueryTracker(self.line)
         self.waiting = waiting or Waiting([], {}, 0.0)
         lines, trackers = {"main": self.line}, {"main": self.tracker}
-        self.scheduler = PollScheduler(self.joint_states, trackers, lines, self.waiting, probes)
+        self.scheduler = PollScheduler(
+            self.joint_states, trackers, lines, self.waiting, probes, pace
+        )
         self.asked = []
         """`(handed over ns, arrival ns, servo id, keyword)`."""
         self.values = {}

@@ -1,0 +1,347 @@
+"""Which servo is polled next, and for what: by need in a show, or as often as the line allows.
+
+`ByNeed`: the target of a move once after it, the angle of a joint ten times a second and twice as
+often where it strays, and now and then its health. More readings would make no horn follow better
+(FACTS.md N13), and each costs processor time. `FullLine`: rows of queries that keep the answers'
+line busy, where every reading is wanted.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import chain, cycle
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.protocol.codec import FAMILY_TABLES
+from lss_motion.protocol.constants import Family
+from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from lss_motion.player.health import HealthMonitor
+    from lss_motion.player.joint_state import JointState
+    from lss_motion.player.query_tracker import QueryTracker
+    from lss_motion.player.serial_line import SerialLine
+    from lss_motion.player.settings_watch import SettingsWatch
+
+
+PLACE_KEYWORD: Final = "QD"
+TARGET_KEYWORD: Final = "QDT"
+"""The answer shows whether a servo received its last move."""
+HEALTH_KEYWORDS: Final = ("Q", "QT", "Q", "QV", "Q", "QC")
+"""Status, temperature, voltage, current: a fault is found within half a second. A servo gets no
+query that its family does not support, such as an LSS-PRO for its voltage."""
+
+
+@lru_cache(maxsize=len(Family))
+def health_words(family: Family) -> tuple[str, ...]:
+    """Return the health queries that a family supports, in turn."""
+    known = FAMILY_TABLES[family].by_keyword
+    return tuple(word for word in HEALTH_KEYWORDS if word in known)
+
+
+@lru_cache(maxsize=1024)
+def health_round(family: Family, probes: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the health queries to one servo in turn: every other one is a probe, if it has any."""
+    words = health_words(family)
+    if not probes:
+        return words
+    return tuple(chain.from_iterable(zip(cycle(probes), words, strict=False)))
+
+
+HEALTH_NS: Final = NS_PER_S // 4
+"""Period of the health queries to a servo, one keyword after the other."""
+HEALTH_LEAST: Final = 8
+"""Where the line is slow, at most one query in this many is about health."""
+FILL_RATIO: Final = 0.95
+"""A servo gets so many queries in a row that answers fill this share of their line: between two
+servos there is a gap, since the start of the next answer is not known exactly."""
+VISIT_NS: Final = NS_PER_S // 4
+"""All servos of a bus are polled at least this often. A servo that must report its target is as
+urgent as one at rest that was not polled for this long."""
+DOUBT_NS: Final = 3600 * NS_PER_S
+"""A servo whose answer must be confirmed comes before all others."""
+LONGEST_NS: Final = NS_PER_S // 2
+"""A servo that was not polled for this long comes next, however fast others move: a restart takes
+more than a second, and must be noticed before the servo is back."""
+SPEED_WEIGHT_S_PER_DEG: Final = 0.05
+ERROR_WEIGHT_PER_DEG: Final = 2.0
+"""A joint is read sooner the faster it moves and the further it is off (FACTS.md A25). Chosen: at
+20 deg/s, or at half a degree of error, twice as often as a joint at rest in its place."""
+STRAYED_DEG: Final = 0.5
+"""A joint has strayed if it is further off its plan than this. Measured (FACTS.md N13); the
+tolerance of a good plan is 0.2 deg."""
+UNCORRECTED_DEG: Final = 0.3
+"""It counts as strayed, too, if its correction differs from what it should be by more than this."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How often a second the angle of a joint is queried, where its line has room."""
+
+    steady_hz: float
+    strayed_hz: float
+    """While the joint strays, is in doubt, or is not corrected yet."""
+
+
+BY_NEED: Final = Pace(10.0, 20.0)
+"""Measured over a walk, a lively show, and a show under load (FACTS.md N13): below 5 a second lost
+moves and loads are found late, above 20 no horn follows better."""
+
+
+def has_strayed(state: JointState) -> bool:
+    """Return whether the next readings of a joint are worth more than usual."""
+    load = state.disturbance
+    if abs(load.error_deg) > STRAYED_DEG or state.in_doubt:
+        return True
+    if abs(load.offset_deg - load.estimate_deg) > UNCORRECTED_DEG:
+        return True
+    return state.lost_moves is not None and state.lost_moves.is_doubtful
+
+
+def _target_ns(state: JointState) -> float:
+    """Return when a servo must be polled for its target; infinite: it need not be."""
+    target_s = state.target_due_s
+    return target_s if target_s == math.inf else ns_from_s(target_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Polled:
+    """What a choice depends on: the joints of each bus that answer, and what is known of them."""
+
+    by_bus: Mapping[str, Sequence[JointState]]
+    trackers: Mapping[str, QueryTracker]
+    lines: Mapping[str, SerialLine]
+    watch: SettingsWatch
+    health: HealthMonitor
+
+
+class QueryChoice(ABC):
+    """Chooses the next query on each bus."""
+
+    def __init__(self, polled: Polled) -> None:
+        self._by_bus = polled.by_bus
+        self._trackers = polled.trackers
+        self._lines = polled.lines
+        self._watch = polled.watch
+        self._health = polled.health
+        self._health_wait: dict[str, int] = dict.fromkeys(polled.by_bus, 0)
+        """Number of queries on each bus since the last one about health."""
+        self._visits_ns: dict[str, int] = {}
+        """By joint, when a query that was chosen here was last sent to its servo."""
+        self._places_ns: dict[str, int] = {}
+        """By joint, when it was last queried for its angle here."""
+
+    @abstractmethod
+    def next_query(self, bus: str, now_ns: int) -> tuple[JointState, str] | None:
+        """Return the joint to poll next and the keyword of its query; None: none now."""
+
+    @abstractmethod
+    def next_ns(self, bus: str) -> int | None:
+        """Return when `next_query` has one again, after it had none; None: that is not known."""
+
+    def note_sent(self, bus: str, state: JointState, keyword: str, now_ns: int) -> None:
+        """Note that the query which `next_query` returned was sent."""
+        self._watch.note_query(state.joint.name, keyword, now_ns)
+        self._health_wait[bus] += 1
+        self._visits_ns[state.joint.name] = now_ns
+        if keyword == PLACE_KEYWORD:
+            self._places_ns[state.joint.name] = now_ns
+        elif keyword == TARGET_KEYWORD:
+            state.note_target_query()
+        else:
+            self._health_wait[bus] = 0
+            state.note_health_query(now_ns)
+
+    def fresh(self, bus: str, state: JointState) -> str:
+        """Return a keyword for whose answer no overdue answer of the servo can be taken."""
+        tracker, servo_id = self._trackers[bus], state.joint.servo_id
+        words = (PLACE_KEYWORD, *self._health_round(state))
+        return next((one for one in words if not tracker.is_overdue(servo_id, one)), PLACE_KEYWORD)
+
+    def _health_round(self, state: JointState) -> tuple[str, ...]:
+        return health_round(state.joint.model.family, self._watch.keywords(state.joint.name))
+
+    def _health_word(self, state: JointState) -> str:
+        words = self._health_round(state)
+        return words[state.health_count % len(words)]
+
+    def _health_due_ns(self, state: JointState) -> int:
+        """Return when the next query about the health of a servo is due."""
+        if state.health_ns is None:
+            return 0
+        is_watched = bool(self._watch.keywords(state.joint.name))
+        return state.health_ns + (HEALTH_NS // 2 if is_watched else HEALTH_NS)
+
+    def _priority_word(self, bus: str, state: JointState, now_ns: int) -> str | None:
+        """Return the keyword of a query that comes before any other to this servo; None: none.
+
+        A servo with an overdue answer gets a query for which this answer cannot be taken.
+        """
+        tracker, servo_id = self._trackers[bus], state.joint.servo_id
+        if (urgent := self._watch.urgent(state.joint.name)) is not None:
+            return urgent
+        if tracker.is_overdue(servo_id, PLACE_KEYWORD):
+            return self.fresh(bus, state)
+        if (probe := self._watch.read_back(state.joint.name, now_ns)) is not None:
+            return probe
+        is_free = not tracker.is_overdue(servo_id, TARGET_KEYWORD)
+        if (
+            is_free
+            and (_target_ns(state) <= now_ns)
+            and not tracker.awaits(servo_id, TARGET_KEYWORD)
+        ):
+            return TARGET_KEYWORD
+        return None
+
+    def _merit(self, state: JointState, now_ns: int) -> tuple[int, float]:
+        """Return how urgent a joint is: the age of its last query, by its speed and error."""
+        visit_ns = self._visits_ns.get(state.joint.name)
+        if visit_ns is None:
+            return DOUBT_NS + now_ns, 0.0
+        _, speed_deg_s = state.profile.at(s_from_ns(now_ns))
+        weight = 1.0 + SPEED_WEIGHT_S_PER_DEG * abs(speed_deg_s)
+        weight += ERROR_WEIGHT_PER_DEG * abs(state.disturbance.error_deg)
+        age_ns = now_ns - visit_ns
+        overdue_ns = age_ns if age_ns > LONGEST_NS else 0
+        if state.joint.name in self._watch.doubted or state.joint.name in self._health.unconfirmed:
+            overdue_ns = DOUBT_NS + age_ns
+        return overdue_ns, age_ns * weight + VISIT_NS * (_target_ns(state) <= now_ns)
+
+    def _can_be_polled(self, bus: str, state: JointState, now_ns: int) -> bool:
+        tracker, servo_id = self._trackers[bus], state.joint.servo_id
+        if tracker.is_waiting(servo_id):
+            return False
+        return tracker.quiet_until_ns(servo_id) <= now_ns or state.joint.name in self._watch.doubted
+
+
+class ByNeed(QueryChoice):
+    """Queries when their answers are worth it."""
+
+    def __init__(self, polled: Polled, pace: Pace) -> None:
+        super().__init__(polled)
+        self._steady_ns = ns_from_s(1.0 / pace.steady_hz)
+        self._strayed_ns = ns_from_s(1.0 / pace.strayed_hz)
+        self._next_ns = dict.fromkeys(self._by_bus, math.inf)
+
+    def next_query(self, bus: str, now_ns: int) -> tuple[JointState, str] | None:
+        """Return the most urgent joint of those that need a reading; if there is none, of health.
+
+        On a slow line, on which some joint always needs a reading, every `HEALTH_LEAST`-th query is
+        about health all the same.
+        """
+        best: JointState | None = None
+        best_merit, next_ns = (-1, -1.0), math.inf
+        oldest, oldest_ns = None, now_ns
+        for state in self._by_bus[bus]:
+            if not self._can_be_polled(bus, state, now_ns):
+                continue
+            due_ns, health_ns = self._due_ns(state), self._health_due_ns(state)
+            if due_ns <= now_ns and (merit := self._merit(state, now_ns)) > best_merit:
+                best, best_merit = state, merit
+            if health_ns <= oldest_ns:
+                oldest, oldest_ns = state, health_ns
+            next_ns = min(next_ns, due_ns, health_ns)
+        self._next_ns[bus] = next_ns
+        is_health_next = self._health_wait[bus] >= HEALTH_LEAST - 1 and best_merit[0] < DOUBT_NS
+        if oldest is not None and (best is None or is_health_next):
+            return oldest, self._priority_word(bus, oldest, now_ns) or self._health_word(oldest)
+        return None if best is None else (best, self._word(bus, best, now_ns))
+
+    def next_ns(self, bus: str) -> int | None:
+        next_ns = self._next_ns[bus]
+        return None if next_ns == math.inf else int(next_ns)
+
+    def _word(self, bus: str, state: JointState, now_ns: int) -> str:
+        word = self._priority_word(bus, state, now_ns)
+        return word or self._health.unconfirmed.get(state.joint.name, PLACE_KEYWORD)
+
+    def _due_ns(self, state: JointState) -> float:
+        """Return when a joint needs a query for its angle or its target, or one that is urgent."""
+        name = state.joint.name
+        place_ns = self._places_ns.get(name)
+        if place_ns is None or name in self._watch.doubted or name in self._health.unconfirmed:
+            return 0
+        place_ns += self._strayed_ns if has_strayed(state) else self._steady_ns
+        return min(place_ns, _target_ns(state))
+
+
+@dataclass(slots=True)
+class _Row:
+    """One servo, and the number of queries that it still gets before the next servo."""
+
+    state: JointState
+    left: int
+    places: int = 0
+    """Number of position queries in this row."""
+
+
+class FullLine(QueryChoice):
+    """Rows of queries to one servo after the other, so that the answers fill their line."""
+
+    def __init__(self, polled: Polled) -> None:
+        super().__init__(polled)
+        self._rows: dict[str, _Row | None] = dict.fromkeys(self._by_bus)
+
+    def next_query(self, bus: str, now_ns: int) -> tuple[JointState, str] | None:
+        row = self._row(bus, now_ns)
+        return None if row is None else (row.state, self._word(bus, row, now_ns))
+
+    def next_ns(self, bus: str) -> int | None:  # noqa: ARG002
+        return None  # When a servo answers, or may be polled again.
+
+    def note_sent(self, bus: str, state: JointState, keyword: str, now_ns: int) -> None:
+        super().note_sent(bus, state, keyword, now_ns)
+        row = self._rows[bus]
+        assert row is not None
+        row.left -= 1
+        row.places += keyword == PLACE_KEYWORD
+
+    def _row(self, bus: str, now_ns: int) -> _Row | None:
+        """Return the servo in turn and its number of queries; None: no servo can be polled."""
+        row, tracker = self._rows[bus], self._trackers[bus]
+        if row is not None and row.left > 0:
+            servo_id = row.state.joint.servo_id
+            if tracker.quiet_until_ns(servo_id) <= now_ns and not self._watch.doubted:
+                return row
+        # A row is not cut short for a servo that must report its target: that would cost a tenth
+        # of the answers (measured), and that servo waits for a row or two at most.
+        free = (one for one in self._by_bus[bus] if self._can_be_polled(bus, one, now_ns))
+        state = max(free, key=lambda one: self._merit(one, now_ns), default=None)
+        self._rows[bus] = None if state is None else _Row(state, self._length(bus, state))
+        return self._rows[bus]
+
+    def _length(self, bus: str, state: JointState) -> int:
+        """Return the length of a row of queries, such that the gap before it is small beside it."""
+        tracker, servo_id = self._trackers[bus], state.joint.servo_id
+        latency = tracker.latency(servo_id)
+        if not latency.is_known or tracker.is_overdue(servo_id, PLACE_KEYWORD):
+            return 1
+        if state.joint.name in self._watch.doubted:
+            return 1
+        line = self._lines[bus]
+        reply_ns = line.time_ns(tracker.reply_bytes(servo_id, PLACE_KEYWORD))
+        gap_ns = latency.spread_ns // 2 + line.time_ns(1)
+        wanted = math.ceil(FILL_RATIO / (1.0 - FILL_RATIO) * gap_ns / reply_ns)
+        most = VISIT_NS // (reply_ns * len(self._by_bus[bus]))
+        return max(1, min(wanted, most, tracker.depth(servo_id)))
+
+    def _word(self, bus: str, row: _Row, now_ns: int) -> str:
+        """Return the keyword of the next query: position, target, or health.
+
+        A row ends with a query about health, since equal queries need a different one at their end.
+        """
+        state = row.state
+        if (word := self._priority_word(bus, state, now_ns)) is not None:
+            return word
+        is_alone = row.left == 1 and row.places == 0
+        is_due = now_ns >= self._health_due_ns(state)
+        is_due = is_due and self._health_wait[bus] >= HEALTH_LEAST - 1
+        doubt = self._health.unconfirmed.get(state.joint.name)
+        if row.left > 1 or (is_alone and doubt is None and not is_due):
+            return PLACE_KEYWORD
+        return doubt or self._health_word(state)

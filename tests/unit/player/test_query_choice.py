@@ -1,0 +1,122 @@
+"""What a show asks its servos, counted: angles at a pace, targets once, health when it is due."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import pairwise
+
+import pytest
+
+from lss_motion.player.query_choice import (
+    BY_NEED,
+    HEALTH_LEAST,
+    HEALTH_NS,
+    STRAYED_DEG,
+    UNCORRECTED_DEG,
+    Pace,
+)
+from lss_motion.player.query_tracker import STARVED_NS
+from tests.unit.player.test_polling import KNOWN_NS, MS, Desk, S, joints
+
+
+def by_need(*joint_states, pace=BY_NEED, **fields):
+    return Desk(*joint_states, pace=pace, **fields)
+
+
+def asked(desk, word, servo_id=1, from_ns=KNOWN_NS):
+    """Return the instants at which a servo was asked for `word`."""
+    return [at_ns for at_ns, _, one, own in desk.asked
+            if (one, own) == (servo_id, word) and at_ns > from_ns]  # fmt: skip
+
+
+def test_angles_are_queried_at_the_pace_and_health_four_times_a_second(kit):
+    desk = by_need(*joints(kit, 6)).run(0, 4 * S)
+    for servo_id in range(1, 7):
+        own = asked(desk, "QD", servo_id, from_ns=0)
+        assert len(own) == pytest.approx(4 * BY_NEED.steady_hz, abs=2)
+        assert max(b - a for a, b in pairwise(own)) < 1.2 * S / BY_NEED.steady_hz
+    words = Counter(word for *_, word in desk.asked)
+    health = sum(count for word, count in words.items() if word not in ("QD", "QDT"))
+    assert health == pytest.approx(6 * 4 * S / HEALTH_NS, abs=6)
+    assert words["Q"] == pytest.approx(health / 2, abs=6), "every other one is the status"
+
+
+def test_a_pace_of_one_reading_a_second_is_kept_too(kit):
+    desk = by_need(*joints(kit, 2), pace=Pace(1.0, 2.0)).run(0, 6 * S + 1)
+    assert len(asked(desk, "QD", from_ns=KNOWN_NS)) == 6
+
+
+def strayed(state, desk):
+    desk.values[1, "QD"] = round(10 * (STRAYED_DEG + 0.3))
+
+
+def uncorrected(state, desk):
+    desk.values[1, "QD"] = round(10 * (STRAYED_DEG - 0.2))
+    state.disturbance.step_max_deg = 0.0
+    state.disturbance.estimate_deg = -1.0 - UNCORRECTED_DEG
+
+
+def in_doubt(state, desk):
+    state.hold_back()
+    desk.scheduler._release = lambda _: None
+
+
+@pytest.mark.parametrize("make", [strayed, uncorrected, in_doubt])
+def test_a_joint_is_queried_twice_as_often_while_its_readings_are_worth_more(kit, make):
+    first, second = joints(kit, 2)
+    desk = by_need(first, second)
+    make(first, desk)
+    desk.run(0, KNOWN_NS + S)
+    assert len(asked(desk, "QD")) == pytest.approx(BY_NEED.strayed_hz, abs=2)
+    assert len(asked(desk, "QD", 2)) == pytest.approx(BY_NEED.steady_hz, abs=1)
+
+
+def test_the_target_of_each_move_is_queried_once_and_at_once(kit):
+    joint_states = joints(kit, 6)
+    desk = by_need(*joint_states).run(0, S)
+    for number in range(10):
+        at_ns = S + number * 100 * MS
+        for state in joint_states:
+            state.note_sent(at_ns, 100 + 50 * (number % 2), 400)
+        desk.run(at_ns, at_ns + 100 * MS)
+        for servo_id in range(1, 7):
+            own = asked(desk, "QDT", servo_id, from_ns=at_ns)
+            assert len(own) == 1
+            reported_ns = 1.5e9 * joint_states[0].joint.response.loop_s
+            assert at_ns + reported_ns <= own[0] < at_ns + reported_ns + 15 * MS
+
+
+def test_no_query_is_overdue_on_an_idle_line(kit):
+    """A line is starved if a query is due and does not leave, not if there is none."""
+    desk = by_need(*joints(kit, 1)).run(0, S)
+    gaps = [(a[0], b[0]) for a, b in pairwise(desk.asked) if b[0] - a[0] > 2 * STARVED_NS]
+    assert gaps, "nothing is due for a while"
+    desk.run(S, S + 1)
+    next_ns = min(ns for ns in desk.scheduler.wakeups_ns(S) if ns > S)
+    assert not desk.scheduler.is_starved(next_ns - 1)
+    assert desk.scheduler.is_starved(next_ns + STARVED_NS)
+
+
+def test_on_a_line_that_is_too_slow_angles_share_it_and_health_gets_its_part(kit):
+    desk = by_need(*joints(kit, 40), baud_bps=9600).run(0, 4 * S)
+    words = [word for *_, word in desk.asked]
+    at = [index for index, word in enumerate(words) if word != "QD"]
+    assert {b - a for a, b in pairwise(at)} == {HEALTH_LEAST}
+    counts = desk.counts(S)
+    assert max(counts.values()) <= 2 * min(counts.values())
+
+
+def test_a_doubt_does_not_wait_for_the_pace(kit):
+    desk = by_need(*joints(kit, 3)).run(0, KNOWN_NS)
+    desk.values[2, "Q"] = 9
+    desk.run(KNOWN_NS, KNOWN_NS + S)
+    first_ns, second_ns = asked(desk, "Q", 2)[:2]
+    assert second_ns - first_ns < 5 * MS
+
+
+def test_a_servo_that_falls_silent_is_asked_on_while_the_others_keep_their_pace(kit):
+    desk = by_need(*joints(kit, 3)).run(0, KNOWN_NS)
+    desk.values |= {(2, word): None for word in ("QD", "QDT", "Q", "QT", "QV", "QC")}
+    desk.run(KNOWN_NS, KNOWN_NS + 1100 * MS)
+    assert [name for name, _ in desk.scheduler.health.active_faults] == ["j1"]
+    assert len(asked(desk, "QD", 1)) == pytest.approx(1.1 * BY_NEED.steady_hz, abs=2)
