@@ -200,9 +200,27 @@ class Scan(Operation):
     op: Literal["scan"] = "scan"
 
 
+MaintenanceTask = Literal["calibrate", "identify"]
+
+
+class Maintain(Operation):
+    """Calibrate or identify a joint of a connected robot; events `maintenance` lead through it."""
+
+    op: Literal["maintenance"] = "maintenance"
+    what: MaintenanceTask
+    joint: Name
+
+
+class MaintenanceAnswer(Operation):
+    """Answer the question of the last event `maintenance`, with one of its answers."""
+
+    op: Literal["maintenance.answer"] = "maintenance.answer"
+    answer: Annotated[str, Field(min_length=1, max_length=LABEL_MAX_CHARS)]
+
+
 ShowOperation = Go | Pause | Resume | Rate | Seek
 """What steers a running show."""
-RobotOperation = Jog | PoseGo | Limp | Hold
+RobotOperation = Jog | PoseGo | Limp | Hold | Maintain | MaintenanceAnswer
 """What moves a robot without a show."""
 AnyOperation = Annotated[
     Go
@@ -225,7 +243,9 @@ AnyOperation = Annotated[
     | PoseSave
     | Limp
     | Hold
-    | Scan,
+    | Scan
+    | Maintain
+    | MaintenanceAnswer,
     Field(discriminator="op"),
 ]
 
@@ -513,6 +533,53 @@ class Scanned(Message):
     problems: tuple[str, ...]
 
 
+class Question(Message):
+    """What a person has to decide, and the answers that are possible."""
+
+    text: str
+    answers: tuple[str, ...]
+
+
+class PlotSeries(Message):
+    """Points of one line of a plot."""
+
+    name: str
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+
+
+class Plot(Message):
+    """Lines over one axis."""
+
+    title: str
+    x_name: str
+    y_name: str
+    series: tuple[PlotSeries, ...]
+
+
+class MaintenanceResult(Message):
+    """What was found, before it is written."""
+
+    lines: tuple[str, ...]
+    plots: tuple[Plot, ...] = ()
+
+
+MaintenanceState = Literal["asking", "running", "done", "failed", "stopped"]
+
+
+class MaintenanceChanged(Message):
+    """What happens in a calibration or identification, and what a person has to do."""
+
+    event: Literal["maintenance"] = "maintenance"
+    what: MaintenanceTask
+    joint: str
+    state: MaintenanceState
+    step: str
+    progress: float | None = None
+    question: Question | None = None
+    result: MaintenanceResult | None = None
+
+
 AnyEvent = Annotated[
     Started
     | PhaseChanged
@@ -536,7 +603,8 @@ AnyEvent = Annotated[
     | Links
     | Heartbeat
     | Pairing
-    | Scanned,
+    | Scanned
+    | MaintenanceChanged,
     Field(discriminator="event"),
 ]
 

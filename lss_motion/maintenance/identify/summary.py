@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
+from lss_motion.maintenance.identify.response_fit import (
+    HYPOTHESES,
+    LAG_LEAST_S,
+    Shape,
+    horn_deg,
+)
+from lss_motion.maintenance.identify.trials import Kind
 from lss_motion.units import MS_PER_S
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from lss_motion.maintenance.identify.estimate import Identified
     from lss_motion.maintenance.identify.response_fit import Measured
+    from lss_motion.maintenance.identify.trials import Recording
     from lss_motion.robot.model import Joint
 
 
@@ -20,6 +33,8 @@ DROOP_DIFFERENCE_DEG: Final = 0.3
 """Smaller differences from the assumed values do not matter for playing."""
 MISFIT_RATIO: Final = 1.3
 MISFIT_LEAST_DEG: Final = 0.02
+MODEL_POINTS: Final = 120
+"""Points of the model in a plot: one every four pixels."""
 """A residual beyond this was not noise."""
 
 
@@ -57,6 +72,76 @@ def ramp_ratio(found: Identified, stiffness_ratio: float = 1.0) -> float:
     if away_deg_s2 <= max(RAMP_DIFFERENCE_RATIO * set_deg_s2, SIGMAS * ramp.error):
         return 1.0
     return round(ramp.value / set_deg_s2, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """Points of one line of a plot."""
+
+    name: str
+    x: Sequence[float]
+    y: Sequence[float]
+
+
+@dataclass(frozen=True, slots=True)
+class Plot:
+    """What a page draws of a result."""
+
+    title: str
+    x_name: str
+    y_name: str
+    series: tuple[Series, ...]
+
+
+def plots(found: Identified, joint: Joint, recording: Recording) -> list[Plot]:
+    """Return a step as it was read beside the model of it, and the pull of the load over the angle.
+
+    The step is the longest way of the recording. The model has the mean delay for its command, and
+    begins where the readings do: what the load does to the horn is in the other plot.
+    """
+    steps = [trial for trial in recording.trials if trial.kind is Kind.STEP and trial.sent]
+    pull = Plot(
+        title="how far the load pulls it",
+        x_name=f"{joint.name}, deg",
+        y_name="deg",
+        series=(
+            Series(
+                "load",
+                (found.low_deg, 0.5 * (found.low_deg + found.high_deg), found.high_deg),
+                found.droop_deg,
+            ),
+        ),
+    )
+    if not steps:
+        return [pull]
+    step = max(steps, key=lambda trial: abs(trial.sent[-1].target_deg - trial.start_deg))
+    shape = Shape(
+        found.accel_deg_s2.value,
+        found.decel_deg_s2.value,
+        found.speed_max_deg_s,
+        max(found.lag_s.value, LAG_LEAST_S),
+    )
+    hypothesis = next(one for one in HYPOTHESES if one == (found.retarget.value, found.t_law.value))
+    times_s = np.linspace(0.0, step.times_s[-1], MODEL_POINTS)
+    delays_s = [found.dead_s.value] * len(step.sent)
+    model, _ = horn_deg(times_s, step.start_deg, step.sent, delays_s, shape, hypothesis)
+    shift_deg = step.readings_deg[0] - step.start_deg
+    return [
+        Plot(
+            title="a step",
+            x_name="s",
+            y_name=f"{joint.name}, deg",
+            series=(
+                Series("read", step.times_s, [joint.joint_deg(deg) for deg in step.readings_deg]),
+                Series(
+                    "model",
+                    times_s.tolist(),
+                    [joint.joint_deg(deg + shift_deg) for deg in model.tolist()],
+                ),
+            ),
+        ),
+        pull,
+    ]
 
 
 def summary_lines(found: Identified) -> list[str]:
