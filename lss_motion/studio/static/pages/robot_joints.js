@@ -29,7 +29,7 @@ export function placeOnStrip(range_deg, deg) {
 /** @param {number | null | undefined} value @param {number} places @param {string} unit */
 export function shown(value, places, unit) {
   return typeof value === "number" && Number.isFinite(value)
-    ? `${value.toFixed(places)}\u00a0${unit}`
+    ? `${value.toFixed(places)}${unit === "°" ? "" : "\u00a0"}${unit}`
     : "–";
 }
 
@@ -69,7 +69,7 @@ export function JointTable(props) {
     <thead>
       <tr>
         <th scope="col">Joint</th>
-        <th scope="col">Angle within its limits</th>
+        <th scope="col">Within its limits</th>
         <th scope="col" class="robot-number">Angle</th>
         <th scope="col">Jog (hold)</th>
         <th scope="col">Servo</th>

@@ -36,7 +36,7 @@ const TASKS = {
       "The joint must be free, and nothing may touch it.",
       "It moves for half a minute, at most 20° to either side of where it is, within its limits.",
       "STOP ends it at any time; then nothing is written.",
-      "The result is written to the robot file, with its uncertainty.",
+      "Look at the result; it is written to the robot file only if you agree.",
     ],
     /** @param {string} robot @param {string} joint */
     command: (robot, joint) => `lss-motion identify --robot ${robot} ${joint}`,
