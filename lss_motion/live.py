@@ -15,7 +15,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 from dataclasses import replace
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Self, TypeVar
 
 from lss_motion import connection as connections
 from lss_motion.api import compile, is_simulated, plan, with_port  # noqa: A004
@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from lss_motion.player.events import Event
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.runtime.runner import Controls
+
+T = TypeVar("T")
 
 
 def connect(
@@ -225,6 +227,14 @@ class Live:
             self._limp.clear()
         if hands_on.error is not None:
             raise hands_on.error
+
+    def lend(self, use: Callable[[connections.Connection], T]) -> T:
+        """Return what `use` makes of the open ports; if it raises, the last bytes hold."""
+        try:
+            return use(self._connection)
+        except BaseException:
+            self._is_failed = True
+            raise
 
     def _guarded(self, player: Player, controls: Controls[Player] | None) -> None:
         """Play; whatever interrupts it ends without limp joints other than those there were."""

@@ -19,6 +19,7 @@ from lss_motion.errors import InputError, LssMotionError
 from lss_motion.player import checks, handshake
 from lss_motion.player.events import Event, Faulted, Phase, PhaseEntered, Warned
 from lss_motion.player.preflight import Preflight
+from lss_motion.player.query_choice import health_words
 from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.transactions import Dialogue, Item
@@ -40,6 +41,8 @@ STATUS_NS: Final = NS_PER_S // 2
 """How often one joint, the next each time, is queried for its status to detect safe mode."""
 SILENT_NS: Final = NS_PER_S
 """A joint without an answer for so long is reported. Chosen: a person waits no longer."""
+HEALTH_NS: Final = NS_PER_S // 10
+"""The same with `has_health`: a round of status and values of 18 joints takes eleven seconds."""
 IDLE_NS: Final = 20 * NS_PER_MS
 
 
@@ -52,10 +55,21 @@ class Reading:
     deg: float
 
 
+@dataclass(slots=True)
+class ServoHealth:
+    """What a servo reported last; None: it was not asked yet, or has no such value."""
+
+    status: Status | None = None
+    temperature_c: float | None = None
+    voltage_v: float | None = None
+    current_a: float | None = None
+
+
 class Poller:
     """Sends commands before queries, and as many queries at once as can be told apart.
 
-    The latest angles are in `readings`; `take()` returns those since the last call.
+    The latest angles are in `readings`; `take()` returns those since the last call. With
+    `has_health`, temperature, voltage and current are asked for, too.
     """
 
     def __init__(
@@ -64,6 +78,8 @@ class Poller:
         joints: Iterable[Joint],
         lines: Mapping[str, SerialLine],
         trackers: Mapping[str, QueryTracker],
+        *,
+        has_health: bool = False,
     ) -> None:
         self.readings: dict[str, Reading] = {}
         self.faults: deque[Faulted] = deque()
@@ -73,8 +89,13 @@ class Poller:
         self._fresh: list[Reading] = []
         self._owners = {(joint.bus, joint.servo_id): joint for joint in joints}
         owners = self._owners.values()
-        self._turns = {bus: deque(j for j in owners if j.bus == bus) for bus in lines}
-        self._status_turns = {bus: deque(turn) for bus, turn in self._turns.items()}
+        self.health = {joint.name: ServoHealth() for joint in owners}
+        self._turns = {bus: deque((j, "QD") for j in owners if j.bus == bus) for bus in lines}
+        self._status_turns = {
+            bus: _status_turn([joint for joint, _ in turn], has_health=has_health)
+            for bus, turn in self._turns.items()
+        }
+        self._status_every_ns = HEALTH_NS if has_health else STATUS_NS
         self._status_ns = dict.fromkeys(lines, 0)
         self._next_ns = dict.fromkeys(lines, 0)
         """When the next query may be sent, if that is known."""
@@ -116,7 +137,19 @@ class Poller:
                 continue
             statement = read_reply(joint.model.language, answer)
             if statement is not None and isinstance(statement.value, int | float):
-                self.note(joint, asked.arrival_ns, float(statement.value))
+                self._take(joint, asked.command.keyword, asked.arrival_ns, float(statement.value))
+
+    def _take(self, joint: Joint, keyword: str, at_ns: int, value: float) -> None:
+        health = self.health[joint.name]
+        match keyword:
+            case "QT":
+                health.temperature_c = value
+            case "QV":
+                health.voltage_v = value
+            case "QC":
+                health.current_a = value
+            case _:
+                self.note(joint, at_ns, value)
 
     def note(self, joint: Joint, at_ns: int, servo_deg: float) -> None:
         """Record the angle of a servo."""
@@ -139,7 +172,7 @@ class Poller:
         is_status_due = now_ns >= self._status_ns[bus]
         turn = self._status_turns[bus] if is_status_due else self._turns[bus]
         for _ in range(len(turn)):
-            joint = turn[0]
+            joint, keyword = turn[0]
             self._notice_silence(joint, now_ns)
             if tracker.quiet_until_ns(joint.servo_id) <= now_ns:
                 break
@@ -148,7 +181,7 @@ class Poller:
             return False
         if tracker.is_waiting(joint.servo_id):  # Replies to equal queries cannot be told apart.
             return False
-        command = Command(joint.servo_id, "Q" if is_status_due else "QD")
+        command = Command(joint.servo_id, keyword)
         earliest_ns = tracker.earliest_ns(joint.servo_id, len(encode(command)))
         if earliest_ns is None:
             return False
@@ -158,7 +191,7 @@ class Poller:
         tracker.send(command, now_ns)
         turn.rotate(-1)
         if is_status_due:
-            self._status_ns[bus] = now_ns + STATUS_NS
+            self._status_ns[bus] = now_ns + self._status_every_ns
         return True
 
     def _notice_silence(self, joint: Joint, now_ns: int) -> None:
@@ -169,6 +202,7 @@ class Poller:
         if not isinstance(reply.value, int):
             return
         state = status_from(reply.value, joint.model.family, self.firmware.get(joint.name))
+        self.health[joint.name].status = state
         if state in (Status.SAFE_MODE, Status.ERROR):
             cause = Cause.ERROR if state is Status.ERROR else Cause.SAFE_MODE
             self._report(joint, f"reports {state.value}", cause)
@@ -177,6 +211,20 @@ class Poller:
         if (key := f"{joint.name} {text}") not in self._reported:
             self._reported.add(key)
             self.faults.append(Faulted(joint.name, text, cause, FaultStep.WARN))
+
+
+def _status_turn(joints: Sequence[Joint], *, has_health: bool) -> deque[tuple[Joint, str]]:
+    """Return the queries about the state of servos: each servo in turn, then its next keyword."""
+    words = {
+        joint.name: health_words(joint.model.family) if has_health else ("Q",) for joint in joints
+    }
+    rounds = max(map(len, words.values()), default=0)
+    return deque(
+        (joint, own[place % len(own)])
+        for place in range(rounds)
+        for joint in joints
+        if (own := words[joint.name])
+    )
 
 
 SOFT: Final[Mapping[str, int]] = {"AH": -10, "AS": -4}
@@ -195,7 +243,8 @@ class HandsOn:
 
     With `is_soft`, joints hold softly and stay where a hand pushes them. `answer_of` returns what a
     servo answered before the show. Without `needs_frame` a servo
-    may have another gyre or origin than its robot file states: that is a warning.
+    may have another gyre or origin than its robot file states: that is a warning. With
+    `has_health`, `health` is kept up to date.
     """
 
     def __init__(
@@ -205,6 +254,7 @@ class HandsOn:
         *,
         is_soft: bool = False,
         needs_frame: bool = True,
+        has_health: bool = False,
     ) -> None:
         self.robot = robot
         self.joints = [_session(robot, name, is_soft=is_soft) for name in joints]
@@ -215,7 +265,7 @@ class HandsOn:
         self._is_soft = is_soft
         self._held_deg: dict[str, float] = {}
         self._trackers = {name: QueryTracker(line) for name, line in self.lines.items()}
-        self._poller = Poller(robot, self.joints, self.lines, self._trackers)
+        self._poller = Poller(robot, self.joints, self.lines, self._trackers, has_health=has_health)
         self._events: deque[Event] = deque([PhaseEntered(Phase.CONNECT)])
         self._answers: Answers = {}
         self._needs_frame = needs_frame
@@ -270,6 +320,11 @@ class HandsOn:
     def readings(self) -> Mapping[str, Reading]:
         """The latest reading of each joint; complete from the show on."""
         return self._poller.readings
+
+    @property
+    def health(self) -> Mapping[str, ServoHealth]:
+        """What each servo reported last, besides its angle."""
+        return self._poller.health
 
     def take(self) -> list[Reading]:
         """Return the readings since the last call, oldest first."""

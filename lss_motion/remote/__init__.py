@@ -7,10 +7,12 @@ are kept, up to a bound.
 
 | file           | what it is                                               | used by |
 |----------------|----------------------------------------------------------|--------------------|
-| `schema`       | operations, events and telemetry: the one schema         | all below, `cli` |
+| `schema`       | operations and events: the one schema                    | all below, `cli` |
+| `telemetry`    | where every joint is, as bytes; the hash of a plan       | `schema`, both ends |
 | `link`         | messages over a stream socket, without waiting           | both ends |
 | `operator_end` | the client, as a process that moves servos knows it      | `job`, `live_end` |
 | `player_end`   | a show: applies operations, sends what happens           | `job` |
+| `guided`       | calibrate and identify, led by questions                 | `live_end` |
 | `live_end`     | a robot without a show: jog, poses, limp, hold           | `studio` |
 | `job`          | what is played, and how it ended                         | `process`, `handle` |
 | `scan_job`     | finds the servos of a robot                              | `studio` |

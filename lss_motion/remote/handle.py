@@ -27,6 +27,7 @@ from lss_motion.remote.job import Job
 from lss_motion.remote.link import BrokenLinkError, Kind, Link
 from lss_motion.remote.player_end import LossRule
 from lss_motion.remote.process import packed, start_process
+from lss_motion.remote.telemetry import Telemetry
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -115,7 +116,7 @@ class Handle:
         self._lock = threading.Lock()
         self._ended = threading.Event()
         self._events: queue.Queue[m.AnyEvent] = queue.Queue(KEPT_EVENTS)
-        self._telemetry: m.Telemetry | None = None
+        self._telemetry: Telemetry | None = None
         self._health: m.Health | None = None
         self._started: m.Started | None = None
         self._outcome: Outcome | None = None
@@ -289,7 +290,7 @@ class Handle:
     def _take(self, kind: Kind, content: bytes) -> None:
         match kind:
             case Kind.TELEMETRY:
-                self._telemetry = m.Telemetry.from_bytes(content)
+                self._telemetry = Telemetry.from_bytes(content)
             case Kind.OBJECT:
                 self._outcome = pickle.loads(content)  # noqa: S301  (from our own process)
             case _:

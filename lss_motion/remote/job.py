@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from lss_motion.errors import LssMotionError
 from lss_motion.remote.player_end import LossRule, Steering
-from lss_motion.remote.schema import Ended, MarkInfo, Started, duration_of, plan_hash
+from lss_motion.remote.schema import Ended, MarkInfo, Started
+from lss_motion.remote.telemetry import duration_of, plan_hash
 
 if TYPE_CHECKING:
     from lss_motion.program.model import Program

@@ -21,6 +21,7 @@ from lss_motion.maintenance.hands_on import HandsOn
 from lss_motion.player.events import Faulted, Phase, Warned
 from lss_motion.protocol.constants import Family
 from lss_motion.remote import schema as m
+from lss_motion.remote.guided import Calibration, Guide, guided_joint, measured
 from lss_motion.remote.player_end import message_of
 from lss_motion.units import NS_PER_MS, ns_from_s, s_from_ns
 
@@ -47,6 +48,8 @@ STRAY_DEG: Final = 5.0
 angle besides. Readings are up to 100 ms old, and a horn lags by as much."""
 STATE_NS: Final = 100 * NS_PER_MS
 """How often the angles are sent."""
+HEALTH_EVERY: Final = 5
+"""Health is sent with every fifth of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,17 +98,22 @@ class LiveSession:
         self._poses = dict(live.robot.poses)
         self._is_over = False
         self._limp: set[str] = set()
+        self._guide: Guide | None = None
 
     def run(self) -> None:
         """Run until the client stops, or is gone."""
         while not self._is_over:
-            hands = Hands(self._operator, self._live.robot, self._poses, self._limp)
+            hands = Hands(self._operator, self._live.robot, self._poses, self._limp, self._guide)
             self._live.by_hand(
-                HandsOn(self._live.robot, self._joints), controls=hands, on_event=self._note
+                HandsOn(self._live.robot, self._joints, has_health=True),
+                controls=hands,
+                on_event=self._note,
             )
-            self._is_over, self._limp = hands.is_over, hands.limp
+            self._is_over, self._limp, self._guide = hands.is_over, hands.limp, None
             if hands.has_stopped:
                 self._live.hold_at_end()
+            elif isinstance(hands.wanted, m.Maintain):
+                self._measure(hands.wanted)
             elif hands.wanted is not None:
                 self._go(hands.wanted)
 
@@ -122,6 +130,18 @@ class LiveSession:
             self._is_over = True
             self._live.hold_at_end()
         self._limp -= set(pose)
+
+    def _measure(self, wanted: m.Maintain) -> None:
+        """Measure a joint; the result is asked about when the robot is in the hands again."""
+        self._guide, has_stopped = self._live.lend(
+            lambda connection: measured(connection, self._live.robot, wanted.joint, self._operator)
+        )
+        self._limp.discard(wanted.joint)
+        if self._guide is not None:
+            self._operator.send(self._guide.now)
+        if has_stopped:
+            self._is_over = True
+            self._live.hold_at_end()
 
     def _note(self, event: Event) -> None:
         """Send warnings and faults; the phases of each run are of no interest."""
@@ -186,21 +206,26 @@ class Hands:
         robot: Robot,
         poses: dict[str, Mapping[str, float]],
         limp: set[str],
+        guide: Guide | None = None,
     ) -> None:
-        """Begin with these joints limp. A pose that is saved is added to `poses`."""
+        """Begin with these joints limp. A pose that is saved is added to `poses`.
+
+        `guide` has asked something, which the client may answer now.
+        """
         self.is_over = False
         """Whether the client has ended it, has stopped it, or is gone."""
         self.has_stopped = False
         """Whether that was a stop: then all joints hold, whatever the robot file wants."""
-        self.wanted: m.PoseGo | None = None
-        """The pose to which the robot is to move next."""
+        self.wanted: m.PoseGo | m.Maintain | None = None
+        """The pose to which the robot is to move next, or the joint that is to be measured."""
         self.limp = set(limp)
         self._operator, self._robot, self._poses = operator, robot, poses
         self._end_ns: int | None = None
         """When joints that turned have come to rest, and it ends."""
         self._jogs: dict[str, Jogging] = {}
         self._has_begun = False
-        self._state_ns = 0
+        self._state_ns = self._told = 0
+        self._guide = guide
 
     def filenos(self) -> Sequence[int]:
         """Return what ends a wait."""
@@ -263,9 +288,14 @@ class Hands:
                     hands_on.hold(names)
                     self.limp -= set(names)
             case m.PoseGo():
+                self._require_pose(operation.pose)
                 self._want(operation, hands_on)
             case m.PoseSave():
                 self._save(operation, hands_on)
+            case m.Maintain():
+                self._maintain(operation, hands_on)
+            case m.MaintenanceAnswer():
+                self._answer(operation.answer, hands_on)
             case _:
                 raise InputError(f"{operation.op} is no operation on a robot without a show")
 
@@ -275,6 +305,7 @@ class Hands:
         if self.is_over:
             return
         self.is_over, self._end_ns = True, now_ns
+        self._drop_guide(hands_on)
         for name, jog in list(self._jogs.items()):
             rest_s = 2.0 * _braking_s(self._robot.joints[name], jog)
             self._end_ns = max(self._end_ns, now_ns + ns_from_s(rest_s))
@@ -334,11 +365,13 @@ class Hands:
 
     # ---- poses
 
-    def _want(self, operation: m.PoseGo, hands_on: HandsOn) -> None:
-        if operation.pose not in self._poses:
-            known = known_names(operation.pose, self._poses)
-            raise InputError(f"unknown pose {operation.pose!r}; {known}")
+    def _require_pose(self, pose: str) -> None:
+        if pose not in self._poses:
+            raise InputError(f"unknown pose {pose!r}; {known_names(pose, self._poses)}")
+
+    def _want(self, operation: m.PoseGo | m.Maintain, hands_on: HandsOn) -> None:
         self._require_rest()
+        self._drop_guide(hands_on)
         self.wanted = operation
         hands_on.stop()  # Holds, and ends this part; then the move begins.
 
@@ -380,6 +413,33 @@ class Hands:
                 raise InputError(f"unknown joint {name!r}; {known_names(name, known)}")
         return list(names) or known
 
+    # ---- calibrate and identify
+
+    def _maintain(self, operation: m.Maintain, hands_on: HandsOn) -> None:
+        """Begin a calibration here; a measurement begins when this part has ended."""
+        joint = guided_joint(self._robot, operation.joint)
+        if operation.what == "identify":
+            self._want(operation, hands_on)
+            return
+        self._require_rest()
+        self._drop_guide(hands_on)
+        self._guide = Calibration(self._robot, joint)
+        self._operator.send(self._guide.now)
+
+    def _answer(self, answer: str, hands_on: HandsOn) -> None:
+        if self._guide is None or self._guide.is_over:
+            raise InputError("nothing is asked now")
+        self._guide.answer(answer, hands_on)
+        self.limp = set(hands_on.limp)
+        self._operator.send(self._guide.now)
+
+    def _drop_guide(self, hands_on: HandsOn) -> None:
+        """End what is being asked; nothing of it is written."""
+        if self._guide is not None and not self._guide.is_over:
+            self._guide.cancel(hands_on)
+            self._operator.send(self._guide.now)
+        self._guide = None
+
     # ---- state
 
     def _tell(self, hands_on: HandsOn, now_ns: int) -> None:
@@ -393,6 +453,9 @@ class Hands:
         self._operator.offer(
             live_state(self._robot, read_deg, hands_on.limp, is_ready=self._has_begun)
         )
+        self._told += 1
+        if self._told % HEALTH_EVERY == 0:
+            self._operator.offer(live_health(self._robot, hands_on))
 
 
 def _braking_s(joint: Joint, jog: Jogging) -> float:
@@ -416,6 +479,32 @@ def live_state(
             for name in robot.joints
         },
         text="",
+    )
+
+
+def live_health(robot: Robot, hands_on: HandsOn) -> m.Health:
+    """Return what the servos of a robot without a show reported, as an event."""
+    joints = {
+        name: m.JointHealth(
+            status=None if health.status is None else health.status.value,
+            temperature_c=health.temperature_c,
+            voltage_v=health.voltage_v,
+            current_a=health.current_a,
+            error_deg=None,
+            correction_deg=0.0,
+            allowed_deg=robot.joints[name].following_deg,
+        )
+        for name, health in hands_on.health.items()
+    }
+    return m.Health(
+        phase="live",
+        show_s=None,
+        rate=0.0,
+        is_paused=False,
+        late_us=0,
+        missed=0,
+        joints=joints,
+        buses={},
     )
 
 

@@ -17,6 +17,7 @@ from lss_motion.player.events import Phase
 from lss_motion.protocol.constants import Led
 from lss_motion.remote import schema as m
 from lss_motion.remote.link import Kind
+from lss_motion.remote.telemetry import Telemetry
 from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
 if TYPE_CHECKING:
@@ -211,7 +212,7 @@ class Steering:
         ]
         rate, show_s = show.clock.rate(now_ns), show.show_s(now_ns)
         self.operator.link.offer(
-            Kind.TELEMETRY, m.Telemetry(self._plan, show_s, rate, angles).to_bytes()
+            Kind.TELEMETRY, Telemetry(self._plan, show_s, rate, angles).to_bytes()
         )
 
     def _health(self, player: Player, now_ns: int) -> m.Health:

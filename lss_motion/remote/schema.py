@@ -1,26 +1,18 @@
-"""The one schema of whoever steers a show: operations, events and telemetry.
+"""The one schema of whoever steers a show: operations and events.
 
 An operation is a wish of a client, an event is what happened, and both are JSON objects whose key
-`op` or `event` says which. `schema` returns their JSON Schema. Telemetry is binary, since it is
-sent 30 times a second and more (`Telemetry`). Angles are joint degrees, times seconds of show time.
+`op` or `event` says which. `schema` returns their JSON Schema. Telemetry is binary
+(`telemetry`). Angles are joint degrees, times seconds of show time.
 """
 
 from __future__ import annotations
 
-import hashlib
-import math
-import struct
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from lss_motion.errors import InputError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from lss_motion.program.model import Program
+from lss_motion.remote.telemetry import LAYOUT
 
 OPERATION_MAX_BYTES: Final = 4096
 """A longer operation is refused before it is parsed. Ours have less than 200."""
@@ -220,8 +212,8 @@ class MaintenanceAnswer(Operation):
 
 ShowOperation = Go | Pause | Resume | Rate | Seek
 """What steers a running show."""
-RobotOperation = Jog | PoseGo | Limp | Hold | Maintain | MaintenanceAnswer
-"""What moves a robot without a show."""
+RobotOperation = Jog | PoseGo | PoseSave | Limp | Hold | Maintain | MaintenanceAnswer | Disconnect
+"""What is asked of a robot without a show."""
 AnyOperation = Annotated[
     Go
     | Pause
@@ -627,12 +619,7 @@ def schema() -> dict[str, Any]:
         "title": "remote control of a show",
         "$defs": {**shared, "Operation": operations, "Event": events},
         "anyOf": [{"$ref": "#/$defs/Operation"}, {"$ref": "#/$defs/Event"}],
-        "x-telemetry": {
-            "version": TELEMETRY_VERSION,
-            "byte order": "little-endian",
-            "header": "u8 version, u8 zero, u16 joints, 8 bytes plan, f64 show_s, f32 rate",
-            "joint": "f32 planned_deg, f32 predicted_deg, f32 read_deg (NaN: not read)",
-        },
+        "x-telemetry": LAYOUT,
     }
 
 
@@ -651,53 +638,3 @@ def parse_operation(text: bytes | str) -> AnyOperation:
 def parse_event(text: bytes | str) -> AnyEvent:
     """Return the event of a JSON text that this package wrote."""
     return _EVENTS.validate_json(text)
-
-
-TELEMETRY_VERSION: Final = 1
-PLAN_BYTES: Final = 8
-_HEADER: Final = struct.Struct(f"<BBH{PLAN_BYTES}sdf")
-_JOINT: Final = struct.Struct("<fff")
-
-
-@dataclass(frozen=True, slots=True)
-class Telemetry:
-    """Where every joint is at one instant: planned, predicted and read angle in joint degrees.
-
-    A joint that was not read yet has NaN. The bytes: `schema`.
-    """
-
-    plan: bytes
-    show_s: float
-    rate: float
-    angles_deg: Sequence[tuple[float, float, float]]
-
-    def to_bytes(self) -> bytes:
-        """Return the message as bytes."""
-        head = _HEADER.pack(
-            TELEMETRY_VERSION, 0, len(self.angles_deg), self.plan, self.show_s, self.rate
-        )
-        return head + b"".join(_JOINT.pack(*angles) for angles in self.angles_deg)
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Self:
-        """Return the message that `to_bytes` wrote; raises `InputError` for another version."""
-        version, _, joints, plan, show_s, rate = _HEADER.unpack_from(data)
-        if version != TELEMETRY_VERSION:
-            raise InputError(f"telemetry has version {version}, not {TELEMETRY_VERSION}")
-        angles = list(_JOINT.iter_unpack(data[_HEADER.size : _HEADER.size + joints * _JOINT.size]))
-        return cls(plan, show_s, rate, angles)
-
-
-def plan_hash(program: Program) -> bytes:
-    """Return a short hash of what a program sends, by which telemetry names its plan."""
-    digest = hashlib.blake2b(digest_size=PLAN_BYTES)
-    digest.update(f"{program.name} {program.robot} {sorted(program.start_deg.items())}".encode())
-    digest.update(f"{program.repeat} {program.duration_s}".encode())
-    for move in program.moves:
-        digest.update(repr(tuple(move)).encode())
-    return digest.digest()
-
-
-def duration_of(program: Program) -> float | None:
-    """Return the duration of a show; None if it has no end."""
-    return None if math.isinf(program.duration_s) else program.duration_s

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from lss_motion.studio.stop import StopKind
     from lss_motion.studio.stopping import StopProcess
 
+MAINTENANCE: Final = "maintenance"
 REPLAYED: Final = ("started", "checked", "rate", "ended")
 """Events of the running show that a client gets which comes later: the newest of each."""
 WARNINGS_MAX: Final = 50
@@ -107,8 +108,8 @@ class Desk:
                 return self._play(operation, key)
             case m.Go() | m.Pause() | m.Resume() | m.Rate() | m.Seek():
                 return self._forward(operation, key, "show", "no show plays now")
-            case m.Jog() | m.PoseGo() | m.Limp() | m.Hold() | m.PoseSave() | m.Disconnect():
-                if isinstance(operation, m.PoseSave):
+            case _ if isinstance(operation, m.RobotOperation):
+                if isinstance(operation, m.PoseSave | m.MaintenanceAnswer):
                     self._require_same_robot_file()
                 return self._forward(operation, key, "live", "the robot is off; connect it first")
             case m.Connect() | m.Scan():
@@ -228,6 +229,7 @@ class Desk:
         if reply is None or not reply.live_job:
             raise InputError("the robot file is not read yet, or has an error; mend it first")
         self._trouble = []
+        self._kept.pop(MAINTENANCE, None)
         job = reply.live_job if task == "live" else reply.scan_job
         self._start(job, task, self._take_of_robot, {})
         self._tell_robot("connecting")
@@ -305,9 +307,13 @@ class Desk:
         if event["event"] == "robot":
             self._robot = text
             self._hub.offer(ROBOT, text)
+        elif event["event"] == "health":
+            self._hub.offer("health", text)
         elif event["event"] == "ended":
             self._tell_robot("off", event["error"] or "")
         elif not self._is_answer(event):
+            if event["event"] == MAINTENANCE:
+                self._kept[MAINTENANCE] = text
             self._pass_on(event["event"], text)
 
     def _is_answer(self, event: dict[str, Any]) -> bool:

@@ -158,7 +158,7 @@ def _of_show(request: Request, found: dict[str, Any]) -> dict[str, Any]:
     from lss_motion.gait import is_gait_file
     from lss_motion.remote.job import Job
     from lss_motion.remote.process import packed
-    from lss_motion.remote.schema import plan_hash
+    from lss_motion.remote.telemetry import plan_hash
     from lss_motion.sequence.functions import calls_of
     from lss_motion.shows import compiled, files_of, load, load_gait
     from lss_motion.studio.view import view_of

@@ -153,28 +153,6 @@ def identified(robot, client):
     return guide, has_stopped, lines
 
 
-def test_a_joint_is_identified_and_written_when_that_is_agreed(robot):
-    client = Client()
-    guide, has_stopped, lines = identified(robot, client)
-    assert not has_stopped
-    shares = [one.progress for one in client.sent]
-    assert shares == sorted(shares)
-    assert shares[-1] == 1.0
-    assert guide.now.state == "asking"
-    assert robot.path.read_text() == ROBOT
-    step, _ = guide.now.result.plots
-    read, model = step.series
-    off = np.interp(read.x, model.x, model.y) - np.array(read.y)
-    assert np.ptp(read.y) > 10.0
-    assert np.abs(off).max() < 1.0, "the model of the step is what was read"
-    guide.answer(WRITE, HandsOn(robot, ["a"]))
-    assert guide.now.state == "done"
-    response = load_robot(robot.path).joints["a"].response
-    assert 0.005 < response.lag_s < 0.05
-    assert "# a identified" in robot.path.read_text()
-    assert not any(line.startswith(b"#2D") for line in lines), "only this joint moves"
-
-
 def test_a_measurement_that_is_stopped_writes_nothing_and_holds(robot):
     client = Client(stop_at=0.2)
     guide, has_stopped, lines = identified(robot, client)

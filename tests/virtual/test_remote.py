@@ -16,6 +16,7 @@ from lss_motion.remote.job import Job, play
 from lss_motion.remote.link import BrokenLinkError, Kind, Link
 from lss_motion.remote.operator_end import Operator
 from lss_motion.remote.player_end import LossRule, Steering
+from lss_motion.remote.telemetry import Telemetry
 from tests.timed_moves import is_move
 from tests.virtual.conftest import make_robot, make_sequence
 
@@ -54,7 +55,7 @@ class Client:
             while self.reads and (got := self.link.receive()):
                 for kind, content in got:
                     if kind is Kind.TELEMETRY:
-                        self.telemetry.append(m.Telemetry.from_bytes(content))
+                        self.telemetry.append(Telemetry.from_bytes(content))
                     else:
                         self.events.append(m.parse_event(content))
 

@@ -218,3 +218,91 @@ def test_a_pose_is_saved_into_the_robot_file_and_known_at_once(robot):
     assert poses["up"] == pytest.approx({"a": 0.0}, abs=0.3), "only the joints that it has"
     assert robot.path.read_text().startswith(before.split("  up:")[0])
     assert "# as high as it goes" in robot.path.read_text()
+
+
+def answers(*texts, then):
+    """Return a step that answers each question when it comes, then sends the last operation."""
+    waiting = list(texts)
+
+    def step_at(at_s):
+        def step(client):
+            asked = client.of(m.MaintenanceChanged)
+            if asked and asked[-1].state in ("done", "failed", "stopped"):
+                client.send(then)
+                return
+            if (
+                waiting
+                and asked
+                and asked[-1].question
+                and waiting[0] in asked[-1].question.answers
+            ):
+                client.send(m.MaintenanceAnswer(id=7, answer=waiting.pop(0)))
+            client.script.append((at_s + 0.2, step_at(at_s + 0.2)))
+
+        return step
+
+    return (0.3, step_at(0.3))
+
+
+def test_a_joint_is_identified_and_what_was_found_is_written_when_agreed(robot):
+    client, bus, _, horn_deg = run(
+        robot,
+        (0.1, m.Maintain(id=5, what="identify", joint="b")),
+        answers("Write it to the robot file", then=m.Stop()),
+    )
+    told = client.of(m.MaintenanceChanged)
+    assert [one.state for one in told if one.state != "running"] == ["asking", "done"]
+    shares = [one.progress for one in told if one.progress is not None]
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    step, _ = told[-1].result.plots
+    read, model = step.series
+    assert np.ptp(read.y) > 10.0
+    off = np.interp(read.x, model.x, model.y) - np.array(read.y)
+    assert np.abs(off).max() < 1.0, "the model of the step is what was read"
+    response = lss.load_robot(robot.path).joints["b"].response
+    assert 0.005 < response.lag_s < 0.05
+    assert np.ptp(horn_deg[:, 1]) > 20.0
+    assert np.abs(horn_deg[:, 0]).max() < 0.5, "the other joint holds"
+    assert "# as high as it goes" in robot.path.read_text()
+    assert "# b identified" in robot.path.read_text()
+    assert bus.lines[-1][1] == b"#254H\r"
+
+
+def test_a_calibration_that_is_left_holds_the_joint_and_writes_nothing(robot):
+    text = robot.path.read_text()
+    client, bus, _, _ = run(
+        robot,
+        (0.1, m.MaintenanceAnswer(id=3, answer="Cancel")),
+        (0.2, m.Maintain(id=4, what="calibrate", joint="b")),
+        (0.5, m.MaintenanceAnswer(id=5, answer="I hold it: make it limp")),
+        (1.0, m.MaintenanceAnswer(id=6, answer="It is at zero")),
+        (1.2, m.MaintenanceAnswer(id=7, answer="Yes")),
+        (1.5, m.Maintain(id=8, what="calibrate", joint="nobody")),
+        (2.0, m.Stop()),
+    )
+    refused = {one.id: one.text for one in client.of(m.Refused)}
+    assert list(refused) == [3, 7, 8]
+    assert "nothing is asked" in refused[3]
+    assert "Keep its direction" in refused[7]
+    told = client.of(m.MaintenanceChanged)
+    assert [one.state for one in told] == ["asking", "asking", "asking", "stopped"]
+    assert any(state.joints["b"].is_limp for state in client.of(m.RobotChanged))
+    assert robot.path.read_text() == text
+    orders = [line for _, line in bus.lines if line in (b"#2L\r", b"#2H\r", b"#254H\r")]
+    assert orders[0] == b"#2L\r"
+    assert orders[-1] == b"#254H\r"
+
+
+def test_the_health_of_every_servo_is_told(robot):
+    client, bus, _, _ = run(robot, (3.0, m.Stop()))
+    health = client.of(m.Health)
+    assert health[-1].phase == "live"
+    for name in ("a", "b"):
+        joint = health[-1].joints[name]
+        assert 15.0 < joint.temperature_c < 60.0
+        assert 6.0 < joint.voltage_v < 13.0
+        assert joint.current_a is not None
+        assert joint.status
+    words = [line[2:-1] for _, line in bus.lines]
+    assert words.count(b"QD") > 8 * words.count(b"QT"), "angles come first"

@@ -9,6 +9,7 @@ import pytest
 
 from lss_motion.errors import InputError
 from lss_motion.remote import schema as m
+from lss_motion.remote.telemetry import Telemetry
 
 OPERATIONS = [
     m.Go(id=1),
@@ -59,10 +60,10 @@ def test_the_schema_requires_what_tells_messages_apart():
 
 
 def test_telemetry_comes_back_from_its_bytes():
-    sent = m.Telemetry(b"12345678", 61.25, 0.5, [(1.5, 2.5, math.nan), (-90.0, 0.25, -89.5)])
-    read = m.Telemetry.from_bytes(sent.to_bytes())
+    sent = Telemetry(b"12345678", 61.25, 0.5, [(1.5, 2.5, math.nan), (-90.0, 0.25, -89.5)])
+    read = Telemetry.from_bytes(sent.to_bytes())
     assert (read.plan, read.show_s, read.rate) == (b"12345678", 61.25, 0.5)
     assert read.angles_deg[1] == (-90.0, 0.25, -89.5)
     assert math.isnan(read.angles_deg[0][2])
     with pytest.raises(InputError, match="version 9"):
-        m.Telemetry.from_bytes(b"\x09" + sent.to_bytes()[1:])
+        Telemetry.from_bytes(b"\x09" + sent.to_bytes()[1:])

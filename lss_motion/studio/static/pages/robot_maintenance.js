@@ -59,7 +59,7 @@ export function Maintenance({ joints, file, event, mayMove, why, act }) {
   const [joint, setJoint] = useState("");
   const chosen = joints.includes(joint) ? joint : (joints[0] ?? "");
   const task = TASKS[what];
-  const isBusy = event !== null && (event.state === "asking" || event.state === "running");
+  const isBusy = mayMove && event !== null && (event.state === "asking" || event.state === "running");
   return html`<section class="robot-maintenance" aria-labelledby="robot-maintenance-title">
     <h2 id="robot-maintenance-title">Calibrate and identify</h2>
     <div class="robot-row">
@@ -86,12 +86,12 @@ export function Maintenance({ joints, file, event, mayMove, why, act }) {
       </button>
       <span class="robot-quiet">or in a terminal: <code>${task.command(file, chosen)}</code></span>
     </div>
-    ${event === null ? null : html`<${Progress} event=${event} act=${act} />`}
+    ${event === null ? null : html`<${Progress} event=${event} mayMove=${mayMove} act=${act} />`}
   </section>`;
 }
 
-/** @param {{event: MaintenanceEvent, act: (op: string, fields: object) => Promise<void>}} props */
-function Progress({ event, act }) {
+/** @param {{event: MaintenanceEvent, mayMove: boolean, act: (op: string, fields: object) => Promise<void>}} props */
+function Progress({ event, mayMove, act }) {
   const { question, result, progress } = event;
   return html`<div class="robot-progress" data-state=${event.state}>
     <p role="status"><b>${event.what} ${event.joint}: ${STATES[event.state]}.</b> ${event.step}</p>
@@ -104,7 +104,7 @@ function Progress({ event, act }) {
           <div class="robot-row">
             ${question.answers.map(
               (answer) =>
-                html`<button type="button" onClick=${() => act("maintenance.answer", { answer })}>${answer}</button>`,
+                html`<button type="button" disabled=${!mayMove} onClick=${() => act("maintenance.answer", { answer })}>${answer}</button>`,
             )}
           </div>`}
     ${result === null

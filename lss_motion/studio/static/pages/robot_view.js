@@ -4,7 +4,7 @@
 import { html, useEffect, useMemo, useRef, useState } from "../vendor/preact.js";
 import { createFigure } from "../figure/figure.js";
 import { JogHold } from "./robot_jog.js";
-import { JointTable } from "./robot_joints.js";
+import { JointTable, shown } from "./robot_joints.js";
 import { Maintenance } from "./robot_maintenance.js";
 import { PoseList } from "./robot_poses.js";
 
@@ -37,8 +37,19 @@ import { PoseList } from "./robot_poses.js";
  * @property {Record<string, {deg: number | null, is_limp: boolean}>} joints
  * @property {string} text
  */
-/** @typedef {{bus: string, id: number, model: string, joint: string | null, text: string}} FoundServo */
-/** @typedef {{servos: FoundServo[], missing: string[], error: string | null}} Scanned */
+/**
+ * @typedef {object} FoundServo
+ * @property {string} bus
+ * @property {number} id
+ * @property {string} model
+ * @property {string | null} joint
+ * @property {number | null} firmware
+ * @property {number | null} voltage_v
+ * @property {number | null} temperature_c
+ * @property {string | null} status
+ * @property {boolean} is_shared
+ */
+/** @typedef {{servos: FoundServo[], problems: string[]}} Scanned */
 
 /** Share of the jogging speed by word. */
 const SPEEDS = { slow: 0.2, medium: 0.5, fast: 1 };
@@ -121,7 +132,14 @@ export function RobotView({ robot, live, health, isMine, isLatched, isLost, scan
         </button>
         <button type="button" disabled=${!mayMove} title=${why} onClick=${() => act("hold", { joints: [] })}>Hold all</button>
         <button type="button" class="robot-power" disabled=${!mayMove} title=${why} onClick=${() => limpAll(ask, act)}>Limp all …</button>
-        <button type="button" disabled=${!isMine || isLost || live.state === "playing"} onClick=${() => act("scan", {})}>Scan</button>
+        <button
+          type="button"
+          disabled=${!isMine || isLost || live.state !== "off"}
+          title=${live.state === "off" ? "find the servos of every bus; nothing moves" : "disconnect first"}
+          onClick=${() => act("scan", {})}
+        >
+          Scan
+        </button>
         <div role="group" aria-label="jog speed" class="robot-switch">
           ${Object.keys(SPEEDS).map(
             (word) =>
@@ -215,22 +233,38 @@ function FigureBox({ robot, live, schedule, theme }) {
 
 /** @param {{scanned: Scanned}} props */
 function ScanResult({ scanned }) {
+  const { servos, problems } = scanned;
   return html`<section class="robot-scan" aria-labelledby="robot-scan-title">
     <h2 id="robot-scan-title">Scan</h2>
-    ${scanned.error === null ? null : html`<p class="robot-trouble">⚠ ${scanned.error}</p>`}
-    <p role="status">
-      ${scanned.servos.length} servos found${scanned.missing.length > 0 ? html`; <b class="robot-trouble">no answer from ${scanned.missing.join(", ")}</b>` : ", none is missing"}.
-    </p>
-    <table>
-      <thead>
-        <tr><th scope="col">Bus</th><th scope="col">Id</th><th scope="col">Model</th><th scope="col">Joint</th><th scope="col"></th></tr>
-      </thead>
-      <tbody>
-        ${scanned.servos.map(
-          (servo) =>
-            html`<tr><td>${servo.bus}</td><td>${servo.id}</td><td>${servo.model}</td><td>${servo.joint ?? "not in the robot file"}</td><td>${servo.text}</td></tr>`,
-        )}
-      </tbody>
-    </table>
+    <p role="status">${servos.length} ${servos.length === 1 ? "servo" : "servos"} found.</p>
+    ${problems.length === 0
+      ? null
+      : html`<ul class="robot-problems">
+          ${problems.map((text) => html`<li><span class="robot-trouble" aria-hidden="true">⚠</span> ${text}</li>`)}
+        </ul>`}
+    ${servos.length === 0
+      ? null
+      : html`<table>
+          <thead>
+            <tr>
+              ${["Joint", "Bus", "Id", "Model", "Firmware", "Temperature", "Voltage", "Status"].map((title) => html`<th scope="col">${title}</th>`)}
+            </tr>
+          </thead>
+          <tbody>
+            ${servos.map(
+              (servo) =>
+                html`<tr>
+                  <th scope="row">${servo.joint ?? "not in the robot file"}</th>
+                  <td>${servo.bus}</td>
+                  <td>${servo.id}${servo.is_shared ? html` <b class="robot-trouble">several servos</b>` : ""}</td>
+                  <td>${servo.model}</td>
+                  <td>${servo.firmware ?? "–"}</td>
+                  <td>${shown(servo.temperature_c, 0, "°C")}</td>
+                  <td>${shown(servo.voltage_v, 1, "V")}</td>
+                  <td>${servo.status ?? "–"}</td>
+                </tr>`,
+            )}
+          </tbody>
+        </table>`}
   </section>`;
 }
