@@ -88,6 +88,9 @@ class Guard:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass an allowed request on, with its role in `scope["role"]`."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
         path = scope["path"]
         is_page = path == "/" or path.startswith("/static/")
         purpose = Purpose.PAGE if is_page else PURPOSES.get(path, Purpose.DATA)
@@ -184,9 +187,10 @@ async def _file(request: Request) -> Response:
     """Return a file of a figure, from below the folder of the show."""
     path = _studio(request).document.inside(request.path_params["path"])
     kind = FILE_TYPES.get(path.suffix.lower())
-    if kind is None or not path.is_file() or path.stat().st_size > FILE_MAX_BYTES:
-        return JSONResponse({"error": "no file of a figure"}, 404)
-    return FileResponse(path, media_type=kind)
+    with contextlib.suppress(OSError):  # A name that no file can have.
+        if kind is not None and path.is_file() and path.stat().st_size <= FILE_MAX_BYTES:
+            return FileResponse(path, media_type=kind)
+    return JSONResponse({"error": "no file of a figure"}, 404)
 
 
 async def _socket(websocket: WebSocket) -> None:
@@ -199,20 +203,12 @@ async def _socket(websocket: WebSocket) -> None:
     if client is None:
         await websocket.close(CLOSE_FULL, "too many clients")
         return
-    tasks = [
-        asyncio.create_task(task)
-        for task in (_read(websocket, client, studio), _write(websocket, client))
-    ]
+    writing = asyncio.create_task(_write(websocket, client, studio))
     try:
-        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        await _read(websocket, client, studio)
     finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        writing.cancel()
         studio.hub.leave(client, studio.now_s())
-    if client.is_overrun:
-        with contextlib.suppress(RuntimeError, WebSocketDisconnect):
-            await websocket.close(CLOSE_OVERRUN, "too slow; come again")
 
 
 async def _read(websocket: WebSocket, client: Client, studio: Studio) -> None:
@@ -223,17 +219,21 @@ async def _read(websocket: WebSocket, client: Client, studio: Studio) -> None:
             message = await websocket.receive()
             if message["type"] == "websocket.disconnect":
                 return
+            if client.is_overrun:
+                continue
             text = message.get("text")
             studio.hub.receive(client, text if text is not None else b"", studio.now_s())
             if wait_s := allowance.take(studio.now_s()):
                 await asyncio.sleep(wait_s)
 
 
-async def _write(websocket: WebSocket, client: Client) -> None:
-    """Send what waits for a client."""
+async def _write(websocket: WebSocket, client: Client, studio: Studio) -> None:
+    """Send what waits for a client; close it if that is too much."""
     with contextlib.suppress(WebSocketDisconnect, RuntimeError):
         while (content := await client.next()) is not None:
             if isinstance(content, bytes):
                 await websocket.send_bytes(content)
             else:
                 await websocket.send_text(content)
+        studio.hub.leave(client, studio.now_s())  # Now: it may never answer to being closed.
+        await websocket.close(CLOSE_OVERRUN, "too slow; come again")

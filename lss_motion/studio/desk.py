@@ -69,6 +69,9 @@ class Desk:
         ).model_dump_json()
         self._kept: dict[str, str] = {}
         self._trouble: list[str] = []
+        self._end_state: dict[str, object] = {}
+        self._end_text = ""
+        """What is told when the process has ended: until then it owns the ports."""
 
     # ---- called by the hub
 
@@ -251,7 +254,7 @@ class Desk:
         take: Callable[[dict[str, Any], str], None],
         options: dict[str, Any],
     ) -> None:
-        self._task = task
+        self._task, self._end_text = task, ""
         self._player = PlayerProcess(
             job,
             self._stops,
@@ -298,9 +301,9 @@ class Desk:
             case "rate":
                 self._change(state="paused" if event["is_paused"] else "playing")
             case "ended" if event["outcome"] == "lost" and event["report"] is None:
-                self._change(state="gone", text=event["error"])
+                self._end_state = {"state": "gone", "text": event["error"]}
             case "ended":
-                self._change(state="ended", text=event["error"] or event["outcome"])
+                self._end_state = {"state": "ended", "text": event["error"] or event["outcome"]}
 
     def _take_of_robot(self, event: dict[str, Any], text: str) -> None:
         """Pass an event of a robot without a show on."""
@@ -310,7 +313,7 @@ class Desk:
         elif event["event"] == "health":
             self._hub.offer("health", text)
         elif event["event"] == "ended":
-            self._tell_robot("off", event["error"] or "")
+            self._end_text = event["error"] or ""
         elif not self._is_answer(event):
             if event["event"] == MAINTENANCE:
                 self._kept[MAINTENANCE] = text
@@ -333,7 +336,8 @@ class Desk:
         self._player = None
         waiting, self._on_free = self._on_free, []
         if self._task == "show":
-            self._tell_robot("off")
+            self._change(**self._end_state)
+        self._tell_robot("off", self._end_text)
         if not waiting:
             for key in self._hub.unanswered():
                 self._hub.answer(key, "it has ended before this was carried out")

@@ -86,8 +86,9 @@ class Hub:
         return client
 
     def leave(self, client: Client, now_s: float) -> None:
-        """Remove a client; the lease it held is free."""
-        self.clients.pop(client.number, None)
+        """Remove a client; the lease it held is free. Once is the same as twice."""
+        if self.clients.pop(client.number, None) is None:
+            return
         self._heard_s.pop(client.number, None)
         if self._holder == client.number:
             self._lost_s = now_s

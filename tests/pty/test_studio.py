@@ -1,0 +1,256 @@
+"""The studio as real processes, with servos behind a pseudo-terminal: every way of a stop."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+pytestmark = pytest.mark.realtime
+
+ROBOT = """\
+robot: arm
+buses: {main: {port: ./port, baud_bps: 115200, firmware: 370}}
+joints:
+  a: {id: 1, model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 180, accel_max_deg_s2: 600}
+"""
+SHOW = """\
+sequence: swing
+robot: arm.yaml
+loop: forever
+keyframes:
+  - {at_s: 0, deg: {a: 0}}
+  - {at_s: 1, deg: {a: 30}}
+  - {at_s: 2, deg: {a: 0}}
+"""
+WAIT_S = 30.0
+HOLD = b"#254H\r"
+
+
+def until(is_met):
+    """Wait until a condition holds; the time only bounds a failure."""
+    end_s = time.monotonic() + WAIT_S
+    while not (found := is_met()):
+        assert time.monotonic() < end_s
+        time.sleep(0.02)
+    return found
+
+
+def state_of(pid):
+    """Return the state of a process by /proc; Z for one that is gone."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
+        return "Z"
+
+
+def children(pid):
+    """Return the processes that a process has started, by the module that they run."""
+    found = {}
+    for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
+        with contextlib.suppress(OSError):
+            words = Path(f"/proc/{one}/cmdline").read_bytes().decode().split("\0")
+            found[words[words.index("-m") + 1].rpartition(".")[2]] = int(one)
+    return found
+
+
+class Browser:
+    """A client with a websocket; `events` are all that it got."""
+
+    def __init__(self, studio):
+        self.context = connect(
+            studio["addresses"][0].replace("http", "ws") + "/ws",
+            additional_headers={"Authorization": f"Bearer {studio['token']}"},
+            compression=None,
+        )
+        self.link = self.context.__enter__()
+        self.events, self.frames, self.next_id = [], 0, 1
+
+    def send(self, op, **fields):
+        self.next_id += 1
+        self.link.send(json.dumps({"op": op, "id": self.next_id, **fields}))
+        return self.next_id
+
+    def read(self):
+        """Take what has arrived."""
+        with contextlib.suppress(TimeoutError):
+            while True:
+                message = self.link.recv(timeout=0)
+                if isinstance(message, bytes):
+                    self.frames += 1
+                else:
+                    self.events.append(json.loads(message))
+
+    def last(self, kind):
+        self.read()
+        return next((e for e in reversed(self.events) if e["event"] == kind), {})
+
+    def wait(self, kind, **fields):
+        """Wait for an event with these values; forget those before it."""
+
+        def found():
+            self.read()
+            for place, event in enumerate(self.events):
+                if event["event"] == kind and fields.items() <= event.items():
+                    del self.events[: place + 1]
+                    return event
+            return None
+
+        return until(found)
+
+    def play(self):
+        """Play from `idle` until the show moves; the robot is real, so it waits for `go`."""
+        self.send("play")
+        self.wait("player", state="ready")
+        self.send("go")
+        self.wait("player", state="playing")
+        self.frames = 0
+        until(lambda: (self.read(), self.frames > 3)[1])
+
+
+@pytest.fixture
+def studio(tmp_path):
+    """Return what starts a studio on the show in this folder; its processes end with the test."""
+    Path(tmp_path, "arm.yaml").write_text(ROBOT)
+    Path(tmp_path, "swing.yaml").write_text(SHOW)
+    running = []
+
+    def start(*options):
+        words = [sys.executable, "-m", "lss_motion.cli.start", "studio", "swing.yaml", *options]
+        server = subprocess.Popen(
+            [*words, "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        running.append(server)
+        text = ""
+        while not text.endswith("}\n"):
+            line = server.stdout.readline()
+            assert line, server.stderr.read()
+            text += line
+        return server, json.loads(text)
+
+    yield start
+    for server in running:
+        started = children(server.pid) if server.poll() is None else {}
+        server.send_signal(signal.SIGCONT)
+        server.kill()
+        server.communicate()
+        for pid in started.values():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+
+
+def post(studio, path):
+    """Send a stop to the process that only stops."""
+    request = urllib.request.Request(
+        studio["stop"] + path,
+        method="POST",
+        headers={"Authorization": f"Bearer {studio['token']}"},
+    )
+    with urllib.request.urlopen(request, timeout=WAIT_S) as answer:
+        return answer.status
+
+
+def test_a_stop_arrives_where_planner_and_server_stand_still(on_terminal, servo, studio):
+    with on_terminal(servo(1)) as bus:
+        server, info = studio()
+        one, other = Browser(info), Browser(info)
+        one.wait("document", is_planning=False)
+        # A wrong file stands at its line; the last good plan stays, and can be played.
+        Path("swing.yaml").write_text(SHOW.replace("at_s: 1", "at_z: 1"))
+        wrong = one.wait("document", is_planning=False)
+        assert [(e["path"], e["line"]) for e in wrong["errors"]] == [("swing.yaml", 6)]
+        assert wrong["plan"]
+        assert not wrong["is_current"]
+        one.play()
+        assert other.last("lease")["is_mine"] is False
+        planner, player = children(server.pid)["planner"], children(server.pid)["process"]
+        os.kill(planner, signal.SIGSTOP)
+        Path("swing.yaml").write_text(SHOW)
+        one.wait("document", is_planning=True)
+        # From a second client, while the planner stands still.
+        other.send("estop")
+        other.wait("player", state="ended", is_latched=True)
+        assert bus.lines[-1][1] == HOLD
+        one.send("play")
+        assert "rearm" in one.wait("refused")["text"]
+        one.send("rearm")
+        os.kill(planner, signal.SIGCONT)
+        one.wait("document", is_planning=False, is_current=True)
+        one.play()
+        # While the server stands still: by the process that only stops.
+        player = children(server.pid)["process"]
+        os.kill(server.pid, signal.SIGSTOP)
+        with pytest.raises(urllib.error.HTTPError, match="401"):
+            urllib.request.urlopen(info["stop"] + "/stop", data=b"")
+        assert state_of(player) != "Z"
+        assert post(info, "/stop") == 204
+        until(lambda: state_of(player) == "Z")
+        assert bus.lines[-1][1] == HOLD
+        assert any(b"EM1" in line for _, line in bus.lines[-10:]), "settings are given back"
+        os.kill(server.pid, signal.SIGCONT)
+        assert one.wait("player", state="ended", is_latched=True)["text"] == "stopped"
+        server.send_signal(signal.SIGINT)
+        _, errors = server.communicate(timeout=WAIT_S)
+        assert (server.returncode, errors) == (0, "")
+
+
+def test_a_server_that_is_silent_or_killed_is_a_lost_operator(on_terminal, servo, studio):
+    with on_terminal(servo(1)) as bus:
+        server, info = studio("--on-operator-lost", "hold")
+        one = Browser(info)
+        one.wait("document", is_planning=False)
+        one.play()
+        floods = Browser(info)
+        with contextlib.suppress(ConnectionClosed, TimeoutError):
+            for _ in range(20):
+                floods.link.send("x" * 5000)
+            floods.link.send("x" * 20000)
+            until(lambda: (floods.read(), False)[1])
+        assert one.last("links"), "the others are served"
+        os.kill(server.pid, signal.SIGSTOP)
+        until(lambda: _rests(bus))
+        os.kill(server.pid, signal.SIGCONT)
+        one.wait("player", state="paused")
+        one.send("resume")
+        one.wait("player", state="playing")
+        pids = children(server.pid)
+        server.kill()
+        until(lambda: all(state_of(pid) == "Z" for pid in pids.values()))
+        assert bus.lines[-1][1] == HOLD
+        assert any(b"EM1" in line for _, line in bus.lines[-10:])
+
+
+def _rests(bus):
+    """Whether no move was received for a second of real time."""
+    count = sum(line.startswith(b"#1D") for _, line in bus.lines)
+    time.sleep(1.0)
+    return sum(line.startswith(b"#1D") for _, line in bus.lines) == count
+
+
+def test_a_robot_that_is_not_there_is_said(studio, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    server, info = studio()
+    browsers = [Browser(info) for _ in range(10)]
+    one = browsers[0]
+    one.wait("document", is_planning=False)
+    one.send("play")
+    assert "port" in one.wait("player", state="ended")["text"]
+    one.send("connect")
+    until(lambda: "port" in one.last("robot")["text"])
+    for browser in browsers[1:]:
+        browser.wait("player", state="ended")
+        browser.context.__exit__(None, None, None)
+    server.send_signal(signal.SIGTERM)
+    server.communicate(timeout=WAIT_S)
+    assert server.returncode == 0
