@@ -7,6 +7,7 @@ run a command. A command imports no other command.
 Commands, called by `main`:
 
 ==============  =================================================================================
+beats           `beats`: tempo and beats of music, as a proposal
 calibrate       `calibrate`: find zero and direction of each joint by hand
 completion      `completion`: the script that lets a shell complete commands and options
 configure       `configure`: compare, write, back up and restore the settings of servos

@@ -34,6 +34,7 @@ GROUPS: Final[Mapping[str, tuple[str, ...]]] = {
     "jog": ("jog",),
     "calibrate": ("calibrate",),
     "exchange": ("import", "export"),
+    "beats": ("beats",),
     "identify": ("identify",),
     "walk": ("walk",),
     "reference": ("reference",),

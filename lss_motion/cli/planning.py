@@ -195,7 +195,7 @@ def _plan(arguments: argparse.Namespace) -> int:
         from lss_motion.trajectory.plot import plot
 
         horn = None if arguments.truth is None else read_table(arguments.truth, trajectory.joints)
-        plot(trajectory, robot, arguments.plot, horn=horn)
+        plot(trajectory, robot, arguments.plot, horn=horn, beats_s=sequence.beats_s)
     print("\n".join(plan_lines(trajectory, robot, is_whole=arguments.all)))
     return EXIT_FINISHED
 

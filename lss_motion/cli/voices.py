@@ -66,7 +66,7 @@ def add_sound_options(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--channel",
-        type=_channel,
+        type=channel_of,
         metavar="C",
         help="only this channel: left, right, or a number from 1 on, as for the voice of one of "
         "several figures (default: the mean of all)",
@@ -258,7 +258,8 @@ def _shortfall_lines(found: Shortfall, voiced: Voiced) -> list[str]:
     ]
 
 
-def _channel(text: str) -> Channel:
+def channel_of(text: str) -> Channel:
+    """Return the channel of a sound that an argument names."""
     if text in ("left", "right", "mix"):
         return text  # type: ignore[return-value]  # mypy does not narrow a str to literals
     if text.isascii() and text.isdigit() and 1 <= int(text) <= CHANNELS_MAX:

@@ -9,8 +9,10 @@ installs it.
 | `files.py`        | WAV, FLAC, OGG, MP3 as samples, exact to the frame   | all                  |
 | `sources.py`      | a file at the rate of a device, read ahead           | `mixer`, `process`   |
 | `mixer.py`        | what a device plays, block by block, with the show   | `device`, `process`  |
-| `spectra.py`      | short-time spectra of a file, piece by piece         | `envelope`           |
+| `spectra.py`      | short-time spectra of a file, piece by piece         | `envelope`, `beats`  |
 | `envelope.py`     | loudness over time; syllables, swells, sides         | `interchange`        |
+| `beats.py`        | tempo and beats, as a proposal                       | `cli`                |
+| `waveform.py`     | a sound as it is drawn                               | `trajectory`, `cli`  |
 | `device_clock.py` | when the frames of a device sound                    | `device`             |
 | `device.py`       | the devices of this computer, one open stream        | `process`, `cli`     |
 | `process.py`      | the process that plays the sounds of a show          | started by `runtime` |

@@ -5,10 +5,12 @@ Above them stands what happens in the show: keyframes, holds, anchors and events
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from lss_motion.errors import InputError
 from lss_motion.picture import (
     Instant,
     Timeline,
@@ -17,14 +19,17 @@ from lss_motion.picture import (
     save,
     with_room,
 )
+from lss_motion.sound.spectra import Part
+from lss_motion.sound.waveform import BEAT, LEVEL, draw_beats, draw_waveform, waveform
 from lss_motion.trajectory.cues import all_cues, all_marks
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from lss_motion.robot.model import Joint, Robot
+    from lss_motion.sequence.model import Cue
     from lss_motion.trajectory.model import Trajectory
 
     FloatArray = NDArray[np.float64]
@@ -45,6 +50,9 @@ ROW_HEIGHT_MIN_IN: Final = 0.95
 WIDTH_IN: Final = 16.0
 WIDE_IN: Final = 26.0
 TIMELINE_ROW_IN: Final = 0.3
+SOUND_ROW_IN: Final = 0.8
+SOUNDS_MAX: Final = 30
+"""Sounds that are drawn; each file is read for it. Chosen."""
 ANGLE_SHARE: Final = 0.9
 """Of the width of a column, what the labels of its axes leave."""
 ANNOTATED_MIN_S: Final = 0.01
@@ -66,11 +74,12 @@ def plot(
     path: Path,
     *,
     horn: tuple[FloatArray, FloatArray] | None = None,
+    beats_s: Sequence[float] = (),
 ) -> None:
     """Draw the trajectory into `path`; the suffix chooses the kind of picture.
 
     `horn` adds measured horn angles: times in s, and degrees, (n, joints), in the order of
-    `trajectory.joints`.
+    `trajectory.joints`. `beats_s` are those of one pass, drawn over the sounds of the show.
     Raises `InputError` for a suffix that cannot be drawn or a file that cannot be written.
     """
     count = len(trajectory.joints)
@@ -80,18 +89,23 @@ def plot(
     top_in = TIMELINE_ROW_IN * timeline.rows + 0.2
     width_in, share = (WIDE_IN, 2.4) if end_s > LONG_S else (WIDTH_IN, 1.6)
     angle_in = ANGLE_SHARE * width_in * share / (share + 2.0)
-    figure = new_figure(path, width_in, 1.2 + top_in + row_in * max(count, 2))
+    sounds = [cue for cue in all_cues(trajectory, end_s) if cue.sound]
+    sound_in = [SOUND_ROW_IN] * bool(sounds or beats_s)
+    figure = new_figure(path, width_in, 1.2 + top_in + sum(sound_in) + row_in * max(count, 2))
     axes = figure.subplots(
-        count + 1,
+        count + 1 + len(sound_in),
         3,
         sharex=True,
         squeeze=False,
-        height_ratios=[top_in, *([row_in] * count)],
+        height_ratios=[top_in, *sound_in, *([row_in] * count)],
         width_ratios=[share, 1.0, 1.0],
     )
     axes[0][0].set_xlim(-0.01 * end_s, 1.01 * end_s)
-    for axis in axes[0]:
+    for axis in axes[: 1 + len(sound_in)].flat:
         axis.axis("off")
+    if sound_in:
+        _sounds(axes[1][0], sounds, all_beats(trajectory, beats_s, end_s), end_s)
+        axes = np.delete(axes, 1, axis=0)
     if timeline.rows:
         axes[0][0].axis("on")
         timeline.draw(axes[0][0], angle_in)
@@ -100,26 +114,36 @@ def plot(
         values = [curve[:, row] for curve in curves]
         own_horn = None if horn is None else (horn[0], horn[1][:, row])
         _row(axes[row + 1], robot.joints[name], times_s, values, own_horn)
-        _asked(axes[row + 1][0], trajectory, name)
+        _asked(axes[row + 1][0], trajectory, row)
         for axis in axes[row + 1]:
             timeline.draw_lines(axis)
             _spans(axis, trajectory, end_s)
         _notes(axes[row + 1][0], trajectory, name, (end_s / angle_in, end_s))
-    for axis, title in zip(
-        axes[1], ("angle, deg", "speed, deg/s", "acceleration, deg/s²"), strict=True
-    ):
-        axis.set_title(title, fontsize=10, loc="left")
-    for axis in axes[-1]:
-        axis.set_xlabel("s", fontsize=8)
+    _titles(axes)
     figure.suptitle(_headline(trajectory), fontsize=11, x=0.01, ha="left")
     figure.legend(
-        handles=_legend(trajectory, timeline, has_horn=horn is not None),
+        handles=_legend(
+            trajectory,
+            timeline,
+            has_horn=horn is not None,
+            has_sound=bool(sounds),
+            has_beats=bool(beats_s),
+        ),
         loc="upper right",
         ncols=9,
         fontsize=8,
         frameon=False,
     )
     save(figure, path)
+
+
+def _titles(axes: Any) -> None:  # noqa: ANN401  matplotlib is untyped here
+    """Write the titles of the columns of joints, and the unit of time below them."""
+    titles = ("angle, deg", "speed, deg/s", "acceleration, deg/s²")
+    for axis, title in zip(axes[1], titles, strict=True):
+        axis.set_title(title, fontsize=10, loc="left")
+    for axis in axes[-1]:
+        axis.set_xlabel("s", fontsize=8)
 
 
 def timeline_of(trajectory: Trajectory, end_s: float) -> Timeline:
@@ -172,12 +196,60 @@ def _row(
     axes[0].set_ylabel(joint.name, fontsize=9, fontweight="bold")
 
 
-def _asked(axis: Any, trajectory: Trajectory, joint: str) -> None:  # noqa: ANN401  as above
-    """Draw what the author asks for where the joint gives up angle."""
+def _asked(axis: Any, trajectory: Trajectory, row: int) -> None:  # noqa: ANN401  as above
+    """Draw what the author asks for where the joint gives up angle, and shade what it gives up."""
     for span in trajectory.asked:
-        if span.joint == joint:
+        if span.joint == trajectory.joints[row]:
             times_s = np.linspace(span.from_s, span.to_s, len(span.deg))
             axis.plot(times_s, span.deg, color=ASKED, linewidth=0.9, linestyle=(0, (3, 1.5)))
+            given_deg = trajectory.sample(times_s)[:, row]
+            axis.fill_between(times_s, span.deg, given_deg, color=ASKED, alpha=0.2, linewidth=0)
+
+
+def all_beats(trajectory: Trajectory, beats_s: Sequence[float], end_s: float) -> FloatArray:
+    """Return the beats of every pass until `end_s`."""
+    own_s = np.asarray(beats_s, dtype=np.float64)
+    found, start_s, index = [np.zeros(0)], 0.0, 0
+    while len(own_s) and start_s < end_s and (trajectory.loop is None or index < trajectory.loop):
+        length_s = trajectory.pass_start_s(index + 1) - start_s
+        found.append(start_s + own_s[own_s <= max(length_s, 0.0)])
+        if length_s <= 0.0:
+            break
+        index, start_s = index + 1, start_s + length_s
+    return np.concatenate(found)
+
+
+def _sounds(axis: Any, cues: Sequence[Cue], beats_s: FloatArray, end_s: float) -> None:  # noqa: ANN401
+    """Draw the sounds of the show with their loudness, and its beats over them."""
+    axis.axis("on")
+    problems = []
+    for cue in cues[:SOUNDS_MAX]:
+        lasts_s = min(cue.style.lasts_s or np.inf, end_s - cue.at_s)
+        if lasts_s <= 0.0:
+            continue
+        ratio = cue.style.speed_ratio
+        try:
+            wave = waveform(Part(path=Path(cue.sound), to_s=lasts_s * ratio))
+        except InputError as error:
+            problems.append(f"{Path(cue.sound).name} is not drawn: {error.reason}")
+            continue
+        draw_waveform(axis, wave, cue.at_s, ratio)
+    draw_beats(axis, beats_s, 0.0, end_s)
+    for number, text in enumerate(dict.fromkeys(problems)):
+        axis.text(
+            0.0,
+            0.8 - 0.2 * number,
+            text,
+            transform=axis.transAxes,
+            fontsize=7,
+            color=LIMIT,
+            parse_math=False,
+        )
+    axis.set_yticks([])
+    axis.set_ylabel("sound", fontsize=8)
+    axis.tick_params(axis="x", labelbottom=False, length=0)
+    for side in ("top", "right", "bottom", "left"):
+        axis.spines[side].set_visible(False)
 
 
 def _spans(axis: Any, trajectory: Trajectory, end_s: float) -> None:  # noqa: ANN401  as above
@@ -224,7 +296,14 @@ def _headline(trajectory: Trajectory) -> str:
     return f"{trajectory.name}: {length}{late}{given_up}"
 
 
-def _legend(trajectory: Trajectory, timeline: Timeline, *, has_horn: bool) -> list[Any]:
+def _legend(
+    trajectory: Trajectory,
+    timeline: Timeline,
+    *,
+    has_horn: bool,
+    has_sound: bool,
+    has_beats: bool,
+) -> list[Any]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -233,8 +312,13 @@ def _legend(trajectory: Trajectory, timeline: Timeline, *, has_horn: bool) -> li
         handles.append(Line2D([], [], color=HORN, label="horn"))
     if trajectory.asked:
         handles.append(Line2D([], [], color=ASKED, linestyle="--", label="asked"))
+        handles.append(Patch(color=ASKED, alpha=0.2, label="given up"))
     handles.append(Line2D([], [], color=LIMIT, linestyle="--", label="limit"))
     handles += timeline.handles()
+    if has_sound:
+        handles.append(Line2D([], [], color=LEVEL, label="loudness"))
+    if has_beats:
+        handles.append(Line2D([], [], color=BEAT, label="beat"))
     if trajectory.stretched:
         handles.append(Patch(color=LATE, alpha=0.3, label="stretched"))
     return handles
