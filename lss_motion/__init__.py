@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from lss_motion.live import Live, connect
     from lss_motion.program.model import Program
     from lss_motion.remote.handle import Handle, start
+    from lss_motion.remote.player_end import LossRule
     from lss_motion.robot.model import Robot
     from lss_motion.runtime.report import Report
     from lss_motion.sequence.model import Keyframe, Sequence
@@ -61,6 +62,7 @@ __all__ = [
     "Keyframe",
     "LineLoadError",
     "Live",
+    "LossRule",
     "LssMotionError",
     "PlanningError",
     "PlaybackError",
@@ -83,6 +85,7 @@ _HOME = {
     "Handle": "lss_motion.remote.handle",
     "Keyframe": "lss_motion.sequence.model",
     "Live": "lss_motion.live",
+    "LossRule": "lss_motion.remote.player_end",
     "Program": "lss_motion.program.model",
     "Report": "lss_motion.runtime.report",
     "Robot": "lss_motion.robot.model",

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.cli.commands import PORT_HELP, add_command, add_json, add_robot_options, print_json
 from lss_motion.cli.consent import ALLOW_HELP
 from lss_motion.cli.messages import put
+from lss_motion.cli.terminal import is_at_keyboard
 from lss_motion.errors import EXIT_FINISHED, InputError
 
 if TYPE_CHECKING:
     import argparse
 
     from lss_motion.cli.commands import Commands
+    from lss_motion.studio.access import RoleName
     from lss_motion.studio.studio import Studio
 
 DESCRIPTION: Final = """\
@@ -108,21 +110,55 @@ def _tell(studio: Studio, *, is_json: bool) -> None:
                 "token": studio.door.token,
                 "stop": studio.stop_addresses[0].origin,
                 "addresses": [address.origin for address in studio.addresses],
+                "stops": [address.origin for address in studio.stop_addresses],
             }
         )
         sys.stdout.flush()
         return
     put(f"studio: {studio.url}")
-    for address in studio.addresses[1:]:
-        put(f"studio: {address.origin}/  (pair with a code that the page shows)")
     if studio.is_network_readable:
         put(
             "warning: without TLS others on this network can read along and take over; give "
             "--tls-certificate and --tls-key",
             sys.stderr,
         )
+    for address in studio.addresses[1:]:
+        put(f"studio: {address.origin}/")
+    if len(studio.addresses) > 1:
+        _print_code(studio, "operate")
+        _make_codes_on_enter(studio)
     put("Ctrl-C stops the show and ends")
     sys.stdout.flush()
+
+
+def _print_code(studio: Studio, role: RoleName) -> None:
+    code = studio.make_code(role)
+    put(f"studio: code {code[:3]} {code[3:]} gives one device the role {role}, for two minutes")
+
+
+def _make_codes_on_enter(studio: Studio) -> None:
+    """Let a person at the terminal make more codes: Enter, or the name of a role."""
+    import asyncio
+
+    from lss_motion.studio.access import ROLE_NAMES
+
+    if not is_at_keyboard():
+        return
+    put("studio: Enter makes another code; so do the words view, operate and edit")
+
+    def read() -> None:
+        line = sys.stdin.readline()
+        if not line:
+            asyncio.get_running_loop().remove_reader(sys.stdin)
+            return
+        word = line.strip().lower() or "operate"
+        for role in ROLE_NAMES:
+            if role == word:
+                _print_code(studio, role)
+                return
+        put(f"{word!r} is no role: {', '.join(ROLE_NAMES)}")
+
+    asyncio.get_running_loop().add_reader(sys.stdin, read)
 
 
 def _text(path: Path | None) -> str | None:

@@ -43,6 +43,8 @@ STOP_S: Final = 30.0
 GONE: Final = (
     "the process that plays has ended without a report; the servos come to rest by themselves"
 )
+BEATS: Final = 4
+"""So often within the time of the rule the player is told that this process is alive."""
 KEPT_EVENTS: Final = 10_000
 """Events that `events` has not returned yet; older ones are dropped."""
 
@@ -129,6 +131,9 @@ class Handle:
         # A handle that is forgotten goes on playing; the end of this process ends the show.
         self._listener = threading.Thread(target=self._listen, name="lss-handle", daemon=True)
         self._listener.start()
+        if job.rule.silent_s is not None:
+            every_s = job.rule.silent_s / BEATS
+            threading.Thread(target=self._beat, args=(every_s,), daemon=True).start()
 
     # ---- operations
 
@@ -271,6 +276,11 @@ class Handle:
         show_s = "" if self.show_s is None else f", {self.show_s:.1f} s"
         state = self.phase if self.is_playing else "ended"
         return f"<show{name}: {state}{show_s}>"
+
+    def _beat(self, every_s: float) -> None:
+        """Tell the player that this process is alive, until the show has ended."""
+        while not self._ended.wait(every_s):
+            self._send(m.Beat)
 
     def _listen(self) -> None:
         """Take what the player sends until it ends."""

@@ -56,7 +56,7 @@ class Document:
     def load(self, name: str) -> None:
         """Open another file of the folder; raises `InputError` for one that is not there."""
         path = self.inside(name)
-        if path.suffix.lower() not in (".yaml", ".yml") or not path.is_file():
+        if path.suffix.lower() not in (".yaml", ".yml") or _stamp(path) is None or path.is_dir():
             raise InputError("is no show, gait or robot (.yaml) in this folder", path=name)
         self._request = Request(
             number=0,
@@ -86,10 +86,10 @@ class Document:
     def take(self, reply: Reply) -> None:
         """Take the reply to the newest request."""
         self._newest, self._is_planning = reply, False
-        self._stamps = {
-            **{path: stamp for path, stamp in self._stamps.items() if reply.problems},
-            **{path: self._stamps.get(path, _stamp(path)) for path in reply.files},
-        }
+        # What is wrong may be mended by another file: one that was included, or is not there yet.
+        older = {self.folder: _stamp(self.folder), **self._stamps} if reply.problems else {}
+        newer = {path: self._stamps.get(path, _stamp(path)) for path in reply.files}
+        self._stamps = {**older, **newer}
         self._is_current = not reply.problems
         if reply.robot and (self.good is None or reply.robot != self.good.robot):
             self.robot_revision += 1

@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Any
 from lss_motion import __version__
 from lss_motion.errors import InputError
 from lss_motion.remote import schema as m
-from lss_motion.studio.access import CODE_VALID_S, Denied, Door, Pairing, Role, new_token
+from lss_motion.studio.access import (
+    CODE_VALID_S,
+    ROLE_NAMES,
+    Denied,
+    Door,
+    Pairing,
+    Role,
+    new_token,
+)
 from lss_motion.studio.desk import Desk, DeskOptions
 from lss_motion.studio.document import Document
 from lss_motion.studio.hub import Hub
@@ -26,6 +34,7 @@ if TYPE_CHECKING:
 
     from starlette.requests import HTTPConnection
 
+    from lss_motion.studio.access import RoleName
     from lss_motion.studio.client import Client
     from lss_motion.studio.planner import Reply
 
@@ -134,9 +143,9 @@ class Studio:
         """Return which of the addresses a request named."""
         return next((i for i, one in enumerate(self.addresses) if one.name == host), 0)
 
-    def make_code(self, role: Role) -> str:
-        """Return a new pairing code."""
-        return self.pairing.open(role, self.now_s())
+    def make_code(self, role: RoleName) -> str:
+        """Return a new pairing code; the one before is void."""
+        return self.pairing.open(Role(ROLE_NAMES.index(role)), self.now_s())
 
     def tick(self) -> None:
         """Tell the clients that the server is alive."""
@@ -147,13 +156,13 @@ class Studio:
         self.planner.close()
         self.stops.close()
 
-    def _pair(self, role: m.RoleName) -> m.Pairing:
+    def _pair(self, role: RoleName) -> m.Pairing:
         urls = tuple(f"{one.origin}/" for one in self.addresses if one.host != LOOPBACK)
         if not urls:
             raise InputError(
                 "the studio listens at this computer only; start it with --listen ADDRESS"
             )
-        code = self.make_code(Role[role.upper()])
+        code = self.make_code(role)
         return m.Pairing(code=code, role=role, valid_s=CODE_VALID_S, urls=urls)
 
     def _planned(self, reply: Reply) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -34,7 +35,7 @@ import sys, time
 import lss_motion as lss
 robot = lss.load_robot("arm.yaml")
 program = lss.compile(lss.plan(lss.load_sequence("swing.yaml"), robot), robot)
-handle = lss.start(program, robot)
+handle = lss.start(program, robot, rule=lss.LossRule("stop", silent_s=1.0))
 for event in handle.events():
     if event.event == "phase" and event.phase == "playing":
         print(handle._process.pid, flush=True)
@@ -94,14 +95,20 @@ def test_an_exception_in_the_block_stops_the_show(on_terminal, servo, show):
         assert bus.lines[-1][1] == b"#254H\r"
 
 
-def test_a_killed_client_leaves_a_safe_robot(on_terminal, servo, show):
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_client_that_is_killed_or_stands_still_leaves_a_safe_robot(
+    on_terminal, servo, show, number
+):
     with on_terminal(servo(1)) as bus:
         client = subprocess.Popen([sys.executable, "-c", PLAYER], stdout=subprocess.PIPE)
         pid = int(client.stdout.readline())
+        time.sleep(1.5)  # While it plays, its beats keep the show going.
+        assert is_running(pid)
+        client.send_signal(number)
+        until(lambda: not is_running(pid))
         client.kill()
         client.wait()
         client.stdout.close()
-        until(lambda: not is_running(pid))
         assert bus.lines[-1][1] == b"#254H\r"
         assert any(b"EM1" in line for _, line in bus.lines[-10:]), "settings are given back"
 

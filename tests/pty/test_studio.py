@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import signal
+import ssl
 import subprocess
 import sys
 import time
@@ -34,6 +35,27 @@ keyframes:
   - {at_s: 1, deg: {a: 30}}
   - {at_s: 2, deg: {a: 0}}
 """
+CERTIFICATE = """\
+-----BEGIN CERTIFICATE-----
+MIIBlTCCATqgAwIBAgIUPw+u/Y5U3IX5tLwTzmLCgPvvgs8wCgYIKoZIzj0EAwIw
+FjEUMBIGA1UEAwwLc3R1ZGlvIHRlc3QwIBcNMjYxMTIzMTExNDUwWhgPMjEyNjEw
+MzAxMTE0NTBaMBYxFDASBgNVBAMMC3N0dWRpbyB0ZXN0MFkwEwYHKoZIzj0CAQYI
+KoZIzj0DAQcDQgAEBnWiXbegFUcatj4UkcG/iKTqm1aKaEaEqO85zUA1Z1jTZ1Lv
+I7HsUUB26T2vx2AOqVCehV+CUWGZuoz8rJcxuqNkMGIwHQYDVR0OBBYEFMvx278y
+kBenTANbW+nxx50GG2SDMB8GA1UdIwQYMBaAFMvx278ykBenTANbW+nxx50GG2SD
+MA8GA1UdEwEB/wQFMAMBAf8wDwYDVR0RBAgwBocEfwAAAjAKBggqhkjOPQQDAgNJ
+ADBGAiEA/R6dhyd2hde74bR9tPumahcokLdouAAtVICeIWvkbKECIQD4u8wOJMkn
+UFTRtljokqMuM/uth+Bqa5asNzbZ6BW8mg==
+-----END CERTIFICATE-----
+"""
+KEY = """\
+-----BEGIN PRIVATE KEY-----
+MIGHAgEAMBMGByqGSM49AgEGCCqGSM49AwEHBG0wawIBAQQg2r/i6Xg0cX6Tij1k
+//8KDbDDVM2+DvhFXLGb2f/4bHWhRANCAAQGdaJdt6AVRxq2PhSRwb+IpOqbVopo
+RoSo7znNQDVnWNNnUu8jsexRQHbpPa/HYA6pUJ6FX4JRYZm6jPyslzG6
+-----END PRIVATE KEY-----
+"""
+"""Of 127.0.0.2, for these tests alone; made by openssl for a hundred years."""
 WAIT_S = 30.0
 HOLD = b"#254H\r"
 
@@ -68,9 +90,10 @@ def children(pid):
 class Browser:
     """A client with a websocket; `events` are all that it got."""
 
-    def __init__(self, studio):
+    def __init__(self, studio, place=0, tls=None):
         self.context = connect(
-            studio["addresses"][0].replace("http", "ws") + "/ws",
+            studio["addresses"][place].replace("http", "ws") + "/ws",
+            ssl=tls,
             additional_headers={"Authorization": f"Bearer {studio['token']}"},
             compression=None,
         )
@@ -150,14 +173,14 @@ def studio(tmp_path):
                 os.kill(pid, signal.SIGKILL)
 
 
-def post(studio, path):
+def post(studio, path, origin=None, tls=None):
     """Send a stop to the process that only stops."""
     request = urllib.request.Request(
-        studio["stop"] + path,
+        (origin or studio["stop"]) + path,
         method="POST",
         headers={"Authorization": f"Bearer {studio['token']}"},
     )
-    with urllib.request.urlopen(request, timeout=WAIT_S) as answer:
+    with urllib.request.urlopen(request, timeout=WAIT_S, context=tls) as answer:
         return answer.status
 
 
@@ -240,9 +263,24 @@ def _rests(bus):
 
 def test_a_robot_that_is_not_there_is_said(studio, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    server, info = studio()
-    browsers = [Browser(info) for _ in range(10)]
+    Path("own.pem").write_text(CERTIFICATE)
+    Path("own.key").write_text(KEY)
+    server, info = studio(
+        *("--listen", "127.0.0.2", "--tls-certificate", "own.pem", "--tls-key", "own.key")
+    )
+    tls = ssl.create_default_context(cafile="own.pem")
+    # A client on the network, with TLS; its stop goes to an address that it can reach.
+    browsers = [Browser(info, place=1, tls=tls), *(Browser(info) for _ in range(9))]
     one = browsers[0]
+    welcome = one.wait("welcome")
+    assert welcome["stop_origin"] == info["stops"][1]
+    assert info["stops"][1].startswith("https://127.0.0.2:")
+    assert not welcome["is_network_readable"]
+    one.send("pair", role="view")
+    assert one.wait("pairing")["urls"] == [info["addresses"][1] + "/"]
+    assert post(info, "/stop", info["stops"][1], tls) == 204
+    one.wait("player", is_latched=True)
+    one.send("rearm")
     one.wait("document", is_planning=False)
     one.send("play")
     assert "port" in one.wait("player", state="ended")["text"]
