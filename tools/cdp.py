@@ -81,7 +81,9 @@ class Browser:
         )
         self._ids = count(1)
         self._pages: dict[str, Page] = {}
-        self._socket = connect(self._address(), max_size=None, compression=None)
+        self._stack = contextlib.ExitStack()
+        linked = connect(self._address(), max_size=None, compression=None)
+        self._socket = self._stack.enter_context(linked)
 
     def __enter__(self) -> Self:
         return self
@@ -94,10 +96,21 @@ class Browser:
         """The process of the browser itself; its parts are in the same process group."""
         return self._process.pid
 
+    @property
+    def cpu_s(self) -> float:
+        """CPU time of the browser and all its parts so far (Linux)."""
+        ticks = 0
+        for place in Path("/proc").glob("[0-9]*/stat"):
+            with contextlib.suppress(OSError):
+                fields = place.read_text().rpartition(")")[2].split()
+                if int(fields[2]) == self.pid:
+                    ticks += int(fields[11]) + int(fields[12])
+        return ticks / os.sysconf("SC_CLK_TCK")
+
     def close(self) -> None:
         """End the browser and all its parts."""
         with contextlib.suppress(Exception):
-            self._socket.close()
+            self._stack.close()
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
@@ -243,7 +256,10 @@ class Page:
             else:
                 last = value
             self._browser.pump(0.02)
-        raise CdpError(f"not true within {seconds:g} s: {script} ({last}); errors: {self.errors}")
+        text = self.run("document.body?.innerText")
+        raise CdpError(
+            f"not true within {seconds:g} s: {script} ({last}); errors: {self.errors}; page: {text}"
+        )
 
     def place(self, selector: str) -> tuple[float, float]:
         """Return the middle of an element."""

@@ -1,0 +1,176 @@
+"""A headless browser, one for each worker, and the studio as a process of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from contextlib import contextmanager
+from pathlib import Path
+
+import cdp
+import pytest
+
+from lss_motion.protocol.constants import Family
+from lss_motion.robot.model import ServoModel
+from lss_motion.sim.bus import SimBus
+from lss_motion.sim.physics import Physics, ServoSpec
+from lss_motion.sim.pty import serve_buses
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
+NO_WEBGL = """
+const own = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+  return kind.startsWith('webgl') ? null : own.call(this, kind, ...rest);
+};
+"""
+
+
+@pytest.fixture(scope="session")
+def browser():
+    if cdp.found_browser() is None:
+        text = "no browser for the tests of the pages; run: tools/browser"
+        if os.environ.get("CI") == "true":
+            pytest.fail(text)
+        pytest.skip(text)
+    with cdp.Browser() as found:
+        yield found
+
+
+class Studio:
+    """A running `lss-motion studio`."""
+
+    def __init__(self, file, *options):
+        start = "from lss_motion.cli.start import main; raise SystemExit(main())"
+        words = [sys.executable, "-c", start, "studio", str(file), "--no-browser", "--json"]
+        # What a user has: Python, and no Node.
+        self.process = subprocess.Popen(
+            [*words, *options],
+            stdout=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"PATH": str(Path(sys.executable).parent)},
+        )
+        text = ""
+        while not text.endswith("}\n"):
+            text += (line := self.process.stdout.readline())
+            assert line, "the studio has ended"
+        told = json.loads(text)
+        self.url, self.token, self.stop_origin = told["url"], told["token"], told["stop"]
+        self.origin = told["addresses"][0]
+
+    def part(self, module):
+        """Return the process of a part, by the module that it runs."""
+        for place in Path("/proc").glob("[0-9]*"):
+            try:
+                words = (place / "cmdline").read_bytes().split(b"\0")
+                parent = (place / "stat").read_text().rpartition(")")[2].split()[1]
+            except OSError:
+                continue
+            if int(parent) == self.process.pid and module.encode() in words:
+                return int(place.name)
+        raise AssertionError(f"no process runs {module}")
+
+    def close(self):
+        """End it as Ctrl-C does; its parts end with it."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGCONT)
+            self.process.send_signal(signal.SIGINT)
+        self.process.wait(20.0)
+        self.process.stdout.close()
+
+
+@pytest.fixture
+def studio():
+    """Return a context: the studio runs for a file."""
+    return running
+
+
+@pytest.fixture
+def opened(browser):
+    """Return a context: the pages of a studio are open."""
+
+    def open_(studio, **options):
+        return opened_by(browser, studio, **options)
+
+    return open_
+
+
+@contextmanager
+def running(file, *options):
+    """Run the studio for a file."""
+    studio = Studio(file, *options)
+    try:
+        yield studio
+    finally:
+        studio.close()
+
+
+@contextmanager
+def opened_by(browser, studio, *, size=(1366, 768), has_webgl=False, token=True):
+    """Open the pages of a studio. Most tests do without WebGL, which is computed here."""
+    with browser.page(*size) as page:
+        if not has_webgl:
+            page.call("Page.addScriptToEvaluateOnNewDocument", source=NO_WEBGL)
+        page.go(studio.url if token else f"{studio.origin}/")
+        if token:
+            page.wait("document.querySelector('.joints tbody tr')")
+        yield page
+        assert page.errors == []
+
+
+@pytest.fixture(scope="module")
+def wave(tmp_path_factory):
+    """The studio with an example and a simulated robot, for tests that leave it as it was."""
+    with running(EXAMPLES / "wave.yaml") as studio:
+        yield studio
+
+
+ST1 = ServoModel(name="LSS-ST1", family=Family.LSS, speed_max_deg_s=360.0, wire_per_deg=10)
+ROBOT = """\
+robot: two
+buses:
+  main: {port: PORT, baud_bps: 115200, firmware: 370}
+joints:
+  pan: {id: 1, model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 120, accel_max_deg_s2: 500}
+  tilt: {id: 2, model: LSS-ST1, range_deg: [-45, 45], speed_max_deg_s: 120, accel_max_deg_s2: 500}
+"""
+SHOW = {
+    "sequence": "to and fro",
+    "robot": "two.yaml",
+    "keyframes": [
+        {"at_s": 2.0 * n, "label": f"part {n}", "deg": {"pan": 40 * (n % 2), "tilt": -20 * (n % 2)}}
+        for n in range(11)
+    ],
+}
+
+
+@pytest.fixture
+def two(tmp_path):
+    """A show of 20 s on two simulated servos behind a port; gives the bus, which records."""
+    bus = SimBus(
+        [ServoSpec(servo_id=number, model=ST1) for number in (1, 2)],
+        baud_bps=115200,
+        firmware=370,
+        physics=Physics(noise_deg=0.0),
+    )
+    bus.record()
+    port = tmp_path / "port"
+    (tmp_path / "two.yaml").write_text(ROBOT.replace("PORT", str(port)), encoding="utf-8")
+    (tmp_path / "show.yaml").write_text(json.dumps(SHOW), encoding="utf-8")
+    stop, ready = threading.Event(), threading.Event()
+    thread = threading.Thread(
+        target=serve_buses,
+        args=({"main": bus}, port),
+        kwargs={"announce": lambda _: ready.set(), "should_stop": stop.is_set},
+    )
+    thread.start()
+    try:
+        assert ready.wait(5.0)
+        yield tmp_path / "show.yaml", bus
+    finally:
+        stop.set()
+        thread.join(5.0)
+        assert not thread.is_alive()
