@@ -205,7 +205,7 @@ def import_sound(arguments: argparse.Namespace, robot: Robot) -> int:
     if arguments.keep == "angle":
         sequence = keeping(sequence, is_time=False)
     trajectory = plan(sequence, robot)
-    comments = voice_comments(voiced.sequence, part, style)
+    comments = voice_comments(voiced, part, style)
     if style.follow == "syllables":
         found = shortfall(voiced, lambda times_s: trajectory.sample(times_s)[:, 0])
         comments += _shortfall_lines(found, voiced)

@@ -68,6 +68,8 @@ PAUSE_S: Final = 0.05
 FULL_DEG: Final = 0.5
 FULL_RATIO: Final = 0.1
 """An opening that lacks less, in degrees and as a share of the largest, is full."""
+FADE_S: Final = 0.2
+"""Fade of a layer whose mouth is open from its first instant on. Chosen: a syllable."""
 TIME_DIGITS: Final = 3
 ANGLE_DIGITS: Final = 2
 """Of the keys: a millisecond, and a hundredth of a degree."""
@@ -145,16 +147,24 @@ def voice_sequence(part: Part, robot: Robot, joint_name: str, style: VoiceStyle)
     return Voiced(sequence=sequence, asked_deg=asked_deg)
 
 
-def voice_comments(sequence: Sequence, part: Part, style: VoiceStyle) -> list[str]:
-    """Return what the file is, for its head."""
+def voice_comments(voiced: Voiced, part: Part, style: VoiceStyle) -> list[str]:
+    """Return what the file is, and how it becomes a layer, for its head."""
+    sequence, closed_deg = voiced.sequence, round(float(voiced.asked_deg[0]), ANGLE_DIGITS)
     where = "" if part.channel == "mix" else f", channel {part.channel}"
     span = "" if not part.from_s else f", from {part.from_s:g} s on"
     what = counted(sequence.keyframes, "key")
     (joint,) = sequence.keeps_time
-    return [
-        f"The {style.follow} of {part.path.name}{where}{span} as {what} of {joint}.",
-        f"As a layer of a show: {{file: THIS_FILE, joints: [{joint}]}}",
-    ]
+    lines = [f"The {style.follow} of {part.path.name}{where}{span} as {what} of {joint}."]
+    if style.follow is not Follow.SYLLABLES:
+        lines.append(f"As a layer: {{file: THIS_FILE, joints: [{joint}], mode: add}}")
+    elif sequence.keyframes[0].deg[joint] == closed_deg:
+        lines.append(f"As a layer: {{file: THIS_FILE, joints: [{joint}]}}")
+    else:
+        lines.append(
+            f"It begins to speak at once: as a layer {{file: THIS_FILE, joints: [{joint}], "
+            f"fade_s: {FADE_S:g}}}."
+        )
+    return lines
 
 
 def _angles(joint: Joint, style: VoiceStyle) -> tuple[float, float]:
@@ -201,6 +211,11 @@ def _swells(
     speed_deg_s = style.speed_max_deg_s or SPEED_SHARE * joint.speed_max_deg_s
     per_s = speed_deg_s / (EASE_PEAK * abs(swing_deg))
     values = slowed(np.clip(ratio, 0.0, 1.0), step_s, per_s)
+    # A layer begins and ends where the show below it is: at rest.
+    rest = 0.5 if style.follow is Follow.STEREO else 0.0
+    places = np.arange(len(values))
+    away = per_s * step_s * np.minimum(places, places[::-1])
+    values = rest + np.clip(values - rest, -away, away)
     return swell_keys(values, step_s, SWELL_PROMINENCE)
 
 
