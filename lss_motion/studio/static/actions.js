@@ -68,7 +68,7 @@ export class Actions {
   /** Play, pause or resume; never GO. */
   toggle() {
     const { player, rate } = this.store.state.value;
-    if (!this.isRunning) this.play(this.store.state.value.page === "timeline");
+    if (!this.isRunning) this.play(this.store.state.value.page !== "show");
     else if (rate.is_paused) this.link.ask("resume");
     else if (player.state === "playing" || player.state === "paused") this.link.ask("pause");
   }

@@ -2,7 +2,7 @@
 /** The Show page: made to run a show from a tablet. No way to change the file. */
 
 import { html, useEffect, useRef } from "../vendor/preact.js";
-import { withinView } from "../curves.js";
+import { angleAt, withinView } from "../curves.js";
 import { FigurePanel } from "../figure/panel.js";
 import { onFrame } from "../frames.js";
 import { drawAngles, Joints } from "../parts/joints.js";
@@ -85,7 +85,19 @@ function drawLive(page, store) {
       if (cue === "coming") item.scrollIntoView({ block: "nearest" });
     }
   }
-  if (frame !== null && state.started !== null) drawAngles(page, frame, state.started.joints);
+  if (frame !== null && !isOver && state.started !== null) drawAngles(page, frame, state.started.joints);
+  else drawAngles(page, plannedAt(view, at_s), view.joints.map((joint) => joint.name));
+}
+
+/** What the telemetry would be with nothing read. @param {import("../state.js").View} view
+ * @param {number} at_s @returns {import("../state.js").Telemetry} */
+function plannedAt(view, at_s) {
+  const planned_deg = Float32Array.from(view.joints, ({ name }) => {
+    const plan = view.curves[name]?.plan;
+    return plan === undefined ? NaN : angleAt(plan, at_s);
+  });
+  const read_deg = new Float32Array(planned_deg.length).fill(NaN);
+  return { plan: view.plan, show_s: at_s, rate: 1, planned_deg, predicted_deg: planned_deg, read_deg };
 }
 
 /** @param {Element} page @param {string} place @param {string} text */

@@ -27,7 +27,7 @@ function Box({ title, close, yes, run, children }) {
   const box = useRef(/** @type {HTMLDialogElement | null} */ (null));
   useEffect(() => {
     const before = document.activeElement;
-    box.current?.querySelector("button")?.focus();
+    box.current?.querySelector("button")?.focus({ preventScroll: true });
     return () => { if (before instanceof HTMLElement) before.focus(); };
   }, []);
   return html`<div class="veil"><dialog open ref=${box} aria-labelledby="dialog-title">

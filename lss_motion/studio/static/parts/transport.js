@@ -19,11 +19,11 @@ export function Transport({ state, actions }) {
   return html`<footer class="foot">
     <button type="button" class=${`go ${isReady ? "go-ready" : ""}`} data-go disabled=${isRunning && !isReady || !hasPlan}
       onClick=${() => actions.go()}>${isReady ? "GO" : isRunning ? "GO" : "START"}<span class="key-hint">Enter</span></button>
-    ${isRunning
+    ${isRunning || page === "show"
       ? html`<button type="button" class="big" disabled=${!canPause} onClick=${() => actions.toggle()}>
           ${rate.is_paused ? "▶ Resume" : "❚❚ Pause"}<span class="key-hint">Space</span></button>`
-      : html`<button type="button" class="big" disabled=${!hasPlan} onClick=${() => actions.play(page === "timeline")}>
-          ${page === "timeline" ? "▶ Play from cursor" : "▶ Play"}<span class="key-hint">Space</span></button>`}
+      : html`<button type="button" class="big" disabled=${!hasPlan} onClick=${() => actions.play(true)}>
+          ▶ Play from cursor<span class="key-hint">Space</span></button>`}
     <label class="rate">Rate
       <select value=${String(nearestRate(rate.ratio))} disabled=${!canPause}
         onChange=${(/** @type {Event} */ event) => actions.rate(Number(/** @type {HTMLSelectElement} */ (event.currentTarget).value))}>

@@ -16,7 +16,7 @@
  */
 /** @typedef {{ fixed: Row[], scrolled: Row[], fixed_px: number, scrolled_px: number }} Layout */
 
-export const NAMES_PX = 128;
+export const NAMES_PX = 150;
 export const RULER_PX = 26;
 const MARKS_PX = 20;
 const EVENTS_PX = 22;
