@@ -15,6 +15,7 @@ import pytest
 import lss_motion as lss
 from benches import sound_recorder
 from lss_motion.perform import Observer, perform
+from lss_motion.player.events import Phase
 from lss_motion.runtime.sound_choice import SoundChoice
 
 soundfile = pytest.importorskip(
@@ -82,12 +83,13 @@ class Steering:
 
 
 def clicks_of(recorder):
-    """Return the instants of the clicks in ns."""
+    """Return the instants of the clicks in ns; one between two frames of the device is in both."""
     at_ns, blocks = recorder.samples()
     found = []
     for block_ns, block in zip(at_ns, blocks, strict=True):
         found += [block_ns + frame * 1e9 / RATE_HZ for frame in np.flatnonzero(np.abs(block) > 0.3)]
-    return np.array(found)
+    found_ns = np.array(found)
+    return found_ns[np.diff(found_ns, prepend=-np.inf) > 1_000_000]
 
 
 def test_clicks_sound_at_their_show_time_before_and_after_a_pause_and_never_after_the_end(
@@ -113,6 +115,44 @@ def test_clicks_sound_at_their_show_time_before_and_after_a_pause_and_never_afte
     assert np.median(np.abs(off_s)) < 0.005
     is_over = at_ns > np.interp(2.45, knots_s, knots_ns)
     assert not np.abs(blocks[is_over]).any()
+
+
+class Seeking(Steering):
+    """Sends the show back from 1.35 s, and then forward from 1.1 s."""
+
+    def __init__(self, recorder):
+        super().__init__(recorder)
+        self.seeks, self.sought_ns = [(1.35, 0.45), (1.1, 1.65)], []
+
+    def act(self, player, now_ns):
+        self.is_done, self.paused_ns = True, 1  # No pause.
+        super().act(player, now_ns)
+        if self.seeks and player.phase is Phase.SHOW and self.knots[-1][1] > self.seeks[0][0]:
+            if self.sought_ns and now_ns < self.sought_ns[-1] + 300_000_000:
+                return  # It brakes.
+            player.seek(self.seeks.pop(0)[1], now_ns)
+            self.sought_ns.append(now_ns)
+
+
+def test_clicks_sound_at_their_show_time_where_a_show_is_sent_to(server, show):
+    robot = lss.load_robot(ROBOT)
+    program = lss.compile(lss.plan(lss.load_sequence(show), robot), robot)
+    with sound_recorder.Recorder() as recorder:
+        steering = Seeking(recorder)
+        result = perform(program, robot, observer=Observer(controls=steering), sound=SoundChoice())
+        heard_ns = clicks_of(recorder)
+    assert result.report.outcome == "finished"
+    assert len(steering.sought_ns) == 2
+    knots_ns, knots_s = (np.array(column) for column in zip(*steering.knots, strict=True))
+    heard_s = np.interp(heard_ns, knots_ns, knots_s)
+    back_ns, forward_ns = steering.sought_ns
+    is_back, is_forward = heard_ns > back_ns + 3e8, heard_ns > forward_ns + 3e8
+    clicks = np.round(heard_s / CLICK_S).astype(int)
+    assert clicks[is_back & ~is_forward].tolist() == [3, 4], "but what is in the ramp of the rate"
+    assert clicks[is_forward].tolist() == [8, 9]
+    off_s = heard_s - clicks * CLICK_S
+    if not recorder.xruns:  # A device that skips is late by its period, whatever is played.
+        assert np.abs(off_s).max() < 0.005
 
 
 def test_nothing_sounds_after_the_player_was_killed(server, show):

@@ -1,15 +1,16 @@
 """When sounds of a show sound: recorded from a device without hardware, and simulated for an hour.
 
 A show has a sound of its own and others among its events, each a single click in its first frame.
-It is paused and slowed down on the way. The recording has the instant of every click by the clock
-of the sound server; the show clock says where the show was then.
+It is paused, slowed down and sent back on the way. The recording has the instant of every click by
+the clock of the sound server; the show clock says where the show was then. What falls into the
+change of rate after a pause or a seek is mute.
 """
 
 from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -33,6 +34,8 @@ SHOWS = 8
 """With 13 clicks each, these are a hundred starts."""
 TARGET_MS = 5.0
 LENGTH_S = 6.0
+SEEK_S = (5.2, 3.9)
+"""From where the show is sent back, and to where."""
 START_NS = 10_000_000_000
 HOUR_RATE_HZ = 8000
 WRAP = 1_000_000
@@ -44,6 +47,7 @@ class Steering:
     def __init__(self, recorder: Recorder, steps: Sequence[tuple[float, float, float]]) -> None:
         self.recorder, self.steps = recorder, list(steps)
         self.knots: list[tuple[int, float]] = []
+        self.sought_ns = 0
         self._back_ns = 0
         self._is_connected = False
 
@@ -62,6 +66,9 @@ class Steering:
             if now_ns > self._back_ns:
                 self._back_ns = 0
                 player.set_rate(1.0, now_ns)
+        elif not self.sought_ns and show_s > SEEK_S[0]:
+            self.sought_ns = now_ns
+            player.seek(SEEK_S[1], now_ns)
         elif self.steps and show_s > self.steps[0][0]:
             _, rate, for_s = self.steps.pop(0)
             self._back_ns = now_ns + round(for_s * 1e9)
@@ -69,16 +76,25 @@ class Steering:
 
 
 def clicks_ns(recorder: Recorder) -> NDArray[np.float64]:
-    """Return the instants of the clicks."""
+    """Return the instants of the clicks; one between two frames of the device is in both."""
     at_ns, blocks = recorder.samples()
     blocks, at_ns = blocks[: len(at_ns)], at_ns[: len(blocks)]
     rows, frames = np.nonzero(np.abs(blocks) > 0.3)
     found: NDArray[np.float64] = at_ns[rows] + frames * 1e9 / RATE_HZ
-    return found
+    return found[np.diff(found, prepend=-np.inf) > 1e6]
 
 
-def played(folder: Path, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
-    """Play a show; return how late each click was in s, its show time, and dropouts."""
+class Heard(NamedTuple):
+    """The clicks of a show: how late in s, at which show time, which after the seek; dropouts."""
+
+    late_s: NDArray[np.float64]
+    show_s: NDArray[np.float64]
+    is_after_seek: NDArray[np.bool_]
+    dropouts: int
+
+
+def played(folder: Path, seed: int) -> Heard:
+    """Play a show and return what was recorded of it."""
     rng = np.random.default_rng(seed)
     starts_s = [0.0] + [round(0.45 * n + rng.uniform(0.0, 0.4), 3) for n in range(1, 13)]
     events = "".join(f"  - {{at_s: {at_s}, sound: click.wav}}\n" for at_s in starts_s[1:])
@@ -98,7 +114,9 @@ def played(folder: Path, seed: int) -> tuple[NDArray[np.float64], NDArray[np.flo
     knots_ns, knots_s = np.array(steering.knots).T
     heard_s = np.interp(heard_ns, knots_ns, knots_s)
     nearest = np.abs(heard_s[:, None] - np.array(starts_s)).argmin(axis=1)
-    return heard_s - np.array(starts_s)[nearest], heard_s, xruns
+    assert steering.sought_ns
+    late_s = heard_s - np.array(starts_s)[nearest]
+    return Heard(late_s, heard_s, heard_ns > steering.sought_ns, xruns)
 
 
 class _Endless:
@@ -165,26 +183,25 @@ def measure(shows: int = SHOWS) -> list[Row]:
         return [*rows, Row(what=f"starts: {reason}", ours="-")]
     import soundfile
 
-    late_s, heard_s, xruns = [], [], 0
     with tempfile.TemporaryDirectory() as name, sound_server():
         click = np.zeros(RATE_HZ // 10, dtype=np.float32)
         click[0] = 0.9
         soundfile.write(Path(name) / "click.wav", click, RATE_HZ, subtype="FLOAT")
-        for seed in range(shows):
-            off_s, at_s, skipped = played(Path(name), seed)
-            late_s.append(off_s)
-            heard_s.append(at_s)
-            xruns += skipped
-    late_ms, at = 1000.0 * np.abs(np.concatenate(late_s)), np.concatenate(heard_s)
+        heard = [played(Path(name), seed) for seed in range(shows)]
+    xruns = sum(show.dropouts for show in heard)
+    late_ms = 1000.0 * np.abs(np.concatenate([show.late_s for show in heard]))
+    at = np.concatenate([show.show_s for show in heard])
+    is_after_seek = np.concatenate([show.is_after_seek for show in heard])
     for what, which in (
         ("starts of sounds", at > -1.0),
         ("the first sample of a show", at < 0.1),
-        ("after a pause and a rate of 0.8", at > 2.3),
+        ("after a pause and a rate of 0.8", (at > 2.3) & ~is_after_seek),
+        ("after the show was sent back", is_after_seek),
     ):
         p50, p99 = np.percentile(late_ms[which], (50, 99))
         rows.append(
             Row(
-                what=f"{what}, {which.sum()} in {len(late_s)} shows, {xruns} dropouts of the "
+                what=f"{what}, {which.sum()} in {len(heard)} shows, {xruns} dropouts of the "
                 f"device: p50, p99, max",
                 ours=f"{p50:.2f}, {p99:.2f}, {late_ms[which].max():.2f} ms",
                 reference=f"{TARGET_MS:g} ms",
