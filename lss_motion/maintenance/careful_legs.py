@@ -130,7 +130,7 @@ def way_of(joint: Joint, robot: Robot, standing_deg: float) -> float:
     0: its range has no room for a move that shows anything. Raises `InputError` for a joint that
     stands outside of its range.
     """
-    ends = sorted(map(joint.servo_deg, (joint.position_min_deg, joint.position_max_deg)))
+    ends = joint.servo_range_deg
     if not ends[0] - MARGIN_DEG <= standing_deg <= ends[1] + MARGIN_DEG:
         raise InputError(
             f"joint {joint.name!r} stands at {joint.joint_deg(standing_deg):.1f} deg, outside of "

@@ -22,7 +22,8 @@ calls with the same arguments give the same bytes, so a log can be replayed (`ru
     approach        program from where the robot stands to the start    session
     streamer        one program on the show clock                       session
     show_clock      show time as a function of the run clock            streamer, cues
-    rate_ramps      moves while the rate of the show is not 1           streamer
+    rate_ramps      moves computed at run time: rate not 1, guiding     streamer
+    setpoints       the filter of a servo in EM0, at any step instants  joint_state, rate_ramps
     joint_state     one joint: sent moves, model, readings; statistics  streamer, polling, report
     estimators      load, lag and lost moves of one joint               joint_state
     polling         queries in the gaps between moves, and their use    streamer

@@ -1,6 +1,7 @@
-"""The moves of the joints while the rate of the show is not 1.
+"""Moves that are computed at run time: while the rate of the show is not 1, or off the program.
 
-`ramp_s` limits how fast the rate may change; `spot_moves` computes the moves meanwhile.
+`ramp_s` limits how fast the rate may change; `spot_moves` computes the moves meanwhile. Streamed
+joints are guided (`guide`), also at rate 1 if they are off their program.
 """
 
 from __future__ import annotations
@@ -8,7 +9,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from lss_motion.player.setpoints import closing_deg
+from lss_motion.program.drives import longest_move
 from lss_motion.program.quantize import LATEST_ARRIVAL_S
+from lss_motion.program.streamed import FilterProfile
 from lss_motion.protocol.framing import encode_move
 from lss_motion.units import NS_PER_MS, ns_from_s, s_from_ns
 
@@ -61,9 +65,9 @@ def ramp_s(
 
 
 class RampPeriods(NamedTuple):
-    """How often joints get a target: those that are guided, and all others."""
+    """How often joints get a target: those that are guided, on each bus, and all others."""
 
-    guide_ns: int
+    guide_ns: Mapping[str, int]
     tick_ns: int
 
 
@@ -74,27 +78,22 @@ def ramp_periods(
     streamed = [state for state in joint_states if state.joint.drive == "streamed"]
     others = [state for state in joint_states if state.joint.drive != "streamed"]
     share = 0.5 if streamed and others else 1.0
-    return RampPeriods(
-        guide_ns=max(GUIDE_PERIOD_NS, round(_busiest_ns(streamed, lines) / share)),
-        tick_ns=max(RAMP_TICK_NS, round(_busiest_ns(others, lines) / share)),
-    )
-
-
-def _busiest_ns(joint_states: Collection[JointState], lines: Mapping[str, SerialLine]) -> float:
-    """Return the least period of one move for each joint on the busiest line."""
-    busiest_ns = max(
-        sum(
-            line.time_ns(len(encode_move(state.joint.servo_id, -18000, _duration_ms(state))))
-            for state in joint_states
-            if state.joint.bus == bus
-        )
+    guide_ns = {
+        bus: max(GUIDE_PERIOD_NS, round(_least_ns(streamed, line) / share))
         for bus, line in lines.items()
+    }
+    tick_ns = max(round(_least_ns(others, line) / share) for line in lines.values())
+    return RampPeriods(guide_ns=guide_ns, tick_ns=max(RAMP_TICK_NS, tick_ns))
+
+
+def _least_ns(joint_states: Collection[JointState], line: SerialLine) -> float:
+    """Return the least period of one move for each joint on the line."""
+    own_ns = sum(
+        line.time_ns(len(longest_move(state.joint)))
+        for state in joint_states
+        if state.joint.bus == line.bus.name
     )
-    return busiest_ns / RAMP_LINE_RATIO
-
-
-def _duration_ms(state: JointState) -> int | None:
-    return 1000 if state.joint.drive == "timed" else None
+    return own_ns / RAMP_LINE_RATIO
 
 
 def spot_moves(
@@ -110,7 +109,7 @@ def spot_moves(
 
     `ends_ns` is when the course comes to rest, if it does: moves from there on reach no further.
     The caller sends each move before it takes the next one, since it keeps the line busy. Streamed
-    joints are guided instead (`streamer.guide`).
+    joints are guided instead (`guide`).
     """
     for state in joint_states:
         if state.joint.drive == "streamed":
@@ -152,3 +151,62 @@ def _closing_deg(state: JointState, off_deg: float, period_ns: int) -> float:
     brake_deg_s2 = CLOSING_RATIO * state.limits.ramp_deg_s2
     most_deg = math.sqrt(2.0 * brake_deg_s2 * abs(off_deg)) * s_from_ns(period_ns)
     return math.copysign(min(abs(off_deg), most_deg), off_deg)
+
+
+ROUNDING_S: Final = 1e-4
+"""An interval this little longer than steps of a filter counts as one of these steps. Chosen: far
+below the jitter of a line."""
+ON_PROGRAM_RATIO: Final = 1.0
+"""A joint nearer to its plan than this share of the program's tolerance is on it again."""
+
+
+def guide(
+    state: JointState,
+    line: SerialLine,
+    planned_deg: Callable[[JointState, int], float],
+    now_ns: int,
+    period_ns: int,
+    *,
+    is_even: bool,
+) -> None:
+    """Send a guiding target that leads for `period_ns`, and set the instant of the next one.
+
+    Guiding ends when the joint rests where its plan does, or when, at a steady rate of 1
+    (`is_even`), it is so near to its plan that the program's move under way has the same effect.
+    """
+    profile, limits = state.profile, state.limits
+    assert isinstance(profile, FilterProfile), "only streamed joints are led"
+    here_wire = round(state.place(now_ns)[0] * limits.wire_per_deg)
+    size = len(encode_move(state.joint.servo_id, here_wire, None))
+    arrival_s = s_from_ns(line.arrival_ns(size, now_ns))
+    step = profile.acts_on(arrival_s)
+    steps = max(1, round(s_from_ns(period_ns) / profile.period_s))
+    from_s = profile.step_s(step) - 0.5 * profile.period_s
+    from_deg = _wanted_deg(state, planned_deg, from_s)
+    to_deg = _wanted_deg(state, planned_deg, from_s + steps * profile.period_s)
+    off_deg = from_deg - profile.value(step - 1)
+    is_near = abs(off_deg) <= ON_PROGRAM_RATIO * limits.tolerance_deg
+    if is_even and is_near and state.active is not None:
+        state.end_guiding()
+        state.send_active(line, 0.0, now_ns)
+        return
+    target_deg = to_deg
+    is_at_rest = from_deg == to_deg and abs(off_deg) <= 1.0 / limits.wire_per_deg
+    if not is_at_rest:
+        way_deg = to_deg - from_deg + closing_deg(off_deg, limits)
+        target_deg = profile.value(step - 1) + way_deg / (1.0 - profile.keep_ratio**steps)
+    state.send(line, target_deg - state.disturbance.offset_deg, 0.0, now_ns)
+    if not is_at_rest:
+        next_s = profile.receive_s(step + steps)
+        if next_s - arrival_s > steps * profile.period_s + ROUNDING_S:
+            next_s -= profile.period_s  # Else some filters would use this target a step longer.
+        state.guide_at(ns_from_s(next_s) - line.time_ns(size))
+
+
+def _wanted_deg(
+    state: JointState, planned_deg: Callable[[JointState, int], float], at_s: float
+) -> float:
+    """Return where the filter of a joint should be at `at_s`: ahead of the horn, corrected."""
+    at_ns = ns_from_s(at_s + state.lead_s + state.early_s)
+    wanted_deg = planned_deg(state, at_ns) + state.disturbance.offset_deg
+    return min(max(wanted_deg, state.limits.position_min_deg), state.limits.position_max_deg)

@@ -10,10 +10,12 @@ Timed joints: T is the time at travel speed, and the ramps of the servo come on 
 `rejoin`, `send_deferred` and `on_time_s` compute the T of a joint that is off its plan from its way
 and its speed, not from what is left of T.
 
-Streamed joints: `guide` leads a joint that is off its program along its path, one filter step at a
-time. It is off because targets were late or cut by its limits, or because the rate is not 1. Each
-target is computed at run time: as far as the plan goes in the next step, and a little further to
-close in on it. `Setpoints` cuts what exceeds the limits.
+Streamed joints: `rate_ramps.guide` leads a joint that is off its program along its path, one filter
+step at a time. It is off because targets were late or cut by its limits, or because the rate is not
+1. Each target is computed at run time: as far as the plan goes in the next step, and a little more
+to close in on it. `Setpoints` cuts what exceeds the limits. At rate 1 these targets leave when the
+moves of the program would: a change between two sets of instants makes some filters use a target
+twice, or not at all.
 """
 
 from __future__ import annotations
@@ -33,15 +35,12 @@ from lss_motion.player.joint_state import (
     REST_DEG_S,
     JointState,
     Statistics,
-    closing_deg,
     make_joint_states,
 )
 from lss_motion.player.polling import PollScheduler
 from lss_motion.player.query_choice import BY_NEED
-from lss_motion.player.rate_ramps import RAMP_TICK_NS, ramp_periods, ramp_s, spot_moves
+from lss_motion.player.rate_ramps import RAMP_TICK_NS, guide, ramp_periods, ramp_s, spot_moves
 from lss_motion.player.show_clock import ShowClock
-from lss_motion.program.streamed import FilterProfile
-from lss_motion.protocol.framing import encode_move
 from lss_motion.units import (
     NS_PER_MS,
     US_PER_S,
@@ -109,6 +108,12 @@ class DueMoves:
     def pop(self) -> Due:
         """Remove the move that `first` returned; return it."""
         return heapq.heappop(self._soon)
+
+    def next_us(self, servo: tuple[str, int], before_us: float) -> int | None:
+        """Return when the next move of `servo` leaves; None: not soon, or not `before_us`."""
+        self.first(before_us)
+        own = (due.at_us for due in self._soon if (due.move.bus, due.move.servo_id) == servo)
+        return min(own, default=None)
 
     def pass_by(self, until_us: float) -> list[tuple[int, Move]]:
         """Remove all moves that are due until then, in order of time, and return them."""
@@ -227,58 +232,6 @@ def on_time_s(
     return planned_s * way_deg / planned_way_deg
 
 
-ON_PROGRAM_RATIO: Final = 1.0
-"""A joint nearer to its plan than this share of the program's tolerance is on it again."""
-
-
-def guide(
-    state: JointState,
-    line: SerialLine,
-    planned_deg: Callable[[JointState, int], float],
-    now_ns: int,
-    period_ns: int,
-    *,
-    is_even: bool,
-) -> None:
-    """Send a guiding target, and set the instant of the next one: after `period_ns`, if possible.
-
-    Guiding ends when the joint rests where its plan does, or when, at a steady rate of 1
-    (`is_even`), it is so near to its plan that the program's move under way has the same effect.
-    """
-    profile, limits = state.profile, state.limits
-    assert isinstance(profile, FilterProfile), "only streamed joints are led"
-    here_wire = round(state.place(now_ns)[0] * limits.wire_per_deg)
-    size = len(encode_move(state.joint.servo_id, here_wire, None))
-    step = profile.acts_on(s_from_ns(line.arrival_ns(size, now_ns)))
-    steps = max(1, round(s_from_ns(period_ns) / profile.period_s))
-    from_s = profile.step_s(step) - 0.5 * profile.period_s
-    from_deg = _wanted_deg(state, planned_deg, from_s)
-    to_deg = _wanted_deg(state, planned_deg, from_s + steps * profile.period_s)
-    off_deg = from_deg - profile.value(step - 1)
-    is_near = abs(off_deg) <= ON_PROGRAM_RATIO * limits.tolerance_deg
-    if is_even and is_near and state.active is not None:
-        state.end_guiding()
-        state.send_active(line, 0.0, now_ns)
-        return
-    target_deg = to_deg
-    is_at_rest = from_deg == to_deg and abs(off_deg) <= 1.0 / limits.wire_per_deg
-    if not is_at_rest:
-        way_deg = to_deg - from_deg + closing_deg(off_deg, limits)
-        target_deg = profile.value(step - 1) + way_deg / (1.0 - profile.keep_ratio**steps)
-    state.send(line, target_deg - state.disturbance.offset_deg, 0.0, now_ns)
-    if not is_at_rest:
-        state.guide_at(ns_from_s(profile.receive_s(step + steps)) - line.time_ns(size))
-
-
-def _wanted_deg(
-    state: JointState, planned_deg: Callable[[JointState, int], float], at_s: float
-) -> float:
-    """Return where the filter of a joint should be at `at_s`: ahead of the horn, corrected."""
-    at_ns = ns_from_s(at_s + state.lead_s + state.early_s)
-    wanted_deg = planned_deg(state, at_ns) + state.disturbance.offset_deg
-    return min(max(wanted_deg, state.limits.position_min_deg), state.limits.position_max_deg)
-
-
 SETTLE_S: Final = 0.15
 """Time after the last horn should have arrived, for the servo's own settling."""
 DOUBT_S: Final = 3.0
@@ -317,9 +270,13 @@ class Streamer:
         first_s = s_from_us(min((m.due_us for m in program.moves), default=0))
         begin_s = min(0.0, first_s) if start_s is None else start_s
         origin_s = s_from_ns(start_ns) - begin_s
-        robot = with_room(robot, standing_deg)
         self.joint_states = make_joint_states(
-            program, robot, standing_deg, origin_s, has_feedback=has_feedback
+            program,
+            with_room(robot, standing_deg),
+            standing_deg,
+            origin_s,
+            has_feedback=has_feedback,
+            ranges_deg={name: robot.joints[name].servo_range_deg for name in standing_deg},
         )
         self._by_address = {(t.joint.bus, t.joint.servo_id): t for t in self.joint_states.values()}
         self._periods = ramp_periods(self.joint_states.values(), lines)
@@ -573,8 +530,43 @@ class Streamer:
         left_s = self._left_s(state, now_ns)
         if late_ns + wait_ns <= ON_TIME_NS:
             left_s = on_time_s(state, self._lines[move.bus], self._plan_s, now_ns)
-        if state.guide_ns is None:
+        if state.guide_ns is not None:
+            self._guide(state, now_ns)
+        else:
             state.send_active(self._lines[state.joint.bus], left_s, now_ns)
+            self._set_guiding(state, now_ns)
+
+    def _guide(self, state: JointState, now_ns: int) -> None:
+        """Send a guiding target now."""
+        line, period_ns = self._lines[state.joint.bus], self._guide_period_ns(state, now_ns)
+        guide(state, line, self._planned_deg, now_ns, period_ns, is_even=self._is_even)
+        self._set_guiding(state, now_ns)
+
+    def _set_guiding(self, state: JointState, now_ns: int) -> None:
+        """Guide a joint at the instants of its program, where that has any.
+
+        Each change between instants of the program and others makes some filters use one target
+        twice or not at all.
+        """
+        if state.guide_ns is not None and self._is_even:
+            state.guide_at(now_ns + self._guide_period_ns(state, now_ns))
+
+    def _guide_period_ns(self, state: JointState, now_ns: int) -> int:
+        """Return the time to the next guiding target: a part of that to the program's next move."""
+        period_ns = self._periods.guide_ns[state.joint.bus]
+        if not self._is_even:
+            return period_ns
+        servo = (state.joint.bus, state.joint.servo_id)
+        next_us = self._moves.next_us(servo, US_PER_S * self.waiting.next_s)
+        if next_us is None:
+            return period_ns
+        next_ns = self._instant_ns(s_from_us(next_us)) - now_ns
+        return next_ns // math.ceil(next_ns / period_ns) if next_ns > 0 else period_ns
+
+    @property
+    def _is_even(self) -> bool:
+        """Whether the program's own moves leave: at a steady rate of 1."""
+        return self._tick_ns is None and self.clock.target_rate == 1.0
 
     def _resend_lost(self, state: JointState, now_ns: int) -> None:
         """Send the rest of a move that its servo has lost; a ramp sends all anew anyway."""
@@ -603,18 +595,14 @@ class Streamer:
         ]
 
     def _resend_due(self, now_ns: int) -> None:
-        is_even = self._tick_ns is None and self.clock.target_rate == 1.0
         for state in self.joint_states.values():
             if state.resend_ns is None or state.resend_ns > now_ns:
                 continue
             self.statistics.sent(now_ns - state.resend_ns)
-            line = self._lines[state.joint.bus]
             if state.deferred is not None:
-                send_deferred(state, line, now_ns)
+                send_deferred(state, self._lines[state.joint.bus], now_ns)
             else:
-                guide(
-                    state, line, self._planned_deg, now_ns, self._periods.guide_ns, is_even=is_even
-                )
+                self._guide(state, now_ns)
 
     # ---- the rate ramps
 

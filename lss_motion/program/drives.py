@@ -109,11 +109,10 @@ def late_max_s(joint: Joint) -> float:
 def longest_move(joint: Joint) -> bytes:
     """Return the longest command that the joint can be sent."""
     duration_ms = DURATION_MAX_MS if joint.drive == "timed" else None
-    ends = (joint.servo_deg(joint.position_min_deg), joint.servo_deg(joint.position_max_deg))
     return max(
         (
             encode_move(joint.servo_id, round(e * joint.model.wire_per_deg), duration_ms)
-            for e in ends
+            for e in joint.servo_range_deg
         ),
         key=len,
     )

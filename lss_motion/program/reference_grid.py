@@ -112,12 +112,10 @@ class ServoLimits:
 
 def servo_limits(joint: Joint, tolerance_deg: float) -> ServoLimits:
     """Return the limits of a joint in servo degrees."""
-    ends = sorted(
-        (joint.servo_deg(joint.position_min_deg), joint.servo_deg(joint.position_max_deg))
-    )
+    least_deg, most_deg = joint.servo_range_deg
     return ServoLimits(
-        position_min_deg=ends[0],
-        position_max_deg=ends[1],
+        position_min_deg=least_deg,
+        position_max_deg=most_deg,
         speed_max_deg_s=joint.speed_max_deg_s,
         ramp_deg_s2=ramp_deg_s2(joint),
         wire_per_deg=joint.model.wire_per_deg,

@@ -194,7 +194,7 @@ def _check_range(
 ) -> None:
     """Check that the positions, (any, pieces), are within the range of the joint."""
     unit_deg = joint.unit_deg
-    ends_deg = sorted(map(joint.servo_deg, (joint.position_min_deg, joint.position_max_deg)))
+    ends_deg = joint.servo_range_deg
     outside = (extreme_deg < ends_deg[0] - unit_deg) | (extreme_deg > ends_deg[1] + unit_deg)
     worst_deg = extreme_deg[outside].flat[0] if outside.any() else 0.0
     _refuse(

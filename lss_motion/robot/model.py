@@ -204,6 +204,12 @@ class Joint:
         """Return the servo angle of a joint angle."""
         return self.zero_deg + self.direction * joint_deg
 
+    @property
+    def servo_range_deg(self) -> tuple[float, float]:
+        """Least and largest servo angle of the range."""
+        ends = (self.servo_deg(self.position_min_deg), self.servo_deg(self.position_max_deg))
+        return min(ends), max(ends)
+
     def joint_deg(self, servo_deg: float) -> float:
         """Return the joint angle of a servo angle."""
         return self.direction * (servo_deg - self.zero_deg)

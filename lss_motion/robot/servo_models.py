@@ -242,7 +242,7 @@ def board_problems(
 
 
 def _rc_range_problems(joint: Joint) -> Iterator[tuple[tuple[str, str, str], str]]:
-    ends = (joint.servo_deg(joint.position_min_deg), joint.servo_deg(joint.position_max_deg))
+    ends = joint.servo_range_deg
     pulse_us = joint.model.units.rc_pulse_us
     zero_deg, most_deg = rc_zero_deg(pulse_us), RC_RANGE_DEG * 10.0 / joint.model.wire_per_deg
     if max(map(abs, ends)) > most_deg:
@@ -258,6 +258,5 @@ def _rc_range_problems(joint: Joint) -> Iterator[tuple[tuple[str, str, str], str
 def _longest(joint: Joint) -> bytes:
     """Return the longest move of a timed or streamed joint, without its CR."""
     duration_ms = None if joint.drive == "streamed" else DURATION_DIGITS_MS
-    ends = (joint.servo_deg(joint.position_min_deg), joint.servo_deg(joint.position_max_deg))
-    wires = (round(end * joint.model.wire_per_deg) for end in ends)
+    wires = (round(end * joint.model.wire_per_deg) for end in joint.servo_range_deg)
     return max((encode_move(joint.servo_id, wire, duration_ms)[:-1] for wire in wires), key=len)

@@ -191,9 +191,7 @@ def make_window(joint: Joint, standing_deg: float, span_deg: float) -> Window:
             f"--span-deg {span_deg:g} is too little to measure anything; "
             f"at least {SPAN_LEAST_DEG:g}"
         )
-    ends = sorted(
-        (joint.servo_deg(joint.position_min_deg), joint.servo_deg(joint.position_max_deg))
-    )
+    ends = joint.servo_range_deg
     at_deg = joint.joint_deg(standing_deg)
     allowed = f"{joint.position_min_deg:g} to {joint.position_max_deg:g} deg"
     if not ends[0] <= standing_deg <= ends[1]:

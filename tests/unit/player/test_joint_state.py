@@ -20,16 +20,14 @@ from hypothesis import strategies as st
 
 from lss_motion.player.estimators import DEAD_S, POINTS_MAX, Trace
 from lss_motion.player.joint_state import (
-    CLOSING_RATIO,
     MISSED_NS,
     REST_DEG_S,
-    STEP_OFFSETS,
-    Setpoints,
     Statistics,
-    closing_deg,
 )
 from lss_motion.player.serial_line import SerialLine
+from lss_motion.player.setpoints import CLOSING_RATIO, STEP_OFFSETS, Setpoints, closing_deg
 from lss_motion.player.show_clock import ShowClock
+from lss_motion.program.quantize import nearest_wire
 from lss_motion.program.reference_grid import servo_limits
 from lss_motion.robot.model import Bus
 from lss_motion.robot.servo_models import SERVO_MODELS
@@ -597,3 +595,17 @@ def test_later_than_a_move_reaches_is_missed():
 
 def test_nothing_sent_is_all_zeros():
     assert set(Statistics().timing().values()) == {0}
+
+
+def test_a_joint_that_is_led_back_into_its_range_is_not_led_out_again(kit):
+    joint = kit.joint("j0", 2, drive="streamed")
+    least_deg, most_deg = joint.servo_range_deg
+    state = kit.state(replace(joint, position_max_deg=joint.position_max_deg + 40.0))
+    state.range_deg = (least_deg, most_deg)
+    sent_deg = []
+    for number, off_deg in enumerate((40.0, 30.0, 35.0, 10.0, 38.0, -5.0, 20.0)):
+        wire = nearest_wire(most_deg + off_deg, state.limits)
+        state.note_sent(STEP_NS * (1 + number), wire, None)
+        sent_deg.append(wire / joint.model.wire_per_deg - most_deg)
+    assert sent_deg == [40.0, 30.0, 30.0, 10.0, 10.0, -5.0, 0.0]
+    assert state.limits.position_min_deg == least_deg
