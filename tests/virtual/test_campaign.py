@@ -78,6 +78,10 @@ FOUND_MIXED = (
     575, 1554,  # A short restart that no query met: a few moves for a servo in full motion.
     1216, 1517, 1750,  # It took an unknown top speed for none, and an RC servo for one with O.
     355,  # What a step of the filter adds was counted as an acceleration.
+    3923, 11121,  # Guiding targets left at other instants than the program's: a filter starved.
+    6603,  # Garbled lines put a horn out of its range, and corrections led it out again.
+    11473,  # A host that stood still for 30 s was to notice what happened meanwhile.
+    13248,  # A servo that counts ten times the angle restarted: nothing but its SD bounded it.
 )  # fmt: skip
 """Seeds with all kinds of faults, for both judges."""
 

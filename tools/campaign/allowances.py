@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.sim.faults import FaultKind
+from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
     from lss_motion.robot.model import Joint
@@ -19,9 +20,9 @@ ACCEL_EXCESS: Final = 1.1
 LAGS: Final = 3.0
 """After so many of its lags a horn does what its servo has told it, to a twentieth."""
 RANGE_EXCESS_DEG: Final = 0.3
-LED_BACK_DEG: Final = 1.0
-"""A bare `D` leads a horn that something else has put outside of its range back in steps; a step is
-no further out than the furthest in before by more than what is corrected meanwhile."""
+STOOD_NS: Final = NS_PER_S
+"""A horn that something else has put outside of its range is led back from where it stood when it
+was asked. That was within the last second: an approach begins half a second after its readings."""
 RESTS_WITHIN_DEG: Final = 4.0
 """A finished show without a fault has its horns this near to its last pose: `following_deg` is 10
 while it moves, and at its end a joint must have arrived (3 deg), besides noise."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+from bisect import bisect_right
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
@@ -13,7 +14,6 @@ from campaign.allowances import (
     BODY_KINDS,
     GONE_KINDS,
     LAGS,
-    LED_BACK_DEG,
     LYING_KINDS,
     LYING_RATIO,
     MISSED_KINDS,
@@ -23,6 +23,7 @@ from campaign.allowances import (
     RESTS_WITHIN_DEG,
     SPEED_EXCESS,
     STEP_NS,
+    STOOD_NS,
     TELLING_S,
     UNNOTICED_RATIO,
     UNNOTICED_S,
@@ -163,7 +164,8 @@ class _Judge:
         self.witness = witness
         self.result = result
         self.kinds = {fault.kind for fault in faults}
-        self.targets = self._targets()
+        self.sent = self._sent()
+        self.targets = {name: [angle for _, angle in own] for name, own in self.sent.items()}
 
     def broken(self) -> list[str]:
         """Return every promise that was broken, in words."""
@@ -175,30 +177,33 @@ class _Judge:
             *(self._silences() if self.has_feedback else ()),
         ]
 
-    def _targets(self) -> dict[str, list[float]]:
-        """Return the joint angles that every joint was sent to, in order."""
+    def _sent(self) -> dict[str, list[tuple[int, float]]]:
+        """Return when every joint was sent to which joint angles, in order."""
         names = {(joint.bus, joint.servo_id): name for name, joint in self.robot.joints.items()}
-        targets: dict[str, list[float]] = {name: [] for name in self.robot.joints}
+        sent: dict[str, list[tuple[int, float]]] = {name: [] for name in self.robot.joints}
         for bus, data in self.witness.sent_data.items():
+            writes = self.witness.writes[bus]
+            ends = [*accumulate(len(written) for _, written in writes)]
             for match in MOVE.finditer(bytes(data)):
                 name = names[bus, int(match[1])]
                 joint = self.robot.joints[name]
-                targets[name].append(joint.joint_deg(int(match[2]) / joint.model.wire_per_deg))
-        return targets
+                angle = joint.joint_deg(int(match[2]) / joint.model.wire_per_deg)
+                sent[name].append((writes[bisect_right(ends, match.start())][0], angle))
+        return sent
 
     def _ranges(self) -> list[str]:
         broken = []
-        for name, angles in self.targets.items():
+        for name, sent in self.sent.items():
             joint = self.robot.joints[name]
             if self._has_other_angles(joint):
                 continue  # By what it reports it stands outside, and is led back.
-            last_deg = self._garbled_reach_deg(joint)
-            for angle in angles:
+            last_deg = 0.0
+            for sent_ns, angle in sent:
                 out_deg = _outside_deg(joint, angle)
-                if out_deg > max(joint.unit_deg, last_deg):
+                allowed_deg = max(joint.unit_deg, last_deg)
+                if out_deg > allowed_deg and out_deg > self._stood_out_deg(joint, sent_ns):
                     broken.append(f"{name} was sent to {angle:.1f} deg")
-                if out_deg > joint.unit_deg:
-                    last_deg = min(last_deg, out_deg + LED_BACK_DEG)
+                last_deg = out_deg
         return broken
 
     def _has_other_angles(self, joint: Joint) -> bool:
@@ -207,16 +212,17 @@ class _Judge:
             for fault in self.faults
         )
 
-    def _garbled_reach_deg(self, joint: Joint) -> float:
-        """Return how far outside of its range a horn was put by bytes that were not sent.
+    def _stood_out_deg(self, joint: Joint, sent_ns: int) -> float:
+        """Return how far outside of its range a horn just stood, put there by garbled bytes.
 
-        A bare `D` leads it back from there step by step (`LED_BACK_DEG`).
+        A joint without T is led back from there step by step, none further out than the last.
         """
         if joint.drive == "timed" or not self.kinds & WORD_KINDS:
             return 0.0
         horn_deg = self._horn_deg(joint.bus)[joint.name]
-        reach_deg = max(_outside_deg(joint, float(a)) for a in (horn_deg.min(), horn_deg.max()))
-        return reach_deg + RANGE_EXCESS_DEG if reach_deg > 0.0 else 0.0
+        stood_deg = horn_deg[max(0, sent_ns - STOOD_NS) // STEP_NS : sent_ns // STEP_NS + 1]
+        out_deg = max(_outside_deg(joint, float(angle)) for angle in stood_deg)
+        return out_deg + RANGE_EXCESS_DEG if out_deg > 0.0 else 0.0
 
     def _last_bytes(self) -> list[str]:
         """Judge the last bytes on every bus whose port is there at the end."""
@@ -416,6 +422,10 @@ class _Judge:
         """Judge whether a servo that went deaf for good is named."""
         end_s = s_from_ns(self.witness.end_ns)
         named = {fault.joint for fault in self.result.report.faults}
+        stalls = [f for f in self.faults if f.kind is FaultKind.OVERSLEEP and f.late_s > TELLING_S]
+        asleep_s = sum(
+            fault.late_s for fault in stalls
+        )  # A host that stands still notices nothing.
         is_over = self.result.error is not None or "" in named
         return [
             f"{joint.name} has been deaf since {fault.at_s:.1f} s, and nothing is said"
@@ -426,7 +436,7 @@ class _Judge:
             and fault.ratio >= 1.0
             and _shares(joint, fault)
             and joint.drive != "stepped"
-            and min(fault.until_s, end_s) - fault.at_s > RESUME_S + TELLING_S
+            and min(fault.until_s, end_s) - fault.at_s - asleep_s > RESUME_S + TELLING_S
             and not named & {j.name for j in self.robot.joints.values() if _shares(j, fault)}
             and not is_over
         ]

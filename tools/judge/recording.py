@@ -144,6 +144,11 @@ class ServoRecord:
         share = min(max(at - index, 0.0), 1.0)
         return self.horn_deg[index] * (1.0 - share) + self.horn_deg[after] * share
 
+    def shafts_deg(self, from_s: float, to_s: float) -> Sequence[float]:
+        """Return the recorded shaft angles between two instants."""
+        first, last = ((at_s - self.horn_from_s) / self.step_s for at_s in (from_s, to_s))
+        return self.horn_deg[max(int(first), 0) : max(int(last) + 1, 0)]
+
 
 @dataclass(frozen=True)
 class BusRecord:

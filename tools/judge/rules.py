@@ -4,12 +4,12 @@ Margins, all of them:
 
 | what | allowed |
 |---|---|
-| position of a command | the range, and one unit of the wire; further out only to lead a horn back that stands there already (`BACK_DEG`) |
+| position of a command | the range, and one unit of the wire; further out only to lead a horn back that stands there, or stood there within `STOOD_S` (`BACK_DEG`), or by a command that is no further out than the one before it |
 | speed of a command | 2 % above the limit, which covers the rounding of SD and T |
 | speed of a bare `D` in EM0 | over 60 ms of the filter, 10 % and 10 deg/s above the limit: the phase of its 20 ms is not known |
 | speed of a 2IO | over 200 ms, 10 %, two whole degrees, and 20 ms of waiting for its turn on the line |
 | ramps (AA, AD) | 1 % above the limit |
-| settings lost in a restart | a host cannot know of a restart at once: what it writes until `ServoRecord.noticed_s` may go with factory ramps; above the limit of speed only within `ServoRecord.is_unnoticed`, and by `UNNOTICED_RATIO` at most |
+| settings lost in a restart | a host cannot know of a restart at once: what it writes until `ServoRecord.noticed_s` may go with factory ramps; above the limit of speed only within `ServoRecord.is_unnoticed`, and by `UNNOTICED_RATIO` at most; a servo that counts its angles in another unit has no other bound then than its own speed |
 | flood | 12 moves for a servo in 100 ms; half a second of bytes ahead of the line |
 """  # noqa: E501  (a table)
 
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 SPEED_RATIO: Final = 1.02
 RAMP_RATIO: Final = 1.01
 BACK_DEG: Final = 1.0
+STOOD_S: Final = 1.0
+"""A host knows where a horn stood when it was asked; garbled bytes may have moved it since."""
 LAG_S: Final = 0.03
 """The profile from which a servo starts leads its horn by so much at most (not documented)."""
 NOISE_DEG: Final = 0.5
@@ -155,9 +157,11 @@ def _take(
 
 def about_moves(joint: JointRow, servo: ServoRecord, received: Told) -> Iterator[Objection]:
     """Judge every move that a servo received from the host, one by one."""
+    last_out_deg = 0.0
     for move in received.moves:
         is_tampered = received.foreign_s <= move.at_s
-        texts = [("range", _range_text(joint, servo, move))]
+        texts = [("range", _range_text(joint, servo, move, last_out_deg))]
+        last_out_deg = 0.0 if move.shaft_deg is None else _out_deg(joint, move.shaft_deg)
         if not is_tampered:
             texts.append(("frame", _frame_text(joint, move)))
         if joint.family != IO2 and not is_tampered:
@@ -172,19 +176,23 @@ def about_moves(joint: JointRow, servo: ServoRecord, received: Told) -> Iterator
         yield from _filtered(joint, servo, received)
 
 
-def _range_text(joint: JointRow, servo: ServoRecord, move: Move) -> str:
+def _out_deg(joint: JointRow, shaft_deg: float) -> float:
+    return joint.outside_deg(joint.joint_deg(shaft_deg))
+
+
+def _range_text(joint: JointRow, servo: ServoRecord, move: Move, last_out_deg: float) -> str:
     if move.shaft_deg is None:
         return "it turns without end"
     target_deg = joint.joint_deg(move.shaft_deg)
     out_deg = joint.outside_deg(target_deg)
     if OTHER_ANGLES in servo.excuse:
         return ""  # The host can only go by what the servo reports.
-    if out_deg <= (0.5 if joint.family == IO2 else 0.11):
+    if out_deg <= max(0.5 if joint.family == IO2 else 0.11, last_out_deg):
         return ""
-    shaft_deg = servo.shaft_deg(move.at_s)
-    if shaft_deg is not None and not servo.excuse:
-        stands_out_deg = joint.outside_deg(joint.joint_deg(shaft_deg))
-        if stands_out_deg > 0.0 and out_deg <= stands_out_deg + BACK_DEG:
+    if not servo.excuse:
+        stood_deg = servo.shafts_deg(move.at_s - STOOD_S, move.at_s)
+        stood_out_deg = max((_out_deg(joint, shaft_deg) for shaft_deg in stood_deg), default=0.0)
+        if stood_out_deg > 0.0 and out_deg <= stood_out_deg + BACK_DEG:
             return ""
     return f"{target_deg:.2f} deg is out of the range {joint.low_deg:g} to {joint.high_deg:g} deg"
 
@@ -213,6 +221,8 @@ def _speed_text(joint: JointRow, servo: ServoRecord, move: Move) -> str:
         return ""
     allowed_deg_s = joint.speed_deg_s * SPEED_RATIO
     if servo.is_unnoticed(move.written_s):
+        if OTHER_ANGLES in servo.excuse:
+            return ""  # Only SD bounded its speed, and it is lost.
         allowed_deg_s *= UNNOTICED_RATIO
     if move.cap_deg_s <= allowed_deg_s:
         return ""
