@@ -65,10 +65,14 @@ def ramp_s(
 
 
 class RampPeriods(NamedTuple):
-    """How often joints get a target: those that are guided, on each bus, and all others."""
+    """How often joints get a target: those that are guided, on each bus, and all others.
+
+    `burst_ns` is how long the moves of all others at one tick take on each bus.
+    """
 
     guide_ns: Mapping[str, int]
     tick_ns: int
+    burst_ns: Mapping[str, int]
 
 
 def ramp_periods(
@@ -78,22 +82,23 @@ def ramp_periods(
     streamed = [state for state in joint_states if state.joint.drive == "streamed"]
     others = [state for state in joint_states if state.joint.drive != "streamed"]
     share = 0.5 if streamed and others else 1.0
+    share *= RAMP_LINE_RATIO
     guide_ns = {
-        bus: max(GUIDE_PERIOD_NS, round(_least_ns(streamed, line) / share))
+        bus: max(GUIDE_PERIOD_NS, round(_burst_ns(streamed, line) / share))
         for bus, line in lines.items()
     }
-    tick_ns = max(round(_least_ns(others, line) / share) for line in lines.values())
-    return RampPeriods(guide_ns=guide_ns, tick_ns=max(RAMP_TICK_NS, tick_ns))
+    burst_ns = {bus: _burst_ns(others, line) for bus, line in lines.items()}
+    tick_ns = max(RAMP_TICK_NS, round(max(burst_ns.values()) / share))
+    return RampPeriods(guide_ns=guide_ns, tick_ns=tick_ns, burst_ns=burst_ns)
 
 
-def _least_ns(joint_states: Collection[JointState], line: SerialLine) -> float:
-    """Return the least period of one move for each joint on the line."""
-    own_ns = sum(
+def _burst_ns(joint_states: Collection[JointState], line: SerialLine) -> int:
+    """Return how long one move for each joint takes on the line."""
+    return sum(
         line.time_ns(len(longest_move(state.joint)))
         for state in joint_states
         if state.joint.bus == line.bus.name
     )
-    return own_ns / RAMP_LINE_RATIO
 
 
 def spot_moves(

@@ -656,6 +656,12 @@ class Streamer:
         """Send every joint that is off its course there in one period; guide those streamed."""
         for state in self.joint_states.values():
             state.leave_program(now_ns)
+        # Those that are guided first, fast ones before slow ones: else their filters would starve.
+        for state in sorted(self.joint_states.values(), key=lambda s: -abs(s.place(now_ns)[1])):
+            burst_ns = self._periods.burst_ns[state.joint.bus]
+            if state.guide_ns is not None and state.guide_ns <= now_ns + burst_ns:
+                self.statistics.sent(late_ns)
+                self._guide(state, now_ns)
         for state, aim_deg, left_s in spot_moves(
             self.joint_states.values(),
             self._lines,

@@ -38,13 +38,7 @@ FOUND_ANY = (
     293,  # Instants crept with a lag that was being learnt, past the steps of a joint in EM0.
     1370,  # The same.
     1444,  # A joint that turned round at the very end of a show was taken for one at rest.
-    pytest.param(  # The last tick of a ramp and the moves after it crowd out a joint in EM0.
-        466,
-        marks=pytest.mark.xfail(
-            reason="on a full line chance decides whether a step is late: of 16 seeds of its "
-            "servos 4 broke it while the line was filled with queries, 10 do with fewer"
-        ),
-    ),
+    466,  # The last tick of a ramp and the moves after it crowded out a joint in EM0.
     40515,  # A joint was let go in full swing, as its ladder says: without power it stops at once.
     20125,  # A garbled word put a horn out of its range; what led it back was corrected meanwhile.
     21548,  # What the simulator's loop adds was counted on a part of what is allowed.
