@@ -44,9 +44,9 @@ def query_of(servo_id: int, keyword: str) -> tuple[Command, int]:
     return question, len(encode(question))
 
 
-BACKLOG_BYTES: Final = 12
-"""Queries that have not left yet are never more than this, `#12D-450T50`: an unexpected command,
-such as a stop, waits no longer than for one other command."""
+BACKLOG_BYTES: Final = 14
+"""Queries that have not left yet are never more than this, `#12D-450T1500`: an unexpected command,
+such as a stop, waits no longer than for one other command. Two queries to one servo fit."""
 
 LATE_NS: Final = NS_PER_MS
 """A host that wakes later than this has other work. A wait on an idle host ends 0.2 ms late."""
@@ -117,6 +117,7 @@ class PollScheduler:
         for bus, tracker in self._trackers.items():
             for expired in tracker.expire(now_ns):
                 self._note_timeout(bus, expired, now_ns)
+                self._choice.touch(bus)
             if self._is_starved(bus, now_ns):
                 self._poll_overdue(bus, now_ns)
             if now_ns < self._rest_until_ns:
@@ -216,6 +217,8 @@ class PollScheduler:
                 self._waiting.take_reply(bus, query.command.servo_id, answer.value)
             if state is not None and not self._take_probe(state, answer):
                 self._take(bus, state, query, answer, plan_deg)
+        if state is not None:
+            self._choice.touch(bus, state)
 
     def _take(
         self,

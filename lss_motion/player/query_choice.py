@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import chain, cycle
 from typing import TYPE_CHECKING, Final
@@ -144,6 +144,10 @@ class QueryChoice(ABC):
     def next_ns(self, bus: str) -> int | None:
         """Return when `next_query` has one again, after it had none; None: that is not known."""
 
+    @abstractmethod
+    def touch(self, bus: str, state: JointState | None = None) -> None:
+        """Note that a servo has answered; without `state`: that any servo of a bus may have not."""
+
     def note_sent(self, bus: str, state: JointState, keyword: str, now_ns: int) -> None:
         """Note that the query which `next_query` returned was sent."""
         self._watch.note_query(state.joint.name, keyword, now_ns)
@@ -172,10 +176,10 @@ class QueryChoice(ABC):
 
     def _health_due_ns(self, state: JointState) -> int:
         """Return when the next query about the health of a servo is due."""
-        if state.health_ns is None:
-            return 0
-        is_watched = bool(self._watch.keywords(state.joint.name))
-        return state.health_ns + (HEALTH_NS // 2 if is_watched else HEALTH_NS)
+        return 0 if state.health_ns is None else state.health_ns + self._health_period_ns(state)
+
+    def _health_period_ns(self, state: JointState) -> int:
+        return HEALTH_NS // 2 if self._watch.keywords(state.joint.name) else HEALTH_NS
 
     def _priority_word(self, bus: str, state: JointState, now_ns: int) -> str | None:
         """Return the keyword of a query that comes before any other to this servo; None: none.
@@ -219,55 +223,144 @@ class QueryChoice(ABC):
         return tracker.quiet_until_ns(servo_id) <= now_ns or state.joint.name in self._watch.doubted
 
 
+RIDE_RATIO: Final = 0.75
+"""A query that is due this far into its period goes along with another one to the same servo: that
+costs one visit less. Chosen."""
+
+
+@dataclass(slots=True)
+class _Round:
+    """The joints of one bus: when each needs a query, and the visit to one of them that goes on."""
+
+    states: Sequence[JointState]
+    dues_ns: list[float]
+    """By joint; infinite while a query to its servo is in flight."""
+    stale: set[int]
+    """Joints whose instant must be computed anew."""
+    sent_bytes: int = 0
+    """Bytes of the line at the last look: when moves have left, targets must be queried."""
+    visited: int = 0
+    words: list[str] = field(default_factory=list)
+    """What the servo of joint `visited` is still asked in this visit, in reverse order."""
+
+
 class ByNeed(QueryChoice):
-    """Queries when their answers are worth it."""
+    """Queries when their answers are worth it. Each visit asks a servo for all that is due soon."""
 
     def __init__(self, polled: Polled, pace: Pace) -> None:
         super().__init__(polled)
         self._steady_ns = ns_from_s(1.0 / pace.steady_hz)
         self._strayed_ns = ns_from_s(1.0 / pace.strayed_hz)
-        self._next_ns = dict.fromkeys(self._by_bus, math.inf)
+        self._rounds = {
+            bus: _Round(states, [0.0] * len(states), set(range(len(states))))
+            for bus, states in polled.by_bus.items()
+        }
+        self._indices = {
+            state.joint.name: index
+            for states in polled.by_bus.values()
+            for index, state in enumerate(states)
+        }
+        self._doubts = 0
+        """Number of joints in doubt or to be confirmed, at the last look."""
+
+    def touch(self, bus: str, state: JointState | None = None) -> None:
+        every = self._rounds[bus]
+        if state is None:
+            every.stale.update(range(len(every.states)))
+        elif (index := self._indices.get(state.joint.name)) is not None:
+            every.stale.add(index)
 
     def next_query(self, bus: str, now_ns: int) -> tuple[JointState, str] | None:
-        """Return the most urgent joint of those that need a reading; if there is none, of health.
-
-        On a slow line, on which some joint always needs a reading, every `HEALTH_LEAST`-th query is
-        about health all the same.
-        """
-        best: JointState | None = None
-        best_merit, next_ns = (-1, -1.0), math.inf
-        oldest, oldest_ns = None, now_ns
-        for state in self._by_bus[bus]:
-            if not self._can_be_polled(bus, state, now_ns):
-                continue
-            due_ns, health_ns = self._due_ns(state), self._health_due_ns(state)
-            if due_ns <= now_ns and (merit := self._merit(state, now_ns)) > best_merit:
-                best, best_merit = state, merit
-            if health_ns <= oldest_ns:
-                oldest, oldest_ns = state, health_ns
-            next_ns = min(next_ns, due_ns, health_ns)
-        self._next_ns[bus] = next_ns
-        is_health_next = self._health_wait[bus] >= HEALTH_LEAST - 1 and best_merit[0] < DOUBT_NS
-        if oldest is not None and (best is None or is_health_next):
-            return oldest, self._priority_word(bus, oldest, now_ns) or self._health_word(oldest)
-        return None if best is None else (best, self._word(bus, best, now_ns))
+        """Return the next query of the visit to a servo; else of one to the most urgent servo."""
+        every = self._rounds[bus]
+        self._look(bus, every)
+        if every.words:
+            state = every.states[every.visited]
+            if not self._watch.doubted and self._quiet_until_ns(bus, state) <= now_ns:
+                return state, every.words[-1]
+            every.words.clear()
+            every.stale.add(every.visited)
+        while every.stale:
+            index = every.stale.pop()
+            every.dues_ns[index] = self._due_ns(bus, every.states[index])
+        if min(every.dues_ns, default=math.inf) > now_ns:
+            return None
+        due = [index for index, due_ns in enumerate(every.dues_ns) if due_ns <= now_ns]
+        every.visited = max(due, key=lambda index: self._merit(every.states[index], now_ns))
+        state = every.states[every.visited]
+        others = (every.states[index] for index in due if index != every.visited)
+        is_alone = all(_target_ns(other) > now_ns for other in others)
+        every.words = self._words(bus, state, now_ns, is_alone=is_alone)
+        return state, every.words[-1]
 
     def next_ns(self, bus: str) -> int | None:
-        next_ns = self._next_ns[bus]
+        next_ns = min(self._rounds[bus].dues_ns, default=math.inf)
         return None if next_ns == math.inf else int(next_ns)
 
-    def _word(self, bus: str, state: JointState, now_ns: int) -> str:
-        word = self._priority_word(bus, state, now_ns)
-        return word or self._health.unconfirmed.get(state.joint.name, PLACE_KEYWORD)
+    def note_sent(self, bus: str, state: JointState, keyword: str, now_ns: int) -> None:
+        super().note_sent(bus, state, keyword, now_ns)
+        every = self._rounds[bus]
+        every.words.pop()
+        every.dues_ns[every.visited] = math.inf
+        every.sent_bytes = self._lines[bus].sent_bytes
 
-    def _due_ns(self, state: JointState) -> float:
-        """Return when a joint needs a query for its angle or its target, or one that is urgent."""
+    def _look(self, bus: str, every: _Round) -> None:
+        """Note what has changed besides answers: moves that left, and doubts."""
+        doubts = len(self._watch.doubted) + len(self._health.unconfirmed)
+        if doubts != self._doubts:
+            self._doubts = doubts
+            for one in self._rounds:
+                self.touch(one)
+        if every.sent_bytes != self._lines[bus].sent_bytes:
+            every.sent_bytes = self._lines[bus].sent_bytes
+            self.touch(bus)
+
+    def _quiet_until_ns(self, bus: str, state: JointState) -> int:
+        return self._trackers[bus].quiet_until_ns(state.joint.servo_id)
+
+    def _due_ns(self, bus: str, state: JointState) -> float:
+        """Return when a servo must be polled; infinite: not before something happens."""
         name = state.joint.name
+        if self._trackers[bus].is_waiting(state.joint.servo_id):
+            return math.inf
+        if name in self._watch.doubted:
+            return 0.0
         place_ns = self._places_ns.get(name)
-        if place_ns is None or name in self._watch.doubted or name in self._health.unconfirmed:
-            return 0
-        place_ns += self._strayed_ns if has_strayed(state) else self._steady_ns
-        return min(place_ns, _target_ns(state))
+        if place_ns is None or name in self._health.unconfirmed:
+            return self._quiet_until_ns(bus, state)
+        place_ns += self._place_period_ns(state)
+        due_ns = min(place_ns, _target_ns(state), self._health_due_ns(state))
+        return max(due_ns, self._quiet_until_ns(bus, state))
+
+    def _place_period_ns(self, state: JointState) -> int:
+        return self._strayed_ns if has_strayed(state) else self._steady_ns
+
+    def _words(self, bus: str, state: JointState, now_ns: int, *, is_alone: bool) -> list[str]:
+        """Return what a servo is asked in one visit, in reverse order.
+
+        Unless it `is_alone`, other servos wait to be asked for their targets: then it is asked only
+        what is most urgent. On a line on which angles come late, every `HEALTH_LEAST`-th query is
+        about health.
+        """
+        name = state.joint.name
+        first = self._priority_word(bus, state, now_ns)
+        if first is None:
+            first = self._health.unconfirmed.get(name)
+        if first not in (None, TARGET_KEYWORD):
+            return [first]
+        words = [] if first is None else [first]
+        if words and not is_alone:
+            return words
+        period_ns, place_ns = self._place_period_ns(state), self._places_ns.get(name)
+        age_ns = math.inf if place_ns is None else now_ns - place_ns
+        if age_ns >= RIDE_RATIO * period_ns:
+            words.append(PLACE_KEYWORD)
+        health_ns = self._health_period_ns(state)
+        is_due = state.health_ns is None or now_ns - state.health_ns >= RIDE_RATIO * health_ns
+        is_late = age_ns > 2.0 * period_ns
+        if is_due and not (is_late and self._health_wait[bus] < HEALTH_LEAST - 1):
+            words.append(self._health_word(state))
+        return words[::-1] or [PLACE_KEYWORD]
 
 
 @dataclass(slots=True)
@@ -293,6 +386,9 @@ class FullLine(QueryChoice):
 
     def next_ns(self, bus: str) -> int | None:  # noqa: ARG002
         return None  # When a servo answers, or may be polled again.
+
+    def touch(self, bus: str, state: JointState | None = None) -> None:
+        """Nothing is kept from one query to the next."""
 
     def note_sent(self, bus: str, state: JointState, keyword: str, now_ns: int) -> None:
         super().note_sent(bus, state, keyword, now_ns)
