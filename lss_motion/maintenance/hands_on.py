@@ -291,7 +291,7 @@ class HandsOn:
 
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:
         """Take bytes of a bus. No byte raises."""
-        for reply in self.lines[bus].receive(data):
+        for reply, _ in self.lines[bus].receive(data, now_ns):
             if self._dialogue is not None:
                 self._dialogue.receive(bus, reply, now_ns)
             elif self.phase is Phase.SHOW:

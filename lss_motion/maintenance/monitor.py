@@ -213,7 +213,7 @@ class Watch:
 
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:
         if (rounds := self._buses.get(bus)) is not None:
-            for reply in rounds.line.receive(data):
+            for reply, _ in rounds.line.receive(data, now_ns):
                 if reply.servo_id is not None:
                     rounds.replies[reply.servo_id] += 1
                 rounds.dialogue.receive(bus, reply, now_ns)

@@ -142,11 +142,11 @@ class Player:
 
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:
         """Take bytes of a bus. No bytes of any kind raise."""
-        for reply in self.lines[bus].receive(data):
+        for reply, ended_ns in self.lines[bus].receive(data, now_ns):
             if self._dialogue is not None:
                 self._dialogue.receive(bus, reply, now_ns)
             elif self._streamer is not None:
-                self._streamer.receive(bus, reply, now_ns)
+                self._streamer.receive(bus, reply, ended_ns, now_ns)
 
     def next_wakeup_ns(self) -> int | None:
         """Return when `data_to_send` must be called at the latest; None when the run is over."""

@@ -88,8 +88,6 @@ class PollScheduler:
         polled = Polled(self._by_bus, trackers, lines, self.watch, self.health)
         self._choice = FullLine(polled) if pace is None else ByNeed(polled, pace)
         self._next_ns: dict[str, int | None] = dict.fromkeys(lines)
-        self._is_idle: dict[str, bool] = dict.fromkeys(lines, False)
-        """Whether no servo could be polled, or none had to be, at the last attempt."""
         self._wakeup_ns: int | None = None
         self._rest_until_ns = 0
 
@@ -143,9 +141,8 @@ class PollScheduler:
                 self._waiting.note_query_sent(now_ns)
             return False
         found = self._choice.next_query(bus, now_ns)
-        self._is_idle[bus] = found is None
         if found is None:
-            self._next_ns[bus] = self._choice.next_ns(bus)
+            self._next_ns[bus] = self._choice.next_ns(bus, now_ns)
             return False
         state, keyword = found
         question, size_bytes = query_of(state.joint.servo_id, keyword)
@@ -307,9 +304,6 @@ class PollScheduler:
                 wakeups_ns.append(give_up_ns)
             if (next_ns := self._next_ns[bus]) is not None:
                 wakeups_ns.append(next_ns)
-            if self._is_idle[bus]:
-                quiet = (tracker.quiet_until_ns(t.joint.servo_id) for t in self._by_bus[bus])
-                wakeups_ns += [instant_ns for instant_ns in quiet if instant_ns > now_ns]
         self._wakeup_ns = min((w for w in wakeups_ns if w > now_ns), default=None)
         return wakeups_ns
 

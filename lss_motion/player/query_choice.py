@@ -141,7 +141,7 @@ class QueryChoice(ABC):
         """Return the joint to poll next and the keyword of its query; None: none now."""
 
     @abstractmethod
-    def next_ns(self, bus: str) -> int | None:
+    def next_ns(self, bus: str, now_ns: int) -> int | None:
         """Return when `next_query` has one again, after it had none; None: that is not known."""
 
     @abstractmethod
@@ -159,7 +159,9 @@ class QueryChoice(ABC):
             state.note_target_query()
         else:
             self._health_wait[bus] = 0
-            state.note_health_query(now_ns)
+            # What went along early makes the next one no earlier.
+            planned_ns = min(self._health_due_ns(state), now_ns + self._health_period_ns(state))
+            state.note_health_query(max(planned_ns, now_ns))
 
     def fresh(self, bus: str, state: JointState) -> str:
         """Return a keyword for whose answer no overdue answer of the servo can be taken."""
@@ -237,6 +239,8 @@ class _Round:
     """By joint; infinite while a query to its servo is in flight."""
     stale: set[int]
     """Joints whose instant must be computed anew."""
+    arrivals_ns: list[int | None]
+    """By joint, when its last move arrived, at the last look."""
     sent_bytes: int = 0
     """Bytes of the line at the last look: when moves have left, targets must be queried."""
     visited: int = 0
@@ -252,7 +256,7 @@ class ByNeed(QueryChoice):
         self._steady_ns = ns_from_s(1.0 / pace.steady_hz)
         self._strayed_ns = ns_from_s(1.0 / pace.strayed_hz)
         self._rounds = {
-            bus: _Round(states, [0.0] * len(states), set(range(len(states))))
+            bus: _Round(states, [0.0] * len(states), set(range(len(states))), [None] * len(states))
             for bus, states in polled.by_bus.items()
         }
         self._indices = {
@@ -293,7 +297,7 @@ class ByNeed(QueryChoice):
         every.words = self._words(bus, state, now_ns, is_alone=is_alone)
         return state, every.words[-1]
 
-    def next_ns(self, bus: str) -> int | None:
+    def next_ns(self, bus: str, now_ns: int) -> int | None:  # noqa: ARG002
         next_ns = min(self._rounds[bus].dues_ns, default=math.inf)
         return None if next_ns == math.inf else int(next_ns)
 
@@ -313,7 +317,10 @@ class ByNeed(QueryChoice):
                 self.touch(one)
         if every.sent_bytes != self._lines[bus].sent_bytes:
             every.sent_bytes = self._lines[bus].sent_bytes
-            self.touch(bus)
+            for index, state in enumerate(every.states):
+                if state.last_arrival_ns != every.arrivals_ns[index]:
+                    every.arrivals_ns[index] = state.last_arrival_ns
+                    every.stale.add(index)
 
     def _quiet_until_ns(self, bus: str, state: JointState) -> int:
         return self._trackers[bus].quiet_until_ns(state.joint.servo_id)
@@ -384,8 +391,10 @@ class FullLine(QueryChoice):
         row = self._row(bus, now_ns)
         return None if row is None else (row.state, self._word(bus, row, now_ns))
 
-    def next_ns(self, bus: str) -> int | None:  # noqa: ARG002
-        return None  # When a servo answers, or may be polled again.
+    def next_ns(self, bus: str, now_ns: int) -> int | None:
+        tracker = self._trackers[bus]
+        quiet = (tracker.quiet_until_ns(state.joint.servo_id) for state in self._by_bus[bus])
+        return min((instant_ns for instant_ns in quiet if instant_ns > now_ns), default=None)
 
     def touch(self, bus: str, state: JointState | None = None) -> None:
         """Nothing is kept from one query to the next."""

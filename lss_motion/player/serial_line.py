@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.protocol.framing import Garbage, Reply, ReplyParser
+from lss_motion.protocol.framing import Garbage, Reply, ReplyParser, encode
 from lss_motion.units import line_time_ns
 
 if TYPE_CHECKING:
@@ -56,8 +56,12 @@ class SerialLine:
         """Whether bytes came that are no whole reply yet."""
         return self._parser.has_unfinished
 
-    def receive(self, data: bytes) -> list[Reply]:
-        """Return the replies in `data`; everything else is counted."""
+    def receive(self, data: bytes, now_ns: int) -> list[tuple[Reply, int]]:
+        """Return the replies in `data`, and when each ended at the latest.
+
+        `data` came by `now_ns`. A reply with others behind it ended earlier, by the time that these
+        take on the line. What is no reply is counted.
+        """
         received: list[Reply] = []
         for item in self._parser.feed(data):
             match item:
@@ -66,4 +70,10 @@ class SerialLine:
                     received.append(item)
                 case Garbage():
                     self.garbage += 1
-        return received
+        if len(received) < 2:
+            return [(reply, now_ns) for reply in received]
+        pairs: list[tuple[Reply, int]] = []
+        for reply in reversed(received):
+            pairs.append((reply, now_ns))
+            now_ns -= self.time_ns(len(encode(reply)))
+        return pairs[::-1]

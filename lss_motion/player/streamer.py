@@ -437,9 +437,10 @@ class Streamer:
             wakeups_ns += [now_ns + 1] if self._has_moved else []
         return min((w for w in wakeups_ns if w > now_ns), default=None)
 
-    def receive(self, bus: str, reply: Reply, now_ns: int) -> None:
+    def receive(self, bus: str, reply: Reply, ended_ns: int, now_ns: int) -> None:
+        """Use a reply that ended at `ended_ns`, shortly before `now_ns`."""
         if self.scheduler is not None:
-            self.scheduler.receive(bus, reply, now_ns, self._planned_deg)
+            self.scheduler.receive(bus, reply, ended_ns, self._planned_deg)
             while self.scheduler.to_resend:
                 self._resend_lost(self.scheduler.to_resend.popitem()[1], now_ns)
 
@@ -596,6 +597,8 @@ class Streamer:
 
     def _resend_due(self, now_ns: int) -> None:
         for state in self.joint_states.values():
+            if state.deferred is None and state.guide_ns is None:  # Faster, and so for most.
+                continue
             if state.resend_ns is None or state.resend_ns > now_ns:
                 continue
             self.statistics.sent(now_ns - state.resend_ns)

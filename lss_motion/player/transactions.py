@@ -220,7 +220,7 @@ class Conversation:
         return {name: data for name, line in self.lines.items() if (data := line.take())}
 
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:
-        for reply in self.lines[bus].receive(data):
+        for reply, _ in self.lines[bus].receive(data, now_ns):
             self._dialogue.receive(bus, reply, now_ns)
 
     def next_wakeup_ns(self) -> int | None:

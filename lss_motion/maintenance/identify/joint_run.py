@@ -161,7 +161,7 @@ class JointRun(ABC):
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:
         if bus != self.joint.bus:
             return
-        for reply in self._line.receive(data):
+        for reply, _ in self._line.receive(data, now_ns):
             if self._dialogue is not None:
                 self._dialogue.receive(bus, reply, now_ns)
             elif (polled := self._poller.receive(reply, now_ns)) is not None:

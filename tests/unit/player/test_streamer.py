@@ -333,7 +333,7 @@ def test_a_lost_move_is_sent_again_at_once(kit):
     stage.run(0.4)
     stage.state.stand_at(0.0)
     stage.streamer.scheduler.to_resend["j0"] = stage.state
-    stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns)
+    stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns, stage.now_ns)
     assert stage.state.resent == 1
     stage.run(3.0)
     assert [at_s for at_s, _ in stage.sent[:2]] == [0.1, 0.4]
@@ -350,7 +350,7 @@ def test_a_lost_move_is_not_sent_again_while_the_show_is_slowed_down(kit, rate):
     stage.run(2.0)
     sent = len(stage.sent)
     stage.streamer.scheduler.to_resend["j0"] = stage.state
-    stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns)
+    stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns, stage.now_ns)
     assert (stage.line.take(), stage.state.resent, len(stage.sent)) == (b"", 0, sent)
     assert stage.streamer.scheduler.to_resend == {}
 
@@ -359,7 +359,7 @@ def test_the_deferred_rest_of_a_move_is_dropped_when_the_show_brakes(kit):
     stage = Stage(kit, has_feedback=True).run(0.4)
     stage.state.stand_at(0.0)
     stage.streamer.scheduler.to_resend["j0"] = stage.state
-    stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns)
+    stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns, stage.now_ns)
     assert stage.state.deferred is not None, "it catches up, and then has the rest of the move"
     set_rate(stage, 0.0)
     stage.run(3.0)
@@ -375,7 +375,7 @@ def test_a_joint_that_is_left_out_has_no_deferred_target_and_does_not_delay_the_
     stage.streamer.leave_out({"j0"})
     sent = len(stage.sent)
     stage.streamer.scheduler.to_resend["j0"] = stage.state
-    stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns)
+    stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns, stage.now_ns)
     stage.run(END_S + SETTLE_S)
     assert (len(stage.sent), stage.state.resent) == (sent, 0)
     stage.state.stand_at(-20.0)
@@ -558,14 +558,14 @@ def test_the_scheduler_polls_while_lines_are_quiet_and_receives_every_answer(kit
     stage.step()
     assert calls == [(START_NS, START_NS + 100 * MS)]
     reply = Reply(1, "QD", 5)
-    stage.streamer.receive("main", reply, START_NS + MS)
+    stage.streamer.receive("main", reply, START_NS + MS, START_NS + MS)
     assert calls[1:] == [("main", reply, START_NS + MS)]
 
 
 def test_before_its_first_move_a_servo_cannot_have_missed_one(kit):
     stage = Stage(kit, has_feedback=True).run(0.05)
     stage.streamer.scheduler.to_resend["j0"] = stage.state
-    stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns)
+    stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns, stage.now_ns)
     assert (stage.line.take(), stage.state.resent) == (b"", 0)
 
 

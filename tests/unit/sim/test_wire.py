@@ -53,6 +53,30 @@ def test_replies_arrive_byte_by_byte_and_never_early():
     assert line.next_end_ns() is None
 
 
+def test_two_replies_that_follow_each_other_are_handed_over_together():
+    line = ServoLine(100_000, Random(1), Adapter(0))
+    first_ns, after_ns = line.send(b"*5Q6\r", 0), 3 * BYTE_NS
+    second_ns = line.send(b"*5QD1443\r", first_ns + after_ns)
+    third_ns = line.send(b"*5QT300\r", second_ns)
+    assert line.next_end_ns() == second_ns
+    assert line.read(second_ns) == b"*5Q6\r*5QD1443\r"
+    assert line.next_end_ns() == third_ns
+    line.send(b"*6Q6\r", third_ns + 5 * BYTE_NS)
+    assert line.next_end_ns() == third_ns, "there is silence between them"
+
+
+def test_whole_replies_come_byte_by_byte_as_well_and_an_overlap_damages_what_is_left():
+    line = ServoLine(100_000, Random(1), Adapter(0))
+    end_ns = line.send(b"*5QD1443\r", 0)
+    assert line.read(2 * BYTE_NS + 1) == b"*5"
+    line.send(b"*6Q6\r", 6 * BYTE_NS + BYTE_NS // 2)
+    received = line.read(10**9)
+    assert received[:4] == b"QD14"
+    assert received[4:] != b"43\r"
+    assert len(received) < len(b"QD1443\r*6Q6\r"), "bytes that began meanwhile are lost"
+    assert end_ns == 9 * BYTE_NS
+
+
 def test_replies_that_overlap_damage_each_other_and_lose_bytes():
     line = ServoLine(100_000, Random(1), Adapter(0))
     line.send(b"*5QD1443\r", 0)
