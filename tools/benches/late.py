@@ -131,7 +131,7 @@ class Pair:
             return []
         with self._loop(is_real_time=False) as dues_ns:
             pass
-        late_us = _lateness(self.program, self.theirs, dues_ns).us
+        late_us = lateness(self.program, self.theirs, dues_ns).us
         what = f"a loop in C alone: late at the servo, p50, p99, p99.9, max of {len(late_us)}"
         return [Row(what=what, ours=_said(np.percentile(late_us, QUANTILES)))]
 
@@ -153,9 +153,9 @@ class Pair:
                 if dues_ns is None:
                     held += 1
                     continue
-                ours.append(_lateness(self.program, self.ours, dues_ns))
+                ours.append(lateness(self.program, self.ours, dues_ns))
                 if self.loop is not None:
-                    theirs.append(_lateness(self.program, self.theirs, loop_dues_ns))
+                    theirs.append(lateness(self.program, self.theirs, loop_dues_ns))
             if held:
                 what += f" ({held} more rounds were held for a fault)"
             if not ours:
@@ -236,7 +236,7 @@ def _row(what: str, ours: list[Lateness], theirs: list[Lateness]) -> Row:
     )
 
 
-def _lateness(
+def lateness(
     program: Program, side: tuple[Robot, Callable[[], Heard]], dues_ns: list[int]
 ) -> Lateness:
     """Return how late every move was received."""
