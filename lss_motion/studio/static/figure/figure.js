@@ -48,6 +48,8 @@ class FigureOnPage {
   #palette = null;
   /** @type {Drawing | null} */
   #drawing = null;
+  /** @type {Pose[]} */
+  #framed = [];
   #isAsked = false;
   #isOver = false;
 
@@ -69,6 +71,16 @@ class FigureOnPage {
   /** "webgl", "2d", or "" until that is decided. */
   get kind() {
     return this.#drawing?.kind ?? "";
+  }
+
+  /**
+   * Keep these poses in the picture, so that it stands still while they are played; one that goes
+   * beyond them makes the figure smaller. @param {Pose[]} poses
+   */
+  frame(poses) {
+    this.#framed = poses;
+    this.#drawing?.frame(poses);
+    this.#ask();
   }
 
   /** Show other angles; what is left out stays. @param {Partial<Poses>} poses */
@@ -105,9 +117,10 @@ class FigureOnPage {
       try {
         const { SceneFigure } = await import("./scene.js");
         if (this.#isOver) return;
-        const canvas = this.#canvas();
+        const canvas = this.#canvas("webgl");
         const meshUrl = this.options.meshUrl ?? ((path) => `/files/${path}`);
         this.#drawing = new SceneFigure(canvas, this.figure, () => this.#ask(), meshUrl);
+        this.#drawing.frame(this.#framed);
         canvas.addEventListener("webglcontextlost", () => this.#fallBack(), { once: true });
         this.#ask();
         return;
@@ -121,12 +134,15 @@ class FigureOnPage {
   #fallBack() {
     if (this.#isOver) return;
     this.#drawing?.dispose();
-    this.#drawing = new StickFigure(this.#canvas(), this.figure, () => this.#ask());
+    this.#drawing = new StickFigure(this.#canvas("2d"), this.figure, () => this.#ask());
+    this.#drawing.frame(this.#framed);
     this.#ask();
   }
 
-  #canvas() {
+  /** @param {"webgl" | "2d"} kind */
+  #canvas(kind) {
     const canvas = document.createElement("canvas");
+    canvas.dataset["kind"] = kind;
     canvas.setAttribute("role", "img");
     canvas.setAttribute("aria-label", this.options.label ?? "figure of the robot");
     this.stage.replaceChildren(canvas);

@@ -52,6 +52,17 @@ export function posesOf(view, telemetry) {
   return { ...poses, read: isRead ? read : null };
 }
 
+/** Instants of a view whose poses are kept in the picture. */
+const FRAMED_INSTANTS = 120;
+
+/** Return poses all over a view. @param {View} view */
+export function posesAllOver(view) {
+  return Array.from({ length: FRAMED_INSTANTS }, (_, i) => {
+    const poses = posesAt(view, (i * view.view_s) / (FRAMED_INSTANTS - 1));
+    return [poses.predicted, poses.authored ?? {}];
+  }).flat();
+}
+
 /**
  * What is drawn now: it changes exactly when the picture does.
  * @param {Store} store @returns {[View | null, Telemetry | number, string]}
@@ -80,6 +91,7 @@ export function FigurePanel({ store }) {
       const [view, at, theme] = drawnState(store);
       if (view === null || (view === drawn[0] && at === drawn[1] && theme === drawn[2])) return;
       if (theme !== drawn[2]) shown.setTheme();
+      if (view !== drawn[0]) shown.frame(posesAllOver(view));
       drawn = [view, at, theme];
       shown.show(typeof at === "number" ? posesAt(view, at) : posesOf(view, at));
     });

@@ -87,6 +87,11 @@ export class SceneFigure {
     loadMeshes(this, meshUrl, changed);
   }
 
+  /** Keep these poses in the picture. @param {import("./kinematics.js").Pose[]} poses */
+  frame(poses) {
+    this.#box = boxOf(this.figure, poses, null);
+  }
+
   /** @param {Poses} poses @param {Palette} palette @param {import("./camera.js").Size} size @param {number} ratio device pixels per CSS pixel */
   draw(poses, palette, size, ratio) {
     for (const role of /** @type {const} */ (["solid", "edge", "ghost", "reading", "ground"])) {

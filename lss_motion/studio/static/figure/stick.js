@@ -154,6 +154,11 @@ export class StickFigure {
   /** @type {Box | null} */
   #box = null;
 
+  /** Keep these poses in the picture. @param {import("./kinematics.js").Pose[]} poses */
+  frame(poses) {
+    this.#box = boxOf(this.figure, poses, null);
+  }
+
   /** @param {HTMLCanvasElement} canvas @param {Figure} figure @param {() => void} changed */
   constructor(canvas, figure, changed) {
     this.canvas = canvas;

@@ -23,12 +23,12 @@ export function RobotPage({ store, link }) {
   const live = /** @type {LiveRobot} */ (state.robot_state ?? OFF);
   const played = usePlayedAngles(store, live.state === "playing");
   if (robot === null) {
-    return html`<p class="quiet">The robot file could not be read yet; its errors stand above.</p>`;
+    return html`<main class="page"><p>The robot file could not be read yet; its errors stand above.</p></main>`;
   }
   return html`<${RobotView}
     robot=${robot}
     live=${live.state === "playing" ? { ...live, joints: played } : live}
-    health=${state.health?.joints ?? {}}
+    health=${live.state === "off" ? {} : (state.health?.joints ?? {})}
     isMine=${state.lease.is_mine}
     isLatched=${state.player.is_latched}
     isLost=${state.link.status !== "open"}

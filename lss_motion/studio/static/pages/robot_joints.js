@@ -63,7 +63,7 @@ export function troubleOf(joint, health) {
  */
 export function JointTable(props) {
   return html`<table class="robot-joints">
-    <caption class="visually-hidden">
+    <caption class="hidden">
       Joints: limits, angle, jog, health
     </caption>
     <thead>

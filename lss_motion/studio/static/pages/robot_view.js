@@ -67,10 +67,10 @@ const STATES = {
  */
 export function whyStill(live, isMine, isLatched, isLost) {
   if (isLost) return "the connection to the studio is lost";
-  if (!isMine) return "another client operates, or none: take control first";
+  if (!isMine) return "this page does not operate; press Operate above";
   if (live.state === "playing") return "a show plays: stop it first";
-  if (live.state !== "live") return "connect to the robot first";
   if (isLatched) return "it was stopped: arm it again first";
+  if (live.state !== "live") return "connect to the robot first";
   return "";
 }
 
@@ -120,7 +120,7 @@ export function RobotView({ robot, live, health, isMine, isLatched, isLost, scan
   }, [hold, mayMove]);
   const isOn = live.state === "live";
   const mayConnect = isMine && !isLost && (live.state === "off" || live.state === "live");
-  return html`<div class="robot-page">
+  return html`<main class="page robot-page">
     <header class="robot-head">
       <h1>${robot.name}</h1>
       <p role="status">
@@ -170,7 +170,7 @@ export function RobotView({ robot, live, health, isMine, isLatched, isLost, scan
       />
     </div>
     ${dialog}
-  </div>`;
+  </main>`;
 }
 
 /** @param {(question: {title: string, text: string, answer: string}) => Promise<boolean>} ask @param {(op: string, fields: object) => Promise<void>} act */
@@ -218,6 +218,7 @@ function FigureBox({ robot, live, schedule, theme }) {
     if (place.current === null || robot.figure === null) return undefined;
     const label = `figure of ${robot.name}, as it stands`;
     const figure = createFigure(place.current, robot.figure, { schedule, label });
+    figure.frame([{}, ...Object.values(robot.poses)]);
     shown.current = figure;
     return () => figure.dispose();
   }, [robot.figure]);
