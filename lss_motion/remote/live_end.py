@@ -19,7 +19,7 @@ from lss_motion.errors import InputError, LssMotionError
 from lss_motion.files.source import known_names
 from lss_motion.maintenance.hands_on import HandsOn
 from lss_motion.player.events import Faulted, Phase, Warned
-from lss_motion.protocol.constants import Family
+from lss_motion.protocol.constants import Family, Status, status_from
 from lss_motion.remote import schema as m
 from lss_motion.remote.guided import Calibration, Guide, guided_joint, measured
 from lss_motion.remote.player_end import message_of
@@ -224,6 +224,8 @@ class Hands:
         """When joints that turned have come to rest, and it ends."""
         self._jogs: dict[str, Jogging] = {}
         self._has_begun = False
+        self._found_limp: set[str] = set()
+        """Joints that were limp when this began and have got no order since."""
         self._state_ns = self._told = 0
         self._guide = guide
 
@@ -236,6 +238,7 @@ class Hands:
         if hands_on.phase is Phase.SHOW and not self._has_begun:
             self._has_begun = True
             hands_on.let_go(self.limp)
+            self._found_limp = found_limp(hands_on)
         for operation in self._operator.take(now_ns):
             try:
                 self._obey(operation, hands_on, now_ns)
@@ -279,6 +282,7 @@ class Hands:
                 self._jog(operation, hands_on, now_ns)
             case m.Limp() | m.Hold():
                 names = self._named(operation.joints, hands_on)
+                self._found_limp -= set(names)
                 for name in names:
                     self._jogs.pop(name, None)
                 if isinstance(operation, m.Limp):
@@ -316,6 +320,7 @@ class Hands:
     def _jog(self, operation: m.Jog, hands_on: HandsOn, now_ns: int) -> None:
         (name,) = self._named((operation.joint,), hands_on)
         joint = self._robot.joints[name]
+        self._found_limp.discard(name)
         limit_deg_s = min(self._robot.approach_speed_deg_s, joint.speed_max_deg_s)
         speed_deg_s = operation.speed_ratio * limit_deg_s
         jog = self._jogs.get(name)
@@ -431,6 +436,7 @@ class Hands:
             raise InputError("nothing is asked now")
         self._guide.answer(answer, hands_on)
         self.limp = set(hands_on.limp)
+        self._found_limp.discard(self._guide.joint.name)
         self._operator.send(self._guide.now)
 
     def _drop_guide(self, hands_on: HandsOn) -> None:
@@ -451,7 +457,12 @@ class Hands:
         hands_on.take()
         read_deg = {name: reading.deg for name, reading in hands_on.readings.items()}
         self._operator.offer(
-            live_state(self._robot, read_deg, hands_on.limp, is_ready=self._has_begun)
+            live_state(
+                self._robot,
+                read_deg,
+                hands_on.limp | self._found_limp,
+                is_ready=self._has_begun,
+            )
         )
         self._told += 1
         if self._told % HEALTH_EVERY == 0:
@@ -461,6 +472,16 @@ class Hands:
 def _braking_s(joint: Joint, jog: Jogging) -> float:
     """Return how long a joint goes on at its speed for the way that it needs to brake."""
     return abs(jog.speed_deg_s) / (2.0 * joint.accel_max_deg_s2)
+
+
+def found_limp(hands_on: HandsOn) -> set[str]:
+    """Return the joints that reported to be limp when they were asked, as after power-up."""
+    limp = set()
+    for joint in hands_on.joints:
+        code, firmware = (hands_on.answer_of(joint.name, key) for key in ("Q", "QF"))
+        if code is not None and status_from(code, joint.model.family, firmware) is Status.LIMP:
+            limp.add(joint.name)
+    return limp
 
 
 def live_state(

@@ -1,7 +1,9 @@
 // @ts-check
 /** From where a figure is seen: directions, named views, and points of the world in pixels. Pure. */
 
-/** @typedef {import("./kinematics.js").Box} Box */
+import { POINT } from "./kinematics.js";
+
+/** @typedef {import("./kinematics.js").Cloud} Cloud */
 /** @typedef {{yaw_deg: number, pitch_deg: number}} Direction from the figure to the eye */
 /** @typedef {{width_px: number, height_px: number}} Size CSS pixels */
 /** @typedef {{right: number[], up: number[], toward: number[]}} Axes of the screen, in the world */
@@ -20,7 +22,7 @@ export const ZOOM_LEAST = 0.3;
 export const ZOOM_MOST = 6;
 
 /** Share of the picture that the figure fills. */
-const FILL_RATIO = 0.95;
+const FILL_RATIO = 0.9;
 
 /** @param {Direction} direction @returns {Axes} */
 export function axesOf(direction) {
@@ -38,39 +40,62 @@ export function dot(one, two) {
   return one[0] * two[0] + one[1] * two[1] + one[2] * two[2];
 }
 
-/** @param {Box} box */
-export function centreOf(box) {
-  return box.low.map((low, axis) => (low + box.high[axis]) / 2);
-}
-
 /**
- * Return half of the width, height and depth of a box, as it is seen.
- * @param {Box} box @param {Axes} axes
+ * Return the least and largest coordinate of a cloud along each axis of the screen.
+ * @param {Cloud} cloud @param {Axes} axes
  */
-export function halvesOf(box, axes) {
-  const centre = centreOf(box);
-  const halves = [1, 1, 1];
-  for (let corner = 0; corner < 8; corner += 1) {
-    const point = [0, 1, 2].map(
-      (axis) => ((corner >> axis) & 1 ? box.high[axis] : box.low[axis]) - centre[axis],
-    );
-    [axes.right, axes.up, axes.toward].forEach((along, i) => {
-      halves[i] = Math.max(halves[i], Math.abs(dot(point, along)));
-    });
-  }
-  return halves;
+export function extentsOf(cloud, axes) {
+  const { points } = cloud;
+  return [axes.right, axes.up, axes.toward].map(([x, y, z]) => {
+    let [low, high] = [Infinity, -Infinity];
+    for (let i = 0; i < points.length; i += POINT) {
+      const at = x * points[i] + y * points[i + 1] + z * points[i + 2];
+      low = Math.min(low, at - points[i + 3]);
+      high = Math.max(high, at + points[i + 3]);
+    }
+    return low <= high ? { low, high } : { low: -1, high: 1 };
+  });
+}
+
+/** Return the middle of a cloud, as it is seen. @param {{low: number, high: number}[]} extents @param {Axes} axes */
+export function middleOf(extents, axes) {
+  return [0, 1, 2].map((axis) =>
+    [axes.right, axes.up, axes.toward].reduce(
+      (sum, along, i) => sum + (along[axis] * (extents[i].low + extents[i].high)) / 2,
+      0,
+    ),
+  );
 }
 
 /**
- * Return the projection by which the box fills the picture, seen from `direction`.
- * @param {Box} box @param {Direction} direction @param {number} zoom @param {Size} size
+ * Return how far from `middle` an eye must be to see all of a cloud within these slopes.
+ * @param {Cloud} cloud @param {Axes} axes @param {number[]} middle @param {number} slope_x @param {number} slope_y
+ */
+export function distanceFor(cloud, axes, middle, slope_x, slope_y) {
+  const { points } = cloud;
+  let distance_mm = 1;
+  for (let i = 0; i < points.length; i += POINT) {
+    const from = [points[i] - middle[0], points[i + 1] - middle[1], points[i + 2] - middle[2]];
+    const across = Math.max(
+      (Math.abs(dot(from, axes.right)) + points[i + 3]) / slope_x,
+      (Math.abs(dot(from, axes.up)) + points[i + 3]) / slope_y,
+    );
+    distance_mm = Math.max(distance_mm, across + dot(from, axes.toward));
+  }
+  return distance_mm;
+}
+
+/**
+ * Return the projection by which the cloud fills the picture, seen from `direction`.
+ * @param {Cloud} cloud @param {Direction} direction @param {number} zoom @param {Size} size
  * @returns {Projection}
  */
-export function projectionOf(box, direction, zoom, size) {
+export function projectionOf(cloud, direction, zoom, size) {
   const axes = axesOf(direction);
-  const [half_width, half_height] = halvesOf(box, axes);
-  const fit = Math.min(size.width_px / half_width, size.height_px / half_height) / 2;
-  return { ...axes, centre: centreOf(box), px_per_mm: FILL_RATIO * fit * zoom, size };
+  const extents = extentsOf(cloud, axes);
+  const [width_mm, height_mm] = extents.map(({ low, high }) => Math.max(1, high - low));
+  const fit = Math.min(size.width_px / width_mm, size.height_px / height_mm);
+  return { ...axes, centre: middleOf(extents, axes), px_per_mm: FILL_RATIO * fit * zoom, size };
 }
 
 /** Return x and y in pixels, and how near the point is. @param {Projection} to @param {number[]} point_mm */

@@ -38,7 +38,7 @@
  * @property {string[]} notes
  */
 /** @typedef {Record<string, number | null>} Pose joint angles in degrees; null or NaN: unknown */
-/** @typedef {{low: number[], high: number[]}} Box */
+/** @typedef {{points: number[], low: number[], high: number[]}} Cloud `POINT` numbers a point */
 
 /** A bar that is thicker than this share of its length is drawn with flat ends and no knuckle. */
 const THICK_RATIO = 0.25;
@@ -91,38 +91,43 @@ export function groundOf(figure, placed) {
   return heights.length > 0 ? Math.min(...heights) : 0;
 }
 
-/**
- * Return the box around a figure in all of its poses, grown from `box`.
- * @param {Figure} figure @param {(Pose | null)[]} poses @param {Box | null} box @returns {Box | null}
- */
-export function boxOf(figure, poses, box) {
-  for (const pose of poses) {
-    if (pose !== null) box = boxAround(figure, placeLinks(figure, pose), box);
-  }
-  return box;
-}
+/** Numbers of one point of a cloud: x, y, z, and the radius of what is drawn there. */
+export const POINT = 4;
 
 /**
- * Return the box around all lines and shapes, grown from `box`, with the ground at z 0.
- * @param {Figure} figure @param {Float64Array} placed @param {Box | null} box @returns {Box}
+ * Return where a figure is drawn in these poses, added to what is `known`, over a ground at z 0.
+ * With `isSparse` only points are added that lie beyond those that are known.
+ * @param {Figure} figure @param {(Pose | null)[]} poses @param {Cloud | null} known
+ * @returns {Cloud}
  */
-export function boxAround(figure, placed, box) {
-  const low = box === null ? [Infinity, Infinity, Infinity] : [...box.low];
-  const high = box === null ? [-Infinity, -Infinity, -Infinity] : [...box.high];
-  const ground_mm = groundOf(figure, placed);
-  figure.links.forEach((link, index) => {
-    const points = [[0, 0, 0], ...link.lines_mm.flat(), ...link.shapes.flatMap(shapeCorners)];
-    const half_mm = link.lines_mm.length > 0 ? link.width_mm / 2 : 0;
-    for (const point of points) {
-      const at = pointAt(placed, index, point);
-      at[2] -= ground_mm;
-      for (let axis = 0; axis < 3; axis += 1) {
-        low[axis] = Math.min(low[axis], at[axis] - half_mm);
-        high[axis] = Math.max(high[axis], at[axis] + half_mm);
+export function cloudOf(figure, poses, known, isSparse = false) {
+  const cloud = known ?? { points: [], low: [0, 0, 0], high: [0, 0, 0] };
+  for (const pose of poses) {
+    if (pose === null) continue;
+    const placed = placeLinks(figure, pose);
+    const ground_mm = groundOf(figure, placed);
+    figure.links.forEach((link, index) => {
+      const half_mm = link.lines_mm.length > 0 ? link.width_mm / 2 : 0;
+      const points = [[0, 0, 0], ...link.lines_mm.flat(), ...link.shapes.flatMap(shapeCorners)];
+      for (const point of points) {
+        const at = pointAt(placed, index, point);
+        at[2] -= ground_mm;
+        if (widened(cloud, at, half_mm) || !isSparse) cloud.points.push(...at, half_mm);
       }
-    }
-  });
-  return { low, high };
+    });
+  }
+  return cloud;
+}
+
+/** Widen the bounds of a cloud; return whether that was needed. @param {Cloud} cloud @param {number[]} at @param {number} half_mm */
+function widened(cloud, at, half_mm) {
+  let isBeyond = false;
+  for (let axis = 0; axis < 3; axis += 1) {
+    isBeyond ||= at[axis] - half_mm < cloud.low[axis] || at[axis] + half_mm > cloud.high[axis];
+    cloud.low[axis] = Math.min(cloud.low[axis], at[axis] - half_mm);
+    cloud.high[axis] = Math.max(cloud.high[axis], at[axis] + half_mm);
+  }
+  return isBeyond;
 }
 
 /** @param {Shape} shape two opposite points of it; a mesh counts with its origin only */

@@ -25,22 +25,20 @@ import {
   Vector3,
   WebGLRenderer,
 } from "../vendor/three.js";
-import { STRIDE, boxOf, groundOf, isThick, placeLinks } from "./kinematics.js";
-import { axesOf, centreOf, halvesOf } from "./camera.js";
+import { STRIDE, cloudOf, groundOf, isThick, placeLinks } from "./kinematics.js";
+import { axesOf, distanceFor, extentsOf, middleOf } from "./camera.js";
 import { Orbit } from "./orbit.js";
 
 /** @typedef {import("./kinematics.js").Figure} Figure */
 /** @typedef {import("./kinematics.js").Link} Link */
 /** @typedef {import("./kinematics.js").Shape} Shape */
-/** @typedef {import("./kinematics.js").Box} Box */
+/** @typedef {import("./kinematics.js").Cloud} Cloud */
 /** @typedef {import("./stick.js").Poses} Poses */
 /** @typedef {import("./stick.js").Palette} Palette */
 
 const FIELD_OF_VIEW_DEG = 32;
 /** How many times the size of the figure the picture has. */
-const MARGIN_RATIO = 1.05;
-/** Share of the depth of its box by which the figure may come nearer than its middle. */
-const NEARNESS_RATIO = 0.6;
+const MARGIN_RATIO = 1.1;
 const GHOST_OPACITY = 0.45;
 const GROUND_LINES = 10;
 const UP = new Vector3(0, 0, 1);
@@ -48,8 +46,8 @@ const UP = new Vector3(0, 0, 1);
 /** A figure in 3D on a canvas. */
 export class SceneFigure {
   kind = /** @type {const} */ ("webgl");
-  /** @type {Box | null} */
-  #box = null;
+  /** @type {Cloud | null} */
+  #cloud = null;
 
   /**
    * Throws where there is no WebGL.
@@ -67,7 +65,15 @@ export class SceneFigure {
     this.materials = {
       solid: new MeshLambertMaterial(),
       edge: new MeshLambertMaterial(),
-      ghost: new MeshLambertMaterial({ transparent: true, opacity: GHOST_OPACITY, depthWrite: false }),
+      ghost: new MeshLambertMaterial({
+        transparent: true,
+        opacity: GHOST_OPACITY,
+        depthWrite: false,
+        // Behind the solid figure, where both are in one place.
+        polygonOffset: true,
+        polygonOffsetFactor: 2,
+        polygonOffsetUnits: 2,
+      }),
       reading: new LineBasicMaterial({ depthTest: false }),
       ground: new LineBasicMaterial({ transparent: true, opacity: 0.6 }),
     };
@@ -89,7 +95,7 @@ export class SceneFigure {
 
   /** Keep these poses in the picture. @param {import("./kinematics.js").Pose[]} poses */
   frame(poses) {
-    this.#box = boxOf(this.figure, poses, null);
+    this.#cloud = cloudOf(this.figure, poses, null);
   }
 
   /** @param {Poses} poses @param {Palette} palette @param {import("./camera.js").Size} size @param {number} ratio device pixels per CSS pixel */
@@ -108,7 +114,8 @@ export class SceneFigure {
     this.renderer.setPixelRatio(ratio);
     this.renderer.setSize(size.width_px, size.height_px, false);
     this.camera.aspect = size.width_px / Math.max(1, size.height_px);
-    this.#aim(boxOf(this.figure, [poses.predicted, poses.authored], this.#box));
+    this.#cloud = cloudOf(this.figure, [poses.predicted, poses.authored], this.#cloud, true);
+    this.#aim(this.#cloud);
     this.camera.updateProjectionMatrix();
     this.sun.position.copy(this.camera.position).addScaledVector(UP, this.figure.reach_mm);
     this.renderer.render(this.scene, this.camera);
@@ -121,18 +128,15 @@ export class SceneFigure {
     for (const material of Object.values(this.materials)) material.dispose();
   }
 
-  /** Keep the whole figure in the picture. @param {Box | null} box */
-  #aim(box) {
-    this.#box = box;
-    if (box === null) return;
+  /** Keep the whole figure in the picture. @param {Cloud} cloud */
+  #aim(cloud) {
     const axes = axesOf(this.orbit.direction);
-    const [half_width, half_height, half_depth] = halvesOf(box, axes);
-    const slope = Math.tan((FIELD_OF_VIEW_DEG * Math.PI) / 360);
-    const across_mm = Math.max(half_height, half_width / this.camera.aspect);
-    const away_mm = (MARGIN_RATIO * across_mm) / (slope * this.orbit.zoom) + NEARNESS_RATIO * half_depth;
-    const [x, y, z] = centreOf(box);
-    const [dx, dy, dz] = axes.toward;
-    this.camera.position.set(x + dx * away_mm, y + dy * away_mm, z + dz * away_mm);
+    const middle = middleOf(extentsOf(cloud, axes), axes);
+    const slope = Math.tan((FIELD_OF_VIEW_DEG * Math.PI) / 360) / MARGIN_RATIO;
+    const away_mm = distanceFor(cloud, axes, middle, slope * this.camera.aspect, slope);
+    const [x, y, z] = middle;
+    const [dx, dy, dz] = axes.toward.map((part) => (part * away_mm) / this.orbit.zoom);
+    this.camera.position.set(x + dx, y + dy, z + dz);
     this.camera.lookAt(x, y, z);
   }
 }

@@ -1,13 +1,13 @@
 // @ts-check
 /** A figure on a 2D canvas. It works in every browser. `drawStick` is pure but for its context. */
 
-import { boxOf, groundOf, isThick, placeLinks, pointAt } from "./kinematics.js";
+import { cloudOf, groundOf, isThick, placeLinks, pointAt } from "./kinematics.js";
 import { projected, projectionOf } from "./camera.js";
 import { Orbit } from "./orbit.js";
 
 /** @typedef {import("./kinematics.js").Figure} Figure */
 /** @typedef {import("./kinematics.js").Pose} Pose */
-/** @typedef {import("./kinematics.js").Box} Box */
+/** @typedef {import("./kinematics.js").Cloud} Cloud */
 /** @typedef {import("./camera.js").Projection} Projection */
 /** @typedef {{predicted: Pose, authored: Pose | null, read: Pose | null}} Poses */
 /** @typedef {{solid: string, edge: string, ghost: string, reading: string, ground: string}} Palette */
@@ -151,12 +151,12 @@ function drawGround(ctx, reach_mm, to, palette) {
 /** A figure on a 2D canvas. */
 export class StickFigure {
   kind = /** @type {const} */ ("2d");
-  /** @type {Box | null} */
-  #box = null;
+  /** @type {Cloud | null} */
+  #cloud = null;
 
   /** Keep these poses in the picture. @param {import("./kinematics.js").Pose[]} poses */
   frame(poses) {
-    this.#box = boxOf(this.figure, poses, null);
+    this.#cloud = cloudOf(this.figure, poses, null);
   }
 
   /** @param {HTMLCanvasElement} canvas @param {Figure} figure @param {() => void} changed */
@@ -169,15 +169,15 @@ export class StickFigure {
   /** @param {Poses} poses @param {Palette} palette @param {import("./camera.js").Size} size @param {number} ratio device pixels per CSS pixel */
   draw(poses, palette, size, ratio) {
     const ctx = this.canvas.getContext("2d");
-    this.#box = boxOf(this.figure, [poses.predicted, poses.authored], this.#box);
-    if (ctx === null || this.#box === null) return;
+    if (ctx === null) return;
+    this.#cloud = cloudOf(this.figure, [poses.predicted, poses.authored], this.#cloud, true);
     const [width, height] = [Math.round(size.width_px * ratio), Math.round(size.height_px * ratio)];
     if (this.canvas.width !== width || this.canvas.height !== height) {
       this.canvas.width = width;
       this.canvas.height = height;
     }
     ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
-    const to = projectionOf(this.#box, this.orbit.direction, this.orbit.zoom, size);
+    const to = projectionOf(this.#cloud, this.orbit.direction, this.orbit.zoom, size);
     drawStick(ctx, this.figure, poses, to, palette);
   }
 

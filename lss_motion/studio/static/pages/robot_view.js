@@ -218,7 +218,7 @@ function FigureBox({ robot, live, schedule, theme }) {
     if (place.current === null || robot.figure === null) return undefined;
     const label = `figure of ${robot.name}, as it stands`;
     const figure = createFigure(place.current, robot.figure, { schedule, label });
-    figure.frame([{}, ...Object.values(robot.poses)]);
+    figure.frame([{}]);
     shown.current = figure;
     return () => figure.dispose();
   }, [robot.figure]);
