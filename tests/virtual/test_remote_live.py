@@ -295,7 +295,10 @@ def test_a_calibration_that_is_left_holds_the_joint_and_writes_nothing(robot):
 
 
 def test_the_health_of_every_servo_is_told(robot):
-    client, bus, _, _ = run(robot, (3.0, m.Stop()))
+    client, bus, _, _ = run(robot, *jogs("b", 0.5, 0.5, 0.8), (3.0, m.Stop()))
+    states = [state.joints for state in client.of(m.RobotChanged) if state.state == "live"]
+    assert [joint.is_limp for joint in states[0].values()] == [True, True], "as after power-up"
+    assert [joint.is_limp for joint in states[-1].values()] == [True, False], "b was moved"
     health = client.of(m.Health)
     assert health[-1].phase == "live"
     for name in ("a", "b"):
