@@ -239,7 +239,7 @@ class Page:
             raise CdpError(f"{script}: {thrown}")
         return answer["result"].get("value")
 
-    def wait(self, script: str, seconds: float = 20.0) -> Any:  # noqa: ANN401
+    def wait(self, script: str, seconds: float = 60.0) -> Any:  # noqa: ANN401
         """Return the value of a script when it is true; raises `CdpError` after so long."""
         until_s = time.monotonic() + seconds
         while time.monotonic() < until_s:

@@ -9,25 +9,19 @@ plays.
 
 from __future__ import annotations
 
-import json
-import signal
-import subprocess
 import sys
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from cdp import Browser
+from running_studio import running
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from cdp import Page
 
 ROOT: Final = Path(__file__).resolve().parent.parent
 FOLDER: Final = ROOT / "sequences" / "pictures"
-START: Final = "from lss_motion.cli.start import main; raise SystemExit(main())"
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,10 +49,10 @@ def main(names: list[str]) -> int:
         for name in names or PICTURES:
             chosen = PICTURES[name]
             with (
-                studio(ROOT / "sequences" / chosen.file) as url,
+                running(ROOT / "sequences" / chosen.file) as own,
                 browser.page(*chosen.size) as page,
             ):
-                take(page, url, chosen, FOLDER / f"{name}.png")
+                take(page, own.url, chosen, FOLDER / f"{name}.png")
             print(FOLDER / f"{name}.png")
     return 0
 
@@ -79,21 +73,6 @@ def take(page: Page, url: str, chosen: Picture, path: Path) -> None:
     page.idle()
     page.picture(path)
     assert not page.errors, page.errors
-
-
-@contextmanager
-def studio(file: Path) -> Iterator[str]:
-    """Run the studio for a file; give its address."""
-    words = [sys.executable, "-c", START, "studio", str(file), "--no-browser", "--json"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        text = ""
-        while not text.endswith("}\n"):
-            text += process.stdout.readline()
-        try:
-            yield json.loads(text)["url"]
-        finally:
-            process.send_signal(signal.SIGINT)
 
 
 if __name__ == "__main__":

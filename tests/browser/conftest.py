@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-import signal
-import subprocess
-import sys
 import threading
 from contextlib import contextmanager
 from pathlib import Path
 
 import cdp
 import pytest
+from running_studio import running
 
 from lss_motion.protocol.constants import Family
 from lss_motion.robot.model import ServoModel
@@ -40,48 +38,6 @@ def browser():
         yield found
 
 
-class Studio:
-    """A running `lss-motion studio`."""
-
-    def __init__(self, file, *options):
-        start = "from lss_motion.cli.start import main; raise SystemExit(main())"
-        words = [sys.executable, "-c", start, "studio", str(file), "--no-browser", "--json"]
-        # What a user has: Python, and no Node.
-        self.process = subprocess.Popen(
-            [*words, *options],
-            stdout=subprocess.PIPE,
-            text=True,
-            env=os.environ | {"PATH": str(Path(sys.executable).parent)},
-        )
-        text = ""
-        while not text.endswith("}\n"):
-            text += (line := self.process.stdout.readline())
-            assert line, "the studio has ended"
-        told = json.loads(text)
-        self.url, self.token, self.stop_origin = told["url"], told["token"], told["stop"]
-        self.origin = told["addresses"][0]
-
-    def part(self, module):
-        """Return the process of a part, by the module that it runs."""
-        for place in Path("/proc").glob("[0-9]*"):
-            try:
-                words = (place / "cmdline").read_bytes().split(b"\0")
-                parent = (place / "stat").read_text().rpartition(")")[2].split()[1]
-            except OSError:
-                continue
-            if int(parent) == self.process.pid and module.encode() in words:
-                return int(place.name)
-        raise AssertionError(f"no process runs {module}")
-
-    def close(self):
-        """End it as Ctrl-C does; its parts end with it."""
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGCONT)
-            self.process.send_signal(signal.SIGINT)
-        self.process.wait(20.0)
-        self.process.stdout.close()
-
-
 @pytest.fixture
 def studio():
     """Return a context: the studio runs for a file."""
@@ -96,16 +52,6 @@ def opened(browser):
         return opened_by(browser, studio, **options)
 
     return open_
-
-
-@contextmanager
-def running(file, *options):
-    """Run the studio for a file."""
-    studio = Studio(file, *options)
-    try:
-        yield studio
-    finally:
-        studio.close()
 
 
 @contextmanager

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import shutil
 import urllib.error
 import urllib.request
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -151,45 +149,6 @@ def test_the_curves_of_the_page_are_those_of_the_plan(wave, opened):
         assert np.abs(np.array(found[order]) - expected).max() < allowed, order
 
 
-def test_the_figure_moves_with_the_pose_with_webgl_and_without(wave, opened):
-    for has_webgl in (True, False):
-        with opened(wave, has_webgl=has_webgl, size=(700, 500)) as page:
-            page.key("2")
-            page.wait("document.querySelector('.figure-stage canvas')")
-            page.run("document.querySelector('.app').classList.add('loaded')")
-            kind = "webgl2" if has_webgl else "2d"
-            page.wait(
-                f"document.querySelector('.figure-stage canvas').getContext('{kind}') !== null"
-            )
-            page.idle()
-            first = picture(page)
-            assert len(set(first)) > 4, "nothing is drawn"
-            page.run("document.querySelector('.way input').focus()")
-            page.key("End")
-            page.run(
-                "(() => { const way = document.querySelector('.way input'); way.value = 4.2;"
-                "way.dispatchEvent(new Event('change', {bubbles: true})); })()"
-            )
-            page.idle()
-            assert picture(page) != first
-
-
-def picture(page):
-    """Return the colours of the figure, as it stands on the screen."""
-    box = page.run(
-        "(() => { const b = document.querySelector('.figure-stage canvas').getBoundingClientRect();"
-        "return {x: b.x, y: b.y, width: b.width, height: b.height, scale: 0.25}; })()"
-    )
-    shot = base64.b64decode(page.call("Page.captureScreenshot", format="png", clip=box)["data"])
-    data, at = b"", 8
-    while at < len(shot):
-        size = int.from_bytes(shot[at : at + 4], "big")
-        if shot[at + 4 : at + 8] == b"IDAT":
-            data += shot[at + 8 : at + 8 + size]
-        at += 12 + size
-    return zlib.decompress(data)
-
-
 def test_strangers_are_refused_by_the_running_server(wave):
     def asked(path, **headers):
         request = urllib.request.Request(f"{wave.origin}{path}", headers=headers)
@@ -200,18 +159,17 @@ def test_strangers_are_refused_by_the_running_server(wave):
             with error:
                 return error.code
 
-    key = {"Authorization": f"Bearer {wave.token}"}
+    key = wave.key
     assert asked("/robot.json", **key) == 200
     assert asked("/robot.json") == 401
     assert asked("/robot.json", Host="127.0.0.1.evil", **key) == 421
     assert asked("/robot.json", Origin="http://127.0.0.1.evil", **key) == 403
     assert asked("/files/..%2f..%2fpyproject.toml", **key) == 404
     assert asked("/static/..%2f..%2f__init__.py") == 404
-    place = wave.origin.replace("http", "ws") + "/ws"
-    with pytest.raises(InvalidStatus), connect(place):
+    with pytest.raises(InvalidStatus), connect(wave.socket_url):
         pass
     with pytest.raises((ConnectionClosed, ConnectionError)):
-        flood(place, key)
+        flood(wave.socket_url, key)
 
 
 def flood(place, key):

@@ -45,7 +45,7 @@ def test_estop_with_the_planner_frozen_then_armed_again(studio, opened, two):
     show, bus = two
     with studio(show) as own, opened(own) as page:
         begin(page)
-        planner = own.part("lss_motion.studio.planner")
+        planner = own.parts()["lss_motion.studio.planner"]
         os.kill(planner, signal.SIGSTOP)
         try:
             press(page, "#estop")

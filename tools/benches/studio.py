@@ -73,7 +73,7 @@ def measure(rounds: int = ROUNDS) -> list[Row]:
     program = api.compile(api.plan(show, robot), robot)
     with tempfile.TemporaryDirectory() as text, robot_behind_pty(robot) as (real, received):
         folder = Path(text)
-        (folder / "robot.yaml").write_text(_robot_text(real))
+        (folder / "robot.yaml").write_text(robot_text(real))
         show_file = replace(show, robot_path=folder / "robot.yaml")
         write_sequence(show_file, folder / "show.yaml")
         with _studio(folder) as (server, info):
@@ -251,7 +251,7 @@ def _memory_mb(pid: int) -> float:
 # ---- at the servos
 
 
-def _robot_text(robot: Robot) -> str:
+def robot_text(robot: Robot) -> str:
     [bus] = robot.buses.values()
     joints = "".join(
         f"  {j.name}: {{id: {j.servo_id}, model: {j.model.name}, "

@@ -114,7 +114,8 @@ function afterEvent(state, event) {
     case "waited":
       return { ...state, waiting: event.state === "begun" ? event.text : null };
     case "health":
-      return { ...state, health: event, phase: event.phase };
+      // "live": of a robot that plays no show.
+      return { ...state, health: event, phase: event.phase === "live" ? state.phase : event.phase };
     case "ended":
       return { ...state, ended: { outcome: event.outcome, error: event.error }, phase: "", waiting: null };
     default:

@@ -1,0 +1,134 @@
+"""The pure modules of the pages, in the browser: the same cases in Python and JavaScript."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+from lss_motion.program.model import Program, Repeat
+from lss_motion.remote.schema import schema
+from lss_motion.remote.telemetry import Telemetry
+from lss_motion.studio.view_curves import Curve
+
+
+def modules(*names):
+    """Return a script that imports modules; `then` gets them in this order."""
+    paths = ", ".join(f"import('/static/{name}.js')" for name in names)
+    return f"Promise.all([{paths}])"
+
+
+def test_columns_hold_all_that_a_curve_does_within_them(wave, opened):
+    random = np.random.default_rng(7)
+    times_s = np.sort(random.uniform(0.0, 10.0, 60))
+    times_s[20] = times_s[21]  # A jump.
+    curve = Curve(times_s, random.uniform(-40, 40, 60), random.uniform(-90, 90, 60))
+    given = json.dumps([values.tolist() for values in (curve.times_s, curve.deg, curve.deg_s)])
+    with opened(wave) as page:
+        found = page.run(
+            modules("curves")
+            + f""".then(([curves]) => {{
+              const [times, deg, deg_s] = {given};
+              const curve = {{times_s: Float64Array.from(times), deg: Float32Array.from(deg),
+                deg_s: Float32Array.from(deg_s)}};
+              const lows = new Float32Array(100), highs = new Float32Array(100);
+              curves.fillColumns(curve, 0, times[0], (times[59] - times[0]) / 100, lows, highs);
+              return [[...lows], [...highs]];
+            }})"""
+        )
+    lows, highs = np.array(found)
+    step_s = (times_s[-1] - times_s[0]) / 100
+    for column in range(100):
+        at_s = times_s[0] + step_s * (column + np.linspace(0.0, 1.0, 41))
+        values = curve.at(at_s)
+        # Within a pixel a cubic bends by little.
+        slack = 0.35 * step_s * np.abs(curve.at(at_s, 1)).max() + 0.02
+        assert lows[column] <= values.min() + slack, column
+        assert highs[column] >= values.max() - slack, column
+        assert lows[column] >= values.min() - slack
+        assert highs[column] <= values.max() + slack
+
+
+def test_a_show_time_is_in_the_view_where_the_program_plays_it(wave, opened):
+    shown_s = np.linspace(0.0, 145.0, 301).tolist()
+    for times in (None, 40):
+        repeat = Repeat(from_us=2_000_000, to_us=5_500_000, times=times)
+        program = Program(
+            name="p", robot="r", moves=(), duration_s=150.0 if times else float("inf"),
+            start_deg={}, tolerance_deg=0.1, repeat=repeat,
+        )  # fmt: skip
+        view = {"repeat": {"from_s": 2.0, "to_s": 5.5, "times": times}}
+        with opened(wave) as page:
+            found = page.run(
+                modules("curves")
+                + f""".then(([curves]) =>
+                  {json.dumps(shown_s)}.map((at) => curves.withinView({json.dumps(view)}, at)))"""
+            )
+        assert np.allclose(found, [program.within(at_s) for at_s in shown_s], atol=1e-9)
+
+
+def test_telemetry_is_read_as_it_was_written(wave, opened):
+    frame = Telemetry(bytes(range(8)), 12.625, 0.5, [(1.5, -2.25, float("nan")), (3.0, 4.0, 5.0)])
+    assert schema()["x-telemetry"]["version"] == 1
+    with opened(wave) as page:
+        found = page.run(
+            modules("messages")
+            + f""".then(([messages]) => {{
+              const own = messages.telemetryFrom(Uint8Array.from({[*frame.to_bytes()]}).buffer);
+              const list = (values) => [...values].map((one) => Number.isNaN(one) ? null : one);
+              return [own.plan, own.show_s, own.rate, list(own.planned_deg),
+                list(own.predicted_deg), list(own.read_deg),
+                messages.telemetryFrom(Uint8Array.from([9, 0, 0, 0]).buffer)];
+            }})"""
+        )
+    expected = ["0001020304050607", 12.625, 0.5, [1.5, 3.0], [-2.25, 4.0], [None, 5.0], None]
+    assert found == expected
+
+
+def test_zoom_keeps_the_instant_under_the_pointer_and_the_show_in_sight(wave, opened):
+    """And: no key has two meanings on one page, and what is drawn at a point is found there."""
+    with opened(wave) as page:
+        problems = page.run(
+            modules("timeline/window", "timeline/hit", "keymap")
+            + """.then(([w, hit, keymap]) => {
+              const problems = [];
+              for (const length of [0.4, 19.5, 600]) {
+                const whole = w.fitted(length, 900);
+                if (w.pixelOf(whole, 0) < 0 || w.pixelOf(whole, length) > 900) problems.push('fit');
+                let seen = whole;
+                for (let n = 0; n < 300; n += 1) {
+                  const x = (n * 137) % 900;
+                  const before = w.timeAt(seen, x);
+                  const next = n % 3 === 2 ? w.panned(seen, (n % 7 - 3) * 90, length)
+                    : w.zoomed(seen, n % 2 ? 1.6 : 0.7, x, length);
+                  const margin_s = w.MARGIN_PX / next.px_per_s;
+                  const inside = next.start_s > 1e-6 - margin_s
+                    && w.endOf(next) < length + margin_s - 1e-6;
+                  const moved = Math.abs(w.pixelOf(next, before) - x);
+                  if (n % 3 !== 2 && inside && moved > 0.01) problems.push(`zoom ${moved}`);
+                  if (next.start_s < whole.start_s - 1e-6) problems.push('before the start');
+                  if (next.px_per_s < whole.px_per_s - 1e-9) problems.push('too far out');
+                  seen = next;
+                }
+              }
+              const times_s = Float64Array.from({length: 50}, (_, n) => n / 5);
+              const view = {marks: [], joints: [], keys: {}, stretched: [], given_up: [],
+                lanes: [{times_s, keys: Array.from(times_s, (at_s) => ({at_s}))}]};
+              const rows = [{kind: 'lane', name: '', index: 0, y_px: 40, height_px: 20}];
+              const seen = {start_s: 1, px_per_s: 90, width_px: 800};
+              for (let n = 6; n < 40; n += 1) for (const off of [-5, 0, 5]) {
+                const found = hit.hitAt(view, rows, seen,
+                  {x_px: w.pixelOf(seen, times_s[n]) + off, y_px: 50, reach_px: 6});
+                if (found.kind !== 'key' || found.key !== n) problems.push(`hit ${n} ${off}`);
+              }
+              for (const page of ['show', 'timeline', 'robot']) {
+                const names = keymap.KEYMAP.filter((one) => !one.pages || one.pages.includes(page))
+                  .flatMap((one) => one.keys);
+                if (new Set(names).size !== names.length) problems.push(`keys of ${page}`);
+                const unknown = names.filter((name) => keymap.actionOf(name, page) === null);
+                problems.push(...unknown);
+              }
+              return problems;
+            })"""
+        )
+    assert problems == []

@@ -1,0 +1,89 @@
+"""`lss-motion studio` as a process, as a user starts it: for tests, bench and pictures."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, Self
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+START: Final = "from lss_motion.cli.start import main; raise SystemExit(main())"
+END_S: Final = 20.0
+
+
+class Studio:
+    """A running studio: its addresses, token and processes."""
+
+    def __init__(self, file: Path, *options: str) -> None:
+        """Start it; raises `OSError` if it ends at once."""
+        words = [sys.executable, "-c", START, "studio", str(file), "--no-browser", "--json"]
+        # What a user has: Python, and no Node.
+        self.process = subprocess.Popen(
+            [*words, *options],
+            stdout=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"PATH": str(Path(sys.executable).parent)},
+        )
+        assert self.process.stdout is not None
+        text = ""
+        while not text.endswith("}\n"):
+            line = self.process.stdout.readline()
+            if not line:
+                raise OSError("the studio has ended")
+            text += line
+        told = json.loads(text)
+        self.url: str = told["url"]
+        self.token: str = told["token"]
+        self.stop_origin: str = told["stop"]
+        self.origin: str = told["addresses"][0]
+
+    @property
+    def key(self) -> dict[str, str]:
+        """The header by which a client without a browser has the role `edit`."""
+        return {"Authorization": f"Bearer {self.token}"}
+
+    @property
+    def socket_url(self) -> str:
+        return self.origin.replace("http", "ws", 1) + "/ws"
+
+    def parts(self) -> dict[str, int]:
+        """Return the processes that it has started, by the module that each runs (Linux)."""
+        found = {}
+        for place in Path("/proc").glob("[0-9]*"):
+            try:
+                words = (place / "cmdline").read_text().split("\0")
+                parent = (place / "stat").read_text().rpartition(")")[2].split()[1]
+            except OSError:
+                continue
+            if int(parent) == self.process.pid and "-m" in words:
+                found[words[words.index("-m") + 1]] = int(place.name)
+        return found
+
+    def close(self) -> None:
+        """End it as Ctrl-C does; its parts end with it."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGCONT)
+            self.process.send_signal(signal.SIGINT)
+        self.process.wait(END_S)
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+@contextmanager
+def running(file: Path, *options: str) -> Iterator[Studio]:
+    """Run the studio for a file."""
+    with Studio(file, *options) as studio:
+        yield studio
