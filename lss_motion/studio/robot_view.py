@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from lss_motion.errors import InputError
 from lss_motion.gait.figure import figure_view
 
 if TYPE_CHECKING:
@@ -14,8 +15,13 @@ if TYPE_CHECKING:
 def robot_view(robot: Robot, gait: Gait | None = None) -> dict[str, object]:
     """Return the view of a robot; a limit that its file leaves to the servo is None.
 
-    Raises `InputError` where the URDF file that the robot file names is wrong or missing.
+    A URDF file that is wrong or missing costs the figure only: `figure_problem` says why.
     """
+    figure, figure_problem = None, None
+    try:
+        figure = figure_view(robot, gait)
+    except InputError as error:
+        figure_problem = str(error)
     return {
         "name": robot.name,
         "file": None if robot.path is None else str(robot.path),
@@ -40,5 +46,6 @@ def robot_view(robot: Robot, gait: Gait | None = None) -> dict[str, object]:
         ],
         "poses": {name: dict(angles) for name, angles in robot.poses.items()},
         "groups": {name: list(joints) for name, joints in robot.groups.items()},
-        "figure": figure_view(robot, gait),
+        "figure": figure,
+        "figure_problem": figure_problem,
     }

@@ -74,6 +74,13 @@ function drawnState(store) {
   return [state.view, isPlaying && telemetry !== null ? telemetry : state.cursor_s, state.theme];
 }
 
+/** Why there is nothing to draw. @param {{ robot: import("../pages/robot_view.js").RobotJson }} props */
+export function NoFigure({ robot }) {
+  return robot.figure_problem === null
+    ? html`<p class="quiet">The robot file has no figure: see the guide, “What it looks like”.</p>`
+    : html`<p class="quiet figure-problem"><b>⚠ There is no figure.</b> ${robot.figure_problem}</p>`;
+}
+
 /** @param {{ store: Store }} props */
 export function FigurePanel({ store }) {
   const place = useRef(/** @type {HTMLDivElement | null} */ (null));
@@ -100,10 +107,8 @@ export function FigurePanel({ store }) {
       shown.dispose();
     };
   }, [figure]);
-  if (figure === null) {
-    const text = robot === null ? "" : "The robot file has no figure: see the guide, “What it looks like”.";
-    return html`<p class="quiet">${text}</p>`;
-  }
+  if (robot === null) return null;
+  if (figure === null) return html`<${NoFigure} robot=${robot} />`;
   return html`<div ref=${place} class="figure-panel"></div>
     <ul class="figure-legend" aria-label="legend of the figure">
       <li class="is-solid">predicted</li>

@@ -3,6 +3,7 @@
 
 import { html, useEffect, useMemo, useRef, useState } from "../vendor/preact.js";
 import { createFigure } from "../figure/figure.js";
+import { NoFigure } from "../figure/panel.js";
 import { JogHold } from "./robot_jog.js";
 import { JointTable, shown } from "./robot_joints.js";
 import { Maintenance } from "./robot_maintenance.js";
@@ -28,6 +29,7 @@ import { PoseList } from "./robot_poses.js";
  * @property {JointView[]} joints
  * @property {Record<string, Record<string, number>>} poses
  * @property {import("../figure/kinematics.js").Figure | null} figure
+ * @property {string | null} figure_problem why there is none
  */
 /**
  * @typedef {object} LiveRobot
@@ -68,7 +70,7 @@ const STATES = {
 export function whyStill(live, isMine, isLatched, isLost) {
   if (isLost) return "the connection to the studio is lost";
   if (!isMine) return "this page does not operate; press Operate above";
-  if (live.state === "playing") return "a show plays: stop it first";
+  if (live.state === "playing") return "a show plays; stop it first";
   if (isLatched) return "it was stopped: arm it again first";
   if (live.state !== "live") return "connect to the robot first";
   return "";
@@ -224,9 +226,7 @@ function FigureBox({ robot, live, schedule, theme }) {
   }, [robot.figure]);
   useEffect(() => shown.current?.setPose({ predicted: known }), [robot.figure, JSON.stringify(known)]);
   useEffect(() => shown.current?.setTheme(), [theme]);
-  if (robot.figure === null) {
-    return html`<p class="robot-quiet">The robot file has no <code>figure</code>: see the guide, “What it looks like”.</p>`;
-  }
+  if (robot.figure === null) return html`<${NoFigure} robot=${robot} />`;
   const notes = robot.figure.notes.map((note) => html`<li>${note}</li>`);
   return html`<div ref=${place} class="robot-figure"></div>
     ${notes.length > 0 ? html`<ul class="robot-quiet">${notes}</ul>` : null}`;
