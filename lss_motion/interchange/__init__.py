@@ -13,7 +13,8 @@
 | `mapping`     | joints of the file → joints of the robot; map files        | `importing`, cli    |
 | `voice`       | a sound → the motion of a jaw, a nod, a sway               | cli                 |
 | `reduce`      | a recording → few keys within a tolerance                  | `importing`         |
-| `fitted_keys` | fewer keys of a spline by fitted angles                    | `reduce`            |
+| `fitted_keys` | few shared instants, and angles fitted to the recording    | `reduce`            |
+| `recorded`    | the recording of a joint, and the curve between its keys   | the two above       |
 | `export`      | samples of a plan → CSV, ROS, Blender                      | cli                 |
 
 One reader per module:

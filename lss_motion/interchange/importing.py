@@ -36,7 +36,8 @@ from lss_motion.interchange.praat import PraatReader
 from lss_motion.interchange.pypose import PyPoseReader
 from lss_motion.interchange.pypot import PypotReader
 from lss_motion.interchange.reader import DIGITS, ForeignMotion, LabelTrack, Note, RefusedMotion
-from lss_motion.interchange.reduce import TOLERANCE_DEG, Limits, every_sample, interpolated, reduced
+from lss_motion.interchange.recorded import Limits, interpolated
+from lss_motion.interchange.reduce import TOLERANCE_DEG, every_sample, reduced
 from lss_motion.interchange.rhubarb import RhubarbReader
 from lss_motion.interchange.robotis import RobotisPagesReader, RobotisTextReader
 from lss_motion.interchange.ros import RosReader
@@ -246,7 +247,7 @@ def imported(
         recorded = own
         own, fit = reduced(recorded, tolerance_deg, ease, _limits(robot))
         if ease is Interpolation.SPLINE and (joint := _swings_out(own, recorded, robot)):
-            own, fit = reduced(recorded, tolerance_deg, Interpolation.SMOOTH)
+            own, fit = reduced(recorded, tolerance_deg, Interpolation.SMOOTH, _limits(robot))
             note = f"A spline would swing joint {joint} out of its range: smooth instead."
             own = replace(own, comments=(*own.comments, note))
     if keeps_time and own.is_script:

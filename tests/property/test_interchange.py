@@ -28,7 +28,8 @@ from lss_motion.interchange import (
     exported,
     reduced,
 )
-from lss_motion.interchange.reduce import ROUNDING_DEG, interpolated
+from lss_motion.interchange.recorded import interpolated
+from lss_motion.interchange.reduce import ROUNDING_DEG
 from lss_motion.sequence.model import Interpolation
 
 PAGE = bytearray(512)
