@@ -81,7 +81,7 @@ def children(pid):
     """Return the processes that a process has started, by the module that they run."""
     found = {}
     for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, ValueError):  # It may just begin, or end.
             words = Path(f"/proc/{one}/cmdline").read_bytes().decode().split("\0")
             found[words[words.index("-m") + 1].rpartition(".")[2]] = int(one)
     return found
@@ -96,6 +96,7 @@ class Browser:
             ssl=tls,
             additional_headers={"Authorization": f"Bearer {studio['token']}"},
             compression=None,
+            ping_interval=None,  # The server stands still for a while.
         )
         self.link = self.context.__enter__()
         self.events, self.frames, self.next_id = [], 0, 1
@@ -292,3 +293,22 @@ def test_a_robot_that_is_not_there_is_said(studio, tmp_path, monkeypatch):
     server.send_signal(signal.SIGTERM)
     server.communicate(timeout=WAIT_S)
     assert server.returncode == 0
+
+
+def test_a_port_that_is_lost_in_the_middle_of_a_show_is_said(on_terminal, servo, studio):
+    with on_terminal(servo(1)):
+        server, info = studio()
+        one = Browser(info)
+        one.wait("document", is_planning=False)
+        one.play()
+        stop = children(server.pid)["stop"]
+        os.kill(stop, signal.SIGKILL)
+    fault = one.wait("fault")
+    assert "port" in fault["cause"]
+    one.wait("phase", phase="recovering")
+    # The stop process was killed and is there again; its stop reaches the player.
+    until(lambda: children(server.pid).get("stop", stop) != stop)
+    assert post(info, "/stop") == 204
+    assert one.wait("player", is_latched=True)["state"] == "stopping"
+    assert one.wait("player", state="ended")["text"] == "stopped"
+    assert one.last("robot")["state"] == "off"
