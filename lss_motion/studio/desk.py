@@ -60,7 +60,9 @@ class Desk:
         self._player: PlayerProcess | None = None
         self._task: Task = "show"
         """What the process does, if there is one."""
-        self._on_free: list[Callable[[], None]] = []
+        self._next: Callable[[], None] | None = None
+        """What begins when the process has ended; a stop forgets it."""
+        self._on_free: Callable[[], None] | None = None
         self._state = m.PlayerChanged(
             state="idle", is_latched=False, plan=None, show_s=None, text=""
         )
@@ -98,7 +100,7 @@ class Desk:
         """Note a stop that another way has carried out."""
         word = "emergency stop" if kind == "estop" else "stop"
         text = f"{word}: nothing moves before it is armed again"
-        self._on_free.clear()  # What was to begin next does not.
+        self._next = None
         is_show = self._player is not None and self._task == "show"
         state = "stopping" if is_show else self._state.state
         self._change(state=state, is_latched=True, text=text)
@@ -158,7 +160,7 @@ class Desk:
         if self._player is None:
             on_free()
             return
-        self._on_free = [on_free]
+        self._next, self._on_free = None, on_free
         self._player.send(m.Stop())
 
     # ---- the show
@@ -179,7 +181,7 @@ class Desk:
             else:
                 self._hub.answer(key)
 
-        self._on_free = [start]
+        self._next = start
         return False
 
     def _start_show(self, operation: m.Play) -> None:
@@ -334,15 +336,16 @@ class Desk:
     def _note_end(self, player: PlayerProcess) -> None:
         assert player is self._player
         self._player = None
-        waiting, self._on_free = self._on_free, []
+        begin, self._next = self._next, None
         if self._task == "show":
             self._change(**self._end_state)
         self._tell_robot("off", self._end_text)
-        if not waiting:
-            for key in self._hub.unanswered():
-                self._hub.answer(key, "it has ended before this was carried out")
-        for call in waiting:
-            call()
+        if begin is not None:
+            begin()
+        for key in self._hub.unanswered():
+            self._hub.answer(key, "it has ended before this was carried out")
+        if self._on_free is not None:
+            self._on_free()
 
     # ---- state
 
