@@ -78,3 +78,23 @@ def test_the_picture_changes_with_the_pose_and_only_with_it(wave, opened, has_we
     assert start == again
     assert top not in (start, moved)
     assert bool(asked) == has_webgl, "three.js is loaded where it can be used, and only there"
+
+
+def test_an_old_reading_is_not_drawn_as_a_lag(wave, opened):
+    """A joint that was 2 degrees off when it was read is drawn so until it is read again."""
+    with opened(wave) as page:
+        found = page.run(DEVIATIONS)
+    assert found == pytest.approx([12.0, 42.0, 51.0], abs=1e-5)
+
+
+DEVIATIONS = """
+(async () => {
+  const { Deviations } = await import('/static/figure/panel.js');
+  const deviations = new Deviations();
+  const frames = [[10, 12], [40, 12], [50, 51]];
+  return frames.map(([predicted, read]) => {
+    deviations.take({ predicted_deg: [predicted], read_deg: [read] });
+    return predicted + deviations.of(0);
+  });
+})()
+"""

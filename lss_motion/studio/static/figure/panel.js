@@ -33,10 +33,35 @@ export function posesAt(view, at_s) {
 }
 
 /**
- * Return the poses of a running show: as it is predicted, and as the servos report it.
- * @param {View} view @param {Telemetry} telemetry @returns {Poses}
+ * How far each joint was from its prediction when it was read last. A frame repeats readings, which
+ * are old while the joint moves on: drawn as they are, they would look like a lag that is not there.
  */
-export function posesOf(view, telemetry) {
+export class Deviations {
+  /** @type {number[]} */
+  #read_deg = [];
+  /** @type {number[]} */
+  #away_deg = [];
+
+  /** Take a frame; only a reading that differs is new. @param {Telemetry} telemetry */
+  take(telemetry) {
+    telemetry.read_deg.forEach((read_deg, joint) => {
+      if (!Number.isFinite(read_deg) || read_deg === this.#read_deg[joint]) return;
+      this.#read_deg[joint] = read_deg;
+      this.#away_deg[joint] = read_deg - (telemetry.predicted_deg[joint] ?? NaN);
+    });
+  }
+
+  /** Return the deviation of a joint; NaN: it was not read yet. @param {number} joint */
+  of(joint) {
+    return this.#away_deg[joint] ?? NaN;
+  }
+}
+
+/**
+ * Return the poses of a running show: as it is predicted, and as far from it as the servos reported.
+ * @param {View} view @param {Telemetry} telemetry @param {Deviations} deviations @returns {Poses}
+ */
+export function posesOf(view, telemetry, deviations) {
   const poses = posesAt(view, withinView(view, Math.max(0, telemetry.show_s)));
   /** @type {Pose} */
   const read = {};
@@ -44,10 +69,10 @@ export function posesOf(view, telemetry) {
   view.joints.forEach(({ name }, index) => {
     const predicted_deg = telemetry.predicted_deg[index] ?? NaN;
     if (Number.isFinite(predicted_deg)) poses.predicted[name] = predicted_deg;
+    const away_deg = deviations.of(index);
     // A joint that was not read yet stands where it is predicted.
-    const read_deg = telemetry.read_deg[index] ?? NaN;
-    read[name] = Number.isFinite(read_deg) ? read_deg : (poses.predicted[name] ?? null);
-    isRead ||= Number.isFinite(read_deg);
+    read[name] = (poses.predicted[name] ?? NaN) + (Number.isFinite(away_deg) ? away_deg : 0);
+    isRead ||= Number.isFinite(away_deg);
   });
   return { ...poses, read: isRead ? read : null };
 }
@@ -94,13 +119,19 @@ export function FigurePanel({ store }) {
     const shown = createFigure(place.current, figure, { schedule: nextFrame, label });
     /** @type {unknown[]} */
     let drawn = [];
+    const deviations = new Deviations();
     const end = onFrame(() => {
       const [view, at, theme] = drawnState(store);
       if (view === null || (view === drawn[0] && at === drawn[1] && theme === drawn[2])) return;
       if (theme !== drawn[2]) shown.setTheme();
       if (view !== drawn[0]) shown.frame(posesAllOver(view));
       drawn = [view, at, theme];
-      shown.show(typeof at === "number" ? posesAt(view, at) : posesOf(view, at));
+      if (typeof at === "number") {
+        shown.show(posesAt(view, at));
+        return;
+      }
+      deviations.take(at);
+      shown.show(posesOf(view, at, deviations));
     });
     return () => {
       end();
