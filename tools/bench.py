@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 BENCHES = (
-    "codec", "states", "plan", "compile", "compress", "horn", "feedback", "loop", "line", "late",
-    "identify", "gait", "scaling", "capacity", "sound", "voice", "studio", "pages",
+    "codec", "states", "plan", "compile", "compress", "horn", "feedback", "robust", "loop", "line",
+    "late", "identify", "gait", "scaling", "capacity", "sound", "voice", "studio", "pages",
 )  # fmt: skip
 PACKAGES = ("numpy", "scipy", "toppra", "pyserial", "ruckig")
 

@@ -22,10 +22,11 @@ calls with the same arguments give the same bytes, so a log can be replayed (`ru
     approach        program from where the robot stands to the start    session
     streamer        one program on the show clock                       session
     show_clock      show time as a function of the run clock            streamer, cues
+    due_moves       moves in the order in which they leave              streamer
     rate_ramps      moves computed at run time: rate not 1, guiding     streamer
     setpoints       the filter of a servo in EM0, at any step instants  joint_state, rate_ramps
     joint_state     one joint: sent moves, model, readings; statistics  streamer, polling, report
-    estimators      load, lag and lost moves of one joint               joint_state
+    estimators      load, lag, rests, lost moves of a joint             joint_state
     polling         queries in the gaps between moves, and their use    streamer
     query_choice    which servo is polled next, and for what            polling
     query_tracker   queries in flight on one bus                        polling, transactions

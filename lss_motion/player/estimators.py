@@ -1,13 +1,13 @@
-"""Estimators for one joint from its readings: load, lag, and lost moves.
+"""Estimators for one joint from its readings: load and lag, rests, and lost moves.
 
 A bus without checksums can deliver a wrong number that looks right, so `DisturbanceEstimator` first
-checks that a reading is plausible. The remaining difference between reading and response model is
-treated as a slowly changing disturbance (load, backlash, a bent linkage), which is estimated and
-offered as a bounded offset.
+checks that a reading is plausible. It keeps the correction: what is added to the targets of a
+joint, within bounds.
 
-`LagEstimator` estimates how much later than assumed the horn follows the profile. A position error
-by lag grows with the speed, an error by load does not. So the slope of the error over the speed,
-through the readings of the last seconds of motion, is the lag.
+`HornEstimator` estimates why the horn is not where the response model has it: a load, the play of
+the gears, a lag. What no such cause explains, as wrong ramps or a weak motor, makes it less sure,
+and corrections that make the errors larger are dropped. `StandingCorrector` corrects a joint at
+rest, whatever the cause of its error is.
 
 `LostMoveDetector` detects moves that the servo did not receive. A line without acknowledgement
 loses a command now and then, and the servo goes on with the one before. So after every move to
@@ -22,6 +22,7 @@ they tell the profiles apart once these diverge.
 from __future__ import annotations
 
 import math
+import operator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
@@ -31,18 +32,253 @@ if TYPE_CHECKING:
 
 JUMP_MARGIN_DEG: Final = 5.0
 """A horn may seem to jump this far beyond what its speed allows: noise, backlash and lag."""
-ESTIMATE_S: Final = 0.18
-"""Time constant of the estimate, whatever the rate of readings: an error that many readings in a
-row share, such as one wrong instant, counts once. Chosen: slower changes are a disturbance, and
-at 22 readings a second each then counts a quarter."""
-GAIN_MAX: Final = 0.25
-"""No reading counts more than this. Chosen: four readings make a correction."""
-GAIN_HALF_SPEED_DEG_S: Final = 30.0
-"""At this speed a reading counts half: a lag that is wrong by 10 ms causes 0.3 deg there."""
-OFFSET_MAX_DEG: Final = 3.0
-"""Largest correction (FACTS.md A20)."""
+OFFSET_MAX_DEG: Final = 7.5
+"""Largest correction (FACTS.md A20): three quarters of the distance at which a joint is astray."""
 OFFSET_RATE_DEG_S: Final = 10.0
 """Fastest change of a correction: a tenth of the speed of an ordinary move."""
+
+USUAL: Final = (2.0, 2.0, 2.0, 0.5, 0.03)
+"""What load (deg), play (deg) and lag (s) are expected to be before anything is known, as standard
+deviations."""
+DRIFT: Final = (0.05, 0.05, 0.05, 0.02, 0.003)
+"""So much they change in a second, besides with the angle. Chosen: a reading that scatters by half
+a degree moves the load by a fiftieth of that, and a load that is new is known after a second."""
+SMALL_DEG: Final = 0.1
+"""A smaller load is not corrected: a unit of an LSS. One of twice as much is corrected fully."""
+NOISE_DEG: Final = 0.3
+NOISE_LEAST_DEG: Final = 0.03
+"""Scatter of readings at rest, before it is known, and at the least (FACTS.md E7, P15)."""
+NOISE_S: Final = 3.0
+"""Time over which the scatter is averaged."""
+NOISE_READINGS: Final = 2
+"""What is assumed of the scatter counts as much as so many readings."""
+TIMING_S: Final = 0.015
+TIMING_LEAST_S: Final = 0.004
+"""Uncertainty of the instants in motion, before it is known, and at the least: an error by timing
+grows with the speed. So the less a moving horn does what is expected, the less it says of the
+load."""
+MOTION_S: Final = 1.0
+"""Time of motion over which that uncertainty is averaged: an ordinary move."""
+CORRELATED_S: Final = 0.2
+"""Errors of readings within this time have a common cause, such as one wrong instant, and count
+once. Chosen: an ordinary ramp."""
+STRANGE_SIGMAS: Final = 3.0
+"""A reading that is further off than this counts less: something pushes, or a move went wrong."""
+PERSISTENT_S: Final = 1.0
+"""After this time of strange readings to one side, at rest or nearly so, the load is taken for a
+new one."""
+LAG_MAX_S: Final = 0.06
+"""Largest lag that is corrected, in both directions: three times the lag that is assumed of a servo
+(`lag_s`). Chosen: a horn that lags more is held up by something."""
+DEAD_S: Final = 0.004
+"""A smaller difference is not corrected, since commands would lose their slots on the line for
+nothing. Chosen: on simulated servos that lag as assumed the estimate stays within 3 ms
+(measured). A difference of twice as much is corrected fully."""
+SPEED_DEG_S: Final = 20.0
+"""From this speed on a reading says how late the horn is."""
+LATE_MAX_S: Final = 0.15
+"""A horn that seems later than this counts as this late."""
+TRUST_S: Final = 2.0
+"""Seconds of motion over which it is judged whether the lag explains the errors. Chosen: a few
+moves of a show."""
+EXPLAINED_LEAST: Final = 0.3
+EXPLAINED_SURE: Final = 0.6
+"""A lag that explains less than the first share of the squared errors in motion is none, one that
+explains the second is corrected fully. Measured: of a lag it explains nine tenths, of wrong ramps
+or a weak motor less than a third; to send earlier for these made things worse."""
+
+WORTH_DEG2_S: Final = 0.1
+"""Weight of the assumption that a correction for the load helps: a third of a degree for a
+second."""
+WORTH_S: Final = 5.0
+"""Seconds over which it is judged whether it does."""
+
+SIZE: Final = len(USUAL)
+
+
+@dataclass(slots=True)
+class HornEstimator:
+    """How far the horn of one joint is behind its profile: by its load, its play, and its lag.
+
+    A weight on an arm pulls with the sine and cosine of its angle, a spring or a wrong zero with a
+    constant; the play of the gears holds the horn back on its way; a lag holds it back with its
+    speed. These five numbers are estimated by a Kalman filter. The weight of a reading falls with
+    the speed, by as much as the errors in motion have shown so far. So what is learnt of the load
+    comes from rests and slow moves, where there are any.
+    """
+
+    _mean: list[float] = field(default_factory=lambda: [0.0] * SIZE)
+    _cov: list[list[float]] = field(
+        default_factory=lambda: [
+            [usual * usual if row == column else 0.0 for column in range(SIZE)]
+            for row, usual in enumerate(USUAL)
+        ]
+    )
+    noise_deg2: float = NOISE_DEG**2
+    """Variance of a reading at rest."""
+    _readings: int = 0
+    """From which the variance was learnt."""
+    _timing_deg2: float = TIMING_S**2 * 100.0**2
+    _timing_speed2: float = 100.0**2
+    """Sums of squared errors and speeds in motion."""
+    _strange_s: float = 0.0
+    """For how long the readings have been strange, with the sign of their error."""
+    _common: float = WORTH_DEG2_S
+    _square: float = WORTH_DEG2_S
+    """Sums of products of the load with the error that would be without a correction, and of its
+    squares."""
+    _plain: float = 0.0
+    _left: float = 0.0
+    """Sums of squared errors in seconds: without an extra lag, and with that estimated so far."""
+
+    # ---- what is known
+
+    def load_deg(self, angle_deg: float, way: float) -> float:
+        """Return by how much load and play keep the horn below its profile at an angle.
+
+        `way` is the direction in which it turned last: 1, -1, or 0 if that is not known.
+        """
+        load_deg: float = sum(map(operator.mul, self._mean, _basis(angle_deg, way, 0.0)))
+        return load_deg
+
+    def correction_deg(self, angle_deg: float, way: float) -> float:
+        """Return what may be added to a target: the load, or 0 if it is small or not sure."""
+        load_deg, basis = self.load_deg(angle_deg, way), _basis(angle_deg, way, 0.0)
+        spread = (sum(map(operator.mul, row, basis)) for row in self._cov)
+        unsure_deg = math.sqrt(max(sum(map(operator.mul, spread, basis)), 0.0))
+        clear = min(max(0.0, abs(load_deg) / (SMALL_DEG + unsure_deg) - 1.0), 1.0)
+        return load_deg * clear
+
+    @property
+    def lag_s(self) -> float:
+        """Lag besides the assumed one, within `LAG_MAX_S`."""
+        return min(max(self._mean[-1], -LAG_MAX_S), LAG_MAX_S)
+
+    @property
+    def early_s(self) -> float:
+        """By how much commands are sent earlier: the lag, or 0 if it is small or no lag."""
+        unsure_s = math.sqrt(max(self._cov[-1][-1], 0.0))
+        clear = min(max(0.0, abs(self.lag_s) / (DEAD_S + unsure_s) - 1.0), 1.0)
+        sure = (self.explained_ratio - EXPLAINED_LEAST) / (EXPLAINED_SURE - EXPLAINED_LEAST)
+        return self.lag_s * clear * min(max(0.0, sure), 1.0)
+
+    @property
+    def explained_ratio(self) -> float:
+        """Share of the squared errors in motion that the lag has explained, before each was known.
+
+        An error counts as time, so that fast moves do not outvote the others.
+        """
+        return 1.0 - self._left / self._plain if self._plain > 0.0 else 0.0
+
+    @property
+    def worth_ratio(self) -> float:
+        """Share of the load that is worth correcting: the one that makes the errors smallest."""
+        return min(max(self._common / self._square, 0.0), 1.0)
+
+    # ---- what readings say
+
+    def judge_load(self, error_deg: float, load_deg: float, elapsed_s: float) -> None:
+        """Note the distance from the plan that the horn would have without a correction.
+
+        `load_deg` is what the present move was to be corrected for.
+        """
+        weight = min(elapsed_s, CORRELATED_S)
+        keep = math.exp(-weight / WORTH_S)
+        most_deg = 2.0 * abs(load_deg) + 1.0
+        error_deg = min(max(error_deg, -most_deg), most_deg)
+        rest = (1.0 - keep) * WORTH_DEG2_S
+        self._common = keep * self._common + weight * error_deg * load_deg + rest
+        self._square = keep * self._square + weight * load_deg * load_deg + rest
+
+    def take(
+        self,
+        measured_deg: float,
+        course: tuple[float, float, float, float],
+        way: float,
+        elapsed_s: float,
+    ) -> None:
+        """Use a reading, `elapsed_s` after the one before.
+
+        `course` is the angle of the profile without an extra lag, angle and speed with `lag_s`, and
+        the largest speed of the last quarter of a second.
+        """
+        plain_deg, lagged_deg, speed_deg_s, recent_deg_s = course
+        for index, drift in enumerate(DRIFT):
+            self._cov[index][index] += drift * drift * min(elapsed_s, NOISE_S)
+        basis = _basis(lagged_deg, way, speed_deg_s)
+        spread = [sum(map(operator.mul, row, basis)) for row in self._cov]
+        known = sum(map(operator.mul, spread, basis))
+        load_deg = self.load_deg(lagged_deg, way)
+        surprise_deg = lagged_deg - measured_deg - load_deg
+        timing_s2 = max(self._timing_deg2 / self._timing_speed2, TIMING_LEAST_S**2)
+        timing_deg2 = timing_s2 * recent_deg_s * recent_deg_s
+        noise = (self.noise_deg2 + timing_deg2) * max(1.0, CORRELATED_S / max(elapsed_s, 1e-3))
+        strange = surprise_deg * surprise_deg / (STRANGE_SIGMAS**2 * (known + noise))
+        is_slow = timing_deg2 < self.noise_deg2
+        self._note_strange(surprise_deg, elapsed_s, is_strange=is_slow and strange > 1.0)
+        total = known + noise * max(1.0, strange * strange)
+        for row in range(SIZE):
+            self._mean[row] += spread[row] / total * surprise_deg
+            for column in range(SIZE):
+                self._cov[row][column] -= spread[row] * spread[column] / total
+        square_deg2 = max(surprise_deg * surprise_deg - known, 0.0)
+        if is_slow and recent_deg_s > 0.0:
+            self._learn_noise(min(square_deg2, 4.0 * self.noise_deg2), elapsed_s)
+        if recent_deg_s > 0.0:
+            self._learn_timing(square_deg2, recent_deg_s, elapsed_s)
+        if abs(speed_deg_s) >= SPEED_DEG_S:
+            late_s = (plain_deg - measured_deg - load_deg) / speed_deg_s
+            self._judge_lag(late_s, surprise_deg / speed_deg_s, elapsed_s)
+
+    def rest(self, load_deg: float, angle_deg: float) -> None:
+        """Use the distance of a horn that certainly rests on `angle_deg` from its profile."""
+        self.doubt()
+        profile_deg = angle_deg + load_deg
+        self.take(angle_deg, (profile_deg, profile_deg, 0.0, 0.0), 0.0, CORRELATED_S)
+
+    def doubt(self) -> None:
+        """Note that the load may be another one now."""
+        self._strange_s = 0.0
+        for index, usual in enumerate(USUAL[:-1]):
+            self._cov[index][index] += usual * usual
+
+    def note_scatter(self, change_deg: float, elapsed_s: float) -> None:
+        """Note by how much two readings in a row of a horn at rest differ."""
+        self._learn_noise(min(0.5 * change_deg * change_deg, 1.0), elapsed_s)
+
+    def _note_strange(self, surprise_deg: float, elapsed_s: float, *, is_strange: bool) -> None:
+        if not is_strange or surprise_deg * self._strange_s < 0.0:
+            self._strange_s = 0.0
+        if is_strange:
+            self._strange_s += math.copysign(min(elapsed_s, CORRELATED_S), surprise_deg)
+        if abs(self._strange_s) > PERSISTENT_S:
+            self.doubt()
+
+    def _learn_noise(self, square_deg2: float, elapsed_s: float) -> None:
+        self._readings += 1
+        share = max(min(elapsed_s / NOISE_S, 0.1), 1.0 / (self._readings + NOISE_READINGS))
+        square_deg2 = max(square_deg2, NOISE_LEAST_DEG * NOISE_LEAST_DEG)
+        self.noise_deg2 += share * (square_deg2 - self.noise_deg2)
+
+    def _learn_timing(self, square_deg2: float, speed_deg_s: float, elapsed_s: float) -> None:
+        keep = math.exp(-min(elapsed_s, CORRELATED_S) / MOTION_S)
+        self._timing_deg2 = keep * self._timing_deg2 + (1.0 - keep) * square_deg2
+        self._timing_speed2 = keep * self._timing_speed2 + (1.0 - keep) * speed_deg_s * speed_deg_s
+
+    def _judge_lag(self, late_s: float, left_s: float, elapsed_s: float) -> None:
+        weight = min(elapsed_s, CORRELATED_S)
+        keep = math.exp(-weight / TRUST_S)
+        self._plain = keep * self._plain + weight * min(late_s * late_s, LATE_MAX_S**2)
+        self._left = keep * self._left + weight * min(left_s * left_s, LATE_MAX_S**2)
+
+
+def _basis(angle_deg: float, way: float, speed_deg_s: float) -> tuple[float, ...]:
+    angle = math.radians(angle_deg)
+    return 1.0, math.sin(angle), math.cos(angle), way, speed_deg_s
+
+
+GAP_S: Final = 0.1
+"""Time that the first reading stands for."""
 
 
 @dataclass(slots=True)
@@ -54,8 +290,13 @@ class DisturbanceEstimator:
     """Horn angle before the first reading, if it is known."""
     step_max_deg: float = math.inf
     """One reading changes the correction by no more than this."""
-    estimate_deg: float = 0.0
+    horn: HornEstimator = field(default_factory=HornEstimator)
     offset_deg: float = 0.0
+    """The correction: what is added to a target."""
+    estimate_deg: float = 0.0
+    """What the correction should be at the last reading."""
+    candidate_deg: float = 0.0
+    """The last load for which a move was to be corrected, whether that was worth it or not."""
     readings: int = 0
     rejected: int = 0
     square_sum_deg2: float = 0.0
@@ -76,44 +317,38 @@ class DisturbanceEstimator:
         *,
         expected_deg: float,
         planned_deg: float,
-        speed_deg_s: float,
-        learns: bool = True,
-    ) -> bool:
-        """Use a reading that was taken at `read_s`; return whether it was accepted.
+    ) -> float | None:
+        """Use a reading that was taken at `read_s`; None: it was rejected.
 
-        `expected_deg` is the horn angle of the response model after all that was sent,
-        `planned_deg` that of the plan. Without `learns`, an accepted reading counts for the errors
-        only.
+        Return the time since the one before. `expected_deg` is the horn angle of the response
+        model after all that was sent, `planned_deg` that of the plan.
         """
         if not self._is_plausible(measured_deg, read_s):
             self.rejected += 1
-            return False
-        is_first = self.read_s is None
-        elapsed_s = 0.0 if self.read_s is None else read_s - self.read_s
+            return None
+        elapsed_s = GAP_S if self.read_s is None else read_s - self.read_s
         self.measured_deg, self.read_s = measured_deg, read_s
         self.readings += 1
         self.error_deg = planned_deg - measured_deg
         self.model_error_deg = expected_deg - measured_deg
         self.square_sum_deg2 += self.error_deg * self.error_deg
         self.error_max_deg = max(self.error_max_deg, abs(self.error_deg))
-        if not learns:
-            return True
-        gain = GAIN_MAX if is_first else min(GAIN_MAX, elapsed_s / ESTIMATE_S)
-        gain /= 1.0 + abs(speed_deg_s) / GAIN_HALF_SPEED_DEG_S
-        self.estimate_deg += gain * (expected_deg - measured_deg - self.estimate_deg)
-        self._correct(min(OFFSET_RATE_DEG_S * elapsed_s, self.step_max_deg))
-        return True
+        return elapsed_s
 
-    def rest(self, estimate_deg: float) -> None:
-        """Set the disturbance to the known distance of a horn at rest from its profile."""
-        self.estimate_deg = estimate_deg
-        self._correct(math.inf)
+    def aim(self, target_deg: float, way: float, most_deg: float) -> None:
+        """Move the correction towards what the load does at `target_deg`, by `most_deg` at most."""
+        most_deg = min(most_deg, self.step_max_deg)
+        self.candidate_deg = self.horn.correction_deg(target_deg, way)
+        change_deg = self.horn.worth_ratio * self.candidate_deg - self.offset_deg
+        self.correct(self.offset_deg + min(max(change_deg, -most_deg), most_deg))
 
-    def _correct(self, most_deg: float) -> None:
-        """Move the offset towards the estimate, by `most_deg` at most, within its bounds."""
-        change_deg = min(max(self.estimate_deg, -OFFSET_MAX_DEG), OFFSET_MAX_DEG)
-        change_deg -= self.offset_deg
-        self.offset_deg += min(max(change_deg, -most_deg), most_deg)
+    def note_estimate(self, angle_deg: float, way: float) -> None:
+        """Note what the correction should be where the horn is."""
+        self.estimate_deg = self.horn.worth_ratio * self.horn.correction_deg(angle_deg, way)
+
+    def correct(self, offset_deg: float) -> None:
+        """Set the correction, within its bounds."""
+        self.offset_deg = min(max(offset_deg, -OFFSET_MAX_DEG), OFFSET_MAX_DEG)
         self.offset_max_deg = max(self.offset_max_deg, abs(self.offset_deg))
 
     def stand_at(self, standing_deg: float) -> None:
@@ -123,7 +358,7 @@ class DisturbanceEstimator:
 
     def take_over(self, earlier: DisturbanceEstimator) -> None:
         """Take over the estimate of the same joint."""
-        self.estimate_deg, self.offset_deg = earlier.estimate_deg, earlier.offset_deg
+        self.horn, self.offset_deg = earlier.horn, earlier.offset_deg
 
     @property
     def last_deg(self) -> float | None:
@@ -156,61 +391,106 @@ class DisturbanceEstimator:
         return abs(to_deg - from_deg) <= reach_deg
 
 
-LAG_MAX_S: Final = 0.06
-"""Largest estimate in both directions: three times the lag that is assumed of a servo (`lag_s`).
-Chosen: a horn that lags more is held up by something."""
-MEMORY_S: Final = 3.0
-"""Seconds of motion after which the weight of a reading has dropped to a third. Chosen: a few moves
-of a show."""
-SPEED_DEG_S: Final = 20.0
-"""At this speed and above a reading has its full weight for the lag, below less."""
-PRIOR_DEG2_S: Final = 100.0
-"""Weight of the assumption that the lag is as assumed: a second at 10 deg/s to and fro. Chosen: a
-single slow move changes little, and a quick one much (measured: with three times as much, horns
-with a wrong lag deviate 8 % more in 20 s)."""
-DEAD_S: Final = 0.004
-"""A smaller difference is not corrected, since commands would lose their slots on the line for
-nothing. Chosen: on simulated servos that lag as assumed the estimate stays within 3 ms
-(measured). A difference of twice as much is corrected fully."""
+STANDING_DEG: Final = 0.15
+"""A joint at rest that is nearer to its plan than this is left alone: two units of an LSS."""
+STANDING_SIGMAS: Final = 4.5
+READINGS_LEAST: Final = 3
+READINGS_MOST: Final = 30
+"""A rest is judged by so many readings, and by more where they scatter."""
+HELPED_RATIO: Final = 0.6
+"""A correction has helped if it leaves no more than this share of the error."""
+ATTEMPTS_MAX: Final = 4
+"""Corrections in one rest that do not help; then the rest is left as it began. More than one, since
+the play of the gears takes up the first."""
+ATTEMPTS_IN_ALL: Final = 8
+MOVING_DEG: Final = 0.2
+"""A horn moves if its first and last readings differ by more than this."""
+PUSH_DEG: Final = 0.6
+"""A resting horn that has moved by more than this without a command is pushed, or let go."""
+PUSH_SIGMAS: Final = 6.0
+STEADY_S: Final = 0.3
+"""A horn that moves earlier than this after it came to rest is still on its way."""
+PUSH_S: Final = 1.5
+"""What pushes for longer than this is a load: it is corrected for."""
 
 
 @dataclass(slots=True)
-class LagEstimator:
-    """Sums over the readings of one joint, weighted by time; motion lets old ones fade."""
+class StandingCorrector:
+    """Corrections of one joint while it rests: one at a time, kept only if it helped.
 
-    _weight: float = 0.0
-    _speed: float = 0.0
-    _speed2: float = 0.0
-    _missing: float = 0.0
-    _product: float = 0.0
+    A horn that moves without a command is pushed by a hand. Nothing is corrected until it is let
+    go, or until it has stood elsewhere for `PUSH_S`; in the first case all is forgotten.
+    """
 
-    def take(self, missing_deg: float, speed_deg_s: float, elapsed_s: float) -> None:
-        """Use a reading: `missing_deg` is how far the horn was behind a profile without extra lag.
+    is_pushed: bool = False
+    _errors_deg: list[float] = field(default_factory=list)
+    _since_s: float = 0.0
+    """Instant of the first of these readings."""
+    _usual_deg: float = 0.0
+    """Error before the push."""
+    _tried_deg: float | None = None
+    """Error before the correction that is on trial."""
+    _before_deg: float = 0.0
+    """Correction before that."""
+    _misses: int = 0
+    _attempts: int = 0
 
-        `elapsed_s` is the time since the reading before.
-        """
-        weight = min(elapsed_s, MEMORY_S) * min(1.0, abs(speed_deg_s) / SPEED_DEG_S)
-        keep = math.exp(-weight / MEMORY_S)
-        self._weight = keep * self._weight + weight
-        self._speed = keep * self._speed + weight * speed_deg_s
-        self._speed2 = keep * self._speed2 + weight * speed_deg_s * speed_deg_s
-        self._missing = keep * self._missing + weight * missing_deg
-        self._product = keep * self._product + weight * missing_deg * speed_deg_s
+    def begin(self) -> None:
+        """Note that a move was sent: a new rest will follow."""
+        self._errors_deg.clear()
+        self._tried_deg = None
+        self.is_pushed, self._misses, self._attempts = False, 0, 0
 
-    @property
-    def estimate_s(self) -> float:
-        """Lag besides the assumed one, within `LAG_MAX_S`."""
-        if self._weight <= 0.0:
-            return 0.0
-        spread = self._speed2 - self._speed * self._speed / self._weight
-        common = self._product - self._speed * self._missing / self._weight
-        return min(max(common / (spread + PRIOR_DEG2_S), -LAG_MAX_S), LAG_MAX_S)
+    def await_rest(self) -> None:
+        """Drop the readings before a correction took effect."""
+        self._errors_deg.clear()
 
-    @property
-    def extra_s(self) -> float:
-        """By how much commands are sent earlier: the estimate, or 0 if it is small."""
-        estimate_s = self.estimate_s
-        return estimate_s * min(max(0.0, abs(estimate_s) / DEAD_S - 1.0), 1.0)
+    def take(self, error_deg: float, read_s: float, noise_deg: float) -> None:
+        """Use a reading of the horn at rest; `error_deg`: how far the plan is above it."""
+        errors = self._errors_deg
+        usual_deg = sum(errors) / len(errors) if errors else error_deg
+        far_deg = max(PUSH_DEG, PUSH_SIGMAS * noise_deg)
+        is_steady = len(errors) >= READINGS_LEAST and read_s - self._since_s > STEADY_S
+        near_deg = far_deg if is_steady or self.is_pushed else 0.5 * far_deg
+        if abs(error_deg - usual_deg) > near_deg:
+            if not self.is_pushed and is_steady:
+                self.is_pushed, self._usual_deg = True, usual_deg
+            errors.clear()
+        elif self.is_pushed and abs(error_deg - self._usual_deg) < 0.5 * far_deg:
+            self.is_pushed = False
+            errors.clear()
+        if not errors:
+            self._since_s = read_s
+        errors.append(error_deg)
+        del errors[:-READINGS_MOST]
+
+    def next_offset_deg(self, offset_deg: float, now_s: float, noise_deg: float) -> float | None:
+        """Return the correction that shall replace `offset_deg`; None: it stays."""
+        count = len(self._errors_deg)
+        if count < READINGS_LEAST or (self.is_pushed and now_s - self._since_s < PUSH_S):
+            return None
+        if abs(self._errors_deg[-1] - self._errors_deg[0]) > max(MOVING_DEG, 4.0 * noise_deg):
+            del self._errors_deg[0]  # It is still on its way.
+            return None
+        error_deg = sum(self._errors_deg) / count
+        spread = sum((one - error_deg) ** 2 for one in self._errors_deg) / (count - 1)
+        noise_deg = max(noise_deg, math.sqrt(spread))
+        least_deg = max(STANDING_DEG, STANDING_SIGMAS * noise_deg / math.sqrt(count))
+        if self._tried_deg is not None:
+            if abs(error_deg) <= max(HELPED_RATIO * abs(self._tried_deg), 0.5 * least_deg):
+                self._tried_deg, self._misses = None, 0
+            elif self._misses + 1 < ATTEMPTS_MAX:
+                self._misses += 1
+            else:
+                self._attempts = ATTEMPTS_IN_ALL
+                self._tried_deg = None
+                return self._before_deg
+        if abs(error_deg) <= least_deg or self._attempts >= ATTEMPTS_IN_ALL:
+            return None
+        self._attempts += 1
+        if self._tried_deg is None:
+            self._tried_deg, self._before_deg = error_deg, offset_deg
+        return offset_deg + error_deg
 
 
 PARTED_DEG: Final = 1.0
@@ -235,6 +515,11 @@ causes this once in 15000 moves."""
 REPORTED_LOOPS: Final = 1.5
 """Number of control ticks after a move has arrived until a servo reports its target. Assumed, with
 half a tick to spare: no document says when it does (FACTS.md C2)."""
+DEAD_MAX_S: Final = 0.12
+"""A servo that reports the target before a move may take it up late. Until it has reported
+`PROMPT_LEAST` targets at once, it is asked again after this time before the move counts as lost.
+Chosen: longer than a lag that can be corrected."""
+PROMPT_LEAST: Final = 3
 SAME_UNITS: Final = 1.5
 """Targets that differ by no more wire units than this are the same, since a servo that counts in
 its own units may be one off."""
@@ -249,6 +534,8 @@ class LastMove:
     target_deg: float
     duration_s: float | None
     queries_left: int
+    is_rechecked: bool = False
+    """Whether the servo reported the target before it, and is asked again later."""
     unknown_deg: float | None = None
     """A target that was never sent, but that the servo reported once."""
 
@@ -272,6 +559,10 @@ class LostMoveDetector:
     """Period of the servo's control tick, at which it starts a move (`Response.loop_s`)."""
     alternatives: list[Alternative] = field(default_factory=list)
     last: LastMove | None = None
+    report_s: float = 0.0
+    """Time after a move until this servo reports its target, if it is longer than assumed."""
+    prompt: int = 0
+    """Targets that it reported at the first query."""
     mismatches: int = 0
     """How often in a row the servo reported another target than the one that was sent."""
     is_doubtful: bool = False
@@ -293,7 +584,8 @@ class LostMoveDetector:
 
     def take_over(self, earlier: LostMoveDetector) -> None:
         """Take over whether the servo reports its targets as they were sent."""
-        self.mismatches = earlier.mismatches
+        self.mismatches, self.report_s = earlier.mismatches, earlier.report_s
+        self.prompt = earlier.prompt
 
     @property
     def target_due_s(self) -> float:
@@ -315,8 +607,17 @@ class LostMoveDetector:
         if last is None or at_s < self._reported_s(last):
             return None
         if not self._differs(target_deg, last.target_deg):
+            if last.is_rechecked:
+                self.report_s = DEAD_MAX_S
+            else:
+                self.prompt += 1
             self.mismatches, last.queries_left = 0, 0
             self.alternatives = [o for o in self.alternatives if not self._parts(o.profile)]
+            return None
+        is_before = not self._differs(target_deg, last.before.target_deg)
+        if is_before and self.prompt < PROMPT_LEAST and not last.is_rechecked:
+            last.is_rechecked = True  # It may only be slow to take a move up.
+            last.queries_left = max(last.queries_left, 1)
             return None
         self.mismatches += 1
         course = last.before
@@ -329,7 +630,8 @@ class LostMoveDetector:
         return course
 
     def _reported_s(self, last: LastMove) -> float:
-        return last.arrival_s + REPORTED_LOOPS * self.loop_s
+        least_s = DEAD_MAX_S if last.is_rechecked else self.report_s
+        return last.arrival_s + max(REPORTED_LOOPS * self.loop_s, least_s)
 
     def _parts(self, other: Profile) -> bool:
         """Return whether `other` has another target than the last one that was sent."""

@@ -16,9 +16,10 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.player.estimators import (
+    OFFSET_RATE_DEG_S,
     DisturbanceEstimator,
-    LagEstimator,
     LostMoveDetector,
+    StandingCorrector,
     Trace,
 )
 from lss_motion.player.setpoints import Setpoints, make_setpoints, step_gain_deg
@@ -53,6 +54,18 @@ REST_DEG = 0.5
 """A timed servo at rest is no further than this from its target. Chosen: the braking distance from
 that speed, with room for the error after a lost move."""
 LONGEST_NS = ns_from_s(s_from_ms(DURATION_MAX_MS))
+RECENT_S: Final = (0.0, 0.08, 0.16, 0.25)
+"""A horn that lags is still on its way so long after its profile. Chosen: three times the largest
+lag that is corrected, and a ramp between the samples."""
+STILL_S: Final = 0.25
+STILL_DEG: Final = 0.05
+"""A joint rests when its profile has moved by less than this for so long: half a unit of an LSS."""
+WAY_DEG: Final = 0.3
+"""A profile that has moved by this has a direction."""
+STANDING_DEG_S: Final = 20.0
+STANDING_LEAST_S: Final = 0.1
+"""Speed and shortest T of a correction at rest. Chosen: gentle, and done before the next readings
+are judged."""
 HISTORY_S = 2.0
 """The profile is kept for this long: longer than any answer may take."""
 
@@ -110,11 +123,17 @@ class JointState:
     """Number of health queries so far."""
     lost_moves: LostMoveDetector | None = None
     """Detector of moves that the servo has lost; None: without feedback."""
-    lag: LagEstimator = field(default_factory=LagEstimator)
     early_s: float = 0.0
     """By how much moves leave earlier than the program says, to make up for the lag. It does not
     change while a joint in EM0 moves. The step instants of the filter are unknown: a send instant
     that creeps past one skips a target or uses one twice, which exceeds the acceleration limit."""
+    standing: StandingCorrector = field(default_factory=StandingCorrector)
+    _is_correcting: bool = False
+    _is_approach: bool = False
+    _way: float = 0.0
+    """Direction in which the profile moved last: 1, -1, or 0 at first."""
+    _before_deg: float = 0.0
+    """Profile when that was found."""
     trace: Trace = field(default_factory=Trace)
     is_driven: bool = True
     """False while the servo's settings are unknown, or it is left out; no moves are sent."""
@@ -136,8 +155,9 @@ class JointState:
 
     def predicted_deg(self, now_ns: int) -> float:
         """Return where the horn should be: the profile, late by its lag, less its load."""
-        position_deg, _ = self.profile.at(s_from_ns(now_ns) - self.lead_s - self.lag.extra_s)
-        return position_deg - self.disturbance.estimate_deg
+        horn = self.disturbance.horn
+        position_deg, _ = self.profile.at(s_from_ns(now_ns) - self.lead_s - horn.early_s)
+        return position_deg - horn.load_deg(position_deg, self._way)
 
     def is_at_rest(self, now_ns: int) -> bool:
         """Return whether the servo should have come to rest; true after the longest T in any case.
@@ -164,17 +184,23 @@ class JointState:
         """Take the distance of a resting horn from its profile as its load, if it is small."""
         droop_deg = self.place(now_ns)[0] - measured_deg
         if abs(droop_deg) <= within_deg:
-            self.disturbance.rest(droop_deg)
+            self.disturbance.horn.rest(droop_deg, measured_deg)
+            self.disturbance.aim(measured_deg, 0.0, math.inf)
 
     def limit_speed(self, speed_max_deg_s: float) -> None:
-        """Send no faster move, also where a correction makes it longer; before the first one."""
+        """Send no faster move, also where a correction makes it longer; before the first one.
+
+        It is for the way to the start, on which nothing is learnt before its end: where the
+        profile of the servo began is not known exactly, since its load has moved the horn.
+        """
+        self._is_approach = True
         slower_deg_s = min(self.limits.speed_max_deg_s, speed_max_deg_s)
         self.limits = replace(self.limits, speed_max_deg_s=slower_deg_s)
         self.setpoints = make_setpoints(self.joint, self.place(0)[0], self.limits)
 
     def take_over(self, earlier: JointState) -> None:
         """Take over the estimates of load, lag and lost moves of the same joint."""
-        self.lag, self.early_s = earlier.lag, earlier.lag.extra_s
+        self.early_s = earlier.disturbance.horn.early_s
         if self.lost_moves is not None and earlier.lost_moves is not None:
             self.lost_moves.take_over(earlier.lost_moves)
         self.disturbance.take_over(earlier.disturbance)
@@ -374,6 +400,8 @@ class JointState:
         target_deg = target_wire / self.limits.wire_per_deg
         if self.lost_moves is not None and isinstance(self.profile, Profile):
             self.lost_moves.commanded(self.profile.copy(), arrival_s, target_deg, duration_s)
+        if not self._is_correcting:
+            self.standing.begin()
         if self.setpoints is not None:
             self.setpoints.commanded(arrival_s, target_deg)
         if self.joint.drive == "stepped":
@@ -428,29 +456,97 @@ class JointState:
         Return whether the servo has lost a move, as `take_target` does.
         """
         assert self.lost_moves is not None
-        before_s = self.disturbance.read_s
-        profile_deg, speed_deg_s = self.profile.at(read_s - self.lead_s)
-        course_s = read_s - self.lead_s - self.lag.extra_s
+        horn, before_deg = self.disturbance.horn, self.disturbance.measured_deg
+        course_s = read_s - self.lead_s - horn.early_s
         expected_deg, _ = self.profile.at(course_s)
-        free_deg = measured_deg + self.disturbance.estimate_deg
+        self._note_way(expected_deg)
+        free_deg = measured_deg + horn.load_deg(expected_deg, self._way)
         other = self.lost_moves.judge(course_s, expected_deg, free_deg)
-        is_accepted = self.disturbance.take(
-            measured_deg,
-            read_s,
-            expected_deg=expected_deg,
-            planned_deg=planned_deg,
-            speed_deg_s=speed_deg_s,
-            learns=not (self.lost_moves.is_doubtful or self.in_doubt),
+        elapsed_s = self.disturbance.take(
+            measured_deg, read_s, expected_deg=expected_deg, planned_deg=planned_deg
         )
-        if not is_accepted:
+        if elapsed_s is None:
             return None
         if other is not None:
             self.profile = other
-        elif before_s is not None and not (self.lost_moves.is_doubtful or self.in_doubt):
-            self.lag.take(profile_deg - measured_deg, speed_deg_s, read_s - before_s)
-            if self.setpoints is None or abs(speed_deg_s) < REST_DEG_S:
-                self.early_s = self.lag.extra_s
+        elif not (self.lost_moves.is_doubtful or self.in_doubt):
+            self._learn(measured_deg, read_s, elapsed_s, before_deg)
         return other is not None
+
+    def _learn(
+        self, measured_deg: float, read_s: float, elapsed_s: float, before_deg: float | None
+    ) -> None:
+        """Learn from an accepted reading; `before_deg` is the one before."""
+        horn = self.disturbance.horn
+        course_s = read_s - self.lead_s - horn.lag_s
+        plain_deg, plain_deg_s = self.profile.at(read_s - self.lead_s)
+        lagged_deg, speed_deg_s = self.profile.at(course_s)
+        recent_deg_s = self._recent_deg_s(course_s)
+        if not (self.standing.is_pushed or self._is_approach):
+            error_deg = self.disturbance.error_deg + self.disturbance.offset_deg
+            horn.judge_load(error_deg, self.disturbance.candidate_deg, elapsed_s)
+            if before_deg is not None:  # It may still be on its way, whatever its profile does.
+                moved_deg = abs(measured_deg - before_deg) - 3.0 * math.sqrt(horn.noise_deg2)
+                recent_deg_s = max(recent_deg_s, moved_deg / elapsed_s)
+            course = plain_deg, lagged_deg, speed_deg_s, recent_deg_s
+            horn.take(measured_deg, course, self._way, elapsed_s)
+        self.disturbance.note_estimate(lagged_deg, self._way)
+        if self.setpoints is None or abs(plain_deg_s) < REST_DEG_S:
+            self.early_s = horn.early_s
+        if self._is_settled(read_s) and before_deg is not None:
+            horn.note_scatter(measured_deg - before_deg, elapsed_s)
+            noise_deg = math.sqrt(horn.noise_deg2)
+            self.standing.take(self.disturbance.error_deg, read_s, noise_deg)
+        if self.setpoints is not None:
+            self.disturbance.aim(lagged_deg, self._way, OFFSET_RATE_DEG_S * elapsed_s)
+
+    def _note_way(self, expected_deg: float) -> None:
+        """Note the direction in which the profile moves."""
+        if abs(expected_deg - self._before_deg) > WAY_DEG:
+            self._way = math.copysign(1.0, expected_deg - self._before_deg)
+            self._before_deg = expected_deg
+
+    def _recent_deg_s(self, course_s: float) -> float:
+        """Return the largest speed of the profile of late, 0 if it rests."""
+        speeds = [abs(self.profile.at(course_s - ago_s)[1]) for ago_s in RECENT_S]
+        return max(speeds)
+
+    def _is_settled(self, read_s: float) -> bool:
+        """Return whether the servo was at rest at `read_s` and for a while before."""
+        since_s = self.last_arrival_ns and s_from_ns(self.last_arrival_ns) + self.lead_s
+        if since_s is not None and read_s - since_s < STILL_S:
+            return False
+        course_s = read_s - self.lead_s - max(self.disturbance.horn.lag_s, 0.0)
+        now_deg, speed_deg_s = self.profile.at(course_s)
+        then_deg, _ = self.profile.at(course_s - STILL_S)
+        return abs(now_deg - then_deg) < STILL_DEG and abs(speed_deg_s) < STILL_DEG / STILL_S
+
+    def aim(self, duration_s: float, now_ns: int) -> None:
+        """Set the correction for the move under way, which has `duration_s` to travel."""
+        if self.setpoints is None:
+            way_deg = self.target_deg - self.place(now_ns)[0]
+            way = math.copysign(1.0, way_deg) if abs(way_deg) > WAY_DEG else self._way
+            self.disturbance.aim(self.target_deg, way, OFFSET_RATE_DEG_S * duration_s)
+
+    def standing_offset_deg(self, now_ns: int) -> float | None:
+        """Return the correction that a joint at rest needs in place of its own; None: none."""
+        if not self._is_settled(s_from_ns(now_ns)):
+            return None
+        noise_deg = math.sqrt(self.disturbance.horn.noise_deg2)
+        return self.standing.next_offset_deg(
+            self.disturbance.offset_deg, s_from_ns(now_ns), noise_deg
+        )
+
+    def correct_standing(
+        self, line: SerialLine, offset_deg: float, planned_deg: float, now_ns: int
+    ) -> None:
+        """Send a joint that rests on `planned_deg` there again, with another correction."""
+        way_deg = abs(offset_deg - self.disturbance.offset_deg)
+        self.disturbance.correct(offset_deg)
+        self._is_correcting = True
+        self.send(line, planned_deg, max(way_deg / STANDING_DEG_S, STANDING_LEAST_S), now_ns)
+        self._is_correcting = False
+        self.standing.await_rest()
 
     def note_status(self, code: int) -> None:
         """Note the status that the servo reported; firmware versions number them differently."""

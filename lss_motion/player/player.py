@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from lss_motion.errors import InputError, LostPortError, LssMotionError
 from lss_motion.player import handshake
+from lss_motion.player.estimators import OFFSET_MAX_DEG
 from lss_motion.player.events import Phase, PhaseEntered, Warned
 from lss_motion.player.faults import FaultHandler, Verdict
 from lss_motion.player.handshake import SettingsDialogue
@@ -547,7 +548,8 @@ class Player:
                 pass
         learns = session.has_feedback
         if learns:  # Also before it goes on: what went wrong may have been taken for a load.
-            session.learn_droops(now_ns)
+            is_first = self._approaches == 1  # Its move may have been lost.
+            session.learn_droops(now_ns, handshake.ARRIVED_DEG if is_first else OFFSET_MAX_DEG)
         joint, off_deg = session.furthest(session.pose_deg(self.show, now_ns))
         is_uncorrected = learns and self._approaches == 1
         if off_deg <= (handshake.LOADED_DEG if is_uncorrected else handshake.ARRIVED_DEG):

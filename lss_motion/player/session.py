@@ -193,13 +193,13 @@ class Session:
         self.standing_deg |= standing
         return [joint for joint in self.driven if joint.name not in standing]
 
-    def learn_droops(self, now_ns: int) -> None:
-        """Take the load of every joint that rests near the place to which it was sent."""
+    def learn_droops(self, now_ns: int, within_deg: float) -> None:
+        """Take the load of every joint that rests so near to the place to which it was sent."""
         for joint in self.driven:
             if joint.name in self._states:
                 measured_deg = self.standing_deg[joint.name]
                 state = self._states[joint.name]
-                state.learn_droop(measured_deg, now_ns, handshake.ARRIVED_DEG)
+                state.learn_droop(measured_deg, now_ns, within_deg)
 
     def restarted(self, answers: Answers) -> list[Joint]:
         """Return the driven servos that no longer have the settings that they were sent."""

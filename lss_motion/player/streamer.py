@@ -20,16 +20,15 @@ twice, or not at all.
 
 from __future__ import annotations
 
-import heapq
 import math
 from dataclasses import replace
-from itertools import chain, dropwhile, takewhile
+from itertools import dropwhile
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from lss_motion.player.approach import with_room
 from lss_motion.player.cues import Waiting
-from lss_motion.player.estimators import LAG_MAX_S
+from lss_motion.player.due_moves import Due, DueMoves
 from lss_motion.player.joint_state import (
     LONGEST_NS,
     REST_DEG_S,
@@ -52,7 +51,7 @@ from lss_motion.units import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from lss_motion.player.query_choice import Pace
     from lss_motion.player.query_tracker import QueryTracker
@@ -62,78 +61,6 @@ if TYPE_CHECKING:
     from lss_motion.program.splice import Extension
     from lss_motion.protocol.framing import Reply
     from lss_motion.robot.model import Robot
-
-
-EARLY_MAX_US: Final = us_from_s(LAG_MAX_S)
-
-
-class Due(NamedTuple):
-    """A move that leaves at show time `at_us`; the program has it at `due_us`."""
-
-    at_us: int
-    number: int
-    due_us: int
-    move: Move
-
-
-class DueMoves:
-    """Moves `(due_us, move)` in order of time, each earlier by `early_us(move)`.
-
-    The estimate of a lag changes, but no move overtakes an earlier one of the same servo for that.
-    """
-
-    def __init__(self, moves: Iterator[tuple[int, Move]], early_us: Callable[[Move], int]) -> None:
-        self._upcoming = moves
-        self._head: tuple[int, Move] | None = next(moves, None)
-        self._early_us = early_us
-        self._soon: list[Due] = []
-        self._newest_us: dict[tuple[str, int], int] = {}
-        """By servo, when its last move that was looked at leaves."""
-        self._number = 0
-
-    def first(self, before_us: float) -> Due | None:
-        """Return the next move to leave among those that are due before `before_us`."""
-        while self._head is not None and self._head[0] < before_us:
-            due_us, move = self._head
-            if self._soon and due_us - EARLY_MAX_US > self._soon[0].at_us:
-                break
-            self._number += 1
-            servo = (move.bus, move.servo_id)
-            at_us = due_us - min(self._early_us(move), EARLY_MAX_US)
-            at_us = self._newest_us[servo] = max(at_us, self._newest_us.get(servo, at_us))
-            heapq.heappush(self._soon, Due(at_us, self._number, due_us, move))
-            self._head = next(self._upcoming, None)
-        return self._soon[0] if self._soon else None
-
-    def pop(self) -> Due:
-        """Remove the move that `first` returned; return it."""
-        return heapq.heappop(self._soon)
-
-    def next_us(self, servo: tuple[str, int], before_us: float) -> int | None:
-        """Return when the next move of `servo` leaves; None: not soon, or not `before_us`."""
-        self.first(before_us)
-        own = (due.at_us for due in self._soon if (due.move.bus, due.move.servo_id) == servo)
-        return min(own, default=None)
-
-    def pass_by(self, until_us: float) -> list[tuple[int, Move]]:
-        """Remove all moves that are due until then, in order of time, and return them."""
-        passed = [due for due in self._soon if due.due_us <= until_us]
-        self._soon = [due for due in self._soon if due.due_us > until_us]
-        heapq.heapify(self._soon)
-        found = [(due.due_us, due.move) for due in sorted(passed, key=lambda due: due.number)]
-        while self._head is not None and self._head[0] <= until_us:
-            found.append(self._head)
-            self._head = next(self._upcoming, None)
-        return found
-
-    def replace_from(self, from_us: int, moves: Iterable[Move]) -> None:
-        """Replace all that is due at `from_us` or later by `moves`."""
-        self._soon = sorted(due for due in self._soon if due.due_us < from_us)
-        self._newest_us = {(due.move.bus, due.move.servo_id): due.at_us for due in self._soon}
-        waiting = chain([] if self._head is None else [self._head], self._upcoming)
-        kept = list(takewhile(lambda due: due[0] < from_us, waiting))
-        self._upcoming = chain(kept, ((move.due_us, move) for move in moves))
-        self._head = next(self._upcoming, None)
 
 
 JOIN_S: Final = 0.1
@@ -238,6 +165,8 @@ DOUBT_S: Final = 3.0
 """Longest wait at the end for a servo that may have restarted, which takes 1.25 s (FACTS.md R4)."""
 PLAN_HISTORY_S: Final = 5.0
 """A plan that is extended keeps this much of its past: longer than any answer may take."""
+REST_LEAST_NS: Final = 300 * NS_PER_MS
+"""A joint whose plan moves on sooner than this is not corrected at rest: its next move will be."""
 ON_TIME_NS: Final = NS_PER_MS // 2
 """If a move leaves later than this, T is computed anew; a smaller delay would not change T."""
 
@@ -441,8 +370,27 @@ class Streamer:
         """Use a reply that ended at `ended_ns`, shortly before `now_ns`."""
         if self.scheduler is not None:
             self.scheduler.receive(bus, reply, ended_ns, self._planned_deg)
+            if reply.servo_id is not None and reply.keyword == "QD":
+                state = self._by_address.get((bus, reply.servo_id))
+                if state is not None:
+                    self._correct_standing(state, now_ns)
             while self.scheduler.to_resend:
                 self._resend_lost(self.scheduler.to_resend.popitem()[1], now_ns)
+
+    def _correct_standing(self, state: JointState, now_ns: int) -> None:
+        """Send a joint that rests off its plan a correction, unless its plan moves on soon."""
+        if self._tick_ns is not None or self.clock.rate(now_ns) != 1.0:
+            return
+        if not state.takes_moves or state.resend_ns is not None:
+            return
+        planned_deg = self._planned_deg(state, now_ns)
+        later_deg = self._planned_deg(state, now_ns + REST_LEAST_NS)
+        if abs(later_deg - planned_deg) > state.joint.unit_deg:
+            return
+        offset_deg = state.standing_offset_deg(now_ns)
+        if offset_deg is not None:
+            line = self._lines[state.joint.bus]
+            state.correct_standing(line, offset_deg, planned_deg, now_ns)
 
     def _next_due_ns(self) -> int | None:
         """Return when the next move is due; None: none is, at least before the next wait."""
@@ -529,6 +477,7 @@ class Streamer:
         wait_ns = max(0, self._lines[move.bus].free_ns - now_ns)
         self.statistics.sent(late_ns + wait_ns)
         left_s = self._left_s(state, now_ns)
+        state.aim(max(left_s, 0.0), now_ns)
         if late_ns + wait_ns <= ON_TIME_NS:
             left_s = on_time_s(state, self._lines[move.bus], self._plan_s, now_ns)
         if state.guide_ns is not None:

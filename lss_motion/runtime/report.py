@@ -277,7 +277,7 @@ def _joint(
         error_max_deg=round(following.error_max_deg, 3),
         offset_max_deg=round(following.offset_max_deg, 3),
         predicted_error_max_deg=None if predicted_deg is None else round(predicted_deg, 3),
-        lag_extra_s=round(track.lag.estimate_s, 4),
+        lag_extra_s=round(track.disturbance.horn.lag_s, 4),
         resent=track.resent,
         temperature_max_c=track.temperature_max_c,
         voltage_min_v=track.voltage_min_v,

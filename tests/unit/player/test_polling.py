@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from lss_motion.player.cues import POLL_PERIOD_NS, Waiting
+from lss_motion.player.estimators import PROMPT_LEAST
 from lss_motion.player.health import SILENT_QUERIES
 from lss_motion.player.polling import (
     BACKLOG_BYTES,
@@ -324,6 +325,7 @@ def test_a_servo_is_soon_polled_for_its_target_and_a_lost_move_is_found(kit):
     first, second = joints(kit, 2)
     desk = Desk(first, second).run(0, KNOWN_NS)
     for state in (first, second):
+        state.lost_moves.prompt = PROMPT_LEAST
         state.note_sent(KNOWN_NS, 300, 1000)
     desk.values[2, "QDT"] = 0
     desk.run(KNOWN_NS, KNOWN_NS + 100 * MS)

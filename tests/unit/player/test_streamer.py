@@ -18,15 +18,14 @@ import numpy as np
 import pytest
 
 from lss_motion.player import streamer
+from lss_motion.player.due_moves import EARLY_MAX_US, DueMoves
 from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.rate_ramps import guide
 from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.show_clock import ShowClock
 from lss_motion.player.streamer import (
-    EARLY_MAX_US,
     JOIN_S,
     SETTLE_S,
-    DueMoves,
     Streamer,
     on_time_s,
     send_deferred,

@@ -1,0 +1,397 @@
+"""What feedback is worth, and that it does no harm, on simulated robots that are not as assumed.
+
+tools/run tools/benches/robust.py              all deviations x 3 shows x LSS and LSS-PRO, a table
+tools/run tools/benches/robust.py lag droop    only deviations whose text has one of these words
+tools/run tools/benches/robust.py --write      the table into tools/FIGURES.md
+
+Each show is played in virtual time with feedback and without, on the same simulated robot, and
+judged at the horns. The bench `robust` of `tools/bench.py` plays a part of it.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+sys.path[:0] = [str(Path(__file__).resolve().parents[1]), str(Path(__file__).resolve().parents[2])]
+
+import numpy as np  # noqa: E402
+
+from benches.shows import lively_show, robot_of  # noqa: E402
+from benches.table import Row  # noqa: E402
+from lss_motion import api  # noqa: E402
+from lss_motion.perform import perform  # noqa: E402
+from lss_motion.robot.servo_models import SERVO_MODELS  # noqa: E402
+from lss_motion.sequence.model import Keyframe, Sequence  # noqa: E402
+from lss_motion.sim.deviation import deviation_from_text  # noqa: E402
+from lss_motion.units import NS_PER_S, ns_from_s  # noqa: E402
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from lss_motion.perform import Result
+    from lss_motion.program.model import Program
+    from lss_motion.robot.model import Robot
+    from lss_motion.trajectory.model import Trajectory
+
+    FloatArray = NDArray[np.float64]
+
+DEVIATIONS: Final = (
+    "",
+    "lag=-10ms", "lag=+30ms", "lag=+60ms",
+    "dead=30ms", "dead=60ms",
+    "ramp=0.1", "ramp=0.5", "ramp=1.5",
+    "t_law=exact", "retarget=from_rest",
+    "t_ignored=50ms", "t_ignored=100ms", "t_least=100ms", "t_step=10ms",
+    "motor=25%", "motor=50%",
+    "backlash=1.5deg", "droop=3deg", "droop=6deg", "backlash=1.5deg,droop=3deg",
+    "noise=0.5deg", "usb=16ms", "lost=1%", "corrupt=1%",
+    "push=6deg",
+    "lag=+30ms,dead=10ms,droop=3deg,backlash=1deg,noise=0.2deg,usb=16ms,lost=1%,corrupt=1%",
+)  # fmt: skip
+"""The first is the nominal robot, the last all at once."""
+QUICK: Final = ("", "dead=60ms", "retarget=from_rest", "droop=6deg", "push=6deg")
+MODELS: Final = ("LSS-ST1", "LSS-P-S1")
+JOINTS: Final = 4
+FOLLOWING_DEG: Final = 90.0
+"""So no fault slows a show down, and it is the corrections that are judged."""
+SHOW_S: Final = 12.0
+HOLD_LEAST_S: Final = 2.0
+"""A rest of the plan as long as this is a hold. It is judged from `SETTLED_S` after its begin until
+`LEAD_S` before its end."""
+SETTLED_S: Final = 1.5
+LEAD_S: Final = 0.1
+"""A horn that lags begins its next move so long before its plan does, at the most."""
+AFTER_PUSH_S: Final = 1.0
+"""After a push a hold is judged again from then on."""
+PUSH_S: Final = 2.0
+"""A push comes so long after the begin of the longest hold of all joints."""
+
+HARM_RATIO: Final = 1.02
+HARM_DEG: Final = 0.01
+"""With feedback the RMS may be this much larger: a tenth of a wire unit of an LSS is no harm."""
+STANDING_DEG: Final = 0.25
+LATE_DEG: Final = 1.0
+"""A horn that comes nearer to its plan by this in a hold had not arrived, without feedback: the
+servo could not reach the plan."""
+SWING_DEG: Final = 0.2
+SWINGS_MAX: Final = 2
+"""A horn in a hold that turns round by more than `SWING_DEG` more often than this oscillates."""
+LIMIT_RATIO: Final = 1.1
+"""Horn speed and acceleration, by differences, over the limit or over that without feedback."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A show on a robot, compiled once."""
+
+    name: str
+    model: str
+    robot: Robot
+    trajectory: Trajectory
+    program: Program
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What the horns of one run did; the worst of all joints, but for `rms_deg`."""
+
+    rms_deg: float
+    max_deg: float
+    standing_deg: float
+    """In holds, after they have settled."""
+    is_late: bool
+    """Whether a horn was still on its way then."""
+    swings: int
+    """How often a horn turned round in a hold."""
+    speed_ratio: float
+    accel_ratio: float
+    """Of the limits."""
+    outcome: str
+    findings: frozenset[str] = field(default_factory=frozenset)
+
+
+def gestures(robot: Robot, seed: int) -> Sequence:
+    """Return a show of quick gestures with holds of one to two seconds, and one of four."""
+    return _with_holds(robot, seed, move_s=(0.35, 0.9), swing_deg=(8.0, 40.0))
+
+
+def slow(robot: Robot, seed: int) -> Sequence:
+    """Return a show of slow moves with holds."""
+    return _with_holds(robot, seed, move_s=(1.2, 2.5), swing_deg=(3.0, 15.0))
+
+
+def _with_holds(
+    robot: Robot, seed: int, *, move_s: tuple[float, float], swing_deg: tuple[float, float]
+) -> Sequence:
+    random = np.random.default_rng(seed)
+    at_deg = dict.fromkeys(robot.joints, 0.0)
+    frames, now_s = [Keyframe(at_s=0.0, deg=dict(at_deg))], 0.0
+    for hold_s in (0.4, 2.2, 0.0, 4.5, 0.3, 2.5):
+        now_s = round(now_s + random.uniform(*move_s), 3)
+        for name in at_deg:
+            way_deg = random.uniform(*swing_deg) * random.choice((-1.0, 1.0))
+            aim_deg = at_deg[name] + way_deg
+            at_deg[name] = round(aim_deg if abs(aim_deg) < 60.0 else at_deg[name] - way_deg, 1)
+        frames.append(Keyframe(at_s=now_s, deg=dict(at_deg), hold_s=hold_s))
+        now_s = round(now_s + hold_s, 3)
+    return Sequence(name="gestures", keyframes=tuple(frames))
+
+
+MARKS: Final = "<!-- robust -->\n", "<!-- end of robust -->\n"
+HEAD: Final = (
+    "| simulated robot | RMS of horns, deg | worst ratio | standing error in holds, deg | short |",
+    "|---|---|---|---|---|",
+)
+
+SHOWS: Final[dict[str, Callable[[Robot], Sequence]]] = {
+    "lively": lambda robot: lively_show(robot, SHOW_S, seed=3),
+    "gestures": lambda robot: gestures(robot, 5),
+    "slow": lambda robot: slow(robot, 7),
+}
+
+
+def cases(models: tuple[str, ...] = MODELS, shows: tuple[str, ...] = tuple(SHOWS)) -> list[Case]:
+    """Return the shows on the robots."""
+    made = []
+    for model in models:
+        usual = robot_of(JOINTS)
+        most_deg_s = min(SERVO_MODELS[model].speed_max_deg_s, 200.0)
+        joints = {
+            name: replace(
+                joint,
+                model=SERVO_MODELS[model],
+                speed_max_deg_s=most_deg_s,
+                following_deg=FOLLOWING_DEG,
+            )
+            for name, joint in usual.joints.items()
+        }
+        robot = replace(usual, joints=joints)
+        for name in shows:
+            trajectory = api.plan(SHOWS[name](robot), robot)
+            made.append(Case(name, model, robot, trajectory, api.compile(trajectory, robot)))
+    return made
+
+
+def played(case: Case, text: str, *, has_feedback: bool, seed: int = 1) -> Outcome:
+    """Play a case on the robot of a deviation; return what its horns did."""
+    if "push=" in text:
+        usual = _perform(case, "", has_feedback=has_feedback, seed=seed)
+        begin_s = _origin_ns(usual) / NS_PER_S + _longest_hold_s(case) + PUSH_S
+        text = f"{text},push_at={begin_s:.2f}s"
+    return _judged(case, text, _perform(case, text, has_feedback=has_feedback, seed=seed))
+
+
+def _perform(case: Case, text: str, *, has_feedback: bool, seed: int) -> Result:
+    return perform(
+        case.program,
+        case.robot,
+        is_virtual=True,
+        seed=seed,
+        has_feedback=has_feedback,
+        trajectory=case.trajectory,
+        deviation=deviation_from_text(text),
+    )
+
+
+def _origin_ns(result: Result) -> int:
+    """Return the instant of show time 0."""
+    assert result.player.show is not None
+    state = next(iter(result.player.show.joint_states.values()))
+    return ns_from_s(state.origin_s)
+
+
+def _rests(case: Case) -> list[tuple[float, float]]:
+    """Return when all joints of the plan rest together, as long as a hold; in show time."""
+    times_s = np.arange(0.0, case.trajectory.duration_s, 0.01)
+    angles_deg = case.trajectory.sample(times_s)
+    is_still = np.all(np.abs(angles_deg[1:] - angles_deg[:-1]) < 1e-6, axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], is_still, [False])).astype(int)))
+    spans = [(0.01 * a, 0.01 * b) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [(a, b) for a, b in spans if b - a >= HOLD_LEAST_S]
+
+
+def _longest_hold_s(case: Case) -> float:
+    """Return when the longest hold begins, or the middle of a show without one."""
+    spans = _rests(case)
+    return max(spans, key=lambda span: span[1] - span[0])[0] if spans else 0.5 * SHOW_S
+
+
+def _judged(case: Case, text: str, result: Result) -> Outcome:
+    truth = result.truth
+    assert truth is not None, "the show was not played"
+    error_deg = truth.horn_deg - case.trajectory.sample(truth.times_s)
+    standing_deg, swings, is_late = 0.0, 0, False
+    for from_s, until_s in _rests(case):
+        for a, b in _judged_spans(from_s + SETTLED_S, until_s - LEAD_S, text, result):
+            chosen = (truth.times_s >= a) & (truth.times_s <= b)
+            if chosen.sum() > 5:
+                standing_deg = max(standing_deg, float(np.abs(error_deg[chosen]).max()))
+                late_deg = np.abs(error_deg[chosen][0]) - np.abs(error_deg[chosen][-1])
+                is_late |= bool(late_deg.max() > LATE_DEG)
+                swings = max(swings, *map(_swings, truth.horn_deg[chosen].T))
+    speed_ratio, accel_ratio = _limit_ratios(case, result)
+    return Outcome(
+        rms_deg=float(np.sqrt(np.mean(error_deg**2))),
+        max_deg=float(np.abs(error_deg).max()),
+        standing_deg=standing_deg,
+        is_late=is_late,
+        swings=swings,
+        speed_ratio=speed_ratio,
+        accel_ratio=accel_ratio,
+        outcome=result.report.outcome,
+    )
+
+
+def _judged_spans(
+    from_s: float, until_s: float, text: str, result: Result
+) -> Iterator[tuple[float, float]]:
+    """Yield the parts of a hold in which no hand pushes, and has not just done so."""
+    deviation = deviation_from_text(text)
+    pushed_s = deviation.push_at_s - _origin_ns(result) / NS_PER_S
+    if not deviation.push_deg or not from_s < pushed_s < until_s:
+        yield from_s, until_s
+        return
+    yield from_s, pushed_s - 0.05
+    yield pushed_s + deviation.push_for_s + AFTER_PUSH_S, until_s
+
+
+def _swings(horn_deg: FloatArray) -> int:
+    """Return how often a horn turned round by more than `SWING_DEG`."""
+    turns, low, high, way = 0, float(horn_deg[0]), float(horn_deg[0]), 0
+    for angle in horn_deg.tolist():
+        low, high = min(low, angle), max(high, angle)
+        if way >= 0 and angle < high - SWING_DEG:
+            turns, way, low = turns + (way > 0), -1, angle
+        elif way <= 0 and angle > low + SWING_DEG:
+            turns, way, high = turns + (way < 0), 1, angle
+        low = angle if way > 0 and angle > high - SWING_DEG else low
+        high = angle if way < 0 and angle < low + SWING_DEG else high
+    return turns
+
+
+def _limit_ratios(case: Case, result: Result) -> tuple[float, float]:
+    """Return the largest speed and acceleration of a horn, over its limits; by differences."""
+    bus = next(iter(result.simulated.values()))
+    begin_ns = _origin_ns(result)
+    end_ns = begin_ns + ns_from_s(case.trajectory.duration_s)
+    horn_deg = bus.horn_deg(range(begin_ns, end_ns, 5_000_000))
+    smooth = (horn_deg[8:] - horn_deg[:-8]) / 0.04
+    accel = (smooth[8:] - smooth[:-8]) / 0.04
+    joints = list(case.robot.joints.values())
+    speeds = np.abs(smooth).max(axis=0) / [joint.speed_max_deg_s for joint in joints]
+    accels = np.abs(accel).max(axis=0) / [joint.accel_max_deg_s2 for joint in joints]
+    return float(speeds.max()), float(accels.max())
+
+
+def problems(ours: Outcome, other: Outcome) -> list[str]:
+    """Return what feedback made worse than it may be; `other` is without it."""
+    found = []
+    if ours.outcome != "finished":
+        found.append(ours.outcome)
+    if ours.rms_deg > HARM_RATIO * other.rms_deg + HARM_DEG:
+        found.append(f"RMS x{ours.rms_deg / other.rms_deg:.2f}")
+    if ours.standing_deg > STANDING_DEG and not other.is_late:
+        found.append(f"stands {ours.standing_deg:.2f}")
+    if ours.swings > SWINGS_MAX:
+        found.append(f"swings {ours.swings}")
+    for what, own, theirs in (
+        ("speed", ours.speed_ratio, other.speed_ratio),
+        ("accel", ours.accel_ratio, other.accel_ratio),
+    ):
+        if own > LIMIT_RATIO * max(1.0, theirs):
+            found.append(f"{what} x{own:.2f}, {theirs:.2f}")
+    return found
+
+
+def main(words: list[str]) -> int:
+    """Print all deviations, or those with one of `words`; return 1 if feedback does harm."""
+    is_written = "--write" in words
+    words = [word for word in words if not word.startswith("--")]
+    texts = [text for text in DEVIATIONS if not words or any(word in text for word in words)]
+    made, lines, failures = cases(), [], 0
+    print(f"{'deviation':40.40} {'show':9} {'model':9} RMS with/without  max            stands")
+    for text in texts:
+        pairs = []
+        for case in made:
+            ours = played(case, text, has_feedback=True)
+            other = played(case, text, has_feedback=False)
+            bad = problems(ours, other)
+            failures += bool(bad)
+            pairs.append((ours, other))
+            print(
+                f"{text or 'nominal':40.40} {case.name:9} {case.model:9} {ours.rms_deg:5.2f} "
+                f"{other.rms_deg:5.2f}  {ours.max_deg:6.2f} {other.max_deg:6.2f}  "
+                f"{ours.standing_deg:5.2f} {other.standing_deg:5.2f}  {'; '.join(bad)}",
+                flush=True,
+            )
+        lines.append(_line(text, pairs))
+    print(f"{failures} of {len(texts) * len(made)} with harm")
+    if is_written:
+        _write(lines)
+    return 1 if failures else 0
+
+
+def _line(text: str, pairs: list[tuple[Outcome, Outcome]]) -> str:
+    """Return a line of the table of figures."""
+    ours, others = zip(*pairs, strict=True)
+    worst = max(a.rms_deg / b.rms_deg for a, b in pairs)
+    found = sorted({problem.split()[0] for a, b in pairs for problem in problems(a, b)})
+    return (
+        f"| {text or 'nominal'} | {_rms([one.rms_deg for one in ours]):.2f} / "
+        f"{_rms([one.rms_deg for one in others]):.2f} | {worst:.2f} | "
+        f"{max(one.standing_deg for one in ours):.2f} / "
+        f"{max(one.standing_deg for one in others):.2f} | {', '.join(found)} |"
+    )
+
+
+def _write(lines: list[str]) -> None:
+    """Put the table into the page of figures."""
+    page = Path(__file__).resolve().parents[1] / "FIGURES.md"
+    before, _, rest = page.read_text(encoding="utf-8").partition(MARKS[0])
+    table = "\n".join([*HEAD, *lines])
+    page.write_text(f"{before}{MARKS[0]}{table}\n{MARKS[1]}{rest.partition(MARKS[1])[2]}", "utf-8")
+
+
+def measure() -> list[Row]:
+    """Return a row for each of a few deviations, the worst of all shows and models."""
+    made = cases()
+    return [_row(text, made) for text in QUICK]
+
+
+def measure_full() -> list[Row]:
+    """Return a row for each deviation."""
+    made = cases()
+    return [_row(text, made) for text in DEVIATIONS]
+
+
+def _row(text: str, made: list[Case]) -> Row:
+    pairs = [
+        (played(case, text, has_feedback=True), played(case, text, has_feedback=False))
+        for case in made
+    ]
+    bad = [problem for ours, other in pairs for problem in problems(ours, other)]
+    ratio = max(ours.rms_deg / other.rms_deg for ours, other in pairs)
+    return Row(
+        what=text or "nominal",
+        ours=f"{_rms([o.rms_deg for o, _ in pairs]):.2f} deg, "
+        f"stands {max(o.standing_deg for o, _ in pairs):.2f}",
+        reference=f"{_rms([o.rms_deg for _, o in pairs]):.2f} deg, "
+        f"stands {max(o.standing_deg for _, o in pairs):.2f} without feedback",
+        ratio=ratio,
+        target=f"RMS <= {HARM_RATIO:g} x, stands <= {STANDING_DEG:g} deg, limits kept",
+        is_met=not bad,
+    )
+
+
+def _rms(values: list[float]) -> float:
+    return math.sqrt(float(np.mean(np.square(values))))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
