@@ -72,6 +72,7 @@ export function whyStill(live, isMine, isLatched, isLost) {
   if (!isMine) return "this page does not operate; press Operate above";
   if (live.state === "playing") return "a show plays; stop it first";
   if (isLatched) return "it was stopped: arm it again first";
+  if (live.state === "connecting") return "the servos are being asked; wait a moment";
   if (live.state !== "live") return "connect to the robot first";
   return "";
 }
