@@ -142,7 +142,7 @@ class PollScheduler:
             return False
         found = self._choice.next_query(bus, now_ns)
         if found is None:
-            self._next_ns[bus] = self._choice.next_ns(bus, now_ns)
+            self._note_next(bus, now_ns)
             return False
         state, keyword = found
         question, size_bytes = query_of(state.joint.servo_id, keyword)
@@ -153,6 +153,24 @@ class PollScheduler:
             return False
         self._choice.note_sent(bus, state, keyword, now_ns)
         return True
+
+    def _note_next(self, bus: str, now_ns: int) -> None:
+        """Note when a query can be due on a bus and its line can be free for it."""
+        next_ns = self._choice.next_ns(bus, now_ns)
+        if next_ns is not None:
+            next_ns = max(next_ns, self._trackers[bus].not_before_ns())
+        self._next_ns[bus] = next_ns
+
+    def look_ahead(self, now_ns: int) -> bool:
+        """Note when the next queries are due after moves have left; return whether any is now."""
+        is_due = bool(self._waiting.wakeups_ns())
+        for bus, tracker in self._trackers.items():
+            is_own_due = self._choice.is_due(bus, now_ns)
+            if not is_own_due or tracker.not_before_ns() > now_ns:
+                self._note_next(bus, now_ns)
+                is_own_due = is_own_due and self._next_ns[bus] is None
+            is_due = is_due or is_own_due
+        return is_due
 
     def _send_if_allowed(
         self,

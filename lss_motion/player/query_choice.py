@@ -145,6 +145,10 @@ class QueryChoice(ABC):
         """Return when `next_query` has one again, after it had none; None: that is not known."""
 
     @abstractmethod
+    def is_due(self, bus: str, now_ns: int) -> bool:
+        """Return whether `next_query` may return one now."""
+
+    @abstractmethod
     def touch(self, bus: str, state: JointState | None = None) -> None:
         """Note that a servo has answered; without `state`: that any servo of a bus may have not."""
 
@@ -277,17 +281,14 @@ class ByNeed(QueryChoice):
     def next_query(self, bus: str, now_ns: int) -> tuple[JointState, str] | None:
         """Return the next query of the visit to a servo; else of one to the most urgent servo."""
         every = self._rounds[bus]
-        self._look(bus, every)
         if every.words:
+            self._look(bus, every)
             state = every.states[every.visited]
             if not self._watch.doubted and self._quiet_until_ns(bus, state) <= now_ns:
                 return state, every.words[-1]
             every.words.clear()
             every.stale.add(every.visited)
-        while every.stale:
-            index = every.stale.pop()
-            every.dues_ns[index] = self._due_ns(bus, every.states[index])
-        if min(every.dues_ns, default=math.inf) > now_ns:
+        if not self.is_due(bus, now_ns):
             return None
         due = [index for index, due_ns in enumerate(every.dues_ns) if due_ns <= now_ns]
         every.visited = max(due, key=lambda index: self._merit(every.states[index], now_ns))
@@ -296,6 +297,14 @@ class ByNeed(QueryChoice):
         is_alone = all(_target_ns(other) > now_ns for other in others)
         every.words = self._words(bus, state, now_ns, is_alone=is_alone)
         return state, every.words[-1]
+
+    def is_due(self, bus: str, now_ns: int) -> bool:
+        every = self._rounds[bus]
+        self._look(bus, every)
+        while every.stale:
+            index = every.stale.pop()
+            every.dues_ns[index] = self._due_ns(bus, every.states[index])
+        return bool(every.words) or min(every.dues_ns, default=math.inf) <= now_ns
 
     def next_ns(self, bus: str, now_ns: int) -> int | None:  # noqa: ARG002
         next_ns = min(self._rounds[bus].dues_ns, default=math.inf)
@@ -395,6 +404,9 @@ class FullLine(QueryChoice):
         tracker = self._trackers[bus]
         quiet = (tracker.quiet_until_ns(state.joint.servo_id) for state in self._by_bus[bus])
         return min((instant_ns for instant_ns in quiet if instant_ns > now_ns), default=None)
+
+    def is_due(self, bus: str, now_ns: int) -> bool:  # noqa: ARG002
+        return True
 
     def touch(self, bus: str, state: JointState | None = None) -> None:
         """Nothing is kept from one query to the next."""

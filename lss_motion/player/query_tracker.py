@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 GRACE_NS: Final = 10 * NS_PER_MS
 """Time after the latest known answer of a servo until a query is given up."""
+QUERY_MAX_BYTES: Final = 8
+"""Longest query during a show, `#254QFPC`, without its CR."""
 REPLY_MAX_BYTES: Final = 24
 """Longest expected answer: a serial number (FACTS.md C15)."""
 STRAY_NS: Final = 100 * NS_PER_MS
@@ -247,6 +249,14 @@ class QueryTracker:
                 return None
             arrival_ns = max(arrival_ns, flight.end_ns - link.latency.earliest_ns)
         return max(quiet_until_ns, arrival_ns - self._line.time_ns(size_bytes))
+
+    def not_before_ns(self) -> int:
+        """Return an instant before which no query to a servo without one in flight may leave."""
+        if not self._flights:
+            return 0
+        end_ns = max(flight.end_ns for flight in self._flights.values())
+        quickest_ns = max(link.latency.earliest_ns for link in self._links.values())
+        return end_ns - quickest_ns - self._line.time_ns(QUERY_MAX_BYTES)
 
     def send(self, command: Command, now_ns: int) -> None:
         """Send a query; `earliest_ns` returns when that is allowed."""

@@ -236,8 +236,10 @@ class Streamer:
             return False
         if self.clock.target_rate == 0.0 and not self.clock.is_ramping(now_ns):
             return False
-        end_s = self._program.duration_s + SETTLE_S + (DOUBT_S if self._has_doubts() else 0.0)
-        return self.clock.show_s(now_ns) >= end_s and self._has_arrived(now_ns)
+        show_s, end_s = self.clock.show_s(now_ns), self._program.duration_s + SETTLE_S
+        if show_s < end_s or (self._has_doubts() and show_s < end_s + DOUBT_S):
+            return False
+        return self._has_arrived(now_ns)
 
     def _has_doubts(self) -> bool:
         """Return whether a servo that is driven may have restarted."""
@@ -362,8 +364,9 @@ class Streamer:
         else:
             wakeups_ns.append(self.clock.ramp_end_ns + ns_from_s(SETTLE_S))
         if self.scheduler is not None:
+            if self._has_moved and self.scheduler.look_ahead(now_ns):
+                wakeups_ns.append(now_ns + 1)
             wakeups_ns += self.scheduler.wakeups_ns(now_ns)
-            wakeups_ns += [now_ns + 1] if self._has_moved else []
         return min((w for w in wakeups_ns if w > now_ns), default=None)
 
     def receive(self, bus: str, reply: Reply, ended_ns: int, now_ns: int) -> None:
