@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 BENCHES = (
     "codec", "states", "plan", "compile", "compress", "horn", "feedback", "robust", "loop", "line",
-    "late", "identify", "gait", "scaling", "capacity", "sound", "voice", "studio", "pages",
+    "late", "identify", "gait", "scaling", "capacity", "play", "sound", "voice", "studio", "pages",
 )  # fmt: skip
 PACKAGES = ("numpy", "scipy", "toppra", "pyserial", "ruckig")
 

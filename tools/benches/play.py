@@ -1,0 +1,81 @@
+"""What playing a show with feedback costs: in virtual time, and of a core in real time.
+
+Processor time of the process that plays, without planning and compiling. In real time the
+simulated robot is a process of its own, behind a pseudo-terminal.
+"""
+
+from __future__ import annotations
+
+import statistics
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from benches.behind_pty import robot_behind_pty
+from benches.shows import lively_show, robot_of
+from benches.table import Row, core_seconds
+from lss_motion import api
+from lss_motion.perform import perform
+
+if TYPE_CHECKING:
+    from lss_motion.program.model import Program
+    from lss_motion.robot.model import Robot
+
+SEQUENCES: Final = Path(__file__).resolve().parents[2] / "sequences"
+SHOWS: Final = ((6, 115_200), (18, 115_200), (40, 500_000))
+"""Joints, and the baud rate that carries them."""
+SHOW_S: Final = 10.0
+REPEATS: Final = 3
+SPEED_TARGET: Final = 10.0
+CPU_TARGET: Final = 0.15
+JUDGED: Final = 18
+
+
+def measure() -> list[Row]:
+    """Return the speed of simulated shows, and the share of a core that shows in real time take."""
+    walk_robot = api.load_robot(SEQUENCES / "robots" / "hexapod.yaml")
+    walk = api.plan(api.load_sequence(SEQUENCES / "hexapod_walk.yaml"), walk_robot)
+    rows = [_virtual("hexapod_walk", api.compile(walk, walk_robot), walk_robot)]
+    for joints, baud_bps in SHOWS:
+        robot = robot_of(joints, baud_bps=baud_bps)
+        show = api.plan(lively_show(robot, SHOW_S, seed=3), robot)
+        program = api.compile(show, robot)
+        rows.append(_virtual("lively show", program, robot))
+        rows.append(_in_real_time("lively show", program, robot))
+    return rows
+
+
+def _virtual(what: str, program: Program, robot: Robot) -> Row:
+    taken_s = [
+        core_seconds(lambda: perform(program, robot, is_virtual=True)) for _ in range(REPEATS)
+    ]
+    joints, ratio = len(robot.joints), program.duration_s / statistics.median(taken_s)
+    is_judged = joints == JUDGED
+    return Row(
+        what=f"{what}, {joints} joints, virtual time",
+        ours=f"{ratio:.1f} x real time",
+        reference="real time, one core",
+        ratio=ratio,
+        target=f">= {SPEED_TARGET:g} x" if is_judged else "",
+        is_met=ratio >= SPEED_TARGET if is_judged else None,
+    )
+
+
+def _in_real_time(what: str, program: Program, robot: Robot) -> Row:
+    played_s = 0.0
+
+    def play() -> None:
+        nonlocal played_s
+        played_s = perform(program, real).report.played_s
+
+    with robot_behind_pty(robot) as (real, _):
+        taken_s = core_seconds(play)
+    joints, ratio = len(robot.joints), taken_s / played_s
+    is_judged = joints == JUDGED
+    return Row(
+        what=f"{what}, {joints} joints, real time",
+        ours=f"{ratio:.1%} of one core",
+        reference="one core",
+        ratio=ratio,
+        target=f"<= {CPU_TARGET:.0%}" if is_judged else "",
+        is_met=ratio <= CPU_TARGET if is_judged else None,
+    )
