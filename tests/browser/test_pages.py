@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import time
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -153,13 +154,17 @@ def test_strangers_are_refused_by_the_running_server(wave):
     def asked(path, **headers):
         request = urllib.request.Request(f"{wave.origin}{path}", headers=headers)
         try:
-            with urllib.request.urlopen(request, timeout=5.0) as answer:
+            with urllib.request.urlopen(request, timeout=60.0) as answer:
                 return answer.status
         except urllib.error.HTTPError as error:
             with error:
                 return error.code
 
     key = wave.key
+    for _ in range(600):  # The planner may still read the files.
+        if asked("/robot.json", **key) != 404:
+            break
+        time.sleep(0.1)
     assert asked("/robot.json", **key) == 200
     assert asked("/robot.json") == 401
     assert asked("/robot.json", Host="127.0.0.1.evil", **key) == 421
@@ -184,7 +189,7 @@ def test_a_long_show_is_drawn_by_what_is_in_sight(wave, opened):
     """Ten minutes, 18 joints, 1,200 keys: what a frame draws depends on the screen."""
     with opened(wave) as page:
         whole, near = page.run(LONG_SHOW)
-    assert whole["keys"] <= 1200 + 9 * 600, "one a pixel, in the lane and in each row in sight"
+    assert 500 <= whole["keys"] <= 1100, "one a pixel in the lane, none where they hide the curve"
     assert 10 <= near["keys"] <= 24 * 11, "eleven seconds of it"
     assert near["calls"] < 10 * 3000
 

@@ -32,11 +32,14 @@ def test_columns_hold_all_that_a_curve_does_within_them(wave, opened):
               const curve = {{times_s: Float64Array.from(times), deg: Float32Array.from(deg),
                 deg_s: Float32Array.from(deg_s)}};
               const lows = new Float32Array(100), highs = new Float32Array(100);
-              curves.fillColumns(curve, 0, times[0], (times[59] - times[0]) / 100, lows, highs);
-              return [[...lows], [...highs]];
+              const step = (times[59] - times[0]) / 100;
+              return [0, 2].flatMap((order) => {{
+                curves.fillColumns(curve, order, times[0], step, lows, highs);
+                return [[...lows], [...highs]];
+              }});
             }})"""
         )
-    lows, highs = np.array(found)
+    lows, highs, least, most = np.array(found)
     step_s = (times_s[-1] - times_s[0]) / 100
     for column in range(100):
         at_s = times_s[0] + step_s * (column + np.linspace(0.0, 1.0, 41))
@@ -47,6 +50,12 @@ def test_columns_hold_all_that_a_curve_does_within_them(wave, opened):
         assert highs[column] >= values.max() - slack, column
         assert lows[column] >= values.min() - slack
         assert highs[column] <= values.max() + slack
+        # The acceleration jumps at knots: both of its sides are within their column.
+        inner_s = times_s[1:-1][(times_s[1:-1] >= at_s[0]) & (times_s[1:-1] <= at_s[-1])]
+        sides = np.concatenate([curve.at(inner_s - 1e-9, 2), curve.at(inner_s + 1e-9, 2)])
+        wide = 1e-3 * np.abs(sides).max(initial=1.0)
+        assert sides.min(initial=np.inf) >= least[column] - wide
+        assert sides.max(initial=-np.inf) <= most[column] + wide
 
 
 def test_a_show_time_is_in_the_view_where_the_program_plays_it(wave, opened):

@@ -108,18 +108,16 @@ export function fillColumns(curve, order, start_s, step_s, lows, highs, edges) {
     const end_s = start_s + (column + 1) * step_s;
     let low = edge;
     let high = edge;
+    /** Speed and acceleration may differ on both sides of a knot. @param {number} value */
+    const take = (value) => {
+      if (value < low) low = value;
+      if (value > high) high = value;
+    };
     while (knot <= last && /** @type {number} */ (times_s[knot]) <= end_s) {
-      const at_s = /** @type {number} */ (times_s[knot]);
-      if (knot > 0) {
-        const before = inPiece(curve, knot - 1, at_s, order);
-        if (before < low) low = before;
-        if (before > high) high = before;
-      }
+      if (knot > 0) take(inPiece(curve, knot - 1, /** @type {number} */ (times_s[knot]), order));
       if (knot < last) {
         piece = knot;
-        const after = inPiece(curve, piece, at_s, order);
-        if (after < low) low = after;
-        if (after > high) high = after;
+        take(inPiece(curve, piece, /** @type {number} */ (times_s[knot]), order));
       }
       knot += 1;
     }
