@@ -86,7 +86,7 @@ class Live:
         answers = self._ask(handshake.position_queries(joints))
         standing_deg = handshake.standing_deg(joints, answers)
         if silent := [joint for joint in joints if joint.name not in standing_deg]:
-            raise handshake.silent_error(silent, joints, self.robot)
+            raise handshake.silent_error(silent, joints, self.robot, answers)
         # + 0.0: no -0.0 is shown.
         return {joint.name: joint.joint_deg(standing_deg[joint.name]) + 0.0 for joint in joints}
 

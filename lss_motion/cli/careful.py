@@ -37,12 +37,12 @@ for a show to look like itself; + raises it to full speed."""
 
 CAREFUL_HELP: Final = (
     "first move one joint at a time, slowly and a little, and compare direction, speed and lag "
-    "with what is expected; then play at half speed, which + raises"
+    "with what is expected; then {verb} at half speed, which + raises"
 )
 PASSED: Final = (
-    f"All joints moved as expected. If one turned to another side than listed, answer n, and\n"
-    f"correct its `direction` (lss-motion calibrate). The show plays at {CAREFUL_RATE:.0%} of its "
-    f"speed; + raises it."
+    "All joints moved as expected. If one turned to another side than listed, answer n, and\n"
+    "correct its `direction` (lss-motion calibrate). The {what} at {rate:.0%} of its "
+    "speed; + raises it."
 )
 OFFER: Final = (
     "No show has been played to its end with this robot file on a real port. Press c for a\n"
@@ -129,13 +129,14 @@ def careful_run(
     learning: Learning,
     print_line: Callable[[str], None],
     *,
+    what: str = "show plays",
     faults: Sequence[Fault] = (),
     deviation: Deviation | None = None,
 ) -> int:
     """Move one joint after the other; return 0 if all of them did what was expected.
 
-    Another code: a person has stopped it, or did not agree. Raises for a joint that deviates, and
-    as a preflight does.
+    `what` follows at `CAREFUL_RATE`. Another code: a person has stopped it, or did not agree.
+    Raises for a joint that deviates, and as a preflight does.
     """
     from lss_motion.cli.terminal import Terminal
     from lss_motion.connection import connect, is_simulated
@@ -162,7 +163,7 @@ def careful_run(
                 if run.error is not None:
                     raise run.error
                 print_line(_result_line(run, joint))
-    print_line(PASSED)
+    print_line(PASSED.format(what=what, rate=CAREFUL_RATE))
     return EXIT_FINISHED
 
 
@@ -250,7 +251,7 @@ def _run_joint(
         raise PlaybackError(
             f"joint {joint.name!r} stood at {joint.joint_deg(stood_deg):.1f} deg and is at "
             f"{joint.joint_deg(standing_deg):.1f} deg, although it was not moved yet. Support it, "
-            f"and begin anew",
+            f"and begin anew; if nothing moved it, its servo counts other angles than its `model`",
             joint=joint.name,
         )
     timed = _timed(joint, answers)

@@ -169,7 +169,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-sound", action="store_true", help="play the show without its sounds")
     parser.add_argument("--quiet", action="store_true", help=QUIET_HELP)
     parser.add_argument("--yes", action="store_true", help=YES_HELP)
-    parser.add_argument("--careful", action="store_true", help=CAREFUL_HELP)
+    parser.add_argument("--careful", action="store_true", help=CAREFUL_HELP.format(verb="play"))
     parser.add_argument("--allow-run", action="store_true", help=ALLOW_HELP)
 
 

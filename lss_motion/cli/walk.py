@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from lss_motion.cli.careful import CAREFUL_HELP, CAREFUL_RATE, Learning, careful_run
 from lss_motion.cli.commands import (
     NO_FEEDBACK_HELP,
     PORT_HELP,
@@ -102,16 +103,14 @@ def add_to(commands: Commands) -> None:
     walk.add_argument("--report", type=Path, metavar="FILE", help=REPORT_HELP)
     walk.add_argument("--quiet", action="store_true", help=QUIET_HELP)
     walk.add_argument("--yes", action="store_true", help=YES_HELP)
+    walk.add_argument("--careful", action="store_true", help=CAREFUL_HELP.format(verb="walk"))
+    walk.set_defaults(virtual=False)  # A person steers it.
 
 
 def _walk(arguments: argparse.Namespace) -> int:
     from lss_motion import api, shows
-    from lss_motion.cli.report import report_lines
-    from lss_motion.cli.terminal import Terminal
     from lss_motion.connection import with_port
     from lss_motion.gait.model import BodyPose
-    from lss_motion.runtime.report import write_report
-    from lss_motion.walking.inputs import OperatorInput
 
     outputs = [Output(arguments.report, Kind.REPORT)]
     sources = [arguments.file, arguments.robot, arguments.robot_cache]
@@ -120,7 +119,41 @@ def _walk(arguments: argparse.Namespace) -> int:
     gait, robot = shows.load_gait(arguments.file, arguments.robot, read_robot)
     gait, top = fastest(replace(gait, start=BodyPose()), robot, arguments)
     robot = with_port(robot, arguments.port)
+    joints = [name for leg in gait.legs for name in leg.joints]
+    learning = Learning(robot, joints, is_kept=not api.is_simulated(robot))
+    code = None
+    if not arguments.careful:
+        code = _walked(arguments, gait, robot, top, learning)
+    if code is None:
+        print_line = discard if arguments.quiet else put
+        if code := careful_run(arguments, robot, joints, learning, print_line, what="walk begins"):
+            return code
+        code = _walked(arguments, gait, robot, top, learning, speed_ratio=CAREFUL_RATE)
+    assert code is not None, "it is offered once"
+    return code
+
+
+def _walked(
+    arguments: argparse.Namespace,
+    gait: Gait,
+    robot: Robot,
+    top: Twist,
+    learning: Learning,
+    *,
+    speed_ratio: float | None = None,
+) -> int | None:
+    """Walk, at first at `speed_ratio` of the largest speed; return the exit code.
+
+    None: a person wants a careful run first, which is offered where no `speed_ratio` is given.
+    """
+    from lss_motion import api
+    from lss_motion.cli.report import report_lines
+    from lss_motion.cli.terminal import Terminal
+    from lss_motion.runtime.report import write_report
+    from lss_motion.walking.inputs import OperatorInput
+
     is_asked = must_ask(arguments, robot)
+    offer = learning.offer if is_asked and speed_ratio is None else ""
     with contextlib.ExitStack() as stack:
         printer = Printer()
         stack.callback(printer.finish)
@@ -128,11 +161,16 @@ def _walk(arguments: argparse.Namespace) -> int:
         if api.is_simulated(robot):
             print_line(simulated_text(gait.name, robot, " in real time"))
         print_line(f"at most {speed_text(top)}, one cycle {gait.cycle_s:.2f} s")
-        wishes = OperatorInput(top)
+        wishes = OperatorInput(top, speed_ratio=speed_ratio or 1.0)
         terminal = stack.enter_context(Terminal(wishes.press))
-        steered = (wishes, terminal)
-        result, pilot = _perform(arguments, gait, robot, steered, print_line, is_asked=is_asked)
+        steered, asking = (wishes, terminal), (is_asked, offer)
+        done = _perform(arguments, gait, robot, steered, print_line, asking)
+        if done is None:
+            return None
+        result, pilot = done
         problems = []
+        if result.report.outcome == "finished":
+            learning.note_completed()
         if arguments.report is not None:
             problems = failures(write_report, result.report, arguments.report)
         for text in problems:
@@ -143,13 +181,17 @@ def _walk(arguments: argparse.Namespace) -> int:
         print_line(f"{pilot.taken} spans walked, {pilot.late} planned too late")
         for line in report_lines(result.report.to_dict()):
             print_line(line)
-        match result.report.outcome:
-            case "stopped":
-                return ended_by(terminal.signal_number)
-            case "fault":
-                return EXIT_NOT_FOLLOWED
-            case _:
-                return EXIT_INPUT if problems else EXIT_FINISHED
+        return _exit_code(result, terminal) or (EXIT_INPUT if problems else EXIT_FINISHED)
+
+
+def _exit_code(result: Result, terminal: Terminal) -> int:
+    match result.report.outcome:
+        case "stopped":
+            return ended_by(terminal.signal_number)
+        case "fault":
+            return EXIT_NOT_FOLLOWED
+        case _:
+            return EXIT_FINISHED
 
 
 def fastest(gait: Gait, robot: Robot, arguments: argparse.Namespace) -> tuple[Gait, Twist]:
@@ -241,11 +283,9 @@ def _perform(
     robot: Robot,
     steered: tuple[OperatorInput, Terminal],
     print_line: Callable[[str], None],
-    *,
-    is_asked: bool,
-) -> tuple[Result, Pilot]:
-    import sys
-
+    asking: tuple[bool, str],
+) -> tuple[Result, Pilot] | None:
+    """Walk; `asking`: whether to ask before, and what to offer. None: that was taken."""
     from lss_motion.cli.display import Display
     from lss_motion.gait.model import BodyPose
     from lss_motion.perform import Observer, perform
@@ -275,6 +315,8 @@ def _perform(
             controls.sits = (BodyPose(), gait.sit)
         if arguments.gamepad is not None:
             controls.gamepad = stack.enter_context(Gamepad(arguments.gamepad))
+        is_asked, offer = asking
+        confirmation = Confirmation(controls, terminal, robot.name, offer=offer)
         result = perform(
             planner.program,
             robot,
@@ -284,12 +326,12 @@ def _perform(
             observer=Observer(
                 on_event=lambda event: print_event(event, note),
                 on_turn=None if display is None else display.show,
-                controls=Confirmation(controls, terminal, robot.name),
+                controls=confirmation,
             ),
             is_open=True,
             must_ask=is_asked,
         )
-        return result, pilot
+        return None if confirmation.is_careful else (result, pilot)
 
 
 def speed_text(twist: Twist) -> str:

@@ -514,7 +514,7 @@ def check_answers(
     joints = list(joints)
     standing = standing_deg(joints, answers)
     if silent := [joint for joint in joints if joint.name not in standing]:
-        raise silent_error(silent, joints, robot)
+        raise silent_error(silent, joints, robot, answers)
     reasons = refusals(joints, answers, stored or {}, robot, show)
     soft = [one for one in reasons if one.is_warning or (one.is_frame and not needs_frame)]
     if hard := [reason for reason in reasons if reason not in soft]:

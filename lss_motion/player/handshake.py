@@ -295,10 +295,22 @@ def standing_deg(joints: Iterable[Joint], answers: Answers) -> dict[str, float]:
     return {name: angle for name, angle in angles.items() if angle is not None}
 
 
-def silent_error(silent: Sequence[Joint], joints: Sequence[Joint], robot: Robot) -> BusError:
-    """Return the error for servos that do not answer."""
-    named = ", ".join(f"{j.name} (id {j.servo_id} on bus {j.bus!r})" for j in silent)
-    bus = robot.buses[silent[0].bus]
+def silent_error(
+    silent: Sequence[Joint], joints: Sequence[Joint], robot: Robot, answers: Answers
+) -> BusError:
+    """Return the error for servos without an angle: they do not answer, or no two answers agree."""
+    answering = {(bus, servo_id) for bus, servo_id, _ in answers}
+    mute = [joint for joint in silent if (joint.bus, joint.servo_id) not in answering]
+    named = ", ".join(f"{j.name} (id {j.servo_id} on bus {j.bus!r})" for j in mute or silent)
+    bus = robot.buses[(mute or silent)[0].bus]
+    if not mute:
+        return BusError(
+            f"no two angles (QD) agree within {PLACE_WITHIN_DEG:g} deg: {named}. Does something "
+            f"move it? Else its servo counts other angles than its `model`, or two servos have "
+            f"its id (lss-motion scan)",
+            url=bus.port,
+        )
+    silent = mute
     return BusError(
         f"no answer from {len(silent)} of {len(joints)} servos: {named}. Check power, wiring, "
         f"ids and the baud rate ({bus.baud_bps} bps)",

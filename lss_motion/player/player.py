@@ -509,7 +509,8 @@ class Player:
             joints = self._session.joints
             self._fail(handshake.not_applied_error(settings.wrong[0], settings.answers, joints))
         else:
-            self._fail(handshake.silent_error(silent, self._session.joints, self.robot))
+            joints, answers = self._session.joints, settings.answers
+            self._fail(handshake.silent_error(silent, joints, self.robot, answers))
 
     def _has_lost_turns(self, answers: Answers, now_ns: int) -> bool:
         """End the run if a joint is in another turn than it was: no move takes it back."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import shutil
 import subprocess
 import sys
 import threading
@@ -16,6 +17,7 @@ import pytest
 from lss_motion import shows
 from lss_motion.sim.bus import bus_from_robot
 from lss_motion.sim.pty import serve_buses
+from tests.pty.test_careful import read_until
 from tests.timed_moves import is_move
 
 pytestmark = pytest.mark.realtime
@@ -33,8 +35,12 @@ sys.exit(main(sys.argv[1:]))
 
 
 @contextmanager
-def walking(folder, *options):
+def walking(folder, *options, consent="--yes", stderr=subprocess.PIPE):
     """Serve the quadruped, and steer it from a terminal; yields bus, process and its keyboard."""
+    options = [*options, consent] if consent else options
+    (folder / "robots").mkdir()  # What is learnt about the robot stands beside its file.
+    gait = shutil.copy(EXAMPLE, folder)
+    shutil.copy(EXAMPLE.parent / "robots" / "quadruped.yaml", folder / "robots")
     _, robot = shows.load_gait(EXAMPLE, None)
     bus = bus_from_robot(robot, "main", seed=1)
     bus.record()
@@ -47,13 +53,13 @@ def walking(folder, *options):
     thread.start()
     assert ready.wait(5.0)
     keyboard, terminal = pty.openpty()
-    command = [sys.executable, "-c", IN_FRONT, "walk", str(EXAMPLE), "--port",
-               str(folder / "port"), "--yes", *options]  # fmt: skip
+    command = [sys.executable, "-c", IN_FRONT, "walk", str(gait), "--port",
+               str(folder / "port"), *options]  # fmt: skip
     process = subprocess.Popen(
         command,
         stdin=terminal,
         stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+        stderr=stderr,
         text=True,
     )
     try:
@@ -125,3 +131,18 @@ def test_q_ends_in_the_stand_too(tmp_path):
         _, errors = process.communicate(timeout=60)
         assert process.returncode == 0, errors
         assert np.abs(horns_at_the_end(bus)[-1] - approached(bus)).max() < 0.6
+        assert (tmp_path / "robots" / "quadruped.learnt.yaml").exists(), "it is offered no more"
+
+
+def test_a_first_walk_offers_a_careful_run_of_every_joint(tmp_path):
+    with walking(tmp_path, consent="", stderr=subprocess.STDOUT) as (bus, process, keyboard):
+        said = read_until(process, "go? [y/N] ")
+        assert "Press c for a\ncareful run first" in said
+        os.write(keyboard, b"c")
+        said = read_until(process, "Begin? [y/N] ")
+        assert said.count("deg and back, at most") == APPROACH_MOVES
+        os.write(keyboard, b"n\n")
+        said, _ = process.communicate(timeout=60)
+        assert process.returncode == 130, said
+        assert "no: nothing was moved" in said
+        assert not any(is_move(line) for _, line in bus.lines)

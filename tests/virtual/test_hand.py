@@ -144,9 +144,8 @@ def test_damaged_and_missing_readings_are_no_motion() -> None:
     original_deg = truth_deg(robot, bus, began_ns + (times_s * NS_PER_S).astype(np.int64))
     planned_deg = trajectory.sample(times_s)
     columns = [trajectory.joints.index(name) for name in robot.joints]
-    assert (
-        np.abs(planned_deg[:, columns] - original_deg).max() < 2.2
-    )  # The tolerance, a turning point, the lag
+    # The tolerance, a turning point and the lag: 2.01 deg with this seed, 1.00 without the faults.
+    assert np.abs(planned_deg[:, columns] - original_deg).max() < 2.2
 
 
 def test_a_soft_joint_stays_where_it_was_pushed(tmp_path) -> None:

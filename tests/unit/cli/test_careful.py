@@ -7,9 +7,11 @@ import json
 import numpy as np
 import pytest
 
+from lss_motion.cli import walk
 from lss_motion.cli.careful import CAREFUL_RATE
 from lss_motion.cli.main import main as lss_motion
 from lss_motion.cli.play import main
+from lss_motion.errors import InputError
 
 ROBOT = """
 robot: pair
@@ -74,6 +76,7 @@ def test_every_joint_passes_and_the_show_after_it_has_half_the_speed(play, tmp_p
     ("fault", "code", "text"),
     [
         ("{kind: wrong_scale, servo: 2, setting: D, scale_ratio: 10}", 5, "joint 'tilt'"),
+        ("{kind: wrong_scale, servo: 1, setting: D, scale_ratio: 0.0001}", 4, "no two angles (QD)"),
         ("{kind: wrong_scale, servo: 2, setting: SD, scale_ratio: 1000}", 5, "speed limit (SD)"),
         ("{kind: wrong_scale, servo: 2, setting: AA, scale_ratio: 0.1}", 5, "acceleration (AA)"),
         ("{kind: stored, servo: 2, settings: {G: -1}}", 2, "gyre (G)"),
@@ -110,3 +113,22 @@ def test_a_dry_run_tests_nothing(play):
     code, out, _ = play("--careful", "--dry-run")
     assert code == 0
     assert "turned" not in out
+
+
+@pytest.mark.parametrize(("options", "ratio"), [([], 1.0), (["--careful"], CAREFUL_RATE)])
+def test_a_walk_after_a_careful_run_begins_at_half_of_its_speed(monkeypatch, options, ratio):
+    begun = []
+
+    def performed(arguments, gait, robot, steered, print_line, asking):
+        wishes, _ = steered
+        wishes.steer(1.0, 0.0, 0.0)
+        begun.append((wishes.twist().forward_mm_s / wishes.top.forward_mm_s, asking))
+        raise InputError("enough")
+
+    monkeypatch.setattr(walk, "_perform", performed)
+    command = ["walk", "sequences/quadruped_trot.yaml", "--yes", "--quiet", *options]
+    monkeypatch.setattr(walk, "careful_run", lambda *_, **__: 130)
+    assert lss_motion(command) == (130 if options else 2)
+    monkeypatch.setattr(walk, "careful_run", lambda *_, **__: 0)
+    assert lss_motion(command) == 2
+    assert begun[-1] == (ratio, (False, ""))
