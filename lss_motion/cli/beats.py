@@ -94,6 +94,7 @@ def add_to(commands: Commands) -> None:
 
 
 def _beats(arguments: argparse.Namespace) -> int:
+    from lss_motion.sequence.file import EVENTS_MAX
     from lss_motion.sound.beats import beats_of, every, half_shifted
     from lss_motion.sound.spectra import Part
 
@@ -112,6 +113,11 @@ def _beats(arguments: argparse.Namespace) -> int:
     at_s = at_s[at_s >= 0.0]
     if len(at_s) < 2:
         raise InputError(f"has {len(at_s)} beats from {arguments.from_s:g} s on", path=part.path)
+    if arguments.into is not None and len(at_s) > EVENTS_MAX:
+        raise InputError(
+            f"has {len(at_s):,} beats, at most {EVENTS_MAX:,} go into a show; give --every",
+            path=part.path,
+        )
     if arguments.plot is not None:
         plot_beats(arguments.plot, part, found, at_s)
     if arguments.json:

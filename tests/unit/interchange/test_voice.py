@@ -10,7 +10,13 @@ import pytest
 import lss_motion as lss
 from lss_motion.cli.main import main
 from lss_motion.errors import InputError
-from lss_motion.interchange.voice import Follow, VoiceStyle, fitted, voice_sequence
+from lss_motion.interchange.voice import (
+    Follow,
+    VoiceStyle,
+    _swells,
+    fitted,
+    voice_sequence,
+)
 from lss_motion.sound.envelope import Turn
 from lss_motion.sound.spectra import Part
 from tests.speech import spoken
@@ -118,6 +124,17 @@ def test_a_nod_and_a_sway_are_slow_and_follow_the_sound(folder):
     _, trajectory = planned("sway.yaml")
     left_deg, right_deg = trajectory.sample(np.array([2.5, 3.5]))[:, 0]
     assert right_deg > left_deg + 5.0
+
+
+def test_swells_that_are_too_fast_become_smaller_not_faster(folder):
+    joint = lss.load_robot("robot.yaml").joints["head"]
+    style = VoiceStyle(follow=Follow.ENERGY, speed_max_deg_s=20.0)
+    times_s = np.arange(0.0, 12.0, 0.01)
+    turns = _swells((times_s % 1.0 < 0.5).astype(float), 0.01, joint, style, 30.0)
+    at_s, deg = np.array([(turn.at_s, 30.0 * turn.ratio) for turn in turns]).T
+    fastest_deg_s = 1.5 * np.abs(np.diff(deg)) / np.diff(at_s)
+    assert 15.0 < fastest_deg_s.max() <= 20.0 + 1e-9
+    assert len(turns) > 20, "each swell is still there"
 
 
 def test_neighbours_are_within_reach_and_nothing_is_given_up_without_need():
