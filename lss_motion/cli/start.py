@@ -1,6 +1,8 @@
 """Entry points of `lss-play` and `lss-motion`: signals are handled before the program is imported.
 
-Importing the program takes a fifth of a second, in which a person may press Ctrl-C.
+Importing the program takes a fifth of a second, in which a person may press Ctrl-C. Before the
+first line of this module runs, Python starts itself and imports 14 ms of ours and of its library
+(`python -X importtime`); a Ctrl-C then ends in Python's own words, and nothing has been opened.
 """
 
 from __future__ import annotations

@@ -17,6 +17,14 @@ times 20 ms of motion). On simulated servos and the lively show of the benchmark
 5.2, 4.3, 3.8 and 3.0 % of a 115200 line with an FPC of 3, 4, 5 and 8; their horns are 0.19 to 0.22
 deg off (RMS, without feedback) with each of them, because the instants of the filter's steps are
 unknown. 4 is chosen as the middle.
+
+A target that serves several steps makes the first of them long and the others shorter: within the
+tolerance the speed is a saw-tooth, which the acceleration limit of the plan does not bound. A joint
+with 900 deg/s² and an FPC of 4, keyframes 60 deg apart every 0.6 s: the acceleration behind the lag
+of the horn is at most 920, 1,170, 2,010, 3,000 and 4,640 deg/s² with tolerances of 0.1, 0.2, 0.4,
+0.8 and 1.6 deg. So a tolerance that a full line has relaxed costs a streamed joint its
+acceleration; the player cuts what exceeds the limit by more than the tolerance over the square of
+the period. Remedy: a faster line, or `drive: timed`, whose ramps the servo keeps itself.
 """
 
 from __future__ import annotations
