@@ -26,7 +26,8 @@ calls with the same arguments give the same bytes, so a log can be replayed (`ru
     rate_ramps      moves computed at run time: rate not 1, guiding     streamer
     setpoints       the filter of a servo in EM0, at any step instants  joint_state, rate_ramps
     joint_state     one joint: sent moves, model, readings; statistics  streamer, polling, report
-    estimators      load, lag, rests, lost moves of a joint             joint_state
+    estimators      load, play, lag, lost moves of a joint              joint_state
+    standing        corrections of a joint at rest                      joint_state
     polling         queries in the gaps between moves, and their use    streamer
     query_choice    which servo is polled next, and for what            polling
     query_tracker   queries in flight on one bus                        polling, transactions

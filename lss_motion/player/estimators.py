@@ -1,4 +1,4 @@
-"""Estimators for one joint from its readings: load and lag, rests, and lost moves.
+"""Estimators for one joint from its readings: load, play and lag, and lost moves.
 
 A bus without checksums can deliver a wrong number that looks right, so `DisturbanceEstimator` first
 checks that a reading is plausible. It keeps the correction: what is added to the targets of a
@@ -6,8 +6,7 @@ joint, within bounds.
 
 `HornEstimator` estimates why the horn is not where the response model has it: a load, the play of
 the gears, a lag. What no such cause explains, as wrong ramps or a weak motor, makes it less sure,
-and corrections that make the errors larger are dropped. `StandingCorrector` corrects a joint at
-rest, whatever the cause of its error is.
+and corrections that make the errors larger are dropped.
 
 `LostMoveDetector` detects moves that the servo did not receive. A line without acknowledgement
 loses a command now and then, and the servo goes on with the one before. So after every move to
@@ -87,6 +86,12 @@ EXPLAINED_SURE: Final = 0.6
 explains the second is corrected fully. Measured: of a lag it explains nine tenths, of wrong ramps
 or a weak motor less than a third; to send earlier for these made things worse."""
 
+BOUND_RATIO: Final = 0.9
+"""A lag of this share of the largest one is at its bound, as far as readings can tell."""
+FOUND_S: Final = 0.02
+FOUND_READINGS: Final = 30
+"""Errors of this size in motion, after so many readings, are a wrong model of the servo. Measured:
+4 to 12 ms where it is right, 20 to 580 ms with other ramps, another retarget, or a weak motor."""
 WORTH_DEG2_S: Final = 0.1
 """Weight of the assumption that a correction for the load helps: a third of a degree for a
 second."""
@@ -121,6 +126,8 @@ class HornEstimator:
     _timing_deg2: float = TIMING_S**2 * 100.0**2
     _timing_speed2: float = 100.0**2
     """Sums of squared errors and speeds in motion."""
+    _moving: int = 0
+    """Readings in motion."""
     _strange_s: float = 0.0
     """For how long the readings have been strange, with the sign of their error."""
     _common: float = WORTH_DEG2_S
@@ -175,6 +182,19 @@ class HornEstimator:
         """Share of the load that is worth correcting: the one that makes the errors smallest."""
         return min(max(self._common / self._square, 0.0), 1.0)
 
+    @property
+    def finding(self) -> str:
+        """What the response model does not explain about this joint; empty: nothing."""
+        if abs(self.lag_s) >= BOUND_RATIO * LAG_MAX_S and self.explained_ratio > EXPLAINED_SURE:
+            return f"it lags {1e3 * self.lag_s:.0f} ms besides what its robot file says, or more"
+        unexplained_s = math.sqrt(self._timing_deg2 / self._timing_speed2)
+        if self._moving >= FOUND_READINGS and unexplained_s > FOUND_S:
+            return (
+                f"in motion it is {1e3 * unexplained_s:.0f} ms off what its robot file says of its "
+                f"servo, and neither load nor lag explains that"
+            )
+        return ""
+
     # ---- what readings say
 
     def judge_load(self, error_deg: float, load_deg: float, elapsed_s: float) -> None:
@@ -224,6 +244,8 @@ class HornEstimator:
         square_deg2 = max(surprise_deg * surprise_deg - known, 0.0)
         if is_slow and recent_deg_s > 0.0:
             self._learn_noise(min(square_deg2, 4.0 * self.noise_deg2), elapsed_s)
+        if recent_deg_s > SPEED_DEG_S:
+            self._moving += 1
         if recent_deg_s > 0.0:
             self._learn_timing(square_deg2, recent_deg_s, elapsed_s)
         if abs(speed_deg_s) >= SPEED_DEG_S:
@@ -389,108 +411,6 @@ class DisturbanceEstimator:
     def _could_reach(self, from_deg: float, from_s: float, to_deg: float, to_s: float) -> bool:
         reach_deg = self.speed_max_deg_s * max(to_s - from_s, 0.0) + JUMP_MARGIN_DEG
         return abs(to_deg - from_deg) <= reach_deg
-
-
-STANDING_DEG: Final = 0.15
-"""A joint at rest that is nearer to its plan than this is left alone: two units of an LSS."""
-STANDING_SIGMAS: Final = 4.5
-READINGS_LEAST: Final = 3
-READINGS_MOST: Final = 30
-"""A rest is judged by so many readings, and by more where they scatter."""
-HELPED_RATIO: Final = 0.6
-"""A correction has helped if it leaves no more than this share of the error."""
-ATTEMPTS_MAX: Final = 4
-"""Corrections in one rest that do not help; then the rest is left as it began. More than one, since
-the play of the gears takes up the first."""
-ATTEMPTS_IN_ALL: Final = 8
-MOVING_DEG: Final = 0.2
-"""A horn moves if its first and last readings differ by more than this."""
-PUSH_DEG: Final = 0.6
-"""A resting horn that has moved by more than this without a command is pushed, or let go."""
-PUSH_SIGMAS: Final = 6.0
-STEADY_S: Final = 0.3
-"""A horn that moves earlier than this after it came to rest is still on its way."""
-PUSH_S: Final = 1.5
-"""What pushes for longer than this is a load: it is corrected for."""
-
-
-@dataclass(slots=True)
-class StandingCorrector:
-    """Corrections of one joint while it rests: one at a time, kept only if it helped.
-
-    A horn that moves without a command is pushed by a hand. Nothing is corrected until it is let
-    go, or until it has stood elsewhere for `PUSH_S`; in the first case all is forgotten.
-    """
-
-    is_pushed: bool = False
-    _errors_deg: list[float] = field(default_factory=list)
-    _since_s: float = 0.0
-    """Instant of the first of these readings."""
-    _usual_deg: float = 0.0
-    """Error before the push."""
-    _tried_deg: float | None = None
-    """Error before the correction that is on trial."""
-    _before_deg: float = 0.0
-    """Correction before that."""
-    _misses: int = 0
-    _attempts: int = 0
-
-    def begin(self) -> None:
-        """Note that a move was sent: a new rest will follow."""
-        self._errors_deg.clear()
-        self._tried_deg = None
-        self.is_pushed, self._misses, self._attempts = False, 0, 0
-
-    def await_rest(self) -> None:
-        """Drop the readings before a correction took effect."""
-        self._errors_deg.clear()
-
-    def take(self, error_deg: float, read_s: float, noise_deg: float) -> None:
-        """Use a reading of the horn at rest; `error_deg`: how far the plan is above it."""
-        errors = self._errors_deg
-        usual_deg = sum(errors) / len(errors) if errors else error_deg
-        far_deg = max(PUSH_DEG, PUSH_SIGMAS * noise_deg)
-        is_steady = len(errors) >= READINGS_LEAST and read_s - self._since_s > STEADY_S
-        near_deg = far_deg if is_steady or self.is_pushed else 0.5 * far_deg
-        if abs(error_deg - usual_deg) > near_deg:
-            if not self.is_pushed and is_steady:
-                self.is_pushed, self._usual_deg = True, usual_deg
-            errors.clear()
-        elif self.is_pushed and abs(error_deg - self._usual_deg) < 0.5 * far_deg:
-            self.is_pushed = False
-            errors.clear()
-        if not errors:
-            self._since_s = read_s
-        errors.append(error_deg)
-        del errors[:-READINGS_MOST]
-
-    def next_offset_deg(self, offset_deg: float, now_s: float, noise_deg: float) -> float | None:
-        """Return the correction that shall replace `offset_deg`; None: it stays."""
-        count = len(self._errors_deg)
-        if count < READINGS_LEAST or (self.is_pushed and now_s - self._since_s < PUSH_S):
-            return None
-        if abs(self._errors_deg[-1] - self._errors_deg[0]) > max(MOVING_DEG, 4.0 * noise_deg):
-            del self._errors_deg[0]  # It is still on its way.
-            return None
-        error_deg = sum(self._errors_deg) / count
-        spread = sum((one - error_deg) ** 2 for one in self._errors_deg) / (count - 1)
-        noise_deg = max(noise_deg, math.sqrt(spread))
-        least_deg = max(STANDING_DEG, STANDING_SIGMAS * noise_deg / math.sqrt(count))
-        if self._tried_deg is not None:
-            if abs(error_deg) <= max(HELPED_RATIO * abs(self._tried_deg), 0.5 * least_deg):
-                self._tried_deg, self._misses = None, 0
-            elif self._misses + 1 < ATTEMPTS_MAX:
-                self._misses += 1
-            else:
-                self._attempts = ATTEMPTS_IN_ALL
-                self._tried_deg = None
-                return self._before_deg
-        if abs(error_deg) <= least_deg or self._attempts >= ATTEMPTS_IN_ALL:
-            return None
-        self._attempts += 1
-        if self._tried_deg is None:
-            self._tried_deg, self._before_deg = error_deg, offset_deg
-        return offset_deg + error_deg
 
 
 PARTED_DEG: Final = 1.0

@@ -16,13 +16,14 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from lss_motion.player.estimators import (
+    OFFSET_MAX_DEG,
     OFFSET_RATE_DEG_S,
     DisturbanceEstimator,
     LostMoveDetector,
-    StandingCorrector,
     Trace,
 )
 from lss_motion.player.setpoints import Setpoints, make_setpoints, step_gain_deg
+from lss_motion.player.standing import StandingCorrector
 from lss_motion.program.drives import profile_lead_s
 from lss_motion.program.model import received_us
 from lss_motion.program.quantize import LATEST_ARRIVAL_S, nearest_wire
@@ -527,6 +528,16 @@ class JointState:
             way_deg = self.target_deg - self.place(now_ns)[0]
             way = math.copysign(1.0, way_deg) if abs(way_deg) > WAY_DEG else self._way
             self.disturbance.aim(self.target_deg, way, OFFSET_RATE_DEG_S * duration_s)
+
+    @property
+    def finding(self) -> str:
+        """What is wrong with the model of the servo, and the remedy; empty: nothing is."""
+        text = self.disturbance.horn.finding
+        if not text and self.disturbance.offset_max_deg >= OFFSET_MAX_DEG:
+            text = f"its load pulls it by {OFFSET_MAX_DEG:g} deg or more"
+        name = self.joint.name
+        remedy = f"measure it: lss-motion identify {name}, with --robot and the robot file"
+        return f"joint {name!r}: {text}; {remedy}" if text else ""
 
     def standing_offset_deg(self, now_ns: int) -> float | None:
         """Return the correction that a joint at rest needs in place of its own; None: none."""

@@ -233,9 +233,14 @@ def make_report(
         stretched=tuple(program.stretched),
         given_up=tuple(program.given_up),
         faults=tuple(player.faults),
-        warnings=tuple(warnings),
+        warnings=(*warnings, *_findings(show.joint_states if show is not None else {})),
         sound=sound,
     )
+
+
+def _findings(joint_states: Mapping[str, JointState]) -> Iterator[str]:
+    """Yield what the robot file says wrongly about its servos, as far as the readings show it."""
+    yield from filter(None, (state.finding for state in joint_states.values()))
 
 
 def _played_s(player: Player) -> float:

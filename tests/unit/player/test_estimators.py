@@ -14,22 +14,24 @@ import numpy as np
 import pytest
 
 from lss_motion.player.estimators import (
-    ATTEMPTS_MAX,
     JUMP_MARGIN_DEG,
     LAG_MAX_S,
     MISMATCHES_MAX,
     OFFSET_MAX_DEG,
     OTHERS_MAX,
     PROMPT_LEAST,
-    PUSH_S,
     QUERIES_MAX,
-    READINGS_LEAST,
-    STANDING_DEG,
     SURE_S,
     Alternative,
     DisturbanceEstimator,
     HornEstimator,
     LostMoveDetector,
+)
+from lss_motion.player.standing import (
+    ATTEMPTS_MAX,
+    PUSH_S,
+    READINGS_LEAST,
+    STANDING_DEG,
     StandingCorrector,
 )
 from lss_motion.robot.model import Response
@@ -250,6 +252,13 @@ def test_a_correction_that_does_not_help_is_dropped():
     for _ in range(200):
         horn.judge_load(-0.5, 2.0, 0.1)
     assert horn.worth_ratio < 0.05
+
+
+def test_a_model_that_explains_nothing_is_a_finding_and_a_right_one_none():
+    assert swung().finding == swung(lag_s=0.03, load_deg=3.0).finding == ""
+    assert "it lags 6" in swung(lag_s=0.065).finding
+    wrong = swung(error=lambda angle_deg, speed_deg_s: 20.0 if speed_deg_s > 60.0 else 0.0)
+    assert "neither load nor lag explains that" in wrong.finding
 
 
 # ---- at rest

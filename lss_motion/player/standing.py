@@ -1,0 +1,108 @@
+"""Corrections of a joint at rest, whatever the cause of its error is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+STANDING_DEG: Final = 0.15
+"""A joint at rest that is nearer to its plan than this is left alone: two units of an LSS."""
+STANDING_SIGMAS: Final = 4.5
+READINGS_LEAST: Final = 3
+READINGS_MOST: Final = 30
+"""A rest is judged by so many readings, and by more where they scatter."""
+HELPED_RATIO: Final = 0.6
+"""A correction has helped if it leaves no more than this share of the error."""
+ATTEMPTS_MAX: Final = 4
+"""Corrections in one rest that do not help; then the rest is left as it began. More than one, since
+the play of the gears takes up the first."""
+ATTEMPTS_IN_ALL: Final = 8
+MOVING_DEG: Final = 0.2
+"""A horn moves if its first and last readings differ by more than this."""
+PUSH_DEG: Final = 0.6
+"""A resting horn that has moved by more than this without a command is pushed, or let go."""
+PUSH_SIGMAS: Final = 6.0
+STEADY_S: Final = 0.3
+"""A horn that moves earlier than this after it came to rest is still on its way."""
+PUSH_S: Final = 1.5
+"""What pushes for longer than this is a load: it is corrected for."""
+
+
+@dataclass(slots=True)
+class StandingCorrector:
+    """Corrections of one joint while it rests: one at a time, kept only if it helped.
+
+    A horn that moves without a command is pushed by a hand. Nothing is corrected until it is let
+    go, or until it has stood elsewhere for `PUSH_S`; in the first case all is forgotten.
+    """
+
+    is_pushed: bool = False
+    _errors_deg: list[float] = field(default_factory=list)
+    _since_s: float = 0.0
+    """Instant of the first of these readings."""
+    _usual_deg: float = 0.0
+    """Error before the push."""
+    _tried_deg: float | None = None
+    """Error before the correction that is on trial."""
+    _before_deg: float = 0.0
+    """Correction before that."""
+    _misses: int = 0
+    _attempts: int = 0
+
+    def begin(self) -> None:
+        """Note that a move was sent: a new rest will follow."""
+        self._errors_deg.clear()
+        self._tried_deg = None
+        self.is_pushed, self._misses, self._attempts = False, 0, 0
+
+    def await_rest(self) -> None:
+        """Drop the readings before a correction took effect."""
+        self._errors_deg.clear()
+
+    def take(self, error_deg: float, read_s: float, noise_deg: float) -> None:
+        """Use a reading of the horn at rest; `error_deg`: how far the plan is above it."""
+        errors = self._errors_deg
+        usual_deg = sum(errors) / len(errors) if errors else error_deg
+        far_deg = max(PUSH_DEG, PUSH_SIGMAS * noise_deg)
+        is_steady = len(errors) >= READINGS_LEAST and read_s - self._since_s > STEADY_S
+        near_deg = far_deg if is_steady or self.is_pushed else 0.5 * far_deg
+        if abs(error_deg - usual_deg) > near_deg:
+            if not self.is_pushed and is_steady:
+                self.is_pushed, self._usual_deg = True, usual_deg
+            errors.clear()
+        elif self.is_pushed and abs(error_deg - self._usual_deg) < 0.5 * far_deg:
+            self.is_pushed = False
+            errors.clear()
+        if not errors:
+            self._since_s = read_s
+        errors.append(error_deg)
+        del errors[:-READINGS_MOST]
+
+    def next_offset_deg(self, offset_deg: float, now_s: float, noise_deg: float) -> float | None:
+        """Return the correction that shall replace `offset_deg`; None: it stays."""
+        count = len(self._errors_deg)
+        if count < READINGS_LEAST or (self.is_pushed and now_s - self._since_s < PUSH_S):
+            return None
+        if abs(self._errors_deg[-1] - self._errors_deg[0]) > max(MOVING_DEG, 4.0 * noise_deg):
+            del self._errors_deg[0]  # It is still on its way.
+            return None
+        error_deg = sum(self._errors_deg) / count
+        spread = sum((one - error_deg) ** 2 for one in self._errors_deg) / (count - 1)
+        noise_deg = max(noise_deg, math.sqrt(spread))
+        least_deg = max(STANDING_DEG, STANDING_SIGMAS * noise_deg / math.sqrt(count))
+        if self._tried_deg is not None:
+            if abs(error_deg) <= max(HELPED_RATIO * abs(self._tried_deg), 0.5 * least_deg):
+                self._tried_deg, self._misses = None, 0
+            elif self._misses + 1 < ATTEMPTS_MAX:
+                self._misses += 1
+            else:
+                self._attempts = ATTEMPTS_IN_ALL
+                self._tried_deg = None
+                return self._before_deg
+        if abs(error_deg) <= least_deg or self._attempts >= ATTEMPTS_IN_ALL:
+            return None
+        self._attempts += 1
+        if self._tried_deg is None:
+            self._tried_deg, self._before_deg = error_deg, offset_deg
+        return offset_deg + error_deg
