@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
 from lss_motion.sim.faults import Fault, FaultKind
-from lss_motion.sim.hand import Push
 from lss_motion.sim.physics import Physics
 from lss_motion.units import ns_from_s
 
@@ -92,6 +91,8 @@ class Deviation:
 
     def bus_options(self, robot: Robot) -> dict[str, Any]:
         """Return the arguments of `bus_from_robot`, besides the faults."""
+        from lss_motion.sim.hand import Push
+
         own = {name: self.joints.get(name, self) for name in robot.joints}
         push = Push(self.push_at_s, self.push_at_s + self.push_for_s, self.push_deg)
         return {
