@@ -86,7 +86,7 @@ def _deviation_text() -> str:
     from lss_motion.sim.deviation import OWN, words_text
 
     return f"""\
-`lss-play --sim` and `lss-motion check --robust --sim` take servos that differ from what is assumed:
+`lss-play --sim` takes servos that differ from what is assumed:
 
   lss-play show.yaml --virtual --sim lag=+30ms,droop=3deg
   lss-play show.yaml --virtual --sim worse.yaml
