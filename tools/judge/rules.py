@@ -9,7 +9,7 @@ Margins, all of them:
 | speed of a bare `D` in EM0 | over 60 ms of the filter, 10 % and 10 deg/s above the limit: the phase of its 20 ms is not known |
 | speed of a 2IO | over 200 ms, 10 %, two whole degrees, and 20 ms of waiting for its turn on the line |
 | ramps (AA, AD) | 1 % above the limit |
-| settings lost in a restart | a host cannot know of a restart at once: what it writes until `ServoRecord.noticed_s` may go with factory ramps; above the limit of speed only within `ServoRecord.is_unnoticed`, and by `UNNOTICED_RATIO` at most; a servo that counts its angles in another unit has no other bound then than its own speed |
+| settings lost in a restart | a host cannot know of a restart at once: what it writes until `ServoRecord.noticed_s` may go with factory ramps; above the limit of speed only within `ServoRecord.is_unnoticed`, and by `UNNOTICED_RATIO` at most; one that counts in another unit (`OTHER_UNITS`) has no other bound then than its own speed |
 | flood | 12 moves for a servo in 100 ms; half a second of bytes ahead of the line |
 """  # noqa: E501  (a table)
 
@@ -45,7 +45,8 @@ STEPPED_S: Final = 0.2
 STEPPED_WAIT_S: Final = 0.02
 STEPPED_RATIO: Final = 1.1
 STEPPED_SPARE_DEG: Final = 2.0
-OTHER_ANGLES: Final = "wrong_scale D"
+OTHER_UNITS: Final = "wrong_scale"
+OTHER_ANGLES: Final = f"{OTHER_UNITS} D"
 """Excuse of a servo that counts its angles in another unit."""
 FLOOD_S: Final = 0.1
 FLOOD_MOVES: Final = 12
@@ -160,6 +161,9 @@ def about_moves(joint: JointRow, servo: ServoRecord, received: Told) -> Iterator
     last_out_deg = 0.0
     for move in received.moves:
         is_tampered = received.foreign_s <= move.at_s
+        if is_tampered and not move.is_frame_right:
+            # Garbled bytes changed gyre or origin; a host compares them before anything moves.
+            move = replace(move, shaft_deg=move.filed_deg)  # noqa: PLW2901
         texts = [("range", _range_text(joint, servo, move, last_out_deg))]
         last_out_deg = 0.0 if move.shaft_deg is None else _out_deg(joint, move.shaft_deg)
         if not is_tampered:
@@ -221,8 +225,8 @@ def _speed_text(joint: JointRow, servo: ServoRecord, move: Move) -> str:
         return ""
     allowed_deg_s = joint.speed_deg_s * SPEED_RATIO
     if servo.is_unnoticed(move.written_s):
-        if OTHER_ANGLES in servo.excuse:
-            return ""  # Only SD bounded its speed, and it is lost.
+        if OTHER_UNITS in servo.excuse:
+            return ""  # It is not where its host believes; only SD bounded its speed, and is lost.
         allowed_deg_s *= UNNOTICED_RATIO
     if move.cap_deg_s <= allowed_deg_s:
         return ""

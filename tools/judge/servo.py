@@ -85,7 +85,8 @@ class Move:
 
     `shaft_deg` is its target from the factory zero; None: it turns without end. `cap_deg_s` is the
     highest speed that SD allows it; `has_profile`: EM1, in which T and SD count. `restarted_s` is
-    the last restart of the servo before it.
+    the last restart of the servo before it. `filed_deg` is the target in the gyre and origin of the
+    robot file.
     """
 
     at_s: float
@@ -98,6 +99,7 @@ class Move:
     filter_count: int
     restarted_s: float | None
     is_frame_right: bool
+    filed_deg: float | None
     written_s: float = 0.0
     """When the host wrote it; it may have waited in an adapter or on the line."""
 
@@ -218,4 +220,7 @@ class Session:
             filter_count=max(self.session["FPC"], 1),
             restarted_s=self.restarted_s,
             is_frame_right=is_right or joint.family == IO2,
+            filed_deg=None
+            if shaft_deg is None
+            else joint.gyre * (shaft_deg - self.session["O"] * 0.1) / self._gyre + joint.origin_deg,
         )
