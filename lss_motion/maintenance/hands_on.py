@@ -291,11 +291,11 @@ class HandsOn:
 
     def receive_data(self, bus: str, data: bytes, now_ns: int) -> None:
         """Take bytes of a bus. No byte raises."""
-        for reply, _ in self.lines[bus].receive(data, now_ns):
+        for reply, ended_ns in self.lines[bus].receive(data, now_ns):
             if self._dialogue is not None:
                 self._dialogue.receive(bus, reply, now_ns)
             elif self.phase is Phase.SHOW:
-                self._poller.receive(bus, reply, now_ns)
+                self._poller.receive(bus, reply, ended_ns)
 
     def next_wakeup_ns(self) -> int | None:
         if self.phase is Phase.DONE:

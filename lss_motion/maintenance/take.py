@@ -337,27 +337,39 @@ def _between(times_s: FloatArray, angles_deg: FloatArray, at_s: FloatArray) -> F
 
 
 def _outliers(times_s: FloatArray, angles_deg: FloatArray) -> NDArray[np.bool_]:
-    """Return the readings that no hand could have made; of neighbours, only the worst."""
-    found = np.zeros(len(times_s), dtype=np.bool_)
+    """Return the readings that no hand could have made; of neighbours, only the worst.
+
+    A damaged reading makes its neighbours look wrong too, but by fewer degrees: they are a part of
+    its own way off the line. How far each may be off depends on the gaps beside it, so that share
+    does not show which of them is damaged.
+    """
     if len(times_s) < 4:
-        return found
-    off_deg = np.zeros(len(times_s))
+        return np.zeros(len(times_s), dtype=np.bool_)
+    off_deg, bend_deg = np.zeros(len(times_s)), np.zeros(len(times_s))
     before_s, after_s = np.diff(times_s)[:-1], np.diff(times_s)[1:]
     share = before_s / (before_s + after_s)
     expected = angles_deg[:-2] + share * (angles_deg[2:] - angles_deg[:-2])
-    bend_deg = OUTLIER_DEG + 0.5 * HAND_DEG_S2 * before_s * after_s
-    off_deg[1:-1] = np.abs(angles_deg[1:-1] - expected) / bend_deg
+    bend_deg[1:-1] = OUTLIER_DEG + 0.5 * HAND_DEG_S2 * before_s * after_s
+    off_deg[1:-1] = np.abs(angles_deg[1:-1] - expected)
     # The ends, from the line through the two readings next to them.
     for end, near, far in ((0, 1, 2), (-1, -2, -3)):
         near_s, far_s = abs(times_s[end] - times_s[near]), abs(times_s[end] - times_s[far])
         slope = (angles_deg[near] - angles_deg[far]) / (far_s - near_s)
-        bend_deg_end = OUTLIER_DEG + 0.5 * HAND_DEG_S2 * near_s * far_s
-        off_deg[end] = abs(angles_deg[end] - angles_deg[near] - slope * near_s) / bend_deg_end
-    worst = np.maximum(off_deg[:-2], off_deg[2:])
-    found[1:-1] = (off_deg[1:-1] > 1.0) & (off_deg[1:-1] >= worst)
-    found[0] = off_deg[0] > 1.0 and off_deg[0] > off_deg[1]
-    found[-1] = off_deg[-1] > 1.0 and off_deg[-1] > off_deg[-2]
-    return found
+        bend_deg[end] = OUTLIER_DEG + 0.5 * HAND_DEG_S2 * near_s * far_s
+        off_deg[end] = abs(angles_deg[end] - angles_deg[near] - slope * near_s)
+    off_deg[off_deg <= bend_deg] = 0.0
+    # If the reading next to an end is damaged, then the one behind it looks wrong as well.
+    for end, far in ((0, 2), (-1, -3)):
+        if off_deg[far]:
+            off_deg[end] = 0.0
+    is_off = off_deg > 0.0
+    first, second, share = off_deg[:-1], off_deg[1:], off_deg / bend_deg
+    is_second_worse = np.where(
+        np.abs(first - second) > OUTLIER_DEG, second > first, share[1:] > share[:-1]
+    )
+    is_off[1:] &= is_second_worse
+    is_off[:-1] &= ~is_second_worse
+    return is_off
 
 
 def at_rest(

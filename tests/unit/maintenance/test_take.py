@@ -142,6 +142,27 @@ def test_damaged_readings_leave_no_trace(seed, damage_deg) -> None:
     assert np.sqrt(np.mean(off_deg**2)) < 0.4
 
 
+@pytest.mark.parametrize("place", [1, 30, 60, 61, 158])
+@pytest.mark.parametrize("damage_deg", [4.0, 36.0, -80.0])
+def test_a_damaged_reading_beside_a_gap_leaves_no_trace(place, damage_deg) -> None:
+    """Its neighbour, with short times on both sides, is further beyond what a hand can do."""
+    times_s = np.cumsum(np.where(np.arange(160) == 61, 0.16, 0.008))
+    damaged = np.round(true_at(times_s), 1)
+    damaged[place] += damage_deg
+    clean = cleaned(times_s, damaged)
+    assert np.abs(clean.angles_deg - true_at(clean.times_s))[1:-1].max() < 1.5
+
+
+def test_a_fast_push_is_recorded_as_it_is() -> None:
+    """300 deg/s within 0.15 s, and back."""
+    times_s = np.arange(400) / 100.0
+    speed_deg_s = 300.0 * np.interp(times_s, [1.0, 1.15, 1.3, 1.45, 1.6], [0, 1, 0, -1, 0])
+    pushed_deg = np.cumsum(speed_deg_s) / 100.0
+    clean = cleaned(times_s, np.round(pushed_deg, 1))
+    assert np.ptp(pushed_deg) > 40.0
+    assert np.abs(np.interp(times_s, clean.times_s, clean.angles_deg) - pushed_deg).max() < 1.0
+
+
 def test_the_hardest_motion_of_a_hand_is_not_taken_for_damage() -> None:
     times_s = np.arange(200) / 50.0
     shake_deg = 10.0 * np.cos(2.0 * np.pi * 2.5 * times_s)
