@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -19,6 +20,7 @@ from lss_motion.cli.commands import (
     print_json,
     reader,
 )
+from lss_motion.cli.messages import put
 from lss_motion.errors import EXIT_FINISHED, InputError
 from lss_motion.files.output import Kind, Output, require_outputs, write_output
 from lss_motion.files.source import RECORDING_MAX_BYTES, read_text
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
 
     from lss_motion.cli.commands import Commands
     from lss_motion.robot.model import Robot
+    from lss_motion.robustness import Trial
+    from lss_motion.shows import Show
     from lss_motion.trajectory.model import Trajectory
 
     FloatArray = NDArray[np.float64]
@@ -41,7 +45,13 @@ Check a file: read it, plan and compile it, and print what was slowed down and w
 limit and the load of the bus. Nothing is written and no servo is contacted. Of slow spans and late
 keyframes the worst ten are listed after the totals; `--all` and `--json` list all.
 
+`--robust` then plays up to 60 s of the show on 26 simulated robots that are worse than assumed
+(lag, dead time, ramps, motors, load, play, losses, a push), each with feedback and `on_fault`. It
+prints how far their horns were from the plan and which of them would stop the show. The exit code
+does not depend on that. `lss-play --virtual --sim` with the words of a line repeats it.
+
   lss-motion check wave.yaml
+  lss-motion check wave.yaml --robust
   lss-motion check wave.yaml --all
   lss-motion check robots/desk_arm.yaml --json
 """
@@ -63,15 +73,7 @@ program starts without planning.
 
 def add_to(commands: Commands) -> None:
     """Add the commands of this module."""
-    check = add_command(
-        commands, "check", _check, "check a file; print what was slowed and why", CHECK_TEXT
-    )
-    check.add_argument(
-        "file", type=Path, metavar="FILE", help="a sequence, a gait, a program or a robot"
-    )
-    add_robot_options(check)
-    add_all(check)
-    add_json(check)
+    _add_check(commands)
     planned = add_command(
         commands, "plan", _plan, "plan a sequence; write it as a table or a picture", PLAN_TEXT
     )
@@ -128,6 +130,24 @@ def add_to(commands: Commands) -> None:
     gait.add_argument("--plot", type=Path, metavar="F.png", help=PLOT_HELP)
 
 
+def _add_check(commands: Commands) -> None:
+    check = add_command(
+        commands, "check", _check, "check a file; print what was slowed and why", CHECK_TEXT
+    )
+    check.add_argument(
+        "file", type=Path, metavar="FILE", help="a sequence, a gait, a program or a robot"
+    )
+    add_robot_options(check)
+    add_all(check)
+    check.add_argument(
+        "--robust",
+        action="store_true",
+        help="also play the show on simulated robots that are worse than assumed; takes minutes "
+        "for a long show with many joints",
+    )
+    add_json(check)
+
+
 def _files(arguments: argparse.Namespace) -> tuple[Path, Path | None, Callable[[Path], Robot]]:
     """Return the file, the robot file or None, and the function that reads robot files."""
     return arguments.file, arguments.robot, reader(arguments, may_query=False)
@@ -151,6 +171,11 @@ def _check(arguments: argparse.Namespace) -> int:
     )
 
     if shows.is_robot_file(arguments.file):
+        if arguments.robust:
+            raise InputError(
+                "is a robot; --robust plays a show, so give a sequence, a gait or a program",
+                path=arguments.file,
+            )
         robot = reader(arguments, may_query=False)(arguments.file)
         robot.require_turns(robot.joints.values())
         if arguments.json:
@@ -169,12 +194,39 @@ def _check(arguments: argparse.Namespace) -> int:
         passages = paced(gait, robot)
         show = shows.compiled(sequence_from(gait, passages), robot)
         lines = gait_lines(gait, passages)
-    if arguments.json:
-        print_json(show_as_json(show))
-    else:
+    if not arguments.json:
         lines += program_lines(show, is_whole=arguments.all)
-        print("\n".join([*lines, *advice_lines(show, is_whole=arguments.all)]))
+        print("\n".join([*lines, *advice_lines(show, is_whole=arguments.all)]), flush=True)
+        if arguments.robust:
+            from lss_motion.robustness import robust_lines
+
+            print("\n".join(["", *robust_lines(_trials(show), show.program.duration_s)]))
+        return EXIT_FINISHED
+    found = show_as_json(show)
+    if arguments.robust:
+        from lss_motion.robustness import robust_as_json
+
+        found["robust"] = robust_as_json(_trials(show), show.program.duration_s)
+    print_json(found)
     return EXIT_FINISHED
+
+
+def _trials(show: Show) -> list[Trial]:
+    """Return all trials of `--robust`; on a terminal, show how many of them are done."""
+    from lss_motion.robustness import WORSE, trials
+
+    found = []
+    has_progress = sys.stderr.isatty()
+    try:
+        for trial in trials(show, WORSE):
+            found.append(trial)
+            if has_progress:
+                text = f"simulated robots: {len(found)} of {1 + len(WORSE)}"
+                put(f"\r\x1b[K{text}", sys.stderr, end="")
+    finally:
+        if has_progress:
+            put("\r\x1b[K", sys.stderr, end="")
+    return found
 
 
 def _plan(arguments: argparse.Namespace) -> int:

@@ -294,6 +294,24 @@ def _joint(
     )
 
 
+def planned_horn_deg(track: JointState, program: Program, show_s: FloatArray) -> FloatArray:
+    """Return where the horn of a joint should be at show times, in joint degrees."""
+    return _joint_deg(track, _plan_s(track, program, show_s))
+
+
+def _plan_s(track: JointState, program: Program, show_s: FloatArray) -> FloatArray:
+    """Return the times in `track.plan` of show times: earlier by the lead, and within a pass."""
+    plan_s = show_s - track.lead_s
+    if program.repeat is not None:
+        plan_s = np.array([program.within(at_s) for at_s in plan_s.tolist()])
+    return plan_s
+
+
+def _joint_deg(track: JointState, plan_s: FloatArray) -> FloatArray:
+    deg: FloatArray = track.joint.direction * (track.plan.sample(plan_s) - track.joint.zero_deg)
+    return deg
+
+
 class _Played:
     """The show time over the time of a run: `run_s` counts from the start of the show."""
 
@@ -316,15 +334,12 @@ class _Played:
         first_s, last_s = float(self._run_s[0]), float(self._run_s[-1])
         count = min(PLAN_SAMPLES_MAX, math.ceil((last_s - first_s) / PLAN_STEP_S) + 2)
         run_s = np.linspace(first_s, last_s, count)
-        show_s = np.interp(run_s, self._run_s, self._show_s) - track.lead_s
-        if program.repeat is not None:
-            show_s = np.array([program.within(at_s) for at_s in show_s.tolist()])
+        show_s = _plan_s(track, program, np.interp(run_s, self._run_s, self._show_s))
         is_known = show_s >= track.plan.table[0][0]  # A walk forgets what is over.
         run_s, show_s = run_s[is_known | (show_s < 0.0)], show_s[is_known | (show_s < 0.0)]
         if len(run_s) < 2:
             return PlanReport()
-        servo_deg = track.plan.sample(show_s)
-        deg = track.joint.direction * (servo_deg - track.joint.zero_deg)
+        deg = _joint_deg(track, show_s)
         kept = polyline(run_s, deg, PLAN_TOLERANCE_DEG)
         return PlanReport(
             at_s=tuple(np.round(run_s[kept], 3).tolist()),

@@ -25,8 +25,19 @@ from benches.table import Row  # noqa: E402
 from lss_motion import api  # noqa: E402
 from lss_motion.perform import perform  # noqa: E402
 from lss_motion.robot.servo_models import SERVO_MODELS  # noqa: E402
+from lss_motion.robustness import (  # noqa: E402
+    AFTER_PUSH_S,
+    ASSUMED,
+    LEAD_S,
+    PUSH_S,
+    SETTLED_S,
+    WORSE,
+    rests,
+    still,
+)
 from lss_motion.sequence.model import Keyframe, Sequence  # noqa: E402
 from lss_motion.sim.deviation import deviation_from_text  # noqa: E402
+from lss_motion.truth import TRUTH_STEP_S  # noqa: E402
 from lss_motion.units import NS_PER_S, ns_from_s  # noqa: E402
 
 if TYPE_CHECKING:
@@ -41,37 +52,13 @@ if TYPE_CHECKING:
 
     FloatArray = NDArray[np.float64]
 
-DEVIATIONS: Final = (
-    "",
-    "lag=-10ms", "lag=+30ms", "lag=+60ms",
-    "dead=30ms", "dead=60ms",
-    "ramp=0.1", "ramp=0.5", "ramp=1.5",
-    "t_law=exact", "retarget=from_rest",
-    "t_ignored=50ms", "t_ignored=100ms", "t_least=100ms", "t_step=10ms",
-    "motor=25%", "motor=50%",
-    "backlash=1.5deg", "droop=3deg", "droop=6deg", "backlash=1.5deg,droop=3deg",
-    "noise=0.5deg", "usb=16ms", "lost=1%", "corrupt=1%",
-    "push=6deg",
-    "lag=+30ms,dead=10ms,droop=3deg,backlash=1deg,noise=0.2deg,usb=16ms,lost=1%,corrupt=1%",
-)  # fmt: skip
-"""The first is the nominal robot, the last all at once."""
+DEVIATIONS: Final = (ASSUMED, *WORSE)
 QUICK: Final = ("", "dead=60ms", "retarget=from_rest", "droop=6deg", "push=6deg")
 MODELS: Final = ("LSS-ST1", "LSS-P-S1")
 JOINTS: Final = 4
 FOLLOWING_DEG: Final = 90.0
 """So no fault slows a show down, and it is the corrections that are judged."""
 SHOW_S: Final = 12.0
-HOLD_LEAST_S: Final = 2.0
-"""A rest of the plan as long as this is a hold. It is judged from `SETTLED_S` after its begin until
-`LEAD_S` before its end."""
-SETTLED_S: Final = 1.5
-LEAD_S: Final = 0.1
-"""A horn that lags begins its next move so long before its plan does, at the most."""
-AFTER_PUSH_S: Final = 1.0
-"""After a push a hold is judged again from then on."""
-PUSH_S: Final = 2.0
-"""A push comes so long after the begin of the longest hold of all joints."""
-
 HARM_RATIO: Final = 1.02
 HARM_DEG: Final = 0.01
 """With feedback the RMS may be this much larger: a tenth of a wire unit of an LSS is no harm."""
@@ -208,12 +195,8 @@ def _origin_ns(result: Result) -> int:
 
 def _rests(case: Case) -> list[tuple[float, float]]:
     """Return when all joints of the plan rest together, as long as a hold; in show time."""
-    times_s = np.arange(0.0, case.trajectory.duration_s, 0.01)
-    angles_deg = case.trajectory.sample(times_s)
-    is_still = np.all(np.abs(angles_deg[1:] - angles_deg[:-1]) < 1e-6, axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], is_still, [False])).astype(int)))
-    spans = [(0.01 * a, 0.01 * b) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    return [(a, b) for a, b in spans if b - a >= HOLD_LEAST_S]
+    times_s = TRUTH_STEP_S * np.arange(round(case.trajectory.duration_s / TRUTH_STEP_S))
+    return list(rests(still(case.trajectory.sample(times_s)).all(axis=1)))
 
 
 def _longest_hold_s(case: Case) -> float:
