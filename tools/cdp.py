@@ -99,13 +99,26 @@ class Browser:
     @property
     def cpu_s(self) -> float:
         """CPU time of the browser and all its parts so far (Linux)."""
-        ticks = 0
-        for place in Path("/proc").glob("[0-9]*/stat"):
-            with contextlib.suppress(OSError):
-                fields = place.read_text().rpartition(")")[2].split()
-                if int(fields[2]) == self.pid:
-                    ticks += int(fields[11]) + int(fields[12])
+        ticks = sum(int(fields[11]) + int(fields[12]) for _, fields in self._parts())
         return ticks / os.sysconf("SC_CLK_TCK")
+
+    @property
+    def memory_mb(self) -> float:
+        """Memory of the browser and all its parts; what they share counts once (Linux)."""
+        total_kb = 0
+        for place, _ in self._parts():
+            with contextlib.suppress(OSError):
+                text = (place / "smaps_rollup").read_text()
+                total_kb += int(text.partition("\nPss:")[2].split()[0])
+        return total_kb * 1024 / 1e6
+
+    def _parts(self) -> Iterator[tuple[Path, list[str]]]:
+        """Yield each process of the browser: its folder, and its `stat` from the state on."""
+        for place in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):
+                fields = (place / "stat").read_text().rpartition(")")[2].split()
+                if int(fields[2]) == self.pid:
+                    yield place, fields
 
     def close(self) -> None:
         """End the browser and all its parts."""
@@ -288,6 +301,12 @@ class Page:
         x, y = self.place(selector)
         self.press_pointer(x, y)
         self.pointer("mouseReleased", x, y)
+
+    def touch(self, *point: float) -> None:
+        """Put a finger there; without a place: take it away."""
+        kind = "touchStart" if point else "touchEnd"
+        points = [{"x": point[0], "y": point[1]}] if point else []
+        self.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
 
     def key(self, name: str) -> None:
         """Press and release a key, such as `Shift+ArrowLeft`."""

@@ -305,7 +305,9 @@ class Desk:
             case "ended" if event["outcome"] == "lost" and event["report"] is None:
                 self._end_state = {"state": "gone", "text": event["error"]}
             case "ended":
-                self._end_state = {"state": "ended", "text": event["error"] or event["outcome"]}
+                # A stop that is kept goes on saying what it was, and that it is kept.
+                text = self._state.text if self._state.is_latched else event["outcome"]
+                self._end_state = {"state": "ended", "text": event["error"] or text}
 
     def _take_of_robot(self, event: dict[str, Any], text: str) -> None:
         """Pass an event of a robot without a show on."""

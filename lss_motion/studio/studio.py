@@ -118,7 +118,7 @@ class Studio:
     def name_of(self, connection: HTTPConnection, role: Role) -> str:
         """Return what other clients call this one."""
         host = "" if connection.client is None else connection.client.host
-        where = "this computer" if host == LOOPBACK else host or "a client"
+        where = "the computer of the robot" if host == LOOPBACK else host or "a client"
         return f"{where} ({role.word})"
 
     def safety_headers(self, scope: Any) -> list[tuple[bytes, bytes]]:  # noqa: ANN401  (ASGI)

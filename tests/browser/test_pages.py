@@ -125,7 +125,40 @@ def test_only_one_client_operates_and_taking_over_is_a_question(wave, opened):
         second.click("dialog .primary")
         second.wait("document.querySelector('.operator').textContent.includes('you operate')")
         first.wait("document.querySelector('.operator').textContent.includes(' operates')")
+        first.wait("document.querySelector('.banner-warn')?.textContent.includes('has taken over')")
         second.click(".operator button.plain:last-child")
+
+
+def test_a_device_without_a_key_learns_that_it_cannot_stop_and_pairs_by_the_code(studio, opened):
+    trouble = "document.getElementById('trouble')"
+    with (
+        studio(EXAMPLES / "wave.yaml", "--listen", "127.0.0.2") as own,
+        opened(own) as desk,
+        opened(own, size=(820, 1180), token=False) as tablet,
+    ):
+        tablet.wait("document.querySelector('.entry input')")
+        tablet.touch(*tablet.place("#stop"))
+        tablet.touch()
+        tablet.wait(f"{trouble}.textContent.includes('is not paired')")
+        desk.click(".operator button:last-child")
+        first = desk.wait("document.querySelector('.code')?.textContent")
+        choose = "const s = document.querySelector('dialog select'); s.value = 'view';"
+        desk.run(f"{choose} s.dispatchEvent(new Event('change', {{ bubbles: true }}))")
+        desk.wait(f"document.querySelector('.code').textContent !== '{first}'")
+        code = desk.run("document.querySelector('.code').textContent")
+        for typed, then in (
+            ("12 34 5", "!document.querySelector('.head')"),
+            (first, "document.querySelector('.bad-text').textContent.includes('wrong code')"),
+            (code, "document.querySelector('.joints tbody tr')"),
+        ):
+            tablet.run("document.querySelector('.entry input').select()")
+            tablet.call("Input.insertText", text=typed)
+            tablet.key("Enter")
+            tablet.wait(then)
+        assert "you may look, and stop" in tablet.run("document.body.innerText")
+        assert tablet.run(f"{trouble}.hidden"), "what was said before it was paired"
+        tablet.click("#stop")
+        desk.wait("document.body.dataset.latched === 'true'")
 
 
 def test_the_curves_of_the_page_are_those_of_the_plan(wave, opened):

@@ -136,6 +136,11 @@ def test_a_joint_turns_only_while_its_button_is_held(live):
     shown = page.run("document.querySelector('.robot-angle').textContent")
     assert float(shown.rstrip("°")) == pytest.approx(end_deg, abs=1.0)
     hold_with_space(page, bus)
+    begun = len(bus.lines)
+    page.touch(x, y)
+    until(lambda: len(targets(bus, 1, begun)) > 5, "it does not turn")
+    page.touch()
+    check_it_stops(bus, begun, len(targets(bus, 1, begun)))
     for what, script in WAYS.items():
         begun, x, y = press(page, bus)
         page.run(script.replace("BUTTON", f'document.querySelector("{PAN_UP}")'))

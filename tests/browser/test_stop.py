@@ -53,7 +53,7 @@ def test_estop_with_the_planner_frozen_then_armed_again(studio, opened, two):
             check_safe_end(bus, page)
         finally:
             os.kill(planner, signal.SIGCONT)
-        page.wait("document.querySelector('.word').textContent.startsWith('ended')")
+        page.wait("document.querySelector('.word').textContent.startsWith('stopped')")
         # It stays stopped until a person has said yes to a question.
         page.pointer("mouseReleased", *page.place("#estop"))
         page.click(".word")
@@ -71,10 +71,11 @@ def test_stop_from_a_second_client_that_does_not_operate(studio, opened, two):
         with opened(own, size=(820, 1180)) as other:
             # It does not operate: it has to take over first, and stops without that.
             other.wait("document.querySelector('.operator').textContent.includes('operates')")
-            press(other, "#stop")
+            other.touch(*other.place("#stop"))  # A finger that stays there.
             page.wait("document.body.dataset.latched === 'true'")
             check_safe_end(bus, page)
-            page.wait("document.querySelector('.banner-stop')")
+            page.wait("document.querySelector('.banner-stop').textContent.includes(' stop: ')")
+            page.wait("document.querySelector('.word').textContent.startsWith('stopped')")
 
 
 def test_estop_with_the_server_frozen_goes_the_other_way(studio, opened, two):

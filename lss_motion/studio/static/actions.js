@@ -69,8 +69,9 @@ export class Actions {
   toggle() {
     const { player, rate } = this.store.state.value;
     if (!this.isRunning) this.play(this.store.state.value.page !== "show");
-    else if (rate.is_paused) this.link.ask("resume");
-    else if (player.state === "playing" || player.state === "paused") this.link.ask("pause");
+    else if (player.state === "playing" || player.state === "paused") {
+      this.withLease(() => this.link.ask(rate.is_paused ? "resume" : "pause"));
+    }
   }
 
   /** Start the show, from the cursor or from its start. @param {boolean} fromCursor */
@@ -105,6 +106,11 @@ export class Actions {
   seek(view_s) {
     const { view } = this.store.state.value;
     if (view !== null) this.withLease(() => this.link.ask("seek", { to: Math.max(showTimeOf(view, view_s), 0) }));
+  }
+
+  /** Make a code for one more device. @param {string} role */
+  pair(role) {
+    this.withLease(() => this.link.ask("pair", { role }));
   }
 
   /** Ask before motion is allowed again. */

@@ -87,9 +87,10 @@ export class ServerLink {
   /** Send an operation whose refusal is shown to the person.
    * @param {string} op @param {Record<string, unknown>} [fields] */
   ask(op, fields = {}) {
-    this.send(op, fields).catch((error) => {
-      this.#store.dispatch({ type: "refused", text: error.message });
-    });
+    const dispatch = this.#store.dispatch;
+    this.send(op, fields).then(() => {
+      if (this.#store.state.value.refusal !== null) dispatch({ type: "set", fields: { refusal: null } });
+    }, (error) => dispatch({ type: "refused", text: error.message }));
   }
 
   /** @param {Record<string, unknown>} content @returns {boolean} whether it was sent */

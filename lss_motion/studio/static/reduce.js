@@ -84,7 +84,7 @@ function afterEvent(state, event) {
     case "welcome":
       return { ...state, welcome: event, link: { status: "open", text: "" } };
     case "lease":
-      return { ...state, lease: event };
+      return afterLease(state, event);
     case "document":
       return { ...state, document: event };
     case "robot":
@@ -121,6 +121,14 @@ function afterEvent(state, event) {
     default:
       return { ...state, trouble: withTrouble(state, event) };
   }
+}
+
+/** Who loses the lease to another is told; what was refused for want of it is over with it.
+ * @param {State} state @param {any} event @returns {State} */
+function afterLease(state, event) {
+  const isTaken = state.lease.is_mine && !event.is_mine && event.holder !== null;
+  const next = { ...state, lease: event, refusal: event.is_mine ? null : state.refusal };
+  return isTaken ? reduce(next, { type: "refused", text: `${event.holder_name} has taken over` }) : next;
 }
 
 /** Return the list of troubles with that of an event. @param {State} state @param {any} event */

@@ -8,6 +8,8 @@
 
 const REPEAT_MS = 400;
 const REPEATS_MAX = 15;
+/** The answer to a device without a key, or with one of a server that has ended. */
+const DENIED = 401;
 
 /** @typedef {"stop" | "estop"} StopKind */
 
@@ -17,6 +19,10 @@ const ways = { origins: [""], send: null };
 /** What is being sent and not yet confirmed. @type {{ kind: StopKind, left: number } | null} */
 let pending = null;
 let timer = 0;
+/** What the banner says of a stop, so that no other trouble is taken from it. */
+let told = "";
+/** Whether the server refuses a stop of this device: it has no key. */
+let isDenied = false;
 
 /** Add the origin of the process that only stops. @param {string} origin */
 export function setStopOrigin(origin) {
@@ -31,6 +37,8 @@ export function setStopSender(send) {
 /** The server keeps the stop: it need not be repeated. @param {boolean} isLatched */
 export function confirmStop(isLatched) {
   document.body.dataset["latched"] = String(isLatched);
+  if (isDenied || isLatched) tellOfStop("");
+  isDenied = false;
   if (isLatched) finish();
 }
 
@@ -39,11 +47,12 @@ export function sendStop(kind) {
   // An emergency stop is never taken back to a stop.
   if (pending === null || pending.kind === "stop") pending = { kind, left: REPEATS_MAX };
   document.body.dataset["stopping"] = pending.kind;
+  tellOfStop("");
   once(pending.kind);
   clearInterval(timer);
   timer = setInterval(() => {
     if (pending === null || pending.left <= 0) {
-      if (pending !== null) showTrouble("The stop is not confirmed. Cut the power of the robot.");
+      if (pending !== null && !isDenied) tellOfStop("The stop was sent, and is not confirmed. If the robot still moves, cut its power.");
       finish();
       return;
     }
@@ -60,6 +69,8 @@ function once(kind) {
       mode: origin === "" ? "same-origin" : "no-cors",
       credentials: "include",
       keepalive: true,
+    }).then((response) => {
+      if (response.status === DENIED && pending !== null) deny();
     }).catch(() => {}); // The other ways may have arrived; the repetition goes on until one has.
   }
   try {
@@ -67,6 +78,19 @@ function once(kind) {
   } catch {
     // The websocket is closed.
   }
+}
+
+/** Say at once that a device without a key stops nothing; the repetition goes on all the same. */
+function deny() {
+  isDenied = true;
+  tellOfStop("This device is not paired: it cannot stop the robot. Stop it at the computer, or cut its power.");
+}
+
+/** @param {string} text */
+function tellOfStop(text) {
+  if (text === "" && document.getElementById("trouble")?.textContent !== told) return;
+  told = text;
+  showTrouble(text);
 }
 
 function finish() {

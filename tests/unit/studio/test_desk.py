@@ -159,6 +159,7 @@ def test_a_stop_is_kept_until_it_is_armed_again(stage):
     assert stage.last("player")["is_latched"]
     assert "wait until it has ended" in stage.ask("rearm")
     Player.all[0].end("stopped")
+    assert stage.last("player")["text"].startswith("emergency stop: nothing moves"), "which it was"
     for op in ("play", "connect", "scan"):
         assert "rearm" in stage.ask(op)
     assert stage.ask("rearm") == "accepted"

@@ -45,7 +45,7 @@ function isMany(state) {
 /** @param {{ state: State }} props */
 function Now({ state }) {
   const { player, phase, view, last_mark, waiting, rate, ended } = state;
-  const word = player.state === "playing" && phase !== "" && phase !== "playing" ? phase : WORDS[player.state] ?? player.state;
+  const word = player.state === "playing" && phase !== "" && phase !== "playing" ? phase : ended?.outcome === "stopped" && player.state === "ended" ? "stopped" : WORDS[player.state] ?? player.state;
   const slower = rate.ratio < 1 ? ` at ${Math.round(100 * rate.ratio)} %` : "";
   return html`
     <p class=${`word word-${player.state}`} role="status">${word}${player.state === "playing" ? slower : ""}

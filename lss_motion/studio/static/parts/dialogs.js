@@ -13,7 +13,7 @@ export function Dialogs({ state, actions }) {
   const close = () => actions.set({ dialog: null });
   if (dialog.kind === "help") return html`<${Box} title="Keys" close=${close}><${Help} /></${Box}>`;
   if (dialog.kind === "pairing" && state.pairing !== null) {
-    return html`<${Box} title="Pair another device" close=${close}><${Pairing} pairing=${state.pairing} /></${Box}>`;
+    return html`<${Box} title="Pair another device" close=${close}><${Pairing} pairing=${state.pairing} actions=${actions} /></${Box}>`;
   }
   return html`<${Box} title=${dialog.title ?? "Sure?"} close=${close} yes=${dialog.yes ?? "Yes"} run=${dialog.run}>
     <p>${dialog.text}</p></${Box}>`;
@@ -48,9 +48,16 @@ function Help() {
   <p class="muted">Timeline: wheel scrolls, Ctrl and wheel zooms, Shift and wheel pans; drag to pan, drag the ruler for the cursor.</p>`;
 }
 
-/** @param {{ pairing: NonNullable<import("../state.js").State["pairing"]> }} props */
-function Pairing({ pairing }) {
+/** What a role may, as a person says it. */
+const ROLES = /** @type {const} */ ([["view", "look and stop"], ["operate", "operate, too"], ["edit", "also save and pair"]]);
+
+/** @param {{ pairing: NonNullable<import("../state.js").State["pairing"]>, actions: import("../actions.js").Actions }} props */
+function Pairing({ pairing, actions }) {
   return html`<p class="code" aria-label="Code">${pairing.code}</p>
     <p>Open one of these addresses there and type the code. It is valid once, for ${Math.round(pairing.valid_s / 60)} minutes.</p>
+    <p><label>That device may <select value=${pairing.role}
+      onChange=${(/** @type {Event} */ event) => actions.pair(/** @type {HTMLSelectElement} */ (event.currentTarget).value)}>
+      ${ROLES.map(([role, text]) => html`<option value=${role}>${text}</option>`)}</select></label>
+      <span class="muted">Another choice makes a new code.</span></p>
     <ul>${pairing.urls.map((url) => html`<li><code>${url}</code></li>`)}</ul>`;
 }

@@ -13,7 +13,7 @@ export function Entry({ text, link }) {
     link.enter({ code: String(form.get("code")).replace(/\s/g, "") }).then(() => setProblem(""), (error) => setProblem(error.message));
   };
   return html`<main class="entry"><h1>Pair this device</h1>
-    <p>${text || "This device has no key yet."} At the computer of the robot, “Pair a tablet” shows a code of six digits.</p>
+    <p>${text || "This device has no key yet."} At the computer of the robot, “Pair a tablet” shows a code of six digits; the terminal there printed the first one.</p>
     <form onSubmit=${submit}>
       <label>Code <input name="code" inputmode="numeric" autocomplete="off" pattern="[0-9 ]{6,7}" required autofocus /></label>
       <button type="submit" class="primary">Pair</button>

@@ -37,15 +37,16 @@ function Operator({ state, actions }) {
   const { lease, welcome, clients } = state;
   if (welcome === null) return null;
   const watching = clients > 1 ? ` · ${clients} clients` : "";
+  const pair = welcome.role === "edit"
+    ? html`<button type="button" class="plain" onClick=${() => actions.pair("operate")}>Pair a tablet</button>` : null;
   if (lease.is_mine) {
-    return html`<span class="operator"><span class="chip chip-good">● you operate${watching}</span>
-      ${welcome.role === "edit" ? html`<button type="button" class="plain" onClick=${() => actions.link.ask("pair", { role: "operate" })}>Pair a tablet</button>` : null}
+    return html`<span class="operator"><span class="chip chip-good">● you operate${watching}</span>${pair}
       <button type="button" class="plain" onClick=${() => actions.link.ask("lease", { want: "release" })}>Release</button></span>`;
   }
   const who = lease.holder === null ? "no operator" : `${lease.holder_name} operates`;
   return html`<span class="operator"><span class="chip">○ ${who}${watching}</span>
     ${welcome.role === "view" ? html`<span class="muted">you may look, and stop</span>`
-      : html`<button type="button" class="plain" onClick=${() => actions.withLease(() => actions.link.ask("lease", { want: "take" }))}>Operate</button>`}</span>`;
+      : html`<button type="button" class="plain" onClick=${() => actions.withLease(() => actions.link.ask("lease", { want: "take" }))}>Operate</button>`}${pair}</span>`;
 }
 
 /** What stands above everything else: the link, the stop that is kept, errors of the file. @param {Props} props */
@@ -59,6 +60,8 @@ export function Banners({ state, actions }) {
     ${refusal ? html`<p class="banner banner-warn" role="alert" key=${refusal.number}>✕ ${refusal.text}
       <button type="button" onClick=${() => actions.set({ refusal: null })}>Close</button></p>` : null}
     ${own?.errors.map((error) => html`<p class="banner banner-warn" role="status"><strong>${error.path}${error.line === null ? "" : `:${error.line}`}</strong> ${error.text}</p>`)}
+    ${actions.isRunning && player.plan !== null && own?.plan != null && own.plan !== player.plan
+      ? html`<p class="banner banner-note" role="status">The file has changed since START: what plays is as it was; times, cues and curves shown are the new ones. The next START plays them.</p>` : null}
     ${welcome?.is_network_readable ? html`<p class="banner banner-note">This link has no TLS: others on the network can read along.</p>` : null}
   </div>`;
 }
