@@ -180,7 +180,7 @@ def _usage(browser: Browser, studio: Studio, page: Page, empty_mb: float) -> lis
         Row(
             what="… browser, Show page",
             ours=f"{shares[1]:.1%}",
-            reference=f"{memory_mb:.0f} MB with the long plan, {empty_mb:.0f} MB with an empty page",
+            reference=f"{memory_mb:.0f} MB, {empty_mb:.0f} MB with an empty page",
         ),
     ]
 

@@ -86,7 +86,7 @@ function afterEvent(state, event) {
     case "lease":
       return afterLease(state, event);
     case "document":
-      return { ...state, document: event };
+      return { ...state, document: event, page: isNewRobot(state, event) ? "robot" : state.page };
     case "robot":
       return { ...state, robot_state: event };
     case "player":
@@ -121,6 +121,12 @@ function afterEvent(state, event) {
     default:
       return { ...state, trouble: withTrouble(state, event) };
   }
+}
+
+/** Whether the file is a robot's, which has no show: its page is the one to open.
+ * @param {State} state @param {any} event */
+function isNewRobot(state, event) {
+  return event.kind === "robot" && state.document?.kind !== "robot";
 }
 
 /** Who loses the lease to another is told; what was refused for want of it is over with it.

@@ -130,7 +130,10 @@ function upcoming(view) {
 /** @param {{ state: State, actions: import("../actions.js").Actions }} props */
 function Cues({ state, actions }) {
   const { view, player } = state;
-  if (view === null) return html`<p class="muted">No plan yet.</p>`;
+  if (view === null) {
+    const isRobot = state.document?.kind === "robot";
+    return html`<p class="muted">${isRobot ? "A robot file has no show: open a sequence, a gait or a play list. The Robot page moves this robot." : "No plan yet."}</p>`;
+  }
   const found = upcoming(view);
   const canSeek = player.state === "playing" || player.state === "paused";
   if (found.length === 0) return html`<p class="muted">This show has no labels and no events.</p>`;

@@ -57,7 +57,7 @@ function Pairing({ pairing, actions }) {
     <p>Open one of these addresses there and type the code. It is valid once, for ${Math.round(pairing.valid_s / 60)} minutes.</p>
     <p><label>That device may <select value=${pairing.role}
       onChange=${(/** @type {Event} */ event) => actions.pair(/** @type {HTMLSelectElement} */ (event.currentTarget).value)}>
-      ${ROLES.map(([role, text]) => html`<option value=${role}>${text}</option>`)}</select></label>
-      <span class="muted">Another choice makes a new code.</span></p>
+      ${ROLES.map(([role, text]) => html`<option value=${role}>${text}</option>`)}</select></label></p>
+    <p class="muted">Another choice makes a new code.</p>
     <ul>${pairing.urls.map((url) => html`<li><code>${url}</code></li>`)}</ul>`;
 }
