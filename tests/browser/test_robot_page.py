@@ -137,7 +137,7 @@ def test_a_joint_turns_only_while_its_button_is_held(live):
     assert float(shown.rstrip("°")) == pytest.approx(end_deg, abs=1.0)
     hold_with_space(page, bus)
     begun = len(bus.lines)
-    page.touch(x, y)
+    page.touch(*page.place(PAN_UP))
     until(lambda: len(targets(bus, 1, begun)) > 5, "it does not turn")
     page.touch()
     check_it_stops(bus, begun, len(targets(bus, 1, begun)))
