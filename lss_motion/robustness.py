@@ -91,7 +91,7 @@ class Trial:
     standing_deg: float | None = None
     """The largest in a hold of the joint, once it had time to settle."""
     late_s: float
-    """How far the show, or a command in it, fell behind the plan at the most."""
+    """How far the show, or a command in it, fell behind the plan at the most; waits count."""
     faults: tuple[Faulted, ...]
     error: str = ""
     """Why the show could not begin or go on, where no joint is the cause."""
@@ -104,6 +104,11 @@ class Trial:
     @property
     def why(self) -> str:
         """Return what stopped the show."""
+        if self.outcome == "unfinished":
+            return (
+                f"after {RUN_RATIO_MAX:g} times its duration and {RUN_MORE_S:g} s it still waits "
+                "for a sensor, which is not simulated, or a fault slows it for good"
+            )
         if self.error or not self.faults:
             return self.error or self.outcome
         return f"{self.faults[-1]} ({self.faults[-1].step})"

@@ -102,7 +102,8 @@ def test_a_wait_for_a_sensor_that_never_comes_ends(nod, monkeypatch):
     monkeypatch.setattr(robustness, "RUN_RATIO_MAX", 0.1)
     monkeypatch.setattr(robustness, "RUN_MORE_S", 0.5)
     (found,) = trials(shows.prepare(nod, None), ())
-    assert (found.outcome, found.is_stopped, found.why) == ("unfinished", True, "unfinished")
+    assert (found.outcome, found.is_stopped) == ("unfinished", True)
+    assert "waits for a sensor" in found.why
     assert found.played_s < 2.5
 
 
