@@ -23,7 +23,7 @@ def survey(
     connection: Connection,
     bus: Bus,
     baud_bps: int | None,
-    progress: Callable[[str], None],
+    progress: Callable[[str], None] = lambda _: None,
 ) -> list[ServoCondition]:
     """Return the servos of a bus, at `baud_bps` or at every rate with a reply.
 

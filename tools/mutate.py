@@ -56,6 +56,7 @@ TARGETS = {
     "player/faults": ("tests/unit/player/test_faults.py",),
     "player/health": ("tests/unit/player/test_health.py",),
     "player/joint_state": ("tests/unit/player/test_joint_state.py",),
+    "player/setpoints": ("tests/unit/player/test_joint_state.py",),
     "player/polling": ("tests/unit/player/test_polling.py",),
     "player/query_tracker": ("tests/unit/player/test_query_tracker.py",),
     "player/show_clock": ("tests/unit/player/test_show_clock.py",),

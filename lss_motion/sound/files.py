@@ -71,7 +71,12 @@ def has_soundfile() -> bool:
 
 
 def is_sound(path: Path) -> bool:
-    """Return whether a file begins as sound files do; without the extra, too."""
+    """Return whether a file begins as sound files do; without the extra, too.
+
+    What is no regular file is none: a pipe might never deliver a byte.
+    """
+    if not path.is_file():
+        return False
     try:
         with path.open("rb") as stream:
             head = stream.read(12)

@@ -20,7 +20,6 @@ from lss_motion.program.moves import fitted_profiles, profiles_from_rest, replay
 from lss_motion.program.reference_grid import GRID_S, LimitArrays, Reference, ServoLimits
 from lss_motion.program.response import (
     PiecewiseProfile,
-    Profile,
     States,
     durations_for,
     speeds_for,
@@ -30,7 +29,7 @@ from lss_motion.program.search import SEGMENT_MIN_S
 from lss_motion.program.text import from_text, to_text
 from lss_motion.program.verify import profiles
 from lss_motion.robot.model import Bus, Joint, Response, Robot
-from lss_motion.robot.profile import Piece, trapezoid, travel_speed
+from lss_motion.robot.profile import Piece, Profile, trapezoid, travel_speed
 from lss_motion.robot.servo_models import SERVO_MODELS
 from lss_motion.sequence.model import Keyframe, Sequence
 from lss_motion.sim.bus import SimBus

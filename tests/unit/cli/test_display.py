@@ -62,8 +62,8 @@ def test_a_frame_shows_target_measured_and_error_of_every_joint(frames):
 def test_a_frame_shows_what_the_line_does_now(frames):
     for frame in in_show(frames)[5:50]:
         share, answers_hz = frame["buses"]["main"]
-        assert 0.3 < share < 1.0
-        assert 800 < answers_hz < 1800
+        assert 0.01 < share < 0.3  # Five joints, 10 to 20 readings a second each, and targets.
+        assert 40 <= answers_hz < 300
     assert "replies/s" in drawn(in_show(frames)[20])
 
 
@@ -135,11 +135,11 @@ def test_a_pause_is_called_one_and_full_speed_too(frames):
 
 def test_on_a_narrow_terminal_columns_are_left_out_and_none_is_cut(frames):
     frame = in_show(frames)[20]
-    for width in (24, 40, 60, 100):
+    for width in (24, 40, 70, 100):
         text = drawn(frame, width=width)
         assert "…" not in text
         lines = text.splitlines()
         for name, _, _, error, *_ in frame["joints"]:
             [line] = [line for line in lines if line.split()[:1] == [name]]
             assert f"{error:+.2f}" in line.split()
-        assert ("correction" in text) is (width >= 60)
+        assert ("correction" in text) is (width >= 70)

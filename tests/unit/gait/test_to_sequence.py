@@ -130,7 +130,8 @@ def _cache(monkeypatch, tmp_path):
 def folder(kit, tmp_path):
     """A hexapod with a head, a short walk, a nod of its head, and room for a show."""
     robot = (kit.examples / "robots" / "hexapod.yaml").read_text()
-    (tmp_path / "robot.yaml").write_text(robot + "  head: {id: 30, range_deg: [-60, 60]}\n")
+    head = "joints:\n  head: {id: 30, range_deg: [-60, 60]}\n"
+    (tmp_path / "robot.yaml").write_text(robot.replace("joints:\n", head, 1))
     (tmp_path / "walk.yaml").write_text(
         f"gait: steps\nrobot: robot.yaml\nlegs_from: {kit.examples}/hexapod_walk.yaml\n"
         "height_mm: 80\ncycle_s: 1.6\nstep_height_mm: 15\n"
