@@ -163,6 +163,9 @@ SETTLE_S: Final = 0.15
 """Time after the last horn should have arrived, for the servo's own settling."""
 DOUBT_S: Final = 3.0
 """Longest wait at the end for a servo that may have restarted, which takes 1.25 s (FACTS.md R4)."""
+ARRIVAL_MAX_S: Final = s_from_ns(LONGEST_NS) + 1.0
+"""Longest wait for servos to rest after the end of a program, whatever they answer: the longest T
+of a move sent at the end, and a second."""
 PLAN_HISTORY_S: Final = 5.0
 """A plan that is extended keeps this much of its past: longer than any answer may take."""
 REST_LEAST_NS: Final = 300 * NS_PER_MS
@@ -239,7 +242,7 @@ class Streamer:
         show_s, end_s = self.clock.show_s(now_ns), self._program.duration_s + SETTLE_S
         if show_s < end_s or (self._has_doubts() and show_s < end_s + DOUBT_S):
             return False
-        return self._has_arrived(now_ns)
+        return show_s >= end_s + ARRIVAL_MAX_S or self._has_arrived(now_ns)
 
     def _has_doubts(self) -> bool:
         """Return whether a servo that is driven may have restarted."""
@@ -250,7 +253,8 @@ class Streamer:
         """Return whether a ramp to rate 0 has ended and every horn should be at rest."""
         settled_ns = self.clock.ramp_end_ns + ns_from_s(SETTLE_S)
         is_still = self.clock.target_rate == 0.0 and now_ns >= settled_ns
-        return is_still and self._has_arrived(now_ns)
+        is_over = now_ns >= settled_ns + ns_from_s(ARRIVAL_MAX_S)
+        return is_still and (is_over or self._has_arrived(now_ns))
 
     def _has_arrived(self, now_ns: int) -> bool:
         """Return whether every servo should be at rest at its target.
@@ -525,7 +529,7 @@ class Streamer:
         """Send the rest of a move that its servo has lost; a ramp sends all anew anyway."""
         if self._tick_ns is not None or self.clock.target_rate < 1.0:
             return
-        if state.active is None or not state.takes_moves:
+        if state.active is None or not state.takes_moves or not state.may_retry():
             return
         if state.joint.drive == "streamed":
             state.guide_at(now_ns)

@@ -19,11 +19,13 @@ import pytest
 
 from lss_motion.player import streamer
 from lss_motion.player.due_moves import EARLY_MAX_US, DueMoves
+from lss_motion.player.joint_state import RETRIES_MAX
 from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.rate_ramps import guide
 from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.show_clock import ShowClock
 from lss_motion.player.streamer import (
+    ARRIVAL_MAX_S,
     JOIN_S,
     SETTLE_S,
     Streamer,
@@ -339,6 +341,39 @@ def test_a_lost_move_is_sent_again_at_once(kit):
     assert [MOVE.fullmatch(line)[2] for _, line in stage.sent] == [b"400"] * 3 + [b"-200"]
     assert 0.5 < stage.sent[2][0] < 0.9, "when it has met its plan"
     assert stage.off_deg(from_s=1.0) < 1.0
+
+
+def lose(stage):
+    """Let the servo stand at 0, whatever was sent, and the scheduler find that."""
+    stage.state.stand_at(0.0)
+    stage.streamer.scheduler.to_resend["j0"] = stage.state
+    stage.streamer.receive("main", Reply(9, "QD", 0), stage.now_ns, stage.now_ns)
+
+
+def test_a_move_that_is_always_lost_is_given_up_until_the_next_one(kit):
+    stage = Stage(kit, (move(0.1, 40.0), move(6.0, -20.0)), has_feedback=True, duration_s=8.0)
+    for number in range(2 * RETRIES_MAX):
+        stage.run(0.4 + 0.1 * number)
+        lose(stage)
+    stage.run(5.9)
+    assert stage.state.resent == RETRIES_MAX
+    stage.run(6.3)
+    lose(stage)
+    assert stage.state.resent == RETRIES_MAX + 1
+
+
+@pytest.mark.parametrize("ends", ["show", "brake"])
+def test_no_joint_that_never_rests_keeps_a_show_from_its_end(kit, ends):
+    stage = Stage(kit, has_feedback=True).run(END_S if ends == "show" else 0.5)
+    if ends == "brake":
+        set_rate(stage, 0.0)
+        stage.run(1.5)
+    from_ns = stage.now_ns
+    is_over = stage.streamer.is_finished if ends == "show" else stage.streamer.is_standing
+    stage.streamer._has_arrived = lambda _: False
+    longest_ns = round(1e9 * (ARRIVAL_MAX_S + SETTLE_S))
+    assert not is_over(from_ns + longest_ns - 3 * S)
+    assert is_over(from_ns + longest_ns)
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.5])
