@@ -168,7 +168,7 @@ def test_a_command_that_was_moved_too_far_is_seen(monkeypatch):
     monkeypatch.setattr(
         joint_state.JointState,
         "wire_for",
-        lambda self, target, at_ns: wire_for(self, target + 4.0, at_ns),
+        lambda self, target, at_ns: wire_for(self, target + 9.0, at_ns),
     )
     assert "moves of the plan were not sent" in broken("arm")
 
