@@ -68,8 +68,7 @@ def click(page, name, scope="document"):
     """Click the button with this text or label; it must be enabled."""
     find = f"""[...{scope}.querySelectorAll('button')].find((one) => !one.disabled
         && (one.getAttribute('aria-label') ?? one.textContent).trim() === {json.dumps(name)})"""
-    page.wait(find)
-    page.run(f"{find}.click()")
+    page.wait(f"((one) => one !== undefined && (one.click(), true))({find})")
 
 
 @pytest.fixture
