@@ -18,6 +18,7 @@ it is. Keys that are twice as far apart are tried together, and accepted or refu
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -295,7 +296,7 @@ def _counts(keys: IntArray) -> IntArray:
     return counts
 
 
-class _Parameters:
+class _Parameters(ABC):
     """The parameters of the curve through some keys: two more than there are keys.
 
     The value at a sample of span n depends on the parameters n to n + 3.
@@ -316,25 +317,25 @@ class _Parameters:
         inner[:2] = inner[-2:] = False
         return inner
 
+    @abstractmethod
     def present(self) -> FloatArray:
         """Return the parameters of the curve as it is."""
-        raise NotImplementedError
 
+    @abstractmethod
     def begin(self) -> FloatArray:
         """Return parameters to begin a fit with."""
-        raise NotImplementedError
 
+    @abstractmethod
     def curve(self, values: FloatArray) -> Curve:
         """Return the recording with the angles of the keys for these parameters."""
-        raise NotImplementedError
 
+    @abstractmethod
     def at_samples(self, values: FloatArray) -> FloatArray:
         """Return the curve at all samples."""
-        raise NotImplementedError
 
+    @abstractmethod
     def rows(self, values: FloatArray) -> FloatArray:
         """Return how samples change with their four parameters, (4, samples)."""
-        raise NotImplementedError
 
     def step(self, values: FloatArray, weights: FloatArray, free: BoolArray) -> FloatArray:
         """Return the change of the `free` parameters that makes the weighted errors least."""
