@@ -144,7 +144,9 @@ class OpenStream:
         ahead_s = times.outputBufferDacTime - times.currentTime
         if not 0.0 < ahead_s < 10.0:  # Some drivers state nothing.
             ahead_s = self.latency_s
-        self.dropouts += bool(status.output_underflow)
+        if status.output_underflow:
+            self.dropouts += 1
+            self.clock.note_dropout()
         self.clock.take(self._frame, now_ns + round(ahead_s * NS_PER_S))
         mixer = self.mixer
         if mixer is None:

@@ -61,6 +61,11 @@ class DeviceClock:
         if by_frames_s - self._span[0][0] >= POINT_S:
             self._close_span()
 
+    def note_dropout(self) -> None:
+        """Note that the driver reports a dropout: one point off the fit is a skip now."""
+        self._astray = SKIP_POINTS - 1
+        self._span.clear()
+
     def heard_ns(self, frame: float) -> float:
         """Return when `frame` sounds."""
         assert self._origin_ns is not None, "no block yet"

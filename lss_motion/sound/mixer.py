@@ -32,6 +32,8 @@ RATE_BAND: Final = 0.05
 MISPLACED_S: Final = 0.02
 """A sound this far from its place is faded out and placed again. Chosen: what is less is
 corrected by the rate, and cannot be seen."""
+SKIPPED_S: Final = 0.002
+"""The same, when the device has just skipped frames. The show would need 7 s to follow that."""
 CLOSING_S: Final = 2.0
 """A sound that does not lead makes up its error over this time,"""
 CLOSING_RATIO: Final = 0.005
@@ -93,6 +95,8 @@ class Mixer:
         """Of the bed in the last block: the instant in ns, the show time, the rate."""
         self._gate = 0.0
         self._duck = 1.0
+        self._next_ns: float | None = None
+        """When the block after the last one sounds, unless the device skips frames."""
 
     def set_leg(self, leg: ClockLeg) -> None:
         """Follow the show clock from now on."""
@@ -114,8 +118,12 @@ class Mixer:
         """Return the next `count` frames, of which the first one sounds at `heard_ns`."""
         block = np.zeros((count, STEREO), dtype=np.float32)
         at_ns = heard_ns - self.offset_s * NS_PER_S
+        skipped_ns = 0.0 if self._next_ns is None else abs(heard_ns - self._next_ns)
+        self._next_ns = heard_ns + count * ns_per_frame
         leg = self._leg_at(at_ns)
         self.lead = None
+        if skipped_ns > SKIPPED_S * NS_PER_S and leg is not None:
+            self._take_up(leg, at_ns)
         if leg is None:
             self.is_silent = True
             return block
@@ -143,6 +151,14 @@ class Mixer:
             return begun[-1]
         # A show that is about to begin: its first block may hold the first frame.
         return self.legs[-1] if self.legs else None
+
+    def _take_up(self, leg: ClockLeg, at_ns: float) -> None:
+        """Have what sounds placed again, after the device has skipped frames."""
+        show_s = leg.show_s(at_ns)
+        for voice in self.voices:
+            if voice.frame is not None:
+                is_s = voice.frame / (self.rate_hz * voice.speed_ratio)
+                voice.is_leaving |= abs(show_s - voice.at_s - is_s) > SKIPPED_S
 
     def _drop(self, show_s: float) -> None:
         gone = [voice for voice in self.voices if voice.is_over(show_s, self.rate_hz)]

@@ -149,6 +149,9 @@ class _Client:
 
     def __init__(self) -> None:
         self.blocks: list[tuple[int, bytes]] = []
+        """When the first frame of each block is played, in us of the sound server, and the block.
+
+        It is asked at once: after a dropout the server counts anew, which moves earlier frames."""
         self.xruns = 0
         self._jack = jack = ctypes.CDLL(ctypes.util.find_library("jack"))
         for name, kind in (
@@ -186,17 +189,14 @@ class _Client:
             own = self._jack.jack_port_name(self._port)
             return self._jack.jack_connect(self._client, source.encode(), own) == 0
         recorded = list(self.blocks)
-        to_us = self._jack.jack_frames_to_time
-        at_ns = [
-            self._origin_ns + 1000 * to_us(self._client, frame + self._latency_frames)
-            for frame, _ in recorded
-        ]
+        at_ns = [self._origin_ns + 1000 * at_us for at_us, _ in recorded]
         return self.xruns, at_ns, [data for _, data in recorded]
 
     def _take(self, count: int, _: object) -> int:
         buffer = self._jack.jack_port_get_buffer(self._port, count)
         frame = self._jack.jack_last_frame_time(self._client)
-        self.blocks.append((frame, ctypes.string_at(buffer, 4 * count)))
+        at_us = self._jack.jack_frames_to_time(self._client, frame + self._latency_frames)
+        self.blocks.append((at_us, ctypes.string_at(buffer, 4 * count)))
         return 0
 
     def _count_xrun(self, _: object) -> int:

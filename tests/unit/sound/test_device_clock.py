@@ -42,6 +42,18 @@ def test_skipped_frames_are_noticed_and_the_fit_begins_anew():
     assert clock.heard_ns(frame) == pytest.approx(heard_ns, abs=500_000)
 
 
+@pytest.mark.parametrize(("is_reported", "wait_s"), [(True, 0.26), (False, 0.51)])
+def test_a_skip_that_the_driver_reports_is_taken_over_sooner(is_reported, wait_s):
+    clock, frame, _ = driven(12.0, jitter_s=0.0005)
+    if is_reported:
+        clock.note_dropout()
+    for later in range(frame + BLOCK, frame + round((wait_s + 0.02) * RATE_HZ), BLOCK):
+        assert clock.skips == 0 or later > frame + (wait_s - 0.02) * RATE_HZ
+        clock.take(later, 7_000_000_000 + round((later / RATE_HZ + 0.01) * 1e9))
+    assert clock.skips == 1
+    assert clock.heard_ns(later) == pytest.approx(7e9 + (later / RATE_HZ + 0.01) * 1e9, abs=1e5)
+
+
 @pytest.mark.parametrize("ratio", [0.91, 1.01])
 def test_a_device_that_does_not_run_at_its_rate_is_named(ratio):
     clock, frame, heard_ns = driven(6.0, ratio=ratio)

@@ -80,6 +80,26 @@ class Desk:
         return self.played[round(at_s * RATE_HZ)]
 
 
+def test_a_sound_is_placed_again_where_the_device_has_skipped_frames(tmp_path):
+    """Without that the show would follow by 300 ppm, for half a minute."""
+    source = Source(wave_file(tmp_path, ramp(6.0)), RATE_HZ)
+    desk = Desk(Voice(number=1, source=source, at_s=0.0, is_bed=True))
+    desk.leg(0.0)
+    desk.play(2.0)
+    mixer, frame = desk.mixer, len(desk.played)
+    late_ns = 0.01e9
+    blocks = []
+    for first in range(frame, frame + RATE_HZ, BLOCK):
+        heard_ns = START_NS + first * NS_PER_FRAME + late_ns
+        desk.wait(heard_ns)
+        blocks.append(mixer.render(heard_ns, NS_PER_FRAME, BLOCK)[:, 0])
+    played = np.concatenate(blocks)
+    at_s = (frame + np.arange(len(played))) / RATE_HZ + 0.01
+    assert np.abs(np.diff(played)).max() < 0.01, "no click"
+    settled = at_s > 2.25
+    assert 10.0 * played[settled] == pytest.approx(at_s[settled], abs=0.001)
+
+
 def voice(path, at_s=0.0, **values):
     return Voice(number=1, source=Source(path, RATE_HZ), at_s=at_s, **values)
 
