@@ -308,6 +308,15 @@ class Page:
         points = [{"x": point[0], "y": point[1]}] if point else []
         self.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
 
+    def pinch(self, x: float, y: float, from_px: float, to_px: float) -> None:
+        """Put two fingers so far from that place, left and right of it, and move both evenly."""
+        for step in range(6):
+            half_px = from_px + step / 5 * (to_px - from_px)
+            points = [{"x": x - half_px, "y": y, "id": 1}, {"x": x + half_px, "y": y, "id": 2}]
+            kind = "touchMove" if step else "touchStart"
+            self.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+        self.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+
     def key(self, name: str) -> None:
         """Press and release a key, such as `Shift+ArrowLeft`."""
         *held, key = name.split("+") if name != "+" else ["+"]

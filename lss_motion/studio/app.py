@@ -57,7 +57,7 @@ def make_app(studio: Studio) -> Starlette:
     """Return the application of one studio."""
     routes = [
         Route("/", _page),
-        Mount("/static", StaticFiles(directory=STATIC)),
+        Mount("/static", PageFiles(directory=STATIC)),
         Route("/session", _session, methods=["POST"]),
         Route("/robot.json", _robot),
         Route("/view/{plan}.json", _view),
@@ -70,6 +70,18 @@ def make_app(studio: Studio) -> Starlette:
     app.state.studio = studio
     app.add_middleware(Guard, studio=studio)
     return app
+
+
+class PageFiles(StaticFiles):
+    """The modules of the pages. A browser asks each time whether its copy is still right (`ETag`).
+
+    Else it would go on with a part of the old modules after an update of this package.
+    """
+
+    def file_response(self, *given: Any, **named: Any) -> Response:  # noqa: ANN401  (passed on)
+        response = super().file_response(*given, **named)
+        response.headers["cache-control"] = "no-cache"
+        return response
 
 
 PURPOSES: Final = {

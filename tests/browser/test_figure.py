@@ -80,6 +80,39 @@ def test_the_picture_changes_with_the_pose_and_only_with_it(wave, opened, has_we
     assert bool(asked) == has_webgl, "three.js is loaded where it can be used, and only there"
 
 
+SOLID = """
+(() => {
+  const canvas = document.querySelector('.figure-stage canvas');
+  const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+  let count = 0;
+  for (let at = 0; at < pixels.length; at += 4) {
+    if (pixels[at + 3] > 200 && pixels[at + 2] - pixels[at] > 60) count += 1;
+  }
+  return count;
+})()
+"""
+
+
+def test_two_fingers_enlarge_the_figure_and_the_timeline(wave, opened):
+    with opened(wave, has_webgl=False) as page:
+        page.key("2")
+        page.wait("document.querySelector('.figure-stage canvas')")
+        page.wait("document.querySelector('[role=grid]')")
+        page.idle()
+        whole, solid = page.picture(), page.run(SOLID)
+        place = page.place(".figure-stage canvas")
+        page.pinch(*place, 20.0, 40.0)
+        page.idle()
+        assert page.run(SOLID) > 1.2 * solid > 100
+        page.pinch(*place, 40.0, 20.0)
+        page.idle()
+        assert page.run(SOLID) == pytest.approx(solid, rel=0.02)
+        place = page.place(".board-plan")
+        page.pinch(*place, 20.0, 80.0)
+        page.idle()
+        assert page.picture() != whole
+
+
 def test_an_old_reading_is_not_drawn_as_a_lag(wave, opened):
     """A joint that was 2 degrees off when it was read is drawn so until it is read again."""
     with opened(wave) as page:

@@ -25,6 +25,7 @@ def test_a_show_is_seen_and_run_with_the_keyboard_alone(studio, opened):
     """No pointer, no request to another origin, every control named, readings over the plan."""
     with studio(EXAMPLES / "wave.yaml") as own, opened(own) as page:
         page.key(" ")
+        page.wait("document.querySelector('.word').textContent.trim() === 'moves to the start'")
         page.wait(PLAYING)
         page.key(" ")
         page.wait("document.querySelector('.word').textContent.trim() === 'paused'")

@@ -143,6 +143,15 @@ def test_modules_have_the_type_that_browsers_require(client):
     assert answer.headers["content-type"].startswith("text/javascript")
 
 
+def test_a_browser_asks_whether_its_copy_of_a_module_is_still_right(client):
+    answer = client.get("/static/main.js")
+    assert answer.headers["cache-control"] == "no-cache"
+    again = client.get("/static/main.js", headers={"if-none-match": answer.headers["etag"]})
+    assert again.status_code == 304
+    assert again.content == b""
+    assert again.headers["cache-control"] == "no-cache"
+
+
 def test_everyone_who_may_look_may_stop(client, studio):
     for path, is_emergency in (("/stop", False), ("/estop", True)):
         assert client.post(path, headers=SAFE).status_code == 401

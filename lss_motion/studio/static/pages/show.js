@@ -17,6 +17,20 @@ const WORDS = {
   paused: "paused", stopping: "stopping", ended: "ended", gone: "the player is gone",
 };
 
+/** What the player does before and between playing, by its phase. @type {Record<string, string>} */
+const STEPS = {
+  connecting: "checks the servos", preparing: "sets the servos up", approaching: "moves to the start",
+  seeking: "brakes for another place", recovering: "waits for what is missing",
+  restoring: "gives the settings back",
+};
+
+/** What the player does now, in words. @param {State} state */
+function wordOf({ player, phase, ended }) {
+  if (player.state === "ended" && ended?.outcome === "stopped") return "stopped";
+  const isBusy = player.state === "starting" || player.state === "playing";
+  return (isBusy ? STEPS[phase] : undefined) ?? WORDS[player.state] ?? player.state;
+}
+
 /** @param {Props} props */
 export function ShowPage({ state, actions, store }) {
   const page = useRef(/** @type {HTMLElement | null} */ (null));
@@ -44,8 +58,8 @@ function isMany(state) {
 
 /** @param {{ state: State }} props */
 function Now({ state }) {
-  const { player, phase, view, last_mark, waiting, rate, ended } = state;
-  const word = player.state === "playing" && phase !== "" && phase !== "playing" ? phase : ended?.outcome === "stopped" && player.state === "ended" ? "stopped" : WORDS[player.state] ?? player.state;
+  const { player, view, last_mark, waiting, rate, ended } = state;
+  const word = wordOf(state);
   const slower = rate.ratio < 1 ? ` at ${Math.round(100 * rate.ratio)} %` : "";
   return html`
     <p class=${`word word-${player.state}`} role="status">${word}${player.state === "playing" ? slower : ""}
