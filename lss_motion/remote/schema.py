@@ -9,34 +9,25 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from lss_motion.errors import InputError
+from lss_motion.remote import message as base
+from lss_motion.remote import stage_messages as stage
 from lss_motion.remote.telemetry import LAYOUT
 
 OPERATION_MAX_BYTES: Final = 4096
 """A longer operation is refused before it is parsed. Ours have less than 200."""
-LABEL_MAX_CHARS: Final = 64
 PATH_MAX_CHARS: Final = 1000
 JOINTS_MAX: Final = 100
 RATE_LEAST: Final = 0.05
 """The lowest rate that can be asked for; `pause` is lower."""
 
-
-Name = Annotated[str, Field(min_length=1, max_length=LABEL_MAX_CHARS)]
+LABEL_MAX_CHARS: Final = base.LABEL_MAX_CHARS
+Name = base.Name
+Message = base.Message
+Operation = base.Operation
 RoleName = Literal["view", "operate", "edit"]
-
-
-class Message(BaseModel):
-    """Base of all messages: no unknown keys, no text for numbers, no NaN."""
-
-    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, frozen=True)
-
-
-class Operation(Message):
-    """Base of all operations. `id` comes back in the event `accepted` or `refused`."""
-
-    id: Annotated[int, Field(ge=0)] = 0
 
 
 class Go(Operation):
@@ -237,7 +228,13 @@ AnyOperation = Annotated[
     | Hold
     | Scan
     | Maintain
-    | MaintenanceAnswer,
+    | MaintenanceAnswer
+    | stage.Trigger
+    | stage.Cue
+    | stage.Enable
+    | stage.Arm
+    | stage.StageRest
+    | stage.StageWake,
     Field(discriminator="op"),
 ]
 

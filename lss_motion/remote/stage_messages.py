@@ -1,0 +1,66 @@
+"""Messages of a stage, which plays many shows on cues: part of `schema`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from lss_motion.remote.message import Name, Operation
+
+SignalKind = Literal["key", "osc", "http", "mqtt", "note", "program", "sacn", "gpio"]
+"""Where a trigger comes from: the kinds of `stage.model.Kind` that a server receives."""
+Source = Annotated[str, Field(max_length=200)]
+"""The sender, for people and the log."""
+
+
+class Trigger(Operation):
+    """A message from outside that may fire a cue, as `stage.model.Signal`."""
+
+    op: Literal["trigger"] = "trigger"
+    kind: SignalKind
+    address: Annotated[str, Field(min_length=1, max_length=256)]
+    """OSC address, HTTP name, MQTT topic, note or program, `universe/slot`, pin or key."""
+    value: float | None = None
+    channel: Annotated[int, Field(ge=1, le=16)] | None = None
+    """Of MIDI."""
+    source: Source = ""
+
+
+class Cue(Operation):
+    """Fire a cue by its name, whatever it waits for."""
+
+    op: Literal["cue"] = "cue"
+    label: Name
+    source: Source = ""
+
+
+class Enable(Operation):
+    """Let a cue fire on its trigger, or not."""
+
+    op: Literal["enable"] = "enable"
+    cue: Name
+    is_enabled: bool
+    source: Source = ""
+
+
+class Arm(Operation):
+    """Make ready for `go`: the next cue that waits for it."""
+
+    op: Literal["arm"] = "arm"
+
+
+class StageRest(Operation):
+    """End all shows and rest, until `stage.wake`."""
+
+    op: Literal["stage.rest"] = "stage.rest"
+
+
+class StageWake(Operation):
+    """End a rest, also one after faults."""
+
+    op: Literal["stage.wake"] = "stage.wake"
+
+
+StageOperation = Trigger | Cue | Enable | Arm | StageRest | StageWake
+"""What is asked of a running stage, besides `schema.ShowOperation`."""

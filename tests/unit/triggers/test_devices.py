@@ -1,0 +1,182 @@
+"""MIDI inputs that vanish, pins of buttons, and what a broker of messages brings."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+
+import pytest
+
+from lss_motion.errors import InputError
+from lss_motion.triggers import midi, mqtt
+from lss_motion.triggers.gpio import GpioPins
+from lss_motion.triggers.midi import MidiPort, trigger_of
+from lss_motion.triggers.sources import AllowList, Crossings, Gate
+
+
+def gate(said):
+    return Gate("test", AllowList(["127.0.0.0/8"]), said.append)
+
+
+@pytest.mark.parametrize(
+    ("message", "found"),
+    [
+        ((0x90, 60, 100), ("note", "60", 100.0, 1)),
+        ((0x9F, 0, 1), ("note", "0", 1.0, 16)),
+        ((0xC1, 5), ("program", "5", None, 2)),
+        ((0x90, 60, 0), None),
+        ((0x80, 60, 64), None),
+        ((0xB0, 7, 127), None),
+        ((0xF8,), None),
+        ((0x90, 60), None),
+        ((0x90, 200, 1), None),
+        ((), None),
+    ],
+)
+def test_notes_and_programs_are_triggers(message, found):
+    trigger = trigger_of(message)
+    assert found == (trigger and (trigger.kind, trigger.address, trigger.value, trigger.channel))
+
+
+class Input:
+    """A MIDI library whose devices come and go."""
+
+    names = ()
+    is_broken = False
+    callback = None
+
+    def get_ports(self):
+        if self.is_broken:
+            raise SystemError("no driver")
+        return list(self.names)
+
+    def open_port(self, place):
+        self.opened = self.names[place]
+
+    def set_callback(self, call):
+        Input.callback = staticmethod(call)
+
+    def cancel_callback(self):
+        Input.callback = None
+
+    def close_port(self):
+        pass
+
+    def delete(self):
+        pass
+
+
+def test_a_device_that_vanishes_is_said_and_opened_again(monkeypatch):
+    monkeypatch.setattr(midi, "LOOK_S", 0.01)
+    monkeypatch.setattr(midi, "NO_DRIVER_S", 0.01)
+    said, done = [], []
+
+    async def run():
+        sink = lambda *found: done.append(found)  # noqa: E731
+        port = MidiPort("pad", gate(said), sink, said.append, make=Input)
+        Input.names = ["Through"]
+        port.open()
+        await asyncio.sleep(0.03)
+        Input.names = ["Through", "nanoPAD2 20:0"]
+        await asyncio.sleep(0.03)
+        Input.callback(([0x90, 36, 90], 0.0), None)
+        await asyncio.sleep(0.01)
+        Input.names = ["Through"]
+        await asyncio.sleep(0.03)
+        Input.is_broken = True
+        await asyncio.sleep(0.03)
+        Input.is_broken, Input.names = False, ["nanoPAD2 24:0"]
+        await asyncio.sleep(0.05)
+        assert port.open_name == "nanoPAD2 24:0"
+        port.close()
+
+    asyncio.run(run())
+    assert said == [
+        "MIDI: no input 'pad' yet; there are: Through",
+        "MIDI: nanoPAD2 20:0 is open",
+        "MIDI: nanoPAD2 20:0: has vanished; it is opened when it is there",
+        "MIDI: nanoPAD2 24:0 is open",
+    ]
+    ((trigger, origin),) = done
+    assert (trigger.address, origin) == ("36", "MIDI nanoPAD2 20:0")
+
+
+def test_a_button_is_a_trigger_when_it_is_pressed():
+    gpiozero = pytest.importorskip("gpiozero", reason="pip install gpiozero")
+    from gpiozero.pins.mock import MockFactory
+
+    factory, done, said = MockFactory(), [], []
+    gpiozero.Device.pin_factory = factory
+
+    async def run():
+        pins = GpioPins(gate(said), lambda *found: done.append(found))
+        pins.watch(["17", "4"])
+        factory.pin(17).drive_low()
+        await asyncio.sleep(0.05)
+        factory.pin(17).drive_high()
+        await asyncio.sleep(0.05)
+        pins.watch(["4"])
+        factory.pin(4).drive_low()
+        await asyncio.sleep(0.05)
+        with pytest.raises(InputError, match="GPIO99"):
+            pins.watch(["99"])
+        pins.close()
+
+    asyncio.run(run())
+    assert [(one.kind, one.address, origin) for one, origin in done] == [
+        ("gpio", "17", "pin GPIO17"),
+        ("gpio", "4", "pin GPIO4"),
+    ]
+    gpiozero.Device.pin_factory = None
+
+
+def test_a_broker_is_read_and_trusted_only_with_a_password_or_on_the_list():
+    own = mqtt.broker_of("mqtt://hub@127.0.0.1", {"LSS_MQTT_PASSWORD": "secret"})
+    assert (own.host, own.port, own.user, own.password) == ("127.0.0.1", 1883, "hub", "secret")
+    assert mqtt.broker_of("mqtts://a:b%40@hub:99").password == "b@"
+    assert "secret" not in repr(own)
+    for wrong in ("hub:1883", "http://hub", "mqtt://", "mqtt://hub:x", "mqtt://u:geheim@h/t"):
+        with pytest.raises(InputError, match="mqtt://USER@HOST:PORT") as caught:
+            mqtt.broker_of(wrong)
+        assert "geheim" not in str(caught.value)
+    here = AllowList(["127.0.0.0/8"])
+    mqtt.require_trusted(own, here)
+    mqtt.require_trusted(mqtt.broker_of("mqtt://127.0.0.1", {}), here)
+    with pytest.raises(InputError, match="no password"):
+        mqtt.require_trusted(mqtt.broker_of("mqtt://192.0.2.1", {}), here)
+
+
+def test_topics_are_operations():
+    levels = Crossings({"hall/mm": (800.0,)})
+    cues = frozenset({"hall/door", "hall/mm"})
+
+    def asked(topic, text):
+        found = mqtt.operation_of(topic, text.encode(), "lss/hall", cues, levels)
+        return found and found.model_dump(exclude={"id", "source", "kind"}, exclude_none=True)
+
+    assert asked("hall/door", "ON") == {"op": "trigger", "address": "hall/door"}
+    assert asked("hall/door", "OFF") is asked("hall/door", "0") is None
+    assert [asked("hall/mm", text) and text for text in ("700", "900", "950", "x")] == [
+        None,
+        "900",
+        None,
+        None,
+    ]
+    assert asked("lss/hall/cue/scare", "fire") == {"op": "cue", "label": "scare"}
+    assert asked("lss/hall/enable/scare", "OFF")["is_enabled"] is False
+    assert asked("lss/hall/do", "go") == {"op": "go"}
+    for topic, text in (("lss/hall/do", "rearm"), ("other", "1"), ("lss/hall/cue/a", "x" * 300)):
+        with pytest.raises(InputError):
+            asked(topic, text)
+
+
+def test_home_assistant_gets_buttons_and_switches_with_unique_names():
+    topic, text = mqtt.discovery("Haunted hall", ["scare", "hello"], "1.0")
+    found = json.loads(text)
+    assert topic == "homeassistant/device/lss_Haunted_hall/config"
+    parts = found["components"]
+    assert {one["platform"] for one in parts.values()} == {"sensor", "button", "switch"}
+    assert len({one["unique_id"] for one in parts.values()}) == len(parts) == 8
+    assert parts["cue_scare"]["command_topic"] == "lss/Haunted_hall/cue/scare"
+    assert parts["enable_scare"]["state_topic"] == "lss/Haunted_hall/enabled/scare"
+    assert found["availability_topic"] == "lss/Haunted_hall/online"
