@@ -19,6 +19,7 @@ from lss_motion.gait.load import gait_schema
 from lss_motion.robot.learnt import learnt_schema
 from lss_motion.robot.load import robot_schema
 from lss_motion.sequence.load import sequence_schema
+from lss_motion.stage.load import stage_schema
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -46,6 +47,7 @@ def reference() -> str:
         ("sequence", sequence_schema()),
         ("gait", gait_schema()),
         ("learnt", learnt_schema()),
+        ("stage", stage_schema()),
     ]:
         parts.append(f"## The {kind} file\n")
         parts += file_sections(kind, schema, told)

@@ -54,6 +54,7 @@ does not depend on that. `lss-play --virtual --sim` with the words of a line rep
   lss-motion check wave.yaml --robust
   lss-motion check wave.yaml --all
   lss-motion check robots/desk_arm.yaml --json
+  lss-motion check stages/haunted_hall.yaml
 """
 
 PLAN_TEXT: Final = """\
@@ -114,7 +115,7 @@ def add_to(commands: Commands) -> None:
     schema.add_argument(
         "kind",
         nargs="?",
-        choices=("robot", "sequence", "gait", "learnt", "remote"),
+        choices=("robot", "sequence", "gait", "learnt", "stage", "remote"),
         help="only the schema of this kind of file, or of the messages that steer a running show "
         "(default: all)",
     )
@@ -135,7 +136,7 @@ def _add_check(commands: Commands) -> None:
         commands, "check", _check, "check a file; print what was slowed and why", CHECK_TEXT
     )
     check.add_argument(
-        "file", type=Path, metavar="FILE", help="a sequence, a gait, a program or a robot"
+        "file", type=Path, metavar="FILE", help="a sequence, a gait, a program, a robot or a stage"
     )
     add_robot_options(check)
     add_all(check)
@@ -162,6 +163,7 @@ def _inputs(arguments: argparse.Namespace) -> list[Path | None]:
 def _check(arguments: argparse.Namespace) -> int:
     from lss_motion import shows
     from lss_motion.gait import is_gait_file
+    from lss_motion.stage.load import is_stage_file
     from lss_motion.summaries import (
         advice_lines,
         program_lines,
@@ -183,6 +185,8 @@ def _check(arguments: argparse.Namespace) -> int:
         else:
             print("\n".join(robot_lines(robot)))
         return EXIT_FINISHED
+    if is_stage_file(arguments.file):
+        return _check_stage(arguments)
     lines = []
     if shows.is_program(arguments.file) or not is_gait_file(arguments.file):
         show = shows.prepare(*_files(arguments))
@@ -208,6 +212,27 @@ def _check(arguments: argparse.Namespace) -> int:
 
         found["robust"] = robust_as_json(_trials(show), show.program.duration_s)
     print_json(found)
+    return EXIT_FINISHED
+
+
+def _check_stage(arguments: argparse.Namespace) -> int:
+    """Plan every show of a stage, with figures those of each; print what does not go together."""
+    from lss_motion.stage.check import plan_stage, stage_as_json, stage_lines
+    from lss_motion.stage.load import load_stage
+
+    for option in ("robust", "robot"):
+        if getattr(arguments, option):
+            raise InputError(f"--{option} is for a show; this is a stage", path=arguments.file)
+    stage = load_stage(arguments.file)
+    read = reader(arguments, may_query=False)
+    planned = {figure: plan_stage(stage, read, figure=figure) for figure in stage.figures or [None]}
+    if arguments.json:
+        found = {figure: stage_as_json(one) for figure, one in planned.items()}
+        print_json(found if stage.figures else found[None])
+        return EXIT_FINISHED
+    for figure, one in planned.items():
+        heading = [] if figure is None else [f"figure {figure}"]
+        print("\n".join([*heading, *stage_lines(one)]), flush=True)
     return EXIT_FINISHED
 
 
@@ -277,12 +302,14 @@ def _schema(arguments: argparse.Namespace) -> int:
     from lss_motion.robot.learnt import learnt_schema
     from lss_motion.robot.load import robot_schema
     from lss_motion.sequence.load import sequence_schema
+    from lss_motion.stage.load import stage_schema
 
     schemas = {
         "robot": robot_schema,
         "sequence": sequence_schema,
         "gait": gait_schema,
         "learnt": learnt_schema,
+        "stage": stage_schema,
         "remote": remote_schema,
     }
     if arguments.kind is not None:

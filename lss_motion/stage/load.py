@@ -1,0 +1,540 @@
+"""stage.yaml → `Stage`: its robot, its shows, its cues and what they wait for.
+
+Law: all problems of a file come in one `InputError`, each with its line. What could not be read
+is left out of later checks, so that one mistake is reported once. The shows are found, not read:
+`stage.check` plans them.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+from lss_motion.errors import InputError
+from lss_motion.files.source import known_names, read_text
+from lss_motion.files.yaml_source import Location, Problem, read_yaml
+from lss_motion.robot.load import load_robot
+from lss_motion.robot.on_fault import Cause
+from lss_motion.stage import time_of_day
+from lss_motion.stage.model import (
+    ATTEMPTS,
+    Alerts,
+    Budget,
+    Cue,
+    Duty,
+    Kind,
+    Listen,
+    LogRule,
+    Network,
+    Retry,
+    SendOutput,
+    Stage,
+    StageFigure,
+    StageShow,
+    Sync,
+    TimecodeInput,
+    Trigger,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from datetime import time, tzinfo
+
+    from lss_motion.files.yaml_source import YamlSource
+    from lss_motion.robot.model import Robot
+    from lss_motion.stage.file import (
+        BudgetEntry,
+        CueEntry,
+        DutyEntry,
+        ListenEntry,
+        OnEntry,
+        StageFaultEntry,
+        StageFile,
+    )
+    from lss_motion.stage.model import Side
+
+STAGE_KEY: Final = re.compile(r"^stage\s*:", re.MULTILINE)
+"""A top-level key that no other file has."""
+
+SOURCES: Final[Mapping[Kind, str]] = MappingProxyType(
+    {
+        Kind.OSC: "osc",
+        Kind.HTTP: "http",
+        Kind.MQTT: "mqtt",
+        Kind.NOTE: "midi",
+        Kind.PROGRAM: "midi",
+        Kind.SACN: "sacn",
+    }
+)
+"""The key of `listen` without which such a trigger would never come."""
+
+OWN_KEYS: Final[Mapping[Kind, frozenset[str]]] = MappingProxyType(
+    {
+        Kind.SENSOR: frozenset({"below_mm", "above_mm", "below_raw", "above_raw"}),
+        Kind.OSC: frozenset({"above"}),
+        Kind.MQTT: frozenset({"above"}),
+        Kind.NOTE: frozenset({"channel"}),
+        Kind.PROGRAM: frozenset({"channel"}),
+        Kind.SACN: frozenset({"slot", "above"}),
+    }
+)
+
+SACN_ABOVE: Final = 127.0
+"""The upper half of a level from 0 to 255."""
+
+RATE_FPS: Final = 25.0
+"""Of the timecodes in a file, if nothing gives another rate."""
+
+DROP_FPS: Final = 30_000 / 1001
+"""Timecodes with `;` leave out two frames of each minute but every tenth (SMPTE ST 12-1)."""
+
+
+def load_stage(path: Path | str) -> Stage:
+    """Return the stage of a file, with its robot.
+
+    Raises `InputError` with file, line, value and remedy; its `more` holds all further problems,
+    also those of the robot file.
+    """
+    from lss_motion.files.validation import validate
+    from lss_motion.stage.file import CueEntry, OnEntry, StageFile
+
+    source = read_yaml(Path(path))
+    blank = CueEntry(cue="-", on=OnEntry())
+    content, problems, left_out = validate(StageFile, source, blanks={"cues": blank})
+    if content is None:
+        raise source.error(problems)
+    loader = _Loader(content, left_out, source)
+    stage = loader.stage()
+    problems += loader.problems
+    own = [source.error(problems)] if problems else []
+    if not own and not loader.errors:
+        return stage
+    top, *others = [*own, *loader.errors]
+    raise InputError(top.reason, path=top.path, line=top.line, more=[*top.more, *others])
+
+
+def is_stage_file(path: Path) -> bool:
+    """Return whether a file describes a stage; raise `InputError` if it cannot be read."""
+    return path.suffix.lower() in (".yaml", ".yml") and bool(STAGE_KEY.search(read_text(path)))
+
+
+def stage_schema() -> dict[str, Any]:
+    """Return the JSON Schema of a stage file."""
+    from lss_motion.files.validation import json_schema
+    from lss_motion.stage.file import StageFile
+
+    return json_schema(StageFile)
+
+
+def timecode_s(text: str, rate_fps: float) -> float | None:
+    """Return the seconds of `hh:mm:ss:ff`, or of `hh:mm:ss;ff` with dropped frames.
+
+    None: there is no such frame.
+    """
+    hours, minutes, seconds, frames = map(int, re.split("[:;]", text))
+    is_drop = ";" in text
+    count = 30 if is_drop else round(rate_fps)
+    is_dropped = is_drop and seconds == 0 and frames < 2 and minutes % 10 != 0
+    if hours > 23 or minutes > 59 or seconds > 59 or frames >= count or is_dropped:
+        return None
+    number = ((hours * 60 + minutes) * 60 + seconds) * count + frames
+    if not is_drop:
+        return number / rate_fps if rate_fps != round(rate_fps) else number / count
+    total = hours * 60 + minutes
+    return (number - 2 * (total - total // 10)) / DROP_FPS
+
+
+@dataclass(slots=True)
+class _Loader:
+    """Builds the stage of one file.
+
+    `problems` are those of this file, `errors` those of other files.
+    """
+
+    content: StageFile
+    left_out: frozenset[Location]
+    source: YamlSource
+    problems: list[Problem] = field(default_factory=list)
+    errors: list[InputError] = field(default_factory=list)
+
+    def stage(self) -> Stage:
+        content = self.content
+        figures = self._figures()
+        robot_path, robot = self._robot()
+        return Stage(
+            name=content.stage,
+            path=self.source.path,
+            robot_path=robot_path,
+            robot=robot,
+            shows=self._shows(),
+            idle=self._show(content.idle, ("idle",)),
+            cues=self._cues(robot),
+            sync=self._sync(),
+            listen=self._listen(content.listen, ("listen",)),
+            duty=self._duty(content.duty),
+            retry=self._retry(content.on_fault),
+            alerts=Alerts(webhook=content.alerts.webhook, mqtt=content.alerts.mqtt),
+            log=LogRule(
+                folder=self.source.path.parent / content.log.folder,
+                max_bytes=round(content.log.max_mb * 1e6),
+                ring_s=content.log.ring_s,
+            ),
+            zone=self._zone(),
+            figures=figures,
+            network=self._network(),
+            conductor=self._conductor(figures),
+        )
+
+    def _note(self, location: Location, reason: str) -> None:
+        self.problems.append(Problem(location, reason))
+
+    def _is_left_out(self, *place: str) -> bool:
+        return any(place[: len(part)] == part for part in self.left_out)
+
+    # ---- robots and shows
+
+    def _robot(self) -> tuple[Path | None, Robot | None]:
+        name = self.content.robot
+        if name is None:
+            if not self.content.figures and not self._is_left_out("robot"):
+                self._note((), "no robot: give 'robot: FILE', or 'figures' for several")
+            return None, None
+        if self.content.figures:
+            self._note(("robot",), "robot does not go with figures, which have their own")
+        return self._robot_at(name, ("robot",))
+
+    def _robot_at(self, name: str, place: Location) -> tuple[Path, Robot | None]:
+        path = self._file(name, place, "robot file")
+        if not path.exists():
+            return path, None
+        try:
+            return path, load_robot(path)
+        except InputError as error:
+            self.errors.append(error)
+            return path, None
+
+    def _file(self, name: str, place: Location, what: str) -> Path:
+        path = self.source.path.parent / name
+        if not path.exists():
+            self._note(place, f"{what} {name!r} not found; looked for {path}")
+        return path
+
+    def _figures(self) -> Mapping[str, StageFigure]:
+        figures = {}
+        for name, entry in self.content.figures.items():
+            place = ("figures", name)
+            figures[name] = StageFigure(
+                name=name,
+                robot_path=self._robot_at(entry.robot, (*place, "robot"))[0],
+                address=self._port(entry.address, (*place, "address")),
+                listen=None
+                if entry.listen is None
+                else self._listen(entry.listen, (*place, "listen")),
+                line=self.source.line(place),
+            )
+        return figures
+
+    def _conductor(self, figures: Mapping[str, StageFigure]) -> str | None:
+        name = self.content.conductor
+        if name is not None and name not in figures and not self._is_left_out("figures"):
+            self._note(("conductor",), f"no figure {name!r}; {known_names(name, figures)}")
+        return name or next(iter(figures), None)
+
+    def _network(self) -> Network:
+        entry = self.content.network
+        keys = None
+        if entry.keys is not None:
+            keys = self._file(entry.keys, ("network", "keys"), "folder of keys")
+        return Network(keys=keys, scouting=entry.scouting, freewheel_s=entry.freewheel_s)
+
+    def _shows(self) -> Mapping[str, StageShow]:
+        shows = {}
+        for name, files in self.content.shows.items():
+            place: Location = ("shows", name)
+            if isinstance(files, str):
+                paths = {"": self._file(files, place, "show")}
+            else:
+                paths = {
+                    figure: self._file(file, (*place, figure), "show")
+                    for figure, file in files.items()
+                }
+                for figure in files:
+                    if figure not in self.content.figures and not self._is_left_out("figures"):
+                        known = known_names(figure, self.content.figures)
+                        self._note((*place, figure), f"no figure {figure!r}; {known}")
+            line = self.source.line(place)
+            shows[name] = StageShow(name=name, paths=paths, line=line)
+        return shows
+
+    def _show(self, name: str | None, place: Location) -> str | None:
+        """Return the name of a show; note it if there is none such."""
+        shows = self.content.shows
+        if name is not None and name not in shows and not self._is_left_out("shows", name):
+            self._note(place, f"no show {name!r}; {known_names(name, shows)}")
+        return name
+
+    # ---- cues
+
+    def _cues(self, robot: Robot | None) -> tuple[Cue, ...]:
+        cues: dict[str, Cue] = {}
+        names = [entry.cue for entry in self.content.cues]
+        for index, entry in enumerate(self.content.cues):
+            place: Location = ("cues", index)
+            if place in self.left_out:
+                continue
+            if entry.cue in cues:
+                line = cues[entry.cue].line
+                self._note((*place, "cue"), f"{entry.cue!r} is given twice, first in line {line}")
+                continue
+            cues[entry.cue] = self._cue(entry, place, robot, names)
+        return tuple(cues.values())
+
+    def _cue(self, entry: CueEntry, place: Location, robot: Robot | None, names: list[str]) -> Cue:
+        trigger = self._trigger(entry.on, (*place, "on"), robot)
+        named = entry.play if isinstance(entry.play, list) else [entry.play]
+        shows = [name for name in named if name is not None]
+        for number, show in enumerate(shows):
+            inner = (number,) if isinstance(entry.play, list) else ()
+            self._show(show, (*place, "play", *inner))
+        if shows and entry.do is not None:
+            self._note((*place, "do"), "a cue has 'play' or 'do', not both")
+        if not (shows or entry.do or entry.enable or entry.disable):
+            self._note(place, "does nothing: give 'play', 'do', 'enable' or 'disable'")
+        for key in ("start", "choose", "cooldown_s"):
+            if key in entry.model_fields_set and not shows:
+                self._note((*place, key), f"{key} belongs to play")
+        if "follow" in entry.model_fields_set and trigger.kind is not Kind.TIMECODE:
+            self._note((*place, "follow"), "follow belongs to a trigger of timecode")
+        for key in ("enable", "disable"):
+            for number, name in enumerate(getattr(entry, key)):
+                if name not in names:
+                    self._note(
+                        (*place, key, number), f"no cue {name!r}; {known_names(name, names)}"
+                    )
+        return Cue(
+            name=entry.cue,
+            on=trigger,
+            shows=tuple(shows),
+            choice=entry.choose,
+            deed=entry.do,
+            start=entry.start,
+            priority=entry.priority,
+            cooldown_s=entry.cooldown_s,
+            follows=entry.follow and trigger.kind is Kind.TIMECODE,
+            is_enabled=entry.enabled,
+            enables=tuple(entry.enable),
+            disables=tuple(entry.disable),
+            line=self.source.line(place),
+        )
+
+    def _trigger(self, entry: OnEntry, place: Location, robot: Robot | None) -> Trigger:
+        given = entry.model_fields_set
+        kinds = [kind for kind in Kind if kind in given]
+        if len(kinds) != 1:
+            known = ", ".join(kind for kind in Kind if kind is not Kind.CUE)
+            self._note(place, f"a trigger is one of: {known}")
+            return Trigger(kind=Kind.CUE)
+        kind = kinds[0]
+        for key in sorted(given - {kind} - OWN_KEYS.get(kind, frozenset())):
+            self._note((*place, key), f"{key} does not belong to {kind}")
+        self._check_source(kind, place)
+        match kind:
+            case Kind.SENSOR:
+                return self._sensor(entry, place, robot)
+            case Kind.TIME:
+                return self._time(str(entry.time), place)
+            case Kind.TIMECODE:
+                return self._timecode(str(entry.timecode), place)
+            case Kind.SACN:
+                return self._sacn(entry, place)
+            case Kind.START | Kind.GO:
+                if getattr(entry, kind) is not True:
+                    self._note((*place, kind), f"{kind} can only be true")
+                return Trigger(kind=kind)
+        return self._message(kind, entry, place)
+
+    def _message(self, kind: Kind, entry: OnEntry, place: Location) -> Trigger:
+        """Return the trigger of a message with an address, and maybe with a value."""
+        if kind is Kind.END_OF:
+            self._show(entry.end_of, (*place, kind))
+        side: Side | None = None if entry.above is None else "above"
+        return Trigger(
+            kind=kind,
+            address=str(getattr(entry, kind)),
+            side=side,
+            threshold=entry.above or 0.0,
+            channel=entry.channel,
+        )
+
+    def _check_source(self, kind: Kind, place: Location) -> None:
+        """Note a trigger that would never come, since nothing listens for it."""
+        key = SOURCES.get(kind)
+        entries = [self.content.listen, *(one.listen for one in self.content.figures.values())]
+        if key is None or self._is_left_out("listen") or self._is_left_out("figures"):
+            return
+        if not any(entry is not None and getattr(entry, key) for entry in entries):
+            self._note((*place, kind), f"nothing listens for it; give '{key}' under listen")
+
+    def _sensor(self, entry: OnEntry, place: Location, robot: Robot | None) -> Trigger:
+        assert entry.sensor is not None
+        plain = Trigger(kind=Kind.SENSOR, address=entry.sensor)
+        if robot is None:
+            if self.content.figures:
+                self._note((*place, "sensor"), "sensors belong to one robot, not to figures")
+            return plain
+        sensor = robot.sensors.get(entry.sensor)
+        if sensor is None:
+            known = known_names(entry.sensor, robot.sensors)
+            reason = f"robot {robot.name!r} has no sensor {entry.sensor!r}; {known}"
+            self._note((*place, "sensor"), reason)
+            return plain
+        keys = [key for key in OWN_KEYS[Kind.SENSOR] if key in entry.model_fields_set]
+        allowed = (f"below_{sensor.unit}", f"above_{sensor.unit}")
+        if len(keys) != 1 or keys[0] not in allowed:
+            reason = f"a sensor of kind {sensor.kind} needs one of {allowed[0]} and {allowed[1]}"
+            self._note(place, reason)
+            return plain
+        side: Side = "below" if keys[0] == allowed[0] else "above"
+        threshold = float(getattr(entry, keys[0]))
+        return Trigger(kind=Kind.SENSOR, address=sensor.name, side=side, threshold=threshold)
+
+    def _sacn(self, entry: OnEntry, place: Location) -> Trigger:
+        if entry.slot is None:
+            self._note(place, "sacn needs slot, from 1 to 512")
+        return Trigger(
+            kind=Kind.SACN,
+            address=f"{entry.sacn}/{entry.slot}",
+            side="above",
+            threshold=SACN_ABOVE if entry.above is None else entry.above,
+        )
+
+    def _time(self, text: str, place: Location) -> Trigger:
+        try:
+            reason = time_of_day.cron_problem(text)
+        except InputError as error:
+            reason = error.reason
+        if reason:
+            self._note((*place, "time"), f"{text!r} {reason}")
+        return Trigger(kind=Kind.TIME, address=text)
+
+    def _timecode(self, text: str, place: Location) -> Trigger:
+        source = self.content.sync.timecode
+        if source is None and not self._is_left_out("sync"):
+            self._note((*place, "timecode"), "there is no timecode; give one under sync")
+        rate_fps = RATE_FPS if source is None or source.rate_fps is None else source.rate_fps
+        at_s = timecode_s(text, rate_fps)
+        if at_s is None:
+            reason = f"there is no frame {text} at {rate_fps:g} frames a second"
+            self._note((*place, "timecode"), reason)
+        return Trigger(kind=Kind.TIMECODE, address=text, at_s=at_s or 0.0)
+
+    # ---- the rest
+
+    def _sync(self) -> Sync:
+        entry = self.content.sync
+        line = self.source.line(("sync", "timecode"))
+        timecode = entry.timecode
+        return Sync(
+            timecode=None if timecode is None else TimecodeInput(**dict(timecode), line=line),
+            send=tuple(
+                SendOutput(**dict(output), line=self.source.line(("sync", "send", index)))
+                for index, output in enumerate(entry.send)
+            ),
+        )
+
+    def _listen(self, entry: ListenEntry, place: Location) -> Listen:
+        for index, network in enumerate(entry.allow):
+            try:
+                ipaddress.ip_network(network)
+            except ValueError as error:
+                self._note((*place, "allow", index), f"{network!r} is no network: {error}")
+        feedback = [
+            self._port(text, (*place, "feedback", index))
+            for index, text in enumerate(entry.feedback)
+        ]
+        return Listen(
+            http=self._port(entry.http, (*place, "http")),
+            osc=self._port(entry.osc, (*place, "osc")),
+            feedback=tuple(port for port in feedback if port is not None),
+            midi=entry.midi,
+            sacn=entry.sacn,
+            mqtt=entry.mqtt,
+            allow=tuple(entry.allow),
+            line=self.source.line(place),
+        )
+
+    def _port(self, text: str | None, place: Location) -> tuple[str, int] | None:
+        if text is None:
+            return None
+        host, _, digits = text.rpartition(":")
+        if not 0 < int(digits) < 65_536:
+            self._note(place, f"port {digits} is not from 1 to 65535")
+        return host.strip("[]"), int(digits)
+
+    def _duty(self, entry: DutyEntry) -> Duty:
+        place = "duty"
+        self._show(entry.rest, (place, "rest"))
+        if entry.limp and entry.rest is None:
+            self._note((place, "limp"), "limp needs rest, a show that goes to a pose that stands")
+        return Duty(
+            work_s=entry.work_s,
+            rest_s=entry.rest_s,
+            rest=entry.rest,
+            is_limp=entry.limp,
+            temperature_c=self._budget(entry.temperature_c, (place, "temperature_c")),
+            current_a=self._budget(entry.current_a, (place, "current_a")),
+            slow_ratio=entry.slow_ratio,
+            quiet=tuple(self._quiet(entry.quiet)),
+        )
+
+    def _budget(self, entry: BudgetEntry | None, place: Location) -> Budget | None:
+        if entry is None:
+            return None
+        if entry.slow >= entry.rest:
+            self._note(
+                (*place, "slow"), f"slow ({entry.slow:g}) must be below rest ({entry.rest:g})"
+            )
+        return Budget(slow=entry.slow, rest=entry.rest)
+
+    def _quiet(self, spans: list[str]) -> list[tuple[time, time]]:
+        found = []
+        for index, span in enumerate(spans):
+            begin, end = map(time_of_day.clock_time, span.split("-"))
+            if begin is None or end is None or begin == end:
+                self._note(("duty", "quiet", index), f"{span!r}: two times such as 23:00-08:00")
+            else:
+                found.append((begin, end))
+        return found
+
+    def _retry(self, entry: StageFaultEntry) -> Retry:
+        attempts = dict(ATTEMPTS)
+        for name, count in entry.attempts.items():
+            if name not in list(Cause):
+                reason = f"no kind of fault {name!r}; {known_names(name, map(str, Cause))}"
+                self._note(("on_fault", "attempts", name), reason)
+            else:
+                attempts[Cause(name)] = count
+        return Retry(
+            attempts=attempts,
+            total=entry.total,
+            within_s=entry.within_s,
+            wait_s=entry.wait_s,
+            others=entry.others,
+        )
+
+    def _zone(self) -> tzinfo | None:
+        name = self.content.time_zone
+        if name is None:
+            return None
+        import zoneinfo
+
+        try:
+            return zoneinfo.ZoneInfo(name)
+        except (OSError, ValueError, zoneinfo.ZoneInfoNotFoundError):
+            known = known_names(name, sorted(zoneinfo.available_timezones()))
+            self._note(("time_zone",), f"no time zone {name!r}; {known}")
+            return None

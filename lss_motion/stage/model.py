@@ -1,0 +1,294 @@
+"""The values of a stage: shows, cues, triggers, and the rules of an evening.
+
+They are immutable, and every value that an author wrote keeps its line. `stage.load` makes them
+from files. `Signal` is what arrives from outside and may fire a cue.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final, Literal
+
+from lss_motion.robot.on_fault import RESUMABLE, Cause
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from datetime import time, tzinfo
+    from pathlib import Path
+
+    from lss_motion.robot.model import Robot
+
+StartMode = Literal["only_if_idle", "add", "interrupt", "terminate", "restart", "queue"]
+Choice = Literal["in_turn", "random"]
+Deed = Literal["stop", "rest", "wake"]
+Side = Literal["below", "above"]
+Others = Literal["go_on", "slow", "hold"]
+
+
+class Kind(StrEnum):
+    """Kind of a trigger, and of the signal that fires it."""
+
+    SENSOR = "sensor"
+    KEY = "key"
+    OSC = "osc"
+    HTTP = "http"
+    MQTT = "mqtt"
+    NOTE = "note"
+    PROGRAM = "program"
+    SACN = "sacn"
+    GPIO = "gpio"
+    TIME = "time"
+    TIMECODE = "timecode"
+    END_OF = "end_of"
+    START = "start"
+    GO = "go"
+    CUE = "cue"
+    """An operator, or another program, fires a cue by its name; no cue waits for it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trigger:
+    """What fires a cue.
+
+    `address` names the source: sensor, key, OSC address, HTTP name, MQTT topic, MIDI number, GPIO
+    pin, `universe/slot`, cron expression, timecode, or show.
+    """
+
+    kind: Kind
+    address: str = ""
+    side: Side | None = None
+    """Which values fire: those below or above `threshold`. None: every signal that is not zero."""
+    threshold: float = 0.0
+    channel: int | None = None
+    """Of MIDI; None: any."""
+    at_s: float = 0.0
+    """Of a timecode: seconds from 00:00:00:00."""
+
+    def is_met(self, value: float) -> bool:
+        """Return whether a value is on the side that fires."""
+        return value < self.threshold if self.side == "below" else value > self.threshold
+
+    @property
+    def text(self) -> str:
+        """The trigger in a few words, for people."""
+        side = "" if self.side is None else f" {self.side} {self.threshold:g}"
+        channel = "" if self.channel is None else f" (channel {self.channel})"
+        return f"{self.kind} {self.address}{side}{channel}".strip()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Signal:
+    """What arrived from outside, or happened: one reading, message, key or instant."""
+
+    kind: Kind
+    address: str = ""
+    value: float | None = None
+    channel: int | None = None
+    source: str = ""
+    """Who sent it, for the log."""
+
+    @property
+    def text(self) -> str:
+        value = "" if self.value is None else f" {self.value:g}"
+        source = f" from {self.source}" if self.source else ""
+        return f"{self.kind} {self.address}".strip() + value + source
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cue:
+    """What is played or done on a trigger."""
+
+    name: str
+    on: Trigger
+    shows: tuple[str, ...] = ()
+    choice: Choice = "in_turn"
+    deed: Deed | None = None
+    start: StartMode = "only_if_idle"
+    priority: int = 0
+    cooldown_s: float = 0.0
+    follows: bool = True
+    is_enabled: bool = True
+    enables: tuple[str, ...] = ()
+    disables: tuple[str, ...] = ()
+    line: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StageShow:
+    """One show; `paths` has its file, by figure. The only figure of a simple stage is ``."""
+
+    name: str
+    paths: Mapping[str, Path]
+    line: int | None = None
+
+    @property
+    def path(self) -> Path:
+        """The file of a stage with one robot."""
+        return next(iter(self.paths.values()))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TimecodeInput:
+    """The timecode that the stage follows."""
+
+    source: Literal["ltc", "mtc", "artnet", "fpp"]
+    input: str = "default"
+    rate_fps: float | None = None
+    freewheel_s: float = 2.0
+    lost: Literal["go_on", "hold"] = "go_on"
+    offset_s: float = 0.0
+    line: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SendOutput:
+    """Where the show clock is sent."""
+
+    kind: Literal["mtc", "ltc", "artnet", "fpp", "osc"]
+    output: str = "default"
+    rate_fps: float = 25.0
+    offset_s: float = 0.0
+    line: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sync:
+    """What leads the shows, and what they lead."""
+
+    timecode: TimecodeInput | None = None
+    send: tuple[SendOutput, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Listen:
+    """Where triggers and operators come from; None: not at all. Ports are `(host, port)`."""
+
+    http: tuple[str, int] | None = None
+    osc: tuple[str, int] | None = None
+    feedback: tuple[tuple[str, int], ...] = ()
+    midi: str | None = None
+    sacn: str | None = None
+    mqtt: str | None = None
+    allow: tuple[str, ...] = ("127.0.0.0/8", "::1/128")
+    """Networks from which protocols without passwords are accepted."""
+    line: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Budget:
+    """Above `slow` shows are slower; above `rest` the figure rests until it is below `slow`."""
+
+    slow: float
+    rest: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Duty:
+    """When the figure rests."""
+
+    work_s: float | None = None
+    rest_s: float = 300.0
+    rest: str | None = None
+    """Show that takes the figure to its rest pose."""
+    is_limp: bool = False
+    temperature_c: Budget | None = None
+    current_a: Budget | None = None
+    slow_ratio: float = 0.5
+    quiet: tuple[tuple[time, time], ...] = ()
+    """Local times of day; the second one may be the smaller one: through midnight."""
+
+
+ATTEMPTS: Final[Mapping[Cause, int]] = MappingProxyType(
+    dict.fromkeys(RESUMABLE, 3) | dict.fromkeys((Cause.ASTRAY, Cause.STUCK, Cause.LOW_VOLTAGE), 1)
+)
+"""Attempts after a fault, by kind; of others none. Chosen: what comes back by itself is tried three
+times. A joint that went astray may have been held by a visitor, once."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Retry:
+    """How often the stage begins again after a fault that has ended a show."""
+
+    attempts: Mapping[Cause, int] = field(default_factory=lambda: dict(ATTEMPTS))
+    total: int = 5
+    within_s: float = 3600.0
+    wait_s: float = 10.0
+    others: Others = "hold"
+    """What the other figures do when one has a fault."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alerts:
+    """Where faults are reported."""
+
+    webhook: str | None = None
+    mqtt: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LogRule:
+    """What is kept of each night, and where."""
+
+    folder: Path
+    max_bytes: int = 100_000_000
+    ring_s: float = 120.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StageFigure:
+    """One of several figures."""
+
+    name: str
+    robot_path: Path
+    address: tuple[str, int] | None = None
+    listen: Listen | None = None
+    line: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Network:
+    """How the computers of several figures find and trust each other."""
+
+    keys: Path | None = None
+    """Folder of keys."""
+    scouting: str | None = None
+    """Network interface; None: no search."""
+    freewheel_s: float = 2.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stage:
+    """What a figure, or several, play all evening."""
+
+    name: str
+    path: Path
+    robot_path: Path | None
+    """None: the stage has `figures`."""
+    robot: Robot | None = field(repr=False, default=None)
+    shows: Mapping[str, StageShow]
+    idle: str | None = None
+    cues: tuple[Cue, ...] = ()
+    sync: Sync = Sync()
+    listen: Listen = Listen()
+    duty: Duty = Duty()
+    retry: Retry = Retry()
+    alerts: Alerts = Alerts()
+    log: LogRule
+    zone: tzinfo | None = None
+    """Of times of day; None: that of the computer."""
+    figures: Mapping[str, StageFigure] = field(default_factory=dict)
+    network: Network = Network()
+    conductor: str | None = None
+    """The figure whose computer leads; None without figures."""
+
+    def cue(self, name: str) -> Cue | None:
+        """Return the cue of that name; None: there is none."""
+        return next((cue for cue in self.cues if cue.name == name), None)
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """The sensors that cues wait for, each once."""
+        names = (cue.on.address for cue in self.cues if cue.on.kind is Kind.SENSOR)
+        return tuple(dict.fromkeys(names))

@@ -1,0 +1,136 @@
+"""What the director orders, and what it notes; `Director.next_order` returns the oldest first.
+
+Orders are obeyed by whoever has the player (`stage.running`). Notes go to the log and to operators:
+`text` says in a line what happened and why.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+How = Literal["change", "add"]
+Outcome = Literal["finished", "left", "fault"]
+"""How a show ended: by itself, for another show, or by a fault."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Play:
+    """Play a show: in place of all that play (`change`), or beside them (`add`)."""
+
+    number: int
+    """Unique; `Director.ended` and `Director.refused` name it."""
+    show: str
+    how: How = "change"
+    start_s: float | None = None
+    """Show time from which it is played; None: from its beginning."""
+    follows_s: float | None = None
+    """Position of the timecode at show time 0, if the show follows it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Brake within the limits and hold: no show plays."""
+
+
+@dataclass(frozen=True, slots=True)
+class Relax:
+    """Take the power from the servos in the rest pose, until the next show."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """Play at this ratio of the speed."""
+
+    ratio: float
+
+
+@dataclass(frozen=True, slots=True)
+class Connect:
+    """Begin a new run: check the servos again, set them up. `Director.connected` answers."""
+
+
+@dataclass(frozen=True, slots=True)
+class Alert:
+    """Send a message to the owner."""
+
+    kind: str
+    text: str
+
+
+# ---- notes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CueFired:
+    """A cue has fired; `what` happens now or, queued, later."""
+
+    cue: str
+    signal: str
+    what: str
+
+    @property
+    def text(self) -> str:
+        return f"cue {self.cue}: {self.what} ({self.signal})"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CueRefused:
+    """A cue was triggered and has not fired."""
+
+    cue: str
+    signal: str
+    reason: str
+
+    @property
+    def text(self) -> str:
+        return f"cue {self.cue} refused: {self.reason} ({self.signal})"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShowStarted:
+    """A show was ordered: for a cue, as the idle show, or as the way to the rest."""
+
+    number: int
+    show: str
+    cause: str
+
+    @property
+    def text(self) -> str:
+        return f"show {self.show} for {self.cause}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShowEnded:
+    """A show is over."""
+
+    number: int
+    show: str
+    outcome: Outcome
+    played_s: float
+
+    @property
+    def text(self) -> str:
+        return f"show {self.show} {self.outcome} after {self.played_s:.1f} s"
+
+
+@dataclass(frozen=True, slots=True)
+class RestChanged:
+    """The figure rests for other reasons than before; without reasons it works."""
+
+    reasons: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        return f"rests: {', '.join(self.reasons)}" if self.reasons else "works"
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """Something else that explains what happens later."""
+
+    text: str
+
+
+Note: TypeAlias = CueFired | CueRefused | ShowStarted | ShowEnded | RestChanged | Said
+Order: TypeAlias = Play | Stop | Relax | Rate | Connect | Alert

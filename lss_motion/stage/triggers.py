@@ -1,0 +1,156 @@
+"""From signals to the cues that they trigger: addresses, values, edges, and the timecode.
+
+A signal with a value that lasts (a sensor, a fader) triggers when the value passes its threshold,
+not for as long as it is beyond it. All that may refuse a cue that was triggered is in `director`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.stage.model import Kind
+from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from lss_motion.stage.model import Cue, Signal
+
+SENSOR_TIMES: Final = 2
+"""So many readings in a row: a reply has no checksum, and one flipped bit must not start a show
+(as `player.cues.TIMES_MET`)."""
+
+PRESSED: Final = frozenset({Kind.OSC, Kind.NOTE, Kind.MQTT, Kind.GPIO, Kind.SACN})
+"""Signals of these kinds with the value 0 are a button that is released, or a note that ends."""
+
+JUMP_S: Final = 0.5
+"""A larger difference from the expected position is a jump of the timecode. Chosen: longer than any
+delay of a source, shorter than a jump that a person would make."""
+
+TIMECODE_STALE_NS: Final = 2 * NS_PER_S
+"""Without a new position for so long nothing more is triggered. Chosen: the usual freewheel."""
+
+
+@dataclass(slots=True)
+class _Edge:
+    """Whether a value is beyond the threshold of a cue; it takes `times` in a row to change."""
+
+    times: int
+    is_met: bool = False
+    count: int = 0
+
+    def passes(self, *, is_met: bool) -> bool:
+        """Take a value; return whether the threshold has just been passed."""
+        self.count = 0 if is_met == self.is_met else self.count + 1
+        if self.count < self.times:
+            return False
+        self.is_met, self.count = is_met, 0
+        return is_met
+
+
+@dataclass(slots=True)
+class Triggers:
+    """The cues of a stage, by what triggers them."""
+
+    cues: tuple[Cue, ...]
+    _edges: dict[str, _Edge] = field(default_factory=dict)
+
+    def triggered(self, signal: Signal) -> list[Cue]:
+        """Return the cues that a signal triggers, in the order of the file."""
+        if signal.kind is Kind.CUE:
+            return [cue for cue in self.cues if cue.name == signal.address]
+        return [cue for cue in self.cues if _matches(cue, signal) and self._passes(cue, signal)]
+
+    def _passes(self, cue: Cue, signal: Signal) -> bool:
+        if cue.on.side is None:
+            return not (signal.kind in PRESSED and signal.value == 0)
+        if signal.value is None:
+            return False
+        times = SENSOR_TIMES if signal.kind is Kind.SENSOR else 1
+        edge = self._edges.setdefault(cue.name, _Edge(times))
+        return edge.passes(is_met=cue.on.is_met(signal.value))
+
+
+def _matches(cue: Cue, signal: Signal) -> bool:
+    on = cue.on
+    is_same = on.kind is signal.kind and on.address == signal.address
+    return is_same and on.channel in (None, signal.channel)
+
+
+class TimecodeCues:
+    """Which cues the timecode passes, and which show it is in after a jump."""
+
+    def __init__(self, cues: Iterable[Cue], duration_s: dict[str, float]) -> None:
+        """Take the cues of a stage, and the durations of its shows."""
+        self._cues = sorted(
+            (cue for cue in cues if cue.on.kind is Kind.TIMECODE), key=lambda cue: cue.on.at_s
+        )
+        self._duration_s = duration_s
+        self._at_s: float | None = None
+        """The position up to which cues were passed; None: the source is lost."""
+        self._rate = 0.0
+        self._now_ns = self._heard_ns = 0
+
+    def hear(
+        self, at_s: float | None, rate: float, now_ns: int
+    ) -> Iterator[tuple[Cue, float | None]]:
+        """Take a position; yield the cues that were passed, each with where its show begins.
+
+        None: at its beginning. After a jump forward or back it is the show in which the timecode
+        is. While it stands or runs backwards nothing is passed.
+        """
+        expected_s = self._expected_s(now_ns)
+        self._heard_ns = now_ns
+        if at_s is None:
+            self._at_s = None
+            return
+        if self._at_s is None or expected_s is None or abs(at_s - expected_s) > JUMP_S:
+            self._at_s, self._rate, self._now_ns = at_s, rate, now_ns
+            if rate > 0.0 and (found := self._within(at_s)) is not None:
+                yield found, at_s - found.on.at_s
+            return
+        yield from self._pass_to(at_s)
+        # It does not go back for a source whose positions scatter: nothing is passed twice.
+        self._at_s, self._rate, self._now_ns = max(at_s, self._at_s), rate, now_ns
+
+    def tick(self, now_ns: int) -> Iterator[tuple[Cue, float | None]]:
+        """Yield the cues that were passed since the last position."""
+        at_s = self._expected_s(now_ns)
+        if at_s is not None and self._rate > 0.0 and now_ns - self._heard_ns < TIMECODE_STALE_NS:
+            yield from self._pass_to(at_s)
+            if self._at_s is not None and at_s > self._at_s:
+                self._at_s, self._now_ns = at_s, now_ns
+
+    def next_ns(self) -> int | None:
+        """Return when the next cue is passed; None: not as it is now."""
+        if self._at_s is None or self._rate <= 0.0:
+            return None
+        coming = (cue.on.at_s for cue in self._cues if cue.on.at_s > self._at_s)
+        at_s = next(coming, None)
+        if at_s is None:
+            return None
+        return self._now_ns + ns_from_s((at_s - self._at_s) / self._rate) + 1
+
+    def _expected_s(self, now_ns: int) -> float | None:
+        if self._at_s is None:
+            return None
+        return self._at_s + s_from_ns(now_ns - self._now_ns) * self._rate
+
+    def _pass_to(self, at_s: float) -> Iterator[tuple[Cue, None]]:
+        assert self._at_s is not None
+        from_s, self._at_s = self._at_s, max(at_s, self._at_s)
+        for cue in self._cues:
+            if from_s < cue.on.at_s <= at_s:
+                yield cue, None
+
+    def _within(self, at_s: float) -> Cue | None:
+        """Return the last cue whose first show is under way at this position."""
+        found = None
+        for cue in self._cues:
+            if not cue.shows or not cue.follows:
+                continue
+            end_s = cue.on.at_s + self._duration_s.get(cue.shows[0], 0.0)
+            if cue.on.at_s <= at_s < end_s:
+                found = cue
+        return found

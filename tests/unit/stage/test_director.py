@@ -1,0 +1,571 @@
+"""The director by table: every start mode, every refusal with its reason, rests and faults."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from itertools import pairwise
+from pathlib import Path
+from random import Random
+
+import pytest
+
+from lss_motion.errors import InputError
+from lss_motion.robot.on_fault import Cause
+from lss_motion.stage import orders
+from lss_motion.stage.director import Director, ShowInfo
+from lss_motion.stage.model import (
+    Budget,
+    Cue,
+    Duty,
+    Kind,
+    LogRule,
+    Retry,
+    Signal,
+    Stage,
+    StageShow,
+    Trigger,
+)
+from lss_motion.units import NS_PER_S
+
+NOON = datetime(2026, 7, 3, 12, 0, tzinfo=UTC)
+SHOWS = {
+    "idle": ShowInfo(joints=frozenset({"neck"}), duration_s=math.inf),
+    "a": ShowInfo(joints=frozenset({"neck", "jaw"}), duration_s=10.0),
+    "b": ShowInfo(joints=frozenset({"neck", "jaw"}), duration_s=10.0),
+    "wink": ShowInfo(joints=frozenset({"lid"}), duration_s=1.0),
+    "jaw": ShowInfo(joints=frozenset({"jaw"}), duration_s=1.0),
+    "sleep": ShowInfo(joints=frozenset({"neck", "jaw"}), duration_s=3.0),
+}
+
+
+def key(name, **other):
+    show = other.pop("play", "a")
+    shows = (show,) if isinstance(show, str) else tuple(show or ())
+    return Cue(name=name, on=Trigger(kind=Kind.KEY, address=name), shows=shows, **other)
+
+
+class Desk:
+    """A director with a player that obeys at once, and a clock."""
+
+    def __init__(self, *cues, idle="idle", begins=True, seed=1, director=(), **stage):
+        folder = Path("nowhere")
+        self.stage = Stage(
+            name="hall",
+            path=folder / "stage.yaml",
+            robot_path=None,
+            shows={name: StageShow(name=name, paths={"": folder}) for name in SHOWS},
+            idle=idle,
+            cues=cues,
+            log=LogRule(folder=folder),
+            zone=UTC,
+            **stage,
+        )
+        self.director = Director(self.stage, SHOWS, Random(seed), **dict(director))
+        self.now_ns, self.wall = 0, NOON
+        self.playing: dict[int, str] = {}
+        self.plays: list[orders.Play] = []
+        self.notes: list[str] = []
+        self.others: list[object] = []
+        self.wait(0)
+        if begins:
+            self.director.connected(self.now_ns)
+            self.obey()
+
+    def wait(self, span_s, step_s=1.0):
+        end_ns = self.now_ns + round(span_s * NS_PER_S)
+        while True:
+            self.director.tick(self.now_ns, self.wall)
+            self.obey()
+            if self.now_ns >= end_ns:
+                return
+            step_ns = min(round(step_s * NS_PER_S), end_ns - self.now_ns)
+            self.now_ns += step_ns
+            self.wall += timedelta(seconds=step_ns / NS_PER_S)
+
+    def press(self, *names):
+        for name in names:
+            self.signal(Signal(kind=Kind.KEY, address=name))
+            self.wait(0.5)
+
+    def signal(self, signal):
+        self.director.signal(signal, self.now_ns)
+        self.obey()
+
+    def finish(self, show, outcome="finished", show_s=None):
+        number = next(n for n, name in self.playing.items() if name == show)
+        del self.playing[number]
+        self.director.ended(number, outcome, show_s, self.now_ns)
+        self.obey()
+
+    def obey(self):
+        while (order := self.director.next_order()) is not None:
+            match order:
+                case orders.Play():
+                    self.plays.append(order)
+                    if order.how == "change":
+                        self.leave_all()
+                    self.playing[order.number] = order.show
+                case orders.Stop():
+                    self.leave_all()
+                    self.others.append(order)
+                case _ if hasattr(order, "text") and not isinstance(order, orders.Alert):
+                    self.notes.append(order.text)
+                case _:
+                    self.others.append(order)
+
+    def leave_all(self):
+        left, self.playing = self.playing, {}
+        for number in left:
+            self.director.ended(number, "left", 4.0, self.now_ns)
+
+    @property
+    def shown(self):
+        return sorted(self.playing.values())
+
+    def refusal(self, cue):
+        """Return why `cue` was refused last; empty if its last trigger was not."""
+        last = [n for n in self.notes if n.startswith((f"cue {cue}:", f"cue {cue} refused"))][-1]
+        return last.split("refused: ")[1].split(" (")[0] if "refused" in last else ""
+
+
+# ---- start modes
+
+
+@pytest.mark.parametrize(
+    ("start", "show", "shown", "reason"),
+    [
+        ("only_if_idle", "b", ["a"], "a plays"),
+        ("add", "wink", ["a", "wink"], ""),
+        ("add", "jaw", ["a"], "jaw in use by a"),
+        ("interrupt", "b", ["b"], ""),
+        ("terminate", "b", ["b"], ""),
+        ("restart", "b", ["a"], "a plays"),
+        ("restart", "a", ["a"], ""),
+        ("queue", "b", ["a"], ""),
+    ],
+)
+def test_what_a_start_mode_does_while_a_show_plays(start, show, shown, reason):
+    desk = Desk(key("x"), key("y", play=show, start=start))
+    desk.press("x", "y")
+    assert desk.shown == shown
+    assert desk.refusal("y") == reason
+
+
+@pytest.mark.parametrize("start", ["only_if_idle", "interrupt", "terminate", "restart", "queue"])
+def test_the_idle_show_gives_way_and_comes_back(start):
+    desk = Desk(key("y", play="b", start=start))
+    assert desk.shown == ["idle"]
+    desk.press("y")
+    assert desk.shown == ["b"]
+    desk.finish("b")
+    assert desk.shown == ["idle"]
+
+
+def test_an_added_show_leaves_the_idle_show_alone_and_ends_with_a_change():
+    desk = Desk(key("w", play="wink", start="add"), key("x"))
+    desk.press("w")
+    assert desk.shown == ["idle", "wink"]
+    assert [play.how for play in desk.plays] == ["change", "add"]
+    desk.press("x")
+    assert desk.shown == ["wink", "idle"] or desk.refusal("x") == "wink plays"
+    desk.finish("wink")
+    desk.press("x")
+    assert desk.shown == ["a"]
+
+
+def test_an_interrupted_show_goes_on_where_it_was():
+    desk = Desk(key("x"), key("y", play="b", start="interrupt"))
+    desk.press("x", "y")
+    assert desk.shown == ["b"]
+    desk.finish("b")
+    assert desk.shown == ["a"]
+    assert desk.plays[-1].start_s == 4.0
+    desk.finish("a")
+    assert desk.shown == ["idle"]
+
+
+def test_terminate_also_drops_what_waits():
+    desk = Desk(
+        key("x"),
+        key("q", play="b", start="queue"),
+        key("i", play="jaw", start="interrupt"),
+        key("t", play="sleep", start="terminate"),
+    )
+    desk.press("x", "q", "i", "t")
+    assert desk.shown == ["sleep"]
+    desk.finish("sleep")
+    assert desk.shown == ["idle"]
+    assert "show b of q dropped" in desk.notes
+    assert "show a of x dropped" in desk.notes
+
+
+def test_the_queue_is_played_by_priority_then_in_order_and_each_cue_waits_once():
+    desk = Desk(
+        key("x"),
+        key("p", play="jaw", start="queue"),
+        key("q", play="b", start="queue"),
+        key("r", play="sleep", start="queue", priority=3),
+    )
+    desk.press("x", "p", "q", "r", "q")
+    assert desk.refusal("q") == "it is in the queue"
+    for show in ("a", "sleep", "jaw", "b"):
+        assert desk.shown == [show]
+        desk.finish(show)
+    assert desk.shown == ["idle"]
+
+
+@pytest.mark.parametrize("start", ["interrupt", "terminate"])
+def test_a_show_is_not_ended_by_a_lower_priority(start):
+    desk = Desk(key("x", priority=2), key("y", play="b", start=start, priority=1))
+    desk.press("x", "y")
+    assert desk.shown == ["a"]
+    assert desk.refusal("y") == "a plays with priority 2"
+
+
+# ---- other refusals, and choices
+
+
+def test_a_cooldown_begins_when_the_show_has_ended():
+    desk = Desk(key("x", cooldown_s=20.0, start="terminate"))
+    desk.press("x", "x")
+    assert desk.refusal("x") == "its show waits or plays, and it has a cooldown"
+    desk.finish("a")
+    desk.wait(15)
+    desk.press("x")
+    assert desk.refusal("x") == "cooldown, for another 5.0 s"
+    desk.wait(5)
+    desk.press("x")
+    assert desk.shown == ["a"]
+
+
+def test_a_button_that_bounces_is_pressed_once():
+    desk = Desk(key("x", start="restart"))
+    for _ in range(5):
+        desk.signal(Signal(kind=Kind.KEY, address="x"))
+    assert desk.refusal("x") == "it has fired just before"
+    assert [play.show for play in desk.plays] == ["idle", "a"]
+
+
+def test_cues_enable_and_disable_each_other():
+    desk = Desk(key("x", is_enabled=False), key("on", play=(), enables=("x",), disables=("on",)))
+    desk.press("x")
+    assert desk.refusal("x") == "it is disabled"
+    desk.press("on", "x")
+    assert desk.shown == ["a"]
+    desk.press("on")
+    assert desk.refusal("on") == "it is disabled"
+    with pytest.raises(InputError, match="no cue 'y'; there are: x, on"):
+        desk.director.enable("y", is_enabled=True)
+
+
+def test_random_plays_each_show_once_before_any_again_and_none_twice_in_a_row():
+    desk = Desk(key("x", play=["a", "b", "sleep"], choice="random"), seed=4)
+    found = []
+    for _ in range(60):
+        desk.press("x")
+        found += desk.shown
+        desk.finish(found[-1])
+    rounds = [tuple(found[i : i + 3]) for i in range(0, 60, 3)]
+    assert all(sorted(one) == ["a", "b", "sleep"] for one in rounds)
+    assert len(set(rounds)) > 3
+    assert all(one != two for one, two in pairwise(found))
+
+
+def test_a_refused_cue_does_not_use_up_its_turn():
+    desk = Desk(key("x", play=["a", "b"]), key("y", play="sleep"))
+    desk.press("y", "x")
+    desk.finish("sleep")
+    desk.press("x")
+    assert desk.shown == ["a"]
+
+
+def test_the_end_of_a_show_is_a_trigger_before_the_idle_show():
+    chain = Cue(name="next", on=Trigger(kind=Kind.END_OF, address="a"), shows=("b",))
+    desk = Desk(key("x"), chain)
+    desk.press("x")
+    desk.wait(5)
+    desk.finish("a")
+    assert desk.shown == ["b"]
+    assert [play.show for play in desk.plays] == ["idle", "a", "b"]
+
+
+def test_a_show_that_cannot_be_played_is_refused_with_the_reason_of_the_player():
+    desk = Desk(key("x"), key("w", play="wink", start="add"))
+    desk.press("w")
+    number = next(n for n, show in desk.playing.items() if show == "wink")
+    del desk.playing[number]
+    desk.director.refused(number, "the line has no room", desk.now_ns)
+    desk.obey()
+    assert desk.refusal("w") == "the line has no room"
+    assert desk.shown == ["idle"]
+
+
+# ---- GO, start
+
+
+def test_go_fires_its_cues_in_turn_is_debounced_and_can_be_armed():
+    goes = [Cue(name=n, on=Trigger(kind=Kind.GO), shows=(n,), start="terminate") for n in "ab"]
+    desk = Desk(*goes, key("y", play="sleep", start="terminate"))
+    for expected in ("a", "b", "a"):
+        assert desk.director.next_go() == expected
+        desk.signal(Signal(kind=Kind.GO))
+        assert desk.shown == [expected]
+        desk.signal(Signal(kind=Kind.GO))
+        assert desk.shown == [expected]
+        desk.wait(1)
+    desk.director.arm("y")
+    desk.signal(Signal(kind=Kind.GO))
+    assert desk.shown == ["sleep"]
+    assert desk.director.next_go() == "a"
+
+
+def test_a_stage_that_waits_for_go_moves_nothing_before():
+    desk = Desk(key("x"), director={"waits_for_go": True}.items())
+    desk.press("x")
+    assert desk.refusal("x") == "the figure rests: waits for GO"
+    assert desk.plays == []
+    desk.signal(Signal(kind=Kind.GO))
+    assert desk.shown == ["idle"]
+
+
+def test_a_stage_begins_at_its_instant():
+    desk = Desk(key("x"), director={"start_at": NOON + timedelta(seconds=30)}.items())
+    desk.wait(29)
+    assert desk.plays == []
+    desk.wait(1)
+    assert desk.shown == ["idle"]
+
+
+def test_the_start_of_the_stage_is_a_trigger_once():
+    first = Cue(name="first", on=Trigger(kind=Kind.START), shows=("a",))
+    desk = Desk(first)
+    assert desk.shown == ["a"]
+    desk.director.faulted(Cause.SILENT, "gone", desk.now_ns)
+    desk.playing.clear()
+    desk.wait(11)
+    assert orders.Connect() in desk.others
+    desk.director.connected(desk.now_ns)
+    desk.obey()
+    assert desk.shown == ["idle"]
+
+
+# ---- sensors and levels
+
+
+def reading(value):
+    return Signal(kind=Kind.SENSOR, address="door", value=value)
+
+
+def test_a_sensor_fires_once_when_two_readings_in_a_row_meet_its_condition():
+    on = Trigger(kind=Kind.SENSOR, address="door", side="below", threshold=800.0)
+    desk = Desk(Cue(name="v", on=on, shows=("a",), start="terminate"))
+    counts = []
+    for value in (900, 700, 900, 700, 700, 600, 900, 600, 600, 900, 900, 700, 700):
+        desk.signal(reading(value))
+        desk.wait(0.4)
+        counts.append(len(desk.plays) - 1)
+    assert counts == [0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1, 2]
+
+
+def test_a_button_by_osc_fires_when_it_is_pressed_and_a_fader_when_it_passes():
+    push = Cue(name="p", on=Trigger(kind=Kind.OSC, address="/go"), shows=("a",), start="restart")
+    fader = replace(push, name="f", on=replace(push.on, address="/f", side="above", threshold=0.5))
+    desk = Desk(push, fader)
+    for address, value in [("/go", 1.0), ("/go", 0.0), ("/go", None), ("/f", 0.4), ("/f", 0.6)]:
+        desk.signal(Signal(kind=Kind.OSC, address=address, value=value))
+        desk.wait(1)
+    for value in (0.7, 0.8, 0.2, 0.9):
+        desk.signal(Signal(kind=Kind.OSC, address="/f", value=value))
+        desk.wait(1)
+    fired = [note.split(":")[0] for note in desk.notes if note.startswith("cue")]
+    assert fired == ["cue p", "cue p", "cue f", "cue f"]
+
+
+# ---- duty, budgets, quiet hours
+
+
+def test_after_work_the_figure_rests_when_its_show_has_ended_and_goes_limp():
+    duty = Duty(work_s=60.0, rest_s=100.0, rest="sleep", is_limp=True)
+    desk = Desk(key("x"), duty=duty)
+    desk.wait(55)
+    desk.press("x")
+    desk.wait(10)
+    assert desk.shown == ["a"]
+    desk.finish("a")
+    assert desk.shown == ["sleep"]
+    desk.press("x")
+    assert desk.refusal("x").startswith("the figure rests: has worked long enough")
+    assert desk.others == []
+    desk.finish("sleep")
+    assert desk.others == [orders.Relax()]
+    desk.wait(100)
+    assert desk.shown == ["idle"]
+
+
+def test_a_hot_servo_slows_the_shows_then_ends_them_until_it_is_cool():
+    desk = Desk(key("x"), duty=Duty(temperature_c=Budget(slow=55, rest=65)))
+    desk.press("x")
+    for celsius, rate in [(50, None), (56, 0.5), (54, None), (52, 1.0), (66, 0.5)]:
+        desk.others.clear()
+        desk.director.measured(celsius, None, desk.now_ns, "neck")
+        desk.obey()
+        found = [one.ratio for one in desk.others if isinstance(one, orders.Rate)]
+        assert found == ([] if rate is None else [rate]), celsius
+    assert desk.shown == []
+    desk.press("x")
+    assert desk.refusal("x") == "the figure rests: a servo is hot"
+    desk.director.measured(54, None, desk.now_ns, "neck")
+    desk.obey()
+    assert desk.shown == ["idle"]
+
+
+def test_a_peak_of_current_is_no_reason_to_rest_but_a_minute_of_it_is():
+    desk = Desk(duty=Duty(current_a=Budget(slow=2.0, rest=3.0)))
+    for second in range(120):
+        desk.director.measured(None, 20.0 if second == 5 else 1.0, desk.now_ns)
+        desk.wait(1)
+    assert desk.shown == ["idle"]
+    for _ in range(180):
+        desk.director.measured(None, 4.0, desk.now_ns)
+        desk.wait(1)
+    assert desk.shown == []
+
+
+def test_quiet_hours_begin_after_the_show_and_end():
+    quiet = Duty(quiet=((NOON.time(), (NOON + timedelta(hours=1)).time()),), rest="sleep")
+    desk = Desk(key("x"), duty=quiet)
+    assert desk.shown == ["sleep"]
+    desk.press("x")
+    assert desk.refusal("x") == "the figure rests: quiet hours"
+    desk.finish("sleep")
+    desk.wait(3600, step_s=30)
+    assert desk.shown == ["idle"]
+
+
+def test_an_operator_stops_all_sends_to_rest_and_wakes():
+    desk = Desk(key("x"), key("q", play="b", start="queue"), duty=Duty(rest="sleep"))
+    desk.press("x", "q")
+    desk.director.do("stop", desk.now_ns)
+    desk.obey()
+    assert desk.shown == ["idle"]
+    desk.director.do("rest", desk.now_ns)
+    desk.obey()
+    assert desk.shown == ["sleep"]
+    desk.director.do("wake", desk.now_ns)
+    desk.obey()
+    assert desk.shown == ["idle"]
+    desk.director.play("b", desk.now_ns)
+    desk.obey()
+    assert desk.shown == ["b"]
+
+
+# ---- faults
+
+
+def test_after_a_fault_the_stage_begins_again_a_bounded_number_of_times():
+    desk = Desk(key("x"), retry=Retry(attempts={Cause.SILENT: 3}, wait_s=10.0))
+    waits = []
+    for _ in range(3):
+        desk.press("x")
+        desk.director.faulted(Cause.SILENT, "joint 'jaw' is silent", desk.now_ns)
+        desk.playing.clear()
+        desk.obey()
+        from_ns, desk.others = desk.now_ns, []
+        desk.press("x")
+        assert "waits after a fault" in desk.refusal("x")
+        while orders.Connect() not in desk.others:
+            desk.wait(1)
+        waits.append(round((desk.now_ns - from_ns) / NS_PER_S))
+        desk.director.connected(desk.now_ns)
+        desk.obey()
+        assert desk.shown == ["idle"]
+    assert waits == pytest.approx([10, 20, 40], abs=1)
+    desk.others.clear()
+    desk.director.faulted(Cause.SILENT, "joint 'jaw' is silent", desk.now_ns)
+    desk.playing.clear()
+    desk.wait(7200, step_s=60)
+    assert [one.kind for one in desk.others] == ["given_up"]
+    desk.press("x")
+    assert "too many faults" in desk.refusal("x")
+    desk.director.do("wake", desk.now_ns)
+    desk.obey()
+    assert desk.others[-1] == orders.Connect()
+
+
+def test_a_fault_that_does_not_come_back_by_itself_is_not_tried_again():
+    desk = Desk(retry=Retry())
+    desk.director.faulted(Cause.BLOCKED, "joint 'jaw' is blocked", desk.now_ns)
+    desk.wait(3600, step_s=60)
+    assert [one.kind for one in desk.others] == ["given_up"]
+
+
+def test_faults_of_all_kinds_are_bounded_together_and_forgotten_after_a_while():
+    attempts = dict.fromkeys(Cause, 3)
+    desk = Desk(retry=Retry(attempts=attempts, total=2, within_s=600.0, wait_s=1.0))
+
+    def fault(cause):
+        desk.director.faulted(cause, "fault", desk.now_ns)
+        desk.others.clear()
+        desk.playing.clear()
+        desk.wait(5)
+        if orders.Connect() not in desk.others:
+            return False
+        desk.director.connected(desk.now_ns)
+        desk.obey()
+        return True
+
+    assert [fault(Cause.SILENT), fault(Cause.STUCK)] == [True, True]
+    desk.wait(600, step_s=10)
+    assert [fault(Cause.SILENT), fault(Cause.SILENT), fault(Cause.ASTRAY)] == [True, True, False]
+
+
+# ---- timecode
+
+
+def timed(name, at_s, show):
+    on = Trigger(kind=Kind.TIMECODE, address=name, at_s=at_s)
+    return Cue(name=name, on=on, shows=(show,), start="terminate", follows=True)
+
+
+def test_timecode_fires_cues_as_it_passes_and_starts_shows_in_their_middle_after_a_jump():
+    desk = Desk(timed("one", 100.0, "a"), timed("two", 200.0, "b"))
+
+    def run(from_s, to_s, rate=1.0):
+        for step in range(round(abs(to_s - from_s)) + 1):
+            desk.director.hear_timecode(from_s + step * rate, rate, desk.now_ns)
+            desk.obey()
+            desk.wait(1)
+
+    run(95, 99)
+    assert desk.shown == ["a"], "passed between two positions"
+    assert (desk.plays[-1].start_s, desk.plays[-1].follows_s) == (None, 100.0)
+    run(203, 204)
+    assert desk.plays[-1].show == "b"
+    assert desk.plays[-1].start_s == pytest.approx(3.0)
+    count = len(desk.plays)
+    run(230, 190, rate=-1.0)
+    assert len(desk.plays) == count, "nothing is passed backwards"
+    desk.director.hear_timecode(None, 0.0, desk.now_ns)
+    desk.wait(20)
+    assert len(desk.plays) == count
+
+
+# ---- time of day
+
+
+def test_the_clock_may_be_set_in_mid_show_and_no_cue_fires_twice():
+    every = Cue(
+        name="ten", on=Trigger(kind=Kind.TIME, address="*/10 * * * *"), shows=("b",), start="add"
+    )
+    desk = Desk(every, key("x"))
+    desk.press("x")
+    desk.wait(700)
+    desk.wall -= timedelta(seconds=400)
+    desk.wait(500)
+    fired = [note for note in desk.notes if note.startswith("cue ten")]
+    assert len(fired) == 1
+    assert desk.shown == ["a"]
+    desk.wait(600)
+    assert len([note for note in desk.notes if note.startswith("cue ten")]) == 2
