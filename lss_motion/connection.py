@@ -95,11 +95,13 @@ def connect(
     faults: Sequence[Fault] = (),
     hand: Hand | None = None,
     deviation: Deviation | None = None,
+    is_recorded: bool = True,
 ) -> Connection:
     """Open the port of every bus; all or none.
 
     On `sim://` buses `robot` gives the servos, `seed` and `faults` the disturbances, `hand` the
-    hand that moves limp joints, and `deviation` how the servos differ from what is assumed. Raises
+    hand that moves limp joints, and `deviation` how the servos differ from what is assumed. Unless
+    `is_recorded`, they keep neither lines nor horn angles, so a run of days needs no memory. Raises
     `BusError` for a port that cannot be opened, `InputError` for `sim://` without a robot.
     """
     connection = Connection(buses, clock or MonotonicClock())
@@ -109,7 +111,13 @@ def connect(
                 connection.ports[bus.name] = SerialPort(bus.port, bus.baud_bps)
                 continue
             connection.simulate(
-                bus, robot, seed=seed, faults=faults, hand=hand, deviation=deviation
+                bus,
+                robot,
+                seed=seed,
+                faults=faults,
+                hand=hand,
+                deviation=deviation,
+                is_recorded=is_recorded,
             )
     except BaseException:
         connection.close()
@@ -255,6 +263,7 @@ class Connection:
         faults: Sequence[Fault],
         hand: Hand | None = None,
         deviation: Deviation | None = None,
+        is_recorded: bool = True,
     ) -> None:
         """Open a simulated bus with the servos of `robot`."""
         if robot is None:
@@ -269,7 +278,8 @@ class Connection:
         if faults:
             options["faults"] = faults
         sim_bus = bus_from_robot(robot, bus.name, seed=seed, hand=hand, **options)
-        sim_bus.record()
+        if is_recorded:
+            sim_bus.record()
         self.simulated[bus.name] = sim_bus
         self.ports[bus.name] = SimPort(sim_bus, self.clock)
 

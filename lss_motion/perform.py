@@ -99,36 +99,27 @@ def perform(  # noqa: PLR0913  (the options of one run)
     they call `go`. Functions need `may_run`; `is_real_time`: `real_time`. Others: see `Player`.
     Raises `InputError` or `BusError` only before the first byte.
     """
-    _check_needs(program, may_run=may_run or is_virtual, has_feedback=has_feedback)
+    check_needs(program, may_run=may_run or is_virtual, has_feedback=has_feedback)
     worse: dict[str, Any] = {"faults": faults, "deviation": deviation}
-    simulated = _checked(program, robot, is_virtual=is_virtual, **worse)
-    clock = _clock(faults, is_virtual=is_virtual, seed=seed)
+    simulated = check_bus(program, robot, is_virtual=is_virtual, **worse)
+    clock = make_clock(faults, is_virtual=is_virtual, seed=seed)
     connection = connect(robot.buses, robot=robot, clock=clock, seed=seed, **worse)
     started_ns, error, observer = clock.now_ns(), None, observer or Observer()
     options = {"is_open": is_open, "is_forced": is_forced, "has_feedback": has_feedback}
     player = Player(program, robot, start_s=start_s, must_ask=must_ask, pace=pace, **options)
-    note, desk = _Noting(observer.on_event), None
+    warnings: list[str] = []
+    note, desk = Noting(observer.on_event, partial(_keep_warning, warnings)), None
     recorder = TruthRecorder(player.robot, connection.simulated, trajectory) if simulated else None
     try:
         with (
             real_time(is_wanted=is_real_time) as refused,
-            _effects(player, note, sound or SoundChoice(), is_virtual=is_virtual) as effects,
+            effects(player, note, sound or SoundChoice(), is_virtual=is_virtual) as performers,
         ):
-            on_event, desk = effects
+            on_event, desk = performers
             for text in refused:
                 on_event(Warned(text))
-            tap = None if observer.make_tap is None else observer.make_tap(started_ns)
-            if desk is not None:
-                desk.note_to(on_event, None if tap is None else tap.requested)
-            run(
-                player,
-                _reopening(connection, player, tap),
-                clock,
-                on_event=on_event,
-                on_turn=_on_turn(observer, recorder, desk),
-                controls=observer.controls,
-                tap=tap,
-            )
+            turns = [] if recorder is None else [recorder.turn]
+            drive(player, connection, observer, on_event, desk, turns=turns, started_ns=started_ns)
     except BusError as lost:
         error = lost
     except BaseException:
@@ -136,34 +127,48 @@ def perform(  # noqa: PLR0913  (the options of one run)
             recorder.close()
         raise
     finally:
-        error = _close(connection, error)
+        error = close(connection, error)
     player.end_show(clock.now_ns())
     run_s = run_seconds(started_ns, clock.now_ns())
     report = None if desk is None else desk.report
-    return _result(player, connection, recorder, run_s, error, warnings=note.warnings, sound=report)
+    return _result(player, connection, recorder, run_s, error, warnings=warnings, sound=report)
 
 
-def _on_turn(
-    observer: Observer, recorder: TruthRecorder | None, desk: SoundDesk | None
-) -> Callable[[Player, int], None]:
-    """Return a function that calls all that watch the run on each turn."""
-    given = (
-        observer.on_turn,
-        None if recorder is None else recorder.turn,
-        None if desk is None else desk.turn,
-    )
-    calls = [call for call in given if call is not None]
+def drive(
+    player: Player,
+    connection: Connection,
+    observer: Observer,
+    on_event: Callable[[Event], None],
+    desk: SoundDesk | None,
+    *,
+    turns: Sequence[Callable[[Player, int], None]] = (),
+    started_ns: int,
+) -> None:
+    """Run `player` over the open ports until it has ended; `turns` are called on each turn."""
+    tap = None if observer.make_tap is None else observer.make_tap(started_ns)
+    if desk is not None:
+        desk.note_to(on_event, None if tap is None else tap.requested)
+    calls = [*([] if observer.on_turn is None else [observer.on_turn]), *turns]
+    calls += [] if desk is None else [desk.turn]
 
     def turn(player: Player, now_ns: int) -> None:
         for call in calls:
             call(player, now_ns)
 
-    return turn
+    run(
+        player,
+        _reopening(connection, player, tap),
+        connection.clock,
+        on_event=on_event,
+        on_turn=turn,
+        controls=observer.controls,
+        tap=tap,
+    )
 
 
 @contextlib.contextmanager
-def _effects(
-    player: Player, note: _Noting, choice: SoundChoice, *, is_virtual: bool
+def effects(
+    player: Player, note: Noting, choice: SoundChoice, *, is_virtual: bool
 ) -> Iterator[tuple[Callable[[Event], None], SoundDesk | None]]:
     """Yield the event handler that starts functions, and what plays the sounds of the show.
 
@@ -213,7 +218,7 @@ def _result(
     )
 
 
-def _close(connection: Connection, error: BusError | None) -> BusError | None:
+def close(connection: Connection, error: BusError | None) -> BusError | None:
     """Close the ports; return the error that ended the run, or that of bytes that did not leave."""
     try:
         connection.close()
@@ -227,18 +232,24 @@ def _outcome(player: Player, error: LssMotionError | None) -> str:
     return "lost" if is_lost and player.show is not None else player.outcome or "stopped"
 
 
-class _Noting:
-    """Passes events to `on_event`, and keeps the texts of warnings."""
+class Noting:
+    """Passes events to a watcher, if there is one, and to what keeps the report's part of them."""
 
-    def __init__(self, on_event: Callable[[Event], None] | None) -> None:
-        self.warnings: list[str] = []
+    def __init__(
+        self, on_event: Callable[[Event], None] | None, keep: Callable[[Event], None]
+    ) -> None:
         self._on_event = on_event
+        self._keep = keep
 
     def __call__(self, event: Event) -> None:
-        if isinstance(event, Warned):
-            self.warnings.append(event.text)
+        self._keep(event)
         if self._on_event is not None:
             self._on_event(event)
+
+
+def _keep_warning(warnings: list[str], event: Event) -> None:
+    if isinstance(event, Warned):
+        warnings.append(event.text)
 
 
 def _reopening(connection: Connection, player: Player, tap: Tap | None) -> dict[str, ReopeningPort]:
@@ -267,7 +278,7 @@ def _reopening(connection: Connection, player: Player, tap: Tap | None) -> dict[
     }
 
 
-def _checked(
+def check_bus(
     program: Program,
     robot: Robot,
     *,
@@ -306,7 +317,7 @@ def _check_joints(program: Program, robot: Robot) -> None:
             )
 
 
-def _check_needs(program: Program, *, may_run: bool, has_feedback: bool) -> None:
+def check_needs(program: Program, *, may_run: bool, has_feedback: bool) -> None:
     """Refuse waits without feedback, and a show that would call functions without consent."""
     if program.waits and not has_feedback:
         raise InputError("the show waits for a sensor, which must be asked: not with --no-feedback")
@@ -318,7 +329,7 @@ def _check_needs(program: Program, *, may_run: bool, has_feedback: bool) -> None
         )
 
 
-def _clock(
+def make_clock(
     faults: Sequence[Fault], *, is_virtual: bool, seed: int
 ) -> MonotonicClock | VirtualClock:
     if not is_virtual:

@@ -14,6 +14,10 @@ calls with the same arguments give the same bytes, so a log can be replayed (`ru
 
     file            what it is                                          who calls it
     player          state machine of a show, `Player`                   api, runtime, cli, walking
+    stage_player    many programs in one run, `StagePlayer`             stage_run
+    repertoire      the programs of such a run, and what they need      stage_player
+    show_summary    how one of its shows went, in a few numbers         events, runtime
+    stalls          whether this process was held up                    player
     session         the servos during one show, shared by all phases    player
     preflight       the dialogue before anything moves, asked twice     session, maintenance, cli
     checks          what the servos answered, compared with the files   session, preflight, cli

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from lss_motion.player.serial_line import SerialLine
     from lss_motion.player.show_clock import ShowClock
     from lss_motion.program.model import Program
-    from lss_motion.robot.model import Robot, Sensor
+    from lss_motion.robot.model import Joint, Robot, Sensor
     from lss_motion.sequence.model import Wait
     from lss_motion.trajectory.model import WaitPoint
 
@@ -53,8 +53,6 @@ class Agenda:
         self._mark = next(self._marks, None)
         self._cue = next(self._cues, None)
         self._lights: deque[tuple[str, Command]] = deque()
-        self.led_joints = {name for cue in program.cues for name, _ in cue.led}
-        """Joints whose LED colour this show changes."""
 
     def begin_at(self, show_s: float | None) -> None:
         """Go on from `show_s`, also back in time, without what is before; None: the beginning."""
@@ -84,13 +82,15 @@ class Agenda:
             start_s, cue = self._cue
             events.append(CueReached(cue, start_s + cue.lead_s))
             for name, colour in cue.led:
-                joint = self._robot.joints[name]
-                order = Command(joint.servo_id, LED_KEYWORD, colour)
-                self._lights.append((joint.bus, order))
+                self.light(self._robot.joints[name], colour)
             self._cue = next(self._cues, None)
         if self._lights:
             self._light(show.quiet_ns(now_ns), lines, now_ns)
         return events
+
+    def light(self, joint: Joint, colour: int) -> None:
+        """Set the LED of a servo as soon as its line has room."""
+        self._lights.append((joint.bus, Command(joint.servo_id, LED_KEYWORD, colour)))
 
     def wakeup_ns(
         self, show: Streaming | None, lines: Mapping[str, SerialLine], now_ns: int

@@ -7,6 +7,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
+    from lss_motion.player.show_summary import ShowSummary
     from lss_motion.robot.on_fault import Cause, FaultStep
     from lss_motion.sequence.model import Cue
 
@@ -24,7 +25,9 @@ class Phase(StrEnum):
     APPROACH = "approaching"
     SHOW = "playing"
     SEEK = "seeking"
-    """Braking, to go on from another place of the show."""
+    """Braking, to go on from another place of the show, or with another show."""
+    STANDING = "standing"
+    """No show is played: all joints hold, and are watched, until the next one."""
     RECOVER = "recovering"
     """Something is missing; the robot stands until it is back."""
     STOP = "stopping"
@@ -119,4 +122,32 @@ class Checked:
     """What a person may want to mend."""
 
 
-Event = PhaseEntered | Warned | Noted | MarkPassed | CueReached | Waited | Faulted | Checked
+@dataclass(frozen=True, slots=True)
+class ShowBegan:
+    """A show of a run with many has begun at `from_s`."""
+
+    name: str
+    from_s: float
+    is_added: bool = False
+    """Whether it is played beside another show, on joints of its own."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShowOver:
+    """A show of a run with many is over, or another one takes its place."""
+
+    summary: ShowSummary
+
+
+Event = (
+    PhaseEntered
+    | Warned
+    | Noted
+    | MarkPassed
+    | CueReached
+    | Waited
+    | Faulted
+    | Checked
+    | ShowBegan
+    | ShowOver
+)

@@ -130,6 +130,10 @@ class FaultEscalation:
         self._active.clear()
         self.rate_max, self._slowed_ns = 1.0, None
 
+    def change_show(self, show: Escalations) -> None:
+        """Take the steps of another show from now on, which may resume as often as the first."""
+        self._show, self._resumes = show, 0
+
     def next_wakeup_ns(self) -> int | None:
         """Return when `judge` has something to do if no servo answers before."""
         wakeups_ns = [self._next_ns(fault) for fault in self._active.values() if not fault.is_last]

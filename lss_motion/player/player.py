@@ -10,7 +10,7 @@ settings), approach (move to the start), show, and in any case restore (the sett
 safe state is the last that is sent). A person may send the show elsewhere: from approach or show
 to seek, which brakes, and to the approach of another place. From these three, a fault or a stall of
 this program may lead to recover, and from there through prepare and approach back to the show; or
-to stop, which brakes.
+to stop, which brakes. `stage_player` adds standing, between the shows of a run with many.
 
 In every phase the player has one activity: a dialogue (`transactions`, `handshake`) or a streamer
 (`streamer`), or it waits. `session` holds what the phases share, `faults` decides about faults, and
@@ -33,8 +33,9 @@ from lss_motion.player.preflight import Preflight
 from lss_motion.player.query_choice import BY_NEED
 from lss_motion.player.session import Session
 from lss_motion.player.show_clock import TRIM_MAX_RATIO
+from lss_motion.player.stalls import GAP_NS, StallDetector, stall_text
 from lss_motion.program.verify import driven
-from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
+from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -61,9 +62,13 @@ pushed for ever."""
 COUNT_IN_NS: Final = 200 * NS_PER_MS
 """Time from the arrival of all joints to the first instant of the show. Preparing a show takes time
 (13 ms of processor time for 18 joints, measured), and no move may be due meanwhile."""
+STALE_NS: Final = NS_PER_S
+"""After so long settings are set and read again before anything moves. Chosen: longer than it takes
+with servos that all answer; a servo that restarts is silent for longer."""
 RATE_LEAST: Final = 0.01
 """A lower rate is a pause: a minute of show would take more than an hour."""
-DRIVING: Final = (Phase.APPROACH, Phase.SHOW, Phase.SEEK)
+PLAYING: Final = (Phase.SHOW, Phase.STANDING)
+DRIVING: Final = (*PLAYING, Phase.APPROACH, Phase.SEEK)
 
 
 class Player:
@@ -98,6 +103,10 @@ class Player:
         self.show: Streamer | None = None
         """The show itself, once it has begun."""
         self.show_ended_ns: int | None = None
+        self.changes = 0
+        """How often another program has taken the place of the one before it."""
+        self._show_phase = Phase.SHOW
+        """Phase in which the present program is played."""
         options = {"has_feedback": has_feedback, "is_forced": is_forced}
         self._session = Session(program, robot, start_s=start_s, pace=pace, **options)
         self.lines = self._session.lines
@@ -179,7 +188,7 @@ class Player:
             wakeups_ns.append(self._dialogue.next_wakeup_ns())
         elif self._streamer is not None:
             wakeups_ns.append(self._streamer.next_wakeup_ns(self._now_ns))
-        if self.phase is Phase.SHOW:
+        if self.phase in PLAYING:
             wakeups_ns.append(self._session.agenda.wakeup_ns(self.show, self.lines, self._now_ns))
             wakeups_ns.append(self._goal_ns)
         return wakeups_ns
@@ -227,6 +236,11 @@ class Player:
         due_ns = None if self.show is None else self.show.quiet_ns(now_ns)
         return due_ns is not None and due_ns < now_ns + span_ns
 
+    @property
+    def is_leaving(self) -> bool:
+        """Whether another program takes the place of the present one; only on a stage."""
+        return False
+
     # ---- commands of a person
 
     def go(self) -> None:
@@ -267,7 +281,11 @@ class Player:
             raise InputError(f"the show cannot go to another place now, it is {self.phase.value}")
         self._note_stall(now_ns)
         self._seek_s = show_s
-        if self._streamer is not None and self.phase in (Phase.APPROACH, Phase.SHOW):
+        self._leave(now_ns)
+
+    def _leave(self, now_ns: int) -> None:
+        """Brake, to go on elsewhere once the robot stands."""
+        if self._streamer is not None and self.phase in (Phase.APPROACH, *PLAYING):
             self._brake(now_ns)
             self._enter(Phase.SEEK)
         elif self.phase is Phase.APPROACH:
@@ -377,7 +395,7 @@ class Player:
     def _advance_streamer(self, now_ns: int) -> None:
         if self._streamer is None:
             return
-        if self.phase is Phase.SHOW:
+        if self.phase in PLAYING:
             self._events += self._session.agenda.advance(self._streamer, self.lines, now_ns)
         self._streamer.advance(now_ns)
         if (back_at_s := self._streamer.take_way_back()) is not None:
@@ -434,17 +452,19 @@ class Player:
             self._streamer = None
             self._dialogue = self._session.dialogue(self._faults.recovery_queries())
         elif self.phase is Phase.SEEK:
-            self._approaches = 0
-            self._session.note_standing(now_ns)
-            self._approach(now_ns)
+            self._go_on(now_ns)
         elif self.phase is not Phase.APPROACH:
-            self.outcome = self.outcome or "finished"
-            self._restore()
+            self._after_show(now_ns)
         elif self._session.has_feedback:
             self._streamer = None
             self._dialogue = self._session.arrival_dialogue()
         else:
             self._begin(now_ns)
+
+    def _after_show(self, now_ns: int) -> None:  # noqa: ARG002  (a stage goes on)
+        """End the run: the show is over, or the robot has stopped."""
+        self.outcome = self.outcome or "finished"
+        self._restore()
 
     def _after_dialogue(self, now_ns: int) -> None:
         dialogue, self._dialogue = self._dialogue, None
@@ -520,6 +540,12 @@ class Player:
             self._end("fault", now_ns)
         return verdict is Verdict.END
 
+    def _go_on(self, now_ns: int) -> None:
+        """Go on elsewhere: the robot stands."""
+        self._approaches = 0
+        self._session.note_standing(now_ns)
+        self._approach(now_ns)
+
     def _approach(self, now_ns: int) -> None:
         self._approaches += 1
         self._has_moved = True
@@ -565,7 +591,7 @@ class Player:
 
     def _begin(self, now_ns: int) -> None:
         """Begin the show, or go on with it."""
-        self._enter(Phase.SHOW)
+        self._enter(self._show_phase)
         self._faults.clear()
         if self.show is None:
             self.show = self._session.begin(now_ns + COUNT_IN_NS, is_open=self._is_open)
@@ -576,7 +602,7 @@ class Player:
 
     def _apply_rate(self, now_ns: int) -> None:
         """Set the show clock to the rate of the person, as far as the faults allow it."""
-        if self._streamer is None or self.phase not in (Phase.APPROACH, Phase.SHOW):
+        if self._streamer is None or self.phase not in (Phase.APPROACH, *PLAYING):
             return
         rate = self._faults.escalation.rate_max
         if self.phase is Phase.SHOW:
@@ -633,54 +659,3 @@ class Player:
         for name, data in self.safe_bytes().items():
             self.lines[name].send(data, now_ns)
         self._enter(Phase.DONE)
-
-
-STALE_NS: Final = NS_PER_S
-"""After so long settings are set and read again before anything moves. Chosen: longer than it takes
-with servos that all answer; a servo that restarts is silent for longer."""
-GAP_NS: Final = NS_PER_S // 4
-"""A shorter delay is no stall. Chosen: four times the delay at which a move counts as missed
-(`quantize.LATEST_ARRIVAL_S`), and longer than any wait on a busy host that was measured."""
-NAMED_MAX: Final = 10
-"""Number of delays that are reported. On a host that is too slow, every move would be one."""
-STALL_REASON: Final = (
-    "stopped (Ctrl-Z), asleep, or without processor time (lss-motion doctor, --real-time)"
-)
-
-
-def stall_text(gap_ns: int, show_s: float | None) -> str:
-    """Return the text of the fault after a stall in which moves were due."""
-    where = "" if show_s is None else f" at {show_s:.2f} s of the show"
-    return (
-        f"this program was held up for {s_from_ns(gap_ns):.2f} s{where}: {STALL_REASON}. The moves "
-        f"of that time were not sent"
-    )
-
-
-class StallDetector:
-    """Detects that the process was stopped or got no processor time when something was due."""
-
-    def __init__(self) -> None:
-        self._wakeup_ns: int | None = None
-        self._named = 0
-
-    def expect(self, wakeup_ns: int | None) -> None:
-        """Note when the player must be called at the latest."""
-        self._wakeup_ns = wakeup_ns
-
-    def gap_ns(self, now_ns: int) -> int:
-        """Return by how much the call at `now_ns` is too late; 0: not by `GAP_NS`."""
-        wakeup_ns, self._wakeup_ns = self._wakeup_ns, None
-        gap_ns = 0 if wakeup_ns is None else now_ns - wakeup_ns
-        return gap_ns if gap_ns >= GAP_NS else 0
-
-    def warning(self, gap_ns: int) -> str | None:
-        """Return the warning about a delay in which no move was due; None: there were enough."""
-        if self._named == NAMED_MAX:
-            return None
-        self._named += 1
-        last = ". Further delays are not reported" if self._named == NAMED_MAX else ""
-        return (
-            f"this program was held up for {s_from_ns(gap_ns):.2f} s: {STALL_REASON}. No move was "
-            f"due meanwhile{last}"
-        )

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.player import checks, handshake
 from lss_motion.player.approach import approach
-from lss_motion.player.cues import Agenda
+from lss_motion.player.cues import LED_KEYWORD, Agenda
 from lss_motion.player.handshake import SettingsDialogue
 from lss_motion.player.health import is_turned
 from lss_motion.player.preflight import Preflight
@@ -66,6 +66,8 @@ class Session:
         self.trackers = {name: QueryTracker(line) for name, line in self.lines.items()}
         self.agenda = Agenda(program, robot)
         self.agenda.begin_at(start_s)
+        self.led_joints = {name for cue in program.cues for name, _ in cue.led}
+        """Joints whose LED colour is changed, also by later programs."""
         self.has_feedback = has_feedback
         self._pace = pace
         self.is_forced = is_forced
@@ -124,7 +126,7 @@ class Session:
             self.lines,
             self.trackers,
             more=checks.sensor_queries(self.program, self.robot),
-            led_joints=self.agenda.led_joints,
+            led_joints=self.led_joints,
             reads_stored=not (self.has_feedback and is_simulated),
             show=self.program.on_fault,
         )
@@ -145,7 +147,7 @@ class Session:
 
     def restoring_dialogue(self) -> Dialogue:
         """Return the orders that give the servos back their settings."""
-        joints, led_joints = self.joints, self.agenda.led_joints
+        joints, led_joints = self.joints, self.led_joints
         return self.dialogue(handshake.restoring_orders(joints, self.original, led_joints))
 
     # ---- answers
@@ -168,6 +170,20 @@ class Session:
             has_feedback=self.has_feedback,
             is_forced=self.is_forced,
         )
+
+    def change(self, program: Program, start_s: float | None) -> None:
+        """Let `program`, which has the same joints, be the next one, from `start_s` on.
+
+        The colours that the program before has given to the lights are taken back.
+        """
+        lit = {name for cue in self.program.cues for name, _ in cue.led}
+        self.program, self.start_s = program, start_s
+        self.agenda = Agenda(program, self.robot)
+        self.agenda.begin_at(start_s)
+        for joint in self.joints:
+            colour = self.original.get((joint.bus, joint.servo_id, f"Q{LED_KEYWORD}"))
+            if joint.name in lit and isinstance(colour, int):
+                self.agenda.light(joint, colour)
 
     def turned(self, answers: Answers, now_ns: int) -> list[tuple[Joint, float, float]]:
         """Return joints that are more than half a turn from where they were sent, or stood.

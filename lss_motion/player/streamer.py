@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from itertools import dropwhile
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
@@ -174,6 +175,15 @@ ON_TIME_NS: Final = NS_PER_MS // 2
 """If a move leaves later than this, T is computed anew; a smaller delay would not change T."""
 
 
+def _early_us(by_address: Mapping[tuple[str, int], JointState], move: Move) -> int:
+    """Return by how much a move leaves earlier than the program says.
+
+    It is no method: a streamer that refers to itself would stay in memory, since the garbage
+    collector is off during a run, and an evening has thousands of them.
+    """
+    return us_from_s(by_address[move.bus, move.servo_id].early_s)
+
+
 class Streamer:
     """Streams one program from its first to its last move. Owns no port and no clock."""
 
@@ -214,6 +224,7 @@ class Streamer:
         self._periods = ramp_periods(self.joint_states.values(), lines)
         self.clock = ShowClock(start_ns, begin_s, 1.0)
         self.statistics = Statistics()
+        self._early_us = partial(_early_us, self._by_address)
         self._moves = DueMoves(program.unrolled(begin_s), self._early_us)
         self._tick_ns: int | None = None
         self._back_at_s: float | None = None
@@ -255,6 +266,10 @@ class Streamer:
         is_still = self.clock.target_rate == 0.0 and now_ns >= settled_ns
         is_over = now_ns >= settled_ns + ns_from_s(ARRIVAL_MAX_S)
         return is_still and (is_over or self._has_arrived(now_ns))
+
+    def is_resting(self, now_ns: int) -> bool:
+        """Return whether every servo should be at rest at its target, with no ramp under way."""
+        return self._tick_ns is None and self._has_arrived(now_ns)
 
     def _has_arrived(self, now_ns: int) -> bool:
         """Return whether every servo should be at rest at its target.
@@ -403,10 +418,6 @@ class Streamer:
         """Return when the next move is due; None: none is, at least before the next wait."""
         due = self._moves.first(US_PER_S * self.waiting.next_s)
         return None if due is None else self._instant_ns(s_from_us(due.at_us))
-
-    def _early_us(self, move: Move) -> int:
-        """Return by how much a move leaves earlier than the program says."""
-        return us_from_s(self._by_address[move.bus, move.servo_id].early_s)
 
     def _instant_ns(self, show_s: float) -> int:
         instant_ns = self.clock.instant_ns(show_s)

@@ -18,7 +18,7 @@ from lss_motion.protocol.constants import Led
 from lss_motion.remote import schema as m
 from lss_motion.remote.link import Kind
 from lss_motion.remote.telemetry import Telemetry
-from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US
+from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -275,8 +275,8 @@ def message_of(event: events.Event) -> m.Message | None:
             return m.Warned(text=event.text)
         case events.MarkPassed():
             return m.MarkPassed(label=event.label, at_s=event.show_s) if event.label else None
-        case events.CueReached():
-            return _cue_message(event)
+        case events.CueReached() | events.ShowBegan() | events.ShowOver():
+            return _show_message(event)
         case events.Noted():
             return None
         case events.Waited():
@@ -290,6 +290,23 @@ def message_of(event: events.Event) -> m.Message | None:
             )
         case events.Checked():
             return m.Checked(servos=len(event.servos), notes=event.notes)
+
+
+def _show_message(event: events.CueReached | events.ShowBegan | events.ShowOver) -> m.Message:
+    if isinstance(event, events.CueReached):
+        return _cue_message(event)
+    if isinstance(event, events.ShowBegan):
+        return m.ShowStarted(name=event.name, from_s=event.from_s, is_added=event.is_added)
+    one = event.summary
+    return m.ShowEnded(
+        name=one.name,
+        outcome=one.outcome,
+        is_added=one.is_added,
+        reached_s=one.reached_s,
+        lasted_s=s_from_ns(one.ended_ns - one.began_ns),
+        missed=one.missed,
+        error_max_deg=max((joint.error_max_deg for joint in one.joints.values()), default=0.0),
+    )
 
 
 def _cue_message(event: events.CueReached) -> m.CueReached:

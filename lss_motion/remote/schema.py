@@ -318,6 +318,28 @@ class Faulted(Message):
     step: str
 
 
+class ShowStarted(Message):
+    """A show of a stage has begun at `from_s`, beside another one if it `is_added`."""
+
+    event: Literal["show_started"] = "show_started"
+    name: str
+    from_s: float
+    is_added: bool
+
+
+class ShowEnded(Message):
+    """A show of a stage is over, or was left for another one at `reached_s`."""
+
+    event: Literal["show_ended"] = "show_ended"
+    name: str
+    outcome: Literal["finished", "left", "stopped", "fault"]
+    is_added: bool
+    reached_s: float
+    lasted_s: float
+    missed: int
+    error_max_deg: float
+
+
 class RateChanged(Message):
     """A client changed the rate, paused, or resumed."""
 
@@ -578,6 +600,8 @@ AnyEvent = Annotated[
     | CueReached
     | Waited
     | Faulted
+    | ShowStarted
+    | ShowEnded
     | RateChanged
     | Accepted
     | Refused

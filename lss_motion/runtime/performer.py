@@ -38,6 +38,7 @@ take a few seconds on a small computer."""
 READ_BYTES: Final = 65536
 PRINTED_MAX: Final = 10
 """So many of the last lines that functions and sounds have printed are reported."""
+LOST_MAX: Final = 1000
 NAMED_MAX: Final = 5
 """A warning names this many that were not done, and counts the others."""
 
@@ -50,8 +51,8 @@ class Performer:
 
     def __init__(self, cues: Collection[Cue]) -> None:
         functions = list({(cue.run, cue.folder) for cue in cues if cue.run})
-        self.lost: list[Cue] = []
-        """Cues that did not fit into the pipe."""
+        self.lost: deque[Cue] = deque(maxlen=LOST_MAX)
+        """The last cues that did not fit into the pipe."""
         self.started: deque[Cue] = deque()
         """Cues that were started and are not done, oldest first."""
         self.warnings: deque[str] = deque()

@@ -224,7 +224,7 @@ def make_report(
         timing=TimingReport(
             **statistics.timing(), late_histogram_us=tuple(statistics.histogram_us())
         ),
-        buses={name: _bus(player, name, run_s) for name in player.lines},
+        buses={name: bus_report(player, name, run_s) for name in player.lines},
         joints={
             name: _joint(track, program, errors_deg.get(name), played)
             for name, track in (show.joint_states if show is not None else {}).items()
@@ -251,7 +251,8 @@ def _played_s(player: Player) -> float:
     return min(reached_s, player.program.duration_s)
 
 
-def _bus(player: Player, name: str, run_s: float) -> BusReport:
+def bus_report(player: Player, name: str, run_s: float) -> BusReport:
+    """Return the use of one bus during a run."""
     line, tracker = player.lines[name], player.trackers[name]
     reader = player.show.scheduler if player.show is not None else None
     busy_s = line.sent_bytes * LINE_BITS_PER_BYTE / line.bus.baud_bps

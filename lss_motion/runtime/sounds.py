@@ -49,6 +49,8 @@ BACK_S: Final = 0.02
 ALIVE_NS: Final = NS_PER_S // 5
 COMMAND: Final = (sys.executable, "-P", "-m", "lss_motion.sound.process")
 """-P: no module of the current folder is imported in place of an installed one."""
+NAMES_MAX: Final = 200
+"""The files of so many last sounds are known by name if they fail."""
 END_S: Final = 1.5
 """The longest time that fading out may take."""
 READ_BYTES: Final = 65536
@@ -69,6 +71,7 @@ class SoundDesk:
         self._note_request: Callable[[str, int], None] = _forget
         self._tell: Callable[[Event], None] = _ignore
         self._program = program
+        self._changes, self._is_cleared = 0, False
         self._robot_offset_s = self._sent_offset_s = offset_s
         self._cues = program.unrolled_cues()
         self._next: tuple[float, Cue] | None = None
@@ -114,7 +117,11 @@ class SoundDesk:
     def _play(self, player: Player, now_ns: int) -> None:
         self._read(player, now_ns)
         show = player.show
-        if show is not None and player.show_ended_ns is None:
+        if player.changes != self._changes:
+            self._change(player)
+        if player.is_leaving and not self._is_cleared:
+            self._is_cleared = self._send(clear=1)
+        if show is not None and player.show_ended_ns is None and not player.is_leaving:
             if show.clock.leg is not self._leg:
                 self._leg = leg = show.clock.leg
                 values = (leg.start_ns, leg.start_s, leg.from_rate, leg.to_rate, leg.ramp_ns)
@@ -229,6 +236,18 @@ class SoundDesk:
 
     # ---- during the show
 
+    def _change(self, player: Player) -> None:
+        """Fade out what sounds; from now on, the sounds of another program are played."""
+        if not self._is_cleared and not self._send(clear=1):
+            return  # The pipe is full: on the next turn.
+        self._changes, self._is_cleared = player.changes, False
+        self._program, self._start_s = player.program, player.start_s or 0.0
+        self._shown_s, self._followed_s, self._leg = self._start_s, None, None
+        new = {cue.sound: cue for cue in self._program.cues if cue.sound not in self._lengths_s}
+        self._lengths_s |= self._checked({path: cue for path, cue in new.items() if path})
+        self._cues = self._program.unrolled_cues(self._start_s)
+        self._advance()
+
     def _go_back(self, show_s: float) -> None:
         """Hand over again what sounds from `show_s` on: the show was sent back there."""
         self._send(clear=1)
@@ -257,6 +276,7 @@ class SoundDesk:
         is_cut = style.lasts_s is not None or end_s > self._program.duration_s
         self._number += 1
         self._names[self._number] = cue.sound
+        self._names.pop(self._number - NAMES_MAX, None)
         return self._send(
             sound={
                 "number": self._number,

@@ -1,0 +1,124 @@
+"""One run of many shows on a robot: as `perform`, but it goes on until it is stopped.
+
+`perform_stage` opens the ports, checks the servos and sets them up once for all shows, plays what
+`Observer.controls` tell the player to (`StagePlayer.change_to`), and holds all joints meanwhile.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from lss_motion.connection import connect
+from lss_motion.errors import BusError, InputError, LssMotionError
+from lss_motion.files.source import known_names
+from lss_motion.perform import (
+    Noting,
+    Observer,
+    check_bus,
+    check_needs,
+    close,
+    drive,
+    effects,
+    make_clock,
+)
+from lss_motion.player.events import Warned
+from lss_motion.player.query_choice import BY_NEED
+from lss_motion.player.repertoire import Repertoire
+from lss_motion.player.stage_player import StagePlayer
+from lss_motion.runtime.real_time import real_time
+from lss_motion.runtime.report import run_seconds
+from lss_motion.runtime.sound_choice import SoundChoice
+from lss_motion.runtime.stage_report import Ledger
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from lss_motion.player.query_choice import Pace
+    from lss_motion.program.model import Program
+    from lss_motion.robot.model import Robot
+    from lss_motion.runtime.stage_report import StageReport
+    from lss_motion.sim.bus import SimBus
+    from lss_motion.sim.deviation import Deviation
+    from lss_motion.sim.faults import Fault
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageResult:
+    """A run that has ended: its report, its player, and the simulated buses if there are any."""
+
+    report: StageReport
+    player: StagePlayer = field(repr=False)
+    error: LssMotionError | None = None
+    """Why the run could not begin or go on."""
+    simulated: Mapping[str, SimBus] = field(default_factory=dict, repr=False)
+
+
+def perform_stage(  # noqa: PLR0913  (the options of one run)
+    programs: Mapping[str, Program],
+    robot: Robot,
+    *,
+    first: str | None = None,
+    is_virtual: bool = False,
+    seed: int = 0,
+    has_feedback: bool = True,
+    observer: Observer | None = None,
+    faults: Sequence[Fault] = (),
+    is_real_time: bool = False,
+    must_ask: bool = False,
+    may_run: bool = False,
+    is_forced: bool = False,
+    pace: Pace | None = BY_NEED,
+    sound: SoundChoice | None = None,
+    deviation: Deviation | None = None,
+    is_recorded: bool = True,
+) -> StageResult:
+    """Run a stage with these shows by name; return the result, also when it failed on the way.
+
+    It begins with `first`; None: the robot holds where it stands. The other options are those of
+    `perform` and of `connection.connect`. Raises `InputError` or `BusError` only before the first
+    byte.
+    """
+    repertoire = Repertoire(programs, robot)
+    if first is not None and first not in repertoire.programs:
+        raise InputError(f"no show {first!r}; {known_names(first, repertoire.programs)}")
+    opening = None if first is None else repertoire.programs[first]
+    needs = repertoire.needs(opening)
+    check_needs(needs, may_run=may_run or is_virtual, has_feedback=has_feedback)
+    worse: dict[str, Any] = {"faults": faults, "deviation": deviation}
+    is_simulated = check_bus(needs, robot, is_virtual=is_virtual, **worse)
+    clock = make_clock(faults, is_virtual=is_virtual, seed=seed)
+    connection = connect(
+        robot.buses, robot=robot, clock=clock, seed=seed, is_recorded=is_recorded, **worse
+    )
+    started_ns, error, observer = clock.now_ns(), None, observer or Observer()
+    options = {"has_feedback": has_feedback, "is_forced": is_forced, "must_ask": must_ask}
+    player = StagePlayer(repertoire, robot, first=opening, pace=pace, **options)
+    ledger, desk = Ledger(), None
+    note = Noting(observer.on_event, ledger.note)
+    try:
+        with (
+            real_time(is_wanted=is_real_time) as refused,
+            effects(player, note, sound or SoundChoice(), is_virtual=is_virtual) as performers,
+        ):
+            on_event, desk = performers
+            for text in refused:
+                on_event(Warned(text))
+            drive(player, connection, observer, on_event, desk, started_ns=started_ns)
+    except BusError as lost:
+        error = lost
+    finally:
+        error = close(connection, error)
+    player.end_show(clock.now_ns())
+    while (event := player.next_event()) is not None:
+        note(event)
+    why = player.error or error
+    report = ledger.report(
+        player,
+        run_s=run_seconds(started_ns, clock.now_ns()),
+        is_simulated=is_simulated,
+        outcome="lost" if isinstance(why, BusError) else player.outcome or "stopped",
+        sound=None if desk is None else desk.report,
+    )
+    simulated = connection.simulated if is_simulated else {}
+    return StageResult(report=report, player=player, error=why, simulated=simulated)
