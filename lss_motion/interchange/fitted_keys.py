@@ -10,6 +10,9 @@ of every span in which a joint does not fit, until all do. Then each joint on it
 that it does not need (`without_spare_keys`), and its other keys move to other instants where that
 lets more of them be removed (`moved_keys`).
 
+A spline that has limits to keep is pulled back where its acceleration exceeds them, in the same
+equations: the acceleration at a key depends on three coefficients.
+
 A curve depends on parameters: the coefficients of B-splines for `spline`, the angles of the keys
 for `smooth` and `linear`. The value at a sample depends on four of them, those of the keys around
 it, so a removed or moved key changes a few parameters, and the curve beyond `REACH` keys stays as
@@ -19,6 +22,7 @@ it is. Keys that are twice as far apart are tried together, and accepted or refu
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -71,6 +75,15 @@ The power is between least squares and the largest error. Chosen."""
 RIDGE: Final = 1e-9
 """Pull of a parameter to its old value, as a part of the largest sum of squares: it decides where
 spans have fewer samples than parameters."""
+
+PULL: Final = 1.0
+PULL_GROWTH: Final = 4.0
+"""Weight of an acceleration beyond its limit, as a move of its coefficient in units of the samples
+around it, and its growth in each solution in which it still is. Measured: with a first weight of 1,
+a spline at its limits has as many keys as one without limits."""
+
+BEND_RATIO: Final = 0.995
+"""A pulled acceleration aims at this share of its limit, which it meets after a few solutions."""
 
 WEIGHT_LEAST: Final = 0.2
 """Least factor of a weight in one round, so that no sample is forgotten."""
@@ -337,6 +350,10 @@ class _Parameters(ABC):
     def rows(self, values: FloatArray) -> FloatArray:
         """Return how samples change with their four parameters, (4, samples)."""
 
+    @abstractmethod
+    def restrain(self, values: FloatArray, band: FloatArray, right: FloatArray) -> None:
+        """Add to the equations of `step` what leads the curve back within its limits."""
+
     def step(self, values: FloatArray, weights: FloatArray, free: BoolArray) -> FloatArray:
         """Return the change of the `free` parameters that makes the weighted errors least."""
         from scipy.linalg import solveh_banded
@@ -350,6 +367,7 @@ class _Parameters(ABC):
             for other in range(one, 4):
                 sums = np.add.reduceat(scaled * rows[other], starts)
                 band[other - one, one : one + count] += sums
+        self.restrain(values, band, right)
         band[0] += RIDGE * band[0].max()
         right[~free] = 0.0
         for apart in range(1, 4):
@@ -367,6 +385,37 @@ class _Splines(_Parameters):
         self._counts = _counts(keys)
         self._firsts = np.repeat(np.arange(len(keys) - 1), self._counts)
         self._rows = _bsplines(recording.times_s, padded_s, self._counts)
+        self._padded_s = padded_s
+        self._pulls = np.zeros(len(keys))
+        """Weights of the accelerations at the keys: 0 until one is beyond its limit."""
+
+    @cached_property
+    def _bends(self) -> tuple[FloatArray, FloatArray]:
+        """How the acceleration at each key follows from three coefficients, and its limit."""
+        padded_s, count = self._padded_s, len(self.keys)
+        over_three_s = padded_s[4 : count + 5] - padded_s[1 : count + 2]
+        over_two_s = padded_s[4 : count + 4] - padded_s[2 : count + 2]
+        first, last = 6.0 / over_two_s / over_three_s[:-1], 6.0 / over_two_s / over_three_s[1:]
+        most = self.recording.largest_per_span(self.recording.accel_max_deg_s2, self.keys)
+        limit = BEND_RATIO * np.minimum(np.append(most, most[-1]), np.append(most[0], most))
+        return np.stack([first, -first - last, last]), limit
+
+    def restrain(self, values: FloatArray, band: FloatArray, right: FloatArray) -> None:
+        if not self.recording.is_limited:
+            return
+        rows, limit = self._bends
+        count = len(self.keys)
+        bend = sum(rows[one] * values[one : one + count] for one in range(3))
+        beyond = bend - np.clip(bend, -limit, limit)
+        if not (beyond.any() or self._pulls.any()):
+            return
+        first = PULL * np.append(self._counts, self._counts[-1]) / rows[1] ** 2
+        grown = np.maximum(first, PULL_GROWTH * self._pulls)
+        self._pulls = np.where(beyond == 0.0, self._pulls, grown)
+        for one in range(3):
+            right[one : one + count] -= self._pulls * rows[one] * beyond
+            for other in range(one, 3):
+                band[other - one, one : one + count] += self._pulls * rows[one] * rows[other]
 
     def present(self) -> FloatArray:
         from scipy.interpolate import make_interp_spline
@@ -411,6 +460,9 @@ class _Shapes(_Parameters):
         times_s = self.recording.times_s
         spans = Spans.between(self.recording.ease, times_s[self.keys], values[1:-1])
         return spans.at(times_s, _counts(self.keys))
+
+    def restrain(self, values: FloatArray, band: FloatArray, right: FloatArray) -> None:
+        """Add nothing: only a spline keeps limits."""
 
     def rows(self, values: FloatArray) -> FloatArray:
         knots_s, counts = self.recording.times_s[self.keys], _counts(self.keys)

@@ -117,12 +117,18 @@ class Curve:
             self._raise_error_over_limits(keys, spans, error_deg)
         return error_deg
 
+    @staticmethod
+    def largest_per_span(per_sample: FloatArray, keys: IntArray) -> FloatArray:
+        """Return the largest value of each span, with both of its keys."""
+        inside = np.maximum.reduceat(per_sample, keys[:-1])
+        return np.maximum(inside, per_sample[keys[1:]])
+
     def _raise_error_over_limits(self, keys: IntArray, spans: Spans, error_deg: FloatArray) -> None:
         """Raise `error_deg` above the tolerance in spans over a limit or out of range."""
         speed, accel = spans.peaks()
         excess = np.maximum(
-            speed / _largest_per_span(self.speed_max_deg_s, keys),
-            accel / _largest_per_span(self.accel_max_deg_s2, keys),
+            speed / self.largest_per_span(self.speed_max_deg_s, keys),
+            accel / self.largest_per_span(self.accel_max_deg_s2, keys),
         )
         low_deg, high_deg = spans.extremes()
         is_out = (low_deg < self.range_deg[0] - OUT_DEG) | (high_deg > self.range_deg[1] + OUT_DEG)
@@ -131,12 +137,6 @@ class Curve:
             off = 2.0 * np.abs(np.arange(first, last) - 0.5 * (first + last)) / (last - first)
             raised_deg = self.tolerance_deg * (1.0 + float(excess[span]) * (1.5 - off))
             np.maximum(error_deg[first:last], raised_deg, out=error_deg[first:last])
-
-
-def _largest_per_span(per_sample: FloatArray, keys: IntArray) -> FloatArray:
-    """Return the largest value of each span, with both of its keys."""
-    inside = np.maximum.reduceat(per_sample, keys[:-1])
-    return np.maximum(inside, per_sample[keys[1:]])
 
 
 def curve_of(
