@@ -121,10 +121,11 @@ class _Project:
             frame, _, shape = self._text().partition(" ")
             at = self._lines.whole(frame, self._number, FRAME_MAX)
             found.append((at, shape.strip(), self._number))
+        # A word that the program did not know has no phoneme, and so one end more than spans.
         ends = [*(at for at, _, _ in found[1:]), end + 1]
         return [
             Span(at / fps, max(at, after) / fps, shape, number)
-            for (at, shape, number), after in zip(found, ends, strict=True)
+            for (at, shape, number), after in zip(found, ends, strict=False)
         ]
 
     def _text(self) -> str:

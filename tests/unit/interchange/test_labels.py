@@ -191,6 +191,12 @@ def test_a_long_and_a_short_textgrid_say_the_same_in_utf_8_and_16():
     assert (key.at_s, key.deg, key.label, key.is_anchor) == (0.5, {"jaw": 25.0}, "gape", True)
 
 
+def test_a_word_that_papagayo_did_not_know_has_no_phoneme():
+    text = "lipsync version 1\nv.wav\n24\n48\n1\nA\nhi\n1\nhi\n2\n9\n2\nxq 2 5 0\nhi 6 9 1\n6 AI\n"
+    (track,) = tracks("papagayo", text)
+    assert [shape for _, _, shape in spans(track)] == ["AI"]
+
+
 def test_each_voice_of_a_papagayo_project_is_a_track_with_rests_between_its_words():
     owl, bear = tracks("papagayo", PROJECT)
     assert (owl.name, bear.name, owl.sound) == ("Owl", "Bear", "voice.wav")
