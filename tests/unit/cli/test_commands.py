@@ -141,6 +141,17 @@ def test_doctor_and_scan_as_json(capsys):
     assert bus["problems"] == []
 
 
+def test_doctor_names_the_limits_with_which_a_servo_would_restart(capsys):
+    main(["doctor", "--json", ROBOT])
+    findings = json.loads(capsys.readouterr().out)["findings"]
+    stored = [finding for finding in findings if finding["subject"] == "stored limits"]
+    assert [finding["text"].split()[0] for finding in stored] == [
+        "base", "shoulder", "elbow", "wrist", "gripper"
+    ]  # fmt: skip
+    assert "SD 360, the joint allows 180 deg/s" in stored[0]["text"]
+    assert stored[0]["fix"] == f"lss-motion configure {ROBOT} --limits"
+
+
 def test_a_report_as_json_is_the_report(capsys, tmp_path):
     path = tmp_path / "report.json"
     assert play([WAVE, "--virtual", "--quiet", "--loop", "1", "--report", str(path)]) == 0
