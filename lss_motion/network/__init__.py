@@ -1,0 +1,22 @@
+"""One show on many computers.
+
+Each computer (figure) has its own robot, its own player and its own plan; nothing that moves a
+servo is sent over the network. One of them, the conductor, plans for all and says when: *legs*,
+each an instant of its clock at least a second ahead, a show time and a rate. Every figure knows
+that clock to within a bound, and its player follows the legs (`player.following`).
+
+| file        | what it is                                                  | used by |
+|-------------|-------------------------------------------------------------|--------------------|
+| `clocks`    | the clock of another computer, and how well it is known     | `figure`, `host`   |
+| `messages`  | what conductor and figures send each other                  | all below          |
+| `conductor` | state of the conductor: readiness, legs, lost figures       | `figure`, `host`   |
+| `figure`    | state of a figure: ready, in step, alone, stopped           | `host`             |
+| `plans`     | plans for all, split, stored and verified by hash           | `host`, `peer`     |
+| `settings`  | addresses, keys and access; the configuration of zenoh      | `peer`             |
+| `keys`      | a small authority and a certificate for each figure         | `cli`              |
+| `peer`      | the session with the others: the only importer of zenoh     | `host`             |
+| `host`      | one computer: takes, decides, acts                          | `cli`              |
+
+`clocks`, `messages`, `conductor` and `figure` have no network, clock or port, and tests play
+hundreds of computers in virtual time with them (`tools/benches/stage_model.py`).
+"""

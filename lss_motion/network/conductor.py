@@ -1,0 +1,354 @@
+"""The conductor: one cast, one run, one leg at a time, for all figures. No network, clock or port.
+
+    load(cast)          the figures fetch, verify and synchronise: `ready`
+    arm(now)            their robots move to the start: `armed`
+    start(now)          the first leg, at least `LEAD_NS` ahead
+    pause, resume, rate, seek, trim
+    stop()              brake, hold, end; again and again is the same as once
+
+`tick(now)` looks after the figures and returns what a person should know. `beat` is what all of
+them must know; it is sent `BEAT_NS` apart and whenever it changes.
+
+A figure that is lost, out or faulted while a show plays leaves the others to `others`: they go on,
+play slowly, or hold, until it is back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, Literal
+
+from lss_motion.errors import InputError
+from lss_motion.network.clocks import REFUSE_NS, WARN_NS
+from lss_motion.network.messages import PROTOCOL, Beat, NetworkLeg, Status, hash_of, packed
+from lss_motion.units import NS_PER_MS, NS_PER_S
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+    from lss_motion.network.messages import Cast, Wanted
+
+Others = Literal["go_on", "slow", "hold"]
+
+BEAT_NS: Final = 100 * NS_PER_MS
+LEAD_NS: Final = NS_PER_S
+"""A leg takes effect this long after it was made. A message arrives in 80 ms even on a bad Wi-Fi,
+and ten beats repeat it meanwhile."""
+LOST_NS: Final = NS_PER_S
+"""Without a word for so long, a figure is lost."""
+SLOW_RATIO: Final = 0.5
+"""Chosen: slow enough to be safe beside a figure that stands, and the show is still one."""
+PLAYABLE: Final = frozenset({"armed", "playing"})
+
+
+@dataclass
+class FigureSeat:
+    """What the conductor knows of one figure."""
+
+    name: str
+    status: Status | None = None
+    heard_ns: int | None = None
+    is_alive: bool = False
+    """Whether its token is there (`peer`)."""
+    problem: str = ""
+    """Why it does not take part; empty: it does."""
+
+    def is_lost(self, now_ns: int) -> bool:
+        """Return whether nothing has arrived from it for `LOST_NS`."""
+        return self.heard_ns is None or now_ns - self.heard_ns > LOST_NS
+
+
+@dataclass
+class Conductor:
+    """The state of one conductor. `epoch` must be higher than any that a figure has followed."""
+
+    name: str
+    figures: Collection[str]
+    epoch: int
+    instance: str
+    others: Others = "hold"
+    freewheel_s: float = 2.0
+    seats: dict[str, FigureSeat] = field(init=False)
+    wanted: Wanted = field(default="nothing", init=False)
+    cast: Cast | None = field(default=None, init=False)
+    run: int = field(default=0, init=False)
+    leg: NetworkLeg | None = field(default=None, init=False)
+    superseded: str = field(default="", init=False)
+    """Why another conductor has taken over; empty: none has."""
+
+    def __post_init__(self) -> None:
+        self.seats = {name: FigureSeat(name) for name in self.figures}
+        self._count = 0
+        self._cast_hash: str | None = None
+        self._rate = 1.0
+        self._is_paused = False
+        self._limit = 1.0
+        """What `others` allows at present."""
+        self._notes: list[str] = []
+
+    # ---- what is sent
+
+    def beat(self) -> Beat:
+        """Return the next beat."""
+        self._count += 1
+        return Beat(
+            conductor=self.name,
+            epoch=self.epoch,
+            instance=self.instance,
+            count=self._count,
+            wanted=self.wanted,
+            run=self.run,
+            cast=self._cast_hash,
+            leg=self.leg,
+            freewheel_s=self.freewheel_s,
+        )
+
+    # ---- what arrives
+
+    def take_status(self, status: Status, now_ns: int) -> None:
+        """Take the state of a figure."""
+        seat = self.seats.get(status.figure)
+        if seat is None:
+            return
+        if status.epoch >= self.epoch and status.follows not in ("", self.instance):
+            self._meet(status)
+        before = seat.status
+        if before is not None and before.instance != status.instance:
+            self._notes.append(f"figure {seat.name} has started again")
+        if status.text and (before is None or before.text != status.text):
+            self._notes.append(f"figure {seat.name}: {status.text}")
+        seat.status, seat.heard_ns = status, now_ns
+
+    def _meet(self, status: Status) -> None:
+        """Begin a later epoch than that of the conductor before this one, or give way to it."""
+        if self.wanted != "armed":
+            self.epoch = status.epoch + 1
+        elif status.epoch > self.epoch and not self.superseded:
+            self.superseded = (
+                f"figure {status.figure} follows a conductor that began later (epoch "
+                f"{status.epoch}, this one has {self.epoch}): this one conducts no more; end it, "
+                f"and start it again if it is the right one"
+            )
+            self._notes.append(self.superseded)
+
+    def take_alive(self, name: str, *, is_alive: bool) -> None:
+        """Note that the token of a figure has come, or gone: its process or its line is lost."""
+        if (seat := self.seats.get(name)) is not None and seat.is_alive != is_alive:
+            seat.is_alive = is_alive
+            if not is_alive:
+                seat.heard_ns = None
+
+    def take_beat(self, beat: Beat) -> None:
+        """Take the beat of another conductor of this stage: one of the two is wrong."""
+        if beat.instance == self.instance or self.superseded:
+            return
+        if (beat.epoch, beat.instance) > (self.epoch, self.instance):
+            self.superseded = (
+                f"another conductor ({beat.conductor}, epoch {beat.epoch}) conducts this stage: "
+                f"this one (epoch {self.epoch}) conducts no more"
+            )
+            self._notes.append(self.superseded)
+
+    # ---- what a person or a cue wants
+
+    def load(self, cast: Cast) -> None:
+        """Let all figures make this cast ready; what plays is stopped first."""
+        self._require_sole()
+        if self.wanted == "armed":
+            raise InputError("a show plays or waits for its start: stop it first")
+        self.cast, self._cast_hash = cast, hash_of(packed(cast))
+        self.wanted, self.leg = "ready", None
+
+    def arm(self, now_ns: int) -> None:
+        """Let the robots move to the start; raise `InputError` that names figures not ready."""
+        self._require_sole()
+        if self.cast is None:
+            raise InputError("no show is loaded")
+        if self.wanted == "armed":
+            return
+        if problems := self.problems(now_ns):
+            raise InputError("not all figures are ready: " + "; ".join(problems))
+        self.run += 1
+        self.wanted, self.leg = "armed", None
+        self._rate, self._limit, self._is_paused = 1.0, 1.0, False
+
+    def start(self, now_ns: int, lead_ns: int = LEAD_NS) -> NetworkLeg:
+        """Make the first leg; raise `InputError` that names whose robot is not at the start."""
+        self._require_sole()
+        if self.leg is not None:
+            return self.leg
+        waiting = [seat.name for seat in self._cast_seats() if not self._is_armed(seat, now_ns)]
+        if self.wanted != "armed" or waiting:
+            names = ", ".join(waiting) or "none was asked"
+            raise InputError(f"not all figures stand at the start: {names}")
+        self.leg = NetworkLeg(
+            number=1, instant_ns=now_ns + max(lead_ns, LEAD_NS), show_s=0.0, rate=1.0
+        )
+        return self.leg
+
+    def pause(self, now_ns: int) -> None:
+        """Let all stand, from an instant `LEAD_NS` ahead."""
+        self._is_paused = True
+        self._rerate(now_ns)
+
+    def resume(self, now_ns: int) -> None:
+        """Go on after `pause`."""
+        self._is_paused = False
+        self._rerate(now_ns)
+
+    def set_rate(self, rate: float, now_ns: int) -> None:
+        """Play at this share of the speed of the plans."""
+        self._rate = min(max(rate, 0.05), 1.0)
+        self._rerate(now_ns)
+
+    def seek(self, show_s: float, now_ns: int) -> None:
+        """Go on from another show time: figures brake, move there and rejoin."""
+        leg = self._require_leg()
+        self.leg = NetworkLeg(
+            number=leg.number + 1,
+            instant_ns=now_ns + LEAD_NS,
+            show_s=max(0.0, show_s),
+            rate=self._wanted_rate,
+        )
+
+    def trim(self, instant_ns: int, show_s: float, rate: float, now_ns: int) -> None:
+        """Follow a leader: at `instant_ns` the show was at `show_s`, at this rate."""
+        leg = self._require_leg()
+        at_ns = now_ns + LEAD_NS
+        if leg.instant_ns > now_ns:
+            return  # One leg at a time: figures may not have got the last one yet.
+        at_s = show_s + rate * (at_ns - instant_ns) / NS_PER_S
+        self.leg = NetworkLeg(
+            number=leg.number + 1, instant_ns=at_ns, show_s=at_s, rate=min(max(rate, 0.0), 1.1)
+        )
+
+    def stop(self) -> None:
+        """Stop all figures. Best effort: this is no emergency stop."""
+        if self.wanted == "armed":
+            self.wanted = "stopped"
+
+    def end(self) -> None:
+        """Note that the show has ended: figures rest, and keep the cast ready."""
+        if self.wanted == "armed":
+            self.wanted, self.leg = "ready", None
+
+    # ---- looking after the figures
+
+    def show_s(self, now_ns: int) -> float | None:
+        """Return the show time; None while none plays. Before its start it is negative."""
+        return None if self.leg is None else self.leg.at_s(now_ns)
+
+    def tick(self, now_ns: int) -> list[str]:
+        """Do what `others` requires; return what a person should know since the last call."""
+        for seat in self._cast_seats():
+            problem = self._problem(seat, now_ns)
+            if problem != seat.problem:
+                self._notes.append(
+                    f"figure {seat.name}: {problem}"
+                    if problem
+                    else f"figure {seat.name} takes part again"
+                )
+                seat.problem = problem
+        self._look_after(now_ns)
+        notes, self._notes = self._notes, []
+        return notes
+
+    def problems(self, now_ns: int) -> list[str]:
+        """Return why the show cannot start, a sentence for each figure; empty: it can."""
+        found = []
+        for seat in self._cast_seats():
+            if problem := self._problem(seat, now_ns):
+                found.append(f"{seat.name}: {problem}")
+            elif seat.status is not None and seat.status.state != "ready":
+                found.append(f"{seat.name} is {seat.status.state}")
+        return found
+
+    def warnings(self) -> list[str]:
+        """Return what is no reason to refuse a start, but should be known."""
+        return [
+            f"{seat.name}: its clock is known to {seat.status.bound_ns / NS_PER_MS:.1f} ms only"
+            for seat in self._cast_seats()
+            if seat.status is not None
+            and seat.status.bound_ns is not None
+            and seat.status.bound_ns > WARN_NS
+        ]
+
+    def is_armed(self, now_ns: int) -> bool:
+        """Return whether all robots stand at the start."""
+        return self.wanted == "armed" and all(
+            self._is_armed(seat, now_ns) for seat in self._cast_seats()
+        )
+
+    def _cast_seats(self) -> Sequence[FigureSeat]:
+        parts = self.seats if self.cast is None else self.cast.parts
+        return [seat for name, seat in self.seats.items() if name in parts]
+
+    def _is_armed(self, seat: FigureSeat, now_ns: int) -> bool:
+        status = seat.status
+        return (
+            status is not None
+            and not self._problem(seat, now_ns)
+            and status.run == self.run
+            and status.state in PLAYABLE
+        )
+
+    def _problem(self, seat: FigureSeat, now_ns: int) -> str:
+        """Return why a figure does not take part; empty: it does, or will."""
+        status = seat.status
+        if status is None:
+            return "it has not connected: is it on, are address and keys right?"
+        if seat.is_lost(now_ns):
+            return "lost: nothing arrives from it"
+        if status.protocol != PROTOCOL:
+            return f"it has protocol {status.protocol}, the conductor {PROTOCOL}: same version?"
+        if status.state == "out":
+            return f"out: {status.text}"
+        if status.bound_ns is not None and status.bound_ns > REFUSE_NS and self.leg is None:
+            return (
+                f"its clock is known to {status.bound_ns / NS_PER_MS:.0f} ms only, allowed are "
+                f"{REFUSE_NS / NS_PER_MS:.0f}: the network is too slow or too busy"
+            )
+        is_mine = status.run == self.run and status.epoch == self.epoch
+        if self.leg is not None and is_mine and status.state in ("stopped", "holding"):
+            return f"it does not play on: {status.text or status.state}"
+        return ""
+
+    def _look_after(self, now_ns: int) -> None:
+        """Go on, slow down or hold, as `others` says, while figures do not take part."""
+        if self.leg is None or self.wanted != "armed" or self.leg.instant_ns > now_ns:
+            return
+        are_all_there = not any(seat.problem for seat in self._cast_seats()) and all(
+            self._is_armed(seat, now_ns) for seat in self._cast_seats()
+        )
+        limits: dict[Others, float] = {"go_on": 1.0, "slow": SLOW_RATIO, "hold": 0.0}
+        limit = 1.0 if are_all_there else limits[self.others]
+        if limit == self._limit:
+            return
+        self._limit = limit
+        text = {1.0: "all figures play: the show goes on", 0.0: "the others hold"}
+        self._notes.append(text.get(limit, f"the others go on at {limit:g} of their speed"))
+        self._rerate(now_ns)
+
+    @property
+    def _wanted_rate(self) -> float:
+        return 0.0 if self._is_paused else min(self._rate, self._limit)
+
+    def _rerate(self, now_ns: int) -> None:
+        """Make a leg with the rate that is wanted, where the present one will have come to."""
+        leg = self.leg
+        if leg is None or leg.rate == self._wanted_rate:
+            return
+        at_ns = max(now_ns + LEAD_NS, leg.instant_ns)
+        self.leg = NetworkLeg(
+            number=leg.number + 1, instant_ns=at_ns, show_s=leg.at_s(at_ns), rate=self._wanted_rate
+        )
+
+    def _require_sole(self) -> None:
+        if self.superseded:
+            raise InputError(self.superseded)
+
+    def _require_leg(self) -> NetworkLeg:
+        self._require_sole()
+        if self.leg is None or self.wanted != "armed":
+            raise InputError("no show plays")
+        return self.leg

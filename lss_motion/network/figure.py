@@ -1,0 +1,434 @@
+"""A figure: follows its conductor, and is safe without it. No network, player, clock or port.
+
+It takes what arrives (beats, content, the clock of the conductor, the state of its player), and
+`tick` returns what must be done (`Action`). The states are those of `messages.FigureState`:
+
+    alone ─ idle ─ fetching ─ verifying ─ synchronising ─ ready ─ arming ─ armed ─ playing ─ ended
+                                                                              │  ▲
+                      conductor lost: freewheeling, then holding ◄────────────┘  │ is back: rejoins
+                      stopped by the conductor, or by a fault: stopped; robot differs: out
+
+One conductor is followed at a time. Another one is refused while the first is there, and for ever
+if its epoch is lower than that of the last one: then it is an old process that came back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, Literal
+
+from lss_motion.errors import InputError
+from lss_motion.network.conductor import LOST_NS
+from lss_motion.network.messages import CAST_MAX_BYTES, PROTOCOL, Cast, Status, hash_of, parse
+from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s
+
+if TYPE_CHECKING:
+    from lss_motion.network.clocks import ClockEstimate
+    from lss_motion.network.messages import Beat, FigureState, NetworkLeg, Part, StopAll
+
+FETCH_AGAIN_NS: Final = NS_PER_S
+FOLLOW_NS: Final = 200 * NS_PER_MS
+"""The player is told where the show is this often. Chosen: at 200 ppm it is 40 us off by then."""
+AHEAD_NS: Final = 50 * NS_PER_MS
+"""A leg that is not the first is passed on this long before its instant, since the player follows
+one leg at a time."""
+STOP_AGAIN_NS: Final = NS_PER_S // 2
+ARM_S: Final = 6.0
+"""Who comes back joins the show this much later: the player is started (2 s), checks its servos and
+moves to where the show will be. If that takes longer, the player rejoins later by itself."""
+
+
+PlayerPhase = Literal["none", "starting", "standing", "playing", "stopping", "ended", "failed"]
+"""`standing`: the robot is at the start and waits for a leg. `ended`: by itself, at its end."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlayerView:
+    """What is known of the player of this figure."""
+
+    phase: PlayerPhase = "none"
+    show_s: float | None = None
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Fetch:
+    """Ask for the content with this hash, check it, and give it to `take_content`."""
+
+    hash: str
+
+
+@dataclass(frozen=True, slots=True)
+class Verify:
+    """Verify the plan against the robot of this figure, and call `take_verified`."""
+
+    plan: str
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """Start the player with this plan: it moves to `start_s` of the show and waits there."""
+
+    plan: str
+    start_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Follow:
+    """At the own instant `instant_ns` the show is at `show_s`, and goes on at `rate`."""
+
+    instant_ns: int
+    show_s: float
+    rate: float
+
+
+@dataclass(frozen=True, slots=True)
+class StopPlayer:
+    """Brake within the limits, hold, and end."""
+
+    why: str
+
+
+Action = Fetch | Verify | Arm | Follow | StopPlayer
+
+
+@dataclass
+class Figure:
+    """The state of one figure. `robot` is the hash of its own robot (`plans.robot_hash`)."""
+
+    name: str
+    conductor: str
+    robot: str
+    instance: str
+    version: str
+    state: FigureState = field(default="alone", init=False)
+    text: str = field(default="", init=False)
+    epoch: int = field(default=0, init=False)
+    player: PlayerView = field(default_factory=PlayerView, init=False)
+    beat: Beat | None = field(default=None, init=False)
+    """The last one of the conductor that is followed."""
+    clock: ClockEstimate | None = field(default=None, init=False)
+    """The last one that is fit to follow legs by."""
+    offered: ClockEstimate | None = field(default=None, init=False)
+    round_trip_ns: int | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        self._heard_ns: int | None = None
+        self._cast: Cast | None = None
+        self._cast_hash: str | None = None
+        self._verified: str | None = None
+        self._asked_verify: str | None = None
+        self._contents: set[str] = set()
+        self._fetched_ns: dict[str, int] = {}
+        self._armed_run: tuple[int, int] | None = None
+        self._stopped_ns: int | None = None
+        self._is_stopped = False
+        self._is_held = False
+        self._legs: list[NetworkLeg] = []
+        self._followed: tuple[int, int] | None = None
+        self._notes: list[str] = []
+        self._refused: set[str] = set()
+
+    # ---- what arrives
+
+    def take_beat(self, beat: Beat, now_ns: int) -> None:
+        """Follow this conductor, or refuse it."""
+        if why := self._refusal(beat, now_ns):
+            self._note_once(why)
+            return
+        bound = self.beat
+        is_new = bound is None or (bound.epoch, bound.instance) != (beat.epoch, beat.instance)
+        if not is_new and bound is not None and beat.count <= bound.count:
+            return  # It was overtaken by a newer one.
+        if is_new:
+            self._rebind(beat)
+        elif self._heard_ns is not None and now_ns - self._heard_ns > LOST_NS:
+            self._notes.append("the conductor is back")
+        self.beat, self._heard_ns = beat, now_ns
+        if bound is None or is_new or beat.run != bound.run or beat.cast != bound.cast:
+            self._is_stopped = self._is_held = False
+            self._legs.clear()
+        if beat.leg is None:
+            self._legs.clear()
+        elif not self._legs or beat.leg.number > self._legs[-1].number:
+            self._legs.append(beat.leg)
+
+    def take_stop(self, stop: StopAll) -> None:
+        """Stop this run; the same message again changes nothing."""
+        beat = self.beat
+        if beat is None or (stop.epoch, stop.instance) != (beat.epoch, beat.instance):
+            return
+        if stop.run == beat.run:
+            self._is_stopped = True
+
+    def take_lost(self) -> None:
+        """Note that the token of the conductor is gone: its process or the line is lost."""
+        self._heard_ns = None
+
+    def take_content(self, content: bytes) -> None:
+        """Take content whose hash was checked: a cast, or a plan that is stored."""
+        name = hash_of(content)
+        self._contents.add(name)
+        if self.beat is not None and name == self.beat.cast:
+            try:
+                self._cast, self._cast_hash = parse(Cast, content, CAST_MAX_BYTES), name
+            except InputError as error:
+                self._note_once(f"the cast cannot be read: {error}")
+
+    def take_verified(self, plan: str, problem: str) -> None:
+        """Take the result of a `Verify`; `problem` is empty where the plan is good."""
+        if problem:
+            self._refused.add(plan)
+            self._notes.append(f"the plan does not fit this robot: {problem}")
+            self.text = f"the plan does not fit this robot: {problem}"
+        else:
+            self._verified = plan
+
+    def take_clock(self, estimate: ClockEstimate | None, round_trip_ns: int | None) -> None:
+        """Take what is known of the clock of the conductor at present."""
+        self.offered, self.round_trip_ns = estimate, round_trip_ns
+        if estimate is not None and estimate.verdict != "unfit":
+            self.clock = estimate
+
+    def take_player(self, view: PlayerView) -> None:
+        """Take the state of the own player."""
+        if view.phase == "failed" and self.player.phase != "failed":
+            self._notes.append(f"the player ended: {view.text}")
+        self.player = view
+
+    # ---- what must be done
+
+    def tick(self, now_ns: int) -> list[Action]:
+        """Return what must be done now."""
+        actions: list[Action] = []
+        before = self.state
+        self.state = self._step(now_ns, actions)
+        if self.state != before:
+            about = f": {self.text}" if self.text and self.state in ("out", "stopped") else ""
+            self._notes.append(f"{before} -> {self.state}{about}")
+        return actions
+
+    def take_notes(self) -> list[str]:
+        """Return what happened since the last call, for the log."""
+        notes, self._notes = self._notes, []
+        return notes
+
+    def status(self, now_ns: int) -> Status:
+        """Return what the conductor is told."""
+        show_s = off_s = None
+        if self.player.phase in ("standing", "playing"):
+            show_s = self.player.show_s
+        if show_s is not None and self.clock is not None and self.player.phase == "playing":
+            leg = self._leg_at(self.clock.other_ns(now_ns))
+            off_s = None if leg is None else show_s - leg.at_s(self.clock.other_ns(now_ns))
+        estimate = self.offered
+        return Status(
+            protocol=PROTOCOL,
+            figure=self.name,
+            instance=self.instance,
+            version=self.version,
+            state=self.state,
+            epoch=self.epoch,
+            follows="" if self.beat is None else self.beat.instance,
+            run=0 if self.beat is None else self.beat.run,
+            cast=self._cast_hash,
+            leg=self._followed[0] if self._followed else 0,
+            robot=self.robot,
+            offset_ns=None if estimate is None else estimate.offset_ns,
+            bound_ns=None if estimate is None else estimate.bound_ns,
+            round_trip_ns=self.round_trip_ns,
+            show_s=show_s,
+            off_s=off_s,
+            text=self.text[:400],
+        )
+
+    # ---- inside
+
+    def _refusal(self, beat: Beat, now_ns: int) -> str:
+        """Return why this conductor is not followed; empty: it is."""
+        if beat.protocol != PROTOCOL:
+            return (
+                f"the conductor has protocol {beat.protocol}, this figure {PROTOCOL}: not followed"
+            )
+        who = f"conductor {beat.conductor} (epoch {beat.epoch}, {beat.instance})"
+        if beat.conductor != self.conductor:
+            return f"{who} is refused: the stage file names {self.conductor}"
+        if beat.epoch < self.epoch:
+            return f"{who} is refused: it is stale, a later one was followed (epoch {self.epoch})"
+        bound = self.beat
+        if bound is None or (bound.epoch, bound.instance) == (beat.epoch, beat.instance):
+            return ""
+        if beat.epoch == bound.epoch:
+            return f"{who} is refused: a second one with the epoch of the first ({bound.instance})"
+        if not self._is_lost(now_ns):
+            return f"{who} is refused: the first one ({bound.instance}) still conducts"
+        return ""
+
+    def _rebind(self, beat: Beat) -> None:
+        self._notes.append(f"follows conductor {beat.conductor} of epoch {beat.epoch}")
+        self.epoch = beat.epoch
+        self.clock = self.offered = None
+        self._armed_run = None
+        self._followed = None
+
+    def _is_lost(self, now_ns: int) -> bool:
+        return self._heard_ns is None or now_ns - self._heard_ns > LOST_NS
+
+    def _step(self, now_ns: int, actions: list[Action]) -> FigureState:
+        beat, is_active = self.beat, self.player.phase in ("starting", "standing", "playing")
+        if beat is None:
+            return "alone"
+        if self._is_stopped or beat.wanted in ("nothing", "stopped"):
+            return self._stop(now_ns, actions, "the conductor stopped all", beat)
+        if self._is_lost(now_ns):
+            return self._alone(beat, now_ns, actions, is_active=is_active)
+        if beat.wanted == "ready" or (is_active and self._armed_run != (beat.epoch, beat.run)):
+            if is_active or self.player.phase == "stopping":
+                return self._stop(now_ns, actions, "the conductor ended the run", beat)
+            return self._prepare(beat, now_ns, actions)
+        if self._armed_run == (beat.epoch, beat.run):
+            return self._play(now_ns, actions)
+        state = self._prepare(beat, now_ns, actions)
+        if state != "ready" or self._cast is None or self.player.phase == "stopping":
+            return state
+        self._armed_run, self._followed, self._is_held = (beat.epoch, beat.run), None, False
+        actions.append(Arm(self._cast.parts[self.name].plan, self._join_s(now_ns)))
+        return "arming"
+
+    def _alone(
+        self, beat: Beat, now_ns: int, actions: list[Action], *, is_active: bool
+    ) -> FigureState:
+        """Keep the last leg for the freewheel, then brake and hold."""
+        if not is_active:
+            return "alone"
+        if self.player.phase != "playing":
+            return self._stop(now_ns, actions, "the conductor is lost before the start", beat)
+        if self._heard_ns is None:
+            self._heard_ns = now_ns - LOST_NS - 1
+        if now_ns - self._heard_ns <= LOST_NS + ns_from_s(beat.freewheel_s):
+            self._follow(now_ns, actions)
+            return "freewheeling"
+        if not self._is_held and self.player.show_s is not None:
+            self._is_held = True
+            self._notes.append(
+                f"the conductor is lost for {(now_ns - self._heard_ns) / NS_PER_S:.1f} s: "
+                f"brakes and holds"
+            )
+        if self._is_held:
+            self._pass_on(Follow(now_ns, self.player.show_s or 0.0, 0.0), 0, now_ns, actions)
+        return "holding"
+
+    def _stop(self, now_ns: int, actions: list[Action], why: str, beat: Beat) -> FigureState:
+        if self.player.phase in ("starting", "standing", "playing"):
+            if self._stopped_ns is None or now_ns - self._stopped_ns >= STOP_AGAIN_NS:
+                self._stopped_ns = now_ns
+                actions.append(StopPlayer(why))
+            return "stopping"
+        if self.player.phase == "stopping":
+            return "stopping"
+        self._stopped_ns = None
+        return "idle" if beat.wanted == "nothing" else "stopped"
+
+    def _prepare(self, beat: Beat, now_ns: int, actions: list[Action]) -> FigureState:
+        """Fetch cast and plan, verify it, wait for the clock; return how far that is."""
+        if beat.cast is None:
+            return "idle"
+        if self._cast is None or self._cast_hash != beat.cast:
+            self._fetch(beat.cast, now_ns, actions)
+            return "fetching"
+        part = self._cast.parts.get(self.name)
+        if part is None:
+            return "idle"
+        if problem := self._part_problem(part):
+            self.text = problem
+            return "out"
+        if part.plan not in self._contents:
+            self._fetch(part.plan, now_ns, actions)
+            return "fetching"
+        if self._verified != part.plan:
+            if self._asked_verify != part.plan:
+                self._asked_verify = part.plan
+                actions.append(Verify(part.plan))
+            return "verifying"
+        if self.offered is None or self.offered.verdict == "unfit":
+            return "synchronising"
+        self.text = ""
+        return "ready"
+
+    def _part_problem(self, part: Part) -> str:
+        if part.robot != self.robot:
+            return (
+                f"its robot file differs from the one that the conductor planned for "
+                f"({self.robot[:8]}, {part.robot[:8]}): give both computers the same file"
+            )
+        return self.text if part.plan in self._refused else ""
+
+    def _play(self, now_ns: int, actions: list[Action]) -> FigureState:
+        match self.player.phase:
+            case "ended":
+                return "ended"
+            case "failed" | "none":
+                self.text = self.player.text or "the player ended"
+                return "stopped"
+            case "stopping":
+                return "stopping"
+            case "starting":
+                return "arming"
+        if self._is_held:
+            self._is_held = False
+            self._followed = None
+        self._follow(now_ns, actions)
+        return "playing" if self.player.phase == "playing" else "armed"
+
+    def _follow(self, now_ns: int, actions: list[Action]) -> None:
+        """Tell the player the leg that is in force, or the one that soon will be."""
+        clock = self.clock
+        if clock is None or not self._legs:
+            return
+        conductor_ns = clock.other_ns(now_ns)
+        is_waiting = self.player.phase == "standing"
+        leg = self._leg_at(conductor_ns if is_waiting else conductor_ns + AHEAD_NS)
+        if leg is None and is_waiting:
+            leg = self._legs[0]
+        if leg is None:
+            return
+        # From now on, not from the instant of the leg: until then the clocks have drifted apart.
+        at_ns = max(leg.instant_ns, conductor_ns)
+        own_ns, rate = clock.own_ns(at_ns), leg.rate * (1.0 + clock.rate_ratio)
+        self._pass_on(Follow(own_ns, leg.at_s(at_ns), rate), leg.number, now_ns, actions)
+
+    def _pass_on(self, follow: Follow, number: int, now_ns: int, actions: list[Action]) -> None:
+        last = self._followed
+        if last is None or last[0] != number or now_ns - last[1] >= FOLLOW_NS:
+            self._followed = (number, now_ns)
+            actions.append(follow)
+
+    def _leg_at(self, conductor_ns: int) -> NetworkLeg | None:
+        """Return the leg in force at an instant; older ones are forgotten."""
+        while len(self._legs) > 1 and self._legs[1].instant_ns <= conductor_ns:
+            self._legs.pop(0)
+        if self._legs and self._legs[0].instant_ns <= conductor_ns:
+            return self._legs[0]
+        return None
+
+    def _join_s(self, now_ns: int) -> float:
+        """Return the show time at which the robot must stand to join the show."""
+        if not self._legs or self.clock is None:
+            return 0.0
+        leg = self._legs[-1]
+        duration_s = None if self._cast is None else self._cast.duration_s
+        show_s = max(0.0, leg.at_s(self.clock.other_ns(now_ns) + ns_from_s(ARM_S)))
+        if leg.rate == 0.0:
+            show_s = max(0.0, leg.show_s)
+        return show_s if duration_s is None else min(show_s, duration_s)
+
+    def _fetch(self, name: str, now_ns: int, actions: list[Action]) -> None:
+        last_ns = self._fetched_ns.get(name)
+        if last_ns is None or now_ns - last_ns >= FETCH_AGAIN_NS:
+            self._fetched_ns[name] = now_ns
+            actions.append(Fetch(name))
+
+    def _note_once(self, text: str) -> None:
+        if text not in self._refused:
+            self._refused.add(text)
+            self._notes.append(text)

@@ -1,0 +1,133 @@
+"""One show for two figures: planned together, split, stored, and verified where it is played."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+import lss_motion as lss
+from lss_motion.errors import InputError
+from lss_motion.network import plans
+from lss_motion.network.messages import hash_of, packed
+
+SEQUENCES = Path(__file__).parents[3] / "sequences"
+DUET = """\
+sequence: duet
+robot: {robot}
+keyframes:
+  - {{at_s: 0, deg: {{left.base: 0, left.elbow: 10, right.base: 0, right.elbow: 10}}}}
+  - {{after_s: 0.2, label: turn, deg: {{left.base: 90, right.base: -20}}}}
+  - {{after_s: 1.0, deg: {{left.base: 0, right.base: 0}}}}
+events:
+  - {{at_s: 0.1, say: both}}
+  - {{at_s: 0.2, led: {{right.base: blue}}}}
+"""
+
+
+@pytest.fixture
+def robots():
+    robot = lss.load_robot(SEQUENCES / "robots" / "desk_arm.yaml")
+    return {"left": robot, "right": dataclasses.replace(robot, name="other_arm")}
+
+
+@pytest.fixture
+def duet(tmp_path):
+    path = tmp_path / "duet.yaml"
+    path.write_text(DUET.format(robot=SEQUENCES / "robots" / "desk_arm.yaml"))
+    return path
+
+
+def test_what_one_figure_needs_more_time_for_all_wait_for(robots, duet):
+    cast, contents = plans.planned_cast("duet", duet, robots, "left")
+    read = {
+        name: plans.read_plan(contents[part.plan], robots[name])
+        for name, part in cast.parts.items()
+    }
+    # The base of `left` cannot turn by 90 degrees in 0.2 s; the one of `right` could turn by 20.
+    turns = [next(m for m in p.marks if m.label == "turn").planned_s for p in read.values()]
+    assert turns[0] == turns[1] > 0.4
+    assert read["left"].duration_s == read["right"].duration_s == cast.duration_s
+    assert set(read["right"].start_deg) == {"base", "elbow"}
+    assert {move.bus for move in read["right"].moves} == {"main"}
+    assert [cue.say for cue in read["left"].cues if cue.say] == ["both"]
+    assert [cue.led for cue in read["right"].cues] == [(("base", 3),)]
+    assert cast.parts["left"].robot == plans.robot_hash(robots["left"])
+
+
+def test_a_sequence_for_each_figure_needs_no_names(robots):
+    wave = SEQUENCES / "wave.yaml"
+    cast, contents = plans.planned_cast("wave", {"left": wave, "right": wave}, robots, "left")
+    assert set(cast.parts) == {"left", "right"}
+    assert contents[hash_of(packed(cast))] == packed(cast)
+    alone = lss.compile(lss.plan(lss.load_sequence(wave), robots["left"]), robots["left"])
+    assert plans.read_plan(contents[cast.parts["left"].plan], robots["left"]).moves == alone.moves
+
+
+def test_a_plan_that_breaks_a_limit_here_is_refused(robots, duet):
+    cast, contents = plans.planned_cast("duet", duet, robots, "left")
+    robot = robots["left"]
+    narrow = dataclasses.replace(robot.joints["base"], position_max_deg=45.0)
+    other = dataclasses.replace(robot, joints={**robot.joints, "base": narrow})
+    content = contents[cast.parts["left"].plan]
+    assert plans.plan_problem(content, robot) == ""
+    assert "joint 'base' would go to" in plans.plan_problem(content, other)
+    assert plans.plan_problem(b"\xff", robot).startswith("the plan is no text")
+
+
+@pytest.mark.parametrize(
+    ("change", "is_same"),
+    [
+        ({"port": "/dev/ttyUSB7"}, True),
+        ({"baud_bps": 500000}, False),
+        ({"firmware": 369}, False),
+    ],
+)
+def test_robots_are_the_same_but_for_their_ports(robots, change, is_same):
+    robot = robots["left"]
+    buses = {name: dataclasses.replace(bus, **change) for name, bus in robot.buses.items()}
+    other = dataclasses.replace(robot, buses=buses, path=None)
+    assert (plans.robot_hash(other) == plans.robot_hash(robot)) is is_same
+
+
+def test_a_joint_that_differs_is_another_robot(robots):
+    robot = robots["left"]
+    base = dataclasses.replace(robot.joints["base"], zero_deg=0.5)
+    other = dataclasses.replace(robot, joints={**robot.joints, "base": base})
+    assert plans.robot_hash(other) != plans.robot_hash(robot)
+
+
+def test_the_store_gives_back_only_what_has_the_hash(tmp_path):
+    store = plans.PlanStore(tmp_path / "plans")
+    name = store.put(b"a plan")
+    assert store.get(name) == b"a plan"
+    (tmp_path / "plans" / name).write_bytes(b"another plan")
+    assert store.get(name) is None
+    assert store.put(b"a plan") == name
+    assert store.get(name) == b"a plan"
+    assert store.get("0" * 64) is None
+
+
+def test_the_store_forgets_the_oldest(tmp_path, monkeypatch):
+    monkeypatch.setattr(plans, "STORE_MAX_BYTES", 2500)
+    store = plans.PlanStore(tmp_path)
+    import os
+
+    names = []
+    for index in range(4):
+        names.append(store.put(bytes([index]) * 1000))
+        os.utime(tmp_path / names[-1], (index, index))
+    store.put(b"x" * 1000)
+    assert [store.get(name) is not None for name in names] == [False, False, False, True]
+
+
+def test_a_wait_for_a_sensor_is_refused(robots, tmp_path, monkeypatch):
+    program = dataclasses.replace(
+        lss.compile(
+            lss.plan(lss.load_sequence(SEQUENCES / "wave.yaml"), robots["left"]), robots["left"]
+        ),
+        waits=("eye",),
+    )
+    show = type("Show", (), {"program": program})
+    monkeypatch.setattr("lss_motion.shows.prepare", lambda *_: show)
+    with pytest.raises(InputError, match="cannot wait for a sensor"):
+        plans.planned_cast("wave", tmp_path / "wave.yaml", robots, "left")

@@ -1,0 +1,201 @@
+"""Conductor and figures together, in virtual time over modelled links and clocks."""
+
+import statistics
+
+import pytest
+
+from benches.stage_model import LOOPBACK, WIFI, World
+from lss_motion.errors import InputError
+from lss_motion.network.conductor import LEAD_NS
+from lss_motion.network.messages import Beat, StopAll, hash_of
+from lss_motion.units import NS_PER_MS, NS_PER_S
+
+
+def playing(**options):
+    world = World(4, **{"seed": 1, **options})
+    world.go()
+    assert world.run(5.0, lambda: world.states() == {"playing"}), world.states()
+    return world
+
+
+@pytest.mark.parametrize(("link", "goal_ms"), [(LOOPBACK, 2.0), (WIFI, 5.0)], ids=["wired", "wifi"])
+def test_all_are_at_the_same_place_of_the_show(link, goal_ms):
+    world = playing(link=link, show_s=40.0, ppm=100.0)
+    world.run(12.0)
+    for show_s in (0.0, 5.0, 10.0):
+        at_ns = world.spread_ns(show_s)
+        assert len(at_ns) == 4
+        assert max(at_ns) - min(at_ns) <= goal_ms * NS_PER_MS
+
+
+def test_a_leg_takes_effect_a_second_ahead_for_all():
+    world = playing()
+    conductor, before_ns = world.conductor, world.now_ns
+    conductor.pause(before_ns)
+    assert conductor.leg.instant_ns >= before_ns + LEAD_NS
+    place_s = conductor.leg.show_s
+    world.run(2.0)
+    shown = [host.player.view.show_s for host in world.hosts.values()]
+    assert shown == pytest.approx([place_s] * 4, abs=1e-9)
+    conductor.resume(world.now_ns)
+    world.run(2.0)
+    shown = [host.player.view.show_s for host in world.hosts.values()]
+    assert statistics.mean(shown) == pytest.approx(conductor.show_s(world.now_ns), abs=0.02)
+    assert max(shown) - min(shown) <= 0.02  # They are seen at the ticks of the model.
+
+
+def test_pause_and_resume_within_a_second_lose_nothing():
+    world = playing()
+    conductor = world.conductor
+    conductor.pause(world.now_ns)
+    world.run(0.2)
+    conductor.resume(world.now_ns)
+    world.run(3.0)
+    shown = [host.player.view.show_s for host in world.hosts.values()]
+    assert shown == pytest.approx([conductor.show_s(world.now_ns)] * 4, abs=0.02)
+
+
+def test_stop_is_once_however_often_it_arrives():
+    world = playing()
+    conductor = world.conductor
+    conductor.stop()
+    conductor.stop()
+    stop = StopAll(
+        conductor="f0", epoch=conductor.epoch, instance=conductor.instance, run=conductor.run
+    )
+    for _ in range(20):
+        for host in world.hosts.values():
+            host.figure.take_stop(stop)
+        world.run(0.1)
+    assert world.states() == {"stopped"}
+    assert [host.player.stops for host in world.hosts.values()] == [1] * 4
+
+
+def test_without_the_conductor_a_figure_freewheels_then_holds():
+    world = playing(show_s=60.0)
+    world.is_conducting = False
+    world.run(1.5)
+    assert world.states() == {"freewheeling"}
+    before = [host.player.view.show_s for host in world.hosts.values()]
+    world.run(0.5)
+    after = [host.player.view.show_s for host in world.hosts.values()]
+    assert [b - a for a, b in zip(before, after, strict=True)] == pytest.approx([0.5] * 4, abs=0.02)
+    world.run(2.0)
+    assert world.states() == {"holding"}
+    assert all(host.player.follows[-1][1].rate == 0.0 for host in world.hosts.values())
+    world.is_conducting = True
+    assert world.run(5.0, lambda: world.states() == {"playing"})
+
+
+@pytest.mark.parametrize(("others", "rate"), [("go_on", 1.0), ("slow", 0.5), ("hold", 0.0)])
+def test_a_lost_figure_leaves_the_others_to_the_rule(others, rate):
+    world = playing(others=others, show_s=120.0)
+    lost, conductor = world.hosts["f2"], world.conductor
+    lost.is_cut = True
+    world.run(3.0)
+    assert conductor.leg.rate == rate
+    assert "f2: lost" in " ".join(world.notes)
+    assert world.hosts["f1"].figure.state == "playing"
+    lost.is_cut = False
+    assert world.run(20.0, lambda: conductor.leg.rate == 1.0 and lost.figure.state == "playing")
+
+
+def test_a_host_that_starts_again_rejoins():
+    world = playing(others="hold", show_s=120.0)
+    host = world.hosts["f3"]
+    world.run(5.0)
+    host.start()
+    world.run(3.0)
+    assert world.conductor.leg.rate == 0.0
+    assert world.run(30.0, lambda: world.states() == {"playing"}), host.log
+    world.run(2.0)
+    assert world.conductor.leg.rate == 1.0
+    shown = [one.player.view.show_s for one in world.hosts.values()]
+    assert max(shown) - min(shown) <= 0.02
+    assert "f3 has started again" in " ".join(world.notes)
+
+
+def test_a_figure_that_fell_is_not_raised_again_in_the_same_run():
+    world = playing(others="go_on", show_s=60.0)
+    host = world.hosts["f1"]
+    host.player.view = type(host.player.view)("failed", None, "joint 'jaw' is stuck")
+    world.run(10.0)
+    assert host.figure.state == "stopped"
+    assert host.player.starts == 1
+    assert "joint 'jaw' is stuck" in " ".join(world.notes)
+
+
+def test_another_robot_stays_out_and_says_so():
+    world = World(3, seed=2, robots={"f1": hash_of(b"another robot")})
+    world.conductor.load(world.cast)
+    world.run(10.0)
+    assert world.hosts["f1"].figure.state == "out"
+    with pytest.raises(InputError, match="f1: out: its robot file differs"):
+        world.conductor.arm(world.now_ns)
+
+
+def test_a_clock_that_is_not_known_refuses_the_start():
+    slow = type(WIFI)(15 * NS_PER_MS, 0)
+    world = World(2, seed=2, link=slow)
+    world.conductor.load(world.cast)
+    world.run(15.0)
+    with pytest.raises(InputError, match="its clock is known to 15 ms only, allowed are 10"):
+        world.conductor.arm(world.now_ns)
+
+
+def forged(world, **changes):
+    beat = world.conductor.beat()
+    return Beat(**{**beat.model_dump(), "count": beat.count + 1000, **changes})
+
+
+def test_second_and_stale_conductors_are_refused():
+    world = playing()
+    host = world.hosts["f1"]
+    figure, leg = host.figure, world.conductor.leg
+    stopped = {"wanted": "stopped"}
+    other = "0123456789abcdef"
+    for beat, why in (
+        (forged(world, instance=other, **stopped), "a second one with the epoch of the first"),
+        (forged(world, instance=other, epoch=9, **stopped), "the first one .* still conducts"),
+        (forged(world, conductor="f3", **stopped), "the stage file names f0"),
+        (forged(world, protocol=2, **stopped), "has protocol 2"),
+    ):
+        figure.take_beat(beat, host.now_ns())
+        world.run(0.5)
+        assert figure.state == "playing"
+        assert pytest.importorskip("re").search(why, " ".join(host.log))
+    assert world.conductor.leg == leg
+
+
+def test_a_conductor_that_comes_back_from_the_past_conducts_no_more():
+    world = playing(show_s=60.0)
+    stale = forged(world)
+    world.is_conducting = False
+    world.run(6.0)
+    for host in world.hosts.values():  # Another process, which began later.
+        host.figure.take_beat(
+            stale.model_copy(
+                update={"epoch": 2, "instance": "f" * 16, "wanted": "ready", "leg": None}
+            ),
+            host.now_ns(),
+        )
+    world.run(0.5)
+    world.is_conducting = True
+    world.run(2.0)
+    assert "began later (epoch 2" in world.conductor.superseded
+    assert "it is stale" in " ".join(world.hosts["f1"].log)
+    with pytest.raises(InputError, match="conducts no more"):
+        world.conductor.seek(3.0, world.now_ns)
+    assert {host.player.view.phase for host in world.hosts.values()} <= {"none", "stopping"}
+
+
+def test_a_clock_that_jumps_in_the_show_is_followed():
+    world = playing(show_s=60.0)
+    host = world.hosts["f2"]
+    host.clock.jumps.append((world.now_ns + NS_PER_S, 250 * NS_PER_MS))
+    world.run(6.0)
+    follow = host.player.follows[-1][1]
+    true_ns = follow.instant_ns - host.clock.own_ns(0) - 250 * NS_PER_MS
+    assert host.estimator.restarts == 1
+    leg_s = world.conductor.leg.at_s(round(true_ns))
+    assert follow.show_s == pytest.approx(leg_s, abs=0.003)

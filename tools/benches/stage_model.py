@@ -1,0 +1,345 @@
+"""A stage of many computers in virtual time: links, clocks, conductor and figures.
+
+Links and clocks are drawn by seed from models; `LOOPBACK` and `WIFI` are fitted to measured
+exchanges (`tools/run tools/bench.py network`). Conductor, figures and clock estimators are those of
+the package. A player is reduced to what it tells its figure; where moves are judged, real players
+follow the legs that are recorded here (`benches.network`).
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass, field
+from random import Random
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.network.clocks import BURST_NS, EVERY_NS, ClockEstimator, Exchange
+from lss_motion.network.conductor import BEAT_NS, Conductor
+from lss_motion.network.figure import (
+    Action,
+    Arm,
+    Fetch,
+    Figure,
+    Follow,
+    PlayerView,
+    StopPlayer,
+    Verify,
+)
+from lss_motion.network.messages import Cast, Part, hash_of, packed
+from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+TICK_NS: Final = 10 * NS_PER_MS
+STATUS_NS: Final = 200 * NS_PER_MS
+RETRANSMIT_NS: Final = 210 * NS_PER_MS
+"""What is lost on a line of TCP arrives so much later (the least of Linux, 200 ms)."""
+
+
+@dataclass(frozen=True)
+class LinkModel:
+    """Delay of one message: `base`, an exponential part, sometimes a spike, sometimes a loss."""
+
+    base_ns: int
+    jitter_ns: int
+    spike_ratio: float = 0.0
+    spike_ns: int = 0
+    loss_ratio: float = 0.0
+
+    def delay_ns(self, random: Random) -> int:
+        delay = self.base_ns + random.expovariate(1.0) * self.jitter_ns
+        if random.random() < self.spike_ratio:
+            delay += random.random() * self.spike_ns
+        if random.random() < self.loss_ratio:
+            delay += RETRANSMIT_NS
+        return round(delay)
+
+
+LOOPBACK: Final = LinkModel(150 * NS_PER_US, 140 * NS_PER_US, 0.01, NS_PER_MS)
+"""One way on this computer, zenoh over TCP; fitted to `bench network`."""
+WIFI: Final = LinkModel(500 * NS_PER_US, 3 * NS_PER_MS, 0.02, 80 * NS_PER_MS, 0.005)
+
+
+@dataclass
+class ClockModel:
+    """A clock: `own = true + offset + ppm`, and jumps at true instants."""
+
+    offset_ns: int = 0
+    ppm: float = 0.0
+    jumps: list[tuple[int, int]] = field(default_factory=list)
+
+    def own_ns(self, true_ns: int) -> int:
+        jumped = sum(by_ns for at_ns, by_ns in self.jumps if true_ns >= at_ns)
+        return true_ns + self.offset_ns + round(true_ns * self.ppm * 1e-6) + jumped
+
+    def true_ns(self, own_ns: int) -> float:
+        """Return the true instant, of a clock without jumps."""
+        return (own_ns - self.offset_ns) / (1.0 + self.ppm * 1e-6)
+
+
+class ModelPlayer:
+    """What a player tells: started, it stands after `arm_ns`, and plays from the first leg on."""
+
+    def __init__(self, arm_ns: int, duration_s: float) -> None:
+        self.view = PlayerView()
+        self.follows: list[tuple[int, Follow]] = []
+        self.stops = 0
+        self._arm_ns, self._duration_s = arm_ns, duration_s
+        self._at_ns = 0
+        self._leg: Follow | None = None
+        self.starts = 0
+
+    def act(self, action: Action, now_ns: int) -> None:
+        match action:
+            case Arm():
+                self.view, self._at_ns = PlayerView("starting"), now_ns + self._arm_ns
+                self._leg, self.starts = None, self.starts + 1
+            case Follow() if self.view.phase in ("standing", "playing"):
+                self.follows.append((now_ns, action))
+                self._leg = action
+            case StopPlayer() if self.view.phase != "none":
+                self.stops += 1
+                self.view, self._at_ns = PlayerView("stopping"), now_ns + NS_PER_S // 2
+
+    def tick(self, now_ns: int) -> PlayerView:
+        phase = self.view.phase
+        if phase == "starting" and now_ns >= self._at_ns:
+            self.view = PlayerView("standing", 0.0)
+        elif phase == "stopping" and now_ns >= self._at_ns:
+            self.view = PlayerView("none")
+        elif phase in ("standing", "playing") and self._leg is not None:
+            leg = self._leg
+            if now_ns >= leg.instant_ns:
+                show_s = leg.show_s + leg.rate * (now_ns - leg.instant_ns) / NS_PER_S
+                self.view = PlayerView("playing", show_s)
+                if show_s >= self._duration_s:
+                    self.view = PlayerView("ended")
+        return self.view
+
+
+class Host:
+    """One figure with its clock, its link to the conductor and its player."""
+
+    def __init__(
+        self, name: str, world: World, clock: ClockModel, link: LinkModel, *, seed: int
+    ) -> None:
+        self.name, self.world, self.clock, self.link = name, world, clock, link
+        self.random = Random(f"{seed}/{name}")  # noqa: S311
+        self.is_cut = False
+        self._instances = 0
+        self.log: list[str] = []
+        self.start()
+
+    def start(self) -> None:
+        """Start, or start again with an empty memory."""
+        self._instances += 1
+        self.figure = Figure(
+            name=self.name,
+            conductor=self.world.conductor.name,
+            robot=self.world.robots.get(self.name, hash_of(self.name.encode())),
+            instance=hash_of(f"{self.name} {self._instances}".encode())[:16],
+            version="model",
+        )
+        self.estimator = ClockEstimator()
+        self.player = ModelPlayer(self.random.randint(1500, 4000) * NS_PER_MS, self.world.show_s)
+        self._clock_ns = self._status_ns = 0
+        self._last_state = ""
+        self.arrivals_ns: dict[str, int] = {}
+
+    def now_ns(self) -> int:
+        return self.clock.own_ns(self.world.now_ns)
+
+    def tick(self) -> None:
+        world, now_ns = self.world, self.now_ns()
+        if world.now_ns >= self._clock_ns:
+            pace = EVERY_NS if self.estimator.is_ready else BURST_NS
+            self._clock_ns = world.now_ns + pace
+            self._exchange()
+        self.figure.take_clock(self.estimator.estimate(now_ns), self.estimator.round_trip_ns)
+        self.figure.take_player(self.player.tick(now_ns))
+        for action in self.figure.tick(now_ns):
+            self._do(action, now_ns)
+        self.log += self.figure.take_notes()
+        state = self.figure.state
+        if state != self._last_state or world.now_ns >= self._status_ns:
+            self._last_state, self._status_ns = state, world.now_ns + STATUS_NS
+            status = self.figure.status(now_ns)
+            world.to_conductor_bytes += len(packed(status)) + world.overhead_bytes
+            world.send(
+                self, lambda: world.conductor.take_status(status, world.now_ns), "to conductor"
+            )
+
+    def _do(self, action: Action, now_ns: int) -> None:
+        world = self.world
+        match action:
+            case Fetch():
+                content = world.store.get(action.hash)
+                if content is not None:
+                    world.fetch(self, content)
+            case Verify():
+                world.at(world.verify_ns, lambda: self.figure.take_verified(action.plan, ""))
+            case _:
+                self.player.act(action, now_ns)
+
+    def _exchange(self) -> None:
+        world = self.world
+        if self.is_cut:
+            return
+        out, back = self.link.delay_ns(self.random), self.link.delay_ns(self.random)
+        served_ns = 50 * NS_PER_US
+        start = world.now_ns + self.random.randint(0, TICK_NS)
+        made = Exchange(
+            self.clock.own_ns(start),
+            start + out,
+            start + out + served_ns,
+            self.clock.own_ns(start + out + served_ns + back),
+        )
+        world.to_conductor_bytes += world.clock_bytes
+        world.at(start - world.now_ns + out + served_ns + back, lambda: self.estimator.add(made))
+
+
+class World:
+    """Conductor and figures. True time is that of the conductor's clock."""
+
+    def __init__(  # noqa: PLR0913
+        self,
+        hosts: int,
+        *,
+        link: LinkModel = LOOPBACK,
+        seed: int = 0,
+        ppm: float = 100.0,
+        show_s: float = 30.0,
+        plan_bytes: int = 1000,
+        line_bytes_s: float = 100e6,
+        others: str = "hold",
+        robots: dict[str, str] | None = None,
+    ) -> None:
+        random = Random(f"{seed}/world")  # noqa: S311
+        self.random, self.now_ns, self.show_s = random, 0, show_s
+        self.robots = robots or {}
+        self.overhead_bytes, self.clock_bytes = 60, 2 * 160
+        self.verify_ns = NS_PER_S // 2
+        self.line_bytes_s = line_bytes_s
+        self._line_ns = 0
+        self._events: list[tuple[int, int, Callable[[], None]]] = []
+        self._serial = 0
+        self._last: dict[tuple[str, str], int] = {}
+        self.to_conductor_bytes = self.from_conductor_bytes = 0
+        names = [f"f{index}" for index in range(hosts)]
+        plans = {name: f"{name} {seed}".encode().ljust(plan_bytes, b".") for name in names}
+        parts = {
+            name: Part(plan=hash_of(plans[name]), robot=hash_of(name.encode())) for name in names
+        }
+        self.cast = Cast(show="model", duration_s=show_s, parts=parts)
+        self.store = {hash_of(plan): plan for plan in plans.values()}
+        self.store[hash_of(packed(self.cast))] = packed(self.cast)
+        self.conductor = Conductor(
+            name=names[0],
+            figures=names,
+            epoch=1,
+            instance=hash_of(b"conductor")[:16],
+            others=others,  # type: ignore[arg-type]
+        )
+        self.is_conducting = True
+        self.notes: list[str] = []
+        self.hosts = {}
+        for name in names:
+            clock = ClockModel(random.randrange(10**12), random.uniform(-ppm, ppm))
+            self.hosts[name] = Host(name, self, clock, link, seed=seed)
+        self._beat_ns = 0
+        self._beaten: tuple[object, ...] = ()
+
+    def at(self, delay_ns: int, call: Callable[[], None]) -> None:
+        """Call something so much later."""
+        self._serial += 1
+        heapq.heappush(self._events, (self.now_ns + delay_ns, self._serial, call))
+
+    def send(self, host: Host, call: Callable[[], None], way: str) -> None:
+        """Deliver a message over the link of `host`, in order."""
+        if host.is_cut:
+            return
+        key = (host.name, way)
+        arrives = max(self.now_ns + host.link.delay_ns(host.random), self._last.get(key, 0) + 1)
+        self._last[key] = arrives
+        self.at(arrives - self.now_ns, call)
+
+    def fetch(self, host: Host, content: bytes) -> None:
+        """Deliver content after what else the line of the conductor carries."""
+        if host.is_cut:
+            return
+        self.from_conductor_bytes += len(content)
+        begin = max(self._line_ns, self.now_ns)
+        self._line_ns = begin + round(len(content) / self.line_bytes_s * NS_PER_S)
+        delay = self._line_ns - self.now_ns + 2 * host.link.delay_ns(host.random)
+        self.at(delay, lambda: host.figure.take_content(content))
+
+    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
+        """Let time pass; return whether `until` came true."""
+        end_ns = self.now_ns + round(seconds * NS_PER_S)
+        while self.now_ns < end_ns:
+            if until():
+                return True
+            self._tick()
+        return until()
+
+    def _tick(self) -> None:
+        goal = self.now_ns + TICK_NS
+        while self._events and self._events[0][0] <= goal:
+            at_ns, _, call = heapq.heappop(self._events)
+            self.now_ns = max(self.now_ns, at_ns)
+            call()
+        self.now_ns = goal
+        if self.is_conducting:
+            self.notes += self.conductor.tick(self.now_ns)
+            conductor = self.conductor
+            state = (conductor.wanted, conductor.run, conductor.leg, conductor.cast)
+            if self.now_ns >= self._beat_ns or state != self._beaten:
+                self._beat_ns, self._beaten = self.now_ns + BEAT_NS, state
+                self._beat()
+        for host in self.hosts.values():
+            host.tick()
+
+    def _beat(self) -> None:
+        beat = self.conductor.beat()
+        size = len(packed(beat)) + self.overhead_bytes
+        for host in self.hosts.values():
+            self.from_conductor_bytes += size
+            figure = host.figure
+            self.send(
+                host,
+                lambda host=host, figure=figure: figure.take_beat(beat, host.now_ns()),
+                "from conductor",
+            )
+
+    def states(self) -> set[str]:
+        """Return the states of all figures."""
+        return {host.figure.state for host in self.hosts.values()}
+
+    def go(self) -> None:
+        """Load, arm and start, as a person would."""
+        self.conductor.load(self.cast)
+        assert self.run(60.0, lambda: not self.conductor.problems(self.now_ns)), self.notes
+        self.conductor.arm(self.now_ns)
+        assert self.run(60.0, lambda: self.conductor.is_armed(self.now_ns)), self.notes
+        self.conductor.start(self.now_ns)
+
+    def spread_ns(self, show_s: float) -> list[float]:
+        """Return at which true instants the hosts are at `show_s`, by the legs they were told."""
+        found = []
+        for host in self.hosts.values():
+            told = [follow for _, follow in host.player.follows if follow.rate > 0.0]
+            if not told:
+                continue
+            own_ns = [
+                follow.instant_ns + (show_s - follow.show_s) / follow.rate * NS_PER_S
+                for follow in told
+            ]
+            # The leg that was the newest when the host was there.
+            pairs = [
+                at
+                for (told_ns, _), at in zip(host.player.follows, own_ns, strict=False)
+                if told_ns <= at
+            ]
+            found.append(host.clock.true_ns(round((pairs or own_ns[:1])[-1])))
+        return found
