@@ -26,6 +26,7 @@ calls with the same arguments give the same bytes, so a log can be replayed (`ru
     approach        program from where the robot stands to the start    session
     streamer        one program on the show clock                       session
     show_clock      show time as a function of the run clock            streamer, cues
+    following       keeps a show in step with a leader                  sync, remote
     due_moves       moves in the order in which they leave              streamer
     rate_ramps      moves computed at run time: rate not 1, guiding     streamer
     setpoints       the filter of a servo in EM0, at any step instants  joint_state, rate_ramps
@@ -36,6 +37,7 @@ calls with the same arguments give the same bytes, so a log can be replayed (`ru
     query_choice    which servo is polled next, and for what            polling
     query_tracker   queries in flight on one bus                        polling, transactions
     serial_line     one line: when it is free, what came in             all that send
+    stalls          delays of this process when a move was due          player
     settings_watch  servos that may have lost their settings        polling
     health          faults found in answers and in missing answers      polling
     faults          steps that are taken about faults                   player

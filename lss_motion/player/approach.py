@@ -154,6 +154,16 @@ def approach(
     return replace(program, duration_s=max(0.0, *ends_s))
 
 
+def approach_s(robot: Robot, from_deg: Mapping[str, float], to_deg: Mapping[str, float]) -> float:
+    """Return about how long the approach between two poses (joint angles) takes."""
+    lasts_s, ramp_s = APPROACH_LEAST_S, 0.0
+    for name, target_deg in to_deg.items():
+        joint = robot.joints[name]
+        lasts_s = max(lasts_s, abs(target_deg - from_deg[name]) / _speed(robot, joint))
+        ramp_s = max(ramp_s, _speed(robot, joint) / ramp_deg_s2(joint))
+    return lasts_s + ramp_s
+
+
 def _speed(robot: Robot, joint: Joint) -> float:
     return min(robot.approach_speed_deg_s, joint.speed_max_deg_s)
 

@@ -19,6 +19,7 @@ In every phase the player has one activity: a dialogue (`transactions`, `handsha
 
 from __future__ import annotations
 
+import heapq
 from collections import deque
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final, Literal
@@ -32,7 +33,7 @@ from lss_motion.player.handshake import SettingsDialogue
 from lss_motion.player.preflight import Preflight
 from lss_motion.player.query_choice import BY_NEED
 from lss_motion.player.session import Session
-from lss_motion.player.show_clock import TRIM_MAX_RATIO
+from lss_motion.player.show_clock import CLOSING_S, TRIM_MAX_RATIO
 from lss_motion.player.stalls import GAP_NS, StallDetector, stall_text
 from lss_motion.program.verify import driven
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s
@@ -116,6 +117,8 @@ class Player:
         self._events: deque[Event] = deque([PhaseEntered(Phase.CONNECT)])
         self._must_ask = must_ask
         self._is_open = self._was_open = is_open
+        self._is_held = False
+        """Whether the show stands before its start until `run_from`."""
         self._rate = 1.0
         """The rate that a person set; a fault may reduce it further."""
         self._dialogue: Dialogue | SettingsDialogue | Preflight | None = self._session.preflight()
@@ -135,6 +138,8 @@ class Player:
         """Show time from which the show goes on once the robot stands."""
         self._goal_ns: int | None = None
         """When the time of a joint to come within its goal tolerance is over."""
+        self._wakes_ns: list[int] = []
+        """Instants at which a caller must be called, a heap."""
 
     # ---- the four calls
 
@@ -191,7 +196,9 @@ class Player:
         if self.phase in PLAYING:
             wakeups_ns.append(self._session.agenda.wakeup_ns(self.show, self.lines, self._now_ns))
             wakeups_ns.append(self._goal_ns)
-        return wakeups_ns
+        while self._wakes_ns and self._wakes_ns[0] <= self._now_ns:
+            heapq.heappop(self._wakes_ns)
+        return wakeups_ns + self._wakes_ns[:1]
 
     def _note_stall(self, now_ns: int) -> None:
         """Brake if a move was due long ago: this program was held up; then recover or end."""
@@ -258,7 +265,11 @@ class Player:
         self._apply_rate(now_ns)
 
     def follow(
-        self, leader: Leg, now_ns: int, trim_max_ratio: float = TRIM_MAX_RATIO
+        self,
+        leader: Leg,
+        now_ns: int,
+        trim_max_ratio: float = TRIM_MAX_RATIO,
+        closing_s: float = CLOSING_S,
     ) -> float | None:
         """Trim the show clock so that it meets `leader`; return how far off it is, in seconds.
 
@@ -266,7 +277,27 @@ class Player:
         """
         if self.show is None or self.phase is not Phase.SHOW:
             return None
-        return self.show.clock.follow(leader, now_ns, trim_max_ratio)
+        return self.show.clock.follow(leader, now_ns, trim_max_ratio, closing_s)
+
+    def hold_before_start(self, now_ns: int) -> None:
+        """Stand before the start of a show of which no joint has moved yet, until `run_from`.
+
+        Also before the approach: then the show waits when it has come to its start.
+        """
+        self._is_held, self._rate = True, 0.0
+        if self.show is not None and self.phase is Phase.SHOW:
+            self.show.hold_before_start(now_ns)
+
+    def run_from(self, show_s: float, now_ns: int) -> None:
+        """Let a show that stands before its start be at `show_s` now, and run from there on.
+
+        At most at its first instant: until then nothing moves, so that it begins exactly when the
+        clock reaches it.
+        """
+        self._note_stall(now_ns)
+        if self.show is not None and self.phase is Phase.SHOW:
+            self._rate = 1.0
+            self.show.run_from(show_s, now_ns)
 
     def seek(self, place: float | str, now_ns: int) -> None:
         """Go on from a show time or a label: brake, move there at the approach speed, rejoin.
@@ -291,6 +322,10 @@ class Player:
         elif self.phase is Phase.APPROACH:
             self._dialogue = None
             self._enter(Phase.SEEK)
+
+    def wake_at(self, instant_ns: int) -> None:
+        """Let `next_wakeup_ns` be no later than `instant_ns`, for who acts at that instant."""
+        heapq.heappush(self._wakes_ns, instant_ns)
 
     def extend(self, extension: Extension, now_ns: int) -> bool:
         """Go on with `extension` from its splice on; False if it is too late or no show plays.
@@ -595,6 +630,8 @@ class Player:
         self._faults.clear()
         if self.show is None:
             self.show = self._session.begin(now_ns + COUNT_IN_NS, is_open=self._is_open)
+            if self._is_held:
+                self.show.hold_before_start(now_ns)
         else:
             self._session.resume(self.show, now_ns)
         self._streamer = self.show

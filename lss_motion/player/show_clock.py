@@ -69,9 +69,13 @@ class ShowClock:
         return now_ns < self.ramp_end_ns
 
     def follow(
-        self, leader: Leg, now_ns: int, trim_max_ratio: float = TRIM_MAX_RATIO
+        self,
+        leader: Leg,
+        now_ns: int,
+        trim_max_ratio: float = TRIM_MAX_RATIO,
+        closing_s: float = CLOSING_S,
     ) -> float | None:
-        """Trim the clock so that it meets `leader` within seconds; return how far off it is, in s.
+        """Trim the clock so that it meets `leader` in `closing_s`; return how far off it is, in s.
 
         Its rate differs from the target rate by at most `trim_max_ratio`. A clock that stands or
         ramps is not trimmed: None. What is further off than a trim makes up in time is for the
@@ -80,7 +84,7 @@ class ShowClock:
         if self.target_rate <= 0.0 or now_ns < self.ramp_end_ns:
             return None
         off_s = leader.at_s(now_ns) - self.show_s(now_ns)
-        wanted = leader.rate / self.target_rate - 1.0 + off_s / (CLOSING_S * self.target_rate)
+        wanted = leader.rate / self.target_rate - 1.0 + off_s / (closing_s * self.target_rate)
         trim_ratio = max(-trim_max_ratio, min(wanted, trim_max_ratio))
         if trim_ratio != self.trim_ratio and now_ns >= self.leg.start_ns:
             show_s = self.show_s(now_ns)
@@ -101,6 +105,11 @@ class ShowClock:
     def jump_to(self, show_s: float, now_ns: int) -> None:
         """Stand at `show_s` from now on, wherever the show was; for a show that stands."""
         self._begin(now_ns, show_s, 0.0, 0.0)
+
+    def run_from(self, show_s: float, now_ns: int) -> None:
+        """Be at `show_s` now and run at rate 1; for a show of which every joint rests meanwhile."""
+        self.trim_ratio = 0.0
+        self._begin(now_ns, show_s, 1.0, 1.0)
 
     def go_back(self, by_s: float, now_ns: int) -> None:
         """Go on from an earlier show time, at which every joint rests as it does now."""

@@ -12,7 +12,6 @@ in a run of one program.
 
 from __future__ import annotations
 
-import heapq
 from typing import TYPE_CHECKING, NamedTuple
 
 from lss_motion.errors import InputError
@@ -75,8 +74,6 @@ class StagePlayer(Player):
         """The present program, without the joints that it does not move; None: all hold."""
         self._began_ns: int | None = None
         """When the present show began; None: it has not, or nothing is played."""
-        self._wakes_ns: list[int] = []
-        """Instants at which a caller must be called, a heap."""
 
     # ---- state
 
@@ -125,15 +122,6 @@ class StagePlayer(Player):
         if self._show_phase is Phase.STANDING or self._next is not None:
             raise InputError("no show is played that could go to another place")
         super().seek(place, now_ns)
-
-    def wake_at(self, instant_ns: int) -> None:
-        """Let `next_wakeup_ns` be no later than `instant_ns`, for who acts at that instant."""
-        heapq.heappush(self._wakes_ns, instant_ns)
-
-    def _wakeups_ns(self) -> list[int | None]:
-        while self._wakes_ns and self._wakes_ns[0] <= self._now_ns:
-            heapq.heappop(self._wakes_ns)
-        return super()._wakeups_ns() + self._wakes_ns[:1]
 
     # ---- from one program to the next
 

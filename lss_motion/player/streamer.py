@@ -171,6 +171,9 @@ PLAN_HISTORY_S: Final = 5.0
 """A plan that is extended keeps this much of its past: longer than any answer may take."""
 REST_LEAST_NS: Final = 300 * NS_PER_MS
 """A joint whose plan moves on sooner than this is not corrected at rest: its next move will be."""
+PRE_ROLL_S: Final = 1.0
+"""A show that waits for its start stands this long before it, since some cues are early: sounds by
+their lead, lights by the order in which they are sent."""
 ON_TIME_NS: Final = NS_PER_MS // 2
 """If a move leaves later than this, T is computed anew; a smaller delay would not change T."""
 
@@ -211,6 +214,8 @@ class Streamer:
         self._lines = lines
         first_s = s_from_us(min((m.due_us for m in program.moves), default=0))
         begin_s = min(0.0, first_s) if start_s is None else start_s
+        self.begin_s = begin_s
+        """Show time before which every joint rests."""
         origin_s = s_from_ns(start_ns) - begin_s
         self.joint_states = make_joint_states(
             program,
@@ -330,6 +335,25 @@ class Streamer:
         self._moves = DueMoves(self._program.unrolled(show_s), self._early_us)
         self.waiting.begin_at(self._program.unrolled_waits(show_s), show_s)
         self._skip_due(now_ns)
+
+    def hold_before_start(self, now_ns: int) -> None:
+        """Stand before the first instant of the show, with nothing due. For a show not begun."""
+        self.clock.jump_to(self.begin_s - PRE_ROLL_S, now_ns)
+
+    def run_from(self, show_s: float, now_ns: int) -> None:
+        """Run, and be at `show_s` now: at most at the first instant of the show."""
+        self.clock.run_from(show_s, now_ns)
+
+    def ramp_up_s(self, now_ns: int) -> float:
+        """Return how long the ramp from standing to rate 1 would take now."""
+        show_s = self.clock.show_s(now_ns)
+        return ramp_s(self.joint_states.values(), self._program, show_s, 1.0)
+
+    def pose_at(self, show_s: float) -> dict[str, float]:
+        """Return the joint angles of the plan at a show time."""
+        at_s = self._program.within(show_s)
+        joint_states = self.joint_states.items()
+        return {name: t.joint.joint_deg(t.plan.at(at_s)[0]) for name, t in joint_states}
 
     def pose_deg(self, now_ns: int) -> dict[str, float]:
         """Return the joint angles of the plan: after a ramp to rate 0, every joint stands there."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from lss_motion.errors import LssMotionError
+from lss_motion.player.following import Following, FollowRule, require_can_follow
 from lss_motion.remote.player_end import LossRule, Steering
 from lss_motion.remote.schema import Ended, MarkInfo, Started
 from lss_motion.remote.telemetry import duration_of, plan_hash
@@ -26,11 +27,14 @@ class Job:
     robot: Robot
     trajectory: Trajectory | None = None
     rule: LossRule = field(default_factory=LossRule)
+    follow: FollowRule | None = None
+    """The show follows a leader, of which operations `follow` tell, and stands until then."""
     options: dict[str, Any] = field(default_factory=dict)
 
     def run(self, operator: Operator) -> Outcome:
         """Play it with this client as its operator."""
-        return play(self, Steering(operator, self.rule))
+        following = None if self.follow is None else Following(self.follow)
+        return play(self, Steering(operator, self.rule, following=following))
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +69,8 @@ def play(job: Job, steering: Steering) -> Outcome:
 
     observer = Observer(on_event=steering.on_event, on_turn=steering.on_turn, controls=steering)
     try:
+        if job.follow is not None:
+            require_can_follow(job.program)
         steering.start(started(job))
         result = perform(
             job.program,

@@ -89,8 +89,8 @@ class Operator:
         self.send(m.Refused(id=operation.id, text=why))
 
     def accept(self, operation: m.AnyOperation) -> None:
-        """Answer an operation that is carried out; `beat` gets no answer."""
-        if not isinstance(operation, m.Beat):
+        """Answer an operation that is carried out; `beat` and `follow` get no answer."""
+        if not isinstance(operation, m.Beat | m.Follow):
             self.send(m.Accepted(id=operation.id, op=operation.op))
 
     def _take(self, now_ns: int) -> list[m.AnyOperation]:

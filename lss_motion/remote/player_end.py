@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final, Literal
 from lss_motion.errors import InputError
 from lss_motion.player import events
 from lss_motion.player.events import Phase
+from lss_motion.player.show_clock import Leg
 from lss_motion.protocol.constants import Led
 from lss_motion.remote import schema as m
 from lss_motion.remote.link import Kind
@@ -23,6 +24,7 @@ from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US, s_from_ns
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from lss_motion.player.following import Following
     from lss_motion.player.joint_state import JointState
     from lss_motion.player.player import Player
     from lss_motion.remote.operator_end import Operator
@@ -56,8 +58,16 @@ class LossRule:
 class Steering:
     """One client that steers one run. Its methods are the callbacks of `perform.Observer`."""
 
-    def __init__(self, operator: Operator, rule: LossRule | None = None) -> None:
+    def __init__(
+        self,
+        operator: Operator,
+        rule: LossRule | None = None,
+        *,
+        following: Following | None = None,
+    ) -> None:
+        """Steer by what `operator` asks for; with `following`, the show follows its legs."""
         self.operator = operator
+        self._following = following
         self._rule = rule or LossRule()
         self._is_lost = self._has_stopped = False
         self._rate, self._is_paused = 1.0, False
@@ -86,6 +96,10 @@ class Steering:
                 self.operator.accept(operation)
         self._apply_rate(player, now_ns)
         self._watch(player, now_ns)
+        if self._following is not None and not self._has_stopped:
+            self._following.turn(player, now_ns)
+            for text in self._following.take_texts():
+                self.operator.send(m.Warned(text=text))
 
     def _obey_signals(self, player: Player, now_ns: int, count: int) -> None:
         """Brake at the first signal, end at the second one."""
@@ -106,6 +120,10 @@ class Steering:
                 pass
             case _ if self._has_stopped or player.is_finished:
                 raise InputError("the show has been stopped; start it again")
+            case m.Follow():
+                self._lead(operation, now_ns)
+            case m.Rate() | m.Seek() if self._following is not None:
+                raise InputError(f"the show follows a leader: {operation.op} has no meaning now")
             case m.Go() | m.Pause() | m.Resume() | m.Rate() | m.Seek():
                 self._steer(operation, player, now_ns)
             case _:
@@ -127,6 +145,12 @@ class Steering:
             case m.Seek():
                 player.seek(operation.to, now_ns)
 
+    def _lead(self, operation: m.Follow, now_ns: int) -> None:
+        if self._following is None:
+            raise InputError("the show was not started to follow a leader")
+        leg = Leg(operation.instant_ns, operation.show_s, operation.rate)
+        self._following.lead(leg, now_ns)
+
     def _stop(self, player: Player, now_ns: int) -> None:
         """Brake and end; the second call changes nothing, as both ways of a stop may arrive."""
         if not self._has_stopped:
@@ -141,7 +165,10 @@ class Steering:
         if self._has_stopped or player.is_finished:
             return
         self._applied, self._rated_ns = wish, now_ns
-        player.set_rate(0.0 if self._is_paused else self._rate, now_ns)
+        if self._following is None:
+            player.set_rate(0.0 if self._is_paused else self._rate, now_ns)
+        else:
+            self._following.set_paused(is_paused=self._is_paused)
         self.operator.send(m.RateChanged(ratio=self._rate, is_paused=self._is_paused))
 
     # ---- a lost operator

@@ -68,6 +68,23 @@ class Seek(Operation):
     )
 
 
+class Follow(Operation):
+    """The leader is at `show_s` at `instant_ns`, and goes on at `rate`; at 0 it stands.
+
+    The instant is one of the monotonic clock of the player's computer. One that is to come is a
+    start at that instant. The show trims its clock, or rejoins its leader; without these
+    operations for some time it goes on alone or holds, as it was started. Without an answer.
+    """
+
+    op: Literal["follow"] = "follow"
+    instant_ns: Annotated[int, Field(ge=0)]
+    show_s: Annotated[float, Field(ge=-86400.0, le=86400.0)]
+    rate: Annotated[float, Field(ge=0.0, le=2.0)]
+    source: Annotated[str, Field(max_length=LABEL_MAX_CHARS)] = ""
+    state: Annotated[str, Field(max_length=LABEL_MAX_CHARS)] = ""
+    """What the leader does, for a person."""
+
+
 class Stop(Operation):
     """Brake within the limits, hold, give the settings back and end. Twice is the same as once."""
 
@@ -211,6 +228,7 @@ AnyOperation = Annotated[
     | Resume
     | Rate
     | Seek
+    | Follow
     | Stop
     | Estop
     | Beat

@@ -178,8 +178,14 @@ def _apply_request(player: Player, entry: Entry) -> None:
         case "rate":
             player.set_rate(float(value), entry.at_ns)
         case "follow":
-            show_s, rate, trim_max_ratio = map(float, value.split())
-            player.follow(Leg(entry.at_ns, show_s, rate), entry.at_ns, trim_max_ratio)
+            show_s, rate, *style = map(float, value.split())
+            player.follow(Leg(entry.at_ns, show_s, rate), entry.at_ns, *style)
+        case "seek":
+            player.seek(float(value), entry.at_ns)
+        case "run_from":
+            player.run_from(float(value), entry.at_ns)
+        case "hold_before_start":
+            player.hold_before_start(entry.at_ns)
         case "sound":
             player.lose_sound(json.loads(value), entry.at_ns)
         case "stop":

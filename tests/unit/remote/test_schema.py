@@ -21,6 +21,8 @@ OPERATIONS = [
     m.Stop(id=7),
     m.Estop(),
     m.Beat(),
+    m.Follow(instant_ns=5, show_s=-3.5, rate=1.0, source="ltc", state="locked"),
+    m.Follow(instant_ns=5, show_s=3.5, rate=0.0),
 ]
 REFUSED = [
     "",
@@ -35,6 +37,9 @@ REFUSED = [
     '{"op": "seek", "to": -1}',
     '{"op": "seek", "to": ""}',
     '{"op": "stop", "now": true}',
+    '{"op": "follow", "instant_ns": 5, "show_s": 1.0, "rate": -1.0}',
+    '{"op": "follow", "instant_ns": 5, "show_s": 1e300, "rate": 1.0}',
+    '{"op": "follow", "show_s": 1.0, "rate": 1.0}',
     '{"op": "stop", "id": -1}',
     '{"op": "stop", "id": 1' + " " * m.OPERATION_MAX_BYTES + "}",
     b"\xff\xfe",
