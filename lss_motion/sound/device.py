@@ -10,7 +10,7 @@ import contextlib
 import threading
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Literal, Self
 
 import numpy as np
 
@@ -61,37 +61,40 @@ def sounddevice_module() -> ModuleType:
     return module
 
 
-def devices() -> list[Device]:
-    """Return the devices that can play; raises `NoDeviceError` if the library is missing."""
+def devices(way: Literal["output", "input"] = "output") -> list[Device]:
+    """Return the devices that can play, or record.
+
+    Raises `NoDeviceError` if the library is missing.
+    """
     library = sounddevice_module()
-    default = library.default.device[1]
+    default = library.default.device[1 if way == "output" else 0]
     drivers = library.query_hostapis()
     return [
         Device(
             name=found["name"],
             driver=drivers[found["hostapi"]]["name"],
-            channels=found["max_output_channels"],
+            channels=found[f"max_{way}_channels"],
             rate_hz=round(found["default_samplerate"]),
-            latency_s=found["default_low_output_latency"],
+            latency_s=found[f"default_low_{way}_latency"],
             is_default=index == default,
         )
         for index, found in enumerate(library.query_devices())
-        if found["max_output_channels"] > 0
+        if found[f"max_{way}_channels"] > 0
     ]
 
 
-def chosen_device(name: str) -> Device:
+def chosen_device(name: str, way: Literal["output", "input"] = "output") -> Device:
     """Return the device of that name, or the default one; raises `NoDeviceError`."""
-    found = devices()
+    found, what = devices(way), "sound device" if way == "output" else "sound input"
     if not found:
-        raise NoDeviceError("this computer has no sound device; connect one, or start its server")
-    if not name:
+        raise NoDeviceError(f"this computer has no {what}; connect one, or start its server")
+    if not name or name == "default":
         return next((device for device in found if device.is_default), found[0])
     fitting = [device for device in found if name.lower() in device.name.lower()]
     exact = [device for device in fitting if device.name.lower() == name.lower()]
     if not fitting:
         text = known_names(name, [device.name for device in found])
-        raise NoDeviceError(f"sound device {name!r} is not there; {text}")
+        raise NoDeviceError(f"{what} {name!r} is not there; {text}")
     return (exact or fitting)[0]
 
 

@@ -1,0 +1,123 @@
+"""Timecode: hours, minutes, seconds and frames as labels, and what they are in seconds.
+
+Labels are counted in whole frames a second (`Rate.labels`). At 23.976 and 29.97 frames a second a
+label second lasts 1.001 s. Drop-frame leaves out the labels of frames 0 and 1 in each minute but
+every tenth, so that labels and seconds agree to within 0.1 s over a day (SMPTE 12M).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from lss_motion.errors import InputError
+from lss_motion.files.source import known_names
+
+HOURS: Final = 24
+DROPPED: Final = 2
+"""Labels that drop-frame leaves out in nine of ten minutes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """How many frames a second has, and how they are labelled."""
+
+    name: str
+    labels: int
+    frames_per_s: float
+    is_drop: bool = False
+
+    @property
+    def frame_s(self) -> float:
+        return 1.0 / self.frames_per_s
+
+    @property
+    def frames_per_day(self) -> int:
+        minutes = 60 * HOURS
+        dropped = DROPPED * (minutes - minutes // 10) if self.is_drop else 0
+        return minutes * 60 * self.labels - dropped
+
+
+FPS_23_976: Final = Rate("23.976", 24, 24000 / 1001)
+FPS_24: Final = Rate("24", 24, 24.0)
+FPS_25: Final = Rate("25", 25, 25.0)
+FPS_29_97: Final = Rate("29.97", 30, 30000 / 1001)
+FPS_29_97_DROP: Final = Rate("29.97df", 30, 30000 / 1001, is_drop=True)
+FPS_30: Final = Rate("30", 30, 30.0)
+RATES: Final = {
+    rate.name: rate for rate in (FPS_23_976, FPS_24, FPS_25, FPS_29_97, FPS_29_97_DROP, FPS_30)
+}
+CODED: Final = (FPS_24, FPS_25, FPS_29_97_DROP, FPS_30)
+"""The rates that MIDI timecode and Art-Net can name, by their number there."""
+
+
+class Timecode(NamedTuple):
+    """The label of one frame."""
+
+    hours: int
+    minutes: int
+    seconds: int
+    frames: int
+
+    def __str__(self) -> str:
+        return f"{self.hours:02}:{self.minutes:02}:{self.seconds:02}:{self.frames:02}"
+
+    def is_valid(self, rate: Rate) -> bool:
+        """Return whether `rate` has a frame with this label."""
+        is_in_range = (
+            0 <= self.hours < HOURS
+            and 0 <= self.minutes < 60
+            and 0 <= self.seconds < 60
+            and 0 <= self.frames < rate.labels
+        )
+        return is_in_range and not (
+            rate.is_drop and self.frames < DROPPED and not self.seconds and self.minutes % 10
+        )
+
+    def frame(self, rate: Rate) -> int:
+        """Return the number of the frame, from 0 at midnight."""
+        minutes = 60 * self.hours + self.minutes
+        dropped = DROPPED * (minutes - minutes // 10) if rate.is_drop else 0
+        return (60 * minutes + self.seconds) * rate.labels + self.frames - dropped
+
+    def at_s(self, rate: Rate) -> float:
+        """Return when the frame begins, in seconds from midnight."""
+        return self.frame(rate) / rate.frames_per_s
+
+
+def timecode_of(frame: int, rate: Rate) -> Timecode:
+    """Return the label of a frame; midnight follows the last one of a day."""
+    frame %= rate.frames_per_day
+    if rate.is_drop:
+        minute = 60 * rate.labels - DROPPED
+        tens, rest = divmod(frame, 10 * minute + DROPPED)
+        frame += DROPPED * 9 * tens
+        if rest >= minute + DROPPED:  # The first minute of ten drops none.
+            frame += DROPPED * ((rest - DROPPED) // minute)
+    rest, frames = divmod(frame, rate.labels)
+    rest, seconds = divmod(rest, 60)
+    hours, minutes = divmod(rest, 60)
+    return Timecode(hours, minutes, seconds, frames)
+
+
+_TIMECODE: Final = re.compile(r"(\d{1,2}):(\d{1,2}):(\d{1,2})(?:[:;.](\d{1,2}))?")
+
+
+def read_timecode(text: str) -> Timecode:
+    """Return the timecode of `HH:MM:SS:FF` (or `HH:MM:SS`); raises `InputError`."""
+    match = _TIMECODE.fullmatch(text.strip())
+    parts = [int(part or 0) for part in match.groups()] if match else []
+    if not parts or not Timecode(*parts).is_valid(FPS_30):
+        raise InputError(f"{text!r} is no timecode; write HH:MM:SS:FF, as in 01:00:00:00")
+    return Timecode(*parts)
+
+
+def read_rate(text: str) -> Rate:
+    """Return the rate of that name; raises `InputError`."""
+    name = text.strip().lower()
+    if name in ("29.97ndf", "23.98"):
+        name = {"29.97ndf": "29.97", "23.98": "23.976"}[name]
+    if name not in RATES:
+        raise InputError(f"{text!r} is no frame rate: {known_names(name, RATES)}")
+    return RATES[name]
