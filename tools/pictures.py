@@ -39,7 +39,7 @@ PICTURES: Final = {
     "studio": Picture("wave.yaml", "2", 10.6),
     "studio_show": Picture("owl.yaml", "1", 4.8, (820, 1180), "light"),
     "studio_timeline": Picture("hexapod_dance.yaml", "2s", 8.0),
-    "studio_robot": Picture("hexapod_dance.yaml", "3", 4.0, theme="light"),
+    "studio_robot": Picture("hexapod_dance.yaml", "3", 9.0, theme="light"),
 }
 
 

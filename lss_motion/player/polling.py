@@ -106,7 +106,8 @@ class PollScheduler:
 
     def _is_starved(self, bus: str, now_ns: int) -> bool:
         next_ns = self._next_ns[bus]
-        is_due = next_ns is None or next_ns <= now_ns
+        # A rest does not count: on a host that is always late, one follows the other.
+        is_due = next_ns is None or next_ns <= max(now_ns, self._rest_until_ns)
         return is_due and self._trackers[bus].is_starved(now_ns)
 
     def poll(self, now_ns: int, quiet_until_ns: int | None) -> None:
@@ -212,12 +213,24 @@ class PollScheduler:
             servo_id = state.joint.servo_id
             if tracker.is_waiting(servo_id):  # An equal query would keep its flight open for ever.
                 continue
-            question, size_bytes = query_of(servo_id, urgent or self._choice.fresh(bus, state))
-            is_urgent = urgent is not None
-            earliest_ns = tracker.earliest_ns(servo_id, size_bytes, is_urgent=is_urgent)
-            if earliest_ns is not None and earliest_ns <= now_ns:
-                tracker.send(question, now_ns)
+            words = [urgent] if urgent else self._choice.overdue_words(bus, state, now_ns)
+            if self._send_overdue(bus, state, words[0], now_ns, is_urgent=urgent is not None):
+                if words[1:] and self._send_overdue(bus, state, words[1], now_ns):
+                    self._choice.note_health_sent(state, words[1], now_ns)
+                    self.watch.note_query(state.joint.name, words[1], now_ns)
                 return
+
+    def _send_overdue(
+        self, bus: str, state: JointState, keyword: str, now_ns: int, *, is_urgent: bool = False
+    ) -> bool:
+        """Send a query behind the moves that are queued, if the servo may be sent it now."""
+        tracker, servo_id = self._trackers[bus], state.joint.servo_id
+        question, size_bytes = query_of(servo_id, keyword)
+        earliest_ns = tracker.earliest_ns(servo_id, size_bytes, is_urgent=is_urgent)
+        if earliest_ns is None or earliest_ns > max(now_ns, self._lines[bus].free_ns):
+            return False
+        tracker.send(question, now_ns)
+        return True
 
     def receive(
         self, bus: str, reply: Reply, now_ns: int, plan_deg: Callable[[JointState, int], float]

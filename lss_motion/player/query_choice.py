@@ -55,6 +55,9 @@ def health_round(family: Family, probes: tuple[str, ...]) -> tuple[str, ...]:
 
 HEALTH_NS: Final = NS_PER_S // 4
 """Period of the health queries to a servo, one keyword after the other."""
+HEALTH_LATE_NS: Final = NS_PER_S
+"""Where queries are few, as on a host that is always late, health gets one at least this often:
+angles and probes would leave it none. Chosen: a hot or blocked servo is found within seconds."""
 HEALTH_LEAST: Final = 8
 """Where the line is slow, at most one query in this many is about health."""
 FILL_RATIO: Final = 0.95
@@ -135,6 +138,9 @@ class QueryChoice(ABC):
         """By joint, when a query that was chosen here was last sent to its servo."""
         self._places_ns: dict[str, int] = {}
         """By joint, when it was last queried for its angle here."""
+        self._healths_ns: dict[str, int] = {}
+        """By joint, when its servo was last asked about its health, with no probe."""
+        self._late_counts: dict[str, int] = {}
 
     @abstractmethod
     def next_query(self, bus: str, now_ns: int) -> tuple[JointState, str] | None:
@@ -163,15 +169,41 @@ class QueryChoice(ABC):
             state.note_target_query()
         else:
             self._health_wait[bus] = 0
-            # What went along early makes the next one no earlier.
-            planned_ns = min(self._health_due_ns(state), now_ns + self._health_period_ns(state))
-            state.note_health_query(max(planned_ns, now_ns))
+            self.note_health_sent(state, keyword, now_ns)
 
     def fresh(self, bus: str, state: JointState) -> str:
         """Return a keyword for whose answer no overdue answer of the servo can be taken."""
         tracker, servo_id = self._trackers[bus], state.joint.servo_id
         words = (PLACE_KEYWORD, *self._health_round(state))
         return next((one for one in words if not tracker.is_overdue(servo_id, one)), PLACE_KEYWORD)
+
+    def overdue_words(self, bus: str, state: JointState, now_ns: int) -> list[str]:
+        """Return the queries to a servo that was not polled for too long: its angle, its health."""
+        words = [self.fresh(bus, state)]
+        if words != [PLACE_KEYWORD]:
+            return words
+        word = self._late_health(state, now_ns) or self._watch.read_back(state.joint.name, now_ns)
+        return words if word is None else [*words, word]
+
+    def note_health_sent(self, state: JointState, keyword: str, now_ns: int) -> None:
+        """Note a query about health, or a probe, to the servo of a joint."""
+        if keyword not in self._watch.keywords(state.joint.name):
+            self._healths_ns[state.joint.name] = now_ns
+        # What went along early makes the next one no earlier.
+        planned_ns = min(self._health_due_ns(state), now_ns + self._health_period_ns(state))
+        state.note_health_query(max(planned_ns, now_ns))
+
+    def _late_health(self, state: JointState, now_ns: int) -> str | None:
+        """Return what a servo is asked about its health too late; None: it is not late.
+
+        Probes do not count. The words take turns apart from those of the health round.
+        """
+        name = state.joint.name
+        if now_ns - self._healths_ns.setdefault(name, now_ns) <= HEALTH_LATE_NS:
+            return None
+        words = health_words(state.joint.model.family)
+        self._late_counts[name] = count = self._late_counts.get(name, -1) + 1
+        return words[count % len(words)]
 
     def _health_round(self, state: JointState) -> tuple[str, ...]:
         return health_round(state.joint.model.family, self._watch.keywords(state.joint.name))
@@ -362,18 +394,24 @@ class ByNeed(QueryChoice):
         first = self._priority_word(bus, state, now_ns)
         if first is None:
             first = self._health.unconfirmed.get(name)
+        period_ns, place_ns = self._place_period_ns(state), self._places_ns.get(name)
+        age_ns = math.inf if place_ns is None else now_ns - place_ns
+        is_late = age_ns > 2.0 * period_ns
         if first not in (None, TARGET_KEYWORD):
-            return [first]
+            if name in self._watch.doubted or first not in self._watch.keywords(name):
+                return [first]
+            # Where queries are few, a probe is due at each visit, and would be all that is asked.
+            other = self._late_health(state, now_ns) or (
+                PLACE_KEYWORD if is_late and name in self._visits_ns else None
+            )
+            return [first] if other is None else [other, first]
         words = [] if first is None else [first]
         if words and not is_alone:
             return words
-        period_ns, place_ns = self._place_period_ns(state), self._places_ns.get(name)
-        age_ns = math.inf if place_ns is None else now_ns - place_ns
         if age_ns >= RIDE_RATIO * period_ns:
             words.append(PLACE_KEYWORD)
         health_ns = self._health_period_ns(state)
         is_due = state.health_ns is None or now_ns - state.health_ns >= RIDE_RATIO * health_ns
-        is_late = age_ns > 2.0 * period_ns
         if is_due and not (is_late and self._health_wait[bus] < HEALTH_LEAST - 1):
             words.append(self._health_word(state))
         return words[::-1] or [PLACE_KEYWORD]

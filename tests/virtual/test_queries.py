@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import lss_motion as lss
+from lss_motion.perform import Observer, perform
 from lss_motion.player.estimators import DisturbanceEstimator
 from lss_motion.player.events import MarkPassed, Warned
 from lss_motion.player.query_choice import BY_NEED
@@ -156,3 +161,42 @@ def test_an_lss_pro_gets_only_queries_of_its_document_and_answers_all(stage, kit
     assert bus.replies > 150
     asked = {word for line in played.lines() if (word := line.decode()[2:-1]).startswith("Q")}
     assert {"Q", "QT", "QC", "QD"} <= asked <= set(PRO_TABLE.by_keyword)
+
+
+class Until:
+    """Ends the show at `end_s`; notes when it began."""
+
+    def __init__(self, end_s):
+        self.end_s, self.began_ns = end_s, None
+
+    def filenos(self):
+        return []
+
+    def act(self, player, now_ns):
+        if player.show is not None:
+            self.began_ns = self.began_ns or now_ns
+            if player.show.show_s(now_ns) > self.end_s:
+                player.stop(now_ns)
+
+
+@pytest.mark.parametrize("late_s", [0.002, 0.016])
+def test_a_host_that_is_always_late_still_asks_each_servo_how_it_is(late_s):
+    """Moves are due at every turn; a show of 18 joints went on for minutes without one status."""
+    show = Path(__file__).resolve().parents[2] / "sequences" / "hexapod_dance.yaml"
+    sequence = lss.load_sequence(show)
+    robot = lss.load_robot(sequence.robot_path)
+    program = lss.compile(lss.plan(sequence, robot), robot)
+    sleep, until = Fault(kind=FaultKind.OVERSLEEP, late_s=late_s), Until(6.0)
+    observer = Observer(controls=until)
+    result = perform(program, robot, is_virtual=True, faults=[sleep], observer=observer)
+    received: dict[tuple[int, str], list[float]] = {}
+    for at_ns, line in result.simulated["main"].lines:
+        found = re.fullmatch(rb"#(\d+)(Q\w*)\r", line)
+        if found and until.began_ns <= at_ns < until.began_ns + 6.0e9:
+            query = (int(found[1]), found[2].decode())
+            received.setdefault(query, []).append((at_ns - until.began_ns) / 1e9)
+    for joint in robot.joints.values():
+        for word, most_s in (("QD", 2.5), ("QSD", 1.5), ("Q", 3.5), ("QT", 6.0)):
+            instants_s = [0.0, *received.get((joint.servo_id, word), []), 6.0]
+            gap_s = max(b - a for a, b in pairwise(instants_s))
+            assert gap_s < most_s, (joint.name, word)
