@@ -87,6 +87,7 @@ def play(job: Job, steering: Steering) -> Outcome:
             outcome="fault" if outcome.report is None else outcome.report.outcome,
             error=None if outcome.error is None else str(outcome.error),
             report=None if outcome.report is None else outcome.report.to_dict(),
+            exit_code=None if outcome.error is None else outcome.error.exit_code,
         )
     )
     return outcome

@@ -28,6 +28,7 @@ Name = base.Name
 Message = base.Message
 Operation = base.Operation
 RoleName = Literal["view", "operate", "edit"]
+FileKind = Literal["sequence", "gait", "playlist", "robot", "stage"]
 
 
 class Go(Operation):
@@ -251,6 +252,8 @@ AnyOperation = Annotated[
     | stage.Cue
     | stage.Enable
     | stage.Arm
+    | stage.StagePlay
+    | stage.StageStop
     | stage.StageRest
     | stage.StageWake,
     Field(discriminator="op"),
@@ -433,6 +436,8 @@ class Ended(Message):
     error: str | None
     """Why the run could not begin or go on."""
     report: dict[str, Any] | None
+    exit_code: int | None = None
+    """Of the error, by the codes of `lss-play`."""
 
 
 class Welcome(Message):
@@ -444,7 +449,7 @@ class Welcome(Message):
     stop_origin: str
     version: str
     file: str
-    kind: Literal["sequence", "gait", "playlist", "robot"]
+    kind: FileKind
     title: str
     is_network_readable: bool
     """Whether others on the network can read along: the server listens there without TLS."""
@@ -473,7 +478,7 @@ class DocumentChanged(Message):
     event: Literal["document"] = "document"
     revision: int
     file: str
-    kind: Literal["sequence", "gait", "playlist", "robot"]
+    kind: FileKind
     title: str
     is_planning: bool
     errors: tuple[Problem, ...]

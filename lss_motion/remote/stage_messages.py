@@ -45,9 +45,23 @@ class Enable(Operation):
 
 
 class Arm(Operation):
-    """Make ready for `go`: the next cue that waits for it."""
+    """Make a cue the next one that `go` fires."""
 
     op: Literal["arm"] = "arm"
+    cue: Name
+
+
+class StagePlay(Operation):
+    """Play a show, in place of all that play."""
+
+    op: Literal["stage.play"] = "stage.play"
+    show: Name
+
+
+class StageStop(Operation):
+    """End all shows; the stage goes on with its idle show."""
+
+    op: Literal["stage.stop"] = "stage.stop"
 
 
 class StageRest(Operation):
@@ -62,5 +76,5 @@ class StageWake(Operation):
     op: Literal["stage.wake"] = "stage.wake"
 
 
-StageOperation = Trigger | Cue | Enable | Arm | StageRest | StageWake
+StageOperation = Trigger | Cue | Enable | Arm | StagePlay | StageStop | StageRest | StageWake
 """What is asked of a running stage, besides `schema.ShowOperation`."""

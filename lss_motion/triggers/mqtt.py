@@ -4,7 +4,7 @@ All topics of a stage begin with `lss/STAGE`:
 
     cue/NAME      in   any message fires the cue
     enable/NAME   in   ON or OFF
-    do            in   go, stop, estop, pause, resume, arm, rest
+    do            in   go, stop, estop, pause, resume, idle, rest, wake
     state         out  JSON, kept by the broker
     enabled/NAME  out  ON or OFF, kept by the broker
     event         out  JSON
@@ -50,8 +50,9 @@ DEEDS: Final = {
     "estop": "estop",
     "pause": "pause",
     "resume": "resume",
-    "arm": "arm",
+    "idle": "stage.stop",
     "rest": "stage.rest",
+    "wake": "stage.wake",
 }
 INSTALL: Final = 'MQTT needs a package: pip install "lss-motion[stage]"'
 

@@ -43,11 +43,16 @@ SIMPLE: Final = {
     "/lss/estop": "estop",
     "/lss/pause": "pause",
     "/lss/resume": "resume",
-    "/lss/arm": "arm",
+    "/lss/idle": "stage.stop",
     "/lss/rest": "stage.rest",
+    "/lss/wake": "stage.wake",
 }
 """Addresses of operations without an argument. No `rearm`: after a stop a person with a password
 allows motion again."""
+
+
+NAMED: Final = {"cue": ("cue", "label"), "arm": ("arm", "cue"), "show": ("stage.play", "show")}
+"""Operations with a name: `/lss/cue/NAME`, or `/lss/cue NAME`."""
 
 
 class OscError(ValueError):
@@ -144,34 +149,46 @@ def operation_of(
     `cues` are the addresses that trigger a cue of the stage; they come before our own. Of those in
     `levels` only values that cross a threshold count. Raises `OscError` for what is not possible.
     """
-    address, arguments = message.address, message.arguments
-    first = arguments[0] if arguments else None
-    if address in cues:
-        is_number = isinstance(first, int | float) and math.isfinite(first)
-        value = float(first) if first is not None and is_number else None
-        if levels is not None and address in levels and value is not None:
-            is_wanted = levels.take(address, value)
-        else:
-            is_wanted = not is_release(message)
-        fields = {"op": "trigger", "kind": "osc", "address": address, "value": value}
-        return _operation(fields) if is_wanted else None
+    if message.address in cues:
+        return _trigger(message, levels)
+    fields = _own(message)
+    if fields is None:
+        raise OscError(f"{shown(message.address)} triggers no cue, and is none of ours")
+    is_button = fields["op"] not in ("rate", "seek", "enable")
+    return None if is_button and is_release(message) else _operation(fields)
+
+
+def _trigger(message: Message, levels: Crossings | None) -> m.AnyOperation | None:
+    """Return the trigger of a message; None if it is a release, or crosses no threshold."""
+    address, first = message.address, next(iter(message.arguments), None)
+    is_number = isinstance(first, int | float) and math.isfinite(first)
+    value = float(first) if first is not None and is_number else None
+    if levels is not None and address in levels and value is not None:
+        is_wanted = levels.take(address, value)
+    else:
+        is_wanted = not is_release(message)
+    fields = {"op": "trigger", "kind": "osc", "address": address, "value": value}
+    return _operation(fields) if is_wanted else None
+
+
+def _own(message: Message) -> dict[str, Any] | None:
+    """Return the operation of one of our addresses; None: it is none of ours."""
+    address, first = message.address, next(iter(message.arguments), None)
+    if address in SIMPLE:
+        return {"op": SIMPLE[address]}
     own, _, name = address.removeprefix("/lss/").partition("/")
-    match own if address.startswith("/lss/") else "":
-        case _ if address in SIMPLE:
-            return None if is_release(message) else _operation({"op": SIMPLE[address]})
-        case "rate" if not name and isinstance(first, int | float):
-            return _operation({"op": "rate", "ratio": float(first)})
-        case "seek" if not name and isinstance(first, int | float | str):
-            to = first if isinstance(first, str) else float(first)
-            return _operation({"op": "seek", "to": to})
-        case "cue" if name:
-            return None if is_release(message) else _operation({"op": "cue", "label": name})
-        case "cue" if isinstance(first, str):
-            return _operation({"op": "cue", "label": first})
-        case "enable" if name:
-            return _operation({"op": "enable", "cue": name, "is_enabled": not is_release(message)})
-        case _:
-            raise OscError(f"{shown(address)} triggers no cue, and is none of ours")
+    if not address.startswith("/lss/"):
+        return None
+    if own in NAMED and (name or isinstance(first, str)):
+        op, key = NAMED[own]
+        return {"op": op, key: name or first}
+    if own == "enable" and name:
+        return {"op": "enable", "cue": name, "is_enabled": not is_release(message)}
+    if own == "rate" and not name and isinstance(first, int | float):
+        return {"op": "rate", "ratio": float(first)}
+    if own == "seek" and not name and isinstance(first, int | float | str):
+        return {"op": "seek", "to": first if isinstance(first, str) else float(first)}
+    return None
 
 
 def _operation(fields: dict[str, Any]) -> m.AnyOperation:

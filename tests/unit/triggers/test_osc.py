@@ -111,6 +111,8 @@ def test_addresses_are_operations():
     assert asked("/lss/stop", 0) is None
     assert asked("/lss/estop") == {"op": "estop"}
     assert asked("/lss/rest") == {"op": "stage.rest"}
+    assert asked("/lss/arm/scare") == {"op": "arm", "cue": "scare"}
+    assert asked("/lss/show/wave") == {"op": "stage.play", "show": "wave"}
     assert asked("/lss/rate", 0.5) == {"op": "rate", "ratio": 0.5}
     assert asked("/lss/seek", "wave") == {"op": "seek", "to": "wave"}
     assert asked("/lss/seek", 3) == {"op": "seek", "to": 3.0}
