@@ -94,7 +94,7 @@ def _motion(
         ]
         longest = _cell(cells, columns, "TMAX")
         step_s = s_from_ms(lines.whole(longest, number, DURATION_MAX_MS)) if longest else 0.0
-        step_s = max(step_s, *times_s)
+        step_s = max([step_s, *times_s])
         for pin, time_s in zip(pins, times_s, strict=True):
             angle_deg = lines.number(cells[columns[pin]], number, has_commas=True)
             if time_s == 0.0:

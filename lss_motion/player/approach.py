@@ -151,7 +151,7 @@ def approach(
         line_use=lines_use(moves, robot),
     )
     ends_s = [reference.end_s for reference in profiles(program, robot).values()]
-    return replace(program, duration_s=max(0.0, *ends_s))
+    return replace(program, duration_s=max([0.0, *ends_s]))
 
 
 def approach_s(robot: Robot, from_deg: Mapping[str, float], to_deg: Mapping[str, float]) -> float:

@@ -516,7 +516,7 @@ class LayeredSum:
 
     @property
     def duration_s(self) -> float:
-        return max(self.base.duration_s, *(placed.to_s for placed in self.layers))
+        return max([self.base.duration_s, *(placed.to_s for placed in self.layers)])
 
     def at(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return angles and speeds, (n, joints)."""

@@ -77,6 +77,7 @@ FOUND_MIXED = (
     11473,  # A host that stood still for 30 s was to notice what happened meanwhile.
     20761,  # Garbled bytes changed gyre and origin of servos in mid-show.
     13248, 21025,  # A servo that counts in other units restarted: only its SD had bounded it.
+    45651,  # Every joint was left out: the approach of no joint raised.
     20915,  # A joint in EM0 went 2 % too fast; by chance, with other instants.
 )  # fmt: skip
 """Seeds with all kinds of faults, for both judges."""

@@ -94,6 +94,11 @@ def test_a_joint_far_outside_of_its_range_is_led_back_no_faster_than_asked(kit):
     assert max(speeds_deg_s(program, {1: -350.0, 2: 10.0})) == pytest.approx(30.0, rel=0.01)
 
 
+def test_where_every_joint_is_left_out_the_approach_ends_at_once(kit):
+    program = approach(kit.robot(kit.joint()), {"j0": 0.0}, {})
+    assert (program.duration_s, program.moves) == (0.0, ())
+
+
 def test_the_way_back_into_the_range_may_be_too_long_for_one_move(kit):
     robot = kit.robot(kit.joint(), approach_speed_deg_s=10.0)
     program = approach(robot, {"j0": -250.0}, {"j0": 0.0})
