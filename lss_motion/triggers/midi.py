@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from lss_motion.errors import InputError
 from lss_motion.remote import stage_messages as stage
+from lss_motion.sync import midi
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -19,10 +19,9 @@ if TYPE_CHECKING:
     from lss_motion.triggers.sources import Gate, Sink
 
 LOOK_S: Final = 1.0
-"""How often the inputs are looked at. Plugging a device takes longer."""
-NO_DRIVER_S: Final = 30.0
-"""How often a MIDI system is asked for that is not there: it writes to the terminal each time."""
-INSTALL: Final = 'MIDI needs a package: pip install "lss-motion[stage]"'
+"""How often an open input is looked at. Plugging a device takes longer."""
+MISSING_S: Final = 5.0
+"""How often a missing input is looked for."""
 _NOTE_ON: Final = 0x90
 _PROGRAM: Final = 0xC0
 
@@ -43,12 +42,17 @@ def trigger_of(message: Sequence[int]) -> stage.Trigger | None:
     return None
 
 
-def port_in(names: Sequence[str], wanted: str) -> int | None:
-    """Return which of these inputs is meant by a part of its name; `default` is the first."""
-    for place, name in enumerate(names):
-        if wanted == "default" or wanted.casefold() in name.casefold():
-            return place
-    return None
+class Device(Protocol):
+    """The MIDI inputs of the computer, as `sync.midi` has them."""
+
+    def open_port(self, kind: str, name: str) -> tuple[Any, str]:
+        """Open an input by a part of its name; raises `NoPortError`."""
+
+    def is_there(self, device: Any, port: str) -> bool:  # noqa: ANN401  (the library has no types)
+        """Return whether an open input still exists."""
+
+    def close(self, device: Any) -> None:  # noqa: ANN401
+        """Close an input."""
 
 
 class MidiPort:
@@ -61,14 +65,13 @@ class MidiPort:
         sink: Sink,
         note: Callable[[str], None],
         *,
-        make: Callable[[], Any] | None = None,
+        system: Device = midi,
     ) -> None:
         self.gate = gate
-        self._wanted, self._sink, self._note = wanted, sink, note
-        self._make = make or _make
+        self._wanted, self._sink, self._note, self._system = wanted, sink, note, system
         self._input: Any = None
         self._open_name: str | None = None
-        self._has_looked = False
+        self._said = ""
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
 
@@ -78,7 +81,7 @@ class MidiPort:
         return self._open_name
 
     def open(self) -> None:
-        """Begin to look for the input; raises `InputError` where the package is missing."""
+        """Begin to look for the input."""
         self._look()
 
     def close(self) -> None:
@@ -89,53 +92,33 @@ class MidiPort:
 
     def _look(self) -> None:
         """Open the input if it is there now; note if it is gone."""
-        pause_s = LOOK_S
-        try:
-            self._input = self._make() if self._input is None else self._input
-            names = self._input.get_ports()
-        except InputError:
-            raise
-        except Exception as error:  # noqa: BLE001  (the library raises its own, by driver)
-            self._say_gone(f"no MIDI system ({error})")
+        name = self._open_name
+        if name is not None and not self._system.is_there(self._input, name):
+            self._say(f"MIDI: {name} has vanished; it is opened when it is back")
             self._drop()
-            names, pause_s = [], NO_DRIVER_S
+        if self._open_name is None:
+            try:
+                self._input, self._open_name = self._system.open_port("MidiIn", self._wanted)
+            except midi.NoPortError as error:
+                if name is None:
+                    self._say(f"{error}; it is opened when it is there")
+            else:
+                self._input.set_callback(self._called)
+                self._say(f"MIDI: {self._open_name} is open")
+        pause_s = LOOK_S if self._open_name is not None else MISSING_S
         self._timer = self._loop.call_later(pause_s, self._look)
-        if self._open_name is not None and self._open_name not in names:
-            self._say_gone("has vanished")
-            self._drop()
-        elif self._open_name is None and self._input is not None:
-            self._try(names)
-        self._has_looked = True
 
-    def _try(self, names: Sequence[str]) -> None:
-        place = port_in(names, self._wanted)
-        if place is None:
-            if not self._has_looked:
-                listed = ", ".join(names) or "none"
-                self._note(f"MIDI: no input {self._wanted!r} yet; there are: {listed}")
-            return
-        try:
-            self._input.open_port(place)
-        except Exception as error:  # noqa: BLE001  (the library raises its own, by driver)
-            self._note(f"MIDI: {names[place]} cannot be opened: {error}")
-            self._drop()
-            return
-        self._input.set_callback(self._called)
-        self._open_name = names[place]
-        self._note(f"MIDI: {self._open_name} is open")
-
-    def _say_gone(self, why: str) -> None:
-        if self._open_name is not None or not self._has_looked:
-            name = self._open_name or self._wanted
-            self._note(f"MIDI: {name}: {why}; it is opened when it is there")
+    def _say(self, text: str) -> None:
+        """Note what has changed; once while a device is missing."""
+        if text != self._said:
+            self._said = text
+            self._note(text)
 
     def _drop(self) -> None:
         if self._input is not None:
             with contextlib.suppress(Exception):  # Of a device that is gone.
                 self._input.cancel_callback()
-                self._input.close_port()
-            with contextlib.suppress(Exception):
-                self._input.delete()
+            self._system.close(self._input)
         self._input, self._open_name = None, None
 
     def _called(self, arrived: tuple[Sequence[int], float], _data: object = None) -> None:
@@ -147,11 +130,3 @@ class MidiPort:
         trigger = trigger_of(message)
         if trigger is not None and self.gate.admits("127.0.0.1", self._loop.time()):
             self._sink(trigger, f"MIDI {self._open_name or self._wanted}")
-
-
-def _make() -> Any:  # noqa: ANN401  (the library has no types)
-    try:
-        import rtmidi
-    except ModuleNotFoundError:
-        raise InputError(INSTALL) from None
-    return rtmidi.MidiIn(name="lss-motion")
