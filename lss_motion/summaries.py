@@ -344,12 +344,13 @@ def program_lines(show: Show, *, is_whole: bool = False) -> list[str]:
                 f"(at least {least_hz:g})"
             )
     lines += [*drive_lines(program), *call_lines(program.cues), *sound_lines(program)]
-    errors_deg = {n: e for n, e in program.error_max_deg.items() if n not in _stepped(program)}
-    if errors_deg:
-        name = max(errors_deg, key=lambda joint: errors_deg[joint])
+    bounds_deg = {n: e for n, e in program.bound_deg.items() if n not in _stepped(program)}
+    if bounds_deg:
+        name = max(bounds_deg, key=lambda joint: bounds_deg[joint])
+        moves_deg = max(program.error_max_deg[joint] for joint in bounds_deg)
         lines.append(
-            f"predicted horns stay within {errors_deg[name]:.2f} deg of the plan "
-            f"({name}; tolerance {program.tolerance_deg:g} deg)"
+            f"predicted horns stay within {bounds_deg[name]:.2f} deg of the plan ({name}), by "
+            f"their moves alone within {moves_deg:.2f} (tolerance {program.tolerance_deg:g} deg)"
         )
     return lines
 
@@ -399,7 +400,7 @@ def drive_lines(program: Program) -> list[str]:
             how = f"streamed (bare D in EM0, FPC {driving.filter_count})"
         elif driving is not None:
             how = "stepped (whole degrees to an RC servo, no feedback)"
-        error_deg = program.error_max_deg.get(name)
+        error_deg = program.bound_deg.get(name)
         within = "" if error_deg is None else f", predicted within {error_deg:.2f} deg"
         why = program.drive_reasons.get(name, "set by the robot file").partition(": ")
         lines.append(f"joint {name}: {how}{within}; {why[2] or why[0]}")
@@ -422,6 +423,7 @@ def show_as_json(show: Show) -> dict[str, Any]:
         }
     for name, error_deg in program.error_max_deg.items():
         joints[name]["error_max_deg"] = error_deg
+        joints[name]["bound_deg"] = program.bound_deg[name]
     return {
         "kind": "show",
         "name": program.name,

@@ -1,18 +1,21 @@
 #!/usr/bin/env python3
 """Import, plan, compile and play every motion in a folder of other tools' files; print a table.
 
-    tools/run tools/motion_table.py FOLDER
+    tools/run tools/motion_table.py FOLDER            a row for each motion
+    tools/run tools/motion_table.py FOLDER --write    a summary by file into tools/FIGURES.md
 
-Each is played in virtual time, without feedback, on a generous simulated robot with the joints of
-the motion. What
-slides goes through a map with a spindle of 0.4 m a turn. Exit code 1 when a motion neither plays
-nor is refused in words.
+Each is played in virtual time, without feedback and with it, on a generous simulated robot with the
+joints of the motion. What slides goes through a map with a spindle of 0.4 m a turn. The largest
+horn error of each run stands beside the bound that the compiler predicts. Exit code 1 when a motion
+neither plays nor is refused in words, or when a horn without feedback is beyond the bound.
 """
 
 from __future__ import annotations
 
+import math
 import sys
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,41 +40,109 @@ if TYPE_CHECKING:
     from lss_motion.interchange import RefusedMotion
     from lss_motion.robot.model import Robot
 
-HEAD = "| file | motion | joints | keys | authored s | planned s | verdict |"
+HEAD = (
+    "| file | motion | joints | keys | authored s | planned s | by its moves deg | bound deg "
+    "| simulated deg | with feedback deg | verdict |"
+)
+FIGURES = Path(__file__).with_name("FIGURES.md")
+LEAST_DEG = 0.001
+"""A report rounds angles to this."""
+MARKS = "<!-- motions -->\n", "<!-- end of motions -->\n"
+SUMMARY = (
+    "| motions of | played | predicted by the moves | predicted bound | simulated | with feedback "
+    "| nearest to its bound |\n|---|---|---|---|---|---|---|"
+)
 
 
-def main(folder: Path) -> int:
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """What came of one motion; angles are the largest of all joints."""
+
+    text: str
+    joints: str = ""
+    keys: str = ""
+    authored: str = ""
+    planned: str = ""
+    moves_deg: float = math.nan
+    bound_deg: float = math.nan
+    simulated_deg: float = math.nan
+    fed_back_deg: float = math.nan
+    bound_ratio: float = math.nan
+    """The largest simulated error of a joint over its own bound."""
+
+    @property
+    def is_bad(self) -> bool:
+        return "not played" in self.text or self.bound_ratio > 1.0
+
+    def cells(self) -> list[str]:
+        angles = (self.moves_deg, self.bound_deg, self.simulated_deg, self.fed_back_deg)
+        shown = ["" if math.isnan(angle) else f"{angle:.2f}" for angle in angles]
+        over = " (BEYOND THE BOUND)" if self.bound_ratio > 1.0 else ""
+        counts = [self.joints, self.keys, self.authored, self.planned]
+        return [*counts, *shown, self.text + over]
+
+
+def main(words: list[str]) -> int:
     """Print a row for every motion; return the exit code."""
+    folder = Path(next(word for word in words if not word.startswith("--")))
     print(HEAD)
-    print("|---" * 7 + "|")
-    is_good = True
+    print("|---" * (HEAD.count("|") - 1) + "|")
+    is_good, lines = True, []
     for path in sorted(folder.iterdir()):
         if path.suffix in {".md", ""} or path.name.startswith("LICENSE"):
             continue
-        for cells in rows(path):
-            is_good = is_good and "not played" not in cells[-1]
-            print(f"| {' | '.join(cells)} |", flush=True)
+        verdicts = []
+        for name, verdict in rows(path):
+            verdicts.append(verdict)
+            is_good = is_good and not verdict.is_bad
+            print(f"| {' | '.join([path.name, name, *verdict.cells()])} |", flush=True)
+        lines.append(_summary(path.name, verdicts))
+    if "--write" in words:
+        before, _, rest = FIGURES.read_text(encoding="utf-8").partition(MARKS[0])
+        table = "\n".join([SUMMARY, *filter(None, lines)])
+        after = rest.partition(MARKS[1])[2]
+        FIGURES.write_text(f"{before}{MARKS[0]}{table}\n{MARKS[1]}{after}", encoding="utf-8")
     return 0 if is_good else 1
 
 
-def rows(path: Path) -> Iterator[list[str]]:
-    """Yield the cells of every motion in a file."""
+def _summary(file: str, verdicts: list[Verdict]) -> str:
+    """Return the row of a file: the range of its motions; empty if none was played."""
+    played = [one for one in verdicts if not math.isnan(one.simulated_deg)]
+    if not played:
+        return ""
+
+    def span(name: str) -> str:
+        values = sorted(getattr(one, name) for one in played)
+        ends = dict.fromkeys((f"{values[0]:.2f}", f"{values[-1]:.2f}"))
+        return " to ".join(ends) + " deg"
+
+    names = ("moves_deg", "bound_deg", "simulated_deg", "fed_back_deg")
+    ratio = max(one.bound_ratio for one in played)
+    return (
+        f"| `{file}` | {len(played)} of {len(verdicts)} | {' | '.join(map(span, names))} "
+        f"| {ratio:.2f} |"
+    )
+
+
+def rows(path: Path) -> Iterator[tuple[str, Verdict]]:
+    """Yield name and verdict of every motion in a file."""
     try:
         motions = read_motions(path)
     except LssMotionError as error:
-        yield [path.name, "", "", "", "", "", f"refused: {error}"]
+        yield "", Verdict(text=f"refused: {error}")
         return
     for motion in motions:
         with tempfile.TemporaryDirectory() as folder:
-            yield [path.name, motion.name, *verdict(motion, Path(folder))]
+            yield motion.name, verdict_of(motion, Path(folder))
 
 
-def verdict(motion: ForeignMotion | LabelTrack | RefusedMotion, folder: Path) -> list[str]:
-    """Return joints, keys, authored and planned seconds, and what came of the motion."""
+def verdict_of(motion: ForeignMotion | LabelTrack | RefusedMotion, folder: Path) -> Verdict:
+    """Return what came of a motion."""
     if isinstance(motion, LabelTrack):
-        return ["", str(len(motion.spans)), "", "", "labels: poses of a robot make them motion"]
+        text = "labels: poses of a robot make them motion"
+        return Verdict(keys=str(len(motion.spans)), text=text)
     if not isinstance(motion, ForeignMotion):
-        return ["", "", "", "", f"refused: {motion.error.reason}"]
+        return Verdict(text=f"refused: {motion.error.reason}")
     joints = str(len(motion.channels))
     try:
         robot = robot_for(motion, folder)
@@ -79,16 +150,30 @@ def verdict(motion: ForeignMotion | LabelTrack | RefusedMotion, folder: Path) ->
         trajectory = plan(made.sequence, robot)
         program = compile_program(trajectory, robot)
     except LssMotionError as error:
-        return [joints, "", "", "", f"refused: {error}".replace("\n", "; ")]
+        return Verdict(joints=joints, text=f"refused: {error}".replace("\n", "; "))
     end_s = max((k.at_s or 0.0) + k.hold_s for k in made.sequence.keyframes)
-    keys = str(sum(len(keyframe.deg) for keyframe in made.sequence.keyframes))
-    run = perform(program, robot, is_virtual=True, trajectory=trajectory, has_feedback=False)
-    report = run.report
-    worst_deg = max((j.horn_error_rms_deg for j in report.joints.values()), default=0.0)
-    is_played = report.outcome == "finished" and report.timing.missed == 0
+    runs = [
+        perform(program, robot, is_virtual=True, trajectory=trajectory, has_feedback=has_feedback)
+        for has_feedback in (False, True)
+    ]
+    plain, fed_back = (run.report for run in runs)
+    is_played = plain.outcome == "finished" and plain.timing.missed == 0
     slowed = f", {len(trajectory.stretched)} spans slowed" if trajectory.stretched else ""
-    said = f"played, horns {worst_deg:.2f} deg RMS{slowed}" if is_played else "not played"
-    return [joints, keys, f"{end_s:.3f}", f"{trajectory.duration_s:.3f}", said]
+    errors_deg = {name: one.horn_error_max_deg or 0.0 for name, one in plain.joints.items()}
+    return Verdict(
+        joints=joints,
+        keys=str(sum(len(keyframe.deg) for keyframe in made.sequence.keyframes)),
+        authored=f"{end_s:.3f}",
+        planned=f"{trajectory.duration_s:.3f}",
+        moves_deg=max(program.error_max_deg.values()),
+        bound_deg=max(program.bound_deg.values()),
+        simulated_deg=max(errors_deg.values()),
+        fed_back_deg=max(one.horn_error_max_deg or 0.0 for one in fed_back.joints.values()),
+        bound_ratio=max(
+            errors_deg[name] / (deg + LEAST_DEG) for name, deg in program.bound_deg.items()
+        ),
+        text=f"played{slowed}" if is_played else "not played",
+    )
 
 
 def robot_for(motion: ForeignMotion, folder: Path) -> Robot:
@@ -117,4 +202,4 @@ def map_for(motion: ForeignMotion, robot: Robot, folder: Path) -> Path:
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1])))
+    sys.exit(main(sys.argv[1:]))

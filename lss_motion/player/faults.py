@@ -37,6 +37,10 @@ SLOW_RATE_LEAST: Final = 0.1
 """A joint that cannot follow at a tenth of its speed does not follow at all."""
 RESUMES_MAX: Final = 10
 """Chosen: a line that fails more often than this in a show is broken."""
+FINDINGS_NS: Final = NS_PER_S
+FINDINGS_LEAST: Final = 5
+"""The model of a servo is judged this often, and reported as wrong if it is so as many times in a
+row. Chosen: a push, or one move that was lost, is forgotten by then."""
 
 
 @dataclass(slots=True)
@@ -199,6 +203,10 @@ class FaultHandler:
         self.escalation = FaultEscalation(session.robot, session.program.on_fault)
         self.lost_ports: dict[str, str] = {}
         self.recovery: Recovery | None = None
+        self.findings: dict[str, str] = {}
+        """By joint what its readings have shown to be wrong about the model of its servo."""
+        self._suspected: dict[str, int] = {}
+        self._judged_ns = 0
         self._events: list[Event] = []
         self._session = session
 
@@ -218,6 +226,9 @@ class FaultHandler:
         """Take the steps that are due about the faults that `streamer` has found."""
         if streamer.scheduler is None:
             return Verdict.CONTINUE
+        if now_ns >= self._judged_ns + FINDINGS_NS:
+            self._judged_ns = now_ns
+            self._judge_models(streamer)
         health = streamer.scheduler.health
         if self.escalation.is_idle and not health.active_faults:
             return Verdict.CONTINUE
@@ -240,6 +251,15 @@ class FaultHandler:
         self._wait_for(missing, now_ns)
         streamer.scheduler.doubt_all({joint.bus for joint in missing})
         return Verdict.RECOVER
+
+    def _judge_models(self, streamer: Streamer) -> None:
+        """Report once for each joint that its servo is not what the robot file says."""
+        for name, state in streamer.joint_states.items():
+            text = "" if name in self.findings else state.finding
+            self._suspected[name] = self._suspected.get(name, 0) + 1 if text else 0
+            if self._suspected[name] >= FINDINGS_LEAST:
+                self.findings[name] = text
+                self._events.append(Warned(text))
 
     def arrive(self, restarted: list[Joint], silent: list[Joint], now_ns: int) -> Verdict:
         """Judge servos that restarted during the approach, and servos that are silent after it.

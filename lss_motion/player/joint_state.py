@@ -549,7 +549,10 @@ class JointState:
         if not text and self.disturbance.offset_max_deg >= OFFSET_MAX_DEG:
             text = f"its load pulls it by {OFFSET_MAX_DEG:g} deg or more"
         name = self.joint.name
-        remedy = f"measure it: lss-motion identify {name}, with --robot and the robot file"
+        remedy = (
+            f"measure it: lss-motion identify {name} --robot FILE; with --from LOG the log of a "
+            f"show (--log) is enough"
+        )
         return f"joint {name!r}: {text}; {remedy}" if text else ""
 
     def standing_offset_deg(self, now_ns: int) -> float | None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from lss_motion.errors import InputError, LineLoadError
 from lss_motion.files.source import counted
+from lss_motion.program.accuracy import horn_errors
 from lss_motion.program.drives import choices, profile_lead_s
 from lss_motion.program.line import LineUse, line_use, reading_rate_hz
 from lss_motion.program.model import TIMED, Driving, Program, Repeat
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
 
     from lss_motion.program.drives import Choice
     from lss_motion.program.model import Move
-    from lss_motion.program.moves import FittedJoint
     from lss_motion.robot.model import Joint, Robot
     from lss_motion.trajectory.model import Trajectory
 
@@ -222,6 +222,7 @@ def _program(
     if repeat is not None:
         rest = () if repeat.times is None else moves[_first_from(moves, repeat.to_us) :]
         moves = (*closed_pass(moves, repeat, robot), *rest)
+    errors = horn_errors(schedule.fitted, references, robot.joints, schedule.tolerance_deg)
     start = trajectory.sample(np.zeros(1))[0]
     end_s = trajectory.duration_s
     if repeat is not None and repeat.times is None:
@@ -244,10 +245,8 @@ def _program(
         given_up=trajectory.given_up,
         on_fault=trajectory.on_fault,
         line_use=lines_use(moves, robot),
-        error_max_deg={
-            name: _error_max_deg(fitted, references[name])
-            for name, fitted in schedule.fitted.items()
-        },
+        error_max_deg={name: error.moves_deg for name, error in errors.items()},
+        bound_deg={name: error.bound_deg for name, error in errors.items()},
     )
 
 
@@ -280,9 +279,3 @@ def lines_use(moves: Sequence[Move], robot: Robot) -> dict[str, LineUse]:
         rate_hz = reading_rate_hz(own, bus.baud_bps, own_us)
         uses[name] = replace(use, reading_rate_hz=rate_hz)
     return uses
-
-
-def _error_max_deg(fitted: FittedJoint, reference: Reference) -> float:
-    error_deg = fitted.profile.on_grid(reference.start_s, GRID_S, len(reference.position_deg))
-    error_deg -= reference.position_deg
-    return max(float(error_deg.max()), -float(error_deg.min()))

@@ -115,6 +115,9 @@ class Program:
     """The reactions to faults in which this show differs from its robot."""
     error_max_deg: Mapping[str, float] = field(default_factory=dict)
     """Largest distance, per joint, between the predicted horn and the plan."""
+    bound_deg: Mapping[str, float] = field(default_factory=dict)
+    """The largest to expect of a servo that is as assumed: its control tick may come sooner or
+    later, and its horn follow as a first-order lag does."""
 
     def __repr__(self) -> str:
         """Return one line: name, duration and counts."""

@@ -12,8 +12,9 @@ element a servo, or rows of such, a row a candidate. A property test holds both 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -272,3 +273,24 @@ def durations_for(
         return cruising
     exact_s = trapezoids(start, target_deg, travel_deg_s, ramp_deg_s2).end_s - start.time_s
     return np.where(is_exact, exact_s, cruising)
+
+
+FADED: Final = 1e-6
+"""What is left of a distance has no influence."""
+
+
+def lagged_deg(position_deg: FloatArray, step_s: float, lag_s: float) -> FloatArray:
+    """Return the angles of a horn that follows positions on a grid with a first-order lag.
+
+    It rests before them. Between the points of the grid the positions are taken as straight.
+    """
+    keep_ratio = math.exp(-step_s / lag_s) if lag_s > 0.0 else 0.0
+    away_deg = position_deg - position_deg[0]
+    found = np.append(away_deg[:1], 0.5 * (away_deg[1:] + away_deg[:-1]))
+    found *= 1.0 - keep_ratio
+    shift, kept_ratio = 1, keep_ratio
+    while kept_ratio > FADED and shift < len(found):  # The sum over so many steps, then twice.
+        found[shift:] += kept_ratio * found[:-shift]
+        shift, kept_ratio = 2 * shift, kept_ratio * kept_ratio
+    found += position_deg[0]
+    return found

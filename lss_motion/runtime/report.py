@@ -127,6 +127,9 @@ class JointReport:
     offset_max_deg: float
     """The largest correction that was added to a target."""
     predicted_error_max_deg: float | None
+    """By the response that the robot file states."""
+    predicted_bound_deg: float | None
+    """With what that leaves open: `Program.bound_deg`."""
     lag_extra_s: float
     """The measured lag of the servo beyond that of the robot file."""
     resent: int
@@ -233,14 +236,17 @@ def make_report(
         stretched=tuple(program.stretched),
         given_up=tuple(program.given_up),
         faults=tuple(player.faults),
-        warnings=(*warnings, *_findings(show.joint_states if show is not None else {})),
+        warnings=(*warnings, *_findings(player)),
         sound=sound,
     )
 
 
-def _findings(joint_states: Mapping[str, JointState]) -> Iterator[str]:
-    """Yield what the robot file says wrongly about its servos, as far as the readings show it."""
-    yield from filter(None, (state.finding for state in joint_states.values()))
+def _findings(player: Player) -> Iterator[str]:
+    """Yield what the robot file says wrongly about its servos, if no warning has said so yet."""
+    show = player.show
+    for name, state in (show.joint_states if show is not None else {}).items():
+        if name not in player.findings and (text := state.finding):
+            yield text
 
 
 def _played_s(player: Player) -> float:
@@ -276,6 +282,7 @@ def _joint(
 ) -> JointReport:
     following = track.disturbance
     predicted_deg = program.error_max_deg.get(track.joint.name)
+    bound_deg = program.bound_deg.get(track.joint.name)
     rms_deg, max_deg = horn_error_deg or (None, None)
     return JointReport(
         readings=following.readings,
@@ -283,6 +290,7 @@ def _joint(
         error_max_deg=round(following.error_max_deg, 3),
         offset_max_deg=round(following.offset_max_deg, 3),
         predicted_error_max_deg=None if predicted_deg is None else round(predicted_deg, 3),
+        predicted_bound_deg=None if bound_deg is None else round(bound_deg, 3),
         lag_extra_s=round(track.disturbance.horn.lag_s, 4),
         resent=track.resent,
         temperature_max_c=track.temperature_max_c,
