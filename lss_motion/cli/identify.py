@@ -19,7 +19,13 @@ from lss_motion.cli.commands import (
     robot_at,
 )
 from lss_motion.cli.messages import ended_by
-from lss_motion.errors import EXIT_FINISHED, EXIT_INTERRUPTED, InputError
+from lss_motion.errors import (
+    EXIT_FINISHED,
+    EXIT_INTERRUPTED,
+    EXIT_NOT_FOLLOWED,
+    InputError,
+    PlaybackError,
+)
 from lss_motion.files.output import Kind, Output, require_outputs
 
 if TYPE_CHECKING:
@@ -40,6 +46,7 @@ Measure the response of servos with small moves, one joint after the other.
   lss-motion identify --robot my_robot.yaml elbow        ask, move, measure, write
   lss-motion identify --robot my_robot.yaml elbow wrist --span-deg 30 --yes
   lss-motion identify --robot my_robot.yaml elbow -o measured.yaml
+  lss-motion identify --robot my_robot.yaml --from show.log        from a show that was played
 
 It measures the delay of replies, the dead time and the lag of the horn, the period at which the
 servo applies commands, the start of a new command in mid-move, the meaning of T, ramps and top
@@ -51,6 +58,11 @@ The result is written as the joint's `response` into the robot file, with its un
 comment above it; nothing else in the file changes. Differences from the assumptions of a show are
 listed.
 
+With --from nothing is moved: the model is fitted to what the servos were sent and what they read in
+a show (lss-play --log), of all joints or of those that are named. A show measures delay and ramps
+less exactly, and the control loop not at all; what is not certain enough is not written, and joints
+that did not move enough are named.
+
 Exit codes: 0 measured; 2 a file or an argument is wrong; 4 port or servo not reachable; 5 the joint
 did not move as it should; 130 interrupted.
 """
@@ -61,8 +73,15 @@ def add_to(commands: Commands) -> None:
     added = add_command(
         commands, "identify", _identify, "measure the response of servos", DESCRIPTION
     )
-    added.add_argument("joints", nargs="+", metavar="JOINT", help="joints that are free to move")
+    added.add_argument("joints", nargs="*", metavar="JOINT", help="joints that are free to move")
     added.add_argument("--robot", type=Path, required=True, metavar="FILE", help="the robot file")
+    added.add_argument(
+        "--from",
+        type=Path,
+        dest="log",
+        metavar="LOG",
+        help="measure by the log of a show (lss-play --log); nothing moves",
+    )
     added.add_argument("--port", metavar="URL", help=PORT_HELP)
     added.add_argument(
         "--span-deg",
@@ -86,6 +105,10 @@ def _identify(arguments: argparse.Namespace) -> int:
     from lss_motion.maintenance.identify.trials import SPAN_DEG
     from lss_motion.runtime.clock import MonotonicClock, VirtualClock
 
+    if arguments.log is not None:
+        return _from_log(arguments)
+    if not arguments.joints:
+        raise InputError("name the joints to measure; all joints of a show's log: --from LOG")
     span_deg = SPAN_DEG if arguments.span_deg is None else arguments.span_deg
     robot = ask_limits(robot_at(arguments.robot, arguments.port))
     joints = _joints(robot, arguments.joints)
@@ -110,6 +133,52 @@ def _identify(arguments: argparse.Namespace) -> int:
                 _conclude(arguments, path, joint, experiment)
                 path = path if arguments.no_write else arguments.output or path
     return EXIT_FINISHED
+
+
+def _from_log(arguments: argparse.Namespace) -> int:
+    """Measure by the log of a show, joint by joint; nothing moves."""
+    from lss_motion.maintenance.identify.show_fit import identify_from_show
+    from lss_motion.maintenance.identify.show_log import LoggedBytes, recordings
+    from lss_motion.runtime.replay import read_log
+
+    robot = robot_at(arguments.robot, None)
+    _check_from_log(arguments)
+    _, entries = read_log(arguments.log)
+    logged = (
+        LoggedBytes(entry.at_ns, entry.bus, entry.kind == ">", entry.data)
+        for entry in entries
+        if entry.kind in "<>"
+    )
+    found = recordings(logged, robot)
+    if not found:
+        raise InputError(f"holds no move of robot {robot.name!r}", path=arguments.log)
+    path, is_measured = arguments.robot, False
+    for name in dict.fromkeys(arguments.joints or robot.joints):
+        require_joint(robot, name)
+        if name not in found:
+            print(f"  joint {name!r} is not in this log")
+            continue
+        try:
+            result = identify_from_show(found[name])
+        except PlaybackError as error:
+            print(f"  {error}")
+            continue
+        _write(arguments, path, robot.joints[name], result, f"from {arguments.log.name}, ")
+        path, is_measured = path if arguments.no_write else arguments.output or path, True
+    return EXIT_FINISHED if is_measured else EXIT_NOT_FOLLOWED
+
+
+def _check_from_log(arguments: argparse.Namespace) -> None:
+    for option, is_given in (
+        ("--port", arguments.port is not None),
+        ("--span-deg", arguments.span_deg is not None),
+        ("--virtual", arguments.virtual),
+        ("--yes", arguments.yes),
+    ):
+        if is_given:
+            raise InputError(f"{option} is for moves; with --from nothing moves")
+    sources, output = [arguments.robot, arguments.log], Output(arguments.output, Kind.YAML)
+    require_outputs([output], sources=sources, is_forced=arguments.force)
 
 
 def _joints(robot: Robot, names: Sequence[str]) -> list[Joint]:
@@ -209,11 +278,18 @@ def _conclude(
     arguments: argparse.Namespace, path: Path, joint: Joint, experiment: Experiment
 ) -> None:
     """Print the result, and write it into the robot file at `path`."""
-    from lss_motion.maintenance.identify import summary
     from lss_motion.maintenance.identify.estimate import identify
+
+    _write(arguments, path, joint, identify(joint, experiment.recording))
+
+
+def _write(
+    arguments: argparse.Namespace, path: Path, joint: Joint, found: Identified, how: str = ""
+) -> None:
+    """Print a result and how it differs from the robot file; write it into the one at `path`."""
+    from lss_motion.maintenance.identify import summary
     from lss_motion.robot.write import write_response
 
-    found: Identified = identify(joint, experiment.recording)
     for line in summary.summary_lines(found):
         print(line)
     differences = summary.difference_lines(found, joint)
@@ -227,8 +303,10 @@ def _conclude(
     if arguments.no_write:
         return
     values = summary.response_values(found, joint)
-    today = datetime.now(tz=UTC).date().isoformat()
-    comments = summary.comment_lines(found, today)
+    if not values:
+        print(f"{joint.name}: nothing is known well enough to be written")
+        return
+    comments = summary.comment_lines(found, how + datetime.now(tz=UTC).date().isoformat())
     output = arguments.output or path
     write_response(path, joint.name, values, comments, output=output)
     print(f"{joint.name}: written to {output}", flush=True)

@@ -7,5 +7,7 @@
 | `experiment`   | the trials of one joint                                | `cli.identify`        |
 | `response_fit` | response model of a servo, and its least squares       | `estimate`            |
 | `estimate`     | recording → servo parameters with uncertainties        | `cli.identify`        |
+| `show_log`     | moves and readings of each servo in the log of a show  | `cli.identify`        |
+| `show_fit`     | these → servo parameters with uncertainties            | `cli.identify`        |
 | `summary`      | the result as text and as fields of the robot file     | `cli.identify`        |
 """

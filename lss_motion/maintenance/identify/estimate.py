@@ -86,6 +86,7 @@ class Identified:
     `noise_deg`    root mean square of a reading's scatter at rest
     `misfit_deg`   root mean square of what the model does not explain
     `turnaround_s` least, median and largest of 100
+    `unsure`       fields of `response` that were not measured well enough
     """
 
     joint: str
@@ -110,6 +111,7 @@ class Identified:
     misfit_deg: float
     turnaround_s: tuple[float, float, float]
     readings: int
+    unsure: frozenset[str] = frozenset()
 
 
 def identify(joint: Joint, recording: Recording) -> Identified:

@@ -57,7 +57,7 @@ def response_values(found: Identified, joint: Joint) -> dict[str, float | str]:
         values["retarget"] = found.retarget.value
     if found.t_law.is_sure:
         values["t_law"] = found.t_law.value
-    return values
+    return {key: value for key, value in values.items() if key not in found.unsure}
 
 
 def ramp_ratio(found: Identified, stiffness_ratio: float = 1.0) -> float:
@@ -179,8 +179,10 @@ def difference_lines(found: Identified, joint: Joint) -> list[str]:
     """Return the differences from the robot file, and what to do about each."""
     assumed, lines = joint.response, []
     values = response_values(found, joint)
-    lag_s = float(values["lag_s"])
-    if abs(lag_s - assumed.lag_s) > max(TIME_DIFFERENCE_S, SIGMAS * found.delay_s.error):
+    lag_s = float(values.get("lag_s", assumed.lag_s))
+    if "lag_s" in found.unsure:
+        lines.append(f"lag_s is not known well enough (± {MS_PER_S * found.delay_s.error:.0f} ms)")
+    elif abs(lag_s - assumed.lag_s) > max(TIME_DIFFERENCE_S, SIGMAS * found.delay_s.error):
         lines.append(
             f"lag_s is {MS_PER_S * lag_s:.1f} ms, not {MS_PER_S * assumed.lag_s:.1f}: moves would "
             f"be that much {'late' if lag_s > assumed.lag_s else 'early'}"
@@ -194,9 +196,7 @@ def difference_lines(found: Identified, joint: Joint) -> list[str]:
     for key, decided in (("retarget", found.retarget), ("t_law", found.t_law)):
         was = getattr(assumed, key)
         if not decided.is_sure:
-            lines.append(
-                f"{key} could not be decided; it stays {was}. A larger --span-deg may help"
-            )
+            lines.append(f"{key} could not be decided; it stays {was}. Larger moves may help")
         elif decided.value != was:
             lines.append(f"{key} is {decided.value}, not {was}")
     return lines + _limits(found, joint)

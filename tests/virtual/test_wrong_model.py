@@ -1,0 +1,153 @@
+"""A servo that is not what its robot file says: named during the show, and measured by its log."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lss_motion.cli.main import main
+from lss_motion.cli.play import main as play
+from lss_motion.errors import PlaybackError
+from lss_motion.maintenance.identify.response_fit import Measured
+from lss_motion.maintenance.identify.show_fit import TooLittleMotionError, identify_from_show
+from lss_motion.maintenance.identify.show_log import LoggedBytes, recordings
+from lss_motion.maintenance.identify.summary import response_values
+from lss_motion.perform import Observer, perform
+from lss_motion.player.events import Warned
+from lss_motion.program.compile import compile_program
+from lss_motion.robot.load import load_robot
+from lss_motion.sim.deviation import deviation_from_text
+from lss_motion.trajectory.planner import plan
+from tests.virtual.conftest import make_robot, make_sequence
+
+FIELDS = {
+    "baud_bps": 115200,
+    "speed_max_deg_s": 200.0,
+    "accel_max_deg_s2": 800.0,
+    "following_deg": 60.0,
+}
+QUICK = {"swing_deg": 50.0, "step_s": (0.4, 0.9)}
+ROBOT = make_robot(2, **FIELDS)
+SHOW = make_sequence(2, 14.0, **QUICK)
+
+
+class Tape:
+    """A tap that keeps what a log holds."""
+
+    def __init__(self):
+        self.logged, self._start_ns = [], 0
+
+    def begun(self, start_ns):
+        self._start_ns = start_ns
+        return self
+
+    def sent(self, bus, data, now_ns):
+        self.logged.append(LoggedBytes(now_ns - self._start_ns, bus, True, data))
+
+    def received(self, bus, data, now_ns):
+        self.logged.append(LoggedBytes(now_ns - self._start_ns, bus, False, data))
+
+    def turned(self, now_ns):
+        """A log has a line for this; the fit needs none."""
+
+    happened = requested = noted = lambda self, *_: None
+
+
+def played(sim, robot=ROBOT, show=SHOW, **options):
+    """Play on a deviating robot; return what was logged, RMS of the horns, events and report."""
+    tape, events = Tape(), []
+    trajectory = plan(show, robot)
+    result = perform(
+        compile_program(trajectory, robot),
+        robot,
+        is_virtual=True,
+        trajectory=trajectory,
+        deviation=deviation_from_text(sim),
+        observer=Observer(make_tap=tape.begun, on_event=events.append),
+        **options,
+    )
+    assert result.report.outcome == "finished"
+    off_deg = result.truth.horn_deg - trajectory.sample(result.truth.times_s)
+    return tape.logged, float(np.sqrt(np.mean(off_deg**2))), events, result.report
+
+
+def named(events):
+    return {e.text.split("'")[1] for e in events if isinstance(e, Warned) and "identify" in e.text}
+
+
+@pytest.mark.parametrize("sim", ["ramp=0.1", "lag=+80ms"])
+def test_a_wrong_model_is_named_during_the_show_with_the_remedy(sim) -> None:
+    _, _, events, report = played(sim)
+    assert named(events) == {"j0", "j1"}
+    assert sum("identify j0 --robot" in text for text in report.warnings) == 1
+
+
+@pytest.mark.parametrize("sim", ["", "push=6deg,push_at=9s,lost=1%"])
+def test_a_right_model_is_not_named(sim) -> None:
+    _, _, events, report = played(sim)
+    assert named(events) == set()
+    assert not any("identify" in text for text in report.warnings)
+
+
+@pytest.mark.parametrize(
+    ("sim", "expected"),
+    [
+        ("lag=+40ms,lost=1%,corrupt=1%,usb=16ms", {"delay_s": 0.0625}),
+        ("t_law=exact,ramp=0.8,backlash=1.5deg", {"t_law": "exact", "ramp": 0.8, "play": 1.5}),
+    ],
+)
+def test_the_log_of_a_show_tells_the_model_and_playing_with_it_is_better(sim, expected) -> None:
+    """Each value is right within four of the standard errors that it has, or a little."""
+    truth = {"delay_s": 0.0225, "ramp": 1.0, "t_law": "cruise", "play": 0.0} | expected
+    robot, show = make_robot(1, **FIELDS), make_sequence(1, 14.0, **QUICK)
+    logged, before_deg, _, _ = played(sim, robot, show)
+    found = identify_from_show(recordings(logged, robot)["j0"])
+    assert found.retarget == ("keep_speed", True)
+    assert found.t_law == (truth["t_law"], True)
+    for measured, true, least in (
+        (found.delay_s, truth["delay_s"], 0.003),
+        (found.accel_deg_s2, truth["ramp"] * found.ramp_deg_s2, 0.03 * found.ramp_deg_s2),
+        (found.play_deg, truth["play"], 0.1),
+        (Measured(found.droop_deg[1], found.droop_error_deg), 0.0, 0.1),
+    ):
+        assert abs(measured.value - true) < max(4.0 * measured.error, least)
+    assert found.delay_s.error < 0.005
+    response = replace(robot.joints["j0"].response, **response_values(found, robot.joints["j0"]))
+    better = replace(robot, joints={"j0": replace(robot.joints["j0"], response=response)})
+    _, after_deg, _, _ = played(sim, better, show)
+    assert after_deg < 0.8 * before_deg
+
+
+def test_a_joint_that_hardly_moves_and_one_that_is_held_are_named_and_not_measured() -> None:
+    quiet = make_sequence(2, 8.0, swing_deg=1.0)
+    for recording in recordings(played("", show=quiet)[0], ROBOT).values():
+        with pytest.raises(TooLittleMotionError, match="did not move enough to be measured"):
+            identify_from_show(recording)
+    recording = recordings(played("")[0], ROBOT)["j0"]
+    del recording.moves[16:]
+    recording.readings_deg = [20.0 * (i % 2) for i in range(len(recording.readings_deg))]
+    with pytest.raises(PlaybackError, match="no model explains its readings"):
+        identify_from_show(recording)
+    recording.moves.clear()
+    with pytest.raises(TooLittleMotionError, match="no move with a T"):
+        identify_from_show(recording)
+
+
+def test_the_command_writes_what_a_log_tells_of_the_joints_that_are_named(tmp_path, capsys) -> None:
+    log, made = tmp_path / "show.log", tmp_path / "made.yaml"
+    robot, wave = "sequences/robots/desk_arm.yaml", "sequences/wave.yaml"
+    options = ["--virtual", "--loop", "3", "--sim", "dead=40ms", "--log", str(log)]
+    assert play([wave, *options]) == 0
+    capsys.readouterr()
+    given = ["identify", "--robot", robot, "--from", str(log), "wrist"]
+    assert main([*given, "-o", str(made)]) == 0
+    said = capsys.readouterr().out
+    assert f"wrist: written to {made}" in said
+    found, old = load_robot(made), load_robot(robot)
+    assert found.joints["wrist"].response.lag_s == pytest.approx(0.06, abs=0.006)
+    assert found.joints["gripper"] == old.joints["gripper"]
+    assert "from show.log, 20" in made.read_text(encoding="utf-8")
+    assert main([*given, "--port", "sim://"]) == 2
+    assert "--port is for moves; with --from nothing moves" in capsys.readouterr().err
