@@ -203,8 +203,8 @@ class FaultHandler:
         self.escalation = FaultEscalation(session.robot, session.program.on_fault)
         self.lost_ports: dict[str, str] = {}
         self.recovery: Recovery | None = None
-        self.findings: dict[str, str] = {}
-        """By joint what its readings have shown to be wrong about the model of its servo."""
+        self._named: set[str] = set()
+        """Joints that were reported as other than the robot file says."""
         self._suspected: dict[str, int] = {}
         self._judged_ns = 0
         self._events: list[Event] = []
@@ -255,10 +255,10 @@ class FaultHandler:
     def _judge_models(self, streamer: Streamer) -> None:
         """Report once for each joint that its servo is not what the robot file says."""
         for name, state in streamer.joint_states.items():
-            text = "" if name in self.findings else state.finding
+            text = "" if name in self._named else state.finding
             self._suspected[name] = self._suspected.get(name, 0) + 1 if text else 0
             if self._suspected[name] >= FINDINGS_LEAST:
-                self.findings[name] = text
+                self._named.add(name)
                 self._events.append(Warned(text))
 
     def arrive(self, restarted: list[Joint], silent: list[Joint], now_ns: int) -> Verdict:

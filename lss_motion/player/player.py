@@ -238,11 +238,6 @@ class Player:
         """The faults so far, each with the highest step that was taken about it."""
         return self._faults.escalation.faults
 
-    @property
-    def findings(self) -> Mapping[str, str]:
-        """By joint what its readings have shown to be wrong about the model of its servo."""
-        return self._faults.findings
-
     def is_due_within(self, span_ns: int, now_ns: int) -> bool:
         """Return whether the show has a move to send that soon."""
         due_ns = None if self.show is None else self.show.quiet_ns(now_ns)

@@ -236,16 +236,16 @@ def make_report(
         stretched=tuple(program.stretched),
         given_up=tuple(program.given_up),
         faults=tuple(player.faults),
-        warnings=(*warnings, *_findings(player)),
+        warnings=(*warnings, *_findings(show.joint_states if show is not None else {}, warnings)),
         sound=sound,
     )
 
 
-def _findings(player: Player) -> Iterator[str]:
+def _findings(joint_states: Mapping[str, JointState], warnings: Sequence[str]) -> Iterator[str]:
     """Yield what the robot file says wrongly about its servos, if no warning has said so yet."""
-    show = player.show
-    for name, state in (show.joint_states if show is not None else {}).items():
-        if name not in player.findings and (text := state.finding):
+    for name, state in joint_states.items():
+        is_named = any(text.startswith(f"joint {name!r}: ") for text in warnings)
+        if not is_named and (text := state.finding):
             yield text
 
 
