@@ -418,7 +418,7 @@ class Director:
         match start:
             case "queue" if playing or self.queue:
                 reason = self._why_not_queued(cue)
-            case "add" if main is not None:
+            case "add" if main is not None or self.added:
                 reason = self._why_not_added(show)
             case "only_if_idle" if playing:
                 reason = f"{playing[0].show} plays"
@@ -448,7 +448,8 @@ class Director:
         if start == "interrupt" and main is not None and main.cue is not None:
             main.resumes = True
             self.left.append(Waiting(main.show, main.cue))
-        how: orders.How = "add" if start == "add" and main is not None else "change"
+        is_beside = start == "add" and (main is not None or self.added)
+        how: orders.How = "add" if is_beside else "change"
         self._play(show, cue, how=how, start_s=start_s)
 
     def _playing(self) -> list[Playing]:
@@ -559,7 +560,8 @@ class Director:
             self._go_to_rest()
             return
         self._rests = False
-        is_free = self.main is None or self.main.is_rest
+        main = self.main
+        is_free = main is None or main.is_rest or (main.cue is None and bool(self.queue))
         if is_free and not self.added and self._has_begun:
             self._next()
 
@@ -583,15 +585,15 @@ class Director:
             self._orders.append(orders.Stop())
 
     def _next(self) -> None:
-        """Play what is queued, then what was interrupted, then the idle show."""
+        """Resume what was interrupted, then play what is queued, then the idle show."""
         idle = self.stage.idle
-        if self.queue:
+        if self.left:
+            waiting = self.left.pop()
+            self._play(waiting.show, waiting.cue, start_s=waiting.show_s)
+        elif self.queue:
             waiting = max(self.queue, key=lambda one: one.cue.priority)  # The oldest of equals.
             self.queue.remove(waiting)
             self._play(waiting.show, waiting.cue)
-        elif self.left:
-            waiting = self.left.pop()
-            self._play(waiting.show, waiting.cue, start_s=waiting.show_s)
         elif idle in self.shows and (self._again_ns is None or self._now_ns >= self._again_ns):
             assert idle is not None
             self._again_ns = None
