@@ -52,12 +52,13 @@ def stage_of(cues, **other):
 class Model:
     """The start modes as sentences about lists; no code of the director.
 
-    `stack` has the main show last, above those that it has interrupted: (cue, show).
+    `stack` has the main show, if there is one, `under` those that were interrupted: (cue, show).
     """
 
     def __init__(self, cues):
         self.cues = {cue.name: cue for cue in cues}
         self.stack: list[tuple[str, str]] = []
+        self.under: list[tuple[str, str]] = []
         self.beside: list[tuple[str, str]] = []
         self.line: list[tuple[str, str]] = []
         self.is_idle = True
@@ -95,19 +96,20 @@ class Model:
                 self.stack.append((name, show))
         elif mode == "interrupt":
             on_top = self.stack[-1][0] if self.stack else None
-            fires = on_top != name and not (self.stack and len(self.stack) > 4)
+            fires = on_top != name and not (self.stack and len(self.under) >= 4)
             fires = fires and not is_outranked if self.stack else not is_outranked
             if fires:
                 self.over(self.beside, now_s)
-                self.stack.append((name, show))
+                self.under += self.stack
+                self.stack = [(name, show)]
         else:  # terminate, restart
             fires = not is_outranked
             if fires:
-                gone = self.beside + (self.stack + self.line if mode == "terminate" else [])
-                kept = [] if mode == "terminate" else self.stack[:-1]
-                gone += [] if mode == "terminate" else self.stack[-1:]
-                self.line = [] if mode == "terminate" else self.line
-                self.stack, self.beside = [*kept, (name, show)], []
+                gone = self.beside + self.stack
+                if mode == "terminate":
+                    gone += self.line + self.under
+                    self.line, self.under = [], []
+                self.stack, self.beside = [(name, show)], []
                 self.over(gone, now_s)
         self.serve(now_s)
         if fires:
@@ -129,7 +131,9 @@ class Model:
         self.serve(now_s)
 
     def serve(self, now_s):
-        """The queue is served when nothing plays; what was interrupted comes after it."""
+        """When nothing plays, what was interrupted comes first, then the queue."""
+        if self.under and not self.beside and not self.stack:
+            self.stack.append(self.under.pop())
         if self.line and not self.beside and not self.stack:
             best = max(self.line, key=lambda one: self.cues[one[0]].priority)
             self.line.remove(best)
