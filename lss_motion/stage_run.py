@@ -32,7 +32,7 @@ from lss_motion.runtime.sound_choice import SoundChoice
 from lss_motion.runtime.stage_report import Ledger
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from lss_motion.player.query_choice import Pace
     from lss_motion.program.model import Program
@@ -59,6 +59,7 @@ def perform_stage(  # noqa: PLR0913  (the options of one run)
     robot: Robot,
     *,
     first: str | None = None,
+    watched: Iterable[str] = (),
     is_virtual: bool = False,
     seed: int = 0,
     has_feedback: bool = True,
@@ -75,11 +76,12 @@ def perform_stage(  # noqa: PLR0913  (the options of one run)
 ) -> StageResult:
     """Run a stage with these shows by name; return the result, also when it failed on the way.
 
-    It begins with `first`; None: the robot holds where it stands. The other options are those of
+    It begins with `first`; None: the robot holds where it stands. The sensors `watched` are polled
+    all the time; `player.watched` has their readings. The other options are those of
     `perform` and of `connection.connect`. Raises `InputError` or `BusError` only before the first
     byte.
     """
-    repertoire = Repertoire(programs, robot)
+    repertoire = Repertoire(programs, robot, watched=watched)
     if first is not None and first not in repertoire.programs:
         raise InputError(f"no show {first!r}; {known_names(first, repertoire.programs)}")
     opening = None if first is None else repertoire.programs[first]

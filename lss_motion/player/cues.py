@@ -1,7 +1,8 @@
 """Marks, cues and waits for sensors: events of a show at their time, besides motion.
 
 `Agenda` reports marks that are passed and cues that are due, and sends LED orders between moves.
-`Waiting` stops the show clock at a wait, polls its sensor, and lets the show go on.
+`Waiting` stops the show clock at a wait, polls its sensor, and lets the show go on. `SensorWatch`
+polls sensors all the time, for a caller that acts on their values.
 """
 
 from __future__ import annotations
@@ -123,6 +124,12 @@ class Agenda:
 
 POLL_PERIOD_NS: Final = 40 * NS_PER_MS
 """Period of the queries to a sensor. The Sharp sensors measure every 40 ms or so."""
+WATCH_PERIOD_NS: Final = 100 * NS_PER_MS
+"""Period of the queries to a sensor that is watched all evening. Chosen: two readings in a row are
+taken within a fifth of a second, faster than a visitor expects, at a tenth of a percent of a line.
+"""
+READINGS_MAX: Final = 1000
+"""Readings that are kept for a caller that does not take them."""
 TIMES_MET: Final = 2
 """So many answers in a row must meet the condition: the line does not protect an answer from a
 flipped bit."""
@@ -131,6 +138,46 @@ SUFFIXES: Final = {
     kind.name: number for number, kind in (IO2_TABLE.row("QA").suffixes or {}).items()
 }
 """Suffix of `QA` with which the board answers in mm of that sensor."""
+
+
+class SensorWatch:
+    """Sensors that are read all the time, also between shows; a caller takes the readings."""
+
+    def __init__(self, sensors: Iterable[Sensor]) -> None:
+        self._sensors = {(sensor.bus, sensor.servo_id): sensor for sensor in sensors}
+        self._polled_ns: dict[tuple[str, int], int] = {}
+        self._readings: deque[tuple[str, int]] = deque(maxlen=READINGS_MAX)
+
+    def query(self, bus: str, now_ns: int) -> Command | None:
+        """Return the query that is overdue for longest on `bus`; None: none is due."""
+        due = [
+            (self._polled_ns.get(place, -WATCH_PERIOD_NS) + WATCH_PERIOD_NS, place)
+            for place in self._sensors
+            if place[0] == bus
+        ]
+        due_ns, place = min(due, default=(now_ns + 1, ("", 0)))
+        if due_ns > now_ns:
+            return None
+        return Command(place[1], "QA", SUFFIXES.get(self._sensors[place].kind))
+
+    def note_query_sent(self, bus: str, servo_id: int, now_ns: int) -> None:
+        self._polled_ns[bus, servo_id] = now_ns
+
+    def take_reply(self, bus: str, servo_id: int, value: int | str | None) -> None:
+        """Keep an answer to `QA`; answers of other inputs are ignored."""
+        sensor = self._sensors.get((bus, servo_id))
+        if sensor is not None and isinstance(value, int):
+            self._readings.append((sensor.name, value))
+
+    def take_readings(self) -> list[tuple[str, int]]:
+        """Return the sensors that have answered since the last call, with their values."""
+        found = list(self._readings)
+        self._readings.clear()
+        return found
+
+    def wakeups_ns(self) -> list[int]:
+        """Return when queries are due."""
+        return [polled_ns + WATCH_PERIOD_NS for polled_ns in self._polled_ns.values()]
 
 
 class Waiting:

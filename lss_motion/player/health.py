@@ -121,6 +121,9 @@ class HealthMonitor:
         self._unanswered: dict[str, _Unanswered] = {}
         """Servos that did not answer their last query."""
         self._before: dict[tuple[str, str], float] = {}
+        self.temperatures_c: dict[str, float] = {}
+        """Of each joint, what the last two readings confirm."""
+        self.currents_a: dict[str, float] = {}
 
     def position(self, state: JointState, arrival_ns: int) -> None:
         """Judge the last accepted reading; the servo received the query at `arrival_ns`.
@@ -178,10 +181,16 @@ class HealthMonitor:
             self._judge(state, cause, "Q", text, is_bad=cause is present)
 
     def temperature(self, state: JointState, temperature_c: float) -> None:
-        state.note_temperature(self._twice(state, "QT", temperature_c, min))
+        confirmed_c = self._twice(state, "QT", temperature_c, min)
+        self.temperatures_c[state.joint.name] = confirmed_c
+        state.note_temperature(confirmed_c)
         text = hot_text(state.joint, temperature_c)
         is_bad = temperature_c > state.joint.temperature_max_c
         self._judge(state, Cause.HOT, "QT", text, is_bad=is_bad)
+
+    def current(self, state: JointState, current_a: float) -> None:
+        self.currents_a[state.joint.name] = current_a
+        state.note_current(current_a)
 
     def voltage(self, state: JointState, voltage_v: float) -> None:
         state.note_voltage(self._twice(state, "QV", voltage_v, max))

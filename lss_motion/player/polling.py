@@ -2,7 +2,7 @@
 
 Which query is next on each bus is the choice of `query_choice`; `PollScheduler` sends it when the
 line allows. Positions and targets go to the joint's own `JointState`, health to the
-`HealthMonitor`, sensors to `Waiting`.
+`HealthMonitor`, sensors to `Waiting` and `SensorWatch`.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from functools import lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
+from lss_motion.player.cues import SensorWatch
 from lss_motion.player.health import HealthMonitor
 from lss_motion.player.query_choice import (
     BY_NEED,
@@ -90,6 +91,8 @@ class PollScheduler:
         self._next_ns: dict[str, int | None] = dict.fromkeys(lines)
         self._wakeup_ns: int | None = None
         self._rest_until_ns = 0
+        self.watched = SensorWatch(())
+        """Sensors that are polled although no show waits for them."""
 
     def anew(self) -> PollScheduler:
         """Return a scheduler without faults; the count of rejected readings goes on."""
@@ -97,7 +100,7 @@ class PollScheduler:
         scheduler = PollScheduler(
             joint_states, self._trackers, self._lines, self._waiting, self._probes, self._pace
         )
-        scheduler.rejected = self.rejected
+        scheduler.rejected, scheduler.watched = self.rejected, self.watched
         return scheduler
 
     def is_starved(self, now_ns: int) -> bool:
@@ -141,6 +144,8 @@ class PollScheduler:
             if self._send_if_allowed(bus, question, len(encode(question)), now_ns, quiet_until_ns):
                 self._waiting.note_query_sent(now_ns)
             return False
+        if self._poll_watched(bus, now_ns, quiet_until_ns):
+            return True
         found = self._choice.next_query(bus, now_ns)
         if found is None:
             self._note_next(bus, now_ns)
@@ -155,6 +160,17 @@ class PollScheduler:
         self._choice.note_sent(bus, state, keyword, now_ns)
         return True
 
+    def _poll_watched(self, bus: str, now_ns: int, quiet_until_ns: int | None) -> bool:
+        question = self.watched.query(bus, now_ns)
+        if question is None or self._trackers[bus].quiet_until_ns(question.servo_id) > now_ns:
+            return False
+        is_sent = self._send_if_allowed(
+            bus, question, len(encode(question)), now_ns, quiet_until_ns
+        )
+        if is_sent:
+            self.watched.note_query_sent(bus, question.servo_id, now_ns)
+        return is_sent
+
     def _note_next(self, bus: str, now_ns: int) -> None:
         """Note when a query can be due on a bus and its line can be free for it."""
         next_ns = self._choice.next_ns(bus, now_ns)
@@ -165,6 +181,7 @@ class PollScheduler:
     def look_ahead(self, now_ns: int) -> bool:
         """Note when the next queries are due after moves have left; return whether any is now."""
         is_due = bool(self._waiting.wakeups_ns())
+        is_due = is_due or any(self.watched.query(bus, now_ns) for bus in self._trackers)
         for bus, tracker in self._trackers.items():
             is_own_due = self._choice.is_due(bus, now_ns)
             if not is_own_due or tracker.not_before_ns() > now_ns:
@@ -243,6 +260,7 @@ class PollScheduler:
         for query, answer in accepted:
             if answer.keyword == "QA":
                 self._waiting.take_reply(bus, query.command.servo_id, answer.value)
+                self.watched.take_reply(bus, query.command.servo_id, answer.value)
             if state is not None and not self._take_probe(state, answer):
                 self._take(bus, state, query, answer, plan_deg)
         if state is not None:
@@ -273,7 +291,7 @@ class PollScheduler:
             case "QV":
                 self.health.voltage(state, answer.value)
             case "QC":
-                state.note_current(answer.value)
+                self.health.current(state, answer.value)
             case _:
                 pass
 
@@ -330,6 +348,7 @@ class PollScheduler:
     def wakeups_ns(self, now_ns: int) -> list[int]:
         """Return when something may be due, besides an answer that comes in."""
         wakeups_ns = [*self._waiting.wakeups_ns(), *self.health.wakeups_ns()]
+        wakeups_ns += self.watched.wakeups_ns()
         for bus, tracker in self._trackers.items():
             if (give_up_ns := tracker.give_up_ns) is not None:
                 wakeups_ns.append(give_up_ns)

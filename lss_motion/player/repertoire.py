@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
 from lss_motion.program.model import TIMED, Driving, Program
+from lss_motion.sequence.model import Wait
+from lss_motion.trajectory.model import WaitPoint
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from lss_motion.robot.model import Robot
 
@@ -29,7 +31,10 @@ STANDING_TOLERANCE_DEG: Final = 0.2
 class Repertoire:
     """The programs of one run by name. Raises `InputError` if one robot cannot play them all."""
 
-    def __init__(self, programs: Mapping[str, Program], robot: Robot) -> None:
+    def __init__(
+        self, programs: Mapping[str, Program], robot: Robot, *, watched: Iterable[str] = ()
+    ) -> None:
+        """Take the programs by name, and the sensors that are watched besides theirs."""
         self.programs = {name: replace(one, name=name) for name, one in programs.items()}
         self._robot = robot
         self._drivings: dict[str, Driving] = {}
@@ -39,6 +44,7 @@ class Repertoire:
         """The joints of the run, in the order of the robot file."""
         if not self.joints:
             raise InputError("a stage needs at least one show that moves a joint")
+        self.watched = tuple(watched)
         self._sensors = {p.wait.sensor for one in self.programs.values() for p in one.waits}
         cues = [cue for one in self.programs.values() for cue in one.cues]
         self._lights = {name for cue in cues for name, _ in cue.led}
@@ -53,9 +59,15 @@ class Repertoire:
         return self._program(
             "stage",
             {name: start_deg.get(name, math.nan) for name in self.joints},
-            waits=tuple(point for one in together for point in one.waits),
+            waits=(*(point for one in together for point in one.waits), *self._watched_points()),
             cues=tuple(cue for one in together for cue in one.cues),
         )
+
+    def _watched_points(self) -> Iterator[WaitPoint]:
+        """Yield a wait for each watched sensor, so that it is checked as those of shows are."""
+        for name in self.watched:
+            wait = Wait(sensor=name, side="above", threshold=math.inf)
+            yield WaitPoint(at_s=math.inf, wait=wait)
 
     def _add_joints(self, program: Program) -> None:
         for name in program.start_deg:

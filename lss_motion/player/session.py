@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from lss_motion.player import checks, handshake
 from lss_motion.player.approach import approach
-from lss_motion.player.cues import LED_KEYWORD, Agenda
+from lss_motion.player.cues import LED_KEYWORD, Agenda, SensorWatch
 from lss_motion.player.handshake import SettingsDialogue
 from lss_motion.player.health import is_turned
 from lss_motion.player.preflight import Preflight
@@ -77,6 +77,8 @@ class Session:
         """Answers of every servo before anything was changed."""
         self.standing_deg: dict[str, float] = {}
         """Servo angles by joint, as of the last query while nothing moved."""
+        self.watched = SensorWatch(())
+        """Sensors that are polled from the first streamer on."""
         self.left_out: set[str] = set()
         """Joints that are sent no move."""
         self.limp: list[Joint] = []
@@ -330,6 +332,8 @@ class Session:
             probes=self._probes(),
             pace=self._pace,
         )
+        if streamer.scheduler is not None:
+            streamer.scheduler.watched = self.watched
         streamer.leave_out(self.left_out)
         self._take_over(streamer)
         return streamer

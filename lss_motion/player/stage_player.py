@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from lss_motion.errors import InputError
+from lss_motion.player.cues import SensorWatch
 from lss_motion.player.events import Phase, ShowBegan, ShowOver
 from lss_motion.player.player import PLAYING, Player
 from lss_motion.player.query_choice import BY_NEED
@@ -66,6 +67,9 @@ class StagePlayer(Player):
             pace=pace,
         )
         self.repertoire = repertoire
+        self.watched = SensorWatch(self.robot.sensors[name] for name in repertoire.watched)
+        """The sensors of the repertoire that a caller watches."""
+        self._session.watched = self.watched
         self._held_deg: dict[str, float] = {}
         """Joint angles where the joints are to stand that no show moves."""
         self._next: _Next | None = _Next(first, None)
@@ -117,6 +121,14 @@ class StagePlayer(Player):
             self._go_on(now_ns)
         else:
             self._leave(now_ns)
+
+    def finish(self, now_ns: int) -> None:
+        """End the run as one that was played to its end, so that it ends as the robot file says.
+
+        What plays brakes. The joints of a robot with `end: limp` are limp then.
+        """
+        if self.outcome is None and self.phase is not Phase.DONE:
+            self._end("finished", now_ns)
 
     def seek(self, place: float | str, now_ns: int) -> None:
         if self._show_phase is Phase.STANDING or self._next is not None:

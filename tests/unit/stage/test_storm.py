@@ -74,43 +74,14 @@ class Model:
         cue, show = self.cues[name], self.cues[name].shows[0]
         if now_s - self.pressed_s[name] < 0.3 or now_s < self.ready_s[name]:
             return False
-        is_busy = bool(self.stack or self.beside)
-        ranks = [self.cues[other].priority for other, _ in (*self.stack[-1:], *self.beside)]
-        is_outranked = max(ranks, default=-999) > cue.priority
         mode = cue.start
-        if mode == "restart" and not (self.stack and self.stack[-1][1] == show):
+        if mode == "restart" and [one[1] for one in self.stack] != [show]:
             mode = "only_if_idle"
-        if mode == "add":
-            used = "".join(JOINTS[one] for one in self.shown())
-            fires = show not in self.shown() and not set(used) & set(JOINTS[show])
-            if fires:
-                self.beside.append((name, show))
-        elif mode == "queue":
-            waits = [other for other, _ in self.line]
-            fires = name not in waits and len(waits) < QUEUE_MAX
-            if fires:
-                self.line.append((name, show))
-        elif mode == "only_if_idle":
-            fires = not is_busy
-            if fires:
-                self.stack.append((name, show))
-        elif mode == "interrupt":
-            on_top = self.stack[-1][0] if self.stack else None
-            fires = on_top != name and not (self.stack and len(self.under) >= 4)
-            fires = fires and not is_outranked if self.stack else not is_outranked
-            if fires:
-                self.over(self.beside, now_s)
-                self.under += self.stack
-                self.stack = [(name, show)]
-        else:  # terminate, restart
-            fires = not is_outranked
-            if fires:
-                gone = self.beside + self.stack
-                if mode == "terminate":
-                    gone += self.line + self.under
-                    self.line, self.under = [], []
-                self.stack, self.beside = [(name, show)], []
-                self.over(gone, now_s)
+        ranks = [self.cues[other].priority for other, _ in (*self.stack, *self.beside)]
+        is_outranked = max(ranks, default=-999) > cue.priority
+        fires = self.may(mode, name, show, is_outranked=is_outranked)
+        if fires:
+            self.start(mode, name, show, now_s)
         self.serve(now_s)
         if fires:
             self.pressed_s[name] = now_s
@@ -118,11 +89,37 @@ class Model:
                 self.ready_s[name] = math.inf
         return fires
 
+    def may(self, mode, name, show, *, is_outranked):
+        if mode == "add":
+            used = set("".join(JOINTS[one] for one in self.shown()))
+            return show not in self.shown() and not used & set(JOINTS[show])
+        if mode == "queue":
+            waits = [other for other, _ in self.line]
+            return name not in waits and len(waits) < QUEUE_MAX
+        if mode == "only_if_idle":
+            return not self.stack and not self.beside
+        if mode == "interrupt" and self.stack:
+            return self.stack[0][0] != name and len(self.under) < 4 and not is_outranked
+        return not is_outranked
+
+    def start(self, mode, name, show, now_s):
+        if mode in ("add", "queue"):
+            (self.beside if mode == "add" else self.line).append((name, show))
+            return
+        gone = list(self.beside)
+        if mode == "interrupt":
+            self.under += self.stack
+        else:
+            gone += self.stack
+        if mode == "terminate":
+            gone += self.line + self.under
+            self.line, self.under = [], []
+        self.stack, self.beside = [(name, show)], []
+        self.over(gone, now_s)
+
     def over(self, ones, now_s):
         for name, _ in ones:
             self.ready_s[name] = now_s + self.cues[name].cooldown_s
-        if ones is self.beside:
-            self.beside = []
 
     def finish(self, show, now_s):
         found = next(one for one in (*self.stack[-1:], *self.beside) if one[1] == show)
@@ -288,7 +285,7 @@ def test_in_any_storm_joints_have_one_show_rests_are_kept_and_every_trigger_is_e
     assert desk.orders < 60 + 40 * len(events)
 
 
-def act(desk, event, number):
+def act(desk, event, number):  # noqa: C901  (a table)
     director, numbers = desk.director, list(desk.playing)
     match event:
         case "press":
