@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import base64
 import json
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from lss_motion.gait.figure import figure_of_legs
 from lss_motion.gait.load import load_gait
@@ -78,6 +81,47 @@ def test_the_picture_changes_with_the_pose_and_only_with_it(wave, opened, has_we
     assert start == again
     assert top not in (start, moved)
     assert bool(asked) == has_webgl, "three.js is loaded where it can be used, and only there"
+
+
+BOX = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+       [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]  # fmt: skip
+URDF = """
+<robot name="r"><link name="base"/><link name="up"><visual><geometry>
+  <mesh filename="box.stl" scale="0.001 0.001 0.001"/></geometry></visual></link>
+<joint name="tilt" type="revolute"><parent link="base"/><child link="up"/>
+  <origin xyz="0 0 0.02"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/>
+</joint></robot>
+"""
+
+
+def test_a_mesh_is_drawn_and_is_whole_in_the_picture(studio, opened, tmp_path):
+    """The mesh is ten times as large as the lines of the figure, from which the size was taken."""
+    corners = np.array([[x, y, z] for z in (0, 200) for y in (-40, 40) for x in (-60, 60)])
+    triangles = np.zeros(12, dtype=[("normal", "<f4", 3), ("at", "<f4", (3, 3)), ("more", "<u2")])
+    triangles["at"] = corners[np.array(BOX)]
+    data = b" " * 80 + np.uint32(12).tobytes() + triangles.tobytes()
+    (tmp_path / "box.stl").write_bytes(data)
+    (tmp_path / "r.urdf").write_text(URDF)
+    (tmp_path / "r.yaml").write_text(
+        "robot: r\nbuses: {main: {port: 'sim://', firmware: 370}}\nurdf: {file: r.urdf}\njoints:\n"
+        "  tilt: {id: 1, model: LSS-HS1, range_deg: [-50, 50], speed_max_deg_s: 90, "
+        "accel_max_deg_s2: 300}\n"
+    )
+    show = "sequence: s\nrobot: r.yaml\nkeyframes:\n"
+    show += "  - {at_s: 0, deg: {tilt: 0}}\n  - {at_s: 1.5, deg: {tilt: 30}}\n"
+    (tmp_path / "s.yaml").write_text(show)
+    with studio(tmp_path / "s.yaml") as own, opened(own, has_webgl=True) as page:
+        page.key("2")
+        page.wait("document.querySelector('.figure-stage canvas')?.dataset.kind === 'webgl'")
+        for _ in range(50):  # The mesh is loaded and drawn some time after the rest.
+            picture = Image.open(BytesIO(base64.b64decode(drawn(page)))).convert("RGB")
+            red, _, blue = np.moveaxis(np.asarray(picture, dtype=int), 2, 0)
+            is_solid = blue - red > 60
+            if is_solid.any():
+                break
+    assert is_solid.mean() > 0.03, "it is drawn"
+    edges = (is_solid[:3], is_solid[-3:], is_solid[:, :3], is_solid[:, -3:])
+    assert not any(edge.any() for edge in edges), "and nothing of it is cut off"
 
 
 SOLID = """

@@ -14,6 +14,7 @@
  * @property {number[]} origin_mm
  * @property {number[]} rotation nine numbers, by rows
  * @property {string | null} path
+ * @property {number[][]} [corners_mm] of a mesh that is loaded, in its link
  */
 /**
  * @typedef {object} Link
@@ -130,8 +131,9 @@ function widened(cloud, at, half_mm) {
   return isBeyond;
 }
 
-/** @param {Shape} shape two opposite points of it; a mesh counts with its origin only */
+/** @param {Shape} shape two opposite points of it; of a mesh its corners once it is loaded */
 function shapeCorners(shape) {
+  if (shape.corners_mm !== undefined) return shape.corners_mm;
   const [x, y, z] = shape.origin_mm;
   const [a, b = a, c = b] = shape.size_mm;
   const halves = {

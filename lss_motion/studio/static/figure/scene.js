@@ -48,6 +48,8 @@ export class SceneFigure {
   kind = /** @type {const} */ ("webgl");
   /** @type {Cloud | null} */
   #cloud = null;
+  /** @type {import("./kinematics.js").Pose[]} */
+  #poses = [];
 
   /**
    * Throws where there is no WebGL.
@@ -90,12 +92,21 @@ export class SceneFigure {
     this.grid.rotation.x = Math.PI / 2;
     this.sun = new DirectionalLight(0xffffff, 2.2);
     this.scene.add(this.robot, this.grid, new HemisphereLight(0xffffff, 0x777788, 1.6), this.sun);
-    loadMeshes(this, meshUrl, changed);
+    loadMeshes(this, meshUrl, () => {
+      this.frame(this.#poses);
+      changed();
+    });
   }
 
   /** Keep these poses in the picture. @param {import("./kinematics.js").Pose[]} poses */
   frame(poses) {
+    this.#poses = poses;
     this.#cloud = cloudOf(this.figure, poses, null);
+    // Meshes may be larger than the lines, from which `reach_mm` is.
+    const reach_mm = Math.max(this.figure.reach_mm, ...this.#cloud.low.map(Math.abs), ...this.#cloud.high);
+    this.camera.near = reach_mm / 50;
+    this.camera.far = 60 * reach_mm;
+    this.grid.scale.setScalar(reach_mm / this.figure.reach_mm);
   }
 
   /** @param {Poses} poses @param {Palette} palette @param {import("./camera.js").Size} size @param {number} ratio device pixels per CSS pixel */
@@ -228,6 +239,22 @@ function framed(shape) {
   return group;
 }
 
+/** Return the corners of a mesh in its link. @param {any} geometry @param {Shape} shape */
+function cornersOf(geometry, shape) {
+  geometry.computeBoundingBox();
+  const { min, max } = geometry.boundingBox;
+  const frame = framed(shape);
+  frame.scale.set(shape.size_mm[0], shape.size_mm[1], shape.size_mm[2]);
+  frame.updateMatrix();
+  return [...Array(8).keys()].map((corner) =>
+    new Vector3(
+      corner & 1 ? max.x : min.x,
+      corner & 2 ? max.y : min.y,
+      corner & 4 ? max.z : min.z,
+    ).applyMatrix4(frame.matrix).toArray(),
+  );
+}
+
 /**
  * Load the meshes of a URDF file and add them as they come; one that cannot be read is left out.
  * @param {SceneFigure} scene @param {(path: string) => string} meshUrl @param {() => void} changed
@@ -242,6 +269,8 @@ async function loadMeshes(scene, meshUrl, changed) {
       const answer = await fetch(meshUrl(shape.path ?? ""));
       if (!answer.ok) return;
       const geometry = new STLLoader().parse(await answer.arrayBuffer());
+      geometry.computeVertexNormals(); // Many programs write none into the file.
+      shape.corners_mm = cornersOf(geometry, shape);
       const groups = [scene.parts.predicted[index], scene.parts.authored[index]];
       for (const [i, material] of [scene.materials.solid, scene.materials.ghost].entries()) {
         const mesh = new Mesh(geometry, material);
