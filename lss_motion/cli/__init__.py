@@ -27,6 +27,7 @@ report          `report`: the report of a show as text and picture; also called 
 scan            `scan`: find ports, baud rates and servos
 send            `send`: one command to one servo
 simulate        `sim`: a simulated robot behind a pseudo-terminal
+stage_keys      `stage-keys`: keys for the computers of a stage
 studio          `studio`: see and run a show in a browser
 walk            `walk`: a gait that is steered while it runs
 ==============  =================================================================================

@@ -37,6 +37,7 @@ GROUPS: Final[Mapping[str, tuple[str, ...]]] = {
     "beats": ("beats",),
     "identify": ("identify",),
     "walk": ("walk",),
+    "stage_keys": ("stage-keys",),
     "reference": ("reference",),
 }
 """The modules of `cli` in the order of the help text, with their commands.

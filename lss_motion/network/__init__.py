@@ -15,7 +15,9 @@ that clock to within a bound, and its player follows the legs (`player.following
 | `settings`  | addresses, keys and access; the configuration of zenoh      | `peer`             |
 | `keys`      | a small authority and a certificate for each figure         | `cli`              |
 | `peer`      | the session with the others: the only importer of zenoh     | `host`             |
-| `host`      | one computer: takes, decides, acts                          | `cli`              |
+| `host`      | one computer: takes, decides, acts                          | `serving`          |
+| `player_link` | starts and steers the player of a figure                  | `serving`          |
+| `serving`   | one figure of a stage, until it is ended                    | `cli`              |
 
 `clocks`, `messages`, `conductor` and `figure` have no network, clock or port, and tests play
 hundreds of computers in virtual time with them (`tools/benches/stage_model.py`).

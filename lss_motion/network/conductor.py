@@ -38,6 +38,8 @@ LOST_NS: Final = NS_PER_S
 """Without a word for so long, a figure is lost."""
 SLOW_RATIO: Final = 0.5
 """Chosen: slow enough to be safe beside a figure that stands, and the show is still one."""
+GRACE_NS: Final = 5 * NS_PER_S
+"""Figures that have not connected are named after this time."""
 PLAYABLE: Final = frozenset({"armed", "playing"})
 
 
@@ -85,6 +87,7 @@ class Conductor:
         self._limit = 1.0
         """What `others` allows at present."""
         self._notes: list[str] = []
+        self._begun_ns: int | None = None
 
     # ---- what is sent
 
@@ -230,7 +233,8 @@ class Conductor:
     def end(self) -> None:
         """Note that the show has ended: figures rest, and keep the cast ready."""
         if self.wanted == "armed":
-            self.wanted, self.leg = "ready", None
+            self.wanted = "ready"
+        self.leg = None
 
     # ---- looking after the figures
 
@@ -240,7 +244,11 @@ class Conductor:
 
     def tick(self, now_ns: int) -> list[str]:
         """Do what `others` requires; return what a person should know since the last call."""
+        if self._begun_ns is None:
+            self._begun_ns = now_ns
         for seat in self._cast_seats():
+            if seat.status is None and now_ns - self._begun_ns < GRACE_NS:
+                continue
             problem = self._problem(seat, now_ns)
             if problem != seat.problem:
                 self._notes.append(
@@ -273,6 +281,16 @@ class Conductor:
             and seat.status.bound_ns > WARN_NS
         ]
 
+    def has_failed(self, now_ns: int) -> bool:
+        """Return whether the player of a figure has ended before the start."""
+        return any(
+            seat.status is not None
+            and (seat.status.epoch, seat.status.run) == (self.epoch, self.run)
+            and seat.status.state in ("stopped", "out")
+            and bool(self._problem(seat, now_ns))
+            for seat in self._cast_seats()
+        )
+
     def is_armed(self, now_ns: int) -> bool:
         """Return whether all robots stand at the start."""
         return self.wanted == "armed" and all(
@@ -292,6 +310,11 @@ class Conductor:
             and status.state in PLAYABLE
         )
 
+    def _takes_part(self, seat: FigureSeat, now_ns: int) -> bool:
+        """Return whether a figure plays, or has played all of its part."""
+        has_ended = seat.status is not None and seat.status.state == "ended"
+        return not seat.problem and (has_ended or self._is_armed(seat, now_ns))
+
     def _problem(self, seat: FigureSeat, now_ns: int) -> str:
         """Return why a figure does not take part; empty: it does, or will."""
         status = seat.status
@@ -309,17 +332,16 @@ class Conductor:
                 f"{REFUSE_NS / NS_PER_MS:.0f}: the network is too slow or too busy"
             )
         is_mine = status.run == self.run and status.epoch == self.epoch
-        if self.leg is not None and is_mine and status.state in ("stopped", "holding"):
-            return f"it does not play on: {status.text or status.state}"
+        is_over = status.state in ("stopped", "holding")
+        if self.wanted == "armed" and self.run > 0 and is_mine and is_over:
+            return f"it does not play: {status.text or status.state}"
         return ""
 
     def _look_after(self, now_ns: int) -> None:
         """Go on, slow down or hold, as `others` says, while figures do not take part."""
         if self.leg is None or self.wanted != "armed" or self.leg.instant_ns > now_ns:
             return
-        are_all_there = not any(seat.problem for seat in self._cast_seats()) and all(
-            self._is_armed(seat, now_ns) for seat in self._cast_seats()
-        )
+        are_all_there = all(self._takes_part(seat, now_ns) for seat in self._cast_seats())
         limits: dict[Others, float] = {"go_on": 1.0, "slow": SLOW_RATIO, "hold": 0.0}
         limit = 1.0 if are_all_there else limits[self.others]
         if limit == self._limit:

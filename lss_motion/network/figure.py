@@ -33,6 +33,9 @@ AHEAD_NS: Final = 50 * NS_PER_MS
 """A leg that is not the first is passed on this long before its instant, since the player follows
 one leg at a time."""
 STOP_AGAIN_NS: Final = NS_PER_S // 2
+OVER_S: Final = 3.0
+"""A player that has not ended so long after the end of its show holds somewhere in it. Chosen: a
+joint has a second to come within its goal tolerance."""
 ARM_S: Final = 6.0
 """Who comes back joins the show this much later: the player is started (2 s), checks its servos and
 moves to where the show will be. If that takes longer, the player rejoins later by itself."""
@@ -123,6 +126,8 @@ class Figure:
         self._armed_run: tuple[int, int] | None = None
         self._stopped_ns: int | None = None
         self._is_stopped = False
+        self._why = ""
+        """Why it stopped by itself."""
         self._is_held = False
         self._legs: list[NetworkLeg] = []
         self._followed: tuple[int, int] | None = None
@@ -147,6 +152,7 @@ class Figure:
         self.beat, self._heard_ns = beat, now_ns
         if bound is None or is_new or beat.run != bound.run or beat.cast != bound.cast:
             self._is_stopped = self._is_held = False
+            self._why = ""
             self._legs.clear()
         if beat.leg is None:
             self._legs.clear()
@@ -279,7 +285,7 @@ class Figure:
         if beat is None:
             return "alone"
         if self._is_stopped or beat.wanted in ("nothing", "stopped"):
-            return self._stop(now_ns, actions, "the conductor stopped all", beat)
+            return self._stop(now_ns, actions, self._why or "the conductor stopped all", beat)
         if self._is_lost(now_ns):
             return self._alone(beat, now_ns, actions, is_active=is_active)
         if beat.wanted == "ready" or (is_active and self._armed_run != (beat.epoch, beat.run)):
@@ -287,7 +293,7 @@ class Figure:
                 return self._stop(now_ns, actions, "the conductor ended the run", beat)
             return self._prepare(beat, now_ns, actions)
         if self._armed_run == (beat.epoch, beat.run):
-            return self._play(now_ns, actions)
+            return self._play(beat, now_ns, actions)
         state = self._prepare(beat, now_ns, actions)
         if state != "ready" or self._cast is None or self.player.phase == "stopping":
             return state
@@ -363,7 +369,7 @@ class Figure:
             )
         return self.text if part.plan in self._refused else ""
 
-    def _play(self, now_ns: int, actions: list[Action]) -> FigureState:
+    def _play(self, beat: Beat, now_ns: int, actions: list[Action]) -> FigureState:
         match self.player.phase:
             case "ended":
                 return "ended"
@@ -377,8 +383,20 @@ class Figure:
         if self._is_held:
             self._is_held = False
             self._followed = None
+        if self._is_left_behind(now_ns):
+            self._is_stopped = True
+            self._why = self.text = "the show has ended without this figure"
+            return self._stop(now_ns, actions, self._why, beat)
         self._follow(now_ns, actions)
         return "playing" if self.player.phase == "playing" else "armed"
+
+    def _is_left_behind(self, now_ns: int) -> bool:
+        """Return whether the show is over for all that follow it, and this player holds."""
+        if self.clock is None or self._cast is None or self._cast.duration_s is None:
+            return False
+        conductor_ns = self.clock.other_ns(now_ns)
+        leg = self._leg_at(conductor_ns)
+        return leg is not None and leg.at_s(conductor_ns) > self._cast.duration_s + OVER_S
 
     def _follow(self, now_ns: int, actions: list[Action]) -> None:
         """Tell the player the leg that is in force, or the one that soon will be."""

@@ -59,6 +59,9 @@ STOP_NS: Final = 50 * NS_PER_MS
 ASKS_MAX: Final = 20
 ARM_MAX_NS: Final = 60 * NS_PER_S
 """A robot that is not at its start by then is named, and the start is given up."""
+OVER_MAX_S: Final = 15.0
+"""A show that some figure has not ended by then is over. Chosen: figures give up before
+(`figure.OVER_S`), and their servos get their settings back."""
 
 
 class PlayerEnd(Protocol):
@@ -184,6 +187,10 @@ class Host:
         self.conductor.stop()
         self._arming_ns = None
         self._stops_left = STOPS
+
+    def problems(self) -> list[str]:
+        """Return why the show cannot start, a sentence for each figure (conductor only)."""
+        return self._require_conductor().problems(self._now_ns())
 
     def cue(self, name: str) -> None:
         """Fire a cue of the stage, from any computer."""
@@ -323,7 +330,7 @@ class Host:
             self._arming_ns = None
             conductor.start(now_ns)
             self.log(f"all stand at the start after {s_from_ns(now_ns - since_ns):.1f} s: starts")
-        elif now_ns - since_ns > ARM_MAX_NS:
+        elif now_ns - since_ns > ARM_MAX_NS or conductor.has_failed(now_ns):
             self.log("the start is given up: " + "; ".join(conductor.problems(now_ns)))
             self.stop()
 
@@ -337,7 +344,8 @@ class Host:
             for name, seat in conductor.seats.items()
             if name in cast.parts and seat.status is not None and not seat.is_lost(now_ns)
         ]
-        return show_s > cast.duration_s and not {"playing", "arming"} & set(states)
+        is_played = show_s > cast.duration_s and not {"playing", "arming"} & set(states)
+        return is_played or show_s > cast.duration_s + OVER_MAX_S
 
     def _play(self, now_ns: int) -> None:
         figure = self.figure

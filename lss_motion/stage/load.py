@@ -248,7 +248,7 @@ class _Loader:
         entry = self.content.network
         keys = None
         if entry.keys is not None:
-            keys = self._file(entry.keys, ("network", "keys"), "folder of keys")
+            keys = self.source.path.parent / entry.keys  # `stage-keys` makes it.
         return Network(keys=keys, scouting=entry.scouting, freewheel_s=entry.freewheel_s)
 
     def _shows(self) -> Mapping[str, StageShow]:

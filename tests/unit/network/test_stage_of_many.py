@@ -125,6 +125,15 @@ def test_a_figure_that_fell_is_not_raised_again_in_the_same_run():
     assert "joint 'jaw' is stuck" in " ".join(world.notes)
 
 
+def test_a_figure_that_holds_beyond_the_end_gives_up():
+    world = playing(show_s=8.0)
+    host = world.hosts["f1"]
+    host.player.tick = lambda _now_ns: host.player.view  # It holds, and does not end.
+    assert world.run(20.0, lambda: host.player.stops > 0)
+    assert world.conductor.show_s(world.now_ns) > 8.0 + 2.0
+    assert host.figure.text == "the show has ended without this figure"
+
+
 def test_another_robot_stays_out_and_says_so():
     world = World(3, seed=2, robots={"f1": hash_of(b"another robot")})
     world.conductor.load(world.cast)

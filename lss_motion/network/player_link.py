@@ -1,0 +1,194 @@
+"""The player of a figure: a process of its own, steered through its link (`remote`).
+
+It is started when the figure is armed, moves to the start of the show and stands there until a leg
+comes (`player.following`). When this process dies or falls silent, the player brakes and holds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import subprocess
+import time
+from typing import TYPE_CHECKING, Any, Final
+
+from lss_motion.errors import LssMotionError
+from lss_motion.network.figure import PlayerView
+from lss_motion.network.plans import read_plan
+from lss_motion.player.events import Phase
+from lss_motion.player.following import FollowRule
+from lss_motion.remote import schema as m
+from lss_motion.remote.job import Job
+from lss_motion.remote.link import BrokenLinkError, Kind, Link
+from lss_motion.remote.player_end import LossRule
+from lss_motion.remote.process import packed, start_process
+from lss_motion.remote.telemetry import Telemetry
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from lss_motion.robot.model import Robot
+
+BACKSTOP_S: Final = 1.0
+"""Without legs for so much longer than the freewheel, the player holds by itself: its figure tells
+it to hold before that."""
+CLOSE_S: Final = 10.0
+"""A player that was stopped has ended by then, or it is told to end at once."""
+ENDING: Final = frozenset({Phase.STOP.value, Phase.RESTORE.value, Phase.DONE.value})
+MOVING: Final = frozenset(
+    {Phase.CONNECT.value, Phase.READY.value, Phase.PREPARE.value, Phase.APPROACH.value}
+)
+
+
+class PlayerLink:
+    """Starts, steers and watches the player of one robot; `options` are those of `perform`."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        freewheel_s: float = 2.0,
+        log: Callable[[str], None] = lambda _text: None,
+        **options: Any,  # noqa: ANN401
+    ) -> None:
+        self._robot, self._options, self._log = robot, options, log
+        self._rule = FollowRule(freewheel_s=freewheel_s + BACKSTOP_S, lost="hold")
+        self._process: subprocess.Popen[bytes] | None = None
+        self._link: Link | None = None
+        self._view = PlayerView()
+        self._phase = ""
+        self._show_s: float | None = None
+        self._first_ns: int | None = None
+        self._number = 0
+        self._is_stopped = False
+        self._leaving: list[subprocess.Popen[bytes]] = []
+        """Processes that end by themselves."""
+        self.reports: list[dict[str, Any]] = []
+        """Reports of the runs that have ended."""
+
+    def arm(self, plan: bytes, start_s: float) -> None:
+        """Start the player; it moves to `start_s` of the plan, and waits there."""
+        if self._link is not None:  # Of a run that has ended: its figure waits for that.
+            self._gone()
+        try:
+            program = read_plan(plan, self._robot)
+        except LssMotionError as error:
+            self._view = PlayerView("failed", None, str(error))
+            return
+        job = Job(
+            program=program,
+            robot=self._robot,
+            rule=LossRule(on_lost="stop"),
+            follow=self._rule,
+            options={"start_s": start_s or None, **self._options},
+        )
+        self._process, end = start_process(packed(job))
+        self._link = Link(end)
+        self._link.set_blocking(is_blocking=False)
+        self._phase, self._show_s, self._first_ns = "", None, None
+        self._is_stopped = False
+        self._view = PlayerView("starting")
+
+    def follow(self, instant_ns: int, show_s: float, rate: float) -> None:
+        """Tell it where the show is."""
+        if self._first_ns is None and rate > 0.0:
+            self._first_ns = instant_ns
+        self._send(m.Follow, instant_ns=instant_ns, show_s=show_s, rate=rate, source="conductor")
+
+    def stop(self) -> None:
+        """Let it brake, hold and end."""
+        self._is_stopped = True
+        self._send(m.Stop)
+
+    def view(self, now_ns: int) -> PlayerView:
+        """Take what it sent, and return its state."""
+        link = self._link
+        if link is None:
+            return self._view
+        link.flush()
+        try:
+            for kind, content in link.receive():
+                self._take(kind, content)
+        except BrokenLinkError:
+            self._gone()
+            return self._view
+        if self._view.phase in ("ended", "failed"):
+            return self._view
+        if not self._phase or (self._phase in MOVING and self._first_ns is None):
+            self._view = PlayerView("starting")
+        elif self._phase in ENDING and (self._is_stopped or self._phase == Phase.STOP.value):
+            self._view = PlayerView("stopping", self._show_s)
+        elif self._first_ns is None or now_ns < self._first_ns:
+            self._view = PlayerView("standing", self._show_s)
+        else:
+            self._view = PlayerView("playing", self._show_s)
+        return self._view
+
+    def _take(self, kind: Kind, content: bytes) -> None:
+        if kind is Kind.TELEMETRY:
+            self._show_s = Telemetry.from_bytes(content).show_s
+        elif kind is Kind.EVENT:
+            match m.parse_event(content):
+                case m.PhaseChanged() as event:
+                    self._phase = event.phase
+                case m.Warned() as event:
+                    self._log(f"player: {event.text}")
+                case m.Faulted() as event:
+                    self._log(f"player: joint {event.joint!r}: {event.kind}: {event.step}")
+                case m.Refused() as event:
+                    self._log(f"player refused: {event.text}")
+                case m.Ended() as event:
+                    self._end(event)
+
+    def _end(self, event: m.Ended) -> None:
+        if event.report is not None:
+            self.reports.append(event.report)
+        if event.outcome == "finished":
+            self._view = PlayerView("ended")
+        elif event.outcome == "stopped" and event.error is None:
+            self._view = PlayerView("none")
+            self._phase = Phase.DONE.value
+        else:
+            self._view = PlayerView("failed", None, event.error or event.outcome)
+
+    def _gone(self) -> None:
+        """Forget the process: it has ended."""
+        if self._view.phase not in ("ended", "failed") and self._phase != Phase.DONE.value:
+            self._view = PlayerView(
+                "failed", None, "its process is gone; the servos come to rest by themselves"
+            )
+        elif self._phase == Phase.DONE.value and self._view.phase not in ("ended", "failed"):
+            self._view = PlayerView("none")
+        if self._link is not None:
+            self._link.close()
+        if self._process is not None:
+            self._leaving.append(self._process)
+        self._leaving = [process for process in self._leaving if process.poll() is None]
+        self._link = self._process = None
+
+    def _send(self, operation: type[m.Operation], **fields: object) -> None:
+        link = self._link
+        if link is None or link.is_closed:
+            return
+        self._number += 1
+        message = operation(id=self._number, **fields)
+        link.send(Kind.OPERATION, message.model_dump_json().encode())
+
+    def close(self) -> None:
+        """Stop it, and wait until it has ended."""
+        if self._link is not None:
+            self.stop()
+            if not self._wait() and self._link is not None:
+                self._send(m.Estop)
+                self._wait()
+            self._gone()
+        for process in self._leaving:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(CLOSE_S)
+
+    def _wait(self) -> bool:
+        end_ns = time.monotonic_ns() + int(CLOSE_S * 1e9)
+        while self._link is not None and time.monotonic_ns() < end_ns:
+            select.select([self._link.fileno()], [], [], 0.1)
+            self.view(time.monotonic_ns())
+        return self._link is None

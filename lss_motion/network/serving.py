@@ -1,0 +1,281 @@
+"""Serve one figure of a stage with several: `lss-motion serve STAGE.yaml --figure NAME`.
+
+The conductor's computer plans the shows for all, when they are needed, and is told what to do by
+lines of its input (`Commands`), or by what else holds a `Host`. The others need no operator.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import signal
+import sys
+import threading
+import time
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.errors import EXIT_FINISHED, InputError, LssMotionError
+from lss_motion.network.host import Host
+from lss_motion.network.plans import PlanStore, planned_cast
+from lss_motion.network.player_link import PlayerLink
+from lss_motion.network.settings import PORT, NetworkSettings, check_settings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from lss_motion.network.messages import Cast
+    from lss_motion.robot.model import Robot
+    from lss_motion.stage.model import Stage
+
+HELP: Final = (
+    "keys, each with Enter: g GO · l SHOW load a show · p pause · r resume · j S jump to a show "
+    "time · s STOP all · c CUE fire a cue · ? states · q end"
+)
+
+
+def settings_of(stage: Stage, figure: str, *, is_trusted: bool) -> NetworkSettings:
+    """Return the network settings of one figure of a stage."""
+    if not stage.figures or stage.conductor is None:
+        raise InputError("has no figures: it is served without --figure", path=stage.path)
+    if figure not in stage.figures:
+        known = ", ".join(stage.figures)
+        raise InputError(f"has no figure {figure!r}; there are {known}", path=stage.path)
+    address = stage.figures[stage.conductor].address or ("127.0.0.1", PORT)
+    host = f"[{address[0]}]" if ":" in address[0] else address[0]
+    return NetworkSettings(
+        stage=stage.name,
+        figure=figure,
+        conductor=stage.conductor,
+        figures=tuple(stage.figures),
+        address=f"{host}:{address[1]}",
+        keys=stage.network.keys,
+        scouting=stage.network.scouting or "",
+        is_trusted=is_trusted,
+    )
+
+
+def serve_figure(
+    stage: Stage,
+    figure: str,
+    *,
+    port: str | None = None,
+    trust_network: bool = False,
+    starts: bool = False,
+    folder: Path | None = None,
+) -> int:
+    """Serve one figure until Ctrl-C or `q`; return the exit code.
+
+    `port` replaces the port of its robot file. With `starts`, the conductor starts its first show
+    as soon as all figures are ready. Plans are kept in `folder`, or else in the user's cache.
+    """
+    from lss_motion import __version__
+    from lss_motion.connection import with_port
+    from lss_motion.network.peer import Peer
+    from lss_motion.robot.load import load_robot
+    from lss_motion.trajectory.plan_cache import cache_directory
+
+    settings = settings_of(stage, figure, is_trusted=trust_network)
+    check_settings(settings)
+    robots = {
+        name: load_robot(one.robot_path)
+        for name, one in stage.figures.items()
+        if name == figure or settings.is_conductor
+    }
+    log = _log(figure)
+    freewheel_s = stage.network.freewheel_s
+    robot = with_port(robots[figure], port)
+    player = PlayerLink(robot, freewheel_s=freewheel_s, log=log)
+    store = PlanStore(folder or cache_directory() / "network")
+    host = Host(
+        settings,
+        robot,
+        player,
+        store,
+        lambda instance: Peer(settings, clock_id=instance if settings.is_conductor else ""),
+        version=__version__,
+        others=stage.retry.others,
+        freewheel_s=freewheel_s,
+        log=log,
+    )
+    log(f"{'conducts' if settings.is_conductor else 'is a figure of'} stage {stage.name!r}")
+    commands = Commands(host, stage, robots, log, starts=starts)
+    with _signals(commands):
+        try:
+            while not commands.has_ended:
+                host.turn()
+                commands.turn()
+        finally:
+            host.close()
+    return EXIT_FINISHED
+
+
+class Commands:
+    """What the lines of standard input mean; and the planner of the conductor."""
+
+    def __init__(
+        self,
+        host: Host,
+        stage: Stage,
+        robots: dict[str, Robot],
+        log: Callable[[str], None],
+        *,
+        starts: bool = False,
+    ) -> None:
+        self.has_ended = False
+        self._host, self._stage, self._robots, self._log = host, stage, robots, log
+        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._planned: queue.SimpleQueue[tuple[Cast, dict[str, bytes]] | str] = queue.SimpleQueue()
+        self._is_planning = False
+        self._starts = starts
+        threading.Thread(target=self._read, daemon=True).start()
+        if host.conductor is not None and stage.shows:
+            self.load(stage.idle or next(iter(stage.shows)))
+
+    def put(self, line: str) -> None:
+        """Take a line as if it had been typed."""
+        self._lines.put(line)
+
+    def load(self, show: str) -> None:
+        """Plan a show for all figures, beside the network."""
+        if show not in self._stage.shows:
+            self._log(f"no show {show!r}; there are {', '.join(self._stage.shows)}")
+        elif not self._is_planning:
+            self._is_planning = True
+            threading.Thread(target=self._plan, args=(show,), daemon=True).start()
+
+    def turn(self) -> None:
+        """Do what was typed, and what was asked for by other computers."""
+        while not self._planned.empty():
+            found = self._planned.get()
+            self._is_planning = False
+            if isinstance(found, str):
+                self._log(found)
+            else:
+                self._do(partial(self._host.load, *found))
+        while not self._lines.empty():
+            self._obey(self._lines.get().split())
+        while self._host.cues:
+            figure, cue = self._host.cues.popleft()
+            self._fire(cue, figure)
+        conductor = self._host.conductor
+        is_loaded = conductor is not None and conductor.wanted == "ready"
+        if self._starts and is_loaded and not self._host.problems():
+            self._starts = False
+            self._do(self._host.go)
+
+    def _obey(self, words: list[str]) -> None:
+        match words:
+            case ["g"]:
+                self._do(self._host.go)
+            case ["s"]:
+                self._host.stop()
+            case ["q"]:
+                self.has_ended = True
+            case ["l", show]:
+                self.load(show)
+            case ["c", cue]:
+                self._host.cue(cue)
+            case ["p" | "r" | "j", *rest]:
+                self._do(lambda: self._steer(words[0], rest))
+            case ["?"]:
+                for line in states(self._host):
+                    self._log(line)
+            case []:
+                pass
+            case _:
+                self._log(HELP)
+
+    def _steer(self, word: str, rest: list[str]) -> None:
+        conductor = self._host.conductor
+        if conductor is None:
+            raise InputError(f"{self._stage.conductor} conducts this stage")
+        now_ns = time.monotonic_ns()
+        if word == "p":
+            conductor.pause(now_ns)
+        elif word == "r":
+            conductor.resume(now_ns)
+        else:
+            try:
+                conductor.seek(float(rest[0]), now_ns)
+            except (ValueError, IndexError):
+                raise InputError("j needs a show time in seconds: j 12.5") from None
+
+    def _fire(self, name: str, figure: str) -> None:
+        """Fire a cue that a figure asked for: its show, or what it does."""
+        cue = self._stage.cue(name)
+        if cue is None:
+            self._log(f"figure {figure} asks for cue {name!r}, which the stage does not have")
+        elif cue.deed == "stop":
+            self._host.stop()
+        elif cue.shows:
+            self._starts = True
+            self.load(cue.shows[0])
+
+    def _do(self, call: Callable[[], object]) -> None:
+        try:
+            call()
+        except InputError as refused:
+            self._log(f"refused: {refused}")
+
+    def _plan(self, show: str) -> None:
+        paths = self._stage.shows[show].paths
+        source = next(iter(paths.values())) if "" in paths else paths
+        try:
+            made = planned_cast(show, source, self._robots, self._stage.conductor or "")
+        except LssMotionError as error:
+            self._planned.put(f"show {show!r} cannot be planned: {error}")
+        else:
+            self._planned.put(made)
+
+    def _read(self) -> None:
+        with contextlib.suppress(ValueError, OSError):
+            for line in sys.stdin:
+                self._lines.put(line)
+
+
+def states(host: Host) -> list[str]:
+    """Return the state of every figure that this computer knows, a line each."""
+    conductor = host.conductor
+    if conductor is None:
+        return [f"{host.figure.name}: {host.figure.state} {host.figure.text}".rstrip()]
+    found = []
+    for name, seat in conductor.seats.items():
+        status = seat.status
+        if status is None:
+            found.append(f"{name}: not connected")
+            continue
+        bound = "" if status.bound_ns is None else f", clock ± {status.bound_ns / 1e6:.2f} ms"
+        show = "" if status.show_s is None else f", at {status.show_s:.2f} s"
+        off = "" if status.off_s is None else f" ({1e3 * status.off_s:+.1f} ms)"
+        text = f": {status.text or seat.problem}" if status.text or seat.problem else ""
+        found.append(f"{name}: {status.state}{show}{off}{bound}{text}")
+    return found
+
+
+def _log(figure: str) -> Callable[[str], None]:
+    def log(text: str) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            sys.stdout.write(f"{time.strftime('%H:%M:%S')} {figure}: {text}\n")
+            sys.stdout.flush()
+
+    return log
+
+
+@contextlib.contextmanager
+def _signals(commands: Commands):  # type: ignore[no-untyped-def]  # noqa: ANN202
+    """End at the first signal; the second one ends this process at once."""
+
+    def note(number: int, _frame: object) -> None:
+        if commands.has_ended:
+            os._exit(128 + number)
+        commands.has_ended = True
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,66 @@
+"""One simulated robot behind a pseudo-terminal, judged at its end.
+
+`python -m rig.robot ROBOT.yaml LINK OUT.json`: serves until SIGTERM, then writes what the
+independent judge (`tools/judge`) objects to, and where every horn is.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from campaign.outside import _rows, _stored, robot_of
+from judge.recording import recording_of
+from judge.verdict import objections
+
+from lss_motion.robot.load import load_robot
+from lss_motion.sim.bus import bus_from_robot, servos_of
+from lss_motion.sim.pty import serve_buses
+from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
+
+STEP_NS = 5 * NS_PER_MS
+SETTLE_NS = NS_PER_S
+
+
+def main(robot_path: str, link: str, out: str) -> None:
+    """Serve, then judge."""
+    robot = load_robot(Path(robot_path))
+    buses = {name: bus_from_robot(robot, name, seed=1) for name in robot.buses}
+    for bus in buses.values():
+        bus.record()
+    started_ns = time.monotonic_ns()
+    serve_buses(buses, Path(link), announce=lambda text: print(text, flush=True))
+    end_ns = time.monotonic_ns() + SETTLE_NS
+    servos, lines = [], {}
+    for name, bus in buses.items():
+        bus.advance(end_ns)
+        lines[name] = {
+            "baud_bps": bus.baud_bps,
+            "written": _rows([(at - started_ns, line) for at, line in bus.lines or []]),
+        }
+        times = np.arange(started_ns, end_ns, STEP_NS)
+        seen_deg = bus.horn_deg(times)
+        for index, joint_name in enumerate(servos_of(robot, name)):
+            joint = robot.joints[joint_name]
+            received = [(at - started_ns, line) for at, line in bus.received[index]]
+            servos.append(
+                {
+                    "bus": name,
+                    "id": joint.servo_id,
+                    "stored": _stored(joint),
+                    "received": _rows(received),
+                    "step_s": s_from_ns(STEP_NS),
+                    "horn_deg": seen_deg[:, index].tolist(),
+                }
+            )
+    record = {"end_s": s_from_ns(end_ns - started_ns), "buses": lines, "servos": servos}
+    found = [str(one) for one in objections(recording_of(robot_of(robot, 0.2), record))]
+    commands = {name: len(bus["written"]) for name, bus in lines.items()}
+    Path(out).write_text(json.dumps({"objections": found, "lines": commands}), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,22 @@
+"""One figure of a stage: `python -m rig.serve STAGE.yaml FIGURE STORE PORT [--go]`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from lss_motion.network.serving import serve_figure
+from lss_motion.stage.load import load_stage
+
+if __name__ == "__main__":
+    stage, figure, store, port, *rest = sys.argv[1:]
+    sys.exit(
+        serve_figure(
+            load_stage(Path(stage)),
+            figure,
+            port=port,
+            trust_network=True,
+            starts="--go" in rest,
+            folder=Path(store),
+        )
+    )

@@ -1,0 +1,319 @@
+"""A stage in network namespaces: one for each host, a bridge between them, faults on demand.
+
+with RigStage(folder, hosts=3, seed=7, line=WIFI) as rig:
+    rig.start_all()
+    rig.wait("f0", "all stand at the start", 60)
+    rig.cut("f1"); rig.heal("f1"); rig.kill("f2"); rig.start("f2")
+    verdicts = rig.end()         # what the judge objects to, by host
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Self
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from types import TracebackType
+
+TOOLS: Final = Path(__file__).resolve().parents[1]
+PLAIN: Final = ("0.1", "0.05", "0", "0", "0")
+WIFI: Final = ("0.5", "3", "0.02", "80", "0.005")
+"""Of a line: base and jitter in ms, share and size in ms of spikes, share of losses."""
+
+ROBOT: Final = """\
+robot: {name}
+buses: {{main: {{port: "sim://", baud_bps: 115200, firmware: 370}}}}
+defaults: {{model: LSS-ST1, speed_max_deg_s: 180, accel_max_deg_s2: 600}}
+joints:
+{joints}
+"""
+
+
+def why_not() -> str:
+    """Return why there can be no rig here; empty: there can."""
+    if not sys.platform.startswith("linux") or os.geteuid() != 0:
+        return "network namespaces need Linux and root"
+    if shutil.which("ip") is None:
+        return "network namespaces need `ip` (Debian: iproute2)"
+    name = f"lsstry{os.getpid()}"
+    made = subprocess.run(["ip", "netns", "add", name], capture_output=True, text=True, check=False)
+    subprocess.run(["ip", "netns", "del", name], capture_output=True, check=False)
+    return "" if made.returncode == 0 else f"no network namespace: {made.stderr.strip()}"
+
+
+class RigStage:
+    """Namespaces and processes of one stage; `with` removes all of them."""
+
+    def __init__(  # noqa: PLR0913  (what one stage has)
+        self,
+        folder: Path,
+        *,
+        hosts: int = 3,
+        joints: int = 2,
+        seed: int = 0,
+        line: Sequence[str] = PLAIN,
+        show_s: float = 8.0,
+        loops: int = 1,
+        others: str = "hold",
+        freewheel_s: float = 1.0,
+        ppm: float = 0.0,
+        jumps: dict[str, tuple[int, int]] | None = None,
+        keys: dict[str, Path] | None = None,
+    ) -> None:
+        self.folder, self.seed, self.line = folder, seed, line
+        self.names = [f"f{index}" for index in range(hosts)]
+        self._tag = f"l{os.getpid() % 100000}"
+        self._keys = keys or {}
+        self._ppm, self._jumps = ppm, jumps or {}
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._robots: dict[str, subprocess.Popen[bytes]] = {}
+        self._proxy: subprocess.Popen[bytes] | None = None
+        self._write(joints, show_s, loops, others, freewheel_s)
+
+    # ---- files
+
+    def _write(
+        self, joints: int, show_s: float, loops: int, others: str, freewheel_s: float
+    ) -> None:
+        folder = self.folder
+        rows = "\n".join(f"  j{n}: {{id: {n + 1}, range_deg: [-90, 90]}}" for n in range(joints))
+        (folder / "robot.yaml").write_text(ROBOT.format(name="figure", joints=rows))
+        keys = []
+        steps = round(show_s)
+        for index in range(steps + 1):
+            deg = ", ".join(
+                f"{name}.j{n}: {0 if index in (0, steps) else (40 if index % 2 else -40)}"
+                for name in self.names
+                for n in range(joints)
+            )
+            keys.append(f"  - {{at_s: {index}, deg: {{{deg}}}}}")
+        (folder / "show.yaml").write_text(
+            f"sequence: show\nrobot: robot.yaml\nloop: {loops}\nkeyframes:\n" + "\n".join(keys)
+        )
+        for index, name in enumerate(self.names):
+            address = "10.77.0.1:7447" if index == 0 else f"10.77.0.254:{7000 + index}"
+            own = {self.names[0]: f', address: "{address}"'}
+            figures = "\n".join(
+                f"  {one}: {{robot: robot.yaml{own.get(one, '')}}}" for one in self.names
+            )
+            network = f"freewheel_s: {freewheel_s}"
+            if name in self._keys:
+                network += f", keys: {json.dumps(str(self._keys[name]))}"
+            (folder / f"{name}.yaml").write_text(
+                f"stage: rig\nfigures:\n{figures}\nconductor: {self.names[0]}\n"
+                f"shows: {{show: show.yaml}}\nnetwork: {{{network}}}\n"
+                f"on_fault: {{others: {others}}}\n"
+            )
+
+    # ---- namespaces
+
+    def __enter__(self) -> Self:
+        try:
+            self._make_network()
+        except BaseException:
+            self.remove()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.remove()
+
+    def _make_network(self) -> None:
+        switch = self._space("sw")
+        _ip("netns", "add", switch)
+        _ip("-n", switch, "link", "set", "lo", "up")
+        _ip("-n", switch, "link", "add", "br0", "type", "bridge")
+        _ip("-n", switch, "addr", "add", "10.77.0.254/24", "dev", "br0")
+        _ip("-n", switch, "link", "set", "br0", "up")
+        for index, name in enumerate(self.names):
+            space, inner, outer = self._space(name), f"{self._tag}i{index}", f"{self._tag}o{index}"
+            _ip("netns", "add", space)
+            _ip("link", "add", inner, "type", "veth", "peer", "name", outer)
+            _ip("link", "set", inner, "netns", space, "name", "eth0")
+            _ip("link", "set", outer, "netns", switch, "name", f"p{index}")
+            _ip("-n", switch, "link", "set", f"p{index}", "master", "br0", "up")
+            _ip("-n", space, "addr", "add", f"10.77.0.{index + 1}/24", "dev", "eth0")
+            _ip("-n", space, "link", "set", "lo", "up")
+            _ip("-n", space, "link", "set", "eth0", "up")
+        lines = [f"10.77.0.254:{7000 + k}=10.77.0.1:7447" for k in range(1, len(self.names))]
+        self._proxy = subprocess.Popen(
+            [*_in(switch), sys.executable, "-m", "rig.proxy", str(self.seed), *self.line, *lines],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=_env(),
+        )
+        assert self._proxy.stdout is not None
+        assert self._proxy.stdout.readline() == b"ready\n"
+
+    def _space(self, name: str) -> str:
+        return f"{self._tag}-{name}"
+
+    # ---- hosts
+
+    def start_all(self) -> None:
+        """Start the robots, and every host."""
+        for name in self.names:
+            words = [str(self.folder / f"{name}.{end}") for end in ("port", "json")]
+            self._robots[name] = self._popen(
+                [sys.executable, "-m", "rig.robot", str(self.folder / "robot.yaml"), *words],
+                f"{name}.robot.txt",
+            )
+        for name in self.names:
+            _until(lambda name=name: (self.folder / f"{name}.port").exists(), 30.0, name)
+            self.start(name)
+
+    def start(self, name: str, *, environment: dict[str, str] | None = None) -> None:
+        """Start a host, or start it again."""
+        if name in self._processes and (stdin := self._processes[name].stdin) is not None:
+            with contextlib.suppress(OSError):
+                stdin.close()
+        index = self.names.index(name)
+        ppm = self._ppm * (index % 3 - 1)
+        jump_at, jump = self._jumps.get(name, (0, 0))
+        clock = f"{index * 10**12},{ppm},{jump_at},{jump}"
+        stores = [str(self.folder / f"{name}.{end}") for end in ("store", "port")]
+        stage = str(self.folder / f"{name}.yaml")
+        self._processes[name] = self._popen(
+            [*_in(self._space(name)), sys.executable, "-m", "rig.serve", stage, name, *stores],
+            f"{name}.txt",
+            {"LSS_RIG_CLOCK": clock, **(environment or {})},
+        )
+
+    def _popen(
+        self, words: list[str], log: str, environment: dict[str, str] | None = None
+    ) -> subprocess.Popen[bytes]:
+        with (self.folder / log).open("ab") as file:
+            return subprocess.Popen(
+                words,
+                stdin=subprocess.PIPE,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                env={**_env(), **(environment or {})},
+                start_new_session=True,
+            )
+
+    def say(self, name: str, line: str) -> None:
+        """Type a line at a host."""
+        stdin = self._processes[name].stdin
+        assert stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            stdin.write(f"{line}\n".encode())
+            stdin.flush()
+
+    def kill(self, name: str, number: int = signal.SIGKILL) -> None:
+        """Kill the process that serves a host, not its player."""
+        self._processes[name].send_signal(number)
+        if number == signal.SIGKILL:
+            self._processes[name].wait(10)
+
+    def cut(self, name: str) -> None:
+        """Cut the cable of a host."""
+        _ip("-n", self._space(name), "link", "set", "eth0", "down")
+
+    def heal(self, name: str) -> None:
+        """Mend it."""
+        _ip("-n", self._space(name), "link", "set", "eth0", "up")
+
+    @contextlib.contextmanager
+    def storm(self, name: str, seed: int) -> Iterator[None]:
+        """Let a program on the computer of a host send garbage meanwhile."""
+        address = f"10.77.0.254:{7000 + self.names.index(name)}"
+        words = [sys.executable, "-m", "rig.storm", "rig", name, address, str(seed)]
+        process = subprocess.Popen(
+            [*_in(self._space(name)), *words], stdin=subprocess.PIPE, env=_env()
+        )
+        try:
+            yield
+        finally:
+            process.kill()
+            process.wait(10)
+            assert process.stdin is not None
+            process.stdin.close()
+
+    def log(self, name: str) -> str:
+        """Return what a host has logged so far."""
+        path = self.folder / f"{name}.txt"
+        return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+
+    def wait(self, name: str, text: str, seconds: float, after: int = 0) -> int:
+        """Wait until a host has logged `text` after so many characters; return where."""
+        found = -1
+
+        def is_there() -> bool:
+            nonlocal found
+            found = self.log(name).find(text, after)
+            return found >= 0
+
+        _until(is_there, seconds, f"{name}: {text!r} in\n{self.log(name)[-2000:]}")
+        return found + len(text)
+
+    # ---- the end
+
+    def end(self) -> dict[str, dict[str, Any]]:
+        """End all hosts, then their robots; return what the judge says of each."""
+        for name, process in self._processes.items():
+            with contextlib.suppress(OSError):
+                self.heal(name)
+            if process.poll() is None:
+                self.say(name, "q")
+        for process in self._processes.values():
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(30)
+        time.sleep(0.5)
+        for process in self._robots.values():
+            process.terminate()
+        verdicts = {}
+        for name, process in self._robots.items():
+            process.wait(60)
+            verdicts[name] = json.loads((self.folder / f"{name}.json").read_text())
+        return verdicts
+
+    def remove(self) -> None:
+        """End what is left, and remove the namespaces."""
+        proxies = [] if self._proxy is None else [self._proxy]
+        for process in [*self._processes.values(), *self._robots.values(), *proxies]:
+            process.kill()
+            process.wait(10)
+            for pipe in (process.stdin, process.stdout):
+                if pipe is not None:
+                    with contextlib.suppress(OSError):
+                        pipe.close()
+        for name in (*self.names, "sw"):
+            subprocess.run(
+                ["ip", "netns", "del", self._space(name)], capture_output=True, check=False
+            )
+
+
+def _ip(*words: str) -> None:
+    subprocess.run(["ip", *words], check=True, capture_output=True)
+
+
+def _in(space: str) -> list[str]:
+    return ["ip", "netns", "exec", space]
+
+
+def _env() -> dict[str, str]:
+    paths = [str(TOOLS / "rig" / "shim"), str(TOOLS), str(TOOLS.parent)]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+
+
+def _until(is_true: Any, seconds: float, what: str) -> None:  # noqa: ANN401
+    end = time.monotonic() + seconds
+    while not is_true():
+        if time.monotonic() > end:
+            raise TimeoutError(f"not within {seconds:g} s: {what}")
+        time.sleep(0.05)

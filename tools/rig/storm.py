@@ -1,0 +1,56 @@
+"""Garbage for a stage, from a computer in it: `python -m rig.storm STAGE FIGURE ADDRESS SEED`.
+
+It sends what a broken or hostile program could: a thousand messages a second with any key and any
+content, true messages of others with changed fields among them. Ends when its input is closed.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from random import Random
+
+from lss_motion.network.messages import Ask, ClockQuestion, Status, packed
+from lss_motion.network.peer import Peer
+from lss_motion.network.settings import NetworkSettings
+
+KEYS = ("figure/{}/status", "figure/{}/ask", "figure/{}/clock", "beat", "stop", "clock/{}", "x/y")
+
+
+def main(stage: str, figure: str, address: str, seed: str) -> None:
+    """Send until the input is closed."""
+    random = Random(seed)
+    ended = threading.Event()
+    threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
+    names = [figure, "f0", "nobody"]
+    settings = NetworkSettings(
+        stage=stage, figure=figure, conductor="f0", figures=[figure, "f0"], address=address,
+        is_trusted=True,
+    )  # fmt: skip
+    with Peer(settings) as peer:
+        while not ended.is_set():
+            for _ in range(10):
+                peer.send(random.choice(KEYS).format(random.choice(names)), content(random))
+            time.sleep(0.01)
+
+
+def content(random: Random) -> bytes:
+    """Return garbage, or a message that is well made and not true."""
+    kind = random.randrange(5)
+    if kind == 0:
+        return random.randbytes(random.choice((0, 1, 100, 20_000)))
+    if kind == 1:
+        return packed(ClockQuestion(asked_ns=random.randrange(-(1 << 61), 1 << 61)))
+    if kind == 2:
+        return packed(Ask(what="cue", cue="x", number=random.randrange(9), instance="0" * 16))
+    status = Status(
+        figure=random.choice(("f1", "f9")), instance="0" * 16, version="", state="idle",
+        epoch=0, run=0, robot="0" * 64,
+    )  # fmt: skip
+    text = packed(status)
+    return text[: random.randrange(len(text))] if kind == 3 else text + b" " * 9
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
