@@ -18,9 +18,8 @@ import tempfile
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, runtime_checkable
 
-from lss_motion.remote.job import Job
 from lss_motion.remote.link import Kind, Link
 from lss_motion.remote.operator_end import Operator
 
@@ -30,6 +29,13 @@ class Task(Protocol):
 
     def run(self, operator: Operator) -> object:
         """Do it, and send the last event; return the result for a client that takes it."""
+
+
+@runtime_checkable
+class Changeable(Protocol):
+    """A dataclass with fields that may be changed when it is started, as `remote.job.Job`."""
+
+    options: dict[str, Any]
 
 
 SEND_S: Final = 5.0
@@ -95,10 +101,12 @@ def _job() -> Task:
     # It comes from the process that started this one.
     job: Task = pickle.load(sys.stdin.buffer)  # noqa: S301
     changes: dict[str, Any] = pickle.load(sys.stdin.buffer)  # noqa: S301
-    if not isinstance(job, Job):
+    if not changes:
         return job
+    assert isinstance(job, Changeable)
     options = {**job.options, **changes.pop("options", {})}
-    return replace(job, options=options, **changes)
+    changed: Task = replace(job, options=options, **changes)  # type: ignore[type-var]
+    return changed
 
 
 if __name__ == "__main__":

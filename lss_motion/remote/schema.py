@@ -640,7 +640,9 @@ AnyEvent = Annotated[
     | Heartbeat
     | Pairing
     | Scanned
-    | MaintenanceChanged,
+    | MaintenanceChanged
+    | stage.StageState
+    | stage.StageNote,
     Field(discriminator="event"),
 ]
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from lss_motion.remote.message import Name, Operation
+from lss_motion.remote.message import Message, Name, Operation
 
 SignalKind = Literal["key", "osc", "http", "mqtt", "note", "program", "sacn", "gpio"]
 """Where a trigger comes from: the kinds of `stage.model.Kind` that a server receives."""
@@ -78,3 +78,50 @@ class StageWake(Operation):
 
 StageOperation = Trigger | Cue | Enable | Arm | StagePlay | StageStop | StageRest | StageWake
 """What is asked of a running stage, besides `schema.ShowOperation`."""
+
+
+class CueInfo(Message):
+    """One cue of a stage, as it is now."""
+
+    name: str
+    on: str
+    plays: str
+    is_enabled: bool
+    fired: int
+    """How often, since the stage has begun."""
+    last_fired_s: float | None
+    """How long ago."""
+    refused: str
+    """Why it was refused since; empty if it was not."""
+
+
+class StageState(Message):
+    """The whole state of a stage; only the newest one counts."""
+
+    event: Literal["stage"] = "stage"
+    state: Literal["waits_for_port", "connecting", "rests", "idle", "plays", "given_up"]
+    show: str | None
+    show_plan: str | None
+    """Hash of its program, as in the telemetry."""
+    cause: str
+    """The cue for which it plays, or `idle`."""
+    added: tuple[str, ...]
+    queue: tuple[str, ...]
+    left: tuple[str, ...]
+    """Interrupted shows that will be resumed."""
+    next_go: str | None
+    reasons: tuple[str, ...]
+    """Why the figure rests, and until when."""
+    cues: tuple[CueInfo, ...]
+
+
+class StageNote(Message):
+    """What a stage has done or refused, as a line of its log."""
+
+    event: Literal["stage_note"] = "stage_note"
+    kind: str
+    text: str
+    cue: str | None = None
+    show: str | None = None
+    count: int = 1
+    """How often, of equal refusals."""

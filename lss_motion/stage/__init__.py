@@ -15,5 +15,8 @@ choosing        which of several shows a cue plays
 duty            why a figure rests, and how often it begins again after faults
 director        decides which show plays
 orders          what the director orders and notes
+running         couples the director and the player, one run after the other
+job             what the process of the player does for a stage, and its client
+log             what is kept of each night
 ==============  =================================================================================
 """

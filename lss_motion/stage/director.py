@@ -137,11 +137,12 @@ class Director:
         self._fired_ns: dict[str, int] = {}
         """When each cue has fired last; GO is ``."""
         self._number = 0
-        self._now_ns = 0
-        self._has_begun = False
+        self._now_ns = self._ticked_ns = 0
+        self.has_begun = False
+        """Whether the robot was connected once."""
         self._rests = False
         """Whether the way to the rest was ordered."""
-        self._must_connect = False
+        self._must_connect = self._is_limp = False
         self._reasons: tuple[str, ...] = ()
         self._rate = 1.0
         self._again_ns: int | None = None
@@ -158,14 +159,14 @@ class Director:
 
     def next_wakeup_ns(self) -> int:
         """Return when `tick` must be called at the latest."""
-        soon = [self._now_ns + TICK_NS, self.duty.next_ns(), self.timecode.next_ns()]
+        soon = [self._ticked_ns + TICK_NS, self.duty.next_ns(), self.timecode.next_ns()]
         return max(self._now_ns, min(ns for ns in soon if ns is not None))
 
     # ---- the time
 
     def tick(self, now_ns: int, wall: datetime) -> None:
         """Do what is due."""
-        self._now_ns = now_ns
+        self._now_ns = self._ticked_ns = now_ns
         is_moving = self.main is not None or bool(self.added)
         self.duty.tick(now_ns, wall, self._cron.local(wall), is_moving=is_moving)
         self._note_rest()
@@ -267,11 +268,11 @@ class Director:
     def connected(self, now_ns: int) -> None:
         """Note that the servos were checked and stand ready."""
         self._now_ns = now_ns
-        self.is_connected = True
+        self.is_connected, self._is_limp = True, False
         self.duty.end(Reason.RETRY)
         self._note_rest()
-        if not self._has_begun:
-            self._has_begun = True
+        if not self.has_begun:
+            self.has_begun = True
             self.signal(Signal(kind=Kind.START), now_ns)
         self._settle()
 
@@ -326,6 +327,16 @@ class Director:
         after = self.duty.reasons[Reason.RETRY if begins_again else Reason.FAULT]
         self._orders.append(orders.Alert(kind, f"{text}; {after}"))
         self._note_rest()
+
+    def relaxed(self, now_ns: int) -> None:
+        """Note that the servos are limp in the rest pose, and the run has ended for that."""
+        self._now_ns = now_ns
+        self.is_connected, self._must_connect = False, True
+        self.main, self.added, self._rests = None, [], False
+        self._is_limp = True
+        self._leaving.clear()
+        self.duty.relax(now_ns)
+        self._orders.append(orders.Said("the servos are limp"))
 
     def measured(
         self, temperature_c: float | None, current_a: float | None, now_ns: int, who: str = ""
@@ -551,7 +562,8 @@ class Director:
         """Go to rest, or on to the next show, if nothing else is under way."""
         self._note_rest()
         if not self.is_connected:
-            is_waiting = self.duty.reasons.keys() & {Reason.RETRY, Reason.FAULT}
+            is_waiting = bool(self._is_limp and self.duty.reasons)
+            is_waiting |= bool(self.duty.reasons.keys() & {Reason.RETRY, Reason.FAULT})
             if self._must_connect and not is_waiting:
                 self._must_connect = False
                 self._orders.append(orders.Connect())
@@ -562,7 +574,7 @@ class Director:
         self._rests = False
         main = self.main
         is_free = main is None or main.is_rest or (main.cue is None and bool(self.queue))
-        if is_free and not self.added and self._has_begun:
+        if is_free and not self.added and self.has_begun:
             self._next()
 
     def _go_to_rest(self) -> None:

@@ -119,6 +119,13 @@ class Duty:
         if known:
             self.rate = min(known)
 
+    def relax(self, now_ns: int) -> None:
+        """Let rests by budget end after a while: of limp servos nothing is measured."""
+        for reason in (Reason.HOT, Reason.CURRENT):
+            if reason in self.reasons:
+                self._rest_until(reason, now_ns, self._rule.rest_s)
+        self._current_a = None
+
     def failed(self, cause: Cause | None, now_ns: int) -> bool:
         """Take a fault that ended a run; return whether the stage begins again by itself."""
         wait_s = self.faults.wait_s(cause, now_ns)

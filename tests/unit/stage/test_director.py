@@ -521,6 +521,17 @@ def test_faults_of_all_kinds_are_bounded_together_and_forgotten_after_a_while():
     assert [fault(Cause.SILENT), fault(Cause.SILENT), fault(Cause.ASTRAY)] == [True, True, False]
 
 
+def test_readings_that_come_all_the_time_do_not_put_off_the_clock():
+    desk = Desk(duty=Duty(work_s=10.0, rest_s=100.0))
+    for _ in range(150):
+        desk.now_ns += NS_PER_S // 10
+        desk.signal(reading(900))
+        if desk.now_ns >= desk.director.next_wakeup_ns():
+            desk.director.tick(desk.now_ns, desk.wall)
+            desk.obey()
+    assert desk.shown == []
+
+
 # ---- timecode
 
 

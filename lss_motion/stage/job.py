@@ -1,0 +1,260 @@
+"""What the process of the player does for a stage, and its client: the operations and the state.
+
+`StageJob` is given to `remote.process`, as `remote.job.Job` is for one show. `StageSteering` hands
+the triggers and wishes of the client to the director, and sends what the stage does: each note as
+`stage_note`, and the whole state as `stage`, so that a client that comes later needs only the last.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from lss_motion.errors import InputError, LssMotionError
+from lss_motion.files.source import known_names
+from lss_motion.player.events import ShowBegan
+from lss_motion.remote import schema as m
+from lss_motion.remote import stage_messages as s
+from lss_motion.remote.player_end import LossRule, Steering
+from lss_motion.remote.telemetry import plan_hash
+from lss_motion.stage.log import StageLog
+from lss_motion.stage.model import Kind, Signal
+from lss_motion.stage.running import Options, StageRun
+from lss_motion.units import NS_PER_S
+
+if TYPE_CHECKING:
+    from lss_motion.player.events import Event
+    from lss_motion.player.player import Player
+    from lss_motion.remote.operator_end import Operator
+    from lss_motion.runtime.stage_report import StageReport
+    from lss_motion.stage.check import Planned
+    from lss_motion.stage.model import Stage
+    from lss_motion.stage.running import Record
+
+STATE_NS: Final = NS_PER_S
+"""The state is sent this often, and after each note."""
+
+
+@dataclass(frozen=True, slots=True)
+class StageOutcome:
+    """How a stage ended: with the report of its last run, unless none could begin."""
+
+    report: StageReport | None
+    error: LssMotionError | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageJob:
+    """A planned stage, and how it is run.
+
+    `options` are fields of `running.Options`, `start_at` as an ISO text, and `log_folder`; others
+    are those of `stage_run.perform_stage`.
+    """
+
+    planned: Planned
+    rule: LossRule = field(default_factory=LossRule)
+    options: dict[str, Any] = field(default_factory=dict)
+
+    def run(self, operator: Operator) -> StageOutcome:
+        """Play the stage with this client as its operator; send the first and the last event."""
+        steering = StageSteering(operator, self.rule)
+        options, folder = options_of(self.options)
+        rule = self.planned.stage.log
+        if folder is not None:
+            rule = type(rule)(folder=folder, max_bytes=rule.max_bytes, ring_s=rule.ring_s)
+        with StageLog(rule, is_virtual=options.is_virtual) as log:
+            run = StageRun(self.planned, options, steerer=steering, note=log.write)
+            steering.begin(run)
+            try:
+                end = run.play()
+                run.note_counts(is_last=True)
+                report, error = None if end.last is None else end.last.report, end.error
+            except LssMotionError as refused:
+                report, error = None, refused
+        steering.end(
+            m.Ended(
+                outcome="fault" if report is None else report.outcome,
+                error=None if error is None else str(error),
+                report=None if report is None else report.to_dict(),
+                exit_code=None if error is None else error.exit_code,
+            )
+        )
+        return StageOutcome(report, error)
+
+
+def stage_job(planned: Planned, *, seed: int | None = None) -> StageJob:
+    """Return the job of a stage, which can be pickled; `seed` is that of random choices."""
+    return StageJob(planned=planned, options={"seed": seed})
+
+
+def options_of(given: dict[str, Any]) -> tuple[Options, Path | None]:
+    """Return the options of a run, and the folder of its log if it is not that of the stage."""
+    own = {name: value for name, value in given.items() if name in Options.__slots__}
+    rest = {name: value for name, value in given.items() if name not in own}
+    folder = rest.pop("log_folder", None)
+    for name in ("start_at", "begins"):
+        if isinstance(own.get(name), str):
+            own[name] = datetime.fromisoformat(own[name])
+    own["more"] = {**own.get("more", {}), **rest}
+    return Options(**own), None if folder is None else Path(folder)
+
+
+def signal_of(operation: s.Trigger | s.Cue | m.Go, stage: Stage) -> Signal:
+    """Return the signal of an operation; raise `InputError` for a cue that there is not."""
+    match operation:
+        case s.Trigger():
+            return Signal(
+                kind=Kind(operation.kind),
+                address=operation.address,
+                value=operation.value,
+                channel=operation.channel,
+                source=operation.source,
+            )
+        case s.Cue():
+            if stage.cue(operation.label) is None:
+                known = known_names(operation.label, [cue.name for cue in stage.cues])
+                raise InputError(f"no cue {operation.label!r}; {known}")
+            return Signal(kind=Kind.CUE, address=operation.label, source=operation.source)
+        case _:
+            return Signal(kind=Kind.GO)
+
+
+class StageSteering(Steering):
+    """A client that steers a stage, also between two runs of the player."""
+
+    def __init__(self, operator: Operator, rule: LossRule | None = None) -> None:
+        super().__init__(operator, rule)
+        self._run: StageRun | None = None
+        self._hashes: dict[str, str] = {}
+        self._stated_ns = 0
+        self._has_news = True
+
+    @property
+    def has_stopped(self) -> bool:
+        """Whether the stage is to end."""
+        return self._has_stopped
+
+    @property
+    def rate(self) -> float:
+        """The rate that the client has set; 0: paused."""
+        return 0.0 if self._is_paused else self._rate
+
+    def begin(self, run: StageRun) -> None:
+        """Send the first event of a stage."""
+        from lss_motion.connection import is_simulated
+
+        self._run = run
+        self._hashes = {name: plan_hash(one).hex() for name, one in run.programs.items()}
+        robot = run.robot
+        names = {name for one in run.programs.values() for name in one.start_deg}
+        self.start(
+            m.Started(
+                name=run.stage.name,
+                robot=robot.name,
+                is_simulated=is_simulated(robot),
+                duration_s=None,
+                plan=next(iter(self._hashes.values())),
+                joints=tuple(name for name in robot.joints if name in names),
+                marks=(),
+            )
+        )
+
+    # ---- controls
+
+    def act(self, player: Player | None, now_ns: int) -> None:
+        """Apply what has arrived; between two runs there is no player."""
+        if player is not None:
+            super().act(player, now_ns)
+        else:
+            self._act_alone(now_ns)
+        self._state(now_ns)
+
+    def _act_alone(self, now_ns: int) -> None:
+        if self.operator.take_signals():
+            self._has_stopped = True
+        for operation in self.operator.take(now_ns):
+            try:
+                self._apply_alone(operation)
+            except InputError as refused:
+                self.operator.refuse(operation, str(refused))
+            else:
+                self.operator.accept(operation)
+        self.operator.look_for_client()
+        if self.operator.is_lost(now_ns, self._rule.silent_s) and self._rule.on_lost == "stop":
+            self._has_stopped = True
+        self.operator.link.flush()
+
+    def _apply_alone(self, operation: m.AnyOperation) -> None:
+        if isinstance(operation, m.Stop | m.Estop):
+            self._has_stopped = True
+        elif not isinstance(operation, m.Beat) and not self._direct(operation):
+            raise InputError(f"{operation.op} is for a robot that is connected: not now")
+
+    def _apply(self, operation: m.AnyOperation, player: Player, now_ns: int) -> None:
+        if self._has_stopped or player.is_finished or not self._direct(operation):
+            super()._apply(operation, player, now_ns)
+
+    def _direct(self, operation: m.AnyOperation) -> bool:
+        """Hand an operation to the director; return whether it is one of a stage."""
+        assert self._run is not None
+        director, now_ns = self._run.director, self._run.now_ns
+        match operation:
+            case s.Trigger() | s.Cue() | m.Go():
+                director.signal(signal_of(operation, self._run.stage), now_ns)
+            case s.Enable():
+                director.enable(operation.cue, is_enabled=operation.is_enabled)
+            case s.Arm():
+                director.arm(operation.cue)
+            case s.StagePlay():
+                director.play(operation.show, now_ns)
+            case s.StageStop():
+                director.do("stop", now_ns)
+            case s.StageRest():
+                director.do("rest", now_ns)
+            case s.StageWake():
+                director.do("wake", now_ns)
+            case _:
+                return False
+        return True
+
+    def _apply_rate(self, player: Player, now_ns: int) -> None:  # noqa: ARG002
+        """Send the rate that was asked for; the run sets it, together with that of the budgets."""
+        wish = (self._rate, self._is_paused)
+        if wish != self._applied and not self._has_stopped and not player.is_finished:
+            self._applied = wish
+            self.operator.send(m.RateChanged(ratio=self._rate, is_paused=self._is_paused))
+
+    # ---- observer
+
+    def on_event(self, event: Event) -> None:
+        """Send what happened."""
+        if isinstance(event, ShowBegan) and not event.is_added:
+            self._plan = bytes.fromhex(self._hashes.get(event.name, ""))
+        super().on_event(event)
+
+    def note(self, record: Record) -> None:
+        """Send a note of the stage."""
+        if "kind" not in record or record["kind"] == "sample":
+            return
+        self._has_news = True
+        self.operator.send(
+            s.StageNote(
+                kind=record["kind"],
+                text=record["text"],
+                cue=record.get("cue"),
+                show=record.get("show"),
+                count=record.get("count", 1),
+            )
+        )
+
+    def _state(self, now_ns: int) -> None:
+        """Send the whole state, if there is news or it is due, and no move."""
+        if self._run is None or (now_ns < self._stated_ns + STATE_NS and not self._has_news):
+            return
+        self._has_news, self._stated_ns = False, now_ns
+        state = self._run.state_of()
+        shown = state["show"]
+        plan = None if shown is None else self._hashes.get(shown)
+        self.operator.offer(s.StageState(**state, show_plan=plan))

@@ -1,0 +1,645 @@
+"""Couples the director and the player, in the process of the player and in virtual time.
+
+`run_stage` plays a stage until it is stopped. It makes one run of the player after the other
+(`stage_run.perform_stage`): a run ends with a fault, or when a resting figure goes limp, and the
+director says when the next one begins. Between two runs nothing is open and nothing moves.
+
+`StageRun` is the observer and the controls of these runs. It reads the sensors of cues, gives the
+director the time, the readings and the events, and obeys its orders at the next turn. All of this
+takes a fraction of a millisecond, and nothing in it waits.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime, timedelta
+from random import Random
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from lss_motion.errors import BusError, InputError, LssMotionError
+from lss_motion.perform import Observer
+from lss_motion.player.events import Faulted, Phase, PhaseEntered, ShowBegan, ShowOver, Warned
+from lss_motion.player.stage_player import StagePlayer
+from lss_motion.robot.on_fault import ENDING, Cause
+from lss_motion.runtime.clock import MonotonicClock
+from lss_motion.stage import orders
+from lss_motion.stage.director import Director, ShowInfo
+from lss_motion.stage.duty import Reason
+from lss_motion.stage.log import Ring
+from lss_motion.stage.model import Kind, Signal
+from lss_motion.stage_run import perform_stage
+from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from lss_motion.player.events import Event
+    from lss_motion.player.player import Player
+    from lss_motion.player.show_summary import ShowSummary
+    from lss_motion.runtime.runner import Tap
+    from lss_motion.stage.check import Planned
+    from lss_motion.stage_run import StageResult
+
+    Record = dict[str, Any]
+
+MEASURE_NS: Final = NS_PER_S
+"""Temperatures and currents are polled every second or so."""
+SAMPLE_NS: Final = 60 * NS_PER_S
+"""A line about them in the log: 200 kilobytes in a day."""
+REFUSED_NS: Final = 60 * NS_PER_S
+"""Equal refusals are counted, and noted this often: a storm of triggers does not fill the disk."""
+RATE_EVERY_NS: Final = 100 * NS_PER_MS
+"""As `remote.player_end.RATE_EVERY_NS`."""
+REFUSALS_MAX: Final = 1000
+"""Different refusals that are counted at a time."""
+PORT_NS: Final = 5 * NS_PER_S
+"""A port that is missing at the start is tried again this much later."""
+
+
+class Steerer(Protocol):
+    """Who steers the stage from outside, as `stage.job.StageSteering`."""
+
+    def filenos(self) -> Sequence[int]: ...
+
+    def act(self, player: Player | None, now_ns: int) -> None:
+        """Apply what has arrived; `player` is None between two runs."""
+
+    def on_event(self, event: Event) -> None: ...
+
+    def on_turn(self, player: Player, now_ns: int) -> None: ...
+
+    def note(self, record: Record) -> None:
+        """Send what the stage has noted."""
+
+    @property
+    def has_stopped(self) -> bool:
+        """Whether the stage is to end."""
+
+    @property
+    def rate(self) -> float:
+        """The rate that it has set; 0: paused."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Options:
+    """How a stage is run."""
+
+    is_virtual: bool = False
+    is_real_time: bool = False
+    may_run: bool = False
+    waits_for_port: bool = False
+    waits_for_go: bool = False
+    start_at: datetime | None = None
+    begins: datetime | None = None
+    """Virtual time only: the time of day at its beginning."""
+    lasts_s: float | None = None
+    """Stop after so long; None: when a person stops it."""
+    seed: int | None = None
+    """Of random choices and of the simulated bus; None: another one each time."""
+    more: dict[str, Any] = field(default_factory=dict)
+    """Other options of `perform_stage`."""
+    next_faults: Callable[[int], Sequence[Any]] | None = None
+    """Returns the simulated faults of the run that begins at an instant."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StageEnd:
+    """How a stage has ended."""
+
+    runs: int
+    error: LssMotionError | None
+    """Why it could not begin."""
+    last: StageResult | None = None
+
+
+def run_stage(
+    planned: Planned,
+    options: Options | None = None,
+    *,
+    steerer: Steerer | None = None,
+    note: Callable[[Record], None] | None = None,
+    tap: Callable[[int], Tap] | None = None,
+    on_result: Callable[[StageResult, int], None] | None = None,
+) -> StageEnd:
+    """Play a stage until it is stopped; return how it ended.
+
+    `note` gets what is to be kept, as records for JSON; `on_result` each run of the player with the
+    instant at which it began; `tap` gives another copy of all bytes.
+    """
+    run = StageRun(planned, options or Options(), steerer=steerer, note=note, tap=tap)
+    end = run.play(on_result)
+    run.note_counts(is_last=True)
+    return end
+
+
+class StageRun:
+    """All runs of one stage; the observer and the controls of the present one."""
+
+    def __init__(
+        self,
+        planned: Planned,
+        options: Options,
+        *,
+        steerer: Steerer | None = None,
+        note: Callable[[Record], None] | None = None,
+        tap: Callable[[int], Tap] | None = None,
+    ) -> None:
+        stage = planned.stage
+        self.stage, self.options = stage, options
+        self.programs = {name: show.program for name, show in planned.shows.items()}
+        robot = next(iter(planned.shows.values())).robot
+        self.robot = replace(robot, end="limp") if stage.duty.is_limp else robot
+        infos = {
+            name: ShowInfo(joints=frozenset(one.start_deg), duration_s=one.duration_s)
+            for name, one in self.programs.items()
+        }
+        random = Random(options.seed)  # noqa: S311  (which show is next)
+        self.director = Director(
+            stage,
+            infos,
+            random,
+            waits_for_go=options.waits_for_go,
+            start_at=options.start_at,
+        )
+        self.state = "connecting"
+        """For operators, while no show plays."""
+        self.now_ns = 0
+        """The instant of the director: it goes on through all runs."""
+        self._steerer = steerer
+        self._note = note or (lambda _record: None)
+        self._tap = tap
+        self.ring = Ring(stage.log.ring_s)
+        self._offset_ns = 0
+        """Added to the clock of the present run."""
+        self._playing = Playing()
+        self._rate, self._rated_ns = 1.0, 0
+        self._about: dict[str, CueState] = {cue.name: CueState() for cue in stage.cues}
+        self._must_connect = True
+        self._is_relaxing = self._is_over = False
+        self._measured_ns = self._sampled_ns = 0
+        self._ring_ns: int | None = None
+        self._refusals: dict[tuple[str, str], list[int]] = {}
+        self._counted_ns = 0
+        self._clock = MonotonicClock()
+        if not options.is_virtual:
+            self.now_ns = self._clock.now_ns()
+        self._end_ns = None if options.lasts_s is None else self.now_ns + ns_from_s(options.lasts_s)
+
+    # ---- one run after the other
+
+    def play(self, on_result: Callable[[StageResult, int], None] | None = None) -> StageEnd:
+        """Begin runs until the stage is over."""
+        runs, last = 0, None
+        while not self._is_over:
+            self._begin_run()
+            runs += 1
+            began_ns = self.now_ns
+            try:
+                last = self._perform()
+            except (InputError, BusError) as error:
+                if not self._after_error(error):
+                    return StageEnd(runs=runs, error=error, last=last)
+                continue
+            finally:
+                self._offset_ns = self.now_ns if self.options.is_virtual else 0
+            if on_result is not None:
+                on_result(last, began_ns)
+            if not self._after_run(last):
+                return StageEnd(runs=runs, error=last.error, last=last)
+        return StageEnd(runs=runs, error=None, last=last)
+
+    def _begin_run(self) -> None:
+        self._must_connect = False
+        self._playing = Playing()
+        self._rate, self._rated_ns = 1.0, -RATE_EVERY_NS
+        self.state = "connecting"
+        self.record("connecting", "the servos are checked and set up")
+
+    def _perform(self) -> StageResult:
+        options = self.options
+        faults = () if options.next_faults is None else options.next_faults(self.now_ns)
+        observer = Observer(
+            on_event=self.on_event, on_turn=self.on_turn, controls=self, make_tap=self._make_tap
+        )
+        return perform_stage(
+            self.programs,
+            self.robot,
+            watched=self.stage.sensors,
+            is_virtual=options.is_virtual,
+            is_real_time=options.is_real_time,
+            may_run=options.may_run,
+            seed=options.seed or 0,
+            observer=observer,
+            faults=faults,
+            **options.more,
+        )
+
+    def _make_tap(self, started_ns: int) -> Tap:
+        ring: Tap = self.ring.started(started_ns)
+        return ring if self._tap is None else Both(ring, self._tap(started_ns))
+
+    def _after_run(self, result: StageResult) -> bool:
+        """Tell the director how a run ended; return whether another one may come."""
+        self._obey(None)
+        is_relaxed, self._is_relaxing = self._is_relaxing, False
+        if self._is_over or (result.error is None and result.player.outcome == "stopped"):
+            self._is_over = True
+            return False
+        if is_relaxed and result.error is None and result.player.outcome == "finished":
+            self.director.relaxed(self.now_ns)
+            return self._pause("rests")
+        if not self.director.is_connected and isinstance(result.error, BusError):
+            return self._after_error(result.error)
+        cause, text = cause_of(result)
+        self._fail(cause, text)
+        return self._pause("rests")
+
+    def _after_error(self, error: LssMotionError) -> bool:
+        """Return whether the stage goes on after a run that could not begin."""
+        if self.director.has_begun:
+            cause = Cause.LOST_PORT if isinstance(error, BusError) else None
+            self._fail(cause, str(error))
+            return self._pause("rests")
+        if not self.options.waits_for_port or not isinstance(error, BusError):
+            return False
+        self.record("waits", f"tries again in {PORT_NS // NS_PER_S} s: {error}")
+        self._pause("waits_for_port", self.now_ns + PORT_NS)
+        self._must_connect = True
+        return not self._is_over
+
+    def _fail(self, cause: Cause | None, text: str) -> None:
+        """Keep the bytes before a fault, and tell the director."""
+        self._dump_ring()
+        self.record("fault", text, cause=None if cause is None else cause.value)
+        self.director.faulted(cause, text, self.now_ns)
+
+    def _pause(self, state: str, until_ns: int | None = None) -> bool:
+        """Let time pass without a run; return whether one is to begin."""
+        self.state = state
+        while not self._is_over and not self._must_connect:
+            self._turn(None, self.now_ns)
+            if until_ns is not None and self.now_ns >= until_ns:
+                break
+            wakeup_ns = min(self.director.next_wakeup_ns(), until_ns or 1 << 62)
+            if self.options.is_virtual:
+                self.now_ns = max(wakeup_ns, self.now_ns + 1)
+            else:
+                filenos = () if self._steerer is None else self._steerer.filenos()
+                self._clock.wait_until(wakeup_ns, filenos)
+                self.now_ns = self._clock.now_ns()
+        self._offset_ns = self.now_ns if self.options.is_virtual else 0
+        return not self._is_over
+
+    # ---- controls and observer of a run
+
+    def filenos(self) -> Sequence[int]:
+        """Return what ends a wait."""
+        return () if self._steerer is None else self._steerer.filenos()
+
+    def act(self, player: Player, now_ns: int) -> None:
+        """Give the director what has come, and do what it orders."""
+        assert isinstance(player, StagePlayer)
+        self.now_ns = self._offset_ns + now_ns
+        self._turn(player, now_ns)
+        if self._is_over and not player.is_finished and player.outcome is None:
+            player.stop(now_ns)
+
+    def on_event(self, event: Event) -> None:
+        """Tell the director what the player did."""
+        if self._steerer is not None:
+            self._steerer.on_event(event)
+        match event:
+            case PhaseEntered(Phase.STANDING) if not self.director.is_connected:
+                self.record("connected", "the servos are ready")
+                self.director.connected(self.now_ns)
+            case ShowBegan():
+                self._playing.note_begun(event)
+            case ShowOver():
+                self._note_over(event.summary)
+            case Faulted():
+                self.record(
+                    "player_fault", str(event), cause=event.kind.value, step=event.step.value
+                )
+                self._ring_ns = self._ring_ns or self.now_ns + NS_PER_S
+            case Warned():
+                self.record("warned", event.text)
+
+    def on_turn(self, player: Player, now_ns: int) -> None:
+        """Let operators see the run."""
+        if self._steerer is not None:
+            self._steerer.on_turn(player, now_ns)
+
+    def _turn(self, player: StagePlayer | None, now_ns: int) -> None:
+        director = self.director
+        if self._steerer is not None:
+            self._steerer.act(player, now_ns)
+            self._is_over = self._is_over or self._steerer.has_stopped
+        if self._end_ns is not None and self.now_ns >= self._end_ns:
+            self._is_over = True
+        if player is not None and not self._is_over:
+            self._read(player)
+            self._set_rate(player, now_ns)
+        if self.now_ns >= director.next_wakeup_ns() or not self._counted_ns:
+            self._counted_ns = self._counted_ns or self.now_ns
+            director.tick(self.now_ns, self.wall())
+            self.note_counts()
+        if self._ring_ns is not None and self.now_ns >= self._ring_ns:
+            self._dump_ring()
+        self._obey(None if self._is_over else player, now_ns)
+
+    def wall(self) -> datetime:
+        """Return the time of day."""
+        if not self.options.is_virtual:
+            return datetime.now(tz=UTC)
+        begins = self.options.begins or datetime(2026, 1, 1, 12, 0, tzinfo=UTC)
+        return begins + timedelta(microseconds=self.now_ns // 1000)
+
+    def _read(self, player: StagePlayer) -> None:
+        """Pass on the readings of sensors, and each second the temperatures and currents."""
+        for name, value in player.watched.take_readings():
+            self.director.signal(
+                Signal(kind=Kind.SENSOR, address=name, value=float(value)), self.now_ns
+            )
+        if self.now_ns < self._measured_ns + MEASURE_NS or player.show is None:
+            return
+        self._measured_ns = self.now_ns
+        if player.show.scheduler is None:
+            return
+        health = player.show.scheduler.health
+        celsius = [(value, name) for name, value in health.temperatures_c.items()]
+        hot: tuple[float | None, str] = max(celsius, default=(None, ""))
+        current_a = sum(health.currents_a.values()) if health.currents_a else None
+        self.director.measured(hot[0], current_a, self.now_ns, hot[1])
+        if self.now_ns >= self._sampled_ns + SAMPLE_NS:
+            self._sampled_ns = self.now_ns
+            states = player.show.joint_states.values()
+            volts = [one.voltage_min_v for one in states if one.voltage_min_v is not None]
+            self.record(
+                "sample",
+                "",
+                hottest_c=hot[0],
+                hottest=hot[1],
+                current_a=None if current_a is None else round(current_a, 3),
+                voltage_min_v=min(volts, default=None),
+            )
+
+    # ---- orders
+
+    def _obey(self, player: StagePlayer | None, now_ns: int = 0) -> None:
+        """Do what the director has ordered; without a player only what needs none."""
+        while (order := self.director.next_order()) is not None:
+            match order:
+                case orders.Play():
+                    self._play(order, player, now_ns)
+                case orders.Stop() if player is not None:
+                    self._change(player, None, now_ns)
+                case orders.Relax() if player is not None:
+                    self._is_relaxing = True
+                    player.finish(now_ns)
+                case orders.Connect():
+                    self._must_connect = True
+                case orders.Alert():
+                    self.record("alert", order.text, alert=order.kind)
+                case _:
+                    self._note_order(order)
+
+    def _play(self, order: orders.Play, player: StagePlayer | None, now_ns: int) -> None:
+        if player is None:
+            self.director.refused(order.number, "the run has ended", self.now_ns)
+            return
+        program = player.repertoire.programs[order.show]
+        try:
+            add = getattr(player, "add", None)
+            if order.how == "add" and add is None:
+                self.director.refused(order.number, "this player adds no shows", self.now_ns)
+            elif order.how == "add" and add is not None:
+                add(program, now_ns, start_s=order.start_s)
+                self._playing.added[order.show] = order.number
+            else:
+                self._change(player, order, now_ns)
+        except InputError as refused:
+            self.director.refused(order.number, refused.reason, self.now_ns)
+
+    def _change(self, player: StagePlayer, order: orders.Play | None, now_ns: int) -> None:
+        """Play another show in place of all, or none; those that had not begun are over at once."""
+        program = None if order is None else player.repertoire.programs[order.show]
+        start_s = None if order is None else order.start_s
+        player.change_to(program, now_ns, start_s=start_s)
+        for number, reached_s in self._playing.leave(order):
+            self.director.ended(number, "left", reached_s, self.now_ns)
+
+    def _set_rate(self, player: StagePlayer, now_ns: int) -> None:
+        """Set the rate that budgets and the operator allow together."""
+        wanted = 1.0 if self._steerer is None else self._steerer.rate
+        rate = wanted * self.director.duty.rate
+        if rate != self._rate and now_ns >= self._rated_ns + RATE_EVERY_NS:
+            self._rate, self._rated_ns = rate, now_ns
+            player.set_rate(rate, now_ns)
+
+    def _note_over(self, summary: ShowSummary) -> None:
+        number = self._playing.note_over(summary)
+        worst = max(
+            ((joint.error_max_deg, name) for name, joint in summary.joints.items()),
+            default=(0.0, ""),
+        )
+        self.record(
+            "over",
+            f"{summary.name} {summary.outcome}",
+            show=summary.name,
+            outcome=summary.outcome,
+            played_s=round(s_from_ns(summary.ended_ns - summary.began_ns), 2),
+            error_max_deg=worst[0],
+            worst=worst[1],
+            commands=summary.commands,
+            missed=summary.missed,
+            late_max_us=summary.late_max_us,
+        )
+        if number is not None and summary.outcome != "stopped":
+            self.director.ended(number, summary.outcome, summary.reached_s, self.now_ns)
+
+    # ---- what is kept
+
+    def record(self, kind: str, text: str, **more: object) -> None:
+        """Keep what happened, with the time of day."""
+        wall = self.wall().astimezone(self.stage.zone)
+        record = {"t": wall.isoformat(timespec="milliseconds"), "kind": kind, "text": text, **more}
+        self._note(record)
+        if self._steerer is not None:
+            self._steerer.note(record)
+
+    def _note_order(self, order: orders.Order | orders.Note) -> None:
+        match order:
+            case orders.CueFired():
+                about = self._about.setdefault(order.cue, CueState())
+                about.fired, about.fired_ns, about.refused = about.fired + 1, self.now_ns, ""
+                self.record("fired", order.text, cue=order.cue, what=order.what)
+            case orders.CueRefused():
+                self._count_refusal(order)
+            case orders.ShowStarted():
+                self.record("started", order.text, show=order.show, cause=order.cause)
+            case orders.ShowEnded():
+                self.record("ended", order.text, show=order.show, outcome=order.outcome)
+            case orders.RestChanged():
+                self.record("rest", order.text, reasons=list(order.reasons))
+            case orders.Said():
+                self.record("said", order.text)
+            case _:
+                pass
+
+    def _count_refusal(self, order: orders.CueRefused) -> None:
+        """Note a refusal; equal ones that follow are only counted for a while."""
+        self._about.setdefault(order.cue, CueState()).refused = order.reason
+        key = (order.cue, order.reason.partition(",")[0])
+        if key in self._refusals or len(self._refusals) >= REFUSALS_MAX:
+            self._refusals.setdefault(("others", "many refusals"), [0])
+            self._refusals.get(key, self._refusals[("others", "many refusals")])[0] += 1
+            return
+        self._refusals[key] = [0]
+        self.record("refused", order.text, cue=order.cue, reason=order.reason, count=1)
+
+    def note_counts(self, *, is_last: bool = False) -> None:
+        """Note how often cues were refused since the first time, once a minute."""
+        if not is_last and self.now_ns < self._counted_ns + REFUSED_NS:
+            return
+        self._counted_ns = self.now_ns
+        for (cue, reason), (count,) in self._refusals.items():
+            if count:
+                text = f"cue {cue} refused {count} more times: {reason}"
+                self.record("refused", text, cue=cue, reason=reason, count=count)
+        self._refusals.clear()
+
+    def state_of(self) -> Record:
+        """Return the whole state, for operators."""
+        director = self.director
+        main = director.main
+        return {
+            "state": self._state_word(),
+            "show": None if main is None else main.show,
+            "cause": "" if main is None else "idle" if main.cue is None else main.cue.name,
+            "added": tuple(one.show for one in director.added),
+            "queue": tuple(one.show for one in director.queue),
+            "left": tuple(one.show for one in director.left),
+            "next_go": director.next_go(),
+            "reasons": tuple(director.duty.reasons.values()),
+            "cues": tuple(
+                {
+                    "name": cue.name,
+                    "on": cue.on.text,
+                    "plays": ", ".join(cue.shows) or cue.deed or "",
+                    "is_enabled": director.enabled[cue.name],
+                    "fired": about.fired,
+                    "last_fired_s": None
+                    if about.fired_ns is None
+                    else round(s_from_ns(self.now_ns - about.fired_ns), 1),
+                    "refused": about.refused,
+                }
+                for cue in self.stage.cues
+                for about in [self._about[cue.name]]
+            ),
+        }
+
+    def _state_word(self) -> str:
+        director = self.director
+        if Reason.FAULT in director.duty.reasons:
+            return "given_up"
+        if not director.is_connected:
+            return self.state
+        if director.duty.reasons and (director.main is None or director.main.cue is None):
+            return "rests"
+        return "plays" if director.main is not None and director.main.cue is not None else "idle"
+
+    def _dump_ring(self) -> None:
+        """Keep the last bytes, and what came in the second after the fault."""
+        self._ring_ns = None
+        if self.stage.log.ring_s > 0.0:
+            name = self.wall().astimezone(self.stage.zone).strftime("%Y%m%d-%H%M%S")
+            self._note({"dump": name, "content": self.ring.content()})
+
+
+@dataclass(slots=True)
+class CueState:
+    """What a cue has done so far."""
+
+    fired: int = 0
+    fired_ns: int | None = None
+    refused: str = ""
+    """Why it was refused since it has fired last."""
+
+
+@dataclass(slots=True)
+class Playing:
+    """The shows of the player by the numbers of the director."""
+
+    main: int | None = None
+    has_begun: bool = False
+    start_s: float | None = None
+    leaving: deque[int] = field(default_factory=deque)
+    """Shows that have begun and brake for another one; the player reports each when it is over."""
+    added: dict[str, int] = field(default_factory=dict)
+
+    def leave(self, order: orders.Play | None) -> list[tuple[int, float | None]]:
+        """Note what was ordered in place of all; return what is over at once: it had not begun."""
+        over = []
+        if self.main is not None and self.has_begun:
+            self.leaving.append(self.main)
+        elif self.main is not None:
+            over.append((self.main, self.start_s))
+        self.main = None if order is None else order.number
+        self.start_s = None if order is None else order.start_s
+        self.has_begun = False
+        return over
+
+    def note_begun(self, event: ShowBegan) -> None:
+        if not event.is_added:
+            self.has_begun = True
+
+    def note_over(self, summary: ShowSummary) -> int | None:
+        """Return the number of a show that is over."""
+        if summary.is_added:
+            return self.added.pop(summary.name, None)
+        if self.leaving:
+            return self.leaving.popleft()
+        number, self.main, self.has_begun = self.main, None, False
+        return number
+
+
+class Both:
+    """Two taps as one."""
+
+    def __init__(self, one: Tap, other: Tap) -> None:
+        self._taps = (one, other)
+
+    def sent(self, bus: str, data: bytes, now_ns: int) -> None:
+        for tap in self._taps:
+            tap.sent(bus, data, now_ns)
+
+    def received(self, bus: str, data: bytes, now_ns: int) -> None:
+        for tap in self._taps:
+            tap.received(bus, data, now_ns)
+
+    def turned(self, now_ns: int) -> None:
+        for tap in self._taps:
+            tap.turned(now_ns)
+
+    def happened(self, event: Event, now_ns: int) -> None:
+        for tap in self._taps:
+            tap.happened(event, now_ns)
+
+    def requested(self, text: str, now_ns: int) -> None:
+        for tap in self._taps:
+            tap.requested(text, now_ns)
+
+    def noted(self, bus: str, text: str, now_ns: int) -> None:
+        for tap in self._taps:
+            tap.noted(bus, text, now_ns)
+
+
+def cause_of(result: StageResult) -> tuple[Cause | None, str]:
+    """Return the kind and the text of the fault that ended a run."""
+    for fault in reversed(result.player.faults):
+        if fault.step in ENDING:
+            return fault.kind, str(fault)
+    error = result.error
+    cause = Cause.LOST_PORT if isinstance(error, BusError) else None
+    return cause, "the run has ended" if error is None else str(error)

@@ -1,0 +1,163 @@
+"""A client steers a stage over a socket: in virtual time, and in a process of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import pickle
+import socket
+from datetime import UTC, datetime
+
+import pytest
+
+from lss_motion.remote import schema as m
+from lss_motion.remote import stage_messages as s
+from lss_motion.remote.link import BrokenLinkError, Kind, Link
+from lss_motion.remote.operator_end import Operator
+from lss_motion.remote.process import packed, start_process
+from lss_motion.remote.telemetry import Telemetry, plan_hash
+from lss_motion.stage.check import plan_stage
+from lss_motion.stage.job import StageSteering, options_of, stage_job
+from lss_motion.stage.load import load_stage
+from lss_motion.stage.running import Options, StageRun
+
+NS = 1_000_000_000
+FILES = {
+    "robot": "robot: puppet\ndefaults: {model: LSS-ST1, speed_max_deg_s: 180, "
+    "accel_max_deg_s2: 600}\njoints:\n  neck: {id: 1, range_deg: [-90, 90]}\n"
+    "  jaw: {id: 2, range_deg: [-90, 90]}\n",
+    "idle": "sequence: idle\nkeyframes:\n  - {at_s: 0, deg: {neck: 0}}\n"
+    "  - {at_s: 2, deg: {neck: 9}}\n  - {at_s: 4, deg: {neck: 0}}\n",
+    "hello": "sequence: hello\nkeyframes:\n  - {at_s: 0, deg: {neck: 0, jaw: 0}}\n"
+    "  - {at_s: 1, deg: {neck: 20, jaw: 30}}\n",
+    "stage": "stage: hall\nrobot: robot.yaml\nshows: {idle: idle.yaml, hello: hello.yaml}\n"
+    "idle: idle\nlisten: {http: '127.0.0.1:8440'}\ncues:\n"
+    "  - {cue: door, on: {http: door}, play: hello}\n"
+    "  - {cue: button, on: {key: b}, play: hello, start: terminate}\n",
+}
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("job")
+    for name, text in FILES.items():
+        (folder / f"{name}.yaml").write_text(text)
+    return plan_stage(load_stage(folder / "stage.yaml"))
+
+
+def read(link):
+    events, telemetry, objects = [], [], []
+    with contextlib.suppress(BrokenLinkError, OSError):
+        while got := link.receive():
+            for kind, content in got:
+                if kind is Kind.TELEMETRY:
+                    telemetry.append(Telemetry.from_bytes(content))
+                elif kind is Kind.EVENT:
+                    events.append(m.parse_event(content))
+                elif kind is Kind.OBJECT:
+                    objects.append(pickle.loads(content))
+    return events, telemetry, objects
+
+
+class Scripted(StageSteering):
+    """Sends what a client sends at virtual instants, and reads what it gets."""
+
+    def __init__(self, script):
+        own, other = socket.socketpair()
+        for one in (own, other):
+            one.setblocking(False)
+        super().__init__(Operator(Link(other)))
+        self.client, self.script = Link(own), list(script)
+        self.events, self.telemetry = [], []
+
+    def act(self, player, now_ns):
+        while self.script and self._run.now_ns >= self.script[0][0] * NS:
+            operation = self.script.pop(0)[1]
+            self.client.send(Kind.OPERATION, operation.model_dump_json().encode())
+        super().act(player, now_ns)
+        events, telemetry, _ = read(self.client)
+        self.events += events
+        self.telemetry += telemetry
+
+    def of(self, kind):
+        return [event for event in self.events if isinstance(event, kind)]
+
+
+def play(planned, script, lasts_s=None):
+    steering = Scripted(script)
+    run = StageRun(planned, Options(is_virtual=True, lasts_s=lasts_s), steerer=steering)
+    steering.begin(run)
+    end = run.play()
+    steering.end(m.Ended(outcome="stopped", error=None, report=None))
+    steering.events += read(steering.client)[0]
+    steering.client.close()
+    steering.operator.link.close()
+    return steering, end
+
+
+def test_a_client_triggers_enables_and_stops_a_stage_and_sees_all_of_it(planned):
+    steering, end = play(planned, [
+        (3.0, s.Trigger(id=1, kind="http", address="door", source="10.0.0.7")),
+        (9.0, s.Enable(id=2, cue="button", is_enabled=False)),
+        (9.5, s.Cue(id=3, label="button")),
+        (10.0, s.Cue(id=4, label="buton")),
+        (11.0, m.Rate(id=5, ratio=0.5)),
+        (13.0, s.StageRest(id=6)),
+        (16.0, s.StageWake(id=7)),
+        (17.0, s.StagePlay(id=8, show="hello")),
+        (22.0, m.Stop(id=9)),
+    ])  # fmt: skip
+    assert end.error is None
+    notes = [(one.kind, one.cue or one.show) for one in steering.of(s.StageNote)]
+    assert ("fired", "door") in notes
+    assert ("refused", "button") in notes
+    assert notes.count(("started", "hello")) == 2
+    refused = {one.id: one.text for one in steering.of(m.Refused)}
+    assert list(refused) == [4]
+    assert "did you mean 'button'?" in refused[4]
+    states = steering.of(s.StageState)
+    assert list(dict.fromkeys(state.state for state in states)) == [
+        "connecting", "idle", "plays", "rests",
+    ]  # fmt: skip
+    last = states[-1]
+    assert [(cue.name, cue.fired, cue.is_enabled) for cue in last.cues] == [
+        ("door", 1, True), ("button", 0, False),
+    ]  # fmt: skip
+    assert last.cues[1].refused == "it is disabled"
+    plans = list(dict.fromkeys(one.plan for one in steering.telemetry if one.plan))
+    assert set(plans) <= {plan_hash(show.program) for show in planned.shows.values()}
+    assert len(plans) == 2
+    rates = [one.rate for one in steering.telemetry]
+    assert min(rate for rate in rates if rate > 0.01) < 0.55
+    assert [one.name for one in steering.of(m.ShowStarted)][:2] == ["idle", "hello"]
+
+
+def test_a_stage_in_its_own_process_writes_its_log_and_says_how_it_ended(planned, tmp_path):
+    options = {"is_virtual": True, "lasts_s": 20.0, "log_folder": str(tmp_path), "seed": 3}
+    process, own = start_process(packed(stage_job(planned)), options=options)
+    link = Link(own)
+    own.settimeout(30)
+    events, objects = [], []
+    while not objects:
+        found, _, more = read(link)
+        events += found
+        objects += more
+        if process.poll() is not None and not found:
+            break
+    process.wait(timeout=30)
+    link.close()
+    assert process.returncode == 0
+    assert objects[0].error is None
+    assert [one.exit_code for one in events if isinstance(one, m.Ended)] == [None]
+    (file,) = tmp_path.glob("stage-*.jsonl")
+    records = [json.loads(line) for line in file.read_text().splitlines()]
+    assert [one["kind"] for one in records][:3] == ["connecting", "connected", "started"]
+
+
+def test_options_are_those_of_a_run_and_the_rest_goes_to_the_player():
+    options, folder = options_of(
+        {"start_at": "2026-10-30T18:00:00+00:00", "has_feedback": False, "log_folder": "x"}
+    )
+    assert options.start_at == datetime(2026, 10, 30, 18, tzinfo=UTC)
+    assert options.more == {"has_feedback": False}
+    assert folder.name == "x"
