@@ -180,17 +180,31 @@ class HornEstimator:
     @property
     def worth_ratio(self) -> float:
         """Share of the load that is worth correcting: the one that makes the errors smallest."""
-        return min(max(self._common / self._square, 0.0), 1.0)
+        return min(max(self._common / self._square, 0.0), 1.0) * self.model_ratio
+
+    @property
+    def model_ratio(self) -> float:
+        """Share of a correction that may be used: 1 unless the model of the servo is wrong.
+
+        With other ramps or a weak motor a horn is still on its way where its model rests, and that
+        is no load.
+        """
+        return min(max(0.0, 2.0 - self.unexplained_s / FOUND_S), 1.0)
+
+    @property
+    def unexplained_s(self) -> float:
+        """Error in motion, as a time, that neither load nor lag explains."""
+        return math.sqrt(self._timing_deg2 / self._timing_speed2)
 
     @property
     def finding(self) -> str:
         """What the response model does not explain about this joint; empty: nothing."""
         if abs(self.lag_s) >= BOUND_RATIO * LAG_MAX_S and self.explained_ratio > EXPLAINED_SURE:
             return f"it lags {1e3 * self.lag_s:.0f} ms besides what its robot file says, or more"
-        unexplained_s = math.sqrt(self._timing_deg2 / self._timing_speed2)
-        if self._moving >= FOUND_READINGS and unexplained_s > FOUND_S:
+        off_s = self.unexplained_s
+        if self._moving >= FOUND_READINGS and off_s > FOUND_S:
             return (
-                f"in motion it is {1e3 * unexplained_s:.0f} ms off what its robot file says of its "
+                f"in motion it is {1e3 * off_s:.0f} ms off what its robot file says of its "
                 f"servo, and neither load nor lag explains that"
             )
         return ""

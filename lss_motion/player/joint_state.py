@@ -559,9 +559,10 @@ class JointState:
         """Return the correction that a joint at rest needs in place of its own; None: none."""
         if not self._is_settled(s_from_ns(now_ns)):
             return None
-        noise_deg = math.sqrt(self.disturbance.horn.noise_deg2)
+        horn, offset_deg = self.disturbance.horn, self.disturbance.offset_deg
+        noise_deg, is_modelled = math.sqrt(horn.noise_deg2), horn.model_ratio > 0.5
         return self.standing.next_offset_deg(
-            self.disturbance.offset_deg, s_from_ns(now_ns), noise_deg
+            offset_deg, s_from_ns(now_ns), noise_deg, is_modelled=is_modelled
         )
 
     def correct_standing(

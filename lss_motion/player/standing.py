@@ -12,6 +12,13 @@ STANDING_SIGMAS: Final = 4.5
 READINGS_LEAST: Final = 3
 READINGS_MOST: Final = 30
 """A rest is judged by so many readings, and by more where they scatter."""
+REST_LEAST_S: Final = 0.25
+"""Where the model of the servo is wrong, a rest is judged for at least so long: a horn may be on
+its way. One that turns round within ramps a tenth as steep as usual is slow for half of that."""
+UNCHANGED_RATIO: Final = 0.1
+"""A correction had no effect if it changed the error by no more than this share: the play of the
+gears took all of it up, and the next one is twice as large. Without a load the error is half of the
+play, so these two are all that is needed."""
 HELPED_RATIO: Final = 0.6
 """A correction has helped if it leaves no more than this share of the error."""
 ATTEMPTS_MAX: Final = 4
@@ -47,6 +54,8 @@ class StandingCorrector:
     """Error before the correction that is on trial."""
     _before_deg: float = 0.0
     """Correction before that."""
+    _last_deg: float = 0.0
+    """Error before the last correction."""
     _misses: int = 0
     _attempts: int = 0
 
@@ -79,13 +88,22 @@ class StandingCorrector:
         errors.append(error_deg)
         del errors[:-READINGS_MOST]
 
-    def next_offset_deg(self, offset_deg: float, now_s: float, noise_deg: float) -> float | None:
-        """Return the correction that shall replace `offset_deg`; None: it stays."""
+    def next_offset_deg(
+        self, offset_deg: float, now_s: float, noise_deg: float, *, is_modelled: bool = True
+    ) -> float | None:
+        """Return the correction that shall replace `offset_deg`; None: it stays.
+
+        Unless the servo `is_modelled` well, the horn may still be on its way.
+        """
         count = len(self._errors_deg)
         if count < READINGS_LEAST or (self.is_pushed and now_s - self._since_s < PUSH_S):
             return None
-        if abs(self._errors_deg[-1] - self._errors_deg[0]) > max(MOVING_DEG, 4.0 * noise_deg):
+        still_deg = max(MOVING_DEG, 4.0 * noise_deg) if is_modelled else MOVING_DEG
+        if abs(self._errors_deg[-1] - self._errors_deg[0]) > still_deg:
             del self._errors_deg[0]  # It is still on its way.
+            self._since_s = now_s
+            return None
+        if not is_modelled and now_s - self._since_s < REST_LEAST_S:
             return None
         error_deg = sum(self._errors_deg) / count
         spread = sum((one - error_deg) ** 2 for one in self._errors_deg) / (count - 1)
@@ -103,6 +121,9 @@ class StandingCorrector:
         if abs(error_deg) <= least_deg or self._attempts >= ATTEMPTS_IN_ALL:
             return None
         self._attempts += 1
+        changed_deg = abs(error_deg - self._last_deg)
+        is_stuck = self._misses == 1 and changed_deg <= UNCHANGED_RATIO * abs(self._last_deg)
+        self._last_deg = error_deg
         if self._tried_deg is None:
             self._tried_deg, self._before_deg = error_deg, offset_deg
-        return offset_deg + error_deg
+        return offset_deg + (2.0 if is_stuck else 1.0) * error_deg

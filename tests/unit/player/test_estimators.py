@@ -254,6 +254,13 @@ def test_a_correction_that_does_not_help_is_dropped():
     assert horn.worth_ratio < 0.05
 
 
+def test_a_load_is_not_corrected_in_motion_where_the_model_is_wrong():
+    right = swung(load_deg=3.0)
+    assert right.model_ratio == 1.0
+    wrong = swung(error=lambda angle_deg, speed_deg_s: 20.0 if speed_deg_s > 60.0 else 0.0)
+    assert wrong.model_ratio == wrong.worth_ratio == 0.0
+
+
 def test_a_model_that_explains_nothing_is_a_finding_and_a_right_one_none():
     assert swung().finding == swung(lag_s=0.03, load_deg=3.0).finding == ""
     assert "it lags 6" in swung(lag_s=0.065).finding
@@ -267,7 +274,8 @@ def test_a_model_that_explains_nothing_is_a_finding_and_a_right_one_none():
 class Rest:
     """A horn that rests; `horn_deg` is where it is for a correction, with no plan but 0."""
 
-    def __init__(self, horn_deg, *, noise_deg=0.05):
+    def __init__(self, horn_deg, *, noise_deg=0.05, is_modelled=True):
+        self.is_modelled = is_modelled
         self.corrector, self.horn_deg, self.noise_deg = StandingCorrector(), horn_deg, noise_deg
         self.offset_deg, self.now_s, self.sent = 0.0, 0.0, []
 
@@ -275,7 +283,9 @@ class Rest:
         for _ in range(count):
             self.now_s += 1.0 / HZ
             self.corrector.take(-self.horn_deg(self.offset_deg), self.now_s, self.noise_deg)
-            offset_deg = self.corrector.next_offset_deg(self.offset_deg, self.now_s, self.noise_deg)
+            offset_deg = self.corrector.next_offset_deg(
+                self.offset_deg, self.now_s, self.noise_deg, is_modelled=self.is_modelled
+            )
             if offset_deg is not None:
                 self.offset_deg = offset_deg
                 self.sent.append(round(offset_deg, 3))
@@ -298,7 +308,7 @@ def test_few_readings_are_no_reason():
 
 def test_what_does_not_help_is_taken_back_and_the_rest_left_alone():
     rest = Rest(lambda offset_deg: -1.0).read(200)
-    assert rest.sent == [1.0, 2.0, 3.0, 4.0, 0.0][-(ATTEMPTS_MAX + 1) :]
+    assert rest.sent == [1.0, 3.0, 4.0, 5.0, 0.0][-(ATTEMPTS_MAX + 1) :]
     assert rest.offset_deg == 0.0
     rest.corrector.begin()
     assert rest.read(READINGS_LEAST).sent[-1] == 1.0, "the next rest is another one"
@@ -308,6 +318,21 @@ def test_play_takes_up_the_first_corrections():
     rest = Rest(lambda offset_deg: -0.6 + max(0.0, offset_deg - 1.0)).read(100)
     assert rest.sent[-1] == pytest.approx(1.6, abs=STANDING_DEG)
     assert abs(rest.horn_deg(rest.offset_deg)) <= STANDING_DEG
+
+
+def test_without_a_load_two_corrections_are_enough_for_play():
+    """The horn stands at one end of a play of 1.5 deg, and comes from the other."""
+    rest = Rest(lambda offset_deg: -0.75 + max(0.0, offset_deg - 1.5)).read(60)
+    assert rest.sent == [0.75, 2.25]
+
+
+def test_with_a_wrong_model_a_horn_that_turns_round_does_not_rest():
+    """Its ramps are a tenth of those assumed: 100 deg/s2, while its model rests."""
+    for is_modelled in (True, False):
+        rest = Rest(None, noise_deg=0.4, is_modelled=is_modelled)
+        rest.horn_deg = lambda _, rest=rest: 3.0 - 50.0 * (rest.now_s - 0.2) ** 2
+        rest.read(int(0.4 * HZ))
+        assert (rest.sent == []) is not is_modelled
 
 
 def test_a_push_is_forgotten():
