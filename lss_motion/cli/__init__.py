@@ -18,6 +18,7 @@ exchange        `import`, `export`: motion of other tools, and motion for them
 identify        `identify`: measure the response of servos
 jog             `jog`: move joints with keys, keep poses
 monitor         `monitor`: the live state of all servos
+morning         `morning`: what happened on a stage in a night, from its log
 planning        `check`, `plan`, `compile`, `schema`, `gait`: all that needs no servo
 play            `play`, and the program `lss-play`
 record          `record`: a motion shown by hand becomes a sequence file

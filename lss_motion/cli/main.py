@@ -31,6 +31,7 @@ GROUPS: Final[Mapping[str, tuple[str, ...]]] = {
     "record": ("record",),
     "replay": ("replay",),
     "report": ("report",),
+    "morning": ("morning",),
     "jog": ("jog",),
     "calibrate": ("calibrate",),
     "exchange": ("import", "export"),

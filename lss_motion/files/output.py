@@ -37,6 +37,7 @@ class Kind(StrEnum):
     ARDUINO = "Arduino sketch"
     MCAP = "MCAP recording"
     LEARNT = "file of learnt values"
+    PAGE = "web page"
 
 
 HEAD_BYTES: Final = 256
@@ -56,6 +57,7 @@ _HEADS: Final = {
     Kind.ARDUINO: rb"// lss_motion sketch",
     Kind.MCAP: rb"\x89MCAP0\r\n",
     Kind.LEARNT: rb"# lss_motion learnt ",
+    Kind.PAGE: rb"<!doctype html>",
 }
 """How the files of each kind begin."""
 

@@ -18,5 +18,6 @@ orders          what the director orders and notes
 running         couples the director and the player, one run after the other
 job             what the process of the player does for a stage, and its client
 log             what is kept of each night
+morning         what happened in a night, from the log
 ==============  =================================================================================
 """
