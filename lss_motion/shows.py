@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from lss_motion.errors import InputError
+from lss_motion.errors import InputError, PlanningError
 from lss_motion.files.source import read_text
 
 if TYPE_CHECKING:
@@ -33,6 +33,10 @@ ROBOT_KEYS: Final = re.compile(r"^(buses|joints)\s*:", re.MULTILINE)
 TABLE_VALUES_MAX: Final = 20_000_000
 """Angles of one table. Chosen: three hours of 18 joints at 100 Hz, 160 MB of text."""
 
+HEADROOM_RATIO: Final = 0.01
+"""A show that follows a leader is planned for limits that are lower by this. Trimmed by 0.5 %, its
+accelerations grow by 1.0025 %: they stay within the limits."""
+
 GAIT_TOLERANCE_DEG: Final = 0.03
 """The largest deviation of a leg's predicted horn from its plan. Measured on simulated servos with
 feedback, nine patterns with two seeds each: feet slip at most 0.32 mm of the 0.5 mm allowed. With
@@ -47,6 +51,8 @@ class Show:
     program: Program
     trajectory: Trajectory | None = None
     sequence: Sequence | None = None
+    is_following: bool = False
+    """Planned with headroom, to follow a leader."""
 
 
 def is_program(path: Path) -> bool:
@@ -137,30 +143,61 @@ def prepare(
     *,
     speed_ratio: float = 1.0,
     loop: int | str | None = None,
+    is_following: bool = False,
 ) -> Show:
     """Return the show in the file at `path`, planned and compiled.
 
-    `loop` is a count, or `forever`. Raises `InputError`, `PlanningError` or `LineLoadError`.
+    `loop` is a count, or `forever`. `is_following`: with headroom, to be trimmed. Raises
+    `InputError`, `PlanningError` or `LineLoadError`.
     """
     if is_program(path):
         if speed_ratio != 1.0 or loop is not None:
             raise InputError(
                 "--speed and --loop need the sequence, not a compiled program", path=path
             )
-        return _read(path, robot_path, read_robot)
-    return compiled(*load(path, robot_path, read_robot), speed_ratio=speed_ratio, loop=loop)
+        return _read(path, robot_path, read_robot, is_following=is_following)
+    loaded = load(path, robot_path, read_robot)
+    return compiled(*loaded, speed_ratio=speed_ratio, loop=loop, is_following=is_following)
 
 
 def compiled(
-    sequence: Sequence, robot: Robot, *, speed_ratio: float = 1.0, loop: int | str | None = None
+    sequence: Sequence,
+    robot: Robot,
+    *,
+    speed_ratio: float = 1.0,
+    loop: int | str | None = None,
+    is_following: bool = False,
 ) -> Show:
-    """Return the show of a sequence; `speed_ratio` and `loop` as in `prepare`."""
+    """Return the show of a sequence; the others as in `prepare`."""
     from lss_motion.program.compile import TOLERANCE_DEG, compile_program
 
-    trajectory = planned(sequence, robot, speed_ratio=speed_ratio, loop=loop)
+    limits = with_headroom(robot) if is_following else robot
+    trajectory = planned(sequence, limits, speed_ratio=speed_ratio, loop=loop)
     tolerance_deg = GAIT_TOLERANCE_DEG if walks(sequence) else TOLERANCE_DEG
-    program = compile_program(trajectory, robot, tolerance_deg=tolerance_deg)
-    return Show(robot=robot, program=program, trajectory=trajectory, sequence=sequence)
+    # Its servos get their ramps as ever, so the program is made for these.
+    compiled_for = with_headroom(robot, accel=False) if is_following else robot
+    program = compile_program(trajectory, compiled_for, tolerance_deg=tolerance_deg)
+    return Show(
+        robot=robot,
+        program=program,
+        trajectory=trajectory,
+        sequence=sequence,
+        is_following=is_following,
+    )
+
+
+def with_headroom(robot: Robot, *, accel: bool = True) -> Robot:
+    """Return the robot with lower limits, for a show that a leader may speed up a little."""
+    ratio = 1.0 - HEADROOM_RATIO
+    joints = {
+        name: dataclasses.replace(
+            joint,
+            speed_max_deg_s=ratio * joint.speed_max_deg_s,
+            accel_max_deg_s2=(ratio if accel else 1.0) * joint.accel_max_deg_s2,
+        )
+        for name, joint in robot.joints.items()
+    }
+    return dataclasses.replace(robot, joints=joints)
 
 
 def walks(sequence: Sequence) -> bool:
@@ -190,14 +227,24 @@ def planned(
     return plan(dataclasses.replace(sequence, speed_ratio=speed_ratio), robot)
 
 
-def _read(path: Path, robot_path: Path | None, read_robot: ReadRobot | None) -> Show:
+def _read(
+    path: Path, robot_path: Path | None, read_robot: ReadRobot | None, *, is_following: bool
+) -> Show:
     from lss_motion.program.text import load_program
     from lss_motion.program.verify import verify_program
     from lss_motion.robot.load import load_robot
 
     program, robot = load_program(path, read_robot or load_robot, robot_path=robot_path)
     verify_program(program, robot)
-    return Show(robot=robot, program=program)
+    if is_following:
+        try:
+            verify_program(program, with_headroom(robot, accel=False))
+        except PlanningError as error:
+            raise PlanningError(
+                f"{error}. A show that follows a leader needs {100 * HEADROOM_RATIO:g} % headroom: "
+                f"compile it with `lss-motion compile --follow`, or play its sequence"
+            ) from None
+    return Show(robot=robot, program=program, is_following=is_following)
 
 
 def require_rows(trajectory: Trajectory, rate_hz: float) -> None:

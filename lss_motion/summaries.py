@@ -329,6 +329,13 @@ def program_lines(show: Show, *, is_whole: bool = False) -> list[str]:
     lines = []
     if show.trajectory is not None:
         lines = plan_lines(show.trajectory, show.robot, is_whole=is_whole)
+    if show.is_following:
+        from lss_motion.shows import HEADROOM_RATIO
+
+        lines.append(
+            f"planned with {100.0 * HEADROOM_RATIO:g} % headroom in speed and acceleration, so "
+            f"that a leader may trim it by 0.5 % within the limits"
+        )
     program = show.program
     for use in program.line_use.values():
         lines.append(

@@ -72,6 +72,9 @@ program starts without planning.
 """
 
 
+FOLLOW_HELP: Final = "with the headroom of a show that follows timecode (lss-play --follow)"
+
+
 def add_to(commands: Commands) -> None:
     """Add the commands of this module."""
     _add_check(commands)
@@ -103,6 +106,7 @@ def add_to(commands: Commands) -> None:
         commands, "compile", _compile, "compile a sequence to a program (.lss)", COMPILE_TEXT
     )
     compiled.add_argument("file", type=Path, metavar="FILE", help="a sequence or a gait")
+    compiled.add_argument("--follow", action="store_true", help=FOLLOW_HELP)
     add_robot_options(compiled)
     compiled.add_argument(
         "-o", "--output", type=Path, metavar="F.lss", help="the program to write (default: print)"
@@ -139,6 +143,7 @@ def _add_check(commands: Commands) -> None:
         "file", type=Path, metavar="FILE", help="a sequence, a gait, a program, a robot or a stage"
     )
     add_robot_options(check)
+    check.add_argument("--follow", action="store_true", help=FOLLOW_HELP)
     add_all(check)
     check.add_argument(
         "--robust",
@@ -189,14 +194,15 @@ def _check(arguments: argparse.Namespace) -> int:
         return _check_stage(arguments)
     lines = []
     if shows.is_program(arguments.file) or not is_gait_file(arguments.file):
-        show = shows.prepare(*_files(arguments))
+        show = shows.prepare(*_files(arguments), is_following=arguments.follow)
     else:
         from lss_motion.gait.pacing import gait_lines, paced
         from lss_motion.gait.to_sequence import sequence_from
 
         gait, robot = shows.load_gait(*_files(arguments))
         passages = paced(gait, robot)
-        show = shows.compiled(sequence_from(gait, passages), robot)
+        sequence = sequence_from(gait, passages)
+        show = shows.compiled(sequence, robot, is_following=arguments.follow)
         lines = gait_lines(gait, passages)
     if not arguments.json:
         lines += program_lines(show, is_whole=arguments.all)
@@ -286,7 +292,7 @@ def _compile(arguments: argparse.Namespace) -> int:
         shows.require_program_suffix(arguments.output)
     outputs = [Output(arguments.output, Kind.PROGRAM)]
     require_outputs(outputs, sources=_inputs(arguments), is_forced=arguments.force)
-    show = shows.prepare(*_files(arguments))
+    show = shows.prepare(*_files(arguments), is_following=arguments.follow)
     if arguments.output is None:
         print(to_text(show.program, folder=Path.cwd()), end="")
         return EXIT_FINISHED

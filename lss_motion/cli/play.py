@@ -30,6 +30,9 @@ from lss_motion.cli.consent import ALLOW_HELP, may_call
 from lss_motion.cli.dialog import YES_HELP, Confirmation, must_ask, print_event, simulated_text
 from lss_motion.cli.messages import Printer, discard, ended_by, failures, guarded, put
 from lss_motion.cli.sounds import offset_lines, unplayed_lines, with_kept_offset
+from lss_motion.cli.timecode import add_arguments as add_timecode_options
+from lss_motion.cli.timecode import opened as opened_timecode
+from lss_motion.cli.timecode import specs_of as require_timecode
 from lss_motion.errors import (
     EXIT_FINISHED,
     EXIT_INPUT,
@@ -167,6 +170,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="play the sounds on this device; `lss-motion devices` lists them",
     )
     parser.add_argument("--no-sound", action="store_true", help="play the show without its sounds")
+    add_timecode_options(parser)
     parser.add_argument("--quiet", action="store_true", help=QUIET_HELP)
     parser.add_argument("--yes", action="store_true", help=YES_HELP)
     parser.add_argument("--careful", action="store_true", help=CAREFUL_HELP.format(verb="play"))
@@ -183,6 +187,7 @@ def play(arguments: argparse.Namespace) -> int:
         arguments.robot,
         speed_ratio=arguments.speed,
         loop=arguments.loop,
+        is_following=arguments.follow is not None,
         read_robot=reader(arguments, may_query=not arguments.dry_run),
     )
     robot = api.with_port(show.robot, arguments.port)
@@ -242,7 +247,11 @@ def _play(
         if api.is_simulated(robot):
             how = " in virtual time" if arguments.virtual else " in real time"
             print_line(simulated_text(show.program.name, robot, how))
-        sound = SoundChoice(device=arguments.sound_device, is_off=arguments.no_sound)
+        sound = SoundChoice(
+            device=arguments.sound_device,
+            is_off=arguments.no_sound,
+            leads=arguments.follow is None,
+        )
         terminal = stack.enter_context(Terminal(rate=rate or 1.0, sound=sound))
         problems: list[str] = []
         offer = "" if rate is not None or not is_asked else learning.offer
@@ -285,6 +294,7 @@ def _check_outputs(arguments: argparse.Namespace) -> None:
 
 def _check(arguments: argparse.Namespace, show: Show, *, is_simulated: bool) -> None:
     """Refuse arguments whose fault would otherwise appear only after the show."""
+    require_timecode(arguments)
     if arguments.all and not arguments.dry_run:
         raise InputError("--all lists what --dry-run prints; give both, or neither")
     if arguments.truth is not None and not is_simulated:
@@ -336,13 +346,15 @@ def _perform(
             log = ByteLog(arguments.log, played=played, may_wait=arguments.virtual)
             stack.enter_context(log.reporting_to(problems))
         note = print_line if display is None else display.note
-        controls = terminal if log is None else LoggedControls(terminal, log)
+        is_following = arguments.follow is not None
+        controls = terminal if log is None or is_following else LoggedControls(terminal, log)
         note_answer = None if log is None else log.requested
         confirmation = Confirmation(controls, terminal, robot.name, note_answer, offer=offer)
+        link = stack.enter_context(opened_timecode(arguments, show.program, note))
         observer = Observer(
             on_event=lambda event: print_event(event, note),
-            on_turn=None if display is None else display.show,
-            controls=confirmation,
+            on_turn=link.on_turn(None if display is None else display.show),
+            controls=link.controls(confirmation, note, note_answer),
             make_tap=None if log is None else log.started,
         )
         result = perform(
@@ -376,6 +388,7 @@ def _played(arguments: argparse.Namespace) -> dict[str, Any]:
         "has_feedback": not arguments.no_feedback,
         "is_forced": arguments.force,
         "port": arguments.port,
+        "is_following": arguments.follow is not None,
     }
 
 

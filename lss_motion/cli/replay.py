@@ -89,6 +89,7 @@ def _again(path: Path, played: dict[str, Any], entries: list[Entry]) -> int:
         robot_path,
         speed_ratio=played.get("speed", 1.0),
         loop=played.get("loop"),
+        is_following=played.get("is_following", False),
         read_robot=lambda path: with_limits(load_robot(path), limits),
     )
     player = Player(

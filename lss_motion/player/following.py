@@ -31,10 +31,7 @@ OnNoLeader = Literal["go_on", "hold"]
 
 TRIM_MAX_RATIO: Final = 0.005
 """The clock of a show that follows differs from its leader's rate by no more. Such a show is
-planned with `HEADROOM_RATIO`."""
-HEADROOM_RATIO: Final = 0.01
-"""A show that follows is planned for limits that are lower by this. Faster by 0.5 %, its
-accelerations grow by 1.0025 %: both stay within the limits."""
+planned with more headroom than that (`shows.with_headroom`)."""
 CLOSING_S: Final = 1.0
 """An error is made up over this time, as far as the trim allows. Chosen: the legs are smooth
 already, and a leader that changes its speed by 0.1 % is 1 ms off at most."""

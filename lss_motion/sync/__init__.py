@@ -12,7 +12,9 @@ at what rate it goes on. `player.following` decides what the robot does about th
 | `chase`     | from single frames to legs: lock, freewheel, jump       | `receive` |
 | `readers`   | from bytes and sound to what the chase observes         | `receive` |
 | `options`   | what a person asks for, as `lss-play --follow` has it   | `cli`, `stage` |
-| `midi`      | MIDI ports                                              | `receive` |
+| `midi`      | MIDI ports                                              | `receive`, `send` |
 | `receive`   | the process that reads timecode                         | `source` |
-| `source`    | its other end, which leads the player                   | `cli`, `stage` |
+| `send`      | the process that sends it                               | `source` |
+| `child`     | a process with a pipe each way                          | `source` |
+| `source`    | the other end of both, in a run                         | `cli`, `stage` |
 """

@@ -57,6 +57,8 @@ class SendSpec:
     port: int = 0
     rate: Rate = FPS_25
     offset_s: float = 0.0
+    show: str = ""
+    """Name of the show, for receivers that are told one."""
 
 
 def read_follow(

@@ -1,125 +1,102 @@
-"""The end of a run that follows: starts the process that reads timecode, and leads the player.
+"""The end of a run: starts the processes that read and send timecode, and leads the player.
 
 `FollowControls` stands between what a person does (`inner`) and the player: a pause of the person
-holds the show whatever the leader does.
+holds the show whatever the leader does. `TimecodeOut.turn` is called on each turn of the loop.
 """
 
 from __future__ import annotations
 
-import contextlib
-import json
-import os
-import select
-import subprocess
-import sys
-import time
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from lss_motion.errors import InputError
 from lss_motion.player.show_clock import Leg
-from lss_motion.remote.schema import Follow, parse_operation
-from lss_motion.sync.receive import spec_text
+from lss_motion.remote.schema import Follow
+from lss_motion.sync import receive, send
+from lss_motion.sync.child import Child
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from lss_motion.clock_leg import ClockLeg
     from lss_motion.player.following import Following
     from lss_motion.player.player import Player
     from lss_motion.runtime.runner import Controls
-    from lss_motion.sync.options import FollowSpec
-
-COMMAND: Final = (sys.executable, "-P", "-m", "lss_motion.sync.receive")
-"""-P: no module of the current folder is imported in place of an installed one."""
-OPEN_S: Final = 10.0
-"""The longest time that a source may take to open."""
-READ_BYTES: Final = 65536
-END_S: Final = 1.0
+    from lss_motion.sync.options import FollowSpec, SendSpec
 
 
 class TimecodeSource:
-    """A process that reads one source of timecode. A context manager; `take` never waits."""
+    """One source of timecode, read by a process of its own. A context manager."""
 
     def __init__(self, spec: FollowSpec) -> None:
-        """Start it, and wait until the source is open; raises `InputError` if it is not."""
-        self.text = ""
-        """What is read, for a person."""
-        self._rest = b""
-        self._texts: list[str] = []
-        self._process: subprocess.Popen[bytes] | None = subprocess.Popen(  # noqa: S603
-            [*COMMAND, spec_text(spec)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,  # Drivers print there whatever they try.
-            start_new_session=True,  # Ctrl-C ends the player only; this ends with its pipe.
-        )
-        assert self._process.stdout is not None
-        self._fd = self._process.stdout.fileno()
-        os.set_blocking(self._fd, False)
-        end_s = time.monotonic() + OPEN_S
-        while not self.text and self._process is not None:
-            left_s = max(end_s - time.monotonic(), 0.0)
-            if not select.select([self._fd], [], [], left_s)[0]:
-                self._texts.append(f"the source does not open within {OPEN_S:g} s")
-                break
-            self.take()
-        if not self.text:
-            self.close()
-            raise InputError(f"--follow {spec.kind}: {'; '.join(self._texts)}")
+        """Open it; raises `InputError` if that fails."""
+        self._child = Child(receive.__name__, receive.spec_text(spec))
+        if not self._child.text:
+            raise InputError(f"--follow {spec.kind}: {'; '.join(self._child.problems)}")
+        self._texts = [f"follows {self._child.text}"]
 
     def filenos(self) -> list[int]:
         """Return what ends a wait."""
-        return [] if self._process is None else [self._fd]
+        return self._child.filenos()
 
     def take(self) -> list[Follow]:
-        """Return what came since the last call, oldest first."""
-        try:
-            data = os.read(self._fd, READ_BYTES) if self._process is not None else b""
-        except BlockingIOError:
-            return []
-        if not data:
-            if self._process is not None:
-                self.close()
-                self._texts.append("the process that reads timecode has ended")
-            return []
-        *lines, self._rest = (self._rest + data).split(b"\n")
+        """Return what came since the last call, oldest first. Never waits."""
         found = []
-        for line in lines:
-            values: dict[str, Any] = json.loads(line)
-            match values:
-                case {"op": "follow"}:
-                    operation = parse_operation(line)
-                    assert isinstance(operation, Follow)
-                    found.append(operation)
-                case {"ready": text}:
-                    self.text = str(text)
-                case {"failed": text} | {"text": text}:
-                    self._texts.append(str(text))
-                case _:
-                    pass
+        for values in self._child.take():
+            if "op" in values:
+                found.append(Follow(**values))
+            elif "text" in values:
+                self._texts.append(str(values["text"]))
         return found
 
     def take_texts(self) -> list[str]:
         """Return what a person should know, since the last call."""
-        texts, self._texts = self._texts, []
+        problems = [f"no timecode is read any more: {one}" for one in self._child.take_problems()]
+        texts, self._texts = [*self._texts, *problems], []
         return texts
 
     def close(self) -> None:
-        """End the process."""
-        process, self._process = self._process, None
-        if process is None:
-            return
-        assert process.stdin is not None
-        assert process.stdout is not None
-        with contextlib.suppress(OSError):
-            process.stdin.close()
-        try:
-            process.wait(END_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        process.stdout.close()
+        self._child.close()
 
     def __enter__(self) -> TimecodeSource:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.close()
+
+
+class TimecodeOut:
+    """Sends timecode from the show clock of one run. A context manager; `turn` never waits."""
+
+    def __init__(self, spec: SendSpec) -> None:
+        """Open the receiver; raises `InputError` if that fails."""
+        self._child = Child(send.__name__, send.spec_text(spec))
+        if not self._child.text:
+            raise InputError(f"--send {spec.kind}: {'; '.join(self._child.problems)}")
+        self._leg: ClockLeg | None = None
+        self._is_ended = False
+
+    @property
+    def text(self) -> str:
+        """What is sent, for a person."""
+        return self._child.text
+
+    def turn(self, player: Player, now_ns: int) -> None:  # noqa: ARG002  (as the loop calls it)
+        """Tell the process if the show clock has changed."""
+        show = player.show
+        if show is None or self._is_ended:
+            return
+        if player.show_ended_ns is not None:
+            self._is_ended = self._child.send(end=1)
+        elif show.clock.leg is not self._leg:
+            leg = show.clock.leg
+            values = (leg.start_ns, leg.start_s, leg.from_rate, leg.to_rate, leg.ramp_ns)
+            if self._child.send(leg=[*values, leg.trim_ratio]):
+                self._leg = leg
+
+    def close(self) -> None:
+        self._child.close()
+
+    def __enter__(self) -> TimecodeOut:
         return self
 
     def __exit__(self, *_error: object) -> None:
@@ -169,7 +146,7 @@ class FollowControls:
 
 
 class _PausedByPerson:
-    """A player as a person steers it while it follows: there is only pause, and go on."""
+    """A player as a person steers it while it follows: there is pause, go on, and stop."""
 
     def __init__(self, player: Player, following: Following) -> None:
         self._player, self._following = player, following
@@ -177,6 +154,10 @@ class _PausedByPerson:
     def set_rate(self, rate: float, now_ns: int) -> None:  # noqa: ARG002
         """Pause at rate 0; the speed is that of the leader."""
         self._following.set_paused(is_paused=rate == 0.0)
+
+    def stop(self, now_ns: int) -> None:
+        self._following.note_request("stop", now_ns)
+        self._player.stop(now_ns)
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401
         return getattr(self._player, name)

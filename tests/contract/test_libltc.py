@@ -1,116 +1,15 @@
-"""Linear timecode against libltc (Debian: libltc11), an independent program: both ways."""
+"""Linear timecode against libltc, an independent program: both ways."""
 
 from __future__ import annotations
-
-import ctypes
-import ctypes.util
-import os
 
 import numpy as np
 import pytest
 
+from benches.libltc import STANDARDS, made_by_libltc, missing, read_by_libltc
 from lss_motion.sync.ltc import LtcDecoder, sound_of
-from lss_motion.sync.timecode import FPS_24, FPS_25, FPS_29_97_DROP, FPS_30, Timecode, timecode_of
+from lss_motion.sync.timecode import Timecode, timecode_of
 
-STANDARDS = {FPS_24: 3, FPS_25: 1, FPS_29_97_DROP: 0, FPS_30: 0}
-
-
-class Label(ctypes.Structure):
-    _fields_ = [("zone", ctypes.c_char * 6)] + [
-        (name, ctypes.c_ubyte)
-        for name in ("years", "months", "days", "hours", "mins", "secs", "frame")
-    ]
-
-
-class FrameExt(ctypes.Structure):
-    _fields_ = [
-        ("ltc", ctypes.c_ubyte * 10),
-        ("start", ctypes.c_longlong),
-        ("end", ctypes.c_longlong),
-        ("reverse", ctypes.c_int),
-        ("tics", ctypes.c_float * 80),
-        ("low", ctypes.c_ubyte),
-        ("high", ctypes.c_ubyte),
-        ("volume", ctypes.c_double),
-    ]
-
-
-def library():
-    try:
-        found = ctypes.CDLL("libltc.so.11")
-    except OSError:
-        if os.environ.get("CI") == "true" and os.environ.get("LSS_HAS_LIBLTC") == "1":
-            raise
-        pytest.skip("libltc: sudo apt install libltc11")
-    found.ltc_encoder_create.restype = ctypes.c_void_p
-    found.ltc_encoder_create.argtypes = [
-        ctypes.c_double,
-        ctypes.c_double,
-        ctypes.c_int,
-        ctypes.c_int,
-    ]
-    found.ltc_decoder_create.restype = ctypes.c_void_p
-    for name in [
-        "ltc_encoder_set_timecode",
-        "ltc_encoder_encode_frame",
-        "ltc_encoder_inc_timecode",
-        "ltc_encoder_free",
-        "ltc_decoder_free",
-        "ltc_encoder_get_frame",
-        "ltc_encoder_set_frame",
-    ]:
-        function = getattr(found, name)
-        function.argtypes = [ctypes.c_void_p] + [ctypes.c_void_p] * (
-            name.endswith(("set_timecode", "get_frame", "set_frame"))
-        )
-    found.ltc_encoder_get_bufferptr.argtypes = [
-        ctypes.c_void_p,
-        ctypes.POINTER(ctypes.POINTER(ctypes.c_ubyte)),
-        ctypes.c_int,
-    ]
-    found.ltc_decoder_write_float.argtypes = [
-        ctypes.c_void_p,
-        ctypes.c_void_p,
-        ctypes.c_size_t,
-        ctypes.c_longlong,
-    ]
-    found.ltc_decoder_read.argtypes = [ctypes.c_void_p, ctypes.c_void_p]
-    return found
-
-
-def made_by_libltc(lib, labels, rate, rate_hz):
-    """Sound of these labels, -1 to 1."""
-    encoder = lib.ltc_encoder_create(rate_hz, rate.frames_per_s, STANDARDS[rate], 0)
-    sound = []
-    for label in labels:
-        value = Label(b"+0000", 0, 0, 0, *label)
-        lib.ltc_encoder_set_timecode(encoder, ctypes.byref(value))
-        if rate.is_drop:
-            bits = (ctypes.c_ubyte * 10)()
-            lib.ltc_encoder_get_frame(encoder, bits)
-            bits[1] |= 0x04
-            bits[3] ^= 0x08  # The parity bit, for the bit that was set.
-            lib.ltc_encoder_set_frame(encoder, bits)
-        lib.ltc_encoder_encode_frame(encoder)
-        buffer = ctypes.POINTER(ctypes.c_ubyte)()
-        size = lib.ltc_encoder_get_bufferptr(encoder, ctypes.byref(buffer), 1)
-        sound.append(np.ctypeslib.as_array(buffer, (size,)).astype(np.float64))
-    lib.ltc_encoder_free(encoder)
-    return (np.concatenate(sound) - 128.0) / 127.0
-
-
-def read_by_libltc(lib, sound, rate, rate_hz):
-    decoder = lib.ltc_decoder_create(round(rate_hz / rate.frames_per_s), 400)
-    samples = np.ascontiguousarray(sound, dtype=np.float32)
-    lib.ltc_decoder_write_float(decoder, samples.ctypes.data, len(samples), 0)
-    found, frame, value = [], FrameExt(), Label()
-    lib.ltc_frame_to_time.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int]
-    while lib.ltc_decoder_read(decoder, ctypes.byref(frame)):
-        lib.ltc_frame_to_time(ctypes.byref(value), ctypes.byref(frame), 0)
-        label = Timecode(value.hours, value.mins, value.secs, value.frame)
-        found.append((label, bool(frame.ltc[1] & 4), bool(frame.reverse), frame.end))
-    lib.ltc_decoder_free(decoder)
-    return found
+pytestmark = pytest.mark.skipif(bool(missing()), reason=missing() or "it is there")
 
 
 def noisy(sound, seed):
@@ -134,10 +33,9 @@ def decoded(sound, rate_hz, block=512):
 @pytest.mark.parametrize("rate_hz", [44100, 48000])
 @pytest.mark.parametrize("rate", STANDARDS, ids=lambda rate: rate.name)
 def test_what_libltc_makes_is_read_with_noise_at_its_place(rate, rate_hz):
-    lib = library()
     first = Timecode(0, 8, 59, 10).frame(rate)
     labels = [timecode_of(first + number, rate) for number in range(60)]
-    sound = noisy(made_by_libltc(lib, labels, rate, rate_hz), seed=rate_hz + rate.labels)
+    sound = noisy(made_by_libltc(labels, rate, rate_hz), seed=rate_hz + rate.labels)
     frames = decoded(sound, rate_hz)
     read = {frame.timecode: frame for frame in frames}
     assert len(frames) == len(read)
@@ -154,12 +52,12 @@ def test_what_libltc_makes_is_read_with_noise_at_its_place(rate, rate_hz):
 
 @pytest.mark.parametrize("rate", STANDARDS, ids=lambda rate: rate.name)
 def test_libltc_reads_what_is_made_here_forward_and_backward(rate):
-    lib, rate_hz = library(), 48000
+    rate_hz = 48000
     start = timecode_of(Timecode(9, 59, 59, 10).frame(rate), rate)
     sound = 0.5 * sound_of(start, rate, 50, rate_hz)
     labels = [timecode_of(start.frame(rate) + number, rate) for number in range(50)]
     for is_reverse, made in ((False, sound), (True, sound[::-1])):
-        read = read_by_libltc(lib, made, rate, rate_hz)
+        read = read_by_libltc(made, rate, rate_hz)
         assert {label for label, *_ in read} <= set(labels)
         assert len(read) >= 47
         assert {is_drop for _, is_drop, _, _ in read} == {rate.is_drop}

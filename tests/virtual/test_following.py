@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lss_motion import shows
 from lss_motion.player.events import Phase, PhaseEntered
 from lss_motion.player.following import Following, FollowRule, Step
 from lss_motion.player.show_clock import Leg
@@ -42,7 +43,7 @@ class Leader:
             self.steps.append(self.following.step)
         return False
 
-    def play(self, stage, robot, show, **options):
+    def play(self, stage, robot, show=None, **options):
         return stage.play(robot, show, wishes=[(self.turn, None)], **options)
 
     def off_s(self, from_s=0.0, to_s=1e9):
@@ -201,3 +202,20 @@ def test_garbage_legs_break_no_limit_and_end_in_step(stage, robot, show):
     assert played.report.outcome == "finished"
     assert_limits_hold(played, robot)
     assert np.abs(leader.off_s(15.0)).max() < 2e-3
+
+
+def test_a_plan_with_headroom_keeps_the_limits_when_it_is_trimmed(kit, robot):
+    show = kit.sequence(2, 6.0, step_s=(0.25, 0.4))  # Too fast: it is slowed to the limits.
+    times_s = np.arange(0.0, 6.0, 0.001)
+    joint = robot.joints["j0"]
+
+    def excess(is_following):
+        """Speed and acceleration of the plan at 1.005 of its rate, relative to the limits."""
+        trajectory = shows.compiled(show, robot, is_following=is_following).trajectory
+        angles = trajectory.sample(times_s)
+        speed = 1.005 * np.abs(np.diff(angles, axis=0)).max() / 0.001
+        accel = 1.005**2 * np.abs(np.diff(angles, n=2, axis=0)).max() / 0.001**2
+        return max(speed / joint.speed_max_deg_s, accel / joint.accel_max_deg_s2)
+
+    assert excess(is_following=True) < 1.001
+    assert excess(is_following=False) > 1.004

@@ -1,0 +1,246 @@
+"""Timecode of other programs, in real time: through JACK's dummy driver, and over the loopback."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from benches import libltc, sound_recorder
+from lss_motion.errors import InputError
+from lss_motion.sync.options import read_follow, read_send
+from lss_motion.sync.packets import ARTNET_PORT, read_artnet, read_fpp
+from lss_motion.sync.source import TimecodeOut, TimecodeSource
+from lss_motion.sync.timecode import FPS_25, Timecode, timecode_of
+
+pytestmark = pytest.mark.realtime
+needs_jack = pytest.mark.skipif(
+    bool(sound_recorder.missing()), reason=sound_recorder.missing() or "there is one"
+)
+
+needs_libltc = pytest.mark.skipif(bool(libltc.missing()), reason=libltc.missing() or "it is there")
+
+DESK = """\
+import sys, time, mido
+mido.set_backend("mido.backends.rtmidi/UNIX_JACK")
+out = mido.open_output("desk", virtual=True, client_name="desk")
+print("open", flush=True)
+sys.stdin.readline()
+start = time.monotonic() + 0.1
+print(start, flush=True)
+for quarter in range(int(sys.argv[1])):
+    frames = 10 * 3600 * 25 + quarter // 8 * 2
+    hh, mm, ss, ff = frames // 90000, frames // 1500 % 60, frames // 25 % 60, frames % 25
+    values = (ff & 15, ff >> 4, ss & 15, ss >> 4, mm & 15, mm >> 4, hh & 15, hh >> 4 | 1 << 1)
+    time.sleep(max(0.0, start + quarter / 100 - time.monotonic()))
+    out.send(mido.Message("quarter_frame", frame_type=quarter % 8, frame_value=values[quarter % 8]))
+"""
+"""A lighting desk: 10:00:00:00 at 25 frames a second, as the standard words it; not our encoder."""
+
+PLAYER = """\
+import sys, time, numpy, sounddevice
+sound, at = numpy.load(sys.argv[1]), 0
+def play(out, count, times, status):
+    global at
+    part = sound[at : at + count]
+    out[: len(part), 0], out[len(part) :, 0] = part, 0.0
+    at += count
+with sounddevice.OutputStream(samplerate=48000, channels=1, dtype="float32", callback=play):
+    print("plays", flush=True)
+    sys.stdin.readline()
+"""
+
+
+@pytest.fixture(scope="module")
+def server():
+    with sound_recorder.sound_server() as environ:
+        yield environ
+
+
+@contextlib.contextmanager
+def other_program(text, *arguments):
+    """Another program; yields it when it has written its first line."""
+    child = subprocess.Popen(
+        [sys.executable, "-c", text, *arguments],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    try:
+        assert child.stdout.readline(), "it does not start"
+        yield child
+    finally:
+        child.kill()
+        child.communicate()
+
+
+def read_for(source, seconds):
+    """All legs and texts of a source in that time."""
+    legs, texts, end_s = [], [], time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        select.select(source.filenos(), [], [], 0.05)
+        legs += source.take()
+        texts += source.take_texts()
+    return legs, texts
+
+
+@needs_jack
+def test_midi_timecode_of_another_program_is_followed_and_its_end_is_noticed(server):
+    pytest.importorskip("rtmidi")
+    pytest.importorskip("mido")
+    with contextlib.ExitStack() as stack:
+        desk = stack.enter_context(other_program(DESK, "300"))
+        spec = read_follow("mtc:desk", offset="10:00:00:00")
+        source = stack.enter_context(TimecodeSource(spec))
+        desk.stdin.write("\n")
+        desk.stdin.flush()
+        start_s = float(desk.stdout.readline())
+        legs, _ = read_for(source, 2.8)
+        assert {leg.state for leg in legs} == {"locked"}
+        # What is sent in a period of JACK (21 ms) comes in the next one.
+        late_s = [leg.instant_ns / 1e9 - start_s - leg.show_s for leg in legs if leg.show_s > 1]
+        assert len(late_s) > 10
+        assert 0.0 < np.median(late_s) < 0.06
+        assert np.ptp(late_s) < 0.02
+        assert legs[-1].rate == pytest.approx(1.0, abs=0.005)
+        desk.kill()
+        legs, texts = read_for(source, 2.5)
+        assert any("is gone" in text for text in texts)
+
+
+@needs_jack
+@needs_libltc
+def test_ltc_of_another_program_is_followed_from_a_sound_input(server, tmp_path):
+    labels = [timecode_of(36000 * 25 + n, FPS_25) for n in range(150)]
+    sound = np.concatenate([np.zeros(4800), 0.3 * libltc.made_by_libltc(labels, FPS_25, 48000)])
+    np.save(tmp_path / "ltc.npy", sound.astype(np.float32))
+    with TimecodeSource(read_follow("ltc", offset="10:00:00:00")) as source:
+        inputs = jack_ports("PortAudio")
+        with other_program(PLAYER, str(tmp_path / "ltc.npy")):
+            ports = [port for port in jack_ports("PortAudio") if port not in inputs]
+            (out,) = [port for port in ports if ":out" in port]
+            (into,) = [port for port in inputs if ":in" in port]
+            for speaker in ("system:playback_1", "system:playback_2"):
+                subprocess.run(["jack_disconnect", out, speaker], capture_output=True, check=False)
+            subprocess.run(["jack_connect", out, into], check=True, capture_output=True)
+            legs, texts = read_for(source, 4.5)
+    locked = [leg for leg in legs if leg.state == "locked"]
+    assert len(locked) > 20, texts
+    origin_ns = [leg.instant_ns - 1e9 * leg.show_s for leg in locked]
+    assert np.ptp(origin_ns[5:]) < 4e6, "the leader runs evenly, as it was played"
+    assert locked[-1].rate == pytest.approx(1.0, abs=1e-3)
+
+
+@needs_jack
+@needs_libltc
+def test_ltc_that_is_sent_is_read_by_libltc(server):
+    show = ShowStub(time.monotonic_ns() + 500_000_000)
+    with sound_recorder.Recorder() as recorder, TimecodeOut(read_send("ltc")) as out:
+        out.turn(show, 0)
+        recorder.connect(10.0)
+        time.sleep(3.0)
+        at_ns, blocks = recorder.samples()
+    sound = np.concatenate(blocks)
+    read = libltc.read_by_libltc(sound, FPS_25, sound_recorder.RATE_HZ)
+    read = [frame for frame in read if frame[0].hours == 0][1:]
+    assert len(read) > 40
+    frames = [label.frame(FPS_25) for label, *_ in read]
+    assert frames == list(range(frames[0], frames[0] + len(frames)))
+    size = len(blocks[0])
+    ends_ns = [
+        at_ns[min(end // size, len(at_ns) - 1)] + end % size / 48e3 * 1e9 for *_, end in read
+    ]
+    shown_s = [(end_ns - show.start_ns) / 1e9 for end_ns in ends_ns]
+    off_s = np.array(shown_s) - (np.array(frames) + 1) / 25.0
+    if not recorder.xruns:
+        assert np.abs(off_s).max() < 0.01
+
+
+class ShowStub:
+    """A player whose show begins at an instant and runs evenly."""
+
+    def __init__(self, start_ns):
+        from lss_motion.player.show_clock import ShowClock
+
+        self.start_ns, self.show, self.show_ended_ns = start_ns, self, None
+        self.clock = ShowClock(start_ns - 10**9, -1.0, 1.0)
+
+
+def jack_ports(client):
+    listed = subprocess.run(["jack_lsp", client], capture_output=True, text=True, check=True)
+    return listed.stdout.split()
+
+
+def test_packets_of_others_are_ignored_and_those_of_the_list_followed():
+    """Fixtures: there is no independent sender of Art-Net timecode or FPP packets here."""
+    here = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    other.bind(("127.0.0.2", 0))
+    with here, other, TimecodeSource(read_follow("artnet:127.0.0.1/32")) as source:
+        start_s = time.monotonic()
+        for number in range(30):
+            ss, ff = divmod(number, 25)
+            head = b"Art-Net\0\x00\x97\x00\x0e\0\0"
+            here.sendto(head + bytes((ff, ss, 0, 0, 1)), ("127.0.0.1", ARTNET_PORT))
+            other.sendto(head + bytes((ff, ss, 0, 9, 1)), ("127.0.0.1", ARTNET_PORT))
+            here.sendto(os.urandom(40), ("127.0.0.1", ARTNET_PORT))
+            time.sleep(max(0.0, start_s + number / 25.0 - time.monotonic()))
+        legs, texts = read_for(source, 0.1)
+    assert any("127.0.0.2 are ignored" in text for text in texts)
+    off_s = [leg.instant_ns / 1e9 - start_s - leg.show_s for leg in legs if leg.state == "locked"]
+    assert len(off_s) > 5
+    assert max(off_s) < 0.2
+    assert {leg.source for leg in legs} == {"127.0.0.1"}
+
+
+def test_what_is_sent_over_the_network_is_in_step_with_the_show():
+    packets = {"artnet": [], "fpp": [], "osc": []}
+    with contextlib.ExitStack() as stack:
+        ears = {}
+        for kind in packets:
+            ears[kind] = ear = stack.enter_context(socket.socket(type=socket.SOCK_DGRAM))
+            ear.bind(("127.0.0.1", 0))
+        words = [f"{kind}:127.0.0.1:{ear.getsockname()[1]}" for kind, ear in ears.items()]
+        outs = [stack.enter_context(TimecodeOut(read_send(word))) for word in words]
+        show = ShowStub(time.monotonic_ns() + 200_000_000)
+        for out in outs:
+            out.turn(show, 0)
+        end_s = time.monotonic() + 1.8
+        while (left_s := end_s - time.monotonic()) > 0.0:
+            for ear in select.select([*ears.values()], [], [], left_s)[0]:
+                kind = next(kind for kind, one in ears.items() if one is ear)
+                packets[kind].append((time.monotonic_ns(), ear.recv(2000)))
+    art = [(at, read_artnet(data).timecode) for at, data in packets["artnet"]]
+    art = [(at - show.start_ns, label) for at, label in art if label.hours == 0]
+    late_s = [at / 1e9 - label.at_s(FPS_25) for at, label in art]
+    assert len(late_s) > 30
+    assert np.median(late_s) == pytest.approx(0.0, abs=0.005)
+    fpp = [read_fpp(data) for _, data in packets["fpp"]]
+    assert [one.action for one in fpp][:3] == ["open", "start", "sync"]
+    from pythonosc.osc_message import OscMessage
+
+    messages = [OscMessage(data) for _, data in packets["osc"]]
+    assert {message.address for message in messages} == {"/lss/timecode"}
+    text, seconds = messages[-1].params
+    assert Timecode(*map(int, text.split(":"))).at_s(FPS_25) == pytest.approx(seconds, abs=1e-4)
+
+
+def test_a_source_that_is_not_there_says_so():
+    with pytest.raises(InputError, match="--follow mtc"):
+        TimecodeSource(read_follow("mtc:no such port"))
+    for text in ("vitc", "osc:localhost", "fpp:", "osc:h:99999", "mtc"):
+        with pytest.raises(InputError):
+            read_send(text, rate="23.976") if text == "mtc" else read_send(text)
+    for text in ("midi", "artnet:300.1.1.1", "fpp:a,b"):
+        with pytest.raises(InputError):
+            read_follow(text)
+    assert read_follow("artnet:10.0.0.0/8,127.0.0.1").allowed == ("10.0.0.0/8", "127.0.0.1")
+    assert not read_follow("artnet:10.0.0.0/8,127.0.0.1").is_loopback
