@@ -15,6 +15,7 @@ calls with the same arguments give the same bytes, so a log can be replayed (`ru
     file            what it is                                          who calls it
     player          state machine of a show, `Player`                   api, runtime, cli, walking
     stage_player    many programs in one run, `StagePlayer`             stage_run
+    added_show      a program beside another one, on its own joints     stage_player
     repertoire      the programs of such a run, and what they need      stage_player
     show_summary    how one of its shows went, in a few numbers         events, runtime
     stalls          whether this process was held up                    player
@@ -25,6 +26,7 @@ calls with the same arguments give the same bytes, so a log can be replayed (`ru
     transactions    lists of queries and orders on every bus            handshake, connection, cli
     approach        program from where the robot stands to the start    session
     streamer        one program on the show clock                       session
+    joining         moves of joints that are off their plan             streamer
     show_clock      show time as a function of the run clock            streamer, cues
     following       keeps a show in step with a leader                  sync, remote
     due_moves       moves in the order in which they leave              streamer

@@ -26,13 +26,12 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from lss_motion.errors import InputError, LostPortError, LssMotionError
 from lss_motion.player import handshake
-from lss_motion.player.estimators import OFFSET_MAX_DEG
 from lss_motion.player.events import Phase, PhaseEntered, Warned
 from lss_motion.player.faults import FaultHandler, Verdict
 from lss_motion.player.handshake import SettingsDialogue
 from lss_motion.player.preflight import Preflight
 from lss_motion.player.query_choice import BY_NEED
-from lss_motion.player.session import Session
+from lss_motion.player.session import Arrival, Session
 from lss_motion.player.show_clock import CLOSING_S, TRIM_MAX_RATIO
 from lss_motion.player.stalls import GAP_NS, StallDetector, stall_text
 from lss_motion.program.verify import driven
@@ -57,9 +56,6 @@ if TYPE_CHECKING:
 IDLE_NS: Final = 20 * NS_PER_MS
 """The player is called at least this often, since a person may press a key, and telemetry may be
 due, while nothing of the show is."""
-APPROACHES_MAX: Final = 3
-"""Chosen: a move that the line lost is sent again, but a joint that cannot reach its start is not
-pushed for ever."""
 COUNT_IN_NS: Final = 200 * NS_PER_MS
 """Time from the arrival of all joints to the first instant of the show. Preparing a show takes time
 (13 ms of processor time for 18 joints, measured), and no move may be due meanwhile."""
@@ -589,8 +585,11 @@ class Player:
             self._seek_s = self._ended_ns = self._goal_ns = None
         if self.phase is not Phase.APPROACH:
             self._enter(Phase.APPROACH)
-        pose_deg = self._session.pose_deg(self.show, now_ns)
-        self._streamer = self._session.approach(pose_deg, now_ns)
+        self._streamer = self._session.approach(self._pose_deg(now_ns), now_ns)
+
+    def _pose_deg(self, now_ns: int) -> dict[str, float]:
+        """Return the angles of the driven joints from which the show begins, or goes on."""
+        return self._session.pose_deg(self.show, now_ns)
 
     def _arrived(self, answers: Answers, now_ns: int) -> None:
         """Go on with the show if every joint is where it begins; else repeat the approach."""
@@ -608,21 +607,19 @@ class Player:
                 return
             case Verdict.CONTINUE:
                 pass
-        learns = session.has_feedback
-        if learns:  # Also before it goes on: what went wrong may have been taken for a load.
-            is_first = self._approaches == 1  # Its move may have been lost.
-            session.learn_droops(now_ns, handshake.ARRIVED_DEG if is_first else OFFSET_MAX_DEG)
-        joint, off_deg = session.furthest(session.pose_deg(self.show, now_ns))
-        is_uncorrected = learns and self._approaches == 1
-        if off_deg <= (handshake.LOADED_DEG if is_uncorrected else handshake.ARRIVED_DEG):
-            self._begin(now_ns)
-        elif self._approaches < APPROACHES_MAX:
-            self._approach(now_ns)
-        elif off_deg <= self.robot.joints[joint].following_deg:
-            self._begin(now_ns)
-        else:
-            self._faults.note_astray(joint, off_deg, self._approaches)
-            self._end("fault", now_ns)
+        self._judge_arrival(now_ns)
+
+    def _judge_arrival(self, now_ns: int) -> None:
+        """Go on with the show if every joint is near enough to its place; else approach again."""
+        session, count = self._session, self._approaches
+        match session.judge_arrival(self._pose_deg(now_ns), count, now_ns):
+            case Arrival.THERE, _, _:
+                self._begin(now_ns)
+            case Arrival.AGAIN, _, _:
+                self._approach(now_ns)
+            case Arrival.ASTRAY, joint, off_deg:
+                self._faults.note_astray(joint, off_deg, count)
+                self._end("fault", now_ns)
 
     def _begin(self, now_ns: int) -> None:
         """Begin the show, or go on with it."""

@@ -69,13 +69,17 @@ class PollScheduler:
         waiting: Waiting,
         probes: Mapping[str, Sequence[Probe]] = MappingProxyType({}),
         pace: Pace | None = BY_NEED,
+        known: PollScheduler | None = None,
     ) -> None:
-        """`pace`: how often angles are queried; None: as often as the lines allow."""
+        """`pace`: how often angles are queried; None: as often as the lines allow.
+
+        What `known` knows of faults and doubts is kept.
+        """
         self._pace = pace
         self._waiting = waiting
         self._probes = probes
-        self.watch = SettingsWatch(probes)
-        self.health = HealthMonitor()
+        self.watch: SettingsWatch = SettingsWatch(probes) if known is None else known.watch
+        self.health: HealthMonitor = HealthMonitor() if known is None else known.health
         self.rejected: dict[str, int] = dict.fromkeys(lines, 0)
         self.to_resend: dict[str, JointState] = {}
         """Joints whose servo has lost a move; the caller that sends it again removes them."""
@@ -101,6 +105,20 @@ class PollScheduler:
             joint_states, self._trackers, self._lines, self._waiting, self._probes, self._pace
         )
         scheduler.rejected, scheduler.watched = self.rejected, self.watched
+        return scheduler
+
+    def among(self, joint_states: Mapping[str, JointState]) -> PollScheduler:
+        """Return a scheduler for these states of the same joints, with all that is known so far."""
+        scheduler = PollScheduler(
+            joint_states,
+            self._trackers,
+            self._lines,
+            self._waiting,
+            self._probes,
+            self._pace,
+            known=self,
+        )
+        scheduler.rejected = self.rejected
         return scheduler
 
     def is_starved(self, now_ns: int) -> bool:

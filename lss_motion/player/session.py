@@ -8,13 +8,17 @@ nothing.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from enum import Enum, auto
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.player import checks, handshake
-from lss_motion.player.approach import approach
+from lss_motion.player.approach import approach, with_room
 from lss_motion.player.cues import LED_KEYWORD, Agenda, SensorWatch
+from lss_motion.player.estimators import OFFSET_MAX_DEG
 from lss_motion.player.handshake import SettingsDialogue
 from lss_motion.player.health import is_turned
+from lss_motion.player.joint_state import make_joint_states
 from lss_motion.player.preflight import Preflight
 from lss_motion.player.query_choice import BY_NEED
 from lss_motion.player.query_tracker import QueryTracker
@@ -28,7 +32,7 @@ from lss_motion.robot.model import HALF_TURN_DEG
 from lss_motion.units import s_from_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Container, Iterable, Mapping
 
     from lss_motion.player.events import Event
     from lss_motion.player.handshake import Answers
@@ -44,6 +48,19 @@ UNRESTORED_TEXT: Final = (
     "needed them until their power is off, and the next show takes them for the servos' own. "
     "Switch their power off and on, or RESET them; hold the robot, it goes limp"
 )
+
+
+APPROACHES_MAX: Final = 3
+"""Chosen: a move that the line lost is sent again, but a joint that cannot reach its start is not
+pushed for ever."""
+
+
+class Arrival(Enum):
+    """What follows an approach."""
+
+    THERE = auto()
+    AGAIN = auto()
+    ASTRAY = auto()
 
 
 class Session:
@@ -83,12 +100,19 @@ class Session:
         """Joints that are sent no move."""
         self.limp: list[Joint] = []
         """Joints whose motor has no power until the end."""
+        self.beside: list[Streamer] = []
+        """Streamers of shows that are played beside the present one, on joints of their own."""
         self._states: dict[str, JointState] = {}
         """The newest state of each joint, for its estimates."""
 
     @property
     def driven(self) -> list[Joint]:
         return [joint for joint in self.joints if joint.name not in self.left_out]
+
+    @property
+    def lent(self) -> set[str]:
+        """The joints that shows beside the present one move."""
+        return {name for streamer in self.beside for name in streamer.joint_states}
 
     def leave_out(self, name: str) -> None:
         """Send a joint no move from now on."""
@@ -173,6 +197,10 @@ class Session:
             is_forced=self.is_forced,
         )
 
+    def hold(self, program: Program) -> None:
+        """Let `program`, which is the present one but for the joints that it holds, be it."""
+        self.program = program
+
     def change(self, program: Program, start_s: float | None) -> None:
         """Let `program`, which has the same joints, be the next one, from `start_s` on.
 
@@ -211,13 +239,45 @@ class Session:
         self.standing_deg |= standing
         return [joint for joint in self.driven if joint.name not in standing]
 
-    def learn_droops(self, now_ns: int, within_deg: float) -> None:
-        """Take the load of every joint that rests so near to the place to which it was sent."""
-        for joint in self.driven:
-            if joint.name in self._states:
-                measured_deg = self.standing_deg[joint.name]
-                state = self._states[joint.name]
-                state.learn_droop(measured_deg, now_ns, within_deg)
+    def note_readings(self, streamer: Streamer, since_s: float) -> bool:
+        """Keep where the servos of `streamer`, which rests, have read themselves since `since_s`.
+
+        Return whether all have. For joints that cannot be asked in a dialogue: others move.
+        """
+        missing = 0
+        for name, state in streamer.joint_states.items():
+            load = state.disturbance
+            if state.joint.drive == "stepped":  # It answers with its last command only.
+                self.standing_deg[name] = state.profile.at(since_s)[0]
+            elif load.measured_deg is not None and (load.read_s or 0.0) >= since_s:
+                self.standing_deg[name] = load.measured_deg
+            else:
+                missing += state.is_driven
+        return not missing
+
+    def judge_arrival(
+        self, pose_deg: Mapping[str, float], approaches: int, now_ns: int
+    ) -> tuple[Arrival, str, float]:
+        """Return whether the joints are where they were sent, by where they stand.
+
+        Besides the joint that is furthest away, and by how much. Their loads are learnt.
+        """
+        is_first = approaches == 1
+        if self.has_feedback:
+            # Also before it goes on: what went wrong may have been taken for a load. The first move
+            # may have been lost.
+            within_deg = handshake.ARRIVED_DEG if is_first else OFFSET_MAX_DEG
+            for name in pose_deg:
+                if name in self._states:
+                    self._states[name].learn_droop(self.standing_deg[name], now_ns, within_deg)
+        joint, off_deg = self.furthest(pose_deg)
+        is_uncorrected = self.has_feedback and is_first
+        if off_deg <= (handshake.LOADED_DEG if is_uncorrected else handshake.ARRIVED_DEG):
+            return Arrival.THERE, joint, off_deg
+        if approaches < APPROACHES_MAX:
+            return Arrival.AGAIN, joint, off_deg
+        is_near = off_deg <= self.robot.joints[joint].following_deg
+        return Arrival.THERE if is_near else Arrival.ASTRAY, joint, off_deg
 
     def restarted(self, answers: Answers) -> list[Joint]:
         """Return the driven servos that no longer have the settings that they were sent."""
@@ -246,18 +306,22 @@ class Session:
 
     def start_deg(self) -> dict[str, float]:
         """Return the joint angles at which the show begins, also in its middle."""
-        if self.start_s is None:
-            return dict(self.program.start_deg)
-        start_s = self.program.within(self.start_s)
+        return self.start_of(self.program, self.start_s)
+
+    def start_of(self, program: Program, start_s: float | None) -> dict[str, float]:
+        """Return the joint angles of a program at `start_s`, or at its beginning."""
+        if start_s is None:
+            return dict(program.start_deg)
+        start_s = program.within(start_s)
         return {
             name: self.robot.joints[name].joint_deg(plan.at(start_s)[0])
-            for name, plan in profiles(self.program, self.robot).items()
+            for name, plan in profiles(program, self.robot).items()
         }
 
     def pose_deg(self, show: Streamer | None, now_ns: int) -> dict[str, float]:
         """Return the angles of the driven joints from which the show begins, or goes on."""
-        pose_deg = self.start_deg() if show is None else show.pose_deg(now_ns)
-        return {joint.name: pose_deg[joint.name] for joint in self.driven}
+        pose_deg, lent = self.start_deg() if show is None else show.pose_deg(now_ns), self.lent
+        return {n: pose_deg[n] for n in (joint.name for joint in self.driven) if n not in lent}
 
     def furthest(self, pose_deg: Mapping[str, float]) -> tuple[str, float]:
         """Return the driven joint that stands furthest from `pose_deg`, and its distance in deg."""
@@ -276,10 +340,15 @@ class Session:
 
     # ---- streamers
 
-    def approach(self, pose_deg: Mapping[str, float], now_ns: int) -> Streamer:
-        """Return the streamer that takes every driven joint from where it stands to `pose_deg`."""
+    def approach(
+        self, pose_deg: Mapping[str, float], now_ns: int, *, is_beside: bool = False
+    ) -> Streamer:
+        """Return the streamer that takes these joints from where they stand to `pose_deg`.
+
+        `is_beside`: while a show moves the other joints.
+        """
         program = approach(self.robot, self.standing_deg, pose_deg)
-        streamer = self._stream(program, self.standing_deg, now_ns)
+        streamer = self._stream(program, self.standing_deg, now_ns, is_beside=is_beside)
         for state in streamer.joint_states.values():
             state.limit_speed(self.robot.approach_speed_deg_s)
         return streamer
@@ -289,12 +358,50 @@ class Session:
 
         The servos stand where they were sent: at the start, corrected for their load.
         """
-        standing = {n: self.robot.joints[n].servo_deg(deg) for n, deg in self.start_deg().items()}
-        standing |= self._commanded_deg(start_ns)
-        show = self._stream(self.program, standing, start_ns, self.start_s)
+        show = self._begin(self.program, self.start_s, start_ns)
         if is_open:
             show.keep_open()
         return show
+
+    def begin_beside(self, program: Program, start_s: float | None, start_ns: int) -> Streamer:
+        """Return a show that starts beside the present one, on joints of its own."""
+        return self._begin(program, start_s, start_ns, is_beside=True)
+
+    def _begin(
+        self, program: Program, start_s: float | None, start_ns: int, *, is_beside: bool = False
+    ) -> Streamer:
+        start_deg, joints = self.start_of(program, start_s), self.robot.joints
+        standing = {name: joints[name].servo_deg(deg) for name, deg in start_deg.items()}
+        commanded = self._commanded_deg(start_ns)
+        standing |= {name: commanded[name] for name in standing if name in commanded}
+        return self._stream(program, standing, start_ns, start_s, is_beside=is_beside)
+
+    def take_back(self, streamer: Streamer, now_ns: int) -> dict[str, JointState]:
+        """Return states for joints that `streamer` has moved beside a show, and that rest now.
+
+        With them, the present show holds these joints where they stand.
+        """
+        program = replace(
+            self.program, start_deg=streamer.pose_deg(now_ns), moves=(), repeat=None, cues=()
+        )
+        commanded = self._commanded_deg(now_ns)
+        states = make_joint_states(
+            program,
+            with_room(self.robot, commanded),
+            commanded,
+            s_from_ns(now_ns),
+            has_feedback=self.has_feedback,
+            ranges_deg={n: self.robot.joints[n].servo_range_deg for n in program.start_deg},
+        )
+        for name, state in states.items():
+            before = self._states[name]
+            state.firmware, state.is_driven = before.firmware, before.is_driven
+            state.take_over(before)
+            if before.in_doubt:
+                state.hold_back()
+            self._states[name] = state
+            self.standing_deg[name] = commanded[name]
+        return states
 
     def note_standing(self, now_ns: int) -> None:
         """Keep where the last moves have sent the servos, which have braked since."""
@@ -310,7 +417,8 @@ class Session:
 
     def resume(self, show: Streamer, now_ns: int) -> None:
         """Go on with `show` from where the approach sent the servos, with its estimates."""
-        show.resume(self._commanded_deg(now_ns), self.left_out)
+        commanded = self._commanded_deg(now_ns)
+        show.resume({n: commanded[n] for n in show.joint_states if n in commanded}, self.left_out)
         self._take_over(show)
 
     def _stream(
@@ -319,6 +427,8 @@ class Session:
         standing_deg: Mapping[str, float],
         now_ns: int,
         start_s: float | None = None,
+        *,
+        is_beside: bool = False,
     ) -> Streamer:
         streamer = Streamer(
             program,
@@ -331,11 +441,13 @@ class Session:
             start_s=start_s,
             probes=self._probes(),
             pace=self._pace,
+            beside=() if is_beside else self.beside,
+            is_polling=not is_beside,
         )
         if streamer.scheduler is not None:
             streamer.scheduler.watched = self.watched
         streamer.leave_out(self.left_out)
-        self._take_over(streamer)
+        self._take_over(streamer, () if is_beside else self.lent)
         return streamer
 
     def _probes(self) -> dict[str, list[Probe]]:
@@ -350,9 +462,14 @@ class Session:
                 probes.setdefault(names[servo], []).append(probe)
         return probes
 
-    def _take_over(self, streamer: Streamer) -> None:
-        """Give the joints of `streamer` the estimates of the streamer before it."""
+    def _take_over(self, streamer: Streamer, lent: Container[str] = ()) -> None:
+        """Give the joints of `streamer` the estimates of the streamer before it.
+
+        Another streamer moves the joints `lent`.
+        """
         for name, state in streamer.joint_states.items():
+            if name in lent:
+                continue
             state.firmware = checks.reported_firmware(state.joint, self.original)
             if name in self._states:
                 state.take_over(self._states[name])

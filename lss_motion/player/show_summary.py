@@ -6,42 +6,56 @@ millisecond, between two moves.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
+
+from lss_motion.player.events import JointSummary, ShowSummary
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Collection
 
-    ShowOutcome = Literal["finished", "left", "stopped", "fault"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class JointSummary:
-    """How one joint followed the plan, as measured by its servo; None: it did not report it."""
-
-    error_rms_deg: float
-    error_max_deg: float
-    resent: int
-    temperature_max_c: float | None
-    voltage_min_v: float | None
-    current_max_a: float | None
+    from lss_motion.player.events import ShowOutcome
+    from lss_motion.player.joint_state import JointState
+    from lss_motion.player.streamer import Streamer
+    from lss_motion.program.model import Program
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ShowSummary:
-    """One show that was played: instants on the run clock, places in show time."""
+def summary_of(
+    program: Program,
+    show: Streamer,
+    *,
+    outcome: ShowOutcome,
+    from_s: float,
+    began_ns: int,
+    ended_ns: int,
+    joints: Collection[str],
+    is_added: bool = False,
+) -> ShowSummary:
+    """Return the summary of a show that is over at `ended_ns` and has moved `joints`."""
+    timing = show.statistics.timing()
+    states = show.joint_states
+    reached_s = min(max(show.show_s(ended_ns), 0.0), program.duration_s)
+    return ShowSummary(
+        name=program.name,
+        outcome=outcome,
+        is_added=is_added,
+        from_s=from_s,
+        reached_s=reached_s,
+        began_ns=began_ns,
+        ended_ns=ended_ns,
+        commands=timing["commands"],
+        missed=timing["missed"],
+        late_max_us=timing["late_max_us"],
+        joints={name: _joint(states[name]) for name in states if name in joints},
+    )
 
-    name: str
-    outcome: ShowOutcome
-    """`left`: another show took its place before its end."""
-    is_added: bool
-    """Whether it was played beside another show, on joints of its own."""
-    from_s: float
-    reached_s: float
-    """Where a show that was left can go on: the `start_s` of `Player.change_to`."""
-    began_ns: int
-    ended_ns: int
-    commands: int
-    missed: int
-    late_max_us: int
-    joints: Mapping[str, JointSummary]
+
+def _joint(state: JointState) -> JointSummary:
+    load = state.disturbance
+    return JointSummary(
+        error_rms_deg=round(load.error_rms_deg, 3),
+        error_max_deg=round(load.error_max_deg, 3),
+        resent=state.resent,
+        temperature_max_c=state.temperature_max_c,
+        voltage_min_v=state.voltage_min_v,
+        current_max_a=state.current_max_a,
+    )

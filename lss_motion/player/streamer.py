@@ -6,10 +6,6 @@ follow the same course at the present rate, so that no joint leaves its path: th
 do not slow down with the show, so the program's own moves would leave it. When the rate is 1 again,
 every joint is sent the move of the program that is under way, with the rest of its time.
 
-Timed joints: T is the time at travel speed, and the ramps of the servo come on top of it. So
-`rejoin`, `send_deferred` and `on_time_s` compute the T of a joint that is off its plan from its way
-and its speed, not from what is left of T.
-
 Streamed joints: `rate_ramps.guide` leads a joint that is off its program along its path, one filter
 step at a time. It is off because targets were late or cut by its limits, or because the rate is not
 1. Each target is computed at run time: as far as the plan goes in the next step, and a little more
@@ -30,9 +26,9 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.player.approach import with_room
 from lss_motion.player.cues import Waiting
 from lss_motion.player.due_moves import Due, DueMoves
+from lss_motion.player.joining import on_time_s, rejoin, send_deferred
 from lss_motion.player.joint_state import (
     LONGEST_NS,
-    REST_DEG_S,
     JointState,
     Statistics,
     make_joint_states,
@@ -45,14 +41,13 @@ from lss_motion.units import (
     NS_PER_MS,
     US_PER_S,
     ns_from_s,
-    s_from_ms,
     s_from_ns,
     s_from_us,
     us_from_s,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from lss_motion.player.query_choice import Pace
     from lss_motion.player.query_tracker import QueryTracker
@@ -62,102 +57,6 @@ if TYPE_CHECKING:
     from lss_motion.program.splice import Extension
     from lss_motion.protocol.framing import Reply
     from lss_motion.robot.model import Robot
-
-
-JOIN_S: Final = 0.1
-"""Time in which a joint that has lost a move catches up, if its limits allow it. Chosen."""
-
-
-def rejoin(
-    state: JointState,
-    line: SerialLine,
-    clock: ShowClock,
-    within: Callable[[float], float],
-    now_ns: int,
-) -> None:
-    """Send the rest of the move under way to a servo that has lost it.
-
-    A joint that is behind travels faster until it meets the plan; from there the rest of the move
-    is deferred. `within` turns a show time into one of the plan.
-    """
-    assert state.active is not None
-    arrival_ns = line.arrival_ns(len(state.active.data), now_ns)
-    planned_deg, planned_deg_s = state.plan.at(within(clock.show_s(arrival_ns)))
-    position_deg, own_deg_s = state.place(arrival_ns)
-    planned_way_deg = state.target_deg - planned_deg
-    way_deg = state.target_deg + state.disturbance.offset_deg - position_deg
-    sense, ramp_deg_s2 = math.copysign(1.0, way_deg), state.limits.ramp_deg_s2
-    travel_deg_s = _travel_deg_s(state, within(state.begun_s(line)))
-    # Distance that it loses while it speeds up, less the distance that the plan loses.
-    slower_deg_s = max(0.0, travel_deg_s - sense * own_deg_s)
-    planned_slower_deg_s = max(0.0, travel_deg_s - sense * planned_deg_s)
-    behind_deg = abs(way_deg) - abs(planned_way_deg)
-    behind_deg += 0.5 * (slower_deg_s**2 - planned_slower_deg_s**2) / ramp_deg_s2
-    faster_deg_s = _faster_deg_s(state, travel_deg_s, behind_deg)
-    left_s = state.left_s(line, clock, now_ns)
-    is_on_its_way = way_deg * planned_way_deg > 0.0 and travel_deg_s > REST_DEG_S
-    if not is_on_its_way or faster_deg_s <= 0.0:
-        state.send_active(line, left_s, now_ns)
-        return
-    state.send_active(line, abs(way_deg) / (travel_deg_s + faster_deg_s), now_ns)
-    # The distance lost while it speeds up comes back while it slows down.
-    joins_s = slower_deg_s / ramp_deg_s2 + behind_deg / faster_deg_s
-    if joins_s < left_s:
-        state.defer(arrival_ns + ns_from_s(joins_s), state.target_deg, travel_deg_s)
-
-
-def _faster_deg_s(state: JointState, travel_deg_s: float, behind_deg: float) -> float:
-    """Return by how much faster than `travel_deg_s` a joint travels to catch up."""
-    if behind_deg <= state.joint.unit_deg:
-        return 0.0
-    return min(
-        state.limits.speed_max_deg_s - travel_deg_s,
-        behind_deg / JOIN_S,
-        math.sqrt(behind_deg * state.limits.ramp_deg_s2),
-    )
-
-
-def _travel_deg_s(state: JointState, begun_s: float) -> float:
-    """Return the travel speed between the ramps of the move that began at `begun_s`."""
-    move = state.active
-    assert move is not None
-    assert move.duration_ms is not None
-    planned_deg, _ = state.plan.at(begun_s)
-    travel_deg_s = abs(state.target_deg - planned_deg) / s_from_ms(move.duration_ms)
-    return min(travel_deg_s, state.limits.speed_max_deg_s)
-
-
-def send_deferred(state: JointState, line: SerialLine, now_ns: int) -> None:
-    """Send the deferred target: a timed joint travels on as planned, within the longest T."""
-    assert state.deferred is not None
-    _, target_deg, travel_deg_s = state.deferred
-    way_deg = target_deg + state.disturbance.offset_deg - state.place(now_ns)[0]
-    left_s = min(abs(way_deg) / travel_deg_s, s_from_ns(LONGEST_NS))
-    state.send(line, target_deg, left_s, now_ns)
-
-
-def on_time_s(
-    state: JointState, line: SerialLine, show_s: Callable[[int], float], now_ns: int
-) -> float:
-    """Return the time that the move under way has to travel if sent on time; 0 if it has no T.
-
-    That is its T, unless the move reverses the joint. Then its target may be near and T short, and
-    a small distance of the profile from the plan would change the travel speed many times over. So
-    the speed of the plan is kept instead of its end. `show_s` turns an instant into one of the
-    plan.
-    """
-    move = state.active
-    assert move is not None
-    if move.duration_ms is None:
-        return 0.0
-    arrival_ns = line.arrival_ns(len(move.data), now_ns)
-    planned_deg, speed_deg_s = state.plan.at(show_s(arrival_ns))
-    planned_way_deg = state.target_deg - planned_deg
-    way_deg = state.target_deg + state.disturbance.offset_deg - state.place(arrival_ns)[0]
-    planned_s = s_from_ms(move.duration_ms)
-    if speed_deg_s * planned_way_deg >= 0.0 or way_deg * planned_way_deg <= 0.0:
-        return planned_s
-    return planned_s * way_deg / planned_way_deg
 
 
 SETTLE_S: Final = 0.15
@@ -203,10 +102,13 @@ class Streamer:
         start_s: float | None = None,
         probes: Mapping[str, Sequence[Probe]] = MappingProxyType({}),
         pace: Pace | None = BY_NEED,
+        beside: Sequence[Streamer] = (),
+        is_polling: bool = True,
     ) -> None:
         """Start `program` at `start_ns`. `standing_deg`: servo angles where the servos stand.
 
         `probes` show whether a servo has restarted; without one it is not examined for that.
+        `beside`: streamers of other joints, without `is_polling`, whose servos are polled here.
         """
         self.is_open = False
         """While it is open, the show does not end with the program, which may still be extended."""
@@ -233,16 +135,57 @@ class Streamer:
         self._moves = DueMoves(program.unrolled(begin_s), self._early_us)
         self._tick_ns: int | None = None
         self._back_at_s: float | None = None
-        self._has_moved = False
+        self.has_moved = False
         """Whether moves left in this call of `advance`."""
         self.waiting = Waiting(program.unrolled_waits(begin_s), robot.sensors, begin_s)
-        scheduler = PollScheduler(self.joint_states, trackers, lines, self.waiting, probes, pace)
-        self.scheduler = scheduler if has_feedback else None
+        self._beside = tuple(beside)
+        scheduler = PollScheduler(self._polled(), trackers, lines, self.waiting, probes, pace)
+        self.scheduler = scheduler if has_feedback and is_polling else None
         if start_s is not None:
             self._begin_at(start_ns)
 
     def show_s(self, now_ns: int) -> float:
         return self.clock.show_s(now_ns)
+
+    # ---- streamers of other joints on the same lines
+
+    def play_beside(self, others: Sequence[Streamer]) -> None:
+        """Poll the servos of these streamers from now on, in place of those before."""
+        self._beside = tuple(others)
+        if self.scheduler is not None:
+            self.scheduler = self.scheduler.among(self._polled())
+
+    def adopt(self, joint_states: Mapping[str, JointState]) -> None:
+        """Take these states in place of its own: another streamer has moved their joints."""
+        for name, state in joint_states.items():
+            self.joint_states[name] = state
+            self._by_address[state.joint.bus, state.joint.servo_id] = state
+
+    def _polled(self) -> dict[str, JointState]:
+        """Return the states of all joints; a streamer beside this one comes first."""
+        states = dict(self.joint_states)
+        for other in self._beside:
+            states |= other.joint_states
+        return states
+
+    def _owner(self, state: JointState) -> Streamer:
+        """Return the streamer that moves the joint of a state."""
+        name = state.joint.name
+        owners = (one for one in self._beside if one.joint_states.get(name) is state)
+        return next(owners, self)
+
+    def find_state(self, address: tuple[str, int]) -> JointState | None:
+        """Return the state of the joint with this bus and servo id, if it is moved here."""
+        return self._by_address.get(address)
+
+    def _expected_deg(self, state: JointState, instant_ns: int) -> float:
+        return self._owner(state).planned_deg(state, instant_ns)
+
+    @property
+    def _has_any_moved(self) -> bool:
+        return self.has_moved or any(other.has_moved for other in self._beside)
+
+    # ---- its state
 
     @property
     def rate_wanted(self) -> float:
@@ -325,6 +268,8 @@ class Streamer:
                 state.suspend()
             else:
                 state.resume()
+        for other in self._beside:
+            other.leave_out(names)
 
     def jump_to(self, show_s: float, now_ns: int) -> None:
         """Stand at `show_s`. For a show that stands; an approach and `resume` must follow."""
@@ -358,7 +303,7 @@ class Streamer:
     def pose_deg(self, now_ns: int) -> dict[str, float]:
         """Return the joint angles of the plan: after a ramp to rate 0, every joint stands there."""
         joint_states = self.joint_states.items()
-        return {name: t.joint.joint_deg(self._planned_deg(t, now_ns)) for name, t in joint_states}
+        return {name: t.joint.joint_deg(self.planned_deg(t, now_ns)) for name, t in joint_states}
 
     def resume(self, standing_deg: Mapping[str, float], left_out: Iterable[str]) -> None:
         """Go on at rate 0, with servos that an approach sent to `standing_deg` (servo angles)."""
@@ -377,7 +322,7 @@ class Streamer:
         a host that is always late, moves are due in every call; then queries follow in the same
         one.
         """
-        self._has_moved = False
+        self.has_moved = False
         if self._tick_ns is not None:
             self._advance_ramp(now_ns)
         elif self.clock.target_rate > 0.0:
@@ -385,7 +330,7 @@ class Streamer:
         self._wait(now_ns)
         self._resend_due(now_ns)
         if self.scheduler is not None and (
-            not self._has_moved or self.scheduler.is_starved(now_ns)
+            not self._has_any_moved or self.scheduler.is_starved(now_ns)
         ):
             self.scheduler.poll(now_ns, self.quiet_ns(now_ns))
 
@@ -407,7 +352,7 @@ class Streamer:
         else:
             wakeups_ns.append(self.clock.ramp_end_ns + ns_from_s(SETTLE_S))
         if self.scheduler is not None:
-            if self._has_moved and self.scheduler.look_ahead(now_ns):
+            if self._has_any_moved and self.scheduler.look_ahead(now_ns):
                 wakeups_ns.append(now_ns + 1)
             wakeups_ns += self.scheduler.wakeups_ns(now_ns)
         return min((w for w in wakeups_ns if w > now_ns), default=None)
@@ -415,22 +360,25 @@ class Streamer:
     def receive(self, bus: str, reply: Reply, ended_ns: int, now_ns: int) -> None:
         """Use a reply that ended at `ended_ns`, shortly before `now_ns`."""
         if self.scheduler is not None:
-            self.scheduler.receive(bus, reply, ended_ns, self._planned_deg)
+            self.scheduler.receive(bus, reply, ended_ns, self._expected_deg)
             if reply.servo_id is not None and reply.keyword == "QD":
-                state = self._by_address.get((bus, reply.servo_id))
-                if state is not None:
-                    self._correct_standing(state, now_ns)
+                for streamer in (*self._beside, self):
+                    state = streamer.find_state((bus, reply.servo_id))
+                    if state is not None:
+                        streamer.correct_standing(state, now_ns)
+                        break
             while self.scheduler.to_resend:
-                self._resend_lost(self.scheduler.to_resend.popitem()[1], now_ns)
+                state = self.scheduler.to_resend.popitem()[1]
+                self._owner(state).resend_lost(state, now_ns)
 
-    def _correct_standing(self, state: JointState, now_ns: int) -> None:
+    def correct_standing(self, state: JointState, now_ns: int) -> None:
         """Send a joint that rests off its plan a correction, unless its plan moves on soon."""
         if self._tick_ns is not None or self.clock.rate(now_ns) != 1.0:
             return
         if not state.takes_moves or state.resend_ns is not None:
             return
-        planned_deg = self._planned_deg(state, now_ns)
-        later_deg = self._planned_deg(state, now_ns + REST_LEAST_NS)
+        planned_deg = self.planned_deg(state, now_ns)
+        later_deg = self.planned_deg(state, now_ns + REST_LEAST_NS)
         if abs(later_deg - planned_deg) > state.joint.unit_deg:
             return
         offset_deg = state.standing_offset_deg(now_ns)
@@ -479,6 +427,7 @@ class Streamer:
     def due_ns(self) -> int | None:
         """Return when the next move is due, also in the past; None: no move is planned."""
         due_ns = self._resends_ns()
+        due_ns += [due for other in self._beside if (due := other.due_ns()) is not None]
         if self._tick_ns is not None:
             due_ns.append(self._tick_ns)
         elif self.clock.target_rate > 0.0 and (next_ns := self._next_due_ns()) is not None:
@@ -495,6 +444,8 @@ class Streamer:
         self._tick_ns = None
         for state in self.joint_states.values():
             state.halt(self._lines[state.joint.bus], now_ns)
+        for other in self._beside:
+            other.halt(since_ns, now_ns)
 
     def _send_all_due(self, now_ns: int) -> None:
         """Send the moves that are due; of those that are late only the latest one of each joint.
@@ -506,7 +457,7 @@ class Streamer:
             due.append((due_ns, self._moves.pop()))
         latest = {(one.move.bus, one.move.servo_id): one.number for _, one in due}
         for due_ns, one in due:
-            self._has_moved = True
+            self.has_moved = True
             is_latest = latest[one.move.bus, one.move.servo_id] == one.number
             if is_latest or now_ns - due_ns <= ON_TIME_NS:
                 self._send_due(one.due_us, one.move, now_ns, now_ns - due_ns)
@@ -531,7 +482,7 @@ class Streamer:
     def _guide(self, state: JointState, now_ns: int) -> None:
         """Send a guiding target now."""
         line, period_ns = self._lines[state.joint.bus], self._guide_period_ns(state, now_ns)
-        guide(state, line, self._planned_deg, now_ns, period_ns, is_even=self._is_even)
+        guide(state, line, self.planned_deg, now_ns, period_ns, is_even=self._is_even)
         self._set_guiding(state, now_ns)
 
     def _set_guiding(self, state: JointState, now_ns: int) -> None:
@@ -560,7 +511,7 @@ class Streamer:
         """Whether the program's own moves leave: at a steady rate of 1."""
         return self._tick_ns is None and self.clock.target_rate == 1.0
 
-    def _resend_lost(self, state: JointState, now_ns: int) -> None:
+    def resend_lost(self, state: JointState, now_ns: int) -> None:
         """Send the rest of a move that its servo has lost; a ramp sends all anew anyway."""
         if self._tick_ns is not None or self.clock.target_rate < 1.0:
             return
@@ -661,7 +612,7 @@ class Streamer:
             self._lines,
             now_ns=now_ns,
             period_ns=period_ns,
-            planned_deg=self._planned_deg,
+            planned_deg=self.planned_deg,
             ends_ns=self.clock.ramp_end_ns if self.clock.target_rate == 0.0 else None,
         ):
             self.statistics.sent(late_ns)
@@ -669,7 +620,7 @@ class Streamer:
 
     # ---- judging
 
-    def _planned_deg(self, state: JointState, instant_ns: int) -> float:
+    def planned_deg(self, state: JointState, instant_ns: int) -> float:
         """Return the horn angle of the plan; its profile is early by the lead of the joint."""
         return state.plan.at(self._plan_s(instant_ns, state.lead_s))[0]
 

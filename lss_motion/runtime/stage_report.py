@@ -17,8 +17,7 @@ from lss_motion.units import s_from_ns
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from lss_motion.player.events import Event, Faulted
-    from lss_motion.player.show_summary import ShowSummary
+    from lss_motion.player.events import Event, Faulted, ShowSummary
     from lss_motion.player.stage_player import StagePlayer
     from lss_motion.runtime.report import BusReport
     from lss_motion.runtime.sound_choice import SoundReport

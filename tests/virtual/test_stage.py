@@ -118,6 +118,16 @@ def change(name, start_s=None):
     return act
 
 
+def add(name, start_s=None):
+    return lambda player, now_ns: player.add(
+        player.repertoire.programs[name], now_ns, start_s=start_s
+    )
+
+
+def end(name):
+    return lambda player, now_ns: player.end_added(name, now_ns)
+
+
 def stop(player, now_ns):
     player.stop(now_ns)
 
@@ -189,6 +199,72 @@ def test_joints_without_a_part_in_a_show_stay_where_they_are():
     assert result.report.outcome == "stopped"
 
 
+def test_shows_on_other_joints_are_played_at_the_same_time_each_on_its_own_clock():
+    evening, result = play(
+        [
+            (2.0, add("eyes")),
+            (5.1, add("wave")),  # ends by itself while the others go on
+            (7.0, lambda player, now_ns: player.set_rate(0.0, now_ns)),
+            (8.0, lambda player, now_ns: player.set_rate(1.0, now_ns)),
+            (11.5, change("hello")),  # the eyes go on
+            (18.0, end("eyes")),
+            (19.0, add("eyes", 1.3)),
+            (22.0, change("eyes")),  # takes its joints
+            (25.0, stop),
+        ]
+    )
+    assert evening.refused == []
+    assert evening.played == [
+        "idle", "eyes", "wave", "wave finished", "idle left", "hello", "hello finished",
+        "eyes left", "eyes", "eyes left", "eyes", "eyes stopped",
+    ]  # fmt: skip
+    first, again = [one for one in evening.summaries if one.name == "eyes"][:2]
+    assert first.is_added
+    assert again.from_s == 1.3
+    # A pause of a second, while the change of the other show costs the eyes nothing.
+    assert first.reached_s == pytest.approx((first.ended_ns - first.began_ns) / S - 1.8, abs=0.6)
+    assert all(j.error_max_deg < 1.5 for one in evening.summaries for j in one.joints.values())
+    assert [set(one.joints) for one in evening.summaries[:2]] == [{"j1"}, {"j0", "j3"}]
+    assert result.report.outcome == "stopped"
+
+
+def test_what_cannot_be_added_is_refused_with_the_reason():
+    full = {"main": replace(shows()["eyes"].line_use["main"], worst_100_ms_ratio=0.9)}
+    crowded = replace(shows()["eyes"], line_use=full)
+    evening, _ = play(
+        [
+            (2.0, add("hello")),
+            (2.1, lambda player, now_ns: player.add(crowded, now_ns)),
+            (2.2, end("wave")),
+            (2.3, add("wave")),
+            (2.4, add("wave")),
+            (6.0, stop),
+            (6.1, add("eyes")),
+        ]
+    )
+    texts = ("show 'idle' moves its joint 'j0'", "of line 'main' in their busiest 100 ms",
+             "no show 'wave' was added", "show 'wave' moves its joint 'j1'",
+             "the run is stopping")  # fmt: skip
+    assert len(evening.refused) == len(texts)
+    assert all(text in said for text, said in zip(texts, evening.refused, strict=True))
+
+
+def test_a_restart_brakes_all_shows_and_each_goes_on_where_it_was():
+    faults = [Fault(kind=FaultKind.RESET, at_s=5.0, servo_id=3)]
+    evening, result = play(
+        [(2.0, add("eyes")), (3.0, add("wave")), (14.0, stop)], faults=faults, seed=4
+    )
+    assert Phase.RECOVER in [phase for _, phase in evening.phases]
+    assert evening.played == [
+        "idle", "eyes", "wave", "wave finished", "idle stopped", "eyes stopped",
+    ]  # fmt: skip
+    reached_s = {one.name: one.reached_s for one in evening.summaries}
+    lasted_s = {one.name: (one.ended_ns - one.began_ns) / S for one in evening.summaries}
+    for name in ("idle", "eyes"):
+        assert 2.0 < reached_s[name] < lasted_s[name] - 1.5, "it stood meanwhile"
+    assert {fault.joint for fault in result.report.faults} == {"j2"}
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_random_evenings_with_faults_break_no_limit(seed):
     random = Random(seed)
@@ -198,6 +274,8 @@ def test_random_evenings_with_faults_break_no_limit(seed):
         name = random.choice(names)
         start_s = random.choice((None, None, random.uniform(0.0, 1.9)))
         acts.append((random.uniform(0.0, 24.0), change(name, None if name is None else start_s)))
+        acts.append((random.uniform(0.0, 24.0), add(random.choice(names[:-1]), start_s)))
+        acts.append((random.uniform(0.0, 24.0), end(random.choice(names[:-1]))))
     for at_s in (random.uniform(0.0, 20.0), random.uniform(0.0, 20.0)):
         acts += [(at_s, lambda player, now_ns: player.set_rate(0.0, now_ns)),
                  (at_s + 0.7, lambda player, now_ns: player.set_rate(1.0, now_ns))]  # fmt: skip
@@ -213,8 +291,8 @@ def test_random_evenings_with_faults_break_no_limit(seed):
     evening, result = play([*acts, (26.0, stop)], faults=faults, seed=seed)
     assert result.report.outcome in ("stopped", "fault"), result.error
     assert evening.phases[-1][1] is Phase.DONE
-    begun = [event.name for event in evening.events if isinstance(event, ShowBegan)]
-    assert [one.name for one in evening.summaries] == begun, "each show that began is reported"
+    begun = sorted(event.name for event in evening.events if isinstance(event, ShowBegan))
+    assert sorted(one.name for one in evening.summaries) == begun, "each show is reported"
 
 
 def test_a_restart_while_the_robot_only_stands_is_noticed_and_it_stands_again():

@@ -17,21 +17,15 @@ from random import Random
 import numpy as np
 import pytest
 
-from lss_motion.player import streamer
+from lss_motion.player import joining
 from lss_motion.player.due_moves import EARLY_MAX_US, DueMoves
+from lss_motion.player.joining import JOIN_S, on_time_s, send_deferred
 from lss_motion.player.joint_state import RETRIES_MAX
 from lss_motion.player.query_tracker import QueryTracker
 from lss_motion.player.rate_ramps import guide
 from lss_motion.player.serial_line import SerialLine
 from lss_motion.player.show_clock import ShowClock
-from lss_motion.player.streamer import (
-    ARRIVAL_MAX_S,
-    JOIN_S,
-    SETTLE_S,
-    Streamer,
-    on_time_s,
-    send_deferred,
-)
+from lss_motion.player.streamer import ARRIVAL_MAX_S, SETTLE_S, Streamer
 from lss_motion.program.model import Driving, Move, Program, Repeat
 from lss_motion.program.response import PiecewiseProfile
 from lss_motion.program.splice import Extension
@@ -764,7 +758,7 @@ CLOCK = ShowClock(0, 0.0, 1.0)
 
 def rejoin(state, line, show_s):
     """Say at rate 1 what is left of the move under way; return the bytes."""
-    streamer.rejoin(state, line, CLOCK, lambda show_s: show_s, round(1e9 * show_s))
+    joining.rejoin(state, line, CLOCK, lambda show_s: show_s, round(1e9 * show_s))
     return line.take()
 
 
