@@ -150,8 +150,12 @@ class Streamer:
     # ---- streamers of other joints on the same lines
 
     def play_beside(self, others: Sequence[Streamer]) -> None:
-        """Poll the servos of these streamers from now on, in place of those before."""
+        """Poll the servos of these streamers from now on, in place of those before.
+
+        Their joints are sent no move from here.
+        """
         self._beside = tuple(others)
+        self._suspend_lent()
         if self.scheduler is not None:
             self.scheduler = self.scheduler.among(self._polled())
 
@@ -160,6 +164,11 @@ class Streamer:
         for name, state in joint_states.items():
             self.joint_states[name] = state
             self._by_address[state.joint.bus, state.joint.servo_id] = state
+
+    def _suspend_lent(self) -> None:
+        for name in (name for other in self._beside for name in other.joint_states):
+            if name in self.joint_states:
+                self.joint_states[name].suspend()
 
     def _polled(self) -> dict[str, JointState]:
         """Return the states of all joints; a streamer beside this one comes first."""
@@ -268,6 +277,7 @@ class Streamer:
                 state.suspend()
             else:
                 state.resume()
+        self._suspend_lent()
         for other in self._beside:
             other.leave_out(names)
 
