@@ -335,9 +335,9 @@ def test_thousands_of_changes_need_no_memory():
         def act(self, player, now_ns):
             if player.phase is Phase.SHOW and player.show.show_s(now_ns) > 0.1:
                 self.count += 1
-                if self.count in (10, 60):
+                if self.count in (5, 25):
                     counts.append(sum(type(one).__name__ in NAMES for one in gc.get_objects()))
-                if self.count == 61:
+                if self.count == 26:
                     player.stop(now_ns)
                     return
                 player.change_to(
@@ -348,7 +348,7 @@ def test_thousands_of_changes_need_no_memory():
         shows(), figure(), first="wave", is_virtual=True, is_recorded=False,
         observer=Observer(controls=Storm(), on_event=kept.append),
     )  # fmt: skip
-    assert result.report.totals["wave"].plays + result.report.totals["eyes"].plays == 61
+    assert result.report.totals["wave"].plays + result.report.totals["eyes"].plays == 26
     assert counts[1] <= counts[0] + 3, counts
 
 
