@@ -118,7 +118,7 @@ class PollScheduler:
             self._pace,
             known=self,
         )
-        scheduler.rejected = self.rejected
+        scheduler.rejected, scheduler.watched = self.rejected, self.watched
         return scheduler
 
     def is_starved(self, now_ns: int) -> bool:
