@@ -215,7 +215,8 @@ class Streamer:
     def _has_doubts(self) -> bool:
         """Return whether a servo that is driven may have restarted."""
         doubted = () if self.scheduler is None else self.scheduler.watch.doubted
-        return any(self.joint_states[name].is_driven for name in doubted)
+        own = (self.joint_states[name] for name in doubted if name in self.joint_states)
+        return any(state.is_driven for state in own)
 
     def is_standing(self, now_ns: int) -> bool:
         """Return whether a ramp to rate 0 has ended and every horn should be at rest."""

@@ -34,9 +34,8 @@ from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from lss_motion.player.events import Event
+    from lss_motion.player.events import Event, ShowSummary
     from lss_motion.player.player import Player
-    from lss_motion.player.show_summary import ShowSummary
     from lss_motion.runtime.runner import Tap
     from lss_motion.stage.check import Planned
     from lss_motion.stage_run import StageResult
