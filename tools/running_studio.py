@@ -21,9 +21,10 @@ END_S: Final = 20.0
 class Studio:
     """A running studio: its addresses, token and processes."""
 
-    def __init__(self, file: Path, *options: str) -> None:
-        """Start it; raises `OSError` if it ends at once."""
-        words = [sys.executable, "-c", START, "studio", str(file), "--no-browser", "--json"]
+    def __init__(self, file: Path, *options: str, command: str = "studio") -> None:
+        """Start it; raises `OSError` if it ends at once. `command` may be `serve`, for a stage."""
+        words = [sys.executable, "-c", START, command, str(file), "--json"]
+        words += ["--no-browser"] if command == "studio" else []
         # What a user has: Python, and no Node.
         self.process = subprocess.Popen(
             [*words, *options],
@@ -83,7 +84,7 @@ class Studio:
 
 
 @contextmanager
-def running(file: Path, *options: str) -> Iterator[Studio]:
+def running(file: Path, *options: str, command: str = "studio") -> Iterator[Studio]:
     """Run the studio for a file."""
-    with Studio(file, *options) as studio:
+    with Studio(file, *options, command=command) as studio:
         yield studio

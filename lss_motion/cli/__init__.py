@@ -30,6 +30,8 @@ send            `send`: one command to one servo
 simulate        `sim`: a simulated robot behind a pseudo-terminal
 stage_keys      `stage-keys`: keys for the computers of a stage
 studio          `studio`: see and run a show in a browser
+serve           `serve`: run a stage: shows, cues, its operator's page
+service         `install-service`: start a stage with the computer
 walk            `walk`: a gait that is steered while it runs
 ==============  =================================================================================
 

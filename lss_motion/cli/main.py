@@ -21,6 +21,8 @@ GROUPS: Final[Mapping[str, tuple[str, ...]]] = {
     "planning": ("check", "plan", "compile", "schema", "gait"),
     "play": ("play",),
     "studio": ("studio",),
+    "serve": ("serve",),
+    "service": ("install-service",),
     "simulate": ("sim",),
     "doctor": ("doctor",),
     "devices": ("devices",),

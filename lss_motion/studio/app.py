@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import mimetypes
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -22,17 +21,19 @@ from starlette.websockets import WebSocketDisconnect
 from lss_motion.errors import InputError
 from lss_motion.studio.access import Denied, Purpose, Role, asked_of, decide, make_cookie
 from lss_motion.studio.client import Allowance, Client
+from lss_motion.studio.web import json_body
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from starlette.requests import Request
+    from starlette.routing import BaseRoute
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
     from starlette.websockets import WebSocket
 
     from lss_motion.studio.studio import Studio
 
 STATIC: Final = Path(__file__).parent / "static"
-BODY_MAX_BYTES: Final = 4096
-"""The largest body of a request: a token has 43 characters."""
 FILE_MAX_BYTES: Final = 64_000_000
 """The largest file of a figure."""
 FILE_TYPES: Final = {
@@ -53,8 +54,8 @@ mimetypes.add_type("text/javascript", ".js")
 mimetypes.add_type("text/javascript", ".mjs")
 
 
-def make_app(studio: Studio) -> Starlette:
-    """Return the application of one studio."""
+def make_app(studio: Studio, more: Sequence[BaseRoute] = ()) -> Starlette:
+    """Return the application of one studio, with further routes."""
     routes = [
         Route("/", _page),
         Mount("/static", PageFiles(directory=STATIC)),
@@ -65,6 +66,7 @@ def make_app(studio: Studio) -> Starlette:
         Route("/stop", _stop, methods=["POST"]),
         Route("/estop", _stop, methods=["POST"]),
         WebSocketRoute("/ws", _socket),
+        *more,
     ]
     app = Starlette(routes=routes, exception_handlers={InputError: _refused})
     app.state.studio = studio
@@ -105,7 +107,8 @@ class Guard:
             return
         path = scope["path"]
         is_page = path == "/" or path.startswith("/static/")
-        purpose = Purpose.PAGE if is_page else PURPOSES.get(path, Purpose.DATA)
+        other = Purpose.DATA if scope.get("method") in ("GET", "HEAD") else Purpose.STOP
+        purpose = Purpose.PAGE if is_page else PURPOSES.get(path, other)
         door = self._studio.door
         found = decide(asked_of(purpose, HTTPConnection(scope).headers, door), door)
         scope["role"] = found
@@ -145,7 +148,7 @@ async def _page(request: Request) -> Response:  # noqa: ARG001
 async def _session(request: Request) -> Response:
     """Give a cookie for the token, or for a code of six digits."""
     studio = _studio(request)
-    given = await _json_body(request)
+    given = await json_body(request)
     found = studio.admit(given)
     if isinstance(found, Denied):
         return JSONResponse({"error": found.text}, found.status)
@@ -158,20 +161,6 @@ async def _session(request: Request) -> Response:
         secure=request.url.scheme == "https",
     )
     return response
-
-
-async def _json_body(request: Request) -> dict[str, Any]:
-    """Return the JSON object of a body; an empty one for whatever else it is."""
-    body = b""
-    async for part in request.stream():
-        body += part
-        if len(body) > BODY_MAX_BYTES:
-            return {}
-    try:
-        value = json.loads(body)
-    except (ValueError, RecursionError):
-        return {}
-    return value if isinstance(value, dict) else {}
 
 
 async def _stop(request: Request) -> Response:

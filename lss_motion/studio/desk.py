@@ -6,16 +6,18 @@ the operator move the robot, or finds its servos.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.remote import schema as m
+from lss_motion.remote.stage_messages import StageOperation
 from lss_motion.studio.planner import file_digest
 from lss_motion.studio.playing import PlayerProcess
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping
 
     from lss_motion.remote.player_end import OnLost
     from lss_motion.studio.document import Document
@@ -30,6 +32,10 @@ REPLAYED: Final = ("started", "checked", "rate", "ended")
 WARNINGS_MAX: Final = 50
 """Warnings and faults of the running show that a client gets which comes later."""
 TROUBLE: Final = ("warned", "fault")
+MOVING: Final = ("playing", "standing")
+"""Phases in which a show plays, or another may begin at any time."""
+NOTES_MAX: Final = 50
+"""Notes of a stage that a client gets which comes later: the newest."""
 ROBOT: Final = "robot"
 """Only the newest state of the robot counts, so it is offered, not sent."""
 Task = Literal["show", "live", "scan"]
@@ -46,6 +52,8 @@ class DeskOptions:
 
     on_lost: OnLost = "go_on"
     may_run: bool = False
+    stage: Mapping[str, object] | None = None
+    """Options of the job of a stage; it begins without `go`, also on a real robot."""
 
 
 class Desk:
@@ -70,6 +78,9 @@ class Desk:
             state="off", port="", is_simulated=False, joints={}, text=""
         ).model_dump_json()
         self._kept: dict[str, str] = {}
+        self._notes: deque[str] = deque(maxlen=NOTES_MAX)
+        self.watch: Callable[[dict[str, Any]], None] = lambda _: None
+        """Called with each event of the process that plays."""
         self._trouble: list[str] = []
         self._end_state: dict[str, object] = {}
         self._end_text = ""
@@ -86,6 +97,7 @@ class Desk:
             self._robot,
             *self._kept.values(),
             *self._trouble,
+            *self._notes,
         )
 
     def stop(self, *, is_emergency: bool) -> None:
@@ -113,6 +125,8 @@ class Desk:
                 return self._play(operation, key)
             case m.Go() | m.Pause() | m.Resume() | m.Rate() | m.Seek():
                 return self._forward(operation, key, "show", "no show plays now")
+            case _ if isinstance(operation, StageOperation):
+                return self._forward(operation, key, "show", "the stage does not run; start it")
             case _ if isinstance(operation, m.RobotOperation):
                 if isinstance(operation, m.PoseSave | m.MaintenanceAnswer):
                     self._require_same_robot_file()
@@ -142,6 +156,21 @@ class Desk:
             self._player.send(m.Stop() if self._options.on_lost == "stop" else m.Pause())
 
     # ---- called by the server
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether it was stopped, and is not armed again."""
+        return self._state.is_latched
+
+    def start(self) -> None:
+        """Start the show or stage; raises `LssMotionError` that says why that is not possible."""
+        self._require_armed()
+        self._start_show(m.Play())
+
+    def end_run(self) -> None:
+        """Let the process that plays end as by a stop, but without keeping that stop."""
+        if self._player is not None:
+            self._player.send(m.Stop())
 
     @property
     def player(self) -> PlayerProcess | None:
@@ -187,7 +216,8 @@ class Desk:
     def _start_show(self, operation: m.Play) -> None:
         self._require_free()
         reply = self._plan()
-        if operation.plan is not None and operation.plan != reply.plan:
+        assert self.document is not None
+        if operation.plan is not None and operation.plan != self.document.plan:
             raise InputError("the plan has changed since then; look at it, then play")
         if reply.functions and not self._options.may_run:
             names = ", ".join(dict.fromkeys(reply.functions))
@@ -196,11 +226,11 @@ class Desk:
                 f"with --allow-run"
             )
         self._kept, self._trouble = {}, []
-        options = {
-            "start_s": operation.from_s,
-            "must_ask": not reply.is_simulated,
-            "may_run": self._options.may_run,
-        }
+        options: dict[str, Any] = {"may_run": self._options.may_run}
+        if reply.stage is None:
+            options |= {"start_s": operation.from_s, "must_ask": not reply.is_simulated}
+        else:
+            options |= self._options.stage or {}
         self._start(reply.job, "show", self._take_of_show, options)
         self._change(state="starting", plan=reply.plan, text="")
         self._tell_robot("playing")
@@ -283,20 +313,30 @@ class Desk:
             raise InputError(BUSY[self._task])
 
     def _take_of_show(self, event: dict[str, Any], text: str) -> None:
-        """Pass an event of a show on, and keep the state of the player in step with it."""
+        """Pass an event of a show on."""
         kind = event["event"]
+        self.watch(event)
         if kind == "health":
             self._hub.offer("health", text)
             return
         if self._is_answer(event):
             return
+        if kind == "stage":
+            self._kept[kind] = text
+            self._hub.offer(kind, text)
+            self._show_plan_of(event["show"])
+            return
         if kind in REPLAYED:
             self._kept[kind] = text
         self._pass_on(kind, text)
-        match kind:
+        self._follow(event)
+
+    def _follow(self, event: dict[str, Any]) -> None:
+        """Keep the state of the player in step with an event of a show."""
+        match event["event"]:
             case "phase" if event["phase"] == "ready":
                 self._change(state="ready")
-            case "phase" if event["phase"] == "playing" and self._state.state != "paused":
+            case "phase" if event["phase"] in MOVING and self._state.state != "paused":
                 self._change(state="playing")
             case "phase" if event["phase"] in ("stopping", "restoring"):
                 self._change(state="stopping")
@@ -308,6 +348,14 @@ class Desk:
                 # A stop that is kept goes on saying what it was, and that it is kept.
                 text = self._state.text if self._state.is_latched else event["outcome"]
                 self._end_state = {"state": "ended", "text": event["error"] or text}
+
+    def _show_plan_of(self, show: str | None) -> None:
+        """Let the clients see the plan of the present show of a stage."""
+        assert self.document is not None
+        before = self.document.plan
+        self.document.shown = show
+        if self.document.plan != before:
+            self._hub.broadcast(self.document.message())
 
     def _take_of_robot(self, event: dict[str, Any], text: str) -> None:
         """Pass an event of a robot without a show on."""
@@ -333,6 +381,8 @@ class Desk:
     def _pass_on(self, kind: str, text: str) -> None:
         if kind in TROUBLE and len(self._trouble) < WARNINGS_MAX:
             self._trouble.append(text)
+        if kind == "stage_note":
+            self._notes.append(text)
         self._hub.broadcast_text(text)
 
     def _note_end(self, player: PlayerProcess) -> None:

@@ -36,6 +36,8 @@ class Document:
         self.good: Reply | None = None
         """The last reply with a plan, or of a robot file without an error."""
         self.robot_revision = 0
+        self.shown: str | None = None
+        """The show of a stage whose plan clients see."""
         self._request = request
         self._ask, self._changed = ask, changed
         self._newest = Reply(number=0, title=request.path.stem)
@@ -64,6 +66,7 @@ class Document:
             robot_path=self._request.robot_path,
             backup=self._request.backup,
             port=self._request.port,
+            views=self._request.views,
         )
         self.good, self._views, self._stamps = None, {}, {}
         self._newest = Reply(number=0, title=path.stem)
@@ -81,7 +84,13 @@ class Document:
 
     def view(self, plan: str) -> bytes | None:
         """Return the view of a plan that is kept."""
-        return self._views.get(plan)
+        own, folder = self._views.get(plan), self._request.views
+        if own is not None or folder is None or plan not in self._plans():
+            return own
+        try:
+            return (folder / f"{plan}.json").read_bytes()
+        except OSError:
+            return None
 
     def take(self, reply: Reply) -> None:
         """Take the reply to the newest request."""
@@ -95,12 +104,24 @@ class Document:
             self.robot_revision += 1
         if self._is_current:
             self.good = reply
-        if reply.plan is not None:
+        if reply.plan is not None and reply.stage is None:
             self._views.pop(reply.plan, None)
             self._views[reply.plan] = reply.view
             for old in list(self._views)[:-VIEWS_MAX]:
                 del self._views[old]
         self._changed()
+
+    @property
+    def plan(self) -> str | None:
+        """The plan that clients see: of the file, or of the present show of a stage."""
+        if self.good is None or self.good.stage is None:
+            return None if self.good is None else self.good.plan
+        stage, plans = self.good.stage, self.good.plans
+        names = (self.shown, stage.idle, *plans)
+        return next((plans[name] for name in names if name is not None and name in plans), None)
+
+    def _plans(self) -> frozenset[str]:
+        return frozenset() if self.good is None else frozenset(self.good.plans.values())
 
     def look(self) -> None:
         """Look whether a file has changed on disk; plan again if one has."""
@@ -121,7 +142,7 @@ class Document:
                 for path, line, text in newest.problems
             ),
             notes=newest.notes,
-            plan=None if self.good is None else self.good.plan,
+            plan=self.plan,
             is_current=self._is_current,
             summary=() if self.good is None else self.good.summary,
             robot=self.robot_revision,

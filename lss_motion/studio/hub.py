@@ -55,6 +55,7 @@ class Hub:
 
     def __init__(self, make_welcome: Callable[[Client], m.Welcome]) -> None:
         self.desk: Desk | None = None
+        self.on_telemetry: Callable[[bytes], None] = lambda _: None
         self.clients: dict[int, Client] = {}
         self._make_welcome = make_welcome
         self._next_client = self._next_key = 1
@@ -66,6 +67,8 @@ class Hub:
         """Whether there is an operator that can be lost."""
         self._waiting: dict[int, tuple[int, int, str]] = {}
         """Operations that are answered later: key → client, its id, the name."""
+        self._askers: dict[int, Callable[[str | None], None]] = {}
+        """What is called with the answer to an operation that is no client's."""
 
     # ---- clients
 
@@ -111,6 +114,7 @@ class Hub:
 
     def offer_telemetry(self, frame: bytes) -> None:
         """Give every client the newest telemetry."""
+        self.on_telemetry(frame)
         self.offer(TELEMETRY, frame)
 
     def beat(self, now_s: float) -> None:
@@ -148,8 +152,33 @@ class Hub:
         if is_done:
             self.answer(key)
 
+    def ask(self, operation: m.AnyOperation, on_answer: Callable[[str | None], None]) -> None:
+        """Obey an operation of another program; it needs no lease.
+
+        `on_answer` is called with the reason if it is refused, now or later.
+        """
+        assert self.desk is not None
+        if isinstance(operation, m.Stop | m.Estop):
+            self.desk.stop(is_emergency=isinstance(operation, m.Estop))
+            on_answer(None)
+            return
+        key, self._next_key = self._next_key, self._next_key + 1
+        self._waiting[key] = (0, 0, operation.op)
+        self._askers[key] = on_answer
+        try:
+            is_done = self.desk.obey(operation, key)
+        except LssMotionError as refused:
+            self.answer(key, str(refused))
+            return
+        if is_done:
+            self.answer(key)
+
     def answer(self, key: int, refusal: str | None = None) -> None:
         """Answer an operation: it is accepted, or refused for this reason."""
+        if (on_answer := self._askers.pop(key, None)) is not None:
+            self._waiting.pop(key, None)
+            on_answer(refusal)
+            return
         number, id_, op = self._waiting.pop(key, (0, 0, ""))
         client = self.clients.get(number)
         if client is None:

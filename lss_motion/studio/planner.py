@@ -14,22 +14,24 @@ import math
 import pickle
 import socket
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final
 
 from lss_motion.errors import InputError, LssMotionError
 from lss_motion.files.source import read_data
 from lss_motion.remote.link import BrokenLinkError, Kind, Link
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from lss_motion.gait.model import Gait
+    from lss_motion.remote.schema import FileKind
     from lss_motion.robot.model import Robot
     from lss_motion.shows import Show
+    from lss_motion.stage.check import Planned
+    from lss_motion.stage.model import Stage
 
-FileKind = Literal["sequence", "gait", "playlist", "robot"]
 PROBLEMS_MAX: Final = 100
 """More errors of one file are not sent."""
 
@@ -44,6 +46,8 @@ class Request:
     backup: Path | None = None
     """The backup with the limits that the robot file leaves to the servos."""
     port: str | None = None
+    views: Path | None = None
+    """Folder for the views of the shows of a stage, by plan."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,11 +79,16 @@ class Reply:
     is_simulated: bool = False
     files: tuple[Path, ...] = ()
     """All files that the result depends on."""
+    stage: Stage | None = None
+    """The stage of a stage file, without its robot."""
+    plans: Mapping[str, str] = field(default_factory=dict)
+    """The plan of each show of a stage."""
 
 
 def reply_to(request: Request) -> Reply:
     """Return the plan of a request, or what is wrong; raises nothing about the files."""
     from lss_motion.shows import is_program, is_robot_file
+    from lss_motion.stage.load import is_stage_file
 
     found: dict[str, Any] = {"files": _first_files(request)}
     try:
@@ -92,6 +101,8 @@ def reply_to(request: Request) -> Reply:
             robot = _robot(request.path, request)
             found["files"] = tuple(sorted({*found["files"], *_files_of_robot(robot)}))
             found |= _of_robot(robot)
+        elif is_stage_file(request.path):
+            found |= _of_stage(request, found)
         else:
             found |= _of_show(request, found)
     except LssMotionError as error:
@@ -189,6 +200,56 @@ def _of_show(request: Request, found: dict[str, Any]) -> dict[str, Any]:
         "notes": tuple(_notes(show)),
         "functions": tuple(call.run for call in calls_of(show.program.cues)),
     }
+
+
+def _of_stage(request: Request, found: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields of a stage; those that are known so far go to `found` on the way."""
+    from lss_motion.connection import with_port
+    from lss_motion.remote.process import packed
+    from lss_motion.shows import files_of
+    from lss_motion.stage.check import plan_stage, stage_lines
+    from lss_motion.stage.job import stage_job
+    from lss_motion.stage.load import load_stage
+
+    found |= {"kind": "stage", "title": request.path.stem}
+    stage = load_stage(request.path)
+    if stage.robot is None:
+        raise InputError("the stage has figures; name the one of this computer with --figure")
+    robot = with_port(stage.robot, request.port)
+    files = {*found["files"], *(show.path for show in stage.shows.values())}
+    files |= set(_files_of_robot(robot))
+    found |= {**_of_robot(robot), "files": tuple(sorted(files)), "title": stage.name}
+    planned = plan_stage(stage, lambda path: _robot(path, request))
+    for show in planned.shows.values():
+        files |= set() if show.sequence is None else set(files_of(show.sequence))
+        files |= {Path(cue.sound) for cue in show.program.cues if cue.sound}
+    plans = _plans(planned, request.views)
+    names = json.dumps(plans, sort_keys=True).encode() + read_data(request.path)
+    lines = stage_lines(planned)
+    return {
+        "files": tuple(sorted(files)),
+        "plan": hashlib.sha256(names).hexdigest()[:16],
+        "plans": plans,
+        "stage": replace(stage, robot=None),
+        "job": packed(stage_job(planned)),
+        "summary": tuple(lines),
+        "functions": planned.functions,
+    }
+
+
+def _plans(planned: Planned, folder: Path | None) -> dict[str, str]:
+    """Return the plan of each show; write the views that are not in the folder yet."""
+    from lss_motion.remote.telemetry import plan_hash
+    from lss_motion.studio.view import view_of
+
+    plans = {}
+    for name, show in planned.shows.items():
+        plan = plans[name] = plan_hash(show.program).hex()
+        path = None if folder is None else folder / f"{plan}.json"
+        if path is not None and not path.exists() and show.sequence is not None:
+            path.with_suffix(".new").write_bytes(_json(view_of(show, plan)))
+            path.with_suffix(".new").replace(path)
+    return plans
 
 
 def _notes(show: Show) -> Iterator[str]:

@@ -11,7 +11,7 @@ import contextlib
 import signal
 import sys
 import webbrowser
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 from lss_motion.errors import InputError
 from lss_motion.studio.app import make_app
@@ -20,6 +20,10 @@ from lss_motion.studio.web import LOOPBACK, Address, listen, make_server
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+
+    from starlette.routing import BaseRoute
+
+    from lss_motion.studio.keeper import Failure
 
 LOOK_S: Final = 0.5
 """How often the files are looked at. Chosen: soon enough for a person who saves and looks up."""
@@ -37,7 +41,8 @@ def listening(options: StudioOptions) -> list[Listening]:
     found = []
     port = options.listen_port
     for host, is_tls in places:
-        own, other = listen(host, port), listen(host, 0)
+        is_early = options.is_early
+        own, other = listen(host, port, is_early=is_early), listen(host, 0, is_early=is_early)
         port = port or own.getsockname()[1]
         found.append(
             Listening(
@@ -50,17 +55,42 @@ def listening(options: StudioOptions) -> list[Listening]:
     return found
 
 
-def serve(options: StudioOptions, tell: Callable[[Studio], None], *, opens: bool) -> None:
+class Service(Protocol):
+    """What a server does besides that of the studio, such as a stage."""
+
+    def routes(self) -> list[BaseRoute]:
+        """Return further routes."""
+
+    @property
+    def failure(self) -> Failure | None:
+        """Why the program ends; None: it goes on."""
+
+    def look(self) -> None:
+        """Do what is due; called every `LOOK_S`."""
+
+    async def close(self) -> None:
+        """Close what the service has opened, after all motion has ended."""
+
+
+def serve(
+    options: StudioOptions,
+    tell: Callable[[Studio], None],
+    *,
+    opens: bool,
+    make_service: Callable[[Studio], Service] | None = None,
+) -> Failure | None:
     """Serve until a signal ends it; `tell` is called when clients may come.
 
-    Raises `InputError` where it cannot begin.
+    Returns why it ended by itself. Raises `InputError` where it cannot begin.
     """
     if sys.platform == "win32":
         raise InputError(
             "the studio needs Linux or macOS: on Windows a new process cannot inherit a socket "
             "pair, by which server, player and stop reach each other; lss-play works here"
         )
-    asyncio.run(_serve(options, listening(options), tell, opens=opens))
+    return asyncio.run(
+        _serve(options, listening(options), tell, opens=opens, make_service=make_service)
+    )
 
 
 async def _serve(
@@ -69,9 +99,11 @@ async def _serve(
     tell: Callable[[Studio], None],
     *,
     opens: bool,
-) -> None:
+    make_service: Callable[[Studio], Service] | None,
+) -> Failure | None:
     studio = Studio(options, sockets)
-    app = make_app(studio)
+    service = None if make_service is None else make_service(studio)
+    app = make_app(studio, () if service is None else service.routes())
     servers = []
     for one in sockets:
         is_tls = one.address.is_tls
@@ -87,6 +119,8 @@ async def _serve(
         loop.add_signal_handler(number, ending.set)
     tasks = [loop.create_task(_every(BEAT_S, studio.tick))]
     tasks.append(loop.create_task(_every(LOOK_S, studio.document.look)))
+    if service is not None:
+        tasks.append(loop.create_task(_every(LOOK_S, lambda: _look(service, ending))))
     serving = [loop.create_task(server.serve([own])) for server, own in servers]
     try:
         tell(studio)
@@ -109,7 +143,16 @@ async def _serve(
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, *serving, return_exceptions=True)
+        if service is not None:
+            await service.close()
         studio.close()
+    return None if service is None else service.failure
+
+
+def _look(service: Service, ending: asyncio.Event) -> None:
+    service.look()
+    if service.failure is not None:
+        ending.set()
 
 
 async def _every(period_s: float, do: Callable[[], None]) -> None:

@@ -52,6 +52,12 @@ class StudioOptions:
     listen_port: int = 0
     certificate: str | None = None
     key: str | None = None
+    token: str | None = None
+    """The secret of this server; None: a new one."""
+    views: Path | None = None
+    """Folder for the views of the shows of a stage."""
+    is_early: bool = False
+    """Listen on an address that this computer does not have yet."""
     desk: DeskOptions = field(default_factory=DeskOptions)
 
 
@@ -64,7 +70,8 @@ class Studio:
         port = self.addresses[0].port
         origins = frozenset(address.origin for address in self.addresses)
         hosts = frozenset(address.name for address in self.addresses)
-        self.door = Door(hosts, origins, new_token(), f"lss_studio_{port}")
+        token = options.token or new_token()
+        self.door = Door(hosts, origins, token, f"lss_studio_{port}")
         self.pairing = Pairing()
         self.hub = Hub(self._welcome)
         settings = StopSettings(
@@ -86,6 +93,7 @@ class Studio:
                 robot_path=options.robot_path,
                 backup=options.backup,
                 port=options.port,
+                views=options.views,
             ),
             self.planner.ask,
             self._document_changed,

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import json
 import socket
+import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,11 +17,17 @@ from lss_motion.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from starlette.requests import Request
+
 LOOPBACK: Final = "127.0.0.1"
 FRAME_MAX_BYTES: Final = 8192
 """The largest message of a client; ours have less than 200 bytes."""
+BODY_MAX_BYTES: Final = 4096
+"""The largest body of a request: a token has 43 characters, an operation less than 200."""
 FRAMES_MAX: Final = 16
 """Messages of a client that wait; then its connection is not read."""
+_IP_FREEBIND: Final = 15
+"""Linux, ip(7)."""
 CLOSE_S: Final = 2
 """An answer that is not finished at the end is given up after this time."""
 
@@ -50,14 +58,19 @@ class Address:
         return f"{'wss' if self.is_tls else 'ws'}://{self.name}"
 
 
-def listen(host: str, port: int) -> socket.socket:
-    """Return a socket that listens; raises `InputError` that says what to do."""
+def listen(host: str, port: int, *, is_early: bool = False) -> socket.socket:
+    """Return a socket that listens; raises `InputError` that says what to do.
+
+    With `is_early` the computer may get the address later, as from a network after it has started.
+    """
     try:
         family, _, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except (OSError, UnicodeError):
         raise InputError(f"--listen {host}: no such address; {_own_addresses()}") from None
     own = socket.socket(family, socket.SOCK_STREAM)
     own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    if is_early and sys.platform.startswith("linux"):
+        own.setsockopt(socket.IPPROTO_IP, _IP_FREEBIND, 1)
     try:
         own.bind(place)
         own.listen(128)
@@ -125,3 +138,17 @@ def make_server(
             timeout_graceful_shutdown=CLOSE_S,
         )
     )
+
+
+async def json_body(request: Request) -> dict[str, Any]:
+    """Return the JSON object of a body; an empty one for whatever else it is."""
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > BODY_MAX_BYTES:
+            return {}
+    try:
+        value = json.loads(body)
+    except (ValueError, RecursionError):
+        return {}
+    return value if isinstance(value, dict) else {}

@@ -93,8 +93,22 @@ export class Actions {
     if (now_ms - this.#go_ms < GO_DEBOUNCE_MS) return;
     this.#go_ms = now_ms;
     const { player } = this.store.state.value;
-    if (player.state === "ready") this.withLease(() => this.link.ask("go"));
+    const waits = player.state === "ready" || this.store.state.value.stage !== null;
+    if (waits) this.withLease(() => this.link.ask("go"));
     else if (!this.isRunning) this.play(false);
+  }
+
+  /** Fire a cue of a stage. A second one at once is a slip of the finger. @param {string} name */
+  cue(name) {
+    const now_ms = performance.now();
+    if (now_ms - this.#go_ms < GO_DEBOUNCE_MS) return;
+    this.#go_ms = now_ms;
+    this.withLease(() => this.link.ask("cue", { label: name }));
+  }
+
+  /** Ask something else of a stage. @param {string} op @param {Record<string, unknown>} fields */
+  stage(op, fields = {}) {
+    this.withLease(() => this.link.ask(op, fields));
   }
 
   /** @param {number} ratio */

@@ -6,6 +6,7 @@
 /** @typedef {import("./state.js").Trouble} Trouble */
 
 const TROUBLE_MAX = 100;
+const NOTES_MAX = 50;
 
 /** What the player does about a fault, in words. @type {Record<string, string>} */
 export const STEP_WORDS = {
@@ -34,6 +35,8 @@ export function firstState() {
     rate: { ratio: 1, is_paused: false },
     health: null,
     trouble: [],
+    stage: null,
+    notes: [],
     last_mark: null,
     waiting: null,
     scanned: null,
@@ -90,7 +93,9 @@ function afterEvent(state, event) {
     case "robot":
       return { ...state, robot_state: event };
     case "player":
-      return { ...state, player: event, phase: event.state === "idle" ? "" : state.phase };
+      return {
+        ...state, player: event, stage: isOver(event.state) ? null : state.stage, phase: event.state === "idle" ? "" : state.phase,
+      };
     case "links":
       return { ...state, clients: event.clients };
     case "scan":
@@ -105,6 +110,10 @@ function afterEvent(state, event) {
         ...state, started: event, ended: null, trouble: [], health: null, last_mark: null,
         waiting: null, phase: "", rate: { ratio: 1, is_paused: false },
       };
+    case "stage":
+      return { ...state, stage: event };
+    case "stage_note":
+      return { ...state, notes: withNote(state, event) };
     case "phase":
       return { ...state, phase: event.phase };
     case "rate":
@@ -121,6 +130,17 @@ function afterEvent(state, event) {
     default:
       return { ...state, trouble: withTrouble(state, event) };
   }
+}
+
+/** Whether the process that plays has ended. @param {string} word */
+function isOver(word) {
+  return ["idle", "ended", "gone"].includes(word);
+}
+
+/** @param {State} state @param {any} event */
+function withNote(state, event) {
+  const number = (state.notes[0]?.number ?? 0) + 1;
+  return [{ number, kind: event.kind, text: event.text }, ...state.notes].slice(0, NOTES_MAX);
 }
 
 /** Whether the file is a robot's, which has no show: its page is the one to open.

@@ -63,6 +63,14 @@ export type Document = {
   plan: string | null; is_current: boolean; summary: string[]; robot: number;
 };
 export type Player = { state: string; is_latched: boolean; plan: string | null; show_s: number | null; text: string };
+export type StageCue = {
+  name: string; on: string; plays: string; is_enabled: boolean; fired: number; refused: string;
+};
+export type Stage = {
+  state: string; show: string | null; cause: string; added: string[]; queue: string[];
+  left: string[]; next_go: string | null; reasons: string[]; cues: StageCue[];
+};
+export type StageNote = { number: number; kind: string; text: string };
 export type Page = "show" | "timeline" | "robot";
 export type Selection =
   | { kind: "key"; lane: number; key: number; joint: string | null }
@@ -88,6 +96,8 @@ export type State = {
   rate: { ratio: number; is_paused: boolean };
   health: Health | null;
   trouble: Trouble[];
+  stage: Stage | null;
+  notes: StageNote[];
   last_mark: null | { label: string; at_s: number };
   waiting: string | null;
   scanned: any;

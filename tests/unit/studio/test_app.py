@@ -12,12 +12,12 @@ from lss_motion.errors import InputError
 from lss_motion.remote import schema as m
 from lss_motion.studio import web
 from lss_motion.studio.access import Door, Pairing, Role, make_cookie, new_token
-from lss_motion.studio.app import BODY_MAX_BYTES, make_app
+from lss_motion.studio.app import make_app
 from lss_motion.studio.document import Document
 from lss_motion.studio.hub import Hub
 from lss_motion.studio.planner import Reply, Request
 from lss_motion.studio.studio import Studio
-from lss_motion.studio.web import Address
+from lss_motion.studio.web import BODY_MAX_BYTES, Address
 
 OWN = Address("127.0.0.1", 8000, is_tls=False)
 STOP = Address("127.0.0.1", 8001, is_tls=False)

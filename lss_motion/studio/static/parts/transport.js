@@ -12,7 +12,7 @@ const RATES = [0.25, 0.5, 0.75, 1];
 /** @param {Props} props */
 export function Transport({ state, actions }) {
   const { player, rate, view, page } = state;
-  const isReady = player.state === "ready";
+  const isReady = player.state === "ready" || state.stage !== null;
   const isRunning = actions.isRunning;
   const canPause = player.state === "playing" || player.state === "paused";
   const hasPlan = state.document?.plan != null;

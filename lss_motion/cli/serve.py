@@ -1,0 +1,279 @@
+"""The command `serve`: run a stage all evening, with its cues and its operator's page."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import sys
+import tempfile
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from lss_motion.cli.commands import PORT_HELP, add_command, add_json, add_robot_options, print_json
+from lss_motion.cli.consent import ALLOW_HELP, state_directory
+from lss_motion.cli.messages import put
+from lss_motion.cli.terminal import is_at_keyboard
+from lss_motion.errors import EXIT_FINISHED, InputError
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterator
+
+    from lss_motion.cli.commands import Commands
+    from lss_motion.stage.model import Stage
+    from lss_motion.studio.stage_service import StageService
+    from lss_motion.studio.studio import Studio
+
+DESCRIPTION: Final = """\
+Run a stage: its idle show, and the shows that cues start, until it is ended. Cues come from
+sensors, keys, OSC, HTTP, MIDI, sACN, MQTT, pins, times of day and timecode, as the stage file has
+them. Its page in a browser has the cues with GO, their state, the servos and STOP.
+
+  lss-motion check hall.yaml                   what the stage would do
+  lss-motion serve hall.yaml                   run it here; simulated, if its robot is
+  lss-motion serve hall.yaml --port /dev/ttyUSB0 --wait-port --real-time
+  lss-motion serve hall.yaml --wait-go         stand until GO
+
+At the terminal, Enter is GO, Escape stops, other keys are those of cues with `key`. Files that
+change are taken between two shows; one with an error never is, the last good one stays. Ctrl-C ends
+the show within the limits and gives the servos their settings back; twice ends it at once.
+
+Exit codes: 0 ended; 2 a file or argument must change; 3 a show cannot be planned; 4 the port or the
+servos are not there (with --wait-port they are waited for); 5 the robot did not follow.
+"""
+INSTALL: Final = 'a stage needs some packages: pip install "lss-motion[stage,studio]"'
+TOKEN_BYTES: Final = 32
+
+
+def add_to(commands: Commands) -> None:
+    """Add the command of this module."""
+    serve = add_command(
+        commands,
+        "serve",
+        _serve,
+        "run a stage: shows, cues, its operator's page",
+        DESCRIPTION,
+    )
+    serve.add_argument("stage", type=Path, metavar="STAGE", help="the stage file (.yaml)")
+    serve.add_argument("--port", metavar="URL", help=PORT_HELP)
+    add_robot_options(serve)
+    serve.add_argument(
+        "--wait-port",
+        action="store_true",
+        help="wait for the port, the servos and the network address, as long as it takes",
+    )
+    serve.add_argument("--wait-go", action="store_true", help="stand as found until GO")
+    serve.add_argument(
+        "--start-at",
+        type=_instant,
+        metavar="TIME",
+        help="begin at this time of day or date, such as 18:30 or 2026-10-31T18:30",
+    )
+    serve.add_argument(
+        "--real-time",
+        action="store_true",
+        help="request real-time priority and locked memory, to be on time beside other programs",
+    )
+    serve.add_argument(
+        "--on-operator-lost",
+        choices=("stop", "hold", "go_on"),
+        default="go_on",
+        help="what a show does when its operator is gone (default go_on)",
+    )
+    serve.add_argument("--tls-certificate", type=Path, metavar="F.pem", help="serve with TLS")
+    serve.add_argument("--tls-key", type=Path, metavar="F.pem", help="the key of the certificate")
+    serve.add_argument(
+        "--new-token", action="store_true", help="make a new token; the old one opens nothing more"
+    )
+    serve.add_argument("--allow-run", action="store_true", help=ALLOW_HELP)
+    add_json(serve)
+
+
+def _instant(text: str) -> datetime:
+    """Return the time of `--start-at`, of this computer; of a time of day the next one."""
+    import argparse
+    from datetime import timedelta
+
+    now = datetime.now().astimezone()
+    try:
+        found = datetime.fromisoformat(text if "-" in text else f"{now:%Y-%m-%d}T{text}")
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no time, such as 18:30 or 2026-10-31T18:30"
+        ) from None
+    found = found.astimezone()
+    return found if "-" in text or found > now else found + timedelta(days=1)
+
+
+def _serve(arguments: argparse.Namespace) -> int:
+    from lss_motion.stage.load import is_stage_file, load_stage
+
+    if not is_stage_file(arguments.stage):
+        raise InputError("is no stage file, which has `stage: NAME`", path=arguments.stage)
+    stage = load_stage(arguments.stage)
+    if stage.figures:
+        raise InputError("has figures, which are served one by one", path=arguments.stage)
+    with tempfile.TemporaryDirectory(prefix="lss-stage-") as views, _keys_restored():
+        return _run(arguments, stage, Path(views))
+
+
+def _run(arguments: argparse.Namespace, stage: Stage, views: Path) -> int:
+    try:
+        from lss_motion.studio.inlets import require_packages
+        from lss_motion.studio.server import serve
+        from lss_motion.studio.stage_service import ServiceOptions, StageService
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.startswith("lss_motion"):
+            raise
+        raise InputError(INSTALL) from None
+    from lss_motion.runtime.service import Notifier
+    from lss_motion.studio.desk import DeskOptions
+    from lss_motion.studio.studio import StudioOptions
+
+    require_packages(stage)
+    host, port = stage.listen.http or (None, 0)
+    start_at = arguments.start_at
+    job = {
+        "waits_for_port": arguments.wait_port,
+        "waits_for_go": arguments.wait_go,
+        "start_at": None if start_at is None else start_at.isoformat(),
+        "is_real_time": arguments.real_time,
+    }
+    options = StudioOptions(
+        path=arguments.stage,
+        robot_path=arguments.robot,
+        backup=arguments.robot_cache,
+        port=arguments.port,
+        listen_host=host,
+        listen_port=port,
+        certificate=_text(arguments.tls_certificate),
+        key=_text(arguments.tls_key),
+        token=_token(arguments.stage, is_new=arguments.new_token),
+        views=views,
+        is_early=arguments.wait_port,
+        desk=DeskOptions(
+            on_lost=arguments.on_operator_lost, may_run=arguments.allow_run, stage=job
+        ),
+    )
+    services: list[StageService] = []
+
+    def make_service(studio: Studio) -> StageService:
+        notifier = Notifier.from_environment()
+        own = ServiceOptions(note=lambda text: put(text, sys.stderr), notifier=notifier)
+        services.append(StageService(studio, own))
+        return services[-1]
+
+    failure = serve(
+        options,
+        lambda studio: _tell(studio, services[0], is_json=arguments.json),
+        opens=False,
+        make_service=make_service,
+    )
+    if failure is None:
+        return EXIT_FINISHED
+    put(f"lss-motion: {failure.text}", sys.stderr)
+    return failure.exit_code
+
+
+def _tell(studio: Studio, service: StageService, *, is_json: bool) -> None:
+    """Print where the stage can be operated, and take keys."""
+    if is_json:
+        print_json(
+            {
+                "url": studio.url,
+                "token": studio.door.token,
+                "stop": studio.stop_addresses[0].origin,
+                "addresses": [address.origin for address in studio.addresses],
+            }
+        )
+    else:
+        put(f"stage: {studio.url}")
+        for address in studio.addresses[1:]:
+            put(f"stage: {address.origin}/")
+        if studio.is_network_readable:
+            put(
+                "warning: without TLS others on this network can read along and take over; give "
+                "--tls-certificate and --tls-key",
+                sys.stderr,
+            )
+        if len(studio.addresses) > 1 and is_at_keyboard():
+            code = studio.make_code("operate")
+            put(f"stage: code {code[:3]} {code[3:]} lets one device operate, for two minutes")
+        if is_at_keyboard():
+            put("Enter is GO, Escape stops, Ctrl-C ends")
+    sys.stdout.flush()
+    if is_at_keyboard() and not is_json:
+        _take_keys(service)
+
+
+def _take_keys(service: StageService) -> None:
+    """Let keys of the terminal be triggers."""
+    import asyncio
+    import tty
+
+    from lss_motion.remote import schema as m
+    from lss_motion.remote import stage_messages as stage
+
+    stdin = sys.stdin.fileno()
+    tty.setcbreak(stdin)
+
+    def read() -> None:
+        data = os.read(stdin, 64)
+        if not data:
+            asyncio.get_running_loop().remove_reader(stdin)
+        elif data == b"\x1b":
+            service.take(m.Stop(), "keyboard")
+        elif not data.startswith(b"\x1b"):  # An arrow, or another key without a character.
+            for char in data.decode(errors="ignore"):
+                if char in "\r\n":
+                    service.take(m.Go(), "keyboard")
+                elif char.isprintable():
+                    service.take(stage.Trigger(kind="key", address=char), "keyboard")
+
+    asyncio.get_running_loop().add_reader(stdin, read)
+
+
+@contextlib.contextmanager
+def _keys_restored() -> Iterator[None]:
+    """Give the terminal its settings back at the end."""
+    if not is_at_keyboard():
+        yield
+        return
+    import termios
+
+    before = termios.tcgetattr(sys.stdin.fileno())
+    try:
+        yield
+    finally:
+        termios.tcsetattr(sys.stdin.fileno(), termios.TCSADRAIN, before)
+
+
+def _token(stage: Path, *, is_new: bool) -> str:
+    """Return the token of a stage, the same after a restart: paired tablets stay paired.
+
+    It is kept in the user's state folder, readable by that user only.
+    """
+    import hashlib
+
+    name = hashlib.sha256(str(stage.resolve()).encode()).hexdigest()[:16]
+    path = state_directory() / "tokens" / name
+    with contextlib.suppress(OSError):
+        kept = path.read_text(encoding="ascii", errors="replace").strip()
+        if not is_new and len(kept) > TOKEN_BYTES:
+            return kept
+    token = secrets.token_urlsafe(TOKEN_BYTES)
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        path.unlink(missing_ok=True)
+        number = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(number, "w", encoding="ascii") as file:
+            file.write(token)
+    except OSError as error:
+        put(f"warning: the token cannot be kept, so tablets pair again: {error}", sys.stderr)
+    return token
+
+
+def _text(path: Path | None) -> str | None:
+    return None if path is None else str(path)

@@ -1,0 +1,70 @@
+"""The operator's page of a stage, in a real browser, against the real server."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "sequences"
+SHOW = """\
+sequence: {name}
+robot: robots/desk_arm.yaml
+keyframes:
+  - {{at_s: 0, pose: home}}
+  - {{at_s: {half_s}, deg: {{base: {deg}}}}}
+  - {{at_s: {end_s}, pose: home}}
+"""
+STAGE = """\
+stage: hall
+robot: robots/desk_arm.yaml
+shows: {idle: idle.yaml, scare: scare.yaml}
+idle: idle
+cues:
+  - {cue: door, on: {key: d}, play: scare, start: terminate}
+  - {cue: first, on: {go: true}, play: scare, start: terminate}
+  - {cue: second, on: {go: true}, play: scare, start: terminate}
+log: {ring_s: 0}
+"""
+WORD = "document.querySelector('.stage-word')?.textContent"
+
+
+def test_cues_are_fired_enabled_and_armed_on_the_page_of_a_stage(
+    studio, opened, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("LSS_MOTION_STATE_DIR", str(tmp_path / "state"))
+    shutil.copytree(EXAMPLES / "robots", tmp_path / "robots")
+    for name, half_s, deg in (("idle", 2, 5), ("scare", 1.5, 40)):
+        text = SHOW.format(name=name, half_s=half_s, end_s=2 * half_s, deg=deg)
+        (tmp_path / f"{name}.yaml").write_text(text)
+    (tmp_path / "hall.yaml").write_text(STAGE)
+    with studio(tmp_path / "hall.yaml", command="serve") as own, opened(own) as page:
+        page.wait(f"{WORD} === 'idle'")
+        cues = (
+            "[...document.querySelectorAll('[data-stage-cue]')].map((one) => one.dataset.stageCue)"
+        )
+        assert page.run(cues) == ["door", "first", "second"]
+        named = {(role, name) for role, name in page.names()}
+        assert ("button", "Fire door") in named
+        assert ("switch", "door can fire") in named
+        assert ("button", "GO: first") in named
+        page.click("[data-stage-cue=door] .fire")
+        page.wait(f"{WORD} === 'plays'")
+        page.wait("document.querySelector('.stage-state').textContent.includes('scare')")
+        # Times and curves are those of the show that plays.
+        page.wait("document.querySelector('.clock-of').textContent === 'of 0:03.0'")
+        page.click("[data-stage-cue=door] input")
+        page.wait("document.querySelector('[data-stage-cue=door]').className === 'past'")
+        page.wait(f"{WORD} === 'idle'")
+        page.click("[data-stage-cue=second] .plain")
+        page.wait("document.querySelector('.stage-head').textContent.includes('GO: second')")
+        page.key("Enter")
+        page.wait(f"{WORD} === 'plays'")
+        page.click(".stage-head button:last-child")
+        page.wait("document.querySelector('.stage-state').textContent.includes('rests because')")
+        page.wait(f"{WORD} === 'rests'")
+        page.click(".stage-head button:last-child")
+        page.wait(f"{WORD} === 'idle'")
+        page.wait("document.querySelector('.stage-notes').textContent.includes('cue second')")
+        page.key("Escape")
+        page.wait("document.body.dataset.latched === 'true'")
+        page.wait("document.querySelector('.stage-word') === null")

@@ -1,0 +1,266 @@
+"""A stage as real processes, with a servo behind a pseudo-terminal: cues, new files, ends."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("prometheus_client", reason="pip install 'lss-motion[stage,studio]'")
+pytest.importorskip("pythonosc", reason="pip install 'lss-motion[stage,studio]'")
+
+from pythonosc.osc_message_builder import OscMessageBuilder
+
+pytestmark = pytest.mark.realtime
+WAIT_S = 60.0
+HOLD = b"#254H\r"
+ROBOT = """\
+robot: arm
+buses: {main: {port: ./port, baud_bps: 115200, firmware: 370}}
+joints:
+  a: {id: 1, model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 180, accel_max_deg_s2: 600}
+"""
+SHOW = """\
+sequence: {name}
+robot: arm.yaml
+keyframes:
+  - {{at_s: 0, deg: {{a: 0}}}}
+  - {{at_s: {to_s}, deg: {{a: {deg}}}}}
+  - {{at_s: {end_s}, deg: {{a: 0}}}}
+"""
+STAGE = """\
+stage: hall
+robot: arm.yaml
+shows: {{idle: idle.yaml, scare: scare.yaml}}
+idle: idle
+cues:
+  - {{cue: door, on: {{osc: /hall/door}}, play: scare, start: terminate}}
+  - {{cue: web, on: {{http: web}}, play: scare, start: terminate}}
+listen: {{http: "127.0.0.1:{http}", osc: "127.0.0.1:{osc}"}}
+alerts: {{webhook: "http://127.0.0.1:{hook}/"}}
+log: {{ring_s: 0}}
+"""
+
+
+def free_port(kind=socket.SOCK_STREAM):
+    with socket.socket(socket.AF_INET, kind) as own:
+        own.bind(("127.0.0.1", 0))
+        return own.getsockname()[1]
+
+
+def until(is_met):
+    """Wait until a condition holds; the time only bounds a failure."""
+    end_s = time.monotonic() + WAIT_S
+    while not (found := is_met()):
+        assert time.monotonic() < end_s
+        time.sleep(0.02)
+    return found
+
+
+class Hall:
+    """A stage that runs, as an operator and other programs see it."""
+
+    def __init__(self, hook, *options):
+        self.osc_port, self.http = free_port(socket.SOCK_DGRAM), free_port()
+        Path("arm.yaml").write_text(ROBOT)
+        self.write("idle", deg=2, to_s=2, end_s=4)
+        self.write("scare", deg=30, to_s=1, end_s=2)
+        Path("hall.yaml").write_text(STAGE.format(http=self.http, osc=self.osc_port, hook=hook))
+        words = [sys.executable, "-m", "lss_motion.cli.start", "serve", "hall.yaml", "--json"]
+        self.process = subprocess.Popen(
+            [*words, *options],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "LSS_MOTION_STATE_DIR": str(Path.cwd() / "state")},
+        )
+        self.errors = []
+        self.reader = threading.Thread(target=self.errors.extend, args=(self.process.stderr,))
+        self.reader.start()
+        text = ""
+        while not text.endswith("}\n"):
+            line = self.process.stdout.readline()
+            assert line, self.errors
+            text += line
+        self.token = json.loads(text)["token"]
+
+    @staticmethod
+    def write(name, **fields):
+        Path(f"{name}.yaml").write_text(SHOW.format(name=name, **fields))
+
+    def ask(self, path, *, method="GET", token=None):
+        """Return the answer of the server: JSON, or text."""
+        request = urllib.request.Request(
+            f"http://127.0.0.1:{self.http}{path}",
+            method=method,
+            headers={"Authorization": f"Bearer {token or self.token}"},
+        )
+        with urllib.request.urlopen(request, timeout=WAIT_S) as answer:
+            text = answer.read().decode()
+        return json.loads(text) if text.startswith("{") else text
+
+    def osc(self, address):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own:
+            data = OscMessageBuilder(address).build().dgram
+            own.sendto(data, ("127.0.0.1", self.osc_port))
+
+    def waits_for(self, **fields):
+        until(lambda: fields.items() <= self.ask("/state").items())
+
+    def said(self, words):
+        return any(words in line for line in self.errors)
+
+    def end(self, number):
+        self.process.send_signal(number)
+        code = self.process.wait(WAIT_S)
+        self.reader.join()
+        return code
+
+
+@pytest.fixture
+def hall():
+    running = []
+
+    def start(*options, hook=9):
+        running.append(Hall(hook, *options))
+        return running[-1]
+
+    yield start
+    for one in running:
+        if one.process.poll() is None:
+            one.process.kill()
+            one.process.wait()
+            one.reader.join()
+        one.process.stdout.close()
+        one.process.stderr.close()
+
+
+@pytest.fixture
+def hook():
+    """A web hook; `got` has what was posted."""
+
+    class Handler(BaseHTTPRequestHandler):
+        got = []  # noqa: RUF012
+
+        def do_POST(self):
+            size = int(self.headers["content-length"])
+            self.got.append(json.loads(self.rfile.read(size)))
+            self.send_response(204)
+            self.end_headers()
+
+        def log_message(self, *_):
+            pass
+
+    Handler.got.clear()
+    server = HTTPServer(("127.0.0.1", 0), Handler)
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05})
+    thread.start()
+    yield server.server_port, Handler.got
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+def far(bus):
+    """Whether the servo was sent further than the idle show goes."""
+    targets = [int(line[3:].split(b"T")[0]) for _, line in bus.lines if line.startswith(b"#1D")]
+    return any(abs(target) > 100 for target in targets)
+
+
+def test_cues_new_files_and_the_end_of_a_stage(on_terminal, servo, hall):
+    with on_terminal(servo(1)) as bus:
+        own = hall()
+        own.waits_for(state="idle")
+        assert not far(bus)
+        own.osc("/hall/door")
+        own.waits_for(state="plays", show="scare")
+        until(lambda: far(bus))
+        # A file with an error changes nothing, and is said; one without is taken after the show.
+        Path("scare.yaml").write_text("sequence: scare\nkeyframes: nonsense\n")
+        until(lambda: own.said("scare.yaml:2:"))
+        assert own.said("goes on with the last good files")
+        assert own.ask("/trigger/web", method="POST") == {"accepted": "trigger"}
+        own.waits_for(state="plays", show="scare")
+        own.write("scare", deg=-30, to_s=1, end_s=2)
+        until(lambda: own.said("they are played when this show has ended"))
+        starts = "lss_player_starts_total 2.0"
+        until(lambda: starts in own.ask("/metrics"))
+        own.waits_for(state="idle", has_new_files=False)
+        own.osc("/hall/door")
+        until(lambda: any(line.startswith(b"#1D-2") for _, line in bus.lines))
+        for path, token, code in (("/trigger/nix", None, 404), ("/cue/door", "wrong", 401)):
+            with pytest.raises(urllib.error.HTTPError) as refused:
+                own.ask(path, method="POST", token=token)
+            assert refused.value.code == code
+            refused.value.close()
+        # A storm of cues, and what is no OSC.
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as storm:
+            for _ in range(2000):
+                storm.sendto(b"/hall/door\0\0", ("127.0.0.1", own.osc_port))
+                storm.sendto(b"#bundle\0\xff\xff\xff", ("127.0.0.1", own.osc_port))
+        until(lambda: own.said("messages a second"))
+        own.waits_for(state="idle")
+        assert own.end(signal.SIGTERM) == 0
+        assert bus.lines[-1][1] == HOLD
+        assert any(b"EM1" in line for _, line in bus.lines[-10:]), "settings are given back"
+        assert len(own.errors) < 100, "a storm fills no log"
+
+
+def test_a_port_is_waited_for_and_a_stop_is_kept(on_terminal, servo, hall, hook, tmp_path):
+    number, got = hook
+    port = Path(tmp_path, "port")
+    os.chdir(tmp_path)
+    own = hall("--wait-port", hook=number)
+    own.waits_for(state="waits_for_port")
+    with on_terminal(servo(1)) as bus:
+        own.waits_for(state="idle")
+        # The process that plays is killed: it is started again, and people are told.
+        children = Path(f"/proc/{own.process.pid}/task/{own.process.pid}/children").read_text()
+        for pid in map(int, children.split()):
+            with contextlib.suppress(OSError):
+                if b"remote.process" in Path(f"/proc/{pid}/cmdline").read_bytes():
+                    os.kill(pid, signal.SIGKILL)
+        until(lambda: got)
+        assert got[0]["stage"] == "hall"
+        assert "begins again in 5 s" in got[0]["text"]
+        own.waits_for(state="idle")
+        own.osc("/lss/stop")
+        own.waits_for(state="off", is_latched=True)
+        assert bus.lines[-1][1] == HOLD
+        count = len(bus.lines)
+        with pytest.raises(urllib.error.HTTPError) as refused:
+            own.ask("/trigger/web", method="POST")
+        with refused.value:
+            assert "does not run" in refused.value.read().decode()
+        assert own.ask("/op/rearm", method="POST") == {"accepted": "rearm"}
+        time.sleep(1.5)
+        assert len(bus.lines) == count, "armed again, it waits for a person to start it"
+        assert own.ask("/op/play", method="POST") == {"accepted": "play"}
+        own.waits_for(state="idle")
+        assert own.end(signal.SIGINT) == 0
+        assert bus.lines[-1][1] == HOLD
+    assert not port.exists()
+
+
+def test_what_cannot_begin_ends_with_its_code(hall, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    own = hall()
+    assert own.process.wait(WAIT_S) == 4
+    assert own.said("port")
+    Path("hall.yaml").write_text(Path("hall.yaml").read_text().replace("osc: /hall", "ocs: /hall"))
+    words = [sys.executable, "-m", "lss_motion.cli.start", "serve", "hall.yaml"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith("hall.yaml:6:")
