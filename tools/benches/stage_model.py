@@ -188,7 +188,7 @@ class Host:
             return
         out, back = self.link.delay_ns(self.random), self.link.delay_ns(self.random)
         served_ns = 50 * NS_PER_US
-        start = world.now_ns + self.random.randint(0, TICK_NS)
+        start = world.now_ns + self.random.randint(0, world.tick_ns)
         made = Exchange(
             self.clock.own_ns(start),
             start + out,
@@ -217,6 +217,7 @@ class World:
     ) -> None:
         random = Random(f"{seed}/world")  # noqa: S311
         self.random, self.now_ns, self.show_s = random, 0, show_s
+        self.tick_ns = TICK_NS
         self.robots = robots or {}
         self.overhead_bytes, self.clock_bytes = 60, 2 * 160
         self.verify_ns = NS_PER_S // 2
@@ -284,7 +285,7 @@ class World:
         return until()
 
     def _tick(self) -> None:
-        goal = self.now_ns + TICK_NS
+        goal = self.now_ns + self.tick_ns
         while self._events and self._events[0][0] <= goal:
             at_ns, _, call = heapq.heappop(self._events)
             self.now_ns = max(self.now_ns, at_ns)

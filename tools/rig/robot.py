@@ -1,7 +1,7 @@
 """One simulated robot behind a pseudo-terminal, judged at its end.
 
 `python -m rig.robot ROBOT.yaml LINK OUT.json`: serves until SIGTERM, then writes what the
-independent judge (`tools/judge`) objects to, and where every horn is.
+independent judge (`tools/judge`) objects to, and when the moves of the first servo arrived.
 """
 
 from __future__ import annotations
@@ -59,7 +59,14 @@ def main(robot_path: str, link: str, out: str) -> None:
     record = {"end_s": s_from_ns(end_ns - started_ns), "buses": lines, "servos": servos}
     found = [str(one) for one in objections(recording_of(robot_of(robot, 0.2), record))]
     commands = {name: len(bus["written"]) for name, bus in lines.items()}
-    Path(out).write_text(json.dumps({"objections": found, "lines": commands}), encoding="utf-8")
+    moves = [
+        [at, line.decode("latin-1")]
+        for bus in buses.values()
+        for at, line in bus.received[0]
+        if b"D" in line and b"T" in line
+    ]
+    verdict = {"objections": found, "lines": commands, "moves": moves}
+    Path(out).write_text(json.dumps(verdict), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,332 @@
+"""How well many computers keep in step, and what carries them.
+
+Measured: exchanges of zenoh on the loopback, from which the model of a wired line is made. In
+virtual time: the same move at the servos of eight hosts, with links and clocks of the model
+(`benches.stage_model`) and real players that follow the legs which their figures were told; and a
+stage of 200 hosts. `--full` adds an hour with 200 ppm between the clocks.
+"""
+
+from __future__ import annotations
+
+import statistics
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING, Final
+
+from benches.stage_model import LOOPBACK, WIFI, LinkModel, World
+from benches.table import Row, core_seconds
+from lss_motion.network.clocks import ClockEstimator, Exchange
+from lss_motion.network.messages import ClockAnswer, ClockQuestion, packed, parse
+from lss_motion.network.settings import NetworkSettings
+from lss_motion.perform import Observer, perform
+from lss_motion.player.following import Following, FollowRule
+from lss_motion.player.show_clock import Leg
+from lss_motion.program.compile import compile_program
+from lss_motion.robot.load import load_robot
+from lss_motion.sequence.load import load_sequence
+from lss_motion.trajectory.planner import plan
+from lss_motion.units import NS_PER_MS, NS_PER_S, NS_PER_US
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from lss_motion.network.figure import Follow
+    from lss_motion.player.player import Player
+    from lss_motion.program.model import Program
+    from lss_motion.robot.model import Robot
+
+HOSTS: Final = 8
+ARMED_NS: Final = 20 * NS_PER_S
+"""A player is started so long before the first leg."""
+PORT: Final = 17_521
+EXCHANGES: Final = 600
+ANSWERER: Final = """
+import sys
+from lss_motion.network.peer import Peer
+from lss_motion.network.settings import NetworkSettings
+with Peer(NetworkSettings(stage="bench", figure="a", conductor="a", figures=["a", "b"],
+                          address=sys.argv[1]), clock_id="0" * 16) as peer:
+    peer.answer_clock()
+    print("ready", flush=True)
+    sys.stdin.read()
+"""
+
+
+def measure_short() -> list[Row]:
+    """Return the rows of a minute."""
+    return [*exchanged(), *spread_rows(20.0)]
+
+
+def measure() -> list[Row]:
+    """Return all rows but that of an hour."""
+    return [*exchanged(), *spread_rows(60.0), *many()]
+
+
+def measure_full() -> list[Row]:
+    """Return all rows."""
+    hour = spread_row("4 hosts, wired, 200 ppm, 1 h", LOOPBACK, 2.0, 3600.0, 4)
+    return [*measure(), hour]
+
+
+def spread_rows(show_s: float) -> list[Row]:
+    """Return the rows of eight hosts."""
+    links = (("wired", LOOPBACK, 2.0), ("Wi-Fi", WIFI, 5.0))
+    return [
+        spread_row(f"{HOSTS} hosts, {name}, {show_s:g} s", link, goal_ms, show_s, HOSTS)
+        for name, link, goal_ms in links
+    ]
+
+
+# ---- measured
+
+
+def exchanged() -> list[Row]:
+    """Return what exchanges on the loopback take, and what a clock is known to by them."""
+    made = exchanges()
+    trips_us = sorted(one.round_trip_ns / NS_PER_US for one in made)
+    errors_us, bounds_us = [], []
+    estimator = ClockEstimator()
+    for index, one in enumerate(made):  # Both ends have the same clock: the truth is 0.
+        estimator.add(one)
+        estimate = estimator.estimate(one.returned_ns)
+        if estimate is not None and index % 16 == 0:
+            errors_us.append(abs(estimate.offset_ns) / NS_PER_US)
+            bounds_us.append(estimate.bound_ns / NS_PER_US)
+    fitted = fit(made)
+    model = (
+        f"{fitted.base_ns / 1e3:.0f} us + exp {fitted.jitter_ns / 1e3:.0f} us"
+        f" (model: {LOOPBACK.base_ns / 1e3:.0f} + {LOOPBACK.jitter_ns / 1e3:.0f})"
+    )
+    p50, p99 = statistics.median(trips_us), trips_us[int(0.99 * len(trips_us))]
+    return [
+        Row(
+            what="network: exchange on the loopback, round trip p50/p99",
+            ours=f"{p50:.0f}/{p99:.0f} us",
+        ),
+        Row(what="network: one way, fitted", ours=model),
+        Row(
+            what="network: offset error p50/max, bound p50",
+            ours=f"{statistics.median(errors_us):.0f}/{max(errors_us):.0f} us, "
+            f"{statistics.median(bounds_us):.0f} us",
+            is_met=max(errors_us) <= max(bounds_us),
+        ),
+    ]
+
+
+def exchanges() -> list[Exchange]:
+    """Make exchanges with another process on this computer."""
+    from lss_motion.network.peer import Peer
+
+    address = f"127.0.0.1:{PORT}"
+    other = subprocess.Popen(
+        [sys.executable, "-c", ANSWERER, address], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert other.stdout is not None
+    other.stdout.readline()
+    settings = NetworkSettings(
+        stage="bench", figure="b", conductor="a", figures=["a", "b"], address=address
+    )
+    made: list[Exchange] = []
+    try:
+        with Peer(settings) as peer:
+            peer.subscribe("clock/b")
+            end = time.monotonic() + 60.0
+            while len(made) < EXCHANGES and time.monotonic() < end:
+                question = ClockQuestion(asked_ns=time.monotonic_ns())
+                peer.send("figure/b/clock", packed(question))
+                for arrival in peer.take(0.1):
+                    got = parse(ClockAnswer, arrival.content)
+                    if got.asked_ns == question.asked_ns:
+                        made.append(
+                            Exchange(got.asked_ns, got.received_ns, got.answered_ns, arrival.at_ns)
+                        )
+                time.sleep(0.004)
+    finally:
+        other.kill()
+        other.wait()
+    return made
+
+
+def fit(made: list[Exchange]) -> LinkModel:
+    """Return a model of one way: the least, and the mean above it without the worst hundredth."""
+    ways_ns = sorted(one.round_trip_ns / 2 for one in made)
+    usual = ways_ns[: round(0.99 * len(ways_ns))]
+    return LinkModel(round(usual[0]), round(statistics.mean(usual) - usual[0]), 0.01, NS_PER_MS)
+
+
+# ---- in virtual time
+
+
+def spread_row(name: str, link: LinkModel, goal_ms: float, show_s: float, hosts: int) -> Row:
+    """Return how far apart the same move arrives at the servos of all hosts."""
+    spreads_ms = spreads(link, show_s, hosts)
+    p50 = statistics.median(spreads_ms)
+    p99 = sorted(spreads_ms)[int(0.99 * len(spreads_ms))]
+    return Row(
+        what=f"network: same move, {name}",
+        ours=f"p50 {p50:.2f}, p99 {p99:.2f}, max {max(spreads_ms):.2f} ms "
+        f"({len(spreads_ms)} moves)",
+        ratio=p99 / goal_ms,
+        target=f"p99 <= {goal_ms:g} ms",
+        is_met=p99 <= goal_ms,
+    )
+
+
+def spreads(link: LinkModel, show_s: float, hosts: int, seed: int = 5) -> list[float]:
+    """Return for each move how far apart it arrives, in ms of true time."""
+    world = World(hosts, link=link, seed=seed, ppm=100.0, show_s=show_s + 5.0)
+    world.tick_ns = 10 * NS_PER_MS if show_s < 600.0 else 100 * NS_PER_MS
+    for index, host in enumerate(world.hosts.values()):  # The ends of the range, and between.
+        host.clock.ppm = 200.0 * (index / (hosts - 1) - 0.5)
+    world.go()
+    world.run(show_s + 10.0)
+    robot = one_joint()
+    program = moving(robot, show_s)
+    arrivals = []
+    for host in world.hosts.values():
+        at_own_ns = played(program, robot, host.player.follows)
+        arrivals.append([host.clock.true_ns(own_ns) for own_ns in at_own_ns])
+    assert len({len(one) for one in arrivals}) == 1, [len(one) for one in arrivals]
+    return [(max(each) - min(each)) / NS_PER_MS for each in zip(*arrivals, strict=True)]
+
+
+def one_joint() -> Robot:
+    """Return a robot with one joint."""
+    import tempfile
+    from pathlib import Path
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "robot.yaml"
+        path.write_text(
+            "robot: one\nbuses: {main: {port: 'sim://', baud_bps: 115200, firmware: 370}}\n"
+            "joints: {j: {id: 1, model: LSS-ST1, range_deg: [-90, 90], speed_max_deg_s: 180, "
+            "accel_max_deg_s2: 600}}\n"
+        )
+        return load_robot(path)
+
+
+def moving(robot: Robot, show_s: float) -> Program:
+    """Return a show that moves its joint now and then, as a figure does."""
+    every_s = 1.0 if show_s < 600.0 else 15.0
+    keys = [
+        {"at_s": index * every_s, "deg": {"j": 30.0 * (index % 2)}, "hold_s": 0.3}
+        for index in range(int(show_s / every_s))
+    ]
+    sequence = load_sequence({"sequence": "model", "keyframes": keys}, robot)
+    return compile_program(plan(sequence, robot), robot)
+
+
+class Told:
+    """Controls that tell a player what its figure was told, at the same instants."""
+
+    def __init__(self, follows: list[tuple[int, Follow]], began_ns: int) -> None:
+        self._follows = [(at - began_ns, follow) for at, follow in follows]
+        self._began_ns = began_ns
+        self._index = 0
+        self.following = Following(FollowRule(freewheel_s=3.0, lost="hold"))
+
+    def filenos(self) -> list[int]:
+        return []
+
+    def act(self, player: Player, now_ns: int) -> None:
+        while self._index < len(self._follows) and self._follows[self._index][0] <= now_ns:
+            follow = self._follows[self._index][1]
+            self._index += 1
+            leg = Leg(follow.instant_ns - self._began_ns, follow.show_s, follow.rate)
+            self.following.lead(leg, now_ns)
+        self.following.turn(player, now_ns)
+
+
+def played(program: Program, robot: Robot, follows: list[tuple[int, Follow]]) -> list[int]:
+    """Play it in virtual time; return at which own instants its moves reached the servo."""
+    began_ns = follows[0][1].instant_ns - ARMED_NS
+    told = Told(follows, began_ns)
+    result = perform(
+        program,
+        robot,
+        is_virtual=True,
+        has_feedback=False,
+        is_forced=True,
+        observer=Observer(controls=told),
+    )
+    assert result.error is None, result.error
+    lines = result.simulated["main"].received[0]
+    moves = [
+        at for at, line in lines if b"D" in line and b"T" in line and at >= ARMED_NS - NS_PER_S
+    ]
+    return [at + began_ns for at in moves]
+
+
+def many() -> list[Row]:
+    """Return what 200 hosts of 18 joints need, by the model."""
+    plan_bytes, verify_s = ten_minutes()
+    world = World(
+        200, link=LOOPBACK, seed=3, show_s=60.0, plan_bytes=plan_bytes, line_bytes_s=12.5e6
+    )
+    world.tick_ns = 50 * NS_PER_MS
+    world.verify_ns = round(verify_s * NS_PER_S)
+    world.conductor.load(world.cast)
+    assert world.run(300.0, lambda: not world.conductor.problems(world.now_ns)), world.notes[-5:]
+    ready_s = world.now_ns / NS_PER_S
+    world.conductor.arm(world.now_ns)
+    assert world.run(60.0, lambda: world.conductor.is_armed(world.now_ns))
+    world.conductor.start(world.now_ns)
+    world.run(5.0)
+    before = (world.from_conductor_bytes, world.to_conductor_bytes)
+    world.run(5.0)
+    sent = (world.from_conductor_bytes - before[0]) / 5e3
+    got = (world.to_conductor_bytes - before[1]) / 5e3
+    at_ns = world.spread_ns(5.0)
+    return [
+        Row(
+            what="network: plan of 18 joints for 10 min, verified",
+            ours=f"{plan_bytes / 1e6:.1f} MB, {verify_s:.1f} s of a core",
+        ),
+        Row(
+            what="network: 200 hosts, 3,600 joints, 100 Mbit/s, plan to all ready (model)",
+            ours=f"{ready_s:.0f} s",
+        ),
+        Row(
+            what="network: 200 hosts, at the conductor, out/in (model)",
+            ours=f"{sent:.0f}/{got:.0f} kB/s",
+        ),
+        Row(
+            what="network: 200 hosts, spread of the start, wired (model)",
+            ours=f"{(max(at_ns) - min(at_ns)) / NS_PER_MS:.2f} ms",
+        ),
+    ]
+
+
+def ten_minutes() -> tuple[int, float]:
+    """Return the bytes of a plan of ten minutes for 18 joints, and what verifying it takes."""
+    from lss_motion.network.plans import plan_problem
+
+    robot, program = eighteen(600.0)
+    content = program.to_text().encode()
+    problems: list[str] = []
+    seconds = core_seconds(lambda: problems.append(plan_problem(content, robot)))
+    assert problems == [""], problems
+    return len(content), seconds
+
+
+def eighteen(show_s: float, folder: Path | None = None) -> tuple[Robot, Program]:
+    """Return a robot of 18 joints, and a show in which each moves every second or two."""
+    import tempfile
+    from pathlib import Path
+
+    joints = ", ".join(f"j{n}: {{id: {n + 1}, range_deg: [-90, 90]}}" for n in range(18))
+    with tempfile.TemporaryDirectory() as made:
+        path = Path(folder or made) / "robot.yaml"
+        path.write_text(
+            "robot: many\nbuses: {main: {port: 'sim://', baud_bps: 115200, firmware: 370}}\n"
+            "defaults: {model: LSS-ST1, speed_max_deg_s: 180, accel_max_deg_s2: 600}\n"
+            f"joints: {{{joints}}}\n"
+        )
+        robot = load_robot(path)
+    keys = [
+        {"at_s": 1.5 * k, "deg": {f"j{n}": 25.0 * ((k + n) % 3 - 1) for n in range(18)}}
+        for k in range(int(show_s / 1.5))
+    ]
+    sequence = load_sequence({"sequence": "long", "keyframes": keys}, robot)
+    return robot, compile_program(plan(sequence, robot), robot)
