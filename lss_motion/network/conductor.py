@@ -15,6 +15,7 @@ play slowly, or hold, until it is back.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Literal
 
@@ -40,6 +41,8 @@ SLOW_RATIO: Final = 0.5
 """Chosen: slow enough to be safe beside a figure that stands, and the show is still one."""
 GRACE_NS: Final = 5 * NS_PER_S
 """Figures that have not connected are named after this time."""
+NOTE_AGAIN_NS: Final = NS_PER_S
+"""A figure that comes and goes is named no more often. What it does is not delayed by that."""
 PLAYABLE: Final = frozenset({"armed", "playing"})
 
 
@@ -54,6 +57,9 @@ class FigureSeat:
     """Whether its token is there (`peer`)."""
     problem: str = ""
     """Why it does not take part; empty: it does."""
+    noted: str = ""
+    """The last problem that a person was told, without its numbers."""
+    noted_ns: int = -NOTE_AGAIN_NS
 
     def is_lost(self, now_ns: int) -> bool:
         """Return whether nothing has arrived from it for `LOST_NS`."""
@@ -250,16 +256,21 @@ class Conductor:
             if seat.status is None and now_ns - self._begun_ns < GRACE_NS:
                 continue
             problem = self._problem(seat, now_ns)
-            if problem != seat.problem:
-                self._notes.append(
-                    f"figure {seat.name}: {problem}"
-                    if problem
-                    else f"figure {seat.name} takes part again"
-                )
-                seat.problem = problem
+            self._note(seat, problem, now_ns)
+            seat.problem = problem
         self._look_after(now_ns)
         notes, self._notes = self._notes, []
         return notes
+
+    def _note(self, seat: FigureSeat, problem: str, now_ns: int) -> None:
+        """Tell a person about a figure, unless that was told a moment ago."""
+        kind = re.sub(r"\d+", "", problem)
+        if kind == seat.noted or now_ns - seat.noted_ns < NOTE_AGAIN_NS:
+            return
+        self._notes.append(
+            f"figure {seat.name}{f': {problem}' if problem else ' takes part again'}"
+        )
+        seat.noted, seat.noted_ns = kind, now_ns
 
     def problems(self, now_ns: int) -> list[str]:
         """Return why the show cannot start, a sentence for each figure; empty: it can."""

@@ -42,7 +42,7 @@ FAULTS: Final = (
     "storm",
     "wrong keys",
 )
-START_S: Final = 90.0
+START_S: Final = 180.0
 
 
 def main() -> int:
@@ -123,9 +123,11 @@ def play(rig: RigStage, fault: str, victim: str, random: Random, missing: list[s
         return
     for name in rig.names:
         expect(name, "-> ready", START_S)
-    time.sleep(0.5)
-    rig.say("f0", "g")
-    expect("f0", "-> playing", START_S)
+    try:
+        rig.go()
+    except TimeoutError:
+        missing.append("no start")
+        raise
     time.sleep(random.uniform(0.0, 3.0))
     marks = {name: len(rig.log(name)) for name in rig.names}
     DEEDS[fault](rig, victim, random, lambda n, p, s: expect(n, p, s, marks[n]))

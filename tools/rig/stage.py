@@ -214,6 +214,19 @@ class RigStage:
             stdin.write(f"{line}\n".encode())
             stdin.flush()
 
+    def go(self, seconds: float = 180.0) -> None:
+        """Say GO until all figures are ready, as a person would; return when they play.
+
+        On a busy computer their clocks may not be known well enough at first.
+        """
+        end = time.monotonic() + seconds
+        while "GO: the robots move" not in self.log(self.names[0]):
+            self.say(self.names[0], "g")
+            time.sleep(1.0)
+            if time.monotonic() > end:
+                raise TimeoutError(f"no GO within {seconds:g} s:\n{self.log(self.names[0])}")
+        self.wait(self.names[0], "armed -> playing", seconds)
+
     def kill(self, name: str, number: int = signal.SIGKILL) -> None:
         """Kill the process that serves a host, not its player."""
         self._processes[name].send_signal(number)

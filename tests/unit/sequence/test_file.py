@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,8 @@ ROBOTS = sorted((EXAMPLES / "robots").glob("*.yaml"))
 SEQUENCES = sorted(
     path
     for path in EXAMPLES.rglob("*.yaml")
-    if path not in ROBOTS and "gait.schema.json" not in path.read_text(encoding="utf-8")
+    if path not in ROBOTS
+    and not re.search(r"(gait|stage)\.schema\.json", path.read_text(encoding="utf-8"))
 )
 SCHEMAS = {"robot": robot_schema, "sequence": sequence_schema}
 
