@@ -104,7 +104,7 @@ def test_a_move_that_a_servo_did_not_receive_is_sent_again_at_once(rms_deg):
     lost = replace(LOST, ratio=0.03)
     shows = [rms_deg(faults=[lost], seed=seed, baud_bps=115200)[1] for seed in (5, 6, 7)]
     late_ns = [ns for played in shows for ns in unheard_ns(played)]
-    assert len(late_ns) > 10
+    assert len(late_ns) >= 12
     assert np.median(late_ns) < 0.04e9
 
 
