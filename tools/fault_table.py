@@ -6,7 +6,7 @@
 
 `sequences/wave.yaml` is played in virtual time with one fault, at another instant and for another
 servo with each seed, spread over the show. A fault counts as noticed with the first event that
-names it: a fault, a warning, a refusal.
+names it: a fault, a warning, a refusal. What a show does not notice is tried in a careful run, too.
 """
 
 from __future__ import annotations
@@ -32,9 +32,15 @@ from campaign.shows import Show
 from campaign.witness import HangError, Witness
 
 from lss_motion import api
+from lss_motion.connection import connect
+from lss_motion.maintenance.careful import CarefulRun
+from lss_motion.maintenance.careful_legs import way_of
 from lss_motion.perform import Observer, perform
+from lss_motion.player import handshake
 from lss_motion.player.events import Faulted, Warned
+from lss_motion.runtime.clock import VirtualClock
 from lss_motion.sim.faults import Fault, FaultKind
+from lss_motion.sim.physics import TICK_NS
 from lss_motion.units import s_from_ns
 
 if TYPE_CHECKING:
@@ -42,7 +48,7 @@ if TYPE_CHECKING:
 
     from lss_motion.perform import Result
     from lss_motion.player.events import Event
-    from lss_motion.robot.model import Joint
+    from lss_motion.robot.model import Joint, Robot
 
     Rows = Callable[[Joint, float], list[Fault]]
 
@@ -63,6 +69,8 @@ class Case:
     rows: Rows
     is_in_show: bool = True
     has_feedback: bool = True
+    is_careful: bool = False
+    """The joint with the fault makes its careful run; no show is played."""
 
 
 def _servo(kind: FaultKind, **values: float) -> Rows:
@@ -133,6 +141,14 @@ CASES: Final = (
     Case("positions are in hundredths instead of tenths", _scale("D", 0.1), is_in_show=False),
     Case("speeds (SD) are ten times as fast", _scale("SD", 10.0), is_in_show=False),
     Case("times (T) are ten times as short", _scale("T", 0.1), is_in_show=False),
+    Case("in a careful run: a motor has a tenth of its speed",
+         _servo(FaultKind.WEAK, speed_ratio=0.1), is_in_show=False, is_careful=True),
+    Case("in a careful run: positions are in hundredths instead of tenths", _scale("D", 0.1),
+         is_in_show=False, is_careful=True),
+    Case("in a careful run: speeds (SD) are ten times as fast", _scale("SD", 10.0),
+         is_in_show=False, is_careful=True),
+    Case("in a careful run: times (T) are ten times as short", _scale("T", 0.1),
+         is_in_show=False, is_careful=True),
     Case("another host asks every 0.1 s", _other("#{id}QD", 0.1)),
     Case("another host moves a joint every 0.5 s", _other("#{id}D300T500", 0.5)),
     Case("another host lets a joint go", _other("#{id}L", 100.0)),
@@ -222,6 +238,8 @@ def play(case: Case, show: Show, seed: int, seeds: int) -> Played:
     """Play the show once with the fault of a case."""
     program, robot = show.program, show.robot
     joint = list(robot.joints.values())[seed % len(robot.joints)]
+    if case.is_careful:
+        return _run_carefully(case, robot, joint, seed)
     at_s = FIRST_S + program.duration_s * (seed + 0.5) / seeds if case.is_in_show else 0.0
     witness = EventWitness()
     try:
@@ -238,6 +256,33 @@ def play(case: Case, show: Show, seed: int, seeds: int) -> Played:
         return Played("", None, "does not end")
     noticed, noticed_s = _first(witness, result, at_s)
     return Played(noticed, None if noticed_s is None else noticed_s - at_s, _end(result, witness))
+
+
+def _run_carefully(case: Case, robot: Robot, joint: Joint, seed: int) -> Played:
+    """Make the careful run of the joint with the fault."""
+    clock = VirtualClock()
+    faults = case.rows(joint, 0.0)
+    with connect(robot.buses, robot=robot, clock=clock, seed=seed, faults=faults) as connection:
+        answers, _ = connection.examined([joint], robot)
+        standing_deg = handshake.reported(joint, answers, "QD")
+        assert standing_deg is not None
+        way_deg = way_of(joint, robot, standing_deg)
+        careful = CarefulRun(joint, robot, answers, standing_deg=standing_deg, way_deg=way_deg)
+        began_ns, failed_ns = clock.now_ns(), None
+
+        def look(run: CarefulRun, now_ns: int) -> None:
+            nonlocal failed_ns
+            if run.error is not None and failed_ns is None:
+                failed_ns = now_ns
+
+        connection.run(careful, on_turn=look)
+        column = list(robot.joints).index(joint.name)
+        times_ns = range(began_ns, clock.now_ns(), TICK_NS)
+        horn_deg = connection.simulated[joint.bus].horn_deg(list(times_ns))[:, column]
+    if failed_ns is None:
+        return Played("", None, "the show may play")
+    way_deg = math.ceil(float(abs(horn_deg - horn_deg[0]).max()))
+    return Played("an error", s_from_ns(failed_ns - began_ns), f"halts within {way_deg} deg")
 
 
 def _first(witness: EventWitness, result: Result, at_s: float) -> tuple[str, float | None]:
