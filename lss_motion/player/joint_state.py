@@ -380,7 +380,7 @@ class JointState:
         """Return the least and largest target that the limits allow at `arrival_ns`."""
         arrival_s = s_from_ns(arrival_ns)
         if self.setpoints is not None:
-            return self.setpoints.allowed(arrival_s, is_guided=self.guide_ns is not None)
+            return self.setpoints.allowed(arrival_s)
         if self.joint.drive == "timed":
             return self.limits.position_min_deg, self.limits.position_max_deg
         position_deg, _ = self.profile.at(arrival_s)

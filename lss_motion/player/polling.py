@@ -57,6 +57,11 @@ REST_MAX_NS: Final = NS_PER_S // 20
 that leaves its processor alone is woken sooner when a move is due. Chosen; the maximum lets all
 joints still be read."""
 
+BEHIND_DEG: Final = 3.0
+"""A joint in EM0 that is so far from its model may have restarted: then it has stood still, and
+nothing limits its speed but what it has stored. Chosen: more than a load and a wrong lag make of
+slow motion; fast motion costs it a query of its settings with each reading."""
+
 
 class PollScheduler:
     """The queries of one show."""
@@ -396,6 +401,8 @@ class PollScheduler:
             return
         if missed:
             self.to_resend[state.joint.name] = state
+        if state.joint.drive == "streamed" and abs(state.disturbance.model_error_deg) > BEHIND_DEG:
+            self.watch.note_sign(state, query.arrival_ns)
         self.health.position(state, query.arrival_ns)
         joint_deg = state.joint.joint_deg
         state.trace.add(read_s - state.origin_s, joint_deg(planned_deg), joint_deg(measured_deg))

@@ -23,9 +23,6 @@ ROOM_RATIO: Final = 1.0
 """A fitted course oscillates within its tolerance. So a step may differ from the last one by this
 many tolerances more than the acceleration limit allows. Of 52 streamed joints of random shows, the
 worst needs 0.94."""
-GUIDE_ROOM_DEG: Final = 0.2
-"""The same for a target that guides, which is computed at run time, also where a full line made the
-tolerance larger."""
 CLOSING_RATIO: Final = 0.5
 """Share of the acceleration that closing in on the plan may use; the plan needs the rest."""
 CLOSING_GAIN: Final = 0.5
@@ -76,15 +73,13 @@ class Setpoints:
         self._lag_ratio = -math.expm1(-self._period_s / response.lag_s) if response.lag_s else 1.0
         self._offsets = [_StepOffset(0, position_deg) for _ in range(STEP_OFFSETS)]
 
-    def allowed(self, arrival_s: float, *, is_guided: bool = False) -> tuple[float, float]:
+    def allowed(self, arrival_s: float) -> tuple[float, float]:
         """Return the least and largest target that keep the limits if it arrives at `arrival_s`.
 
-        The room for a fitted course is that of its tolerance; a target that guides needs less.
         Where no target keeps them for all possible instants, both are the middle of the gap.
         """
         self._advance(arrival_s)
         room_deg = ROOM_RATIO * self._limits.tolerance_deg
-        room_deg = min(room_deg, GUIDE_ROOM_DEG) if is_guided else room_deg
         spans = [self._span(offset, room_deg) for offset in self._offsets]
         low_deg, high_deg = max(low for low, _ in spans), min(high for _, high in spans)
         if low_deg > high_deg:

@@ -22,9 +22,9 @@ A target that serves several steps makes the first of them long and the others s
 tolerance the speed is a saw-tooth, which the acceleration limit of the plan does not bound. A joint
 with 900 deg/s² and an FPC of 4, keyframes 60 deg apart every 0.6 s: the acceleration behind the lag
 of the horn is at most 920, 1,170, 2,010, 3,000 and 4,640 deg/s² with tolerances of 0.1, 0.2, 0.4,
-0.8 and 1.6 deg. So a tolerance that a full line has relaxed costs a streamed joint its
-acceleration; the player cuts what exceeds the limit by more than the tolerance over the square of
-the period. Remedy: a faster line, or `drive: timed`, whose ramps the servo keeps itself.
+0.8 and 1.6 deg. So no streamed joint gets more than 0.2 deg (`TOLERANCE_MAX_DEG`), also where a
+full line relaxes the tolerance of the others. A show that needs more is refused: it takes a faster
+line, or `drive: timed`, whose ramps the servo keeps itself.
 """
 
 from __future__ import annotations

@@ -61,6 +61,10 @@ TIMES_MAX: Final = 1_000_000
 """As often as a sequence may be looped."""
 TEXT_MAX_BYTES: Final = 256 * 1024 * 1024
 """A program of ten hours and forty joints. A larger file is not a program."""
+REPEATED_MAX_US: Final = 500_000
+"""How long after its end a program may repeat the resting place of streamed joints, so that a
+filter that missed some targets settles (`streamed`). Chosen: the longest filter needs less."""
+
 DURATION_READ_MAX_MS: Final = 30_000
 """More than the compiler writes, for programs written by hand; a slip is still found."""
 _HEADER = re.compile(r"# (\w+): (.*)")
@@ -350,7 +354,9 @@ class _Reader:
             end_us = repeat.to_us if is_endless else duration_us - repeat.added_us
             if end_us < repeat.to_us:
                 raise self._error(1, "`# repeat_us:` repeats more than `# duration_us:` allows")
-        if self._moves and self._moves[-1].due_us > end_us:
+        last = self._moves[-1] if self._moves else None
+        after_us = REPEATED_MAX_US if last is not None and last.duration_ms is None else 0
+        if last is not None and last.due_us > end_us + after_us:
             raise self._error(self._move_line, f"due after the end of the program at {end_us} us")
         return Program(
             name=header["name"],

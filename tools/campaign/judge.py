@@ -41,6 +41,7 @@ from campaign.witness import Act, HangError, Witness, random_acts
 from lss_motion.errors import BusError
 from lss_motion.perform import Observer, Result, perform
 from lss_motion.player.estimators import OFFSET_MAX_DEG
+from lss_motion.program.reference_grid import servo_limits
 from lss_motion.sim.bus import servos_of
 from lss_motion.sim.faults import INSTANT, REPLY_KINDS, Fault, FaultKind
 from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
@@ -355,7 +356,8 @@ class _Judge:
         accel_deg_s2 = joint.accel_max_deg_s2
         if joint.drive == "streamed":
             # From one step of a filter to the next, a course winds within its tolerance.
-            accel_deg_s2 += self.program.tolerance_deg / joint.response.filter_s**2
+            tolerance_deg, filter_s = self.program.tolerance_deg, joint.response.filter_s
+            accel_deg_s2 += servo_limits(joint, tolerance_deg).tolerance_deg / filter_s**2
         accel_deg_s2 *= ACCEL_EXCESS
         for what, values, limit, unit in (
             ("speed", speed, speed_deg_s, "deg/s"),

@@ -384,6 +384,19 @@ def test_one_restart_lets_the_others_on_its_bus_be_examined_at_once(kit):
     assert not desk.scheduler.watch.doubted
 
 
+def test_a_joint_in_em0_that_stands_while_its_model_moves_is_asked_for_its_settings(kit):
+    """After a restart of 20 ms that no query met it was led on at factory speed for 0.2 s."""
+    state = kit.state(kit.joint("j0", 1, drive="streamed"))
+    desk = Desk(state, probes={"j0": [Probe("QEM", 0, 1)]})
+    desk.values |= {(1, "QEM"): 0, (1, "QD"): 0}
+    desk.run(0, S)
+    for step in range(8):
+        state.note_sent(S + step * 20 * MS, 30 * step, None)
+        desk.run(S + step * 20 * MS, S + (step + 1) * 20 * MS)
+    asked = [word for at_ns, *_, word in desk.asked if at_ns > S]
+    assert asked.count("QEM") >= 9, "7 in the usual turns"
+
+
 def test_when_all_servos_fall_silent_all_are_held_back(kit):
     """Queries to the first that was noticed left none for the others, which got moves on."""
     probes = {f"j{i}": [Probe("QAA", 60, 100)] for i in range(6)}

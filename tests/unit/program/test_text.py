@@ -213,6 +213,17 @@ def test_a_wrong_cue_is_refused_with_a_reason(text, words):
         read_cue(text, ["base"])
 
 
+def test_a_streamed_joint_may_be_sent_its_resting_place_again_after_the_end(kit):
+    robot = kit.robot(kit.joint("j1", 2, drive="streamed"))
+    program, _ = kit.compiled(robot)
+    last_us = program.moves[-1].due_us
+    text = to_text(replace(program, duration_s=(last_us - 100_000) / 1e6))
+    assert from_text(text, robot).moves == program.moves
+    text = to_text(replace(program, duration_s=(last_us - 600_000) / 1e6))
+    with pytest.raises(InputError, match="due after the end"):
+        from_text(text, robot)
+
+
 def test_text_carries_the_drives_and_reads_them_back(kit):
     robot = kit.mixed(filter_count=6)
     program, _ = kit.compiled(robot)
