@@ -171,6 +171,13 @@ class StageSteering(Steering):
             self._act_alone(now_ns)
         self._state(now_ns)
 
+    def _watch(self, player: Player, now_ns: int) -> None:
+        """End the stage when the server is gone: nothing could ever end it, and it has no end."""
+        if self.operator.is_cut and not self._has_stopped:
+            self._stop(player, now_ns)
+        else:
+            super()._watch(player, now_ns)
+
     def _act_alone(self, now_ns: int) -> None:
         if self.operator.take_signals():
             self._has_stopped = True
@@ -182,7 +189,8 @@ class StageSteering(Steering):
             else:
                 self.operator.accept(operation)
         self.operator.look_for_client()
-        if self.operator.is_lost(now_ns, self._rule.silent_s) and self._rule.on_lost == "stop":
+        is_silent = self.operator.is_lost(now_ns, self._rule.silent_s)
+        if self.operator.is_cut or (is_silent and self._rule.on_lost == "stop"):
             self._has_stopped = True
         self.operator.link.flush()
 
