@@ -232,7 +232,8 @@ class Desk:
         else:
             options |= self._options.stage or {}
         self._start(reply.job, "show", self._take_of_show, options)
-        self._change(state="starting", plan=reply.plan, text="")
+        plan = reply.plan if reply.stage is None else None  # The plan of a stage is many.
+        self._change(state="starting", plan=plan, text="")
         self._tell_robot("playing")
 
     def _plan(self) -> Reply:

@@ -222,7 +222,7 @@ class StageService:
         kind, text = note["kind"], note["text"]
         if not text:
             return  # Figures for the log.
-        self.note(text)
+        self._options.note(text)
         if self.inlets.osc is not None:
             self.inlets.osc.send_event(kind, text)
         if self.inlets.mqtt is not None:
@@ -277,8 +277,9 @@ class StageService:
             self.inlets.mqtt.tell(stage.alerts.mqtt, json.dumps(content))
 
     def note(self, text: str) -> None:
-        """Tell people at the terminal, or those who read the journal."""
+        """Print what the server has noted, and show it on the pages as a warning."""
         self._options.note(text)
+        self.studio.hub.broadcast(m.Warned(text=text))
 
     # ---- systemd
 
