@@ -87,6 +87,7 @@ MISFIT_MAX_DEG: Final = 2.0
 """Above this no hypothesis explains the readings. Several times what the control loop leaves open
 at 200 deg/s."""
 MOVING_DEG_S: Final = 20.0
+STILL_DEG_S: Final = 1.0
 MOVING_LEAST: Final = 30
 """A joint has moved enough to be measured with so many readings at such a speed."""
 DELAY_ERROR_MAX_S: Final = 0.008
@@ -308,6 +309,13 @@ class ShowProblem:
         speed_deg_s = np.asarray(np.gradient(profile_deg, STEP_S, axis=1), dtype=np.float64)
         found: FloatArray = np.abs(self._at_readings(speed_deg_s[None])[0])
         return found
+
+    def scatter_deg(self, vector: FloatArray) -> float:
+        """Return the root mean square of what is left of the readings at rest, or of all."""
+        left_deg = self._readings_deg(vector[None])[0] - self._pieces.reading_deg
+        is_still = self.speeds_deg_s(vector) < STILL_DEG_S
+        chosen = left_deg[is_still] if is_still.any() else left_deg
+        return float(np.sqrt(np.mean(np.minimum(chosen * chosen, OUTLIER**2))))
 
     def _start(self) -> FloatArray:
         starts = np.tile(self._usual, (len(STARTS), 1))
@@ -542,7 +550,7 @@ def _identified(
         ),
         droop_error_deg=max(low.error, middle.error, high.error),
         play_deg=play if play.value > PLAY_LEAST_DEG else Measured(0.0, play.error),
-        noise_deg=NOISE_DEG,
+        noise_deg=problem.scatter_deg(best.vector),
         misfit_deg=best.rms_deg,
         turnaround_s=tuple(np.percentile(recording.turnarounds_s, (1.0, 50.0, 99.0)).tolist()),
         readings=len(pieces.time_s),
