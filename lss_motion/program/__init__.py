@@ -21,6 +21,7 @@
              what profiles should do, on a grid; limits of servos    all of the above, player
   move_table the moves of a program in arrays                        schedule, verify, compile
   verify     motion of the compiled bytes against every limit        compile, splice, cli, player
+  accuracy   how far the horns of a program may be from the plan     compile
   model      the program as a value                                  all packages above this one
   text       the program as a file                                   cli
   arduino    the program as an Arduino sketch                        cli
