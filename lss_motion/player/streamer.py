@@ -139,7 +139,7 @@ class Streamer:
         """Whether moves left in this call of `advance`."""
         self.waiting = Waiting(program.unrolled_waits(begin_s), robot.sensors, begin_s)
         self._beside = tuple(beside)
-        scheduler = PollScheduler(self._polled(), trackers, lines, self.waiting, probes, pace)
+        scheduler = PollScheduler(self.all_states(), trackers, lines, self.waiting, probes, pace)
         self.scheduler = scheduler if has_feedback and is_polling else None
         if start_s is not None:
             self._begin_at(start_ns)
@@ -157,7 +157,7 @@ class Streamer:
         self._beside = tuple(others)
         self._suspend_lent()
         if self.scheduler is not None:
-            self.scheduler = self.scheduler.among(self._polled())
+            self.scheduler = self.scheduler.among(self.all_states())
 
     def adopt(self, joint_states: Mapping[str, JointState]) -> None:
         """Take these states in place of its own: another streamer has moved their joints."""
@@ -170,7 +170,7 @@ class Streamer:
             if name in self.joint_states:
                 self.joint_states[name].suspend()
 
-    def _polled(self) -> dict[str, JointState]:
+    def all_states(self) -> dict[str, JointState]:
         """Return the states of all joints; a streamer beside this one comes first."""
         states = dict(self.joint_states)
         for other in self._beside:
@@ -182,6 +182,13 @@ class Streamer:
         name = state.joint.name
         owners = (one for one in self._beside if one.joint_states.get(name) is state)
         return next(owners, self)
+
+    def all_pose_deg(self, now_ns: int) -> dict[str, float]:
+        """Return the joint angles of all plans, also of the streamers beside this one."""
+        pose_deg = self.pose_deg(now_ns)
+        for other in self._beside:
+            pose_deg |= other.pose_deg(now_ns)
+        return pose_deg
 
     def find_state(self, address: tuple[str, int]) -> JointState | None:
         """Return the state of the joint with this bus and servo id, if it is moved here."""

@@ -15,6 +15,7 @@ are kept, up to a bound.
 | `guided`       | calibrate and identify, led by questions                 | `live_end` |
 | `live_end`     | a robot without a show: jog, poses, limp, hold           | `studio` |
 | `job`          | what is played, and how it ended                         | `process`, `handle` |
+| `shows_job`    | several shows in one run, which a client changes         | `process` |
 | `scan_job`     | finds the servos of a robot                              | `studio` |
 | `process`      | the process that does a job, and how it is started       | `handle`, `studio` |
 | `handle`       | `start` and `Handle`: the client's end, for Python       | `lss_motion` |

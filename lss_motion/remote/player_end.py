@@ -233,9 +233,9 @@ class Steering:
     def _offer_telemetry(self, player: Player, now_ns: int) -> None:
         show = player.show
         assert show is not None
-        planned = show.pose_deg(now_ns)
+        planned = show.all_pose_deg(now_ns)
         angles = [
-            (planned[name], *_seen_deg(state, now_ns)) for name, state in show.joint_states.items()
+            (planned[name], *_seen_deg(state, now_ns)) for name, state in show.all_states().items()
         ]
         rate, show_s = show.clock.rate(now_ns), show.show_s(now_ns)
         self.operator.link.offer(
@@ -244,7 +244,7 @@ class Steering:
 
     def _health(self, player: Player, now_ns: int) -> m.Health:
         show = player.show
-        states = {} if show is None else show.joint_states
+        states = {} if show is None else show.all_states()
         return m.Health(
             phase=player.phase.value,
             show_s=None if show is None else show.show_s(now_ns),

@@ -255,7 +255,9 @@ AnyOperation = Annotated[
     | stage.StagePlay
     | stage.StageStop
     | stage.StageRest
-    | stage.StageWake,
+    | stage.StageWake
+    | stage.Change
+    | stage.EndAdded,
     Field(discriminator="op"),
 ]
 

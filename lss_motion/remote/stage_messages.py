@@ -76,6 +76,26 @@ class StageWake(Operation):
     op: Literal["stage.wake"] = "stage.wake"
 
 
+class Change(Operation):
+    """Play another show of a run of several: in place of the present one, or beside it.
+
+    Without `show`, what plays brakes and all joints hold. A show beside another one is played on
+    joints that the other does not move.
+    """
+
+    op: Literal["change"] = "change"
+    show: Name | None = None
+    start_s: Annotated[float, Field(ge=0.0)] | None = None
+    how: Literal["replace", "add"] = "replace"
+
+
+class EndAdded(Operation):
+    """End a show that is played beside another one."""
+
+    op: Literal["end_added"] = "end_added"
+    show: Name
+
+
 StageOperation = Trigger | Cue | Enable | Arm | StagePlay | StageStop | StageRest | StageWake
 """What is asked of a running stage, besides `schema.ShowOperation`."""
 

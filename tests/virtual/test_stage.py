@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import socket
 from dataclasses import replace
 from functools import cache
 from random import Random
@@ -17,6 +18,12 @@ from lss_motion.errors import InputError
 from lss_motion.perform import Observer
 from lss_motion.player.events import Phase, PhaseEntered, ShowBegan, ShowOver
 from lss_motion.player.repertoire import Repertoire
+from lss_motion.remote import schema as m
+from lss_motion.remote import stage_messages as s
+from lss_motion.remote.link import Kind, Link
+from lss_motion.remote.operator_end import Operator
+from lss_motion.remote.shows_job import ShowsJob, ShowsSteering, play_shows
+from lss_motion.remote.telemetry import Telemetry
 from lss_motion.robot.model import Bus, Robot
 from lss_motion.sequence.model import Keyframe, Sequence
 from lss_motion.sim.faults import Fault, FaultKind
@@ -263,6 +270,52 @@ def test_a_restart_brakes_all_shows_and_each_goes_on_where_it_was():
     for name in ("idle", "eyes"):
         assert 2.0 < reached_s[name] < lasted_s[name] - 1.5, "it stood meanwhile"
     assert {fault.joint for fault in result.report.faults} == {"j2"}
+
+
+def test_a_client_changes_shows_from_another_process():
+    """Here its socket is in this process, so that virtual time is its time, too."""
+    here, there = socket.socketpair()
+    for end_ in (here, there):
+        end_.setblocking(False)
+    client, script = Link(here), [
+        (2.0, s.Change(id=1, show="hello", start_s=1.0)),
+        (2.1, s.Change(id=2, show="helo")),
+        (2.2, s.Change(id=3, show="eyes", how="add")),
+        (7.0, s.EndAdded(id=4, show="eyes")),
+        (9.0, s.Change(id=5)),
+        (9.1, s.Change(id=6, how="add")),
+        (11.0, m.Stop(id=7)),
+    ]  # fmt: skip
+    got = []
+    job = ShowsJob(programs=shows(), robot=figure(), first="idle", options={"is_virtual": True})
+    steering = ShowsSteering(Operator(Link(there)), job.rule, job.programs)
+    act = steering.act
+
+    def acts(player, now_ns):
+        while script and now_ns >= script[0][0] * S:
+            client.send(Kind.OPERATION, script.pop(0)[1].model_dump_json().encode())
+        act(player, now_ns)
+        got.extend(client.receive())
+
+    steering.act = acts
+    outcome = play_shows(job, steering)
+    got.extend(client.receive())
+    client.close()
+    steering.operator.link.close()
+    events = [m.parse_event(content) for kind, content in got if kind is Kind.EVENT]
+    assert outcome.report.outcome == "stopped"
+    played = [e.name for e in events if isinstance(e, m.ShowStarted)]
+    assert played == ["idle", "hello", "eyes"]
+    assert [e.outcome for e in events if isinstance(e, m.ShowEnded)] == ["left", "finished", "left"]
+    answers = {e.id: e for e in events if isinstance(e, m.Accepted | m.Refused)}
+    assert [isinstance(answers[i], m.Accepted) for i in range(1, 8)] == [
+        True, False, True, True, True, False, True,
+    ]  # fmt: skip
+    assert "did you mean 'hello'" in answers[2].text
+    telemetry = [Telemetry.from_bytes(c) for kind, c in got if kind is Kind.TELEMETRY]
+    assert {len(one.angles_deg) for one in telemetry} == {len(figure().joints)}
+    eyes = next(i for i, name in enumerate(events[0].joints) if name == "j2")
+    assert np.ptp([one.angles_deg[eyes][0] for one in telemetry]) > 10.0, "that of the added show"
 
 
 @pytest.mark.parametrize("seed", range(3))
