@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lss_motion.cli.commands import (
@@ -38,6 +39,12 @@ changes nothing.
   lss-motion doctor --tone             play a short tone as well
   lss-motion doctor my_robot.yaml      the servos of this robot as well
 
+  lss-motion doctor --stage hall.yaml  a stage of several figures, before the doors open
+
+With a stage it asks every figure, on the conductor's computer while the other figures are served:
+does it answer, are version and robot file the same, how well is its clock known, and what does it
+find about its computer, disk and servos. It exits with 4 if anything there is bad.
+
 With a robot it also sends queries to its servos: whether they are set up as the robot file has it,
 and whether they would restart with higher limits than their joints have. Nothing moves.
 
@@ -60,6 +67,12 @@ def add_to(commands: Commands) -> None:
         metavar="DEVICE",
         help="play a short tone on the default sound device, or on this one, and print its latency",
     )
+    doctor.add_argument(
+        "--stage", type=Path, metavar="STAGE", help="examine the figures of this stage instead"
+    )
+    doctor.add_argument(
+        "--trust-network", action="store_true", help="with --stage: the network needs no keys"
+    )
     add_json(doctor)
 
 
@@ -67,6 +80,8 @@ def _doctor(arguments: argparse.Namespace) -> int:
     from lss_motion.runtime.computer import Level, examine
 
     robot = None
+    if arguments.stage is not None:
+        return _stage(arguments)
     if arguments.robot is not None:
         robot = robot_at(arguments.robot, arguments.port)
     elif arguments.port is not None:
@@ -89,6 +104,34 @@ def _doctor(arguments: argparse.Namespace) -> int:
     if "packages" in bad or isinstance(error, InputError):
         return EXIT_INPUT
     return EXIT_UNREACHABLE
+
+
+def _stage(arguments: argparse.Namespace) -> int:
+    """Print what all figures of a stage find."""
+    from lss_motion.network.examine import examine_stage
+    from lss_motion.network.serving import host_of
+    from lss_motion.stage.load import load_stage
+
+    if arguments.robot is not None or arguments.tone is not None:
+        raise InputError("--stage goes without a robot and without --tone")
+    stage = load_stage(arguments.stage)
+    if stage.conductor is None:
+        raise InputError("has no figures: examine its robot instead", path=arguments.stage)
+    host, robots = host_of(
+        stage, stage.conductor, port=arguments.port, trust_network=arguments.trust_network
+    )
+    try:
+        rows = examine_stage(host, robots)
+    finally:
+        host.close()
+    if arguments.json:
+        print_json({"rows": [dataclasses.asdict(row) for row in rows]})
+    else:
+        widths = [max(len(getattr(row, key)) for row in rows) for key in ("figure", "subject")]
+        for row in rows:
+            name, subject = f"{row.figure:{widths[0]}}", f"{row.subject:{widths[1]}}"
+            print(f"{row.level:4}  {name}  {subject}  {row.text}")
+    return EXIT_UNREACHABLE if any(row.level == "bad" for row in rows) else EXIT_FINISHED
 
 
 def _sound(tone: str | None) -> Finding:

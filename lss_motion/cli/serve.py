@@ -35,10 +35,14 @@ them. Its page in a browser has the cues with GO, their state, the servos and ST
   lss-motion serve hall.yaml                   run it here; simulated, if its robot is
   lss-motion serve hall.yaml --port /dev/ttyUSB0 --wait-port --real-time
   lss-motion serve hall.yaml --wait-go         stand until GO
+  lss-motion serve duet.yaml --figure left     one of several figures, on its own computer
 
 At the terminal, Enter is GO, Escape stops, other keys are those of cues with `key`. Files that
 change are taken between two shows; one with an error never is, the last good one stays. Ctrl-C ends
 the show within the limits and gives the servos their settings back; twice ends it at once.
+
+Of several figures each is served by itself, without pages: the conductor plans and starts the show
+for all when GO is typed (g, Enter; ? and Enter for the rest), or with --go when all are ready.
 
 Exit codes: 0 ended; 2 a file or argument must change; 3 a show cannot be planned; 4 the port or the
 servos are not there (with --wait-port they are waited for); 5 the robot did not follow.
@@ -87,6 +91,15 @@ def add_to(commands: Commands) -> None:
     serve.add_argument(
         "--new-token", action="store_true", help="make a new token; the old one opens nothing more"
     )
+    serve.add_argument("--figure", metavar="NAME", help="of a stage with several: which one")
+    serve.add_argument(
+        "--go", action="store_true", help="with --figure: start as soon as all figures are ready"
+    )
+    serve.add_argument(
+        "--trust-network",
+        action="store_true",
+        help="with --figure: use an address that others can reach without keys",
+    )
     serve.add_argument("--allow-run", action="store_true", help=ALLOW_HELP)
     add_json(serve)
 
@@ -113,10 +126,28 @@ def _serve(arguments: argparse.Namespace) -> int:
     if not is_stage_file(arguments.stage):
         raise InputError("is no stage file, which has `stage: NAME`", path=arguments.stage)
     stage = load_stage(arguments.stage)
-    if stage.figures:
-        raise InputError("has figures, which are served one by one", path=arguments.stage)
+    if stage.figures or arguments.figure is not None:
+        return _serve_figure(arguments, stage)
     with tempfile.TemporaryDirectory(prefix="lss-stage-") as views, _keys_restored():
         return _run(arguments, stage, Path(views))
+
+
+def _serve_figure(arguments: argparse.Namespace, stage: Stage) -> int:
+    from lss_motion.network.serving import serve_figure
+
+    if arguments.figure is None:
+        known = ", ".join(stage.figures)
+        raise InputError(
+            f"has several figures, each of which is served by itself: --figure, one of {known}",
+            path=arguments.stage,
+        )
+    return serve_figure(
+        stage,
+        arguments.figure,
+        port=arguments.port,
+        trust_network=arguments.trust_network,
+        starts=arguments.go,
+    )
 
 
 def _run(arguments: argparse.Namespace, stage: Stage, views: Path) -> int:

@@ -17,6 +17,7 @@ that clock to within a bound, and its player follows the legs (`player.following
 | `peer`      | the session with the others: the only importer of zenoh     | `host`             |
 | `host`      | one computer: takes, decides, acts                          | `serving`          |
 | `player_link` | starts and steers the player of a figure                  | `serving`          |
+| `examine`   | a whole stage before the doors open: `doctor --stage`       | `serving`, `cli`   |
 | `serving`   | one figure of a stage, until it is ended                    | `cli`              |
 
 `clocks`, `messages`, `conductor` and `figure` have no network, clock or port, and tests play

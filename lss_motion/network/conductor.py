@@ -3,14 +3,14 @@
     load(cast)          the figures fetch, verify and synchronise: `ready`
     arm(now)            their robots move to the start: `armed`
     start(now)          the first leg, at least `LEAD_NS` ahead
-    pause, resume, rate, seek, trim
+    pause, resume, seek, trim
     stop()              brake, hold, end; again and again is the same as once
 
 `tick(now)` looks after the figures and returns what a person should know. `beat` is what all of
 them must know; it is sent `BEAT_NS` apart and whenever it changes.
 
 A figure that is lost, out or faulted while a show plays leaves the others to `others`: they go on,
-play slowly, or hold, until it is back.
+or hold until it is back.
 """
 
 from __future__ import annotations
@@ -37,8 +37,6 @@ LEAD_NS: Final = NS_PER_S
 and ten beats repeat it meanwhile."""
 LOST_NS: Final = NS_PER_S
 """Without a word for so long, a figure is lost."""
-SLOW_RATIO: Final = 0.5
-"""Chosen: slow enough to be safe beside a figure that stands, and the show is still one."""
 GRACE_NS: Final = 5 * NS_PER_S
 """Figures that have not connected are named after this time."""
 NOTE_AGAIN_NS: Final = NS_PER_S
@@ -81,6 +79,8 @@ class Conductor:
     cast: Cast | None = field(default=None, init=False)
     run: int = field(default=0, init=False)
     leg: NetworkLeg | None = field(default=None, init=False)
+    examines: int = field(default=0, init=False)
+    """Raised to let all figures examine themselves."""
     superseded: str = field(default="", init=False)
     """Why another conductor has taken over; empty: none has."""
 
@@ -88,7 +88,6 @@ class Conductor:
         self.seats = {name: FigureSeat(name) for name in self.figures}
         self._count = 0
         self._cast_hash: str | None = None
-        self._rate = 1.0
         self._is_paused = False
         self._limit = 1.0
         """What `others` allows at present."""
@@ -110,6 +109,7 @@ class Conductor:
             cast=self._cast_hash,
             leg=self.leg,
             freewheel_s=self.freewheel_s,
+            examines=self.examines,
         )
 
     # ---- what arrives
@@ -179,7 +179,7 @@ class Conductor:
             raise InputError("not all figures are ready: " + "; ".join(problems))
         self.run += 1
         self.wanted, self.leg = "armed", None
-        self._rate, self._limit, self._is_paused = 1.0, 1.0, False
+        self._limit, self._is_paused = 1.0, False
 
     def start(self, now_ns: int, lead_ns: int = LEAD_NS) -> NetworkLeg:
         """Make the first leg; raise `InputError` that names whose robot is not at the start."""
@@ -203,11 +203,6 @@ class Conductor:
     def resume(self, now_ns: int) -> None:
         """Go on after `pause`."""
         self._is_paused = False
-        self._rerate(now_ns)
-
-    def set_rate(self, rate: float, now_ns: int) -> None:
-        """Play at this share of the speed of the plans."""
-        self._rate = min(max(rate, 0.05), 1.0)
         self._rerate(now_ns)
 
     def seek(self, show_s: float, now_ns: int) -> None:
@@ -353,18 +348,17 @@ class Conductor:
         if self.leg is None or self.wanted != "armed" or self.leg.instant_ns > now_ns:
             return
         are_all_there = all(self._takes_part(seat, now_ns) for seat in self._cast_seats())
-        limits: dict[Others, float] = {"go_on": 1.0, "slow": SLOW_RATIO, "hold": 0.0}
-        limit = 1.0 if are_all_there else limits[self.others]
+        # A player that follows has one speed, so slow is hold (`player.following`).
+        limit = 1.0 if are_all_there or self.others == "go_on" else 0.0
         if limit == self._limit:
             return
         self._limit = limit
-        text = {1.0: "all figures play: the show goes on", 0.0: "the others hold"}
-        self._notes.append(text.get(limit, f"the others go on at {limit:g} of their speed"))
+        self._notes.append("all figures play: the show goes on" if limit else "the others hold")
         self._rerate(now_ns)
 
     @property
     def _wanted_rate(self) -> float:
-        return 0.0 if self._is_paused else min(self._rate, self._limit)
+        return 0.0 if self._is_paused else self._limit
 
     def _rerate(self, now_ns: int) -> None:
         """Make a leg with the rate that is wanted, where the present one will have come to."""

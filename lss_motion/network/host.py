@@ -32,6 +32,7 @@ from lss_motion.network.messages import (
     Beat,
     ClockAnswer,
     ClockQuestion,
+    Findings,
     Status,
     StopAll,
     packed,
@@ -98,6 +99,7 @@ class Host:
         others: Others = "hold",
         freewheel_s: float = 2.0,
         log: Callable[[str], None] = lambda _text: None,
+        examine: Callable[[int], Findings] | None = None,
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self.settings, self.player, self.log = settings, player, log
@@ -123,6 +125,10 @@ class Host:
             )
         self.cues: deque[tuple[str, str]] = deque(maxlen=100)
         """Cues that figures asked for: figure and cue."""
+        self.findings: dict[str, Findings] = {}
+        """What figures found about themselves (conductor only)."""
+        self._examine, self._examined = examine, 0
+        self._found: Findings | None = None
         self._verified: deque[tuple[str, str]] = deque()
         self._asks: deque[Ask] = deque(maxlen=ASKS_MAX)
         self._asked: dict[str, tuple[str, int]] = {}
@@ -147,6 +153,7 @@ class Host:
         if self.conductor is not None:
             peer.subscribe("figure/*/status")
             peer.subscribe("figure/*/ask")
+            peer.subscribe("figure/*/findings")
             peer.watch("figure/*/alive")
             peer.announce("conductor/alive")
             peer.answer_clock()
@@ -248,6 +255,15 @@ class Host:
         if self.figure.beat is not None and self.figure.beat.instance != self._clock_of:
             self._clock_of = self.figure.beat.instance  # Another process, perhaps computer.
             self.estimator = ClockEstimator()
+        is_free = self.figure.player.phase in ("none", "ended", "failed")
+        if self._examine is not None and is_free and self._examined < beat.examines:
+            self._examined, self._found = beat.examines, None
+            self.log("examines this computer and its servos")
+            threading.Thread(target=self._run_examination, daemon=True).start()
+
+    def _run_examination(self) -> None:
+        assert self._examine is not None
+        self._found = self._examine(self._examined)
 
     def _take_of_figure(
         self, conductor: Conductor, parts: list[str], content: bytes, at_ns: int
@@ -257,6 +273,10 @@ class Host:
             status = parse(Status, content)
             if status.figure == parts[1]:
                 conductor.take_status(status, at_ns)
+        elif parts[2] == "findings":
+            findings = parse(Findings, content)
+            if findings.figure == parts[1]:
+                self.findings[parts[1]] = findings
         elif parts[2] == "ask":
             ask = parse(Ask, content)
             last = self._asked.get(parts[1])
@@ -361,6 +381,8 @@ class Host:
         if now_ns >= self._due_ns["status"] or state != self._sent_state:
             self._due_ns["status"], self._sent_state = now_ns + STATUS_NS, state
             self.peer.send(f"figure/{figure.name}/status", packed(figure.status(now_ns)))
+            if self._found is not None:
+                self.peer.send(f"figure/{figure.name}/findings", packed(self._found))
         if self._asks and now_ns >= self._due_ns["ask"]:
             self._due_ns["ask"] = now_ns + STOP_NS
             self.peer.send(f"figure/{figure.name}/ask", packed(self._asks.popleft()))

@@ -9,6 +9,7 @@ and however often, the newest is enough. So nothing is acknowledged and nothing 
 | `stop`                             | `StopAll`         | conductor, repeated                     |
 | `figure/NAME/status`               | `Status`          | figure, 5 Hz, and on every change       |
 | `figure/NAME/ask`                  | `Ask`             | figure: a cue, GO or STOP for the stage |
+| `figure/NAME/findings`             | `Findings`        | figure, when the conductor asks for it  |
 | `figure/NAME/clock`                | `ClockQuestion`   | figure, 8 Hz                            |
 | `clock/NAME`                       | `ClockAnswer`     | conductor                               |
 | `plan/SHA256`                      | bytes of a plan or a `Cast` | conductor, when it is queried |
@@ -84,6 +85,8 @@ class Beat(Message):
     cast: Hash | None = None
     leg: NetworkLeg | None = None
     freewheel_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 2.0
+    examines: Annotated[int, Field(ge=0)] = 0
+    """Each figure without a player examines its computer and servos once for every number."""
 
 
 class StopAll(Message):
@@ -166,6 +169,22 @@ class Ask(Message):
     number: Annotated[int, Field(ge=0)]
     """Counts the wishes of this figure's process: a repeated one is the same."""
     instance: Annotated[str, Field(pattern=r"^[0-9a-f]{16}$")]
+
+
+class Finding(Message):
+    """One thing that a figure found about its computer or its servos."""
+
+    level: Annotated[str, Field(max_length=16)]
+    subject: Annotated[str, Field(max_length=64)]
+    text: Note
+
+
+class Findings(Message):
+    """What a figure found."""
+
+    figure: FigureName
+    number: Annotated[int, Field(ge=0)]
+    findings: Annotated[tuple[Finding, ...], Field(max_length=40, strict=False)]
 
 
 class ClockQuestion(Message):

@@ -71,8 +71,36 @@ def serve_figure(
     `port` replaces the port of its robot file. With `starts`, the conductor starts its first show
     as soon as all figures are ready. Plans are kept in `folder`, or else in the user's cache.
     """
+    log = _log(figure)
+    host, robots = host_of(
+        stage, figure, port=port, trust_network=trust_network, folder=folder, log=log
+    )
+    settings = host.settings
+    log(f"{'conducts' if settings.is_conductor else 'is a figure of'} stage {stage.name!r}")
+    commands = Commands(host, stage, robots, log, starts=starts)
+    with _signals(commands):
+        try:
+            while not commands.has_ended:
+                host.turn()
+                commands.turn()
+        finally:
+            host.close()
+    return EXIT_FINISHED
+
+
+def host_of(
+    stage: Stage,
+    figure: str,
+    *,
+    port: str | None = None,
+    trust_network: bool = False,
+    folder: Path | None = None,
+    log: Callable[[str], None] = lambda _text: None,
+) -> tuple[Host, dict[str, Robot]]:
+    """Return the host of one figure, and the robots that it knows: the conductor's knows all."""
     from lss_motion import __version__
     from lss_motion.connection import with_port
+    from lss_motion.network.examine import examined
     from lss_motion.network.peer import Peer
     from lss_motion.robot.load import load_robot
     from lss_motion.trajectory.plan_cache import cache_directory
@@ -84,32 +112,22 @@ def serve_figure(
         for name, one in stage.figures.items()
         if name == figure or settings.is_conductor
     }
-    log = _log(figure)
     freewheel_s = stage.network.freewheel_s
     robot = with_port(robots[figure], port)
-    player = PlayerLink(robot, freewheel_s=freewheel_s, log=log)
-    store = PlanStore(folder or cache_directory() / "network")
+    plans = folder or cache_directory() / "network"
     host = Host(
         settings,
         robot,
-        player,
-        store,
+        PlayerLink(robot, freewheel_s=freewheel_s, log=log),
+        PlanStore(plans),
         lambda instance: Peer(settings, clock_id=instance if settings.is_conductor else ""),
         version=__version__,
         others=stage.retry.others,
         freewheel_s=freewheel_s,
         log=log,
+        examine=lambda number: examined(figure, number, robot, port, plans),
     )
-    log(f"{'conducts' if settings.is_conductor else 'is a figure of'} stage {stage.name!r}")
-    commands = Commands(host, stage, robots, log, starts=starts)
-    with _signals(commands):
-        try:
-            while not commands.has_ended:
-                host.turn()
-                commands.turn()
-        finally:
-            host.close()
-    return EXIT_FINISHED
+    return host, robots
 
 
 class Commands:
