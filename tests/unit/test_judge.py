@@ -240,6 +240,15 @@ def test_a_restart_that_no_host_can_know_of_yet_excuses_ramps_but_no_speed():
     assert "speed" in rules(run)
 
 
+def test_a_move_that_was_on_its_way_when_its_servo_restarted_is_not_objected_to():
+    run = record()
+    swap(run, 1, "#1D-300T1000\r", "#1D-300T200\r")
+    servo(run, 1)["restarts"] = [1.999]  # Written at 1.998 s, received at 2 s.
+    assert "speed" not in rules(run)
+    servo(run, 1)["restarts"] = [1.997]
+    assert "speed" in rules(run)
+
+
 def test_stored_limits_are_what_a_restarted_servo_has():
     run = record()
     servo(run, 1)["restarts"] = [0.3]

@@ -78,6 +78,7 @@ FOUND_MIXED = (
     20761,  # Garbled bytes changed gyre and origin of servos in mid-show.
     13248, 21025,  # A servo that counts in other units restarted: only its SD had bounded it.
     45651,  # Every joint was left out: the approach of no joint raised.
+    41748,  # A move was on a line of 9600 bps when its servo restarted.
     20915,  # A joint in EM0 went 2 % too fast; by chance, with other instants.
 )  # fmt: skip
 """Seeds with all kinds of faults, for both judges."""

@@ -9,7 +9,7 @@ Margins, all of them:
 | speed of a bare `D` in EM0 | over 60 ms of the filter, 10 % and 10 deg/s above the limit: the phase of its 20 ms is not known |
 | speed of a 2IO | over 200 ms, 10 %, two whole degrees, and 20 ms of waiting for its turn on the line |
 | ramps (AA, AD) | 1 % above the limit |
-| settings lost in a restart | a host cannot know of a restart at once: what it writes until `ServoRecord.noticed_s` may go with factory ramps; above the limit of speed only within `ServoRecord.is_unnoticed`, and by `UNNOTICED_RATIO` at most; one that counts in another unit (`OTHER_UNITS`) has no other bound then than its own speed |
+| settings lost in a restart | a host cannot know of a restart at once: what it writes until `ServoRecord.noticed_s` may go with factory ramps; above the limit of speed only within `ServoRecord.is_unnoticed`, and by `UNNOTICED_RATIO` at most; one that counts in another unit (`OTHER_UNITS`) has no other bound then than its own speed, nor has what was written before the restart |
 | flood | 12 moves for a servo in 100 ms; half a second of bytes ahead of the line |
 """  # noqa: E501  (a table)
 
@@ -223,6 +223,8 @@ def _speed_text(joint: JointRow, servo: ServoRecord, move: Move) -> str:
         if move.duration_s is not None:
             return "in EM0 neither T nor SD counts: it jumps at full speed"
         return ""
+    if move.restarted_s is not None and move.written_s < move.restarted_s:
+        return ""  # It was on its way when the servo restarted: no host can call it back.
     allowed_deg_s = joint.speed_deg_s * SPEED_RATIO
     if servo.is_unnoticed(move.written_s):
         if OTHER_UNITS in servo.excuse:
