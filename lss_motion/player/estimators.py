@@ -126,7 +126,7 @@ class HornEstimator:
     _timing_deg2: float = TIMING_S**2 * 100.0**2
     _timing_speed2: float = 100.0**2
     """Sums of squared errors and speeds in motion."""
-    _moving: int = 0
+    moving: int = 0
     """Readings in motion."""
     _strange_s: float = 0.0
     """For how long the readings have been strange, with the sign of their error."""
@@ -202,7 +202,7 @@ class HornEstimator:
         if abs(self.lag_s) >= BOUND_RATIO * LAG_MAX_S and self.explained_ratio > EXPLAINED_SURE:
             return f"it lags {1e3 * self.lag_s:.0f} ms besides what its robot file says, or more"
         off_s = self.unexplained_s
-        if self._moving >= FOUND_READINGS and off_s > FOUND_S:
+        if self.moving >= FOUND_READINGS and off_s > FOUND_S:
             return (
                 f"in motion it is {1e3 * off_s:.0f} ms off what its robot file says of its "
                 f"servo, and neither load nor lag explains that"
@@ -259,7 +259,7 @@ class HornEstimator:
         if is_slow and recent_deg_s > 0.0:
             self._learn_noise(min(square_deg2, 4.0 * self.noise_deg2), elapsed_s)
         if recent_deg_s > SPEED_DEG_S:
-            self._moving += 1
+            self.moving += 1
         if recent_deg_s > 0.0:
             self._learn_timing(square_deg2, recent_deg_s, elapsed_s)
         if abs(speed_deg_s) >= SPEED_DEG_S:

@@ -206,6 +206,8 @@ class FaultHandler:
         self._named: set[str] = set()
         """Joints that were reported as other than the robot file says."""
         self._suspected: dict[str, int] = {}
+        self._moving: dict[str, int] = {}
+        """Readings in motion by then: a rest proves nothing anew about a model."""
         self._judged_ns = 0
         self._events: list[Event] = []
         self._session = session
@@ -256,7 +258,10 @@ class FaultHandler:
         """Report once for each joint that its servo is not what the robot file says."""
         for name, state in streamer.joint_states.items():
             text = "" if name in self._named else state.finding
-            self._suspected[name] = self._suspected.get(name, 0) + 1 if text else 0
+            moving = state.disturbance.horn.moving
+            has_moved = moving > self._moving.get(name, 0)
+            self._moving[name] = moving
+            self._suspected[name] = self._suspected.get(name, 0) + has_moved if text else 0
             if self._suspected[name] >= FINDINGS_LEAST:
                 self._named.add(name)
                 self._events.append(Warned(text))
