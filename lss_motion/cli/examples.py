@@ -36,6 +36,9 @@ SUMMARY_CHARS_MAX: Final = 80
 CHECKOUT_FOLDER: Final = "sequences"
 SCHEMA_FOLDER: Final = "schema"
 
+STAGES: Final = "stages/"
+"""Where the examples are that are stages."""
+
 
 def add_to(commands: Commands) -> None:
     """Add the command of this module."""
@@ -52,11 +55,11 @@ def add_to(commands: Commands) -> None:
 
 
 def _example(arguments: argparse.Namespace) -> int:
-    names = sorted(path.stem for path in _folder().glob("*.yaml"))
+    names = example_names()
     if arguments.name is None:
         width = max(map(len, names))
         for name in names:
-            print(f"{name:{width}}  {_summary(name)}")
+            print(f"{name:{width}}  {_summary(_file(name))}")
         return EXIT_FINISHED
     name = arguments.name.removesuffix(".yaml")
     if name not in names:
@@ -65,8 +68,21 @@ def _example(arguments: argparse.Namespace) -> int:
         raise InputError(f"unknown example {arguments.name!r}; {known_names(name, names)}")
     for path in write_example(name, Path(), is_forced=arguments.force):
         print(f"wrote {path}")
-    print(f"play it: lss-play {name}.yaml")
+    is_stage = _file(name).startswith(STAGES)
+    print(f"{'run it: lss-motion serve' if is_stage else 'play it: lss-play'} {_file(name)}")
     return EXIT_FINISHED
+
+
+def example_names() -> list[str]:
+    """Return the names of all examples: shows, and stages."""
+    folder = _folder()
+    return sorted(path.stem for place in ("", STAGES) for path in (folder / place).glob("*.yaml"))
+
+
+def _file(name: str) -> str:
+    """Return the path of an example within its folder."""
+    path = f"{name}.yaml"
+    return path if (_folder() / path).exists() else STAGES + path
 
 
 def write_example(name: str, folder: Path, *, is_forced: bool) -> list[Path]:
@@ -74,7 +90,7 @@ def write_example(name: str, folder: Path, *, is_forced: bool) -> list[Path]:
 
     Raises `InputError` before anything is written if a different file is in the way.
     """
-    texts = {folder / part: _text(part) for part in _parts(f"{name}.yaml")}
+    texts = {folder / part: _text(part) for part in _parts(_file(name))}
     fresh = {path: text for path, text in texts.items() if not _has(path, text)}
     for path in fresh:
         if path.exists() and not is_forced:
@@ -147,10 +163,10 @@ def _references(part: str) -> Iterator[str]:
                 pass
 
 
-def _summary(name: str) -> str:
+def _summary(path: str) -> str:
     """Return the first sentence at the head of an example; only up to `:` if it is long."""
     words = []
-    for line in _text(f"{name}.yaml").splitlines():
+    for line in _text(path).splitlines():
         if not line.startswith("#"):
             break
         if SCHEMA.search(line) is None:

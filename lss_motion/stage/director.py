@@ -309,7 +309,8 @@ class Director:
             self._orders.append(orders.Said(f"show {over.show} cannot be played now: {reason}"))
         else:
             self._cool_down(over.cue)
-            self._refuse(over.cue.name, Signal(kind=over.cue.on.kind), reason)
+            refused = orders.ShowRefused(cue=over.cue.name, show=over.show, reason=reason)
+            self._orders.append(refused)
         self._settle()
 
     def faulted(self, cause: Cause | None, text: str, now_ns: int) -> None:

@@ -57,6 +57,8 @@ class CueNight:
     fired: int = 0
     refused: Counter[str] = field(default_factory=Counter)
     """How often, by reason."""
+    not_played: Counter[str] = field(default_factory=Counter)
+    """How often it has fired, but the player could not play its show, by reason."""
 
 
 @dataclass(slots=True)
@@ -155,7 +157,7 @@ def _records(file: Path, broken: Counter[str]) -> Iterator[tuple[datetime, dict[
 def _add(night: Night, at: datetime, record: dict[str, Any]) -> None:
     """Add one line."""
     match record.get("kind"):
-        case "fired" | "refused":
+        case "fired" | "refused" | "not_played":
             _add_cue(night, record)
         case "over":
             _add_show(night, at, record)
@@ -177,6 +179,8 @@ def _add_cue(night: Night, record: dict[str, Any]) -> None:
     cue = night.cues.setdefault(record["cue"], CueNight())
     if record["kind"] == "fired":
         cue.fired += 1
+    elif record["kind"] == "not_played":
+        cue.not_played[_plain(record["reason"])] += 1
     else:
         cue.refused[_plain(record["reason"])] += record["count"]
 
@@ -299,6 +303,7 @@ def text_of(night: Night) -> list[str]:
     for name, cue in sorted(night.cues.items(), key=lambda item: -item[1].fired):
         reasons = ", ".join(f"{count} x {reason}" for reason, count in cue.refused.most_common())
         lines.append(f"{name:14}  {cue.fired:5}  {reasons or '-'}")
+        lines += [f"{'':14}  {count:5} not played: {why}" for why, count in cue.not_played.items()]
     if night.rests_s:
         rests = [f"{reason} {s / 60:.0f} min" for reason, s in night.rests_s.items()]
         lines += ["", "rested: " + "; ".join(rests)]

@@ -88,6 +88,19 @@ class CueRefused:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ShowRefused:
+    """A cue has fired, but the player cannot play its show now."""
+
+    cue: str
+    show: str
+    reason: str
+
+    @property
+    def text(self) -> str:
+        return f"cue {self.cue} refused: {self.reason} (show {self.show})"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ShowStarted:
     """A show was ordered: for a cue, as the idle show, or as the way to the rest."""
 
@@ -132,5 +145,5 @@ class Said:
     text: str
 
 
-Note: TypeAlias = CueFired | CueRefused | ShowStarted | ShowEnded | RestChanged | Said
+Note: TypeAlias = CueFired | CueRefused | ShowRefused | ShowStarted | ShowEnded | RestChanged | Said
 Order: TypeAlias = Play | Stop | Relax | Rate | Connect | Alert

@@ -409,11 +409,8 @@ class StageRun:
             return
         program = player.repertoire.programs[order.show]
         try:
-            add = getattr(player, "add", None)
-            if order.how == "add" and add is None:
-                self.director.refused(order.number, "this player adds no shows", self.now_ns)
-            elif order.how == "add" and add is not None:
-                add(program, now_ns, start_s=order.start_s)
+            if order.how == "add":
+                player.add(program, now_ns, start_s=order.start_s)
                 self._playing.added[order.show] = order.number
             else:
                 self._change(player, order, now_ns)
@@ -425,6 +422,8 @@ class StageRun:
         program = None if order is None else player.repertoire.programs[order.show]
         start_s = None if order is None else order.start_s
         player.change_to(program, now_ns, start_s=start_s)
+        for name in self._playing.added.keys() & set(player.added):
+            player.end_added(name, now_ns)
         for number, reached_s in self._playing.leave(order):
             self.director.ended(number, "left", reached_s, self.now_ns)
 
@@ -475,6 +474,9 @@ class StageRun:
                 self.record("fired", order.text, cue=order.cue, what=order.what)
             case orders.CueRefused():
                 self._count_refusal(order)
+            case orders.ShowRefused():
+                named = {"cue": order.cue, "show": order.show, "reason": order.reason}
+                self.record("not_played", order.text, **named)
             case orders.ShowStarted():
                 self.record("started", order.text, show=order.show, cause=order.cause)
             case orders.ShowEnded():
@@ -576,10 +578,13 @@ class Playing:
     leaving: deque[int] = field(default_factory=deque)
     """Shows that have begun and brake for another one; the player reports each when it is over."""
     added: dict[str, int] = field(default_factory=dict)
+    begun: set[str] = field(default_factory=set)
+    """Those of the added ones that have begun."""
 
     def leave(self, order: orders.Play | None) -> list[tuple[int, float | None]]:
         """Note what was ordered in place of all; return what is over at once: it had not begun."""
-        over = []
+        waiting = self.added.keys() - self.begun
+        over: list[tuple[int, float | None]] = [(self.added.pop(name), None) for name in waiting]
         if self.main is not None and self.has_begun:
             self.leaving.append(self.main)
         elif self.main is not None:
@@ -590,12 +595,15 @@ class Playing:
         return over
 
     def note_begun(self, event: ShowBegan) -> None:
-        if not event.is_added:
+        if event.is_added:
+            self.begun.add(event.name)
+        else:
             self.has_begun = True
 
     def note_over(self, summary: ShowSummary) -> int | None:
         """Return the number of a show that is over."""
         if summary.is_added:
+            self.begun.discard(summary.name)
             return self.added.pop(summary.name, None)
         if self.leaving:
             return self.leaving.popleft()

@@ -59,7 +59,11 @@ def lss(wheel, tmp_path):
 def test_an_example_is_listed_written_and_played_in_an_empty_folder(lss):
     listed = lss("lss-motion", "example")
     rows = dict(line.split(maxsplit=1) for line in listed.stdout.splitlines())
-    assert set(rows) == {path.stem for path in (ROOT / "sequences").glob("*.yaml")}
+    assert set(rows) == {
+        path.stem
+        for place in ("", "stages")
+        for path in (ROOT / "sequences" / place).glob("*.yaml")
+    }
     assert rows["wave"].startswith("The arm says hello")
     written = lss("lss-motion", "example", "wave")
     assert written.returncode == 0, written.stderr

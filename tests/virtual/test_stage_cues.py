@@ -166,12 +166,13 @@ def test_every_start_mode_at_the_horns(folder):
     """The judge of `evening` asserts that no limit is broken and nothing is stepped."""
     acts = [(at, press(name)) for at, name in [
         (2.0, "over"), (4.0, "between"), (5.2, "later"), (20.0, "again"), (22.3, "again"),
-        (30.5, "over"),
+        (30.0, "blink"), (30.5, "over"), (37.0, "blink"),
     ]]  # fmt: skip
     _, records, runs = evening(folder, 45.0, CUES, acts=acts)
     assert kinds(records, "over") == [
         "idle left", "scare left", "sleep finished", "scare finished", "scare finished",
-        "idle left", "scare left", "scare finished", "idle left", "scare finished", "idle stopped",
+        "idle left", "scare left", "scare finished", "wink left", "idle left", "scare finished",
+        "wink finished", "idle stopped",
     ]  # fmt: skip
     refused = [one for one in records if one["kind"] == "refused"]
     assert [one["reason"] for one in refused] == []

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
 
 from lss_motion.cli.main import main
 from lss_motion.errors import EXIT_INPUT, EXIT_NO_PLAN
 from lss_motion.stage.check import findings, plan_stage
+from lss_motion.stage.load import load_stage
+
+STAGES = Path(__file__).resolve().parents[3] / "sequences" / "stages"
 
 CUES = """\
 cues:
@@ -65,6 +69,22 @@ def test_check_names_all_shows_that_cannot_be_played(kit, capsys):
     )
     assert main(["check", str(kit.write())]) == EXIT_NO_PLAN
     assert "stage.yaml:3: show 'scare':" in capsys.readouterr().err
+
+
+def test_the_haunted_hall_can_be_played_as_it_is():
+    planned = plan_stage(load_stage(STAGES / "haunted_hall.yaml"))
+    assert findings(planned) == []
+    assert planned.shows["breathe"].program.is_endless
+    assert set(planned.shows["mutter"].program.start_deg) == {"jaw"}
+
+
+def test_an_example_that_is_a_stage_is_written_with_all_its_files(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["example", "haunted_hall"]) == 0
+    assert "run it: lss-motion serve stages/haunted_hall.yaml" in capsys.readouterr().out
+    assert main(["check", "stages/haunted_hall.yaml"]) == 0
+    head = (tmp_path / "stages" / "haunted_hall.yaml").read_text("utf-8").splitlines()[0]
+    assert (tmp_path / "stages" / head.partition("$schema=")[2]).exists()
 
 
 @pytest.mark.parametrize("option", [["--robust"], ["--robot", "robot.yaml"]])

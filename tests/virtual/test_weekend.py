@@ -1,0 +1,74 @@
+"""Minutes of the weekend of `tools/weekend.py`, in which all comes sixty times as often."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import pytest
+import weekend as tool
+
+HURRY = 60.0
+HOURS = 0.05
+
+
+@pytest.fixture(scope="module")
+def outcome(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("weekend")
+    return tool.weekend(HOURS, 2, folder, max_bytes=2_000_000, hurry=HURRY)
+
+
+def test_a_weekend_ends_safely_and_every_trigger_is_explained(outcome):
+    assert tool.faults_of(outcome, 2_000_000) == []
+    assert outcome.objections == Counter()
+    assert outcome.looks > 1000
+    assert outcome.moves > 300
+    assert outcome.runs >= 2
+    assert outcome.plays >= 10
+    assert outcome.triggers > 50
+
+
+def test_what_a_weekend_must_not_show_is_named(outcome):
+    bad = replace(
+        outcome,
+        objections=Counter({"horn 1 moves too fast": 3}),
+        explained=outcome.triggers - 1,
+        log_bytes=3_000_000,
+        memory=[1, 100, 110, 130],
+    )
+    found = "; ".join(tool.faults_of(bad, 2_000_000))
+    for words in ("3 x horn 1 moves", "triggers, but", "bytes, allowed", "memory grows"):
+        assert words in found
+
+
+def test_the_judge_notices_moves_out_of_range_fast_horns_and_unsafe_ends():
+    class Bus:
+        def __init__(self):
+            self.deg = [0.0]
+            self.motors = self.horns = self
+
+        def advance(self, now_ns): ...
+
+        def shafts_deg(self):
+            return self.deg
+
+    judge = tool.Judge({1: (-100.0, 100.0)}, [(-10.0, 10.0)], [100.0])
+    bus = Bus()
+    judge.watch(bus)
+    judge.sent("main", b"#1D90T500\r#1QD\r", 0)
+    assert judge.objections == Counter()
+    judge.sent("main", b"#1D-101T500\r", 0)
+    for step, deg in enumerate((0.0, 5.0, 25.0)):
+        bus.deg = [deg]
+        judge.look((step + 1) * tool.LOOK_NS)
+    run = type("Run", (), {"report": type("Report", (), {"outcome": "stopped"})})
+    judge.end(run, 0)
+    assert judge.objections == {
+        "servo 1 was sent out of its range": 1,
+        "horn 0 moves too fast": 1,
+        "horn 0 is out of its range": 1,
+        "the last bytes of a run are not the safe state": 1,
+    }
+    judge.sent("main", b"#254H\r", 0)
+    judge.end(run, 0)
+    assert judge.objections["the last bytes of a run are not the safe state"] == 1
