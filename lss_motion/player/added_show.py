@@ -14,7 +14,7 @@ from lss_motion.player.cues import Agenda
 from lss_motion.player.events import ShowBegan, ShowOver
 from lss_motion.player.session import Arrival
 from lss_motion.player.show_summary import summary_of
-from lss_motion.units import NS_PER_MS, s_from_ns
+from lss_motion.units import NS_PER_MS, NS_PER_S, s_from_ns
 
 if TYPE_CHECKING:
     from lss_motion.player.events import Event, ShowOutcome
@@ -28,8 +28,9 @@ joints takes milliseconds."""
 STILL_NS: Final = 100 * NS_PER_MS
 """Readings so long before the end of an approach are of joints at rest: it waits longer for them to
 settle (`streamer.SETTLE_S`)."""
-READINGS_NS: Final = 500 * NS_PER_MS
-"""The longest wait for readings of all joints. Chosen: each is read ten times a second."""
+READINGS_NS: Final = 3 * NS_PER_S
+"""The longest wait for readings of all joints. Chosen: each is read ten times a second, and a servo
+that is silent is a fault before this."""
 
 
 class _Step(Enum):
@@ -58,6 +59,8 @@ class AddedShow:
         self._finished_ns: int | None = None
         """When the approach had come to its end."""
         self._approaches = 0
+        self._is_held = False
+        """Whether all shows brake for a fault or a stop: nothing begins meanwhile."""
         self._step = _Step.APPROACH
         session.note_standing(now_ns)
         self.streamer = self._approach(now_ns)
@@ -87,6 +90,8 @@ class AddedShow:
         if self._step is _Step.SHOW:
             events += self._agenda.advance(self.streamer, self._session.lines, now_ns)
         self.streamer.advance(now_ns)
+        if self._is_held:
+            return events
         if self._step is _Step.APPROACH and self.streamer.is_finished(now_ns):
             events += self._arrive(now_ns)
         elif self._step is _Step.SHOW and self.streamer.is_finished(now_ns):
@@ -107,22 +112,27 @@ class AddedShow:
     def leave(self, now_ns: int) -> None:
         """Brake; then it is over."""
         if not self.is_leaving:
-            self.brake(now_ns)
+            self._brake(now_ns)
             self._step = _Step.BRAKE
 
-    def brake(self, now_ns: int) -> None:
-        """Ramp the rate to 0, and stay there until it is resumed."""
+    def hold(self, now_ns: int) -> None:
+        """Brake, and stand there until `go_on`."""
+        self._is_held = True
+        self._brake(now_ns)
+
+    def _brake(self, now_ns: int) -> None:
         if self.streamer.rate_wanted != 0.0:
             self.streamer.set_rate(0.0, now_ns)
 
     def set_rate(self, rate: float, rate_max: float, now_ns: int) -> None:
         """Play at `rate` as far as the faults allow it, which concerns the approach, too."""
         rate = min(rate, rate_max) if self._step is _Step.SHOW else rate_max
-        if not self.is_leaving and rate != self.streamer.rate_wanted:
+        if not (self.is_leaving or self._is_held) and rate != self.streamer.rate_wanted:
             self.streamer.set_rate(rate, now_ns)
 
     def go_on(self, now_ns: int) -> list[Event]:
         """Go on after an approach of all joints has led to `pose_deg`."""
+        self._is_held = False
         if self._show is None:
             return self._begin(now_ns)
         self._session.resume(self._show, now_ns)

@@ -438,7 +438,7 @@ class StagePlayer(Player):
 
     def _brake_added(self, now_ns: int) -> None:
         for one in self._beside:
-            one.brake(now_ns)
+            one.hold(now_ns)
 
     def _apply_rate(self, now_ns: int) -> None:
         super()._apply_rate(now_ns)

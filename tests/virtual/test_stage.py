@@ -318,7 +318,14 @@ def test_a_client_changes_shows_from_another_process():
     assert np.ptp([one.angles_deg[eyes][0] for one in telemetry]) > 10.0, "that of the added show"
 
 
-@pytest.mark.parametrize("seed", range(3))
+FOUND = (
+    3,  # What held a joint in EM0 guided it during a ramp, while the added show moved it.
+    7,  # A servo of an added show in doubt was looked for among the joints of the other show.
+    23,  # An added show began while all braked for its servo, which had restarted.
+)
+
+
+@pytest.mark.parametrize("seed", FOUND)
 def test_random_evenings_with_faults_break_no_limit(seed):
     random = Random(seed)
     names = [*shows(), None]
