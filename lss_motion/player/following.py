@@ -163,6 +163,9 @@ class Following:
             if player.phase is Phase.RECOVER:  # It goes on only when it is in step again.
                 self._run_at(player, 0.0, now_ns)
             return
+        before = self.step
+        if before is Step.WAITING:
+            self._say_once("waits for its leader")
         leader = self._running_leader(now_ns)
         if leader is None:
             self._hold(player, show, now_ns)
@@ -170,6 +173,8 @@ class Following:
             self._keep_step(player, show, leader, now_ns)
         else:
             self._begin(player, show, leader, now_ns)
+        if self.step is Step.RUNNING and before in (Step.WAITING, Step.HOLDING, Step.JOINING):
+            self._say("step", "in step with its leader")
         self._is_new = False
 
     def _running_leader(self, now_ns: int) -> Leg | None:
@@ -300,6 +305,10 @@ class Following:
         if abs(instant_ns - self._woken_ns) > NS_PER_MS // 20:
             self._woken_ns = instant_ns
             player.wake_at(instant_ns)
+
+    def _say_once(self, text: str) -> None:
+        if text not in self._named:
+            self._say(text, text)
 
     def _say(self, kind: str, text: str) -> None:
         count = self._named[kind] = self._named.get(kind, 0) + 1

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, Literal, cast, get_args
 
 from lss_motion.errors import InputError
 from lss_motion.sync import packets
-from lss_motion.sync.timecode import CODED, FPS_25, RATES, read_rate, read_timecode
+from lss_motion.sync.timecode import CODED, FPS_25, read_rate, read_timecode
 
 if TYPE_CHECKING:
     from lss_motion.sync.timecode import Rate
@@ -138,6 +138,3 @@ def _address(text: str, rest: str, port: int) -> tuple[str, int]:
     if not host:
         raise InputError(f"{text!r} names no address; give {SEND_WORDS}")
     return host, port
-
-
-RATE_NAMES: Final = tuple(RATES)

@@ -89,6 +89,7 @@ def test_a_leader_that_comes_running_is_met_at_the_first_instant(stage, kit, dri
     played = leader.play(stage, robot, show)
     alone = stage.play(robot, show)
     assert played.report.outcome == "finished"
+    assert leader.texts == ["waits for its leader", "in step with its leader"]
     assert np.abs(leader.off_s(5.0)).max() < 1e-6
     assert [text.split()[0] for _, text in leader.notes].count("run_from") == 1
     assert played.moves() == alone.moves(), "to the byte as a show that follows nothing"

@@ -1,0 +1,50 @@
+"""Options of timecode that do not fit are refused before anything is opened."""
+
+from __future__ import annotations
+
+import pytest
+
+from lss_motion.cli.play import make_parser
+from lss_motion.cli.timecode import specs_of
+from lss_motion.errors import InputError
+
+
+def specs(*words):
+    return specs_of(make_parser().parse_args(["show.yaml", *words]))
+
+
+def test_what_is_followed_and_sent_is_read():
+    follow, sends = specs(
+        *["--follow", "artnet:10.0.0.4", "--offset", "01:00:00:10", "--rate-fps", "25"],
+        *["--send", "ltc:USB", "--send", "osc:10.0.0.9:8000", "--freewheel", "5"],
+    )
+    assert (follow.kind, follow.allowed, follow.freewheel_s) == ("artnet", ("10.0.0.4",), 5.0)
+    assert follow.offset_s == pytest.approx(3600.4)
+    assert not follow.is_loopback
+    assert [(one.kind, one.name, one.port) for one in sends] == [
+        ("ltc", "USB", 0),
+        ("osc", "10.0.0.9", 8000),
+    ]
+    assert specs("--follow", "ltc")[0].is_loopback
+    assert specs() == (None, [])
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--follow", "ltc", "--virtual"], "--virtual"),
+        (["--follow", "ltc", "--from", "3"], "--from"),
+        (["--follow", "ltc", "--careful"], "--careful"),
+        (["--follow", "vitc"], "no source"),
+        (["--follow", "fpp", "--rate-fps", "25"], "FPP sends seconds"),
+        (["--follow", "ltc", "--rate-fps", "26"], "no frame rate"),
+        (["--follow", "ltc", "--offset", "1 o'clock"], "no start in timecode"),
+        (["--follow", "artnet:desk"], "no address"),
+        (["--send", "artnet"], "names no address"),
+        (["--send", "mtc", "--rate-fps", "23.976"], "cannot name"),
+        (["--rate-fps", "25"], "--rate-fps and --offset"),
+    ],
+)
+def test_what_does_not_fit_is_refused(words, text):
+    with pytest.raises(InputError, match=text):
+        specs(*words)
