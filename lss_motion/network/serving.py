@@ -7,12 +7,15 @@ lines of its input (`Commands`), or by what else holds a `Host`. The others need
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import os
 import queue
 import signal
 import sys
 import threading
 import time
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
@@ -24,6 +27,7 @@ from lss_motion.network.settings import PORT, NetworkSettings, check_settings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from concurrent.futures import Future
     from pathlib import Path
 
     from lss_motion.network.messages import Cast
@@ -84,6 +88,7 @@ def serve_figure(
                 host.turn()
                 commands.turn()
         finally:
+            commands.close()
             host.close()
     return EXIT_FINISHED
 
@@ -145,8 +150,14 @@ class Commands:
         self.has_ended = False
         self._host, self._stage, self._robots, self._log = host, stage, robots, log
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._planned: queue.SimpleQueue[tuple[Cast, dict[str, bytes]] | str] = queue.SimpleQueue()
-        self._is_planning = False
+        # A plan in this process would keep it from sending beats, and figures would hold.
+        self._planners = ProcessPoolExecutor(
+            1,
+            multiprocessing.get_context("spawn"),
+            signal.signal,
+            (signal.SIGINT, signal.SIG_IGN),
+        )
+        self._plan: tuple[str, Future[tuple[Cast, dict[str, bytes]]]] | None = None
         self._starts = starts
         threading.Thread(target=self._read, daemon=True).start()
         if host.conductor is not None and stage.shows:
@@ -157,22 +168,24 @@ class Commands:
         self._lines.put(line)
 
     def load(self, show: str) -> None:
-        """Plan a show for all figures, beside the network."""
+        """Plan a show for all figures, in a process of its own."""
         if show not in self._stage.shows:
             self._log(f"no show {show!r}; there are {', '.join(self._stage.shows)}")
-        elif not self._is_planning:
-            self._is_planning = True
-            threading.Thread(target=self._plan, args=(show,), daemon=True).start()
+        elif self._plan is None:
+            paths = self._stage.shows[show].paths
+            source = next(iter(paths.values())) if "" in paths else dict(paths)
+            conductor = self._stage.conductor or ""
+            made = self._planners.submit(planned_cast, show, source, self._robots, conductor)
+            self._plan = (show, made)
 
     def turn(self) -> None:
         """Do what was typed, and what was asked for by other computers."""
-        while not self._planned.empty():
-            found = self._planned.get()
-            self._is_planning = False
-            if isinstance(found, str):
-                self._log(found)
-            else:
-                self._do(partial(self._host.load, *found))
+        if self._plan is not None and self._plan[1].done():
+            (show, made), self._plan = self._plan, None
+            try:
+                self._do(partial(self._host.load, *made.result()))
+            except (LssMotionError, BrokenProcessPool) as error:
+                self._log(f"show {show!r} cannot be planned: {error}")
         while not self._lines.empty():
             self._obey(self._lines.get().split())
         while self._host.cues:
@@ -238,15 +251,9 @@ class Commands:
         except InputError as refused:
             self._log(f"refused: {refused}")
 
-    def _plan(self, show: str) -> None:
-        paths = self._stage.shows[show].paths
-        source = next(iter(paths.values())) if "" in paths else paths
-        try:
-            made = planned_cast(show, source, self._robots, self._stage.conductor or "")
-        except LssMotionError as error:
-            self._planned.put(f"show {show!r} cannot be planned: {error}")
-        else:
-            self._planned.put(made)
+    def close(self) -> None:
+        """End the planner."""
+        self._planners.shutdown(wait=False, cancel_futures=True)
 
     def _read(self) -> None:
         with contextlib.suppress(ValueError, OSError):

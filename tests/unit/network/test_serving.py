@@ -1,0 +1,77 @@
+"""The conductor's computer plans beside the network, and obeys lines."""
+
+import io
+import time
+from collections import deque
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from lss_motion.errors import InputError
+from lss_motion.network.serving import Commands, settings_of
+from lss_motion.robot.load import load_robot
+from lss_motion.stage.load import load_stage
+
+SEQUENCES = Path(__file__).parents[3] / "sequences"
+
+
+@pytest.fixture
+def stage():
+    return load_stage(SEQUENCES / "stages" / "duet.yaml")
+
+
+class Host:
+    """Notes what it is asked for."""
+
+    def __init__(self):
+        self.conductor = SimpleNamespace(wanted="nothing", pause=self._pause)
+        self.cues, self.done = deque(), []
+
+    def load(self, cast, contents):
+        self.done.append(("load", cast.show, len(contents)))
+
+    def go(self):
+        raise InputError("the show plays, or is about to")
+
+    def stop(self):
+        self.done.append("stop")
+
+    def _pause(self, _now_ns):
+        self.done.append("pause")
+
+
+def test_a_show_is_planned_in_another_process_and_lines_are_obeyed(stage, monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    log, host = [], Host()
+    robot = load_robot(stage.figures["left"].robot_path)
+    commands = Commands(host, stage, {"left": robot, "right": robot}, log.append)
+    longest_s, end = 0.0, time.monotonic() + 120.0
+    while not host.done and time.monotonic() < end:
+        began = time.process_time()
+        commands.turn()
+        longest_s = max(longest_s, time.process_time() - began)
+        time.sleep(0.01)
+    assert host.done == [("load", "bow", 3)]  # Two plans and their cast.
+    assert longest_s < 0.1  # Planning itself takes a second of processor time.
+    for line in ("g", "s", "p", "l nothing", "x"):
+        commands.put(line)
+    commands.turn()
+    assert host.done[1:] == ["stop", "pause"]
+    assert log[0] == "refused: the show plays, or is about to"
+    assert log[1] == "no show 'nothing'; there are bow"
+    commands.put("q")
+    commands.turn()
+    assert commands.has_ended
+    commands.close()
+
+
+def test_the_settings_are_those_of_the_stage(stage):
+    settings = settings_of(stage, "right", is_trusted=False)
+    assert (settings.conductor, settings.address, settings.is_conductor) == (
+        "left",
+        "127.0.0.1:7447",
+        False,
+    )
+    with pytest.raises(InputError, match="there are left, right"):
+        settings_of(stage, "middle", is_trusted=False)
