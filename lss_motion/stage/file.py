@@ -87,7 +87,7 @@ class OnEntry(FileModel, title="trigger"):
     )
     timecode: Timecode | None = Field(
         default=None,
-        description="Position of the timecode under sync. A jump into the show starts it there.",
+        description="Position of the timecode under sync.",
         examples=["01:02:03:10"],
     )
     end_of: Name | None = Field(default=None, description="A show has been played to its end.")
@@ -133,7 +133,8 @@ class CueEntry(FileModel, title="cue"):
     )
     follow: bool = Field(
         default=True,
-        description="Of timecode: the show follows the timecode, instead of only starting there.",
+        description="Of timecode: a jump into the show starts it there. Once it plays it is not "
+        "trimmed: it keeps its own clock.",
     )
     enabled: bool = Field(default=True, description="Whether it can fire from the start.")
     enable: list[Name] = Field(default=[], description="Cues that can fire from then on.")

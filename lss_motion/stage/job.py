@@ -22,7 +22,7 @@ from lss_motion.remote.telemetry import plan_hash
 from lss_motion.stage.log import StageLog
 from lss_motion.stage.model import Kind, Signal
 from lss_motion.stage.running import Options, StageRun
-from lss_motion.units import NS_PER_S
+from lss_motion.units import NS_PER_S, s_from_ns
 
 if TYPE_CHECKING:
     from lss_motion.player.events import Event
@@ -211,6 +211,10 @@ class StageSteering(Steering):
         match operation:
             case s.Trigger() | s.Cue() | m.Go():
                 director.signal(signal_of(operation, self._run.stage), now_ns)
+            case m.Follow() if self._run.stage.sync.timecode is not None:
+                passed_s = s_from_ns(now_ns - operation.instant_ns)
+                at_s = operation.show_s + passed_s * operation.rate
+                director.hear_timecode(at_s, operation.rate, now_ns)
             case s.Enable():
                 director.enable(operation.cue, is_enabled=operation.is_enabled)
             case s.Arm():

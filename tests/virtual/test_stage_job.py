@@ -6,6 +6,7 @@ import contextlib
 import json
 import pickle
 import socket
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import pytest
@@ -19,6 +20,8 @@ from lss_motion.remote.telemetry import Telemetry, plan_hash
 from lss_motion.stage.check import plan_stage
 from lss_motion.stage.job import StageSteering, options_of, stage_job
 from lss_motion.stage.load import load_stage
+from lss_motion.stage.model import Cue, Sync, TimecodeInput, Trigger
+from lss_motion.stage.model import Kind as TriggerKind
 from lss_motion.stage.running import Options, StageRun
 
 NS = 1_000_000_000
@@ -161,3 +164,24 @@ def test_options_are_those_of_a_run_and_the_rest_goes_to_the_player():
     assert options.start_at == datetime(2026, 10, 30, 18, tzinfo=UTC)
     assert options.more == {"has_feedback": False}
     assert folder.name == "x"
+
+
+def test_timecode_starts_its_shows_also_in_their_middle(planned):
+    """The legs are those of `remote.schema.Follow`; their place is that of the timecode."""
+    on = Trigger(kind=TriggerKind.TIMECODE, address="00:01:40:00", at_s=100.0)
+    cue = Cue(name="tc", on=on, shows=("hello",), follows=True, start="terminate")
+    stage = replace(planned.stage, cues=(cue,), sync=Sync(timecode=TimecodeInput(source="ltc")))
+    legs = [
+        (
+            at_s,
+            m.Follow(id=number, instant_ns=round(at_s * NS), show_s=show_s, rate=1.0, source="t"),
+        )
+        for number, (at_s, show_s) in enumerate(
+            [(2.0, 96.0), (3.0, 97.0), (4.0, 98.0), (5.0, 99.0), (12.0, 50.0), (14.0, 100.5)], 1
+        )
+    ]
+    steering, _ = play(replace(planned, stage=stage), legs, lasts_s=25.0)
+    begun = [(one.name, round(one.from_s, 1)) for one in steering.of(m.ShowStarted)]
+    assert begun == [
+        ("idle", 0.0), ("hello", 0.0), ("idle", 0.0), ("hello", 0.5), ("idle", 0.0),
+    ]  # fmt: skip
