@@ -9,6 +9,7 @@ import ctypes.util
 import json
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -245,10 +246,13 @@ def test_mosquitto_brings_cues_and_keeps_the_state(tmp_path):
         one = await asyncio.create_subprocess_exec("mosquitto_pub", *words)
         assert await one.wait() == 0
 
+    brokers = []
+
     async def broker():
         started = await asyncio.create_subprocess_exec(
             "mosquitto", "-c", str(config), stderr=subprocess.DEVNULL
         )
+        brokers.append(started)
         await asyncio.sleep(0.3)
         return started
 
@@ -280,7 +284,12 @@ def test_mosquitto_brings_cues_and_keeps_the_state(tmp_path):
         await second.wait()
         return kept.decode()
 
-    kept = asyncio.run(run())
+    try:
+        kept = asyncio.run(run())
+    finally:
+        for one in brokers:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(one.pid, signal.SIGKILL)
     assert [(one.op, origin) for one, origin in done] == [
         ("trigger", "MQTT hall/door"),
         ("cue", "MQTT lss/hall/cue/scare"),
