@@ -51,8 +51,9 @@ class Performer:
 
     def __init__(self, cues: Collection[Cue]) -> None:
         functions = list({(cue.run, cue.folder) for cue in cues if cue.run})
-        self.lost: deque[Cue] = deque(maxlen=LOST_MAX)
-        """The last cues that did not fit into the pipe."""
+        self.lost: list[Cue] = []
+        """The first cues that did not fit into the pipe, up to `LOST_MAX`."""
+        self._lost_count = 0
         self.started: deque[Cue] = deque()
         """Cues that were started and are not done, oldest first."""
         self.warnings: deque[str] = deque()
@@ -91,7 +92,9 @@ class Performer:
             # A pipe takes up to 4096 bytes as a whole or not at all.
             os.write(self._pipe_fd, line)
         except (BlockingIOError, BrokenPipeError):
-            self.lost.append(cue)
+            self._lost_count += 1
+            if len(self.lost) < LOST_MAX:
+                self.lost.append(cue)
         else:
             self.started.append(cue)
 
@@ -109,7 +112,8 @@ class Performer:
             if self.started:
                 left[0] += " (not at its end)"
             named = ", ".join(left[:NAMED_MAX])
-            more = f" and {len(left) - NAMED_MAX} more" if len(left) > NAMED_MAX else ""
+            count = len(self.started) + self._lost_count
+            more = f" and {count - NAMED_MAX} more" if count > NAMED_MAX else ""
             texts.append(
                 f"not done: {named}{more}. Each waits until the one before it returns; after the "
                 f"show there are {CLOSE_S:g} s. Let a slow function start a thread"

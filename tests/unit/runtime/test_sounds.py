@@ -235,7 +235,7 @@ def test_a_show_that_is_sent_back_hands_its_sounds_over_again(tmp_path, scripted
     desk = SoundDesk(program, SoundChoice(), offset_s=0.0, start_s=None)
     clock = ShowClock(0, 0.0, 1.0)
     show = SimpleNamespace(clock=clock, show_s=clock.show_s)
-    player = SimpleNamespace(show=show, show_ended_ns=None)
+    player = SimpleNamespace(show=show, show_ended_ns=None, changes=0, is_leaving=False)
     for now_ns in (0, 100_000_000, 250_000_000):
         desk.turn(player, now_ns)
     show.clock = ShowClock(250_000_000, 0.0, 1.0)
@@ -244,3 +244,30 @@ def test_a_show_that_is_sent_back_hands_its_sounds_over_again(tmp_path, scripted
     desk.close()
     kinds = [next(iter(json.loads(line))) for line in received.read_text().splitlines()]
     assert [kind for kind in kinds if kind in ("sound", "clear")] == ["sound", "clear", "sound"]
+
+
+def test_a_show_that_is_left_falls_silent_at_once_and_the_next_one_has_its_own_sounds(
+    tmp_path, scripted
+):
+    received = scripted()
+    program, _ = nod(tmp_path)
+    desk = SoundDesk(program, SoundChoice(), offset_s=0.0, start_s=None)
+    clock = ShowClock(0, 0.0, 1.0)
+    show = SimpleNamespace(clock=clock, show_s=clock.show_s)
+    player = SimpleNamespace(
+        show=show, show_ended_ns=None, changes=0, is_leaving=False, program=program, start_s=None
+    )
+    desk.turn(player, 0)
+    player.is_leaving = True  # It brakes.
+    desk.turn(player, 100_000_000)
+    desk.turn(player, 200_000_000)
+    player.show, player.is_leaving, player.changes = None, False, 1
+    desk.turn(player, 300_000_000)
+    show.clock = ShowClock(900_000_000, 0.0, 1.0)
+    show.show_s, player.show = show.clock.show_s, show
+    desk.turn(player, 900_000_000)
+    desk.close()
+    lines = [json.loads(line) for line in received.read_text().splitlines()]
+    kinds = [kind for kind in (next(iter(line)) for line in lines) if kind != "alive"]
+    assert kinds[kinds.index("leg") :] == ["leg", "sound", "clear", "leg", "sound"]
+    assert [line["leg"][0] for line in lines if "leg" in line] == [0, 900_000_000]
