@@ -61,6 +61,7 @@ TARGETS = {
     "player/query_tracker": ("tests/unit/player/test_query_tracker.py",),
     "player/show_clock": ("tests/unit/player/test_show_clock.py",),
     "player/streamer": ("tests/unit/player/test_streamer.py",),
+    "player/joining": ("tests/unit/player/test_streamer.py",),
     "player/player": (_LADDER, _SHOW),
 }
 """Module → the tests that are to notice."""
