@@ -48,10 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "sent)",
     )
     parser.add_argument(
-        "--offset",
+        "--offset-s",
         default="0",
         metavar="HH:MM:SS:FF|S",
-        help="timecode at which the show begins (default 0)",
+        help="timecode at which the show begins: subtracted from what comes, added to what is sent "
+        "(default 0)",
     )
     parser.add_argument(
         "--freewheel",
@@ -71,14 +72,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def specs_of(arguments: argparse.Namespace) -> tuple[FollowSpec | None, list[SendSpec]]:
     """Return what is followed and sent; raises `InputError` for options that do not fit."""
     if arguments.follow is None and not arguments.send:
-        if arguments.rate_fps is not None or arguments.offset != "0":
-            raise InputError("--rate-fps and --offset are for --follow or --send; give one of them")
+        if arguments.rate_fps is not None or arguments.offset_s != "0":
+            raise InputError(
+                "--rate-fps and --offset-s are for --follow or --send; give one of them"
+            )
         return None, []
     from lss_motion.sync.options import read_follow, read_send
 
     if arguments.virtual:
         raise InputError("--virtual has no clock to share: not with --follow or --send")
-    style: dict[str, Any] = {"rate": arguments.rate_fps, "offset": arguments.offset}
+    style: dict[str, Any] = {"rate": arguments.rate_fps, "offset": arguments.offset_s}
     sends = [read_send(text, **style) for text in arguments.send]
     if arguments.follow is None:
         return None, sends

@@ -108,7 +108,8 @@ def require_can_follow(program: Program) -> None:
 class Following:
     """Follows one leader with one player. Call `turn` each turn, the first one before it moves."""
 
-    def __init__(self, rule: FollowRule | None = None) -> None:
+    def __init__(self, rule: FollowRule | None = None, *, place_s: float | None = None) -> None:
+        """With `place_s`, a caller lets the show begin there, paused: it is where to join."""
         self.rule = rule or FollowRule()
         self.step = Step.WAITING
         self.off_s: float | None = None
@@ -120,13 +121,13 @@ class Following:
         self._leader: Leg | None = None
         self._led_ns = 0
         self._followed_ns = -FOLLOW_NS
-        self._has_begun = self._is_new = False
+        self._has_begun, self._is_new = place_s is not None, False
         self._rate = 0.0
         """As the player was last asked for."""
         self._is_paused = False
         self._is_lost = False
         self._slack_s = FIRST_SLACK_S
-        self._place_s: float | None = None
+        self._place_s = place_s
         """Where an approach ends, while it is under way."""
         self._woken_ns = 0
         self._texts: deque[str] = deque(maxlen=64)

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
 from lss_motion.player.added_show import READINGS_NS, STILL_NS, AddedShow
+from lss_motion.player.approach import approach_s
 from lss_motion.player.cues import SensorWatch
 from lss_motion.player.events import Phase, ShowBegan, ShowOver, Warned
 from lss_motion.player.player import DRIVING, PLAYING, Player
@@ -124,6 +125,11 @@ class StagePlayer(Player):
     def show_s(self, now_ns: int) -> float:
         """Return the show time of the present show; 0 before it has begun."""
         return 0.0 if self.show is None else self.show.show_s(now_ns)
+
+    def way_s(self, program: Program, show_s: float, now_ns: int) -> float:
+        """Return about how long the way to a show time of a program takes, without braking."""
+        to_deg = self._session.start_of(program, show_s)
+        return approach_s(self.robot, to_deg | self._pose_deg(now_ns), to_deg)
 
     # ---- commands
 

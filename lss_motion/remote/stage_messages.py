@@ -115,6 +115,22 @@ class CueInfo(Message):
     """Why it was refused since; empty if it was not."""
 
 
+class TimecodeState(Message):
+    """The timecode of a stage, and the show that follows it."""
+
+    state: Literal[
+        "searching", "locked", "freewheeling", "lost", "standing", "reverse", "off_speed"
+    ]
+    source: str
+    at: str
+    """Where it is, `hh:mm:ss`; empty before it has come."""
+    rate: float | None
+    show: str | None
+    """What the show does, as `player.following.Step`; None: no show follows."""
+    off_ms: float | None
+    """How far the timecode is ahead of the show, while that is in step."""
+
+
 class StageState(Message):
     """The whole state of a stage; only the newest one counts."""
 
@@ -132,6 +148,8 @@ class StageState(Message):
     next_go: str | None
     reasons: tuple[str, ...]
     """Why the figure rests, and until when."""
+    timecode: TimecodeState | None = None
+    """None: the stage has none."""
     cues: tuple[CueInfo, ...]
 
 

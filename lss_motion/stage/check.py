@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from lss_motion import shows
 from lss_motion.errors import InputError, LssMotionError, PlanningError
 from lss_motion.files.source import counted, duration_text, known_names
+from lss_motion.player.following import require_can_follow
 from lss_motion.stage.model import Kind
 
 if TYPE_CHECKING:
@@ -56,14 +57,21 @@ def plan_stage(
     robot_path = _robot_path(stage, figure)
     planned: dict[str, Show] = {}
     errors: list[tuple[int | None, str, LssMotionError]] = []
+    following = following_shows(stage)
     for entry in stage.shows.values():
         path = entry.paths.get(figure or "", entry.paths.get(""))
         if path is None:
             continue
         try:
             planned[entry.name] = plan_show(
-                path, robot_path, read_robot, is_idle=entry.name == stage.idle
+                path,
+                robot_path,
+                read_robot,
+                is_idle=entry.name == stage.idle,
+                is_following=entry.name in following,
             )
+            if entry.name in following:
+                require_can_follow(planned[entry.name].program)
         except LssMotionError as error:
             errors.append((entry.line, entry.name, error))
     if errors:
@@ -71,18 +79,31 @@ def plan_stage(
     return Planned(stage=stage, shows=planned)
 
 
+def following_shows(stage: Stage) -> set[str]:
+    """Return the shows that may follow the timecode, which are planned with headroom."""
+    if stage.sync.timecode is None:
+        return set()
+    return {name for cue in stage.cues if cue.follows and cue.start != "add" for name in cue.shows}
+
+
 def plan_show(
-    path: Path, robot_path: Path, read_robot: ReadRobot | None = None, *, is_idle: bool
+    path: Path,
+    robot_path: Path,
+    read_robot: ReadRobot | None = None,
+    *,
+    is_idle: bool,
+    is_following: bool = False,
 ) -> Show:
     """Return a show of a stage; an idle one loops where it ends as it begins."""
     if is_idle and not shows.is_program(path):
         try:
             sequence, robot = shows.load(path, robot_path, read_robot)
             if sequence.loop is not None:
-                return shows.compiled(replace(sequence, loop=None), robot)
+                once = replace(sequence, loop=None)
+                return shows.compiled(once, robot, is_following=is_following)
         except (InputError, PlanningError):
             pass  # Played as it is, again and again; its own errors are found below.
-    return shows.prepare(path, robot_path, read_robot)
+    return shows.prepare(path, robot_path, read_robot, is_following=is_following)
 
 
 def _robot_path(stage: Stage, figure: str | None) -> Path:

@@ -28,7 +28,7 @@ from lss_motion.stage.choosing import Bags
 from lss_motion.stage.duty import Duty, Reason
 from lss_motion.stage.model import Cue, Kind, Signal, Trigger
 from lss_motion.stage.time_of_day import CronClock
-from lss_motion.stage.triggers import TimecodeCues, Triggers
+from lss_motion.stage.triggers import FREEWHEEL_S, TimecodeCues, Triggers
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
@@ -129,7 +129,9 @@ class Director:
             (cue.on.address for cue in stage.cues if cue.on.kind is Kind.TIME), stage.zone
         )
         durations_s = {name: info.duration_s for name, info in self.shows.items()}
-        self.timecode = TimecodeCues(stage.cues, durations_s)
+        given = stage.sync.timecode
+        freewheel_s = FREEWHEEL_S if given is None else given.freewheel_s
+        self.timecode = TimecodeCues(stage.cues, durations_s, freewheel_s)
         self._orders: deque[orders.Order | orders.Note] = deque()
         self._leaving: dict[int, Playing] = {}
         self._until_ns: dict[str, int | None] = {}
@@ -234,6 +236,14 @@ class Director:
         self._now_ns = now_ns
         self._do(deed)
         self._settle()
+
+    def leave(self, number: int, now_ns: int) -> None:
+        """Leave the show of that number: what it follows is elsewhere."""
+        self._now_ns = now_ns
+        if self.main is not None and self.main.number == number:
+            self._leave_all()
+            self._orders.append(orders.Stop())
+            self._settle()
 
     def next_go(self) -> str | None:
         """Return the cue that GO fires; None: there is none."""
@@ -525,7 +535,10 @@ class Director:
         else:
             self._leave_all()
             self.main = playing
-        follows_s = cue.on.at_s if cue is not None and cue.follows else None
+        is_led = (
+            cue is not None and cue.start != "add" and self.timecode.is_within(cue, self._now_ns)
+        )
+        follows_s = cue.on.at_s if cue is not None and is_led else None
         self._orders.append(
             orders.Play(
                 number=self._number, show=show, how=how, start_s=start_s, follows_s=follows_s

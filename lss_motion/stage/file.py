@@ -133,8 +133,9 @@ class CueEntry(FileModel, title="cue"):
     )
     follow: bool = Field(
         default=True,
-        description="Of timecode: a jump into the show starts it there. Once it plays it is not "
-        "trimmed: it keeps its own clock.",
+        description="Of timecode: the show stays in step with it. It is joined some seconds in, "
+        "where the robot has got to; a jump is rejoined; a jump out of the show ends it. false: it "
+        "plays from its beginning, by its own clock.",
     )
     enabled: bool = Field(default=True, description="Whether it can fire from the start.")
     enable: list[Name] = Field(default=[], description="Cues that can fire from then on.")
@@ -148,7 +149,9 @@ class TimecodeEntry(FileModel, title="timecode"):
         description="ltc: an audio input. mtc: a MIDI input. artnet, fpp: the network."
     )
     input: Line = Field(
-        default="default", description="Audio device, MIDI port, or address to listen on."
+        default="default",
+        description="Audio device, MIDI port, or of artnet and fpp the addresses of the senders "
+        "with commas between. Default: the first device; senders on this computer only.",
     )
     rate_fps: Fps | None = Field(
         default=None,
@@ -162,7 +165,11 @@ class TimecodeEntry(FileModel, title="timecode"):
         default="go_on", description="What follows when freewheel_s is over."
     )
     offset_s: float = Field(
-        default=0.0, ge=-86_400.0, le=86_400.0, description="Added to the timecode."
+        default=0.0,
+        ge=-86_400.0,
+        le=86_400.0,
+        description="Subtracted from the timecode: the timecode at which the cues begin to count, "
+        "as --offset-s of lss-play.",
     )
 
 

@@ -7,6 +7,7 @@ the triggers and wishes of the client to the director, and sends what the stage 
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -22,7 +23,8 @@ from lss_motion.remote.telemetry import plan_hash
 from lss_motion.stage.log import StageLog
 from lss_motion.stage.model import Kind, Signal
 from lss_motion.stage.running import Options, StageRun
-from lss_motion.units import NS_PER_S, s_from_ns
+from lss_motion.stage.timecode import OwnSource, spec_of
+from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
     from lss_motion.player.events import Event
@@ -64,8 +66,13 @@ class StageJob:
         rule = self.planned.stage.log
         if folder is not None:
             rule = type(rule)(folder=folder, max_bytes=rule.max_bytes, ring_s=rule.ring_s)
-        with StageLog(rule, is_virtual=options.is_virtual) as log:
-            run = StageRun(self.planned, options, steerer=steering, note=log.write)
+        given = self.planned.stage.sync.timecode
+        with contextlib.ExitStack() as stack:
+            log = stack.enter_context(StageLog(rule, is_virtual=options.is_virtual))
+            legs = None
+            if given is not None and not options.is_virtual:
+                legs = stack.enter_context(OwnSource(spec_of(given)))
+            run = StageRun(self.planned, options, steerer=steering, note=log.write, legs=legs)
             steering.begin(run)
             try:
                 end = run.play()
@@ -211,10 +218,8 @@ class StageSteering(Steering):
         match operation:
             case s.Trigger() | s.Cue() | m.Go():
                 director.signal(signal_of(operation, self._run.stage), now_ns)
-            case m.Follow() if self._run.stage.sync.timecode is not None:
-                passed_s = s_from_ns(now_ns - operation.instant_ns)
-                at_s = operation.show_s + passed_s * operation.rate
-                director.hear_timecode(at_s, operation.rate, now_ns)
+            case m.Follow() if self._run.timecode is not None:
+                self._run.timecode.take(operation, now_ns)
             case s.Enable():
                 director.enable(operation.cue, is_enabled=operation.is_enabled)
             case s.Arm():

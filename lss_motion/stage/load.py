@@ -437,9 +437,18 @@ class _Loader:
     def _sync(self) -> Sync:
         entry = self.content.sync
         line = self.source.line(("sync", "timecode"))
-        timecode = entry.timecode
+        from lss_motion.stage.timecode import spec_of
+
+        timecode = (
+            None if entry.timecode is None else TimecodeInput(**dict(entry.timecode), line=line)
+        )
+        if timecode is not None:
+            try:
+                spec_of(timecode)
+            except InputError as error:
+                self._note(("sync", "timecode", "input"), error.reason)
         return Sync(
-            timecode=None if timecode is None else TimecodeInput(**dict(timecode), line=line),
+            timecode=timecode,
             send=tuple(
                 SendOutput(**dict(output), line=self.source.line(("sync", "send", index)))
                 for index, output in enumerate(entry.send)

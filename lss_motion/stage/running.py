@@ -23,11 +23,13 @@ from lss_motion.player.events import Faulted, Phase, PhaseEntered, ShowBegan, Sh
 from lss_motion.player.stage_player import StagePlayer
 from lss_motion.robot.on_fault import ENDING, Cause
 from lss_motion.runtime.clock import MonotonicClock
+from lss_motion.runtime.sound_choice import SoundChoice
 from lss_motion.stage import orders
 from lss_motion.stage.director import Director, ShowInfo
 from lss_motion.stage.duty import Reason
 from lss_motion.stage.log import Ring
 from lss_motion.stage.model import Kind, Signal
+from lss_motion.stage.timecode import StageTimecode
 from lss_motion.stage_run import perform_stage
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
 
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     from lss_motion.runtime.runner import Tap
     from lss_motion.stage.check import Planned
     from lss_motion.stage_run import StageResult
+    from lss_motion.sync.source import Legs
 
     Record = dict[str, Any]
 
@@ -143,7 +146,9 @@ class StageRun:
         steerer: Steerer | None = None,
         note: Callable[[Record], None] | None = None,
         tap: Callable[[int], Tap] | None = None,
+        legs: Legs | None = None,
     ) -> None:
+        """`legs`: the source of its timecode."""
         stage = planned.stage
         self.stage, self.options = stage, options
         self.programs = {name: show.program for name, show in planned.shows.items()}
@@ -165,6 +170,8 @@ class StageRun:
         """For operators, while no show plays."""
         self.now_ns = 0
         """The instant of the director: it goes on through all runs."""
+        given = stage.sync.timecode
+        self.timecode = None if given is None else StageTimecode(given, legs)
         self._steerer = steerer
         self._note = note or (lambda _record: None)
         self._tap = tap
@@ -173,6 +180,8 @@ class StageRun:
         """Added to the clock of the present run."""
         self._playing = Playing()
         self._rate, self._rated_ns = 1.0, 0
+        self._is_led = False
+        """Whether the present show follows the timecode."""
         self._about: dict[str, CueState] = {cue.name: CueState() for cue in stage.cues}
         self._must_connect = True
         self._is_relaxing = self._is_over = False
@@ -212,6 +221,9 @@ class StageRun:
         self._must_connect = False
         self._playing = Playing()
         self._rate, self._rated_ns = 1.0, -RATE_EVERY_NS
+        self._is_led = False
+        if self.timecode is not None:
+            self.timecode.leave()
         self.state = "connecting"
         self.record("connecting", "the servos are checked and set up")
 
@@ -231,8 +243,12 @@ class StageRun:
             seed=options.seed or 0,
             observer=observer,
             faults=faults,
-            **options.more,
+            **{**self._sound(), **options.more},
         )
+
+    def _sound(self) -> dict[str, SoundChoice]:
+        """Return the choice of sounds: where timecode leads the shows, no sound device does."""
+        return {} if self.timecode is None else {"sound": SoundChoice(leads=False)}
 
     def _make_tap(self, started_ns: int) -> Tap:
         ring: Tap = self.ring.started(started_ns)
@@ -284,8 +300,7 @@ class StageRun:
             if self.options.is_virtual:
                 self.now_ns = max(wakeup_ns, self.now_ns + 1)
             else:
-                filenos = () if self._steerer is None else self._steerer.filenos()
-                self._clock.wait_until(wakeup_ns, filenos)
+                self._clock.wait_until(wakeup_ns, self.filenos())
                 self.now_ns = self._clock.now_ns()
         self._offset_ns = self.now_ns if self.options.is_virtual else 0
         return not self._is_over
@@ -294,7 +309,8 @@ class StageRun:
 
     def filenos(self) -> Sequence[int]:
         """Return what ends a wait."""
-        return () if self._steerer is None else self._steerer.filenos()
+        who = (one for one in (self._steerer, self.timecode) if one is not None)
+        return [fileno for one in who for fileno in one.filenos()]
 
     def act(self, player: Player, now_ns: int) -> None:
         """Give the director what has come, and do what it orders."""
@@ -336,6 +352,7 @@ class StageRun:
             self._is_over = self._is_over or self._steerer.has_stopped
         if self._end_ns is not None and self.now_ns >= self._end_ns:
             self._is_over = True
+        self._hear()
         if player is not None and not self._is_over:
             self._read(player)
             self._set_rate(player, now_ns)
@@ -346,6 +363,20 @@ class StageRun:
         if self._ring_ns is not None and self.now_ns >= self._ring_ns:
             self._dump_ring()
         self._obey(None if self._is_over else player, now_ns)
+        if self.timecode is not None and player is not None and not self._is_over:
+            self.timecode.steer(player, now_ns, is_paused=self._wanted_rate == 0.0)
+
+    def _hear(self) -> None:
+        """Let the director hear the timecode."""
+        if self.timecode is not None:
+            self.timecode.turn(self.director, self.now_ns)
+            for text in self.timecode.take_texts():
+                self.record("timecode", text)
+
+    @property
+    def _wanted_rate(self) -> float:
+        """The rate that the operator has set; 0: paused."""
+        return 1.0 if self._steerer is None else self._steerer.rate
 
     def wall(self) -> datetime:
         """Return the time of day."""
@@ -421,7 +452,16 @@ class StageRun:
         """Play another show in place of all, or none; those that had not begun are over at once."""
         program = None if order is None else player.repertoire.programs[order.show]
         start_s = None if order is None else order.start_s
-        player.change_to(program, now_ns, start_s=start_s)
+        place_s = None
+        if self.timecode is not None:
+            self.timecode.leave()
+            if order is not None and program is not None:
+                place_s = self.timecode.begin(order, program, player, now_ns, self._offset_ns)
+        player.change_to(program, now_ns, start_s=start_s if place_s is None else place_s)
+        was_led, self._is_led = self._is_led, place_s is not None
+        if was_led or self._is_led:  # It begins paused, and has the rate of its leader then.
+            self._rate = 0.0 if self._is_led else self._wanted_rate * self.director.duty.rate
+            player.set_rate(self._rate, now_ns)
         for name in self._playing.added.keys() & set(player.added):
             player.end_added(name, now_ns)
         for number, reached_s in self._playing.leave(order):
@@ -429,14 +469,17 @@ class StageRun:
 
     def _set_rate(self, player: StagePlayer, now_ns: int) -> None:
         """Set the rate that budgets and the operator allow together."""
-        wanted = 1.0 if self._steerer is None else self._steerer.rate
-        rate = wanted * self.director.duty.rate
+        if self._is_led:
+            return
+        rate = self._wanted_rate * self.director.duty.rate
         if rate != self._rate and now_ns >= self._rated_ns + RATE_EVERY_NS:
             self._rate, self._rated_ns = rate, now_ns
             player.set_rate(rate, now_ns)
 
     def _note_over(self, summary: ShowSummary) -> None:
         number = self._playing.note_over(summary)
+        if self.timecode is not None and number == self.timecode.number:
+            self.timecode.leave()
         worst = max(
             ((joint.error_max_deg, name) for name, joint in summary.joints.items()),
             default=(0.0, ""),
@@ -523,6 +566,7 @@ class StageRun:
             "left": tuple(one.show for one in director.left),
             "next_go": director.next_go(),
             "reasons": tuple(director.duty.reasons.values()),
+            "timecode": None if self.timecode is None else self.timecode.state_of(self.now_ns),
             "cues": tuple(
                 {
                     "name": cue.name,

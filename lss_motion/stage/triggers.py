@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from lss_motion.stage.model import Kind
-from lss_motion.units import NS_PER_S, ns_from_s, s_from_ns
+from lss_motion.units import ns_from_s, s_from_ns
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -28,8 +28,8 @@ JUMP_S: Final = 0.5
 """A larger difference from the expected position is a jump of the timecode. Chosen: longer than any
 delay of a source, shorter than a jump that a person would make."""
 
-TIMECODE_STALE_NS: Final = 2 * NS_PER_S
-"""Without a new position for so long nothing more is triggered. Chosen: the usual freewheel."""
+FREEWHEEL_S: Final = 2.0
+"""Without a new position for so long nothing more is triggered, if the stage says nothing else."""
 
 
 @dataclass(slots=True)
@@ -81,8 +81,11 @@ def _matches(cue: Cue, signal: Signal) -> bool:
 class TimecodeCues:
     """Which cues the timecode passes, and which show it is in after a jump."""
 
-    def __init__(self, cues: Iterable[Cue], duration_s: dict[str, float]) -> None:
+    def __init__(
+        self, cues: Iterable[Cue], duration_s: dict[str, float], freewheel_s: float = FREEWHEEL_S
+    ) -> None:
         """Take the cues of a stage, and the durations of its shows."""
+        self._freewheel_ns = ns_from_s(freewheel_s)
         self._cues = sorted(
             (cue for cue in cues if cue.on.kind is Kind.TIMECODE), key=lambda cue: cue.on.at_s
         )
@@ -117,7 +120,7 @@ class TimecodeCues:
     def tick(self, now_ns: int) -> Iterator[tuple[Cue, float | None]]:
         """Yield the cues that were passed since the last position."""
         at_s = self._expected_s(now_ns)
-        if at_s is not None and self._rate > 0.0 and now_ns - self._heard_ns < TIMECODE_STALE_NS:
+        if at_s is not None and self._rate > 0.0 and now_ns - self._heard_ns < self._freewheel_ns:
             yield from self._pass_to(at_s)
             if self._at_s is not None and at_s > self._at_s:
                 self._at_s, self._now_ns = at_s, now_ns
@@ -148,9 +151,17 @@ class TimecodeCues:
         """Return the last cue whose first show is under way at this position."""
         found = None
         for cue in self._cues:
-            if not cue.shows or not cue.follows:
-                continue
-            end_s = cue.on.at_s + self._duration_s.get(cue.shows[0], 0.0)
-            if cue.on.at_s <= at_s < end_s:
+            if self._lasts(cue, at_s):
                 found = cue
         return found
+
+    def is_within(self, cue: Cue, now_ns: int) -> bool:
+        """Return whether the timecode runs, and is in the first show of this cue."""
+        at_s = self._expected_s(now_ns)
+        return at_s is not None and self._rate > 0.0 and self._lasts(cue, at_s)
+
+    def _lasts(self, cue: Cue, at_s: float) -> bool:
+        """Return whether the first show of a cue that follows is under way at this position."""
+        if not cue.shows or not cue.follows:
+            return False
+        return cue.on.at_s <= at_s < cue.on.at_s + self._duration_s.get(cue.shows[0], 0.0)

@@ -27,6 +27,16 @@ STATES: Final = (
     "stopped",
 )
 
+TIMECODE_STATES: Final = (
+    "searching",
+    "locked",
+    "freewheeling",
+    "lost",
+    "standing",
+    "reverse",
+    "off_speed",
+)
+
 
 class Metrics:
     """The metrics of one stage, in a registry of their own."""
@@ -48,6 +58,13 @@ class Metrics:
         self.current_a = self._of_joint("current_amperes", "Current of the servo")
         self.error_deg = self._of_joint("error_degrees", "Planned minus measured angle")
         self.use_ratio = Gauge("lss_line_use_ratio", "Use of a line", ["bus"], registry=own)
+        self.timecode = Gauge(
+            "lss_timecode_state", "1 for the present state of the timecode", ["state"], registry=own
+        )
+        self.timecode_rate = Gauge("lss_timecode_rate_ratio", "Rate of the timecode", registry=own)
+        self.timecode_off_s = Gauge(
+            "lss_timecode_off_seconds", "Timecode minus the show that follows it", registry=own
+        )
         self.late_s = Gauge("lss_late_seconds", "Latest move of this show", registry=own)
         self.note_state("off")
 
@@ -66,6 +83,7 @@ class Metrics:
                 self.starts.inc()
             case "stage":
                 self.note_state(event["state"])
+                self._take_timecode(event.get("timecode"))
             case "stage_note":
                 self._take_note(event)
             case "fault":
@@ -80,6 +98,16 @@ class Metrics:
             self.cues.labels(note["cue"], kind).inc()
         elif kind == "started" and note.get("show"):
             self.shows.labels(note["show"]).inc()
+
+    def _take_timecode(self, timecode: dict[str, Any] | None) -> None:
+        if timecode is None:
+            return
+        for one in TIMECODE_STATES:
+            self.timecode.labels(one).set(one == timecode["state"])
+        if timecode["rate"] is not None:
+            self.timecode_rate.set(timecode["rate"])
+        if timecode["off_ms"] is not None:
+            self.timecode_off_s.set(timecode["off_ms"] / 1e3)
 
     def _take_health(self, health: dict[str, Any]) -> None:
         for name, joint in health["joints"].items():

@@ -23,13 +23,14 @@ END_S: Final = 1.0
 class Child:
     """One process. `take` and `send` never wait."""
 
-    def __init__(self, module: str, argument: str) -> None:
-        """Start it, and wait until it is ready; `text` is empty if it failed."""
+    def __init__(self, module: str, argument: str, *, waits: bool = True) -> None:
+        """Start it, and wait until it is ready; `text` is empty if it failed, or is not yet."""
         self.text = ""
         """What was opened, for a person."""
         self.problems: list[str] = []
         """Why it failed, not yet taken by `take_problems`."""
         self._rest = b""
+        self._has_failed = False
         self._process: subprocess.Popen[bytes] | None = subprocess.Popen(  # noqa: S603
             # -P: no module of the current folder is imported in place of an installed one.
             [sys.executable, "-P", "-m", module, argument],
@@ -44,14 +45,13 @@ class Child:
         os.set_blocking(self._in_fd, False)
         os.set_blocking(self._out_fd, False)
         end_s = time.monotonic() + OPEN_S
-        while not self.text and self._process is not None:
+        while waits and not self.text and self._process is not None:
             left_s = max(end_s - time.monotonic(), 0.0)
             if not select.select([self._out_fd], [], [], left_s)[0]:
                 self.problems.append(f"it does not open within {OPEN_S:g} s")
                 self.close()
-            for values in self.take():
-                self.text = str(values.get("ready", ""))
-        if not self.text:
+            self.take()
+        if waits and not self.text:
             self.close()
 
     def filenos(self) -> list[int]:
@@ -67,13 +67,15 @@ class Child:
         except BlockingIOError:
             return []
         if not data:
-            if not self.problems:
+            if not self._has_failed:
                 self.problems.append("its process has ended")
             self.close()
             return []
         *lines, self._rest = (self._rest + data).split(b"\n")
         found: list[dict[str, Any]] = [json.loads(line) for line in lines]
         self.problems += [str(values["failed"]) for values in found if "failed" in values]
+        self._has_failed = self._has_failed or bool(self.problems)
+        self.text = next((str(values["ready"]) for values in found if "ready" in values), self.text)
         return found
 
     def take_problems(self) -> list[str]:

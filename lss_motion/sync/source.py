@@ -27,12 +27,23 @@ if TYPE_CHECKING:
 class TimecodeSource:
     """One source of timecode, read by a process of its own. A context manager."""
 
-    def __init__(self, spec: FollowSpec) -> None:
-        """Open it; raises `InputError` if that fails."""
-        self._child = Child(receive.__name__, receive.spec_text(spec))
-        if not self._child.text:
+    def __init__(self, spec: FollowSpec, *, waits: bool = True) -> None:
+        """Open it; raises `InputError` if that fails. Without `waits` it opens later."""
+        self._child = Child(receive.__name__, receive.spec_text(spec), waits=waits)
+        if waits and not self._child.text:
             raise InputError(f"--follow {spec.kind}: {'; '.join(self._child.problems)}")
-        self._texts = [f"follows {self._child.text}"]
+        self._texts: list[str] = []
+        self._is_named = False
+
+    @property
+    def is_open(self) -> bool:
+        """Whether timecode is read, or will be."""
+        return bool(self._child.filenos())
+
+    @property
+    def has_opened(self) -> bool:
+        """Whether it has been opened."""
+        return bool(self._child.text)
 
     def filenos(self) -> list[int]:
         """Return what ends a wait."""
@@ -52,6 +63,9 @@ class TimecodeSource:
         """Return what a person should know, since the last call."""
         problems = [f"no timecode is read any more: {one}" for one in self._child.take_problems()]
         texts, self._texts = [*self._texts, *problems], []
+        if self._child.text and not self._is_named:
+            self._is_named = True
+            return [f"follows {self._child.text}", *texts]
         return texts
 
     def close(self) -> None:

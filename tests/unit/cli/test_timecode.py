@@ -15,7 +15,7 @@ def specs(*words):
 
 def test_what_is_followed_and_sent_is_read():
     follow, sends = specs(
-        *["--follow", "artnet:10.0.0.4", "--offset", "01:00:00:10", "--rate-fps", "25"],
+        *["--follow", "artnet:10.0.0.4", "--offset-s", "01:00:00:10", "--rate-fps", "25"],
         *["--send", "ltc:USB", "--send", "osc:10.0.0.9:8000", "--freewheel", "5"],
     )
     assert (follow.kind, follow.allowed, follow.freewheel_s) == ("artnet", ("10.0.0.4",), 5.0)
@@ -38,11 +38,11 @@ def test_what_is_followed_and_sent_is_read():
         (["--follow", "vitc"], "no source"),
         (["--follow", "fpp", "--rate-fps", "25"], "FPP sends seconds"),
         (["--follow", "ltc", "--rate-fps", "26"], "no frame rate"),
-        (["--follow", "ltc", "--offset", "1 o'clock"], "no start in timecode"),
+        (["--follow", "ltc", "--offset-s", "1 o'clock"], "no start in timecode"),
         (["--follow", "artnet:desk"], "no address"),
         (["--send", "artnet"], "names no address"),
         (["--send", "mtc", "--rate-fps", "23.976"], "cannot name"),
-        (["--rate-fps", "25"], "--rate-fps and --offset"),
+        (["--rate-fps", "25"], "--rate-fps and --offset-s"),
     ],
 )
 def test_what_does_not_fit_is_refused(words, text):

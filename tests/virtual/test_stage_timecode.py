@@ -1,0 +1,214 @@
+"""A stage that follows timecode, in virtual time, judged at the bytes that the servos receive."""
+
+from __future__ import annotations
+
+import re
+import time
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+from campaign.outside import objections_to
+from campaign.witness import Witness
+
+from lss_motion.remote.schema import Follow
+from lss_motion.stage.check import plan_stage
+from lss_motion.stage.load import load_stage
+from lss_motion.stage.model import Kind, Signal, TimecodeInput
+from lss_motion.stage.running import Options, StageRun
+from lss_motion.stage.timecode import OwnSource, spec_of
+
+S = 1_000_000_000
+FILES = {
+    "robot": """\
+robot: puppet
+defaults: {model: LSS-ST1, speed_max_deg_s: 180, accel_max_deg_s2: 600}
+joints:
+  neck: {id: 1, range_deg: [-90, 90]}
+""",
+    "idle": "sequence: idle\nkeyframes:\n  - {at_s: 0, deg: {neck: -1}}\n"
+    "  - {at_s: 1, deg: {neck: -5}}\n  - {at_s: 2, deg: {neck: -1}}\n",
+    "wink": "sequence: wink\nkeyframes:\n  - {at_s: 0, deg: {neck: 0}}\n"
+    "  - {at_s: 0.5, deg: {neck: 3}}\n  - {at_s: 1, deg: {neck: 0}}\n",
+    "dance": "sequence: dance\nkeyframes:\n"
+    + "".join(
+        f"  - {{at_s: {at_s}, deg: {{neck: {(10 + at_s) * (-1) ** at_s}}}}}\n" for at_s in range(31)
+    ),
+}
+STAGE = """\
+stage: hall
+robot: robot.yaml
+shows: {idle: idle.yaml, dance: dance.yaml, wink: wink.yaml}
+idle: idle
+cues:
+  - {cue: twelve, on: {timecode: "00:00:10:00"}, play: dance, start: terminate}
+  - {cue: later, on: {timecode: "00:01:30:00"}, play: wink, start: terminate, follow: false}
+  - {cue: over, on: {timecode: "00:02:00:00"}, play: wink, start: terminate, follow: false}
+sync: {timecode: {source: ltc, rate_fps: 25, offset_s: 3600.0, freewheel_s: 2, lost: LOST}}
+"""
+MOVE = re.compile(rb"#1D(-?\d+)")
+SHOW_S = 10.0
+"""Position at which `dance` begins."""
+
+
+class Desk:
+    """A lighting desk: `at(seconds)` is its position and rate; None: it sends nothing."""
+
+    def __init__(self, at, hand=None):
+        self.at, self.run, self.next_ns, self.hand = at, None, 0, hand
+
+    def filenos(self):
+        return ()
+
+    def take(self):
+        legs = []
+        if self.hand is not None and self.run.now_ns >= self.hand[0] * S:
+            signal = Signal(kind=Kind.CUE, address=self.hand[1])
+            self.run.director.signal(signal, self.run.now_ns)
+            self.hand = None
+        while self.next_ns <= self.run.now_ns:
+            led = self.at(self.next_ns / S)
+            if led is not None:
+                legs.append(Follow(id=1, instant_ns=self.next_ns, show_s=led[0], rate=led[1]))
+            self.next_ns += S // 10
+        return legs
+
+    def take_texts(self):
+        return ()
+
+
+class Judge(Witness):
+    """Keeps all bytes; ends nothing."""
+
+    def act(self, driven, now_ns):
+        self.end_ns = now_ns
+
+
+class Evening:
+    """One evening with a desk, each horn judged."""
+
+    def __init__(self, planned, at, lasts_s, hand=None):
+        self.records, self.states, self.judge = [], [], Judge()
+        begins = datetime(2026, 10, 30, 18, tzinfo=UTC)
+        options = Options(is_virtual=True, begins=begins, lasts_s=lasts_s, seed=1)
+        desk = Desk(at, hand)
+        run = StageRun(
+            planned, options, note=self.records.append, tap=lambda _: self.judge, legs=desk
+        )
+        desk.run, self.run, results = run, run, []
+        self.end = run.play(lambda result, _: results.append(result))
+        (result,) = results
+        self.judge.end_ns = round(result.report.run_s * S)
+        assert objections_to(result.player.robot, (), self.judge, result) == []
+        self.moves = [
+            (ns, int(found[1]))
+            for ns, data in self.judge.writes["main"]
+            for found in MOVE.finditer(data)
+        ]
+        self.fired = [
+            (one["cue"], (datetime.fromisoformat(one["t"]) - begins).total_seconds())
+            for one in self.records
+            if one["kind"] == "fired"
+        ]
+        self.texts = [one["text"] for one in self.records if one["kind"] == "timecode"]
+        self.over = [one["text"] for one in self.records if one["kind"] == "over"]
+
+    def off_ms(self, program, at, from_s, to_s):
+        """How late each move of `program` left, by the desk's clock."""
+        found = []
+        for ns, target in self.moves:
+            if from_s * S <= ns < to_s * S:
+                show_s = at(ns / S)[0] - SHOW_S
+                due_s = [m.due_us / 1e6 for m in program.moves if abs(m.target_wire - target) <= 1]
+                found.append(min((show_s - one for one in due_s), key=abs, default=np.inf))
+        return 1000.0 * np.array(found)
+
+
+def planned_in(folder, lost):
+    for name, text in FILES.items():
+        (folder / f"{name}.yaml").write_text(text)
+    (folder / "stage.yaml").write_text(STAGE.replace("LOST", lost))
+    return plan_stage(load_stage(folder / "stage.yaml"))
+
+
+def test_cues_fire_at_their_timecode_and_shows_stay_in_step_through_gaps_and_jumps(tmp_path):
+    planned = planned_in(tmp_path, "go_on")
+    program = planned.shows["dance"].program
+    assert {name for name, show in planned.shows.items() if show.is_following} == {"dance"}
+
+    def at(seconds):
+        if 17.0 < seconds < 18.5 or seconds >= 58.0:
+            return None
+        for from_s, ahead_s in ((50, -38), (44, 81), (34, 52), (24, -6), (0, 0)):
+            if seconds >= from_s:
+                return seconds + ahead_s, 1.0
+        return None
+
+    evening = Evening(planned, at, 82.0)
+    assert [cue for cue, _ in evening.fired] == ["twelve", "later", "twelve"]
+    assert [at_s for _, at_s in evening.fired] == pytest.approx([10.0, 38.0, 50.0], abs=0.021)
+    for from_s, to_s, least in ((14, 17, 6), (18.6, 24, 6), (28, 34, 9), (54, 58, 5)):
+        off_ms = evening.off_ms(program, at, from_s, to_s)
+        assert len(off_ms) >= least
+        assert np.abs(off_ms).max() < 30.0, "as near as it joins"
+        assert abs(off_ms[-1]) < 2.0, "and then trimmed"
+    assert [name for name in evening.over if "idle" not in name] == [
+        "dance left", "wink finished", "dance finished",
+    ]  # fmt: skip
+    assert "timecode: the timecode has left the show" in evening.texts
+    assert evening.texts[-2:] == [
+        "timecode: lost, at 01:00:21",
+        "timecode: no leader for 2 s: the show goes on",
+    ]
+    last = evening.run.timecode.state_of(evening.run.now_ns)
+    assert (last["state"], last["source"], last["show"]) == ("lost", "ltc", None)
+
+
+def test_without_timecode_a_show_holds_if_it_is_to_and_rejoins(tmp_path):
+    planned = planned_in(tmp_path, "hold")
+
+    def at(seconds):
+        return seconds, 1.0
+
+    evening = Evening(planned, lambda s: None if 14.0 < s < 20.0 else at(s), 27.0)
+    assert [cue for cue, _ in evening.fired] == ["twelve"]
+    program = planned.shows["dance"].program
+    assert len(evening.off_ms(program, at, 14.0, 16.0)) >= 3, "it freewheels"
+    assert len(evening.off_ms(program, at, 17.5, 20.0)) == 0, "it holds"
+    off_ms = evening.off_ms(program, at, 23.5, 27.0)
+    assert len(off_ms) >= 4
+    assert np.abs(off_ms).max() < 30.0
+
+
+def test_a_show_plays_by_itself_where_there_is_nothing_to_follow(tmp_path):
+    """It is fired by hand and no timecode comes, or it would be over before it has joined."""
+
+    def at(seconds):
+        return seconds, 1.0
+
+    planned = planned_in(tmp_path, "hold")
+    (tmp_path / "stage.yaml").write_text(
+        (tmp_path / "stage.yaml").read_text().replace("play: dance", "play: wink")
+    )
+    short = plan_stage(load_stage(tmp_path / "stage.yaml"))
+    assert short.shows["wink"].is_following
+    evening = Evening(short, at, 16.0)
+    assert "wink finished" in evening.over
+
+    by_hand = Evening(planned, lambda _: None, 8.0, hand=(4.0, "twelve"))
+    assert len(by_hand.off_ms(planned.shows["dance"].program, at, 6.0, 8.0)) >= 2
+    assert by_hand.run.timecode.state_of(0)["state"] == "searching"
+
+
+def test_a_source_that_cannot_be_opened_is_named_once_and_stops_nothing():
+    with OwnSource(spec_of(TimecodeInput(source="mtc", input="no such port"))) as source:
+        texts, end_s = [], time.monotonic() + 20.0
+        while not texts and time.monotonic() < end_s:
+            assert source.take() == []
+            texts += source.take_texts()
+            time.sleep(0.02)
+        assert len(texts) == 1
+        assert "no timecode is read any more: " in texts[0]
+        while source.filenos() and time.monotonic() < end_s:
+            source.take()
+        assert source.take_texts() == [], "that its process has ended says nothing more"
