@@ -101,9 +101,8 @@ def _job() -> Task:
     # It comes from the process that started this one.
     job: Task = pickle.load(sys.stdin.buffer)  # noqa: S301
     changes: dict[str, Any] = pickle.load(sys.stdin.buffer)  # noqa: S301
-    if not changes:
+    if not isinstance(job, Changeable):  # A robot without a show has nothing to change.
         return job
-    assert isinstance(job, Changeable)
     options = {**job.options, **changes.pop("options", {})}
     changed: Task = replace(job, options=options, **changes)  # type: ignore[type-var]
     return changed

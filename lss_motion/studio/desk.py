@@ -82,7 +82,8 @@ class Desk:
         self.watch: Callable[[dict[str, Any]], None] = lambda _: None
         """Called with each event of the process that plays."""
         self._trouble: list[str] = []
-        self._end_state: dict[str, object] = {}
+        self._end_state: dict[str, object] = {"state": "ended", "text": ""}
+        self._outcome = ""
         self._end_text = ""
         """What is told when the process has ended: until then it owns the ports."""
 
@@ -346,9 +347,8 @@ class Desk:
             case "ended" if event["outcome"] == "lost" and event["report"] is None:
                 self._end_state = {"state": "gone", "text": event["error"]}
             case "ended":
-                # A stop that is kept goes on saying what it was, and that it is kept.
-                text = self._state.text if self._state.is_latched else event["outcome"]
-                self._end_state = {"state": "ended", "text": event["error"] or text}
+                self._end_state = {"state": "ended", "text": event["error"] or ""}
+                self._outcome = event["outcome"]
 
     def _show_plan_of(self, show: str | None) -> None:
         """Let the clients see the plan of the present show of a stage."""
@@ -391,7 +391,9 @@ class Desk:
         self._player = None
         begin, self._next = self._next, None
         if self._task == "show":
-            self._change(**self._end_state)
+            # A stop that is kept goes on saying what it was, and that it is kept.
+            usual = self._state.text if self._state.is_latched else self._outcome
+            self._change(**{**self._end_state, "text": self._end_state["text"] or usual})
         self._tell_robot("off", self._end_text)
         if begin is not None:
             begin()

@@ -36,6 +36,8 @@ PERIOD_FRAMES = 1024
 FLOATS = b"32 bit float mono audio"
 IS_INPUT = 1
 PLAYBACK_LATENCY = 1
+SKIP_NS = 2_000_000
+"""A larger change from one block to the next is a dropout."""
 
 
 def missing() -> str:
@@ -97,6 +99,22 @@ def _is_up(server: subprocess.Popen[bytes], environ: dict[str, str]) -> bool:
     return False
 
 
+def evened_ns(frames: np.ndarray, stated_ns: np.ndarray) -> np.ndarray:
+    """Return when frames are played, from what the server stated as they were recorded.
+
+    Its clock is the computer's, so between two dropouts frames are evenly spaced. What it states
+    comes near that within a second after its start, and is right in the second half of each part.
+    """
+    if len(frames) == 0:
+        return stated_ns
+    even_ns = frames * (1e9 / RATE_HZ)
+    off_ns = stated_ns - even_ns
+    jumps = np.flatnonzero(np.abs(np.diff(off_ns)) > SKIP_NS) + 1
+    parts = np.split(off_ns, jumps)
+    settled_ns = [np.full(len(part), np.median(part[len(part) // 2 :])) for part in parts]
+    return np.round(even_ns + np.concatenate(settled_ns)).astype(np.int64)
+
+
 class Recorder:
     """Records one channel of a client of the sound server. A context manager."""
 
@@ -123,10 +141,9 @@ class Recorder:
 
     def samples(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the instant of each block's first frame in ns, and the blocks."""
-        self.xruns, at_ns, blocks = self._ask("samples")
-        return np.array(at_ns, dtype=np.int64), np.array(
-            [np.frombuffer(block, dtype=np.float32) for block in blocks]
-        )
+        self.xruns, numbers, stated_ns, blocks = self._ask("samples")
+        at_ns = evened_ns(np.array(numbers, dtype=np.int64), np.array(stated_ns, dtype=np.int64))
+        return at_ns, np.array([np.frombuffer(block, dtype=np.float32) for block in blocks])
 
     def _ask(self, question: str) -> Any:  # noqa: ANN401  (three kinds of answers)
         assert self._child.stdin is not None
@@ -148,10 +165,9 @@ class _Client:
     """The client of the sound server, in the process of the recording."""
 
     def __init__(self) -> None:
-        self.blocks: list[tuple[int, bytes]] = []
-        """When the first frame of each block is played, in us of the sound server, and the block.
-
-        It is asked at once: after a dropout the server counts anew, which moves earlier frames."""
+        self.blocks: list[tuple[int, int, bytes]] = []
+        """Number of the first frame of each block, when it is played by the clock of the server in
+        us, and the block. It is asked at once: after a dropout the server counts anew."""
         self.xruns = 0
         self._jack = jack = ctypes.CDLL(ctypes.util.find_library("jack"))
         for name, kind in (
@@ -189,14 +205,15 @@ class _Client:
             own = self._jack.jack_port_name(self._port)
             return self._jack.jack_connect(self._client, source.encode(), own) == 0
         recorded = list(self.blocks)
-        at_ns = [self._origin_ns + 1000 * at_us for at_us, _ in recorded]
-        return self.xruns, at_ns, [data for _, data in recorded]
+        at_ns = [self._origin_ns + 1000 * at_us for _, at_us, _ in recorded]
+        frames, blocks = [one for one, *_ in recorded], [data for *_, data in recorded]
+        return self.xruns, frames, at_ns, blocks
 
     def _take(self, count: int, _: object) -> int:
         buffer = self._jack.jack_port_get_buffer(self._port, count)
         frame = self._jack.jack_last_frame_time(self._client)
         at_us = self._jack.jack_frames_to_time(self._client, frame + self._latency_frames)
-        self.blocks.append((at_us, ctypes.string_at(buffer, 4 * count)))
+        self.blocks.append((frame, at_us, ctypes.string_at(buffer, 4 * count)))
         return 0
 
     def _count_xrun(self, _: object) -> int:

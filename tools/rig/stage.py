@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -29,6 +30,10 @@ PLAIN: Final = ("0.1", "0.05", "0", "0", "0")
 WIFI: Final = ("0.5", "3", "0.02", "80", "0.005")
 """Of a line: base and jitter in ms, share and size in ms of spikes, share of losses."""
 
+CAP_NET_ADMIN: Final = 12
+CAP_SYS_ADMIN: Final = 21
+"""Of capabilities(7): bits of the rights of a process."""
+
 ROBOT: Final = """\
 robot: {name}
 buses: {{main: {{port: "sim://", baud_bps: 115200, firmware: 370}}}}
@@ -38,10 +43,20 @@ joints:
 """
 
 
+def may_make_namespaces() -> bool:
+    """Return whether this process may make network namespaces; root in a container may not."""
+    status = Path("/proc/self/status")
+    if not status.exists() or os.geteuid() != 0:
+        return False
+    found = re.search(r"^CapEff:\s*([0-9a-f]+)$", status.read_text(), re.MULTILINE)
+    held = int(found[1], 16) if found else 0
+    return all(held >> capability & 1 for capability in (CAP_NET_ADMIN, CAP_SYS_ADMIN))
+
+
 def why_not() -> str:
     """Return why there can be no rig here; empty: there can."""
-    if not sys.platform.startswith("linux") or os.geteuid() != 0:
-        return "network namespaces need Linux and root"
+    if not may_make_namespaces():
+        return "network namespaces need Linux and root with CAP_NET_ADMIN and CAP_SYS_ADMIN"
     if shutil.which("ip") is None:
         return "network namespaces need `ip` (Debian: iproute2)"
     name = f"lsstry{os.getpid()}"
