@@ -285,6 +285,8 @@ class Director:
             self.has_begun = True
             self.signal(Signal(kind=Kind.START), now_ns)
         self._settle()
+        for cue, start_s in self.timecode.under_way(now_ns):
+            self._by_timecode(cue, start_s)
 
     def ended(
         self, number: int, outcome: orders.Outcome, show_s: float | None, now_ns: int

@@ -155,6 +155,12 @@ class TimecodeCues:
                 found = cue
         return found
 
+    def under_way(self, now_ns: int) -> Iterator[tuple[Cue, float]]:
+        """Yield the cue in whose show the timecode runs now, and its show time."""
+        at_s = self._expected_s(now_ns)
+        if at_s is not None and self._rate > 0.0 and (found := self._within(at_s)) is not None:
+            yield found, at_s - found.on.at_s
+
     def is_within(self, cue: Cue, now_ns: int) -> bool:
         """Return whether the timecode runs, and is in the first show of this cue."""
         at_s = self._expected_s(now_ns)

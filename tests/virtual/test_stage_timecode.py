@@ -180,6 +180,19 @@ def test_without_timecode_a_show_holds_if_it_is_to_and_rejoins(tmp_path):
     assert np.abs(off_ms).max() < 30.0
 
 
+def test_a_show_that_is_under_way_when_the_robot_is_ready_is_joined(tmp_path):
+    planned = planned_in(tmp_path, "hold")
+
+    def at(seconds):
+        return seconds + 14.0, 1.0
+
+    evening = Evening(planned, at, 8.0)
+    assert [cue for cue, _ in evening.fired] == ["twelve"]
+    off_ms = evening.off_ms(planned.shows["dance"].program, at, 6.0, 8.0)
+    assert len(off_ms) >= 2
+    assert np.abs(off_ms).max() < 30.0
+
+
 def test_a_show_plays_by_itself_where_there_is_nothing_to_follow(tmp_path):
     """It is fired by hand and no timecode comes, or it would be over before it has joined."""
 
