@@ -66,9 +66,13 @@ export type Player = { state: string; is_latched: boolean; plan: string | null; 
 export type StageCue = {
   name: string; on: string; plays: string; is_enabled: boolean; fired: number; refused: string;
 };
+export type StageTimecode = {
+  state: string; source: string; at: string; rate: number | null; show: string | null; off_ms: number | null;
+};
 export type Stage = {
   state: string; show: string | null; cause: string; added: string[]; queue: string[];
   left: string[]; next_go: string | null; reasons: string[]; cues: StageCue[];
+  timecode: StageTimecode | null;
 };
 export type StageNote = { number: number; kind: string; text: string };
 export type Page = "show" | "timeline" | "robot";

@@ -38,7 +38,7 @@ export function ShowPage({ state, actions, store }) {
   useEffect(() => onFrame(() => {
     if (page.current !== null) drawLive(page.current, store);
   }), []);
-  return html`<main class="page show" ref=${page}>
+  return html`<main class=${`page show ${isStage(state) ? "show-stage" : ""}`} ref=${page}>
     <section class="now" aria-label="Now">
       <${Now} state=${state} />
       <${StageState} state=${state} />

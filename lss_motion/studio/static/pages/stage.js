@@ -1,5 +1,5 @@
 // @ts-check
-/** What the Show page has for a stage: its state, the cue list with GO, and what has happened. */
+/** What the Show page has for a stage: its state, the cue list, and what has happened. GO is at the foot. */
 
 import { html } from "../vendor/preact.js";
 
@@ -19,11 +19,19 @@ export function StageState({ state }) {
     ["show", own.show ?? "none"], ["because of", own.cause], ["beside it", own.added.join(", ")],
     ["queue", own.queue.join(", ")], ["to be resumed", own.left.join(", ")],
     ["rests because", own.reasons.join("; ")],
+    ["timecode", own.timecode == null ? "" : timecodeText(own.timecode)],
   ].filter(([name, text]) => text !== "" || name === "show");
   return html`<div class="stage-state" role="status" aria-label="Stage">
     <p class=${`stage-word stage-${own.state}`}>${WORDS[own.state] ?? own.state}</p>
     <dl class="lines">${rows.map(([name, text]) => html`<div key=${name}><dt>${name}</dt><dd>${text}</dd></div>`)}</dl>
   </div>`;
+}
+
+/** The timecode in a line. @param {import("../state.js").StageTimecode} timecode */
+function timecodeText({ state, source, at, rate, show, off_ms }) {
+  const runs = rate === null || state !== "locked" || Math.abs(rate - 1) < 5e-5 ? "" : ` at ${(100 * rate).toFixed(2)} %`;
+  const off = off_ms === null ? "" : ` (${off_ms.toFixed(0)} ms)`;
+  return `${at} ${state.replace("_", " ")}${runs}, ${source}${show === null ? "" : `; the show ${show}${off}`}`.trim();
 }
 
 /** The cue list. A cue fires by its button, whatever it waits for. @param {Props} props */
@@ -33,8 +41,6 @@ export function StageCues({ state, actions }) {
   const isResting = own.state === "rests" || own.state === "given_up";
   return html`<div class="stage-cues">
     <p class="stage-head">
-      <button type="button" class="big" disabled=${own.next_go === null && own.reasons.length === 0} onClick=${() => actions.go()}>
-        GO${own.next_go === null ? "" : `: ${own.next_go}`}</button>
       <button type="button" onClick=${() => actions.stage(isResting ? "stage.wake" : "stage.rest")}>${isResting ? "Wake" : "Rest"}</button>
     </p>
     <ol class="scroll cue-list">${own.cues.map((cue) => html`

@@ -12,13 +12,17 @@ const RATES = [0.25, 0.5, 0.75, 1];
 /** @param {Props} props */
 export function Transport({ state, actions }) {
   const { player, rate, view, page } = state;
-  const isReady = player.state === "ready" || state.stage !== null;
+  const { stage } = state;
+  // Of a stage it fires the next cue of GO, or ends a rest that waits for GO.
+  const hasGo = stage !== null && (stage.next_go !== null || stage.reasons.length > 0);
+  const isReady = player.state === "ready" || hasGo;
+  const next = stage?.next_go == null ? "" : `: ${stage.next_go}`;
   const isRunning = actions.isRunning;
   const canPause = player.state === "playing" || player.state === "paused";
   const hasPlan = state.document?.plan != null;
   return html`<footer class="foot">
     <button type="button" class=${`go ${isReady ? "go-ready" : ""}`} data-go disabled=${isRunning && !isReady || !hasPlan}
-      onClick=${() => actions.go()}>${isReady ? "GO" : isRunning ? "GO" : "START"}<span class="key-hint">Enter</span></button>
+      onClick=${() => actions.go()}><span class="go-text">${isReady || isRunning ? `GO${next}` : "START"}</span><span class="key-hint">Enter</span></button>
     ${isRunning || page === "show"
       ? html`<button type="button" class="big" disabled=${!canPause} onClick=${() => actions.toggle()}>
           ${rate.is_paused ? "▶ Resume" : "❚❚ Pause"}<span class="key-hint">Space</span></button>`
