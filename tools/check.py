@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parent.parent
 COMMAND = re.compile(r"^tools/run (?P<command>.+)$", re.MULTILINE)
-COMMANDS_SKIPPED = ("pytest", "tools/check.py", "tools/bench.py")
+COMMANDS_SKIPPED = ("pytest", "tools/check.py", "tools/bench.py", "tools/weekend.py")
 """Other steps run them, or they take minutes."""
 COMMAND_SECONDS_MAX = 120.0
 ALONE_MAX = 4
