@@ -178,11 +178,15 @@ class SendEntry(FileModel, title="send"):
 
     kind: Literal["mtc", "ltc", "artnet", "fpp", "osc"] = Field(description="What is sent.")
     output: Line = Field(
-        default="default", description="Audio device, MIDI port, or host:port of the receiver."
+        default="default",
+        description="Audio device, MIDI port, address (artnet, fpp) or host:port (osc).",
     )
     rate_fps: Fps = Field(default=25.0, description="Frames a second.")
     offset_s: float = Field(
-        default=0.0, ge=-86_400.0, le=86_400.0, description="Added to the show time."
+        default=0.0,
+        ge=-86_400.0,
+        le=86_400.0,
+        description="The timecode at which a show begins: added to the show time.",
     )
 
 
@@ -190,7 +194,9 @@ class SyncEntry(FileModel, title="sync"):
     """What leads the shows, and what they lead."""
 
     timecode: TimecodeEntry | None = Field(default=None, description="Timecode to follow.")
-    send: list[SendEntry] = Field(default=[], description="What the show clock is sent to.")
+    send: list[SendEntry] = Field(
+        default=[], description="What the clock of shows that cues play is sent to."
+    )
 
 
 class ListenEntry(FileModel, title="listen"):

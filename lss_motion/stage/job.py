@@ -23,6 +23,7 @@ from lss_motion.remote.telemetry import plan_hash
 from lss_motion.stage.log import StageLog
 from lss_motion.stage.model import Kind, Signal
 from lss_motion.stage.running import Options, StageRun
+from lss_motion.stage.sending import opened
 from lss_motion.stage.timecode import OwnSource, spec_of
 from lss_motion.units import NS_PER_S
 
@@ -72,8 +73,15 @@ class StageJob:
             legs = None
             if given is not None and not options.is_virtual:
                 legs = stack.enter_context(OwnSource(spec_of(given)))
-            run = StageRun(self.planned, options, steerer=steering, note=log.write, legs=legs)
+            said: list[str] = []
+            sends = () if options.is_virtual else self.planned.stage.sync.send
+            outs = opened(sends, stack, said.append)
+            run = StageRun(
+                self.planned, options, steerer=steering, note=log.write, legs=legs, outs=outs
+            )
             steering.begin(run)
+            for text in said:
+                run.record("timecode", f"timecode: {text}")
             try:
                 end = run.play()
                 run.note_counts(is_last=True)

@@ -437,6 +437,7 @@ class _Loader:
     def _sync(self) -> Sync:
         entry = self.content.sync
         line = self.source.line(("sync", "timecode"))
+        from lss_motion.stage.sending import spec_of as send_spec_of
         from lss_motion.stage.timecode import spec_of
 
         timecode = (
@@ -447,13 +448,16 @@ class _Loader:
                 spec_of(timecode)
             except InputError as error:
                 self._note(("sync", "timecode", "input"), error.reason)
-        return Sync(
-            timecode=timecode,
-            send=tuple(
-                SendOutput(**dict(output), line=self.source.line(("sync", "send", index)))
-                for index, output in enumerate(entry.send)
-            ),
+        send = tuple(
+            SendOutput(**dict(output), line=self.source.line(("sync", "send", index)))
+            for index, output in enumerate(entry.send)
         )
+        for index, output in enumerate(send):
+            try:
+                send_spec_of(output)
+            except InputError as error:
+                self._note(("sync", "send", index), error.reason)
+        return Sync(timecode=timecode, send=send)
 
     def _listen(self, entry: ListenEntry, place: Location) -> Listen:
         for index, network in enumerate(entry.allow):

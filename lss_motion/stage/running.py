@@ -29,6 +29,7 @@ from lss_motion.stage.director import Director, ShowInfo
 from lss_motion.stage.duty import Reason
 from lss_motion.stage.log import Ring
 from lss_motion.stage.model import Kind, Signal
+from lss_motion.stage.sending import Sending
 from lss_motion.stage.timecode import StageTimecode
 from lss_motion.stage_run import perform_stage
 from lss_motion.units import NS_PER_MS, NS_PER_S, ns_from_s, s_from_ns
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from lss_motion.player.player import Player
     from lss_motion.runtime.runner import Tap
     from lss_motion.stage.check import Planned
+    from lss_motion.stage.sending import Out
     from lss_motion.stage_run import StageResult
     from lss_motion.sync.source import Legs
 
@@ -147,8 +149,9 @@ class StageRun:
         note: Callable[[Record], None] | None = None,
         tap: Callable[[int], Tap] | None = None,
         legs: Legs | None = None,
+        outs: Sequence[Out] = (),
     ) -> None:
-        """`legs`: the source of its timecode."""
+        """`legs`: the source of its timecode; `outs`: the receivers of the show clock."""
         stage = planned.stage
         self.stage, self.options = stage, options
         self.programs = {name: show.program for name, show in planned.shows.items()}
@@ -172,6 +175,7 @@ class StageRun:
         """The instant of the director: it goes on through all runs."""
         given = stage.sync.timecode
         self.timecode = None if given is None else StageTimecode(given, legs)
+        self._sending = Sending(outs)
         self._steerer = steerer
         self._note = note or (lambda _record: None)
         self._tap = tap
@@ -230,6 +234,8 @@ class StageRun:
     def _perform(self) -> StageResult:
         options = self.options
         faults = () if options.next_faults is None else options.next_faults(self.now_ns)
+        # Where timecode leads the shows, no sound device does.
+        sound = None if self.timecode is None else SoundChoice(leads=False)
         observer = Observer(
             on_event=self.on_event, on_turn=self.on_turn, controls=self, make_tap=self._make_tap
         )
@@ -243,12 +249,8 @@ class StageRun:
             seed=options.seed or 0,
             observer=observer,
             faults=faults,
-            **{**self._sound(), **options.more},
+            **{"sound": sound, **options.more},
         )
-
-    def _sound(self) -> dict[str, SoundChoice]:
-        """Return the choice of sounds: where timecode leads the shows, no sound device does."""
-        return {} if self.timecode is None else {"sound": SoundChoice(leads=False)}
 
     def _make_tap(self, started_ns: int) -> Tap:
         ring: Tap = self.ring.started(started_ns)
@@ -341,7 +343,9 @@ class StageRun:
                 self.record("warned", event.text)
 
     def on_turn(self, player: Player, now_ns: int) -> None:
-        """Let operators see the run."""
+        """Let operators see the run, and others hear the show clock."""
+        main = self.director.main if self._playing.has_begun else None
+        self._sending.turn(player, main, now_ns)
         if self._steerer is not None:
             self._steerer.on_turn(player, now_ns)
 

@@ -53,13 +53,16 @@ READ_BYTES: Final = 65536
 class ShowNow:
     """The show clock as this process knows it."""
 
-    def __init__(self) -> None:
+    def __init__(self, name: str = "") -> None:
+        self.name = name
+        """Of the show, for receivers that are told one."""
         self._legs: tuple[ClockLeg, ...] = ()
         self.is_ended = False
 
     def take(self, command: dict[str, Any]) -> None:
         match command:
-            case {"leg": values}:
+            case {"leg": values, "show": name}:
+                self.name = name or self.name
                 self._legs = (*self._legs[-1:], ClockLeg(*values))
             case {"end": _}:
                 self.is_ended = True
@@ -246,7 +249,7 @@ class FppSender(PacketSender):
     def _send_action(self, action: packets.Action, number: int) -> None:
         seconds = number / FPP_HZ
         frame = round(seconds * self.spec.rate.frames_per_s)
-        name = f"{self.spec.show or 'show'}.fseq"
+        name = f"{self.show.name or 'show'}.fseq"
         self.send(packets.fpp_packet(packets.FppReading(action, "sequence", frame, seconds, name)))
 
 
@@ -348,7 +351,7 @@ def read_spec(text: str) -> SendSpec:
 
 def run(spec: SendSpec, out_fd: int) -> None:
     """Send until standard input ends, or says that the show is over."""
-    show, rest = ShowNow(), b""
+    show, rest = ShowNow(spec.show), b""
     try:
         sender = SENDERS[spec.kind](spec, show)
     except SourceError as failed:

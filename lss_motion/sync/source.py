@@ -101,11 +101,16 @@ class TimecodeOut:
             return
         if player.show_ended_ns is not None:
             self._is_ended = self._child.send(end=1)
-        elif show.clock.leg is not self._leg:
-            leg = show.clock.leg
-            values = (leg.start_ns, leg.start_s, leg.from_rate, leg.to_rate, leg.ramp_ns)
-            if self._child.send(leg=[*values, leg.trim_ratio]):
-                self._leg = leg
+        else:
+            self.send_clock(show.clock.leg)
+
+    def send_clock(self, leg: ClockLeg, show: str = "") -> None:
+        """Send the clock of a show from now on; the same leg again changes nothing."""
+        if leg is self._leg:
+            return
+        values = (leg.start_ns, leg.start_s, leg.from_rate, leg.to_rate, leg.ramp_ns)
+        if self._child.send(leg=[*values, leg.trim_ratio], show=show):
+            self._leg = leg
 
     def close(self) -> None:
         self._child.close()

@@ -87,13 +87,18 @@ class Judge(Witness):
 class Evening:
     """One evening with a desk, each horn judged."""
 
-    def __init__(self, planned, at, lasts_s, hand=None):
+    def __init__(self, planned, at, lasts_s, hand=None, outs=()):
         self.records, self.states, self.judge = [], [], Judge()
         begins = datetime(2026, 10, 30, 18, tzinfo=UTC)
         options = Options(is_virtual=True, begins=begins, lasts_s=lasts_s, seed=1)
         desk = Desk(at, hand)
         run = StageRun(
-            planned, options, note=self.records.append, tap=lambda _: self.judge, legs=desk
+            planned,
+            options,
+            note=self.records.append,
+            tap=lambda _: self.judge,
+            legs=desk,
+            outs=outs,
         )
         desk.run, self.run, results = run, run, []
         self.end = run.play(lambda result, _: results.append(result))
@@ -211,6 +216,30 @@ def test_a_show_plays_by_itself_where_there_is_nothing_to_follow(tmp_path):
     by_hand = Evening(planned, lambda _: None, 8.0, hand=(4.0, "twelve"))
     assert len(by_hand.off_ms(planned.shows["dance"].program, at, 6.0, 8.0)) >= 2
     assert by_hand.run.timecode.state_of(0)["state"] == "searching"
+
+
+class Out:
+    """A receiver that keeps what it is sent."""
+
+    def __init__(self):
+        self.sent = []
+
+    def send_clock(self, leg, show):
+        if not self.sent or self.sent[-1][1] is not leg:
+            self.sent.append((show, leg))
+
+
+def test_the_clock_of_shows_that_cues_play_is_sent_and_stands_between_them(tmp_path):
+    out = Out()
+    evening = Evening(planned_in(tmp_path, "hold"), lambda _: None, 10.0, (4.0, "later"), [out])
+    assert evening.over == ["idle left", "wink finished", "idle stopped"]
+    assert {show for show, _ in out.sent} == {"wink"}
+    first, last = out.sent[0][1], out.sent[-1][1]
+    assert (first.start_s, first.to_rate) == (0.0, 1.0)
+    assert (last.from_rate, last.to_rate) == (0.0, 0.0)
+    assert last.start_s == pytest.approx(1.0, abs=0.05)
+    begun_ns = next(ns for ns, target in evening.moves if ns >= first.start_ns)
+    assert begun_ns - first.start_ns < 0.3 * S, "its moves leave by this clock"
 
 
 def test_a_source_that_cannot_be_opened_is_named_once_and_stops_nothing():
