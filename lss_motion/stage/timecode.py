@@ -36,6 +36,10 @@ if TYPE_CHECKING:
 AGAIN_NS: Final = 10 * NS_PER_S
 """A source that has gone is opened again this much later. Chosen: a sound card that was unplugged
 is back at once, and a start of a process takes a millisecond of the player's."""
+LEAVE_S: Final = 1.8
+"""Added to the way to a show, for braking the one before and asking the servos where they are. A
+simulated robot of seven joints took 1.0 s in a process of its own, 0.4 s in virtual time; a robot
+that comes too late rejoins some 4 s later."""
 SILENT_NS: Final = NS_PER_S
 """Legs come twice a second at least; without one for so long it is a freewheel."""
 
@@ -180,7 +184,7 @@ class StageTimecode:
         self._offset_ns = offset_ns
         leader_s = self._led().at_s(now_ns)
         way_s = player.way_s(program, max(leader_s, 0.0), now_ns)
-        place_s = max(leader_s + self._leg.rate * (way_s + FIRST_SLACK_S), 0.0)
+        place_s = max(leader_s + self._leg.rate * (LEAVE_S + way_s + FIRST_SLACK_S), 0.0)
         if not place_s < program.duration_s:
             self._texts.append(
                 f"show {order.show} plays by itself: it would be over before it has joined"
