@@ -116,7 +116,7 @@ class Figure:
     round_trip_ns: int | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        self._heard_ns: int | None = None
+        self._received_ns: int | None = None
         self._cast: Cast | None = None
         self._cast_hash: str | None = None
         self._verified: str | None = None
@@ -147,9 +147,9 @@ class Figure:
             return  # It was overtaken by a newer one.
         if is_new:
             self._rebind(beat)
-        elif self._heard_ns is not None and now_ns - self._heard_ns > LOST_NS:
+        elif self._received_ns is not None and now_ns - self._received_ns > LOST_NS:
             self._notes.append("the conductor is back")
-        self.beat, self._heard_ns = beat, now_ns
+        self.beat, self._received_ns = beat, now_ns
         if bound is None or is_new or beat.run != bound.run or beat.cast != bound.cast:
             self._is_stopped = self._is_held = False
             self._why = ""
@@ -169,7 +169,7 @@ class Figure:
 
     def take_lost(self) -> None:
         """Note that the token of the conductor is gone: its process or the line is lost."""
-        self._heard_ns = None
+        self._received_ns = None
 
     def take_content(self, content: bytes) -> None:
         """Take content whose hash was checked: a cast, or a plan that is stored."""
@@ -278,7 +278,7 @@ class Figure:
         self._followed = None
 
     def _is_lost(self, now_ns: int) -> bool:
-        return self._heard_ns is None or now_ns - self._heard_ns > LOST_NS
+        return self._received_ns is None or now_ns - self._received_ns > LOST_NS
 
     def _step(self, now_ns: int, actions: list[Action]) -> FigureState:
         beat, is_active = self.beat, self.player.phase in ("starting", "standing", "playing")
@@ -309,15 +309,15 @@ class Figure:
             return "alone"
         if self.player.phase != "playing":
             return self._stop(now_ns, actions, "the conductor is lost before the start", beat)
-        if self._heard_ns is None:
-            self._heard_ns = now_ns - LOST_NS - 1
-        if now_ns - self._heard_ns <= LOST_NS + ns_from_s(beat.freewheel_s):
+        if self._received_ns is None:
+            self._received_ns = now_ns - LOST_NS - 1
+        if now_ns - self._received_ns <= LOST_NS + ns_from_s(beat.freewheel_s):
             self._follow(now_ns, actions)
             return "freewheeling"
         if not self._is_held and self.player.show_s is not None:
             self._is_held = True
             self._notes.append(
-                f"the conductor is lost for {(now_ns - self._heard_ns) / NS_PER_S:.1f} s: "
+                f"the conductor is lost for {(now_ns - self._received_ns) / NS_PER_S:.1f} s: "
                 f"brakes and holds"
             )
         if self._is_held:

@@ -178,14 +178,14 @@ def access_control(settings: NetworkSettings) -> dict[str, Any]:
         else:
             keys = [*own, *common]
         # What a figure sends is its own; what it subscribes and queries is the conductor's.
-        said = [f"{top}/**"] if name == settings.conductor else [f"{top}/figure/{name}/**"]
+        published = [f"{top}/**"] if name == settings.conductor else [f"{top}/figure/{name}/**"]
         rules += [
             {
                 "id": f"{name}-says",
                 "permission": "allow",
                 "flows": ["ingress"],
                 "messages": ["put", "delete", "reply", "declare_queryable", "liveliness_token"],
-                "key_exprs": said,
+                "key_exprs": published,
             },
             {
                 "id": f"{name}-asks",

@@ -113,7 +113,7 @@ class Notifier:
 
     def __init__(self, address: str | None, watchdog_s: float | None) -> None:
         self.watchdog_s = watchdog_s
-        """Within this time it must hear of the program; None: it does not watch."""
+        """Within this time it must get a message of the program; None: it does not watch."""
         self._address = address
         self._beat_s = 0.0
         self._status = ""

@@ -174,17 +174,17 @@ class Director:
         self._note_rest()
         expressions, text = self._cron.due(wall)
         if text:
-            self._orders.append(orders.Said(text))
+            self._orders.append(orders.Noted(text))
         for expression in expressions:
             self.signal(Signal(kind=Kind.TIME, address=expression), now_ns)
         for cue, start_s in self.timecode.tick(now_ns):
             self._by_timecode(cue, start_s)
         self._settle()
 
-    def hear_timecode(self, at_s: float | None, rate: float, now_ns: int) -> None:
+    def take_timecode(self, at_s: float | None, rate: float, now_ns: int) -> None:
         """Take a position of the timecode, its offset included; None: the source is lost."""
         self._now_ns = now_ns
-        for cue, start_s in self.timecode.hear(at_s, rate, now_ns):
+        for cue, start_s in self.timecode.take(at_s, rate, now_ns):
             self._by_timecode(cue, start_s)
 
     def _by_timecode(self, cue: Cue, start_s: float | None) -> None:
@@ -209,12 +209,12 @@ class Director:
     def arm(self, name: str) -> None:
         """Make a cue the next one of GO."""
         self.armed = self._known(name).name
-        self._orders.append(orders.Said(f"cue {name} is next on GO"))
+        self._orders.append(orders.Noted(f"cue {name} is next on GO"))
 
     def enable(self, name: str, *, is_enabled: bool) -> None:
         """Let a cue fire, or not."""
         self.enabled[self._known(name).name] = is_enabled
-        self._orders.append(orders.Said(f"cue {name} {'enabled' if is_enabled else 'disabled'}"))
+        self._orders.append(orders.Noted(f"cue {name} {'enabled' if is_enabled else 'disabled'}"))
 
     def play(self, show: str, now_ns: int, start: StartMode = "terminate") -> None:
         """Play a show for an operator."""
@@ -265,7 +265,7 @@ class Director:
         self._fired_ns[""] = self._now_ns
         if Reason.GO in self.duty.reasons:
             self.duty.end(Reason.GO)
-            self._orders.append(orders.Said("GO: the stage begins"))
+            self._orders.append(orders.Noted("GO: the stage begins"))
         elif name is None:
             self._refuse("GO", signal, "no cue waits for GO, and none is armed")
         elif self._fire(self._known(name), signal):
@@ -318,7 +318,7 @@ class Director:
             self._orders.append(orders.Stop())
         if over.cue is None:
             self._again_ns = now_ns + AGAIN_NS
-            self._orders.append(orders.Said(f"show {over.show} cannot be played now: {reason}"))
+            self._orders.append(orders.Noted(f"show {over.show} cannot be played now: {reason}"))
         else:
             self._cool_down(over.cue)
             refused = orders.ShowRefused(cue=over.cue.name, show=over.show, reason=reason)
@@ -349,7 +349,7 @@ class Director:
         self._is_limp = True
         self._leaving.clear()
         self.duty.relax(now_ns)
-        self._orders.append(orders.Said("the servos are limp"))
+        self._orders.append(orders.Noted("the servos are limp"))
 
     def measured(
         self, temperature_c: float | None, current_a: float | None, now_ns: int, who: str = ""
@@ -360,7 +360,7 @@ class Director:
         if self.duty.rate != self._rate:
             self._rate = self.duty.rate
             self._orders.append(orders.Rate(self._rate))
-            self._orders.append(orders.Said(f"plays at {self._rate:.0%} of its speed, by budget"))
+            self._orders.append(orders.Noted(f"plays at {self._rate:.0%} of its speed, by budget"))
         self._settle()
 
     def _taken(self, number: int) -> Playing | None:
@@ -557,7 +557,7 @@ class Director:
     def _drop_waiting(self) -> None:
         """Forget the shows that are queued, and those that were to be resumed."""
         for waiting in (*self.queue, *self.left):
-            self._orders.append(orders.Said(f"show {waiting.show} of {waiting.cue.name} dropped"))
+            self._orders.append(orders.Noted(f"show {waiting.show} of {waiting.cue.name} dropped"))
             self._cool_down(waiting.cue)
         self.queue, self.left = [], []
 

@@ -73,14 +73,14 @@ class StageJob:
             legs = None
             if given is not None and not options.is_virtual:
                 legs = stack.enter_context(OwnSource(spec_of(given)))
-            said: list[str] = []
+            texts: list[str] = []
             sends = () if options.is_virtual else self.planned.stage.sync.send
-            outs = opened(sends, stack, said.append)
+            outs = opened(sends, stack, texts.append)
             run = StageRun(
                 self.planned, options, steerer=steering, note=log.write, legs=legs, outs=outs
             )
             steering.begin(run)
-            for text in said:
+            for text in texts:
                 run.record("timecode", f"timecode: {text}")
             try:
                 end = run.play()

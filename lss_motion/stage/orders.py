@@ -139,11 +139,13 @@ class RestChanged:
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class Noted:
     """Something else that explains what happens later."""
 
     text: str
 
 
-Note: TypeAlias = CueFired | CueRefused | ShowRefused | ShowStarted | ShowEnded | RestChanged | Said
+Note: TypeAlias = (
+    CueFired | CueRefused | ShowRefused | ShowStarted | ShowEnded | RestChanged | Noted
+)
 Order: TypeAlias = Play | Stop | Relax | Rate | Connect | Alert

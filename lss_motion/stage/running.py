@@ -343,7 +343,7 @@ class StageRun:
                 self.record("warned", event.text)
 
     def on_turn(self, player: Player, now_ns: int) -> None:
-        """Let operators see the run, and others hear the show clock."""
+        """Let operators see the run, and others receive the show clock."""
         main = self.director.main if self._playing.has_begun else None
         self._sending.turn(player, main, now_ns)
         if self._steerer is not None:
@@ -356,7 +356,7 @@ class StageRun:
             self._is_over = self._is_over or self._steerer.has_stopped
         if self._end_ns is not None and self.now_ns >= self._end_ns:
             self._is_over = True
-        self._hear()
+        self._take_timecode()
         if player is not None and not self._is_over:
             self._read(player)
             self._set_rate(player, now_ns)
@@ -370,8 +370,8 @@ class StageRun:
         if self.timecode is not None and player is not None and not self._is_over:
             self.timecode.steer(player, now_ns, is_paused=self._wanted_rate == 0.0)
 
-    def _hear(self) -> None:
-        """Let the director hear the timecode."""
+    def _take_timecode(self) -> None:
+        """Give the director the timecode."""
         if self.timecode is not None:
             self.timecode.turn(self.director, self.now_ns)
             for text in self.timecode.take_texts():
@@ -530,8 +530,8 @@ class StageRun:
                 self.record("ended", order.text, show=order.show, outcome=order.outcome)
             case orders.RestChanged():
                 self.record("rest", order.text, reasons=list(order.reasons))
-            case orders.Said():
-                self.record("said", order.text)
+            case orders.Noted():
+                self.record("note", order.text)
             case _:
                 pass
 

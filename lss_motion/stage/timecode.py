@@ -62,7 +62,7 @@ class OwnSource:
         self._spec = spec
         self._clock = MonotonicClock()
         self._source: TimecodeSource | None = None
-        self._said: set[str] = set()
+        self._reported: set[str] = set()
         """Since it was open last."""
         self._open()
 
@@ -80,10 +80,10 @@ class OwnSource:
     def take_texts(self) -> Sequence[str]:
         """Return what a person should know; the same trouble only once."""
         found = [] if self._source is None else self._source.take_texts()
-        texts = [text for text in found if text not in self._said]
+        texts = [text for text in found if text not in self._reported]
         if self._source is not None and self._source.has_opened:
-            self._said.clear()
-        self._said.update(texts)
+            self._reported.clear()
+        self._reported.update(texts)
         return texts
 
     def close(self) -> None:
@@ -113,7 +113,7 @@ class StageTimecode:
         self._rule = FollowRule(freewheel_s=given.freewheel_s, lost=given.lost)
         self._leg: Leg | None = None
         self._source, self._word = "", State.SEARCHING.value
-        self._heard_ns = 0
+        self._received_ns = 0
         self._is_new = self._is_lost = False
         self._texts: list[str] = []
         self.following: Following | None = None
@@ -133,7 +133,7 @@ class StageTimecode:
     def take(self, leg: Follow, now_ns: int) -> None:
         """Take where the timecode is; the instant is one of the stage."""
         self._leg = Leg(leg.instant_ns, leg.show_s, leg.rate)
-        self._heard_ns, self._is_new, self._is_lost = now_ns, True, False
+        self._received_ns, self._is_new, self._is_lost = now_ns, True, False
         self._source = leg.source or self._source
         running = State.LOCKED if leg.rate >= RUNNING_RATE else State.STANDING
         self._word = leg.state or running.value
@@ -146,13 +146,13 @@ class StageTimecode:
         if self._is_new and self._leg is not None:
             self._is_new = False
             self._leave_elsewhere(director, now_ns)
-            director.hear_timecode(self._leg.at_s(now_ns), self._leg.rate, now_ns)
+            director.take_timecode(self._leg.at_s(now_ns), self._leg.rate, now_ns)
             if self.following is not None:
                 self.following.lead(self._led(), now_ns)
         elif self._leg is not None and not self._is_lost:
-            self._is_lost = now_ns - self._heard_ns > ns_from_s(self._given.freewheel_s)
+            self._is_lost = now_ns - self._received_ns > ns_from_s(self._given.freewheel_s)
             if self._is_lost:
-                director.hear_timecode(None, 0.0, now_ns)
+                director.take_timecode(None, 0.0, now_ns)
         self._texts += () if self._legs is None else self._legs.take_texts()
         after = self._state(now_ns)
         if after != before and State.SEARCHING.value not in (after, before):
@@ -228,7 +228,7 @@ class StageTimecode:
             return State.SEARCHING.value
         if self._is_lost:
             return State.LOST.value
-        is_silent = now_ns - self._heard_ns > SILENT_NS
+        is_silent = now_ns - self._received_ns > SILENT_NS
         return State.FREEWHEELING.value if is_silent else self._word
 
     def _text(self, now_ns: int) -> str:

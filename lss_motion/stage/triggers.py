@@ -93,9 +93,9 @@ class TimecodeCues:
         self._at_s: float | None = None
         """The position up to which cues were passed; None: the source is lost."""
         self._rate = 0.0
-        self._now_ns = self._heard_ns = 0
+        self._now_ns = self._received_ns = 0
 
-    def hear(
+    def take(
         self, at_s: float | None, rate: float, now_ns: int
     ) -> Iterator[tuple[Cue, float | None]]:
         """Take a position; yield the cues that were passed, each with where its show begins.
@@ -104,7 +104,7 @@ class TimecodeCues:
         is. While it stands or runs backwards nothing is passed.
         """
         expected_s = self._expected_s(now_ns)
-        self._heard_ns = now_ns
+        self._received_ns = now_ns
         if at_s is None:
             self._at_s = None
             return
@@ -120,7 +120,11 @@ class TimecodeCues:
     def tick(self, now_ns: int) -> Iterator[tuple[Cue, float | None]]:
         """Yield the cues that were passed since the last position."""
         at_s = self._expected_s(now_ns)
-        if at_s is not None and self._rate > 0.0 and now_ns - self._heard_ns < self._freewheel_ns:
+        if (
+            at_s is not None
+            and self._rate > 0.0
+            and now_ns - self._received_ns < self._freewheel_ns
+        ):
             yield from self._pass_to(at_s)
             if self._at_s is not None and at_s > self._at_s:
                 self._at_s, self._now_ns = at_s, now_ns

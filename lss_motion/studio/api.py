@@ -129,12 +129,12 @@ class Api:
 
 
 def _done(text: str) -> dict[str, Any]:
-    said = {"application/json": {"schema": {"$ref": "#/components/schemas/Refusal"}}}
+    refusal = {"application/json": {"schema": {"$ref": "#/components/schemas/Refusal"}}}
     return {
         "200": {"description": "It is carried out, or has begun."},
-        "400": {"description": "It is no operation of this kind.", "content": said},
-        "401": {"description": "The token is missing or wrong.", "content": said},
-        "409": {"description": f"{text}: refused, with the reason.", "content": said},
+        "400": {"description": "It is no operation of this kind.", "content": refusal},
+        "401": {"description": "The token is missing or wrong.", "content": refusal},
+        "409": {"description": f"{text}: refused, with the reason.", "content": refusal},
     }
 
 

@@ -45,7 +45,7 @@ class Seen:
     is_running: bool
     is_latched: bool
     state: str
-    """Of the stage, as its player last said it."""
+    """Of the stage, as its player last reported it."""
 
 
 class Keeper:

@@ -67,7 +67,7 @@ class StageService:
         self._state: dict[str, Any] = {"state": "off", "show": None}
         self._joints: tuple[str, ...] = ()
         self._show_s = 0.0
-        self._heard_s = self._now_s()
+        self._received_s = self._now_s()
         self._refusals = Complaints("refused", self.note)
         self._said_waiting = False
         self._known: object = None
@@ -184,7 +184,7 @@ class StageService:
 
     def _start(self, plan: str | None) -> None:
         self.keeper.note_start(plan, self._now_s())
-        self._heard_s = self._now_s()
+        self._received_s = self._now_s()
         try:
             self.studio.desk.start()
         except LssMotionError as refused:
@@ -203,7 +203,7 @@ class StageService:
 
     def _watch(self, event: dict[str, Any]) -> None:
         """Pass on an event of the player."""
-        self._heard_s = self._now_s()
+        self._received_s = self._now_s()
         self.metrics.take(event)
         match event["event"]:
             case "started":
@@ -248,7 +248,7 @@ class StageService:
 
     def _take_telemetry(self, frame: bytes) -> None:
         """Pass the angles on by OSC, where a servo was read the measured ones."""
-        self._heard_s = self._now_s()
+        self._received_s = self._now_s()
         telemetry = Telemetry.from_bytes(frame)
         self._show_s = telemetry.show_s
         if self.inlets.osc is None or len(self._joints) != len(telemetry.angles_deg):
@@ -285,7 +285,7 @@ class StageService:
 
     def _is_alive(self) -> bool:
         is_running = self.studio.desk.player is not None
-        return not is_running or self._now_s() - self._heard_s < SILENT_S
+        return not is_running or self._now_s() - self._received_s < SILENT_S
 
     def _status(self) -> str:
         show = self._state["show"]

@@ -120,13 +120,13 @@ class Chase:
         self._last: Observation | None = None
         self._fitted_at: Observation | None = None
         """Where the fit has its origin, and the position there."""
-        self._good_ns = self._leg_ns = self._heard_ns = 0
+        self._good_ns = self._leg_ns = self._received_ns = 0
         self._since_ns = 0
         self._astray = self._still = 0
         self._held_s = 0.0
         self._legs: deque[Leg] = deque(maxlen=64)
         self._texts: deque[str] = deque(maxlen=64)
-        self._said: set[str] = set()
+        self._reported: set[str] = set()
 
     # ---- what comes
 
@@ -135,7 +135,7 @@ class Chase:
         if not self._is_from_leader(source, observation.instant_ns):
             self.ignored += 1
             return
-        self._heard_ns = observation.instant_ns
+        self._received_ns = observation.instant_ns
         position_s = observation.position_s - self._offset_s
         if abs(position_s) > 0.5 * DAY_S:  # A show may pass midnight.
             position_s = (position_s + 0.5 * DAY_S) % DAY_S - 0.5 * DAY_S
@@ -164,7 +164,7 @@ class Chase:
         if self.state is State.LOCKED and silent_ns > ns_from_s(self._style.gap_s):
             self._enter(State.FREEWHEELING)
         is_held = self.state in (State.REVERSE, State.OFF_SPEED)
-        if is_held and now_ns - self._heard_ns > self._freewheel_ns:
+        if is_held and now_ns - self._received_ns > self._freewheel_ns:
             self._enter(State.LOST)
         if self.state is State.FREEWHEELING and silent_ns > self._freewheel_ns:
             self._enter(State.LOST)
@@ -189,8 +189,8 @@ class Chase:
 
     def say(self, text: str) -> None:
         """Tell a person once."""
-        if text not in self._said and len(self._said) < SOURCES_NAMED_MAX:
-            self._said.add(text)
+        if text not in self._reported and len(self._reported) < SOURCES_NAMED_MAX:
+            self._reported.add(text)
             self._texts.append(text)
 
     # ---- which leader
@@ -199,9 +199,9 @@ class Chase:
         """Return whether it is the source that came first, or that one is gone."""
         if source == self.source:
             return True
-        is_gone = now_ns - self._heard_ns > self._freewheel_ns
-        if not self._heard_ns or is_gone:
-            if self._heard_ns:
+        is_gone = now_ns - self._received_ns > self._freewheel_ns
+        if not self._received_ns or is_gone:
+            if self._received_ns:
                 self.say(f"timecode of {source} is followed now: that of {self.source} has ended")
             self.source = source
             self._forget()

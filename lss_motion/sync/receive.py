@@ -79,7 +79,7 @@ class SoundSource:
         self._blocks: queue.Queue[tuple[int, int, Any]] = queue.Queue(QUEUE_MAX)
         self._say = say
         self._frame = 0
-        self._heard_s = time.monotonic()
+        self._received_s = time.monotonic()
         try:
             library = sounddevice_module()
             device = chosen_device(spec.name, "input")
@@ -114,13 +114,13 @@ class SoundSource:
         try:
             blocks = [self._blocks.get(timeout=TURN_S)]
         except queue.Empty:
-            if time.monotonic() - self._heard_s > LOOK_S and not self._stream.active:
+            if time.monotonic() - self._received_s > LOOK_S and not self._stream.active:
                 raise SourceError("the sound input is gone") from None
             return
         with contextlib.suppress(queue.Empty):
             while True:
                 blocks.append(self._blocks.get_nowait())
-        self._heard_s = time.monotonic()
+        self._received_s = time.monotonic()
         for frame, at_ns, block in blocks:
             self._clock.take(frame, at_ns)
             for observation in self._reader.take(block, self._clock.heard_ns):

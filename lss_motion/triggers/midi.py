@@ -71,7 +71,7 @@ class MidiPort:
         self._wanted, self._sink, self._note, self._system = wanted, sink, note, system
         self._input: Any = None
         self._open_name: str | None = None
-        self._said = ""
+        self._reported = ""
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
 
@@ -110,8 +110,8 @@ class MidiPort:
 
     def _say(self, text: str) -> None:
         """Note what has changed; once while a device is missing."""
-        if text != self._said:
-            self._said = text
+        if text != self._reported:
+            self._reported = text
             self._note(text)
 
     def _drop(self) -> None:

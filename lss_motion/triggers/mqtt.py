@@ -224,7 +224,7 @@ class MqttLink:
         self._kept: dict[str, str] = {}
         """What the broker keeps, published again when it comes back."""
         self._client: Any = None
-        self._has_said = False
+        self._has_reported = False
         self._loop = asyncio.get_running_loop()
 
     def open(self) -> None:
@@ -291,7 +291,7 @@ class MqttLink:
         if code.is_failure:
             self._say(f"refuses: {code}")
             return
-        self._has_said = False
+        self._has_reported = False
         self._note(f"MQTT: connected to {self._broker.host}")
         self._subscribe({f"{self.base}/{own}" for own in ("cue/+", "enable/+", "do")} | self.cues)
         self._publish(f"{self.base}/online", "online", is_kept=True)
@@ -304,8 +304,8 @@ class MqttLink:
 
     def _say(self, what: str) -> None:
         """Note once that there is no link, until there was one again."""
-        if not self._has_said:
-            self._has_said = True
+        if not self._has_reported:
+            self._has_reported = True
             host, port = self._broker.host, self._broker.port
             self._note(f"MQTT: {host}:{port} {what}; it is tried again")
 

@@ -2,7 +2,7 @@
 
 A source turns messages into operations of `remote.schema` and calls `Sink` with each, in the one
 thread of the server. A message from an address that may not send, one that cannot be read and one
-too many are counted, and noted at most once in `SAID_S` for each cause: a flood fills no log.
+too many are counted, and noted at most once in `REPORT_S` for each cause: a flood fills no log.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 RATE_HZ: Final = 200.0
 BURST: Final = 100.0
 """Messages of one sender that are looked at. Chosen: a fader sends 60 a second."""
-SAID_S: Final = 60.0
+REPORT_S: Final = 60.0
 CAUSES_MAX: Final = 64
 """Causes that are told apart; further ones are counted as one."""
 SENDERS_MAX: Final = 64
@@ -107,26 +107,26 @@ class Crossings:
 
 
 class Complaints:
-    """What is wrong with what arrives: counted, and said at most once in `SAID_S` for a cause."""
+    """What is wrong with what arrives: counted, noted once in `REPORT_S` for a cause."""
 
     def __init__(self, name: str, note: Callable[[str], None]) -> None:
         self.counts: Counter[str] = Counter()
         self._name, self._note = name, note
-        self._said_s: dict[str, float] = {}
+        self._reported_s: dict[str, float] = {}
         self._since: Counter[str] = Counter()
 
     def add(self, cause: str, now_s: float) -> None:
-        """Count a message that was not obeyed, and note it if that was not said just now."""
+        """Count a message that was not obeyed, and note it if that was not noted just now."""
         if cause not in self.counts and len(self.counts) >= CAUSES_MAX:
             cause = "messages with further faults were ignored"
         self.counts[cause] += 1
         self._since[cause] += 1
-        said_s = self._said_s.get(cause)
-        if said_s is not None and now_s - said_s < SAID_S:
+        reported_s = self._reported_s.get(cause)
+        if reported_s is not None and now_s - reported_s < REPORT_S:
             return
         count = self._since.pop(cause)
         times = "" if count == 1 else f" ({count} times)"
-        self._said_s[cause] = now_s
+        self._reported_s[cause] = now_s
         self._note(f"{self._name}: {cause}{times}")
 
 

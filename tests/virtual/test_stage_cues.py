@@ -215,7 +215,7 @@ def test_a_hot_servo_slows_the_figure_then_sends_it_to_rest(folder):
     ]
     more = "duty: {temperature_c: {slow: 50, rest: 60}, rest: sleep}\n"
     _, records, _ = evening(folder, 60.0, more, faults=lambda _: faults)
-    assert kinds(records, "said")[0] == "plays at 50% of its speed, by budget"
+    assert kinds(records, "note")[0] == "plays at 50% of its speed, by budget"
     rests = [one["text"] for one in records if one["kind"] == "rest"]
     assert rests[0].startswith("rests: a servo is hot (neck 69.")
     assert rests[-1] == "works"

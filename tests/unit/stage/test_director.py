@@ -545,7 +545,7 @@ def test_timecode_fires_cues_as_it_passes_and_starts_shows_in_their_middle_after
 
     def run(from_s, to_s, rate=1.0):
         for step in range(round(abs(to_s - from_s)) + 1):
-            desk.director.hear_timecode(from_s + step * rate, rate, desk.now_ns)
+            desk.director.take_timecode(from_s + step * rate, rate, desk.now_ns)
             desk.obey()
             desk.wait(1)
 
@@ -558,7 +558,7 @@ def test_timecode_fires_cues_as_it_passes_and_starts_shows_in_their_middle_after
     count = len(desk.plays)
     run(230, 190, rate=-1.0)
     assert len(desk.plays) == count, "nothing is passed backwards"
-    desk.director.hear_timecode(None, 0.0, desk.now_ns)
+    desk.director.take_timecode(None, 0.0, desk.now_ns)
     desk.wait(20)
     assert len(desk.plays) == count
 

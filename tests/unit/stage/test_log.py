@@ -15,7 +15,7 @@ NS = 1_000_000_000
 
 
 def record(number, day=1, **more):
-    return {"t": f"2026-10-{day:02d}T20:00:00", "kind": "said", "text": f"{number:06d}", **more}
+    return {"t": f"2026-10-{day:02d}T20:00:00", "kind": "note", "text": f"{number:06d}", **more}
 
 
 def texts(folder):

@@ -11,7 +11,7 @@ from lss_motion.triggers.alerts import WebHook
 from lss_motion.triggers.sources import (
     BURST,
     RATE_HZ,
-    SAID_S,
+    REPORT_S,
     SENDERS_MAX,
     AllowList,
     Complaints,
@@ -46,7 +46,7 @@ def test_a_complaint_is_said_once_a_minute_with_its_count():
     for n in range(100):
         complaints.add("wrong", 0.1 * n)
     complaints.add("other", 5.0)
-    complaints.add("wrong", SAID_S + 1.0)
+    complaints.add("wrong", REPORT_S + 1.0)
     assert said == ["OSC: wrong", "OSC: other", "OSC: wrong (100 times)"]
     for n in range(1000):
         complaints.add(f"cause {n}", 100.0)
