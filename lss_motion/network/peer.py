@@ -12,8 +12,9 @@ import queue
 import threading
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Literal, Self
+from typing import TYPE_CHECKING, Any, Final, Literal
 
+from lss_motion.closing import Closing
 from lss_motion.errors import BusError, InputError
 from lss_motion.network.messages import (
     MESSAGE_MAX_BYTES,
@@ -28,7 +29,6 @@ from lss_motion.network.settings import check_settings, json_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from types import TracebackType
 
     from lss_motion.network.settings import NetworkSettings
 
@@ -51,7 +51,7 @@ class Arrival:
     at_ns: int
 
 
-class Peer:
+class Peer(Closing):
     """An open session. `clock_id` is the process whose clock is told to those who ask."""
 
     def __init__(
@@ -205,14 +205,3 @@ class Peer:
                 handler.undeclare()
         with contextlib.suppress(Exception):
             self._session.close()  # type: ignore[no-untyped-call]
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()

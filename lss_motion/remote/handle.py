@@ -18,8 +18,9 @@ import socket
 import sys
 import threading
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Self
+from typing import TYPE_CHECKING, Final
 
+from lss_motion.closing import Closing
 from lss_motion.connection import with_port
 from lss_motion.errors import BusError, InputError
 from lss_motion.remote import schema as m
@@ -31,7 +32,6 @@ from lss_motion.remote.telemetry import Telemetry
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-    from types import TracebackType
 
     from lss_motion.program.model import Program
     from lss_motion.remote.job import Outcome
@@ -108,7 +108,7 @@ def start(  # noqa: PLR0913  (the options of one run)
     return Handle(job)
 
 
-class Handle:
+class Handle(Closing):
     """A show that plays in another process. Its methods return at once, except `wait` and `close`.
 
     They may be called from any thread. Operations on a show that has ended do nothing.
@@ -258,17 +258,6 @@ class Handle:
             self._socket.shutdown(socket.SHUT_RDWR)  # The player sees its end, should it hang on.
         self._process.wait()
         self._listener.join()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         """Return one line: what plays, its phase, and the show time."""

@@ -10,17 +10,18 @@ import contextlib
 import threading
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Literal, Self
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
+from lss_motion.closing import Closing
 from lss_motion.files.source import known_names
 from lss_motion.sound.device_clock import DeviceClock
 from lss_motion.sound.files import INSTALL, STEREO
 from lss_motion.units import NS_PER_S
 
 if TYPE_CHECKING:
-    from types import ModuleType, TracebackType
+    from types import ModuleType
 
     from lss_motion.sound.mixer import Mixer
 
@@ -98,7 +99,7 @@ def chosen_device(name: str, way: Literal["output", "input"] = "output") -> Devi
     return (exact or fitting)[0]
 
 
-class OpenStream:
+class OpenStream(Closing):
     """A device that plays what `mixer` renders, from `open` until `close`. A context manager."""
 
     def __init__(self, name: str = "") -> None:
@@ -161,17 +162,6 @@ class OpenStream:
                 )
             out[:] = block if out.shape[1] == STEREO else block.mean(axis=1, keepdims=True)
         self._frame += count
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def _reason(error: Exception) -> str:

@@ -13,15 +13,16 @@ hundred times faster than it sounds, or more.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from lss_motion.closing import Closing
 from lss_motion.errors import InputError
 
 if TYPE_CHECKING:
     from pathlib import Path
-    from types import ModuleType, TracebackType
+    from types import ModuleType
 
     from numpy.typing import NDArray
 
@@ -113,7 +114,7 @@ def read_sound(
         return reader.read_channels(first, info.frames - first), info.rate_hz
 
 
-class SoundReader:
+class SoundReader(Closing):
     """An open sound file. A context manager; not for two threads at once."""
 
     def __init__(self, path: Path) -> None:
@@ -193,17 +194,6 @@ class SoundReader:
                     break
                 self._at += count
         self._at = frame
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def as_stereo(samples: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -11,7 +11,6 @@ load            a file to a `Stage`, with the line of every problem
 time_of_day     cron expressions and quiet hours on a clock that may be set
 check           plans every show of a stage, and finds what does not go together
 triggers        from signals to the cues that they trigger
-choosing        which of several shows a cue plays
 duty            why a figure rests, and how often it begins again after faults
 director        decides which show plays
 orders          what the director orders and notes

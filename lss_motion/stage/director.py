@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, Final, Literal
 from lss_motion.errors import InputError
 from lss_motion.files.source import known_names
 from lss_motion.stage import orders
-from lss_motion.stage.choosing import Bags
 from lss_motion.stage.duty import Duty, Reason
 from lss_motion.stage.model import Cue, Kind, Signal, Trigger
 from lss_motion.stage.time_of_day import CronClock
@@ -98,6 +97,43 @@ class Waiting:
     show: str
     cue: Cue
     show_s: float | None = None
+
+
+class Bags:
+    """Which of several shows a cue plays: in turn, or at random without repeats.
+
+    For each cue the shows that are still to come before all have been played.
+    """
+
+    def __init__(self, random: Random) -> None:
+        self._random = random
+        self._coming: dict[str, list[str]] = {}
+
+    def next(self, cue: Cue) -> str:
+        """Return the show that the cue plays next; it stays the next one until it is taken."""
+        if len(cue.shows) == 1:
+            return cue.shows[0]
+        if not self._coming.get(cue.name):
+            self._coming[cue.name] = self._filled(cue, None)
+        return self._coming[cue.name][0]
+
+    def take(self, cue: Cue) -> None:
+        """Note that the next show is played."""
+        if len(cue.shows) == 1:
+            return
+        last = self._coming[cue.name].pop(0)
+        if not self._coming[cue.name]:
+            self._coming[cue.name] = self._filled(cue, last)
+
+    def _filled(self, cue: Cue, last: str | None) -> list[str]:
+        """Return all shows of a cue; a random order does not begin with `last`."""
+        shows = list(cue.shows)
+        if cue.choice == "random":
+            self._random.shuffle(shows)
+            if shows[0] == last:
+                other = self._random.randrange(1, len(shows))
+                shows[0], shows[other] = shows[other], shows[0]
+        return shows
 
 
 class Director:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+from lss_motion.closing import Closing
 from lss_motion.player.following import FIRST_SLACK_S, RUNNING_RATE, Following, FollowRule
 from lss_motion.player.show_clock import Leg
 from lss_motion.runtime.clock import MonotonicClock
@@ -55,7 +56,7 @@ def spec_of(given: TimecodeInput) -> FollowSpec:
     )
 
 
-class OwnSource:
+class OwnSource(Closing):
     """The source of a stage, for a whole evening. A context manager; nothing waits."""
 
     def __init__(self, spec: FollowSpec) -> None:
@@ -96,12 +97,6 @@ class OwnSource:
         self.close()
         self._opened_ns = self._clock.now_ns()
         self._source = TimecodeSource(self._spec, waits=False)
-
-    def __enter__(self) -> OwnSource:
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        self.close()
 
 
 class StageTimecode:

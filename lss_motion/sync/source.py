@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Protocol
 
+from lss_motion.closing import Closing
 from lss_motion.errors import InputError
 from lss_motion.player.show_clock import Leg
 from lss_motion.remote.schema import Follow
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from lss_motion.sync.options import FollowSpec, SendSpec
 
 
-class TimecodeSource:
+class TimecodeSource(Closing):
     """One source of timecode, read by a process of its own. A context manager."""
 
     def __init__(self, spec: FollowSpec, *, waits: bool = True) -> None:
@@ -71,14 +72,8 @@ class TimecodeSource:
     def close(self) -> None:
         self._child.close()
 
-    def __enter__(self) -> TimecodeSource:
-        return self
 
-    def __exit__(self, *_error: object) -> None:
-        self.close()
-
-
-class TimecodeOut:
+class TimecodeOut(Closing):
     """Sends timecode from the show clock of one run. A context manager; `turn` never waits."""
 
     def __init__(self, spec: SendSpec) -> None:
@@ -114,12 +109,6 @@ class TimecodeOut:
 
     def close(self) -> None:
         self._child.close()
-
-    def __enter__(self) -> TimecodeOut:
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        self.close()
 
 
 class Legs(Protocol):

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from lss_motion.closing import Closing
 from lss_motion.errors import PlanningError
 from lss_motion.gait.stepping import Twist
 from lss_motion.program.response import PiecewiseProfile
@@ -24,7 +25,6 @@ from lss_motion.walking.planner import PlanRequest, WalkPlanner
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from multiprocessing.connection import Connection
-    from types import TracebackType
 
     from lss_motion.gait.model import Gait
     from lss_motion.robot.model import Robot
@@ -39,7 +39,7 @@ CLOSE_S: Final = 2.0
 LOST: Final = "the process that plans the walk has ended; the robot goes to a stand by itself"
 
 
-class PlannerProcess:
+class PlannerProcess(Closing):
     """A `PlannerLink` to a planner process. As a context manager it is entered when that is ready.
 
     `planning_s` is the time that planning the trial took.
@@ -68,14 +68,6 @@ class PlannerProcess:
         raise PlanningError(
             "the process that plans the walk does not start; is this computer busy?"
         )
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """End the planner process."""
