@@ -49,6 +49,7 @@ display         the live display, a process of its own; `play`, `walk`
 hands           a run with limp joints: keys and screen; `record`, `jog`, `calibrate`
 sounds          the offset of sounds that is kept, sounds that were silent; `play`
 voices          a sound as motion: the options and texts of `import`; `exchange`
+served          the options of the server, and what is printed of it; `studio`, `serve`
 servo_settings  reads and writes settings over an open connection; `configure`
 ==============  =================================================================================
 """

@@ -14,6 +14,14 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.cli.commands import PORT_HELP, add_command, add_json, add_robot_options, print_json
 from lss_motion.cli.consent import ALLOW_HELP, state_directory
 from lss_motion.cli.messages import put
+from lss_motion.cli.served import (
+    add_on_operator_lost,
+    add_tls,
+    addresses_json,
+    needing,
+    print_addresses,
+    tls_of,
+)
 from lss_motion.cli.terminal import is_at_keyboard
 from lss_motion.errors import EXIT_FINISHED, InputError
 
@@ -80,14 +88,8 @@ def add_to(commands: Commands) -> None:
         action="store_true",
         help="request real-time priority and locked memory, to be on time beside other programs",
     )
-    serve.add_argument(
-        "--on-operator-lost",
-        choices=("stop", "hold", "go_on"),
-        default="go_on",
-        help="what a show does when its operator is gone (default go_on)",
-    )
-    serve.add_argument("--tls-certificate", type=Path, metavar="F.pem", help="serve with TLS")
-    serve.add_argument("--tls-key", type=Path, metavar="F.pem", help="the key of the certificate")
+    add_on_operator_lost(serve, "operator is")
+    add_tls(serve, "serve with TLS")
     serve.add_argument(
         "--new-token", action="store_true", help="make a new token; the old one opens nothing more"
     )
@@ -151,19 +153,16 @@ def _serve_figure(arguments: argparse.Namespace, stage: Stage) -> int:
 
 
 def _run(arguments: argparse.Namespace, stage: Stage, views: Path) -> int:
-    try:
+    with needing(INSTALL):
         from lss_motion.studio.inlets import require_packages
         from lss_motion.studio.server import serve
         from lss_motion.studio.stage_service import ServiceOptions, StageService
-    except ModuleNotFoundError as error:
-        if error.name is None or error.name.startswith("lss_motion"):
-            raise
-        raise InputError(INSTALL) from None
     from lss_motion.runtime.service import Notifier
     from lss_motion.studio.desk import DeskOptions
     from lss_motion.studio.studio import StudioOptions
 
     require_packages(stage)
+    tls = tls_of(arguments)
     host, port = stage.listen.http or (None, 0)
     start_at = arguments.start_at
     job = {
@@ -179,8 +178,8 @@ def _run(arguments: argparse.Namespace, stage: Stage, views: Path) -> int:
         port=arguments.port,
         listen_host=host,
         listen_port=port,
-        certificate=_text(arguments.tls_certificate),
-        key=_text(arguments.tls_key),
+        certificate=tls.certificate,
+        key=tls.key,
         token=_token(arguments.stage, is_new=arguments.new_token),
         views=views,
         is_early=arguments.wait_port,
@@ -211,24 +210,9 @@ def _run(arguments: argparse.Namespace, stage: Stage, views: Path) -> int:
 def _tell(studio: Studio, service: StageService, *, is_json: bool) -> None:
     """Print where the stage can be operated, and take keys."""
     if is_json:
-        print_json(
-            {
-                "url": studio.url,
-                "token": studio.door.token,
-                "stop": studio.stop_addresses[0].origin,
-                "addresses": [address.origin for address in studio.addresses],
-            }
-        )
+        print_json(addresses_json(studio))
     else:
-        put(f"stage: {studio.url}")
-        for address in studio.addresses[1:]:
-            put(f"stage: {address.origin}/")
-        if studio.is_network_readable:
-            put(
-                "warning: without TLS others on this network can read along and take over; give "
-                "--tls-certificate and --tls-key",
-                sys.stderr,
-            )
+        print_addresses(studio, "stage")
         if len(studio.addresses) > 1 and is_at_keyboard():
             code = studio.make_code("operate")
             put(f"stage: code {code[:3]} {code[3:]} lets one device operate, for two minutes")
@@ -304,7 +288,3 @@ def _token(stage: Path, *, is_new: bool) -> str:
     except OSError as error:
         put(f"warning: the token cannot be kept, so tablets pair again: {error}", sys.stderr)
     return token
-
-
-def _text(path: Path | None) -> str | None:
-    return None if path is None else str(path)

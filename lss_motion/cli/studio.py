@@ -10,6 +10,14 @@ from typing import TYPE_CHECKING, Final
 from lss_motion.cli.commands import PORT_HELP, add_command, add_json, add_robot_options, print_json
 from lss_motion.cli.consent import ALLOW_HELP
 from lss_motion.cli.messages import put
+from lss_motion.cli.served import (
+    add_on_operator_lost,
+    add_tls,
+    addresses_json,
+    needing,
+    print_addresses,
+    tls_of,
+)
 from lss_motion.cli.terminal import is_at_keyboard
 from lss_motion.errors import EXIT_FINISHED, InputError
 
@@ -50,39 +58,23 @@ def add_to(commands: Commands) -> None:
         metavar="ADDRESS[:PORT]",
         help="serve this address of the computer, too; :PORT alone sets the port (default: any)",
     )
-    studio.add_argument(
-        "--tls-certificate", type=Path, metavar="F.pem", help="serve that address with TLS"
-    )
-    studio.add_argument("--tls-key", type=Path, metavar="F.pem", help="the key of the certificate")
-    studio.add_argument(
-        "--on-operator-lost",
-        choices=("stop", "hold", "go_on"),
-        default="go_on",
-        help="what a show does when its operator, or the server, is gone (default go_on)",
-    )
+    add_tls(studio, "serve that address with TLS")
+    add_on_operator_lost(studio, "operator, or the server, is")
     studio.add_argument("--no-browser", action="store_true", help="print the address only")
     studio.add_argument("--allow-run", action="store_true", help=ALLOW_HELP)
     add_json(studio)
 
 
 def _studio(arguments: argparse.Namespace) -> int:
-    try:
+    with needing(INSTALL):
         from lss_motion.studio.server import serve
-    except ModuleNotFoundError as error:
-        if error.name is None or error.name.startswith("lss_motion"):
-            raise
-        raise InputError(INSTALL) from None
     from lss_motion.files.source import read_data
     from lss_motion.studio.desk import DeskOptions
     from lss_motion.studio.studio import StudioOptions
 
     read_data(arguments.file)  # What cannot be read is said here, not in the browser.
     host, port = _address(arguments.listen)
-    if (arguments.tls_certificate is None) != (arguments.tls_key is None):
-        raise InputError("--tls-certificate and --tls-key belong together")
-    for path in (arguments.tls_certificate, arguments.tls_key):
-        if path is not None:
-            read_data(path)
+    tls = tls_of(arguments)
     options = StudioOptions(
         path=arguments.file,
         robot_path=arguments.robot,
@@ -90,8 +82,8 @@ def _studio(arguments: argparse.Namespace) -> int:
         port=arguments.port,
         listen_host=host,
         listen_port=port,
-        certificate=_text(arguments.tls_certificate),
-        key=_text(arguments.tls_key),
+        certificate=tls.certificate,
+        key=tls.key,
         desk=DeskOptions(on_lost=arguments.on_operator_lost, may_run=arguments.allow_run),
     )
     serve(
@@ -104,26 +96,10 @@ def _studio(arguments: argparse.Namespace) -> int:
 
 def _tell(studio: Studio, *, is_json: bool) -> None:
     if is_json:
-        print_json(
-            {
-                "url": studio.url,
-                "token": studio.door.token,
-                "stop": studio.stop_addresses[0].origin,
-                "addresses": [address.origin for address in studio.addresses],
-                "stops": [address.origin for address in studio.stop_addresses],
-            }
-        )
+        print_json(addresses_json(studio))
         sys.stdout.flush()
         return
-    put(f"studio: {studio.url}")
-    if studio.is_network_readable:
-        put(
-            "warning: without TLS others on this network can read along and take over; give "
-            "--tls-certificate and --tls-key",
-            sys.stderr,
-        )
-    for address in studio.addresses[1:]:
-        put(f"studio: {address.origin}/")
+    print_addresses(studio, "studio")
     if len(studio.addresses) > 1:
         _print_code(studio, "operate")
         _make_codes_on_enter(studio)
@@ -159,10 +135,6 @@ def _make_codes_on_enter(studio: Studio) -> None:
         put(f"{word!r} is no role: {', '.join(ROLE_NAMES)}")
 
     asyncio.get_running_loop().add_reader(sys.stdin, read)
-
-
-def _text(path: Path | None) -> str | None:
-    return None if path is None else str(path)
 
 
 def _address(text: str) -> tuple[str | None, int]:

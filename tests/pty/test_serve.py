@@ -261,8 +261,12 @@ def test_what_cannot_begin_ends_with_its_code(hall, tmp_path, monkeypatch):
     own = hall()
     assert own.process.wait(WAIT_S) == 4
     assert own.said("port")
-    Path("hall.yaml").write_text(Path("hall.yaml").read_text().replace("osc: /hall", "ocs: /hall"))
     words = [sys.executable, "-m", "lss_motion.cli.start", "serve", "hall.yaml"]
+    half = [*words, "--tls-certificate", "nothing.pem"]
+    done = subprocess.run(half, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == "lss-motion: --tls-certificate and --tls-key belong together\n"
+    Path("hall.yaml").write_text(Path("hall.yaml").read_text().replace("osc: /hall", "ocs: /hall"))
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.startswith("hall.yaml:6:")

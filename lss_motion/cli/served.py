@@ -1,0 +1,88 @@
+"""What `studio` and `serve` share: the options of their server, and what they print of it."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from lss_motion.cli.messages import put
+from lss_motion.errors import InputError
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterator
+
+    from lss_motion.studio.studio import Studio
+
+
+@contextlib.contextmanager
+def needing(install: str) -> Iterator[None]:
+    """Import the server; raises `InputError` with `install` where a package is missing."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.startswith("lss_motion"):
+            raise
+        raise InputError(install) from None
+
+
+class Tls(NamedTuple):
+    """The files of TLS, both or none."""
+
+    certificate: str | None
+    key: str | None
+
+
+def add_tls(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add the options of TLS; `what` is served with it."""
+    parser.add_argument("--tls-certificate", type=Path, metavar="F.pem", help=what)
+    parser.add_argument("--tls-key", type=Path, metavar="F.pem", help="the key of the certificate")
+
+
+def tls_of(arguments: argparse.Namespace) -> Tls:
+    """Return the files of TLS; raises `InputError` for one alone, or one that cannot be read."""
+    from lss_motion.files.source import read_data
+
+    paths: tuple[Path | None, ...] = (arguments.tls_certificate, arguments.tls_key)
+    if paths.count(None) == 1:
+        raise InputError("--tls-certificate and --tls-key belong together")
+    for path in paths:
+        if path is not None:
+            read_data(path)
+    return Tls(*(None if path is None else str(path) for path in paths))
+
+
+def add_on_operator_lost(parser: argparse.ArgumentParser, who: str) -> None:
+    """Add the option about what a show does when `who` is gone."""
+    parser.add_argument(
+        "--on-operator-lost",
+        choices=("stop", "hold", "go_on"),
+        default="go_on",
+        help=f"what a show does when its {who} gone (default go_on)",
+    )
+
+
+def addresses_json(studio: Studio) -> dict[str, object]:
+    """Return where a server can be reached, for `--json`."""
+    return {
+        "url": studio.url,
+        "token": studio.door.token,
+        "stop": studio.stop_addresses[0].origin,
+        "addresses": [address.origin for address in studio.addresses],
+        "stops": [address.origin for address in studio.stop_addresses],
+    }
+
+
+def print_addresses(studio: Studio, name: str) -> None:
+    """Print where a server can be reached, each line after `name`."""
+    put(f"{name}: {studio.url}")
+    if studio.is_network_readable:
+        put(
+            "warning: without TLS others on this network can read along and take over; give "
+            "--tls-certificate and --tls-key",
+            sys.stderr,
+        )
+    for address in studio.addresses[1:]:
+        put(f"{name}: {address.origin}/")
