@@ -1,6 +1,6 @@
 """Measures what the package promises, each figure next to a peer or a limit in the same run.
 
-tools/run tools/bench.py                 everything, in less than ten minutes on two quiet cores
+tools/run tools/bench.py                 everything, in fifteen minutes on two quiet cores
 tools/run tools/bench.py codec plan      some of it, the long way where there is one
 tools/run tools/bench.py scaling --full  shows of up to an hour
 tools/run tools/bench.py all --json F    also as JSON
